@@ -14,7 +14,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from spoofgym._files import write_file
+from spoofgym.core.files import write_file
 
 WEIGHTS, STATE = "parameters.pt", "state.json"
 RUNNING = {"obs_rms": ("mean", "var", "count"), "ret_rms": ("mean", "var", "count")}

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from spoofgym._pictures import COLOURS, GREY, figure_class, save_figure, style
+from spoofgym.core.plots import COLOURS, GREY, figure_class, save_figure, style
 
 from .record import Point, read_record
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from spoofgym.bench.dataset import Dataset, Episodes
-from spoofgym.bench.scores import counted, undetected_displacement
-from spoofgym.detectors.calibration import check_runs, rank_of, run_probability
+from spoofgym.bench.experiments.dataset import Dataset, Episodes
+from spoofgym.bench.scores.scores import counted, undetected_displacement
+from spoofgym.detectors.calibration_file import check_runs, rank_of, run_probability
 
 FloatArray = NDArray[np.float64]
 CLASSIC = "classic_"

@@ -6,7 +6,7 @@ from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from spoofgym.spoofers.model import finite
+from spoofgym.spoofers.learned import finite
 
 
 def learn(model: BaseAlgorithm, steps: int, **how: Any) -> str | None:

@@ -12,9 +12,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from spoofgym._describe import unlike
-from spoofgym._files import remove_stale_parts, write_file
-from spoofgym.bench.versions import versions
+from spoofgym.bench.experiments.versions import versions
+from spoofgym.core.files import remove_stale_parts, write_file
+from spoofgym.core.settings import unlike
 
 CONFIG = "config.json"
 

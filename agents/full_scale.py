@@ -10,7 +10,7 @@ import numpy as np
 
 from spoofgym.envs.core import SpoofCore
 from spoofgym.sb3 import SpoofVecEnv
-from spoofgym.simulators.setup import Setup
+from spoofgym.simulation.setup import Setup
 
 ABOUT_S = 10.0
 """Time between decisions, as far as the attack holds a whole number of them."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from spoofgym.bench.report import markdown_table
-from spoofgym.bench.specs import describe, settings_of
-from spoofgym.bench.tables import interval
+from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.report.table import interval
+from spoofgym.core.registry import settings_of
+from spoofgym.core.settings import describe
 from spoofgym.detectors import DETECTORS
 from spoofgym.spoofers.base import sees_statistics
 

@@ -7,10 +7,10 @@ from typing import Any
 
 from stable_baselines3 import PPO
 
-from spoofgym.duel.members import Mixture
+from spoofgym.bench.experiments.members import Mixture
 from spoofgym.export import onnx
 from spoofgym.sb3 import SpoofVecEnv
-from spoofgym.spoofers.model import finite
+from spoofgym.spoofers.learned import finite
 from spoofgym.tasks import ALARM_PRICE, task_of
 
 from .diverging import learn

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from spoofgym._files import write_file
+from spoofgym.core.files import write_file
 
 Point = dict[str, Any]
 

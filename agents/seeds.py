@@ -9,8 +9,8 @@ from typing import Any, Protocol, TypeVar
 
 from rich.table import Table
 
-from spoofgym._files import write_file
-from spoofgym.bench.tables import interval
+from spoofgym.bench.report.table import interval
+from spoofgym.core.files import write_file
 from spoofgym.spoofers.base import sees_statistics
 from spoofgym.spoofers.card import Card, Score
 

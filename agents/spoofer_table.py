@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from spoofgym.bench.report import markdown_table
-from spoofgym.bench.tables import interval
+from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.report.table import interval
 
 from .seeds import marked, middle_of, reached_by
 

@@ -3,7 +3,7 @@
 A blind spoofer that plans one curve of the rate for all runs, tuned by CMA-ES.  A learned blind
 policy that does not reach it has not learned anything.
 
-1. The ramps are tuned on the runs of the choice, by `spoofgym.bench.tune`.
+1. The ramps are tuned on the runs of the choice, by `spoofgym.bench.search.amplitude`.
 2. The search begins between the two ramps, or at a given card, on runs of its own.
 3. The shapes that it offers are scaled to the alarm budget on the runs of the choice.
 
@@ -22,13 +22,13 @@ from typing import Annotated, Any
 
 import typer
 
-from spoofgym.bench.budget import BUDGET
-from spoofgym.bench.specs import parse_spec
-from spoofgym.bench.suite import Suite, Tuning
-from spoofgym.bench.tuning_table import ALARMS_HEAD, alarm_texts
+from spoofgym.bench.report.table import ALARMS_HEAD, alarm_texts
+from spoofgym.bench.runs.world import Suite, Tuning
+from spoofgym.bench.scores.statistics import BUDGET
 from spoofgym.cli import INTERRUPTED, clear_errors
-from spoofgym.cli.suites import calibrate_with_progress
-from spoofgym.simulators import Timeline
+from spoofgym.cli.bench import calibrate_with_progress
+from spoofgym.core.registry import parse_spec
+from spoofgym.simulation import Timeline
 from spoofgym.tasks import task_of
 
 from .profile_card import profile_card, rivals

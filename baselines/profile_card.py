@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym.bench.metrics import bootstrap_mean, resamples_of
-from spoofgym.bench.specs import describe
-from spoofgym.bench.suite import spoofer_context
-from spoofgym.bench.tune import Trial
-from spoofgym.bench.versions import versions
+from spoofgym.bench.experiments.versions import versions
+from spoofgym.bench.runs.world import spoofer_context
+from spoofgym.bench.scores.statistics import bootstrap_mean, resamples_of
+from spoofgym.bench.search.amplitude import Trial
+from spoofgym.core.settings import describe
 from spoofgym.policies.card import DECIDED_ON
 from spoofgym.spoofers import Card
 from spoofgym.spoofers.card import fields_of

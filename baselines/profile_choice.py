@@ -2,7 +2,7 @@
 
 For every shape that the search offers, the factor on its rates is fitted on runs that the search
 has not seen, by the upper limit of its alarm rate on those that count, as the benchmark tunes its
-spoofers (`spoofgym.bench.budget`).
+spoofers (`spoofgym.bench.scores.statistics`).
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.bench.budget import largest_within
-from spoofgym.bench.scores import stealth_of
+from spoofgym.bench.scores.scores import stealth_of
+from spoofgym.bench.scores.statistics import largest_within
 from spoofgym.spoofers import Profile
 
 from .profile_search import ProfileSearch

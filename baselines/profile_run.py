@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym._describe import differences
-from spoofgym._files import write_file
-from spoofgym.bench.budget import aim
-from spoofgym.bench.suite import Suite
-from spoofgym.bench.tune import TuningResult, tune
+from spoofgym.bench.runs.world import Suite
+from spoofgym.bench.scores.statistics import aim
+from spoofgym.bench.search.amplitude import TuningResult, tune
+from spoofgym.core.files import write_file
+from spoofgym.core.settings import differences
 from spoofgym.spoofers.card import NAME, Card
 
 from .profile_choice import Choice, choose

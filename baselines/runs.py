@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.bench.run import WarmStart, displacement_of, play
-from spoofgym.bench.scores import counted
-from spoofgym.simulators import Setup
+from spoofgym.bench.runs.play import WarmStart, displacement_of, play
+from spoofgym.bench.scores.scores import counted
+from spoofgym.simulation import Setup
 from spoofgym.spoofers import Profile, SpooferContext
 from spoofgym.spoofers.profile import sampled
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from spoofgym._jit import njit
-from spoofgym._simd import LANES, lanes_of, load, load_pair, pair_of, splat, store
 from spoofgym.attacks._kernels import false_position
-from spoofgym.detectors.ewma import judge_channels
+from spoofgym.core.compile import njit
+from spoofgym.core.simd import LANES, lanes_of, load, load_pair, pair_of, splat, store
+from spoofgym.detectors.charts import judge_channels
 from spoofgym.receiver import _kernels as filters
 from spoofgym.receiver import kalman
-from spoofgym.receiver.error_model import TERMS
-from spoofgym.sim import _kernels as world
-from spoofgym.sim.noise import COUNTERS_OF_EIGHT, deviates, normal_pair, threefry
+from spoofgym.receiver.states import TERMS
+from spoofgym.truth import _kernels as world
+from spoofgym.truth.noise import COUNTERS_OF_EIGHT, deviates, normal_pair, threefry
 
 NOISE, SENSE, MECHANIZE, PROPAGATE, MEASURE, INNOVATE, COVARIANCE_S, UPDATE, FLOOR = range(9)
 PRODUCT = filters.PRODUCT_ROWS

@@ -24,15 +24,15 @@ import typer
 from llvmlite import binding
 
 from spoofgym import __version__
-from spoofgym._lanes import LaneFields
-from spoofgym._simd import LANES
-from spoofgym.bench.report import markdown_table
+from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.calibration.clean_runs import Progress, Silent
 from spoofgym.cli import clear_errors
 from spoofgym.cli.options import Json
 from spoofgym.cli.output import print_json, print_lines, print_table, progress
+from spoofgym.core.lanes import LaneFields
+from spoofgym.core.simd import LANES
 from spoofgym.envs.core import SpoofCore
-from spoofgym.sim.noise import padded
-from spoofgym.simulators.clean_runs import Progress, Silent
+from spoofgym.truth.noise import padded
 
 from . import _perf_kernels as kernels
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import DETECTORS
-from spoofgym.simulators import TightlyCoupledSetup
-from spoofgym.simulators.engine import Engine
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.engine import Engine
 
 RECEIVERS = 64
 NAMES = [name for name, kind in DETECTORS.items() if kind.measures != "position"]

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from spoofgym._jit import CACHE_VARIABLE
+from spoofgym.core.compile import CACHE_VARIABLE
 
 IMPORT = "import spoofgym"
 STEP = f"""{IMPORT}

@@ -70,12 +70,12 @@ from typing import TYPE_CHECKING, Any
 
 from gymnasium.envs.registration import register
 
-from .detector_tasks import DETECTOR_TASKS as _DETECTOR_TASKS
+from .tasks import DETECTOR_TASKS as _DETECTOR_TASKS
 from .tasks import TASKS as _TASKS
 
 if TYPE_CHECKING:
-    from .bench.evaluate import evaluate as evaluate
-    from .bench.evaluate_detector import evaluate_detector as evaluate_detector
+    from .bench.experiments.evaluate import evaluate as evaluate
+    from .bench.experiments.protect import evaluate_detector as evaluate_detector
 
 __version__ = "0.1.0.dev0"
 
@@ -146,11 +146,11 @@ for _detector_task in _DETECTOR_TASKS.values():
 def __getattr__(name: str) -> Any:
     """`evaluate` and `evaluate_detector`, imported when first asked for: they take their time."""
     if name == "evaluate":
-        from .bench.evaluate import evaluate
+        from .bench.experiments.evaluate import evaluate
 
         return evaluate
     if name == "evaluate_detector":
-        from .bench.evaluate_detector import evaluate_detector
+        from .bench.experiments.protect import evaluate_detector
 
         return evaluate_detector
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

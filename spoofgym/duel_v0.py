@@ -15,20 +15,20 @@ from __future__ import annotations
 
 from typing import Any
 
-from .detectors.learned.agent import PolicyDetector
-from .detectors.learned.card import DetectorCard, OnnxDetector
-from .detectors.learned.policy import DetectorPolicy, FunctionPolicy
-from .duel.best_response import AttackBudget, best_detector, best_spoofer, exploitability
+from .bench.experiments.game import Game
+from .bench.experiments.members import member_of, mixture
+from .bench.scores.matrix_game import solve
+from .bench.search.best_response import AttackBudget, best_detector, best_spoofer, exploitability
+from .detectors.learned import PolicyDetector
+from .detectors.learned_card import DetectorCard, OnnxDetector
 from .duel.calibrate import calibrate
 from .duel.calibration import Calibration
 from .duel.card import write_card
 from .duel.detector_view import DetectorVectorView, DetectorView
-from .duel.matrix_game import solve
-from .duel.members import member_of, mixture
 from .duel.payoff import NeymanPearson, Weighted
-from .duel.population import Game
 from .duel.rules import duel_signature
 from .duel.spoofer_view import SpooferVectorView, SpooferView
+from .policies.detector_policy import DetectorPolicy, FunctionPolicy
 
 __all__ = [
     "AttackBudget",

@@ -1,10 +1,18 @@
-"""The tasks of `spoofgym-bench-v1`: environments whose settings never change.
+"""T1-T6 and D1-D4, frozen settings.
+
+The tasks of `spoofgym-bench-v1`: environments whose settings never change.
 
 A task is an environment, whose detectors have a stated rate of false alarms, and an alarm budget.
 What a spoofer scores is its stealthy displacement by the rules of the benchmark; it is read
 together with what ramps and the blind optimum get there, and with the task's floor and zero-alarm
 bound.  T1 and T2 are historical: the world of the papers.  T3 to T6 had to pass the admission test
 of `docs/tasks.md`.
+
+Tasks for detectors, D1 to D4: the worlds of T3 to T6, and whom a detector meets in each.
+
+Detectors may be trained and tuned on the public families of attacks.  They are scored by the worst
+of all families, most of which they have never met, and by their false alarms, also where something
+happens that looks like spoofing.
 """
 
 from __future__ import annotations
@@ -13,7 +21,7 @@ import copy
 from dataclasses import dataclass
 from typing import Any
 
-from ._registry import check_choice
+from .core.registry import check_choice
 
 SUITE = "spoofgym-bench-v1"
 """Name of the tasks together; a change of any of them makes another one."""
@@ -236,3 +244,266 @@ PAPERS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
 }
 """Environments of the papers' scenarios: id and keyword arguments, by the keys of the papers."""
+
+
+TURNING_DEGPS = 0.3
+"""A flight turns where its track turns faster than this."""
+SWITCH_WITHIN_S = 10.0
+"""Time before or after the onset at which a satellite rises or sets."""
+NEAR_ALARM_S = 60.0
+"""Last part of the monitored warm-up, in which a detector came closest to an alarm."""
+CANDIDATES = 4
+"""Of so many runs, those closest to an alarm are one: the closest quarter."""
+ONSETS = ("turn", "satellite-switch", "chance-alarm")
+"""Conditions on the onset of an attack; runs are chosen by them, and nothing else is changed."""
+ANTENNA_PARTS = (0.25, 4.0)
+"""Distance of a meaconer's antenna from its target, in parts of the alert limit."""
+PARTS = (0.5, 1.0, 2.0)
+"""Displacements of the learners' pool at the end of the attack, in parts of the alert limit."""
+EVENTS = ("clock_step", "satellite_loss", "front")
+"""What looks like spoofing and is none, as `spoofgym.truth.events` has it."""
+MEAN_GROWTH = 2.375
+"""Mean rate of feedback over a window, in parts of its first one, while there is room."""
+RATE_LIMIT_MPS = 5.0
+"""Of the tasks' attacks."""
+
+
+@dataclass(frozen=True)
+class AttackFamily:
+    """Attacks that have something in common, of which the worst one counts.
+
+    - `key`, `title`: its name, and what it does, in a line;
+    - `letters`: which attacks of the suite it has (`FAMILIES`); ``"c"``
+      are the shipped profiles, ``"m"`` is a meaconer, whose antenna's distance is looked for;
+    - `held_out`: whether no detector may be trained or tuned on it;
+    - `attack`, `timeline`: in place of those of the task's world; None to leave them;
+    - `onset`: condition on it, one of `ONSETS`, or None.
+    """
+
+    key: str
+    title: str
+    letters: str
+    held_out: bool = False
+    attack: dict[str, Any] | None = None
+    timeline: dict[str, float] | None = None
+    onset: str | None = None
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """Settings of the world that it replaces; a copy."""
+        parts = {"attack": self.attack, "timeline": self.timeline}
+        return copy.deepcopy({name: x for name, x in parts.items() if x is not None})
+
+
+@dataclass(frozen=True)
+class DetectorTask:
+    """A task for detectors.
+
+    - `world_of`: the task of `spoofgym.tasks` whose world it has, and whose alert limit;
+    - `families`: whom a detector meets.
+    """
+
+    key: str
+    title: str
+    world_of: str
+    families: tuple[AttackFamily, ...]
+
+    @property
+    def env_id(self) -> str:
+        """Id for `gymnasium.make`: the detector learns against `pool`."""
+        return f"spoofgym/Bench{self.key}-v1"
+
+    @property
+    def task(self) -> Task:
+        """The task whose world it has."""
+        return TASKS[self.world_of]
+
+    @property
+    def alert_limit_m(self) -> float:
+        """Error that must not be exceeded unnoticed [m]."""
+        limit = self.task.alert_limit_m
+        assert limit is not None  # as all tasks that are not historical have one
+        return limit
+
+    @property
+    def world_kwargs(self) -> dict[str, Any]:
+        """All settings of the world; a copy."""
+        return self.task.world_kwargs
+
+    @property
+    def public(self) -> tuple[AttackFamily, ...]:
+        """Families that a detector may be trained and tuned on."""
+        return tuple(each for each in self.families if not each.held_out)
+
+    @property
+    def held_out(self) -> tuple[AttackFamily, ...]:
+        return tuple(each for each in self.families if each.held_out)
+
+    def family(self, key: str) -> AttackFamily:
+        """Family by its key; a ValueError with the valid ones where there is none."""
+        named = {each.key: each for each in self.families}
+        check_choice(f"family of attacks of {self.key}", key, named)
+        return named[key]
+
+    @property
+    def pool(self) -> list[dict[str, Any]]:
+        """Spoofers of the public families for a learner, with their settings; a new list."""
+        timeline = self.world_kwargs.get("timeline", {})
+        return learners_pool(self.alert_limit_m, float(timeline.get("attack_s", 150.0)))
+
+    @property
+    def env_kwargs(self) -> dict[str, Any]:
+        """Keyword arguments of the detector's side of the duel; a new dict."""
+        return {**self.world_kwargs, "pool": self.pool}
+
+
+def learners_pool(alert_limit_m: float, attack_s: float) -> list[dict[str, Any]]:
+    """Spoofers of the public families that would displace by `PARTS` of an alert limit, each once.
+    Feedback reads the statistic of the learner, and would come so far where it had room
+    throughout."""
+    found: list[dict[str, Any]] = []
+    for part in PARTS:
+        mean = part * alert_limit_m / attack_s
+        several: list[dict[str, Any]] = [
+            {"name": "ramp", "rate_mps": _rate(mean)},
+            {"name": "accelerating-ramp", "acceleration_mps2": _rounded(2.0 * mean / attack_s)},
+            {
+                "name": "profile",
+                "rates_mps": [_rate(3.0 * mean * (k / 12) ** 2) for k in range(13)],
+                "label": f"quadratic-{part:g}",
+            },
+            {"name": "dash", "rate_mps": _rate(mean / 0.4), "last_s": _rounded(0.4 * attack_s)},
+            {"name": "dash", "rate_mps": _rate(mean / 0.15), "last_s": _rounded(0.15 * attack_s)},
+            {"name": "feedback", "rate_mps": _rounded(mean / MEAN_GROWTH)},
+        ]
+        found += [spec for spec in several if spec not in found]
+    return found
+
+
+def _rate(value: float) -> float:
+    return _rounded(min(value, RATE_LIMIT_MPS))
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+PUBLIC = (
+    AttackFamily("ramps", "ramps and accelerating ramps", "a"),
+    AttackFamily("profiles", "profiles of the rate", "b"),
+    AttackFamily("blind-optima", "the shipped profiles, optimised on other detectors", "c"),
+    AttackFamily("feedback", "a ramp that yields where the statistic grows", "e"),
+    AttackFamily("dashes", "nothing, and then as fast as allowed", "h"),
+)
+EVERY_SECOND = [f"slot{k:02d}" for k in range(0, 12, 2)]
+"""Every second channel of the receivers, in the order of the satellites' ids."""
+EARLY = {"warmup_s": 140.0, "live_s": 120.0}
+"""The flight of T3, T5 and T6 turns up to its 176th second, before their attacks begin: here the
+receiver has been on for a minute less, and the onset is as early as 140 s."""
+
+
+def _held_out(quiet: bool, timeline: dict[str, float] | None) -> tuple[AttackFamily, ...]:
+    """Families that are never trained on; `quiet`: whether the world's counterfeit is."""
+    plain = {"name": "false-position"}
+    own = {**plain, "errors": "quiet"} if quiet else plain
+    errors = (
+        AttackFamily("inherited", "nature's errors stay in the counterfeit", "ah", True, plain)
+        if quiet
+        else AttackFamily(
+            "quiet", "a counterfeit quieter than nature", "ah", True, {**plain, "errors": "quiet"}
+        )
+    )
+    return (
+        errors,
+        AttackFamily(
+            "subset",
+            "every second channel moves, the others stay",
+            "ah",
+            True,
+            {**own, "channels": EVERY_SECOND},
+        ),
+        AttackFamily(
+            "meaconer",
+            "another antenna's signals, east of the target, replayed",
+            "m",
+            True,
+            {"name": "meaconer"},
+        ),
+        AttackFamily("turn", "onset in a turn", "ah", True, None, timeline, "turn"),
+        AttackFamily(
+            "satellite-switch",
+            f"onset within {SWITCH_WITHIN_S:g} s of a satellite's rise or set",
+            "ah",
+            True,
+            None,
+            timeline,
+            "satellite-switch",
+        ),
+        AttackFamily(
+            "chance-alarm",
+            f"onset after an alarm by chance, or near one, in the last {NEAR_ALARM_S:g} s",
+            "ah",
+            True,
+            onset="chance-alarm",
+        ),
+    )
+
+
+DETECTOR_TASKS: dict[str, DetectorTask] = {
+    task.key: task
+    for task in (
+        DetectorTask(
+            "D1",
+            "drawn worlds, alert limit 20 m",
+            "T3",
+            (*PUBLIC, *_held_out(False, EARLY)),
+        ),
+        DetectorTask(
+            "D2",
+            "tactical sensors, five minutes along an airway, alert limit 556 m",
+            "T4",
+            (*PUBLIC, *_held_out(False, None)),
+        ),
+        DetectorTask(
+            "D3",
+            "a counterfeit that is quieter than nature, alert limit 20 m",
+            "T5",
+            (*PUBLIC, *_held_out(True, EARLY)),
+        ),
+        DetectorTask(
+            "D4",
+            "drawn worlds, alert limit 40 m",
+            "T6",
+            (*PUBLIC, *_held_out(False, EARLY)),
+        ),
+    )
+}
+"""The tasks for detectors by their keys."""
+
+
+def detector_task_of(key: str) -> DetectorTask:
+    """Task for detectors by its key.
+
+    Parameters
+    ----------
+    key : str
+        ``"D1"`` to ``"D4"``.
+
+    Returns
+    -------
+    DetectorTask
+        The task.
+
+    Raises
+    ------
+    ValueError
+        When there is none; the valid ones are listed.
+
+    Examples
+    --------
+    >>> from spoofgym.tasks import detector_task_of
+    >>> [family.key for family in detector_task_of("D3").held_out][:2]
+    ['inherited', 'subset']
+    """
+    check_choice("task for detectors", key, DETECTOR_TASKS)
+    return DETECTOR_TASKS[key]

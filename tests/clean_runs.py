@@ -6,9 +6,9 @@ import numpy as np
 
 from spoofgym.detectors import Never
 from spoofgym.receiver import TightlyCoupled
-from spoofgym.sim.scenario import Scenario
-from spoofgym.simulators import Engine, TightlyCoupledSetup, Timeline
-from spoofgym.simulators.tightly_coupled import TightlyCoupledSimulator
+from spoofgym.simulation import Engine, TightlyCoupledSetup, Timeline
+from spoofgym.simulation.tight import TightlyCoupledSimulator
+from spoofgym.truth.scenario import Scenario
 
 OBSERVED = np.array([3, 4, 5, 6, 7, 8, 15, 16])
 """Velocity, position and clock: the states that GNSS sees."""

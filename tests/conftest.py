@@ -72,7 +72,7 @@ def pytest_configure(config: pytest.Config) -> None:
     a folder that all their processes share, and that ends with them.
     """
     from spoofgym.detectors import calibrated
-    from spoofgym.detectors.calibration import FOLDER_VARIABLE
+    from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 
     calibrated.DEFAULT_RATE = None
     if not hasattr(config, "workerinput"):
@@ -105,7 +105,7 @@ def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(autouse=True, scope="session")
 def _no_word_of_compiling() -> None:
     """In which test the notice would appear on stderr depends on the machine and the order."""
-    from spoofgym import _jit
+    from spoofgym.core import compile as _jit
 
     _jit.NOTICE_S = math.inf
 

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 
 from llvmlite.binding import get_host_cpu_features
 
-from spoofgym._jit import CACHE_VARIABLE
+from spoofgym.core.compile import CACHE_VARIABLE
 
 Digests = dict[str, dict[str, str]]
 """By run and by field, as `tests.digests` prints them."""
@@ -38,7 +38,7 @@ KINDS = {
 VIEWS = "tests/duel/test_views.py::test_every_receiver_of_a_vector_view_is_the_single_view"
 TESTS = (
     "tests/test_cpus.py",
-    "tests/simulators/test_engine.py",
+    "tests/simulation/test_engine.py",
     VIEWS,
     "tests/receiver/test_strapdown.py",
     "tests/receiver/test_kernels.py",

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym.simulators import Engine, TightlyCoupledSetup
+from spoofgym.simulation import Engine, TightlyCoupledSetup
 
 BATCHES = (1, 3, 8, 17)
 STEPS = 14

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym._simd import LANES
+from spoofgym.core.simd import LANES
 
 
 def side_by_side(columns: Sequence[Any]) -> np.ndarray:

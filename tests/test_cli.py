@@ -17,7 +17,7 @@ import typer
 from typer.testing import CliRunner
 
 from spoofgym import __version__
-from spoofgym.bench.store import ResultsFolder
+from spoofgym.bench.experiments.results_folder import ResultsFolder
 from spoofgym.cli import app
 from spoofgym.cli.options import ENV, World, with_world
 from spoofgym.detectors import DETECTORS
@@ -196,7 +196,7 @@ def test_ctrl_c_keeps_what_is_finished() -> None:
     listening = """
 import signal, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from spoofgym.bench.store import ResultsFolder
+from spoofgym.bench.experiments.results_folder import ResultsFolder
 from spoofgym.cli import main
 put_cell = ResultsFolder.put_cell
 def put_the_first(folder, cell):

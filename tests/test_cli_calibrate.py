@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from spoofgym.detectors.calibration import FOLDER_VARIABLE
+from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from spoofgym.tasks import TASKS
 
 from .command_line import SHORT, call, refused

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym.bench.dataset import load
+from spoofgym.bench.experiments.dataset import load
+from spoofgym.calibration import thresholds as calibration
 from spoofgym.detectors import Calibration
-from spoofgym.detectors.calibration import FOLDER_VARIABLE
-from spoofgym.simulators import calibration
+from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from spoofgym.tasks import TASKS
 
 from .command_line import SHORT, call, refused

@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 import spoofgym.tasks
+from spoofgym.bench.experiments.game import Game
 from spoofgym.cli import app
-from spoofgym.duel.population import Game
 from spoofgym.tasks import Task
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}

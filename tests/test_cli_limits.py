@@ -6,12 +6,12 @@ import json
 
 import pytest
 
-from spoofgym.bench.tables import number
+from spoofgym.bench.report.table import number
 from spoofgym.detectors import SnapshotChi2
-from spoofgym.detectors.calibration import run_probability
+from spoofgym.detectors.calibration_file import run_probability
 from spoofgym.limits import deflection_for, frontier_of
 from spoofgym.limits.bounds import cases_of, zero_alarm_bounds
-from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulation import TightlyCoupledSetup
 
 from .command_line import SHORT, call, refused
 

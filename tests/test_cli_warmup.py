@@ -10,7 +10,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from spoofgym._jit import CACHE_VARIABLE, cache_parent
+from spoofgym.core.compile import CACHE_VARIABLE, cache_parent
 
 from .command_line import call, refused
 

@@ -11,9 +11,9 @@ from spoofgym.attacks import ATTACKS
 from spoofgym.envs import _kernels as step
 from spoofgym.receiver import _kernels as receiver
 from spoofgym.receiver import replay
-from spoofgym.simulators import Engine
-from spoofgym.simulators._kernels import run_epochs
-from spoofgym.simulators.recording import record_run
+from spoofgym.simulation import Engine
+from spoofgym.simulation._kernels import run_epochs
+from spoofgym.simulation.recording import record_run
 
 from . import cpus, digests
 from .envs.support import single

@@ -12,16 +12,15 @@ from typer.testing import CliRunner
 
 import spoofgym
 from spoofgym.attacks import make_attack
-from spoofgym.bench import detector_cards
-from spoofgym.bench.attack_suite import FAMILIES
-from spoofgym.bench.entries import detector_entry
-from spoofgym.bench.evaluate_detector import DetectorEvaluator
+from spoofgym.bench.experiments.protect import DetectorEvaluator
+from spoofgym.bench.report import tasks as detector_cards
+from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.search.attack_suite import FAMILIES
 from spoofgym.cli import app
-from spoofgym.detector_tasks import DETECTOR_TASKS, ONSETS, PUBLIC, detector_task_of
 from spoofgym.detectors import make_detector, zoo
 from spoofgym.duel.learner import LearnersSide
 from spoofgym.spoofers import make_spoofer
-from spoofgym.tasks import TASKS
+from spoofgym.tasks import DETECTOR_TASKS, ONSETS, PUBLIC, TASKS, detector_task_of
 from tests.bench.detector_support import small_task
 from tools.detector_cards import BEGIN, END, PAGE, shown, with_others
 from tools.pages import part_between
@@ -277,7 +276,9 @@ def test_the_command_line_scores_and_goes_on(tmp_path, monkeypatch):
     assert [each["p_hmi"]["value"] for each in found] == [1.0, 1.0]
     assert found[1]["less_first"] == {"value": 0.0, "low": 0.0, "high": 0.0}
     assert len(list(tmp_path.rglob("*.json"))) == 4  # of each, a family and false alarms
-    monkeypatch.setattr("spoofgym.bench.detector_worlds.Panel", None)  # nothing is played again
+    monkeypatch.setattr(
+        "spoofgym.bench.experiments.task_worlds.Panel", None
+    )  # nothing is played again
     table = RUNNER.invoke(app, words).stdout
     assert "paired: +0.0 % of runs" in table
     assert "ramps" in table

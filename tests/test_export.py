@@ -17,14 +17,14 @@ from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 from stable_baselines3.common.vec_env import VecNormalize
 
 import spoofgym.export
-from spoofgym.bench.evaluate import Evaluator
+from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.detectors import make_detector
-from spoofgym.detectors.learned.card import OnnxDetector
+from spoofgym.detectors.learned_card import OnnxDetector
 from spoofgym.envs import attach
 from spoofgym.export import onnx
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import OnnxPolicy
-from spoofgym.spoofers.model import function_of
+from spoofgym.spoofers.learned import function_of
 from spoofgym.testing import check_detector
 
 TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 10.0, "time_to_alert_s": 1.0}
@@ -250,9 +250,7 @@ def test_an_error_names_the_users_file_and_not_the_trial_of_it(tmp_path):
 def test_a_file_that_acts_otherwise_is_not_written(tmp_path, monkeypatch):
     envs = make()
     net = torch.nn.Linear(len(envs.observation_names), 1)
-    monkeypatch.setattr(
-        spoofgym.export.spoofers, "function_of", lambda _: lambda seen: seen[:, :1] * 0.0
-    )
+    monkeypatch.setattr(spoofgym.export, "function_of", lambda _: lambda seen: seen[:, :1] * 0.0)
     with pytest.raises(ValueError, match="the exported file differs from the model by"):
         onnx(net, envs, tmp_path / "x.onnx")
     assert list(tmp_path.iterdir()) == []

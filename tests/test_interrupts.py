@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from spoofgym import _threads
 from spoofgym.cli import app
 from spoofgym.cli.output import progress
+from spoofgym.core import threads as _threads
 
 SEED = 10
 IN_TIME_S = 10.0 if os.getloadavg()[0] <= (os.cpu_count() or 1) else 300.0
@@ -48,7 +48,7 @@ if end == "error":
     raise ArithmeticError("on purpose")
 """
 FAILING = """
-from spoofgym.detectors.ewma import Ewma
+from spoofgym.detectors.charts import Ewma
 
 
 class Failing(Ewma):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numba import cloudpickle
 
-from spoofgym._jit import is_disabled, njit
+from spoofgym.core.compile import is_disabled, njit
 from spoofgym.earth import wgs84
 
 from .envs.support import VICTIMS, victim, victims

@@ -23,16 +23,16 @@ import gymnasium as gym
 import pytest
 
 import spoofgym
-from spoofgym._describe import describe, kind_of
 from spoofgym.attacks import PerChannel
-from spoofgym.attacks.options import CounterfeitErrors
+from spoofgym.attacks.equipment import CounterfeitErrors
+from spoofgym.calibration.holdouts import check
+from spoofgym.calibration.thresholds import inner_detectors
+from spoofgym.core.settings import describe, kind_of
 from spoofgym.detectors import Calibration, Detector, zoo
 from spoofgym.detectors.calibrated import identity_of
-from spoofgym.detectors.calibration import SHIPPED_FOLDER, stored
+from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, stored
 from spoofgym.envs import attach
-from spoofgym.simulators.calibration import inner_detectors
-from spoofgym.simulators.holdouts import check
-from spoofgym.simulators.timeline import Timeline
+from spoofgym.simulation.setup import Timeline
 from spoofgym.spoofers import card_of, shipped
 from spoofgym.tasks import TASKS
 from tools.calibrations import WORLDS, detectors_of, setup_of

@@ -10,15 +10,14 @@ import pytest
 from typer.testing import CliRunner
 
 import spoofgym  # noqa: F401  (registers the ids)
-from spoofgym.bench import task_cards
-from spoofgym.bench.entries import detector_entry
-from spoofgym.bench.run import WarmStart, play
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.report import tasks as task_cards
+from spoofgym.bench.runs.play import WarmStart, play
+from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.runs.world import Suite
 from spoofgym.cli import app
-from spoofgym.detector_tasks import DETECTOR_TASKS
 from spoofgym.detectors import make_detector
 from spoofgym.envs import core
-from spoofgym.tasks import ALARM_PRICE, PAPERS, TASKS, task_of
+from spoofgym.tasks import ALARM_PRICE, DETECTOR_TASKS, PAPERS, TASKS, task_of
 from tools.pages import part_between
 from tools.task_cards import BEGIN, END, PAGE, dealt, shown, spread
 

@@ -15,23 +15,22 @@ import sys
 import time
 from typing import Any
 
-from spoofgym._registry import check_choice
-from spoofgym.bench.detector_cards import classics_of
-from spoofgym.bench.victims import HEADLINE_DOMAIN, VICTIMS
-from spoofgym.detector_tasks import DETECTOR_TASKS
-from spoofgym.detectors import Detector
-from spoofgym.detectors.calibration import SHIPPED_FOLDER
-from spoofgym.envs.factory import make_setup
-from spoofgym.envs.spoofer_binding import ENV_ID
-from spoofgym.simulators.calibration import (
+from spoofgym.bench.report.tasks import classics_of
+from spoofgym.bench.runs.world import HEADLINE_DOMAIN, VICTIMS
+from spoofgym.calibration.clean_runs import weighs
+from spoofgym.calibration.thresholds import (
     WEIGHING_RUNS,
     calibrate,
     inner_detectors,
     suitable_detectors,
 )
-from spoofgym.simulators.clean_runs import weighs
-from spoofgym.simulators.setup import Setup
-from spoofgym.tasks import PAPERS, RANGE_RATE_TESTS, TASKS
+from spoofgym.core.registry import check_choice
+from spoofgym.detectors import Detector
+from spoofgym.detectors.calibration_file import SHIPPED_FOLDER
+from spoofgym.envs.factory import make_setup
+from spoofgym.envs.spoofer_binding import ENV_ID
+from spoofgym.simulation.setup import Setup
+from spoofgym.tasks import DETECTOR_TASKS, PAPERS, RANGE_RATE_TESTS, TASKS
 
 RANDOM_START = {"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"}
 HEADLINES: dict[str, dict[str, Any]] = {

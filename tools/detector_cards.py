@@ -16,28 +16,27 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym._files import write_file
-from spoofgym._registry import check_choice
-from spoofgym.bench.calibrations import calibrate_suite, missing_runs
-from spoofgym.bench.comparisons import CONTROLS, name_of
-from spoofgym.bench.detector_cards import (
+from spoofgym.bench.experiments.calibration import calibrate_suite, missing_runs
+from spoofgym.bench.experiments.protect import DetectorEvaluator
+from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.report.tasks import (
     CARD_HEAD,
-    FILE,
     card_rows,
     classics_of,
     family_rows,
     learned_of,
     missing,
-    stored_cards,
     unplayed,
 )
-from spoofgym.bench.detector_score import DetectorScore
-from spoofgym.bench.evaluate_detector import DetectorEvaluator
-from spoofgym.bench.report import markdown_table
-from spoofgym.bench.specs import label_of
+from spoofgym.bench.report.tasks import DETECTOR_FILE as FILE
+from spoofgym.bench.report.tasks import stored_detector_cards as stored_cards
+from spoofgym.bench.scores.detector import DetectorScore
+from spoofgym.bench.scores.paired import CONTROLS, name_of
 from spoofgym.cli.output import progress
-from spoofgym.detector_tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
+from spoofgym.core.files import write_file
+from spoofgym.core.registry import check_choice, label_of
 from spoofgym.detectors import zoo
+from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
 from tools.pages import put_between
 
 ROOT = Path(__file__).resolve().parents[1]

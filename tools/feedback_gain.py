@@ -24,16 +24,16 @@ from typing import Any
 
 from agents.folder import error_lines
 from agents.seeds import marked
-from spoofgym._describe import digest_of
-from spoofgym._files import write_file
-from spoofgym.bench.bracket import Brackets
-from spoofgym.bench.bracketed import bound_of
-from spoofgym.bench.entries import detector_entry
-from spoofgym.bench.evaluate import Evaluator
-from spoofgym.bench.spoofer_score import Score
-from spoofgym.bench.tables import interval, number, titled
-from spoofgym.bench.versions import versions
+from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.versions import versions
+from spoofgym.bench.report.table import interval, number, titled
+from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.scores.bounds import bound_of
+from spoofgym.bench.scores.spoofer import Score
+from spoofgym.bench.search.bounds import Brackets
 from spoofgym.cli.output import print_json, print_table, progress
+from spoofgym.core.files import write_file
+from spoofgym.core.settings import digest_of
 from spoofgym.tasks import task_of
 from tools.headlines import KEPT
 
@@ -143,7 +143,7 @@ def case_of(label: str, case: dict[str, Any], given: argparse.Namespace) -> dict
 
 def spec_of(label: str) -> dict[str, Any]:
     """Settings of a detector of the standard suite."""
-    from spoofgym.cli.suites import standard_suite
+    from spoofgym.cli.bench import standard_suite
 
     suite = standard_suite(None, {"spoofers": []})
     (found,) = (entry.spec for entry in suite.detector_entries if entry.label == label)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from agents.folder import error_lines
 from agents.game_page import shown, taken
-from spoofgym._files import write_file
+from spoofgym.core.files import write_file
 
 from .pages import put_between
 

@@ -20,14 +20,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from spoofgym._describe import digest_of
-from spoofgym._files import write_file
-from spoofgym.bench import tables
-from spoofgym.bench.bracket import Brackets
-from spoofgym.bench.bracket_text import floor_notes
-from spoofgym.bench.bracketed import bracket_of
-from spoofgym.bench.report import markdown_table
-from spoofgym.cli.suites import LEFT_OUT, standard_suite
+from spoofgym.bench.report import table as tables
+from spoofgym.bench.report.bounds import floor_notes
+from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.scores.bounds import bracket_of
+from spoofgym.bench.search.bounds import Brackets
+from spoofgym.cli.bench import LEFT_OUT, standard_suite
+from spoofgym.core.files import write_file
+from spoofgym.core.settings import digest_of
 from spoofgym.spoofers.base import sees_statistics
 from tools.pages import put_between
 

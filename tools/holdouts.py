@@ -17,14 +17,14 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from spoofgym._files import write_file
-from spoofgym.bench.report import markdown_table
+from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.calibration.clean_runs import weighs
+from spoofgym.calibration.holdouts import HOLDOUT_WEIGHING, hold_out, transfer
+from spoofgym.core.files import write_file
 from spoofgym.detectors import Calibration, Detector
 from spoofgym.detectors.calibrated import STANDARD_RATE, identity_of
-from spoofgym.detectors.calibration import SHIPPED_FOLDER, hourly_rate, stored
-from spoofgym.simulators.clean_runs import weighs
-from spoofgym.simulators.holdouts import HOLDOUT_WEIGHING, hold_out, transfer
-from spoofgym.simulators.setup import Setup
+from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, hourly_rate, stored
+from spoofgym.simulation.setup import Setup
 from tools.calibrations import HEADLINES, Lines, detectors_of, setup_of
 from tools.pages import put_between
 

@@ -33,11 +33,10 @@ import tyro
 from rich.console import Console
 
 from agents.folder import error_lines, json_object
-from spoofgym._files import write_file
-from spoofgym._registry import check_choice
-from spoofgym.detector_tasks import DETECTOR_TASKS
-from spoofgym.simulators.engine import processors
-from spoofgym.tasks import TASKS
+from spoofgym.core.files import write_file
+from spoofgym.core.registry import check_choice
+from spoofgym.simulation.engine import processors
+from spoofgym.tasks import DETECTOR_TASKS, TASKS
 from train.spoofers import DETECTORS, WORLDS
 
 MARKS = "steps.json"

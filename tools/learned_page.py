@@ -29,9 +29,9 @@ from agents.seeds import (
     value_of,
 )
 from agents.spoofer_table import RIVALS, page
-from spoofgym._files import write_file
-from spoofgym.bench.report import markdown_table
-from spoofgym.bench.tables import interval
+from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.report.table import interval
+from spoofgym.core.files import write_file
 
 from .pages import put_between
 from .refits import RESULTS as REFITS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from spoofgym._files import write_file
+from spoofgym.core.files import write_file
 
 
 def part_between(text: str, begin: str, end: str) -> str:

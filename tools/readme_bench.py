@@ -16,12 +16,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from spoofgym._files import write_file
-from spoofgym.bench import tables
-from spoofgym.bench.bracketed import HALF, STEALTHY, headline
-from spoofgym.bench.report import markdown_table
-from spoofgym.bench.store import PICTURE, ResultsFolder
-from spoofgym.bench.summary import summarize
+from spoofgym.bench.experiments.results_folder import PICTURE, ResultsFolder
+from spoofgym.bench.experiments.summary import summarize
+from spoofgym.bench.report import table as tables
+from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.scores.bounds import HALF, STEALTHY, headline
+from spoofgym.core.files import write_file
 from spoofgym.spoofers import Feedback
 from tools.headlines import KEPT as FULL
 from tools.pages import put_between

@@ -25,14 +25,14 @@ from rich.markdown import Markdown
 
 from agents.folder import error_lines
 from agents.seeds import keeps_budget, spread, value_of
-from spoofgym._files import write_file
-from spoofgym._registry import whole_number
-from spoofgym.bench.entries import Entry, check_labels, fitted, spoofer_entry
-from spoofgym.bench.evaluate import Evaluator
-from spoofgym.bench.report import markdown_table
-from spoofgym.bench.specs import digest_of, parse_spec
-from spoofgym.bench.tables import titled
-from spoofgym.bench.versions import versions
+from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.versions import versions
+from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.report.table import titled
+from spoofgym.bench.runs.players import Entry, check_labels, fitted, spoofer_entry
+from spoofgym.core.files import write_file
+from spoofgym.core.registry import parse_spec, whole_number
+from spoofgym.core.settings import digest_of
 from spoofgym.tasks import task_of
 
 from .transfer import Kept

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from agents.folder import error_lines
 from agents.seeds import copy_policy
-from spoofgym.bench.evaluate import RUNS, Evaluator
-from spoofgym.bench.spoofer_score import Score
+from spoofgym.bench.experiments.evaluate import RUNS, Evaluator
+from spoofgym.bench.scores.spoofer import Score
 from spoofgym.cli.output import progress
 from spoofgym.spoofers.card import Score as CardScore
 from spoofgym.spoofers.zoo import ZOO_FOLDER

@@ -30,16 +30,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym._describe import describe
-from spoofgym._files import write_file
-from spoofgym.bench.calibrations import calibrate_suite, missing_runs
-from spoofgym.bench.campaign import run_campaign
-from spoofgym.bench.entries import detector_entry, fitted
-from spoofgym.bench.report import markdown_table
-from spoofgym.bench.store import ResultsFolder
-from spoofgym.bench.suite import Selection, Suite, Tuning
-from spoofgym.bench.summary import summarize
-from spoofgym.bench.task_cards import (
+from spoofgym.bench.experiments.calibration import calibrate_suite, missing_runs
+from spoofgym.bench.experiments.campaign import run_campaign
+from spoofgym.bench.experiments.remaining import expected_work
+from spoofgym.bench.experiments.results_folder import ResultsFolder
+from spoofgym.bench.experiments.summary import summarize
+from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.report.tasks import (
     ADMISSION_HEAD,
     FILE,
     HEAD,
@@ -47,8 +44,11 @@ from spoofgym.bench.task_cards import (
     score_rows,
     stored_cards,
 )
-from spoofgym.bench.work import expected_work
+from spoofgym.bench.runs.players import detector_entry, fitted
+from spoofgym.bench.runs.world import Selection, Suite, Tuning
 from spoofgym.cli.output import progress
+from spoofgym.core.files import write_file
+from spoofgym.core.settings import describe
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.tasks import SUITE, TASKS, Task, task_of
 from tools.pages import put_between

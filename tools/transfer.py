@@ -28,18 +28,17 @@ from pathlib import Path
 from typing import Any
 
 from agents.folder import error_lines
-from spoofgym._describe import digest_of
-from spoofgym._files import write_file
-from spoofgym._registry import check_choice
-from spoofgym.bench.campaign import with_rates
-from spoofgym.bench.entries import fitted, spoofer_entry
-from spoofgym.bench.evaluate import Evaluator
-from spoofgym.bench.specs import parse_spec
-from spoofgym.bench.spoofer_score import Score
-from spoofgym.bench.tables import interval
-from spoofgym.bench.versions import versions
+from spoofgym.bench.experiments.campaign import with_rates
+from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.versions import versions
+from spoofgym.bench.report.table import interval
+from spoofgym.bench.runs.players import fitted, spoofer_entry
+from spoofgym.bench.scores.spoofer import Score
+from spoofgym.calibration.clean_runs import Progress
 from spoofgym.cli.output import print_json, print_table, progress
-from spoofgym.simulators.clean_runs import Progress
+from spoofgym.core.files import write_file
+from spoofgym.core.registry import check_choice, parse_spec
+from spoofgym.core.settings import digest_of
 from spoofgym.tasks import TASKS, task_of
 
 HOME = "home"

@@ -47,9 +47,9 @@ from agents.detector_score import Scored, classics_of, scored, window_s
 from agents.folder import error_lines, open_folder
 from agents.record import TrainingRecord
 from spoofgym import export
-from spoofgym._files import write_file
-from spoofgym.bench.dataset import Dataset, Episodes, load
-from spoofgym.detectors.calibration import check_runs
+from spoofgym.bench.experiments.dataset import Dataset, Episodes, load
+from spoofgym.core.files import write_file
+from spoofgym.detectors.calibration_file import check_runs
 from spoofgym.policies.card import DECIDED_ON
 
 

@@ -39,25 +39,32 @@ from rich.console import Console
 
 from agents.folder import error_lines, open_folder
 from agents.game_page import page_of
-from spoofgym._files import write_file
-from spoofgym._registry import check_choice, whole_number
-from spoofgym.bench.blind_optimum import BlindSearch
-from spoofgym.bench.specs import make_judge, parse_spec
-from spoofgym.bench.standard import everyone_in, in_order
-from spoofgym.bench.victims import CONTROLS
-from spoofgym.detectors.asked import ASKED
-from spoofgym.detectors.calibrated import STANDARD_RATE
-from spoofgym.duel.best_response import (
+from spoofgym.bench.experiments.campaign import everyone_in, in_order
+from spoofgym.bench.experiments.game import Game
+from spoofgym.bench.experiments.members import (
+    DETECTOR,
+    SPOOFER,
+    Member,
+    Mixture,
+    member_of,
+    mixture,
+)
+from spoofgym.bench.runs.world import CONTROLS
+from spoofgym.bench.scores.matrix_game import PAYOFFS, PayoffMatrix
+from spoofgym.bench.search.best_response import (
     AttackBudget,
     Response,
     best_detector,
     best_spoofer,
     exploitability,
 )
-from spoofgym.duel.members import DETECTOR, SPOOFER, Member, Mixture, member_of, mixture
-from spoofgym.duel.payoff_matrix import PAYOFFS, PayoffMatrix
-from spoofgym.duel.population import Game
-from spoofgym.simulators.calibration import calibrate
+from spoofgym.bench.search.open_loop import BlindSearch
+from spoofgym.calibration.thresholds import calibrate
+from spoofgym.core.files import write_file
+from spoofgym.core.registry import check_choice, parse_spec, whole_number
+from spoofgym.detectors import detector_in_world
+from spoofgym.detectors.build import ASKED
+from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.tasks import task_of
 
 RESULTS, PAGE = "results.json", "game.md"
@@ -360,7 +367,7 @@ class DoubleOracle:
             subprocess.run([word.format(out=file, pool=pool) for word in words], check=True)
         rate = self.args.false_alarms_per_hour
         spec = {"name": str(file), "false_alarms_per_hour": rate}
-        judge: Any = make_judge(spec)
+        judge: Any = detector_in_world(spec)
         calibrate(self.game.setup, [judge.detector], false_alarms_per_hour=rate)
         return [member_of(spec, DETECTOR, label=f"learned {turn}")]
 

@@ -26,11 +26,11 @@ from stable_baselines3.common.vec_env import VecNormalize
 from agents.diverging import learn
 from agents.folder import error_lines, open_folder
 from agents.seeds import KIND_HEAD, LOUDEST, kind_cells
-from spoofgym._files import write_file
-from spoofgym._registry import check_choice, whole_number
-from spoofgym.bench.evaluate import Evaluator
-from spoofgym.bench.report import markdown_table
-from spoofgym.bench.spoofer_score import Score
+from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.scores.spoofer import Score
+from spoofgym.core.files import write_file
+from spoofgym.core.registry import check_choice, whole_number
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 
 NUM_ENVS = {"plain": 64, "defaults": 8}

@@ -61,11 +61,10 @@ from agents.price import LEAST, MOST, next_price, set_price
 from agents.record import TrainingRecord, read_record
 from agents.seeds import LOUDEST, comparable, copy_policy, table_of
 from agents.spoofer_table import RIVALS
-from spoofgym._files import write_file
-from spoofgym._registry import check_choice
-from spoofgym.bench.evaluate import FITTED, Evaluator, entry_of
-from spoofgym.bench.specs import parse_spec
-from spoofgym.bench.spoofer_score import Score
+from spoofgym.bench.experiments.evaluate import FITTED, Evaluator, entry_of
+from spoofgym.bench.scores.spoofer import Score
+from spoofgym.core.files import write_file
+from spoofgym.core.registry import check_choice, parse_spec
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE
 from spoofgym.tasks import ALARM_PRICE, task_of

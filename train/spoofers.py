@@ -26,9 +26,9 @@ from rich.console import Console
 
 from agents.folder import error_lines, json_object, open_folder
 from agents.spoofer_table import FEEDBACK, KNOWLEDGE, RIVALS, page
-from spoofgym._files import write_file
-from spoofgym._registry import check_choice
-from spoofgym.bench.evaluate import Evaluator
+from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.core.files import write_file
+from spoofgym.core.registry import check_choice
 from spoofgym.tasks import task_of
 
 from .ppo_spoofer import RESULTS, Arguments, train

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from spoofgym._registry import check_choice
+from spoofgym.core.registry import check_choice
 
 Kind = Literal["tolerance", "independent", "bound"]
 KINDS: tuple[Kind, ...] = ("tolerance", "independent", "bound")

@@ -13,8 +13,8 @@ from typing import Annotated, Any
 
 import typer
 
-from spoofgym._files import whole_file, write_file
 from spoofgym.cli import clear_errors
+from spoofgym.core.files import whole_file, write_file
 
 from .frame import Paper, Settings
 from .paper import ALL, KEYS, load_paper

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, cast
 
-from spoofgym._registry import check_choice
+from spoofgym.core.registry import check_choice
 
 from .frame import Band, Origin, Paper, Part, Row, Settings
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym._files import remove_stale_parts, write_file
-from spoofgym.bench.specs import slug
+from spoofgym.core.files import remove_stale_parts, write_file
+from spoofgym.core.registry import slug
 
 from .frame import Part
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .._registry import build, check_choice
+from ..core.registry import build, check_choice
 from .base import Attack, AttackContext
-from .false_position import FalsePosition
+from .commands import FalsePosition, PerChannel
+from .equipment import Capture, CounterfeitErrors, SpooferClock, TrackingError
 from .meaconer import Meaconer
-from .options import Capture, CounterfeitErrors, SpooferClock, TrackingError
-from .per_channel import PerChannel
 from .threats import THREATS
 
 __all__ = [

@@ -12,12 +12,19 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._describe import kind_of
-from .._memory import Memory
-from .._registry import build_record, check_choice
-from ..sim.world import World
-from .equipment import Equipment
-from .options import QUIET, REPLACED, Capture, CounterfeitErrors, SpooferClock, TrackingError
+from ..core.memory import Memory
+from ..core.registry import build_record, check_choice
+from ..core.settings import kind_of
+from ..truth.run import World
+from .equipment import (
+    QUIET,
+    REPLACED,
+    Capture,
+    CounterfeitErrors,
+    Equipment,
+    SpooferClock,
+    TrackingError,
+)
 
 FloatArray = NDArray[np.float64]
 CONTROLS = ("rate", "acceleration")
@@ -278,7 +285,7 @@ class Attack(ABC):
         rows : ndarray
             Which receivers.
         keys : ndarray
-            (b, 2) keys of the attack's noise in these episodes, for `spoofgym.sim.noise.normals`.
+            (b, 2) keys of the attack's noise in these episodes, for `spoofgym.truth.noise.normals`.
         onsets : ndarray
             (b,) epochs of the world after which the attack begins.
         """

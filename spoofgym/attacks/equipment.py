@@ -1,18 +1,180 @@
-"""A spoofer's equipment: what it makes of perfect counterfeit signals."""
+"""Imperfect equipment: delay, power, errors."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._memory import Memory
-from ..sim.noise import padded
-from ..sim.world import World
-from . import _equipment_kernels as kernels
-from .options import Capture, CounterfeitErrors, SpooferClock, TrackingError
+from ..core.memory import Memory
+from ..truth.noise import padded
+from ..truth.run import World
+from . import _kernels as kernels
+
+CHIP_M = 293.05
+"""Length of a chip of the GPS C/A code [m], c / 1.023 MHz (`is-gps-200`)."""
+MOST_DELAY_S = 10.0
+
+
+def _check_not_negative(record: object, *skip: str) -> None:
+    for item in fields(record):  # type: ignore[arg-type]
+        value = getattr(record, item.name)
+        if item.name not in skip and not (math.isfinite(value) and value >= 0.0):
+            raise ValueError(f"`{item.name}` must be finite and >= 0, got {value}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CounterfeitErrors:
+    """Errors of the counterfeit signals, in place of the authentic ones.
+
+    A counterfeit signal passes neither the ionosphere nor the satellite's orbit error, nor is it
+    reflected where the authentic one was: constants of satellites, and errors that wander, go with
+    the capture.  What is left is the noise of the receiver itself, which is that of its world, and
+    what the spoofer does not know of each satellite.
+
+    Parameters
+    ----------
+    code_sd_m, range_rate_sd_mps : float or None
+        White noise of pseudoranges and range rates in place of the receiver's own; None leaves that
+        as the world has it.
+    bias_sd_m : float
+        Constant of every channel for an episode.
+    blend_s : float
+        Time from the capture of a channel in which the authentic errors fade linearly, and that
+        constant comes; 0 for a step of their size.  It takes the receiver's own noise.
+    """
+
+    described_as = "CounterfeitErrors"
+    code_sd_m: float | None = None
+    range_rate_sd_mps: float | None = None
+    bias_sd_m: float = 0.0
+    blend_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        unset = [item.name for item in fields(self) if getattr(self, item.name) is None]
+        _check_not_negative(self, *unset)
+        if self.blend_s > 0.0 and len(unset) < 2:
+            raise ValueError(
+                f"`blend_s` {self.blend_s} takes the receiver's own noise: leave out `code_sd_m` "
+                "and `range_rate_sd_mps`"
+            )
+
+
+REPLACED = CounterfeitErrors()
+"""A step at the capture, to the noise of the receiver alone."""
+QUIET = CounterfeitErrors(blend_s=30.0)
+"""The same, blended in: no step, and measurements that are better than authentic ones."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingError:
+    r"""How badly a spoofer knows where its target is; it moves the counterfeit position.
+
+    The error along each of three axes is a critically damped second-order Gauss-Markov process,
+
+    .. math:: \ddot x + 2 \beta \dot x + \beta^2 x = w, \qquad
+        E[x_t x_{t + \tau}] = \sigma^2 (1 + \beta |\tau|) e^{-\beta |\tau|}, \qquad
+        \sigma_{\dot x} = \beta \sigma, \qquad \beta = 1 / T
+
+    so that its rate is finite, and the range rates follow it.
+
+    Parameters
+    ----------
+    sd_m : float
+        Standard deviation along each axis.
+    correlation_s : float
+        T, above 0.
+    delay_s : float
+        Age of the position that the spoofer takes for the present one, at most 10 s.
+    bias_m : tuple of float
+        (3,) constant error, north, east, down at the true position of the epoch.
+    """
+
+    described_as = "TrackingError"
+    sd_m: float = 0.0
+    correlation_s: float = 5.0
+    delay_s: float = 0.0
+    bias_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        _check_not_negative(self, "bias_m")
+        if self.correlation_s == 0.0:
+            raise ValueError("`correlation_s` must be finite and > 0, got 0")
+        if self.delay_s > MOST_DELAY_S:
+            raise ValueError(f"`delay_s` must be at most {MOST_DELAY_S:g}, got {self.delay_s}")
+        object.__setattr__(self, "bias_m", checked_vector("bias_m", self.bias_m))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpooferClock:
+    """Clock of the spoofer against that of the authentic signals, common to all its signals.
+
+    Parameters
+    ----------
+    offset_m, drift_mps : float
+        At the onset.
+    offset_sd_m, drift_sd_mps : float
+        What is drawn for every episode on top.
+    phase_psd, frequency_psd : float
+        Noise, as of `ReceiverClock` [m^2/s], [m^2/s^3].
+    """
+
+    described_as = "SpooferClock"
+    offset_m: float = 0.0
+    drift_mps: float = 0.0
+    offset_sd_m: float = 0.0
+    drift_sd_mps: float = 0.0
+    phase_psd: float = 0.0
+    frequency_psd: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_not_negative(self, "offset_m", "drift_mps")
+        for name in ("offset_m", "drift_mps"):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(f"`{name}` must be finite, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capture:
+    """When the receiver's channels follow the counterfeit signals.
+
+    A channel is captured at the first epoch, not before `delay_s`, at which its satellite is in
+    view and the counterfeit code lies within `alignment_m` of the authentic one; it stays captured.
+    Until then it measures the authentic signal.
+
+    Parameters
+    ----------
+    delay_s : float
+        Time from the onset of the attack to the first capture.
+    alignment_m : float or None
+        Largest difference of the two pseudoranges at the capture, the errors of single channels
+        left out, above 0; None for no limit.  Half a chip of the GPS C/A code by default.
+    """
+
+    described_as = "Capture"
+    delay_s: float = 0.0
+    alignment_m: float | None = 0.5 * CHIP_M
+
+    def __post_init__(self) -> None:
+        _check_not_negative(self, "alignment_m")
+        limit = self.alignment_m
+        if limit is not None and not (math.isfinite(limit) and limit > 0.0):
+            raise ValueError(f"`alignment_m` must be finite and > 0, or None, got {limit}")
+
+
+def checked_vector(name: str, value: tuple[float, ...]) -> tuple[float, float, float]:
+    """Three finite numbers: (3,)."""
+    message = f"`{name}` must be three finite numbers: north, east, down; got {value!r}"
+    try:
+        numbers = tuple(float(x) for x in value)
+    except (TypeError, ValueError):
+        raise ValueError(message) from None
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise ValueError(message)
+    return numbers[0], numbers[1], numbers[2]
+
 
 FloatArray = NDArray[np.float64]
 _OWN = -1.0

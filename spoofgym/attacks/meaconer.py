@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..sim.world import World
+from ..truth.run import World
 from ._kernels import meaconer
 from .base import Attack, AttackContext, FloatArray
-from .options import checked_vector
+from .equipment import checked_vector
 
 
 @dataclass(kw_only=True)

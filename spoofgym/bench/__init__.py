@@ -1,33 +1,30 @@
 """The benchmark: detectors x spoofers x paired seeds, and their scores.
 
-suite      what is run, with a digest of everything that results depend on
-victims    the four kinds of victim, with the detectors that suit each
-decisions  a spoofer in front of an engine, from decision to decision
-run        one cell: all runs side by side, from a warm-up that all spoofers share
-scores     what a run, a spoofer and a detector are worth, each defined once
-budget     how often a spoofer may be noticed where chance alone would be silent
-tune       the strongest attack of a family within an alarm budget
-attack_suite   whom every detector meets, a name and a version
-protection     the worst attack of the suite, chosen on runs of its own
-metrics    proportions and means with their intervals
-campaign   all cells, each kept as soon as it is finished
-summary    the scores of a campaign, read from its folder
+runs         worlds, players, and what they did in one run
+scores       what a run, a spoofer and a detector are worth
+search       amplitudes, worst attacks, optimized open-loop attacks
+experiments  what is played, stored and resumed: campaign, protection, data set, game
+report       tables, figures and texts
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .campaign import run_campaign
-    from .store import ResultsFolder
-    from .suite import Suite, Tuning
-    from .summary import summarize
+    from .experiments.campaign import run_campaign
+    from .experiments.results_folder import ResultsFolder
+    from .experiments.summary import summarize
+    from .runs.world import Suite, Tuning
 
 __all__ = ["ResultsFolder", "Suite", "Tuning", "run_campaign", "summarize"]
 
 _PLACES = {
-    **{"ResultsFolder": "store", "Suite": "suite", "Tuning": "suite"},
-    **{"run_campaign": "campaign", "summarize": "summary"},
+    **{
+        "ResultsFolder": "experiments.results_folder",
+        "Suite": "runs.world",
+        "Tuning": "search.settings",
+    },
+    **{"run_campaign": "experiments.campaign", "summarize": "experiments.summary"},
 }
 
 

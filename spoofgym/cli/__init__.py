@@ -12,7 +12,7 @@ from .calibrate import calibrate
 from .dataset import dataset
 from .game import game
 from .limits import limits
-from .listing import card, list_, tasks
+from .list import card, list_, tasks
 from .protect import protect
 from .run import render, run
 from .warmup import warmup

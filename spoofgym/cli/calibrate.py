@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
+from .bench import specs_of, world_of
 from .options import World, with_world
 from .output import print_json, print_lines, print_table, progress
-from .suites import specs_of, world_of
 
 if TYPE_CHECKING:
-    from ..bench.suite import Suite
+    from ..bench.runs.world import Suite
+    from ..calibration.holdouts import HoldOut
     from ..detectors import Calibration, Detector
-    from ..simulators.holdouts import HoldOut
 
 HEAD = ("detector", "runs", "scale", "per hour", "per run", "warm-up alarms", "file")
 HELD_HEAD = ("detector", "runs", "alarms", "predicted", "holds", "per hour", "promised")
@@ -76,8 +76,9 @@ def calibrate(
     threads: opt.Threads = None,
 ) -> None:
     """Find thresholds for a rate of false alarms on clean runs; killed, it goes on from there."""
-    from ..detectors.calibration import TOLERANCE
-    from ..simulators import calibration, holdouts
+    from ..calibration import holdouts
+    from ..calibration import thresholds as calibration
+    from ..detectors.calibration_file import TOLERANCE
 
     suite = world_of(world, task)
     setup, rate = suite.world, false_alarms_per_hour
@@ -138,11 +139,11 @@ def _judges(
 ) -> tuple[list[Detector], set[int]]:
     """Detectors, and which of them were named; they may not ask for thresholds. Those that never
     alarm are left out, and of `all` those that can't be rescaled."""
-    from ..bench.specs import make_judge
-    from ..bench.victims import VICTIMS
-    from ..detectors.asked import ASKED, is_file
+    from ..bench.runs.world import VICTIMS
+    from ..calibration.thresholds import inner_detectors, suitable_detectors
+    from ..detectors import detector_in_world
+    from ..detectors.build import ASKED, is_file
     from ..detectors.calibrated import identity_of
-    from ..simulators.calibration import inner_detectors, suitable_detectors
 
     specs: list[Any] = list(VICTIMS[suite.env].detectors) if not texts else specs_of(texts)
     named: list[Any] = []
@@ -158,7 +159,7 @@ def _judges(
             fit = suitable_detectors(suite.world)
             offered += [each for each in fit if each.drifts or not rescaled]
         else:
-            named.append(spec if is_file(spec) else make_judge(spec))
+            named.append(spec if is_file(spec) else detector_in_world(spec))
     judges = inner_detectors([*named, *offered])
     if not judges:
         raise ValueError("there is no detector to calibrate: one that never alarms has no rate")
@@ -168,8 +169,8 @@ def _judges(
 
 def _other(suite: Suite, text: str) -> Any:
     """Another world: settings of this one that differ."""
-    from .._registry import check_keywords
-    from ..bench.victims import VICTIMS
+    from ..bench.runs.world import VICTIMS
+    from ..core.registry import check_keywords
     from ..envs.factory import make_setup
 
     kind = VICTIMS[suite.env].setup

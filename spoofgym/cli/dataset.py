@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
+from .bench import calibrate_with_progress, specs_of, world_of
 from .options import World, with_world
 from .output import print_json, print_table, progress
-from .suites import calibrate_with_progress, specs_of, world_of
 
 if TYPE_CHECKING:
-    from ..bench.dataset import Plan
+    from ..bench.experiments.dataset import Plan
 
 HEAD = ("split", "runs", "episodes", "clean", "attacks by family", "shards", "MB")
 
@@ -75,7 +75,7 @@ def dataset(
     threads: opt.Threads = None,
 ) -> None:
     """Write labelled episodes to train a detector on; killed, it goes on from there."""
-    from ..bench.dataset import make_room, write
+    from ..bench.experiments.dataset import make_room, write
 
     chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": shard, "task": task}
     chosen["runs"] = {"train": train, "validation": validation, "test": test}
@@ -107,9 +107,9 @@ def _plan(
     threads: int | None,
 ) -> Plan:
     """The plan of the options, its detector calibrated; `chosen`: what it takes as it is."""
-    from .._registry import check_finite
-    from ..bench.dataset import Plan
-    from ..bench.task_cards import optima_of
+    from ..bench.experiments.dataset import Plan
+    from ..bench.report.tasks import optima_of
+    from ..core.registry import check_finite
     from ..tasks import task_of
 
     task = chosen["task"]

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from . import options as opt
+from .bench import specs_of
 from .output import print_json, print_table, progress
-from .suites import specs_of
 
 if TYPE_CHECKING:
-    from ..duel.payoff_matrix import PayoffMatrix
+    from ..bench.scores.matrix_game import PayoffMatrix
 
 
 def game(
@@ -41,8 +41,8 @@ def game(
     threads: opt.Threads = None,
 ) -> None:
     """Solve the game of spoofers against detectors: payoffs on paired runs, mixes of both sides."""
-    from ..duel.members import DETECTOR, SPOOFER, member_of
-    from ..duel.population import Game
+    from ..bench.experiments.game import Game
+    from ..bench.experiments.members import DETECTOR, SPOOFER, member_of
 
     settings: dict[str, Any] = {
         "payoff": payoff,
@@ -72,7 +72,7 @@ def game(
 
 
 def _figures(estimates: Sequence[Any]) -> list[str]:
-    from ..bench.tables import interval
+    from ..bench.report.table import interval
 
     return [interval(each.as_json(), 2) for each in estimates]
 

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
+from .bench import at_rate, calibrated, specs_of, tuning_of, uncalibrated
 from .options import World, with_world
 from .output import print_json, print_lines, print_table, progress
-from .suites import at_rate, calibrated, specs_of, tuning_of, uncalibrated
 
 if TYPE_CHECKING:
-    from ..bench.campaign import Progress
-    from ..bench.suite import Suite
+    from ..bench.experiments.campaign import Progress
+    from ..bench.runs.world import Suite
     from ..limits import Frontier
 
 MOST_WORLDS = 1024
@@ -86,8 +86,8 @@ def limits(
     `spoofgym limits --detector snapshot-chi2 --detector aime` with the bounds of two detectors;
     `spoofgym limits --task T3 --figure floor.png` for a task, with a picture.
     """
-    from .._pictures import check_picture
-    from ..bench.limit_tables import sensors_known
+    from ..bench.report.limits import sensors_known
+    from ..core.plots import check_picture
     from ..detectors.calibrated import STANDARD_RATE
 
     if nominal and false_alarms_per_hour is not None:
@@ -117,7 +117,7 @@ def limits(
         notes.append("detectors have their thresholds as published, not the floor's rate")
     record |= {"notes": notes, "input": reports}
     if picture is not None:
-        from ..bench.limit_picture import draw_floors
+        from ..bench.report.limits import draw_floors
 
         record["figure"] = str(draw_floors(record, picture))
     if as_json:
@@ -129,7 +129,7 @@ def limits(
 def _floors(
     suite: Suite, rate: float, worlds: int, known: bool, *, drawn: bool
 ) -> tuple[dict[str, Any], Frontier]:
-    from ..bench.limit_tables import TIMES, floor_record, per_run
+    from ..bench.report.limits import TIMES, floor_record, per_run
     from ..limits.floor import check_linear_victim, frontier_of
 
     setup = check_linear_victim(suite.world)
@@ -149,7 +149,7 @@ def _floors(
 
 def _divergence(suite: Suite, frontier: Frontier, record: dict[str, Any]) -> dict[str, Any]:
     """What the bound by divergence says of the suite's spoofer."""
-    from ..bench.limit_tables import divergence_record
+    from ..bench.report.limits import divergence_record
 
     player = suite.spoofer_entries[-1]
     return divergence_record(suite.world, frontier, player, record["p_fa"], record["budget"])
@@ -157,8 +157,8 @@ def _divergence(suite: Suite, frontier: Frontier, record: dict[str, Any]) -> dic
 
 def _add_bounds(suite: Suite, record: dict[str, Any]) -> None:
     """Add the zero-alarm bounds of all detectors."""
-    from ..bench.bracket import Brackets
-    from ..bench.limit_tables import zero_alarm_record
+    from ..bench.report.limits import zero_alarm_record
+    from ..bench.search.bounds import Brackets
 
     brackets, entries = Brackets(suite, record["worlds"]), suite.detector_entries
 
@@ -177,7 +177,7 @@ def _add_bounds(suite: Suite, record: dict[str, Any]) -> None:
 
 
 def _print(record: dict[str, Any]) -> None:
-    from ..bench import limit_tables as tables
+    from ..bench.report import limits as tables
 
     print_lines(record["notes"])
     head, rows = tables.floor_head(record), tables.floor_rows(record)

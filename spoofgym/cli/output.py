@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from .._progress import ProgressCallback, show_progress
+from ..core.progress import ProgressCallback, show_progress
 from .app import signals
 
 

@@ -9,11 +9,11 @@ import typer
 
 from . import options as opt
 from .app import INTERRUPTED
+from .bench import calibrate_with_progress, specs_of
 from .output import print_json, print_lines, print_table, progress
-from .suites import calibrate_with_progress, specs_of
 
 if TYPE_CHECKING:
-    from ..bench.detector_score import DetectorScore
+    from ..bench.scores.detector import DetectorScore
 
 
 def protect(
@@ -44,7 +44,7 @@ def protect(
     as_json: opt.Json = False,
 ) -> None:
     """Score detectors by the worst family of attacks of a task, most of which none has met."""
-    from ..bench.evaluate_detector import DetectorEvaluator
+    from ..bench.experiments.protect import DetectorEvaluator
 
     specs = specs_of(detector)
     evaluator = DetectorEvaluator(
@@ -76,7 +76,9 @@ def protect(
 
 def _print(scores: list[DetectorScore], paired: list[dict[str, Any]]) -> None:
     """Print the scores, those by family, and the paired differences to the first detector."""
-    from ..bench.detector_cards import HEAD, family_rows, score_rows
+    from ..bench.report.tasks import DETECTOR_HEAD as HEAD
+    from ..bench.report.tasks import detector_score_rows as score_rows
+    from ..bench.report.tasks import family_rows
 
     first = scores[0]
     card = {"detectors": [score.as_dict() for score in scores]}

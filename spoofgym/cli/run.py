@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
+from .bench import Reports, at_rate, specs_of, suite_of, untuned
 from .options import World, with_world
 from .output import print_json, print_lines, print_table, progress
-from .suites import Reports, at_rate, specs_of, suite_of, untuned
 
 if TYPE_CHECKING:
-    from ..bench.suite import Suite
+    from ..bench.runs.world import Suite
 
 
 @with_world
@@ -34,8 +34,8 @@ def run(
     false_alarms_per_hour: opt.Rate = None,
 ) -> None:
     """Play one run of the benchmark and its clean twin: a summary, and a picture."""
-    from .._pictures import check_picture
-    from ..bench.episode import draw_episode, play_episode
+    from ..bench.runs.episode import draw_episode, play_episode
+    from ..core.plots import check_picture
 
     if picture:
         check_picture(out)
@@ -73,7 +73,7 @@ def render(
     false_alarms_per_hour: opt.Rate = None,
 ) -> None:
     """Draw one run of the benchmark as an animation: flight, satellites, statistic, error."""
-    from ..bench.animate import frame_count, play_frames
+    from ..bench.report.figures import frame_count, play_frames
     from ..envs.rendering.animation import animation_writer, save_animation
 
     animation_writer(out, fps)

@@ -29,8 +29,8 @@ def warmup(
     """
     import gymnasium as gym
 
-    from .. import _jit
-    from .._registry import check_choice
+    from ..core import compile as _jit
+    from ..core.registry import check_choice
 
     if _jit.is_disabled():
         raise ValueError("nothing can be compiled where NUMBA_DISABLE_JIT is set; unset it")

@@ -5,34 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .._registry import build
+from ..core.registry import make
 from . import calibrated
-from .acna import Acna
-from .aime import Aime
-from .asked import made_by
+from .averages import Aime, CumulativeBank, FiniteMovingAverage
 from .base import Detector, DetectorContext, Verdict
+from .build import made_by
 from .calibrated import Calibrated
-from .calibration import Calibration, OperatingPoint
+from .calibration_file import Calibration, OperatingPoint
+from .charts import Ewma, JointChart, Shewhart
+from .chi_square import SequentialChi2, SnapshotChi2, WindowedChi2
 from .clock_drift import ClockDrift
-from .cumulative_bank import CumulativeBank
-from .cusum import Cusum
-from .ewma import Ewma
-from .finite_moving_average import FiniteMovingAverage
+from .controls import Lottery, Never
+from .cusum import Cusum, LagCusum
+from .dead_reckoning import Acna, Rio
 from .glr import GlrRamp, GlrStep
 from .innovation_rate import InnovationRate, OracleRamp, OracleStep
-from .joint_chart import JointChart
-from .lag_cusum import LagCusum
-from .learned.detector import LearnedDetector
-from .lottery import Lottery
-from .never import Never
+from .learned import LearnedDetector
 from .pool import PooledDetector
 from .raim import Raim, SrvRaim, TraversalRaim
-from .rio import Rio
-from .sequential_chi2 import SequentialChi2
-from .shewhart import Shewhart
-from .snapshot_chi2 import SnapshotChi2
 from .solution_separation import SolutionSeparation
-from .windowed_chi2 import WindowedChi2
 from .zoo import shipped
 
 __all__ = [
@@ -167,4 +158,4 @@ def detector_in_world(spec: str | Mapping[str, Any] | Detector) -> Detector:
 
 
 def _built(spec: Any) -> Detector:
-    return build("detector", DETECTORS, Detector, spec, more=shipped())
+    return make("detector", DETECTORS, Detector, spec, shipped())

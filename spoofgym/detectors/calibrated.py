@@ -28,11 +28,11 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .._jit import njit
-from .._registry import is_number
+from ..core.compile import njit
+from ..core.registry import is_number
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
-from .calibration import (
+from .calibration_file import (
     Calibration,
     Conditions,
     OperatingPoint,
@@ -236,7 +236,7 @@ class Calibrated(Detector):
             f"`spoofgym calibrate {conditions.options} --detector {quoted} "
             f"--false-alarms-per-hour {rate}{variant}`"
             if conditions.options
-            else "`spoofgym.simulators.calibrate(env.unwrapped.core.setup, ...)`, since no command "
+            else "`spoofgym.simulation.calibrate(env.unwrapped.core.setup, ...)`, since no command "
             "line can name this world"
         )
         near = nearest(conditions, identity, self.rescaled)

@@ -33,11 +33,10 @@ from typing import ClassVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .._jit import njit
+from ..core.compile import njit
 from ..receiver.epoch import Epoch
 from .base import DetectorContext, Verdict
-from .innovation_test import InnovationTest, cholesky_of_rows, epochs_of
-from .thresholds import chi2_thresholds
+from .innovation import InnovationTest, chi2_thresholds, cholesky_of_rows, epochs_of
 
 FloatArray = NDArray[np.float64]
 

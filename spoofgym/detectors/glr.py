@@ -41,11 +41,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._jit import inlined, njit
+from ..core.compile import inlined, njit
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
-from .innovation_test import check_signals
-from .thresholds import check_epochs, check_probability, two_sided_quantile
+from .innovation import check_epochs, check_probability, check_signals, two_sided_quantile
 
 FloatArray = NDArray[np.float64]
 

@@ -10,10 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._memory import Memory
+from ..core.memory import Memory
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict, check_needs
-from .verdicts import judged
+from .base import Detector, DetectorContext, Verdict, check_needs, judged
 
 FloatArray = NDArray[np.float64]
 NATURE, OPPONENT = 1, 2
@@ -82,7 +81,7 @@ class JointMemory(Memory):
 def _spec_of(member: Any, detector: Detector) -> Any:
     """Name and all settings of a detector that has a name; what was given of any other."""
     from . import DETECTORS
-    from .asked import spec_with_thresholds
+    from .build import spec_with_thresholds
     from .calibrated import Calibrated
 
     inner: Any = detector.detector if isinstance(detector, Calibrated) else detector

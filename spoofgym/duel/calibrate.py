@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from .._describe import describe, digest_of
-from .._registry import is_number, whole_number
-from ..detectors.calibration import fewest_runs
-from ..detectors.learned.agent import DetectorAgent, PolicyDetector
-from ..detectors.learned.policy import DetectorPolicy, as_policy
-from ..simulators.clean_runs import Player
-from ..simulators.setup import Setup
+from ..calibration.clean_runs import Player
+from ..core.registry import is_number, whole_number
+from ..core.settings import describe, digest_of
+from ..detectors.calibration_file import fewest_runs
+from ..detectors.learned import DetectorAgent, PolicyDetector
+from ..policies.detector_policy import DetectorPolicy, as_policy
+from ..simulation.setup import Setup
 from .calibration import Calibration, quantile_of
 from .rules import make_duel
 

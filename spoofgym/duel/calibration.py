@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._files import write_file
-from ..detectors.calibration import rank_of
+from ..core.files import write_file
+from ..detectors.calibration_file import rank_of
 
 FloatArray = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from ..detectors.learned.card import DetectorCard, card_path
-from ..detectors.learned.detector import detector_card
+from ..detectors.learned import detector_card
+from ..detectors.learned_card import DetectorCard, card_path
 from .calibration import Calibration
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..envs.core import SingleStep
 from ..envs.step_result import Info, PlainResult
-from ..simulators.broadcast import PastPositions
+from ..simulation.monitors import PastPositions
 from .opponents import SpooferPool, SpooferSpec
 from .rules import make_duel
 

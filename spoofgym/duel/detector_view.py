@@ -7,7 +7,7 @@ from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from .._registry import check_keywords
+from ..core.registry import check_keywords
 from ..envs.env import CoreEnv
 from ..envs.options import InfoSpec, autoreset_mode_of, check_vector_settings
 from .detector_core import DetectorCore

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import is_number
-from ..detectors.learned.agent import EXCLUSION_S, DetectorAgent, check_delay
+from ..core.registry import is_number
+from ..detectors.base import checked
+from ..detectors.learned import EXCLUSION_S, DetectorAgent, check_delay
 from ..detectors.pool import NATURE, uniforms
-from ..detectors.verdicts import checked
 from ..envs import _kernels
 from ..envs.core import NOTHING_SEEN, SpoofCore
 from ..envs.decisions import Decisions
@@ -20,8 +20,8 @@ from ..envs.scoring import DisplacementScore, FusedStep
 from ..envs.step_result import StepResult
 from ..envs.terms.base import Snapshot
 from ..envs.terms.registry import ActionSpec
-from ..simulators.base import Simulator
-from ..simulators.tightly_coupled import TightlyCoupledSetup
+from ..simulation.simulator import Simulator
+from ..simulation.tight import TightlyCoupledSetup
 from .calibration import Calibration
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
 from .world import with_world

@@ -9,15 +9,14 @@ from typing import Any, NamedTuple, Self
 
 import gymnasium as gym
 
-from .._registry import check_choice
-from ..detector_tasks import DETECTOR_TASKS, detector_task_of
+from ..core.registry import check_choice
 from ..detectors.pool import checked_weights
 from ..envs.core import SpoofCore
 from ..envs.factory import CORE, make_core
 from ..envs.spoofer_binding import ENV_ID, SETUPS
-from ..simulators.setup import Setup
-from ..simulators.tightly_coupled import TightlyCoupledSetup
-from ..tasks import task_of
+from ..simulation.setup import Setup
+from ..simulation.tight import TightlyCoupledSetup
+from ..tasks import DETECTOR_TASKS, detector_task_of, task_of
 from .detector_core import DetectorCore
 from .rules import SETTINGS
 from .spoofer_view import SpooferSide, SpooferView, check_settings

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Calibrated, Detector, detector_in_world
-from ..detectors.learned.agent import PolicyDetector
-from ..detectors.learned.detector import LearnedDetector
+from ..detectors.learned import LearnedDetector, PolicyDetector
 from ..detectors.pool import PooledDetector, checked_weights, drawn
 from ..envs.decisions import Decisions
 from ..envs.observer import Observer
@@ -18,7 +17,7 @@ from ..envs.options import checked_action
 from ..envs.spoofer_binding import bound_spoofer, card_behind, paced, warn_of_headings
 from ..envs.terms.action import CommandMap
 from ..envs.terms.base import Snapshot
-from ..simulators.setup import Setup
+from ..simulation.setup import Setup
 from ..spoofers import Spoofer, make_spoofer
 
 FloatArray = NDArray[np.float64]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import build, is_number
+from ..core.registry import build, is_number
 from .calibration import Calibration
 
 FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from .._registry import check_keywords
+from ..core.registry import check_keywords
 from ..envs.options import (
     action_space,
     checked_action,
@@ -20,8 +20,8 @@ from ..envs.options import (
     observation_space,
     warn_unknown,
 )
-from ..simulators.monitors import Monitor
-from ..simulators.tightly_coupled import TightlyCoupledSetup
+from ..simulation.monitors import Monitor
+from ..simulation.tight import TightlyCoupledSetup
 from .duel import Duel, DuelStep, duel_setup
 from .world import with_world
 

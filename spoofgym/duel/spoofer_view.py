@@ -8,14 +8,14 @@ from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from .._registry import check_keywords
+from ..core.registry import check_keywords
 from ..detectors import Detector
 from ..envs.core import SpoofCore
 from ..envs.env import CoreEnv
 from ..envs.factory import CORE, make_setup
 from ..envs.options import InfoSpec, autoreset_mode_of, check_vector_settings
 from ..envs.rendering import CoreRecorder
-from ..simulators.tightly_coupled import TightlyCoupledSetup
+from ..simulation.tight import TightlyCoupledSetup
 from .opponents import DetectorSpec, label_of, members_of, pooled_detector
 from .vector_view import POOL_CHANGED, PooledVectorView
 from .world import default_opponent, with_world

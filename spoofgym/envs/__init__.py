@@ -1,6 +1,6 @@
 """What Gymnasium sees: one step path over any victim, terms, wrappers, single and vector."""
 
-from ..simulators import Domain, Engine, Setup, TightlyCoupledSetup, Timeline
+from ..simulation import Domain, Engine, Setup, TightlyCoupledSetup, Timeline
 from .core import SpoofCore
 from .observer import Observer
 from .spoofer_binding import attach

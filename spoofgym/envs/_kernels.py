@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from .._jit import njit
-from .._simd import flags_at, floats_at, integers_at, singles_at
-from ..simulators._kernels import ALARMS, HOLDS, SCORE, displace, run_epochs
+from ..core.compile import njit
+from ..core.simd import flags_at, floats_at, integers_at, singles_at
+from ..simulation._kernels import ALARMS, HOLDS, SCORE, displace, run_epochs
 
 
 @njit

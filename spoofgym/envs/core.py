@@ -8,13 +8,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .._memory import Memory
-from .._registry import check_choice, check_finite, check_truth
+from ..core.memory import Memory
+from ..core.registry import check_choice, check_finite, check_truth
 from ..detectors import Detector, Verdict, detector_in_world
-from ..simulators.base import Given, Rngs, Rows, run_serially
-from ..simulators.engine import Engine
-from ..simulators.monitors import PassiveDetectors, needed_monitors
-from ..simulators.setup import Setup
+from ..simulation.engine import Engine
+from ..simulation.monitors import PassiveDetectors, needed_monitors
+from ..simulation.setup import Setup
+from ..simulation.simulator import Given, Rngs, Rows, run_serially
 from ._kernels import ALARM, COST, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
 from .decisions import Decisions
 from .observer import Observer

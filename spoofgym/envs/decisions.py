@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..simulators.setup import Setup
+from ..simulation.setup import Setup
 
 FloatArray = NDArray[np.float64]
 EVERYONE = slice(None)

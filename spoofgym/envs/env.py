@@ -97,7 +97,7 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
             Seeds the receiver; without it the next episode of the same stream starts.
         options : dict, optional
             ``"domain"``: circumstances that are not to be drawn, such as ``{"start_s": 10.0}``; see
-            `spoofgym.simulators.domain.CHOICES`.  Others are warned of.
+            `spoofgym.simulation.domain.CHOICES`.  Others are warned of.
 
         Returns
         -------

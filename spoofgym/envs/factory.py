@@ -6,9 +6,9 @@ import inspect
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from .._registry import check_keywords
+from ..core.registry import check_keywords
 from ..detectors import Detector, detector_in_world
-from ..simulators.setup import Setup
+from ..simulation.setup import Setup
 from .core import SpoofCore, WatchSpec, make_watch
 from .terms.registry import EndSpec, make_terms
 from .terms.termination import AtAlarm

@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..simulators.engine import Engine
-from ..simulators.setup import Setup
+from ..simulation.engine import Engine
+from ..simulation.setup import Setup
 from ._kernels import COMMAND_COLUMN, clip_columns, observe
 from .terms.base import Snapshot, holds_for_call
 from .terms.observation import LEVELS, REPORTED, DynamicTerm, ObservationTerm, split_knowledge

@@ -12,8 +12,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from .._registry import check_choice, whole_number
-from ..simulators.domain import each_of
+from ..core.registry import check_choice, whole_number
+from ..simulation.domain import each_of
 from ._kernels import within
 from .core import Core
 

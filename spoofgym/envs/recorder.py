@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._files import remove_stale_parts, write_file
+from ..core.files import remove_stale_parts, write_file
 from ..detectors import Verdict
 from .core import SpoofCore
 from .terms.termination import EpochState

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._simd import ArrayTable
+from ..core.simd import ArrayTable
 from ..detectors import Verdict
-from ..simulators.base import Simulator
-from ..simulators.setup import SequelKernel
-from ..simulators.tightly_coupled import TightlyCoupledSimulator
+from ..simulation.setup import SequelKernel
+from ..simulation.simulator import Simulator
+from ..simulation.tight import TightlyCoupledSimulator
 from . import _kernels
 from .step_result import InfoLayout, StepResult
 

@@ -10,17 +10,11 @@ from contextlib import suppress
 from numbers import Real
 from typing import Any
 
-from .._describe import describe, kind_of, unlike
+from ..core.settings import describe, kind_of, unlike
 from ..detectors.calibrated import resolve
-from ..simulators import (
-    LooselyCoupledSetup,
-    SnapshotSetup,
-    TightlyCoupledSetup,
-    WheeledRobotSetup,
-)
-from ..simulators.broadcast import PastPositions
-from ..simulators.monitors import Monitor, needed_monitors
-from ..simulators.setup import Setup
+from ..simulation import LooselyCoupledSetup, SnapshotSetup, TightlyCoupledSetup, WheeledRobotSetup
+from ..simulation.monitors import Monitor, PastPositions, needed_monitors
+from ..simulation.setup import Setup
 from ..spoofers import (
     Card,
     ScriptedSpoofer,

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from .._registry import whole_number
+from ..core.registry import whole_number
 from .env import C, HasSpec
 from .options import (
     HALFWAY,
@@ -97,7 +97,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         """Start an episode in every receiver, or in some. `options`: ``reset_mask``, (B,) bool,
         which receivers to reset, at least one (all by default and at the first reset); ``domain``,
         circumstances not to be drawn, each one value or (B,) of them, see
-        `spoofgym.simulators.domain.CHOICES`. Returns `observation` (B, o) float32."""
+        `spoofgym.simulation.domain.CHOICES`. Returns `observation` (B, o) float32."""
         warn_unknown(options, ("domain", RESET_MASK))
         mask = mask_of(options, self.num_envs)
         if mask is None:

@@ -7,11 +7,11 @@ from typing import Any, ClassVar
 
 from gymnasium.vector import AutoresetMode
 
-from ..simulators.loosely_coupled import LooselyCoupledSetup
-from ..simulators.setup import Setup
-from ..simulators.snapshot_positioning import SnapshotSetup
-from ..simulators.tightly_coupled import TightlyCoupledSetup
-from ..simulators.wheeled_robot import WheeledRobotSetup
+from ..simulation.loose import LooselyCoupledSetup
+from ..simulation.robot import WheeledRobotSetup
+from ..simulation.setup import Setup
+from ..simulation.snapshot import SnapshotSetup
+from ..simulation.tight import TightlyCoupledSetup
 from .core import SpoofCore
 from .env import CoreEnv
 from .factory import make_core, signature_of

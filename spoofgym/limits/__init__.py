@@ -9,11 +9,9 @@
 from __future__ import annotations
 
 from .analyst import Analyst
-from .commands import Commands, unit_commands
 from .deflection import deflection, deflection_of_offsets
-from .floor import ASSUMPTIONS, Frontier, frontier_of
-from .frontier import WorldFrontier
-from .linear import LinearRun, Response, record, respond
+from .floor import ASSUMPTIONS, Frontier, WorldFrontier, frontier_of
+from .linear import Commands, LinearRun, Response, record, respond, unit_commands
 from .power import deflection_for, divergence_of, most_power, power
 from .response import NotReplayable, Replay
 from .restricted import Attacker, zero_alarm_of

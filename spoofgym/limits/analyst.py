@@ -29,10 +29,10 @@ from ..detectors import Never
 from ..receiver import TightlyCoupled
 from ..receiver.augmented import FIRST
 from ..receiver.epoch import Epoch
-from ..receiver.error_model import ACCEL_BIAS, STATES
-from ..sim.benign_events import BenignEvents
-from ..simulators.base import Given
-from ..simulators.tightly_coupled import TightlyCoupledSetup, TightlyCoupledSimulator
+from ..receiver.states import ACCEL_BIAS, STATES
+from ..simulation.simulator import Given
+from ..simulation.tight import TightlyCoupledSetup, TightlyCoupledSimulator
+from ..truth.events import BenignEvents
 from .linear import PLACE, LinearRun, as_it_happens, record_from, unattacked
 
 FloatArray = NDArray[np.float64]

@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Calibrated, Detector, Never, SolutionSeparation
-from ..simulators.base import run_serially
-from ..simulators.splits import generators_of, seeds_of_runs
-from ..simulators.tightly_coupled import TightlyCoupledSetup
-from .commands import Commands, unit_commands
+from ..simulation.setup import generators_of, seeds_of_runs
+from ..simulation.simulator import run_serially
+from ..simulation.tight import TightlyCoupledSetup
 from .floor import check_linear_victim
-from .linear import LinearRun, Response, record, respond
+from .linear import Commands, LinearRun, Response, record, respond, unit_commands
 from .no_alarm import Timing
 from .restricted import Attacker, zero_alarm_of
 from .zero_alarm import Bound

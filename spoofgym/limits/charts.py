@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..detectors.innovation_rate.rate_filter import FIRST_COVARIANCE, advance
+from ..detectors.innovation_rate import FIRST_COVARIANCE, advance
 from .convex import IntArray, Program, Rows
 
 FloatArray = NDArray[np.float64]

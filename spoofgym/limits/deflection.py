@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .frontier import WorldFrontier
+from .floor import WorldFrontier
 from .linear import LinearRun, respond, white
 
 FloatArray = NDArray[np.float64]

@@ -39,9 +39,9 @@ from ..detectors import (
     TraversalRaim,
     WindowedChi2,
 )
-from ..detectors.innovation_test import rows_of
-from ..detectors.lag_cusum import BASELINE_SDS
-from ..sim.noise import exponential
+from ..detectors.cusum import BASELINE_SDS
+from ..detectors.innovation import rows_of
+from ..truth.noise import exponential
 from . import charts
 from .convex import IntArray, Program
 from .linear import LinearRun

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..detectors import Calibrated, Detector, DetectorContext
 from ..receiver.epoch import Epoch
-from ..simulators.setup import Setup
+from ..simulation.setup import Setup
 from .convex import IntArray, Program
 from .linear import LinearRun
 from .zero_alarm import Bound, Sensitivity

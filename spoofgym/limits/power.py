@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from scipy import special, stats
 from scipy.optimize import brentq
 
-from .._registry import check_finite
+from ..core.registry import check_finite
 
 LEAST_DEFLECTION = 1e-9
 """Below it the square is lost in rounding, and SciPy's noncentral chi-square goes wrong where that

@@ -25,15 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Calibrated, Detector, Never, PooledDetector, SolutionSeparation
-from ..detectors.base import check_needs
-from ..detectors.verdicts import judged
+from ..detectors.base import check_needs, judged
 from ..receiver.epoch import ALWAYS, Epoch
-from ..simulators.base import run_serially
-from ..simulators.engine import available_threads
-from ..simulators.splits import generators_of
-from ..simulators.tightly_coupled import TightlyCoupledSetup
-from .commands import Commands, hat_functions, unit_commands
-from .linear import Response, record, respond
+from ..simulation.engine import available_threads
+from ..simulation.setup import generators_of
+from ..simulation.simulator import run_serially
+from ..simulation.tight import TightlyCoupledSetup
+from .linear import Commands, Response, hat_functions, record, respond, unit_commands
 
 FloatArray = NDArray[np.float64]
 HATS = 40

@@ -18,8 +18,8 @@ from pydantic import (
     model_validator,
 )
 
-from .._describe import unlike
-from .._files import write_file
+from ..core.files import write_file
+from ..core.settings import unlike
 
 
 class Record(BaseModel):

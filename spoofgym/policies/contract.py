@@ -8,7 +8,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._memory import Memory
+from ..core.memory import Memory
 
 FloatArray = NDArray[np.float64]
 

@@ -1,9 +1,9 @@
 """The victim: receivers that turn samples and ranges into a position."""
 
 from .adaptive import SelfTuning
-from .least_squares import Fix, least_squares_fix
 from .loose import LooselyCoupled
 from .replay import Recording, Solution, replay
+from .snapshot import Fix, least_squares_fix
 from .tight import NavState, NoiseModel, TightlyCoupled
 
 __all__ = [

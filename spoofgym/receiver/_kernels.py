@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._jit import inlined, njit
-from .._lanes import first_rows
-from .._simd import (
+from ..core.compile import inlined, njit
+from ..core.lanes import first_rows
+from ..core.simd import (
     any_lane,
     flags_at,
     floats_at,
@@ -23,10 +23,9 @@ from .._simd import (
     store,
     words_at,
 )
-from ..earth.ranging import range_and_rate
-from ..earth.wgs84 import EARTH_RATE
-from ..sim._kernels import CHANNELS as SENSOR_CHANNELS
-from ..sim._kernels import (
+from ..earth.wgs84 import EARTH_RATE, range_and_rate
+from ..truth._kernels import CHANNELS as SENSOR_CHANNELS
+from ..truth._kernels import (
     CHUNK,
     CONSTANT_ROWS,
     CORRELATED_KEY,
@@ -43,12 +42,12 @@ from ..sim._kernels import (
     recorded,
     sense,
 )
-from ..sim._kernels import CLOCK as TRUE_CLOCK
-from ..sim.noise import BLOCK, deviates, whole_number
-from ..sim.signal_errors import MAPPINGS, deviates_of
+from ..truth._kernels import CLOCK as TRUE_CLOCK
+from ..truth.noise import BLOCK, deviates, whole_number
+from ..truth.signal_errors import MAPPINGS, deviates_of
 from . import kalman
-from .error_model import INDEX, TERMS, propagate_covariance, transition_terms
-from .state import assumed_shapes, receiver_shapes
+from .epoch import assumed_shapes, receiver_shapes
+from .states import INDEX, TERMS, propagate_covariance, transition_terms
 from .strapdown import strapdown_step
 
 _ROWS = first_rows(receiver_shapes(1))

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._jit import inlined, njit
+from ..core.compile import inlined, njit
 from ..earth.wgs84 import EARTH_RATE, gravity, radii_of_curvature
 from .adaptive import FIXED, LARGEST_SCALE, process_factor, windowed_covariance
-from .loose_model import (
+from .loose_states import (
     fill_dynamics,
     fill_local_axes,
     fill_transition,

@@ -33,8 +33,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .._jit import inlined, njit
-from .._registry import check_choice
+from ..core.compile import inlined, njit
+from ..core.registry import check_choice
 
 FloatArray = NDArray[np.float64]
 FIXED, RAW, SKIP, CLAMPED = 0, 1, 2, 3

@@ -30,11 +30,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._memory import Memory
-from ..sim.gnss import GnssErrors
-from ..sim.imu import IMU_GRADES
-from ..sim.signal_errors import HALF_LIFE, SignalErrors, process_coefficients
-from .error_model import GYRO_BIAS, STATES
+from ..core.memory import Memory
+from ..truth.gnss_errors import GnssErrors
+from ..truth.sensors import IMU_GRADES
+from ..truth.signal_errors import HALF_LIFE, SignalErrors, process_coefficients
+from .states import GYRO_BIAS, STATES
 
 FloatArray = NDArray[np.float64]
 MATRICES = 27

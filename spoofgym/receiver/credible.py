@@ -39,8 +39,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._jit import njit
-from .._memory import Memory
+from ..core.compile import njit
+from ..core.memory import Memory
 from .epoch import ALWAYS, OPTIONAL, Epoch, frozen_fields
 
 FloatArray = NDArray[np.float64]

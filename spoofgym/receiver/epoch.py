@@ -1,15 +1,185 @@
-"""What a detector may see of an epoch: measurements and beliefs, and no truth."""
+"""What a detector may see; memory of the filters."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .state import ReceiverBuffers
+from ..core.lanes import LaneFields
+from ..core.simd import ArrayTable
+from ..truth.sensors import SensorBuffers
+from .states import INDEX, PACKED, STATES
+
+
+def receiver_shapes(channels: int) -> dict[str, tuple[int, ...]]:
+    """What is kept of every receiver from epoch to epoch, in the order of the lane array.
+
+    - `C_eb` (3, 3) estimated attitude, to ECEF from body axes;
+    - `velocity_e`, `position_e` (3,) estimated, ECEF [m/s], [m];
+    - `accel_bias_b`, `gyro_bias_b` (3,) estimated sensor biases [m/s^2], [rad/s];
+    - `clock` (2,) estimated receiver clock bias [m] and drift [m/s];
+    - `imu_delta` (6,) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval;
+    - `packed_covariance` in the order of `error_model.INDEX`;
+    - `innovation` (2n,) pseudoranges [m] and range rates [m/s] of the epoch as measured, until what
+      is predicted of them is taken away; 0 where invisible;
+    - `line_of_sight` (n, 3) unit vectors to the satellites, ECEF, 0 where invisible;
+    - `visible` (n,) 1 or 0.
+    """
+    n = channels
+    return {
+        "C_eb": (3, 3),
+        "velocity_e": (3,),
+        "position_e": (3,),
+        "accel_bias_b": (3,),
+        "gyro_bias_b": (3,),
+        "clock": (2,),
+        "imu_delta": (6,),
+        "packed_covariance": (PACKED,),
+        "innovation": (2 * n,),
+        "line_of_sight": (n, 3),
+        "visible": (n,),
+    }
+
+
+def assumed_shapes(channels: int) -> dict[str, tuple[int, ...]]:
+    """What every receiver assumes of the noise, in the order of the lane array.
+
+    - `noise_psd` (17,) power spectral density of the noise that drives each state;
+    - `noise_variance` (2n,) R, pseudoranges first.
+    """
+    return {"noise_psd": (STATES,), "noise_variance": (2 * channels,)}
+
+
+SEEN = (
+    "innovation",
+    "innovation_variance",
+    "innovation_cov",
+    "predicted_cov",
+    "design",
+    "transition",
+    "imu_delta",
+    "pseudorange",
+    "range_rate",
+    "satellite_position",
+    "satellite_velocity",
+)
+"""Fields of an epoch that kernels write, in the order in which they get their places."""
+ALWAYS_SEEN = frozenset({"innovation", "innovation_variance"})
+
+
+def _seen_shapes(channels: int) -> dict[str, tuple[int, ...]]:
+    n = channels
+    shapes = [(2 * n,), (2 * n,), (2 * n, 2 * n), (17, 17), (2 * n, 17), (17, 17), (6,)]
+    return dict(zip(SEEN, [*shapes, (n,), (n,), (n, 3), (n, 3)], strict=True))
+
+
+class ReceiverBuffers:
+    """The memory of a batch of receivers.
+
+    - `fields`: of `receiver_shapes`, in lane arrays;
+    - `assumed`: of `assumed_shapes`, once where all receivers are `alike`;
+    - `time`, `interval` (B,) time of the epoch and time since the last one [s];
+    - `position_e`, `velocity_e` (B, 3) estimated, ECEF [m], [m/s], as the last kernel left them;
+    - `visible` (B, n) bool; `coasting` (B,) bool, whether the last epoch had no update;
+    - `seen`: fields of `SEEN` that somebody looks at, (B, ...) each; `places` (11,) where in
+      `seen_floats` each lies, -1 where nobody does.
+    """
+
+    def __init__(
+        self,
+        receivers: int,
+        channels: int,
+        wanted: Iterable[str] = (),
+        *,
+        alike: bool = False,
+    ) -> None:
+        self.receivers, self.channels = receivers, channels
+        self.fields = LaneFields(receivers, receiver_shapes(channels))
+        self.assumed = LaneFields(receivers, assumed_shapes(channels), shared=alike)
+        self.assumed["noise_variance"] = 1.0
+        self.visible = np.zeros((receivers, channels), dtype=np.bool_)
+        self.coasting = np.zeros(receivers, dtype=np.bool_)
+        shapes = _seen_shapes(channels)
+        chosen = ALWAYS_SEEN | (set(wanted) & set(SEEN))
+        self._shapes = {name: (receivers, *shapes[name]) for name in SEEN if name in chosen}
+        sizes = [int(np.prod(shape)) for shape in self._shapes.values()]
+        firsts = dict(zip(self._shapes, np.cumsum([8 * receivers, *sizes]).tolist(), strict=False))
+        self.places = np.array([firsts.get(name, -1) for name in SEEN])
+        self.seen_floats = np.zeros(8 * receivers + sum(sizes))
+        self._name_arrays()
+
+    def _name_arrays(self) -> None:
+        b, floats = self.receivers, self.seen_floats
+        self.time, self.interval = floats[:b], floats[b : 2 * b]
+        self.position_e = floats[2 * b : 5 * b].reshape(b, 3)
+        self.velocity_e = floats[5 * b : 8 * b].reshape(b, 3)
+        self.seen = {
+            name: floats[place : place + int(np.prod(shape))].reshape(shape)
+            for name, shape, place in zip(
+                self._shapes, self._shapes.values(), self.places[self.places >= 0], strict=True
+            )
+        }
+
+    def __getstate__(self) -> dict[str, object]:
+        views = ("time", "interval", "position_e", "velocity_e", "seen")
+        return {name: value for name, value in self.__dict__.items() if name not in views}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__dict__.update(state)
+        self._name_arrays()
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(B, 17, 17) in the order of `error_model`, a copy."""
+        return self.fields["packed_covariance"][:, INDEX]
+
+    def put_covariance(self, rows: NDArray[np.intp], covariance: FloatArray) -> None:
+        """Write the (17, 17) covariance of some receivers, (b, 17, 17) or one for all."""
+        upper = np.triu_indices(STATES)
+        self.fields.put("packed_covariance", rows, np.asarray(covariance)[..., *upper])
+
+    def copy_rows(
+        self, to: NDArray[np.intp], other: ReceiverBuffers, rows: NDArray[np.intp]
+    ) -> None:
+        """Take over receivers of another batch."""
+        self.fields.copy_rows(to, other.fields, rows)
+        self.assumed.copy_rows(to, other.assumed, rows)
+        for name in ("time", "interval", "position_e", "velocity_e", "visible", "coasting"):
+            getattr(self, name)[to] = getattr(other, name)[rows]
+        for name, mine in self.seen.items():
+            if name in other.seen:
+                mine[to] = other.seen[name][rows]
+
+
+def kernel_table(
+    buffers: ReceiverBuffers, sensors: SensorBuffers, *more: NDArray[Any]
+) -> ArrayTable:
+    """Arrays of `_kernels.Arrays` as one argument of a kernel. `more`: `run`, `epoch_time`,
+    `epoch_end`, `satellites`, `rules`, `signals` and `mappings` there, then what else a kernel
+    takes."""
+    return ArrayTable(
+        [
+            buffers.fields.data,
+            buffers.assumed.data,
+            buffers.seen_floats,
+            buffers.places,
+            buffers.visible,
+            buffers.coasting,
+            sensors.fields.data,
+            sensors.constants.data,
+            sensors.words.data,
+            sensors.epoch,
+            sensors.range_offset,
+            sensors.rate_offset,
+            sensors.authentic,
+            *more,
+        ]
+    )
+
 
 FloatArray = NDArray[np.float64]
 

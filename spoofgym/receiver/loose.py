@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._memory import Memory
-from .._registry import build_record
+from ..core.memory import Memory
+from ..core.registry import build_record
 from ..earth.wgs84 import STANDARD_GRAVITY
 from ._loose_kernels import LooseState, first_estimate, predict, update
 from .adaptive import PROCESS, SelfTuning
 from .epoch import ALWAYS, OPTIONAL, Epoch, frozen_fields
-from .loose_model import POSITION, STATES
+from .loose_states import POSITION, STATES
 
 FloatArray = NDArray[np.float64]
 _DEG = math.pi / 180.0

@@ -68,10 +68,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..earth.wgs84 import STANDARD_GRAVITY
-from ..sim.gnss import GnssErrors
-from ..sim.imu import IMU_GRADES
-from ..sim.signal_errors import correlation
-from ..sim.world import World
+from ..truth.gnss_errors import GnssErrors
+from ..truth.run import World
+from ..truth.sensors import IMU_GRADES
+from ..truth.signal_errors import correlation
 from .tight import FILTER_GRADES, FilterGrade, NoiseModel, TightlyCoupled
 
 FloatArray = NDArray[np.float64]

@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..sim.noise import padded
-from ..sim.sensors import SensorBuffers
+from ..truth.noise import padded
+from ..truth.sensors import SensorBuffers
 from . import _kernels
-from .state import ReceiverBuffers, kernel_table
+from .epoch import ReceiverBuffers, kernel_table
 from .strapdown import LARGEST_ROTATION
 from .tight import NavState, TightlyCoupled
 

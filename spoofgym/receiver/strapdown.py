@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .._jit import inlined
-from .._simd import floor, select
+from ..core.compile import inlined
+from ..core.simd import floor, select
 from ..earth.wgs84 import EARTH_RATE, gravity
 
 NO_ROTATION = 1e-16

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..earth.wgs84 import STANDARD_GRAVITY
-from .error_model import (
+from .kalman import COVARIANCE_UPDATES
+from .states import (
     ACCEL_BIAS,
     ATTITUDE,
     CLOCK_BIAS,
@@ -20,7 +21,6 @@ from .error_model import (
     STATES,
     VELOCITY,
 )
-from .kalman import COVARIANCE_UPDATES
 
 _DEG = math.pi / 180.0
 _UG = STANDARD_GRAVITY * 1e-6

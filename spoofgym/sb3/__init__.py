@@ -15,8 +15,7 @@ side of the duel by ``side``; `ScoreCallback` scores a policy while it learns.
 Install it with the extra ``train``.
 """
 
-from .record_epochs import RecordEpochs
-from .score_callback import ScoreCallback
+from .callbacks import RecordEpochs, ScoreCallback
 from .vec_env import SpoofVecEnv
 
 __all__ = ["RecordEpochs", "ScoreCallback", "SpoofVecEnv"]

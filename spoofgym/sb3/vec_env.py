@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from .._registry import whole_number
+from ..core.registry import whole_number
 from ..duel.learner import LearnersSide
 from ..envs.factory import signature_of
 from ..envs.options import (
@@ -30,7 +30,7 @@ from ..envs.options import (
 )
 from ..envs.step_result import PlainResult, StepResult
 from ..envs.terms.registry import RewardSpec, make_terms
-from ..simulators.tightly_coupled import TightlyCoupledSetup
+from ..simulation.tight import TightlyCoupledSetup
 
 Array = NDArray[Any]
 AT_THE_END = (

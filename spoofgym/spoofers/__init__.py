@@ -5,21 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .._registry import build
+from ..core.registry import build
 from ..policies.onnx_file import SUFFIX
-from .accelerating_ramp import AcceleratingRamp
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
 from .card import Card
-from .dash import Dash
-from .feedback import Feedback, FeedbackProfile
-from .intermittent import Intermittent
+from .feedback import Feedback, FeedbackProfile, ThresholdRider
 from .learned import OnnxPolicy
-from .none import NoSpoofer
 from .profile import BlindOptimum, Profile
-from .ramp import Ramp
+from .ramps import AcceleratingRamp, Dash, Intermittent, NoSpoofer, Ramp, Step
 from .scaled import Scaled, split_amplitude, with_amplitude
-from .step import Step
-from .threshold_rider import ThresholdRider
 from .zoo import card_of, shipped, spec_of_shipped
 
 __all__ = [

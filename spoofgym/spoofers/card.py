@@ -14,7 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from .._describe import unlike
+from ..core.settings import unlike
 from ..policies.card import PolicyCard, PolicyFile, Record, Space, spaces_of, unlike_spaces
 from .base import SpooferContext
 

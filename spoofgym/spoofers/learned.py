@@ -1,17 +1,24 @@
-"""A learned spoofer: a policy in an ONNX file, and the card that describes it."""
+"""Spoofer from a file or a model in memory."""
 
 from __future__ import annotations
 
 import os
+import sys
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.registry import check_choice
+from ..policies.card import Space, unlike_spaces
+from ..policies.contract import NotFinite, checked_action
 from ..policies.onnx_file import SUFFIX
 from ..policies.onnx_model import OnnxModel
-from .base import FloatArray, Spoofer, SpooferContext
+from .base import KNOWLEDGE, FloatArray, Spoofer, SpooferContext
 from .card import Card
 from .zoo import ZOO_FOLDER, shipped
 
@@ -81,3 +88,240 @@ def path_of(file: str) -> Path:
             f"({', '.join(shipped()) or 'there is none'}), got {file!r}"
         )
     return ZOO_FOLDER / f"{file}{SUFFIX}"
+
+
+Function = Callable[[NDArray[np.float32]], Any]
+"""(B, o) observations in, (B, a) actions out."""
+FORMS = (
+    "a model of stable-baselines3, a torch module, a function of (B, o) observations that returns "
+    "(B, a) actions, a Spoofer, its name, or the path of an .onnx file"
+)
+
+
+class ModelPolicy(Spoofer):
+    """Acts as a model does, by its deterministic action.
+
+    The model is neither copied nor changed, but for the mode in which a network is evaluated.
+
+    `model`: as `function_of` takes it; `knowledge`: what it observes, one of `KNOWLEDGE`; `action`:
+    how its actions command the attack, as ``action=`` of `SpoofEnv`; `observation`: what it has
+    been trained to observe; anything else is refused then; `decision_interval_s`, `between`: how
+    often it decides, and what it commands in between, as in environments; `label`: short name in
+    results; by default that of its class.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        *,
+        knowledge: str = "blind",
+        action: Any = None,
+        observation: Space | None = None,
+        decision_interval_s: float | None = None,
+        between: str = "hold",
+        label: str | None = None,
+    ) -> None:
+        check_choice("knowledge", knowledge, KNOWLEDGE)
+        self.model, self.knowledge, self.action_terms = model, knowledge, action
+        self.observation = observation
+        self.decision_interval_s, self.between = decision_interval_s, between
+        self.label = label or name_of(model)
+        self._function = function_of(model)
+
+    def bind(self, context: SpooferContext) -> None:
+        if self.observation is not None:
+            size = len(context.action_names)
+            same = Space(names=context.action_names, low=(-1.0,) * size, high=(1.0,) * size)
+            found = unlike_spaces(self.observation, same, context)
+            if found:
+                lines = "; ".join(found).replace("on the card", "where it was trained")
+                raise ValueError(f"{self.label} does not fit this attack: {lines}")
+        super().bind(context)
+
+    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Command the attack for the coming epoch: (B, a) in [-1, 1]."""
+        size = len(self.context.action_names)
+        return checked_action(self._function(observation), len(observation), size, str(self.label))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        twin = object.__new__(type(self))
+        twin.__dict__.update(self.__dict__)
+        twin.__dict__.pop("context", None)
+        twin.__dict__.pop("memory", None)
+        return twin
+
+
+def name_of(model: Any) -> str:
+    return str(getattr(model, "__name__", None) or type(model).__name__)
+
+
+def function_of(model: Any) -> Function:
+    """Function of observations behind a model. `model`: of stable-baselines3, with the
+    `VecNormalize` that it was trained in folded in; with ``predict``, as libraries have it; a torch
+    module; or a function. A TypeError says what else it is."""
+    policy = getattr(model, "policy", None)
+    if policy is not None and hasattr(policy, "obs_to_tensor"):
+        return _of_stable_baselines(model, policy)
+    if hasattr(model, "obs_to_tensor"):
+        return _of_stable_baselines(None, model)
+    if hasattr(model, "predict"):
+        return lambda seen: model.predict(seen, deterministic=True)[0]
+    torch: Any = sys.modules.get("torch")
+    if torch is not None and isinstance(model, torch.nn.Module):
+        return _of_module(torch, model)
+    if not callable(model):
+        raise TypeError(f"a policy must be {FORMS}, got {model!r}")
+    return lambda seen: model(seen)
+
+
+def refuse_state(policy: Any) -> None:
+    """Raise for a policy of stable-baselines3 that remembers, since nobody keeps its state."""
+    if hasattr(policy, "lstm_actor"):
+        raise ValueError(
+            f"{type(policy).__name__} is recurrent: it needs its state from step to step, which "
+            "neither `evaluate` nor an ONNX file of a spoofer keeps"
+        )
+
+
+def finite(policy: Any) -> bool:
+    """Whether all weights of a network are finite."""
+    return all(bool(weight.isfinite().all()) for weight in policy.parameters())
+
+
+class Normalization(NamedTuple):
+    """What a `VecNormalize` does with observations: (o,) mean and scale, and where it clips."""
+
+    mean: FloatArray
+    scale: FloatArray
+    clip: float
+
+    @classmethod
+    def of(cls, envs: Any) -> Self | None:
+        """That of a `VecNormalize`, as it is now; None where it leaves observations alone."""
+        if not getattr(envs, "norm_obs", False):
+            return None
+        mean = np.asarray(envs.obs_rms.mean, dtype=np.float64).copy()
+        scale = np.sqrt(np.asarray(envs.obs_rms.var, dtype=np.float64) + envs.epsilon)
+        return cls(mean, scale, float(envs.clip_obs))
+
+    def __call__(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Observations (B, o) as a policy sees them."""
+        scaled = (seen - self.mean) / self.scale
+        return np.asarray(np.clip(scaled, -self.clip, self.clip), dtype=np.float32)
+
+
+def normalization_of(model: Any) -> Normalization | None:
+    """Normalization of the observations of a model of stable-baselines3, if it has one."""
+    found = model.get_vec_normalize_env() if hasattr(model, "get_vec_normalize_env") else None
+    return Normalization.of(found)
+
+
+def _of_stable_baselines(model: Any, policy: Any) -> Function:
+    """Deterministic action of a policy, without what `predict` does anew at every call."""
+    refuse_state(policy)
+    torch: Any = sys.modules["torch"]
+    if not hasattr(policy.action_space, "low"):
+        raise ValueError(
+            f"actions must be a Box within -1 and 1, but the model's are {policy.action_space}"
+        )
+    low = np.asarray(policy.action_space.low, dtype=np.float64)
+    high = np.asarray(policy.action_space.high, dtype=np.float64)
+    if not (np.allclose(low, -1.0) and np.allclose(high, 1.0)):
+        raise ValueError(
+            f"actions must be within -1 and 1, but the model's are {policy.action_space}"
+        )
+
+    def act(seen: NDArray[np.float32]) -> Any:
+        wanted = policy.observation_space.shape
+        if seen.shape[1:] != wanted:
+            raise ValueError(
+                f"the model observes {wanted[0]} elements, but there are {seen.shape[1]}: say what "
+                "it knows by knowledge="
+            )
+        if policy.training:
+            policy.set_training_mode(False)
+        now = normalization_of(model)
+        if now is not None:
+            seen = now(seen)
+        with torch.no_grad():
+            given = torch.as_tensor(seen, device=policy.device)
+            try:
+                return policy._predict(given, deterministic=True).cpu().numpy()
+            except ValueError as error:  # of a distribution whose mean is no number
+                if finite(policy):
+                    raise
+                name = name_of(policy if model is None else model)
+                raise NotFinite(f"{name} has weights that are not finite") from error
+
+    return act
+
+
+def _of_module(torch: Any, module: Any) -> Function:
+    def act(seen: NDArray[np.float32]) -> Any:
+        training = module.training
+        if training:
+            module.eval()
+        try:
+            with torch.no_grad():
+                answer = module(torch.as_tensor(seen))
+        except RuntimeError as error:
+            first = str(error).strip().partition("\n")[0]
+            raise ValueError(
+                f"{name_of(module)} can't be run with {seen.shape[1]} observations: {first}"
+            ) from error
+        finally:
+            if training:
+                module.train()
+        if not isinstance(answer, torch.Tensor):
+            raise ValueError(
+                f"{name_of(module)} must return actions, a tensor, got {type(answer).__name__}; a "
+                "network with a state needs a function or an ONNX file around it"
+            )
+        return answer.detach().cpu().numpy()
+
+    return act
+
+
+def inner_env(env: Any) -> Any:
+    """Environment with a core inside all wrappers; None where there is none. Of several that run in
+    this process side by side it is the first one."""
+    while env is not None and getattr(env, "core", None) is None:
+        several = getattr(env, "envs", None) or [None]
+        env = getattr(env, "venv", None) or getattr(env, "env", None) or several[0]
+    return env
+
+
+def trained_in(model: Any) -> Mapping[str, Any]:
+    """What a model's own environment says of it: arguments of `ModelPolicy`. Warns of a model of
+    stable-baselines3 whose environment can't be read."""
+    if not hasattr(model, "get_env"):
+        return {}
+    found = describe_env(model.get_env())
+    if not found:
+        warnings.warn(
+            f"this {type(model).__name__} has no environment that can be read, so that it is "
+            "played without normalization, by the attack's own actions and at every decision of "
+            "the world: load it with env=, or score the file that `spoofgym.export.onnx` writes",
+            UserWarning,
+            stacklevel=4,
+        )
+    return found
+
+
+def describe_env(env: Any) -> Mapping[str, Any]:
+    """What a spoofer knows and commands in an environment: arguments of `ModelPolicy`. `env`: any
+    that has a core of the spoofer's side, in wrappers of stable-baselines3 or Gymnasium."""
+    inner = inner_env(env)
+    settings = None if inner is None else getattr(inner.core, "settings", None)
+    if inner is None or settings is None:
+        return {}
+    core = inner.core
+    low, high = core.bounds
+    space = Space(names=core.observation_names, low=tuple(low.tolist()), high=tuple(high.tolist()))
+    return {
+        "knowledge": settings["knowledge"],
+        "action": settings["action"],
+        "observation": space,
+        "decision_interval_s": core.setup.decision_interval_s,
+        "between": core.setup.between,
+    }

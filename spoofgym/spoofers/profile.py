@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import check_finite
+from ..core.registry import check_finite
 from .aim import Aim, has_heading
 from .base import FloatArray, ScriptedSpoofer, SpooferContext
 
@@ -121,7 +121,7 @@ class BlindOptimum(Profile):
     """The best open-loop curve of the rate that a search finds against one detector.
 
     Without rates it is what the benchmark looks for, against each of its detectors, by
-    `spoofgym.bench.blind_optimum`; with rates it plays them.
+    `spoofgym.bench.search.open_loop`; with rates it plays them.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import check_finite
+from ..core.registry import check_finite
 from .base import FloatArray, Spoofer, SpooferContext
 
 AMPLITUDE = "amplitude"

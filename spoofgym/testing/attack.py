@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..attacks import Attack, AttackContext, FalsePosition, Meaconer, make_attack
-from ..sim.scenario import Scenario
-from ..sim.world import World
-from .contract import first_difference, require, same_bits
-from .trial import Record, Trial, run_trial
+from ..truth.run import World
+from ..truth.scenario import Scenario
+from .contract import Record, Trial, first_difference, require, run_trial, same_bits
 
 FloatArray = NDArray[np.float64]
 ONSET = 60

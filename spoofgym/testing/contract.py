@@ -1,14 +1,19 @@
-"""What all checks share: a broken promise, and comparison bit by bit."""
+"""Shared checks."""
 
 from __future__ import annotations
 
+import copy
+import pickle
 import random
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..core.memory import Memory
 
 
 def require(kept: bool | np.bool_, message: str) -> None:
@@ -84,3 +89,239 @@ def no_global_chance(word: str) -> Iterator[None]:
 def _numpy_state() -> tuple[Any, ...]:
     name, keys, *rest = np.random.get_state(legacy=True)  # noqa: NPY002 - only looked at
     return name, np.asarray(keys).tobytes(), *rest
+
+
+Record = dict[str, NDArray[Any] | None]
+"""What one turn brought about: arrays with a leading axis of receivers."""
+MANY = 33
+"""Receivers of a large batch: whole vectors of the processor, and a remainder."""
+KEEP = "keep everything in arrays declared by `self.memory.declare` in `bind`"
+
+
+class Remembering(Protocol):
+    """Anything with a memory."""
+
+    memory: Memory
+
+
+T = TypeVar("T", bound=Remembering)
+
+
+class Trial(ABC, Generic[T]):
+    """A subject, and the turns that it is tried with.  `call`: its method that takes a turn."""
+
+    word: str
+    call: str
+    receivers: int
+    turns: int
+
+    @abstractmethod
+    def bind(self, rows: NDArray[np.intp]) -> T:
+        """Bind a copy of the subject to some of the receivers."""
+
+    @abstractmethod
+    def turn(self, bound: T, number: int, rows: NDArray[np.intp], spoil: bool) -> Record:
+        """Let a bound subject take one turn.
+
+        `bound`: bound to as many receivers as there are rows.
+        """
+
+    def reset(self, bound: T, mask: NDArray[np.bool_] | None) -> None:
+        """Reset some receivers."""
+        bound.memory.reset(mask)
+
+    def play(
+        self,
+        bound: T,
+        rows: NDArray[np.intp],
+        turns: range,
+        *,
+        spoil: bool = False,
+    ) -> list[Record]:
+        """Let a bound subject take some turns.
+
+        `bound`: bound to as many receivers as there are rows.
+        """
+        records = []
+        for number in turns:
+            records.append(self.turn(bound, number, rows, spoil))
+            check_memory(bound, len(rows), self.word)
+        return records
+
+
+def run_trial(trial: Trial[T]) -> list[Record]:
+    """Check what has nothing to do with what the subject is for."""
+    everyone, turns = np.arange(trial.receivers), range(trial.turns)
+    bound = trial.bind(everyone)
+    check_memory(bound, trial.receivers, trial.word)
+    records = trial.play(bound, everyone, turns)
+    with no_global_chance(trial.word):
+        again = trial.play(trial.bind(everyone), everyone, turns)
+    _require_same(
+        records,
+        again,
+        f"When all is done again, the {trial.word} must do the same: no random numbers, no clock "
+        "time, nothing kept in the class or the module.",
+    )
+    _require_same(
+        records,
+        trial.play(trial.bind(everyone), everyone, turns, spoil=True),
+        f"What the {trial.word} is given is valid during `{trial.call}` only, and overwritten "
+        "afterwards; copy what you keep into `self.memory`.",
+    )
+    _check_batches(trial, records)
+    _check_reset(trial, records)
+    _check_moved_rows(trial, records)
+    _check_copies(trial, records)
+    return records
+
+
+def check_memory(subject: Remembering, receivers: int, word: str) -> None:
+    """Check that a subject remembers declared arrays of B rows."""
+    memory = getattr(subject, "memory", None)
+    if not isinstance(memory, Memory):
+        raise AssertionError(
+            f"after `bind` the {word} must have a `memory` made by the base class, got {memory!r}; "
+            "call `super().bind(context)` first"
+        )
+    require(
+        memory.receivers == receivers,
+        f"the memory of the {word} must be of {receivers} receivers, got {memory.receivers}; make "
+        "it again in every `bind`, by `super().bind(context)`",
+    )
+    for name, array in memory.items():
+        if name not in memory.declared:
+            raise AssertionError(
+                f"the {word} keeps {name!r} in its memory without having declared it, so that no "
+                f"reset restores it; start with `self.memory.declare({name!r}, ...)` in `bind`"
+            )
+        want = memory.declared[name]
+        kept = isinstance(array, np.ndarray) and (array.shape, array.dtype) == (
+            want.shape,
+            want.dtype,
+        )
+        require(
+            kept,
+            f"memory {name!r} of the {word} was declared as {want.dtype} of shape {want.shape} and "
+            f"has become {getattr(array, 'dtype', type(array))} of shape "
+            f"{getattr(array, 'shape', None)}; keep shape and type",
+        )
+
+
+def _require_same(
+    expected: Sequence[Record],
+    got: Sequence[Record],
+    message: str,
+    rows: NDArray[np.intp] | slice = slice(None),
+    among: NDArray[np.intp] | slice = slice(None),
+) -> None:
+    """Raise where records differ: `rows` of the expected ones, and `among` of the others."""
+    for k, (want, record) in enumerate(zip(expected, got, strict=True)):
+        for name in want:
+            a, b = _taken(want[name], rows), _taken(record[name], among)
+            require(
+                same_bits(a, b),
+                f"{message} `{name}` of turn {k} differs at {first_difference(a, b)}.",
+            )
+
+
+def _taken(array: NDArray[Any] | None, rows: NDArray[np.intp] | slice) -> NDArray[Any] | None:
+    return None if array is None else np.ascontiguousarray(array[rows])
+
+
+def _check_batches(trial: Trial[T], records: Sequence[Record]) -> None:
+    batches = [np.array([row]) for row in range(trial.receivers)]
+    for rows in (*batches, np.arange(MANY) % trial.receivers):
+        _require_same(
+            records,
+            trial.play(trial.bind(rows), rows, range(trial.turns)),
+            f"For the {trial.word}, a receiver must be the same, bit for bit, among {len(rows)} "
+            f"and among {trial.receivers} receivers: keep receivers apart, keep arrays "
+            "C-contiguous with the receivers first, and write sums out instead of matrix products "
+            "or `optimize=True`, whose bits depend on the size.",
+            rows,
+        )
+
+
+def _check_reset(trial: Trial[T], records: Sequence[Record]) -> None:
+    everyone, half = np.arange(trial.receivers), trial.turns // 2
+    early, late = range(half), range(half, trial.turns)
+    fresh = trial.play(trial.bind(everyone), everyone, late)
+    some = everyone % 2 == 0
+    for mask in (some, None):
+        bound = trial.bind(everyone)
+        trial.play(bound, everyone, early)
+        trial.reset(bound, None if mask is None else mask.copy())
+        got = trial.play(bound, everyone, late)
+        restarted = everyone if mask is None else everyone[mask]
+        _require_same(
+            fresh,
+            got,
+            f"After a reset the {trial.word} must be as it was after `bind`; {KEEP}.",
+            restarted,
+            restarted,
+        )
+        others = np.setdiff1d(everyone, restarted)
+        _require_same(
+            records[half:],
+            got,
+            f"A reset of some receivers must leave the others alone; {KEEP}.",
+            others,
+            others,
+        )
+
+
+def _check_moved_rows(trial: Trial[T], records: Sequence[Record]) -> None:
+    everyone, half = np.arange(trial.receivers), trial.turns // 2
+    order = np.roll(everyone, 2)
+    source, target = trial.bind(everyone), trial.bind(order)
+    trial.play(source, everyone, range(half))
+    trial.play(target, order, range(half, half + 1))  # some other past
+    target.memory.copy_rows(everyone, source.memory, order)
+    _require_same(
+        records[half:],
+        trial.play(target, order, range(half, trial.turns)),
+        f"When the rows of its memory are moved to another batch, the {trial.word} must go on the "
+        f"same; {KEEP}.",
+        order,
+    )
+
+
+def _check_copies(trial: Trial[T], records: Sequence[Record]) -> None:
+    everyone, half = np.arange(trial.receivers), trial.turns // 2
+    late = range(half, trial.turns)
+    bound = trial.bind(everyone)
+    trial.play(bound, everyone, range(half))
+    for way, copied in (
+        ("deep-copied", _copy(bound, trial.word)),
+        ("pickled", _pickle(bound, trial.word)),
+        ("copied and pickled", bound),
+    ):
+        _require_same(
+            records[half:],
+            trial.play(copied, everyone, late),
+            f"A {way} {trial.word} must go on as if it had not been; keep nothing in the class.",
+        )
+
+
+def _copy(subject: T, word: str) -> T:
+    try:
+        return copy.deepcopy(subject)
+    except Exception as error:
+        raise AssertionError(_uncopied(word, "deep-copied", error)) from error
+
+
+def _pickle(subject: T, word: str) -> T:
+    try:
+        unpickled: T = pickle.loads(pickle.dumps(subject))
+    except Exception as error:
+        raise AssertionError(_uncopied(word, "pickled", error)) from error
+    return unpickled
+
+
+def _uncopied(word: str, way: str, error: Exception) -> str:
+    return (
+        f"the {word} cannot be {way} ({type(error).__name__}: {error}), but environments copy it "
+        "and send it to other processes; define its class at the top of a module, and leave what "
+        "cannot be copied (files, sessions, lambdas) out by `__getstate__`"
+    )

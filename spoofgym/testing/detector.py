@@ -11,16 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Detector, Verdict, make_detector
-from ..detectors.asked import is_file
-from ..detectors.base import check_needs
-from ..detectors.learned.card import DetectorCard
-from ..detectors.learned.detector import unscaled
-from ..detectors.verdicts import UndeclaredFieldError, checked, undeclared
+from ..detectors.base import UndeclaredFieldError, check_needs, checked, undeclared
+from ..detectors.build import is_file
+from ..detectors.learned import unscaled
+from ..detectors.learned_card import DetectorCard
 from ..receiver.epoch import TracedEpoch
-from .contract import read_only_given, require, require_fresh, same_bits
-from .epochs import CHANNELS, Script, engine_script, trying_script
-from .position_epochs import COORDINATES, position_script
-from .trial import Record, Trial, check_memory, run_trial
+from .contract import (
+    Record,
+    Trial,
+    check_memory,
+    read_only_given,
+    require,
+    require_fresh,
+    run_trial,
+    same_bits,
+)
+from .epochs import CHANNELS, COORDINATES, Script, engine_script, position_script, trying_script
 
 SCOPES = ("channel", "receiver")
 MEASURED = ("satellites", "position", "any")

@@ -12,17 +12,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import is_number
 from ..attacks import Attack
+from ..core.registry import is_number
 from ..envs.decisions import Decisions
 from ..envs.observer import Observer
 from ..envs.spoofer_binding import bound_spoofer, paced, setup_of_card
 from ..envs.terms.action import CommandMap
-from ..simulators import Engine, Setup, TightlyCoupledSetup, Timeline
+from ..simulation import Engine, Setup, TightlyCoupledSetup, Timeline
 from ..spoofers import KNOWLEDGE, Spoofer, SpooferContext, make_spoofer
 from ..spoofers.aim import TARGET
-from .contract import no_global_chance, read_only_given, require, require_fresh
-from .trial import Record, Trial, check_memory, run_trial
+from .contract import (
+    Record,
+    Trial,
+    check_memory,
+    no_global_chance,
+    read_only_given,
+    require,
+    require_fresh,
+    run_trial,
+)
 
 FloatArray = NDArray[np.float64]
 Observation = NDArray[np.float32]

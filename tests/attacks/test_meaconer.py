@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from spoofgym.attacks import Meaconer
-from spoofgym.earth.ranging import range_and_rate
-from spoofgym.sim.scenario import Scenario
+from spoofgym.earth.wgs84 import range_and_rate
+from spoofgym.truth.scenario import Scenario
 
 from .support import ONSET, begin, offsets
 

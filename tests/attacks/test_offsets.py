@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from spoofgym.attacks import ATTACKS, AttackContext, FalsePosition, PerChannel, make_attack
-from spoofgym.earth.frames import ecef_to_geodetic
-from spoofgym.earth.ranging import range_and_rate
+from spoofgym.earth.wgs84 import ecef_to_geodetic, range_and_rate
 from spoofgym.receiver._kernels import first_fix
-from spoofgym.sim.scenario import Scenario
+from spoofgym.truth.scenario import Scenario
 
 ONSET = 30
 

@@ -15,9 +15,10 @@ from spoofgym.attacks import (
     SpooferClock,
     TrackingError,
 )
-from spoofgym.earth.ranging import range_and_rate
-from spoofgym.envs import SpoofCore, TightlyCoupledSetup
-from spoofgym.sim.scenario import Scenario
+from spoofgym.earth.wgs84 import range_and_rate
+from spoofgym.envs import SpoofCore
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.truth.scenario import Scenario
 
 from .support import ONSET, begin, offsets
 

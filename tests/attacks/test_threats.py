@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from spoofgym.attacks import ATTACKS, THREATS, AttackContext, make_attack
-from spoofgym.bench.specs import spec_of
+from spoofgym.core.registry import spec_of
 from spoofgym.detectors import Never
 from spoofgym.receiver import TightlyCoupled
+from spoofgym.receiver.kalman import normalized_innovation_squared
 from spoofgym.receiver.matching import Motion, matched_sensors
-from spoofgym.receiver.nis import normalized_innovation_squared
-from spoofgym.sim.scenario import Scenario, make_scenario
-from spoofgym.simulators import TightlyCoupledSetup, Timeline
-from spoofgym.simulators.base import run_serially
+from spoofgym.simulation import TightlyCoupledSetup, Timeline
+from spoofgym.simulation.simulator import run_serially
+from spoofgym.truth.scenario import Scenario, make_scenario
 
 from ..envs.support import single
 

@@ -22,11 +22,11 @@ from baselines.profile_search import ProfileSearch, profile_at, soft_alarms
 from baselines.profile_settings import SearchSettings, Start
 from baselines.profile_start import best_start, resampled
 from baselines.runs import Outcome, RunPool
-from spoofgym.bench.budget import most_alarms
-from spoofgym.bench.run import displacement_of, play
-from spoofgym.bench.scores import counted, stealth_of
-from spoofgym.bench.suite import Suite
-from spoofgym.bench.tune import Trial, TuningResult
+from spoofgym.bench.runs.play import displacement_of, play
+from spoofgym.bench.runs.world import Suite
+from spoofgym.bench.scores.scores import counted, stealth_of
+from spoofgym.bench.scores.statistics import most_alarms
+from spoofgym.bench.search.amplitude import Trial, TuningResult
 from spoofgym.detectors import Ewma
 from spoofgym.spoofers import Card, Profile, make_spoofer
 from spoofgym.spoofers.profile import sampled

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from spoofgym.detector_tasks import AttackFamily, DetectorTask, detector_task_of
+from spoofgym.tasks import AttackFamily, DetectorTask, detector_task_of
 
 TIMELINE = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 4.0}
 NOMINAL = {"thresholds": "nominal"}

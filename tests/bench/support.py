@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from spoofgym.bench.suite import Suite, Tuning
+from spoofgym.bench.runs.world import Suite, Tuning
 from spoofgym.envs import Observer, default_terms
 from spoofgym.envs.spoofer_binding import spoofer_context
-from spoofgym.simulators import Timeline
+from spoofgym.simulation import Timeline
 from spoofgym.spoofers import SpooferContext, learned, zoo
 from spoofgym.spoofers.card import Card, fields_of
 

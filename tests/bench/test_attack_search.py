@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench import attack_search as module
-from spoofgym.bench.attack_search import Search
-from spoofgym.bench.attack_suite import AROUND_FOUND, Member
-from spoofgym.bench.detector_search import FamilySearch
-from spoofgym.bench.entries import spoofer_entry
-from spoofgym.bench.protection import MEASURES, Aim
-from spoofgym.bench.searches import Selection
+from spoofgym.bench.runs.players import spoofer_entry
+from spoofgym.bench.runs.record import MEASURES, Aim
+from spoofgym.bench.search import worst_attack as module
+from spoofgym.bench.search.attack_suite import AROUND_FOUND, Member
+from spoofgym.bench.search.settings import Selection
+from spoofgym.bench.search.worst_attack import FamilySearch, Search
 from spoofgym.spoofers import SpooferContext
 from spoofgym.spoofers.scaled import LARGEST, SMALLEST
 

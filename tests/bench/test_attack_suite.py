@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spoofgym.bench.attack_suite import (
+from spoofgym.bench.runs.play import make_bound_spoofer
+from spoofgym.bench.runs.players import build_spoofer
+from spoofgym.bench.runs.world import VICTIMS
+from spoofgym.bench.search.attack_suite import (
     FAMILIES,
     ORACLES,
     fitting_members,
@@ -13,9 +16,6 @@ from spoofgym.bench.attack_suite import (
     members_of,
     suite_digest,
 )
-from spoofgym.bench.decisions import make_bound_spoofer
-from spoofgym.bench.entries import build_spoofer
-from spoofgym.bench.victims import VICTIMS
 from spoofgym.envs.factory import make_setup
 from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.spoofers import SPOOFERS

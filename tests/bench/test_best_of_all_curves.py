@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from spoofgym.bench import ResultsFolder, Suite, run_campaign
-from spoofgym.bench.bracket import Brackets
-from spoofgym.bench.searches import Tuning
-from spoofgym.bench.tune import RESOLUTION
+from spoofgym.bench.search.amplitude import RESOLUTION
+from spoofgym.bench.search.bounds import Brackets
+from spoofgym.bench.search.settings import Tuning
 
 LINE = {"warmup_s": 60.0, "live_s": 40.0, "attack_s": 60.0, "time_to_alert_s": 5.0}
 RIVALS: list[dict[str, Any]] = [

@@ -12,27 +12,32 @@ import pytest
 from scipy import special
 
 from spoofgym.bench import ResultsFolder, Suite, run_campaign, summarize
-from spoofgym.bench import optima as optima_module
-from spoofgym.bench.attack_suite import AROUND_FOUND, grid_of
-from spoofgym.bench.blind_optimum import (
+from spoofgym.bench.experiments.campaign import search, training_start
+from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.runs.play import WarmStart, play
+from spoofgym.bench.runs.players import spoofer_entry
+from spoofgym.bench.search import open_loop as optima_module
+from spoofgym.bench.search.attack_suite import AROUND_FOUND, grid_of
+from spoofgym.bench.search.backends import EnginePlayer, ReplayPlayer, limits_of, pushed
+from spoofgym.bench.search.open_loop import (
+    AIMS,
+    ENGINE,
+    REPLAY,
     SHAPES,
+    ZERO_ALARM,
     BlindOptimizer,
     BlindSearch,
+    Optima,
     crossing,
+    curves_to_fit,
 )
-from spoofgym.bench.campaign import search, training_start
-from spoofgym.bench.entries import spoofer_entry
-from spoofgym.bench.optima import AIMS, ENGINE, REPLAY, ZERO_ALARM, Optima, curves_to_fit
-from spoofgym.bench.players import EnginePlayer, ReplayPlayer, limits_of, pushed
-from spoofgym.bench.report import markdown
-from spoofgym.bench.run import WarmStart, play
-from spoofgym.bench.searches import Selection
+from spoofgym.bench.search.settings import Selection
+from spoofgym.calibration.clean_runs import Silent
 from spoofgym.envs.factory import make_setup
 from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.limits import Replay
-from spoofgym.simulators import TightlyCoupledSetup
-from spoofgym.simulators.clean_runs import Silent
-from spoofgym.simulators.splits import generators_of, seed_sequences
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.setup import generators_of, seed_sequences
 
 from .support import SHORT, small_suite
 
@@ -371,7 +376,7 @@ def test_a_campaign_that_goes_on_finds_the_same(
 def test_the_blind_optimum_is_a_candidate_of_the_protection(
     campaign: tuple[Suite, ResultsFolder], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from spoofgym.bench.campaign import _members
+    from spoofgym.bench.experiments.campaign import _members
 
     suite, folder = campaign
     (detector,) = suite.detector_entries

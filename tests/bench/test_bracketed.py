@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from spoofgym.bench import ResultsFolder, run_campaign, summarize
-from spoofgym.bench.bracket_text import EXCEEDED, bound_cell, bracket_section, floor_notes
-from spoofgym.bench.bracketed import HALF, STEALTHY, bracket_of
-from spoofgym.bench.picture import draw_campaign
-from spoofgym.bench.report import markdown
-from spoofgym.bench.tables import DETECTORS_HEAD, attack_rows, detector_rows, groups, mark_of
+from spoofgym.bench.report.bounds import EXCEEDED, bound_cell, bracket_section, floor_notes
+from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.report.figures import draw_campaign
+from spoofgym.bench.report.table import DETECTORS_HEAD, attack_rows, detector_rows, groups, mark_of
+from spoofgym.bench.scores.bounds import HALF, STEALTHY, bracket_of
 
 from .support import small_suite
 

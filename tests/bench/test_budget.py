@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spoofgym.bench.budget import halve, largest_within
+from spoofgym.bench.scores.statistics import halve, largest_within
 
 
 class Edge:

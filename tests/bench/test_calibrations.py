@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from spoofgym.bench.calibrations import calibrate_suite, missing_runs
-from spoofgym.bench.campaign import run_campaign
-from spoofgym.bench.store import ResultsFolder
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.experiments.calibration import calibrate_suite, missing_runs
+from spoofgym.bench.experiments.campaign import run_campaign
+from spoofgym.bench.experiments.results_folder import ResultsFolder
+from spoofgym.bench.runs.world import Suite
+from spoofgym.calibration import thresholds as calibration
 from spoofgym.cli import app
 from spoofgym.detectors import SnapshotChi2, calibrated
-from spoofgym.detectors.calibration import FOLDER_VARIABLE
-from spoofgym.simulators import calibration
+from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
 

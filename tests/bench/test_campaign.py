@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 
 from spoofgym.bench import ResultsFolder, Suite, run_campaign, summarize
-from spoofgym.bench.cells import Cell
-from spoofgym.bench.panels import SMALLEST_M
-from spoofgym.bench.picture import draw_campaign
-from spoofgym.bench.report import markdown
-from spoofgym.bench.tables import interval
-from spoofgym.bench.work import expected_work
+from spoofgym.bench.experiments.remaining import expected_work
+from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.report.figures import SMALLEST_M, draw_campaign
+from spoofgym.bench.report.table import interval
+from spoofgym.bench.runs.record import Cell
 
 from .support import small_suite
 
@@ -249,7 +248,7 @@ def test_the_same_campaign_twice_at_once_ends_with_both_right(
 
 def test_what_a_dead_process_left_is_removed_at_open(tmp_path: Path) -> None:
     code = (
-        "import os, sys\nfrom pathlib import Path\nfrom spoofgym._files import whole_file\n"
+        "import os, sys\nfrom pathlib import Path\nfrom spoofgym.core.files import whole_file\n"
         "with whole_file(Path(sys.argv[1])) as part:\n"
         "    part.write_bytes(b'half')\n    os._exit(0)\n"
     )
@@ -375,7 +374,7 @@ def test_what_a_later_detector_lets_pass_lies_on_the_shared_axis(
         figures.append(figure)
         return path
 
-    monkeypatch.setattr("spoofgym.bench.picture.save_figure", keep)
+    monkeypatch.setattr("spoofgym.bench.report.figures.save_figure", keep)
     summary = summarize(finished)
     last = summary["detectors"][-1]["detector"]
     far = {"value": 4000.0, "low": 3900.0, "high": 4100.0}

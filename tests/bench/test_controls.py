@@ -11,19 +11,13 @@ import numpy as np
 import pytest
 
 from spoofgym.bench import ResultsFolder, run_campaign, summarize
-from spoofgym.bench.calibrations import calibrate_suite
-from spoofgym.bench.comparisons import compare
-from spoofgym.bench.protection import MEASURES
-from spoofgym.bench.report import markdown
-from spoofgym.bench.searches import Selection, Tuning
-from spoofgym.bench.summary import times_of
-from spoofgym.bench.tables import (
-    DETECTORS_HEAD,
-    attack_rows,
-    detector_rows,
-    groups,
-    mark_of,
-)
+from spoofgym.bench.experiments.calibration import calibrate_suite
+from spoofgym.bench.experiments.summary import times_of
+from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.report.table import DETECTORS_HEAD, attack_rows, detector_rows, groups, mark_of
+from spoofgym.bench.runs.record import MEASURES
+from spoofgym.bench.scores.paired import compare
+from spoofgym.bench.search.settings import Selection, Tuning
 from spoofgym.detectors import DETECTORS, Detector, Verdict
 
 from .support import small_suite
@@ -59,7 +53,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Any:
         patch.setitem(DETECTORS, "toy", Toy)
         patch.setenv("SPOOFGYM_CALIBRATIONS", str(tmp_path_factory.mktemp("calibrations")))
         # fewer clean runs than by default: an alarm in 13 % of them needs few
-        patch.setattr("spoofgym.simulators.calibration.PASSIVE_RUNS", 200)
+        patch.setattr("spoofgym.calibration.thresholds.PASSIVE_RUNS", 200)
         suite = small_suite(
             detectors=[
                 "never",

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench import dataset as module
-from spoofgym.bench.dataset import PARTS, Plan, load, play, write
-from spoofgym.bench.dataset_files import MANIFEST
-from spoofgym.bench.suite import Suite
-from spoofgym.bench.task_cards import optima_of
-from spoofgym.bench.training_attacks import FAMILIES
-from spoofgym.simulators.splits import SPLITS, seeds_of_runs
+from spoofgym.bench.experiments import dataset as module
+from spoofgym.bench.experiments.dataset import FAMILIES, PARTS, Plan, load, play, write
+from spoofgym.bench.experiments.dataset_files import MANIFEST
+from spoofgym.bench.report.tasks import optima_of
+from spoofgym.bench.runs.world import Suite
+from spoofgym.simulation.setup import SPLITS, seeds_of_runs
 from spoofgym.spoofers import make_spoofer
 from spoofgym.tasks import TASKS
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.attacks import make_attack
-from spoofgym.bench.detector_runs import (
+from spoofgym.bench.runs.panel import (
     MOST_TRIED,
     NearAlarm,
     Panel,
@@ -14,10 +14,10 @@ from spoofgym.bench.detector_runs import (
     in_any_world,
     numbers_of,
 )
-from spoofgym.bench.run import WarmStart, displacement_of, play
-from spoofgym.bench.suite import Suite
-from spoofgym.detector_tasks import CANDIDATES, SWITCH_WITHIN_S, TURNING_DEGPS
+from spoofgym.bench.runs.play import WarmStart, displacement_of, play
+from spoofgym.bench.runs.world import Suite
 from spoofgym.detectors import Calibrated, Never, PooledDetector, SnapshotChi2, make_detector
+from spoofgym.tasks import CANDIDATES, SWITCH_WITHIN_S, TURNING_DEGPS
 
 from .detector_support import small_task
 
@@ -69,11 +69,11 @@ def test_at_a_switch_a_satellite_rises_or_sets_within_the_time(setup):
 
 def test_where_there_is_none_it_is_said(setup, monkeypatch):
     monkeypatch.setitem(
-        __import__("spoofgym.bench.detector_runs", fromlist=["CONDITIONS"]).CONDITIONS,
+        __import__("spoofgym.bench.runs.panel", fromlist=["CONDITIONS"]).CONDITIONS,
         "turn",
         lambda setup: np.zeros(len(setup.epoch_time), dtype=np.bool_),
     )
-    monkeypatch.setattr("spoofgym.bench.detector_runs.MOST_TRIED", 1024)
+    monkeypatch.setattr("spoofgym.bench.runs.panel.MOST_TRIED", 1024)
     with pytest.raises(ValueError, match="of 1024 runs in trolley only 0 have an onset at a turn"):
         numbers_of(setup, 0, "evaluation", 2, "turn")
     assert MOST_TRIED > 1024

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spoofgym._pictures import check_picture
-from spoofgym.bench.animate import play_frames
-from spoofgym.bench.episode import TWIN, Episode, draw_episode, play_episode
-from spoofgym.bench.run import WarmStart, displacement_of, induced_error, play
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.report.figures import play_frames
+from spoofgym.bench.runs.episode import TWIN, Episode, draw_episode, play_episode
+from spoofgym.bench.runs.play import WarmStart, displacement_of, induced_error, play
+from spoofgym.bench.runs.world import Suite
+from spoofgym.core.plots import check_picture
 from spoofgym.detectors import Ewma
-from spoofgym.simulators.broadcast import PastPositions
+from spoofgym.simulation.monitors import PastPositions
 from spoofgym.spoofers import Ramp
 
 from .support import small_suite

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import spoofgym
-from spoofgym.bench.campaign import run_campaign
-from spoofgym.bench.evaluate import Evaluator, evaluate
-from spoofgym.bench.store import ResultsFolder
-from spoofgym.bench.suite import Suite, Tuning
-from spoofgym.bench.summary import summarize
+from spoofgym.bench.experiments.campaign import run_campaign
+from spoofgym.bench.experiments.evaluate import Evaluator, evaluate
+from spoofgym.bench.experiments.results_folder import ResultsFolder
+from spoofgym.bench.experiments.summary import summarize
+from spoofgym.bench.runs.world import Suite, Tuning
 from spoofgym.policies.contract import NotFinite
 from spoofgym.spoofers import make_spoofer
 
@@ -119,7 +119,7 @@ def test_runs_of_another_seed_or_world_are_not_the_same_ones_though_all_count():
 
 
 def test_whether_a_spoofer_fits_is_told_before_anything_is_played(judge, monkeypatch):
-    monkeypatch.setattr("spoofgym.bench.evaluate.start_of", None)
+    monkeypatch.setattr("spoofgym.bench.experiments.evaluate.start_of", None)
     for fits in ("ramp", {"name": "step"}, "blind-optimum"):
         judge.check(fits)
     with pytest.raises(ValueError, match="does not fit this attack"):

@@ -10,11 +10,11 @@ import pytest
 from onnx import numpy_helper
 
 import spoofgym
-from spoofgym.bench import detector_worlds as module
-from spoofgym.bench.detector_score import CLEAN, WINDOW
-from spoofgym.bench.evaluate_detector import DetectorEvaluator
-from spoofgym.bench.protection import MEASURES
-from spoofgym.detector_tasks import EVENTS, DetectorTask
+from spoofgym.bench.experiments import task_worlds as module
+from spoofgym.bench.experiments.protect import DetectorEvaluator
+from spoofgym.bench.runs.record import MEASURES
+from spoofgym.bench.scores.detector import CLEAN, WINDOW
+from spoofgym.tasks import EVENTS, DetectorTask
 
 from ..detectors.learned.files import write_guard
 from .detector_support import NOMINAL, small_task

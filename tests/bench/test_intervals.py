@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from spoofgym.bench.intervals import Interval, spoofing_intervals
+from spoofgym.bench.runs.episode import Interval, spoofing_intervals
 
 pytestmark = pytest.mark.nojit
 

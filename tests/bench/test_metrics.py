@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from spoofgym.bench.metrics import (
+from spoofgym.bench.scores.statistics import (
     bootstrap_mean,
     clopper_pearson,
     clustered_proportion,

@@ -10,14 +10,14 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.bench.animate import frame_count, play_frames
-from spoofgym.bench.entries import spoofer_entry
-from spoofgym.bench.evaluate import entry_of
-from spoofgym.bench.run import Runs, WarmStart, play
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.experiments.evaluate import entry_of
+from spoofgym.bench.report.figures import frame_count, play_frames
+from spoofgym.bench.runs.play import Runs, WarmStart, play
+from spoofgym.bench.runs.players import spoofer_entry
+from spoofgym.bench.runs.world import Suite
 from spoofgym.envs.spoofer_binding import attach, bound_spoofer, paced, tuning_range_of
 from spoofgym.spoofers import OnnxPolicy, Spoofer, SpooferContext, make_spoofer
-from spoofgym.spoofers.model import ModelPolicy
+from spoofgym.spoofers.learned import ModelPolicy
 from spoofgym.spoofers.scaled import Scaled
 
 from .support import small_suite, write_policy

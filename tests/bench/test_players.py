@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spoofgym.bench.players import MixedPlayer
+from spoofgym.bench.search.backends import MixedPlayer
 
 
 class Known:

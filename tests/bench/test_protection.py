@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench.attack_search import aims_of
-from spoofgym.bench.comparisons import compare
-from spoofgym.bench.protection import MEASURES, Aim, Protection, Winner
-from spoofgym.bench.scores import exceeded
-from spoofgym.bench.searches import Selection
-from spoofgym.bench.summary import score_protection
+from spoofgym.bench.experiments.summary import score_protection
+from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
+from spoofgym.bench.scores.paired import compare
+from spoofgym.bench.scores.scores import exceeded
+from spoofgym.bench.search.settings import Selection
+from spoofgym.bench.search.worst_attack import aims_of
 
 FIRST = MEASURES[0]
 

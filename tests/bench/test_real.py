@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spoofgym.bench.real import RealInput, real_scenario
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.runs.world import Suite
+from spoofgym.data.recorded import RealInput, real_scenario
 
 
 @pytest.fixture(scope="module")

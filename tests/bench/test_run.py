@@ -8,20 +8,21 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from spoofgym.bench.cells import make_cell
-from spoofgym.bench.decisions import Attacker, make_bound_spoofer
-from spoofgym.bench.run import (
+from spoofgym.bench.runs.play import (
+    Attacker,
     WarmStart,
     displacement_of,
     epochs_of,
     induced_error,
+    make_bound_spoofer,
     play,
     to_local,
 )
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.runs.record import make_cell
+from spoofgym.bench.runs.world import Suite
 from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofCore
-from spoofgym.simulators import Engine
+from spoofgym.simulation import Engine
 from spoofgym.spoofers import Spoofer
 
 from .support import small_suite

@@ -11,9 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from spoofgym.bench.budget import aim, alarm_limit, fewest_runs, keeps, most_alarms
-from spoofgym.bench.metrics import resamples_of
-from spoofgym.bench.scores import (
+from spoofgym.bench.scores.scores import (
     bootstrap_exceeded,
     by_chance,
     counted,
@@ -23,6 +21,14 @@ from spoofgym.bench.scores import (
     survival,
     undetected_displacement,
     worst_skies,
+)
+from spoofgym.bench.scores.statistics import (
+    aim,
+    alarm_limit,
+    fewest_runs,
+    keeps,
+    most_alarms,
+    resamples_of,
 )
 
 pytestmark = pytest.mark.nojit

@@ -9,13 +9,17 @@ from typing import Any
 import pytest
 
 from spoofgym.bench import ResultsFolder, Suite, run_campaign, summarize
-from spoofgym.bench.entries import DEFAULT_SPOOFERS, build_spoofer, spoofer_entry
-from spoofgym.bench.knowledge import knowledge_of
-from spoofgym.bench.picture import draw_campaign
-from spoofgym.bench.report import markdown
-from spoofgym.bench.shipped import card_behind
-from spoofgym.bench.tables import made_for
-from spoofgym.simulators import Timeline
+from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.report.figures import draw_campaign
+from spoofgym.bench.report.table import made_for
+from spoofgym.bench.runs.players import (
+    DEFAULT_SPOOFERS,
+    build_spoofer,
+    card_behind,
+    knowledge_of,
+    spoofer_entry,
+)
+from spoofgym.simulation import Timeline
 
 from .support import SHORT, small_suite, use_zoo, write_policy, write_zoo
 

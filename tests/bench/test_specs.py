@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym._describe import differences
-from spoofgym.bench.specs import describe, digest_of, load_class, make, parse_spec, slug, spec_of
-from spoofgym.bench.suite import detector_entry, spoofer_entry
+from spoofgym.bench.runs.world import detector_entry, spoofer_entry
+from spoofgym.core.registry import load_class, make, parse_spec, slug, spec_of
+from spoofgym.core.settings import describe, differences, digest_of
 from spoofgym.detectors import DETECTORS, Detector, Ewma
 from spoofgym.spoofers import SPOOFERS, Ramp, Spoofer
 
@@ -71,15 +71,17 @@ def test_only_the_tunable_setting_is_tuned() -> None:
 
 
 def test_a_class_of_the_user() -> None:
-    assert load_class("spoofgym.detectors.ewma:Ewma", Detector) is Ewma
-    entry = detector_entry({"name": "spoofgym.detectors.ewma:Ewma", "smoothing": 0.5})
+    assert load_class("spoofgym.detectors.charts:Ewma", Detector) is Ewma
+    entry = detector_entry({"name": "spoofgym.detectors.charts:Ewma", "smoothing": 0.5})
     assert entry.spec["name"] == "ewma"
     with pytest.raises(ValueError, match="there is no module 'nowhere'"):
         load_class("nowhere:Thing", Detector)
     with pytest.raises(ValueError, match=r"must be a class derived from spoofgym\.detectors\.base"):
         load_class("spoofgym.spoofers:Ramp", Detector)
     with pytest.raises(ValueError, match="unexpected keyword argument 'smooth'"):
-        make("detector", DETECTORS, Detector, {"name": "spoofgym.detectors.ewma:Ewma", "smooth": 1})
+        make(
+            "detector", DETECTORS, Detector, {"name": "spoofgym.detectors.charts:Ewma", "smooth": 1}
+        )
 
 
 def test_arrays_are_described_by_what_is_in_them() -> None:

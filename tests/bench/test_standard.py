@@ -8,17 +8,17 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from spoofgym.bench import standard
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.experiments import campaign as standard
+from spoofgym.bench.runs.world import Suite
 from spoofgym.cli import app
-from spoofgym.cli.suites import standard_suite
+from spoofgym.cli.bench import standard_suite
 from spoofgym.detectors import Shewhart
 from spoofgym.tasks import RANGE_RATE_TESTS, task_of
 
 
 @pytest.fixture(scope="module")
 def suite() -> Suite:
-    from spoofgym.bench.entries import fitted
+    from spoofgym.bench.runs.players import fitted
 
     return standard_suite(None, {"spoofers": [fitted(name) for name in standard.SPOOFERS]})
 

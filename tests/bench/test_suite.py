@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench.entries import DEFAULT_DETECTORS
-from spoofgym.bench.searches import Selection
-from spoofgym.bench.specs import digest_of
-from spoofgym.bench.suite import SPLITS, Suite, Tuning, seed_sequences
+from spoofgym.bench.runs.players import DEFAULT_DETECTORS
+from spoofgym.bench.runs.world import SPLITS, Suite, Tuning, seed_sequences
+from spoofgym.bench.search.settings import Selection
+from spoofgym.core.settings import digest_of
 from spoofgym.detectors import DETECTORS
 
 from .support import small_suite

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench import tune as module
-from spoofgym.bench.budget import most_alarms
-from spoofgym.bench.run import Runs, WarmStart, displacement_of, play
-from spoofgym.bench.scores import counted, stealth_of
-from spoofgym.bench.suite import Tuning, spoofer_entry
-from spoofgym.bench.tune import RESOLUTION, Trial, TuningResult, tune
+from spoofgym.bench.runs.play import Runs, WarmStart, displacement_of, play
+from spoofgym.bench.runs.world import Tuning, spoofer_entry
+from spoofgym.bench.scores.scores import counted, stealth_of
+from spoofgym.bench.scores.statistics import most_alarms
+from spoofgym.bench.search import amplitude as module
+from spoofgym.bench.search.amplitude import RESOLUTION, Trial, TuningResult, tune
 from spoofgym.detectors import Ewma, SnapshotChi2
 
 from .support import small_suite

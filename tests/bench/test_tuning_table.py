@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from spoofgym.bench.tune import Trial, TuningResult
-from spoofgym.bench.tuning_table import tuning_head, tuning_rows
+from spoofgym.bench.report.table import tuning_head, tuning_rows
+from spoofgym.bench.search.amplitude import Trial, TuningResult
 
 
 def test_why_a_value_is_over_the_budget_can_be_read() -> None:

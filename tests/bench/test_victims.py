@@ -11,13 +11,18 @@ import numpy as np
 import pytest
 
 from spoofgym.bench import ResultsFolder, Suite, Tuning, run_campaign, summarize
-from spoofgym.bench.campaign import knowledge_of
-from spoofgym.bench.decisions import make_bound_spoofer
-from spoofgym.bench.episode import TWIN, draw_episode, play_episode
-from spoofgym.bench.picture import draw_campaign
-from spoofgym.bench.report import markdown
-from spoofgym.bench.run import WarmStart, displacement_of, induced_error, play
-from spoofgym.bench.victims import VICTIMS
+from spoofgym.bench.experiments.campaign import knowledge_of
+from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.report.figures import draw_campaign
+from spoofgym.bench.runs.episode import TWIN, draw_episode, play_episode
+from spoofgym.bench.runs.play import (
+    WarmStart,
+    displacement_of,
+    induced_error,
+    make_bound_spoofer,
+    play,
+)
+from spoofgym.bench.runs.world import VICTIMS
 from spoofgym.envs import SpoofCore
 
 LOOSE, SNAPSHOT, ROBOT = (

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym._jit import COMPILED_LAYERS, layer_of
-from spoofgym._jit import FOUNDATION as FOUNDATION_FILES
+from spoofgym.core.compile import COMPILED_LAYERS, layer_of
+from spoofgym.core.compile import FOUNDATION as FOUNDATION_FILES
 
 from . import sources
 
-PLAIN = {"_describe", "_files", "_memory", "_pictures", "_registry", "_threads", "policies"}
-"""Modules below all packages, and cards and sessions of ONNX files; they hold nothing that a kernel
-could take in."""
+PLAIN = {"core", "policies"}
+"""What knows no physics, and cards and sessions of ONNX files: nothing that a kernel could take in,
+but for the foundation."""
 FOUNDATION = {Path(name).stem for name in FOUNDATION_FILES}
-"""Modules below all packages that are in every digest."""
-OF_NUMBA = {"_jit.py", "_compiled.py", "_simd.py"}
+"""Modules of `core` that are in every digest."""
+OF_NUMBA = {"core/compile.py", "core/simd.py"}
 """The decorator, how it compiles, and the types of vectors."""
 BRIDGES = {"envs/spoofer_binding.py": ("spoofgym.envs", "spoofer_binding")}
 """Files of compiled layers that may know of other packages, since nothing compiled imports them."""
@@ -31,16 +31,17 @@ def source(request):
 def test_imports_are_told_by_their_absolute_names():
     path = sources.ROOT / "detectors" / "somewhere.py"
     code = (
-        "import os.path\nfrom .._jit import njit\nfrom . import base\nfrom ..sim.clock import a, b"
+        "import os.path\nfrom ..core.compile import njit\nfrom . import base\n"
+        "from ..truth.clock import a, b"
     )
     assert list(sources.imported(ast.parse(code), path)) == [
         ("os.path", []),
-        ("spoofgym._jit", ["njit"]),
+        ("spoofgym.core.compile", ["njit"]),
         ("spoofgym.detectors", ["base"]),
-        ("spoofgym.sim.clock", ["a", "b"]),
+        ("spoofgym.truth.clock", ["a", "b"]),
     ]
-    outside = list(sources.imported(ast.parse("from .. import _jit"), path))
-    assert outside == [("spoofgym", ["_jit"])]
+    outside = list(sources.imported(ast.parse("from .. import core"), path))
+    assert outside == [("spoofgym", ["core"])]
 
 
 def test_numba_is_used_by_the_one_decorator_alone(source):
@@ -55,17 +56,21 @@ def test_compiled_functions_stand_in_compiled_layers(source):
     takes = [
         (module, names)
         for module, names in sources.imported(tree, source)
-        if module == "spoofgym._jit"
+        if module == "spoofgym.core.compile"
     ]
     decorators = {"njit", "inlined", "joined"}
     for name in decorators:
-        assert f"_jit.{name}" not in source.read_text().replace("spoofgym._jit", ""), "by its name"
-    if parts == ("_jit.py",) or not any(decorators & set(names) for _, names in takes):
+        assert f"compile.{name}" not in source.read_text().replace("spoofgym.core.compile", ""), (
+            "by its name"
+        )
+    if parts == ("core", "compile.py") or not any(decorators & set(names) for _, names in takes):
         return
     assert len(parts) > 1, "only packages are compiled"
-    assert parts[0] in COMPILED_LAYERS, f"{parts[0]} must be named in `_jit.COMPILED_LAYERS`"
+    assert parts[0] in COMPILED_LAYERS, f"{parts[0]} must be named in `compile.COMPILED_LAYERS`"
     for module, names in takes:
-        assert module == "spoofgym._jit", "import the decorator itself, so that its use shows"
+        assert module == "spoofgym.core.compile", (
+            "import the decorator itself, so that its use shows"
+        )
         assert set(names) <= decorators
 
 

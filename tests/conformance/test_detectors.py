@@ -9,7 +9,7 @@ import pytest
 
 from spoofgym.detectors import DETECTORS, Detector, Verdict
 from spoofgym.testing import check_detector
-from spoofgym.testing.position_epochs import COORDINATES, ZERO, position_script
+from spoofgym.testing.epochs import COORDINATES, ZERO, position_script
 
 VARIANTS = [
     *DETECTORS,

@@ -12,12 +12,12 @@ import pytest
 
 import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym import duel_v0
-from spoofgym.bench.episode import play_episode
-from spoofgym.bench.run import WarmStart, play
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.runs.episode import play_episode
+from spoofgym.bench.runs.play import WarmStart, play
+from spoofgym.bench.runs.world import Suite
 from spoofgym.detectors import Detector, Verdict
 from spoofgym.envs import SpoofVectorEnv
-from spoofgym.simulators import Engine, Timeline
+from spoofgym.simulation import Engine, Timeline
 
 B = 3
 PLANTS = {

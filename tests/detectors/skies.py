@@ -3,8 +3,7 @@
 import numpy as np
 
 from spoofgym.detectors import DetectorContext
-from spoofgym.earth.frames import dcm_e_from_n, geodetic_to_ecef
-from spoofgym.earth.ranging import range_and_rate
+from spoofgym.earth.wgs84 import dcm_e_from_n, geodetic_to_ecef, range_and_rate
 
 from .support import epoch
 

@@ -19,7 +19,7 @@ from spoofgym.detectors import (
 )
 from spoofgym.detectors.calibrated import identity_of
 from spoofgym.receiver.epoch import Epoch
-from spoofgym.simulators import SnapshotSetup
+from spoofgym.simulation import SnapshotSetup
 from spoofgym.testing import check_detector
 from spoofgym.testing.detector import scripts_of
 

@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from spoofgym.detectors.calibration import (
+from spoofgym.detectors.calibration_file import (
     STANDARD_RATES,
     Calibration,
     fewest_runs,

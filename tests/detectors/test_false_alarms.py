@@ -12,7 +12,7 @@ import pytest
 import scipy.stats
 
 from spoofgym.detectors import DetectorContext, Never, make_detector
-from spoofgym.simulators import Engine, TightlyCoupledSetup
+from spoofgym.simulation import Engine, TightlyCoupledSetup
 
 RECEIVERS, EPOCHS, ALPHA = 1000, 100, 0.05
 PASSIVE = {

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from spoofgym._memory import Memory
+from spoofgym.core.memory import Memory
 from spoofgym.detectors import make_detector
-from spoofgym.detectors.innovation_test import declare_bias, rows_of, whiten, without_bias
+from spoofgym.detectors.innovation import declare_bias, rows_of, whiten, without_bias
 
 from .support import belief, context, drawn, epoch
 

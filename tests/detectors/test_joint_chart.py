@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import Ewma, JointChart
-from spoofgym.detectors.joint_chart import spread_of
+from spoofgym.detectors.charts import spread_of
 
 from .support import belief, context, drawn, epoch
 

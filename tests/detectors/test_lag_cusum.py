@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import LagCusum
-from spoofgym.detectors.thresholds import run_length
+from spoofgym.detectors.innovation import run_length
 
 from .support import belief, context, drawn, epoch
 

@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 
 from spoofgym.detectors import Lottery
-from spoofgym.detectors.lottery import hashed, unit_exponential
+from spoofgym.detectors.controls import hashed, unit_exponential
 
 from .support import belief, context, epoch
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import DETECTORS, Detector, Never, PooledDetector, Verdict, make_detector
-from spoofgym.detectors.verdicts import UndeclaredFieldError, judged
+from spoofgym.detectors.base import UndeclaredFieldError, judged
 from spoofgym.receiver.epoch import OPTIONAL, Epoch, TracedEpoch
 from spoofgym.testing import check_detector
 from spoofgym.testing.contract import same_bits

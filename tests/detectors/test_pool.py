@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from spoofgym.bench.entries import detector_entry
-from spoofgym.bench.run import WarmStart, play
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.runs.play import WarmStart, play
+from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.runs.world import Suite
 from spoofgym.detectors import Calibrated, PooledDetector, SnapshotChi2, make_detector
 from spoofgym.duel_v0 import SpooferView
 from spoofgym.envs import SpoofEnv
-from spoofgym.simulators.base import run_serially
+from spoofgym.simulation.simulator import run_serially
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 SHARP = {"name": "snapshot-chi2", "false_alarm": 0.5}

@@ -7,11 +7,11 @@ import pytest
 import scipy.stats
 
 from spoofgym.detectors import DetectorContext, SolutionSeparation
-from spoofgym.earth.frames import dcm_e_from_n, ecef_to_geodetic
+from spoofgym.earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from spoofgym.receiver.augmented import FIRST
 from spoofgym.receiver.epoch import Epoch
-from spoofgym.simulators import TightlyCoupledSetup
-from spoofgym.simulators.base import run_serially
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.simulator import run_serially
 
 B, N, STATES = 2, 6, 17
 PLACE = slice(6, 9)

@@ -8,7 +8,7 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spoofgym.detectors.thresholds import (
+from spoofgym.detectors.innovation import (
     check_probability,
     chi2_thresholds,
     igg3_weight,

@@ -7,7 +7,7 @@ import pytest
 import scipy.stats
 
 from spoofgym.detectors import SequentialChi2, SnapshotChi2, WindowedChi2
-from spoofgym.detectors.thresholds import chi2_lower_thresholds
+from spoofgym.detectors.innovation import chi2_lower_thresholds
 
 from .support import context, drawn, epoch
 

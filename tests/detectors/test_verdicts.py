@@ -7,11 +7,11 @@ import time
 import numpy as np
 import pytest
 
-from spoofgym.detectors import DETECTORS, Ewma, make_detector, verdicts
-from spoofgym.detectors.verdicts import checked, judged
+from spoofgym.detectors import DETECTORS, Ewma, make_detector
+from spoofgym.detectors import base as verdicts
+from spoofgym.detectors.base import checked, judged
 from spoofgym.receiver.epoch import Epoch
-from spoofgym.testing.epochs import trying_script
-from spoofgym.testing.position_epochs import position_script
+from spoofgym.testing.epochs import position_script, trying_script
 
 SCRIPTS = {"satellites": trying_script, "position": lambda: position_script(2)}
 

@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 
 from spoofgym.detectors import DetectorContext, WindowedChi2
-from spoofgym.detectors.windowed_chi2 import estimated_covariance_thresholds
+from spoofgym.detectors.chi_square import estimated_covariance_thresholds
 
 from .positions import judge_drifts
 from .support import belief, context, drawn, epoch

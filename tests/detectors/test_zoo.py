@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from spoofgym.bench.listing import KINDS
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.runs.world import Suite
+from spoofgym.cli.list import KINDS
 from spoofgym.detectors import Calibrated, make_detector
 from spoofgym.detectors.calibrated import identity_of, resolve
-from spoofgym.detectors.calibration import SHIPPED_FOLDER
-from spoofgym.detectors.learned.detector import LearnedDetector
+from spoofgym.detectors.calibration_file import SHIPPED_FOLDER
+from spoofgym.detectors.learned import LearnedDetector
 from spoofgym.detectors.zoo import ZOO_FOLDER, path_of, shipped
 from spoofgym.tasks import task_of
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym import _jit
+from spoofgym.core import compile as _jit
 from spoofgym.detectors.zoo import shipped as shipped_detectors
 from spoofgym.spoofers import shipped
 

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from spoofgym.detectors import Calibration
-from spoofgym.detectors.calibration import fewest_runs, run_probability
+from spoofgym.detectors.calibration_file import fewest_runs, run_probability
 from tools.calibrations import HEADLINES
 from tools.holdouts import BEGIN, END, KEPT, shown, world_of
 from tools.pages import part_between

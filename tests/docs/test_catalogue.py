@@ -10,8 +10,8 @@ import pytest
 import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.attacks import ATTACKS, THREATS
 from spoofgym.detectors import DETECTORS, zoo
-from spoofgym.detectors.learned.card import DetectorCard
-from spoofgym.detectors.learned.observer import DETECTOR_TERMS
+from spoofgym.detectors.learned_card import DetectorCard
+from spoofgym.detectors.observation import DETECTOR_TERMS
 from spoofgym.spoofers import KNOWLEDGE, SPOOFERS, shipped
 
 from .pages import ROOT, blocks_of, run, text_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym import duel_v0
-from spoofgym.detectors.learned.agent import EXCLUSION_S
+from spoofgym.detectors.learned import EXCLUSION_S
 from spoofgym.duel.payoff import RunningThreshold, Weighted
 
 from ..spoofers.policies import network

@@ -11,9 +11,10 @@ import types
 import pytest
 import typer.main
 
-from spoofgym.bench.specs import make_judge, parse_spec
 from spoofgym.cli.app import app
-from spoofgym.sim.scenario import make_scenario
+from spoofgym.core.registry import parse_spec
+from spoofgym.detectors import detector_in_world
+from spoofgym.truth.scenario import make_scenario
 
 from .pages import BLOCK, ROOT
 
@@ -78,4 +79,4 @@ def test_a_command_on_a_page_is_understood(page, line, my_detector):
     detectors = given.get("detector") or ()
     for text in [detectors] if isinstance(detectors, str) else detectors:
         if text != "all" and ".onnx" not in text:
-            make_judge(parse_spec(text))
+            detector_in_world(parse_spec(text))

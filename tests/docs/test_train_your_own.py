@@ -35,7 +35,7 @@ SMALL = {
 """What is appended to a command; the last of an option counts."""
 IN_ONE_PROCESS = """
 import json, runpy, sys
-from spoofgym.simulators import calibration
+from spoofgym.simulation import calibration
 
 calibration.PASSIVE_RUNS = 3000
 for words in json.load(sys.stdin):

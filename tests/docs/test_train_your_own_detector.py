@@ -19,7 +19,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from spoofgym.cli import app
-from spoofgym.detectors.calibration import FOLDER_VARIABLE
+from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from spoofgym.tasks import TASKS
 from train.detector import Arguments, train
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from spoofgym import duel_v0
 from spoofgym.detectors import DetectorContext, Verdict
-from spoofgym.detectors.ewma import Ewma
+from spoofgym.detectors.charts import Ewma
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
 ONE_SKY = {"turn_on": "drawn"}

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from spoofgym import duel_v0
+from spoofgym.calibration.clean_runs import Player
 from spoofgym.detectors import DetectorContext
-from spoofgym.detectors.calibration import fewest_runs
-from spoofgym.detectors.learned.agent import PolicyDetector, policy_context
+from spoofgym.detectors.calibration_file import fewest_runs
+from spoofgym.detectors.learned import PolicyDetector, policy_context
 from spoofgym.duel.calibration import quantile_of
 from spoofgym.duel.payoff import FixedThreshold, RunningThreshold
 from spoofgym.duel.rules import make_duel
-from spoofgym.simulators.clean_runs import Player
-from spoofgym.simulators.splits import generators_of, seeds_of_runs
+from spoofgym.simulation.setup import generators_of, seeds_of_runs
 
 from .support import ALARM, BRIEF, parallel, wary
 

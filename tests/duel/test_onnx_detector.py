@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from spoofgym import duel_v0
-from spoofgym.detectors.calibration import FOLDER_VARIABLE, run_probability
+from spoofgym.calibration import calibrate, check
+from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, run_probability
 from spoofgym.duel.opponents import make_opponent
 from spoofgym.duel.world import with_world
-from spoofgym.simulators import TightlyCoupledSetup, calibrate, check
+from spoofgym.simulation import TightlyCoupledSetup
 
 from ..spoofers.policies import network, write_policy
 from .support import BRIEF
@@ -58,7 +59,7 @@ def test_the_policy_is_the_same_in_any_batch_and_in_copies(file):
 
 
 def _context(receivers, fields):
-    from spoofgym.detectors.learned.policy import PolicyContext
+    from spoofgym.policies.detector_policy import PolicyContext
 
     return PolicyContext(receivers=receivers, **fields)
 

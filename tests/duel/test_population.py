@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from spoofgym import duel_v0, spoofers
-from spoofgym.bench.cards import find_card
-from spoofgym.bench.run import displacement_of, play
-from spoofgym.bench.scores import counted
+from spoofgym.bench.experiments import game as population
+from spoofgym.bench.experiments.game import Game
+from spoofgym.bench.experiments.game_entries import KeptEntries
+from spoofgym.bench.experiments.members import member_of, mixture, strategy_of
+from spoofgym.bench.report.cards import find_card
+from spoofgym.bench.runs.play import displacement_of, play
+from spoofgym.bench.scores.matrix_game import RunPayoff
+from spoofgym.bench.scores.scores import counted
 from spoofgym.detectors import make_detector, zoo
-from spoofgym.duel import population
-from spoofgym.duel.kept_entries import KeptEntries
-from spoofgym.duel.members import member_of, mixture, strategy_of
-from spoofgym.duel.payoff_matrix import RunPayoff
-from spoofgym.duel.population import Game
-from spoofgym.simulators.splits import SPLITS
+from spoofgym.simulation.setup import SPLITS
 from spoofgym.spoofers import Ramp, card_of, make_spoofer
-from spoofgym.spoofers.model import ModelPolicy
+from spoofgym.spoofers.learned import ModelPolicy
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
 NOMINAL = {"thresholds": "nominal"}

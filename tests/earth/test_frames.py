@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spoofgym.earth.frames import (
+from spoofgym.earth.wgs84 import (
+    ECCENTRICITY_SQUARED,
+    EQUATORIAL_RADIUS,
     dcm_e_from_n,
     ecef_to_geodetic,
     geodetic_to_ecef,
     turning_of_local_axes,
 )
-from spoofgym.earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS
 
 POLAR_RADIUS = EQUATORIAL_RADIUS * math.sqrt(1.0 - ECCENTRICITY_SQUARED)
 LATITUDES = st.floats(-math.pi / 2, math.pi / 2)

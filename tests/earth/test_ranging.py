@@ -7,9 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spoofgym.earth.frames import geodetic_to_ecef
-from spoofgym.earth.ranging import range_and_rate
-from spoofgym.earth.wgs84 import EARTH_RATE, EQUATORIAL_RADIUS, SPEED_OF_LIGHT
+from spoofgym.earth.wgs84 import (
+    EARTH_RATE,
+    EQUATORIAL_RADIUS,
+    SPEED_OF_LIGHT,
+    geodetic_to_ecef,
+    range_and_rate,
+)
 
 pytestmark = pytest.mark.nojit
 ORBIT = 2.656e7

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spoofgym.earth.frames import geodetic_to_ecef
 from spoofgym.earth.wgs84 import (
     EARTH_RATE,
     ECCENTRICITY,
@@ -16,6 +15,7 @@ from spoofgym.earth.wgs84 import (
     GRAVITATIONAL_CONSTANT,
     J2,
     geocentric_surface_radius,
+    geodetic_to_ecef,
     gravity,
     radii_of_curvature,
 )

@@ -10,7 +10,7 @@ from spoofgym.envs import SpoofCore
 from spoofgym.envs.core import ALARM_PRICE
 from spoofgym.envs.terms.observation import OwnCommand, Time
 from spoofgym.envs.terms.reward import DisplacementGain
-from spoofgym.simulators import Engine, TightlyCoupledSetup
+from spoofgym.simulation import Engine, TightlyCoupledSetup
 
 from .support import HOLD, LIVE, SHORT, STEPS, VICTIMS, AlarmAt, single, victim, victims
 

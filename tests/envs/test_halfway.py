@@ -8,12 +8,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.envs import SpoofCore, TightlyCoupledSetup
+from spoofgym.envs import SpoofCore
 from spoofgym.envs.core import _DoneRows
 from spoofgym.envs.options import HALFWAY
-from spoofgym.simulators.prefetch import NextEpisodes
-from spoofgym.simulators.snapshot_positioning import SnapshotSimulator
-from spoofgym.simulators.tightly_coupled import TightlyCoupledSimulator
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.prefetch import NextEpisodes
+from spoofgym.simulation.snapshot import SnapshotSimulator
+from spoofgym.simulation.tight import TightlyCoupledSimulator
 
 TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 1.0}
 FORMS = {

@@ -11,7 +11,7 @@ from scipy.stats import spearmanr
 
 from spoofgym.envs import SpoofCore
 from spoofgym.envs.spoofer_binding import spoofer_context
-from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.spoofers import make_spoofer
 
 RUNS = 256

@@ -10,8 +10,8 @@ import pytest
 
 from spoofgym.envs import wrappers
 from spoofgym.envs.wrappers import vector as vector_wrappers
-from spoofgym.simulators.loosely_coupled import DEFAULT_DETECTOR as LOOSE
-from spoofgym.simulators.wheeled_robot import DEFAULT_DETECTOR as ROBOT
+from spoofgym.simulation.loose import DEFAULT_DETECTOR as LOOSE
+from spoofgym.simulation.robot import DEFAULT_DETECTOR as ROBOT
 
 from .support import HOLD, LIVE, SMALL, STEPS, VICTIMS, victim, victims
 

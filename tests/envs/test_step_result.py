@@ -17,7 +17,7 @@ from spoofgym.envs.terms.reward import (
     shares_of,
 )
 from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement, EpochState
-from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulation import TightlyCoupledSetup
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 TERMS = [AlarmPenalty(0.7), DisplacementGain(0.3), Retraction(1.7), AlarmedEpochs(0.1)]

@@ -11,7 +11,7 @@ import pytest
 from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofEnv
 from spoofgym.envs.core import ALARM_PRICE
-from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulation import TightlyCoupledSetup
 
 from .support import ID, SMALL, STEPS, VICTIMS, single, vector, victim, victims
 

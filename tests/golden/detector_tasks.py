@@ -12,16 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym import detector_tasks
-from spoofgym._describe import describe, digest_of
-from spoofgym._files import write_file
+from spoofgym import tasks as detector_tasks
 from spoofgym.attacks import ATTACKS, make_attack
-from spoofgym.bench.detector_runs import Panel, generators, numbers_of
-from spoofgym.bench.detector_search import IDLE
-from spoofgym.bench.evaluate_detector import DetectorEvaluator
-from spoofgym.bench.specs import spec_of
-from spoofgym.detector_tasks import DETECTOR_TASKS, AttackFamily, DetectorTask
+from spoofgym.bench.experiments.protect import DetectorEvaluator
+from spoofgym.bench.runs.panel import Panel, generators, numbers_of
+from spoofgym.bench.search.worst_attack import IDLE
+from spoofgym.core.files import write_file
+from spoofgym.core.registry import spec_of
+from spoofgym.core.settings import describe, digest_of
 from spoofgym.detectors import make_detector
+from spoofgym.tasks import DETECTOR_TASKS, AttackFamily, DetectorTask
 
 KEPT = Path(__file__).with_name("detector_tasks.json")
 RUNS = 2

@@ -13,11 +13,11 @@ import numpy as np
 
 from spoofgym.detectors import Never
 from spoofgym.receiver import NavState, Recording, Solution, TightlyCoupled, replay
-from spoofgym.sim.manoeuvres import Climb, Straight, Turn, fly
-from spoofgym.sim.noise import normals, threefry
-from spoofgym.sim.scenario import Scenario
-from spoofgym.simulators import TightlyCoupledSetup, Timeline
-from spoofgym.simulators.recording import record_run
+from spoofgym.simulation import TightlyCoupledSetup, Timeline
+from spoofgym.simulation.recording import record_run
+from spoofgym.truth.manoeuvres import Climb, Straight, Turn, fly
+from spoofgym.truth.noise import normals, threefry
+from spoofgym.truth.scenario import Scenario
 
 FILE = Path(__file__).with_name("own_run.npz")
 GRADE = "tactical"

@@ -12,12 +12,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from spoofgym._describe import describe, digest_of
-from spoofgym._files import write_file
 from spoofgym.attacks import ATTACKS
-from spoofgym.bench.entries import detector_entry
-from spoofgym.bench.specs import spec_of
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.runs.world import Suite
+from spoofgym.core.files import write_file
+from spoofgym.core.registry import spec_of
+from spoofgym.core.settings import describe, digest_of
 from spoofgym.tasks import TASKS, Task
 
 KEPT = Path(__file__).with_name("tasks.json")

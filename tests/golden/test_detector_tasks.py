@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from spoofgym._describe import digest_of
-from spoofgym.detector_tasks import DETECTOR_TASKS
+from spoofgym.core.settings import digest_of
+from spoofgym.tasks import DETECTOR_TASKS
 
 from .detector_tasks import KEPT, reached, resolved
 from .tasks import differences

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from spoofgym._describe import digest_of
+from spoofgym.core.settings import digest_of
 from spoofgym.tasks import TASKS
 
 from .tasks import KEPT, differences, resolved, returns

@@ -17,9 +17,9 @@ import numpy as np
 
 from spoofgym import duel_v0
 from spoofgym.detectors import calibrated
-from spoofgym.sim.noise import normals, threefry
-from spoofgym.sim.odometry import episode_keys
-from spoofgym.sim.sensors import SOURCES, SensorBuffers
+from spoofgym.truth.noise import normals, threefry
+from spoofgym.truth.robot import episode_keys
+from spoofgym.truth.sensors import SOURCES, SensorBuffers
 
 FOLDER = Path(__file__).with_name("trajectories")
 RECEIVERS, STEPS, SEED = 2, 40, 20261121

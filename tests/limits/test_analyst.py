@@ -7,10 +7,10 @@ import pytest
 
 from spoofgym.limits import Analyst, Commands, analyst, frontier_of
 from spoofgym.limits.analyst import whitened
-from spoofgym.limits.frontier import world_frontier
+from spoofgym.limits.floor import world_frontier
 from spoofgym.limits.linear import unattacked
-from spoofgym.simulators import TightlyCoupledSetup
-from spoofgym.simulators.splits import generators_of, seeds_of_runs
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.setup import generators_of, seeds_of_runs
 
 DRAWN = {"turn_on": "drawn"}
 EAST = np.array([0.0, 1.0])

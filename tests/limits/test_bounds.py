@@ -9,8 +9,8 @@ from spoofgym.detectors import make_detector
 from spoofgym.limits import Bound, Replay, bounds
 from spoofgym.limits.bounds import cases_of, zero_alarm_bounds
 from spoofgym.limits.no_alarm import Timing, judge_run
-from spoofgym.simulators import LooselyCoupledSetup, TightlyCoupledSetup
-from spoofgym.simulators.splits import seed_sequences
+from spoofgym.simulation import LooselyCoupledSetup, TightlyCoupledSetup
+from spoofgym.simulation.setup import seed_sequences
 
 LINE = {"warmup_s": 60.0, "live_s": 30.0, "attack_s": 30.0, "time_to_alert_s": 5.0}
 SKY = {"turned_deg": (0.0, 360.0), "constellation_time_s": (0.0, 86_400.0), "worlds": 4}

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from spoofgym.attacks.false_position import FalsePosition
+from spoofgym.attacks.commands import FalsePosition
 from spoofgym.limits import unit_commands
-from spoofgym.limits.commands import hat_functions
-from spoofgym.simulators import TightlyCoupledSetup
-from spoofgym.simulators.base import run_serially
+from spoofgym.limits.linear import hat_functions
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.simulator import run_serially
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0}
 LATE = {"delay_s": 6.0, "alignment_m": None}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.limits import frontier_of
-from spoofgym.simulators import LooselyCoupledSetup, TightlyCoupledSetup
+from spoofgym.simulation import LooselyCoupledSetup, TightlyCoupledSetup
 
 SHORT = {"warmup_s": 30.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0}
 

@@ -14,11 +14,10 @@ from spoofgym.limits import (
     unit_commands,
 )
 from spoofgym.limits.analyst import Analyst
-from spoofgym.limits.commands import Commands
-from spoofgym.limits.frontier import reachable, world_frontier
-from spoofgym.limits.linear import record
-from spoofgym.simulators import TightlyCoupledSetup
-from spoofgym.simulators.splits import generators_of, seeds_of_runs
+from spoofgym.limits.floor import reachable, world_frontier
+from spoofgym.limits.linear import Commands, record
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.setup import generators_of, seeds_of_runs
 
 from .toy import toy_run
 

@@ -5,8 +5,8 @@ import pytest
 
 from spoofgym.limits import record, respond, unit_commands
 from spoofgym.limits.linear import mechanized, unattacked, white
-from spoofgym.simulators import TightlyCoupledSetup
-from spoofgym.simulators.splits import generators_of, seeds_of_runs
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.setup import generators_of, seeds_of_runs
 
 from .toy import toy_run
 

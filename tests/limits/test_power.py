@@ -12,7 +12,7 @@ from spoofgym.envs.factory import make_setup
 from spoofgym.envs.terms.observation import KNOWLEDGE, OBSERVATION_TERMS, default_terms
 from spoofgym.limits import deflection_for, divergence_of, most_power, power
 from spoofgym.limits.power import check_no_latent, kl_of
-from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulation import TightlyCoupledSetup
 
 PART = st.floats(1e-6, 0.999)
 HEADING = st.sampled_from(["known", "unknown"])

@@ -6,17 +6,16 @@ import functools
 import numpy as np
 import pytest
 
-from spoofgym.bench.victims import HEADLINE_DOMAIN
+from spoofgym.bench.runs.world import HEADLINE_DOMAIN
+from spoofgym.calibration.clean_runs import weighs
 from spoofgym.detectors import DETECTORS, Calibrated, Never, make_detector
-from spoofgym.detectors.base import Detector
-from spoofgym.detectors.verdicts import judged
+from spoofgym.detectors.base import Detector, judged
 from spoofgym.limits import NotReplayable, Replay
 from spoofgym.limits.response import check_replayable
-from spoofgym.simulators import TightlyCoupledSetup
-from spoofgym.simulators.base import run_serially
-from spoofgym.simulators.clean_runs import weighs
-from spoofgym.simulators.monitors import Monitor
-from spoofgym.simulators.splits import generators_of, seed_sequences
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.monitors import Monitor
+from spoofgym.simulation.setup import generators_of, seed_sequences
+from spoofgym.simulation.simulator import run_serially
 
 SHORT = {"warmup_s": 60.0, "live_s": 40.0, "attack_s": 60.0, "time_to_alert_s": 5.0}
 TOP_MPS = 0.4

@@ -18,8 +18,8 @@ from baselines.papers.ke2022.tables import CHANNELS, ORACLES, RAMPS, STEPS
 from spoofgym.attacks import PerChannel
 from spoofgym.detectors import DetectorContext, GlrRamp, GlrStep, InnovationRate, Never
 from spoofgym.receiver import TightlyCoupled
-from spoofgym.sim.scenario import SCENARIOS
-from spoofgym.simulators import Engine, TightlyCoupledSetup, Timeline
+from spoofgym.simulation import Engine, TightlyCoupledSetup, Timeline
+from spoofgym.truth.scenario import SCENARIOS
 
 RUNS = 16
 ATTACKS = [("step", size) for size in STEPS] + [("ramp", size) for size in RAMPS]

@@ -37,7 +37,7 @@ from baselines.papers.song2021.runs import (
     record,
 )
 from baselines.robot_data_sets import DATA_SETS
-from spoofgym.simulators import Engine
+from spoofgym.simulation import Engine
 
 SEED, RUNS = 1, 100
 ATTACKED = ("jump", "slow", "both")

@@ -17,7 +17,7 @@ from baselines.papers.wu2024.geometry import GDOP, PLACES, gdop, sky
 from baselines.papers.wu2024.partitions import NOISE_M, score
 from baselines.papers.wu2024.separation import separate
 from baselines.papers.wu2024.tables import WEIGHT, pooled
-from spoofgym.detectors.raim.consistency import fit_thresholds
+from spoofgym.detectors.consistency import fit_thresholds
 
 SETTINGS = Settings(quick=True, seed=20)
 AVERAGES = {

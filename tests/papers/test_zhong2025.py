@@ -19,11 +19,11 @@ import numpy as np
 import pytest
 
 from spoofgym.attacks import PerChannel
-from spoofgym.bench.intervals import spoofing_intervals
+from spoofgym.bench.runs.episode import spoofing_intervals
 from spoofgym.detectors import Ewma, JointChart, Shewhart
 from spoofgym.receiver import TightlyCoupled
-from spoofgym.sim.scenario import SCENARIOS
-from spoofgym.simulators import Engine, TightlyCoupledSetup, Timeline
+from spoofgym.simulation import Engine, TightlyCoupledSetup, Timeline
+from spoofgym.truth.scenario import SCENARIOS
 
 RUNS = 50
 EPOCH = 0.5  # s

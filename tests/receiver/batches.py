@@ -10,18 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spoofgym._simd import ArrayTable
-from spoofgym.earth.frames import geodetic_to_ecef
+from spoofgym.core.simd import ArrayTable
+from spoofgym.earth.wgs84 import geodetic_to_ecef
 from spoofgym.receiver import _kernels
 from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
+from spoofgym.receiver.epoch import SEEN, ReceiverBuffers, kernel_table
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
-from spoofgym.receiver.state import SEEN, ReceiverBuffers, kernel_table
-from spoofgym.sim.clock import TCXO, ReceiverClock
-from spoofgym.sim.gnss import GnssErrors
-from spoofgym.sim.imu import IMU_GRADES, ImuGrade
-from spoofgym.sim.noise import padded
-from spoofgym.sim.sensors import SensorBuffers
-from spoofgym.simulators._kernels import NO_FORM, NOTHING_REMEMBERED, run_epochs
+from spoofgym.simulation._kernels import NO_FORM, NOTHING_REMEMBERED, run_epochs
+from spoofgym.truth.clock import TCXO, ReceiverClock
+from spoofgym.truth.gnss_errors import GnssErrors
+from spoofgym.truth.noise import padded
+from spoofgym.truth.sensors import IMU_GRADES, ImuGrade, SensorBuffers
 
 from .test_kalman import covariance, measured, sky
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spoofgym._memory import Memory
+from spoofgym.core.memory import Memory
 from spoofgym.receiver.adaptive import (
     CLAMPED,
     RAW,
@@ -13,7 +13,7 @@ from spoofgym.receiver.adaptive import (
     windowed_covariance,
 )
 from spoofgym.receiver.loose import LooselyCoupled, LooseReceivers
-from spoofgym.sim.loose_world import flown_world
+from spoofgym.truth.run import flown_world
 
 WORLD = flown_world("shadmehri2025", 0.1)
 SD = np.array([2.0, 1.0, 3.0])

@@ -9,10 +9,10 @@ import pytest
 
 from spoofgym.detectors import Never
 from spoofgym.receiver import TightlyCoupled, augmented
-from spoofgym.sim.gnss import ERRORS
-from spoofgym.sim.scenario import Scenario
-from spoofgym.simulators import TightlyCoupledSetup
-from spoofgym.simulators.base import run_serially
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.simulator import run_serially
+from spoofgym.truth.gnss_errors import ERRORS
+from spoofgym.truth.scenario import Scenario
 
 SHORT = {"warmup_s": 10.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 1.0}
 DRAWN = {"turn_on": "drawn", "events": {}}

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from spoofgym.receiver import TightlyCoupled
-from spoofgym.sim.imu import IMU_GRADES
-from spoofgym.sim.scenario import Scenario
+from spoofgym.truth.scenario import Scenario
+from spoofgym.truth.sensors import IMU_GRADES
 
 from ..clean_runs import attitude_error, begin, epoch_of, position_error, velocity_error
 from ..golden import reference

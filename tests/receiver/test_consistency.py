@@ -15,18 +15,12 @@ import pytest
 from scipy import stats
 
 from spoofgym.receiver import NoiseModel, TightlyCoupled, replay
-from spoofgym.receiver.matching import (
-    WINDOW_S,
-    Motion,
-    inflation,
-    matched_sensors,
-    motion_of,
-)
-from spoofgym.receiver.nis import normalized_innovation_squared
+from spoofgym.receiver.kalman import normalized_innovation_squared
+from spoofgym.receiver.matching import WINDOW_S, Motion, inflation, matched_sensors, motion_of
 from spoofgym.receiver.tight import FILTER_GRADES
-from spoofgym.sim.imu import IMU_GRADES
-from spoofgym.sim.scenario import Scenario
-from spoofgym.simulators.recording import record_run
+from spoofgym.simulation.recording import record_run
+from spoofgym.truth.scenario import Scenario
+from spoofgym.truth.sensors import IMU_GRADES
 
 from ..clean_runs import OBSERVED, advance_to, begin, normalized_error_squared
 

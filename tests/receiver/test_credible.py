@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spoofgym._memory import Memory
+from spoofgym.core.memory import Memory
 from spoofgym.receiver.credible import CredibleBatch, CredibleFilter
 
 pytestmark = pytest.mark.nojit

@@ -5,13 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from spoofgym._jit import njit
-from spoofgym._simd import LANES, load, store
+from spoofgym.core.compile import njit
+from spoofgym.core.simd import LANES, load, store
 from spoofgym.earth.attitude import skew
-from spoofgym.earth.frames import geodetic_to_ecef
-from spoofgym.earth.wgs84 import EARTH_RATE, geocentric_surface_radius, gravity
+from spoofgym.earth.wgs84 import EARTH_RATE, geocentric_surface_radius, geodetic_to_ecef, gravity
 from spoofgym.receiver._kernels import show_transition
-from spoofgym.receiver.error_model import (
+from spoofgym.receiver.states import (
     ACCEL_BIAS,
     ATTITUDE,
     CLOCK_BIAS,

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spoofgym._jit import njit
-from spoofgym._simd import LANES
+from spoofgym.core.compile import njit
+from spoofgym.core.simd import LANES
 from spoofgym.receiver import kalman
 from spoofgym.receiver._kernels import solve_in_place
-from spoofgym.receiver.error_model import INDEX, PACKED
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES, OBSERVED
+from spoofgym.receiver.states import INDEX, PACKED
 
 from ..lanes import in_all_lanes, side_by_side
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spoofgym._simd import LANES
+from spoofgym.core.simd import LANES
 from spoofgym.earth.attitude import skew
-from spoofgym.earth.ranging import range_and_rate
+from spoofgym.earth.wgs84 import range_and_rate
 from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
 

@@ -5,10 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spoofgym.earth.frames import geodetic_to_ecef
-from spoofgym.earth.ranging import range_and_rate
+from spoofgym.earth.wgs84 import geodetic_to_ecef, range_and_rate
 from spoofgym.receiver import least_squares_fix
-from spoofgym.sim.constellation import CircularConstellation
+from spoofgym.truth.satellites import CircularConstellation
 
 ORBIT = 2.656e7
 

@@ -3,16 +3,14 @@
 import numpy as np
 import pytest
 
-from spoofgym._memory import Memory
-from spoofgym.earth.frames import ecef_to_geodetic
-from spoofgym.earth.wgs84 import radii_of_curvature
+from spoofgym.core.memory import Memory
+from spoofgym.earth.wgs84 import ecef_to_geodetic, radii_of_curvature
 from spoofgym.receiver import SelfTuning
 from spoofgym.receiver._loose_kernels import invert, joseph, propagate
 from spoofgym.receiver.loose import LooselyCoupled, LooseReceivers
-from spoofgym.receiver.loose_model import STATES, fill_local_axes, geodetic_point
-from spoofgym.sim.flight import flight_from_velocity
-from spoofgym.sim.loose_world import flown_world, loose_world
-from spoofgym.sim.trajectory import inverse_kinematics
+from spoofgym.receiver.loose_states import STATES, fill_local_axes, geodetic_point
+from spoofgym.truth.flight import flight_from_velocity, inverse_kinematics
+from spoofgym.truth.run import flown_world, loose_world
 
 WORLD = flown_world("shadmehri2025", 0.1)
 ARCSEC = np.pi / 180.0 / 3600.0

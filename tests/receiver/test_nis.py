@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from spoofgym.receiver.nis import normalized_innovation_squared
+from spoofgym.receiver.kalman import normalized_innovation_squared
 
 
 def drawn(receivers, m, seed=0):

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from spoofgym.earth.attitude import skew
-from spoofgym.earth.frames import dcm_e_from_n, ecef_to_geodetic
-from spoofgym.earth.ranging import range_and_rate
+from spoofgym.earth.wgs84 import dcm_e_from_n, ecef_to_geodetic, range_and_rate
 from spoofgym.receiver import NavState, NoiseModel, Recording, TightlyCoupled, replay
-from spoofgym.sim.constellation import CircularConstellation
-from spoofgym.sim.manoeuvres import Climb, Straight, Turn, fly
-from spoofgym.sim.trajectory import inverse_kinematics
+from spoofgym.truth.flight import inverse_kinematics
+from spoofgym.truth.manoeuvres import Climb, Straight, Turn, fly
+from spoofgym.truth.satellites import CircularConstellation
 
 from . import reference
 

@@ -6,10 +6,9 @@ from scipy import optimize
 
 from spoofgym.earth.wgs84 import EARTH_RATE, SPEED_OF_LIGHT
 from spoofgym.receiver import least_squares_fix
-from spoofgym.receiver.least_squares import fix_receivers
-from spoofgym.receiver.snapshot_positioning import expect
-from spoofgym.sim.constellation import CircularConstellation
-from spoofgym.sim.sky import make_sky, measure, scratch
+from spoofgym.receiver.snapshot import expect, fix_receivers
+from spoofgym.truth.line_of_sight import make_sky, measure, scratch
+from spoofgym.truth.satellites import CircularConstellation
 
 SKY = make_sky(3, 1.0, 12, CircularConstellation(satellites=36), speed_mps=50.0)
 

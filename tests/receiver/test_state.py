@@ -6,8 +6,15 @@ import pickle
 import numpy as np
 import pytest
 
-from spoofgym.receiver.epoch import OPTIONAL, Epoch, TracedEpoch, epoch_view
-from spoofgym.receiver.state import ALWAYS_SEEN, SEEN, ReceiverBuffers
+from spoofgym.receiver.epoch import (
+    ALWAYS_SEEN,
+    OPTIONAL,
+    SEEN,
+    Epoch,
+    ReceiverBuffers,
+    TracedEpoch,
+    epoch_view,
+)
 
 OF_OTHER_RECEIVERS = ("gnss_position", "auxiliary_position", "cn0_dbhz")
 

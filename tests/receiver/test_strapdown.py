@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spoofgym._jit import njit
-from spoofgym._simd import LANES, load, store
-from spoofgym.earth.frames import dcm_e_from_n, geodetic_to_ecef
-from spoofgym.earth.wgs84 import EARTH_RATE, gravity
+from spoofgym.core.compile import njit
+from spoofgym.core.simd import LANES, load, store
+from spoofgym.earth.wgs84 import EARTH_RATE, dcm_e_from_n, geodetic_to_ecef, gravity
 from spoofgym.receiver.strapdown import rotation_coefficients, strapdown_step
 
 from ..lanes import in_all_lanes, side_by_side

@@ -15,7 +15,7 @@ from onnx import TensorProto, helper, numpy_helper
 from spoofgym.envs.observer import Observer
 from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.envs.terms.observation import default_terms
-from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.spoofers import SpooferContext
 from spoofgym.spoofers.card import Card, fields_of
 

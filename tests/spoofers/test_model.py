@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from spoofgym.policies.card import Space
-from spoofgym.spoofers.model import ModelPolicy, function_of, inner_env, trained_in
+from spoofgym.spoofers.learned import ModelPolicy, function_of, inner_env, trained_in
 
 from .policies import BLIND
 

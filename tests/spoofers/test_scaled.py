@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.spoofers import Ramp, Scaled, SpooferContext, make_spoofer
-from spoofgym.spoofers.model import ModelPolicy
+from spoofgym.spoofers.learned import ModelPolicy
 from spoofgym.testing import check_spoofer
 
 CONTEXT = SpooferContext(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spoofgym.envs.spoofer_binding import bound_spoofer
-from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.spoofers import ThresholdRider
 from spoofgym.testing import check_spoofer
 

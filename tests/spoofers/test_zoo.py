@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from spoofgym.bench import Suite
-from spoofgym.bench.shipped import fitting
+from spoofgym.bench.runs.players import fitting
 from spoofgym.envs.spoofer_binding import setup_of_card
 from spoofgym.spoofers import SPOOFERS, OnnxPolicy, Ramp, card_of, make_spoofer, resolve, shipped
 from spoofgym.spoofers.zoo import ZOO_FOLDER, spec_of_shipped

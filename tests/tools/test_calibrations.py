@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from spoofgym.bench.detector_cards import classics_of
-from spoofgym.detector_tasks import DETECTOR_TASKS
+from spoofgym.bench.report.tasks import classics_of
+from spoofgym.calibration.thresholds import inner_detectors
 from spoofgym.detectors.calibrated import identity_of
-from spoofgym.simulators.calibration import inner_detectors
+from spoofgym.tasks import DETECTOR_TASKS
 from tools.calibrations import OWN_WORLDS, detectors_of
 
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from spoofgym.bench.evaluate import Evaluator
+from spoofgym.bench.experiments.evaluate import Evaluator
 from tools import feedback_gain
 from tools.feedback_gain import BLIND, FEEDBACK, OFF, RATIOS, RIDER, cases, headline, played, rows
 

@@ -17,8 +17,7 @@ for name in ("torch", "tyro"):
 
 from rich.console import Console
 
-from spoofgym.detector_tasks import DETECTOR_TASKS
-from spoofgym.tasks import TASKS
+from spoofgym.tasks import DETECTOR_TASKS, TASKS
 from tools.learn_all import MARKS, Settings, Step, run, steps_of
 
 QUIET = Console(quiet=True)

@@ -10,7 +10,7 @@ pytest.importorskip("tyro")
 
 from rich.console import Console
 
-from spoofgym.bench.evaluate import Evaluator
+from spoofgym.bench.experiments.evaluate import Evaluator
 from tools.refits import RESULTS, Settings, play, table
 
 QUIET = Console(quiet=True)

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("rich")
 pytest.importorskip("torch")  # of the laboratory, whose copying is used
 
-from spoofgym.bench.evaluate import Evaluator
+from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.spoofers.card import Card
 from tests.spoofers.policies import TIMELINE, write_policy
 from tools.ship_spoofer import main, ship

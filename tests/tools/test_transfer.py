@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from spoofgym.bench.evaluate import Evaluator
+from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.tasks import task_of
 from tools import transfer
 from tools.transfer import Kept, Worlds, line, table

@@ -7,7 +7,7 @@ import threading
 import pytest
 import typer
 
-from spoofgym._describe import describe, digest_of
+from spoofgym.core.settings import describe, digest_of
 from spoofgym.spoofers.zoo import card_of, shipped
 from tools import walk
 

@@ -24,11 +24,11 @@ from rich.console import Console
 from agents.detector_loss import undetected
 from agents.detector_score import area, classics_of, scored
 from agents.record import read_record
-from spoofgym.bench.dataset import Episodes, Plan, load, write
-from spoofgym.bench.run import WarmStart, displacement_of, play
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.experiments.dataset import Episodes, Plan, load, write
+from spoofgym.bench.runs.play import WarmStart, displacement_of, play
+from spoofgym.bench.runs.world import Suite
 from spoofgym.detectors import make_detector
-from spoofgym.simulators.splits import generators_of, seeds_of_runs
+from spoofgym.simulation.setup import generators_of, seeds_of_runs
 from train import detector as module
 from train.detector import CHECKPOINT, RECORD, Arguments, Trainer, train
 

@@ -17,9 +17,9 @@ from rich.console import Console
 import spoofgym.tasks
 from agents.folder import open_folder
 from spoofgym import duel_v0
+from spoofgym.calibration import calibrate
 from spoofgym.detectors import make_detector
-from spoofgym.detectors.calibration import FOLDER_VARIABLE
-from spoofgym.simulators import calibrate
+from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from spoofgym.tasks import Task
 from train import double_oracle
 from train.double_oracle import RESULTS, Arguments, DoubleOracle, main, run

@@ -23,7 +23,7 @@ from agents.bar import Bar
 from agents.folder import open_folder
 from agents.price import next_price
 from agents.record import read_record
-from spoofgym.bench.evaluate import Evaluator
+from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.envs import attach
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import Card, OnnxPolicy

@@ -27,8 +27,8 @@ from spoofgym.detectors import (
     SnapshotChi2,
 )
 from spoofgym.receiver import TightlyCoupled
-from spoofgym.sim.scenario import SCENARIOS
-from spoofgym.simulators import Engine, TightlyCoupledSetup, Timeline
+from spoofgym.simulation import Engine, TightlyCoupledSetup, Timeline
+from spoofgym.truth.scenario import SCENARIOS
 
 FIRST, LAST = 350, 550
 """First and last spoofed epoch [s]."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spoofgym._pictures import save_figure
+from spoofgym.core.plots import save_figure
 
 from .campaign import SEEN_FROM, THRESHOLD
 from .tables import RAMPS, STEPS, Data, unit

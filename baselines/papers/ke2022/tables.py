@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym.detectors.innovation_rate.detector import channel_quantiles
-from spoofgym.detectors.innovation_rate.rate_filter import FIRST_COVARIANCE, advance
+from spoofgym.detectors.innovation_rate import FIRST_COVARIANCE, advance, channel_quantiles
 
 from ..frame import Band, Origin, Row
 from .origins import ALL_RUNS, ANY_SATELLITE, DELAY, NO_ALARM, QUARTER, SAMPLES, SHARE, SINGLE_RUN

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from spoofgym.detectors.windowed_chi2 import estimated_covariance_thresholds
-from spoofgym.simulators import Engine, LooselyCoupledSetup
-from spoofgym.simulators.loosely_coupled import INTERVAL_S
+from spoofgym.detectors.chi_square import estimated_covariance_thresholds
+from spoofgym.simulation import Engine, LooselyCoupledSetup
+from spoofgym.simulation.loose import INTERVAL_S
 
 FloatArray = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym._pictures import save_figure
+from spoofgym.core.plots import save_figure
 
 from .rows import joined_sweep
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.robot_data_sets import DATA_SETS, RobotDataSet
-from spoofgym._memory import Memory
+from spoofgym.core.memory import Memory
 from spoofgym.detectors import DetectorContext, make_detector
 from spoofgym.receiver.credible import CredibleBatch, CredibleFilter
-from spoofgym.simulators import Engine, WheeledRobotSetup
+from spoofgym.simulation import Engine, WheeledRobotSetup
 
 FloatArray = NDArray[np.float64]
 

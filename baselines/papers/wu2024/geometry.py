@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.earth.frames import dcm_e_from_n, geodetic_to_ecef
-from spoofgym.sim.constellation import CircularConstellation
+from spoofgym.earth.wgs84 import dcm_e_from_n, geodetic_to_ecef
+from spoofgym.truth.satellites import CircularConstellation
 
 FloatArray = NDArray[np.float64]
 

@@ -9,13 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.detectors.raim import residual_vectors, traversal
-from spoofgym.detectors.raim.consistency import (
-    SearchData,
-    fit_thresholds,
-    search_data,
-    tabulate_cases,
-)
+from spoofgym.detectors import raim as residual_vectors
+from spoofgym.detectors import raim as traversal
+from spoofgym.detectors.consistency import SearchData, fit_thresholds, search_data, tabulate_cases
 
 from .draws import displacements, offsets, subsets
 from .geometry import SATELLITES, sky

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym._jit import inlined, njit
-from spoofgym.detectors.raim.residual_vectors import SEED, search_vectors
+from spoofgym.core.compile import inlined, njit
+from spoofgym.detectors.raim import SEED, search_vectors
 
 from .draws import displacements, offsets, subsets
 from .geometry import SATELLITES, sky

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym._pictures import save_figure
-from spoofgym.detectors.thresholds import two_sided_quantile
-from spoofgym.earth.frames import ecef_to_geodetic
+from spoofgym.core.plots import save_figure
+from spoofgym.detectors.innovation import two_sided_quantile
+from spoofgym.earth.wgs84 import ecef_to_geodetic
 
 from .bands import LABELS, NOISES, ONSET_S
 from .runs import EPOCH_S, FIRST_S, INTERMITTENT, METHODS, TABLED, Several, setup_of

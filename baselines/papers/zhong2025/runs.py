@@ -15,9 +15,9 @@ from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.receiver import TightlyCoupled
 from spoofgym.receiver.epoch import Epoch
 from spoofgym.receiver.tight import NoiseModel
-from spoofgym.sim.gnss import ERRORS
-from spoofgym.simulators import Engine, TightlyCoupledSetup
+from spoofgym.simulation import Engine, TightlyCoupledSetup
 from spoofgym.spoofers import make_spoofer
+from spoofgym.truth.gnss_errors import ERRORS
 
 FloatArray = NDArray[np.float64]
 Spec = Mapping[str, Any]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.detectors.thresholds import two_sided_quantile
+from spoofgym.detectors.innovation import two_sided_quantile
 
 from .delays import end_delay, onset_delay
 from .runs import COMPARATORS, METHODS, PRODUCTION, SATELLITES, TABLED, fly

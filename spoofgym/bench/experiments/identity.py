@@ -11,9 +11,9 @@ from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
-from ..._describe import digest_of, digest_of_bytes, digest_of_code
-from ..._files import write_file
-from ..._jit import cache_parent
+from ...core.compile import cache_parent
+from ...core.files import write_file
+from ...core.settings import digest_of, digest_of_bytes, digest_of_code
 
 PACKAGES = ("numpy", "scipy", "numba", "onnxruntime")
 NOT_COMPUTING = {"cli", "report", "testing", "__main__", "_progress", "_files", "runner"}

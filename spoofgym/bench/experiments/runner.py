@@ -32,8 +32,8 @@ import cloudpickle
 import numpy as np
 from joblib import cpu_count
 
-from ..._progress import NullProgress, ProgressBar, ProgressCallback, RemainingWork
-from ..._registry import check_choice, whole_number
+from ...core.progress import NullProgress, ProgressBar, ProgressCallback, RemainingWork
+from ...core.registry import check_choice, whole_number
 from .store import Cell, Reader, Result, Store
 
 BACKENDS = {"local": None, "dask": "dask", "ray": "ray-campaign"}

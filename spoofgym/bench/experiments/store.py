@@ -21,8 +21,8 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from ..._describe import differences, digest_of
-from ..._files import remove_stale_parts, write_file
+from ...core.files import remove_stale_parts, write_file
+from ...core.settings import differences, digest_of
 from .identity import code_identity
 
 FORMAT = 1

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._files import whole_file
-from ..._registry import check_choice
+from ...core.files import whole_file
+from ...core.registry import check_choice
 
 Frame = NDArray[np.uint8]
 

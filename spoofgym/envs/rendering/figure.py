@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._pictures import RED, figure_class
-from ...simulators.frame import EpisodeLayout
+from ...core.plots import RED, figure_class
+from ...simulation.frame import EpisodeLayout
 from .history import RenderHistory
 from .panels import ErrorPanel, ErrorPlane, FlightMap, Panel, SkyPlot, StatisticPanel
 

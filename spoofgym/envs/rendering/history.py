@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...simulators.base import Simulator, run_serially
-from ...simulators.frame import EpisodeLayout, FrameData, SkyData
+from ...simulation.frame import EpisodeLayout, FrameData, SkyData
+from ...simulation.simulator import Simulator, run_serially
 from ..core import SpoofCore
 
 FloatArray = NDArray[np.float64]

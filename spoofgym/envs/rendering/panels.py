@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._pictures import BLUE, GREEN, GREY, GRID, ORANGE, RED, style
-from ...simulators.frame import EpisodeLayout, FloatArray, SkyData
+from ...core.plots import BLUE, GREEN, GREY, GRID, ORANGE, RED, style
+from ...simulation.frame import EpisodeLayout, FloatArray, SkyData
 from .history import RenderHistory
 
 if TYPE_CHECKING:

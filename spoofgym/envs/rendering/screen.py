@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._pictures import figure_class
-from ..._registry import check_choice
+from ...core.plots import figure_class
+from ...core.registry import check_choice
 from .figure import DPI, SIZE_IN, Painter
 from .history import CoreRecorder, RenderHistory
 

@@ -14,8 +14,8 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._registry import check_finite
-from ...simulators.setup import Setup
+from ...core.registry import check_finite
+from ...simulation.setup import Setup
 from .._kernels import follow_rate
 
 FloatArray = NDArray[np.float64]

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...simulators.base import Simulator
-from ...simulators.setup import Setup
+from ...simulation.setup import Setup
+from ...simulation.simulator import Simulator
 
 
 class Snapshot(NamedTuple):

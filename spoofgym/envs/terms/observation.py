@@ -17,10 +17,10 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._registry import check_choice, check_finite
-from ...simulators.broadcast import KEPT, PastPositions, reports
-from ...simulators.divergence import Divergence
-from ...simulators.setup import Setup
+from ...core.registry import check_choice, check_finite
+from ...simulation.divergence import Divergence
+from ...simulation.monitors import KEPT, PastPositions, reports
+from ...simulation.setup import Setup
 from .._kernels import own_command, time_fractions
 from .base import Snapshot
 

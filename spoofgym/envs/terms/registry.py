@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
-from ..._describe import describe
-from ..._registry import build, check_choice
+from ...core.registry import build, check_choice
+from ...core.settings import describe
 from .action import ACTION_TERMS, ActionTerm
 from .observation import OBSERVATION_TERMS, ObservationTerm
 from .reward import REWARD_TERMS, RewardTerm

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._registry import check_finite
+from ...core.registry import check_finite
 from .base import holds_for_call
 
 FloatArray = NDArray[np.float64]

@@ -14,8 +14,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._registry import check_finite, whole_number
-from ...simulators.divergence import Divergence
+from ...core.registry import check_finite, whole_number
+from ...simulation.divergence import Divergence
 from .base import Snapshot
 
 FloatArray = NDArray[np.float64]

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym._describe import digest_of_code
 from spoofgym.bench.experiments import Store, identity, run
 from spoofgym.bench.experiments.identity import code_identity, digest_of_sources, file_identity
+from spoofgym.core.settings import digest_of_code
 
 from .support import Numbers, content
 

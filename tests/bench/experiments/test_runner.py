@@ -16,15 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym.bench.experiments import (
-    Cell,
-    Context,
-    Result,
-    Store,
-    parse_shard,
-    run,
-    runner,
-)
+from spoofgym.bench.experiments import Cell, Context, Result, Store, parse_shard, run, runner
 
 from .support import Numbers, content, expected
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spoofgym import _files
 from spoofgym.bench.experiments import Cell, Reader, Result, Store, run
+from spoofgym.core import files as _files
 
 from .support import Numbers, content, expected
 

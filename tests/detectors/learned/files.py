@@ -11,10 +11,9 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from spoofgym.detectors.learned.agent import DetectorAgent, action_names
-from spoofgym.detectors.learned.card import DetectorCard, card_path
-from spoofgym.detectors.learned.detector import detector_card
-from spoofgym.detectors.learned.observer import DetectorObserver
+from spoofgym.detectors.learned import DetectorAgent, action_names, detector_card
+from spoofgym.detectors.learned_card import DetectorCard, card_path
+from spoofgym.detectors.observation import DetectorObserver
 
 CHANNELS = 12
 TERMS = ("innovation", "in-view", "elapsed")

@@ -13,20 +13,22 @@ from onnx import helper, numpy_helper
 
 import spoofgym
 from spoofgym import duel_v0
-from spoofgym.bench.entries import detector_entry
-from spoofgym.bench.evaluate import Evaluator
-from spoofgym.bench.specs import campaign_digest, make_judge, parse_spec
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.versions import campaign_digest
+from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.runs.world import Suite
+from spoofgym.calibration import calibrate
+from spoofgym.calibration.clean_runs import Player
 from spoofgym.cli.app import app
-from spoofgym.detectors import LearnedDetector, calibrated, make_detector
+from spoofgym.core.registry import parse_spec
+from spoofgym.detectors import LearnedDetector, calibrated, detector_in_world, make_detector
 from spoofgym.detectors.calibrated import identity_of
-from spoofgym.detectors.calibration import FOLDER_VARIABLE
+from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from spoofgym.envs.wrappers import DetectorWrapper, WatchWrapper
 from spoofgym.limits import Replay
 from spoofgym.sb3 import SpoofVecEnv
-from spoofgym.simulators import TightlyCoupledSetup, calibrate
-from spoofgym.simulators.clean_runs import Player
-from spoofgym.simulators.splits import seed_sequences
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.setup import seed_sequences
 from spoofgym.testing import check_detector
 
 from .files import TERMS, edit_card, value, write_guard
@@ -229,12 +231,12 @@ def test_a_campaign_names_it_by_content(guard, tmp_path):
     entry = detector_entry(str(guard))
     assert entry.label.startswith("guard")
     assert entry.spec["sha256"] == LearnedDetector(str(guard)).sha256
-    again = make_judge(json.loads(json.dumps(entry.spec)))
+    again = detector_in_world(json.loads(json.dumps(entry.spec)))
     assert (again.scale, again.detector.sha256) == (0.9, entry.spec["sha256"])
     text = parse_spec(f"{guard}:threshold=0.5")
     assert detector_entry(text).spec["threshold_scale"] == 0.5
     plain = detector_entry(LearnedDetector(str(guard)))
-    assert make_judge(plain.spec).scale == 1.0
+    assert detector_in_world(plain.spec).scale == 1.0
     moved = tmp_path / "moved"
     moved.mkdir()
     for suffix in (".onnx", ".json"):
@@ -251,7 +253,7 @@ def test_a_campaign_names_it_by_content(guard, tmp_path):
 
 
 def test_as_published_is_the_threshold_of_the_card(guard):
-    assert make_judge({"name": str(guard), "thresholds": "nominal"}).scale == 0.9
+    assert detector_in_world({"name": str(guard), "thresholds": "nominal"}).scale == 0.9
 
 
 def test_spoofers_are_scored_against_it(guard):
@@ -314,7 +316,9 @@ def test_limits_say_that_it_has_no_bound(guard, capsys):
 
 def test_the_default_rate_is_asked_for_in_a_world(guard, monkeypatch):
     monkeypatch.setattr(calibrated, "DEFAULT_RATE", 0.2)
-    made = tight("never").altered(detector=make_judge({"name": str(guard), "threshold": 0.4}))
+    made = tight("never").altered(
+        detector=detector_in_world({"name": str(guard), "threshold": 0.4})
+    )
     assert made.detector.scale == 0.4
     with pytest.raises(ValueError, match=r"no calibration of .*guard\.onnx .* 0\.2 false alarms"):
         gym.make(ID, detector=str(guard), timeline=FAST)

@@ -13,7 +13,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from spoofgym.detectors import LearnedDetector
-from spoofgym.detectors.learned.card import OnnxDetector
+from spoofgym.detectors.learned_card import OnnxDetector
 from spoofgym.policies.onnx_file import MOST_OPERATORS, MOST_PARTS, read_model
 from spoofgym.policies.onnx_model import OnnxModel
 from spoofgym.testing import check_detector

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import make_detector
-from spoofgym.detectors.learned.agent import DetectorAgent
-from spoofgym.detectors.learned.observer import (
+from spoofgym.detectors.learned import DetectorAgent
+from spoofgym.detectors.observation import (
     ALL_TERMS,
     DETECTOR_TERMS,
     DetectorObserver,
+    ExclusionLeft,
     make_detector_terms,
     written_terms,
 )
-from spoofgym.detectors.learned.terms import ExclusionLeft
-from spoofgym.earth.frames import dcm_e_from_n, ecef_to_geodetic
+from spoofgym.earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from spoofgym.receiver.epoch import Epoch, TracedEpoch
 from spoofgym.testing.epochs import engine_script
 

@@ -5,9 +5,9 @@ import pytest
 
 from spoofgym.attacks import PerChannel
 from spoofgym.detectors import Raim, SrvRaim, TraversalRaim
-from spoofgym.detectors.raim.consistency import fit_thresholds
-from spoofgym.detectors.raim.residual import residual_statistic
-from spoofgym.simulators import Engine, TightlyCoupledSetup
+from spoofgym.detectors.consistency import fit_thresholds
+from spoofgym.detectors.raim import residual_statistic
+from spoofgym.simulation import Engine, TightlyCoupledSetup
 
 from ..skies import LINE_OF_SIGHT, NOISE, SATELLITES, context, sky_epoch, spoofed_offset
 

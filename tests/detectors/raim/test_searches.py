@@ -5,9 +5,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from spoofgym.detectors.raim.consistency import checked_rows, fit_thresholds, frame_axes
-from spoofgym.detectors.raim.residual_vectors import search_vectors, srv_raim
-from spoofgym.detectors.raim.traversal import traversal_raim
+from spoofgym.detectors.consistency import checked_rows, fit_thresholds, frame_axes
+from spoofgym.detectors.raim import search_vectors, srv_raim, traversal_raim
 
 SIGMA = 4.0
 LIMIT = fit_thresholds(SIGMA, 0.05, 12)

@@ -7,7 +7,7 @@ import pytest
 
 from spoofgym.envs.rendering import CoreRecorder, RenderHistory
 from spoofgym.envs.rendering.panels import NAME_SIZE, beside
-from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulation import TightlyCoupledSetup
 
 from ..support import SMALL, victim
 

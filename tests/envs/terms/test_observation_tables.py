@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import spoofgym  # noqa: F401  (registers the ids)
-from spoofgym.detectors.learned.terms import Elapsed, InnovationSd, PredictedMotion
+from spoofgym.detectors.observation import Elapsed, InnovationSd, PredictedMotion
 from spoofgym.duel_v0 import DetectorView
 from spoofgym.envs.terms.action import CommandMap, default_action
 from spoofgym.envs.terms.observation import default_terms, observation_table

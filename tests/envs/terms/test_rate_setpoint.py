@@ -6,7 +6,7 @@ import pytest
 
 from spoofgym.envs import SpoofCore, attach
 from spoofgym.envs.terms.action import CommandMap, RateSetpoint, default_action
-from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulation import TightlyCoupledSetup
 
 from ..support import ID, SHORT
 

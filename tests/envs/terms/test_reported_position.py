@@ -5,7 +5,7 @@ import pytest
 
 from spoofgym.envs import SpoofCore
 from spoofgym.envs.terms.observation import ReportedDeviation, ReportedPosition, Time
-from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulation import TightlyCoupledSetup
 
 from ..support import SHORT, victim
 

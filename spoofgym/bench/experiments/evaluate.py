@@ -1,0 +1,379 @@
+"""Score of any spoofer by the benchmark's rule, without a campaign and its folder."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...calibration.clean_runs import Progress, Silent
+from ...core.registry import check_finite, check_keywords, whole_number
+from ...spoofers import Spoofer
+from ...spoofers.learned import ModelPolicy, trained_in
+from ...spoofers.scaled import AMPLITUDE, SMALLEST, Scaled
+from ...tasks import task_of
+from ..runs.play import Runs, WarmStart, displacement_of, play
+from ..runs.players import Entry, build_spoofer, fitted, spoofer_entry
+from ..runs.world import WORLD, Suite, Tuning
+from ..scores.scores import clusters_of, counted, stealth_of
+from ..scores.spoofer import Score
+from ..scores.statistics import BUDGET, bootstrap_mean, fewest_runs, resamples_of, wilson
+from ..search.amplitude import TuningResult
+from .campaign import search, start_of, with_rates
+
+FITTED = "fitted"
+"""Amplitude that is fitted to the alarm budget on training runs, which are not scored."""
+RUNS, FIT_RUNS = 400, 128
+"""Evaluation runs and training runs by default."""
+SIFTED = 16
+"""Share of the training runs that sift the amplitudes, as one in so many."""
+
+
+@dataclass(frozen=True)
+class LiveEntry(Entry):
+    """A spoofer that is an object, which no text describes; its amplitude is fitted, or given.
+
+    `largest`: largest amplitude that is tried; None for the usual one.
+    """
+
+    spoofer: Spoofer
+    fits: bool
+    largest: float | None = None
+
+    @property
+    def tuned(self) -> str | None:
+        return AMPLITUDE if self.fits else None
+
+    @property
+    def searched(self) -> bool:
+        return False
+
+    @property
+    def untuned(self) -> Any:
+        return self.spoofer
+
+    def with_value(self, value: float) -> Any:
+        return Scaled(self.spoofer, value)
+
+
+class Evaluator:
+    """Scores spoofers on the same runs, whose warm-up and clean twins are simulated once.
+
+    Parameters
+    ----------
+    task : str, optional
+        ``"T1"`` to ``"T6"``; or the settings of a world and its detector in its place.
+    runs : int
+        Evaluation runs, which decide nothing.
+    fit_runs : int
+        Training runs, on which an amplitude is fitted; at least 59, since fewer can't show that a
+        budget of 5 % is kept.  With more of them scores of other runs lie closer together, and
+        everybody gets farther: 128 allow 2 alarms, 1024 allow 39.
+    entropy : int
+        Seed of all of them.
+    threads : int, optional
+        Threads of the engine.
+    progress : Progress, optional
+        Shows how far it is.
+    **world
+        Without a task: ``detector``, and settings of the environment as `Suite` takes them, such as
+        ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``.
+
+    Raises
+    ------
+    ValueError
+        When the detector is asked for a rate of false alarms that it is not calibrated for here;
+        the message has the command that does so.
+
+    Examples
+    --------
+    >>> from spoofgym.bench.experiments.evaluate import Evaluator
+    >>> world = {"timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}}
+    >>> detector = {"name": "snapshot-chi2", "thresholds": "nominal"}
+    >>> judge = Evaluator(detector=detector, runs=4, fit_runs=80, **world)
+    >>> ramp = judge.score({"name": "ramp", "rate_mps": 0.1})
+    >>> ramp.runs, ramp.knowledge
+    (4, 'blind')
+    """
+
+    def __init__(
+        self,
+        task: str | None = None,
+        *,
+        runs: int = RUNS,
+        fit_runs: int = FIT_RUNS,
+        entropy: int = 0,
+        threads: int | None = None,
+        progress: Progress | None = None,
+        **world: Any,
+    ) -> None:
+        if task is None:
+            if "detector" not in world:
+                raise ValueError("`evaluate` needs a task, or a `detector` and its world")
+            detector = world.pop("detector")
+            check_keywords("evaluate", world, (*WORLD, "env", "settings"))
+            chosen: dict[str, Any] = {**world, "detectors": [detector]}
+        elif world:
+            raise ValueError(
+                f"task {task} decides the world: `{', '.join(world)}` can't be given with it"
+            )
+        else:
+            chosen = task_of(task).suite_kwargs
+        fit_runs = whole_number("`fit_runs`", fit_runs, fewest_runs(BUDGET))
+        tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1))
+        self.task, self.threads, self.progress = task, threads, progress or Silent()
+        self.suite = Suite(**chosen, spoofers=["none"], runs=runs, entropy=entropy, tuning=tuning)
+        self.suite.check_fit()
+        (self.detector,) = self.suite.detector_entries
+        self._starts: dict[tuple[str, tuple[type, ...]], tuple[WarmStart, Runs]] = {}
+
+    def _start(self, split: str, entry: Entry) -> tuple[WarmStart, Runs]:
+        """Runs of a split, kept for all spoofers that need the same to be watched."""
+        watched = tuple(map(type, self.suite.watched_for([entry])))
+        if (split, watched) not in self._starts:
+            runs = self.suite.tuning.runs if split == "training" else self.suite.runs
+            self._starts[split, watched] = start_of(
+                self.suite, self.detector, split, runs, self.threads, self.progress, [entry]
+            )
+        return self._starts[split, watched]
+
+    def _fitted(self, entry: Entry) -> TuningResult:
+        start, clean = self._start("training", entry)
+        return search(self.suite, self.detector, entry, start, clean, self.progress)
+
+    def fit(self, policy: Any, *, knowledge: str | None = None) -> TuningResult:
+        """Fit the amplitude of a spoofer on the training runs; its `score` is of these.
+
+        Parameters
+        ----------
+        policy, knowledge : optional
+            As in `evaluate`.
+
+        Returns
+        -------
+        TuningResult
+            ``value``, ``within_budget``, ``score`` [m] and all that was tried.
+        """
+        return self._fitted(entry_of(policy, FITTED, knowledge))
+
+    def check(self, policy: Any) -> None:
+        """Raise where a spoofer does not fit this world, before anything is played.
+
+        Parameters
+        ----------
+        policy : str or mapping
+            Its name, name and settings, or the path of an ``.onnx`` file.
+
+        Raises
+        ------
+        ValueError
+            When there is none of that name, or it needs another world.
+        """
+        replace(self.suite, spoofers=[entry_of(policy, FITTED, None).spec]).check_fit()
+
+    def score(
+        self,
+        policy: Any,
+        *,
+        amplitude: float | str | None = FITTED,
+        knowledge: str | None = None,
+        label: str | None = None,
+        largest_amplitude: float | None = None,
+    ) -> Score:
+        """Score of one spoofer.
+
+        Parameters
+        ----------
+        policy, amplitude, knowledge, label, largest_amplitude : optional
+            As in `evaluate`.
+
+        Returns
+        -------
+        Score
+            Of the evaluation runs.
+        """
+        entry = entry_of(policy, amplitude, knowledge, label, largest_amplitude)
+        setting, spec, within, value = entry.tuned, entry.untuned, None, None
+        if setting is not None:
+            found = self._fitted(entry)
+            if found.found is not None:
+                entry = with_rates(entry, found.found["played"]["rates_mps"])
+            spec, within, value = entry.with_value(found.value), found.within_budget, found.value
+        elif isinstance(entry, LiveEntry) and isinstance(entry.spoofer, Scaled):
+            setting, value = AMPLITUDE, entry.spoofer.amplitude
+        start, twin = self._start("evaluation", entry)
+        setup, runs, now = start.setup, self.suite.runs, f"{entry.label}: evaluation runs"
+        attacked = play(start, spec, tick=lambda part: self.progress.advance(part * runs, now))
+        counts = counted(start.warmup_alarm, twin.first_alarm)
+        moved = displacement_of(setup, attacked, twin)
+        alarmed = attacked.first_alarm > 0
+        stealth = stealth_of(moved, alarmed, counts)
+        sky = twin.onset // setup.epochs_each
+        samples = resamples_of(clusters_of(sky)[counts])
+        budget = self.suite.tuning.budget
+        return Score(
+            task=self.task,
+            detector=self.detector.label,
+            spoofer=entry.label,
+            knowledge=build_spoofer(entry.untuned).knowledge,
+            setting=setting,
+            value=value,
+            runs=runs,
+            counted=stealth.runs,
+            stealthy_displacement_m=bootstrap_mean(moved[counts], samples),
+            alarm_rate=wilson(stealth.alarms, stealth.runs),
+            clean_alarm_rate=float((twin.first_alarm > 0).mean()),
+            budget=budget,
+            within_budget=stealth.seems_to_keep(budget),
+            fit_within_budget=within,
+            displacement_m=moved,
+            alarmed=alarmed,
+            counts=counts,
+            sky=np.asarray(sky),
+            twins=hashlib.sha256(twin.position.tobytes()).hexdigest(),
+        )
+
+
+def evaluate(
+    policy: Any,
+    task: str | None = None,
+    *,
+    runs: int = RUNS,
+    fit_runs: int = FIT_RUNS,
+    amplitude: float | str | None = FITTED,
+    knowledge: str | None = None,
+    label: str | None = None,
+    largest_amplitude: float | None = None,
+    entropy: int = 0,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    **world: Any,
+) -> Score:
+    """Score a spoofer by the rule of the benchmark, on runs that the call decides nothing on.
+
+    A policy that is shipped, or another one in a file, may have been chosen with these very runs in
+    view; its card says so (``decided_on``, `spoofgym card`).  Then take another `entropy`.
+
+    The score is the stealthy displacement: the mean undetected displacement over the runs that are
+    silent before the onset and without an attack, of which at most 5 % may alarm.  The amplitude of
+    the commands is fitted to that on training runs of their own.
+
+    Parameters
+    ----------
+    policy : object
+        A model of stable-baselines3, with the ``VecNormalize`` of its environment folded in, which
+        a model that was loaded has only if it was given ``env=`` (else a warning says so); a torch
+        module; a function of (B, o) observations that returns (B, a) actions; a `Spoofer`;
+        its name, or name and settings; or the path of an ``.onnx`` file with its card.
+    task : str, optional
+        ``"T1"`` to ``"T6"``; without one, ``detector`` and its world are given by name.
+    runs, fit_runs, entropy, threads, progress : optional
+        As in `Evaluator`.
+    amplitude : {"fitted"}, float or None
+        Factor on all commands, fitted by default; None for the commands as they are.  A scripted
+        spoofer by its name alone has its usual setting fitted, as a ramp its rate.
+    knowledge : str, optional
+        What a model observes: by default what the environment that it has been trained in gave it,
+        ``"blind"`` where none is known.
+    label : str, optional
+        Name of a model in the score.
+    largest_amplitude : float, optional
+        Of a model whose amplitude is fitted, the largest one that is tried; 10 by default.  A
+        network that has not learned answers by some hundredths, and needs a thousand.
+    **world
+        As in `Evaluator`.
+
+    Returns
+    -------
+    Score
+        Also whether the budget is kept; a displacement over it is no score.
+
+    Raises
+    ------
+    TypeError
+        When the policy is something else.
+    ValueError
+        When it does not fit the task, returns NaN or infinity, remembers, or is a pickled file.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spoofgym
+    >>> world = {"timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}}
+    >>> detector = {"name": "snapshot-chi2", "thresholds": "nominal"}
+    >>> score = spoofgym.evaluate(
+    ...     lambda seen: np.full((len(seen), 1), 0.1), detector=detector, runs=4, amplitude=None,
+    ...     label="mine", **world
+    ... )
+    >>> score.spoofer, score.runs, score.keeps_budget
+    ('mine', 4, True)
+    """
+    judge = Evaluator(
+        task,
+        runs=runs,
+        fit_runs=fit_runs,
+        entropy=entropy,
+        threads=threads,
+        progress=progress,
+        **world,
+    )
+    return judge.score(
+        policy,
+        amplitude=amplitude,
+        knowledge=knowledge,
+        label=label,
+        largest_amplitude=largest_amplitude,
+    )
+
+
+def entry_of(
+    policy: Any,
+    amplitude: float | str | None,
+    knowledge: str | None,
+    label: str | None = None,
+    largest: float | None = None,
+) -> Entry:
+    """Entry of a spoofer of any form, and what of it is to be fitted, up to which amplitude."""
+    fits = _is_fitted(amplitude, largest)
+    if isinstance(policy, str | os.PathLike | Mapping):
+        if knowledge is not None or label is not None:
+            raise ValueError("`knowledge` and `label` are for models; this spoofer has its own")
+        if largest is not None:
+            raise ValueError(
+                "`largest_amplitude` is for models; this spoofer has a range of its own"
+            )
+        spec = dict(policy) if isinstance(policy, Mapping) else {"name": os.fspath(policy)}
+        if not fits and amplitude is not None:
+            spec = {**spec, AMPLITUDE: amplitude}
+        return spoofer_entry(fitted(spec) if fits else spec)
+    spoofer = policy
+    if not isinstance(policy, Spoofer):
+        known = {**trained_in(policy), **({} if knowledge is None else {"knowledge": knowledge})}
+        spoofer = ModelPolicy(policy, label=label, **known)
+    name = str(spoofer.label or type(spoofer).__name__)
+    if isinstance(spoofer, Scaled) and amplitude is not None:
+        raise ValueError(f"{name} has an amplitude already, {spoofer.amplitude:g}: give None")
+    if not fits and amplitude is not None:
+        spoofer = Scaled(spoofer, float(amplitude))
+    return LiveEntry(name, {"name": name}, spoofer, fits and spoofer.transmits, largest)
+
+
+def _is_fitted(amplitude: float | str | None, largest: float | None) -> bool:
+    """Whether an amplitude is to be fitted; raises where it, or the largest one, is none."""
+    fits = amplitude == FITTED
+    if isinstance(amplitude, str) and not fits:
+        raise ValueError(f"`amplitude` must be {FITTED!r}, a number or None, got {amplitude!r}")
+    if not fits and amplitude is not None:
+        check_finite("amplitude", amplitude, "> 0")
+    if largest is None:
+        return fits
+    check_finite("largest_amplitude", largest)
+    if largest <= SMALLEST:
+        raise ValueError(f"`largest_amplitude` must be above {SMALLEST:g}, got {largest!r}")
+    if not fits:
+        raise ValueError(f"`largest_amplitude` is for `amplitude={FITTED!r}`, got {amplitude!r}")
+    return fits

@@ -1,0 +1,147 @@
+"""Cards of spoofers and of learned detectors, to be read by people."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from ...core.registry import check_choice
+from ...detectors import zoo
+from ...detectors.learned_card import DetectorCard, OnnxDetector, card_path
+from ...policies.card import PolicyFile, kind_at
+from ...policies.onnx_file import SUFFIX
+from ...spoofers.card import Card
+from ...spoofers.learned import OnnxPolicy
+from ...spoofers.zoo import card_of, shipped
+
+SCORES_HEAD = (
+    "detector",
+    "runs, counted",
+    "split, entropy",
+    "undetected displacement [m]",
+    "alarm rate [%]",
+    "without attack [%]",
+    "budget [%]",
+)
+SHOWN = 60
+"""Letters of a long list or text that are shown."""
+
+
+def find_card(name: str) -> Card | DetectorCard:
+    """Card by the name of a shipped spoofer or detector, or by a file, which has to fit it."""
+    path = Path(name)
+    is_network = path.suffix == SUFFIX
+    if is_network or path.suffix == ".json":
+        path = path.with_suffix(".json")
+        judges = kind_at(path) == "detector-policy"
+        if is_network:  # which has to fit its card
+            return OnnxDetector(name).card if judges else OnnxPolicy(name).card
+        return (DetectorCard if judges else Card).load(path)
+    check_choice("shipped spoofer or detector", name, [*shipped(), *zoo.shipped()])
+    if name in zoo.shipped():
+        return DetectorCard.load(card_path(zoo.path_of(name)))
+    return card_of(name)
+
+
+def score_text(score: dict[str, Any]) -> str:
+    mean, low, high = (score[key] for key in ("undetected_displacement_m", "low", "high"))
+    rate, clean = 100.0 * score["alarm_rate"], 100.0 * score["clean_alarm_rate"]
+    return (
+        f"{score['detector']}: {mean:.1f} m ({low:.1f} to {high:.1f}), alarms {rate:.1f} % "
+        f"(clean {clean:.1f} %)"
+    )
+
+
+def score_rows(card: Card) -> list[tuple[str, ...]]:
+    """Rows of the table of scores, in the order of `SCORES_HEAD`."""
+    return [
+        (
+            score.detector,
+            str(score.runs) if score.counted is None else f"{score.runs}, {score.counted}",
+            f"{score.split}, {score.entropy}",
+            f"{score.undetected_displacement_m:.1f} ({score.low:.1f} to {score.high:.1f})",
+            f"{100 * score.alarm_rate:.1f}",
+            f"{100 * score.clean_alarm_rate:.1f}",
+            f"{100 * score.budget:g}",
+        )
+        for score in card.scores
+    ]
+
+
+def detector_card_rows(card: DetectorCard) -> list[tuple[str, str]]:
+    each = {"receiver": "one for the receiver", "channel": "one for every slot"}
+    terms = "those of the duel"
+    if card.terms is not None:
+        terms = _cut(", ".join(str(term["name"]) for term in card.terms))
+    memory = ", ".join(f"{state.name} ({state.size})" for state in card.state)
+    threshold = "none on the card: `spoofgym calibrate` finds one in a world"
+    return [
+        ("kind", card.kind),
+        ("observes", _names(card.observation.names)),
+        ("terms", terms),
+        ("statistic", each[card.statistic]),
+        ("weighs satellites", "yes" if card.weighs else "no"),
+        ("remembers", memory or "nothing"),
+        ("made for", f"{card.channels or 'any number of'} slots, epochs of {_interval(card)}"),
+        ("threshold", threshold if card.threshold is None else f"{card.threshold:g}"),
+        *_settings("calibration", card.calibration),
+        *_settings("training", card.training),
+        *_file_rows(card.file),
+    ]
+
+
+def _interval(card: DetectorCard) -> str:
+    return "any length" if card.interval_s is None else f"{card.interval_s:g} s"
+
+
+def _file_rows(file: PolicyFile) -> list[tuple[str, str]]:
+    return [
+        ("file", f"{file.name}, {file.bytes} bytes, opset {file.opset}"),
+        ("sha256", file.sha256),
+    ]
+
+
+def card_rows(card: Card) -> list[tuple[str, str]]:
+    """What else is on a card, field by field."""
+    conditions = card.conditions
+    limits = f"{conditions.rate_limit_mps:g} m/s"
+    if conditions.control != "rate":
+        limits = f"{conditions.acceleration_limit_mps2:g} m/s^2 and {limits}"
+    rows = [
+        ("kind", card.kind),
+        ("knows at run time", card.knowledge.run_time),
+        ("was designed on", card.knowledge.design_time),
+        ("environment", card.env_id),
+        *_settings("with", card.env_kwargs),
+        ("observes", "nothing" if card.observation is None else _names(card.observation.names)),
+        ("commands", _names(card.action.names)),
+        (
+            "attack",
+            f"{conditions.steps} commands, one every {conditions.interval_s:g} s, by "
+            f"{conditions.control}; limits {limits}",
+        ),
+        *_settings("setting", card.settings),
+        *_settings("training", card.training),
+        *_settings("version", card.versions),
+        ("compared with", f"{len(card.rivals)} rivals, whose tuning `--json` shows"),
+    ]
+    return rows if card.file is None else [*rows, *_file_rows(card.file)]
+
+
+def _names(names: tuple[str, ...]) -> str:
+    """How many, and the first ones."""
+    return f"{len(names)}: {_cut(', '.join(names))}"
+
+
+def _settings(word: str, settings: dict[str, Any]) -> list[tuple[str, str]]:
+    """A row for each setting."""
+    rows = []
+    for key, value in settings.items():
+        text = value if isinstance(value, str) else json.dumps(value)
+        rows.append((f"{word} {key}", text if key == "command" else _cut(text)))
+    return rows
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= SHOWN else f"{text[:SHOWN].rstrip(', ')} ..."

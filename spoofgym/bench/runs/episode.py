@@ -1,0 +1,327 @@
+"""One run in detail."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from numpy.typing import NDArray
+from ...core.plots import BLUE, GREEN, GREY, ORANGE, figure_class, save_figure, style
+from ...core.registry import whole_number
+from ...simulation.engine import Engine
+from ...spoofers.aim import AXES
+from .play import Attacker
+from .players import Entry
+from .play import epochs_of, to_local
+from ..scores.scores import undetected_displacement
+from .world import Suite
+
+
+class Interval(NamedTuple):
+    """One stretch of alarms without a gap.
+
+    - `receiver`, `channel`: whose; channel 0 of a test of the whole receiver;
+    - `onset_s`: time of the first epoch with an alarm;
+    - `end_s`: time of the first epoch without one; infinite where the record ends before.
+    """
+
+    receiver: int
+    channel: int
+    onset_s: float
+    end_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """Length; infinite where the end is not known."""
+        return self.end_s - self.onset_s
+
+
+def spoofing_intervals(
+    alarm: NDArray[np.bool_], time_s: ArrayLike, *, bridge_s: float = 0.0
+) -> list[Interval]:
+    """Spoofing intervals of every receiver and channel.
+
+    `alarm` (K, B, c) bool, alarms of K epochs, as verdicts have them; `time_s` (K,) time of every
+    epoch, increasing.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spoofgym.bench.runs.episode import spoofing_intervals
+    >>> alarm = np.array([0, 1, 1, 0, 0, 1], dtype=bool)[:, None, None]
+    >>> for interval in spoofing_intervals(alarm, 0.5 * np.arange(6)):
+    ...     print(interval.onset_s, interval.end_s)
+    0.5 1.5
+    2.5 inf
+    """
+    time = np.asarray(time_s, dtype=np.float64)
+    alarm = np.asarray(alarm, dtype=np.bool_)
+    if alarm.ndim != 3 or time.shape != alarm.shape[:1]:
+        raise ValueError(
+            "`alarm` must have shape (K, B, c) and `time_s` shape (K,), got "
+            f"{alarm.shape} and {time.shape}"
+        )
+    if not (np.diff(time) > 0.0).all():
+        raise ValueError("`time_s` must increase from epoch to epoch")
+    if not bridge_s >= 0.0:
+        raise ValueError(f"`bridge_s` must be >= 0, got {bridge_s}")
+    quiet = np.zeros((1, *alarm.shape[1:]), dtype=np.int8)
+    change = np.diff(alarm.astype(np.int8), axis=0, prepend=quiet, append=quiet)
+    found: list[Interval] = []
+    for b in range(alarm.shape[1]):
+        for j in range(alarm.shape[2]):
+            onsets = np.flatnonzero(change[:, b, j] == 1)
+            ends = np.flatnonzero(change[:, b, j] == -1)
+            found += _joined(b, j, time[onsets], np.append(time, math.inf)[ends], bridge_s)
+    return found
+
+
+def _joined(
+    receiver: int,
+    channel: int,
+    onsets: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    bridge_s: float,
+) -> list[Interval]:
+    found: list[Interval] = []
+    for onset, end in zip(onsets.tolist(), ends.tolist(), strict=True):
+        if found and bridge_s > 0.0 and onset - found[-1].end_s <= bridge_s:
+            found[-1] = found[-1]._replace(end_s=end)
+        else:
+            found.append(Interval(receiver, channel, onset, end))
+    return found
+
+
+FloatArray = NDArray[np.float64]
+ATTACKED, TWIN = 0, 1
+"""Columns of the two receivers."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A run under attack and its clean twin.
+
+    Times are since the onset, negative in the last part of the warm-up; L epochs of it and K from
+    the onset to the end are kept.
+
+    - `suite`: scenario, receiver, attack, timeline and seed;
+    - `run`: which of the evaluation runs;
+    - `time` (L + K,) [s];
+    - `ratio` (L + K, 2) largest ratio of a statistic to its threshold, attacked and twin;
+    - `alarm` (L + K, 2) bool;
+    - `error_n` (K, 2, d) distance from the truth, north, east (and down) [m];
+    - `displacement` (K, a) commanded displacement [m];
+    - `channels` (a,) what is displaced;
+    - `onset_epoch`: epoch of `Setup.epoch_time` after which the attack starts.
+    """
+
+    suite: Suite
+    detector: Entry
+    spoofer: Entry
+    run: int
+    time: FloatArray
+    ratio: FloatArray
+    alarm: NDArray[np.bool_]
+    error_n: FloatArray
+    displacement: FloatArray
+    channels: tuple[str, ...]
+    onset_epoch: int
+
+    @property
+    def onset(self) -> int:
+        """Epochs before the onset, L."""
+        return len(self.time) - len(self.error_n)
+
+    @property
+    def induced(self) -> FloatArray:
+        """(K,) horizontal distance from the clean twin [m]."""
+        apart = self.error_n[:, ATTACKED] - self.error_n[:, TWIN]
+        return np.hypot(apart[:, 0], apart[:, 1])
+
+    @property
+    def first_alarm(self) -> int:
+        """Epoch of the first alarm after the onset, from 1 on; 0 for none."""
+        alarm = self.alarm[self.onset :, ATTACKED]
+        return int(alarm.argmax()) + 1 if alarm.any() else 0
+
+    @property
+    def intervals(self) -> list[Interval]:
+        """Spoofing intervals of the attacked receiver by any channel's alarm, since the onset."""
+        return spoofing_intervals(self.alarm[:, [ATTACKED], None], self.time)
+
+    def summary(self) -> dict[str, Any]:
+        """What came of it, JSON-able."""
+        setup = self.suite.setup(self.detector)
+        interval, induced, first = setup.interval_s, self.induced, self.first_alarm
+        commanded = induced[: setup.steps]
+        alarms = self.alarm[: self.onset, ATTACKED]
+        undetected = undetected_displacement(commanded[:, None], [first], setup.hold)[0]
+        twin = self.error_n[:, TWIN, :2]
+        return {
+            "scenario": setup.name,
+            "detector": self.detector.spec,
+            "spoofer": self.spoofer.spec,
+            "attack": setup.attack.label,
+            "entropy": self.suite.entropy,
+            "run": self.run,
+            "warmup_alarm": bool(alarms.any()),
+            "alarm": first > 0,
+            "delay_s": first * interval if first else None,
+            "spoofing_intervals_s": [
+                [one.onset_s, one.end_s if np.isfinite(one.end_s) else None]
+                for one in self.intervals
+            ],
+            "undetected_displacement_m": round(float(undetected), 4),
+            "largest_error_m": round(float(commanded.max()), 4),
+            "final_error_m": round(float(commanded[-1]), 4),
+            "peak_ratio": round(float(self.ratio[self.onset :, ATTACKED].max()), 4),
+            "clean_rms_m": round(float(np.sqrt((twin * twin).sum(axis=1).mean())), 4),
+        }
+
+
+def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) -> Episode:
+    run = whole_number("`run`", run)
+    setup = suite.setup(detector, [spoofer])
+    engine = Engine(1, setup, threads=1, twin=True)
+    simulator, twin = engine.simulator, engine.twin
+    assert twin is not None  # as was asked for
+    everyone, epochs = np.zeros(1, dtype=np.intp), setup.steps + setup.hold
+    ratio = np.zeros((setup.live + epochs, 2))
+    alarm = np.zeros(ratio.shape, dtype=np.bool_)
+    simulator.begin(suite.generators("evaluation", run + 1, run))
+    simulator.quiet_epochs(setup.quiet)
+    for k in range(setup.live):
+        alarm[k], ratio[k] = simulator.live_epochs(1)[0], simulator.ratio()
+    twin.copy_rows(everyone, simulator, everyone)
+    attacker = Attacker(spoofer.spec, engine)
+    truth = setup.true_position
+    apart = np.zeros((epochs, 2, truth.shape[1]))
+    displacement = np.zeros((epochs, len(setup.action_names)))
+    for k in range(epochs):
+        engine.step(attacker.command(k))
+        for column, each in ((ATTACKED, simulator), (TWIN, twin)):
+            assert each.verdict is not None  # an epoch has been judged
+            alarm[setup.live + k, column] = each.verdict.alarm.any()
+            ratio[setup.live + k, column] = each.ratio()[0]
+            apart[k, column] = (each.position - truth[each.epochs])[0]
+        displacement[k] = simulator.commanded_displacement[0]
+    return Episode(
+        suite=suite,
+        detector=detector,
+        spoofer=spoofer,
+        run=run,
+        time=np.arange(1.0 - setup.live, epochs + 1) * setup.interval_s,
+        ratio=ratio,
+        alarm=alarm,
+        error_n=to_local(apart, setup.C_en[epochs_of(setup, simulator.onset)]),
+        onset_epoch=int(simulator.onset[0]),
+        displacement=displacement,
+        channels=tuple(name.rsplit("_", 1)[0] for name in setup.action_names),
+    )
+
+
+def draw_episode(episode: Episode, path: Path) -> Path:
+    """Flight, displacement, statistic and error; returns the file, PNG without an ending."""
+    figure = figure_class()(figsize=(11.0, 8.2), layout="constrained")
+    axes = figure.subplots(2, 2)
+    for ax in axes.flat:
+        style(ax)
+    _draw_flight(axes[0, 0], episode)
+    _draw_displacement(axes[0, 1], episode)
+    _draw_statistic(axes[1, 0], episode)
+    _draw_error(axes[1, 1], episode)
+    summary = episode.summary()
+    figure.suptitle(
+        f"{summary['scenario']}: {episode.spoofer.label} against {episode.detector.label}, "
+        f"run {episode.run}",
+        fontsize=13,
+    )
+    return save_figure(figure, path, dpi=130)
+
+
+def _draw_flight(ax: Any, episode: Episode) -> None:
+    """True ground track; the part under attack stands out."""
+    setup = episode.suite.setup(episode.detector)
+    world, onset = divmod(episode.onset_epoch, setup.epochs_each)
+    flown = setup.true_position[world * setup.epochs_each :][: setup.epochs_each]
+    end, first = onset + setup.steps + setup.hold, onset - setup.onset
+    axes = setup.C_en[episode.onset_epoch]
+    north, east = ((flown - flown[onset]) @ axes).T[:2] / 1000.0
+    ax.plot(east, north, color="#cccccc", lw=2, label="flight")
+    ax.plot(east[first : onset + 1], north[first : onset + 1], color=GREY, lw=2, label="warm-up")
+    ax.plot(east[onset : end + 1], north[onset : end + 1], color=ORANGE, lw=2.5, label="attack")
+    ax.plot(east[first], north[first], "o", color=GREY, ms=5)
+    ax.set(title="true flight", xlabel="east of the onset [km]", ylabel="north [km]")
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.legend(fontsize=9, framealpha=0.9)
+
+
+def _draw_displacement(ax: Any, episode: Episode) -> None:
+    """Estimated less true position of both receivers, and what was commanded."""
+    for row, colour, label in ((TWIN, BLUE, "clean twin"), (ATTACKED, ORANGE, "attacked")):
+        north, east = episode.error_n[:, row, 0], episode.error_n[:, row, 1]
+        ax.plot(east, north, color=colour, lw=1.6, label=label)
+        ax.plot(east[-1], north[-1], "o", color=colour, ms=6)
+    if set(episode.channels) <= set(AXES):
+        moved = dict(zip(episode.channels, episode.displacement.T, strict=True))
+        still = np.zeros(len(episode.displacement))
+        east, north = moved.get("east", still), moved.get("north", still)
+        ax.plot(east, north, color=GREEN, lw=1.4, ls="--", label="commanded")
+        ax.plot(east[-1], north[-1], "s", color=GREEN, ms=5)
+    ax.plot(0, 0, "+", color="black", ms=10, label="truth")
+    if (first := episode.first_alarm) > 0:
+        error = episode.error_n[first - 1, ATTACKED]
+        ax.plot(error[1], error[0], "X", color="black", ms=9, label="first alarm")
+    ax.set(title="estimated less true position", xlabel="east [m]", ylabel="north [m]")
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.legend(fontsize=9, framealpha=0.9)
+
+
+def _phases(ax: Any, episode: Episode) -> None:
+    setup = episode.suite.setup(episode.detector)
+    interval = setup.interval_s
+    end = setup.steps * interval
+    ax.axvline(0.0, color=GREY, lw=1)
+    ax.axvspan(end, end + setup.hold * interval, color=GREY, alpha=0.12, lw=0)
+
+
+def _draw_statistic(ax: Any, episode: Episode) -> None:
+    """Statistic over threshold of both receivers."""
+    _phases(ax, episode)
+    ax.axhline(1.0, color="black", lw=1, ls=":")
+    ax.plot(episode.time, episode.ratio[:, TWIN], color=BLUE, lw=1.2, label="clean twin")
+    ax.plot(episode.time, episode.ratio[:, ATTACKED], color=ORANGE, lw=1.6, label="attacked")
+    for row, colour in ((TWIN, BLUE), (ATTACKED, ORANGE)):
+        alarm = episode.alarm[:, row]
+        ax.plot(episode.time[alarm], episode.ratio[alarm, row], ".", color=colour, ms=5)
+    ax.set(title="largest statistic over its threshold", xlabel="time since the onset [s]")
+    top = float(episode.ratio.max())
+    if top > 5.0:
+        ax.set_yscale("symlog", linthresh=1.0)
+    ax.set_ylim(0.0, 1.35 * max(top, 1.0))
+    ax.legend(fontsize=9, loc="upper left", framealpha=0.9)
+
+
+def _draw_error(ax: Any, episode: Episode) -> None:
+    _phases(ax, episode)
+    summary, window = episode.summary(), episode.time[episode.onset :]
+    size = np.linalg.norm(episode.displacement, axis=1)
+    if set(episode.channels) <= set(AXES):
+        ax.plot(window, size, color=GREEN, lw=1.4, ls="--", label="commanded")
+    ax.plot(window, episode.induced, color=ORANGE, lw=1.8, label="distance from the clean twin")
+    counted = summary["undetected_displacement_m"]
+    ax.axhline(counted, color="black", lw=1, ls=":", label=f"undetected: {counted:.1f} m")
+    if summary["delay_s"] is not None:
+        ax.axvline(
+            summary["delay_s"],
+            color="black",
+            lw=1.2,
+            label=f"first alarm: {summary['delay_s']:g} s",
+        )
+    ax.set(title="induced error [m]", xlabel="time since the onset [s]")
+    ax.set_ylim(0.0, 1.35 * max(float(size.max()), float(episode.induced.max()), 1e-3))
+    ax.legend(fontsize=9, loc="upper left", framealpha=0.9)

@@ -1,0 +1,308 @@
+"""RunRecord: per-run results of a pair.
+
+The protection of a detector: how far the worst attacks of the suite come, in every run.
+
+Scores and their paired differences between detectors follow from that.
+`spoofgym.bench.search.worst_attack` looks for these attacks.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+import numpy as np
+from numpy.typing import NDArray
+from ...simulation.setup import Setup
+from .play import Runs, horizontal, induced, off_truth
+from ..scores.scores import Stealth, counted, stealth_of, undetected_displacement
+from typing import Any, NamedTuple
+from ..scores.scores import exceeded
+
+
+FloatArray = NDArray[np.float64]
+PERCENTILES = (5, 50, 95)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """All runs of a detector and a spoofer.
+
+    - `head`: labels, settings and lengths, JSON-able;
+    - `records` (R,) arrays: ``warmup_alarm`` bool; ``first_alarm``, and ``twin_alarm`` of the clean
+      twin, epoch from 1 on, 0 for none; ``alarm_epochs`` how many; ``crossing`` first epoch with
+      the induced error above the alert limit, 0 for none; ``undetected_displacement_m``, the same
+      ``undetected_vertical_m``, ``undetected_along_m`` the target direction, and of the total error
+      ``undetected_total_m`` and ``undetected_total_vertical_m``, as far as there are these axes;
+      ``largest_error_m`` and ``final_error_m`` of the command phase, alarmed or not;
+      ``navigation_rms_m`` distance from the truth; ``coasting_epochs``, and ``coasting_error_m``
+      the largest distance from the truth in them; ``blamed`` channels, summed over the epochs;
+      ``sky`` which one it flew under; ``peak_ratio`` of statistic to threshold;
+    - `series`: by epoch: ``time_s`` since the onset, ``alarmed`` part of the runs, ``error_m``
+      percentiles over all runs.
+    """
+
+    head: dict[str, Any]
+    records: dict[str, NDArray[Any]]
+    series: dict[str, Any]
+
+    @property
+    def detector(self) -> str:
+        return str(self.head["detector"])
+
+    @property
+    def spoofer(self) -> str:
+        return str(self.head["spoofer"])
+
+    @property
+    def runs(self) -> int:
+        """R."""
+        return len(self.records["first_alarm"])
+
+    @property
+    def window(self) -> int:
+        """Epochs from the onset to the end of the hold, K."""
+        return int(self.head["steps"]) + int(self.head["hold"])
+
+    @property
+    def interval_s(self) -> float:
+        """Time between epochs."""
+        return float(self.head["interval_s"])
+
+    @property
+    def counts(self) -> NDArray[np.bool_]:
+        """(R,) which runs count for a score."""
+        return counted(self.records["warmup_alarm"], self.records["twin_alarm"])
+
+    @property
+    def sky(self) -> NDArray[np.int64]:
+        """(R,) under which sky each run flew."""
+        return np.asarray(self.records["sky"])
+
+    @property
+    def displacement_m(self) -> FloatArray:
+        """(R,) undetected displacement [m]."""
+        return np.asarray(self.records["undetected_displacement_m"], dtype=np.float64)
+
+    @property
+    def stealth(self) -> Stealth:
+        """Score of the spoofer."""
+        return stealth_of(self.displacement_m, self.alarmed, self.counts)
+
+    @property
+    def alarmed(self) -> NDArray[np.bool_]:
+        """(R,) whether there was an alarm in the window."""
+        return np.asarray(self.records["first_alarm"] > 0)
+
+    def to_lines(self) -> list[str]:
+        """JSON lines: head, runs, series."""
+        records = [
+            {"kind": "run", "run": run, **{key: x[run].item() for key, x in self.records.items()}}
+            for run in range(self.runs)
+        ]
+        parts = [{"kind": "cell", **self.head}, *records, {"kind": "series", **self.series}]
+        return [json.dumps(part, allow_nan=False) for part in parts]
+
+    @classmethod
+    def from_lines(cls, lines: list[str]) -> Cell:
+        """Inverse of `to_lines`."""
+        parts = [json.loads(line) for line in lines]
+        kinds = [part.pop("kind") for part in parts]
+        if kinds[:1] != ["cell"] or kinds[-1:] != ["series"] or {*kinds[1:-1]} != {"run"}:
+            raise ValueError("a cell must be one line `cell`, lines `run`, and one line `series`")
+        runs = parts[1:-1]
+        records = {key: np.array([run[key] for run in runs]) for key in runs[0] if key != "run"}
+        return cls(parts[0], records, parts[-1])
+
+
+def make_cell(
+    setup: Setup,
+    head: dict[str, Any],
+    warmup_alarm: NDArray[np.bool_],
+    attacked: Runs,
+    twin: Runs,
+    alert_limit_m: float,
+) -> Cell:
+    """Score the runs of a cell.  `warmup_alarm` (R,) bool, alarms before the onset."""
+    moved, off = induced(setup, attacked, twin), off_truth(setup, attacked)
+    error, total = horizontal(moved), horizontal(off)
+    commanded, first = error[: setup.steps], attacked.first_alarm
+    above = commanded > alert_limit_m
+
+    def undetected(size: FloatArray) -> FloatArray:
+        return undetected_displacement(size[: setup.steps], first, setup.hold)
+
+    numbers = {
+        "undetected_displacement_m": undetected(error),
+        "undetected_total_m": undetected(total),
+        "largest_error_m": commanded.max(axis=0),
+        "final_error_m": commanded[-1],
+        "navigation_rms_m": np.sqrt((total * total).mean(axis=0)),
+        "coasting_error_m": np.where(attacked.coasting, total, 0.0).max(axis=0),
+        "peak_ratio": attacked.peak,
+    }
+    if moved.shape[2] == 3:
+        numbers["undetected_vertical_m"] = undetected(np.abs(moved[..., 2]))
+        numbers["undetected_total_vertical_m"] = undetected(np.abs(off[..., 2]))
+    if setup.target_heading_deg != "worst":
+        north, east = np.cos(attacked.heading), np.sin(attacked.heading)
+        numbers["undetected_along_m"] = undetected(moved[..., 0] * north + moved[..., 1] * east)
+    records: dict[str, NDArray[Any]] = {
+        "warmup_alarm": warmup_alarm,
+        "first_alarm": first,
+        "twin_alarm": twin.first_alarm,
+        "alarm_epochs": attacked.alarm.sum(axis=0),
+        "coasting_epochs": attacked.coasting.sum(axis=0),
+        "blamed": attacked.blamed,
+        "crossing": np.where(above.any(axis=0), above.argmax(axis=0) + 1, 0),
+        "sky": attacked.onset // setup.epochs_each,
+    }
+    records |= {name: np.round(x, 6) for name, x in numbers.items()}
+    epochs = np.arange(1, len(error) + 1)
+    bands = np.percentile(error, PERCENTILES, axis=1)
+    series = {
+        "time_s": (epochs * setup.interval_s).round(6).tolist(),
+        "alarmed": ((first > 0) & (first <= epochs[:, None])).mean(axis=1).round(6).tolist(),
+        "error_m": {
+            f"p{p:02d}": band.round(4).tolist() for p, band in zip(PERCENTILES, bands, strict=True)
+        },
+    }
+    lengths = {"interval_s": setup.interval_s, "steps": setup.steps, "hold": setup.hold}
+    by_channel = setup.detector.scope == "channel"
+    return Cell({**head, **lengths, "judges_channels": by_channel}, records, series)
+
+
+MEASURES = (
+    "undetected_displacement_m",
+    "undetected_vertical_m",
+    "undetected_total_m",
+    "undetected_total_vertical_m",
+)
+"""Induced and total error, horizontal and vertical; a victim in the plane has no vertical ones."""
+
+
+class Aim(NamedTuple):
+    """What an attack is chosen by.
+
+    - `measure`: one of `MEASURES`;
+    - `share`: of the runs in which the displacement is to be large; or
+    - `limit_m`: alert limit that is to be exceeded often;
+    - `skies`: whether only the worst tenth of them counts.
+    """
+
+    measure: str
+    share: float | None = None
+    limit_m: float | None = None
+    skies: bool = False
+
+    def reached(self, displacement: FloatArray) -> float:
+        """What is exceeded in the share of the runs that count, or how often the limit is."""
+        if not len(displacement):
+            return 0.0
+        if self.share is not None:
+            return exceeded(displacement, self.share)
+        assert self.limit_m is not None  # one of the two is given
+        return float((displacement > self.limit_m).mean())
+
+    def worth(self, displacement: FloatArray) -> float:
+        """How good a displacement of the runs that count is, to choose by. Of attacks that exceed a
+        limit equally often, that whose weakest such run is the farthest above it, as it will most
+        surely do so again; of those that never do, that which comes nearest."""
+        reached = self.reached(displacement)
+        if self.limit_m is None or not len(displacement):
+            return reached
+        weakest = self.weakest(displacement)
+        return reached + 1e-9 * weakest / (1.0 + weakest)
+
+    def weakest(self, displacement: FloatArray) -> float:
+        """Smallest displacement beyond the limit, or, where none is, the largest [m]."""
+        above = displacement > (self.limit_m or 0.0)
+        return float(displacement[above].min() if above.any() else displacement.max(initial=0.0))
+
+
+@dataclass(frozen=True)
+class Winner:
+    """An attack that is the worst one for some aims.
+
+    - `letter`, `spoofer`, `setting`, `value`, `spec`: which one;
+    - `aims`: for what;
+    - `displacement` by measure (R,) of the evaluation runs [m].
+    """
+
+    letter: str
+    spoofer: str
+    setting: str
+    value: float
+    spec: dict[str, Any]
+    aims: tuple[Aim, ...]
+    displacement: dict[str, FloatArray]
+
+
+@dataclass(frozen=True)
+class Protection:
+    """What the suite achieves against one detector.
+
+    - `head`: detector, suite, selection and campaign, JSON-able;
+    - `winners`: the worst attacks on the evaluation runs;
+    - `counts`, `sky` (R,) which of these runs count, and under which sky;
+    - `skies`: the worst tenth; None where there are too few.
+    """
+
+    head: dict[str, Any]
+    winners: tuple[Winner, ...]
+    counts: NDArray[np.bool_]
+    sky: NDArray[np.int64]
+    skies: NDArray[np.int64] | None
+
+    @property
+    def detector(self) -> str:
+        return str(self.head["detector"])
+
+    def winner(self, aim: Aim) -> Winner | None:
+        """Who is the worst for an aim; None where nobody was looked for."""
+        return next((each for each in self.winners if aim in each.aims), None)
+
+    def worst(self, aim: Aim) -> Winner:
+        """Worst attack on the evaluation runs; of equal ones that which was chosen for the aim."""
+        chosen, rows = self.winner(aim), self.rows(aim)
+        several = (*([] if chosen is None else [chosen]), *self.winners)
+        return max(several, key=lambda each: aim.reached(each.displacement[aim.measure][rows]))
+
+    def rows(self, aim: Aim) -> NDArray[np.bool_]:
+        """(R,) which runs an aim is about."""
+        if not aim.skies or self.skies is None:
+            return self.counts
+        return self.counts & np.isin(self.sky, self.skies)
+
+    def to_text(self) -> str:
+        winners = [
+            {
+                **{name: getattr(each, name) for name in ("letter", "spoofer", "setting", "value")},
+                "spec": each.spec,
+                "aims": [aim._asdict() for aim in each.aims],
+                "displacement": {name: x.tolist() for name, x in each.displacement.items()},
+            }
+            for each in self.winners
+        ]
+        skies = None if self.skies is None else self.skies.tolist()
+        runs = {"counts": self.counts.tolist(), "sky": self.sky.tolist(), "skies": skies}
+        return json.dumps({**self.head, **runs, "winners": winners}, allow_nan=False) + "\n"
+
+    @classmethod
+    def from_text(cls, text: str) -> Protection:
+        """Inverse of `to_text`."""
+        head = json.loads(text)
+        runs = {name: head.pop(name) for name in ("counts", "sky", "skies", "winners")}
+        winners = tuple(
+            Winner(
+                **{
+                    **each,
+                    "aims": tuple(Aim(**aim) for aim in each["aims"]),
+                    "displacement": {k: np.array(x) for k, x in each["displacement"].items()},
+                }
+            )
+            for each in runs["winners"]
+        )
+        skies = None if runs["skies"] is None else np.array(runs["skies"])
+        counts = np.array(runs["counts"], dtype=np.bool_)
+        return cls(head, winners, counts, np.array(runs["sky"]), skies)

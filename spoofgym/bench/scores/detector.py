@@ -1,0 +1,219 @@
+"""What a detector is worth in a task: P(HMI | attack) by its worst family, and its false alarms."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...detectors.calibration_file import hourly_rate
+from ..runs.record import MEASURES, Aim, Protection, Winner
+from .scores import SHARES, bootstrap_exceeded, clusters_of
+from .statistics import Estimate, clopper_pearson, exceedance, percentiles, resamples_of
+
+FloatArray = NDArray[np.float64]
+WINDOW, CLEAN = "clean, judged window", "clean"
+"""Names of false alarms without an event: in the judged window alone, and in all monitored time."""
+
+
+class FamilyScore(NamedTuple):
+    """One family of attacks against one detector.
+
+    - `family`, `held_out`: which one, and whether no detector may have met it;
+    - `found`: its worst attacks, and how far each came in every evaluation run.
+    """
+
+    family: str
+    held_out: bool
+    alert_limit_m: float
+    found: Protection
+
+    @property
+    def counted(self) -> int:
+        """Runs that count."""
+        return int(self.found.counts.sum())
+
+    @property
+    def aim(self) -> Aim:
+        """To exceed the alert limit."""
+        return Aim(MEASURES[0], limit_m=self.alert_limit_m)
+
+    @property
+    def attack(self) -> Winner:
+        """The attack that exceeds the alert limit most often."""
+        return self.found.worst(self.aim)
+
+    @property
+    def p_hmi(self) -> Estimate:
+        """P(HMI | attack) at the alert limit, with Wilson's 95 % interval."""
+        moved = self.attack.displacement[MEASURES[0]][self.found.counts]
+        return exceedance(moved, [self.alert_limit_m])[0]
+
+    def exceeded(self, share: float) -> Estimate:
+        """What the worst attack exceeds in a share of the runs [m], with its 95 % interval."""
+        counts, winner = self.found.counts, self.found.worst(Aim(MEASURES[0], share))
+        samples = resamples_of(clusters_of(self.found.sky)[counts])
+        return bootstrap_exceeded(winner.displacement[MEASURES[0]][counts], share, samples)
+
+    def resampled(self) -> FloatArray:
+        """(S,) P(HMI | attack) in bootstrap samples of all runs, the same ones for any detector."""
+        samples, counts = resamples_of(clusters_of(self.found.sky)), self.found.counts
+        hazard = (self.attack.displacement[MEASURES[0]] > self.alert_limit_m) & counts
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray((samples @ hazard) / (samples @ counts))
+
+    def as_dict(self) -> dict[str, Any]:
+        """All but the single runs, JSON-able."""
+        attack = self.attack
+        return {
+            "family": self.family,
+            "held_out": self.held_out,
+            "counted": self.counted,
+            "p_hmi": self.p_hmi.as_json(),
+            "exceeded_m": {f"{share:g}": self.exceeded(share).as_json() for share in SHARES},
+            "attack": {"letter": attack.letter, "spoofer": attack.spoofer, "spec": attack.spec},
+            "setting": attack.setting,
+            "value": attack.value,
+        }
+
+
+@dataclass(frozen=True)
+class DetectorScore:
+    """What a detector is worth in a task; paired with every other one of the same runs.
+
+    - `task`, `detector`: which ones;
+    - `alert_limit_m`: error that must not be exceeded unnoticed [m];
+    - `runs`, `selection_runs`, `entropy`: evaluation runs of every family, those that attacks were
+      chosen on, and the seed of all;
+    - `families`: scores by family; the worst one counts;
+    - `false_alarms` (R,) bool by name: runs without an attack that alarm, in the judged window
+      alone, and in all monitored time, without an event and with one;
+    - `window_s`: length of the judged window.
+    """
+
+    task: str
+    detector: str
+    alert_limit_m: float
+    runs: int
+    selection_runs: int
+    entropy: int
+    families: tuple[FamilyScore, ...]
+    false_alarms: Mapping[str, NDArray[np.bool_]]
+    window_s: float
+
+    @property
+    def worst(self) -> FamilyScore:
+        """Family with the largest P(HMI | attack); of equal ones that which gets farther."""
+
+        def badness(family: FamilyScore) -> tuple[float, float]:
+            p = family.p_hmi.value
+            return (-1.0 if math.isnan(p) else p, family.exceeded(SHARES[0]).value)
+
+        return max(self.families, key=badness)
+
+    @property
+    def p_hmi(self) -> Estimate:
+        """P(HMI | attack) at the alert limit by the worst family, with Wilson's 95 % interval."""
+        return self.worst.p_hmi
+
+    def exceeded(self, share: float) -> Estimate:
+        """Largest over the families of what is exceeded in a share of the runs [m]."""
+        found = [each.exceeded(share) for each in self.families]
+        return max(found, key=lambda each: -math.inf if math.isnan(each.value) else each.value)
+
+    def family(self, key: str) -> FamilyScore:
+        """Score of one family; a ValueError where it has not been played."""
+        for each in self.families:
+            if each.family == key:
+                return each
+        played = ", ".join(each.family for each in self.families)
+        raise ValueError(f"{self.detector} has not met the family {key!r}; played: {played}")
+
+    def false_alarm_rate(self, name: str = WINDOW) -> Estimate:
+        """Share of the runs without an attack that alarm, with its exact 95 % interval."""
+        alarmed = self.false_alarms[name]
+        return clopper_pearson(int(alarmed.sum()), len(alarmed))
+
+    def difference_to(self, other: DetectorScore, family: str | None = None) -> Estimate:
+        """P(HMI | attack) less that of another detector, paired by skies, with a 95 % interval.
+        Both have the same runs, but in ``chance-alarm``, where each has its own. By the worst
+        family of each, or by one family. Raises a ValueError where they have not met the same
+        attacks on the same runs."""
+        mine, theirs = self._samples(family), other._samples(family)
+        self._check_paired(other)
+        return percentiles(mine[0] - theirs[0], mine[1] - theirs[1])
+
+    def ratio_to(self, other: DetectorScore, family: str | None = None) -> Estimate:
+        """P(HMI | attack) in parts of that of another detector; as `difference_to`. Unknown where
+        the other one's is 0."""
+        mine, theirs = self._samples(family), other._samples(family)
+        self._check_paired(other)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            drawn = mine[1] / theirs[1]
+        return percentiles(mine[0] / theirs[0] if theirs[0] > 0.0 else math.nan, drawn)
+
+    def _samples(self, family: str | None) -> tuple[float, FloatArray]:
+        """P(HMI | attack), and (S,) the same in bootstrap samples, each with its worst family."""
+        chosen = self.families if family is None else (self.family(family),)
+        value = float(np.max([each.p_hmi.value for each in chosen]))  # NaN where nothing counts
+        return value, np.max([each.resampled() for each in chosen], axis=0)
+
+    def _check_paired(self, other: DetectorScore) -> None:
+        names = ("task", "runs", "entropy")
+        unlike = [n for n in names if getattr(self, n) != getattr(other, n)]
+        if [each.family for each in self.families] != [each.family for each in other.families]:
+            unlike.append("families")
+        if unlike:
+            raise ValueError(
+                f"{self.detector} and {other.detector} have not played the same runs: "
+                + "; ".join(f"`{name}` differ" for name in unlike)
+            )
+
+    def as_dict(self) -> dict[str, Any]:
+        """All but the single runs, JSON-able."""
+        plain = ("task", "detector", "alert_limit_m", "runs", "selection_runs", "entropy")
+        rate = self.false_alarm_rate()
+        hourly = (hourly_rate(each, self.window_s) for each in rate)
+        per_hour = {
+            name: round(x, 6) if math.isfinite(x) else None
+            for name, x in zip(Estimate._fields, hourly, strict=True)
+        }
+        return {
+            **{name: getattr(self, name) for name in plain},
+            "p_hmi": self.p_hmi.as_json(),
+            "worst_family": self.worst.family,
+            "exceeded_m": {f"{share:g}": self.exceeded(share).as_json() for share in SHARES},
+            "families": [each.as_dict() for each in self.families],
+            "false_alarms": {
+                name: self.false_alarm_rate(name).as_json() for name in self.false_alarms
+            },
+            "false_alarms_per_hour": per_hour,
+        }
+
+    def __str__(self) -> str:
+        worst, p = self.worst, self.p_hmi
+        low, high = (100.0 * x for x in (p.low, p.high))
+        seen = "held out" if worst.held_out else "public"
+        return (
+            f"{self.detector} in {self.task}: P(HMI | attack) {100.0 * p.value:.1f} % "
+            f"({low:.1f} to {high:.1f}) at {self.alert_limit_m:g} m, worst family {worst.family} "
+            f"({seen}), {worst.counted} runs; false alarms in "
+            f"{100.0 * self.false_alarm_rate().value:.1f} % of {self.runs} clean runs"
+        )
+
+
+def false_alarms_text(head: dict[str, Any], found: Mapping[str, NDArray[np.bool_]]) -> str:
+    """False alarms of a detector as JSON."""
+    alarms = {name: alarmed.tolist() for name, alarmed in found.items()}
+    return json.dumps({**head, "false_alarms": alarms}, allow_nan=False) + "\n"
+
+
+def false_alarms_of(text: str) -> dict[str, NDArray[np.bool_]]:
+    """Inverse of `false_alarms_text`, without the head."""
+    alarms = json.loads(text)["false_alarms"]
+    return {name: np.array(alarmed, dtype=np.bool_) for name, alarmed in alarms.items()}

@@ -1,0 +1,119 @@
+"""What a spoofer is worth against one detector."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...spoofers.base import sees_statistics
+from ..report.table import interval
+from .scores import clusters_of
+from .statistics import Estimate, percentiles, resamples_of
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a spoofer is worth against one detector; paired with every other one of the same runs.
+
+    - `task`, `detector`, `spoofer`: whom it met, and its name;
+    - `knowledge`: what it observes while it attacks;
+    - `setting`, `value`: what was fitted, or given, and to what; None where nothing can be;
+    - `runs`, `counted`: evaluation runs, and those that are silent before the onset and without an
+      attack, over which all else is taken;
+    - `stealthy_displacement_m`: mean undetected displacement with its 95 % interval [m];
+    - `alarm_rate`: part of the runs with an alarm, with its 95 % interval; `clean_alarm_rate`, of
+      all runs without an attack;
+    - `budget`: largest rate that is allowed; `within_budget`, whether it is kept on the evaluation
+      runs, by the rate itself;
+    - `fit_within_budget`: the same on the training runs, by the upper 95 % limit of the rate; None
+      where nothing was fitted;
+    - `displacement_m` (R,) of each run [m]; `counts` (R,) bool, whether it counts; `sky` (R,) under
+      which it flew; `alarmed` (R,) bool; `twins`: digest of the same runs without an attack.
+    """
+
+    task: str | None
+    detector: str
+    spoofer: str
+    knowledge: str
+    setting: str | None
+    value: float | None
+    runs: int
+    counted: int
+    stealthy_displacement_m: Estimate
+    alarm_rate: Estimate
+    clean_alarm_rate: float
+    budget: float
+    within_budget: bool
+    fit_within_budget: bool | None
+    displacement_m: FloatArray = field(repr=False, compare=False)
+    alarmed: NDArray[np.bool_] = field(repr=False, compare=False)
+    counts: NDArray[np.bool_] = field(repr=False, compare=False)
+    sky: NDArray[np.int64] = field(repr=False, compare=False)
+    twins: str = field(repr=False)
+
+    @property
+    def keeps_budget(self) -> bool:
+        """Whether the displacement is a score: the budget is kept wherever it was looked at."""
+        return self.within_budget and self.fit_within_budget is not False
+
+    @property
+    def oracle(self) -> bool:
+        """Whether it sees the detector's statistics while it attacks, as nobody can in practice."""
+        return sees_statistics(self.knowledge)
+
+    def ratio_to(self, other: Score, *, oracles: bool = False) -> Estimate:
+        """How many times as far as another spoofer on the same runs, with a paired 95 % interval.
+        Raises a ValueError where the runs are not the same ones, or, without `oracles`, where just
+        one of the two is an oracle."""
+        if self.oracle != other.oracle and not oracles:
+            raise ValueError(
+                f"{self.spoofer} ({self.knowledge}) and {other.spoofer} ({other.knowledge}): one "
+                "of them is an oracle, which sees the detector's statistics while it attacks; pass "
+                "`oracles=True` to compare them all the same, and say so beside the figure"
+            )
+        if (self.detector, self.twins) != (other.detector, other.twins):
+            raise ValueError(
+                f"{self.spoofer} and {other.spoofer} have not played the same runs: "
+                f"{self.detector}, {self.runs} runs and {other.detector}, {other.runs}; detector, "
+                "world, their number and `entropy` must be the same"
+            )
+        mine, theirs = self.displacement_m[self.counts], other.displacement_m[self.counts]
+        samples = resamples_of(clusters_of(self.sky)[self.counts])
+        base = float(theirs.sum())
+        with np.errstate(divide="ignore", invalid="ignore"):
+            drawn = (samples @ mine) / (samples @ theirs)
+        return percentiles(float(mine.sum()) / base if base else math.nan, drawn)
+
+    def as_dict(self) -> dict[str, Any]:
+        """All but the single runs, JSON-able."""
+        plain = ("task", "detector", "spoofer", "knowledge", "setting", "value", "runs", "counted")
+        return {
+            **{name: getattr(self, name) for name in plain},
+            "stealthy_displacement_m": self.stealthy_displacement_m.as_json(),
+            "alarm_rate": self.alarm_rate.as_json(),
+            "clean_alarm_rate": self.clean_alarm_rate,
+            "budget": self.budget,
+            "within_budget": self.within_budget,
+            "fit_within_budget": self.fit_within_budget,
+        }
+
+    def __str__(self) -> str:
+        where = self.detector if self.task is None else f"{self.detector}, {self.task}"
+        alarms = interval({k: _percent(v) for k, v in self.alarm_rate._asdict().items()}, 1)
+        what = "" if self.value is None else f", {self.setting} {self.value:.4g}"
+        over = "" if self.keeps_budget else f", over the budget of {100 * self.budget:g} %"
+        return (
+            f"{self.spoofer} ({self.knowledge}{what}) against {where}: "
+            f"{interval(self.stealthy_displacement_m.as_json())} m, alarms {alarms} % of "
+            f"{self.counted} runs{over}"
+        )
+
+
+def _percent(share: float) -> float | None:
+    return None if math.isnan(share) else 100.0 * share

@@ -1,0 +1,246 @@
+r"""Intervals, bootstrap, alarm budget.
+
+Statistics of arrays over runs: proportions and means with their intervals.
+
+Intervals are two-sided with 95 % confidence unless another one is asked for.  Sources, keys in
+references.bib: `wilson1927` (proportions), `clopper1934` (exact, for rare alarms), `korn1998`
+(epochs that come in runs), `efron1979` (bootstrap).
+
+The alarm budget: how often a spoofer may be noticed where chance alone would be silent.
+
+What counts are runs that are silent without the spoofer (`scores.counted`).  With k alarms in n of
+them, the largest probability of an alarm that is not refuted at the level :math:`\alpha` is
+(one-sided, `clopper1934`)
+
+.. math:: \bar p = B_{1 - \alpha}(k + 1, n - k)
+
+a quantile of the beta distribution, and who is chosen on these runs keeps the budget b where
+:math:`\bar p \le b`, so that other runs, most likely, keep it too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import special, stats
+
+FloatArray = NDArray[np.float64]
+CONFIDENCE = 0.95
+RESAMPLES = 2000
+
+
+class Estimate(NamedTuple):
+    """A number and the interval around it. `value`, `low`, `high`: estimate and interval; NaN where
+    there is nothing to estimate from."""
+
+    value: float
+    low: float
+    high: float
+
+    def as_json(self) -> dict[str, float | None]:
+        return {
+            name: None if math.isnan(number) else round(number, 6)
+            for name, number in self._asdict().items()
+        }
+
+
+NOTHING = Estimate(math.nan, math.nan, math.nan)
+
+
+def wilson(events: int, trials: int, confidence: float = CONFIDENCE) -> Estimate:
+    r"""Proportion with Wilson's score interval.
+
+    .. math:: \frac{1}{1 + z^2/n} \left( \hat p + \frac{z^2}{2n}
+        \pm z \sqrt{\frac{\hat p (1 - \hat p)}{n} + \frac{z^2}{4 n^2}} \right)
+    """
+    if trials == 0:
+        return NOTHING
+    interval = stats.binomtest(events, trials).proportion_ci(confidence, method="wilson")
+    return Estimate(events / trials, float(interval.low), float(interval.high))
+
+
+def clopper_pearson(events: float, trials: float, confidence: float = CONFIDENCE) -> Estimate:
+    r"""Proportion with the exact interval, by quantiles of the beta distribution.
+
+    SciPy's own takes whole numbers alone, and `clustered_proportion` counts parts of runs.
+
+    .. math:: B_{\alpha/2}(k, n - k + 1), \quad B_{1 - \alpha/2}(k + 1, n - k)
+    """
+    if trials == 0:
+        return NOTHING
+    tail = 0.5 * (1.0 - confidence)
+    rest = trials - events
+    low = 0.0 if events == 0 else float(special.betaincinv(events, rest + 1.0, tail))
+    high = 1.0 if rest == 0 else float(special.betaincinv(events + 1.0, rest, 1.0 - tail))
+    return Estimate(events / trials, low, high)
+
+
+def clustered_proportion(
+    events: ArrayLike, trials: int, confidence: float = CONFIDENCE
+) -> Estimate:
+    r"""Proportion of epochs, which come in runs, with an exact interval for as many as they count.
+
+    Alarms of one run hang together, so that its epochs are worth less than as many independent
+    ones: by the design effect, the variance between runs over that of independent epochs,
+
+    .. math:: D = \frac{\operatorname{var}(p_r) / R}{\hat p (1 - \hat p) / (R K)}, \qquad
+        n = R K / \max(D, 1)
+
+    Without any event, or without anything else, the design effect is unknown, and only the runs
+    count, n = R.  Korn and Graubard's small correction by quantiles of t is left out.
+
+    `events` (R,) epochs with an alarm in each run.
+    """
+    per_run = np.asarray(events, dtype=np.float64)
+    runs = len(per_run)
+    if runs == 0 or trials == 0:
+        return NOTHING
+    p = float(per_run.sum()) / (runs * trials)
+    effective = float(runs)
+    if 0.0 < p < 1.0 and runs > 1:
+        between = float(np.var(per_run / trials, ddof=1)) / runs
+        independent = p * (1.0 - p) / (runs * trials)
+        effective = runs * trials / max(between / independent, 1.0)
+    interval = clopper_pearson(p * effective, effective, confidence)
+    return Estimate(p, interval.low, interval.high)
+
+
+def resamples(clusters: ArrayLike, rng: np.random.Generator, count: int = RESAMPLES) -> FloatArray:
+    """Bootstrap samples of runs: how often each one is drawn, (S, R). `clusters` (R,): which runs
+    are drawn together, as those under one sky are alike; whole clusters are drawn with replacement,
+    as many as there are. With one run in every cluster it is the ordinary bootstrap."""
+    names, where = np.unique(np.asarray(clusters), return_inverse=True)
+    if not len(names):
+        return np.zeros((count, 0))
+    drawn = rng.multinomial(len(names), np.full(len(names), 1.0 / len(names)), size=count)
+    return drawn[:, where].astype(np.float64)
+
+
+def resamples_of(clusters: ArrayLike, count: int = RESAMPLES) -> FloatArray:
+    """Bootstrap samples that depend on the clusters alone, so that what has the same stays paired.
+    `clusters` (R,) as in `resamples`."""
+    return _kept_resamples(np.asarray(clusters, dtype=np.int64).tobytes(), count)
+
+
+@lru_cache(maxsize=4)
+def _kept_resamples(clusters: bytes, count: int) -> FloatArray:
+    of = np.frombuffer(clusters, dtype=np.int64)
+    return resamples(of, np.random.default_rng(len(of)), count)
+
+
+def bootstrap_mean(
+    values: ArrayLike, samples: FloatArray, confidence: float = CONFIDENCE
+) -> Estimate:
+    """Mean over runs with its percentile interval; unknown without runs. `values` (R,) one of each
+    run; a difference between two cells is paired this way; `samples` (S, R) of `resamples`."""
+    x = np.asarray(values, dtype=np.float64)
+    if not len(x):
+        return NOTHING
+    return percentiles(float(x.mean()), samples @ x / samples.sum(axis=1), confidence)
+
+
+def largest_of_share(values: ArrayLike, share: float, samples: FloatArray) -> FloatArray:
+    """In each bootstrap sample the largest value that is reached in at least a share of the runs.
+    `values` (R,), at least one; `samples` (S, R) of `resamples`; returns (S,)."""
+    x = np.asarray(values, dtype=np.float64)
+    order = np.argsort(-x, kind="stable")
+    reached = np.cumsum(samples[:, order], axis=1)
+    needed = np.maximum(np.ceil(share * reached[:, -1] - 1e-9), 1.0)
+    return np.asarray(x[order][np.argmax(reached >= needed[:, None], axis=1)])
+
+
+def percentiles(value: float, drawn: FloatArray, confidence: float = CONFIDENCE) -> Estimate:
+    """Percentile interval of a bootstrap. `drawn` (S,) estimates of the samples; NaN of those that
+    hold nothing to estimate from."""
+    known = drawn[np.isfinite(drawn)]
+    if math.isnan(value) or not len(known):
+        return NOTHING
+    tail = 50.0 * (1.0 - confidence)
+    low, high = np.percentile(known, [tail, 100.0 - tail])
+    return Estimate(value, float(low), float(high))
+
+
+def exceedance(
+    values: ArrayLike, levels: ArrayLike, confidence: float = CONFIDENCE
+) -> list[Estimate]:
+    """Probability that a value exceeds each level, with Wilson's interval. `values` (R,), such as
+    undetected displacements: then it is the probability of hazardously misleading information by
+    alert limit; `levels` (L,); returns (L,)."""
+    x = np.asarray(values, dtype=np.float64)
+    return [
+        wilson(int(np.sum(x > level)), len(x), confidence)
+        for level in np.asarray(levels, dtype=np.float64)
+    ]
+
+
+BUDGET = 0.05
+"""Default: an alarm in at most five of a hundred runs that are silent without the spoofer."""
+LEVEL = 0.05
+"""Probability with which the limit of an alarm rate is too low."""
+
+
+def alarm_limit(alarms: int, runs: int) -> float:
+    """Upper 95 % limit of the probability of an alarm; 1 where no run counts."""
+    if alarms >= runs:
+        return 1.0
+    return float(special.betaincinv(alarms + 1.0, runs - alarms, 1.0 - LEVEL))
+
+
+def keeps(alarms: int, runs: int, budget: float) -> bool:
+    """Whether the limit is within a budget."""
+    return alarm_limit(alarms, runs) <= budget + 1e-9
+
+
+def fewest_runs(budget: float) -> int:
+    """Runs without any alarm that it takes to keep a budget."""
+    return math.ceil(math.log(LEVEL) / math.log1p(-budget) - 1e-9)
+
+
+def most_alarms(runs: int, budget: float) -> int:
+    """Alarms with which so many runs keep a budget; -1 where they are too few."""
+    return next((k for k in range(runs, -1, -1) if keeps(k, runs, budget)), -1)
+
+
+def aim(runs: int, budget: float) -> float:
+    """Alarm rate that a search or a training aims at, so that its choice on so many runs keeps it.
+    At least a fifth of the budget, since there is nothing to find far below it."""
+    return max(most_alarms(runs, budget) / max(runs, 1), 0.2 * budget)
+
+
+def largest_within(
+    keeps: Callable[[float], bool],
+    first: float,
+    *,
+    step: float = 1.15,
+    walks: int = 4,
+    halvings: int = 2,
+) -> None:
+    """Try factors on an attack around the largest one that keeps the budget.
+
+    From the first factor it walks in steps, up while the budget is kept and down while it is not;
+    the step over the edge is then halved.  Where alarms come the more often the larger the factor
+    is, the edge lies within ``step ** (1 / 2 ** halvings)`` of the largest one that kept it.
+
+    `first`: factor to begin at, above 0; `step`: ratio of neighbouring factors of the walk, above
+    1.
+    """
+    within, at = keeps(first), first
+    for _ in range(walks):
+        there = at * step if within else at / step
+        if keeps(there) != within:
+            halve(keeps, min(at, there), max(at, there), halvings)
+            return
+        at = there
+
+
+def halve(keeps: Callable[[float], bool], low: float, high: float, halvings: int) -> None:
+    """Try factors between one that keeps the budget and one that does not, halving their ratio.
+    `low`, `high`: the one that keeps it, above 0, and the one that does not."""
+    for _ in range(halvings):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if keeps(middle) else (low, middle)

@@ -1,0 +1,125 @@
+"""The attack suite: whom every detector meets, a name and a version, and nothing to choose.
+
+It is a floor and no proof: what no member of it achieves, another attack may.  Every member has one
+setting that is searched for, the same as in a campaign.  With them play the blind optima (letter c)
+that a campaign has found against the detector, where that is among its spoofers.  A member whose
+spoofer is not registered is left out, which the digest tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.registry import Spec
+from ...core.settings import digest_of
+from ...simulation.setup import Setup
+from ...spoofers import SPOOFERS, SpooferContext
+from ...spoofers.scaled import AMPLITUDE
+from ..runs.play import make_bound_spoofer
+from ..runs.players import TUNED, Entry, build_spoofer, spoofer_entry
+from .settings import log_spaced
+
+FloatArray = NDArray[np.float64]
+NAME, VERSION = "spoofgym-scripted", 2
+"""Of the suite; another list of members, or another grid, is another version."""
+FAMILIES = {
+    "a": "ramps and accelerating ramps",
+    "b": "profiles",
+    "c": "blind optima, found against each detector",
+    "e": "feedback (oracle)",
+    "h": "dashes",
+}
+"""What the letters of the members mean."""
+ORACLES = "e"
+"""Letters of those that see the detector's statistics, as nobody can in practice."""
+KNOTS = 13
+SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "smooth-entry": lambda t: np.where(t < 0.5, t * t * (12.0 - 16.0 * t), 1.0),
+    "quadratic": lambda t: t * t,
+    "late": lambda t: t**4,
+}
+"""Rates of the profiles over the attack window, both in parts of the largest."""
+STEEPEST = 0.25
+"""Largest rate of a profile with amplitude 1, of what the acceleration allows in a whole window."""
+AROUND_FOUND = (0.5, 2.0)
+"""Amplitudes of a blind optimum that are tried first, in parts of that at which it was found."""
+LAST_PARTS = (0.15, 0.4)
+"""Parts of the attack window in which a dash takes place."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """One attack of the suite; `budgeted` where a campaign plays it under the alarm budget, too."""
+
+    letter: str
+    entry: Entry
+    budgeted: bool
+
+
+def members_of(context: SpooferContext) -> tuple[Member, ...]:
+    """All attacks, by an attack's limits and the length of its window."""
+    found = [
+        ("a", {"name": "ramp", "rate_mps": TUNED}),
+        ("a", {"name": "accelerating-ramp", "acceleration_mps2": TUNED}),
+        *(("b", _profile(name, context)) for name in SHAPES),
+        ("e", {"name": "feedback", AMPLITUDE: TUNED}),
+        *(("h", _dash(part, context)) for part in LAST_PARTS),
+    ]
+    return tuple(
+        Member(letter, spoofer_entry(spec), letter != "h")
+        for letter, spec in found
+        if spec["name"] in SPOOFERS
+    )
+
+
+def fitting_members(setup: Setup, context: SpooferContext) -> tuple[Member, ...]:
+    """Those that this attack can be commanded by: feedback needs its victim's statistics."""
+    found = []
+    for member in members_of(context):
+        try:
+            make_bound_spoofer(member.entry.with_value(1e-3), setup, 1)
+        except ValueError:
+            if member.letter not in ORACLES:  # of the others each must fit
+                raise
+            continue
+        found.append(member)
+    return tuple(found)
+
+
+def suite_digest(members: Sequence[Member]) -> str:
+    specs = [[member.letter, member.entry.spec] for member in members]
+    return digest_of({"name": NAME, "version": VERSION, "members": specs})
+
+
+def grid_of(member: Member, context: SpooferContext, values: int) -> list[float]:
+    """Log-spaced values of a member's setting over its whole range. Of a blind optimum around the
+    amplitude that it was found at."""
+    if member.letter == "c":
+        return log_spaced(*AROUND_FOUND, values)
+    kind = type(build_spoofer(member.entry.with_value(1.0)))
+    return log_spaced(*kind.tuning_range(context), values)
+
+
+def _profile(name: str, context: SpooferContext) -> Spec:
+    """A curve of the rate by its shape."""
+    most = context.rate_limit_mps
+    if context.control == "acceleration":
+        window_s = context.steps * context.interval_s
+        most = min(most, STEEPEST * context.acceleration_limit_mps2 * window_s)
+    rates = most * SHAPES[name](np.linspace(0.0, 1.0, KNOTS))
+    return {
+        "name": "profile",
+        "rates_mps": [float(f"{rate:.6g}") for rate in rates],
+        "label": f"profile-{name}",
+        AMPLITUDE: TUNED,
+    }
+
+
+def _dash(part: float, context: SpooferContext) -> dict[str, Any]:
+    last_s = part * context.steps * context.interval_s
+    return {"name": "dash", "rate_mps": TUNED, "last_s": float(f"{last_s:.4g}")}

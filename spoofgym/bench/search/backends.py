@@ -1,0 +1,116 @@
+"""Who plays the candidates of a blind optimum: response replay, or the engine itself."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...limits.response import Replay
+from ...simulation.setup import Setup
+from ...spoofers.aim import axes_of, direction, has_heading
+from ..runs.play import Runs, WarmStart, induced_error
+from ..scores.scores import counted
+
+FloatArray = NDArray[np.float64]
+Rows = NDArray[np.intp]
+EAST_DEG = 90.0
+"""Heading of scripted spoofers by default."""
+
+
+def limits_of(setup: Setup) -> tuple[float, float]:
+    """Largest rate, and its largest change between two decisions [m/s]."""
+    attack = setup.attack
+    largest = float(np.min(attack.rate_limit_mps))
+    if attack.control == "rate":
+        return largest, math.inf
+    return largest, attack.acceleration_limit_mps2 * setup.interval_s * setup.repeat
+
+
+def pushed(setup: Setup, heading_deg: float | str, target: FloatArray) -> FloatArray:
+    """(R, a) or (1, a) unit commands of spoofers with a heading, as `ScriptedSpoofer` has it.
+    `target` (R,) target directions of the runs [rad]."""
+    names = setup.action_names
+    if not (isinstance(heading_deg, str) and has_heading(names)):
+        return direction(names, 0.0 if isinstance(heading_deg, str) else heading_deg)[None]
+    parts = {"north": np.cos(target), "east": np.sin(target)}
+    return np.stack([parts.get(axis, np.zeros(len(target))) for axis in axes_of(names)], axis=1)
+
+
+class ReplayPlayer:
+    """One of the detectors of a replay, against attacks along a heading."""
+
+    def __init__(self, replay: Replay, number: int, heading_deg: float | str = EAST_DEG) -> None:
+        self.replay, self.number = replay, number
+        if not isinstance(heading_deg, str):
+            self.replay = replay = copy.copy(replay)
+            replay.heading = np.full(replay.runs, math.radians(heading_deg))
+        self.steps = replay.setup.steps // replay.setup.repeat
+        self.limits = limits_of(replay.setup)
+        clean = replay.play(number, np.zeros((1, self.steps)))
+        counts = counted(replay.warmup_alarm[number], clean.first_alarm[0])
+        self._rows = np.flatnonzero(counts)
+        self.runs = len(self._rows)
+
+    def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
+        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
+        found = self.replay.play(self.number, curves, rows=self._rows[rows])
+        error = found.error[: self.replay.setup.steps]
+        return found.peak, error.max(axis=0).mean(axis=1)
+
+
+class MixedPlayer:
+    """Several players, each of which plays its share of the runs: a pool of their detectors."""
+
+    def __init__(self, players: Sequence[ReplayPlayer], weights: Sequence[float]) -> None:
+        self.players, self.steps, self.limits = players, players[0].steps, players[0].limits
+        self.runs = min(each.runs for each in players)
+        ends = np.round(np.cumsum(weights) / np.sum(weights) * self.runs).astype(int)
+        self._owner = np.searchsorted(ends, np.arange(self.runs), side="right")
+
+    def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
+        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
+        peak, reach = np.zeros((len(curves), len(rows))), np.zeros(len(curves))
+        for k, player in enumerate(self.players):
+            mine = self._owner[rows] == k
+            if mine.any():
+                peak[:, mine], farthest = player.play(curves, rows[mine])
+                reach += farthest * mine.mean()
+        return peak, reach
+
+
+class EnginePlayer:
+    """A detector on the engine, which also plays those that take weight off measurements."""
+
+    def __init__(self, start: WarmStart, clean: Runs, heading_deg: float | str = EAST_DEG) -> None:
+        self.heading_deg = heading_deg
+        rows = np.flatnonzero(counted(start.warmup_alarm, clean.first_alarm))
+        self.start, self.clean = start.take(rows), clean.take(rows)
+        setup, self.runs = start.setup, len(rows)
+        self.steps, self.limits = setup.steps // setup.repeat, limits_of(setup)
+
+    def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
+        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
+        setup, runs = self.start.setup, len(rows)
+        everyone = np.tile(rows, len(curves))
+        engine, (limit, most) = self.start.take(everyone).engine(), self.limits
+        aim = pushed(setup, self.heading_deg, engine.simulator.heading)
+        change = np.diff(curves, axis=1, prepend=0.0) / most
+        actions = curves / limit if math.isinf(most) else change
+        peak = np.zeros(len(everyone))
+        position = np.empty((setup.steps + setup.hold, *engine.simulator.position.shape))
+        for k in range(len(position)):
+            command = None
+            if k < setup.steps:
+                size = np.repeat(actions[:, k // setup.repeat], runs)
+                command = np.ascontiguousarray(size[:, None] * aim)
+            engine.step(command)
+            position[k] = engine.simulator.position
+            np.maximum(peak, engine.simulator.ratio(), out=peak)
+        twin = self.clean.take(everyone)
+        error = induced_error(setup, twin._replace(position=position), twin)[: setup.steps]
+        shape = len(curves), runs
+        return peak.reshape(shape), error.max(axis=0).reshape(shape).mean(axis=1)

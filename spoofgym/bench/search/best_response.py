@@ -1,0 +1,374 @@
+r"""Best responses to a mix within a stated budget, and how far a pair of mixes can be exploited.
+
+The best response of a spoofer to a mix of detectors is looked for among the attack suite, blind
+optima that are searched for against this mix, and given policies: each family plays its whole
+range on a few runs of the split `selection`, and the best of them play all of these.  A detector's
+is the best of given ones.  What is chosen is then scored on runs that have decided nothing.
+
+That is one end of the exploitability, from below: somebody else may find more.  The other one, from
+above, is the zero-alarm bound of every detector, weighted by the mix, where each of them has one.
+It bounds the mean displacement E, and with the alert limit L both payoffs: a mean of
+:math:`\min(d, L) / L` is at most :math:`\min(E / L, 1)`, by Jensen's inequality, and so is
+:math:`P(d > L)`, by Markov's.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.registry import whole_number
+from ...core.settings import digest_of
+from ...envs.spoofer_binding import spoofer_context
+from ...limits.bounds import cases_of, zero_alarm_bounds
+from ...limits.response import NotReplayable, Replay, check_replayable
+from ...simulation.setup import seed_sequences
+from ...simulation.tight import TightlyCoupledSetup
+from ...spoofers.scaled import AMPLITUDE, split_amplitude
+from ..experiments.game import Game
+from ..experiments.members import DETECTOR, SPOOFER, Member, Mixture, member_of
+from ..runs.players import TUNED, Entry, spoofer_entry
+from ..scores.statistics import Estimate
+from .attack_suite import Member as Attack
+from .attack_suite import fitting_members, grid_of
+from .backends import MixedPlayer, ReplayPlayer
+from .bounds import WORLDS
+from .open_loop import SPLIT as SEARCH
+from .open_loop import BlindOptimizer, BlindSearch
+
+FloatArray = NDArray[np.float64]
+SELECTION = "selection"
+SHARES = (0.05, 0.5)
+"""Shares of alarms for which blind optima are searched for; amplitudes are tried afterwards."""
+SIGNIFICANT = 1e-3
+"""Weight in a mix from which on a detector takes part in that search."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttackBudget:
+    """What a best response may cost, the same for every mix that it is held against.
+
+    Parameters
+    ----------
+    runs, sift_runs : int
+        Runs of the selection, and how many of them play all candidates.
+    values : int
+        Log-spaced values of every family's setting.
+    kept : int
+        Candidates that play all of the runs.
+    blind : BlindSearch or None
+        Search for blind optima; None for none.
+    oracles : bool
+        Whether feedback, which observes the detector's statistics, is among the candidates.
+    further : mapping
+        What else is spent on every mix, JSON-able, by whoever has given candidates learn, such as
+        ``{"ppo_steps": 30_000}``; part of the digest, and nothing else.
+    """
+
+    runs: int = 96
+    sift_runs: int = 32
+    values: int = 8
+    kept: int = 6
+    blind: BlindSearch | None = field(
+        default_factory=lambda: BlindSearch(runs=64, batch=32, knots=12, generations=6)
+    )
+    oracles: bool = True
+    further: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        for name, least in (("runs", 1), ("sift_runs", 1), ("values", 2), ("kept", 1)):
+            count = whole_number(f"`{name}`", getattr(self, name), least)
+            object.__setattr__(self, name, count)
+        object.__setattr__(self, "further", dict(self.further))
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON-able, with a digest."""
+        settings = dataclasses.asdict(self)
+        if not self.further:
+            del settings["further"]
+        return {**settings, "digest": digest_of(settings)}
+
+
+class Response(NamedTuple):
+    """A best response that was found.
+
+    - `member`: who, and what decided on it; `value`: payoff on the runs of the selection;
+    - `best`: payoff of the best of every family on the first of these runs, by name; `by_family`:
+      who that is;
+    - `notes`: what the search left out.
+    """
+
+    member: Member
+    value: float
+    best: dict[str, float]
+    by_family: dict[str, Member]
+    notes: tuple[str, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        by_family = {name: each.as_json() for name, each in self.by_family.items()}
+        found = {"member": self.member.as_json(), "by_family": by_family}
+        return {"value": self.value, "best": self.best, **found, "notes": list(self.notes)}
+
+
+def best_spoofer(
+    game: Game,
+    mix: Mixture,
+    budget: AttackBudget,
+    *,
+    entropy: int,
+    given: Sequence[Member] = (),
+    warm: Sequence[Member] = (),
+    label: str | None = None,
+) -> Response:
+    """Look for the spoofer that gets most against a mix of detectors.
+
+    Parameters
+    ----------
+    game : Game
+        World and payoff; its runs are not played.
+    mix : Mixture
+        Of detectors.
+    budget : AttackBudget
+        How much is tried.
+    entropy : int
+        Seed of the runs that decide; nobody in the mix may have been chosen on them.
+    given : sequence of Member
+        Further spoofers, which are tried as they are, and keep their names.
+    warm : sequence of Member
+        Curves from which the search for blind optima may start, besides plain shapes.
+    label : str, optional
+        Name of what is found, which its family follows.
+
+    Returns
+    -------
+    Response
+        Its member was decided on the splits `selection` and `search` of that seed, a given one,
+        too.
+    """
+    seeds = frozenset([(entropy, SELECTION), (entropy, SEARCH)])
+    context = spoofer_context(game.setup)
+    attacks = [
+        each
+        for each in fitting_members(game.setup, context)
+        if budget.oracles or not member_of(each.entry.with_value(1e-3), SPOOFER).sees_statistics
+    ]
+    curves, notes = ([], ()) if budget.blind is None else _curves(game, mix, budget, warm, entropy)
+    attacks += [Attack("c", _blind_optimum(rates), True) for rates in curves]
+    tried = [dataclasses.replace(each, decided_on=each.decided_on | seeds) for each in given]
+    known = {each.label for each in given}
+    family = {label: label for label in known}
+    for number, attack in enumerate(attacks):
+        name = attack.entry.label.removesuffix("(tuned)").replace("tuned,", "")
+        for value in grid_of(attack, context, budget.values):
+            made = member_of(
+                attack.entry.with_value(value),
+                SPOOFER,
+                label=f"{name} {number}, {attack.entry.tuned} {value:g}",
+                decided_on=seeds,
+            )
+            tried.append(made)
+            family[made.label] = name
+    sifted = _against(game.on(SELECTION, budget.sift_runs, entropy), tried, mix)
+    order = np.argsort(-sifted, kind="stable")
+    finalists = [tried[k] for k in order[: budget.kept]]
+    found = _against(game.on(SELECTION, budget.runs, entropy), finalists, mix)
+    best: dict[str, float] = {}
+    by_family: dict[str, Member] = {}
+    for k in order:
+        name = family[tried[k].label]
+        best.setdefault(name, float(sifted[k]))
+        by_family.setdefault(name, tried[k])
+    winner = finalists[int(np.argmax(found))]
+    name = family[winner.label] if label is None else f"{label}: {family[winner.label]}"
+    if winner.label not in known:
+        winner = dataclasses.replace(winner, label=name)
+    return Response(winner, float(found.max()), best, by_family, notes)
+
+
+def best_detector(
+    game: Game, mix: Mixture, detectors: Sequence[Member], *, runs: int, entropy: int
+) -> Response:
+    """Detector, of given ones, against which a mix of spoofers gets least.
+
+    Parameters
+    ----------
+    game, mix : optional
+        As in `best_spoofer`; the mix is of spoofers.
+    detectors : sequence of Member
+        Whom to choose from.
+    runs, entropy : int
+        Runs of the selection, and their seed.
+
+    Returns
+    -------
+    Response
+        One of them, as it was; nothing but its name has been decided on these runs.
+    """
+    matrix = game.on(SELECTION, runs, entropy).matrix([mix], detectors, oracles=True)
+    values = matrix.values[0]
+    k = int(np.nanargmin(values))
+    best = {each.label: float(x) for each, x in zip(detectors, values, strict=True)}
+    by_family = {each.label: each for each in detectors}
+    return Response(detectors[k], float(values[k]), best, by_family)
+
+
+def _against(game: Game, spoofers: Sequence[Member], mix: Mixture) -> FloatArray:
+    """Payoffs (S,) of candidates against a mix, to choose by: they may have been chosen here."""
+    open_ = [dataclasses.replace(each, decided_on=frozenset()) for each in spoofers]
+    return game.matrix(open_, [mix], oracles=True).values[:, 0]
+
+
+def _blind_optimum(rates: FloatArray) -> Entry:
+    rounded = [float(f"{rate:.6g}") for rate in rates]
+    return spoofer_entry({"name": "blind-optimum", "rates_mps": rounded, AMPLITUDE: TUNED})
+
+
+def _curves(
+    game: Game, mix: Mixture, budget: AttackBudget, warm: Sequence[Member], entropy: int
+) -> tuple[list[FloatArray], tuple[str, ...]]:
+    """Blind optima against a mix, by response replay; and whom the search has left out."""
+    assert budget.blind is not None  # as the caller has seen
+    setup, notes = game.setup, []
+    if not isinstance(setup, TightlyCoupledSetup):
+        return [], (f"no blind optimum: {setup.whose} has no linear response",)
+    members, weights = [], []
+    for member, weight in zip(mix.members, mix.weights, strict=True):
+        why = "it takes weight off measurements"
+        try:
+            check_replayable(game.detector(member))
+            replayable = game.is_passive(member)
+        except NotReplayable as error:
+            replayable, why = False, str(error)
+        if not replayable:
+            notes.append(f"the search for blind optima is without {member.label}: {why}")
+        elif weight >= SIGNIFICANT:
+            members.append(game.detector(member))
+            weights.append(weight)
+    if not members:
+        return [], tuple(notes)
+    seeds = seed_sequences(entropy, SEARCH, setup.name, budget.blind.runs)
+    replay = Replay(setup, members, seeds, threads=game.threads)
+    player = MixedPlayer([ReplayPlayer(replay, k) for k in range(len(members))], weights)
+    starts = {each.label: curve for each in warm if (curve := _curve_of(each)) is not None}
+    curves = []
+    for share in SHARES:
+        game.progress.advance(0.0, f"blind optimum, {100 * share:g} % alarms")
+        found = BlindOptimizer(player, share, budget.blind).search(starts)
+        curves.append(found.rates_mps)
+    return curves, tuple(notes)
+
+
+def _curve_of(member: Member) -> FloatArray | None:
+    """Rates at knots of a curve along one line; None of any other spoofer."""
+    spec, amplitude = split_amplitude(member.spec)
+    rates = spec.get("rates_mps") if isinstance(spec, dict) else None
+    if not rates or spec.get("cross_rates_mps"):
+        return None
+    return np.array(rates) * (1.0 if amplitude is None else amplitude)
+
+
+class Ends(NamedTuple):
+    """What one side gains by leaving a pair of mixes.
+
+    - `below`: gain of the response that was found, on fresh runs, with its 95 % interval; negative
+      where the mix of the own side is better; `member`: whose it is;
+    - `above`: largest gain of anybody; None where none is known, and `why`.
+    """
+
+    below: Estimate
+    member: str
+    above: float | None
+    why: str
+
+    def as_json(self) -> dict[str, Any]:
+        return {**self._asdict(), "below": self.below.as_json()}
+
+
+class Exploitability(NamedTuple):
+    """How far a pair of mixes can be exploited.
+
+    - `value`: payoff of the pair on fresh runs; `spoofer`, `detector`: gains of either side;
+    - `below`: both gains together, which is 0 in an equilibrium, and at least 0 in truth.
+    """
+
+    value: Estimate
+    spoofer: Ends
+    detector: Ends
+    below: Estimate
+
+    def as_json(self) -> dict[str, Any]:
+        ends = {name: getattr(self, name).as_json() for name in self._fields}
+        return ends
+
+
+def exploitability(
+    game: Game, spoofers: Mixture, detectors: Mixture, answer: Member, guard: Member
+) -> Exploitability:
+    """Score responses to a pair of mixes on fresh runs.
+
+    Parameters
+    ----------
+    game : Game
+        On runs that have decided on nobody, which is checked.
+    spoofers, detectors : Mixture
+        The pair.
+    answer : Member
+        Response to the detectors, as of `best_spoofer`.
+    guard : Member
+        Response to the spoofers, as of `best_detector`.
+
+    Returns
+    -------
+    Exploitability
+        Paired, since all of it is played on the same runs.
+    """
+    matrix = game.matrix([spoofers, answer], [detectors, guard], oracles=True)
+    value = matrix.contrast([[1.0, 0.0], [0.0, 0.0]])
+    limit, why = upper_end(game, detectors)
+    return Exploitability(
+        value,
+        Ends(
+            matrix.contrast([[-1.0, 0.0], [1.0, 0.0]]),
+            answer.label,
+            None if limit is None else limit - value.value,
+            why,
+        ),
+        Ends(
+            matrix.contrast([[1.0, -1.0], [0.0, 0.0]]),
+            guard.label,
+            None,
+            "no bound is known of what every detector allows a mix of spoofers",
+        ),
+        matrix.contrast([[0.0, -1.0], [1.0, 0.0]]),
+    )
+
+
+def upper_end(game: Game, mix: Mixture) -> tuple[float | None, str]:
+    """Payoff that no spoofer exceeds against a mix of detectors. Returns `bound`, none where a
+    member has no bound; returns `why`, bounds by member, or whose is missing and why."""
+    setup = game.setup
+    if mix.side != DETECTOR:
+        raise ValueError(f"a mix of detectors has bounds, got one of {mix.side}s")
+    if not isinstance(setup, TightlyCoupledSetup):
+        return None, f"no bound is known for {setup.whose}"
+    cases, total, words = cases_of(setup, WORLDS, game.seeds[0]), 0.0, []
+    for member, weight in zip(mix.members, mix.weights, strict=True):
+        game.progress.advance(0.0, f"zero-alarm bound of {member.label}")
+        if not game.is_passive(member):
+            return None, f"{member.label} has no bound: it takes weight off measurements"
+        found = zero_alarm_bounds(setup, game.detector(member), cases)
+        bound = found.free_m if found.restricted_m is None else found.restricted_m
+        if bound is None:
+            return None, f"{member.label} has no bound: {found.why}"
+        total += weight * min(bound / game.payoff.limit_m, 1.0)
+        words.append(f"{member.label} {bound:.3g} m" if math.isfinite(bound) else member.label)
+    why = f"zero-alarm bounds of attacks along one heading: {', '.join(words)}"
+    if total >= 1.0 - 1e-9:
+        why += f"; none is below the limit of {game.payoff.limit_m:g} m, so that they say nothing"
+    return total, why

@@ -1,0 +1,131 @@
+"""The bracket of a campaign: floor, blind optimum and zero-alarm bound of every detector.
+
+The floor is what even a perfect detector would allow at the same rate of false alarms, for what
+each figure asks of it: to miss an attack that keeps the alarm budget, to find half of the attacks,
+or 95 % of them.  It is the same for all detectors.  The zero-alarm bound is what no attack exceeds
+in the mean without an alarm of its own doing.  Between them lies what was found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from ...detectors import detector_in_world
+from ...detectors.calibrated import STANDARD_RATE, resolve
+from ...detectors.calibration_file import run_probability
+from ...limits import Frontier, deflection_for, frontier_of
+from ...limits.bounds import Case, Tick, ZeroAlarm, cases_of, zero_alarm_bounds
+from ...limits.floor import QUANTILES, check_linear_victim
+from ...simulation.setup import Setup
+from ...simulation.tight import TightlyCoupledSetup
+from ..runs.players import Entry
+from ..runs.world import Suite
+
+WORLDS = 4
+"""Drawn worlds over which floors and bounds are taken."""
+HEADING = "unknown"
+"""What a perfect detector knows of the attack's heading; it knows the rest."""
+
+
+def purposes(p_fa: float, budget: float) -> dict[str, float]:
+    """Probability of detection that each figure of a campaign asks of a perfect detector."""
+    return {
+        "stealthy": 1.0 - (1.0 - p_fa) * (1.0 - budget),
+        "half": 0.5,
+        "few": 0.95,
+        "certain": 0.999,
+    }
+
+
+def floor_of(frontier: Frontier, p_fa: float, budget: float) -> dict[str, Any]:
+    """What even a perfect detector allows, and under which assumptions."""
+    return {
+        "p_fa": p_fa,
+        "heading": HEADING,
+        "worlds": len(frontier.per_deflection),
+        "sensors_known": frontier.sensors_known,
+        "assumptions": list(frontier.assumptions),
+        "floor_m": floors_m(frontier, p_fa, budget),
+    }
+
+
+def floors_m(
+    frontier: Frontier, p_fa: float, budget: float, heading: str = HEADING
+) -> dict[str, dict[str, float | None]]:
+    """Floors by purpose: the median over worlds, and the 10th and 90th percentile [m]. None where
+    the frontier has no end."""
+    found = {}
+    for name, p_d in purposes(p_fa, budget).items():
+        low, middle, high = (
+            _finite(frontier.floor_m(p_fa, p_d, heading=heading, quantile=q)) for q in QUANTILES
+        )
+        d = deflection_for(p_fa, p_d, heading=heading)
+        found[name] = {"p_d": p_d, "deflection": d, "value": middle, "low": low, "high": high}
+    return found
+
+
+def floors_at(frontier: Frontier, rates: Sequence[float], budget: float) -> dict[str, Any]:
+    """Floors at several probabilities of a false alarm, ``rates``, and those at the first."""
+    each = [floor_of(frontier, p_fa, budget) for p_fa in rates]
+    return {**each[0], "rates": [{key: x[key] for key in ("p_fa", "floor_m")} for x in each]}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+class Brackets:
+    """Floor and zero-alarm bounds of a campaign's detectors, over so many drawn worlds."""
+
+    def __init__(self, suite: Suite, worlds: int = WORLDS) -> None:
+        self.suite, self.worlds = suite, worlds
+        self._cases: list[Case] | None = None
+        self._bounds: dict[str, ZeroAlarm] = {}
+
+    @property
+    def setup(self) -> TightlyCoupledSetup | None:
+        """The world, where limits are known for its victim."""
+        world: Setup = self.suite.world
+        return world if isinstance(world, TightlyCoupledSetup) else None
+
+    def floor(self) -> dict[str, Any]:
+        """Floors of the world at the campaign's rate of false alarms; why there is none."""
+        if self.setup is None:
+            return {"why": f"no limit is known for {self.suite.world.whose}"}
+        try:
+            frontier = frontier_of(self.setup, worlds=self.worlds, entropy=self.suite.entropy)
+        except ValueError as error:
+            return {"why": str(error)}
+        return floors_at(frontier, self.rates, self.suite.tuning.budget)
+
+    @property
+    def p_fa(self) -> float:
+        """Probability of a false alarm in a run of the first detector with a rate."""
+        return self.rates[0]
+
+    @property
+    def rates(self) -> list[float]:
+        """Probabilities of a false alarm in a run of the detectors, the standard one for none."""
+        points = [self.suite.points(entry) for entry in self.suite.detector_entries]
+        found = dict.fromkeys(float(point.per_run) for each in points for point in each)
+        return list(found) or [run_probability(STANDARD_RATE, self.suite.world.window_s)]
+
+    def zero_alarm(self, detector: Entry, tick: Tick | None = None) -> ZeroAlarm:
+        if self.setup is None:
+            why = f"no limit is known for {self.suite.world.whose}"
+            return ZeroAlarm(None, None, "", why, [])
+        if detector.label not in self._bounds:
+            judge = detector_in_world(detector.spec)
+            resolve(judge, self.setup)
+            found = zero_alarm_bounds(self.setup, judge, self.cases(), tick)
+            self._bounds[detector.label] = found
+        return self._bounds[detector.label]
+
+    def cases(self, tick: Tick | None = None) -> list[Case]:
+        """Drawn worlds, the same for all detectors."""
+        if self._cases is None:
+            setup = check_linear_victim(self.suite.world)
+            self._cases = cases_of(setup, self.worlds, self.suite.entropy, tick)
+        return self._cases

@@ -1,0 +1,459 @@
+r"""CMA-ES over rate profiles.
+
+The blind optimum: the best open-loop attack found against a detector.
+
+A curve of the rate through knots is looked for by CMA-ES (`hansen2006`).  Its candidates are played
+on response replay, which adds an attack to recorded clean runs and asks the detector itself; on the
+engine where a detector de-weights, so that replay does not hold.
+
+Every generation is played on another part of the runs, so that the mean of the search does not
+learn the noise of a few of them by heart.  Every candidate is scored at the amplitude that its
+share of alarms allows.  For each run the amplitude at which its largest ratio of statistic to
+threshold comes to 1 is interpolated between two that are judged; the score is the displacement at
+the quantile of these, by a line through the smaller ones against normal scores, which a single run
+moves less than the quantile itself.
+
+What comes out is a curve.  Its amplitude is fitted on the engine, as that of every spoofer.
+
+Blind optima of a campaign: the curves that are found against each detector.
+
+Passive detectors share one response replay of runs that play nothing else.  A detector that
+de-weights, or a victim or an attack that has no replay, is searched against on the engine, and the
+result says so.  A curve found by replay is played on the engine, too, and where its displacement is
+another one there, the search is done again on the engine.
+
+The amplitude is fitted on training runs, where a few alarms decide.  So the plain curves and the
+campaign's own profiles are fitted like the one that was found, and the best of them is played.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from ...calibration.clean_runs import weighs
+from ...core.registry import whole_number
+from ...detectors import Detector, detector_in_world
+from ...detectors.calibrated import resolve
+from ...limits.response import NotReplayable, Replay, check_replayable
+from ...simulation.setup import seed_sequences
+from ...simulation.tight import TightlyCoupledSetup
+from ...spoofers.profile import MOST_KNOTS, sampled
+from ..runs.play import Runs, WarmStart, induced_error, play
+from ..runs.players import Entry
+from ..runs.world import Suite
+from ..scores.statistics import aim
+from .backends import EnginePlayer, ReplayPlayer, limits_of
+from .bounds import Brackets
+
+FloatArray = NDArray[np.float64]
+Rows = NDArray[np.intp]
+Tick = Callable[[float], None]
+LADDER = np.geomspace(1e-3, 1.0, 13)
+"""Parts of the largest rate at which the first curves are tried."""
+PAIR = (0.93, 1.075)
+"""Amplitudes at which a candidate is judged, around that of the best so far."""
+STEEPEST, FLATTEST = 4.0, 0.1
+"""Largest and smallest power of the amplitude by which a largest ratio is taken to grow."""
+FEWEST = 2
+"""Runs that a search takes."""
+AT_ONCE = 24
+"""Attacks that are judged together."""
+SPREAD, SMOOTH_LENGTH, SMOOTH = 0.035, 0.2, 0.98
+"""Standard deviation of the first candidates, in units of the largest rate; part of the window over
+which neighbouring knots vary together, and for how much of the variance."""
+LOWER_PART = 0.3
+"""Part of the runs above the share whose amplitudes decide on the quantile, too."""
+FREE = 0.95
+"""Part of the farthest reach of the attack from which on a search is over before it begins."""
+SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "constant": lambda t: np.ones_like(t),
+    "smooth entry": lambda t: np.where(t < 0.5, t * t * (12.0 - 16.0 * t), 1.0),
+    "linear": lambda t: t,
+    "quadratic": lambda t: t * t,
+    "late": lambda t: t**4,
+    "half linear": lambda t: 0.3 + 0.7 * t,
+    "late linear": lambda t: np.clip(2.0 * t - 1.0, 0.0, None),
+}
+"""Rates over the attack window of the curves that a search starts from."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlindSearch:
+    """How a blind optimum is looked for. `runs`, `batch`: clean runs that it is looked for on, of a
+    split of their own, and how many of them play a generation; `knots`: of the curve, 2 to 64;
+    `population`, `generations`: of CMA-ES; no generations for the best of the first curves."""
+
+    runs: int = 144
+    batch: int = 48
+    knots: int = 24
+    population: int = 12
+    generations: int = 12
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        leasts = {"runs": 8, "batch": 4, "knots": 2, "population": 4, "generations": 0, "seed": 0}
+        for name, least in leasts.items():
+            value = whole_number(f"`blind_search.{name}`", getattr(self, name), least)
+            object.__setattr__(self, name, value)
+        if self.knots > MOST_KNOTS:
+            raise ValueError(f"`blind_search.knots` must be at most {MOST_KNOTS}, got {self.knots}")
+
+
+class Player(Protocol):
+    """Plays sampled curves on runs that count, which are silent without an attack."""
+
+    @property
+    def runs(self) -> int:
+        """N."""
+
+    @property
+    def steps(self) -> int:
+        """Values of a sampled curve."""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Largest rate, and its largest change between two values, which may be infinite [m/s]."""
+
+    def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
+        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
+
+
+class BlindOptimum(NamedTuple):
+    """A curve that a search has found.
+
+    - `rates_mps` (knots,) at the amplitude that the share of alarms allows on the runs;
+    - `displacement_m` it gets there, by the score of the search;
+    - `start`: shape that the search began at, and `start_m` what that gets;
+    - `free`: whether it gets as far as any attack, so that nothing was left to search for.
+    """
+
+    rates_mps: FloatArray
+    displacement_m: float
+    start: str
+    start_m: float
+    free: bool = False
+
+
+class BlindOptimizer:
+    """Search for the curve that gets farthest while some share of the runs may alarm."""
+
+    def __init__(self, player: Player, share: float, settings: BlindSearch) -> None:
+        self.player, self.share, self.settings = player, share, settings
+        self.everyone = np.arange(player.runs)
+
+    def search(
+        self, others: Mapping[str, FloatArray] | None = None, tick: Tick | None = None
+    ) -> BlindOptimum:
+        """Search, from the best of some shapes, with `others` (n,) among them, by their names. With
+        fewer than two runs nothing can be told of any share of them: that is the slowest of the
+        first curves. The rates are within the attack's limit, as they were judged."""
+        advance = tick or (lambda part: None)
+        found, (limit, _) = self._search(others or {}, advance), self.player.limits
+        return found._replace(rates_mps=np.clip(found.rates_mps, -limit, limit))
+
+    def _search(self, others: Mapping[str, FloatArray], advance: Tick) -> BlindOptimum:
+        """Search; what is found may be beyond the attack's limit."""
+        t = np.linspace(0.0, 1.0, self.settings.knots)
+        if self.player.runs < FEWEST:
+            slowest = np.full(len(t), LADDER[0] * self.player.limits[0])
+            return BlindOptimum(slowest, 0.0, "constant", 0.0)
+        if (fastest := self._unseen(len(t))) is not None:
+            return fastest
+        shapes = {name: shape(t) for name, shape in SHAPES.items()}
+        for name, other in others.items():
+            at_knots = np.interp(t, np.linspace(0.0, 1.0, len(other)), other)
+            shapes[name] = at_knots / np.abs(at_knots).max()
+        found, free = self._ladder(shapes)
+        advance(0.2)
+        if free:
+            return found._replace(free=True)
+        means = [found.rates_mps, *self._generations(found.rates_mps, advance)]
+        third = np.array(means[-max(len(means) // 3, 1) :])
+        scores, rates = self._pairs(
+            np.array([means[0], *third, third.mean(axis=0)]), means[0].mean(), self.everyone
+        )
+        best = int(np.argmax(scores))
+        return found._replace(rates_mps=rates[best], displacement_m=float(scores[best]))
+
+    def _unseen(self, knots: int) -> BlindOptimum | None:
+        """The fastest curve of all, where no run alarms at it: nothing gets farther."""
+        fastest = np.full(knots, self.player.limits[0])
+        peak, reach = self._judge(fastest[None], self._batch(0))
+        if (peak > 1.0).any():
+            return None
+        return BlindOptimum(fastest, float(reach[0]), "constant", float(reach[0]), True)
+
+    def _ladder(self, shapes: dict[str, FloatArray]) -> tuple[BlindOptimum, bool]:
+        """Best of some shapes over all amplitudes, and whether it gets as far as any attack."""
+        limit, _ = self.player.limits
+        scales, count = LADDER * limit, len(LADDER)
+        tried = [scale * shape for shape in shapes.values() for scale in scales]
+        peak, reach = self._judge(np.array(tried), self._batch(0))
+        found = BlindOptimum(np.zeros(0), -1.0, "", -1.0)
+        for k, (name, shape) in enumerate(shapes.items()):
+            own = slice(k * count, (k + 1) * count)
+            edges = np.array([crossing(scales, column) for column in peak[own].T])
+            scale = self._allowed(edges)
+            score = float(np.interp(math.log(scale), np.log(scales), reach[own]))
+            if score > found.displacement_m:
+                found = BlindOptimum(scale * shape, score, name, score)
+        return found, found.displacement_m >= FREE * float(reach.max())
+
+    def _allowed(self, edges: FloatArray) -> float:
+        """Amplitude that a share of alarms allows, by (N,) those at which single runs alarm."""
+        count = len(edges)
+        lowest = min(max(4, math.ceil((self.share + LOWER_PART) * count)), count)
+        normal = special.ndtri((np.arange(lowest) + 0.5) / count)
+        slope, level = np.polyfit(normal, np.log(np.sort(edges)[:lowest]), 1)
+        return float(np.exp(level + slope * special.ndtri(self.share)))
+
+    def _batch(self, turn: int) -> Rows:
+        """Runs of a turn; all have theirs before any comes again."""
+        size = min(self.settings.batch, len(self.everyone))
+        parts = max(len(self.everyone) // size, 1)
+        again, part = divmod(turn, parts)
+        order = np.random.default_rng([self.settings.seed, again]).permutation(self.everyone)
+        return np.asarray(np.sort(order[part * size : (part + 1) * size]))
+
+    def _judge(self, rates: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
+        """Play (P, knots) rates, as the attack's limits let them be followed."""
+        curves = self.curves(rates)
+        starts = range(0, len(rates), AT_ONCE)
+        parts = [self.player.play(curves[k : k + AT_ONCE], rows) for k in starts]
+        peak, reach = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return peak, reach
+
+    def curves(self, rates: FloatArray) -> FloatArray:
+        """Sampled curves (P, steps) of rates at knots (P, knots), within the attack's limits."""
+        steps, (limit, most) = self.player.steps, self.player.limits
+        wanted = np.array([sampled(tuple(rate.tolist()), steps) for rate in rates])
+        wanted = np.clip(wanted, -limit, limit)
+        if math.isinf(most):
+            return np.asarray(wanted)
+        now: FloatArray = np.zeros(len(wanted))
+        out: FloatArray = np.empty(wanted.shape)
+        for k in range(steps):
+            now = now + np.clip(wanted[:, k] - now, -most, most)
+            out[:, k] = now
+        return out
+
+    def _generations(self, start: FloatArray, advance: Tick) -> Iterator[FloatArray]:
+        """Means of CMA-ES, each at the amplitude of its score."""
+        try:
+            from cmaes import CMA
+        except ImportError as error:
+            raise ImportError(
+                "the search for a blind optimum needs cmaes: pip install 'spoofgym[limits]'"
+            ) from error
+        settings, unit = self.settings, float(np.abs(start).max())
+        t = np.linspace(0.0, 1.0, settings.knots)
+        near = np.exp(-0.5 * ((t[:, None] - t) / SMOOTH_LENGTH) ** 2)
+        cov = SMOOTH * near + (1.0 - SMOOTH) * np.eye(len(t))
+        size = settings.population
+        cma = CMA(start / unit, SPREAD, seed=settings.seed, cov=cov, population_size=size)
+        moved = float(start.mean())
+        for turn in range(settings.generations):
+            # the mean is one of the candidates: it learns the noise of a few runs the least
+            asked = [cma.mean.copy(), *(cma.ask() for _ in range(size - 1))]
+            scores, rates = self._pairs(np.array(asked) * unit, moved, self._batch(turn))
+            cma.tell([(x, -score) for x, score in zip(asked, scores.tolist(), strict=True)])
+            moved = float(rates[0].mean())
+            advance(0.8 / settings.generations)
+            yield rates[0]
+
+    def _pairs(self, rates: FloatArray, moved: float, rows: Rows) -> tuple[FloatArray, FloatArray]:
+        """Scores of (P, knots) rates, and these at the amplitudes of the scores. All are brought to
+        the same mean rate first, so that they are judged near their amplitude."""
+        mean = rates.mean(axis=1)
+        rates = (
+            rates * np.where(mean * moved > 0.0, moved / np.where(mean, mean, 1.0), 1.0)[:, None]
+        )
+        peak, reach = self._judge(np.concatenate([factor * rates for factor in PAIR]), rows)
+        low, high = np.log(np.maximum(peak, 1e-300)).reshape(2, len(rates), -1)
+        width, middle = math.log(PAIR[1] / PAIR[0]), math.sqrt(PAIR[0] * PAIR[1])
+        power = np.clip((high - low) / width, FLATTEST, STEEPEST)
+        edges = middle * np.exp(np.clip(-0.5 * (low + high) / power, -1.5, 1.5))
+        scale = np.array([self._allowed(each) for each in edges])
+        near, far = reach.reshape(2, -1)
+        growth = np.clip(np.log(far / near) / width, 0.0, 1.5)
+        score = np.sqrt(near * far) * (scale / middle) ** growth
+        return score, rates * scale[:, None]
+
+
+def crossing(amplitudes: FloatArray, peak: FloatArray) -> float:
+    """Amplitude at which a largest ratio comes to 1, between those that were judged."""
+    above = np.flatnonzero(peak > 1.0)
+    if not len(above):
+        return float(amplitudes[-1])
+    k = int(above[0])
+    if k == 0:
+        return float(amplitudes[0])
+    low, high = (math.log(max(float(peak[j]), 1e-12)) for j in (k - 1, k))
+    ratio = float(amplitudes[k] / amplitudes[k - 1])
+    return float(amplitudes[k - 1] * ratio ** min(max(-low / max(high - low, 1e-12), 0.0), 1.0))
+
+
+AIMS = ("budget", "half")
+"""What a curve is for: the alarm budget of a stealthy attack, as far as an amplitude that is fitted
+keeps it, or half of the runs alarming, by which the protection is given."""
+LINEAR_ERROR = 0.02
+"""How far the displacement on the engine may be from that of the replay, as a part of it."""
+SPLIT = "search"
+"""Runs that are searched on: an amplitude that is fitted on the same ones would be too large."""
+IDLE = 1e-9
+"""Part of its rates at which an attack is commanded nothing."""
+REPLAY, ENGINE = "response replay", "engine"
+FOUND, PLAIN = "found", ("constant", "linear")
+"""Curves whose amplitude is fitted: the one that was found, and shapes of the rate."""
+ZERO_ALARM, BEFORE = "zero-alarm shape", "found before"
+"""A shape that is fitted, too, and one that a search starts from where another has found it."""
+
+
+class Optima:
+    """Searches of one campaign."""
+
+    def __init__(
+        self, suite: Suite, threads: int | None = None, brackets: Brackets | None = None
+    ) -> None:
+        self.suite, self.threads, self.settings = suite, threads, BlindSearch()
+        self.brackets = brackets or Brackets(suite)
+        self._replay: Replay | None = None
+        self._numbers: dict[str, int] | None = None
+
+    def find(self, detector: Entry, spoofer: Entry, tick: Tick) -> dict[str, Any]:
+        """Curves by `AIMS`, ``aims``, with their ``rates_mps``; ``by``, what played the candidates.
+        `spoofer`: a blind optimum without rates, for its heading."""
+        generators = self.suite.generators(SPLIT, self.settings.runs)
+        start = WarmStart(self.suite.setup(detector), generators, threads=self.threads)
+        clean = play(start, "none")
+        heading_deg = spoofer.spec["heading_deg"]
+        shape = self._zero_alarm(detector)
+        replayed, why = self._player(detector, heading_deg)
+        error = None
+        if replayed is not None:
+            found = self._search(replayed, tick)
+            spec = {**spoofer.untuned, "rates_mps": found[AIMS[0]]["rates_mps"]}
+            error = linear_error(replayed, spec, start, clean)
+            if error <= LINEAR_ERROR:
+                return {"by": REPLAY, "linear_error": error, "aims": found, "shapes": shape}
+            why = f"the displacement by replay is off by {100.0 * error:.1f} %"
+        found = self._search(EnginePlayer(start, clean, heading_deg), tick)
+        return {
+            "by": ENGINE,
+            "why": why,
+            "linear_error": error,
+            "aims": found,
+            "shapes": shape,
+        }
+
+    def _search(self, player: ReplayPlayer | EnginePlayer, tick: Tick) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        best: BlindOptimum | None = None
+        least = 1.0
+        tuning = self.suite.tuning
+        for name, share in zip(AIMS, (aim(tuning.runs, tuning.budget), 0.5), strict=True):
+            # what gets as far as any attack at few alarms does so at more of them
+            if best is None or not best.free or share < least:
+                others = {} if best is None else {BEFORE: best.rates_mps}
+                best = BlindOptimizer(player, share, self.settings).search(others, tick)
+                least = share
+            found[name] = {
+                "share": share,
+                "rates_mps": [float(f"{rate:.6g}") for rate in best.rates_mps],
+                "displacement_m": best.displacement_m,
+                "start": best.start,
+                "start_m": best.start_m,
+            }
+        return found
+
+    def _zero_alarm(self, detector: Entry) -> dict[str, list[float]]:
+        """Shape of the attack that gets farthest without an alarm of its own doing, if known. It is
+        fitted, and no start of the search, which got less far from there in its few generations: 49
+        m against `cusum` of range rates, and 54 m from plain shapes."""
+        rates = self.brackets.zero_alarm(detector).rates_mps
+        shape = np.mean(rates, axis=0) if rates else np.zeros(1)
+        return {ZERO_ALARM: shape.tolist()} if np.any(shape > 0.0) else {}
+
+    def _player(self, detector: Entry, heading_deg: float | str) -> tuple[ReplayPlayer | None, str]:
+        """The detector on the shared replay; None, and why, where it has none."""
+        setup = self.suite.world
+        if not isinstance(setup, TightlyCoupledSetup):
+            return None, f"{setup.whose} has no linear response here"
+        try:
+            judge = self._judge(detector)
+            check_replayable(judge)
+            if weighs(setup, judge):
+                return None, "the detector takes weight off measurements"
+            replay, numbers = self._recorded(setup)
+        except NotReplayable as error:
+            return None, str(error)
+        return ReplayPlayer(replay, numbers[detector.label], heading_deg), ""
+
+    def _judge(self, detector: Entry) -> Detector:
+        judge = detector_in_world(detector.spec)
+        resolve(judge, self.suite.world)
+        return judge
+
+    def _recorded(self, setup: TightlyCoupledSetup) -> tuple[Replay, dict[str, int]]:
+        """The replay of all passive detectors, and their numbers."""
+        if self._replay is None or self._numbers is None:
+            judges = {}
+            for entry in self.suite.detector_entries:
+                judge = self._judge(entry)
+                try:
+                    check_replayable(judge)
+                except NotReplayable:
+                    continue
+                if not weighs(setup, judge):
+                    judges[entry.label] = judge
+            seeds = seed_sequences(self.suite.entropy, SPLIT, setup.name, self.settings.runs)
+            everyone = list(judges.values())
+            self._replay = Replay(setup, everyone, seeds, threads=self.threads)
+            self._numbers = {label: k for k, label in enumerate(judges)}
+        return self._replay, self._numbers
+
+
+def curves_to_fit(suite: Suite, found: dict[str, Any]) -> dict[str, list[float]]:
+    """The curve for the budget, and others that get as far, by their names. Nothing gets farther
+    than the largest rate: where that was found, it is the only one."""
+    rates = np.array(found["aims"][AIMS[0]]["rates_mps"])
+    limit, _ = limits_of(suite.world)
+    curves = {FOUND: rates}
+    if rates.min() < limit:
+        t = np.linspace(0.0, 1.0, len(rates))
+        plain = {name: SHAPES[name](t) for name in PLAIN}
+        plain |= {
+            entry.label: np.array(entry.spec["rates_mps"])
+            for entry in suite.spoofer_entries
+            if entry.spec["name"] == "profile" and not entry.spec["cross_rates_mps"]
+        }
+        plain |= {name: np.array(each) for name, each in found["shapes"].items()}
+        for name, shape in plain.items():
+            # its amplitude may exceed 1, and the attack's limit holds after that
+            shape = np.interp(t, np.linspace(0.0, 1.0, len(shape)), shape)
+            size = min(rates.mean() / shape.mean(), limit / np.abs(shape).max())
+            curves[name] = size * shape
+    return {name: [float(f"{rate:.6g}") for rate in each] for name, each in curves.items()}
+
+
+def linear_error(
+    player: ReplayPlayer, spec: dict[str, Any], start: WarmStart, clean: Runs
+) -> float:
+    """How far the engine displaces from what the replay says, as a part of it, in the mean."""
+    attacked, still = play(start, spec), clean
+    if not start.setup.attack.idle_is_clean:  # what is commanded displaces, not the own errors
+        still = play(start, {**spec, "rates_mps": [IDLE * rate for rate in spec["rates_mps"]]})
+    engine = induced_error(start.setup, attacked, still)[: start.setup.steps]
+    optimizer = BlindOptimizer(player, 0.5, BlindSearch())
+    everyone = np.arange(min(player.replay.runs, engine.shape[1]))
+    curves = optimizer.curves(np.array([spec["rates_mps"]]))
+    linear = player.replay.errors(curves, everyone)[: start.setup.steps, 0]
+    size = float(linear.max(axis=0).mean())
+    return float(np.abs(engine[:, everyone] - linear).max(axis=0).mean() / max(size, 1e-9))

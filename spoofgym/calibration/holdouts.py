@@ -1,0 +1,270 @@
+"""What shows that calibrations hold: fresh runs, runs of other worlds, and their first runs again.
+
+`hold_out` counts alarms on runs that nothing was calibrated on, `transfer` on those of another
+world, and `check` replays the first runs of a file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..detectors import Calibrated, Detector
+from ..detectors.calibrated import identity_of
+from ..detectors.calibration_file import TOLERANCE, Calibration, hourly_rate, run_probability
+from ..simulation.setup import Setup
+from .clean_runs import CleanRuns, Player, Progress, measuring, weighs
+from .thresholds import DetectorSpec, inner_detectors, rates_of, unfinished_folder
+
+HOLDOUT_PASSIVE, HOLDOUT_WEIGHING = 100_000, 1_000
+"""Runs of a hold-out by default."""
+CONFIDENCE = 0.99
+"""Of all intervals of a hold-out together."""
+
+
+class HoldOut(NamedTuple):
+    """Alarms of a calibrated detector on runs that it was not calibrated on.
+
+    - `name`: of the detector;
+    - `runs`, `alarms`: runs, and those with an alarm in the judged window;
+    - `promised`: probability of one for a run;
+    - `low`, `high`: central interval of the count that the ranks of the calibration predict; None
+      in another world, and for a fitted tail, which predict none;
+    - `per_hour`: measured rate;
+    - `early`: runs with an alarm before the attack;
+    - `worlds`: runs and alarms of each world that was drawn, of a domain with several;
+    - `false_alarms_per_hour`: rate that is promised.
+    """
+
+    name: str
+    runs: int
+    alarms: int
+    promised: float
+    low: int | None
+    high: int | None
+    per_hour: float
+    early: int
+    window_s: float
+    worlds: tuple[tuple[int, int], ...]
+    false_alarms_per_hour: float
+
+    @property
+    def worst_world(self) -> tuple[float, float] | None:
+        """Largest rate an hour of a world, and that which chance alone shows if all are alike. The
+        second is the median of the largest, of binomial counts with the share of all runs; None
+        where a single world was drawn."""
+        if len(self.worlds) < 2:
+            return None
+        from scipy.stats import binom
+
+        runs, alarms = np.array(self.worlds).T
+        shares = np.unique(np.arange(runs.max() + 1) / runs.max())
+        all_below = binom.cdf(np.floor(shares[:, None] * runs), runs, self.alarms / self.runs)
+        by_chance = float(shares[np.argmax(all_below.prod(axis=1) >= 0.5)])
+        largest = float((alarms / runs).max())
+        return hourly_rate(largest, self.window_s), hourly_rate(by_chance, self.window_s)
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the count lies in the interval; None without one."""
+        if self.low is None or self.high is None:
+            return None
+        return self.low <= self.alarms <= self.high
+
+    def as_dict(self) -> dict[str, Any]:
+        worst = self.worst_world or (None, None)
+        return {
+            **self._asdict(),
+            "per_hour": _finite(self.per_hour),
+            "holds": self.holds,
+            "worst_world_per_hour": _finite(worst[0]),
+            "worst_world_by_chance": _finite(worst[1]),
+        }
+
+
+def _finite(rate: float | None) -> float | None:
+    return rate if rate is not None and math.isfinite(rate) else None
+
+
+def calibrated(calibration: Calibration, detector: Detector, rate: float) -> Calibrated:
+    made = Calibrated(
+        detector, false_alarms_per_hour=rate, rescaled=calibration.rescale is not None
+    )
+    made.take(calibration, rate)
+    return made
+
+
+def hold_out(
+    setup: Setup,
+    calibrations: Sequence[Calibration],
+    detectors: DetectorSpec | Sequence[DetectorSpec],
+    *,
+    false_alarms_per_hour: float | Sequence[float],
+    runs: int | None = None,
+    cells: int | None = None,
+    threads: int | None = None,
+    chunk: int = 256,
+    progress: Progress | None = None,
+    split: str = "holdout",
+    predicted: bool = True,
+) -> list[HoldOut]:
+    """Count the alarms of calibrated detectors on runs of the split `holdout`.
+
+    Killed, it goes on from what it has played when it is called again.
+
+    `calibrations`: in the order of the detectors; `detectors`: as `calibrate` takes them;
+    `false_alarms_per_hour`: rate at which they work; several share their runs, but for an alarm
+    that is a state; `runs`: by default `HOLDOUT_PASSIVE`, or `HOLDOUT_WEIGHING` for a detector that
+    de-weights; `cells`: hold-outs that are made together, whose intervals hold together; all of
+    these by default; `threads`, `chunk`, `progress`: as in `calibrate`; `predicted`: whether the
+    ranks of the calibration predict the count: they do in its own world alone; returns in the order
+    of the detectors; of several rates one after the other.
+    """
+    rates = rates_of(false_alarms_per_hour)
+    parts = list(zip(calibrations, inner_detectors(detectors), strict=True))
+    made = [[calibrated(c, d, rate) for c, d in parts] for rate in rates]
+    heavy = [weighs(setup, each) for each in made[0]]
+    player = Player(
+        setup, threads=threads, chunk=chunk, store=unfinished_folder(), progress=progress
+    )
+    finished: list[Callable[[], None]] = []
+
+    def played(group: list[int], judges: list[Calibrated]) -> dict[int, CleanRuns]:
+        in_loop = heavy[group[0]]
+        count = runs or (HOLDOUT_WEIGHING if in_loop else HOLDOUT_PASSIVE)
+        those = [judges[k] for k in group]
+        found = player.play(those, range(count), split=split, in_loop=in_loop, now="hold-out")
+        forget = partial(player.forget, those, range(count), split=split, in_loop=in_loop)
+        finished.append(forget)
+        return {k: found.column(i) for i, k in enumerate(group)}
+
+    light = [k for k, alone in enumerate(heavy) if not alone]
+    groups = ([light] if light else []) + [[k] for k, alone in enumerate(heavy) if alone]
+    first: dict[int, CleanRuns] = {}
+    for group in groups:
+        first |= played(group, made[0])
+    counted = cells or len(parts) * len(rates), predicted, setup.window_s
+    held = []
+    for judges in made:
+        for k, judge in enumerate(judges):
+            again = judges is not made[0] and judge.detector.alarm_is_state
+            found = played([k], judges)[k] if again else _at_scale(first[k], made[0][k], judge)
+            held.append(_counted(judge, found, *counted))
+    for forget in finished:
+        forget()
+    return held
+
+
+def _at_scale(found: CleanRuns, played: Calibrated, judge: Calibrated) -> CleanRuns:
+    """The same runs with another factor on the thresholds, where the alarm is no state."""
+    if judge is played:
+        return found
+    assert judge.scale  # as it was looked up
+    assert played.scale
+    factor = judge.scale / played.scale
+    return found._replace(early=found.before > factor, alarmed=found.judged > factor)
+
+
+def _counted(
+    detector: Calibrated, found: CleanRuns, cells: int, predicted: bool, window_s: float
+) -> HoldOut:
+    """What has been found in a world whose judged window has this length."""
+    point, runs = detector.point, len(found.alarmed)
+    assert point is not None  # as it was looked up
+    low = high = None
+    if predicted and point.rank:
+        low, high = predictive_interval(runs, point.runs, point.rank, cells)
+    alarms = int(found.alarmed.sum())
+    rate = hourly_rate(alarms / runs, window_s)
+    promised = run_probability(point.false_alarms_per_hour, window_s)
+    name = detector.detector.label or str(identity_of(detector.detector)["name"])
+    worlds = [found.world == each for each in np.unique(found.world)]
+    each = tuple((int(there.sum()), int(found.alarmed[there].sum())) for there in worlds)
+    early = int(found.early.sum())
+    asked = point.false_alarms_per_hour
+    return HoldOut(name, runs, alarms, promised, low, high, rate, early, window_s, each, asked)
+
+
+def predictive_interval(runs: int, calibrated: int, rank: int, cells: int = 1) -> tuple[int, int]:
+    """Central interval of the fresh runs that exceed an order statistic, of all cells together. How
+    often a fresh run exceeds the order statistic of `rank` from the top of n is beta distributed,
+    and their count beta-binomial. `runs`: fresh ones; `calibrated`: n."""
+    from scipy.stats import betabinom
+
+    tail = 0.5 * (1.0 - CONFIDENCE) / cells
+    law = betabinom(runs, rank, calibrated + 1 - rank)
+    return int(law.ppf(tail)), int(law.ppf(1.0 - tail))
+
+
+def transfer(
+    setup: Setup,
+    calibrations: Sequence[Calibration],
+    detectors: DetectorSpec | Sequence[DetectorSpec],
+    **settings: Any,
+) -> list[HoldOut]:
+    """Count the alarms of detectors that were calibrated elsewhere on clean runs of this world.
+    `calibrations`, `detectors`: as in `hold_out`; `settings`: the others of `hold_out`; returns
+    without intervals: nothing is promised elsewhere."""
+    return hold_out(setup, calibrations, detectors, predicted=False, **settings)
+
+
+def check(
+    setup: Setup,
+    calibrations: Sequence[Calibration],
+    detectors: DetectorSpec | Sequence[DetectorSpec],
+    *,
+    threads: int | None = None,
+) -> None:
+    """Replay the first runs of calibrations, and raise where a maximum is another one. Not those of
+    a detector that draws by the last bits of innovations, which differ between kinds of processors:
+    its runs are others there, and its rate is the same. `calibrations`: in the order of the
+    detectors; `detectors`: as `calibrate` takes them; `threads`: as in `calibrate`."""
+    parts = inner_detectors(detectors)
+    pairs = list(zip(calibrations, parts, strict=True))
+    for calibration, detector in pairs:
+        unlike = calibration.differences(setup.conditions.settings, identity_of(detector))
+        if unlike:
+            raise ValueError(
+                f"{calibration.path} is a calibration for something else than "
+                f"{calibration.detector['name']} in {setup.name}: {'; '.join(unlike)}"
+            )
+    light: dict[tuple[Any, ...], list[tuple[Calibration, Detector]]] = {}
+    for k, (calibration, detector) in enumerate(pairs):
+        if detector.draws:
+            continue
+        numbers = tuple(run for run, _, _ in calibration.witnesses)
+        alone = weighs(setup, detector)
+        key = (calibration.entropy, calibration.seed_name, numbers, k if alone else None)
+        light.setdefault(key, []).append((calibration, detector))
+    for (entropy, seed_name, numbers, alone), group in light.items():
+        player = Player(setup, entropy=entropy, seed_name=seed_name, threads=threads)
+        judges = [_as_measured(c, d) for c, d in group]
+        found = player.play(judges, numbers, in_loop=alone is not None, now="replaying")
+        for i, (calibration, detector) in enumerate(group):
+            unit = measuring(detector)[1]
+            _compare(calibration, found.column(i), unit)
+
+
+def _as_measured(calibration: Calibration, detector: Detector) -> Detector:
+    plain = measuring(detector)[0]
+    if calibration.rescale is None:
+        return plain
+    return Calibrated(plain, 1.0, rescaled=True, rescale=calibration.rescale)
+
+
+def _compare(calibration: Calibration, found: CleanRuns, unit: float) -> None:
+    """Raise where replayed maxima are not those of the file."""
+    for k, (run, *kept) in enumerate(calibration.witnesses):
+        again = (found.before[k] * unit, found.judged[k] * unit)
+        for where, there, here in zip(("before the attack", "in it"), kept, again, strict=True):
+            if not abs(here - there) <= TOLERANCE * max(abs(there), 1e-12):
+                raise ValueError(
+                    f"{calibration.path or calibration.detector['name']} no longer holds: the "
+                    f"largest ratio of run {run} {where} is {there:.9g} there, {here:.9g} here, so "
+                    "that the code, or what it computes, is another one; make it again with "
+                    "`spoofgym calibrate ... --overwrite`"
+                )

@@ -1,0 +1,254 @@
+"""Spoofgym list."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any
+
+import typer
+
+from ..attacks import ATTACKS
+from ..bench.report.cards import find_card, score_text
+from ..core.registry import settings_of
+from ..core.settings import describe
+from ..detectors import DETECTORS, LearnedDetector
+from ..detectors.zoo import shipped as shipped_detectors
+from ..spoofers import SPOOFERS
+from ..spoofers.zoo import card_of, shipped
+from ..truth.scenario import SCENARIOS
+from . import options as opt
+from .output import print_json, print_lines, print_table
+
+
+def list_(
+    kind: Annotated[
+        str | None,
+        typer.Argument(
+            help="envs, scenarios, attacks, detectors, spoofers or shipped; all of them."
+        ),
+    ] = None,
+    as_json: opt.Json = False,
+) -> None:
+    """List what there is: environments, scenarios, attacks, detectors, spoofers, shipped ones."""
+    from ..core.registry import check_choice
+
+    pass  # MOVED
+
+    if kind is not None:
+        check_choice("kind", kind, KINDS)
+    found = {name: rows() for name, rows in KINDS.items() if kind in {None, name}}
+    if as_json:
+        print_json(found)
+        return
+    for name, rows in found.items():
+        print_table(name, *table_of(name, rows))
+
+
+def card(
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="A shipped spoofer or detector, or a card or an ONNX file that has one."
+        ),
+    ],
+    as_json: opt.Json = False,
+) -> None:
+    """Show the card of a spoofer or of a learned detector: what it fits, and how it was made."""
+    from ..bench.report.cards import (
+        SCORES_HEAD,
+        card_rows,
+        detector_card_rows,
+        find_card,
+        score_rows,
+    )
+    from ..spoofers.card import Card
+
+    found = find_card(name)
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+        return
+    if not isinstance(found, Card):
+        print_table(found.name, ("", ""), detector_card_rows(found))
+        return
+    print_table(found.name, ("", ""), card_rows(found))
+    if found.scores:
+        print_table("scores", SCORES_HEAD, score_rows(found))
+
+
+def tasks(as_json: opt.Json = False) -> None:
+    """List the tasks of spoofgym-bench-v1, with their brackets and the scores that are known."""
+    from ..bench.report import tasks as detector_cards
+    from ..bench.report import tasks as task_cards
+    from ..tasks import DETECTOR_TASKS, SUITE, TASKS
+
+    if as_json:
+        print_json([*task_cards.listed(), *detector_cards.listed()])
+        return
+    rows = [
+        (key, task.env_id, task.title + (", historical" if task.historical else ""))
+        for key, task in TASKS.items()
+    ]
+    print_table(SUITE, ("task", "environment", "what it asks for"), rows)
+    print_table("stealthy displacement", task_cards.HEAD, task_cards.score_rows())
+    print_table("admission", task_cards.ADMISSION_HEAD, task_cards.admission_rows())
+    head = ("task", "environment of a learner", "world", "families that are held out")
+    defended = [
+        (key, each.env_id, each.title, ", ".join(family.key for family in each.held_out))
+        for key, each in DETECTOR_TASKS.items()
+    ]
+    print_table(f"{SUITE}, for detectors", head, defended)
+    cards = detector_cards.stored_cards()
+    print_table("protection", detector_cards.CARD_HEAD, detector_cards.card_rows(cards))
+    print_lines(
+        f"{key} has no reference scores yet: {command}"
+        for key, command in detector_cards.missing().items()
+    )
+
+
+def summary_of(thing: Any) -> str:
+    """First sentence of a docstring."""
+    text = inspect.getdoc(thing) or ""
+    paragraph = " ".join(text.split("\n\n")[0].split())
+    return paragraph.split(". ")[0].rstrip(".") if paragraph else ""
+
+
+def _classes(kinds: Mapping[str, type[Any]], *more: str) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": name,
+            "summary": summary_of(kind),
+            "settings": _defaults(kind),
+            **{key: getattr(kind, key) for key in more},
+        }
+        for name, kind in sorted(kinds.items())
+    ]
+
+
+def _defaults(kind: Callable[..., Any]) -> dict[str, Any]:
+    return {
+        key: describe(value)
+        for key, value in settings_of(kind).items()
+        if value is not inspect.Parameter.empty
+    }
+
+
+def _scenarios() -> list[dict[str, Any]]:
+    rows = []
+    for name, build in SCENARIOS.items():
+        made = build()
+        flight = made.flight if isinstance(made.flight, str) else made.flight.name
+        errors = made.errors if isinstance(made.errors, str) else type(made.errors).__name__
+        rows.append(
+            {
+                "name": name,
+                "summary": f"flight {flight}, errors {errors}, {made.imu} inertial sensors",
+                "settings": {
+                    "flight": flight,
+                    "errors": errors,
+                    "imu": made.imu,
+                    "epoch_interval_s": made.epoch_interval_s,
+                    "channels": made.channels,
+                    "mask_deg": made.mask_deg,
+                },
+            }
+        )
+    return rows
+
+
+def _envs() -> list[dict[str, Any]]:
+    import gymnasium
+    from gymnasium.envs.registration import load_env_creator
+
+    rows = []
+    for name, spec in sorted(gymnasium.registry.items()):
+        if spec.namespace != "spoofgym":
+            continue
+        entry = spec.entry_point
+        creator = load_env_creator(entry) if isinstance(entry, str) else entry
+        assert creator is not None  # of ours, each has one
+        rows.append(
+            {
+                "name": name,
+                "summary": summary_of(creator),
+                "settings": {**_defaults(creator), **describe(spec.kwargs)},
+            }
+        )
+    return rows
+
+
+def _shipped_detectors() -> list[dict[str, Any]]:
+    """Learned detectors that have names; what is a setting of others, is on their cards."""
+    keys = ("paper", "scope", "measures", "oracle")
+    rows = []
+    for name in shipped_detectors():
+        made = LearnedDetector(name)
+        known = {key: getattr(made, key) for key in keys}
+        rows.append({"name": name, "summary": summary_of(made), "settings": {}, **known})
+    return rows
+
+
+def _shipped() -> list[dict[str, Any]]:
+    rows = []
+    for name in shipped():
+        card = card_of(name)
+        rows.append(
+            {
+                "name": name,
+                "summary": "learned policy" if card.kind == "onnx-policy" else "optimised profile",
+                "kind": card.kind,
+                "knowledge": card.knowledge.run_time,
+                "designed_on": card.knowledge.design_time,
+                "scores": [score.model_dump() for score in card.scores],
+            }
+        )
+    detector: dict[str, Any] = {
+        "summary": "learned detector",
+        "kind": "detector-policy",
+        "scores": [],
+    }
+    for name in shipped_detectors():
+        known = {"knowledge": "innovations of its receiver"}
+        learned_on = f"attacks in {find_card(name).training.get('task', 'a world of its own')}"
+        rows.append({"name": name, **detector, **known, "designed_on": learned_on})
+    return rows
+
+
+KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
+    "envs": _envs,
+    "scenarios": _scenarios,
+    "attacks": lambda: _classes(ATTACKS),
+    "detectors": lambda: [
+        *_classes(DETECTORS, "paper", "scope", "measures", "oracle"),
+        *_shipped_detectors(),
+    ],
+    "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
+    "shipped": _shipped,
+}
+"""Lists by kind; each row has a name, a summary, and settings with their defaults or what its
+card says."""
+
+
+def table_of(kind: str, rows: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[list[str]]]:
+    """Table of one of `KINDS`."""
+    if kind == "shipped":
+        head = ("name", "what it is", "knows at run time", "was designed on", "reached")
+        keys = ("name", "summary", "knowledge", "designed_on")
+        return head, [
+            [*(row[key] for key in keys), "; ".join(map(score_text, row["scores"])) or "-"]
+            for row in rows
+        ]
+    return ("name", "what it is", "settings and their defaults"), [
+        [row["name"], _marked(row), ", ".join(f"{k}={v}" for k, v in row["settings"].items())]
+        for row in rows
+    ]
+
+
+def _marked(row: Mapping[str, Any]) -> str:
+    """Summary, with a mark where a detector knows the truth or judges no satellites."""
+    marks = []
+    if row.get("oracle"):
+        marks.append("oracle, knows what no receiver does")
+    if row.get("measures", "satellites") != "satellites":
+        marks.append("for positions" if row["measures"] == "position" else "for any measurement")
+    return f"{row['summary']} [{'; '.join(marks)}]" if marks else str(row["summary"])

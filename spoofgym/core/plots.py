@@ -1,0 +1,63 @@
+"""What all pictures share: matplotlib on demand, colours, the look of axes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from .files import whole_file
+from .registry import check_choice
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, which colour-blind people can distinguish, and two more
+COLOURS = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#E69F00",
+    "#56B4E9",
+    "#000000",
+    "#882255",
+    "#999933",
+)
+BLUE, ORANGE, GREEN = COLOURS[:3]
+"""The clean twin, what is attacked, what is commanded."""
+RED = "#B2182B"
+"""Alarms."""
+GREY = "#777777"
+GRID = "#dddddd"
+
+
+def figure_class() -> type[Figure]:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError("pictures need matplotlib: pip install spoofgym[report]") from error
+    return Figure
+
+
+def check_picture(path: Path) -> Path:
+    """File of a picture, PNG without an ending; a ValueError for an ending that is no format."""
+    path = path if path.suffix else path.with_suffix(".png")
+    formats = figure_class()().canvas.get_supported_filetypes()
+    check_choice("ending of a picture", path.suffix.lower(), [f".{each}" for each in formats])
+    return path
+
+
+def save_figure(figure: Figure, path: Path, dpi: float | Literal["figure"] = "figure") -> Path:
+    """Write a picture whole or not at all; its ending gives the format, PNG where it has none."""
+    path = check_picture(path)
+    with whole_file(path) as part:
+        figure.savefig(part, format=path.suffix[1:], dpi=dpi)
+    return path
+
+
+def style(ax: Axes) -> None:
+    """Leave out what frames a panel, and lay a grid beneath it."""
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.grid(True, color=GRID, lw=0.6)
+    ax.set_axisbelow(True)

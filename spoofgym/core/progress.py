@@ -1,0 +1,96 @@
+"""How far something is: what reports it, and the one bar that shows it."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Protocol
+
+from . import threads as _threads
+
+REFRESH_S = 0.1
+"""How often the time in a bar is drawn."""
+
+
+class ProgressCallback(Protocol):
+    """Is called with work that is done."""
+
+    def advance(self, amount: float, now: str) -> None:
+        """Add an amount of work; `now` says what is going on."""
+
+
+ProgressBar = Callable[[float], AbstractContextManager[ProgressCallback]]
+"""Opens a bar for a total amount of work, such as `show_progress`."""
+
+
+class NullProgress:
+    """Shows nothing."""
+
+    def advance(self, amount: float, now: str) -> None:
+        """Ignore it."""
+
+
+class RemainingWork:
+    """Reports one piece of work, never more than was expected, and the rest at its end."""
+
+    def __init__(self, progress: ProgressCallback, expected: float, now: str) -> None:
+        self._progress, self._left, self._now = progress, expected, now
+
+    def tick(self, amount: float) -> None:
+        """Report an amount."""
+        amount = min(amount, self._left)
+        self._left -= amount
+        self._progress.advance(amount, self._now)
+
+    def end(self) -> None:
+        """Report what is left."""
+        self.tick(self._left)
+
+
+class _Bar:
+    def __init__(self, update: Callable[..., None], interrupted: Callable[[], object]) -> None:
+        self._update, self._interrupted = update, interrupted
+
+    def advance(self, amount: float, now: str) -> None:
+        """Show it; end here where an interrupt was lost, as in a destructor."""
+        if self._interrupted():
+            raise KeyboardInterrupt
+        if amount > 0.0:
+            self._update(advance=amount, description=now)
+
+
+@contextmanager
+def show_progress(
+    total: float, *, start: str = "", interrupted: Callable[[], object] = lambda: False
+) -> Iterator[ProgressCallback]:
+    """Show a bar on stderr until the block ends; `interrupted` tells of a lost Ctrl-C."""
+    import rich.progress as bars
+    from rich.console import Console
+
+    shown = bars.Progress(
+        bars.TextColumn("{task.description}"),
+        bars.BarColumn(),
+        bars.TextColumn("{task.percentage:3.0f} %"),
+        bars.TimeElapsedColumn(),
+        bars.TextColumn("left"),
+        bars.TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        auto_refresh=False,  # its thread is one that nothing waits for
+    )
+    task = shown.add_task(start, total=max(total, 1e-9))
+    over = threading.Event()
+
+    def refresh() -> None:
+        while not over.wait(REFRESH_S):
+            shown.refresh()
+
+    with shown:
+        thread = _threads.start(refresh, over.set, "spoofgym-progress")
+        try:
+            yield _Bar(functools.partial(shown.update, task), interrupted)
+        finally:
+            over.set()
+            thread.join()

@@ -1,0 +1,337 @@
+"""Objects by name or spec, checked settings, labels."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import difflib
+import importlib
+import inspect
+import json
+import math
+import numbers
+import re
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+from .settings import describe
+
+T = TypeVar("T")
+PICKLES = (".zip", ".pkl", ".pickle", ".pt", ".pth", ".ckpt", ".pth.tar", ".joblib")
+"""Endings of files of models that would have to be unpickled."""
+
+
+def check_choice(
+    word: str, value: str, valid: Iterable[str], renamed: Mapping[str, str] | None = None
+) -> None:
+    """Raise unless a name is one of the valid ones; `renamed`: new names by old ones."""
+    names = sorted(valid)
+    if value not in names:
+        if renamed and value in renamed:
+            raise ValueError(f"{word} {value!r} is now called {renamed[value]!r}")
+        near = difflib.get_close_matches(str(value), names, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
+
+
+def refuse_pickle(name: Any) -> None:
+    """Raise where what is named is a file that would have to be unpickled."""
+    if str(name).lower().endswith(PICKLES):
+        raise ValueError(
+            f"{name} is a pickled file, which is never opened, since it can run any code: export "
+            "the model by spoofgym.export, or load it yourself and give the object"
+        )
+
+
+def _article(word: str) -> str:
+    return "an" if word[0] in "aeiou" else "a"
+
+
+def build(
+    word: str,
+    kinds: Mapping[str, type[T]],
+    base: Callable[..., T],
+    spec: Any,
+    *,
+    more: Iterable[str] = (),
+) -> T:
+    """Object by name, by name and settings, or a copy of an object. `spec`: a name; ``{"name": ...,
+    "setting": value, ...}``; or an object, which is copied."""
+    kind = cast("type[T]", base)  # abstract, which type[T] does not allow for
+    if isinstance(spec, kind):
+        return copy.deepcopy(spec)
+    if isinstance(spec, str):
+        spec = {"name": spec}
+    if not isinstance(spec, Mapping) or not isinstance(spec.get("name"), str):
+        names = {*kinds, *more}
+        raise TypeError(
+            f"{_article(word)} {word} is a name ({', '.join(sorted(names))}), a dict with a "
+            f"`name`, or an "
+            f"instance of {kind.__module__}.{kind.__qualname__}, got {spec!r}"
+        )
+    settings = dict(spec)
+    name = settings.pop("name")
+    if name not in kinds:
+        refuse_pickle(name)
+        check_choice(word, name, {*kinds, *more} - {name})
+    known = dataclasses.fields(kinds[name])  # type: ignore[arg-type]
+    valid = [field.name for field in known]
+    for setting in settings:
+        if setting not in valid:
+            raise ValueError(
+                f"{word} {name!r} has no setting {setting!r}; valid: {', '.join(valid) or 'none'}"
+            )
+    for field in known:
+        missing = dataclasses.MISSING
+        if field.default is field.default_factory is missing and field.name not in settings:
+            raise ValueError(f"{word} {name!r} needs the setting {field.name!r}")
+    check_plain_settings(kinds[name], settings)
+    return kinds[name](**settings)
+
+
+def check_plain_settings(kind: type, settings: Mapping[str, Any]) -> None:
+    """Raise where a number or truth value is something else; ranges are for the class to check."""
+    for field in dataclasses.fields(kind):
+        if field.name not in settings:
+            continue
+        value, said = settings[field.name], getattr(field.type, "__name__", field.type)
+        words = set(str(said).split(" | "))
+        nothing = " or None" if "None" in words else ""
+        words.discard("None")
+        if value is None and nothing:
+            continue
+        truth = isinstance(value, bool | np.bool_)
+        if words == {"bool"}:
+            right, must = truth, "True or False"
+        elif words == {"int"}:
+            whole = isinstance(value, numbers.Real) and float(value).is_integer()
+            right, must = whole and not truth, "a whole number"
+        elif words == {"float"}:
+            right, must = isinstance(value, numbers.Real) and not truth, "a number"
+        else:
+            continue
+        if not right:
+            raise ValueError(f"`{field.name}` must be {must}{nothing}, got {value!r}")
+
+
+def build_record(
+    word: str, kind: type[T], given: Any, defaults: Mapping[str, Any] | None = None
+) -> T:
+    """Record from its settings. `given`: settings by name; a record, which is handed back; None for
+    no settings; `defaults`: settings that hold where `given` does not say them; those of the
+    dataclass by default."""
+    if isinstance(given, kind):
+        return given
+    if given is not None and not isinstance(given, Mapping):
+        raise TypeError(
+            f"`{word}` must be a dict of settings or an instance of "
+            f"{kind.__module__}.{kind.__qualname__}, got {given!r}"
+        )
+    valid = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    settings = {**(defaults or {}), **(given or {})}
+    for name in settings:
+        if name not in valid:
+            raise ValueError(f"`{word}` has no setting {name!r}; valid: {', '.join(valid)}")
+    check_plain_settings(kind, settings)
+    return kind(**settings)
+
+
+def is_number(value: object) -> bool:
+    """Whether a setting is a real number, and no truth value. Returns True for infinite ones and
+    NaN, too."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
+
+
+def check_finite(name: str, value: Any, bound: str = "") -> None:
+    """Raise unless a setting is a finite number within a `bound`, ``"> 0"`` or ``">= 0"``."""
+    good = is_number(value) and math.isfinite(float(value))
+    if good and bound:
+        good = value > 0 if bound == "> 0" else value >= 0
+    if not good:
+        must = f"finite and {bound}" if bound else "a finite number"
+        raise ValueError(f"`{name}` must be {must}, got {value!r}")
+
+
+def check_truth(name: str, value: Any) -> None:
+    """Raise unless a setting is True or False."""
+    if value is not True and value is not False:
+        raise ValueError(f"`{name}` must be True or False, got {value!r}")
+
+
+def whole_number(name: str, value: Any, least: int = 0) -> int:
+    """A count or a seed as Python's own int, also of NumPy's; raises unless it is at least `least`.
+    `name` is how the message names it, with its quotes."""
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not whole or value < least:
+        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    return int(value)
+
+
+def check_keywords(
+    whose: Callable[..., Any] | str, given: Iterable[str], valid: Iterable[str]
+) -> None:
+    """Raise unless keyword arguments are known, as Python does where they have no ``**``."""
+    names = {*valid}
+    if not isinstance(whose, str):
+        own = inspect.signature(whose).parameters.values()
+        names |= {each.name for each in own if each.kind is not each.VAR_KEYWORD}
+        whose = whose.__name__
+    for name in given:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise TypeError(
+                f"{whose} has no argument {name!r}; valid: {', '.join(sorted(names))}{hint}"
+            )
+
+
+Spec = dict[str, Any]
+_WORDS = {"None": None, "True": True, "False": False}
+_COMMAS = r",(?![^\[\]]*\])"
+"""Commas between settings, not those within the brackets of a list."""
+
+
+def parse_spec(text: str) -> Spec:
+    """Name and settings from the text of a command line.
+
+    Examples
+    --------
+    >>> parse_spec("ewma:smoothing=0.2,weight_scale=none")
+    {'name': 'ewma', 'smoothing': 0.2, 'weight_scale': None}
+    >>> parse_spec("aime:windows_s=[5,25],signals=both")
+    {'name': 'aime', 'windows_s': [5, 25], 'signals': 'both'}
+    """
+    text = text.strip()
+    if text.startswith("{"):
+        try:
+            spec = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ValueError(f"{text!r} is not JSON: {error}") from error
+        if not isinstance(spec.get("name"), str):
+            raise ValueError(f'{text!r} must have a "name"')
+        return dict(spec)
+    name, _, rest = text.rpartition(":")
+    if not name or "=" not in rest:
+        name, rest = text, ""
+    spec = {"name": name}
+    for part in filter(None, re.split(_COMMAS, rest)):
+        setting, value = parse_setting(part, f" in {text!r}")
+        spec[setting] = value
+    return spec
+
+
+def parse_setting(text: str, where: str = "") -> tuple[str, Any]:
+    """One setting and its value, from ``name=value``.
+
+    Examples
+    --------
+    >>> parse_setting('domain={"start_s": [0, 60]}')
+    ('domain', {'start_s': [0, 60]})
+    """
+    setting, equals, value = text.partition("=")
+    if not equals or not setting.strip():
+        raise ValueError(f"a setting is written `name=value`, got {text!r}{where}")
+    return setting.strip(), _value(value.strip())
+
+
+def _value(text: str) -> Any:
+    """A JSON value, none, true or false in any case, or the text itself."""
+    word = text.capitalize()
+    if word in _WORDS:
+        return _WORDS[word]
+    for read in (json.loads, float):
+        try:
+            return read(text)
+        except ValueError:
+            continue
+    return text
+
+
+def load_class(path: str, base: Callable[..., T]) -> type[T]:
+    """Class of a module that is not part of spoofgym.  `base`: what it must be derived from."""
+    kind = cast("type[T]", base)  # abstract, which type[T] does not allow for
+    module_name, _, name = path.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f"there is no module {error.name!r} for {path!r}; a setting is written `{path}=...`"
+        ) from error
+    found = getattr(module, name, None)
+    if not (isinstance(found, type) and issubclass(found, kind)):
+        raise ValueError(
+            f"{path!r} must be a class derived from {kind.__module__}.{kind.__qualname__}"
+        )
+    return found
+
+
+def make(
+    word: str,
+    kinds: Mapping[str, type[T]],
+    base: Callable[..., T],
+    spec: Any,
+    more: Iterable[str] = (),
+) -> T:
+    """Object by name and settings; the name may be ``module:Class``. `spec`: as `parse_spec`
+    returns it, or an object, which is copied; `more`: other valid names."""
+    if isinstance(spec, str):
+        spec = {"name": spec}
+    if isinstance(spec, Mapping) and ":" in str(spec.get("name", "")):
+        settings = dict(spec)
+        refuse_pickle(spec["name"])
+        kind = load_class(settings.pop("name"), base)
+        try:
+            return kind(**settings)
+        except TypeError as error:
+            raise ValueError(f"{word} {spec['name']!r}: {error}") from error
+    return build(word, kinds, base, spec, more=more)
+
+
+def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
+    """Name and all settings of an object, from which `make` makes an equal one."""
+    kind = type(thing)
+    registered = {cls: name for name, cls in kinds.items()}
+    name = registered.get(kind, f"{kind.__module__}:{kind.__qualname__}")
+    missing = [key for key in settings_of(kind) if not hasattr(thing, key)]
+    if missing:
+        raise TypeError(
+            f"{word} {name!r} must keep its settings under their names, so that results can name "
+            f"them; it has no {', '.join(map(repr, missing))}"
+        )
+    return {"name": name, **{key: describe(getattr(thing, key)) for key in settings_of(kind)}}
+
+
+def settings_of(kind: Callable[..., Any]) -> dict[str, Any]:
+    """Settings of a class or function, with their defaults. Returns default by name;
+    `inspect.Parameter.empty` where there is none."""
+    parameters = inspect.signature(kind).parameters.values()
+    spread = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    return {item.name: item.default for item in parameters if item.kind not in spread}
+
+
+def label_of(spec: Spec, default: Spec | None) -> str:
+    """Short name: what differs from the default settings is in brackets."""
+    settings = {key: value for key, value in spec.items() if key != "name"}
+    if default is not None:
+        settings = {key: v for key, v in settings.items() if default.get(key, v) != v}
+    parts = [
+        "tuned" if value == "tuned" else f"{key}={_short(value)}" for key, value in settings.items()
+    ]
+    name = str(spec["name"]).rpartition(":")[2]
+    return f"{name}({','.join(parts)})" if parts else name
+
+
+def _short(value: Any) -> str:
+    if value is None or isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list) and value and all(isinstance(v, dict) for v in value):
+        return "+".join(str(v.get("name", v)) for v in value)
+    if isinstance(value, list) and len(value) > 3:
+        return f"{len(value)} values"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def slug(label: str) -> str:
+    return re.sub(r"[^A-Za-z0-9._=]+", "-", label).strip("-.")

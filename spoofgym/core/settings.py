@@ -1,0 +1,196 @@
+"""Settings as JSON, a digest of them, and digests of what is not spoofgym's."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import hashlib
+import inspect
+import json
+import math
+import sys
+from collections.abc import Iterator, Mapping
+from datetime import date
+from pathlib import Path, PurePath
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+LIBRARIES = {"spoofgym", "numpy", "pandas", *sys.stdlib_module_names}
+"""Packages that versions and digests of their own stand for."""
+OMITTED = {"omitted": True}
+"""Metadata of a field whose default is not written down, since records are older than it."""
+DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+INSTALLED = {"site-packages", "dist-packages"}
+
+
+def describe(value: Any) -> Any:
+    """Settings as JSON: records by their fields, arrays by a digest."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"a setting must be finite, got {value}")
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.ndarray):
+        content = np.ascontiguousarray(value)
+        digest = hashlib.sha256(f"{content.dtype.str}{content.shape}".encode() + content.tobytes())
+        return f"sha256:{digest.hexdigest()[:16]}"
+    if isinstance(value, date):
+        return value.isoformat()
+    if isinstance(value, PurePath):
+        return value.name
+    return _describe_parts(value)
+
+
+def _describe_parts(value: Any) -> Any:
+    """A record, mapping or sequence as JSON."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        named = {
+            f.name: describe(getattr(value, f.name))
+            for f in dataclasses.fields(value)
+            if not (f.metadata.get("omitted") and getattr(value, f.name) == f.default)
+        }
+        return {"kind": kind_of(type(value)), **named}
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
+    if isinstance(value, Mapping):
+        return {str(key): describe(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [describe(item) for item in value]
+    raise TypeError(
+        f"a setting of type {type(value).__qualname__} can't be written down: {value!r}"
+    )
+
+
+def kind_of(record: type) -> str:
+    """Word that stands for a class in what is stored: its own `described_as`, whatever its name.
+
+    A user's class has its name.  Calibrations, cards and tasks are found by these words.
+    """
+    own = vars(record).get("described_as")
+    if own is None and record.__module__.partition(".")[0] == __package__.partition(".")[0]:
+        raise TypeError(
+            f"{record.__module__}.{record.__qualname__} can't be written down: a class of the "
+            "package must declare the word for it, `described_as`, which never changes"
+        )
+    return record.__qualname__ if own is None else str(own)
+
+
+def digest_of(config: Any) -> str:
+    """Digest of a configuration, whatever the order of its keys."""
+    text = json.dumps(config, sort_keys=True, allow_nan=False, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def outside_sources(*things: Any) -> dict[str, str | None]:
+    """Digests of what is not spoofgym's in `things` and their settings, by name.
+
+    They are those of modules: of the classes, their bases, and what these import, but for what is
+    installed; and those of ONNX files and their cards.  A class whose source can't be read, such
+    as one that was typed in, has None.
+    """
+    found: dict[str, str | None] = {}
+    for thing in _within(things):
+        if isinstance(thing, str | PurePath):
+            file = Path(thing)
+            for path in (file, file.with_suffix(".json")) if file.suffix == ".onnx" else ():
+                if path.is_file():
+                    found[str(path)] = _digest_of_file(path)
+            continue
+        for kind in type(thing).__mro__:
+            if _is_outside(kind.__module__, type(thing)):
+                try:
+                    inspect.getsource(kind)
+                except (OSError, TypeError):
+                    found[f"{kind.__module__}:{kind.__qualname__}"] = None
+                else:
+                    found |= _sources(kind)
+    return found
+
+
+def _within(value: Any) -> Iterator[Any]:
+    """An object that `describe` takes, and all that its settings hold."""
+    yield value
+    if value is None or isinstance(value, bool | int | float | str | np.generic | np.ndarray):
+        return
+    if isinstance(value, date | PurePath):
+        return
+    if isinstance(value, Mapping):
+        parts = list(value.values())
+    elif isinstance(value, list | tuple):
+        parts = list(value)
+    else:
+        parts = [getattr(value, name, None) for name in inspect.signature(type(value)).parameters]
+    for part in parts:
+        yield from _within(part)
+
+
+def _digest_of_file(path: Path) -> str:
+    content = path.read_bytes()
+    return digest_of_code(content) if path.suffix == ".py" else digest_of_bytes(content)
+
+
+def digest_of_bytes(content: bytes) -> str:
+    """Digest of the content of a file."""
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def digest_of_code(source: bytes) -> str:
+    """Digest of what Python source does: neither comments nor docstrings nor layout count."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
+            node.body = node.body[1:] or [ast.Pass()]
+    return digest_of_bytes(ast.dump(tree).encode())
+
+
+def _is_outside(module: str, kind: type) -> bool:
+    """Whether a module is the user's; an installed one is where the class is of its package."""
+    package = module.partition(".")[0]
+    file = getattr(sys.modules.get(module), "__file__", None) or ""
+    installed = bool(INSTALLED & {*Path(file).parts})
+    own = package == kind.__module__.partition(".")[0]
+    return package not in LIBRARIES and (own or not installed)
+
+
+def _sources(kind: type) -> dict[str, str]:
+    """Digests of the module of a class and of the user's modules that it imports, by name."""
+    found: dict[str, str] = {}
+    waiting = [kind.__module__]
+    while waiting:
+        name = waiting.pop()
+        module = sys.modules.get(name)
+        file = getattr(module, "__file__", None)
+        if name in found or file is None or not _is_outside(name, kind):
+            continue
+        found[name] = _digest_of_file(Path(file))
+        for value in list(vars(module).values()):
+            inner = getattr(value, "__module__", None)
+            if isinstance(value, ModuleType):
+                # what a package holds depends on what else was imported
+                inner = None if value.__name__.startswith(f"{name}.") else value.__name__
+            if isinstance(inner, str):
+                waiting.append(inner)
+    return found
+
+
+def differences(one: Any, other: Any, where: str = "") -> list[tuple[str, Any, Any]]:
+    """Dotted names of JSON-able settings that differ, with both values."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        found = []
+        for name in [*one, *(name for name in other if name not in one)]:
+            inside = f"{where}.{name}" if where else str(name)
+            found += differences(one.get(name), other.get(name), inside)
+        return found
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        one, other = list(one), list(other)
+    return [] if one == other else [(where, one, other)]
+
+
+def unlike(card: Any, here: Any, where: str = "") -> list[str]:
+    """Where settings differ from those on a card, a line each."""
+    return [
+        f"{name}: {a!r} on the card, {b!r} here" for name, a, b in differences(card, here, where)
+    ]

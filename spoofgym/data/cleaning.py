@@ -1,0 +1,476 @@
+"""Rules and report of track cleaning.
+
+Rules by which recorded tracks are cleaned: arrays in, True where a row doesn't count.
+
+Rules and limits follow from what recorded tracks look like: rows at a fixed rate that repeat or
+interpolate sparser fixes, fixes with about 100 m of error since their times are late by up to a
+second, courses stored in a signed byte, fields that went stale.
+
+Cleaning of recorded tracks, with a report of what was dropped and why.
+
+Nothing is smoothed over here: a fix is kept as it is or dropped, and a course or speed is used
+or not.  The rules are in `spoofgym.data.cleaning`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..earth.wgs84 import EQUATORIAL_RADIUS, dcm_e_from_n, geodetic_to_ecef
+from .track_fit import MINIMUM_FIXES, Track
+from .tracks import KNOT, RawTrack
+
+POSITION_SD = 100.0
+"""Standard deviation of a fix, mostly the lateness of its time [m]."""
+LARGEST_GAP_S = 30.0
+"""Longest time between distinct fixes of a stretch [s]."""
+COURSE_TOLERANCE = math.radians(20.0)
+"""Largest difference between a reported course and the course made good [rad]."""
+INTERPOLATION_TOLERANCE = 0.5
+"""Distance from the line between its neighbours up to which a fix is interpolated [m]."""
+STALE_SHARE = 0.1
+"""Rejected share of a run of one value above which the whole run counts as stale."""
+CHORD_S = 4.0
+"""Time to either side over which course and speed made good are taken, at least [s]."""
+HIGHEST_SPEED = 350.0
+"""Highest speed believed between two fixes [m/s]."""
+
+
+def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask:
+    """Rows that repeat the position of the row before: a position counts once.
+
+    A receiver repeats a position forwards until the next one comes.  Before the very first one
+    there is nothing to repeat: there, rows without a known time of their position are filled
+    backwards, and the last of them counts.
+
+    `latitude`, `longitude` (n,) geodetic [rad]; `known` (n,) whether the file gives the time of the
+    position; returns (n,) True where the row doesn't count.
+    """
+    same = (np.diff(latitude) == 0.0) & (np.diff(longitude) == 0.0)
+    again = np.concatenate([[False], same])[: latitude.size]
+    first = int(np.argmin(np.append(same, False)))
+    if first > 0 and not known[: first + 1].any():
+        again[:first] = True
+        again[first] = False
+    return again
+
+
+def late_positions(time: Floats) -> Mask:
+    """Rows whose position isn't newer than all before; a time counts once. `time` (n,) time of the
+    positions [s]; returns (n,) True where the row doesn't count."""
+    latest = np.maximum.accumulate(time)
+    return np.concatenate([[False], time[1:] <= latest[:-1]])[: time.size]
+
+
+def interpolated_positions(time: Floats, latitude: Floats, longitude: Floats) -> Mask:
+    """Rows on the line between their neighbours, at the time that interpolation gives. Of a run of
+    equal displacements, only the fix at each end was ever observed. `time` (n,) time of the
+    positions [s], rising; `latitude`, `longitude` (n,) geodetic [rad]; returns (n,) True where a
+    position is interpolated."""
+    north = EQUATORIAL_RADIUS * off_line(time, latitude[:, None])
+    east = EQUATORIAL_RADIUS * np.cos(latitude) * off_line(time, np.unwrap(longitude)[:, None])
+    between = np.hypot(north, east) < INTERPOLATION_TOLERANCE
+    between[:1] = between[-1:] = False
+    return between
+
+
+def off_line(time: Floats, value: Floats) -> Floats:
+    """Distance of each row from the line between its neighbours; 0 at both ends. `time` (n,) rising
+    [s]; `value` (n, k) coordinates; returns (n,) in the unit of the coordinates."""
+    distance = np.zeros(time.size)
+    if time.size > 2:
+        weight = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
+        line = value[:-2] + weight * (value[2:] - value[:-2])
+        distance[1:-1] = np.linalg.norm(value[1:-1] - line, axis=1)
+    return distance
+
+
+def _excess(time: Floats, value: Floats, allowance: float, acceleration: float) -> Floats:
+    """Distance from the line between the neighbours over the largest one believed."""
+    believed = np.full(time.size, allowance)
+    believed[1:-1] += 0.5 * acceleration * np.diff(time)[:-1] * np.diff(time)[1:]
+    return np.asarray(off_line(time, value) / believed)
+
+
+def isolated_outliers(time: Floats, value: Floats, allowance: float, acceleration: float) -> Mask:
+    """Single rows that neither neighbour leads to, while the neighbours lead to each other.
+
+    A row is off when it lies further from the line between its neighbours than an allowance for
+    errors and half the acceleration times the product of both intervals.  Off rows go one by
+    one, worst of their surroundings first, and only if that heals the surroundings: a jump that
+    lasts is none, and breaks the track instead.
+
+    `time` (n,) rising [s]; `value` (n, k) coordinates [m]; `allowance`: distance believed [m];
+    `acceleration`: acceleration believed [m/s^2]; returns (n,) True where a row is an outlier.
+    """
+    kept = np.arange(time.size)
+    while True:
+        excess = _excess(time[kept], value[kept], allowance, acceleration)
+        padded = np.pad(excess, 1)
+        worst = (excess > 1.0) & (excess >= padded[:-2]) & (excess >= padded[2:])
+        healing = []
+        for index in np.flatnonzero(worst):
+            near = np.concatenate([kept[max(index - 2, 0) : index], kept[index + 1 : index + 3]])
+            if (_excess(time[near], value[near], allowance, acceleration) <= 1.0).all():
+                healing.append(index)
+        if not healing:
+            break
+        kept = np.delete(kept, healing)
+    off = np.ones(time.size, dtype=np.bool_)
+    off[kept] = False
+    return off
+
+
+def broken_links(time: Floats, position_e: Floats) -> Mask:
+    """Which fixes don't lead on to the next: gaps, and jumps that last. `time` (n,) rising [s];
+    `position_e` (n, 3) ECEF [m]; returns (n-1,) True where a stretch ends."""
+    interval = np.diff(time)
+    distance = np.linalg.norm(np.diff(position_e, axis=0), axis=1)
+    broken = interval > LARGEST_GAP_S
+    broken |= distance > 5.0 * POSITION_SD + HIGHEST_SPEED * interval
+    for index in np.flatnonzero(_excess(time, position_e, 5.0 * POSITION_SD, 10.0) > 1.0):
+        faster = distance[index] / interval[index] > distance[index - 1] / interval[index - 1]
+        broken[index if faster else index - 1] = True
+    return broken
+
+
+class MadeGood(NamedTuple):
+    """Speeds and courses that follow from positions alone.
+
+    - `speed`, `path_speed` (n,) length of the chord to both sides of a fix, and of the path along
+      the fixes, over time [m/s];
+    - `course` (n,) direction of the chord, clockwise from north [rad]; NaN below `POSITION_SD`;
+    - `span` (n,) time between the ends of the chord [s].
+    """
+
+    speed: Floats
+    path_speed: Floats
+    course: Floats
+    span: Floats
+
+
+def made_good(time: Floats, latitude: Floats, longitude: Floats) -> MadeGood:
+    """Speeds and courses from positions, over chords of at least `CHORD_S` to either side. `time`
+    (n,) rising [s]; `latitude`, `longitude` (n,) geodetic [rad]; returns NaN where there is no
+    other fix within `LARGEST_GAP_S`."""
+    position = geodetic_to_ecef(latitude, longitude, 0.0)
+    here = np.arange(time.size)
+    a = np.maximum(np.searchsorted(time, time - CHORD_S, side="right") - 1, 0)
+    b = np.minimum(np.searchsorted(time, time + CHORD_S), time.size - 1)
+    a = np.where(time - time[a] > LARGEST_GAP_S, here, a)
+    b = np.where(time[b] - time > LARGEST_GAP_S, here, b)
+    span = np.where(a < b, time[b] - time[a], np.nan)
+    C_en = dcm_e_from_n(latitude, longitude)
+    chord_n = np.einsum("nji,nj->ni", C_en, position[b] - position[a])
+    length = np.hypot(chord_n[:, 0], chord_n[:, 1])
+    path = np.cumsum(np.linalg.norm(np.diff(position, axis=0, prepend=position[:1]), axis=1))
+    course = np.where(length > POSITION_SD, np.arctan2(chord_n[:, 1], chord_n[:, 0]), np.nan)
+    return MadeGood(length / span, (path[b] - path[a]) / span, course, span)
+
+
+def contradicting_speeds(groundspeed: Floats, made: MadeGood) -> Mask:
+    """Groundspeeds outside chord and path speed by a tenth and three standard deviations.
+    `groundspeed` (n,) as reported [m/s]; returns (n,) True where the reported speed can't be true,
+    a stale one for instance."""
+    margin = 3.0 * math.sqrt(2.0) * POSITION_SD / made.span
+    too_low = groundspeed < 0.9 * made.speed - margin
+    too_high = groundspeed > 1.1 * made.path_speed + margin
+    return np.asarray(too_low | too_high)
+
+
+def stale_runs(value: Floats, wrong: Mask) -> Mask:
+    """Runs of one and the same value, too much of which is wrong for the rest to be right. `value`
+    (n,) as reported, NaN where missing; `wrong` (n,) whether a value was rejected; returns (n,)
+    True in runs of which more than `STALE_SHARE` was rejected."""
+    run = np.cumsum(np.diff(value, prepend=value[:1]) != 0.0)
+    share = np.bincount(run, wrong) / np.maximum(np.bincount(run), 1)
+    stale: Mask = np.isfinite(value) & (share[run] > STALE_SHARE)
+    return stale
+
+
+def resolved_courses(track_deg: Floats, course: Floats) -> tuple[Floats, Mask]:
+    """Reported courses where they agree with the course made good.
+
+    When all of them fit a signed byte, from -128 to 127 deg, they may have been stored in one,
+    and 256 deg more and less are tried too.
+
+    `track_deg` (n,) as recorded [deg], NaN where missing; `course` (n,) made good [rad], NaN where
+    there is none; returns `angle` (n,) course [rad] in (-pi, pi], NaN where rejected or missing;
+    `unwrapped` (n,) True where it agrees after adding or taking 256 deg, and not as it is.
+    """
+    finite = track_deg[np.isfinite(track_deg)]
+    is_byte = finite.size > 0 and finite.min() >= -128.0 and finite.max() <= 127.0
+    angle = np.full(track_deg.size, np.nan)
+    best = np.full(track_deg.size, COURSE_TOLERANCE)
+    unwrapped = np.zeros(track_deg.size, dtype=np.bool_)
+    for shift in (0.0, 256.0, -256.0) if is_byte else (0.0,):
+        candidate = np.radians(track_deg + shift)
+        difference = np.abs(_wrapped(candidate - course))
+        better = difference <= best if shift == 0.0 else difference < best
+        angle = np.where(better, _wrapped(candidate), angle)
+        best = np.where(better, difference, best)
+        unwrapped = np.where(better, shift != 0.0, unwrapped)
+    return angle, unwrapped
+
+
+def _wrapped(angle: Floats) -> Floats:
+    """Angle in (-pi, pi]."""
+    return np.asarray(np.pi - (np.pi - angle) % (2.0 * np.pi))
+
+
+def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int]]:
+    """Airborne stretches without a broken link. `time` (n,) rising [s]; `broken` (n-1,) whether a
+    fix doesn't lead on to the next; `airborne` (n,) whether a fix is in the air."""
+    linked = np.concatenate([[False], ~broken & airborne[1:] & airborne[:-1], [False]])
+    edges = np.flatnonzero(np.diff(linked.astype(np.int8)))
+    found = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return sorted(found, key=lambda pair: float(time[pair[0]] - time[pair[1]]))
+
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+AIRBORNE_SPEED = 60.0 * KNOT
+"""Speed over ground above which a fix counts as airborne [m/s]."""
+DEFAULT_DURATION_S = 600.0
+"""Duration of a track where none is asked for [s]."""
+
+
+@dataclass(frozen=True)
+class CleaningReport:
+    """What cleaning found and dropped; counts are rows of the file unless said otherwise.
+
+    - `name`: name of the file or flight;
+    - `incomplete`: rows without latitude, longitude or altitude;
+    - `repeated`: rows that repeat the position of the row before;
+    - `late`: rows whose position is not newer than the one before;
+    - `interpolated`: rows on the line between their neighbours, at the time that interpolation
+      gives;
+    - `position_outliers`, `height_outliers`: single fixes that neither neighbour can be reached
+      from;
+    - `grounded`: fixes at 60 kt or slower, or at an altitude of 0 or below;
+    - `speeds_rejected`: groundspeeds that contradict the speed made good;
+    - `angles_as_given`, `angles_unwrapped`, `angles_rejected`: course angles that agree with the
+      course made good as they are, after adding or taking 256 deg, and not at all;
+    - `stretches`: airborne stretches without a gap;
+    - `stretch_s`: duration of the chosen stretch [s];
+    - `start_utc`: time of the first fix of the track, ISO 8601;
+    - `duration_s`: duration of the track [s];
+    - `fixes`, `angles`: fixes of the track, and those among them with a course.
+    """
+
+    name: str
+    rows: int
+    incomplete: int
+    repeated: int
+    late: int
+    interpolated: int
+    position_outliers: int
+    height_outliers: int
+    grounded: int
+    speeds_rejected: int
+    angles_as_given: int
+    angles_unwrapped: int
+    angles_rejected: int
+    stretches: int
+    stretch_s: float
+    start_utc: str
+    duration_s: float
+    fixes: int
+    angles: int
+
+    def as_dict(self) -> dict[str, str | int | float]:
+        return asdict(self)
+
+    def lines(self) -> list[str]:
+        """Sentences for people."""
+        kept = self.angles_as_given + self.angles_unwrapped
+        return [
+            f"{self.name}: {self.rows} rows, {self.incomplete} without a position or altitude",
+            f"dropped: {self.repeated} repeated, {self.late} late, "
+            f"{self.interpolated} interpolated positions",
+            f"dropped: {self.position_outliers} outliers in position, "
+            f"{self.height_outliers} in altitude, {self.grounded} not airborne",
+            f"course angles: {kept} used ({self.angles_unwrapped} of them modulo 256), "
+            f"{self.angles_rejected} rejected; groundspeeds: {self.speeds_rejected} rejected",
+            f"{self.stretches} airborne stretches without a gap over {LARGEST_GAP_S:g} s; of one "
+            f"that lasts {self.stretch_s:.0f} s",
+            f"taken: {self.duration_s:.0f} s from {self.start_utc}, {self.fixes} fixes, "
+            f"{self.angles} with a course",
+            "the barometric altitude is taken as height above the ellipsoid",
+        ]
+
+
+def clean_track(
+    raw: RawTrack,
+    *,
+    from_s: float | None = None,
+    duration_s: float | None = None,
+    interpolated: Literal["drop", "keep"] = "drop",
+) -> tuple[Track, CleaningReport]:
+    """Clean a recorded track and cut out a stretch that was flown without a gap. `from_s`: start of
+    the cut [s] since the first row of the file; by default the start of the longest stretch;
+    `duration_s`: duration of the cut [s]; by default ten minutes, or what the stretch offers."""
+    if interpolated not in {"drop", "keep"}:
+        raise ValueError(f"`interpolated` must be 'drop' or 'keep', got {interpolated!r}")
+    counts: dict[str, int] = {"rows": raw.time.size}
+    fixes = _distinct_fixes(raw, counts, interpolated == "drop")
+    fixes = _without_outliers(fixes, counts)
+    angle, speed = _trusted_velocities(fixes, counts)
+    found = _airborne_stretches(raw.name, fixes, speed, counts)
+    elapsed = fixes.time - raw.time[0]
+    first, last = _chosen_stretch(elapsed, found, from_s)
+    cut = _cut(elapsed, (first, last), from_s, duration_s)
+    fixes, angle = fixes[cut], angle[cut]
+    start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=float(fixes.time[0]))
+    track = Track(
+        raw.name,
+        start,
+        fixes.time - fixes.time[0],
+        fixes.latitude,
+        fixes.longitude,
+        fixes.altitude,
+        fixes.groundspeed,
+        angle,
+    )
+    report = CleaningReport(
+        name=raw.name,
+        **counts,
+        stretch_s=float(elapsed[last] - elapsed[first]),
+        start_utc=start.isoformat(),
+        duration_s=track.duration,
+        fixes=track.time.size,
+        angles=int(np.isfinite(angle).sum()),
+    )
+    return track, report
+
+
+@dataclass(eq=False)
+class _Fixes:
+    """Fixes still in the running, with the times of their positions."""
+
+    time: Floats
+    latitude: Floats
+    longitude: Floats
+    altitude: Floats
+    groundspeed: Floats
+    track_deg: Floats
+
+    def __getitem__(self, kept: Mask) -> _Fixes:
+        return _Fixes(*(getattr(self, field)[kept] for field in self.__dataclass_fields__))
+
+    @property
+    def position_e(self) -> Floats:
+        """(n, 3) positions on the ellipsoid, ECEF [m]."""
+        return geodetic_to_ecef(self.latitude, self.longitude, 0.0)
+
+
+def _distinct_fixes(raw: RawTrack, counts: dict[str, int], drop_interpolated: bool) -> _Fixes:
+    """Rows that hold a position of their own, at the true time of it."""
+    known = np.isfinite(raw.position_time)
+    fixes = _Fixes(
+        np.where(known, raw.position_time, raw.time),
+        raw.latitude,
+        raw.longitude,
+        raw.altitude,
+        raw.groundspeed,
+        raw.track_deg,
+    )
+    complete = np.isfinite(raw.latitude + raw.longitude + raw.altitude)
+    if complete.sum() < MINIMUM_FIXES:
+        raise ValueError(
+            f"{raw.name!r} must have at least {MINIMUM_FIXES} rows with a position and an "
+            f"altitude, got {complete.sum()}"
+        )
+    fixes, known = fixes[complete], known[complete]
+    again = repeated_positions(fixes.latitude, fixes.longitude, known)
+    fixes = fixes[~again]
+    late = late_positions(fixes.time)
+    fixes = fixes[~late]
+    between = interpolated_positions(fixes.time, fixes.latitude, fixes.longitude)
+    between &= drop_interpolated
+    counts["incomplete"] = int((~complete).sum())
+    counts["repeated"] = int(again.sum())
+    counts["late"] = int(late.sum())
+    counts["interpolated"] = int(between.sum())
+    return fixes[~between]
+
+
+def _without_outliers(fixes: _Fixes, counts: dict[str, int]) -> _Fixes:
+    """Fixes without single ones that are off in altitude or position."""
+    off = isolated_outliers(fixes.time, fixes.altitude[:, None], 300.0, 10.0)
+    counts["height_outliers"] = int(off.sum())
+    fixes = fixes[~off]
+    off = isolated_outliers(fixes.time, fixes.position_e, 5.0 * POSITION_SD, 10.0)
+    counts["position_outliers"] = int(off.sum())
+    return fixes[~off]
+
+
+def _trusted_velocities(fixes: _Fixes, counts: dict[str, int]) -> tuple[Floats, Floats]:
+    """Courses to be trusted, and speeds: reported ones where trusted, else made good. Groundspeeds
+    that are not to be trusted become NaN in the fixes."""
+    made = made_good(fixes.time, fixes.latitude, fixes.longitude)
+    wrong = contradicting_speeds(fixes.groundspeed, made)
+    wrong |= stale_runs(fixes.groundspeed, wrong)
+    fixes.groundspeed[wrong] = np.nan
+    angle, unwrapped = resolved_courses(fixes.track_deg, made.course)
+    rejected = np.isfinite(fixes.track_deg) & np.isnan(angle)
+    rejected |= stale_runs(fixes.track_deg, rejected)
+    angle[rejected] = np.nan
+    counts["speeds_rejected"] = int(wrong.sum())
+    counts["angles_as_given"] = int((np.isfinite(angle) & ~unwrapped).sum())
+    counts["angles_unwrapped"] = int((np.isfinite(angle) & unwrapped).sum())
+    counts["angles_rejected"] = int(rejected.sum())
+    return angle, np.where(np.isnan(fixes.groundspeed), made.speed, fixes.groundspeed)
+
+
+def _airborne_stretches(
+    name: str, fixes: _Fixes, speed: Floats, counts: dict[str, int]
+) -> list[tuple[int, int]]:
+    """Stretches in the air and without a gap, longest first; at least one."""
+    airborne = (speed > AIRBORNE_SPEED) & (fixes.altitude > 0.0)
+    found = stretches(fixes.time, broken_links(fixes.time, fixes.position_e), airborne)
+    found = [(first, last) for first, last in found if last - first + 1 >= MINIMUM_FIXES]
+    counts["grounded"] = int((~airborne).sum())
+    counts["stretches"] = len(found)
+    if not found:
+        tally = ", ".join(f"{key} {value}" for key, value in counts.items())
+        raise ValueError(
+            f"{name!r} must have an airborne stretch of at least {MINIMUM_FIXES} fixes without a "
+            f"gap over {LARGEST_GAP_S:g} s, got none ({tally}); a simulated track without noise "
+            "needs interpolated='keep'"
+        )
+    return found
+
+
+def _chosen_stretch(
+    elapsed: Floats, found: list[tuple[int, int]], from_s: float | None
+) -> tuple[int, int]:
+    """Longest stretch, or the one that a time lies in."""
+    if from_s is None:
+        return found[0]
+    for a, b in found:
+        if elapsed[a] <= from_s < elapsed[b]:
+            return a, b
+    offered = ", ".join(f"{elapsed[a]:.0f} to {elapsed[b]:.0f}" for a, b in sorted(found[:10]))
+    raise ValueError(f"`from_s` must lie in an airborne stretch ({offered} s), got {from_s:g} s")
+
+
+def _cut(
+    elapsed: Floats, stretch: tuple[int, int], from_s: float | None, duration_s: float | None
+) -> Mask:
+    """Fixes of the stretch between two times."""
+    start = elapsed[stretch[0]] if from_s is None else from_s
+    rest = float(elapsed[stretch[1]] - start)
+    if duration_s is not None and not 0.0 < duration_s <= rest + 1e-6:
+        raise ValueError(f"`duration_s` must be at most {rest:.0f} s here, got {duration_s:g} s")
+    end = start + min(DEFAULT_DURATION_S if duration_s is None else duration_s, rest)
+    inside = (elapsed >= start) & (elapsed <= end + 1e-6)
+    inside[: stretch[0]] = inside[stretch[1] + 1 :] = False
+    return inside

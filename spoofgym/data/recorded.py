@@ -1,0 +1,128 @@
+"""Real input: a scenario from a recorded track and a navigation file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..truth.scenario import Scenario
+from .cleaning import clean_track
+from .ephemerides import (
+    GPS_EPOCH,
+    BroadcastConstellation,
+    Ephemerides,
+    ScreeningReport,
+    gps_seconds,
+    screen,
+)
+from .rinex import read_navigation
+from .track_fit import fit_track
+from .tracks import read_track
+
+
+@dataclass(frozen=True)
+class RealInput:
+    """A scenario from files, and how it came about.
+
+    - `scenario`: flight and satellites of the files;
+    - `lines`: for people: what was dropped, how near the flight is to the fixes, what was assumed;
+    - `reports`: the same for machines: ``track``, ``fit``, ``ephemeris``, ``time``.
+    """
+
+    scenario: Scenario
+    lines: tuple[str, ...]
+    reports: dict[str, Any]
+
+
+def real_scenario(
+    track: str | Path,
+    ephemeris: str | Path,
+    *,
+    from_s: float | None = None,
+    duration_s: float | None = None,
+    day: date | None = None,
+    **settings: Any,
+) -> RealInput:
+    """Scenario of a recorded flight under the satellites of a navigation file.
+
+    `from_s`: start [s] after the first row of the track; by default that of the longest airborne
+    stretch without a gap; `duration_s`: duration [s]; by default ten minutes, or what the stretch
+    offers; `day`: day of the flight; by default its own if the ephemerides are of it, else that of
+    the ephemerides, at the same time of day.
+    """
+    fixes, cleaning = clean_track(read_track(track), from_s=from_s, duration_s=duration_s)
+    flight, fit = fit_track(fixes)
+    records = read_navigation(ephemeris)
+    kept, screening = screen(records)
+    broadcast = ephemeris_day(kept)
+    own = fixes.start_utc.astimezone(UTC)
+    chosen = day or broadcast
+    start = datetime.combine(chosen, own.timetz())
+    seconds = gps_seconds(start)
+    constellation = BroadcastConstellation(kept, seconds)
+    scenario = Scenario(name=fixes.name, flight=flight, constellation=constellation, **settings)
+    name = Path(ephemeris).name
+    return RealInput(
+        scenario,
+        (
+            *cleaning.lines(),
+            *fit.lines(),
+            *screening_lines(name, screening),
+            _time_line(own, start, name),
+        ),
+        {
+            "track": cleaning.as_dict(),
+            "fit": fit.as_dict(),
+            "ephemeris": {
+                "name": name,
+                "records": screening.records,
+                "duplicates": screening.duplicates,
+                "unhealthy": screening.unhealthy,
+                "rejected": screening.rejected,
+                "rejections": [list(rejection) for rejection in screening.rejections],
+                "unchecked": screening.unchecked,
+                "unresolved": screening.unresolved,
+            },
+            "time": {
+                "track_start_utc": own.isoformat(),
+                "simulated_start_utc": start.isoformat(),
+                "gps_seconds": seconds,
+                "mapped": start != own,
+            },
+        },
+    )
+
+
+def ephemeris_day(ephemerides: Ephemerides) -> date:
+    days = np.floor(ephemerides.time_of_ephemeris / 86_400.0).astype(np.int64)
+    found, counts = np.unique(days, return_counts=True)
+    return (GPS_EPOCH + timedelta(days=int(found[counts.argmax()]))).date()
+
+
+def screening_lines(name: str, report: ScreeningReport) -> list[str]:
+    """Sentences on a navigation file."""
+    lines = [
+        f"{name}: {report.records} GPS records, {report.duplicates} copies dropped, "
+        f"{report.unhealthy} marked unhealthy and not used, {report.rejected} rejected for "
+        f"contradicting their neighbours, {report.unchecked} without a neighbour to compare with, "
+        f"{report.unresolved} pairs that disagree and were kept",
+    ]
+    for satellite, seconds, distance in report.rejections:
+        when = GPS_EPOCH + timedelta(seconds=seconds)
+        lines.append(
+            f"rejected: {satellite} of {when:%Y-%m-%d %H:%M:%S} GPS time, {distance:.0f} m off"
+        )
+    return lines
+
+
+def _time_line(own: datetime, start: datetime, name: str) -> str:
+    if start == own:
+        return f"the flight is of {own:%Y-%m-%d}, the day of {name}"
+    return (
+        f"the time of day is mapped to another day: flown {own:%Y-%m-%d %H:%M:%S} UTC, simulated "
+        f"{start:%Y-%m-%d %H:%M:%S} UTC, the day of {name}"
+    )

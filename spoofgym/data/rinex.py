@@ -1,0 +1,240 @@
+"""RINEX navigation files, versions 2 and 3: the GPS broadcast ephemerides in them.
+
+The format is that of "RINEX: The Receiver Independent Exchange Format", versions 2.11 and 3.05,
+sections on the GPS navigation message: a header, then eight lines of fixed columns to a record.
+
+The package georinex reads these files too, and the tests compare with it.  It isn't used here,
+since version 1.16.2 drops every record of a satellite of which a version 2 file holds two records
+of one epoch, takes a wrong health from a line that ends early, and fills a cut record with NaN.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from .ephemerides import (
+    SECONDS_PER_WEEK,
+    BroadcastConstellation,
+    Ephemerides,
+    ScreeningReport,
+    gps_seconds,
+    screen,
+)
+from .tracks import FileError, read_file
+
+_LOGGER = logging.getLogger(__name__)
+
+COMPRESS_MAGIC = b"\x1f\x9d"
+FIELD_WIDTH = 19
+LINES_PER_RECORD = 8
+LAST_SATELLITE = 63
+"""Largest number of a GPS satellite, IS-GPS-200 table 3-I."""
+LAST_YEAR = 2099
+FIELDS = {
+    **dict(clock_bias=(0, 1), clock_drift=(0, 2), clock_drift_rate=(0, 3)),
+    **dict(issue=(1, 0), crs=(1, 1), mean_motion_correction=(1, 2), mean_anomaly=(1, 3)),
+    **dict(cuc=(2, 0), eccentricity=(2, 1), cus=(2, 2), root_semi_major_axis=(2, 3)),
+    **dict(second_of_week=(3, 0), cic=(3, 1), node=(3, 2), cis=(3, 3)),
+    **dict(inclination=(4, 0), crc=(4, 1), perigee=(4, 2), node_rate=(4, 3)),
+    **dict(inclination_rate=(5, 0), health=(6, 1), group_delay=(6, 2)),
+}
+"""Line and column of the fields of a record; in line 0 the satellite and epoch are column 0."""
+
+
+def _signed(bits: int, exponent: int, unit: float = 1.0) -> tuple[float, float]:
+    """Range of a number in two's complement; files round it, which may lead just outside."""
+    largest = 2.0 ** (bits - 1 + exponent) * unit * (1.0 + 1e-9)
+    return -largest, largest
+
+
+RANGES = {
+    **dict(clock_bias=_signed(22, -31), clock_drift=_signed(16, -43)),
+    **dict(clock_drift_rate=_signed(8, -55), group_delay=_signed(8, -31)),
+    **dict(health=(0.0, 63.0), issue=(0.0, 255.0), second_of_week=(0.0, SECONDS_PER_WEEK)),
+    **dict(root_semi_major_axis=(2530.0, 8192.0), eccentricity=(0.0, 0.03)),
+    **dict.fromkeys(("mean_anomaly", "perigee", "node"), (-2.0 * math.pi, 2.0 * math.pi)),
+    **dict(inclination=(0.0, math.pi), inclination_rate=_signed(14, -43, math.pi)),
+    **dict(node_rate=_signed(24, -43, math.pi), mean_motion_correction=_signed(16, -43, math.pi)),
+    **dict.fromkeys(("cuc", "cus", "cic", "cis"), _signed(16, -29)),
+    **dict.fromkeys(("crc", "crs"), _signed(16, -5)),
+}
+"""Valid values of the fields: what the bits of the message hold, or its narrower effective range
+(IS-GPS-200, tables 20-I and 20-III); angles of one turn either way, since writers differ."""
+
+
+class _Layout(NamedTuple):
+    """Where a version of the format has its columns."""
+
+    satellite: slice
+    date: tuple[slice, ...]  # year, month, day, hour, minute, second
+    first_column: int
+
+
+_LAYOUTS = {
+    2: _Layout(
+        slice(0, 2),
+        (slice(3, 5), slice(6, 8), slice(9, 11), slice(12, 14), slice(15, 17), slice(17, 22)),
+        first_column=3,
+    ),
+    3: _Layout(
+        slice(1, 3),
+        (slice(4, 8), slice(9, 11), slice(12, 14), slice(15, 17), slice(18, 20), slice(21, 23)),
+        first_column=4,
+    ),
+}
+
+
+def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
+    """GPS records of a RINEX navigation file, in the order of the file.
+
+    Records of other constellations are left out, and their number is logged.  Malformed records
+    (cut short, a field that is no number or is out of range) are left out with one warning.  The
+    calendar date of a record gives its week, so that the week number field isn't needed.
+    A `spoofgym.data.tracks.FileError` says why the file can't be read.
+    """
+    path = Path(path)
+    lines = _read_lines(path)
+    version = _checked_version(lines[0] if lines else "", path)
+    satellites: list[str] = []
+    records: list[dict[str, float]] = []
+    others: Counter[str] = Counter()
+    malformed, first = 0, ""
+    for number, block in _blocks(lines, path):
+        system = block[0][0] if version == 3 else "G"
+        if system != "G":
+            others[system] += 1
+            continue
+        try:
+            satellite, record = _parse(block, _LAYOUTS[version])
+        except ValueError as error:
+            malformed, first = malformed + 1, first or f"line {number}: {error}"
+            continue
+        satellites.append(satellite)
+        records.append(record)
+    if others:
+        ignored = ", ".join(f"{system} {count}" for system, count in sorted(others.items()))
+        _LOGGER.info("%s: records of other constellations ignored: %s", path, ignored)
+    if not records:
+        raise FileError(
+            f"{path} holds no usable GPS satellite: {malformed} malformed GPS records"
+            f"{first and f' (the first at {first})'}, "
+            f"{sum(others.values())} records of other constellations"
+        )
+    if malformed:
+        warnings.warn(
+            f"{path}: {malformed} malformed GPS records left out, the first at {first}",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+    columns = {name: np.array([record[name] for record in records]) for name in records[0]}
+    return Ephemerides(satellite_id=np.array(satellites), **columns)
+
+
+def load_broadcast(
+    path: str | os.PathLike[str], start: float | datetime
+) -> tuple[BroadcastConstellation, ScreeningReport]:
+    """The constellation of a RINEX navigation file, its records screened. `start`: time 0 of the
+    simulation: GPS seconds [s], or a date as `gps_seconds` takes it."""
+    kept, report = screen(read_navigation(path))
+    if isinstance(start, datetime):
+        start = gps_seconds(start)
+    return BroadcastConstellation(kept, start), report
+
+
+def _read_lines(path: Path) -> list[str]:
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}")
+    content = read_file(path)
+    if content.startswith(COMPRESS_MAGIC):
+        raise FileError(f"{path} is compressed by `compress`; unpack it first (`gzip -d` does)")
+    return content.decode("ascii", errors="replace").splitlines()
+
+
+def _checked_version(line: str, path: Path) -> int:
+    """The version of a navigation file by its first line, 2 or 3."""
+    if line[60:80].rstrip() != "RINEX VERSION / TYPE":
+        raise FileError(f"{path} is not a RINEX file: it begins with {line[:80]!r}")
+    kind = line[20:40].strip()
+    try:
+        version = int(float(line[:9]))
+    except (ValueError, OverflowError):
+        raise FileError(f"{path} has no RINEX version, got {line[:9]!r}") from None
+    if version not in _LAYOUTS:
+        raise FileError(f"{path} is of RINEX version {line[:9].strip()}, valid are 2 and 3")
+    if not kind.startswith("N"):
+        raise FileError(f"{path} is not a navigation file of GPS (N), got type {kind!r}")
+    return version
+
+
+def _blocks(lines: list[str], path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Line number and lines of each record: the first columns of its later lines are blank."""
+    ends = (k for k, line in enumerate(lines) if line[60:].strip() == "END OF HEADER")
+    end = next(ends, None)
+    if end is None:
+        raise FileError(f"{path} is cut short: its header has no end")
+    number, block = 0, list[str]()
+    for k, line in enumerate(lines[end + 1 :], start=end + 2):
+        if not line.strip():
+            continue
+        if line[:3].strip():
+            if block:
+                yield number, block
+            number, block = k, []
+        block.append(line)
+    if block:
+        yield number, block
+
+
+def _parse(block: list[str], layout: _Layout) -> tuple[str, dict[str, float]]:
+    """Satellite and fields of a record; ValueError says what is wrong with it."""
+    if len(block) != LINES_PER_RECORD:
+        raise ValueError(f"a record has {LINES_PER_RECORD} lines, got {len(block)}")
+    number = int(block[0][layout.satellite])
+    if not 1 <= number <= LAST_SATELLITE:
+        raise ValueError(f"the satellite must be 1 to {LAST_SATELLITE}, got {number}")
+    record = {
+        name: _number(block[line], layout.first_column + FIELD_WIDTH * column)
+        for name, (line, column) in FIELDS.items()
+    }
+    for name, (low, high) in RANGES.items():
+        if not low <= record[name] <= high:
+            raise ValueError(f"`{name}` must be within {low:g} to {high:g}, got {record[name]:g}")
+    second_of_week = record.pop("second_of_week")
+    time_of_clock = gps_seconds(_date([block[0][part] for part in layout.date]))
+    half = 0.5 * SECONDS_PER_WEEK
+    lead = (second_of_week - time_of_clock + half) % SECONDS_PER_WEEK - half
+    record["time_of_clock"] = time_of_clock
+    record["time_of_ephemeris"] = time_of_clock + lead
+    return f"G{number:02d}", record
+
+
+def _number(line: str, column: int) -> float:
+    text = line[column : column + FIELD_WIDTH]
+    value = float(text.upper().replace("D", "E"))
+    if not math.isfinite(value):
+        raise ValueError(f"a field must be finite, got {text!r}")
+    return value
+
+
+def _date(parts: list[str]) -> datetime:
+    """Date from its parts; years of two digits are those of 1980 to 2079."""
+    year, month, day, hour, minute = map(int, parts[:5])
+    second = float(parts[5])
+    if 0 <= year < 100:
+        year += 1900 if year >= 80 else 2000
+    if not (year <= LAST_YEAR and 0 <= hour <= 24 and 0 <= minute <= 60 and 0.0 <= second <= 60.0):
+        raise ValueError(
+            f"the epoch must be a date to {LAST_YEAR} with hours to 24, minutes and seconds to 60, "
+            f"got {' '.join(parts)!r}"
+        )
+    return datetime(year, month, day) + timedelta(hours=hour, minutes=minute, seconds=second)

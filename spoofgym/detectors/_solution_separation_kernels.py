@@ -1,0 +1,307 @@
+"""Kernels of a bank of coasting solutions: move on by an epoch, and judge."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.compile import inlined, njit
+from ..earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS
+from ..receiver.states import POSITION
+from .innovation import cholesky_of_rows
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+SINGULAR = 1e-9
+"""Determinant of a covariance over the square of its trace, below which nothing is judged."""
+
+
+@inlined
+def age_of(epochs: int, number: int, spacing: int, bank: int) -> int:
+    """Age of a solution in its bank at the epoch after so many [epochs]; 0 before it has begun."""
+    since = epochs - number * spacing
+    return since % (bank * spacing) + 1 if since >= 0 else 0
+
+
+@njit
+def whitened_response(
+    predicted_cov: FloatArray,
+    design: FloatArray,
+    innovation: FloatArray,
+    innovation_cov: FloatArray,
+    visible: NDArray[np.bool_],
+    rows: IntArray,
+    factor: FloatArray,
+    response: FloatArray,
+    white: FloatArray,
+) -> int:
+    r"""Write of one receiver what gives the gain times anything.
+
+    .. math:: A = L^{-1} H P, \quad y = L^{-1} z, \quad S = L L^T; \qquad
+        K z = A^T y, \quad K S K^T = A^T A
+
+    `response` (m, d), the first d states of A, and `white` (m,), y, are written in as many rows as
+    are returned; -1 where S is not positive definite.  `rows` (m,), `factor` (m, m): scratch.
+    """
+    states, kept = design.shape[1], response.shape[1]
+    count = cholesky_of_rows(innovation_cov, visible, 0, len(innovation), rows, factor)
+    for i in range(count):
+        r, mine = rows[i], response[i]
+        white[i] = innovation[r]
+        for k in range(kept):
+            mine[k] = 0.0
+        for j in range(states):
+            h = design[r, j]
+            if h != 0.0:
+                P = predicted_cov[j]
+                for k in range(kept):
+                    mine[k] += h * P[k]
+        for l in range(i):
+            f, other = factor[i, l], response[l]
+            white[i] -= f * white[l]
+            for k in range(kept):
+                mine[k] -= f * other[k]
+        white[i] *= factor[i, i]
+        for k in range(kept):
+            mine[k] *= factor[i, i]
+    return count
+
+
+@njit
+def changed_rows(
+    transition: FloatArray, kept: int, rows: IntArray, ends: IntArray, at: IntArray, of: FloatArray
+) -> int:
+    """Find the rows of the first `kept` states of a transition that are not the identity's. `rows`,
+    `ends` (d,) written: their numbers, and where each ends in `at`, `of` (d * d,): places and
+    values of what is not 0; returns how many rows."""
+    count, size = 0, 0
+    for i in range(kept):
+        before, same = size, transition[i, i] == 1.0
+        for j in range(kept):
+            if transition[i, j] != 0.0:
+                at[size], of[size] = j, transition[i, j]
+                size += 1
+                same = same and i == j
+        if same:
+            size = before
+        else:
+            rows[count], ends[count] = i, size
+            count += 1
+    return count
+
+
+@njit
+def propagate(
+    V: FloatArray,
+    s: FloatArray,
+    count: int,
+    rows: IntArray,
+    ends: IntArray,
+    at: IntArray,
+    of: FloatArray,
+    moved: FloatArray,
+    shifted: FloatArray,
+) -> None:
+    r"""Go on by one interval in place, with all solutions side by side.
+
+    .. math:: s \leftarrow \Phi s, \qquad V \leftarrow \Phi V \Phi^T
+
+    `V` (d, d, J), `s` (d, J); `count`, `rows`, `ends`, `at`, `of` as of `changed_rows`; `moved`
+    (d, d J) and `shifted` (d, J), overwritten: the rows of Phi V and Phi s that are not those of V
+    and s.
+    """
+    size, bank = s.shape
+    flat, whole = V.reshape((size, size * bank)), moved.reshape((size, size, bank))
+    width, first = size * bank, 0
+    for c in range(count):
+        row, shift = moved[c], shifted[c]
+        row[:] = 0.0
+        shift[:] = 0.0
+        for i in range(first, ends[c]):
+            a, column, part = of[i], flat[at[i]], s[at[i]]
+            for j in range(bank):
+                shift[j] += a * part[j]
+            for k in range(width):
+                row[k] += a * column[k]
+        first = ends[c]
+    for c in range(count):
+        r = rows[c]
+        for j in range(bank):
+            s[r, j] = shifted[c, j]
+        for k in range(size):
+            mine = whole[c, k]
+            for j in range(bank):
+                V[k, r, j] = mine[j]
+    for c in range(count):
+        row, column = moved[c], flat[rows[c]]
+        for k in range(width):
+            column[k] = row[k]
+    for c in range(count):
+        first = 0
+        for o in range(count):
+            total = V[rows[c], rows[o]]
+            total[:] = 0.0
+            for i in range(first, ends[o]):
+                a, part = of[i], whole[c, at[i]]
+                for j in range(bank):
+                    total[j] += a * part[j]
+            first = ends[o]
+
+
+@njit
+def advance_bank(
+    receivers: IntArray,
+    transition: FloatArray,
+    predicted_cov: FloatArray,
+    design: FloatArray,
+    innovation: FloatArray,
+    innovation_cov: FloatArray,
+    visible: NDArray[np.bool_],
+    fewest: int,
+    spacing: int,
+    epochs: IntArray,
+    separation: FloatArray,
+    covariance: FloatArray,
+) -> None:
+    """Move all solutions of some receivers on by one epoch. `receivers` (r,): which ones; `fewest`:
+    satellites for an update; `spacing`: D; `epochs` (B,), `separation` (B, d, J), `covariance` (B,
+    d, d, J) memory, overwritten: epochs so far, s and V. Where S is not positive definite, s is
+    infinite."""
+    m, (kept, bank) = innovation.shape[1], separation.shape[1:]
+    scratch, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
+    A, y = np.empty((m, kept)), np.empty(m)
+    gained, added = np.empty(kept), np.empty((kept, kept))
+    rows, ends = np.empty(kept, dtype=np.int64), np.empty(kept, dtype=np.int64)
+    at, of = np.empty(kept * kept, dtype=np.int64), np.empty(kept * kept)
+    moved, shifted, begun = np.empty((kept, kept * bank)), np.empty((kept, bank)), np.empty(bank)
+    for b in receivers:
+        P, H, z, S = predicted_cov[b], design[b], innovation[b], innovation_cov[b]
+        seen = 0
+        for j in range(visible.shape[1]):
+            seen += visible[b, j]
+        count = 0
+        if seen >= fewest:
+            count = whitened_response(P, H, z, S, visible[b], scratch, factor, A, y)
+        gained[:] = 0.0 if count >= 0 else np.inf
+        added[:] = 0.0
+        for j in range(kept):
+            row = added[j]
+            for i in range(count):
+                a, mine = A[i, j], A[i]
+                gained[j] += a * y[i]
+                for k in range(kept):
+                    row[k] += a * mine[k]
+        changed = changed_rows(transition[b], kept, rows, ends, at, of)
+        s, V = separation[b], covariance[b]
+        for j in range(bank):
+            age = age_of(epochs[b], j, spacing, bank)
+            begun[j] = 1.0 if age > 0 else 0.0
+            if age == 1:
+                s[:, j] = 0.0
+                V[:, :, j] = 0.0
+        propagate(V, s, changed, rows, ends, at, of, moved, shifted)
+        for i in range(kept):
+            for j in range(bank):
+                if begun[j] > 0.0:
+                    s[i, j] -= gained[i]
+            for k in range(kept):
+                more, row = added[i, k], V[i, k]
+                for j in range(bank):
+                    row[j] += more * begun[j]
+        epochs[b] += 1
+
+
+@njit
+def horizontal_axes(position_e: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """North and east unit vectors at a position, ECEF, by Bowring's latitude."""
+    x, y, z = position_e[0], position_e[1], position_e[2]
+    p, ratio = math.hypot(x, y), math.sqrt(1.0 - ECCENTRICITY_SQUARED)
+    beta, longitude = math.atan2(z, p * ratio), math.atan2(y, x)
+    polar = ECCENTRICITY_SQUARED / ratio * EQUATORIAL_RADIUS
+    latitude = math.atan2(
+        z + polar * math.sin(beta) ** 3,
+        p - ECCENTRICITY_SQUARED * EQUATORIAL_RADIUS * math.cos(beta) ** 3,
+    )
+    up, out = math.sin(latitude), math.cos(latitude)
+    north = np.array([-up * math.cos(longitude), -up * math.sin(longitude), out])
+    return north, np.array([-math.sin(longitude), math.cos(longitude), 0.0])
+
+
+@njit
+def along(V: FloatArray, j: int, u: FloatArray, w: FloatArray) -> float:
+    """Element u' V w of the covariance of the position of solution j; `V` (d, d, J)."""
+    total = 0.0
+    for i in range(3):
+        for k in range(3):
+            total += u[i] * V[POSITION + i, POSITION + k, j] * w[k]
+    return total
+
+
+@njit
+def judge_bank(
+    receivers: IntArray,
+    separation: FloatArray,
+    covariance: FloatArray,
+    epochs: IntArray,
+    spacing: int,
+    position_e: FloatArray,
+    largest_sd: FloatArray,
+    statistic: FloatArray,
+) -> None:
+    """Compare the horizontal part of all solutions of some receivers with its covariance.
+    `receivers` (r,): which ones; `largest_sd` (B, J) memory, overwritten: root of the largest
+    eigenvalue of V_h [m], infinite where a solution is not judged; `statistic` (B,) written:
+    largest q."""
+    bank = separation.shape[2]
+    for b in receivers:
+        north, east = horizontal_axes(position_e[b])
+        statistic[b] = 0.0
+        for j in range(bank):
+            largest_sd[b, j] = np.inf
+            if age_of(epochs[b] - 1, j, spacing, bank) == 0:
+                continue
+            s, V = separation[b, POSITION:, j], covariance[b]
+            nn, ee = along(V, j, north, north), along(V, j, east, east)
+            ne = along(V, j, north, east)
+            half, det = 0.5 * (nn + ee), nn * ee - ne * ne
+            if det <= SINGULAR * 4.0 * half * half:
+                if half == 0.0:  # no update since it began, so that nothing can have moved
+                    largest_sd[b, j] = 0.0
+                continue
+            n = north[0] * s[0] + north[1] * s[1] + north[2] * s[2]
+            e = east[0] * s[0] + east[1] * s[1] + east[2] * s[2]
+            q = (ee * n * n - 2.0 * ne * n * e + nn * e * e) / det
+            statistic[b] = max(statistic[b], q)
+            largest_sd[b, j] = math.sqrt(half + math.sqrt(max(half * half - det, 0.0)))
+
+
+@njit
+def whiten_bank(
+    separation: FloatArray,
+    covariance: FloatArray,
+    epochs: IntArray,
+    spacing: int,
+    position_e: FloatArray,
+    whitened: FloatArray,
+) -> None:
+    """Horizontal parts of all solutions with the covariance of the identity, so that q = |w|^2.
+    `whitened` (B, J, 2) written, 0 where `judge_bank` does not judge."""
+    receivers, bank = len(separation), separation.shape[2]
+    for b in range(receivers):
+        north, east = horizontal_axes(position_e[b])
+        for j in range(bank):
+            whitened[b, j, :] = 0.0
+            if age_of(epochs[b] - 1, j, spacing, bank) == 0:
+                continue
+            s, V = separation[b, POSITION:, j], covariance[b]
+            nn, ee = along(V, j, north, north), along(V, j, east, east)
+            ne = along(V, j, north, east)
+            half, det = 0.5 * (nn + ee), nn * ee - ne * ne
+            if det <= SINGULAR * 4.0 * half * half:
+                continue
+            n = north[0] * s[0] + north[1] * s[1] + north[2] * s[2]
+            e = east[0] * s[0] + east[1] * s[1] + east[2] * s[2]
+            whitened[b, j, 0] = n / math.sqrt(nn)
+            whitened[b, j, 1] = (e - ne / nn * n) / math.sqrt(det / nn)

@@ -1,0 +1,419 @@
+r"""What clean runs say of a detector's thresholds: order statistics of run maxima, in a small file.
+
+A clean run is one number: the largest ratio of statistic to threshold over all channels and the
+epochs of the judged window, which lasts from the start of an attack to its end plus the time to
+alert.  A rate of r false alarms an hour is a probability for a run, and that a rank,
+
+.. math:: p = 1 - e^{-r W}, \qquad k = \lceil (1 - p)(n + 1) \rceil
+
+With the n maxima in order, :math:`x_{(k)}` is the factor on the thresholds that a new run exceeds
+with probability p at most, whatever the distribution.  Ranks are counted from the top here, as
+:math:`n + 1 - k`, 1 being the largest.
+
+Beyond the largest maximum a generalised Pareto distribution goes on, fitted to the uppermost maxima
+as in `coles2001`, and only down to :math:`p = 1 / (10 n)`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import platformdirs
+from numpy.typing import NDArray
+
+from ..core.files import write_file
+from ..core.registry import is_number
+from ..core.settings import describe, differences, digest_of, outside_sources
+
+FloatArray = NDArray[np.float64]
+FORMAT = 1
+"""Of the files; those of another one are not read."""
+SHIPPED_FOLDER = Path(__file__).parents[1] / "calibrations"
+"""Calibrations that come with the package."""
+FOLDER_VARIABLE = "SPOOFGYM_CALIBRATIONS"
+STANDARD_RATES = (0.2, 0.002)
+"""False alarms an hour whose order statistics a file always has exactly: of research, and of the
+order that aviation asks for."""
+WITNESSES = 16
+"""Run maxima that a file keeps with their seeds, to be replayed."""
+TOLERANCE = 1e-6
+"""Largest relative difference of a replayed maximum."""
+EXACT_RANKS, RANK_RATIO = 200, 1.01
+"""Uppermost order statistics that a file has one by one; below, their ranks grow by a ratio."""
+EXTRAPOLATION = 10.0
+"""How far a fitted tail reaches: down to a probability of one in so many times the runs."""
+TAIL_FEWEST = 50
+"""Fewest exceedances that a tail is fitted to."""
+DIGITS = 12
+"""Significant digits of what is written."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a calibration belongs to besides its detector.
+
+    - `settings`: resolved settings of the world that a clean run depends on, JSON-able;
+    - `window_s`: judged window, from the start of an attack to its end plus the time to alert [s];
+    - `label`: name of the world, for messages and seeds;
+    - `options`: how a command line names it; "" where none can.
+    """
+
+    settings: dict[str, Any]
+    window_s: float
+    label: str
+    options: str
+
+    @cached_property
+    def digest(self) -> str:
+        return digest_of(self.settings)
+
+
+class OperatingPoint(NamedTuple):
+    """Where a calibrated detector works.
+
+    Attributes
+    ----------
+    false_alarms_per_hour : float
+        Rate that was asked for.
+    per_run : float
+        Probability of an alarm in a clean run.
+    scale : float
+        Factor on the thresholds.
+    runs, rank : int
+        Clean runs, and the rank from the top that the scale is; 0 beyond the largest.
+    window_s : float
+        Judged window of a run [s].
+    extrapolated : bool
+        Whether the scale is that of a fitted tail.
+    warmup_alarms : float
+        Share of the clean runs that alarm before the attack, at this scale.
+    """
+
+    false_alarms_per_hour: float
+    per_run: float
+    scale: float
+    runs: int
+    rank: int
+    window_s: float
+    extrapolated: bool
+    warmup_alarms: float
+
+    def __str__(self) -> str:
+        tail = ", by a fitted tail" if self.extrapolated else ""
+        return (
+            f"{self.false_alarms_per_hour:g} false alarms an hour, {100.0 * self.per_run:.3g} % of "
+            f"runs of {self.window_s:g} s ({self.runs} clean runs{tail})"
+        )
+
+
+def check_rate(rate: Any) -> float:
+    """A rate of false alarms, or a ValueError."""
+    if not (is_number(rate) and math.isfinite(rate) and rate > 0.0):
+        raise ValueError(
+            f"`false_alarms_per_hour` must be a finite number > 0, got {rate!r}; thresholds as "
+            "the detector has them are `thresholds` 'nominal'"
+        )
+    return float(rate)
+
+
+def run_probability(false_alarms_per_hour: float, window_s: float) -> float:
+    return -math.expm1(-check_rate(false_alarms_per_hour) * window_s / 3600.0)
+
+
+def hourly_rate(per_run: float, window_s: float) -> float:
+    """False alarms an hour of a probability for a run; infinite for 1."""
+    return math.inf if per_run >= 1.0 else -math.log1p(-per_run) * 3600.0 / window_s
+
+
+def fewest_runs(per_run: float) -> int:
+    """Clean runs that an order statistic takes."""
+    return max(math.ceil(1.0 / per_run - 1e-9) - 1, 1)
+
+
+def rank_of(per_run: float, runs: int) -> int:
+    """Rank from the top of the order statistic that a new run exceeds with this probability. At
+    most `runs`; 0 where even the largest is exceeded more often."""
+    return runs + 1 - math.ceil((1.0 - per_run) * (runs + 1) - 1e-9)
+
+
+def tail_exceedances(runs: int) -> int:
+    """How many of the uppermost maxima a tail is fitted to."""
+    return min(EXACT_RANKS - 1, runs // 10)
+
+
+def check_runs(rate: float, runs: int, window_s: float, *, tail: bool) -> None:
+    """Raise unless so many runs tell a rate; `tail`: whether one may be fitted to them."""
+    p = run_probability(rate, window_s)
+    if p > (runs + 1e-9) / (runs + 1.0):
+        most = hourly_rate(runs / (runs + 1.0), window_s)
+        raise ValueError(
+            f"`false_alarms_per_hour` must be at most {most:.4g} for {runs} runs of "
+            f"{window_s:g} s: a run has one alarm or none; got {rate:g}"
+        )
+    if rank_of(p, runs) >= 1:
+        return
+    far = p * EXTRAPOLATION * runs < 1.0 or tail_exceedances(runs) < TAIL_FEWEST
+    if far or not tail:
+        needed = f"at least {fewest_runs(p)}"
+        if tail:
+            fitted = max(10 * TAIL_FEWEST, math.ceil(1.0 / (EXTRAPOLATION * p)))
+            needed += f", or {fitted} for a fitted tail"
+        raise ValueError(
+            f"{rate:g} false alarms an hour are {p:.3g} a run of {window_s:g} s, for which {runs} "
+            f"clean runs are too few: it takes {needed}"
+        )
+
+
+def kept_ranks(runs: int, window_s: float, rates: Sequence[float] = STANDARD_RATES) -> list[int]:
+    """Ranks from the top that a file keeps: the uppermost ones, thinned below, and those of rates.
+    A rank between two of them is taken for the next smaller one, so that no rate is exceeded."""
+    ranks = {*range(1, min(EXACT_RANKS, runs) + 1), runs}
+    rank = float(EXACT_RANKS)
+    while (rank := rank * RANK_RATIO) < runs:
+        ranks.add(int(rank))
+    asked = (rank_of(run_probability(rate, window_s), runs) for rate in rates)
+    return sorted(ranks.union(r for r in asked if r >= 1))
+
+
+def rounded(value: float) -> float:
+    """Value with `DIGITS` digits."""
+    return float(f"{value:.{DIGITS}g}")
+
+
+def rounded_up(values: FloatArray) -> FloatArray:
+    """Values with `DIGITS` digits that are never below what they were, so that none alarms."""
+    sizes = np.floor(np.log10(np.maximum(np.abs(values), np.finfo(np.float64).tiny)))
+    unit = 10.0 ** (sizes - (DIGITS - 1))
+    up = np.ceil(values / unit * (1.0 + 1e-15)) * unit
+    return np.array([rounded(value) for value in np.maximum(up, values)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """Clean runs of one detector in one world.
+
+    Attributes
+    ----------
+    world, detector : dict
+        Resolved settings, JSON-able.
+    window_s : float
+        Judged window of a run [s].
+    runs : int
+        How many, n.
+    entropy : int
+        Of the seeds of these runs.
+    ranks : tuple of int
+        Ranks from the top, increasing.
+    largest : tuple of float
+        Factor on the thresholds at each rank: the order statistic of the run maxima or, where the
+        alarm is a state, what a bisection has found.
+    before : tuple of (int, float)
+        Ranks from the top of the largest ratios before the attack, with their values.
+    witnesses : tuple of (int, float, float)
+        First runs: number, and largest ratios before the attack and in the judged window.
+    rescale : tuple of float or None
+        Factors on the innovations, of the variant `rescaled`: common mode and complement of the
+        pseudoranges, then of the range rates.
+    bisected : bool
+        Whether the alarm is a state, and `largest` has only the ranks that were asked for.
+    seed_name : str
+        Name of the world in the seeds.
+    path : Path or None
+        File that it was read from or written to.
+    """
+
+    world: Mapping[str, Any]
+    detector: Mapping[str, Any]
+    window_s: float
+    runs: int
+    entropy: int
+    seed_name: str
+    ranks: tuple[int, ...] = field(repr=False)
+    largest: tuple[float, ...] = field(repr=False)
+    before: tuple[tuple[int, float], ...] = field(repr=False)
+    witnesses: tuple[tuple[int, float, float], ...] = field(repr=False)
+    rescale: tuple[float, ...] | None = None
+    bisected: bool = False
+    path: Path | None = field(default=None, compare=False)
+
+    def point(self, false_alarms_per_hour: float) -> OperatingPoint:
+        """Where the detector works at a rate; a ValueError where the runs can't tell."""
+        rate, n = check_rate(false_alarms_per_hour), self.runs
+        p = run_probability(rate, self.window_s)
+        check_runs(rate, n, self.window_s, tail=not self.bisected)
+        exact = rank_of(p, n)
+        rank = self._rank(exact, rate) if exact >= 1 else 0
+        scale = self.largest[self.ranks.index(rank)] if rank else self._tail(p, rate)
+        if scale <= 0.0:
+            raise ValueError(self._degenerate(p, rate))
+        early = self.warmup_share(scale)
+        return OperatingPoint(rate, p, scale, n, rank, self.window_s, rank == 0, early)
+
+    def has(self, false_alarms_per_hour: float) -> bool:
+        """Whether its runs tell a rate, if only that the statistic is degenerate."""
+        try:
+            check_runs(false_alarms_per_hour, self.runs, self.window_s, tail=not self.bisected)
+        except ValueError:
+            return False
+        p = run_probability(false_alarms_per_hour, self.window_s)
+        return not self.bisected or rank_of(p, self.runs) in self.ranks
+
+    def _rank(self, exact: int, rate: float) -> int:
+        """Largest rank, at most the exact one, that the file has."""
+        if self.bisected and exact not in self.ranks:
+            raise ValueError(
+                f"the alarm of {self.detector['name']} is a state, whose scale is found by "
+                f"bisection, which was not done for {rate:g} false alarms an hour"
+            )
+        return max(each for each in self.ranks if each <= exact)
+
+    def _tail(self, p: float, rate: float) -> float:
+        """Scale of a generalised Pareto tail."""
+        n, count = self.runs, tail_exceedances(self.runs)
+        from scipy.stats import genpareto
+
+        top = np.array(self.largest[: count + 1])
+        start = float(top[count])
+        if not top[0] > start:
+            raise ValueError(self._degenerate(p, rate))
+        shape, _, size = genpareto.fit(top[:count] - start, floc=0.0)
+        beyond = float(genpareto.isf(p * n / count, shape, scale=size))
+        return max(start + beyond, float(top[0]))
+
+    def _degenerate(self, p: float, rate: float) -> str:
+        positive = max(
+            (r for r, x in zip(self.ranks, self.largest, strict=True) if x > 0.0), default=0
+        )
+        share = 100.0 * (1.0 - positive / self.runs)
+        return (
+            f"the statistic of {self.detector['name']} is degenerate: its largest value is 0 in "
+            f"{share:.4g} % of the clean runs, so that no factor on its threshold makes {rate:g} "
+            f"false alarms an hour ({p:.3g} a run); where it has a drift term, `thresholds` "
+            "'rescaled' may mend it; else there is `thresholds` 'nominal'"
+        )
+
+    def warmup_share(self, scale: float) -> float:
+        """Share of the clean runs whose largest ratio before the attack is above a scale."""
+        above = [rank for rank, value in self.before if value > scale]
+        return max(above, default=0) / self.runs
+
+    def differences(self, world: Mapping[str, Any], detector: Mapping[str, Any]) -> list[str]:
+        """Where it was made for something else, a line each."""
+        found = [("world", *each) for each in differences(self.world, world)]
+        found += [("detector", *each) for each in differences(self.detector, detector)]
+        return [f"{what} {name}: {a!r} there, {b!r} here" for what, name, a, b in found]
+
+    def save(self, path: Path) -> Calibration:
+        """Write it to a JSON file, whole or not at all."""
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        del fields["path"]
+        text = json.dumps({"format": FORMAT, **fields}, separators=(",", ":"), allow_nan=False)
+        write_file(path, (text + "\n").encode())
+        return dataclasses.replace(self, path=path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Calibration:
+        """Read it from a JSON file; a ValueError where it is none."""
+        return _load(os.fspath(path), os.stat(path).st_mtime_ns)
+
+
+@lru_cache(maxsize=256)
+def _load(path: str, modified: int) -> Calibration:
+    try:
+        found = json.loads(Path(path).read_text(encoding="utf-8"))
+        version = found.pop("format")
+        if version != FORMAT:
+            raise ValueError(f"its format is {version!r}, this version reads {FORMAT}")
+        for name in ("ranks", "largest", "rescale"):
+            found[name] = None if found[name] is None else tuple(found[name])
+        for name in ("before", "witnesses"):
+            found[name] = tuple(map(tuple, found[name]))
+        made = Calibration(**found, path=Path(path))
+        sizes = len(made.ranks), len(made.largest)
+        sound = sizes[0] == sizes[1] > 0 and made.runs >= made.ranks[-1] and made.window_s > 0.0
+        numbers = np.array(made.largest, dtype=np.float64)
+        if not (sound and np.isfinite(numbers).all() and (np.diff(numbers) <= 0.0).all()):
+            raise ValueError("its order statistics are not in order")
+        return made
+    except KeyError as error:
+        raise ValueError(f"{path} is no calibration: it has no {error}") from error
+    except (ValueError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} is no calibration: {error}") from error
+
+
+def user_folder() -> Path:
+    """Folder of one's own calibrations: ``SPOOFGYM_CALIBRATIONS``, or in the user's cache."""
+    wanted = os.environ.get(FOLDER_VARIABLE)
+    return (
+        Path(wanted) if wanted else Path(platformdirs.user_cache_dir("spoofgym")) / "calibrations"
+    )
+
+
+def folders() -> tuple[Path, ...]:
+    """Where calibrations are looked for, in this order."""
+    return SHIPPED_FOLDER, user_folder()
+
+
+def file_name(world: str, detector: Mapping[str, Any], rescaled: bool) -> Path:
+    """Path of a calibration within a folder.  `world`: digest of its conditions."""
+    kind = str(detector["name"]).rpartition(":")[2]
+    word = "-rescaled" if rescaled else ""
+    return Path(world) / f"{kind}-{digest_of(detector)}{word}.json"
+
+
+def stored(
+    conditions: Conditions,
+    detector: Mapping[str, Any],
+    rescaled: bool,
+    folder: Path | None = None,
+) -> Iterator[Calibration]:
+    """Calibrations of a detector in a world: the shipped one, then one's own; or of a folder."""
+    name = file_name(conditions.digest, detector, rescaled)
+    for place in folders() if folder is None else (folder,):
+        if (place / name).is_file():
+            yield Calibration.load(place / name)
+
+
+def nearest(
+    conditions: Conditions, detector: Mapping[str, Any], rescaled: bool
+) -> tuple[Path, list[str]] | None:
+    """The stored calibration with the fewest differences, and these; None where there is none."""
+    best: tuple[Path, list[str]] | None = None
+    kind = str(detector["name"]).rpartition(":")[2]
+    for folder in folders():
+        for path in sorted(folder.glob(f"*/{kind}-*.json")):
+            if path.stem.endswith("-rescaled") != rescaled:
+                continue
+            found = Calibration.load(path).differences(conditions.settings, detector)
+            if best is None or len(found) < len(best[1]):
+                best = path, found
+    return best
+
+
+def described(thing: Any) -> Any:
+    """Settings as JSON, numbers in one form, so that 5 and 5.0 have one digest."""
+    return json.loads(json.dumps(_plain(describe(thing)), allow_nan=False))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and value.is_integer() and abs(value) < 2.0**53:
+        return int(value)
+    return value
+
+
+def sources_of(thing: Any) -> dict[str, str]:
+    """Digests of a user's own sources that can be read."""
+    return {name: digest for name, digest in outside_sources(thing).items() if digest is not None}

@@ -1,0 +1,114 @@
+r"""No detector, random alarms.
+
+The detector that never alarms: the victim without a defence.
+
+It is the baseline of every comparison: what a spoofer induces where nobody looks.
+
+A detector that alarms by chance: what a score must not reward.
+
+It looks at the innovations of its first epoch alone, before there is an attack, and makes a number
+of their bits that is uniform for all practical purposes: no random number, the same in any batch.
+From it follows a waiting time w, exponential with mean 1, and with t the time since that epoch
+
+.. math:: \text{statistic} = t / w, \qquad \text{threshold} = T
+
+so that the alarm comes at the time :math:`T w`, and its hazard is 1/T at any time, with an attack
+or without.  At one rate of false alarms it is worth as much as `Never`, and a score by which it is
+worth more counts alarms that have nothing to do with an attack (a negative control,
+`lipsitch2010`).
+
+It must be live for an epoch before the attack; otherwise the attack has a say in the draw.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.registry import check_finite
+from ..receiver.epoch import Epoch
+from .base import Detector, DetectorContext, FloatArray, Verdict
+
+
+@dataclass
+class Never(Detector):
+    """No defence: statistic 0, threshold 1, never an alarm, no weights."""
+
+    described_as = "Never"
+    paper: ClassVar[str] = "groves2013"
+    measures: ClassVar[str] = "any"
+    calibrates: ClassVar[bool] = False
+
+    def bind(self, context: DetectorContext) -> None:
+        super().bind(context)
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        """No alarm: (B, 1) zeros, ones and no alarm."""
+        shape = (len(epoch.time), 1)
+        return Verdict(np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=np.bool_))
+
+
+UNIT = 2.0**-53
+"""Distance of the numbers that 53 bits make."""
+
+
+@dataclass
+class Lottery(Detector):
+    """Alarms by chance, at the same rate at any time, and stays alarmed.
+
+    Parameters
+    ----------
+    mean_wait_s : float
+        Mean waiting time from the first epoch to the alarm, T [s]; by default 0.2 alarms an hour.
+    """
+
+    described_as = "Lottery"
+    mean_wait_s: float = 18_000.0
+
+    paper: ClassVar[str] = "lipsitch2010"
+    measures: ClassVar[str] = "any"
+    draws: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        check_finite("mean_wait_s", self.mean_wait_s, "> 0")
+
+    def bind(self, context: DetectorContext) -> None:
+        super().bind(context)
+        self.memory.declare("since", np.zeros(context.receivers))
+        self.memory.declare("wait", np.zeros(context.receivers))
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        """Time since the first epoch over the waiting time drawn there; (B, 1)."""
+        since, wait = self.memory["since"], self.memory["wait"]
+        new = wait == 0.0
+        since = np.where(new, 0.0, since + epoch.interval)
+        if new.any():
+            wait = wait.copy()
+            wait[new] = unit_exponential(hashed(epoch.innovation[new]))
+        self.memory["since"], self.memory["wait"] = since, wait
+        statistic = (since / wait)[:, None]
+        threshold = np.full_like(statistic, self.mean_wait_s)
+        return Verdict(statistic, threshold, statistic > threshold)
+
+
+def hashed(values: FloatArray) -> NDArray[np.uint64]:
+    """64 bits of each row, of which none can be told from the values without computing them.
+    `values` (B, m); the mixing is that of a common generator (SplitMix64), element by element."""
+    bits = (np.ascontiguousarray(values, dtype=np.float64) + 0.0).view(np.uint64)
+    state = np.zeros(len(bits), dtype=np.uint64)
+    for column in bits.T:
+        state = (state ^ column) + np.uint64(0x9E3779B97F4A7C15)
+        state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        state ^= state >> np.uint64(31)
+    return state
+
+
+def unit_exponential(bits: NDArray[np.uint64]) -> FloatArray:
+    """Exponential numbers of mean 1, above 0, from 64 uniform bits each."""
+    uniform = ((bits >> np.uint64(11)).astype(np.float64) + 0.5) * UNIT
+    return np.array([-math.log1p(-each) for each in uniform.tolist()])

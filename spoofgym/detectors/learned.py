@@ -1,0 +1,446 @@
+"""Detector from a policy file; the duel's detector agent.
+
+A detector that decides by actions: an agent of the duel, or a policy that is asked.
+
+An action has one element for the statistic (or one for every slot), and one for the weight of every
+satellite, all in [-1, 1]; both are mapped to [0, 1] by :math:`(a + 1) / 2`.  An alarm is raised
+where the statistic exceeds the threshold.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.memory import Memory
+from ..core.registry import check_choice, is_number, whole_number
+from ..core.settings import OMITTED
+from ..policies.card import Space, State
+from ..policies.detector_policy import DetectorPolicy, PolicyContext
+from ..policies.onnx_file import check_signature, file_of, read_model
+from ..receiver.epoch import Epoch
+from .base import Detector, DetectorContext, Verdict
+from .build import ASKED, Asked, with_thresholds
+from .calibrated import Calibrated
+from .learned_card import DetectorCard, OnnxDetector, card_path
+from .observation import (
+    ALL_TERMS,
+    DetectorObserver,
+    DetectorTerm,
+    ExclusionLeft,
+    make_detector_terms,
+    slots,
+    written_terms,
+)
+from .pool import JointMemory
+
+FloatArray = NDArray[np.float64]
+STATISTICS = ("receiver", "channel")
+DELAYS = (0, 1)
+EXCLUSION_S = 30.0
+"""Allowance of exclusion; without one the best answer to any attack is not to look at GNSS."""
+
+
+def action_names(statistic: str, weighs: bool, channels: int) -> tuple[str, ...]:
+    """Name of every element of a detector agent's action: (a,) names."""
+    first = ("statistic",) if statistic == "receiver" else slots("statistic", channels)
+    return first + (slots("weight", channels) if weighs else ())
+
+
+def check_delay(decision_delay: int) -> None:
+    """Raise unless a delay is one of the two games'."""
+    if isinstance(decision_delay, bool) or decision_delay not in DELAYS:
+        raise ValueError(f"`decision_delay` must be 0 or 1, got {decision_delay!r}")
+
+
+def check_exclusion(exclusion_s: float | None) -> None:
+    """Raise unless an allowance of exclusion makes sense."""
+    if exclusion_s is None:
+        return
+    if not (is_number(exclusion_s) and np.isfinite(exclusion_s) and exclusion_s >= 0.0):
+        raise ValueError(f"`exclusion_s` must be finite and >= 0, or None, got {exclusion_s!r}")
+
+
+@dataclass
+class DetectorAgent(Detector):
+    """Takes in every epoch, and lets someone else decide; by itself it is quiet, with weights 1.
+
+    - `statistic`: one statistic, or one for every slot;
+    - `weighs`: whether the agent weighs satellites; if not, it only watches;
+    - `exclusion_s`: allowance of exclusion in an episode: an epoch costs its interval times what
+      the weights of the visible satellites lack, on average, of 1. An epoch that would exceed it is
+      used with all weights 1. None for no limit;
+    - `terms`: what it observes, as `make_detector_terms` takes it; None for `ALL_TERMS`, and what
+      is left of the allowance.
+    """
+
+    described_as = "DetectorAgent"
+    statistic: str = "receiver"
+    weighs: bool = True
+    exclusion_s: float | None = EXCLUSION_S
+    terms: Sequence[Any] | None = field(default=None, metadata=OMITTED, kw_only=True)
+
+    paper: ClassVar[str] = "groves2013"
+
+    def __post_init__(self) -> None:
+        check_choice("statistic", self.statistic, STATISTICS)
+        if not isinstance(self.weighs, bool | np.bool_):
+            raise ValueError(f"`weighs` must be True or False, got {self.weighs!r}")
+        check_exclusion(self.exclusion_s)
+        if self.terms is not None:
+            self.terms = make_detector_terms(self.terms)
+        # these are the object's choice, not the class's
+        self.scope = self.statistic  # type: ignore[misc]
+        self.needs = frozenset().union(*(term.needs for term in self.observed))  # type: ignore[misc]
+        for term in self.observed:
+            if isinstance(term, ExclusionLeft) and term.exclusion_s != self.exclusion_s:
+                raise ValueError(
+                    f"`exclusion_s` of the term exclusion-left must be that of the detector, "
+                    f"{self.exclusion_s}, got {term.exclusion_s}"
+                )
+
+    @property
+    def observed(self) -> tuple[DetectorTerm, ...]:
+        if self.terms is not None:
+            return tuple(self.terms)
+        return (*ALL_TERMS, ExclusionLeft(self.exclusion_s))
+
+    def bind(self, context: DetectorContext) -> None:
+        super().bind(context)
+        n = context.channels
+        self.observer = DetectorObserver(self.observed, n)
+        self.action_names = action_names(self.statistic, self.weighs, n)
+        self._columns = n if self.statistic == "channel" else 1
+        self.memory = JointMemory(context.receivers, self._bound_parts(context))
+        self.memory.declare("excluded_s", np.zeros(context.receivers))
+        self.observer.declare(self.memory)
+
+    def _bound_parts(self, context: DetectorContext) -> list[Memory]:
+        """Bind what is within, and return what it remembers."""
+        return self.observer.bind(context)
+
+    def look(self, epoch: Epoch) -> None:
+        self.observer.look(epoch, self.memory)
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        """Take in an epoch of the warm-up, where nobody is asked. Returns (B, c) zeros, ones and no
+        alarm; no weights."""
+        self.look(epoch)
+        shape = (len(epoch.time), self._columns)
+        return Verdict(np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=np.bool_))
+
+    def verdict(
+        self,
+        action: FloatArray,
+        threshold: FloatArray,
+        visible: NDArray[np.bool_],
+        interval: FloatArray,
+    ) -> Verdict:
+        """Verdict of an action; what it excludes is taken off the allowance.
+
+        `action` (B, a) in [-1, 1]; `threshold` (B,) what the statistic is compared with; `visible`
+        (B, n) bool; the statistic of an invisible slot is 0, its weight 1; `interval` (B,) time
+        since the last epoch [s]; returns (B, c), and (B, 2n) weights, the same for pseudorange and
+        range rate of a satellite.
+        """
+        share = np.clip(0.5 * (action + 1.0), 0.0, 1.0)
+        statistic = np.ascontiguousarray(share[:, : self._columns])
+        if self.statistic == "channel":
+            statistic = np.where(visible, statistic, 0.0)
+        limit = np.ascontiguousarray(np.broadcast_to(threshold[:, None], statistic.shape))
+        weights = None
+        if self.weighs:
+            weight = np.where(visible, share[:, self._columns :], 1.0)
+            weight = self._allowed(weight, visible, interval)
+            weights = np.concatenate([weight, weight], axis=1)
+        return Verdict(statistic, limit, statistic > limit, weights)
+
+    def _allowed(
+        self, weight: FloatArray, visible: NDArray[np.bool_], interval: FloatArray
+    ) -> FloatArray:
+        """Weights of satellites within the allowance, which they use up."""
+        lacking = (1.0 - weight).sum(axis=1) / np.maximum(visible.sum(axis=1), 1)
+        used = self.memory["excluded_s"] + interval * lacking
+        limit = np.inf if self.exclusion_s is None else self.exclusion_s
+        within = used <= limit
+        self.memory["excluded_s"] = np.where(within, used, self.memory["excluded_s"])
+        return np.where(within[:, None], weight, 1.0)
+
+
+@dataclass
+class PolicyDetector(DetectorAgent):
+    """A frozen policy as a detector like any other, with its threshold.
+
+    Parameters
+    ----------
+    statistic, weighs, exclusion_s
+        As in `DetectorAgent`.
+    policy : DetectorPolicy
+        Who decides; copied.
+    threshold : float
+        What the statistic is compared with, in (0, 1]; of a calibration of this policy.
+    decision_delay : {0, 1}
+        Whether an epoch is judged by a decision on itself, or by one on the epoch before.
+    quiet_epochs : int, optional
+        Epochs after it is switched on in which it is not asked: statistic 0 and all weights 1, as
+        an agent of the duel is in the monitored warm-up.  By default the policy is asked at once;
+        only a pool of the duel then takes its own warm-up.
+    """
+
+    described_as = "PolicyDetector"
+    policy: DetectorPolicy | None = None
+    threshold: float = 1.0
+    decision_delay: int = 0
+    quiet_epochs: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.policy, DetectorPolicy):
+            raise TypeError(f"`policy` must be a DetectorPolicy, got {self.policy!r}")
+        check_delay(self.decision_delay)
+        if not (is_number(self.threshold) and 0.0 < self.threshold <= 1.0):
+            raise ValueError(f"`threshold` must be a number in (0, 1], got {self.threshold!r}")
+        if self.quiet_epochs is not None:
+            self.quiet_epochs = whole_number("`quiet_epochs`", self.quiet_epochs)
+
+    @property
+    def file(self) -> str | None:
+        """File that the policy was read from."""
+        return getattr(self.policy, "file", None)
+
+    def identity(self) -> dict[str, Any]:
+        """What its calibration belongs to: all but the threshold."""
+        digest = self._policy().digest()
+        if digest is None:
+            raise ValueError(
+                f"{self.policy!r} has no digest to look its calibration up by: give a "
+                "FunctionPolicy a `name`, or override `digest`"
+            )
+        own = ("statistic", "weighs", "exclusion_s", "decision_delay")
+        settings = {name: getattr(self, name) for name in own}
+        if self.terms is not None:
+            settings["terms"] = written_terms(self.terms)
+        return {"name": "policy", "policy": digest, "quiet_epochs": self.quiet, **settings}
+
+    @property
+    def quiet(self) -> int:
+        """Epochs after it is switched on in which it is not asked."""
+        return self.quiet_epochs or 0
+
+    def bind(self, context: DetectorContext) -> None:
+        super().bind(context)
+        self.silent_epochs = self.quiet
+        self.memory.declare("judged", np.zeros(context.receivers, dtype=np.int64))
+
+    def _bound_parts(self, context: DetectorContext) -> list[Memory]:
+        parts, policy = super()._bound_parts(context), self._policy()
+        policy.bind(policy_context(self, context))
+        return [*parts, policy.memory]
+
+    def _policy(self) -> DetectorPolicy:
+        if self.policy is None:
+            raise TypeError("`policy` must be a DetectorPolicy, got None")
+        return self.policy
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        policy = self._policy()
+        if self.decision_delay:
+            action = policy.decide(self.memory["observation"])
+            self.look(epoch)
+        else:
+            self.look(epoch)
+            action = policy.decide(self.memory["observation"])
+        quiet = self.memory["judged"] < self.quiet
+        self.memory["judged"] = self.memory["judged"] + 1
+        if quiet.any():
+            policy.reset(quiet)
+            action = np.array(action)
+            action[quiet, : self._columns], action[quiet, self._columns :] = -1.0, 1.0
+        threshold = np.full(len(quiet), float(self.threshold))
+        return self.verdict(action, threshold, epoch.visible, epoch.interval)
+
+
+def policy_context(agent: DetectorAgent, context: DetectorContext) -> PolicyContext:
+    return PolicyContext(
+        receivers=context.receivers,
+        interval_s=context.epoch_interval_s,
+        observation_names=agent.observer.names,
+        observation_low=tuple(agent.observer.low.tolist()),
+        observation_high=tuple(agent.observer.high.tolist()),
+        action_names=agent.action_names,
+    )
+
+
+OWN = ("quiet_epochs", "sha256")
+"""Settings of a detector in a file besides its name and thresholds."""
+
+
+@dataclass
+class LearnedDetector(Detector):
+    """Judges as the network in an ONNX file does; its statistic is within 0 and 1, its threshold 1.
+
+    Parameters
+    ----------
+    file : str or path-like
+        Path of the ONNX file, whose card has the same name and lies in the same folder; or the name
+        of a shipped detector.
+    sha256 : str, optional
+        Digest that the file must have; by default the card's.
+    quiet_epochs : int, optional
+        Epochs after it is switched on in which it is not asked; by default those of the card.
+
+    Attributes
+    ----------
+    card : DetectorCard
+        What it observes and decides, its state and the threshold that it was given.
+    label : str
+        Name on the card.
+
+    Raises
+    ------
+    ValueError
+        When file or card are missing, damaged, or don't fit each other.
+    """
+
+    described_as = "LearnedDetector"
+    file: str
+    sha256: str | None = None
+    quiet_epochs: int | None = None
+
+    paper: ClassVar[str] = PolicyDetector.paper
+
+    def __post_init__(self) -> None:
+        self.file = os.fspath(self.file)
+        policy = OnnxDetector(self.file, self.sha256)
+        self.card, self.sha256 = policy.card, policy.card.file.sha256
+        if self.quiet_epochs is None:
+            self.quiet_epochs = self.card.quiet_epochs
+        self.judge_by = PolicyDetector(
+            statistic=self.card.statistic,
+            weighs=self.card.weighs,
+            exclusion_s=self.card.exclusion_s,
+            terms=self.card.terms,
+            policy=policy,
+            decision_delay=self.card.decision_delay,
+            quiet_epochs=self.quiet_epochs,
+        )
+        # these differ from file to file, so that they are the object's, not the class's
+        self.label = self.card.name  # type: ignore[misc]
+        self.scope, self.needs = self.judge_by.scope, self.judge_by.needs  # type: ignore[misc]
+        self.has_nominal = self.card.threshold is not None
+
+    def identity(self) -> dict[str, Any]:
+        """What its calibration belongs to: the content of the file, and settings, not its path."""
+        return self.judge_by.identity()
+
+    @property
+    def spec(self) -> dict[str, Any]:
+        """Name and settings, from which `make_detector` makes an equal one."""
+        quiet = self.judge_by.quiet_epochs
+        further = {} if quiet == self.card.quiet_epochs else {"quiet_epochs": quiet}
+        return {"name": self.file, **further}
+
+    def bind(self, context: DetectorContext) -> None:
+        super().bind(context)
+        if self.card.channels not in (None, context.channels):
+            raise ValueError(
+                f"the detector {self.label!r} ({self.file}) was made for {self.card.channels} "
+                f"slots of satellites, and the receiver has {context.channels}"
+            )
+        self.judge_by.bind(context)
+        self.memory = self.judge_by.memory
+        self.silent_epochs = self.judge_by.silent_epochs
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        return self.judge_by.judge(epoch)
+
+
+def unscaled(spec: Any) -> LearnedDetector:
+    """Detector of an ONNX file, by its name or a dict, without what is asked of its thresholds."""
+    settings: dict[str, Any] = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
+    name = settings.pop("name")
+    valid = ("threshold", *OWN, *ASKED)
+    unknown = [key for key in settings if key not in valid]
+    if unknown:
+        raise ValueError(
+            f"the learned detector {name} has no setting {', '.join(map(repr, unknown))}; valid: "
+            f"{', '.join(valid)}"
+        )
+    return LearnedDetector(name, **{key: settings[key] for key in OWN if key in settings})
+
+
+def of_file(plain: Mapping[str, Any], asked: Asked) -> Detector:
+    """Detector of an ONNX file with the thresholds that are asked for. `plain`: its name and
+    settings. Its own threshold is 1, so that a factor on it is a threshold; the nominal one is that
+    of the card."""
+    made, name, own = unscaled(plain), plain["name"], plain.get("threshold")
+    nominal = asked in (Asked(), Asked(thresholds="nominal"))
+    if own is not None:
+        if not (is_number(own) and 0.0 < own <= 1.0):
+            raise ValueError(f"`threshold` must be a number in (0, 1], got {own!r}")
+        if not nominal:
+            raise ValueError(
+                f"detector {name!r} is given a `threshold` of its own, and asked for another one: "
+                "leave out one"
+            )
+        return Calibrated(made, scale=float(own))
+    if not nominal:
+        return with_thresholds(made, asked)
+    if made.card.threshold is not None:
+        return Calibrated(made, scale=made.card.threshold)
+    raise ValueError(
+        f"{name} has no threshold on its card: ask for `false_alarms_per_hour`, which "
+        "`spoofgym calibrate` finds a threshold for, or give one as `threshold`"
+    )
+
+
+def detector_card(
+    agent: DetectorAgent,
+    channels: int,
+    file: str | os.PathLike[str],
+    *,
+    name: str,
+    interval_s: float,
+    quiet_epochs: int,
+    decision_delay: int = 0,
+    state: Mapping[str, int] | None = None,
+    threshold: float | None = None,
+    calibration: Mapping[str, Any] | None = None,
+    training: Mapping[str, Any] | None = None,
+) -> DetectorCard:
+    """Card of an ONNX file for what an agent observes and decides; not written yet. `state`: size
+    of each by name."""
+    content, where = Path(file).read_bytes(), os.fspath(file)
+    card_path(file)
+    observer = DetectorObserver(agent.observed, channels)
+    names = action_names(agent.statistic, agent.weighs, channels)
+    states = tuple(State(name=key, size=size) for key, size in (state or {}).items())
+    check_signature(read_model(content, where), len(observer.names), len(names), where, states)
+    low, high = (tuple(side.tolist()) for side in (observer.low, observer.high))
+    fields: dict[str, Any] = {
+        "statistic": agent.statistic,
+        "weighs": agent.weighs,
+        "exclusion_s": agent.exclusion_s,
+        "decision_delay": decision_delay,
+    }
+    return DetectorCard(
+        name=name,
+        observation=Space(names=observer.names, low=low, high=high),
+        action=Space(names=names, low=(-1.0,) * len(names), high=(1.0,) * len(names)),
+        terms=written_terms(agent.observed),
+        state=states,
+        quiet_epochs=quiet_epochs,
+        channels=channels,
+        interval_s=interval_s,
+        threshold=threshold,
+        calibration=dict(calibration or {}),
+        training=dict(training or {}),
+        file=file_of(Path(file).name, content),
+        **fields,
+    )

@@ -1,1 +1,0 @@
-"""Detectors that have learned: what they observe, how they decide, and files that hold them."""

@@ -1,0 +1,554 @@
+"""Observation terms of learned detectors.
+
+Terms of what a learned detector observes, each with names and bounds.
+
+A term holds an `Epoch`, which has no field of truth, and what the detector remembers of earlier
+ones.  Every value is divided by a stated scale, and clipped to finite bounds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.memory import Memory
+from ..core.registry import build
+from ..core.settings import describe
+from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
+from ..receiver.epoch import Epoch
+from ..receiver.kalman import normalized_innovation_squared
+from .base import Detector, DetectorContext, judged
+from .calibrated import Calibrated
+from .pool import PooledDetector
+
+FloatArray = NDArray[np.float64]
+Written = NDArray[np.float32]
+
+
+class DetectorTerm(ABC):
+    """One part of what a learned detector observes; a frozen dataclass.
+
+    Attributes
+    ----------
+    needs : frozenset of str
+        Optional fields of `Epoch` that it reads, as of a `Detector`.
+    """
+
+    needs: ClassVar[frozenset[str]] = frozenset()
+
+    @abstractmethod
+    def names(self, channels: int) -> tuple[str, ...]:
+        """Name of every element, for as many slots."""
+
+    @abstractmethod
+    def bounds(self) -> tuple[float, float]:
+        """Least and largest value, finite."""
+
+    def bound(self, context: DetectorContext) -> Self:
+        """Term for a batch of receivers: itself, unless it keeps a `memory` of its own."""
+        return self
+
+    def declare(self, memory: Memory, channels: int) -> None:  # noqa: B027  (few need it)
+        """Declare what is remembered; nothing by default."""
+
+    @abstractmethod
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        """Write the values of an epoch, (B, k); clipping follows."""
+
+
+def slots(word: str, channels: int) -> tuple[str, ...]:
+    return tuple(f"{word}_slot{s:02d}" for s in range(channels))
+
+
+def innovation_sd(epoch: Epoch) -> FloatArray:
+    """Standard deviation of every innovation, as the filter believes it.
+
+    Returns (B, m) root of the diagonal of S [m], [m/s].
+    """
+    return np.sqrt(epoch.innovation_variance)
+
+
+@dataclass(frozen=True)
+class Innovation(DetectorTerm):
+    """Innovations over their standard deviations; 0 where a slot is invisible."""
+
+    described_as = "Innovation"
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        """``range_innovation_*`` and ``rate_innovation_*``."""
+        return slots("range_innovation", channels) + slots("rate_innovation", channels)
+
+    def bounds(self) -> tuple[float, float]:
+        """-10 and 10."""
+        return -10.0, 10.0
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        """Write z over its standard deviation."""
+        np.divide(epoch.innovation, innovation_sd(epoch), out=out, casting="unsafe")
+
+
+@dataclass(frozen=True)
+class AverageInnovation(DetectorTerm):
+    r"""Exponentially weighted average of the same, over its standard deviation if it were white.
+
+    .. math:: \Lambda_k = \lambda z_k / \sigma_k + (1 - \lambda) \Lambda_{k-1}, \qquad
+        \Lambda_k / \sqrt{\lambda / (2 - \lambda)}
+
+    Parameters
+    ----------
+    smoothing : float
+        Lambda, in (0, 1]; the default averages over some ten epochs.
+
+    Notes
+    -----
+    `roberts1959`.  A satellite that sets starts again.
+    """
+
+    described_as = "AverageInnovation"
+    smoothing: float = 0.1
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.smoothing <= 1.0:
+            raise ValueError(f"`smoothing` must be in (0, 1], got {self.smoothing}")
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        """``range_average_*`` and ``rate_average_*``."""
+        return slots("range_average", channels) + slots("rate_average", channels)
+
+    def bounds(self) -> tuple[float, float]:
+        """-30 and 30."""
+        return -30.0, 30.0
+
+    def declare(self, memory: Memory, channels: int) -> None:
+        """The averages, 0 at first."""
+        memory.declare("average", np.zeros((memory.receivers, 2 * channels)))
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        present = np.concatenate([epoch.visible, epoch.visible], axis=1)
+        value = epoch.innovation / innovation_sd(epoch)
+        before = memory["average"]
+        after = np.where(present, before + self.smoothing * (value - before), 0.0)
+        memory["average"] = after
+        np.multiply(
+            after, np.sqrt((2.0 - self.smoothing) / self.smoothing), out=out, casting="unsafe"
+        )
+
+
+@dataclass(frozen=True)
+class InnovationSd(DetectorTerm):
+    """Standard deviations of the innovations.
+
+    Parameters
+    ----------
+    range_scale_m, rate_scale_mps : float
+        What is observed as 1.
+    """
+
+    described_as = "InnovationSd"
+    range_scale_m: float = 10.0
+    rate_scale_mps: float = 1.0
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        """``range_sd_*`` and ``rate_sd_*``."""
+        return slots("range_sd", channels) + slots("rate_sd", channels)
+
+    def bounds(self) -> tuple[float, float]:
+        """0 and 10."""
+        return 0.0, 10.0
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        """Write them; 0 where a slot is invisible."""
+        n, sd = epoch.visible.shape[1], innovation_sd(epoch)
+        out[:, :n] = epoch.visible * sd[:, :n] * (1.0 / self.range_scale_m)
+        out[:, n:] = epoch.visible * sd[:, n:] * (1.0 / self.rate_scale_mps)
+
+
+@dataclass(frozen=True)
+class ChiSquare(DetectorTerm):
+    """Normalized innovations squared, of both kinds together, over the degrees of freedom."""
+
+    described_as = "ChiSquare"
+    needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        """``chi_square_ratio``."""
+        return ("chi_square_ratio",)
+
+    def bounds(self) -> tuple[float, float]:
+        """0 and 10."""
+        return 0.0, 10.0
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        """Write the ratio; 1 is what the filter expects."""
+        m = epoch.innovation.shape[1]
+        belief = cast(FloatArray, epoch.innovation_cov)
+        statistic = normalized_innovation_squared(epoch.innovation, belief, 0, m)
+        freedom = np.maximum(2 * epoch.visible.sum(axis=1), 1)
+        # an infinite one, of a covariance that is not positive definite, is cut like others
+        out[:, 0] = np.minimum(statistic / freedom, 1e6)
+
+
+@dataclass(frozen=True)
+class InView(DetectorTerm):
+    """Whether a slot has a visible satellite."""
+
+    described_as = "InView"
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        """``visible_*``."""
+        return slots("visible", channels)
+
+    def bounds(self) -> tuple[float, float]:
+        """0 and 1."""
+        return 0.0, 1.0
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        """Write 1 or 0."""
+        out[:] = epoch.visible
+
+
+@dataclass(frozen=True)
+class PredictedMotion(DetectorTerm):
+    """Velocity that the filter predicts, in local axes, and what the inertial sensors measure.
+
+    Parameters
+    ----------
+    velocity_scale_mps, force_scale_mps2, rate_scale_rps : float
+        What is observed as 1: velocity, specific force, angular rate.
+    """
+
+    described_as = "PredictedMotion"
+    velocity_scale_mps: float = 100.0
+    force_scale_mps2: float = 10.0
+    rate_scale_rps: float = 0.1
+
+    needs: ClassVar[frozenset[str]] = frozenset({"imu_delta"})
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        """``predicted_velocity_*``, ``specific_force_*`` and ``angular_rate_*``."""
+        local = tuple(f"predicted_velocity_{a}" for a in ("north", "east", "down"))
+        body = ("forward", "right", "below")
+        return (
+            *local,
+            *(f"specific_force_{a}" for a in body),
+            *(f"angular_rate_{a}" for a in body),
+        )
+
+    def bounds(self) -> tuple[float, float]:
+        """-10 and 10."""
+        return -10.0, 10.0
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        """Write velocity, mean specific force and mean angular rate of the interval."""
+        latitude, longitude, _ = ecef_to_geodetic(epoch.predicted_position)
+        C_en = dcm_e_from_n(latitude, longitude)
+        velocity_n = (epoch.predicted_velocity[:, :, None] * C_en).sum(axis=1)
+        out[:, :3] = velocity_n * (1.0 / self.velocity_scale_mps)
+        mean = cast(FloatArray, epoch.imu_delta) / epoch.interval[:, None]
+        out[:, 3:6] = mean[:, :3] * (1.0 / self.force_scale_mps2)
+        out[:, 6:] = mean[:, 3:] * (1.0 / self.rate_scale_rps)
+
+
+@dataclass(frozen=True)
+class Elapsed(DetectorTerm):
+    """Time since the detector was switched on, in the last part of the warm-up.
+
+    Parameters
+    ----------
+    scale_s : float
+        What is observed as 1.
+    """
+
+    described_as = "Elapsed"
+    scale_s: float = 600.0
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        """``elapsed``."""
+        return ("elapsed",)
+
+    def bounds(self) -> tuple[float, float]:
+        """0 and 10."""
+        return 0.0, 10.0
+
+    def declare(self, memory: Memory, channels: int) -> None:
+        memory.declare("elapsed", np.zeros(memory.receivers))
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        memory["elapsed"] = memory["elapsed"] + epoch.interval
+        out[:, 0] = memory["elapsed"] * (1.0 / self.scale_s)
+
+
+@dataclass(frozen=True)
+class ExclusionLeft(DetectorTerm):
+    """Part of the allowance of exclusion that is left.
+
+    Parameters
+    ----------
+    exclusion_s : float or None
+        The allowance, that of the detector; without a limit all is left.
+    """
+
+    described_as = "ExclusionLeft"
+    exclusion_s: float | None = None
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        """``exclusion_left``."""
+        return ("exclusion_left",)
+
+    def bounds(self) -> tuple[float, float]:
+        """0 and 1."""
+        return 0.0, 1.0
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        out[:, 0] = 1.0
+        if self.exclusion_s:
+            out[:, 0] -= memory["excluded_s"] / self.exclusion_s
+
+
+@dataclass(frozen=True)
+class LineOfSight(DetectorTerm):
+    """Unit vectors from the predicted position to the satellites, in local axes.
+
+    0 where a slot is invisible.
+    """
+
+    described_as = "LineOfSight"
+    needs: ClassVar[frozenset[str]] = frozenset({"satellite_position"})
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        """``sight_north_*``, ``sight_east_*`` and ``sight_down_*``."""
+        axes = ("north", "east", "down")
+        return tuple(name for axis in axes for name in slots(f"sight_{axis}", channels))
+
+    def bounds(self) -> tuple[float, float]:
+        """-1 and 1."""
+        return -1.0, 1.0
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        place = cast(FloatArray, epoch.satellite_position)
+        away = np.where(epoch.visible[:, :, None], place - epoch.predicted_position[:, None], 0.0)
+        length = np.sqrt((away * away).sum(axis=2, keepdims=True))
+        sight_e = away / np.maximum(length, 1.0)
+        latitude, longitude, _ = ecef_to_geodetic(epoch.predicted_position)
+        C_en = dcm_e_from_n(latitude, longitude)
+        sight_n = (sight_e[:, :, :, None] * C_en[:, None, :, :]).sum(axis=2)
+        n = epoch.visible.shape[1]
+        for axis in range(3):
+            out[:, axis * n : (axis + 1) * n] = sight_n[:, :, axis]
+
+
+LARGEST = 5.0
+"""Largest logarithm of a ratio; e^5 is 148."""
+
+
+@dataclass(frozen=True)
+class Classic(DetectorTerm):
+    r"""Logarithm of a passive detector's statistic over its nominal threshold.
+
+    .. math:: \ln (\text{statistic} / \text{threshold}), \text{ within } -5 \text{ and } 5
+
+    One value where it judges the receiver as a whole, else one for every slot; -5 where the
+    statistic is 0, as where a slot is invisible.
+
+    Parameters
+    ----------
+    detector : str or mapping
+        As `make_detector` takes it, without a word on thresholds, such as
+        ``{"name": "solution-separation"}``.  It must not take weight off measurements: for `ewma`
+        that is ``{"name": "ewma", "weight_scale": None}``.
+    label : str, optional
+        What it is called in the names of the observation; by default as its detector.
+    """
+
+    described_as = "Classic"
+    detector: str | Mapping[str, Any] = "snapshot-chi2"
+    label: str | None = None
+
+    _judge: ClassVar[Detector]
+
+    def __post_init__(self) -> None:
+        from . import DETECTORS, make_detector
+
+        made = make_detector(self.detector)
+        kinds = {kind: name for name, kind in DETECTORS.items()}
+        if isinstance(made, Calibrated | PooledDetector) or type(made) not in kinds:
+            raise ValueError(
+                "`detector` of a classic term must be one of the package with its nominal "
+                f"thresholds, and neither a pool nor a learned one, got {self.detector!r}"
+            )
+        if made.oracle:
+            raise ValueError(
+                f"`detector` of a classic term must be no oracle, got {self.detector!r}"
+            )
+        if isinstance(self.detector, str):
+            object.__setattr__(self, "detector", {"name": self.detector})
+        object.__setattr__(self, "_judge", made)
+        object.__setattr__(self, "needs", made.needs)
+        if self.label is None:
+            object.__setattr__(self, "label", kinds[type(made)].replace("-", "_"))
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        """``classic_`` and the name of the detector."""
+        word = f"classic_{self.label}"
+        return slots(word, channels) if self._judge.scope == "channel" else (word,)
+
+    def bounds(self) -> tuple[float, float]:
+        """-5 and 5."""
+        return -LARGEST, LARGEST
+
+    def bound(self, context: DetectorContext) -> Self:
+        own = replace(self)
+        own._judge.bind(context)
+        return own
+
+    @property
+    def memory(self) -> Memory:
+        """What its detector remembers."""
+        return self._judge.memory
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        verdict = judged(self._judge, epoch)
+        if verdict.weights is not None:
+            raise ValueError(
+                f"`detector` of a classic term must be passive, and {self.detector!r} takes weight "
+                "off measurements; where it has a `weight_scale`, give it None"
+            )
+        least = np.exp(-LARGEST) * verdict.threshold
+        np.log(np.maximum(verdict.statistic, least) / verdict.threshold, out=out, casting="unsafe")
+
+
+DETECTOR_TERMS: dict[str, type[DetectorTerm]] = {
+    "average-innovation": AverageInnovation,
+    "chi-square": ChiSquare,
+    "classic": Classic,
+    "elapsed": Elapsed,
+    "exclusion-left": ExclusionLeft,
+    "in-view": InView,
+    "innovation": Innovation,
+    "innovation-sd": InnovationSd,
+    "line-of-sight": LineOfSight,
+    "predicted-motion": PredictedMotion,
+}
+"""Terms of a learned detector's observation by name."""
+ALL_TERMS: tuple[DetectorTerm, ...] = (
+    Innovation(),
+    AverageInnovation(),
+    InnovationSd(),
+    ChiSquare(),
+    InView(),
+    PredictedMotion(),
+    Elapsed(),
+)
+"""Those that are observed by default, with their scales; what is left of the allowance follows."""
+TermSpec = str | Mapping[str, Any] | DetectorTerm
+
+
+def make_detector_terms(specs: Iterable[TermSpec] | TermSpec) -> tuple[DetectorTerm, ...]:
+    """Terms from names, names and settings, or objects.
+
+    Parameters
+    ----------
+    specs : str, mapping, DetectorTerm, or a sequence of them
+        A name in `DETECTOR_TERMS`; ``{"name": ..., "setting": value, ...}``; or an object.
+
+    Returns
+    -------
+    tuple of DetectorTerm
+        In the order given.
+
+    Raises
+    ------
+    ValueError
+        When a name or a setting is unknown; the valid ones are listed.
+    TypeError
+        When something is no term.
+
+    Examples
+    --------
+    >>> make_detector_terms(["in-view", {"name": "elapsed", "scale_s": 60.0}])
+    (InView(), Elapsed(scale_s=60.0))
+    """
+    several = [specs] if isinstance(specs, str | Mapping | DetectorTerm) else list(specs)
+    if not several:
+        raise ValueError(f"`terms` must name at least one of {', '.join(sorted(DETECTOR_TERMS))}")
+    return tuple(build("detector term", DETECTOR_TERMS, DetectorTerm, each) for each in several)
+
+
+def written_terms(terms: Sequence[DetectorTerm]) -> tuple[dict[str, Any], ...]:
+    """Terms as `make_detector_terms` takes them, JSON-able."""
+    names = {kind: name for name, kind in DETECTOR_TERMS.items()}
+    found = []
+    for term in terms:
+        each: Any = term
+        if type(term) not in names:
+            raise TypeError(
+                f"{type(term).__qualname__} has no name in `DETECTOR_TERMS`, by which a card could "
+                "list it"
+            )
+        settings = {f.name: describe(getattr(each, f.name)) for f in dataclasses.fields(each)}
+        found.append({"name": names[type(term)], **settings})
+    return tuple(found)
+
+
+class DetectorObserver:
+    """Observations of a list of terms.
+
+    Parameters
+    ----------
+    terms : sequence of DetectorTerm
+        In the order of the observation.
+    channels : int
+        Slots.
+
+    Attributes
+    ----------
+    names : tuple of str
+        (o,) name of every element.
+    low, high : ndarray
+        (o,) float32 bounds.
+    """
+
+    def __init__(self, terms: Sequence[DetectorTerm], channels: int) -> None:
+        self._parts: list[tuple[DetectorTerm, slice]] = []
+        names: list[str] = []
+        low: list[float] = []
+        high: list[float] = []
+        for term in terms:
+            own, (least, most) = term.names(channels), term.bounds()
+            self._parts.append((term, slice(len(names), len(names) + len(own))))
+            names.extend(own)
+            low.extend([least] * len(own))
+            high.extend([most] * len(own))
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"`terms` observe the same twice: {', '.join(twice[:4])}")
+        self.names = tuple(names)
+        self.low, self.high = np.array(low, np.float32), np.array(high, np.float32)
+        self._channels = channels
+
+    def bind(self, context: DetectorContext) -> list[Memory]:
+        """Bind the terms to a batch.  Returns what some of them remember by themselves."""
+        self._parts = [(term.bound(context), part) for term, part in self._parts]
+        own = [getattr(term, "memory", None) for term, _ in self._parts]
+        return [memory for memory in own if memory is not None]
+
+    def declare(self, memory: Memory) -> None:
+        """Declare what the terms remember, and the observation itself, 0 before the first epoch."""
+        memory.declare("observation", np.zeros((memory.receivers, len(self.names)), np.float32))
+        for term, _ in self._parts:
+            term.declare(memory, self._channels)
+
+    def look(self, epoch: Epoch, memory: Memory) -> None:
+        """Take in one epoch; the observation is ``memory["observation"]`` from then on."""
+        out = np.empty((memory.receivers, len(self.names)), dtype=np.float32)
+        for term, part in self._parts:
+            term(epoch, memory, out[:, part])
+        np.maximum(out, self.low, out=out)
+        np.minimum(out, self.high, out=out)
+        memory["observation"] = out

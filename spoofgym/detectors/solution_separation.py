@@ -1,0 +1,218 @@
+r"""Bank of coasting solutions; its `_kernels` beside it.
+
+Solution separation: the filter's solution against those that have taken no GNSS for a while.
+
+A coasting solution starts as a copy of the filter at an epoch :math:`k_0`, and follows the inertial
+sensors alone from then on.  By how much the filter has moved away from it needs no second filter,
+
+.. math::
+    s_k = \Phi_k s_{k-1} - K_k z_k, \qquad
+    V_k = \Phi_k V_{k-1} \Phi_k^T + K_k S_k K_k^T, \qquad s_{k_0} = 0, \; V_{k_0} = 0,
+
+and the statistic is the largest, over a bank of such solutions, of the horizontal
+
+.. math:: q = s_h^T V_h^{-1} s_h \sim \chi^2(2)
+
+against the quantile of :math:`\alpha / J`.  A solution that coasts since before an attack began
+knows nothing of it.  So **whatever the attack is**, it shifts :math:`s_h` by just the horizontal
+error that it has induced.  While there is no alarm,
+
+.. math:: \lVert s_h \rVert \le \sqrt{T \, \lambda_{\max}(V_h)},
+
+which is known before any attack (`bound_m`).  The clean part of :math:`s_h` has mean zero, so that
+this bounds the mean displacement by an attack that stays below the threshold for certain, and that
+of one run but for the clean part, whose covariance is :math:`V_h`.
+
+The bank has :math:`J` solutions.  One of them restarts every D epochs, so that there is always one
+of each age from D to J D epochs, in steps of D: for an attack of any length up to
+:math:`(J - 1) D` one that is older by at most D.  The claim is made for attacks no longer than
+`covers_s` that began after the detector, and for no other.
+
+Symbols: z innovation, S its covariance, K gain, :math:`\Phi` transition of the error states,
+:math:`s_h` north and east part at the predicted position, :math:`\alpha` false-alarm probability of
+one epoch, T threshold, :math:`\lambda_{\max}` largest eigenvalue.
+
+Assumptions: the filter is linear in its errors, and its gain that of its own belief,
+:math:`K = P H^T S^{-1}`; below the receiver's fewest satellites it coasts.  No other detector takes
+weight off measurements, or the filter moves less than is reckoned here.  The distribution, not the
+shift, needs white innovations of covariance S, and then :math:`V = P_{\mathrm{coast}} - P`.  A
+receiver that is tuned ``augmented`` has them in its own world; others need a calibration, and with
+its factor on T the bound changes, too.
+
+All this is to first order.  An attack that turns the filter's heading by degrees, as one of 35 m in
+a minute does in a straight flight, shifts :math:`s_h` by up to a quarter less than its error; one
+of some metres, which is what the threshold allows there, by 1 or 2 % less.
+
+Differences to `tanil2018`, after which it is: there the innovations themselves are summed up, and
+the risk is that of the worst attack on this sum.  The separation is a linear combination of the
+same innovations, which are independent of the filter's present error (`joerger2013`); that it
+bounds any attack follows from the recursion.  Bank and schedule are ours.  States for the errors of
+signals, which move no other state, are left out of s and V.  A solution is not judged while
+:math:`V_h` is nearly singular.
+
+Where the filter has learnt since what a solution could not know, such as the heading in the first
+turn of a flight, :math:`V_h` is large and the bound loose.
+
+Source: `tanil2018`; `joerger2013`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from ..receiver.augmented import FIRST
+from ..receiver.epoch import Epoch
+from ._solution_separation_kernels import advance_bank, judge_bank, whiten_bank
+from .base import Detector, DetectorContext, Verdict
+from .innovation import check_length, check_probability, epochs_of
+
+__all__ = ["SolutionSeparation"]
+
+
+FloatArray = NDArray[np.float64]
+MOST = 100
+"""Solutions in a bank, but for one."""
+
+
+@dataclass
+class SolutionSeparation(Detector):
+    """Separation of the filter from solutions that coast since several times; monitor only.
+
+    Parameters
+    ----------
+    false_alarm : float
+        Probability of an alarm in one epoch where the filter's belief is right, in (0, 1); shared
+        out to the solutions of the bank, so that the true one is smaller.
+    longest_s : float
+        Length of the longest attack whose displacement is to be bounded, > 0.
+    spacing_s : float
+        Time between two restarts in the bank, > 0: by at most this a solution is older than an
+        attack.  The bank has `longest_s` / `spacing_s` + 1 solutions.
+    """
+
+    described_as = "SolutionSeparation"
+    false_alarm: float = 1e-5
+    longest_s: float = 160.0
+    spacing_s: float = 20.0
+
+    paper: ClassVar[str] = "tanil2018"
+    needs: ClassVar[frozenset[str]] = frozenset(
+        {"transition", "design", "predicted_cov", "innovation_cov"}
+    )
+
+    def __post_init__(self) -> None:
+        check_probability("false_alarm", self.false_alarm)
+        for name in ("longest_s", "spacing_s"):
+            check_length(name, getattr(self, name), least=1e-3)
+        if self.longest_s > MOST * self.spacing_s:
+            raise ValueError(
+                f"`longest_s` must be at most {MOST} times `spacing_s`, got {self.longest_s} and "
+                f"{self.spacing_s}"
+            )
+
+    def bind(self, context: DetectorContext) -> None:
+        super().bind(context)
+        b, kept = context.receivers, min(context.states, FIRST)
+        self._everyone = np.arange(b)
+        self._interval_s, self._fewest = context.epoch_interval_s, context.min_satellites
+        self._spacing = epochs_of(self.spacing_s, context)
+        longest = math.ceil(self.longest_s / context.epoch_interval_s - 1e-9)
+        bank = math.ceil(longest / self._spacing) + 1
+        self.memory_epochs = bank * self._spacing
+        self._threshold = float(special.chdtri(2.0, self.false_alarm / bank))
+        self.memory.declare("epochs", np.zeros(b, dtype=np.int64))
+        self.memory.declare("separation", np.zeros((b, kept, bank)))
+        self.memory.declare("covariance", np.zeros((b, kept, kept, bank)))
+        self.memory.declare("largest_sd", np.full((b, bank), np.inf))
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
+        memory = self.memory
+        rows = self._everyone if self.judged_rows is None else self.judged_rows
+        advance_bank(
+            rows,
+            cast(FloatArray, epoch.transition),
+            cast(FloatArray, epoch.predicted_cov),
+            cast(FloatArray, epoch.design),
+            epoch.innovation,
+            cast(FloatArray, epoch.innovation_cov),
+            epoch.visible,
+            self._fewest,
+            self._spacing,
+            memory["epochs"],
+            memory["separation"],
+            memory["covariance"],
+        )
+        statistic = np.zeros((len(epoch.time), 1))
+        judge_bank(
+            rows,
+            memory["separation"],
+            memory["covariance"],
+            memory["epochs"],
+            self._spacing,
+            epoch.predicted_position,
+            memory["largest_sd"],
+            statistic[:, 0],
+        )
+        threshold = np.full(statistic.shape, self._threshold)
+        return Verdict(statistic, threshold, statistic > threshold)
+
+    def whitened(self, position_e: FloatArray) -> FloatArray:
+        r"""Separations that are judged, with the covariance of the identity.
+
+        They are linear in the innovations, and the statistic is the largest of their squares.
+
+        Parameters
+        ----------
+        position_e : ndarray
+            (B, 3) positions whose horizontal plane counts, ECEF [m].
+
+        Returns
+        -------
+        ndarray
+            (B, J, 2) of the last epoch; 0 where a solution is not judged.
+        """
+        memory = self.memory
+        found = np.empty((*memory["largest_sd"].shape, 2))
+        whiten_bank(
+            memory["separation"],
+            memory["covariance"],
+            memory["epochs"],
+            self._spacing,
+            position_e,
+            found,
+        )
+        return found
+
+    @property
+    def covers_s(self) -> float:
+        """Length of the longest attack whose displacement is bounded [s]; once it is bound."""
+        return (self.memory_epochs - self._spacing) * self._interval_s
+
+    def bound_m(self, attack_s: float) -> FloatArray:
+        r"""Threshold at the last epoch as a horizontal displacement.
+
+        Parameters
+        ----------
+        attack_s : float
+            Time since the last epoch before the attack [s].
+
+        Returns
+        -------
+        ndarray
+            (B,) :math:`\sqrt{T \lambda_{\max}(V_h)}` of the solutions that are at least as old as
+            the attack, the smallest [m]; infinite where there is none.  With a factor on the
+            threshold (`Calibrated`) it is its root times as much.
+        """
+        epochs, bank = self.memory["epochs"], self.memory["largest_sd"].shape[1]
+        since = epochs[:, None] - 1 - np.arange(bank) * self._spacing
+        age = np.where(since >= 0, since % (bank * self._spacing) + 1, 0)
+        old = (age > 0) & (age >= attack_s / self._interval_s - 1e-9)
+        sd = np.where(old, self.memory["largest_sd"], np.inf).min(axis=1)
+        return np.asarray(math.sqrt(self._threshold) * sd)

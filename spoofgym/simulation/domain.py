@@ -1,0 +1,449 @@
+"""What is drawn per episode; combinations of worlds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.registry import build_record, check_choice
+from ..core.settings import OMITTED
+from ..earth.attitude import euler_to_dcm
+from ..receiver import TightlyCoupled
+from ..receiver.augmented import SignalModel, signal_model
+from ..receiver.matching import assumed_noise
+from ..receiver.tight import NoiseModel
+from ..truth.events import BenignEvents
+from ..truth.gnss_errors import ERRORS, RENAMED, GnssErrors
+from ..truth.run import World, chain_worlds
+from ..truth.satellites import CircularConstellation
+from ..truth.scenario import TURN_ON, Scenario
+from ..truth.sensors import IMU_GRADES, ImuGrade
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+MOST_WORLDS = 256
+MOST_TIME_S = 1e8
+"""Three years; beyond them a float's rounding of the time shows in positions of satellites."""
+CHOICES = ("world", "start_s", "imu", "errors", "target_heading_deg")
+"""What a reset may be given for every receiver."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Domain:
+    """Ranges and lists from which every episode draws its circumstances.
+
+    Every receiver draws for itself, from its own stream, uniformly.  By default nothing differs.
+
+    Parameters
+    ----------
+    start_s : tuple of float
+        Earliest and latest time of the flight at which the receiver is switched on; the attack
+        starts a warm-up later.  None as the latest: as late as the flight allows.
+    turned_deg : tuple of float
+        Range of the turn of the whole flight about the vertical where it begins, clockwise.
+    constellation_time_s : tuple of float
+        Range of what is added to the time of the constellation, within 1e8 s.
+    worlds : int, optional
+        Number of worlds, pairs of a turn and a time of the constellation, that are computed once
+        and drawn from, 1 to 256, and 1 where none of these has a range; by default 16 where one
+        has.
+    world_seed : int
+        Seed of these pairs, at least 0.
+    imu : tuple of str
+        Grades of the inertial sensors; that of the scenario alone by default.  The receiver is
+        tuned for the grade that it has.
+    errors : tuple of str
+        GNSS errors; those of the scenario alone by default.  A matched receiver assumes each.
+    turn_on : {"specimen", "drawn"}, optional
+        Constants of the inertial sensors; as in the scenario by default.
+    events : mapping or BenignEvents, optional
+        What looks like spoofing and is none; as in the scenario by default.
+    """
+
+    described_as = "Domain"
+    start_s: tuple[float, float | None] = (0.0, 0.0)
+    turned_deg: tuple[float, float] = (0.0, 0.0)
+    constellation_time_s: tuple[float, float] = (0.0, 0.0)
+    worlds: int | None = None
+    world_seed: int = 0
+    imu: tuple[str, ...] = ()
+    errors: tuple[str, ...] = ()
+    turn_on: str | None = field(default=None, metadata=OMITTED)
+    events: BenignEvents | None = field(default=None, metadata=OMITTED)
+
+    def __post_init__(self) -> None:
+        self._check_options()
+        for name in ("start_s", "turned_deg", "constellation_time_s"):
+            object.__setattr__(self, name, _range(name, getattr(self, name), name == "start_s"))
+        if self.start_s[0] < 0.0:
+            raise ValueError(f"`start_s` must not begin before 0 s, got {self.start_s[0]}")
+        for name, valid in (("imu", IMU_GRADES), ("errors", ERRORS)):
+            given = getattr(self, name)
+            given = (given,) if isinstance(given, str) else given
+            if not isinstance(given, Sequence):
+                raise ValueError(f"`{name}` must be a name or a list of names, got {given!r}")
+            given = tuple(given)
+            for each in given:
+                check_choice("imu grade" if name == "imu" else name, each, valid, RENAMED)
+            object.__setattr__(self, name, given)
+        if self.worlds is not None and not 1 <= self.worlds <= MOST_WORLDS:
+            raise ValueError(f"`worlds` must be 1 to {MOST_WORLDS}, got {self.worlds}")
+        if self.worlds is not None and self.worlds > 1 and not self.varies:
+            raise ValueError(
+                f"`worlds` {self.worlds} would all be the same: give `turned_deg` or "
+                "`constellation_time_s` a range"
+            )
+        if max(map(abs, self.constellation_time_s)) > MOST_TIME_S:
+            raise ValueError(
+                f"`constellation_time_s` must be -{MOST_TIME_S:g} to {MOST_TIME_S:g}, got "
+                f"{self.constellation_time_s}"
+            )
+        if self.world_seed < 0:
+            raise ValueError(f"`world_seed` must be at least 0, got {self.world_seed}")
+
+    def _check_options(self) -> None:
+        if self.turn_on is not None:
+            check_choice("turn_on", self.turn_on, TURN_ON)
+        if self.events is not None:
+            events = build_record("events", BenignEvents, self.events)
+            object.__setattr__(self, "events", events)
+
+    @property
+    def varies(self) -> bool:
+        """Whether turns or times of the constellation have a range."""
+        pairs = (self.turned_deg, self.constellation_time_s)
+        return any(high > low for low, high in pairs)
+
+    def pairs(self) -> list[tuple[float, float]]:
+        """Turn [deg] and time of the constellation [s] of every world."""
+        count = self.worlds if self.worlds is not None else (16 if self.varies else 1)
+        rng = np.random.default_rng(self.world_seed)
+        turns = rng.uniform(*self.turned_deg, count)
+        times = rng.uniform(*self.constellation_time_s, count)
+        return list(zip(turns.tolist(), times.tolist(), strict=True))
+
+
+def _range(name: str, given: Any, open_end: bool) -> tuple[float, float | None]:
+    """Pair of a least and a largest number."""
+    if isinstance(given, str) or not isinstance(given, Sequence) or len(given) != 2:
+        raise ValueError(f"`{name}` must be a pair of numbers, least and largest, got {given!r}")
+    low, high = given
+    if open_end and high is None:
+        high = math.inf
+    for value in (low, high):
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise ValueError(f"`{name}` must be a pair of numbers, got {given!r}")
+    if not (math.isfinite(low) and low <= high and (open_end or math.isfinite(high))):
+        raise ValueError(f"`{name}` must be finite, the least first, got {given!r}")
+    return float(low), None if math.isinf(high) else float(high)
+
+
+class Choice(NamedTuple):
+    """Circumstances of some receivers' episodes, (b,) each. `world`, `grade`, `error`: index of the
+    world, and in `Domain.imu` and `Domain.errors`; `start`: epoch of the world at which the episode
+    starts; `heading`: direction in which displacement counts, clockwise from north [rad]."""
+
+    world: IntArray
+    grade: IntArray
+    error: IntArray
+    start: IntArray
+    heading: FloatArray
+
+
+class Bounds(NamedTuple):
+    """Among how many of each an episode chooses, its starts, and its heading, None if drawn."""
+
+    worlds: int
+    grades: int
+    errors: int
+    first: int
+    last: int
+    heading: float | None
+
+    @property
+    def single(self) -> bool:
+        """Whether there is nothing to choose."""
+        counts = (self.worlds, self.grades, self.errors, self.last - self.first + 1)
+        return max(counts) == 1 and self.heading is not None
+
+
+def draw(bounds: Bounds, keys: NDArray[np.uint64]) -> Choice:
+    """Draw the circumstances of episodes, each from its key of the source of chance, (b, 2)."""
+    count = len(keys)
+    whole = np.zeros((4, count), dtype=np.int64)
+    whole[3] = bounds.first
+    heading = np.full(count, 0.0 if bounds.heading is None else bounds.heading)
+    if not bounds.single:
+        for i, key in enumerate(keys.tolist()):
+            rng = np.random.default_rng(key)
+            u = rng.random(5)
+            # all are drawn, so that one does not depend on whether another has a range
+            sizes = (bounds.worlds, bounds.grades, bounds.errors, bounds.last - bounds.first + 1)
+            whole[:, i] = [int(x * size) for x, size in zip(u[:4], sizes, strict=True)]
+            whole[3, i] += bounds.first
+            if bounds.heading is None:
+                heading[i] = 2.0 * np.pi * u[4]
+    return Choice(whole[0], whole[1], whole[2], whole[3], heading)
+
+
+def given_choice(
+    given: Mapping[str, Any],
+    drawn: Choice,
+    bounds: Bounds,
+    names: Mapping[str, Sequence[str]],
+    interval_s: float,
+) -> Choice:
+    """Circumstances as `given`, some of `CHOICES`, one value or (b,); those drawn elsewhere."""
+    count = len(drawn.start)
+    for name in given:
+        check_choice("choice of a reset", name, CHOICES)
+    values = {name: each_of(name, value, count) for name, value in given.items()}
+    world, grade, error, start, heading = drawn
+    if "world" in values:
+        world = _whole("world", values["world"], 0, bounds.worlds - 1)
+    if "start_s" in values:
+        epochs = [x / interval_s for x in _numbers("start_s", values["start_s"])]
+        span = (bounds.first * interval_s, bounds.last * interval_s)
+        if not all(span[0] - 1e-6 <= x * interval_s <= span[1] + 1e-6 for x in epochs):
+            raise ValueError(
+                f"`start_s` must be {span[0]:g} to {span[1]:g}, got {given['start_s']}"
+            )
+        start = np.array([round(x) for x in epochs], dtype=np.int64)
+        if any(abs(x - k) > 1e-6 for x, k in zip(epochs, start.tolist(), strict=True)):
+            raise ValueError(
+                f"`start_s` must be a multiple of the interval between epochs, {interval_s:g} s, "
+                f"got {given['start_s']}"
+            )
+    if "imu" in values:
+        grade = _index("imu", values["imu"], names["imu"])
+    if "errors" in values:
+        error = _index("errors", values["errors"], names["errors"])
+    if "target_heading_deg" in values:
+        if bounds.heading is not None:
+            raise ValueError("a reset can be given `target_heading_deg` only where it is 'random'")
+        heading = np.radians(_numbers("target_heading_deg", values["target_heading_deg"]))
+    return Choice(world, grade, error, start, heading)
+
+
+def each_of(name: str, value: Any, count: int) -> list[Any]:
+    if isinstance(value, str) or np.ndim(value) == 0:
+        return [value] * count
+    values = list(value)
+    if len(values) != count:
+        raise ValueError(f"`{name}` must be one value or {count} of them, got {len(values)}")
+    return values
+
+
+def _numbers(name: str, values: Sequence[Any]) -> list[float]:
+    numbers = []
+    for value in values:
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = math.nan
+        if not math.isfinite(number):
+            raise ValueError(f"`{name}` must be finite numbers, got {value!r}")
+        numbers.append(number)
+    return numbers
+
+
+def _whole(name: str, values: Sequence[Any], low: int, high: int) -> IntArray:
+    numbers = _numbers(name, values)
+    for number in numbers:
+        if not (number.is_integer() and low <= number <= high):
+            raise ValueError(f"`{name}` must be whole numbers, {low} to {high}, got {number:g}")
+    return np.array(numbers, dtype=np.int64)
+
+
+def _index(name: str, values: Sequence[Any], names: Sequence[str]) -> IntArray:
+    for value in values:
+        check_choice(name, str(value), names)
+    return np.array([list(names).index(str(value)) for value in values], dtype=np.int64)
+
+
+class Combination(NamedTuple):
+    """One combination of world, grade and errors, and what the victim assumes there.
+
+    `bias_sd` (n,) of the satellites' constant biases [m]; `noise_variance` (2n,) R;
+    `epoch_variance` (2n,) what it assumes of one epoch alone; `noise` of clock and inertial
+    sensors; `noise_psd` (17,) of its states; `covariance` (17, 17) at the start; `assumed` errors
+    of the signals, and `assumed_bias_sd` (n,) of their constants [m].
+    """
+
+    grade: ImuGrade
+    errors: GnssErrors
+    bias_sd: FloatArray
+    noise_variance: FloatArray
+    epoch_variance: FloatArray
+    noise: NoiseModel
+    noise_psd: FloatArray
+    covariance: FloatArray
+    assumed: GnssErrors
+    assumed_bias_sd: FloatArray
+
+
+def worlds_of(scenario: Scenario, domain: Domain) -> list[World]:
+    if not domain.varies and domain.worlds is None and domain.pairs() == [(0.0, 0.0)]:
+        return [scenario.world()]
+    constellation = scenario.constellation
+    if not isinstance(constellation, CircularConstellation):
+        raise ValueError(
+            "`domain` can move a CircularConstellation alone in time, got "
+            f"{type(constellation).__name__}"
+        )
+    if isinstance(scenario.flight, str):
+        # a world knows nothing of these
+        bare = replace(scenario, errors="white", imu="aviation", name="")
+        return _remembered(bare, constellation, domain)
+    return _variants(scenario, constellation, domain)
+
+
+@lru_cache(maxsize=2)
+def _remembered(scenario: Scenario, base: CircularConstellation, domain: Domain) -> list[World]:
+    return _variants(scenario, base, domain)
+
+
+def _variants(scenario: Scenario, base: CircularConstellation, domain: Domain) -> list[World]:
+    return [
+        replace(
+            scenario,
+            turned_deg=scenario.turned_deg + turn,
+            constellation=replace(base, time_offset_s=base.time_offset_s + time),
+        ).world()
+        for turn, time in domain.pairs()
+    ]
+
+
+class Combinations:
+    """All combinations of world, grade and errors. `epochs`: of an episode, which a matched
+    receiver knows; `flown`: epochs of the flight that any episode may come to; `world`: all worlds,
+    one after the other; `names`: of the grades, ``"imu"``, and of the errors, ``"errors"``."""
+
+    def __init__(
+        self,
+        worlds: Sequence[World],
+        scenario: Scenario,
+        receiver: TightlyCoupled,
+        domain: Domain,
+        epochs: int,
+        flown: int,
+    ) -> None:
+        self.world, self.worlds = chain_worlds(worlds), len(worlds)
+        self.names = {"imu": domain.imu or (scenario.imu,), "errors": domain.errors or ("own",)}
+        named = [ERRORS[name] for name in domain.errors]
+        errors = named or [scenario.gnss_errors]
+        assumed = named or [scenario.assumed_errors]
+        self.drawn = (scenario.turn_on if domain.turn_on is None else domain.turn_on) == "drawn"
+        events = scenario.events if domain.events is None else domain.events
+        self.events = events if events is not None and events.any else None
+        self.with_signals = self.events is not None or any(each.signals for each in errors)
+        self._grades = [IMU_GRADES[name] for name in self.names["imu"]]
+        self.grades, self.errors = len(self._grades), len(errors)
+        grades = self.names["imu"]
+        victims = [(g, replace(receiver, grade=g) if domain.imu else receiver) for g in grades]
+        self._all = [
+            _combination(world, grade, error, belief, victim, epochs, flown)
+            for world in worlds
+            for grade, victim in victims
+            for error, belief in zip(errors, assumed, strict=True)
+        ]
+        self._first_C_eb = [_first_attitudes(self.world, grade) for grade in self._grades]
+
+    def index(
+        self, world: NDArray[np.int64], grade: NDArray[np.int64], error: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """(b,) index, for `__getitem__`, of combinations of a `Choice`."""
+        return (world * self.grades + grade) * self.errors + error
+
+    def signal_model(self, interval_s: float) -> SignalModel:
+        """States of the signals of an augmented filter; a ValueError where combinations differ."""
+        first = self._all[0]
+        for case in self._all:
+            same = case.assumed == first.assumed and case.grade == first.grade
+            if not (same and np.array_equal(case.assumed_bias_sd, first.assumed_bias_sd)):
+                raise ValueError(
+                    "a receiver with `tuning` 'augmented' takes one grade of inertial sensors and "
+                    "one kind of errors, with the same constants in all worlds of the domain"
+                )
+        return signal_model(first.assumed, first.assumed_bias_sd, interval_s)
+
+    def __getitem__(self, index: int) -> Combination:
+        return self._all[index]
+
+    @property
+    def assume_alike(self) -> bool:
+        """Whether victims assume the same noise in all of them."""
+        first = self._all[0]
+        return all(
+            np.array_equal(case.noise_variance, first.noise_variance)
+            and np.array_equal(case.noise_psd, first.noise_psd)
+            for case in self._all
+        )
+
+    @property
+    def sense_alike(self) -> bool:
+        """Whether sensors have the same constants in all episodes of all of them."""
+        first = self._all[0]
+        return not self.drawn and all(
+            case.grade is first.grade and case.errors == first.errors for case in self._all
+        )
+
+    @property
+    def largest_epoch_variance(self) -> FloatArray:
+        """(2n,) largest variance of one epoch alone of all combinations."""
+        largest: FloatArray = np.max([case.epoch_variance for case in self._all], axis=0)
+        return largest
+
+    @property
+    def largest_variance(self) -> FloatArray:
+        """(2n,) largest R of all combinations."""
+        largest: FloatArray = np.max([case.noise_variance for case in self._all], axis=0)
+        return largest
+
+    def first_C_eb(self, grade: NDArray[np.int64], epochs: NDArray[np.int64]) -> FloatArray:
+        """(b, 3, 3) attitudes, to ECEF from body axes, with which receivers start at `epochs`."""
+        pairs = zip(grade.tolist(), epochs.tolist(), strict=True)
+        return np.array([self._first_C_eb[g][k] for g, k in pairs])
+
+
+def _combination(
+    world: World,
+    grade: str,
+    errors: GnssErrors,
+    assumed: GnssErrors,
+    receiver: TightlyCoupled,
+    epochs: int,
+    flown: int,
+) -> Combination:
+    elevation = world.first_elevation
+    bias_sd = errors.bias_sd(elevation)
+    believed = assumed.bias_sd(elevation)
+    variance, noise = assumed_noise(receiver, assumed, believed, world, epochs, flown)
+    single = variance
+    if receiver.matches:
+        interval_s = float(world.epoch_time[1] - world.epoch_time[0])
+        rates = np.full(len(bias_sd), assumed.rate_sd(interval_s) ** 2)
+        single = np.concatenate([assumed.epoch_variance(elevation), rates])
+    psd, covariance = receiver.noise_psd(noise), receiver.initial_covariance(noise)
+    sheet = IMU_GRADES[grade]
+    sheet = sheet._replace(  # the increments are quantized before they are summed up
+        accel_quantization=sheet.accel_quantization / world.decimation,
+        gyro_quantization=sheet.gyro_quantization / world.decimation,
+    )
+    return Combination(
+        sheet, errors, bias_sd, variance, single, noise, psd, covariance, assumed, believed
+    )
+
+
+def _first_attitudes(world: World, grade: ImuGrade) -> FloatArray:
+    """(K, 3, 3) attitudes with the grade's first error, for a start at every epoch."""
+    error = euler_to_dcm(*(-np.radians(grade.attitude_error_deg)))
+    # the error turns the local axes: C_nb (estimated) = dC C_nb
+    C_ne = np.ascontiguousarray(world.C_en.transpose(0, 2, 1))
+    return world.C_en @ (error.T @ (C_ne @ world.C_eb))

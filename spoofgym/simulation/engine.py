@@ -1,0 +1,259 @@
+"""The engine: B receivers, each in its own episode, with threads, prefetched warm-ups and twins."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.registry import whole_number
+from ..core.simd import LANES
+from ..detectors import Verdict
+from ..receiver.epoch import Epoch
+from .domain import draw, given_choice
+from .prefetch import PIECE, STOCK, NextEpisodes
+from .setup import Setup
+from .simulator import Given, Rngs, Rows, Sequel, Simulator, run_serially
+from .threads import Workers
+
+FloatArray = NDArray[np.float64]
+T = TypeVar("T")
+RECEIVERS_PER_THREAD = 16
+SLICES_PER_THREAD, LEAST_SLICE = 4, 32
+"""Slices of a step: several a thread, so that none waits long, of no fewer receivers than this."""
+POOL_SEED = 0x9A57
+"""Receiver k of every pool is seeded ``SeedSequence(POOL_SEED, spawn_key=(k,))``."""
+KEPT = 8
+"""Largest size of the simulators that are kept for the time to alert of a few receivers."""
+
+
+def _warming(setup: Setup, rngs: Rngs) -> Iterator[Simulator]:
+    """Receivers on their way to the onset, in pieces."""
+    simulator: Simulator = setup.simulator(len(rngs), run_serially)
+    yield simulator
+    for _ in simulator.warming(rngs, piece=PIECE):
+        yield simulator
+
+
+class Engine:
+    """B receivers under attack, each in its own episode.
+
+    Parameters
+    ----------
+    receivers : int
+        B, at least 1.
+    setup : Setup
+        World, victim, attack, detector and timeline.
+    threads : int, optional
+        Threads for the compiled halves; by default all useful cores, with at least
+        `RECEIVERS_PER_THREAD` receivers each.  A victim without threads uses one.
+    prefetch : bool
+        Whether to warm up every receiver's next episodes while the present one runs, in the spare
+        time of the same threads; with ``threads=1`` by one more, which does nothing else.  They
+        have the same bits, but for a detector whose bits depend on the size of the batch: which
+        receivers are warmed up together depends on timing, so its runs cannot be reproduced
+        (`check_detector` checks that it is none).
+    twin : bool
+        Whether a clean twin of every receiver runs, too: the same flight, noise and detector, but
+        no attack.  It shares the warm-up.
+    warm_pool : int, optional
+        Warm up only so many receivers M, once, of seeds that are the same for every engine
+        (`POOL_SEED`): each episode starts as a copy of the one that its seed picks, satellite
+        biases, domain and ``warmup_alarm`` included, and has noise of its own from the onset on.
+        So there are M pasts instead of a new one for every episode, and the bits are others than
+        without; they are the same for the same M and seed in any batch.  There is nothing to
+        `prefetch` then, and nothing of an episode can be given.
+
+    Attributes
+    ----------
+    simulator : Simulator
+        The receivers.
+    twin : Simulator or None
+        The same receivers, not attacked.
+    """
+
+    def __init__(
+        self,
+        receivers: int,
+        setup: Setup,
+        *,
+        threads: int | None = None,
+        prefetch: bool = False,
+        twin: bool = False,
+        warm_pool: int | None = None,
+    ) -> None:
+        if receivers < 1:
+            raise ValueError(f"`receivers` must be at least 1, got {receivers}")
+        if threads is not None and threads < 1:
+            raise ValueError(f"`threads` must be at least 1, got {threads}")
+        self.receivers, self.setup = receivers, setup
+        useful = available_threads(receivers) if threads is None else threads
+        self.threads = useful if setup.threaded else 1
+        self.warm_pool = None if warm_pool is None else whole_number("`warm_pool`", warm_pool, 1)
+        prefetch = prefetch and warm_pool is None
+        self._workers = Workers(max(self.threads - 1, int(prefetch)))
+        self.simulator: Simulator = setup.simulator(receivers, self._run)
+        self.twin: Simulator | None = (
+            setup.altered(monitors=()).simulator(receivers, self._run) if twin else None
+        )
+        self._everyone = np.arange(receivers)
+        self._few: dict[tuple[bool, int], Simulator] = {}
+        self._pool: Simulator | None = None
+        self._next: NextEpisodes | None = None
+        if prefetch:
+            waiting = setup.simulator(STOCK * receivers, run_serially)
+            self._next = NextEpisodes(waiting, partial(_warming, setup), self._workers)
+
+    @property
+    def warmup_alarm(self) -> NDArray[np.bool_]:
+        """(B,) bool, whether the detector alarmed before the attack: a false alarm."""
+        return self.simulator.memory["warmup_alarm"]
+
+    def close(self) -> None:
+        """End the threads, and let go of `warm_pool`; both are there again when they are needed."""
+        self._workers.close()
+        self._pool = None
+
+    def _run(self, work: Callable[[int, int], None], receivers: int) -> None:
+        """Call ``work(lo, hi)`` over slices of whole lanes."""
+        parts = min(SLICES_PER_THREAD * self.threads, receivers // LEAST_SLICE)
+        if self.threads == 1 or parts < 2:
+            work(0, receivers)
+            return
+        groups = -(-receivers // LANES)
+        bounds = [LANES * ((groups * part) // parts) for part in range(parts)] + [receivers]
+        self._workers.run(work, bounds)
+
+    def reset(self, rngs: Rngs, rows: Rows | None = None, given: Given | None = None) -> None:
+        """Start new episodes of some receivers, all by default, and run their warm-up. `rngs` has
+        one generator a row; `given` are circumstances that are not to be drawn, one value, or one
+        per row (see `domain.CHOICES`)."""
+        self._workers.settle()
+        where = self._everyone if rows is None else rows
+        if given and self.warm_pool is not None:
+            raise ValueError(
+                f"with `warm_pool` {self.warm_pool} the circumstances of an episode are those of "
+                f"the pool: {', '.join(given)} can't be given"
+            )
+        if given:
+            # refused before any episode has been started
+            setup = self.setup
+            nothing = draw(setup.bounds, np.zeros((len(where), 2), dtype=np.uint64))
+            given_choice(given, nothing, setup.bounds, setup.combination_names, setup.interval_s)
+        try:
+            self._reset(rngs, where, given)
+        except Exception:
+            raise
+        except BaseException:  # an interrupt may have left the next episodes halfway
+            if self._next is not None:
+                self._next.forget()
+            raise
+        if self.twin is not None:
+            self.twin.copy_rows(where, self.simulator, where)
+
+    def _reset(self, rngs: Rngs, where: Rows, given: Given | None) -> None:
+        if self.warm_pool is not None:
+            self._pool = self._pool or self._warmed_pool(self.warm_pool)
+            self.simulator.start_from(self._pool, where, rngs)
+            return
+        if self._next is None:
+            self._begin(rngs, where, given)
+            return
+        if given:
+            self._begin(self._next.instead(where, rngs), where, given)
+            self._next.prepare(where, rngs)
+            return
+        prepared = self._next.prepared(where, rngs)
+        if prepared.any():
+            self._next.take(where[prepared], self.simulator)
+        if not prepared.all():
+            others = [rng for rng, ready in zip(rngs, prepared, strict=True) if not ready]
+            self._begin(others, where[~prepared])
+        self._next.prepare(where, rngs)
+
+    def _begin(self, rngs: Rngs, rows: Rows, given: Given | None = None) -> None:
+        """Start new episodes and run their warm-up here and now."""
+        if len(rows) == self.receivers:
+            self.simulator.warm_up(rngs, given)
+            return
+        part: Simulator = self.setup.simulator(len(rngs), self._run)
+        part.warm_up(rngs, given)
+        self.simulator.copy_rows(rows, part, np.arange(len(rows)))
+
+    def _warmed_pool(self, receivers: int) -> Simulator:
+        """Receivers at the onset, of whom all episodes are copies."""
+        seeds = (np.random.SeedSequence(POOL_SEED, spawn_key=(k,)) for k in range(receivers))
+        pool: Simulator = self.setup.simulator(receivers, self._run)
+        pool.warm_up([np.random.default_rng(seed) for seed in seeds])
+        return pool
+
+    def predict(self, command: FloatArray | None) -> Epoch:
+        """First half of a step; `command` (B, a) in [-1, 1], None holds the present rates."""
+        return self.simulator.predict(command)
+
+    def judge(self) -> Verdict:
+        """Let the detector in the loop judge the epoch."""
+        return self.simulator.judge()
+
+    def update(self, verdict: Verdict) -> None:
+        """Second half of a step: the update with the verdict's weights."""
+        self.simulator.update(verdict.weights)
+
+    def step(self, command: FloatArray | None, sequel: Sequel | None = None) -> Verdict:
+        """Both halves with the engine's own detector, and what follows them, before the twins."""
+        verdict = self.simulator.step(command, sequel=sequel)
+        if self.twin is not None:
+            self.step_twin()
+        return verdict
+
+    def step_twin(self) -> Verdict:
+        """Run the epoch of the clean twins, with their own detector."""
+        if self.twin is None:
+            raise RuntimeError("this engine has no clean twins; make it with `twin=True`")
+        return self.twin.step(attacked=False)
+
+    def hold(self, rows: Rows) -> tuple[NDArray[np.bool_], NDArray[np.bool_] | None]:
+        """Run the time to alert of some receivers and their twins; (hold, b) alarms of both."""
+        count, of_twin = self.setup.hold, None
+        if self.twin is not None:
+            of_twin = self.apart(rows, lambda part: part.live_epochs(count), self.twin)
+        return self.apart(rows, lambda part: part.live_epochs(count, holding=True)), of_twin
+
+    def apart(
+        self, rows: Rows, work: Callable[[Simulator], T], whole: Simulator | None = None
+    ) -> T:
+        """Do something with a simulator of some receivers, or twins, alone; the others wait."""
+        whole = self.simulator if whole is None else whole
+        if len(rows) == self.receivers:
+            return work(whole)
+        part, here = self._part_of(whole, len(rows)), np.arange(len(rows))
+        part.copy_rows(here, whole, rows)
+        done = work(part)
+        whole.copy_rows(rows, part, here)
+        return done
+
+    def _part_of(self, whole: Simulator, receivers: int) -> Simulator:
+        """Simulator whose rows are all to be overwritten; a small one is made once."""
+        key = (whole is self.twin, receivers)
+        if key not in self._few:
+            part: Simulator = whole.setup.simulator(receivers, self._run)
+            if receivers > KEPT:
+                return part
+            self._few[key] = part
+        return self._few[key]
+
+
+def available_threads(receivers: int) -> int:
+    """Useful threads for so many receivers, at least 1."""
+    return max(1, min(processors(), receivers // RECEIVERS_PER_THREAD))
+
+
+def processors() -> int:
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:
+        return os.cpu_count() or 1

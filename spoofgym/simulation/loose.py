@@ -1,0 +1,236 @@
+"""Loosely coupled victim."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.registry import build_record, check_finite
+from ..core.settings import describe
+from ..detectors import Detector, DetectorContext
+from ..receiver.epoch import Epoch
+from ..receiver.loose import LooselyCoupled, LooseReceivers
+from ..truth.gnss_errors import PositionErrors
+from ..truth.noise import padded
+from ..truth.run import SOURCES, InertialErrors, first_errors, flown_world, measure
+from ..truth.scenario import at_rate
+from .domain import Choice, Domain
+from .setup import RateCommands, Run, Setup, Timeline
+from .simulator import Rngs, Rows, Simulator, domain_keys, episode_seeds
+
+
+class RateSimulator(Simulator):
+    """B receivers under `RateCommands`; all that they remember lies in `memory`. ``epoch`` (B,),
+    ``displacement`` and ``rate`` (B, a), in the order of `Setup.action_names`."""
+
+    def _allocate(self) -> None:
+        none = np.zeros((self.receivers, len(self.setup.action_names)))
+        self.memory.declare("epoch", np.zeros(self.receivers, dtype=np.int64))
+        self.memory.declare("displacement", none)
+        self.memory.declare("rate", none)
+
+    def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
+        self.memory.reset()
+        episodes = episode_seeds(rngs)
+        for row, episode in enumerate(episodes):
+            self._seed(row, episode)
+        return domain_keys(episodes)
+
+    @abstractmethod
+    def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
+        """Draw the keys of a receiver's noise, and what else is drawn once per episode."""
+
+    @property
+    def epochs(self) -> NDArray[np.int64]:
+        """(B,) index of each receiver's epoch."""
+        return self.memory["epoch"]
+
+    def _move(self, command: FloatArray | None) -> None:
+        """Move the counterfeit over one epoch, by a new rate or by the present one."""
+        memory, length = self.memory, self.setup.length
+        late = np.flatnonzero(memory["epoch"] - memory["first"] >= length)
+        if len(late):
+            raise RuntimeError(
+                f"an episode has at most {length} epochs, and receivers {late.tolist()} are at its "
+                "end; start a new one"
+            )
+        command = self.command_with(command)
+        if command is not None:
+            memory["rate"] = command * self.setup.attack.limits
+        memory["displacement"] = memory["displacement"] + memory["rate"] * self.setup.interval_s
+
+
+FloatArray = NDArray[np.float64]
+INTERVAL_S = 0.1
+DEFAULT_WINDOW = 100
+DEFAULT_DETECTOR: dict[str, Any] = {
+    "name": "windowed-chi2",
+    "window": 1,
+    "covariance": "estimated",
+    "covariance_window": DEFAULT_WINDOW,
+}
+DEFAULT_RECEIVER: dict[str, Any] = {"self_tuning": {"window": DEFAULT_WINDOW}}
+DEFAULT_TIMELINE = {"warmup_s": 20.0, "live_s": 20.0, "attack_s": 5.0, "time_to_alert_s": 5.0}
+
+
+class LooselyCoupledSetup(Setup):
+    """World, victim and detector of loosely coupled receivers, at 10 epochs a second.
+
+    Parameters
+    ----------
+    detector, timeline, domain, target_heading_deg, decision_interval_s, between : optional
+        As in `SpoofEnv`; by default a chi-square test of one epoch, with the threshold for an
+        estimated covariance, and 20 s in which all windows fill, 5 s and 5 s.  A domain has
+        `start_s` alone.
+    flight : str
+        A name in `FLIGHTS`, whose inertial sensors run at a multiple of 10 Hz.
+    errors : mapping or PositionErrors, optional
+        GNSS position errors.
+    inertial : mapping or InertialErrors, optional
+        Errors of the inertial sensors and of the alignment.
+    receiver : mapping or LooselyCoupled, optional
+        Settings of the victim; by default R adapts, over 100 epochs.
+    imu_rate_hz : float, optional
+        Samples of the inertial sensors per second, as in `Scenario`; those of the flight by
+        default.
+    rate_limit_mps : float
+        Rate of the displacement to the north and to the east that a command of 1 means.
+
+    Notes
+    -----
+    World, filter and phases are those of `shadmehri2025`.  What the paper leaves open is chosen so
+    that the monitor works: correlated position errors, and only R adapts.
+    """
+
+    kind: ClassVar[str] = "loose"
+    env_id: ClassVar[str] = "spoofgym/LooselyCoupled-v0"
+    whose: ClassVar[str] = "a loosely coupled receiver"
+    has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position"}
+    domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
+    motion_names = tuple(
+        f"{what}_{axis}" for what in ("position", "velocity") for axis in ("north", "east", "down")
+    )
+    weight_names = ("east", "north", "up")
+    scales: Mapping[str, float] = {**Setup.scales, "length_m": 25.0}
+
+    def __init__(
+        self,
+        *,
+        detector: str | Mapping[str, Any] | Detector | None = None,
+        timeline: Mapping[str, float] | Timeline | None = None,
+        flight: str = "shadmehri2025",
+        errors: Mapping[str, Any] | PositionErrors | None = None,
+        inertial: Mapping[str, Any] | InertialErrors | None = None,
+        receiver: Mapping[str, Any] | LooselyCoupled | None = None,
+        rate_limit_mps: float = 5.0,
+        domain: Mapping[str, Any] | Domain | None = None,
+        target_heading_deg: float | str = 90.0,
+        decision_interval_s: float | None = None,
+        between: str = "hold",
+        imu_rate_hz: float | None = None,
+    ) -> None:
+        check_finite("rate_limit_mps", rate_limit_mps, "> 0")
+        self.attack = RateCommands(
+            self.kind, ("north_rate", "east_rate"), (float(rate_limit_mps),) * 2
+        )
+        self.world = flown_world(flight, INTERVAL_S, imu_rate_hz)
+        self.name = at_rate(flight, imu_rate_hz)
+        self.errors = build_record("errors", PositionErrors, errors)
+        self.inertial = build_record("inertial", InertialErrors, inertial)
+        self.receiver = build_record(
+            "receiver", LooselyCoupled, DEFAULT_RECEIVER if receiver is None else receiver
+        )
+        self._aim(target_heading_deg, domain)
+        detector = DEFAULT_DETECTOR if detector is None else detector
+        timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
+        self._phase(detector, timeline, INTERVAL_S, decision_interval_s, between)
+        self.epochs_each = self.world.epochs
+        self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, self.name))
+        self.epoch_time = np.arange(self.epochs_each, dtype=np.float64) * INTERVAL_S
+        self.true_position = self.world.position_e
+        # to ECEF from local north, east, down axes
+        self.C_en = np.ascontiguousarray(self.world.C_el[:, :, [1, 0, 2]] * [1.0, 1.0, -1.0])
+
+    def world_settings(self) -> dict[str, Any]:
+        """Flight, errors, sensors, receiver and domain."""
+        parts = (self.errors, self.inertial, self.receiver, self.domain)
+        names = ("errors", "inertial", "receiver", "domain")
+        return {"flight": self.name, **dict(zip(names, map(describe, parts), strict=True))}
+
+    def simulator(self, receivers: int, run: Run) -> LooselyCoupledSimulator:
+        """B receivers, not begun yet."""
+        return LooselyCoupledSimulator(self, receivers, run)
+
+
+class LooselyCoupledSimulator(RateSimulator):
+    """B loosely coupled receivers; `victims` are their filters."""
+
+    setup: LooselyCoupledSetup
+
+    def _allocate(self) -> None:
+        super()._allocate()
+        b, memory, world = self.receivers, self.memory, self.setup.world
+        self.victims = LooseReceivers(
+            self.setup.receiver, memory, world.samples, world.imu_interval_s, self.fields
+        )
+        memory.declare("keys", np.zeros((b, SOURCES, 2), dtype=np.uint64))
+        memory.declare("first_error", np.zeros((b, 15)))
+        memory.declare("position_error", np.zeros((b, 3)))
+        self._offset = np.zeros((b, 3))  # east, north, up
+        self._deviates = np.empty(padded(6 * world.samples))
+
+    def _context(self) -> DetectorContext:
+        variance = self.setup.receiver.noise_variance()
+        return DetectorContext(self.receivers, 0, INTERVAL_S, variance, ())
+
+    def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
+        state = episode.generate_state(2 * SOURCES, np.uint64)
+        self.memory["keys"][row] = state.reshape(-1, 2)
+
+    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
+        for row, episode in zip(rows.tolist(), episodes, strict=True):
+            self._seed(row, episode)
+
+    def _start(self, choice: Choice) -> None:
+        memory, setup, first = self.memory, self.setup, self.memory["first"]
+        memory["epoch"][:] = first
+        written = memory["first_error"], memory["position_error"]
+        sizes = setup.inertial.initial_sd, setup.errors.sd
+        first_errors(memory["keys"], *sizes, self._deviates, *written)
+        world = setup.world
+        truth = world.position_e[first], world.velocity_e[first], world.C_eb[first]
+        self.victims.begin(*truth, memory["first_error"])
+
+    def _measure(self, command: FloatArray | None) -> None:
+        self._move(command)
+        memory, setup, world = self.memory, self.setup, self.setup.world
+        self._offset[:, :2] = memory["displacement"][:, ::-1]
+        flight = world.run, world.position_e, world.C_el, world.imu_interval_s
+        inertial = setup.inertial.noise, memory["first_error"][:, 9:].copy()
+        errors = setup.errors.decay, setup.errors.sd
+        written = memory["position_error"], self.victims.samples, self.victims.fix_e
+        drawn = memory["keys"], memory["epoch"]
+        measure(*drawn, *flight, *inertial, *errors, self._offset, self._deviates, *written)
+        self.victims.predict()
+
+    def _form_epoch(self) -> Epoch:
+        return self.victims.epoch(self.time_s())
+
+    def _correct(self, weights: FloatArray | None) -> None:
+        self.victims.update(weights)
+
+    @property
+    def position(self) -> FloatArray:
+        """(B, 3) estimated, ECEF [m]."""
+        return self.memory["position_e"]
+
+    def error_n(self) -> FloatArray:
+        """(B, 2) error of the estimate in the local axes of the epoch: north, east [m]."""
+        epochs = self.epochs
+        apart = self.memory["position_e"] - self.setup.world.position_e[epochs]
+        error: FloatArray = (apart[:, :, None] * self.setup.C_en[epochs, :, :2]).sum(axis=1)
+        return error

@@ -1,0 +1,165 @@
+"""Read-only observers: passive detectors, broadcast.
+
+Monitors: what looks at every epoch that is judged, and changes nothing.
+
+They live in the simulators, so that they see the warm-up and the time to alert, too, and go with
+their receivers when these are moved from one simulator to another.
+
+The victim's own broadcast of its position: reports that arrive late, in steps.
+
+What is broadcast is the solution that the victim believes, as an aircraft's surveillance reports
+have it.  A report is sent at fixed intervals, arrives after a latency that is drawn for each, and
+gives the position in steps.
+"""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.memory import Memory
+from ..detectors import DETECTORS, Calibrated, Detector, Verdict
+from ..detectors.base import check_needs, judged
+from ..receiver.epoch import Epoch
+from ._kernels import latest_reports
+
+FloatArray = NDArray[np.float64]
+
+
+class Monitored(Protocol):
+    """What a monitor looks at: a `Simulator`."""
+
+    receivers: int
+    epoch: Epoch
+    verdict: Verdict | None
+
+    def bind_detector(self, detector: Detector) -> None:
+        """Bind a detector to these receivers."""
+
+
+class Monitor(ABC):
+    """What looks at the epochs of a simulator; `memory` is all that it remembers of receivers.
+    `needs`: optional fields of `Epoch` that it reads, as of a `Detector`."""
+
+    needs: ClassVar[frozenset[str]] = frozenset()
+    memory: Memory
+
+    @abstractmethod
+    def bind(self, simulator: Monitored) -> None:
+        """Prepare for the receivers of a simulator."""
+
+    @abstractmethod
+    def update(self, simulator: Monitored) -> None:
+        """Look at an epoch between the verdict and the update."""
+
+    def corrected(self, simulator: Monitored) -> None:  # noqa: B027  (few need it)
+        """Look at an epoch after the update."""
+
+    def begin(self) -> None:
+        """Start new episodes in all receivers."""
+        self.memory.reset()
+
+    def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
+        """Take over receivers of another simulator."""
+        self.memory.copy_rows(to, other.memory, rows)
+
+
+class PassiveDetectors(Monitor):
+    """Detectors that judge the same epochs as the one in the loop; their weights are not used.
+    `names`: name of each in ``info``: its `label`, or that of its class in `DETECTORS`, numbered
+    where it is not alone; `memory`: ``alarmed`` (B, w) bool, whether each has alarmed since it was
+    last set to False; ``ratio`` (B, w) largest statistic over threshold at the last epoch."""
+
+    def __init__(self, detectors: Sequence[Detector]) -> None:
+        self.detectors = [copy.deepcopy(detector) for detector in detectors]
+        self.names = names_of(self.detectors)
+        # those of the detectors, so that they are the object's, not the class's
+        self.needs = frozenset().union(*map(check_needs, self.detectors))  # type: ignore[misc]
+
+    def bind(self, simulator: Monitored) -> None:
+        for detector in self.detectors:
+            simulator.bind_detector(detector)
+        receivers, count = simulator.receivers, len(self.detectors)
+        self.memory = Memory(receivers)
+        self.memory.declare("alarmed", np.zeros((receivers, count), dtype=np.bool_))
+        self.memory.declare("ratio", np.zeros((receivers, count)))
+
+    def begin(self) -> None:
+        super().begin()
+        for detector in self.detectors:
+            detector.reset()
+
+    def update(self, simulator: Monitored) -> None:
+        alarmed, ratio = self.memory["alarmed"], self.memory["ratio"]
+        for k, detector in enumerate(self.detectors):
+            verdict = judged(detector, simulator.epoch)
+            alarmed[:, k] |= verdict.alarm.any(axis=1)
+            ratio[:, k] = (verdict.statistic / verdict.threshold).max(axis=1)
+
+    def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
+        super().copy_rows(to, other, rows)
+        for mine, theirs in zip(self.detectors, other.detectors, strict=True):
+            mine.memory.copy_rows(to, theirs.memory, rows)
+
+
+def needed_monitors(terms: Iterable[Any]) -> list[Monitor]:
+    """Monitors that terms rely on: one of each class that their attribute `needs` lists."""
+    kinds = dict.fromkeys(kind for term in terms for kind in getattr(term, "needs", ()))
+    return [kind() for kind in kinds]
+
+
+def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:
+    known = {kind: name for name, kind in DETECTORS.items()}
+    detectors = [d.detector if isinstance(d, Calibrated) else d for d in detectors]
+    named = [d.label or known.get(type(d), type(d).__name__) for d in detectors]
+    words = [name.replace("-", "_").lower() for name in named]
+    before = ((word, words[:k].count(word)) for k, word in enumerate(words))
+    return tuple(f"{word}_{count + 1}" if count else word for word, count in before)
+
+
+KEPT = 64
+"""Epochs of which positions are kept."""
+
+
+class PastPositions(Monitor):
+    """Positions that the victims have believed at the last `KEPT` epochs that were judged.
+    `memory`: ``position`` (B, KEPT, d) in the axes of `Setup.true_position` [m], and ``of`` (B,
+    KEPT) the epoch of each, -1 for none; that of epoch k is at the place k modulo `KEPT`."""
+
+    needs: ClassVar[frozenset[str]] = frozenset()
+
+    def bind(self, simulator: Monitored) -> None:
+        receivers, setup = simulator.receivers, simulator.setup  # type: ignore[attr-defined]
+        axes = setup.true_position.shape[1]
+        self.memory = Memory(receivers)
+        self.memory.declare("position", np.zeros((receivers, KEPT, axes)))
+        self.memory.declare("of", np.full((receivers, KEPT), -1, dtype=np.int64))
+
+    def update(self, simulator: Any) -> None:
+        """Nothing: what the victim believes of the epoch is known after the update."""
+
+    def corrected(self, simulator: Any) -> None:
+        rows, epochs = np.arange(simulator.receivers), simulator.epochs
+        self.memory["position"][rows, epochs % KEPT] = simulator.position
+        self.memory["of"][rows, epochs % KEPT] = epochs
+
+
+def reports(
+    simulator: Any, every: int, latency_epochs: float
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Positions of the newest reports that have arrived, (B, d), and their epochs, (B,). A report
+    is of every so many epochs from the onset on, before it, too; its latency is uniform between 0
+    and `latency_epochs`. Where none has arrived yet the epoch is -1 and the position 0."""
+    past = simulator.monitor(PastPositions).memory
+    epochs, onset, keys = simulator.epochs, simulator.onset, simulator.memory["key"]
+    newest = np.empty(len(epochs), dtype=np.int64)
+    latest_reports(epochs, onset, keys, every, latency_epochs, newest)
+    rows, places = np.arange(len(epochs)), newest % KEPT
+    kept = past["of"][rows, places] == newest
+    position = np.where(kept[:, None], past["position"][rows, places], 0.0)
+    return position, np.where(kept, newest, -1)

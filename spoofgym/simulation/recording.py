@@ -1,0 +1,109 @@
+"""An episode of the engine as a recording that `spoofgym.receiver.replay` takes."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..receiver import NavState, Recording
+from ..truth._kernels import CHUNK, sense
+from ..truth.noise import deviates, padded
+from .simulator import run_serially
+from .tight import TightlyCoupledSetup, TightlyCoupledSimulator
+
+FloatArray = NDArray[np.float64]
+RANGES = "pseudorange", "range_rate"
+"""Fields of an epoch that a recording keeps."""
+
+
+def record_run(
+    setup: TightlyCoupledSetup,
+    rng: np.random.Generator,
+    *,
+    epochs: int | None = None,
+    command: Callable[[int], FloatArray | None] | None = None,
+) -> tuple[NavState, Recording, FloatArray]:
+    """Run one receiver from time zero, and keep all that it measures.
+
+    Parameters
+    ----------
+    setup : TightlyCoupledSetup
+        World, victim, attack and timeline.  Its detector is not asked, since a recording has no
+        place for weights.
+    rng : Generator
+        Of the receiver, as `Engine.reset` takes it.
+    epochs : int, optional
+        How many; up to the end of the command phase by default.
+    command : callable, optional
+        ``command(step)`` gives the (1, a) action of each step after the onset; the target is not
+        attacked by default.
+
+    Returns
+    -------
+    initial : NavState
+        Navigation solution at time zero.
+    recording : Recording
+        Measurements.
+    position_e : ndarray
+        (K, 3) estimated after every epoch, ECEF [m].
+    """
+    count = setup.onset + setup.steps if epochs is None else epochs
+    if not 1 <= count < setup.world.epochs:
+        raise ValueError(f"`epochs` must be 1 to {setup.world.epochs - 1}, got {count}")
+    told = copy.copy(setup)
+    told.fields = setup.fields.union(RANGES)
+    victim = told.simulator(1, run_serially)
+    victim.begin([rng])
+    buffers, clock = victim.buffers, victim.buffers.fields["clock"][0]
+    initial = NavState(
+        position_e=buffers.position_e[0],
+        velocity_e=buffers.velocity_e[0],
+        C_eb=buffers.fields["C_eb"][0],
+        clock_bias_m=float(clock[0]),
+        clock_drift_mps=float(clock[1]),
+    )
+    kept = []
+    for k in range(count):
+        samples = _next_samples(victim)
+        if command is None or k < setup.onset:
+            epoch = victim.advance()
+        else:
+            epoch = victim.predict(command(k - setup.onset))
+        seen, measured = epoch.visible[0], (buffers.seen[name][0] for name in RANGES)
+        sky = setup.world.satellites[int(victim.epochs[0])]
+        ranges = [np.where(seen, each, np.nan) for each in measured]
+        victim.update(None)
+        kept.append((samples, *ranges, sky, buffers.position_e[0].copy()))
+    imu_samples, pseudorange, range_rate, satellites, position_e = map(
+        list, zip(*kept, strict=True)
+    )
+    end = setup.world.epoch_end[count]
+    imu, sky = np.concatenate(imu_samples), np.array(satellites)
+    recording = Recording(
+        imu_time=setup.world.imu_time[1 : end + 1],
+        specific_force_b=imu[:, :3],
+        angular_rate_b=imu[:, 3:],
+        gnss_time=setup.world.epoch_time[1 : count + 1],
+        pseudorange=pseudorange,
+        range_rate=range_rate,
+        satellite_position_e=sky[:, :, :3],
+        satellite_velocity_e=sky[:, :, 3:6],
+    )
+    return initial, recording, np.array(position_e)
+
+
+def _next_samples(victim: TightlyCoupledSimulator) -> FloatArray:
+    """(count, 6) what a single receiver's inertial sensors will measure up to its next epoch."""
+    world, sensors, k = victim.setup.world, victim.sensors, int(victim.epochs[0])
+    first, end = world.epoch_end[k : k + 2].tolist()
+    samples, dt = np.empty(padded(6 * world.most_samples)), np.empty(world.most_samples)
+    count, kept = end - first, sensors.fields.data.copy()
+    key0, key1 = sensors.words["imu"][0]
+    deviates(key0, key1, np.uint64(k + 1), len(samples), 6 * count, samples)
+    truth, active = np.empty(8 * CHUNK), np.ones(1)
+    given = kept, 0, sensors.constants.data, 0
+    sense(world.run, np.array([first]), count, *given, samples, dt, truth, active)
+    return samples[: 6 * count].reshape(6, -1).T.copy()

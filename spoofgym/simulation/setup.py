@@ -1,0 +1,464 @@
+"""Settings of a victim, phases, seed splits."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import shlex
+import zlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.registry import build_record, check_choice, check_finite, is_number
+from ..detectors import Detector, detector_in_world
+from ..detectors.calibration_file import Conditions, described
+from ..receiver.epoch import OPTIONAL
+from ._kernels import local_motion
+from .domain import Bounds, Domain
+from .monitors import Monitor
+
+MOST_EPOCHS = 100_000
+"""Longest episode."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timeline:
+    """Phases of an episode.
+
+    Parameters
+    ----------
+    warmup_s : float
+        Clean run before the attack.
+    live_s : float
+        Last part of it in which the detectors judge; an alarm there is a false alarm.  By default
+        it lets the slowest memory settle, so that a detector is not better or worse for having just
+        been switched on.
+    attack_s : float
+        Command phase.
+    time_to_alert_s : float
+        Time to alert: how long the offsets hold their rate after the command phase, with alarms
+        live; what was induced within this time of an alarm does not count.
+    """
+
+    described_as = "Timeline"
+    warmup_s: float = 200.0
+    live_s: float = 180.0
+    attack_s: float = 150.0
+    time_to_alert_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            check_finite(name, value, "> 0" if name == "attack_s" else ">= 0")
+        if self.live_s > self.warmup_s:
+            raise ValueError(
+                f"`live_s` must be at most `warmup_s` = {self.warmup_s}, got {self.live_s}"
+            )
+
+    def epochs(self, interval_s: float) -> tuple[int, int, int, int]:
+        """Epochs of the filter-only and the monitored warm-up, the command phase, and the hold."""
+        length = self.warmup_s + self.attack_s + self.time_to_alert_s
+        if length > MOST_EPOCHS * interval_s:
+            raise ValueError(
+                f"an episode must have at most {MOST_EPOCHS} epochs; {length:g} s at intervals of "
+                f"{interval_s:g} s are {length / interval_s:.0f}"
+            )
+        warmup = round(self.warmup_s / interval_s)
+        live = min(round(self.live_s / interval_s), warmup)
+        attack = max(round(self.attack_s / interval_s), 1)
+        return warmup - live, live, attack, round(self.time_to_alert_s / interval_s)
+
+
+def epochs_of_decision(decision_interval_s: float | None, interval_s: float, steps: int) -> int:
+    """Epochs of a decision; by default every epoch is one."""
+    if decision_interval_s is None:
+        return 1
+    check_finite("decision_interval_s", decision_interval_s, "> 0")
+    repeat = round(decision_interval_s / interval_s)
+    if repeat < 1 or abs(repeat * interval_s - decision_interval_s) > 1e-6 * interval_s:
+        raise ValueError(
+            f"`decision_interval_s` must be a multiple of the interval between epochs, "
+            f"{interval_s:g} s, got {decision_interval_s}"
+        )
+    if steps % repeat:
+        raise ValueError(
+            f"the attack window of {steps * interval_s:g} s must hold a whole number of decisions, "
+            f"got `decision_interval_s` {decision_interval_s}"
+        )
+    return repeat
+
+
+FloatArray = NDArray[np.float64]
+TARGETS = ("random", "worst")
+"""Target directions that are no number."""
+BETWEEN = ("hold", "linear")
+"""What is commanded between two decisions."""
+Run = Callable[[Callable[[int, int], None], int], None]
+"""``run(f, B)`` calls ``f(lo, hi)`` over slices of the receivers, possibly in threads."""
+
+
+@dataclass(frozen=True)
+class RateCommands:
+    """Displacement commanded by rates, one an axis, as an `Attack` of a smaller victim. `limits`
+    (a,) are what an action of 1 means [m/s]."""
+
+    described_as = "RateCommands"
+    kind: str
+    names: tuple[str, ...]
+    limits: tuple[float, ...]
+    control: ClassVar[str] = "rate"
+    capture: ClassVar[None] = None
+    acceleration_limit_mps2: ClassVar[float] = math.inf
+
+    @property
+    def label(self) -> str:
+        """Threat in a word, for results."""
+        return self.kind
+
+    @property
+    def rate_limit_mps(self) -> float | tuple[float, ...]:
+        """Limit of all axes, or of each where they differ [m/s]."""
+        return self.limits[0] if len(set(self.limits)) == 1 else self.limits
+
+    def action_names(self, world: object) -> tuple[str, ...]:
+        return self.names
+
+
+class SequelKernel(NamedTuple):
+    """Kernel that begins with a simulator's own, and what it is given where nothing follows. A
+    simulator runs it for everything, so that its own is compiled as a part of it alone."""
+
+    function: Callable[..., int]
+    nothing: tuple[NDArray[Any], ...]
+
+
+class Setup(ABC):
+    """World, victim, commands, detector, phases and decisions, computed once and shared.
+
+    A subclass is one victim.  It calls `_phase` and `_aim`, and sets the attributes named here.
+
+    Attributes
+    ----------
+    kind : str
+        Of the victim, such as ``"snapshot"``.
+    name : str
+        Of the scenario, for results.
+    attack : Attack or RateCommands
+        What a spoofer commands.
+    detector : Detector
+        In the loop; copied for every simulator.
+    kernel : SequelKernel or None
+        What a simulator whose step is one kernel runs instead of its own.
+    monitors : tuple of Monitor
+        What looks at every epoch and changes nothing; copied for every simulator.
+    interval_s : float
+        Time between epochs.
+    epoch_time : ndarray
+        (K,) time of every epoch that an episode can come to [s].
+    true_position, C_en : ndarray
+        (K, d) where the target is at every epoch [m], and (K, d, d) to those axes from local north,
+        east (and down).
+    quiet, live, steps, hold : int
+        Epochs of the filter-only warm-up, the monitored warm-up, the command phase, and
+        the time to alert; `onset` is the sum of the first two, `repeat` epochs make a decision.
+    bounds : Bounds
+        What an episode chooses from.
+    motion_names, error_names, weight_names, geometry_names : tuple of str
+        Elements of what a simulator of this victim writes as motion of the target, error of the
+        estimate, weights and geometry.
+    scales : dict
+        What the default observation takes for 1: ``"length_m"`` of displacements and errors, by
+        what goes unnoticed of this victim; ``"position_m"`` and ``"velocity_mps"`` of the target.
+    """
+
+    kind: ClassVar[str]
+    whose: ClassVar[str]
+    """The victim with its article, for messages."""
+    env_id: ClassVar[str] = ""
+    """Environment of this victim; "" for none."""
+    of_attack: ClassVar[frozenset[str]] = frozenset(
+        {
+            *("detector", "attack", "target_heading_deg", "rate_limit_mps"),
+            *("decision_interval_s", "between"),
+        }
+    )
+    """Settings that a clean run does not depend on."""
+    given: Mapping[str, Any] | None = None
+    """Settings as they were given, where an environment or a benchmark was made from them."""
+    has: ClassVar[frozenset[str]] = frozenset(OPTIONAL) - {
+        "gnss_position",
+        "auxiliary_position",
+        "cn0_dbhz",
+    }
+    """Optional fields of `Epoch` that the victim has."""
+    fields: frozenset[str] = frozenset()
+    """Those that are wanted besides the `needs` of detectors and monitors."""
+    domain_names: ClassVar[frozenset[str]] = frozenset()
+    """Settings of `Domain` that the victim has."""
+    threaded: ClassVar[bool] = False
+    """Whether its kernels work on slices of the receivers."""
+    follows_setpoint: ClassVar[bool] = False
+    """Whether a spoofer commands by a wanted rate where nothing else is asked for."""
+    ratio_is_largest: ClassVar[bool] = True
+    """Whether the default observation shows the largest statistic ratio, not one a channel."""
+    motion_names: tuple[str, ...] = ()
+    error_names: tuple[str, ...] = ("north", "east")
+    weight_names: tuple[str, ...] = ()
+    geometry_names: tuple[str, ...] = ()
+    scales: Mapping[str, float] = {
+        "length_m": 40.0,
+        "position_m": 10_000.0,
+        "velocity_mps": 100.0,
+    }
+
+    name: str
+    attack: Any
+    detector: Detector
+    timeline: Timeline
+    domain: Domain
+    interval_s: float
+    epoch_time: FloatArray
+    true_position: FloatArray
+    C_en: FloatArray
+    bounds: Bounds
+    epochs_each: int
+    target_heading_deg: float | str
+    world: Any = None
+
+    def _phase(
+        self,
+        detector: str | Mapping[str, Any] | Detector,
+        timeline: Timeline,
+        interval_s: float,
+        decision_interval_s: float | None,
+        between: str,
+    ) -> None:
+        self.detector, self.timeline = detector_in_world(detector), timeline
+        self.interval_s = interval_s
+        self.monitors: tuple[Monitor, ...] = ()
+        self.kernel: SequelKernel | None = None
+        self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval_s)
+        self.onset = self.quiet + self.live
+        self._decide_every(decision_interval_s, between)
+        # one epoch more, which a finished receiver may run until it is reset
+        self.length = self.onset + self.steps + self.hold + 1
+
+    def _decide_every(self, decision_interval_s: float | None, between: str) -> None:
+        """Take how often a spoofer decides, and what is commanded between two decisions."""
+        check_choice("between", between, BETWEEN)
+        if between != "hold" and decision_interval_s is None:
+            raise ValueError(
+                f"`between` {between!r} needs a `decision_interval_s`: without one there is no "
+                "epoch between two decisions"
+            )
+        self.decision_interval_s, self.between = decision_interval_s, between
+        self.repeat = epochs_of_decision(decision_interval_s, self.interval_s, self.steps)
+
+    @abstractmethod
+    def world_settings(self) -> Mapping[str, Any]:
+        """Settings of this victim that a clean run depends on, but for the timeline."""
+
+    @property
+    def window_s(self) -> float:
+        """Judged window: from the start of an attack to its end plus the time to alert [s]."""
+        return (self.steps + self.hold) * self.interval_s
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """What a calibration of a detector here belongs to; not how often a spoofer decides."""
+        settings = {
+            "kind": self.kind,
+            **described(self.world_settings()),
+            "timeline": described(self.timeline),
+            "interval_s": described(self.interval_s),
+        }
+        return Conditions(settings, self.window_s, self.name, self._options())
+
+    def _options(self) -> str:
+        """Options of a command line that name this world; "" where none can."""
+        if self.given is None or not self.env_id:
+            return ""
+        words = [f"--env {self.env_id}"]
+        try:
+            for name, value in self.given.items():
+                if name not in self.of_attack:
+                    words.append(f"--set {shlex.quote(f'{name}={json.dumps(value)}')}")
+        except TypeError:
+            return ""
+        return " ".join(words)
+
+    def _aim(
+        self, target_heading_deg: float | str, domain: Mapping[str, Any] | Domain | None
+    ) -> None:
+        """Take target direction and domain, as far as this victim has one."""
+        self.target_heading_deg = checked_target(target_heading_deg)
+        self.domain = build_record("domain", Domain, domain)
+        nothing = Domain()
+        for name in vars(nothing):
+            if getattr(self.domain, name) != getattr(nothing, name) and (
+                name not in self.domain_names
+            ):
+                raise ValueError(
+                    f"`domain` has no {name!r} for {self.whose}; valid: "
+                    f"{', '.join(sorted(self.domain_names)) or 'none'}"
+                )
+
+    def _bounds(self, worlds: int, grades: int, errors: int, first: int, last: int) -> Bounds:
+        heading, fixed = self.target_heading_deg, None
+        if heading != "random":  # where "worst" counts, no direction does
+            fixed = 0.0 if isinstance(heading, str) else float(np.radians(heading))
+        return Bounds(worlds, grades, errors, first, last, fixed)
+
+    def _starts(self, epochs: int, name: str) -> tuple[int, int]:
+        """First and last epoch, of a flight of so many, at which an episode may start."""
+        interval, length = self.interval_s, self.length
+        early, late = self.domain.start_s
+        room = epochs - 1 - length
+        first = math.ceil(early / interval - 1e-6)
+        last = room if late is None else math.floor(late / interval + 1e-6)
+        if first > last and late is not None:
+            raise ValueError(
+                f"`start_s` must hold an epoch, of which there is one every {interval:g} s, got "
+                f"{self.domain.start_s}"
+            )
+        if max(first, last) > room:
+            line = self.timeline
+            start = f" from a start at {max(first, last) * interval:g} s" if first or last else ""
+            raise ValueError(
+                f"an episode takes {length * interval:g} s{start} (warm-up {line.warmup_s:g} s, "
+                f"attack {line.attack_s:g} s, time to alert {line.time_to_alert_s:g} s, and one "
+                f"epoch of {interval:g} s in reserve), but {name!r} lasts "
+                f"{(epochs - 1) * interval:g} s"
+            )
+        return first, last
+
+    @property
+    def title(self) -> str:
+        """What a picture says of the victim."""
+        return f"{self.kind} receiver"
+
+    @property
+    def rate_scale_mps(self) -> float:
+        """Commanded rate that the default observation takes for 1: that length in the window."""
+        return self.scales["length_m"] / (self.steps * self.interval_s)
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Name of every element that can be commanded."""
+        names: tuple[str, ...] = self.attack.action_names(self.world)
+        return names
+
+    @property
+    def combination_names(self) -> Mapping[str, Sequence[str]]:
+        """Names of the grades, ``"imu"``, and of the errors, ``"errors"``, of the domain."""
+        return {"imu": ("own",), "errors": ("own",)}
+
+    @property
+    def onsets(self) -> NDArray[np.int64] | None:
+        """(K,) onset of the episodes that each epoch is part of; None where there is no table."""
+        return None
+
+    def motion_table(self, per_position: float, per_velocity: float) -> NDArray[np.float32] | None:
+        """(K, len(motion_names)) motion at every epoch, scaled; None where there is no table."""
+        return None
+
+    def local_motion(self, *epochs_to_out: Any) -> None:
+        """`_kernels.local_motion` of this target."""
+        local_motion(self.true_position, self.world.velocity_e, self.C_en, *epochs_to_out)
+
+    def geometry_table(self) -> FloatArray | None:
+        """(K, len(geometry_names)) geometry at every epoch; None where there is no table."""
+        return None
+
+    @abstractmethod
+    def simulator(self, receivers: int, run: Run) -> Any:
+        """`Simulator` of B receivers of this victim, not begun yet."""
+
+    def check_fit(self, detector: Detector) -> None:
+        """Raise a ValueError where a detector can't judge this victim."""
+        fitted = self.altered(detector=detector, monitors=())
+        fitted.simulator(1, lambda work, receivers: work(0, receivers))
+
+    def command(
+        self, before: FloatArray, action: FloatArray, epoch: int | NDArray[np.int64]
+    ) -> FloatArray:
+        """Action (B, k) of an epoch of a decision, from 0 on, after the one `before`, (B, k)."""
+        if self.between == "hold":
+            return action
+        count = np.asarray(epoch) + 1
+        # the line reaches its end exactly, not but for rounding
+        on_the_way = before + (count / self.repeat) * (action - before)
+        return np.where(count == self.repeat, action, on_the_way)
+
+    def altered(
+        self,
+        *,
+        detector: Detector | None = None,
+        monitors: Sequence[Monitor] | None = None,
+        kernel: SequelKernel | None = None,
+        pace: tuple[float | None, str] | None = None,
+    ) -> Setup:
+        """The same world and attack, with something else in it. Another detector, other monitors,
+        another kernel, or another pace of the spoofer: ``decision_interval_s`` and ``between``,
+        which change neither when an episode may start nor how long it takes."""
+        other = copy.copy(self)
+        if pace is not None:
+            other._decide_every(*pace)
+        if detector is not None:
+            other.detector = detector
+        if monitors is not None:
+            other.monitors = tuple(monitors)
+        if kernel is not None:
+            other.kernel = kernel
+        return other
+
+
+def checked_target(target_heading_deg: float | str) -> float | str:
+    if isinstance(target_heading_deg, str):
+        check_choice("target_heading_deg", target_heading_deg, TARGETS)
+    elif not (is_number(target_heading_deg) and math.isfinite(target_heading_deg)):
+        raise ValueError(
+            f"`target_heading_deg` must be a finite number, 'random' or 'worst', got "
+            f"{target_heading_deg!r}"
+        )
+    return target_heading_deg
+
+
+SPLITS = {
+    "training": 0,
+    "calibration": 1,
+    "evaluation": 2,
+    "holdout": 4,
+    "selection": 5,
+    "search": 6,
+    "game": 7,
+    "dataset-train": 8,
+    "dataset-validation": 9,
+    "dataset-test": 10,
+}
+"""First element of the spawn keys; 3 was once another split's."""
+
+
+def seed_sequences(
+    entropy: int, split: str, scenario: str, runs: int, first: int = 0
+) -> list[np.random.SeedSequence]:
+    """Seeds of the runs of a split; the first ones are the same for any number of runs. `entropy`:
+    of the campaign, at least 0; `first`: run to start with."""
+    return seeds_of_runs(entropy, split, scenario, range(first, runs))
+
+
+def seeds_of_runs(
+    entropy: int, split: str, scenario: str, runs: Iterable[int]
+) -> list[np.random.SeedSequence]:
+    key = zlib.crc32(scenario.encode())
+    return [np.random.SeedSequence(entropy, spawn_key=(SPLITS[split], key, run)) for run in runs]
+
+
+def generators_of(seeds: Iterable[np.random.SeedSequence]) -> list[np.random.Generator]:
+    return [np.random.Generator(np.random.PCG64(seed)) for seed in seeds]

@@ -1,0 +1,741 @@
+"""Tightly coupled GNSS/INS receivers: 17 states, pseudoranges and range rates, any attack."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, ClassVar, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..attacks import Attack, AttackContext, make_attack
+from ..attacks.commands import FalsePosition, PerChannel
+from ..core.memory import Memory
+from ..core.registry import build_record, check_choice
+from ..core.settings import describe
+from ..core.simd import LANES, ArrayTable
+from ..detectors import Calibrated, Detector, DetectorContext, Verdict
+from ..detectors.base import checked
+from ..detectors.charts import Ewma
+from ..detectors.controls import Never
+from ..receiver import TightlyCoupled
+from ..receiver import _kernels as _kernels_of_receiver
+from ..receiver.augmented import AugmentedFilter, Predicted
+from ..receiver.epoch import Epoch, ReceiverBuffers, epoch_view, kernel_table
+from ..receiver.states import STATES
+from ..receiver.tight import TUNINGS
+from ..truth.events import BenignEvents, Window, draw_events
+from ..truth.noise import padded
+from ..truth.run import World
+from ..truth.scenario import Scenario, make_scenario
+from ..truth.sensors import SensorBuffers
+from ..truth.signal_errors import MAPPINGS, mappings_of
+from . import _kernels
+from ._kernels import displace
+from .domain import Choice, Combinations, Domain, worlds_of
+from .frame import SkyData
+from .setup import Run, SequelKernel, Setup, Timeline
+from .simulator import Rngs, Rows, Sequel, Simulator, StepArrays
+
+FloatArray = NDArray[np.float64]
+DEFAULT_ATTACK = "false-position"
+DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
+RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in TUNINGS}
+"""Victims by name: the noise that they assume as the papers print it, or as the world has it."""
+AUGMENTED_NEEDS = frozenset({"transition", "imu_delta", "design", "innovation_cov"})
+"""Fields of an epoch that an augmented filter works on."""
+AUGMENTED_SHOWS = frozenset({"transition", "design", "predicted_cov"})
+"""Fields of an epoch that it has with all its states."""
+FIRST_FIX = 4
+"""Satellites that a first fix takes."""
+AXES = ("north", "east", "down")
+AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")
+"""Sources whose noise goes on after the onset."""
+MEASURE, UPDATE, SHOW = (
+    _kernels_of_receiver.MEASURE,
+    _kernels_of_receiver.UPDATE,
+    _kernels_of_receiver.SHOW,
+)
+JUDGE, REMEMBER = _kernels.JUDGE, _kernels.REMEMBER
+ADVANCE = MEASURE + _kernels_of_receiver.PREDICT
+OWN_KERNEL = SequelKernel(_kernels.run_epochs, ())
+ATTACK_FORMS: dict[type, int] = {
+    FalsePosition: _kernels.FALSE_POSITION,
+    PerChannel: _kernels.PER_CHANNEL,
+}
+"""Attacks that the kernel makes itself, if their equipment is perfect."""
+
+
+class TightlyCoupledSetup(Setup):
+    """World, victim, attack and detector of tightly coupled receivers.
+
+    The settings are those of `spoofgym.envs.SpoofEnv`; all fit into JSON, or are objects.
+
+    Attributes
+    ----------
+    world : World
+        All worlds of the domain, one after the other.
+    combinations : Combinations
+        Of world, sensors and errors.
+
+    Raises
+    ------
+    ValueError
+        When a setting is unknown or out of range, or the run is shorter than the episode.
+    """
+
+    kind: ClassVar[str] = "tightly-coupled"
+    env_id: ClassVar[str] = "spoofgym/TightlyCoupled-v0"
+    whose: ClassVar[str] = "a tightly coupled receiver"
+    domain_names: ClassVar[frozenset[str]] = frozenset(vars(Domain()))
+    threaded: ClassVar[bool] = True
+    follows_setpoint: ClassVar[bool] = True
+    ratio_is_largest: ClassVar[bool] = False
+    motion_names = tuple(f"{what}_{axis}" for what in ("position", "velocity") for axis in AXES)
+    error_names = AXES
+    world: World
+
+    def __init__(
+        self,
+        *,
+        scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
+        detector: str | Mapping[str, Any] | Detector | None = None,
+        attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
+        receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
+        timeline: Mapping[str, float] | Timeline | None = None,
+        domain: Mapping[str, Any] | Domain | None = None,
+        target_heading_deg: float | str = 90.0,
+        decision_interval_s: float | None = None,
+        between: str = "hold",
+        imu_rate_hz: float | None = None,
+    ) -> None:
+        self.scenario = make_scenario(scenario)
+        if imu_rate_hz is not None:
+            self.scenario = replace(self.scenario, imu_rate_hz=imu_rate_hz)
+        self.imu_rate_hz, self.name = self.scenario.imu_rate_hz, self.scenario.label
+        self._aim(target_heading_deg, domain)
+        self.receiver = _victim(receiver, self.scenario, self.domain)
+        self.attack = make_attack(attack)
+        detector = DEFAULT_DETECTOR if detector is None else detector
+        timeline = build_record("timeline", Timeline, timeline)
+        interval_s = self.scenario.epoch_interval_s
+        self._phase(detector, timeline, interval_s, decision_interval_s, between)
+        worlds = worlds_of(self.scenario, self.domain)
+        first, last = self._starts(worlds[0].epochs, worlds[0].name)
+        self.combinations = Combinations(
+            worlds, self.scenario, self.receiver, self.domain, self.length, last + self.length
+        )
+        self.world = self.combinations.world
+        self.epoch_time = self.world.epoch_time
+        self.true_position, self.C_en = self.world.position_e, self.world.C_en
+        cases = self.combinations
+        self.bounds = self._bounds(cases.worlds, cases.grades, cases.errors, first, last)
+        self.epochs_each = self.world.epochs // self.bounds.worlds
+        self.mappings = np.zeros(0)
+        if cases.with_signals:
+            elevation = self.world.elevation
+            self.mappings = mappings_of(elevation, self.interval_s, self.epochs_each)
+        slots = [f"slot{s:02d}" for s in range(self.world.channels)]
+        self.weight_names = tuple(slots)
+        self.geometry_names = (
+            *(f"sight_{axis}_{slot}" for slot in slots for axis in AXES),
+            *(f"visible_{slot}" for slot in slots),
+        )
+        self._check_first_fixes()
+
+    def world_settings(self) -> dict[str, Any]:
+        scenario = describe(self.scenario)
+        del scenario["name"]
+        domain = self.domain
+        # what a domain says that the scenario has anyway is no other world
+        if domain.turn_on == self.scenario.turn_on:
+            domain = replace(domain, turn_on=None)
+        none = BenignEvents()
+        if domain.events is not None and domain.events == (self.scenario.events or none):
+            domain = replace(domain, events=None)
+        parts = {"receiver": self.receiver, "domain": domain}
+        return {"scenario": scenario, **{name: describe(part) for name, part in parts.items()}}
+
+    @property
+    def title(self) -> str:
+        return f"{self.name}: {self.attack.label}"
+
+    @property
+    def combination_names(self) -> Mapping[str, Sequence[str]]:
+        return self.combinations.names
+
+    @property
+    def onsets(self) -> NDArray[np.int64] | None:
+        """(K,) onset of the episodes that each epoch is part of; None where the start is drawn."""
+        if self.bounds.first != self.bounds.last:
+            return None
+        epochs = np.arange(self.world.epochs)
+        starts: NDArray[np.int64] = epochs - epochs % self.epochs_each
+        return starts + self.bounds.first + self.onset
+
+    def motion_table(self, per_position: float, per_velocity: float) -> NDArray[np.float32] | None:
+        """(K, 6) motion of the target at every epoch, where each belongs to one onset."""
+        if self.onsets is None:
+            return None
+        table = np.empty((self.world.epochs, 6), dtype=np.float32)
+        epochs = np.arange(self.world.epochs)
+        self.local_motion(epochs, self.onsets, per_position, per_velocity, table)
+        return table
+
+    def geometry_table(self) -> FloatArray:
+        """(K, 4n) unit vectors to the satellites in local axes, then 1 or 0 for visible or not."""
+        world = self.world
+        sight = world.satellites[:, :, :3] - world.position_e[:, None, :]
+        sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+        sight = np.einsum("kji,knj->kni", world.C_en, sight) * world.visible[:, :, None]
+        return np.hstack([sight.reshape(world.epochs, -1), world.visible])
+
+    def simulator(self, receivers: int, run: Run) -> TightlyCoupledSimulator:
+        """B receivers, not begun yet."""
+        return TightlyCoupledSimulator(self, receivers, run)
+
+    def _check_first_fixes(self) -> None:
+        bounds, each = self.bounds, self.epochs_each
+        seen = self.world.visible.sum(axis=1).reshape(bounds.worlds, each)
+        few = np.argwhere(seen[:, bounds.first : bounds.last + 1] < FIRST_FIX)
+        if len(few):
+            world, epoch = few[0]
+            time = self.world.epoch_time[bounds.first + epoch]
+            raise ValueError(
+                f"a first fix needs {FIRST_FIX} satellites; world {world} of the domain has fewer "
+                f"at {time:g} s"
+            )
+
+
+def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
+    if isinstance(given, str):
+        check_choice("receiver", given, RECEIVERS)
+        given = RECEIVERS[given]
+    victim = build_record("receiver", TightlyCoupled, given, {"grade": scenario.imu})
+    fixed = isinstance(given, Mapping) and "grade" in given
+    if fixed and {victim.grade} < {victim.grade, *domain.imu}:
+        raise ValueError(
+            f"`receiver` has the grade {victim.grade!r}, but is tuned for the grade that it draws "
+            f"from the domain's `imu` {', '.join(domain.imu)}: leave out one"
+        )
+    return victim
+
+
+def _unscaled(detector: Detector) -> tuple[Detector, float]:
+    """A detector, and the factor on its thresholds."""
+    if type(detector) is Calibrated and detector.scale is not None and not detector.rescaled:
+        return detector.detector, detector.scale
+    return detector, 1.0
+
+
+class TightlyCoupledSimulator(Simulator):
+    """B tightly coupled receivers; kernels work on slices of them, possibly in threads. `buffers`
+    has the estimates and measurements, `sensors` their errors; `attack` is bound; `augmented` is
+    the filter with more states, or None."""
+
+    setup: TightlyCoupledSetup
+
+    def _allocate(self) -> None:
+        world, receivers = self.setup.world, self.receivers
+        augmented = self.setup.receiver.tuning == "augmented"
+        wanted = self.fields - AUGMENTED_SHOWS | AUGMENTED_NEEDS if augmented else self.fields
+        alike = self.setup.combinations.assume_alike
+        self.buffers = ReceiverBuffers(receivers, world.channels, wanted, alike=alike)
+        self.sensors = SensorBuffers(
+            receivers,
+            world.channels,
+            with_signals=self.setup.combinations.with_signals,
+            with_authentic=self.setup.attack.replaces_errors,
+            alike=self.setup.combinations.sense_alike,
+        )
+        self._everyone = np.arange(receivers)
+        self._serial = receivers <= LANES
+        self._verdicts: dict[int, Verdict] = {}
+        self.memory.declare("combination", np.zeros(receivers, dtype=np.int64))
+        self.augmented: AugmentedFilter | None = None
+        if augmented:
+            model = self.setup.combinations.signal_model(self.setup.interval_s)
+            known = self.memory, model, self.setup.interval_s, world.channels
+            self.augmented = AugmentedFilter(*known, self.fields)
+        self._predicted: Predicted | None = None
+        self.epoch = self._view()
+        self.attack = copy.deepcopy(self.setup.attack)
+        self.attack.bind(AttackContext(receivers, world))
+        self._hold_arguments()
+
+    def _view(self) -> Epoch:
+        """The current epoch; its matrices are those of the filter that is updated."""
+        return epoch_view(self.buffers, self.augmented.shown if self.augmented else None)
+
+    def _hold_arguments(self) -> None:
+        """Collect what the kernel takes: what stays the same, and what stands for nothing."""
+        world, receiver = self.setup.world, self.setup.receiver
+        buffers, sensors = self.buffers, self.sensors
+        sizes = padded(6 * world.most_samples), padded(2 * world.channels)
+        rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
+        self._work_rows = _kernels_of_receiver.work_rows(world.channels, *sizes)
+        self._spare: list[FloatArray] = []
+        attack = self.attack
+        self._table = kernel_table(
+            buffers,
+            sensors,
+            world.run,
+            world.epoch_time,
+            world.epoch_end,
+            world.satellites,
+            np.array(rules, dtype=np.int64),
+            sensors.signals.data,
+            self.setup.mappings,
+            world.position_e,
+            world.velocity_e,
+            attack.mask,
+            attack.slots,
+            attack.kernel_settings,
+        )
+        self._no_axes, self._no_action = np.zeros(0), _kernels.ONE
+        self._history = np.zeros((0, self.receivers), dtype=np.bool_)
+        self._no_memories = ArrayTable(_kernels.NOTHING_REMEMBERED)
+        self._memories, self._known = self._no_memories, (_kernels.NO_FORM, 0, 0, 0)
+        self._found: set[int] = set()
+        self._kernel = self.setup.kernel or OWN_KERNEL
+
+    def _context(self) -> DetectorContext:
+        setup = self.setup
+        world, cases = setup.world, setup.combinations
+        sizes, variance = (self.receivers, world.channels), cases.largest_variance
+        single = np.sqrt(cases.largest_epoch_variance)
+        known = *sizes, setup.interval_s, variance, world.satellite_ids, single
+        states = STATES if self.augmented is None else self.augmented.states
+        return DetectorContext(*known, states, setup.receiver.min_satellites)
+
+    def __getstate__(self) -> dict[str, Any]:
+        views = ("epoch", "_table", "_memories", "_no_memories", "_known", "_spare", "_history")
+        return {name: value for name, value in self.__dict__.items() if name not in views}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.epoch = self._view()
+        self._hold_arguments()
+
+    @property
+    def epochs(self) -> NDArray[np.int64]:
+        """(B,) the epoch of the world that each receiver is at."""
+        return self.sensors.epoch
+
+    @property
+    def position(self) -> FloatArray:
+        """(B, 3) estimated antenna, ECEF [m]."""
+        return self.buffers.position_e
+
+    @property
+    def coasting(self) -> NDArray[np.bool_]:
+        """(B,) bool, whether the last epoch had too few satellites for an update."""
+        return self.buffers.coasting
+
+    @property
+    def commands(self) -> Memory:
+        memory: Memory = self.attack.memory
+        return memory
+
+    def step_arrays(self) -> StepArrays:
+        """Epochs, coasting, commanded displacement and rate, target direction, for kernels."""
+        memory, direction = self.attack.memory, self.memory["direction"]
+        coasting = self.buffers.coasting
+        return self.sensors.epoch, coasting, memory["displacement"], memory["rate"], direction
+
+    def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
+        self.sensors.draw_keys(self._everyone, rngs)
+        keys: NDArray[np.uint64] = self.sensors.words["domain"]
+        return keys
+
+    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
+        self.sensors.put_keys(rows, episodes, AFTER_ONSET)
+        self.attack.begin(rows, self.sensors.words.get("spoofer", rows), self.onset[rows])
+
+    def _start(self, choice: Choice) -> None:
+        """Draw the errors; first fix, attitude, empty memories."""
+        setup, b, first = self.setup, self.receivers, self.memory["first"]
+        combinations = setup.combinations
+        self.sensors.epoch[:] = first
+        self.memory["combination"][:] = combinations.index(choice.world, choice.grade, choice.error)
+        self.attack.memory.reset()
+        self.attack.begin(self._everyone, self.sensors.words["spoofer"], self.onset)
+        self._start_combinations()
+        self._epochs(MEASURE, 0, b)
+        world, fields = setup.world, self.buffers.fields
+        position_e, velocity_e, clock = np.empty((b, 3)), np.empty((b, 3)), np.empty((b, 2))
+        measured = fields["innovation"].reshape(b, 2, world.channels)
+        guess_e, now = world.position_e[first], (measured, world.satellites, first)
+        _kernels_of_receiver.first_fix(*now, guess_e, position_e, velocity_e, clock)
+        fields["position_e"], fields["velocity_e"], fields["clock"] = position_e, velocity_e, clock
+        fields["C_eb"] = combinations.first_C_eb(choice.grade, first)
+        fields["accel_bias_b"] = fields["gyro_bias_b"] = 0.0
+        self.buffers.position_e[:], self.buffers.velocity_e[:] = position_e, velocity_e
+
+    def _start_combinations(self) -> None:
+        """Draw the errors, and give the victims what they assume."""
+        indices, combinations = self.memory["combination"], self.setup.combinations
+        assumed = self.buffers.assumed
+        for index in np.unique(indices).tolist():
+            its, rows = combinations[index], np.flatnonzero(indices == index)
+            drawn, interval_s = combinations.drawn, self.setup.interval_s
+            self.sensors.begin(
+                rows, its.grade, its.errors, its.bias_sd, interval_s=interval_s, drawn=drawn
+            )
+            assumed.put("noise_variance", rows, its.noise_variance)
+            assumed.put("noise_psd", rows, its.noise_psd)
+            self.buffers.put_covariance(rows, its.covariance)
+            if self.augmented is not None:
+                self.augmented.begin(rows, its.covariance, self.setup.receiver.grade)
+        if combinations.events is not None:
+            self._draw_events(combinations.events)
+
+    def _draw_events(self, events: BenignEvents) -> None:
+        """Draw what looks like spoofing and is none, for new episodes."""
+        setup, world, signals = self.setup, self.setup.world, self.sensors.signals
+        lasts = setup.live + setup.steps + setup.hold
+        sky = setup.interval_s, world.visible, world.azimuth, world.elevation
+        for row in range(self.receivers):
+            first = int(self.onset[row]) - setup.live + 1
+            found = draw_events(
+                events, self.memory["key"][row], Window(first, first + lasts - 1, *sky)
+            )
+            for name, value in found.items():
+                signals.put(name, [row], value)
+
+    def _epochs(self, what: int, lo: int, hi: int, *, count: int = 1) -> None:
+        """Run a slice without an attack and a detector of the kernel's own."""
+        tables = self._table.entries, self._no_memories.entries
+        rest = _kernels.NO_FORM, True, _kernels.NO_FORM, what, count
+        self._call((*self._kernel.nothing, *tables, self._no_action, self.weights), rest, lo, hi)
+
+    def _call(self, arrays: tuple[Any, ...], rest: tuple[int, ...], lo: int, hi: int) -> None:
+        """Call the kernel for a slice, with scratch memory that no other thread has."""
+        try:
+            work = self._spare.pop()
+        except IndexError:
+            work = self.buffers.fields.scratch(self._work_rows)
+        found = self._kernel.function(*arrays, work, *rest, lo, hi)
+        self._spare.append(work)
+        if found:
+            self._found.add(found)
+
+    def _compiled_attack(self) -> int:
+        """Number of the attack's compiled form, if it has one."""
+        attack = self.attack
+        if self.clean is not None or not attack.is_perfect:
+            return _kernels.NO_FORM
+        return ATTACK_FORMS.get(type(attack), _kernels.NO_FORM)
+
+    def _attack(self, command: FloatArray | None, lo: int, hi: int) -> None:
+        """Let an attack without a compiled form write what it adds to the measurements."""
+        sensors = self.sensors
+        self.attack.command(
+            command, sensors.epoch, sensors.range_offset, sensors.rate_offset, lo, hi
+        )
+        if self.attack.replaces_errors:
+            sensors.authentic[lo:hi] = self.attack.memory["authentic"][lo:hi]
+        if self.clean is not None:
+            spared = lo + np.flatnonzero(self.clean[lo:hi])
+            sensors.range_offset[spared] = sensors.rate_offset[spared] = 0.0
+            if self.attack.replaces_errors:
+                sensors.authentic[spared] = 1.0
+
+    def _measure(self, command: FloatArray | None) -> None:
+        self.predict(command)
+
+    def _form_epoch(self) -> Epoch:
+        return self.epoch
+
+    def _augment(self) -> None:
+        """Take what the augmented filter knows out of the innovations that a kernel has formed."""
+        if self.augmented is None:
+            return
+        buffers, setup, n = self.buffers, self.setup, self.setup.world.channels
+        seen, assumed = buffers.seen, buffers.assumed
+        mapping = setup.mappings[self.epochs] if setup.mappings.size else np.zeros((1, n, MAPPINGS))
+        predicted = self.augmented.predict(
+            seen["transition"],
+            seen["imu_delta"],
+            assumed["noise_psd"],
+            buffers.interval,
+            seen["design"],
+            mapping,
+            buffers.visible,
+            seen["innovation"],
+            assumed["noise_variance"],
+            setup.receiver.min_satellites,
+        )
+        self._predicted = predicted
+        seen["innovation"][:] = predicted.innovation
+        seen["innovation_cov"][:] = predicted.S
+        seen["innovation_variance"][:] = np.einsum("bii->bi", predicted.S)
+
+    def _correct_augmented(self, weights: FloatArray | None) -> None:
+        """Update by the augmented filter, and feed the errors of the 17 states back."""
+        if self.augmented is None or self._predicted is None:
+            raise RuntimeError("an augmented filter is updated after it has predicted")
+        predicted, fields = self._predicted, self.buffers.fields
+        dx = self.augmented.update(predicted, weights)
+        C, x = fields["C_eb"], dx[:, :3, None]
+        turned = np.stack(
+            [
+                x[:, 1] * C[:, 2] - x[:, 2] * C[:, 1],
+                x[:, 2] * C[:, 0] - x[:, 0] * C[:, 2],
+                x[:, 0] * C[:, 1] - x[:, 1] * C[:, 0],
+            ],
+            axis=1,
+        )
+        C = C - turned
+        if self.setup.receiver.orthonormalize:  # one step towards the nearest rotation
+            C = 0.5 * (C @ (3.0 * np.eye(3) - C.transpose(0, 2, 1) @ C))
+        fields["C_eb"] = C
+        fields["velocity_e"] = fields["velocity_e"] - dx[:, 3:6]
+        fields["position_e"] = fields["position_e"] - dx[:, 6:9]
+        fields["accel_bias_b"] = fields["accel_bias_b"] + dx[:, 9:12]
+        fields["gyro_bias_b"] = fields["gyro_bias_b"] + dx[:, 12:15]
+        fields["clock"] = fields["clock"] + dx[:, 15:]
+        self.buffers.position_e[:] = fields["position_e"]
+        self.buffers.velocity_e[:] = fields["velocity_e"]
+        self.buffers.coasting[:] = ~predicted.enough
+        P = self.memory["augmented_covariance"]
+        self.buffers.put_covariance(self._everyone, P[:, :STATES, :STATES])
+
+    def _correct(self, weights: FloatArray | None) -> None:
+        if self.augmented is not None:
+            self._correct_augmented(weights)
+        elif self._serial:
+            self._epochs(UPDATE, 0, self.receivers)
+        else:
+            self._run(partial(self._epochs, UPDATE), self.receivers)
+
+    def _first_half(
+        self,
+        what: int,
+        command: FloatArray | None,
+        attacked: bool,
+        form: int,
+        detector: int = _kernels.NO_FORM,
+        sequel: Sequel | None = None,
+        count: int = 1,
+    ) -> None:
+        """Run kernels that begin with an attack of some form, or none, as `step` does."""
+        action, in_python = self._no_action, attacked and form == _kernels.NO_FORM
+        if form != _kernels.NO_FORM:
+            what, action = what + _kernels.ATTACK, self.attack.idle if command is None else command
+            if action.dtype != np.float64 or not action.flags.carray:
+                action = np.array(action, dtype=np.float64, order="C")
+        known = form, detector, self.attack.memory.stamp, self.detector.memory.stamp
+        if known != self._known:
+            self._memories, self._known = self._memory_table(form, detector), known
+        first = self._kernel.nothing
+        if sequel is not None:
+            what, first = what + _kernels.SCORE, sequel.arrays(self)
+        tables = self._table.entries, self._memories.entries
+        arrays: tuple[Any, ...] = *first, *tables, action, self.weights
+        rest = form, command is None, detector, what, count
+        if self._serial and not in_python:
+            self._call(arrays, rest, 0, self.receivers)
+            return
+
+        def work(lo: int, hi: int) -> None:
+            """Attack in Python first, where it has no compiled form."""
+            if in_python:
+                self._attack(command, lo, hi)
+            self._call(arrays, rest, lo, hi)
+
+        if self._serial:
+            work(0, self.receivers)
+        else:
+            self._run(work, self.receivers)
+
+    def _memory_table(self, form: int, detector: int) -> ArrayTable:
+        """What attack and detector remember, where the kernel has them, and the verdict."""
+        arrays: list[NDArray[Any]] = list(self._no_memories.arrays)
+        if form != _kernels.NO_FORM:
+            memory = self.attack.memory
+            arrays[:2] = memory["displacement"], memory["rate"]
+            arrays[2:4] = getattr(self.attack, "axes_e", self._no_axes), memory["target_error"]
+        if detector in (_kernels.EWMA, _kernels.PASSIVE_EWMA):
+            chart, scale = _unscaled(self.detector)
+            memory, settings = chart.memory, cast("Ewma", chart).kernel_settings
+            arrays[4:7] = np.append(settings, scale), memory["average"], memory["decay"]
+        if detector != _kernels.NO_FORM:
+            arrays[7:] = *self._compiled_verdict(detector)[:3], self._history
+        return ArrayTable(arrays)
+
+    def _compiled_verdict(self, detector: int) -> Verdict:
+        if detector not in self._verdicts:
+            never = detector == _kernels.NEVER
+            shape = (self.receivers, 1) if never else self.buffers.visible.shape
+            alarm = np.zeros(shape, dtype=np.bool_)
+            weights = np.ones(self.ones.shape) if detector == _kernels.EWMA else None
+            threshold = np.full(shape, _unscaled(self.detector)[1])
+            self._verdicts[detector] = Verdict(np.zeros(shape), threshold, alarm, weights)
+        return self._verdicts[detector]
+
+    def predict(self, command: FloatArray | None) -> Epoch:
+        """First half of an epoch under attack; the epoch's arrays follow the buffers."""
+        self._first_half(ADVANCE + SHOW, command, True, self._compiled_attack())
+        self._augment()
+        return self.epoch
+
+    def advance(self) -> Epoch:
+        """First half of an epoch without attack: measure, mechanize, predict."""
+        self._first_half(ADVANCE + SHOW, None, False, _kernels.NO_FORM)
+        self._augment()
+        return self.epoch
+
+    def step(
+        self,
+        command: FloatArray | None = None,
+        *,
+        attacked: bool = True,
+        sequel: Sequel | None = None,
+    ) -> Verdict:
+        """Both halves of an epoch, in one kernel where nothing in Python comes between. The
+        `sequel` is part of it where nothing in Python comes before it, either."""
+        detector = self._compiled_detector()
+        if detector == _kernels.NO_FORM:
+            return super().step(command, attacked=attacked, sequel=sequel)
+        form = self._compiled_attack() if attacked else _kernels.NO_FORM
+        within = sequel
+        if form == _kernels.NO_FORM or self.setup.kernel is None:
+            within = None
+        verdict = self._run_compiled(detector, command, attacked, form, sequel=within)
+        if within is None and sequel is not None:
+            sequel(self, verdict)
+        elif within is not None and _kernels.HOLDS in self._found:
+            within.hold(self, verdict)
+        return verdict
+
+    @property
+    def judges_compiled(self) -> bool:
+        return self._compiled_detector() != _kernels.NO_FORM
+
+    def live_epochs(self, count: int, *, holding: bool = False) -> NDArray[np.bool_]:
+        """Run epochs with the detector and without commands, in one kernel where that is possible.
+        (`count`, B) bool alarms."""
+        detector = self._compiled_detector()
+        form = self._compiled_attack() if holding else _kernels.NO_FORM
+        in_python = holding and form == _kernels.NO_FORM
+        if in_python or not count or detector == _kernels.NO_FORM:
+            return super().live_epochs(count, holding=holding)
+        if len(self._history) < count:
+            self._history = np.zeros((count, self.receivers), dtype=np.bool_)
+            self._known = _kernels.NO_FORM, 0, 0, 0
+        self._run_compiled(detector, None, holding, form, REMEMBER, count=count)
+        return self._history[:count].copy()
+
+    def _run_compiled(
+        self,
+        detector: int,
+        command: FloatArray | None,
+        attacked: bool,
+        form: int,
+        also: int = 0,
+        *,
+        sequel: Sequel | None = None,
+        count: int = 1,
+    ) -> Verdict:
+        """Run whole epochs with a detector that has a compiled form; the last verdict."""
+        verdict = self._compiled_verdict(detector)
+        self.weights = self.ones if verdict.weights is None else verdict.weights
+        what = ADVANCE + SHOW + JUDGE + UPDATE + also
+        self._found.clear()
+        self._first_half(what, command, attacked, form, detector, sequel, count)
+        if _kernels.UNSOUND in self._found:
+            checked(verdict, self.detector, self.epoch)
+        self.verdict = verdict
+        return verdict
+
+    def _compiled_detector(self) -> int:
+        """Number of the detector's compiled form, if it has one."""
+        if self.monitors or self.augmented is not None:
+            return _kernels.NO_FORM
+        detector, _ = _unscaled(self.detector)
+        if type(detector) is Never:
+            return _kernels.NEVER
+        if type(detector) is not Ewma or detector.limits_exclusions:
+            return _kernels.NO_FORM
+        return _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
+
+    def quiet_epochs(self, count: int) -> None:
+        """Run clean epochs without a detector, in one kernel call."""
+        self.weights = self.ones
+        if self.augmented is not None:
+            for _ in range(count):
+                self.advance()
+                self._correct(None)
+            return
+        part = partial(self._epochs, ADVANCE + UPDATE + SHOW, count=count)
+        self._run(part, self.receivers)
+
+    def error_n(self) -> FloatArray:
+        """(B, 3) error of the estimate in the local axes of the epoch: north, east, down [m]."""
+        world = self.setup.world
+        error_e = self.buffers.position_e - world.position_e[self.epochs]
+        axes = world.C_en[self.epochs]
+        # a sum of products, since the bits of a matrix product depend on the size of the batch, and
+        # term by term, which takes half as long as NumPy's sum over so few
+        result: FloatArray = error_e[:, :1] * axes[:, 0]
+        result += error_e[:, 1:2] * axes[:, 1]
+        result += error_e[:, 2:] * axes[:, 2]
+        return result
+
+    def displacement(self, origin: FloatArray, twin: Self | None, out: FloatArray) -> None:
+        setup, memory = self.setup, self.memory
+        reference = (setup.true_position, self.sensors.epoch)
+        if twin is not None:
+            reference = (twin.buffers.position_e, self._everyone)
+        aim = self.sensors.epoch, memory["direction"], setup.target_heading_deg == "worst"
+        between = 0, self.receivers
+        displace(self.buffers.position_e, *reference, setup.C_en, *aim, origin, out, *between)
+
+    def scored_arrays(self) -> tuple[NDArray[Any], ...]:
+        """`step_arrays`, and what `displace` needs to know, for kernels."""
+        setup, moved = self.setup, self.attack.memory
+        now = self.sensors.epoch, self.buffers.coasting, moved["displacement"], moved["rate"]
+        position_e = self.buffers.position_e, setup.true_position
+        return *now, *position_e, setup.C_en, self.memory["direction"]
+
+    def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
+        self.buffers.copy_rows(to, other.buffers, rows)
+        self.sensors.copy_rows(to, other.sensors, rows)
+        self.attack.memory.copy_rows(to, other.attack.memory, rows)
+        if self.augmented is not None and other.augmented is not None:
+            self.augmented.copy_rows(to, other.augmented, rows)
+        super().copy_rows(to, other, rows)
+
+    def captured_channels(self) -> NDArray[np.int64]:
+        """(B,) channels that follow the counterfeit signals."""
+        captured: NDArray[np.int64] = self.attack.memory["captured"].sum(axis=1)
+        return captured
+
+    def _sky(self) -> SkyData:
+        world, epoch, offsets = self.setup.world, int(self.epochs[0]), self.sensors
+        return SkyData(
+            names=world.satellite_ids,
+            azimuth=world.azimuth[epoch],
+            elevation=world.elevation[epoch],
+            visible=world.visible[epoch],
+            spoofed=(offsets.range_offset[0] != 0.0) | (offsets.rate_offset[0] != 0.0),
+            weight=self.weights[0, : world.channels].copy(),
+        )
+
+    def recorded(self) -> dict[str, NDArray[Any]]:
+        offsets = self.sensors
+        return {"range_offset_m": offsets.range_offset, "rate_offset_mps": offsets.rate_offset}
+
+
+def tightly_coupled(simulator: object, word: str) -> TightlyCoupledSimulator:
+    """The same, where it is of tightly coupled receivers; a ValueError that names what needs it."""
+    if not isinstance(simulator, TightlyCoupledSimulator):
+        whose = getattr(getattr(simulator, "setup", None), "whose", repr(simulator))
+        raise ValueError(
+            f"{word} needs the filter of a tightly coupled receiver, which {whose} does not have"
+        )
+    return simulator

@@ -1,0 +1,326 @@
+r"""None, step, ramp, accelerating ramp, dash, intermittent.
+
+A step: to a fixed displacement as quickly as the attack's limits allow, and there it stays.
+
+Commanded by rate, it moves at the limit.  Commanded by acceleration, it accelerates and brakes at
+the limit.  In epochs of length :math:`\tau`, with the limit a, a rate
+
+.. math:: v = (m + r) \, a \tau, \qquad m = 0, 1, \dots, \quad 0 \le r < 1
+
+is braked to zero, by m full epochs and a part of one, over at least
+
+.. math:: b(v) = a \tau^2 \left[ (m + 1)(m + r) - \tfrac12 m (m + 1) \right] - \tfrac12 v \tau
+
+so that the largest rate from which the rest R of the way still suffices follows from
+:math:`\tfrac12 (v_0 + v) \tau + b(v) = R`, in which the braking distance is linear in v within
+each m.
+
+A dash: nothing for most of the window, then as fast as allowed, to be away before the alert.
+
+It has no alarm budget in mind.  What it gains lies between the alarm and the time to alert before
+it: against a detector that needs long to be sure, that is far.
+
+Bursts with pauses: an offset that comes and goes, so that a detector has to see ends, too.
+
+In a burst of length :math:`t_{on}` the offset grows at the rate :math:`s / t_{on}`, a ramp, or is
+set to s as quickly as the attack's limits allow, a step.  In the pause after it, it goes back to
+zero as quickly as the limits allow, and stays there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.registry import check_finite
+from .base import FloatArray, ScriptedSpoofer, Spoofer, SpooferContext, check_limit
+
+SLOWEST = 1e-3
+"""Slowest rate of a search, as a part of the attack's limit."""
+
+
+@dataclass(kw_only=True)
+class Ramp(ScriptedSpoofer):
+    """Pushes at a constant rate, reached at the largest acceleration that the attack allows.
+
+    Parameters
+    ----------
+    rate_mps : float
+        Rate; negative against the heading, or to shorter ranges.
+    heading_deg : float or "target"
+        As in `ScriptedSpoofer`.
+    """
+
+    described_as = "Ramp"
+    rate_mps: float = 0.5
+
+    tunable: ClassVar[str | None] = "rate_mps"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_finite("rate_mps", self.rate_mps)
+
+    def bind(self, context: SpooferContext) -> None:
+        super().bind(context)
+        check_limit(self, "rate_mps", *context.largest_rate)
+
+    def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
+        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
+        so far; returns (B,) the constant rate [m/s]."""
+        return np.full_like(rate, self.rate_mps)
+
+    @classmethod
+    def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
+        """Up to the limit of the rate, or what the episode allows to reach. Returns `low`, `high`
+        [m/s]."""
+        _, high = context.largest_rate
+        if context.control != "rate":
+            reached = context.acceleration_limit_mps2 * context.steps * context.interval_s
+            high = min(high, reached)
+        return SLOWEST * high, high
+
+
+@dataclass(kw_only=True)
+class AcceleratingRamp(ScriptedSpoofer):
+    """Pushes ever faster, until the attack's limit of the rate.
+
+    Parameters
+    ----------
+    acceleration_mps2 : float
+        Acceleration; negative against the heading, or to shorter ranges.
+    heading_deg : float or "target"
+        As in `ScriptedSpoofer`.
+    """
+
+    described_as = "AcceleratingRamp"
+    acceleration_mps2: float = 0.005
+
+    tunable: ClassVar[str | None] = "acceleration_mps2"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_finite("acceleration_mps2", self.acceleration_mps2)
+
+    def bind(self, context: SpooferContext) -> None:
+        super().bind(context)
+        if context.control != "rate":
+            limit = context.acceleration_limit_mps2
+            check_limit(self, "acceleration_mps2", "acceleration_limit_mps2", limit)
+
+    def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
+        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
+        so far; returns (B,) the rate so far, and what an epoch's acceleration adds [m/s]."""
+        return rate + self.acceleration_mps2 * self.context.interval_s
+
+    @classmethod
+    def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
+        """Up to the limit of the acceleration; by rate, to its limit within ten epochs. Returns
+        `low`, `high` [m/s^2]."""
+        high = context.acceleration_limit_mps2
+        if context.control == "rate":
+            high = context.rate_limit_mps / (10.0 * context.interval_s)
+        return SLOWEST * high, high
+
+
+SMALLEST, LARGEST = 0.1, 1000.0
+"""Range of a search [m]."""
+
+
+@dataclass(kw_only=True)
+class Step(ScriptedSpoofer):
+    """Moves to a displacement as quickly as the attack allows, without overshoot, and holds it.
+
+    Parameters
+    ----------
+    size_m : float
+        Displacement; negative against the heading, or to shorter ranges.
+    heading_deg : float or "target"
+        As in `ScriptedSpoofer`.
+    """
+
+    described_as = "Step"
+    size_m: float = 100.0
+
+    tunable: ClassVar[str | None] = "size_m"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_finite("size_m", self.size_m)
+
+    def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
+        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
+        so far; returns (B,) the largest from which the displacement is not overshot [m/s]."""
+        interval = self.context.interval_s
+        rest = self.size_m - displacement
+        if self.context.control == "rate":
+            return rest / interval
+        side = np.sign(self.size_m)
+        gain = self.context.acceleration_limit_mps2 * interval
+        return np.asarray(side * fastest(side * rest, side * rate, gain, interval))
+
+    @classmethod
+    def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
+        """From a decimetre to a kilometre.  Returns `low`, `high` [m]."""
+        return SMALLEST, LARGEST
+
+
+def fastest(rest: FloatArray, rate: FloatArray, gain: float, interval: float) -> FloatArray:
+    """Largest rate at the end of an epoch from which the rest of a way suffices to brake. `rest`:
+    way left [m]; what rounding made negative counts as 0; `rate`: rate at the start of the epoch
+    [m/s], of the same shape; `gain`: largest change of the rate in an epoch [m/s]; `interval`:
+    length of an epoch [s]; returns [m/s]."""
+    # way beyond the first half of the present epoch, in units of a tau^2
+    way = np.maximum(rest - 0.5 * rate * interval, 0.0) / (gain * interval)
+    full = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * way) - 1.0))
+    return np.asarray(gain * (way + 0.5 * full * (full + 1.0)) / (full + 1.0))
+
+
+@dataclass(kw_only=True)
+class Dash(ScriptedSpoofer):
+    """Waits, then pushes at a rate that it reaches at the largest acceleration.
+
+    Parameters
+    ----------
+    rate_mps : float
+        Rate of the dash; negative against the heading, or to shorter ranges.  More than the attack
+        allows is cut to that.
+    last_s : float
+        How long before the end of the attack window it begins, above 0 [s]; from the onset on
+        where the window is shorter.
+    heading_deg : float or "target"
+        As in `ScriptedSpoofer`.
+    """
+
+    described_as = "Dash"
+    rate_mps: float = 10.0
+    last_s: float = 30.0
+
+    tunable: ClassVar[str | None] = "rate_mps"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_finite("rate_mps", self.rate_mps)
+        check_finite("last_s", self.last_s, "> 0")
+
+    def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
+        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
+        so far; returns (B,) 0 before the dash [m/s]."""
+        begins = self.context.steps - round(self.last_s / self.context.interval_s)
+        return np.where(step >= begins, self.rate_mps, 0.0)
+
+    @classmethod
+    def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
+        """As of a ramp.  Returns `low`, `high` [m/s]."""
+        return Ramp.tuning_range(context)
+
+
+SHAPES = ("ramp", "step")
+
+
+@dataclass(kw_only=True)
+class Intermittent(ScriptedSpoofer):
+    """Ramps and steps of the displacement, one after the other, with pauses between them.
+
+    Parameters
+    ----------
+    shapes : tuple of {"ramp", "step"}
+        Shape of each burst; after the last one it starts again with the first one.
+    sizes_m : tuple of float
+        Displacement at the end of each burst, as many as shapes; negative against the heading, or
+        to shorter ranges.
+    on_s, off_s : float
+        Lengths of a burst, above 0, and of a pause, at least 0; rounded to epochs, a burst to at
+        least one.
+    bursts : int or None
+        How many bursts there are, at least 1; None for as many as the episode has time for.
+    scale : float
+        Factor of all sizes.
+    heading_deg : float or "target"
+        As in `ScriptedSpoofer`.
+    """
+
+    described_as = "Intermittent"
+    shapes: tuple[str, ...] = ("ramp",)
+    sizes_m: tuple[float, ...] = (20.0,)
+    on_s: float = 40.0
+    off_s: float = 10.0
+    bursts: int | None = None
+    scale: float = 1.0
+
+    tunable: ClassVar[str | None] = "scale"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.shapes, self.sizes_m = tuple(self.shapes), tuple(self.sizes_m)
+        for shape in self.shapes:
+            if shape not in SHAPES:
+                raise ValueError(
+                    f"`shapes` must be among {', '.join(map(repr, SHAPES))}, got {shape!r}"
+                )
+        if not self.shapes or len(self.shapes) != len(self.sizes_m):
+            raise ValueError(
+                "`shapes` and `sizes_m` must be as many, at least one, got "
+                f"{len(self.shapes)} and {len(self.sizes_m)}"
+            )
+        for size in self.sizes_m:
+            check_finite("sizes_m", size)
+        for name in ("on_s", "off_s", "scale"):
+            check_finite(name, getattr(self, name))
+        if self.on_s <= 0.0:
+            raise ValueError(f"`on_s` must be > 0, got {self.on_s}")
+        if self.off_s < 0.0:
+            raise ValueError(f"`off_s` must be >= 0, got {self.off_s}")
+        if self.bursts is not None and self.bursts < 1:
+            raise ValueError(f"`bursts` must be at least 1 or None, got {self.bursts}")
+
+    def bind(self, context: SpooferContext) -> None:
+        super().bind(context)
+        self._on = max(1, round(self.on_s / context.interval_s))
+        self._off = round(self.off_s / context.interval_s)
+        self._sizes = self.scale * np.array(self.sizes_m)
+        self._is_ramp = np.array([shape == "ramp" for shape in self.shapes])
+
+    def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
+        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
+        so far; returns (B,) of the ramp, or the largest from which the displacement that is wanted
+        is not overshot [m/s]."""
+        burst, place = np.divmod(step.astype(np.int64), self._on + self._off)
+        is_on = place < self._on
+        if self.bursts is not None:
+            is_on &= burst < self.bursts
+        number = burst % len(self._sizes)
+        wanted = np.where(is_on, self._sizes[number], 0.0)
+        slope = self._sizes[number] / (self._on * self.context.interval_s)
+        toward = self._toward(wanted, rate, displacement)
+        return np.where(is_on & self._is_ramp[number], slope, toward)
+
+    def _toward(self, wanted: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
+        interval = self.context.interval_s
+        rest = wanted - displacement
+        if self.context.control == "rate":
+            return rest / interval
+        side = np.where(rest == 0.0, -np.sign(rate), np.sign(rest))
+        gain = self.context.acceleration_limit_mps2 * interval
+        return np.asarray(side * fastest(side * rest, side * rate, gain, interval))
+
+    @classmethod
+    def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
+        """Sizes from a decimetre to a kilometre, of a burst of 20 m."""
+        usual = max(map(abs, cls.sizes_m))
+        return SMALLEST / usual, LARGEST / usual
+
+
+@dataclass
+class NoSpoofer(Spoofer):
+    """Commands zero; a benchmark leaves the measurements of its runs authentic."""
+
+    described_as = "NoSpoofer"
+    knowledge = "blind"
+    transmits = False
+
+    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Command nothing: (B, a) zeros."""
+        return np.zeros((self.context.receivers, len(self.context.action_names)))

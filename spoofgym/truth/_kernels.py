@@ -1,0 +1,398 @@
+"""Compiled loops of the authentic world; those of lane arrays take one group of receivers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.compile import inlined, njit
+from ..core.lanes import first_rows
+from ..core.simd import any_lane, floor, load, select, set_lane, splat, sqrt, store
+from ..earth.wgs84 import range_and_rate
+from .clock import advance_clock
+from .noise import deviates, exponential
+from .sensors import CONSTANTS, SOURCES, sensor_shapes
+from .signal_errors import MAPPINGS, deviates_of, signal_shapes
+
+_ROWS = first_rows(sensor_shapes(1))
+RESIDUAL, CLOCK = _ROWS["residual"], _ROWS["clock"]
+_CONSTANTS = first_rows(CONSTANTS)
+ACCEL_BIAS, ACCEL_MATRIX = _CONSTANTS["accel_bias"], _CONSTANTS["accel_matrix"]
+GYRO_BIAS, GYRO_MATRIX, G_DEPENDENCE = (
+    _CONSTANTS["gyro_bias"],
+    _CONSTANTS["gyro_matrix"],
+    _CONSTANTS["g_dependence"],
+)
+IMU_NOISE, CLOCK_PSD = _CONSTANTS["imu_noise"], _CONSTANTS["clock_psd"]
+GNSS_NOISE, CORRELATED_NOISE = _CONSTANTS["gnss_noise"], _CONSTANTS["correlated_noise"]
+CONSTANT_ROWS = CORRELATED_NOISE + 2
+CHANNELS = _ROWS["satellite_bias"]
+"""First row of the biases; n rows later the correlated errors."""
+IMU_KEY, CLOCK_KEY, GNSS_KEY, CORRELATED_KEY = (
+    2 * SOURCES.index(source) for source in ("imu", "clock", "gnss", "correlated")
+)
+KEYS = 2 * len(SOURCES)
+_SIGNALS = first_rows(signal_shapes(1))
+PROCESSES, FADING, AMPLITUDES = _SIGNALS["processes"], _SIGNALS["fading"], _SIGNALS["amplitudes"]
+CARRIER, CLOCK_STEP, LOSS = _SIGNALS["carrier"], _SIGNALS["clock_step"], _SIGNALS["loss"]
+FRONT, ZENITH, SIGNALS = _SIGNALS["front"], _SIGNALS["zenith"], _SIGNALS["front_arrival"]
+"""First rows of what there is of every receiver's signals, and from `SIGNALS` on of each of them:
+arrivals of a front, errors of orbit and clock, their rates, multipath, noise, readings."""
+SIGNAL_ROWS = 6
+DISTURBED = 4
+"""Rows of each signal that `disturb` writes."""
+LATER = 1 << 40
+"""Counter of the first epoch's deviates of signals, under the key of the correlated errors."""
+CHUNK = 16
+"""Samples whose truth is gathered at a time, so that it stays in the nearest cache."""
+SKY = 8
+"""What is known of a satellite: position, velocity, true range and range rate, 0 if invisible."""
+
+
+@njit
+def fill_ranges(satellites, visible, position_e, velocity_e):
+    """Write true range and range rate of all visible satellites into columns 6 and 7. `satellites`
+    (K, n, 8) position, velocity, range, range rate; `visible` (K, n) bool; `position_e`,
+    `velocity_e` (K, 3) antenna."""
+    for k in range(satellites.shape[0]):
+        r, v = position_e[k], velocity_e[k]
+        for s in range(satellites.shape[1]):
+            if visible[k, s]:
+                p = satellites[k, s]
+                rho, rate, _, _, _ = range_and_rate(
+                    p[0], p[1], p[2], p[3], p[4], p[5], r[0], r[1], r[2], v[0], v[1], v[2]
+                )
+                p[6] = rho
+                p[7] = rate
+
+
+@njit
+def gather_sky(satellites, epochs, sky):
+    """Put what is known of the satellites at each lane's epoch into rows ``8 s`` to ``8 s + 7``."""
+    n = satellites.shape[1]
+    for index in range(epochs.shape[0]):
+        k = epochs[index]
+        for s in range(n):
+            for i in range(SKY):
+                set_lane(sky, SKY * s + i, index, satellites[k, s, i])
+
+
+@njit
+def gather_truth(run, first, start, stop, truth):
+    """Put the samples from `start` on, counted from each lane's `first`, into rows of eight."""
+    lanes, same = first.shape[0], True
+    for index in range(1, lanes):
+        same = same and first[index] == first[0]
+    for i in range(start, stop):
+        for c in range(8):
+            if same:
+                store(truth, 8 * (i - start) + c, run[c, first[0] + i])
+            else:
+                for index in range(lanes):
+                    set_lane(truth, 8 * (i - start) + c, index, run[c, first[index] + i])
+
+
+@inlined
+def _rounded(total, level, inverse):
+    """The quantization level next to a running sum; itself where there is no quantization."""
+    return select(level > 0.0, level * floor(total * inverse + 0.5), total)
+
+
+@inlined
+def _row(matrix, row, f0, f1, f2):
+    m = load(matrix, row) * f0 + load(matrix, row + 1) * f1
+    return m + load(matrix, row + 2) * f2
+
+
+@inlined
+def _keep(sensors, row, now, value):
+    store(sensors, row, select(now, value, load(sensors, row)))
+
+
+@njit
+def sense(run, first, count, sensors, base, constants, fixed, samples, dt, truth, active):
+    r"""Measure the samples of one interval, in place of the deviates that their noise is made of.
+
+    .. math:: x_i &= b + \sqrt{S / \Delta t_i} \, n_i + M (f_i, w_i) \\
+        m_i &= q \left(\left\lfloor \tfrac{c_i}{q} + \tfrac12 \right\rfloor
+        - \left\lfloor \tfrac{c_{i-1}}{q} + \tfrac12 \right\rfloor\right), \qquad
+        c_i = r + \sum_{j \le i} x_j
+
+    what rounding to the quantization level q leaves over is carried on in r (`imu`).
+
+    `run` (8, N) true samples, their lengths and root rates; `first` (lanes,) first sample of each
+    lane's interval; `count`: samples of all of them; `sensors`, `base`: errors of the group, and
+    its first row; `constants`, `fixed`: the same of what stays as it is; `samples`: lane array,
+    rows c count + i for sensor c and sample i; `dt`: lane array, written: lengths [s]; `truth`:
+    scratch memory of 8 `CHUNK` rows; `active`: one row, 1 or 0, which lanes keep what is carried
+    on.
+    """
+    b, k = base, fixed
+    level_a, level_g = load(constants, k + IMU_NOISE), load(constants, k + IMU_NOISE + 1)
+    qa, qg = load(constants, k + IMU_NOISE + 2), load(constants, k + IMU_NOISE + 3)
+    ia, ig = select(qa > 0.0, 1.0 / qa, 0.0), select(qg > 0.0, 1.0 / qg, 0.0)
+    c0, c1 = load(sensors, b + RESIDUAL), load(sensors, b + RESIDUAL + 1)
+    c2, c3 = load(sensors, b + RESIDUAL + 2), load(sensors, b + RESIDUAL + 3)
+    c4, c5 = load(sensors, b + RESIDUAL + 4), load(sensors, b + RESIDUAL + 5)
+    zero = splat(0.0, sensors)
+    p0, p1, p2, p3, p4, p5 = zero, zero, zero, zero, zero, zero
+    n = count
+    for start in range(0, count, CHUNK):
+        stop = min(start + CHUNK, count)
+        gather_truth(run, first, start, stop, truth)
+        for i in range(start, stop):
+            t = 8 * (i - start)
+            f0, f1, f2 = load(truth, t), load(truth, t + 1), load(truth, t + 2)
+            w0, w1, w2 = load(truth, t + 3), load(truth, t + 4), load(truth, t + 5)
+            store(dt, i, load(truth, t + 6))
+            rate = load(truth, t + 7)
+            a, g, d = k + ACCEL_BIAS, k + GYRO_BIAS, k + G_DEPENDENCE
+            c0 += (load(constants, a) + level_a * load(samples, i) * rate) + _row(
+                constants, k + ACCEL_MATRIX, f0, f1, f2
+            )
+            c1 += (load(constants, a + 1) + level_a * load(samples, n + i) * rate) + _row(
+                constants, k + ACCEL_MATRIX + 3, f0, f1, f2
+            )
+            c2 += (load(constants, a + 2) + level_a * load(samples, 2 * n + i) * rate) + _row(
+                constants, k + ACCEL_MATRIX + 6, f0, f1, f2
+            )
+            c3 += (
+                (load(constants, g) + level_g * load(samples, 3 * n + i) * rate)
+                + _row(constants, d, f0, f1, f2)
+                + _row(constants, k + GYRO_MATRIX, w0, w1, w2)
+            )
+            c4 += (
+                (load(constants, g + 1) + level_g * load(samples, 4 * n + i) * rate)
+                + _row(constants, d + 3, f0, f1, f2)
+                + _row(constants, k + GYRO_MATRIX + 3, w0, w1, w2)
+            )
+            c5 += (
+                (load(constants, g + 2) + level_g * load(samples, 5 * n + i) * rate)
+                + _row(constants, d + 6, f0, f1, f2)
+                + _row(constants, k + GYRO_MATRIX + 6, w0, w1, w2)
+            )
+            m0, m1, m2 = _rounded(c0, qa, ia), _rounded(c1, qa, ia), _rounded(c2, qa, ia)
+            m3, m4, m5 = _rounded(c3, qg, ig), _rounded(c4, qg, ig), _rounded(c5, qg, ig)
+            store(samples, i, m0 - p0)
+            store(samples, n + i, m1 - p1)
+            store(samples, 2 * n + i, m2 - p2)
+            store(samples, 3 * n + i, m3 - p3)
+            store(samples, 4 * n + i, m4 - p4)
+            store(samples, 5 * n + i, m5 - p5)
+            p0, p1, p2, p3, p4, p5 = m0, m1, m2, m3, m4, m5
+    now = load(active, 0) > 0.0
+    b += RESIDUAL
+    _keep(sensors, b, now & (qa > 0.0), c0 - p0)
+    _keep(sensors, b + 1, now & (qa > 0.0), c1 - p1)
+    _keep(sensors, b + 2, now & (qa > 0.0), c2 - p2)
+    _keep(sensors, b + 3, now & (qg > 0.0), c3 - p3)
+    _keep(sensors, b + 4, now & (qg > 0.0), c4 - p4)
+    _keep(sensors, b + 5, now & (qg > 0.0), c5 - p5)
+
+
+@njit
+def recorded(run, first, count, samples, dt):
+    """Take the samples of one interval as `run` has them, measured; the others as in `sense`."""
+    for index in range(first.shape[0]):
+        for i in range(count):
+            for c in range(6):
+                set_lane(samples, c * count + i, index, run[c, first[index] + i])
+            set_lane(dt, i, index, run[6, first[index] + i])
+
+
+@njit
+def advance_correlated(sensors, base, channels, sd, time, key0, key1, epoch, tau, noise):
+    r"""Correlated code errors at the next epoch: first-order Gauss-Markov.
+
+    .. math:: c^+ = \alpha c + \sigma \sqrt{1 - \alpha^2}\, w, \qquad \alpha = e^{-\tau / T}
+
+    which is exact for any interval, and stationary since it begins with :math:`\sigma w`.
+
+    `sd`, `time`: :math:`\sigma` [m] and T [s]; `tau`: time since the epoch before [s]; 0 for the
+    first epoch; `noise`: scratch memory.
+    """
+    alpha = select(tau > 0.0, exponential(-tau / time), 0.0)
+    driving = sd * sqrt(1.0 - alpha * alpha)
+    deviates(key0, key1, epoch, noise.shape[0], channels, noise)
+    for s in range(channels):
+        row = base + CHANNELS + channels + s
+        store(sensors, row, alpha * load(sensors, row) + driving * load(noise, s))
+
+
+@inlined
+def _advance_process(x, row, value, rate, moves, first, second):
+    """Value and rate of a critically damped process at the next epoch, where the lane moves."""
+    v, w = load(x, value), load(x, rate)
+    new = load(x, row) * v + load(x, row + 1) * w + load(x, row + 4) * first
+    speed = load(x, row + 2) * v + load(x, row + 3) * w
+    speed = speed + load(x, row + 5) * first + load(x, row + 6) * second
+    v, w = select(moves, new, v), select(moves, speed, w)
+    store(x, value, v)
+    store(x, rate, w)
+    return v, w
+
+
+@njit
+def gather_mappings(mappings, epochs, out):
+    """Put what is known of the lines of sight at each lane's epoch into rows of `MAPPINGS`."""
+    for index in range(epochs.shape[0]):
+        for s in range(mappings.shape[1]):
+            for i in range(MAPPINGS):
+                set_lane(out, MAPPINGS * s + i, index, mappings[epochs[index], s, i])
+
+
+@njit
+def disturb(signals, base, n, key0, key1, number, epoch, tau, mapping, noise, sky, out):
+    """Advance what a group's signals pick up, and write it, `DISTURBED` rows of n each.
+
+    Errors of the paths of codes [m] and of carriers [m/s], which a counterfeit signal does not
+    have, then noise of the receiver in codes and range rates.  A satellite that is lost is taken
+    out of the sky.
+
+    `number`, `epoch`: of each lane, as a float and as a word; `mapping`: of `gather_mappings`;
+    `noise`: scratch memory, the size of an epoch's deviates; returns the step of the clock [m].
+    """
+    b, moves, count = base, tau > 0.0, deviates_of(n)
+    deviates(key0, key1, epoch + np.uint64(LATER), noise.shape[0], count, noise)
+    ionosphere, ionosphere_rate = _advance_process(
+        signals, b + PROCESSES, b + ZENITH, b + ZENITH + 1, moves, load(noise, 0), load(noise, 1)
+    )
+    troposphere, troposphere_rate = _advance_process(
+        signals,
+        b + PROCESSES + 7,
+        b + ZENITH + 2,
+        b + ZENITH + 3,
+        moves,
+        load(noise, 2),
+        load(noise, 3),
+    )
+    alpha, driving = load(signals, b + FADING), load(signals, b + FADING + 1)
+    per_time, growth = load(signals, b + CARRIER + 1), load(signals, b + FRONT)
+    highest = load(signals, b + FRONT + 1)
+    lost = (number >= load(signals, b + LOSS + 1)) & (number < load(signals, b + LOSS + 2))
+    each = b + SIGNALS
+    for s in range(n):
+        k = 4 + s
+        orbit, orbit_rate = _advance_process(
+            signals,
+            b + PROCESSES + 14,
+            each + n + s,
+            each + 2 * n + s,
+            moves,
+            load(noise, k),
+            load(noise, k + n),
+        )
+        row = each + 3 * n + s
+        reflected = load(signals, row)
+        fresh = alpha * reflected + driving * load(noise, k + 2 * n)
+        reflected = select(moves, fresh, reflected)
+        store(signals, row, reflected)
+        thermal = load(signals, row + n)
+        thermal = select(moves, alpha * thermal + driving * load(noise, k + 3 * n), thermal)
+        store(signals, row + n, thermal)
+        reading = load(signals, b + CARRIER) * load(noise, k + 4 * n)
+        change = (reading - load(signals, row + 2 * n)) * per_time
+        store(signals, row + 2 * n, reading)
+        m = MAPPINGS * s
+        slant, slant_rate = load(mapping, m), load(mapping, m + 1)
+        thick, thick_rate = load(mapping, m + 2), load(mapping, m + 3)
+        # behind a front the delay grows up to its largest value
+        behind = (number - load(signals, each + s)) * growth
+        inside = (behind > 0.0) & (behind < highest)
+        front = select(behind > 0.0, select(behind < highest, behind, highest), 0.0)
+        front_rate = select(inside, growth * per_time, 0.0)
+        delay = slant * ionosphere + front
+        delay_rate = slant * ionosphere_rate + slant_rate * ionosphere + front_rate
+        others = thick * troposphere + orbit
+        others_rate = thick * troposphere_rate + thick_rate * troposphere + orbit_rate
+        a = b + AMPLITUDES
+        size = load(signals, a) + load(signals, a + 1) * load(mapping, m + 4)
+        store(out, s, delay + others + size * reflected)
+        store(out, n + s, others_rate - delay_rate)
+        size = load(signals, a + 2) + load(signals, a + 3) * load(mapping, m + 5)
+        store(out, 2 * n + s, size * thermal)
+        store(out, 3 * n + s, change)
+        gone = lost & (load(signals, b + LOSS) == float(s))
+        store(sky, SKY * s + 6, select(gone, 0.0, load(sky, SKY * s + 6)))
+    return select(number == load(signals, b + CLOCK_STEP), load(signals, b + CLOCK_STEP + 1), 0.0)
+
+
+@njit
+def measure(
+    sensors,
+    base,
+    constants,
+    fixed,
+    channels,
+    keys,
+    key_row,
+    epoch,
+    tau,
+    sky,
+    noise,
+    replaced,
+    picked_up,
+    out,
+    first,
+):
+    """Measure a group's pseudoranges and range rates at one epoch.
+
+    `sensors`, `base`, `constants`, `fixed`: as in `sense`; `epoch`, `tau`: of each lane, and time
+    since the epoch before [s]; 0 leaves the clock alone; `sky`: of `gather_sky`; `noise`: scratch
+    memory for the deviates; `replaced`: lane array of 4 n rows, what an attack adds to pseudoranges
+    and range rates, and what stays of their authentic errors (`SensorBuffers`); `picked_up`: lane
+    array of what `disturb` wrote, or of no row; `out`: lane array; its 2 n rows from `first` on are
+    written, 0 where invisible.
+    """
+    n = channels
+    b, k = base, key_row
+    phase, frequency = load(constants, fixed + CLOCK_PSD), load(constants, fixed + CLOCK_PSD + 1)
+    a, w = splat(0.0, sensors), splat(0.0, sensors)
+    if any_lane((phase > 0.0) | (frequency > 0.0)):
+        deviates(
+            load(keys, k + CLOCK_KEY),
+            load(keys, k + CLOCK_KEY + 1),
+            epoch,
+            noise.shape[0],
+            2,
+            noise,
+        )
+        a, w = load(noise, 0), load(noise, 1)
+    bias, drift = advance_clock(
+        load(sensors, b + CLOCK), load(sensors, b + CLOCK + 1), tau, phase, frequency, a, w
+    )
+    store(sensors, b + CLOCK, bias)
+    store(sensors, b + CLOCK + 1, drift)
+    sd, time = (
+        load(constants, fixed + CORRELATED_NOISE),
+        load(constants, fixed + CORRELATED_NOISE + 1),
+    )
+    if any_lane(sd > 0.0):
+        key0, key1 = load(keys, k + CORRELATED_KEY), load(keys, k + CORRELATED_KEY + 1)
+        advance_correlated(sensors, b, n, sd, time, key0, key1, epoch, tau, noise)
+    key0, key1 = load(keys, k + GNSS_KEY), load(keys, k + GNSS_KEY + 1)
+    deviates(key0, key1, epoch, noise.shape[0], 2 * n, noise)
+    code_sd, rate_sd = load(constants, fixed + GNSS_NOISE), load(constants, fixed + GNSS_NOISE + 1)
+    for s in range(n):
+        true_range = load(sky, SKY * s + 6)
+        visible = true_range > 0.0
+        constant = load(sensors, b + CHANNELS + s)
+        code_error = code_sd * load(noise, s)
+        rate_error = rate_sd * load(noise, n + s)
+        correlated = load(sensors, b + CHANNELS + n + s)
+        path_rate = splat(0.0, sensors)
+        if picked_up.shape[0] > 0:
+            correlated += load(picked_up, s)
+            path_rate = load(picked_up, n + s)
+            code_error += load(picked_up, 2 * n + s)
+            rate_error += load(picked_up, 3 * n + s)
+        rho = (true_range + constant + bias) + code_error + load(replaced, s) + correlated
+        rate = load(sky, SKY * s + 7) + drift + rate_error + load(replaced, n + s)
+        rate += path_rate
+        # a counterfeit signal may bring errors of its own
+        stays, rate_stays = load(replaced, 2 * n + s), load(replaced, 3 * n + s)
+        rho -= (1.0 - select(stays > 0.0, stays, 0.0)) * (constant + correlated)
+        rho -= select(stays < 0.0, code_error, 0.0)
+        rate -= (1.0 - select(rate_stays > 0.0, rate_stays, 0.0)) * path_rate
+        rate -= select(rate_stays < 0.0, rate_error, 0.0)
+        store(out, first + s, select(visible, rho, 0.0))
+        store(out, first + n + s, select(visible, rate, 0.0))

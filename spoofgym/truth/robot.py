@@ -1,0 +1,331 @@
+r"""Wheeled robot: course, encoders, heading, GNSS fixes.
+
+True motion of a wheeled robot on a closed course.
+
+The course is a rectangle with rounded corners, driven clockwise at constant speed.  Position and
+heading are closed forms of the distance travelled, so that a lap ends where it began.
+
+Source: `song2021`, section 4.1: the sidelines of a badminton court, 0.5 m/s, first heading 248 deg.
+
+What a wheeled robot measures: encoders, a heading, and GNSS positions.
+
+Dead reckoning adds up, from sample to sample, the mean way of the two wheels in the direction of
+the heading in the middle of the sample,
+
+.. math:: \Delta p = \tfrac12 (s^l + s^r) (\cos\bar\psi, \sin\bar\psi), \qquad
+    s = o \frac{2 \pi W_r}{L}
+
+with o counts of an encoder of L counts a turn and wheels of radius W_r.  The heading comes from an
+inertial system whose magnetometer is deflected by iron on the robot,
+
+.. math:: \psi^I = \psi - A \sin\psi + \text{noise}
+
+and drives dead reckoning off by the same vector every lap.  A GNSS position is the true one, a
+Gauss-Markov error, white noise, and what a spoofer adds.
+
+Deviations from `song2021`, sections 2.3 and 4.1:
+
+1. The paper multiplies counts by counts per turn in its eq. 2; they are divided here.
+2. It takes the heading at the end of a step; the mean of both ends has no error in a turn.
+3. It names no error that would let dead reckoning drift.  A = 4 deg gives the drift of its tables.
+4. Its receiver's errors are not described.  A deviation of 1.0 m an axis that is correlated over
+   60 s, and 0.2 m of white noise, give the spread of its clean data; white noise alone would raise
+   its alarm all the time.
+5. Radius and distance of the wheels are not printed; neither matters, since wheels do not slip.
+6. The noise of the heading is the magnetometer's last digit, 0.6 uT in a horizontal field of 28 uT.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.compile import njit
+from .noise import BLOCK, normals
+
+FloatArray = NDArray[np.float64]
+MOST_SPEED = 100.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotTrack:
+    """Truth at every sample of the encoders; sample 0 is at time zero.
+
+    - `time` (N+1,) [s];
+    - `position_ne`, `velocity_ne` (N+1, 2) north and east of the start [m], [m/s];
+    - `yaw` (N+1,) heading, clockwise from north, not wrapped [rad];
+    - `distance` (N+1,) travelled by the middle of the axle [m].
+    """
+
+    described_as = "RobotTrack"
+    time: FloatArray
+    position_ne: FloatArray
+    velocity_ne: FloatArray
+    yaw: FloatArray
+    distance: FloatArray
+
+    def wheels(self, wheel_base: float) -> tuple[FloatArray, FloatArray]:
+        """Distance that the left and the right wheel have rolled. `wheel_base`: distance between
+        the wheels [m]; returns `left`, `right` (N+1,) [m]; the left wheel is the outer one of a
+        turn to the right."""
+        turned = 0.5 * wheel_base * (self.yaw - self.yaw[0])
+        return self.distance + turned, self.distance - turned
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotLoop:
+    """A rectangular course.
+
+    - `length_m`, `width_m`: sides; the first one that is driven is a long one;
+    - `corner_radius_m`: radius of the corners, above 0 and at most half the shorter side; the paper
+      does not say how its robot turns;
+    - `heading_deg`: of the first side, clockwise from north;
+    - `speed_mps`: 0 for a robot at rest.
+    """
+
+    described_as = "RobotLoop"
+    length_m: float = 13.4
+    width_m: float = 6.1
+    corner_radius_m: float = 0.3
+    heading_deg: float = 248.0
+    speed_mps: float = 0.5
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not math.isfinite(value):
+                raise ValueError(f"`{item.name}` must be finite, got {value}")
+        for name in ("length_m", "width_m"):
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"`{name}` must be > 0, got {getattr(self, name)}")
+        most = 0.5 * min(self.length_m, self.width_m)
+        if not 0.0 < self.corner_radius_m <= most:
+            raise ValueError(
+                f"`corner_radius_m` must be in (0, {most:g}], got {self.corner_radius_m}"
+            )
+        if not 0.0 <= self.speed_mps <= MOST_SPEED:
+            raise ValueError(f"`speed_mps` must be in [0, {MOST_SPEED:g}], got {self.speed_mps}")
+
+    @property
+    def lap_s(self) -> float:
+        """Time of a lap; 0 for a robot at rest."""
+        return float(self._pieces()[0].sum()) / self.speed_mps if self.speed_mps else 0.0
+
+    def _pieces(self) -> tuple[FloatArray, FloatArray]:
+        """(8,) length and turn of the sides and corners of a lap."""
+        r = self.corner_radius_m
+        corner = 0.5 * math.pi * r
+        long, short = self.length_m - 2.0 * r, self.width_m - 2.0 * r
+        return (
+            np.array([long, corner, short, corner] * 2),
+            np.array([0.0, 0.5 * math.pi] * 4),
+        )
+
+    def track(self, samples: int, interval_s: float) -> RobotTrack:
+        r"""Truth along the course.
+
+        With heading :math:`\psi` at the start of a side or corner and distance s within it,
+
+        .. math:: \Delta p = s (\cos\psi, \sin\psi), \qquad
+            \Delta p = r (\sin\psi' - \sin\psi, \cos\psi - \cos\psi'), \quad \psi' = \psi + s / r
+        """
+        lengths, turns = self._pieces()
+        time: FloatArray = np.arange(samples + 1, dtype=np.float64) * interval_s
+        distance: FloatArray = self.speed_mps * time
+        ends = np.cumsum(lengths)
+        lap, within = np.divmod(distance, ends[-1])
+        piece = np.minimum(np.searchsorted(ends, within, side="right"), 7)
+        s = within - (ends - lengths)[piece]
+        heading = math.radians(self.heading_deg) + np.concatenate([[0.0], np.cumsum(turns)[:-1]])
+        starts = np.zeros((8, 2))
+        for i in range(7):
+            starts[i + 1] = starts[i] + self._moved(heading[i], lengths[i], i % 2 == 1)
+        first = heading[piece]
+        straight = self._moved(first, s, False)
+        curved = self._moved(first, s, True)
+        corner = (piece % 2 == 1)[:, None]
+        yaw = first + np.where(piece % 2 == 1, s / self.corner_radius_m, 0.0)
+        direction = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+        return RobotTrack(
+            time=time,
+            position_ne=starts[piece] + np.where(corner, curved, straight),
+            velocity_ne=self.speed_mps * direction,
+            yaw=yaw + 2.0 * math.pi * lap,
+            distance=distance,
+        )
+
+    def _moved(self, heading: FloatArray, s: FloatArray, corner: bool) -> FloatArray:
+        """(..., 2) north and east moved over a distance along a side or a corner."""
+        if not corner:
+            return np.stack([s * np.cos(heading), s * np.sin(heading)], axis=-1)
+        r = self.corner_radius_m
+        end = heading + s / r
+        return r * np.stack([np.sin(end) - np.sin(heading), np.cos(heading) - np.cos(end)], axis=-1)
+
+
+SOURCES = ("yaw", "fix")
+"""Sources of chance; each has a key of its own in every episode."""
+MOST_SAMPLES = BLOCK
+"""Most encoder samples between two fixes: one block of noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Odometer:
+    """Encoders and heading.
+
+    - `wheel_radius_m`, `wheel_base_m`: radius of the wheels and distance between them, above 0;
+    - `sample_interval_s`: time between samples, above 0;
+    - `hard_iron_deg`: A, largest error of the heading by iron, -45 to 45;
+    - `yaw_noise_deg`: white noise of the heading at every sample, at least 0.
+    """
+
+    described_as = "Odometer"
+    counts_per_turn: int = 495
+    wheel_radius_m: float = 0.0325
+    wheel_base_m: float = 0.2
+    sample_interval_s: float = 0.1
+    hard_iron_deg: float = 4.0
+    yaw_noise_deg: float = 0.35
+
+    def __post_init__(self) -> None:
+        if self.counts_per_turn < 1:
+            raise ValueError(f"`counts_per_turn` must be at least 1, got {self.counts_per_turn}")
+        for name in ("wheel_radius_m", "wheel_base_m", "sample_interval_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"`{name}` must be finite and > 0, got {value}")
+        if not abs(self.hard_iron_deg) <= 45.0:
+            raise ValueError(f"`hard_iron_deg` must be in [-45, 45], got {self.hard_iron_deg}")
+        if not 0.0 <= self.yaw_noise_deg <= 45.0:
+            raise ValueError(f"`yaw_noise_deg` must be in [0, 45], got {self.yaw_noise_deg}")
+
+    @property
+    def count_m(self) -> float:
+        """Way of one count [m]."""
+        return 2.0 * math.pi * self.wheel_radius_m / self.counts_per_turn
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixErrors:
+    """GNSS position errors, alike in north and east. `correlation_time_s`: its time constant, above
+    0; `white_sd_m`: white noise at every fix."""
+
+    described_as = "FixErrors"
+    correlated_sd_m: float = 1.0
+    correlation_time_s: float = 60.0
+    white_sd_m: float = 0.2
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            least = item.name == "correlation_time_s"
+            if not (math.isfinite(value) and value >= 0.0) or (least and value == 0.0):
+                sign = ">" if least else ">="
+                raise ValueError(f"`{item.name}` must be finite and {sign} 0, got {value}")
+
+    def decay(self, interval_s: float) -> float:
+        """What is left of the correlated part after an interval, in (0, 1)."""
+        return math.exp(-interval_s / self.correlation_time_s)
+
+
+def episode_keys(episode: np.random.SeedSequence) -> tuple[NDArray[np.uint64], FloatArray]:
+    """Keys of all noise of a new episode. Returns `keys` (2, 2) of each of `SOURCES`; `phase` (2,)
+    part of a count at which the left and the right encoder start, in [0, 1)."""
+    words = 2 * len(SOURCES)
+    state = np.asarray(episode.generate_state(words + 2, np.uint64), dtype=np.uint64)
+    phase = np.asarray((state[words:] >> np.uint64(11)) * 2.0**-53, dtype=np.float64)
+    return state[:words].reshape(-1, 2), phase
+
+
+@njit
+def measure_odometry(
+    keys: NDArray[np.uint64],
+    epoch: NDArray[np.int64],
+    first: NDArray[np.int64],
+    left: FloatArray,
+    right: FloatArray,
+    yaw: FloatArray,
+    samples: int,
+    count_m: float,
+    hard_iron: float,
+    yaw_sd: float,
+    phase: FloatArray,
+    noise: FloatArray,
+    last_yaw: FloatArray,
+    increment: FloatArray,
+) -> None:
+    """Dead reckoning since the last epoch.
+
+    `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
+    that at which the episode starts; `left`, `right`, `yaw` (N+1,) way of the wheels [m] and true
+    heading [rad] at every sample; `phase` (B, 2) phases of the encoders; `noise` (`BLOCK`,), work
+    space; `last_yaw` (B,) measured heading of the last sample [rad], overwritten; `increment`
+    (B, 2) north and east [m], written; 0 at the start.
+    """
+    for b in range(epoch.shape[0]):
+        k = epoch[b]
+        normals(keys[b, 0, 0], keys[b, 0, 1], k, noise)
+        north, east = 0.0, 0.0
+        before = last_yaw[b]
+        if k == first[b]:
+            now = yaw[k * samples]
+            before = now - hard_iron * math.sin(now) + yaw_sd * noise[0]
+        else:
+            for s in range(samples):
+                i = (k - 1) * samples + s
+                now = yaw[i + 1] - hard_iron * math.sin(yaw[i + 1]) + yaw_sd * noise[s]
+                counts = math.floor(left[i + 1] / count_m + phase[b, 0])
+                counts -= math.floor(left[i] / count_m + phase[b, 0])
+                counts += math.floor(right[i + 1] / count_m + phase[b, 1])
+                counts -= math.floor(right[i] / count_m + phase[b, 1])
+                way, mid = 0.5 * count_m * counts, 0.5 * (before + now)
+                north += way * math.cos(mid)
+                east += way * math.sin(mid)
+                before = now
+        last_yaw[b] = before
+        increment[b, 0], increment[b, 1] = north, east
+
+
+@njit
+def measure_fix(
+    keys: NDArray[np.uint64],
+    epoch: NDArray[np.int64],
+    first: NDArray[np.int64],
+    position_ne: FloatArray,
+    available: NDArray[np.bool_],
+    correlated_sd: float,
+    decay: float,
+    white_sd: float,
+    offset: FloatArray,
+    noise: FloatArray,
+    correlated: FloatArray,
+    fix: FloatArray,
+) -> None:
+    r"""GNSS positions.
+
+    .. math:: g_k = p_k + c_k + w_k + d_k, \qquad
+        c_k = \beta c_{k-1} + \sqrt{1 - \beta^2} \, \sigma_c \, \epsilon_k
+
+    `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
+    that at which the episode starts; `position_ne` (K, 2) true position at every epoch [m];
+    `available` (L,) whether there is a fix at all, from the start on; `offset` (B, 2) what the
+    spoofer adds [m]; `noise` (`BLOCK`,), work space; `correlated` (B, 2) Gauss-Markov error [m],
+    overwritten; `fix` (B, 2) north and east [m], written; NaN where there is none.
+    """
+    drive = math.sqrt(1.0 - decay * decay)
+    for b in range(epoch.shape[0]):
+        k = epoch[b]
+        normals(keys[b, 1, 0], keys[b, 1, 1], k, noise)
+        for axis in range(2):
+            if k == first[b]:
+                correlated[b, axis] = correlated_sd * noise[axis]
+            else:
+                fresh = drive * correlated_sd * noise[axis]
+                correlated[b, axis] = decay * correlated[b, axis] + fresh
+            error = correlated[b, axis] + white_sd * noise[2 + axis]
+            fix[b, axis] = position_ne[k, axis] + error + offset[b, axis]
+            if not available[k - first[b]]:
+                fix[b, axis] = math.nan

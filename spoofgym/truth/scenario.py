@@ -1,0 +1,271 @@
+"""Scenarios: flight x GNSS errors x grade of the inertial sensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
+from typing import Any, TypeGuard
+
+from ..core.registry import build_record, check_choice, check_finite
+from ..core.settings import OMITTED
+from .events import BenignEvents
+from .flight import Flight, trajectory_at, turned
+from .gnss_errors import ERRORS, RENAMED, GnssErrors
+from .manoeuvres import FLIGHTS
+from .run import CHANNELS, MASK_DEG, World, build_world
+from .satellites import (
+    TWO_CONSTELLATIONS,
+    CircularConstellation,
+    CombinedConstellation,
+    Constellation,
+)
+from .sensors import IMU_GRADES
+
+TURN_ON = ("specimen", "drawn")
+"""Constants of inertial sensors: those of the data sheet, or others in every episode."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """The authentic world of an episode, as a recipe.
+
+    - `flight`: a name in `FLIGHTS`, or a flight;
+    - `errors`: a name in `ERRORS`, or errors;
+    - `turned_deg`: turn of the whole flight about the vertical where it begins, clockwise;
+    - `imu_rate_hz`: samples of the inertial sensors that the receiver gets per second; None for the
+      flight's own rate;
+    - `assumed`: errors that a receiver with the tuning ``"matched"`` assumes, a name or errors;
+      None for those that the world has;
+    - `turn_on`: ``"specimen"`` for inertial sensors with the constants of the grade's data sheet,
+      ``"drawn"`` for others in every episode, as large in the mean;
+    - `events`: what looks like spoofing and is none; None for nothing.
+
+    Notes
+    -----
+    At a lower `imu_rate_hz` a step costs less.  Velocity and attitude of the flight are kept at the
+    samples that are left, its position is their integral again (millimetres apart), and the true
+    specific force and angular rate over each longer sample are those from which the receiver's
+    mechanization gets there, so that coning and sculling leave no error.  Sensor errors are those
+    of a sensor whose increments are summed up: the same biases, scale factors and noise densities,
+    and quantization of the same increments, whose level on a longer sample is the smaller in
+    proportion.
+    """
+
+    described_as = "Scenario"
+    name: str = "custom"
+    flight: str | Flight = "zhong2025"
+    errors: str | GnssErrors = "zhong2025"
+    imu: str = "aviation"
+    constellation: Constellation = field(default_factory=CircularConstellation)
+    epoch_interval_s: float = 0.5
+    channels: int = CHANNELS
+    mask_deg: float = MASK_DEG
+    turned_deg: float = 0.0
+    imu_rate_hz: float | None = field(default=None, metadata=OMITTED)
+    assumed: str | GnssErrors | None = field(default=None, metadata=OMITTED)
+    turn_on: str = field(default="specimen", metadata=OMITTED)
+    events: BenignEvents | None = field(default=None, metadata=OMITTED)
+
+    def __post_init__(self) -> None:
+        if isinstance(self.flight, str):
+            check_choice("flight", self.flight, FLIGHTS)
+        if isinstance(self.errors, str):
+            check_choice("errors", self.errors, ERRORS, RENAMED)
+        if isinstance(self.assumed, str):
+            check_choice("assumed errors", self.assumed, ERRORS, RENAMED)
+        check_choice("imu grade", self.imu, IMU_GRADES)
+        check_choice("turn_on", self.turn_on, TURN_ON)
+        if isinstance(self.events, Mapping):
+            object.__setattr__(self, "events", build_record("events", BenignEvents, self.events))
+        if not math.isfinite(self.turned_deg):
+            raise ValueError(f"`turned_deg` must be finite, got {self.turned_deg}")
+        if self.imu_rate_hz is not None:
+            check_finite("imu_rate_hz", self.imu_rate_hz, "> 0")
+
+    @property
+    def label(self) -> str:
+        """Name for results, with the rate of the inertial sensors where that is not the flight's.
+
+        Examples
+        --------
+        >>> from spoofgym.truth.scenario import make_scenario
+        >>> make_scenario({"name": "zhong2025", "imu_rate_hz": 20}).label
+        'zhong2025@20Hz'
+        """
+        return at_rate(self.name, self.imu_rate_hz)
+
+    @property
+    def gnss_errors(self) -> GnssErrors:
+        """Errors of pseudoranges, range rates and clock."""
+        return ERRORS[self.errors] if isinstance(self.errors, str) else self.errors
+
+    @property
+    def assumed_errors(self) -> GnssErrors:
+        if self.assumed is None:
+            return self.gnss_errors
+        return ERRORS[self.assumed] if isinstance(self.assumed, str) else self.assumed
+
+    def world(self) -> World:
+        """Compute the truth; the last few named flights are remembered."""
+        constellation = self.constellation
+        if isinstance(self.flight, str) and _is_analytic(constellation):
+            return _named_world(
+                self.flight,
+                constellation,
+                self.epoch_interval_s,
+                self.channels,
+                self.mask_deg,
+                self.turned_deg,
+                self.imu_rate_hz,
+            )
+        flight = FLIGHTS[self.flight]() if isinstance(self.flight, str) else self.flight
+        return _world(
+            flight,
+            self.constellation,
+            self.epoch_interval_s,
+            self.channels,
+            self.mask_deg,
+            self.turned_deg,
+            self.imu_rate_hz,
+        )
+
+
+def at_rate(name: str, imu_rate_hz: float | None) -> str:
+    """Name of a world, with the rate of its inertial sensors where one is given."""
+    return name if imu_rate_hz is None else f"{name}@{imu_rate_hz:g}Hz"
+
+
+def _world(
+    flight: Flight,
+    constellation: Constellation,
+    epoch_interval_s: float,
+    channels: int,
+    mask_deg: float,
+    turned_deg: float,
+    imu_rate_hz: float | None,
+) -> World:
+    if turned_deg != 0.0:
+        flight = turned(flight, math.radians(turned_deg))
+    return build_world(
+        trajectory_at(flight, imu_rate_hz, epoch_interval_s),
+        constellation,
+        epoch_interval_s=epoch_interval_s,
+        channels=channels,
+        mask_deg=mask_deg,
+    )
+
+
+def _is_analytic(
+    constellation: Constellation,
+) -> TypeGuard[CircularConstellation | CombinedConstellation]:
+    """Whether a constellation is made of circular ones alone, so that equal ones are one."""
+    if isinstance(constellation, CombinedConstellation):
+        return all(map(_is_analytic, constellation.parts))
+    return isinstance(constellation, CircularConstellation)
+
+
+@lru_cache(maxsize=8)
+def _named_world(
+    flight: str,
+    constellation: CircularConstellation | CombinedConstellation,
+    epoch_interval_s: float,
+    channels: int,
+    mask_deg: float,
+    turned_deg: float,
+    imu_rate_hz: float | None,
+) -> World:
+    return _world(
+        FLIGHTS[flight](),
+        constellation,
+        epoch_interval_s,
+        channels,
+        mask_deg,
+        turned_deg,
+        imu_rate_hz,
+    )
+
+
+def _preset(name: str, errors: str, imu: str) -> Scenario:
+    return Scenario(name=name, flight="zhong2025", errors=errors, imu=imu)
+
+
+def _aviation(name: str, errors: str) -> Scenario:
+    return Scenario(
+        name=name,
+        flight="approach",
+        errors=errors,
+        assumed="aviation-overbound",
+        imu="tactical",
+        turn_on="drawn",
+        events=BenignEvents(clock_step=0.1, satellite_loss=0.1, front=0.1),
+    )
+
+
+def _ke2022(name: str, errors: str) -> Scenario:
+    return Scenario(name=name, flight="ke2022", errors=errors, epoch_interval_s=1.0)
+
+
+SCENARIOS: dict[str, Callable[[], Scenario]] = {
+    "zhong2025": lambda: _preset("zhong2025", "zhong2025", "aviation"),
+    "zhong2025-white": lambda: _preset("zhong2025-white", "white", "aviation"),
+    "zhong2025-tactical": lambda: _preset("zhong2025-tactical", "zhong2025", "tactical"),
+    "zhong2025-consumer": lambda: _preset("zhong2025-consumer", "zhong2025", "consumer"),
+    "groves": lambda: _preset("groves", "groves", "aviation"),
+    "trolley": lambda: _preset("trolley", "trolley", "aviation"),
+    "trolley-tactical": lambda: _preset("trolley-tactical", "trolley", "tactical"),
+    "trolley-consumer": lambda: _preset("trolley-consumer", "trolley", "consumer"),
+    "trolley-two-constellations": lambda: replace(
+        _preset("trolley-two-constellations", "trolley", "aviation"),
+        constellation=TWO_CONSTELLATIONS,
+        channels=24,
+    ),
+    "aviation-actual": lambda: _aviation("aviation-actual", "aviation-actual"),
+    "aviation-overbound": lambda: _aviation("aviation-overbound", "aviation-overbound"),
+    "ke2022": lambda: _ke2022("ke2022", "ke2022"),
+    "ke2022-white": lambda: _ke2022("ke2022-white", "white"),
+}
+"""Scenarios by name: the flight of `zhong2025` under the errors and grades that they name, also
+with a second constellation whose ids begin with E, and that of `ke2022` at 1 Hz, with the satellite
+biases of its errors and without; and an approach with tactical sensors whose constants are drawn,
+under errors of airborne signals: in `aviation-actual` they are what happens, in
+`aviation-overbound` what a receiver has to assume, which the matched one does in both."""
+
+_RENAMED = {
+    old + new.removeprefix(prefix): new
+    for old, prefix in RENAMED.items()
+    for new in SCENARIOS
+    if new.startswith(prefix)
+}
+
+
+def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:
+    """Scenario by name, or by name with some settings replaced.
+
+    Examples
+    --------
+    >>> from spoofgym.truth.scenario import make_scenario
+    >>> make_scenario({"name": "zhong2025", "imu": "tactical"}).imu
+    'tactical'
+    """
+    if isinstance(spec, Scenario):
+        return spec
+    if isinstance(spec, str):
+        spec = {"name": spec}
+    if not isinstance(spec, Mapping):
+        raise TypeError(
+            f"a scenario is a name ({', '.join(sorted(SCENARIOS))}), a dict or a Scenario, "
+            f"got {spec!r}"
+        )
+    settings = dict(spec)
+    name = settings.pop("name", "zhong2025")
+    check_choice("scenario", name, SCENARIOS, _RENAMED)
+    valid = [item.name for item in fields(Scenario) if item.name != "name"]
+    for setting in settings:
+        if setting not in valid:
+            raise ValueError(f"a scenario has no setting {setting!r}; valid: {', '.join(valid)}")
+    scenario = SCENARIOS[name]()
+    named = sorted(settings.keys() - {"imu_rate_hz"})  # which is in the label
+    changed = "".join(f" {key}={settings[key]}" for key in named)
+    return replace(scenario, name=f"{scenario.name}{changed}", **settings)

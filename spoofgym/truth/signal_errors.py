@@ -1,0 +1,276 @@
+"""Errors of smoothed codes and of carriers: what the signals of an airborne receiver pick up.
+
+The ionosphere delays the code and advances the carrier, by one zenith delay over the receiver that
+a satellite sees through the thicker the lower it stands; troposphere, orbit and satellite clock are
+the same in both; multipath and the receiver's noise are in the code alone, and wander, since the
+code has been smoothed by the carrier.  Range rates are differences of carriers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.compile import inlined
+from .noise import normals, padded
+
+FloatArray = NDArray[np.float64]
+IONOSPHERE_HEIGHT_M = 350_000.0
+"""Height of the thin shell (`do-229`, A.4.4.10.4)."""
+SHELL_RADIUS_M = 6_378_136.3
+"""Radius of the Earth below it, there."""
+MULTIPATH_DEG, NOISE_DEG = 10.0, 6.9
+"""Elevations at which multipath (`do-229`, J.2.4) and noise (`wgc2016`) have fallen to 1/e."""
+MAPPINGS = 6
+"""What is known of a line of sight: obliquity of ionosphere and troposphere, each with its rate
+[1/s], and the two exponentials of multipath and noise."""
+HALF_LIFE = 2.146193220620583
+"""Of a critically damped process: (1 + x) exp(-x) is 1/e at this x."""
+DRAWN = 1 << 41
+"""Counter of the deviates with which an episode starts."""
+NEVER = 1e18
+"""As an epoch: after all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignalErrors:
+    r"""Errors that all signals of a receiver have in common, and those of each signal.
+
+    .. math:: \delta\rho &= M_I I + M_T T + s + m + n, \qquad
+        \delta\dot\rho = -\tfrac{d}{dt} M_I I + \tfrac{d}{dt} M_T T + \dot s
+        + \frac{\varphi_k - \varphi_{k-1}}{\tau}
+
+    Zenith delays I and T, one of each for the receiver, and s, orbit and clock of each satellite,
+    are critically damped second-order Gauss-Markov processes: a first-order one has no rate, and
+    its change from epoch to epoch would exceed the carrier's noise many times.  The differences of
+    the carrier's white readings :math:`\varphi` are a moving average, with a correlation of -1/2 of
+    neighbours, whose sum over any time has the noise of two readings.  Multipath m and noise n of
+    the code are first-order, which is what smoothing by a carrier makes of white noise, with
+
+    .. math:: \sigma_m = a_m + b_m e^{-E / 10^\circ}, \qquad \sigma_n = a_n + b_n e^{-E / 6.9^\circ}
+
+    - `carrier_sd_m`: noise of a reading of the carrier;
+    - `ionosphere_sd_m`, `troposphere_sd_m`: in the zenith; `orbit_clock_sd_m`: of a satellite;
+    - `ionosphere_s`, `troposphere_s`, `orbit_clock_s`: in which correlations fall to 1/e;
+    - `multipath_sd_m`, `noise_sd_m`: pairs a, b;
+    - `smoothing_s`: of the code, in which these two lose their correlation.
+
+    Notes
+    -----
+    Obliquities and multipath: `do-229`, A.4.4.10.4, A.4.2.4 and J.2.4.
+    """
+
+    described_as = "SignalErrors"
+    carrier_sd_m: float = 0.0
+    ionosphere_sd_m: float = 0.0
+    ionosphere_s: float = 1800.0
+    troposphere_sd_m: float = 0.0
+    troposphere_s: float = 1800.0
+    orbit_clock_sd_m: float = 0.0
+    orbit_clock_s: float = 7200.0
+    multipath_sd_m: tuple[float, float] = (0.0, 0.0)
+    noise_sd_m: tuple[float, float] = (0.0, 0.0)
+    smoothing_s: float = 100.0
+
+    def __post_init__(self) -> None:
+        """Check that the numbers are finite and not negative, times above 0."""
+        for item in fields(self):
+            given = getattr(self, item.name)
+            if item.name in ("multipath_sd_m", "noise_sd_m"):
+                given = tuple(given)
+                if len(given) != 2:
+                    raise ValueError(f"`{item.name}` must be two numbers, got {given}")
+                object.__setattr__(self, item.name, given)
+            values = given if isinstance(given, tuple) else (given,)
+            above = item.name.endswith("_s")
+            if not all(math.isfinite(x) and (x > 0.0 if above else x >= 0.0) for x in values):
+                raise ValueError(
+                    f"`{item.name}` must be finite and {'>' if above else '>='} 0, got {given}"
+                )
+
+    def wandering(self, elevation: FloatArray) -> list[tuple[FloatArray, float, bool]]:
+        """Standard deviation [m], time [s] and whether second-order, of what wanders in a code.
+        `elevation`: any shape [rad]."""
+        ionosphere, troposphere, multipath, noise = obliquities(elevation)
+        shape = np.ones_like(elevation)
+        (a, b), (c, d) = self.multipath_sd_m, self.noise_sd_m
+        return [
+            (self.ionosphere_sd_m * ionosphere, self.ionosphere_s, True),
+            (self.troposphere_sd_m * troposphere, self.troposphere_s, True),
+            (self.orbit_clock_sd_m * shape, self.orbit_clock_s, True),
+            (a + b * multipath, self.smoothing_s, False),
+            (c + d * noise, self.smoothing_s, False),
+        ]
+
+    def code_variance(self, elevation: FloatArray) -> FloatArray:
+        """Variance of all that wanders in a code [m^2]; `elevation`: any shape [rad]."""
+        return np.asarray(sum(sd**2 for sd, _, _ in self.wandering(elevation)))
+
+
+def correlation(lag_s: FloatArray, time_s: float, second_order: bool) -> FloatArray:
+    """Correlation after some time, which is 1/e after `time_s`."""
+    x = (HALF_LIFE if second_order else 1.0) * lag_s / time_s
+    return np.asarray(np.exp(-x) * (1.0 + x if second_order else 1.0))
+
+
+def obliquities(elevation: FloatArray) -> tuple[FloatArray, ...]:
+    """Obliquities of ionosphere and troposphere, and exponentials of multipath and noise.
+    `elevation`: any shape [rad]; below the horizon as at it."""
+    E = np.maximum(elevation, 0.0)
+    inside = SHELL_RADIUS_M / (SHELL_RADIUS_M + IONOSPHERE_HEIGHT_M) * np.cos(E)
+    degrees = np.degrees(E)
+    return (
+        1.0 / np.sqrt(1.0 - inside**2),
+        1.001 / np.sqrt(0.002001 + np.sin(E) ** 2),
+        np.exp(-degrees / MULTIPATH_DEG),
+        np.exp(-degrees / NOISE_DEG),
+    )
+
+
+def mappings_of(elevation: FloatArray, interval_s: float, epochs_each: int) -> FloatArray:
+    """(K, n, 6) what is known of every line of sight at every epoch (`MAPPINGS`). `elevation` (K,
+    n) [rad], of worlds of `epochs_each` epochs one after the other."""
+    ionosphere, troposphere, multipath, noise = obliquities(elevation)
+
+    def rate(mapping: FloatArray) -> FloatArray:
+        """Of change by time, world by world."""
+        each = mapping.reshape(-1, epochs_each, mapping.shape[1])
+        return np.asarray(np.gradient(each, interval_s, axis=1)).reshape(mapping.shape)
+
+    columns = ionosphere, rate(ionosphere), troposphere, rate(troposphere), multipath, noise
+    return np.ascontiguousarray(np.stack(columns, axis=-1))
+
+
+def signal_shapes(channels: int) -> dict[str, tuple[int, ...]]:
+    """What is kept of every receiver's signals, in the order of the lane array.
+
+    - `processes` (3, 7) of ionosphere, troposphere, orbit and clock: transition of value and rate,
+      row by row, and Cholesky factor of the driving noise, 00 10 11, over one interval;
+    - `fading` (2,) factor of smoothed errors over one interval, and that of what drives them;
+    - `amplitudes` (4,) a and b of multipath, then of noise [m];
+    - `carrier` (2,) noise of a reading [m], and one over the interval [1/s];
+    - `clock_step` (2,) epoch at which the receiver's clock jumps, and by how much [m];
+    - `loss` (3,) slot whose satellite is lost, the first epoch, and that at which it is back;
+    - `front` (2,) growth of the delay behind a front of the ionosphere, per epoch [m], and its
+      largest value [m];
+    - `zenith` (4,) delay and its rate of ionosphere, then of troposphere [m], [m/s];
+    - `front_arrival` (n,) epoch at which the front comes to each satellite's line of sight;
+    - `orbit_clock` (2n,) errors of the satellites [m], then their rates [m/s];
+    - `multipath`, `noise`, `reading` (n,) errors of codes and of the last carriers [m].
+    """
+    n = channels
+    return {
+        "processes": (3, 7),
+        "fading": (2,),
+        "amplitudes": (4,),
+        "carrier": (2,),
+        "clock_step": (2,),
+        "loss": (3,),
+        "front": (2,),
+        "zenith": (4,),
+        "front_arrival": (n,),
+        "orbit_clock": (2 * n,),
+        "multipath": (n,),
+        "noise": (n,),
+        "reading": (n,),
+    }
+
+
+@inlined
+def deviates_of(channels: int) -> int:
+    """Standard normal deviates of an epoch: zenith delays, then five of every signal."""
+    return 4 + 5 * channels
+
+
+def process_coefficients(sd: float, time_s: float, interval_s: float) -> list[float]:
+    r"""Transition and driving noise of a critically damped process over one interval.
+
+    .. math:: \Phi = e^{-x} \begin{pmatrix} 1 + x & \tau\\ -\beta^2 \tau & 1 - x
+        \end{pmatrix}, \qquad Q = P - \Phi P \Phi^T, \qquad P = \sigma^2\, \mathrm{diag}(1, \beta^2)
+
+    with :math:`x = \beta \tau`; Q as its Cholesky factor.
+    """
+    beta = HALF_LIFE / time_s
+    x = beta * interval_s
+    a, a2 = math.exp(-x), math.exp(-2.0 * x)
+    q11 = sd * sd * _third_order(2.0 * x)
+    q12 = 2.0 * sd * sd * beta * a2 * x * x
+    q22 = sd * sd * beta * beta * (1.0 - a2 * (x * x + (1.0 - x) ** 2))
+    l11 = math.sqrt(q11)
+    l21 = q12 / l11 if l11 > 0.0 else 0.0
+    l22 = math.sqrt(max(q22 - l21 * l21, 0.0))
+    return [a * (1.0 + x), a * interval_s, -a * beta * x, a * (1.0 - x), l11, l21, l22]
+
+
+def _third_order(y: float) -> float:
+    """1 - exp(-y) (1 + y + y^2 / 2), without cancellation: its series from y^3 / 6 on."""
+    term, total = math.exp(-y) * y**3 / 6.0, 0.0
+    for k in range(4, 200):
+        total += term
+        term *= y / k
+        if term <= 1e-17 * total:
+            break
+    return total
+
+
+def begin_signals(
+    fields_: Any, rows: NDArray[np.intp], errors: SignalErrors, interval_s: float, keys: FloatArray
+) -> None:
+    """Draw the signals of new episodes, stationary from the first epoch on, without events.
+    `fields_`: of `signal_shapes`; `keys`: (b,) of the noise, two arrays."""
+    n = fields_.shapes["noise"][0]
+    each = (
+        (errors.ionosphere_sd_m, errors.ionosphere_s),
+        (errors.troposphere_sd_m, errors.troposphere_s),
+        (errors.orbit_clock_sd_m, errors.orbit_clock_s),
+    )
+    fading = math.exp(-interval_s / errors.smoothing_s)
+    values: dict[str, Any] = {
+        "processes": [process_coefficients(*process, interval_s) for process in each],
+        "fading": (fading, math.sqrt(1.0 - fading * fading)),
+        "amplitudes": (*errors.multipath_sd_m, *errors.noise_sd_m),
+        "carrier": (errors.carrier_sd_m, 1.0 / interval_s),
+        "clock_step": (NEVER, 0.0),
+        "loss": (-1.0, NEVER, NEVER),
+        "front": (0.0, 0.0),
+        "front_arrival": NEVER,
+    }
+    for name, value in values.items():
+        fields_.put(name, rows, value)
+    drawn, out = np.empty((len(rows), deviates_of(n))), np.empty(padded(deviates_of(n)))
+    for b, (k0, k1) in enumerate(keys):
+        normals(k0, k1, DRAWN, out)
+        drawn[b] = out[: drawn.shape[1]]
+    sds = [(sd, sd * HALF_LIFE / time) for sd, time in each]
+    fields_.put("zenith", rows, drawn[:, :4] * np.ravel(sds[:2]))
+    own = drawn[:, 4:].reshape(len(rows), 5, n)
+    fields_.put("orbit_clock", rows, (own[:, :2] * np.array(sds[2])[:, None]).reshape(-1, 2 * n))
+    # the smoothed errors are kept as standard normal: their size follows the elevation
+    fields_.put("multipath", rows, own[:, 2])
+    fields_.put("noise", rows, own[:, 3])
+    fields_.put("reading", rows, errors.carrier_sd_m * own[:, 4])
+
+
+SIGNAL_ERRORS: dict[str, SignalErrors] = {
+    "aviation-actual": SignalErrors(
+        carrier_sd_m=0.0025,
+        ionosphere_sd_m=0.5,
+        troposphere_sd_m=0.12,
+        orbit_clock_sd_m=0.5,
+        multipath_sd_m=(0.13, 0.53),
+        noise_sd_m=(0.15, 0.0),
+    ),
+    "aviation-overbound": SignalErrors(
+        carrier_sd_m=0.005,
+        ionosphere_sd_m=0.91,
+        troposphere_sd_m=0.12,
+        orbit_clock_sd_m=0.75,
+        multipath_sd_m=(0.13, 0.53),
+        noise_sd_m=(0.36, 0.0),
+    ),
+}
+"""Errors of airborne signals; docs/worlds.md has the source of every figure."""

@@ -1,0 +1,224 @@
+"""Damaged files are refused by one error, or what is read of them is within physical ranges."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import tracemalloc
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spoofgym.data.cleaning import clean_track
+from spoofgym.data.ephemerides import propagate, screen
+from spoofgym.data.rinex import RANGES, read_navigation
+from spoofgym.data.tracks import LARGEST_SIZE, FileError, read_file, read_track
+
+from .test_rinex import G05, G12, HEADER_2, HEADER_3, to_version_3
+
+MUTATIONS = 150
+"""Of each kind of file; thousands were run once."""
+DIGITS = b"0123456789"
+NONSENSE = (
+    *(b"nan", b"inf", b"-inf", b"1e999", b"-1e30", b"9" * 40, b"9" * 5000, b"\x00", b"\xff\xfe"),
+    *(b"[" * 9000, b'{"a":' * 9000, b"null", b"{}", b"true", b'"', b",", b"\n", b"\r", b"-", b""),
+)
+
+
+def mutated(content: bytes, count: int, seed: int) -> Iterator[bytes]:
+    """Copies with one to three damages each: bits, digits, bytes, slices, tokens, ends."""
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        copy = bytearray(content)
+        for _ in range(rng.integers(1, 4)):
+            a, b = sorted(rng.integers(0, len(copy) + 1, 2).tolist())
+            b = min(b, a + int(rng.integers(1, 40)))
+            at = int(rng.integers(len(copy))) if copy else 0
+            kind = rng.integers(7)
+            if kind == 0 and copy:
+                copy[at] ^= 1 << int(rng.integers(8))
+            elif kind == 1 and copy:
+                places = [k for k, byte in enumerate(copy) if byte in DIGITS] or [at]
+                copy[rng.choice(places)] = rng.choice(list(DIGITS))
+            elif kind == 2:
+                copy[a:b] = rng.bytes(b - a)
+            elif kind == 3:
+                del copy[a:b]
+            elif kind == 4:
+                copy[at:at] = copy[a:b]
+            elif kind == 5:
+                copy[a:b] = NONSENSE[rng.integers(len(NONSENSE))]
+            elif rng.random() < 0.3:
+                del copy[at:]
+        yield bytes(copy)
+
+
+def refused(error: FileError, path: Path) -> bool:
+    assert str(path) in str(error)
+    return False
+
+
+def check_navigation(path: Path) -> bool:
+    """Whether a file is read; then its orbits are ones that a satellite of GPS can have."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r".*malformed GPS records left out", RuntimeWarning)
+        try:
+            records = read_navigation(path)
+        except FileError as error:
+            return refused(error, path)
+    for name, (low, high) in RANGES.items():
+        if name != "second_of_week":
+            assert (getattr(records, name) >= low).all()
+            assert (getattr(records, name) <= high).all()
+    century = 120 * 366 * 86_400.0
+    for time in (records.time_of_clock, records.time_of_ephemeris):
+        assert ((time >= -302_400.0) & (time < century)).all()
+    orbits = propagate(records, np.arange(len(records)), 0.0)
+    radius = np.linalg.norm(orbits.position_e, axis=-1)
+    assert ((radius > 6.0e6) & (radius < 7.0e7)).all()
+    assert (np.linalg.norm(orbits.velocity_e, axis=-1) < 9.0e3).all()
+    kept, _ = screen(records)
+    assert 0 < len(kept) <= len(records)
+    return True
+
+
+def check_track(path: Path) -> bool:
+    """Whether a file is read; then its values are ones that an aircraft can have."""
+    try:
+        raw = read_track(path)
+    except FileError as error:
+        return refused(error, path)
+    assert np.isfinite(raw.time).all()
+    assert (np.diff(raw.time) >= 0.0).all()
+    for value, low, high in (
+        (raw.time, 0.0, 4.2e9),
+        (raw.position_time, 0.0, 4.2e9),
+        (raw.latitude, -np.pi / 2.0, np.pi / 2.0),
+        (raw.longitude, -np.pi, 2.0 * np.pi),
+        (raw.altitude, -2_000.0, 50_000.0),
+        (raw.groundspeed, 0.0, 3_000.0),
+        (raw.vertical_rate, -500.0, 500.0),
+        (raw.track_deg, -360.0, 360.0),
+    ):
+        assert (np.isnan(value) | ((value >= low) & (value <= high))).all()
+    try:
+        track, _ = clean_track(raw)
+    except ValueError:  # too little is left of it
+        return True
+    assert np.isfinite([track.time, track.latitude, track.longitude, track.height]).all()
+    return True
+
+
+@pytest.mark.parametrize("name", ["2.24n", "3.24n", "2.24n.gz"])
+def test_damaged_navigation_files(tmp_path: Path, name: str) -> None:
+    if name.startswith("3"):
+        text = HEADER_3 + to_version_3(G05) + to_version_3(G12)
+    else:
+        text = HEADER_2 + G05 + G12 + G05.replace(" 5 24", " 7 24")
+    content = text.encode()
+    path = tmp_path / name
+    read = 0
+    for damaged in mutated(
+        gzip.compress(content, mtime=0) if ".gz" in name else content, MUTATIONS, 1
+    ):
+        path.write_bytes(damaged)
+        read += check_navigation(path)
+    assert 0 < read < MUTATIONS  # it was damage of both kinds
+
+
+@pytest.mark.parametrize(
+    "name", ["t.csv", "t.json", "columns.json", "t.csv.gz", "t.json.gz", "t.parquet"]
+)
+def test_damaged_tracks(tmp_path: Path, name: str) -> None:
+    pandas = pytest.importorskip("pandas")
+    time = 10.0 * np.arange(12)
+    table = pandas.DataFrame(
+        {
+            "timestamp": 1_700_000_000 + time,
+            "icao24": "4b1801",
+            "latitude": 46.0 + 1e-2 * time / 10.0 + 1e-4 * np.sin(time),
+            "longitude": 8.0 + 1e-4 * np.cos(time),
+            "altitude": 30_000.0 + np.sin(time),
+            "groundspeed": 216.0,
+            "track": 0.0,
+            "vertical_rate": 64.0,
+        }
+    )
+    path = tmp_path / name
+    if ".csv" in name:
+        table.to_csv(path, index=False)
+    elif ".json" in name:
+        table.to_json(path, orient="columns" if name == "columns.json" else "records")
+    else:
+        pytest.importorskip("pyarrow")
+        table.to_parquet(path)
+    _, report = clean_track(read_track(path))
+    assert report.fixes == len(table)
+    read = 0
+    for damaged in mutated(path.read_bytes(), MUTATIONS, 2):
+        path.write_bytes(damaged)
+        read += check_track(path)
+    assert 0 < read < MUTATIONS
+
+
+@pytest.mark.parametrize("reader", [read_navigation, read_track])
+@pytest.mark.parametrize("change", [lambda b: b[: len(b) // 2], lambda b: b[:-9] + b"x" + b[-8:]])
+def test_gzip_data_that_are_cut_or_damaged(tmp_path: Path, reader, change) -> None:
+    path = tmp_path / "file.csv.gz"
+    path.write_bytes(change(gzip.compress((HEADER_2 + G05).encode())))
+    with pytest.raises(FileError, match=r"file\.csv\.gz: its gzip data are damaged or cut short"):
+        reader(path)
+
+
+@pytest.mark.parametrize("reader", [read_navigation, read_track])
+def test_a_gzip_bomb_is_not_unpacked(tmp_path: Path, reader) -> None:
+    path = tmp_path / "bomb.json.gz"
+    with gzip.open(path, "wb") as file:
+        for _ in range(5 * LARGEST_SIZE // 2**24):
+            file.write(bytes(2**24))
+    tracemalloc.start()
+    try:
+        with pytest.raises(FileError, match=r"bomb\.json\.gz is too large: .* 64 MiB unpacked"):
+            reader(path)
+        assert tracemalloc.get_traced_memory()[1] < 4 * LARGEST_SIZE
+    finally:
+        tracemalloc.stop()
+
+
+def test_the_largest_file_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("spoofgym.data.tracks.LARGEST_SIZE", 100)
+    path = tmp_path / "file"
+    for content in (bytes(100), gzip.compress(bytes(100))):
+        path.write_bytes(content)
+        assert read_file(path) == bytes(100)
+    for content in (bytes(101), gzip.compress(bytes(101))):
+        path.write_bytes(content)
+        with pytest.raises(FileError, match="too large"):
+            read_file(path)
+
+
+def test_deep_json_and_huge_numbers(tmp_path: Path) -> None:
+    pytest.importorskip("pandas")
+    path = tmp_path / "t.json"
+    for text in ("[" * 10**6, '{"a":' * 10**6, "[" + "9" * 10**6 + "]", "[1e999]", "{"):
+        path.write_text(text)
+        with pytest.raises(FileError, match=r"t\.json"):
+            read_track(path)
+    row = {"time": 0.0, "lat": 0.0, "lon": 0.0, "alt": 10**400}
+    path.write_text(json.dumps([row]))
+    with pytest.raises(FileError, match=r"t\.json: `alt` must hold numbers"):
+        read_track(path)
+
+
+def test_a_parquet_file_of_too_many_values_is_not_read(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "t.parquet"
+    rows = LARGEST_SIZE // 8 + 1
+    parquet.write_table(pyarrow.table({"time": pyarrow.array(np.zeros(rows))}), path)
+    assert path.stat().st_size < LARGEST_SIZE / 100
+    with pytest.raises(FileError, match=f"at most {rows - 1} values, got {rows}"):
+        read_track(path)

@@ -1,0 +1,309 @@
+from __future__ import annotations
+
+import gzip
+import logging
+import warnings
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from spoofgym.data.ephemerides import SECONDS_PER_WEEK, Ephemerides, gps_seconds, screen
+from spoofgym.data.rinex import load_broadcast, read_navigation
+
+HEADER_2 = """\
+     2.10           N: GPS NAV DATA                         RINEX VERSION / TYPE
+made by hand                            20240914            PGM / RUN BY / DATE
+invented, numbers rounded                                   COMMENT
+                                                            END OF HEADER
+"""
+# Saturday evening and the first minute of the next week
+G05 = """\
+ 5 24  9 14 22  0  0.0-0.150000000000D-03-0.250000000000D-11 0.000000000000D+00
+    0.630000000000D+02-0.900000000000D+02 0.460000000000D-08 0.700000000000D+00
+   -0.400000000000D-05 0.120000000000D-01 0.550000000000D-05 0.515370000000D+04
+    0.597600000000D+06 0.300000000000D-07 0.230000000000D+01-0.900000000000D-07
+    0.965000000000D+00 0.275000000000D+03-0.190000000000D+01-0.810000000000D-08
+    0.200000000000D-09 0.100000000000D+01 0.233100000000D+04 0.000000000000D+00
+    0.200000000000D+01 0.000000000000D+00-0.110000000000D-07 0.630000000000D+02
+    0.590400000000D+06 0.400000000000D+01
+"""
+G12 = """\
+12 24  9 14 23 59 44.0 2.500000000000E-04 0.000000000000E+00 0.000000000000E+00
+    1.700000000000E+01 4.000000000000E+01 5.100000000000E-09-2.200000000000E+00
+    1.800000000000E-06 8.000000000000E-03 7.700000000000E-06 5.153600000000E+03
+    0.000000000000E+00-1.100000000000E-07-1.000000000000E+00 5.000000000000E-08
+    9.500000000000E-01 2.400000000000E+02 1.300000000000E+00-8.300000000000E-09
+   -1.000000000000E-10 1.000000000000E+00 2.332000000000E+03 0.000000000000E+00
+    2.000000000000E+00 6.300000000000E+01-4.700000000000E-09 1.700000000000E+01
+    5.990400000000E+05
+"""
+HEADER_3 = """\
+     3.04           N: GNSS NAV DATA    M: MIXED            RINEX VERSION / TYPE
+made by hand                            20240914            PGM / RUN BY / DATE
+                                                            END OF HEADER
+"""
+R07 = """\
+R07 2024 09 14 22 15 00 0.500000000000E-04 0.000000000000E+00 0.598500000000E+06
+     0.120000000000E+05-0.100000000000E+01 0.000000000000E+00 0.000000000000E+00
+    -0.150000000000E+05 0.200000000000E+01 0.000000000000E+00 0.500000000000E+01
+     0.160000000000E+05 0.300000000000E+01 0.000000000000E+00 0.000000000000E+00
+"""
+
+
+def to_version_3(record: str, system: str = "G") -> str:
+    first, *rest = record.splitlines()
+    year, *date = first[2:17].split()
+    second = int(float(first[17:22]))
+    epoch = f"{int(year) + 2000} " + " ".join(f"{part:02d}" for part in [*map(int, date), second])
+    lines = [f"{system}{int(first[:2]):02d} {epoch}{first[22:]}", *(" " + line for line in rest)]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Any:
+    def write(text: str, name: str = "hand0010.24n") -> Path:
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def same(first: Ephemerides, second: Ephemerides) -> bool:
+    return all(
+        np.array_equal(getattr(first, name), getattr(second, name))
+        for name in Ephemerides.__dataclass_fields__
+    )
+
+
+def test_every_field_is_in_its_place(written: Any) -> None:
+    e = read_navigation(written(HEADER_2 + G05 + G12))
+    assert e.satellite_id.tolist() == ["G05", "G12"]
+    assert e.satellite_ids == ("G05", "G12")
+    expected = {
+        "clock_bias": [-1.5e-4, 2.5e-4],
+        "clock_drift": [-2.5e-12, 0.0],
+        "clock_drift_rate": [0.0, 0.0],
+        "issue": [63.0, 17.0],
+        "crs": [-90.0, 40.0],
+        "mean_motion_correction": [4.6e-9, 5.1e-9],
+        "mean_anomaly": [0.7, -2.2],
+        "cuc": [-4e-6, 1.8e-6],
+        "eccentricity": [0.012, 0.008],
+        "cus": [5.5e-6, 7.7e-6],
+        "root_semi_major_axis": [5153.7, 5153.6],
+        "cic": [3e-8, -1.1e-7],
+        "node": [2.3, -1.0],
+        "cis": [-9e-8, 5e-8],
+        "inclination": [0.965, 0.95],
+        "crc": [275.0, 240.0],
+        "perigee": [-1.9, 1.3],
+        "node_rate": [-8.1e-9, -8.3e-9],
+        "inclination_rate": [2e-10, -1e-10],
+        "health": [0.0, 63.0],
+        "group_delay": [-1.1e-8, -4.7e-9],
+        "time_of_clock": [
+            gps_seconds(datetime(2024, 9, 14, 22)),
+            gps_seconds(datetime(2024, 9, 14, 23, 59, 44)),
+        ],
+        "time_of_ephemeris": [2331 * SECONDS_PER_WEEK + 597600.0, 2332 * SECONDS_PER_WEEK],
+    }
+    for name, values in expected.items():
+        assert getattr(e, name).tolist() == values, name
+    assert expected.keys() | {"satellite_id"} == set(Ephemerides.__dataclass_fields__)
+
+
+def test_version_3_says_the_same(written: Any) -> None:
+    second = read_navigation(written(HEADER_2 + G05 + G12))
+    third = read_navigation(written(HEADER_3 + to_version_3(G05) + to_version_3(G12)))
+    assert same(second, third)
+
+
+def test_other_constellations_are_left_out_and_told(
+    written: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    text = HEADER_3 + R07 + to_version_3(G12, "E") + to_version_3(G05) + R07 + to_version_3(G12)
+    with caplog.at_level(logging.INFO, logger="spoofgym"):
+        e = read_navigation(written(text))
+    assert e.satellite_ids == ("G05", "G12")
+    assert "E 1, R 2" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("\n", "\r\n"),  # line ends of Windows
+        ("D+", "d+"),
+        ("D-", "E-"),
+        (" 0.", "  ."),  # no digit before the point
+        ("0.590400000000D+06 0.400000000000D+01", "0.590400000000D+06"),  # no fit interval
+        ("0.590400000000D+06 0.400000000000D+01", "0.590400000000D+06" + " " * 57),
+        ("0.233100000000D+04 0.000000000000D+00\n", "0.233100000000D+04\n"),  # a line ends early
+        ("0.233100000000D+04", "0.283000000000D+03"),  # week number modulo 1024
+        ("\n", "  \n"),
+        (" 5 24  9 14 22  0  0.0", "05 24 09 14 22 00 00.0"),
+        (" 5 24  9 14 22  0  0.0", " 5 24  9 14 21 59 60.0"),
+    ],
+)
+def test_habits_of_writers(written: Any, old: str, new: str) -> None:
+    plain = read_navigation(written(HEADER_2 + G05 + G05.replace(" 5 24", " 7 24")))
+    assert old in G05
+    record = G05.replace(old, new)
+    header = HEADER_2.replace("\n", new) if old == "\n" else HEADER_2
+    other = record.replace(record[:5], " 7 24", 1)
+    assert same(read_navigation(written(header + record + other)), plain)
+
+
+@pytest.mark.parametrize(("digits", "year"), [("80", 1980), ("99", 1999), ("00", 2000)])
+def test_years_of_two_digits(written: Any, digits: str, year: int) -> None:
+    e = read_navigation(written(HEADER_2 + G05.replace(" 5 24", f" 5 {digits}")))
+    assert e.time_of_clock.tolist() == [gps_seconds(datetime(year, 9, 14, 22))]
+    assert abs(e.time_of_ephemeris - e.time_of_clock)[0] <= SECONDS_PER_WEEK / 2
+
+
+def test_copies_are_read_and_counted_by_the_screening(written: Any) -> None:
+    e = read_navigation(written(HEADER_2 + G05 + G12 + G05 + G05))
+    assert len(e) == 4
+    kept, report = screen(e)
+    assert len(kept) == 2
+    assert (report.records, report.duplicates, report.unhealthy) == (4, 2, 1)
+
+
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        ("".join(G05.splitlines(True)[:5]), "line 13: a record has 8 lines, got 5"),
+        (G05.replace("0.700000000000D+00", "0.7000000x0000D+00"), "line 13: could not convert"),
+        (G05.replace("0.120000000000D-01", " " * 18), "line 13: could not convert"),
+        (
+            G05.replace("0.120000000000D-01", "0.120000000000D+00"),
+            r"`eccentricity` must be within 0 to 0\.03, got 0\.12",
+        ),
+        (
+            G05.replace("0.515370000000D+04", "0.000000000000D+00"),
+            "`root_semi_major_axis` must be within 2530 to 8192, got 0",
+        ),
+        (
+            G05.replace("0.597600000000D+06", "0.999999999999D+09"),
+            "`second_of_week` must be within 0 to 604800, got 1e\\+09",
+        ),
+        (G05.replace("0.965000000000D+00", "               nan"), "must be finite, got"),
+        (G05.replace("24  9 14", "24 13 14"), "line 13: month must be"),
+        (G05.replace(" 0.0-0.15", "1e99-0.15"), "line 13: the epoch must be a date to 2099"),
+        (G05.replace(" 5 24", "-5 24"), "line 13: the satellite must be 1 to 63, got -5"),
+        (G05.replace("0.965000000000D+00", "0.965000000000D+99"), "line 13: `inclination` must be"),
+    ],
+)
+def test_malformed_records_are_left_out_with_a_warning(written: Any, bad: str, said: str) -> None:
+    path = written(HEADER_2 + G12 + bad)
+    with pytest.warns(RuntimeWarning, match=f"1 malformed GPS records .*{said}"):
+        e = read_navigation(path)
+    assert e.satellite_ids == ("G12",)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is not a RINEX file"),
+        ("#cP2010  7  1  0  0  0.00000000      96 ORBIT IGS05 HLM  IGS\n", "begins with '#cP2010"),
+        (
+            HEADER_2.replace("N: GPS NAV DATA ", "OBSERVATION DATA") + G05,
+            "not a navigation file .* got type 'OBSERVATION DATA'",
+        ),
+        (HEADER_3.replace("3.04", "4.00"), "version 4.00, valid are 2 and 3"),
+        (HEADER_3.replace("3.04", "abcd"), "no RINEX version"),
+        (HEADER_2[: HEADER_2.index("        END")] + "\n" + G05, "header has no end"),
+        (HEADER_2, "no usable GPS satellite: 0 malformed"),
+        (
+            HEADER_2 + G05[:99],
+            r"1 malformed GPS records \(the first at line 5: a record has 8 lines",
+        ),
+        (HEADER_3 + R07, "no usable GPS satellite: 0 malformed GPS records, 1 records of other"),
+    ],
+)
+def test_other_files_are_refused(written: Any, text: str, said: str) -> None:
+    path = written(text)
+    with pytest.raises(ValueError, match=said) as caught:
+        read_navigation(path)
+    assert path.name in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.24n"):
+        read_navigation(tmp_path / "nowhere.24n")
+
+
+def test_compressed_files(tmp_path: Path, written: Any) -> None:
+    text = HEADER_2 + G05
+    packed = tmp_path / "hand0010.24n.gz"
+    packed.write_bytes(gzip.compress(text.encode()))
+    assert same(read_navigation(str(packed)), read_navigation(written(text)))
+    packed.write_bytes(b"\x1f\x9d\x90")
+    with pytest.raises(ValueError, match="unpack it first"):
+        read_navigation(packed)
+
+
+def test_load_broadcast_screens_and_starts(written: Any) -> None:
+    path = written(HEADER_2 + G05 + G12 + G05)
+    start = datetime(2024, 9, 14, 23)
+    constellation, report = load_broadcast(path, start)
+    assert constellation.start == gps_seconds(start)
+    assert report.duplicates == 1
+    known = np.isfinite(constellation.states([0.0]).position_e).all(axis=-1)
+    assert_array_equal(known, [[True, False]])  # G12 is unhealthy
+    again, _ = load_broadcast(path, gps_seconds(start))
+    assert_array_equal(again.states([0.0]), constellation.states([0.0]))
+
+
+GEORINEX_NAMES = {
+    "health": "health",
+    "issue": "IODE",
+    "clock_bias": "SVclockBias",
+    "clock_drift": "SVclockDrift",
+    "clock_drift_rate": "SVclockDriftRate",
+    "group_delay": "TGD",
+    "root_semi_major_axis": "sqrtA",
+    "eccentricity": "Eccentricity",
+    "mean_anomaly": "M0",
+    "mean_motion_correction": "DeltaN",
+    "perigee": "omega",
+    "node": "Omega0",
+    "node_rate": "OmegaDot",
+    "inclination": "Io",
+    "inclination_rate": "IDOT",
+    "cuc": "Cuc",
+    "cus": "Cus",
+    "cic": "Cic",
+    "cis": "Cis",
+    "crc": "Crc",
+    "crs": "Crs",
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "records"),
+    [
+        ("gnss_broadcast/brdc1820.10n", 421),
+        ("gnss_broadcast/brdc3050.12n", 423),
+        ("gnss_broadcast/07590920.05n", 162),
+        ("ublox_walk/walk_convbin.nav", 4),
+    ],
+)
+def test_real_files_as_georinex_reads_them(data_folder: Path, name: str, records: int) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of xarray, about georinex' use of it
+        georinex = pytest.importorskip("georinex")
+        expected = georinex.load(data_folder / name, use="G")
+    e = read_navigation(data_folder / name)
+    assert len(e) == records == int(expected.Toe.notnull().sum())
+    times, satellites = expected.time.to_index(), expected.sv.to_index()
+    dates = np.datetime64("1980-01-06") + e.time_of_clock.astype("timedelta64[s]")
+    index = times.get_indexer(dates), satellites.get_indexer(e.satellite_id)
+    for ours, theirs in GEORINEX_NAMES.items():
+        assert_array_equal(getattr(e, ours), expected[theirs].values[index], ours)
+    toe = expected.GPSWeek.values * SECONDS_PER_WEEK + expected.Toe.values
+    assert_array_equal(e.time_of_ephemeris, toe[index])

@@ -1,0 +1,468 @@
+"""Clean runs, their calibrations, and what shows that these hold."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from scipy.stats import betabinom
+
+from spoofgym.bench.runs.world import VICTIMS
+from spoofgym.calibration import clean_runs
+from spoofgym.calibration import thresholds as calibration
+from spoofgym.calibration.clean_runs import Player, weighs
+from spoofgym.calibration.holdouts import HoldOut, check, hold_out, transfer
+from spoofgym.calibration.thresholds import bisect, calibrate, suitable_detectors
+from spoofgym.detectors import Calibrated, Cusum, Ewma, JointChart, make_detector
+from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, TOLERANCE, hourly_rate
+from spoofgym.envs import SnapshotEnv, SpoofEnv, SpoofVectorEnv
+from spoofgym.envs.factory import make_setup
+from spoofgym.simulation import Engine, SnapshotSetup, TightlyCoupledSetup
+from spoofgym.simulation._kernels import NO_FORM
+from spoofgym.simulation.simulator import run_serially
+
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
+RATE = 10.0
+"""False alarms an hour: 4.6 % of the runs."""
+ASKED = {"false_alarms_per_hour": RATE}
+EVENTS = {"clock_step": 0.1, "satellite_loss": 0.1, "front": 0.1}
+"""Of `aviation-actual`."""
+
+
+@pytest.fixture(scope="module")
+def setup():
+    return TightlyCoupledSetup(detector="never", timeline=SHORT)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """Folder of one's own calibrations, empty at first."""
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "own"))
+    return tmp_path / "own"
+
+
+class Steps:
+    """Progress that may stop after so many runs."""
+
+    def __init__(self, stop_at=None):
+        self.done, self.stop_at = 0.0, stop_at
+
+    def advance(self, amount, now):
+        self.done += amount
+        if self.stop_at is not None and self.done >= self.stop_at:
+            raise KeyboardInterrupt
+
+
+def test_passive_detectors_in_one_pass_see_what_each_sees_in_the_loop(setup):
+    names = ("snapshot-chi2", "cusum", "clock-drift", "raim")
+    detectors = [make_detector(name) for name in names]
+    together = Player(setup, threads=1).play(detectors, range(12))
+    for k, detector in enumerate(detectors):
+        assert not weighs(setup, detector)
+        alone = Player(setup, threads=1).play([detector], range(12), in_loop=True)
+        for one, other in zip(together.column(k), alone.column(0), strict=True):
+            np.testing.assert_array_equal(one, other)
+    assert (together.alarmed == (together.judged > 1.0)).all()
+
+
+def test_runs_do_not_depend_on_chunks_threads_or_what_was_played_before(setup, tmp_path):
+    detectors = [Cusum(), Ewma(weight_scale=None)]
+    whole = Player(setup, threads=1).play(detectors, range(20))
+    store = tmp_path / "store"
+    with pytest.raises(KeyboardInterrupt):
+        Player(setup, threads=2, chunk=3, store=store, progress=Steps(7)).play(detectors, range(20))
+    assert len(list(store.iterdir())) == 1
+    resumed = Steps()
+    again = Player(setup, threads=2, chunk=4, store=store, progress=resumed).play(
+        detectors, range(20)
+    )
+    for one, other in zip(whole, again, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert resumed.done == 20
+    some = Player(setup, threads=1).play(detectors, [17, 4])
+    np.testing.assert_array_equal(some.judged, whole.judged[[17, 4]])
+
+
+def test_the_judged_window_is_the_attack_and_the_time_to_alert(setup):
+    """From the engine itself: no attack, and the largest ratio after the onset."""
+    cusum = Cusum()
+    engine = Engine(3, setup.altered(detector=cusum), threads=1)
+    player = Player(setup, threads=1)
+    engine.reset(player._generators("calibration", range(3)))
+    largest = np.zeros(3)
+    for _ in range(setup.steps + setup.hold):
+        engine.simulator.step(attacked=False)
+        largest = np.maximum(largest, engine.simulator.ratio())
+    found = player.play([cusum], range(3))
+    np.testing.assert_array_equal(found.judged[:, 0], largest)
+    assert setup.window_s == 17.0
+
+
+def test_a_calibration_keeps_its_rate_on_the_runs_that_it_is_made_of(setup):
+    runs = 120
+    specs = ["snapshot-chi2", "ewma", {"name": "shewhart", "signals": "range_rate"}]
+    found = calibrate(setup, specs, runs=runs, false_alarms_per_hour=RATE, threads=2)
+    assert [each.detector["name"] for each in found] == ["snapshot-chi2", "ewma", "shewhart"]
+    for each, spec in zip(found, specs, strict=True):
+        point = each.point(RATE)
+        scaled = Calibrated(make_detector(spec), point.scale)
+        player = Player(setup, threads=2)
+        counted = player.play([scaled], range(runs), in_loop=weighs(setup, scaled))
+        assert counted.alarmed.sum() == point.rank - 1 == 4
+        assert point.warmup_alarms == pytest.approx(counted.early.mean(), abs=0.03)
+    assert calibrate(setup, specs, runs=runs, false_alarms_per_hour=RATE) == found
+    check(setup, found, specs)
+
+
+def test_an_alarm_that_is_a_state_is_bisected_to_its_rate(setup):
+    runs, spec = 100, {"name": "joint-chart", "smoothing": 0.3}
+    (found,) = calibrate(setup, spec, runs=runs, false_alarms_per_hour=RATE)
+    point = found.point(RATE)
+    scaled = make_detector({**spec, "threshold_scale": point.scale})
+    alarmed = Player(setup, threads=2).play([scaled], range(runs), in_loop=True).alarmed.sum()
+    assert alarmed <= point.rank - 1
+    lower = make_detector({**spec, "threshold_scale": 0.97 * point.scale})
+    more = Player(setup, threads=2).play([lower], range(runs), in_loop=True).alarmed.sum()
+    assert more >= point.rank - 1
+    assert found.bisected
+    with pytest.raises(ValueError, match="is a state, whose scale is found by bisection, which"):
+        found.point(2.0 * RATE)
+    both = calibrate(setup, spec, runs=runs, false_alarms_per_hour=[RATE, 2.0 * RATE])[0]
+    assert both.point(2.0 * RATE).scale <= point.scale == both.point(RATE).scale
+
+
+def test_ratios_before_alarms_are_on_do_not_count(setup):
+    late = {"name": "innovation-rate", "weight_scale": None, "settled_s": 30.0}
+    detector, always = make_detector(late), make_detector({**late, "settled_s": 0.0})
+    found = Player(setup, threads=1).play([detector, always], range(10))
+    assert (found.before[:, 0] == 0.0).all()
+    assert (found.before[:, 1] > 0.0).all()
+    assert (found.judged[:, 0] <= found.judged[:, 1]).all()
+    assert (found.judged[:, 0] > 0.0).all()
+
+
+def test_bisection_plays_again_what_alarms_before_the_attack():
+    before = np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
+    judged = np.array([1.0, 2.0, 3.0, 4.0, 0.5, 0.2])
+    played = []
+
+    def alarms(scale, rows):
+        played.append(rows.tolist())
+        return np.ones(len(rows), dtype=np.bool_)  # the alarm outlasts the warm-up
+
+    assert bisect(before, judged, 1, alarms) == pytest.approx(5.0)
+    assert bisect(before, judged, 2, alarms) == pytest.approx(4.0)
+    assert bisect(before, judged, 3, alarms) == pytest.approx(2.0)
+    assert {tuple(rows) for rows in played} == {(2,)}
+
+
+def test_hold_outs_are_other_runs_and_lie_in_the_predicted_interval(setup):
+    specs = ["snapshot-chi2", "cusum", "ewma"]
+    found = calibrate(setup, specs, runs=150, false_alarms_per_hour=RATE)
+    held = hold_out(setup, found, specs, false_alarms_per_hour=RATE, runs=150, cells=30)
+    assert [each.holds for each in held] == [True, True, True]
+    assert {each.runs for each in held} == {150}
+    point = found[0].point(RATE)
+    low, high = held[0].low, held[0].high
+    law = betabinom(150, point.rank, 151 - point.rank)
+    assert law.cdf(high) - law.cdf(low - 1) >= 1.0 - 0.01 / 30
+    assert law.sf(high - 1) > 0.005 / 30
+    fresh = Player(setup).play([Cusum()], range(5), split="holdout").judged
+    assert (fresh != Player(setup).play([Cusum()], range(5)).judged).all()
+
+
+def test_a_killed_hold_out_goes_on(setup, folder, monkeypatch):
+    """From the runs that it has played, with the same counts, and leaves nothing behind."""
+    specs, asked = ["snapshot-chi2", "cusum"], {"false_alarms_per_hour": RATE, "runs": 40}
+    found = calibrate(setup, specs, runs=60, **ASKED)
+    whole = hold_out(setup, found, specs, **asked)
+    with pytest.raises(KeyboardInterrupt):
+        hold_out(setup, found, specs, **asked, threads=1, chunk=8, progress=Steps(17))
+    assert len(list((folder / "unfinished").iterdir())) == 1
+    played, play = [], clean_runs._play
+    monkeypatch.setattr(clean_runs, "_play", lambda *given: played.append(given) or play(*given))
+    assert hold_out(setup, found, specs, **asked, threads=1, chunk=8) == whole
+    assert len(played) < 5
+    assert list((folder / "unfinished").iterdir()) == []
+
+
+def test_rates_share_the_runs_of_a_hold_out(setup):
+    """Each counts what it counts alone, that of an alarm that is a state, too."""
+    specs, rates = ["snapshot-chi2", "ewma", "joint-chart"], [RATE, 3 * RATE]
+    found = calibrate(setup, specs, runs=100, false_alarms_per_hour=rates)
+    held = hold_out(setup, found, specs, false_alarms_per_hour=rates, runs=100)
+    asked = {"runs": 100, "cells": 6}
+    alone = [
+        each
+        for rate in rates
+        for each in hold_out(setup, found, specs, false_alarms_per_hour=rate, **asked)
+    ]
+    assert held == alone
+    assert [each.false_alarms_per_hour for each in held] == [RATE] * 3 + [3 * RATE] * 3
+    assert all(often.alarms > seldom.alarms for seldom, often in zip(held, held[3:], strict=False))
+
+
+def test_a_hold_out_tells_the_worst_world():
+    """A domain of several skies: every run under one of them, none lost."""
+    domain = {"constellation_time_s": [0.0, 86_400.0], "worlds": 3}
+    several = TightlyCoupledSetup(detector="never", timeline=SHORT, domain=domain)
+    found = calibrate(several, "snapshot-chi2", runs=150, false_alarms_per_hour=RATE)
+    asked = {"false_alarms_per_hour": RATE, "runs": 150}
+    (held,) = hold_out(several, found, "snapshot-chi2", **asked)
+    runs, alarms = np.array(held.worlds).T
+    assert len(runs) == 3
+    assert (runs.sum(), alarms.sum()) == (150, held.alarms)
+    largest, by_chance = held.worst_world
+    assert largest == hourly_rate((alarms / runs).max(), held.window_s)
+    assert largest >= held.per_hour
+    json.dumps(held.as_dict(), allow_nan=False)
+    assert held.as_dict()["worst_world_by_chance"] == by_chance
+
+
+def test_chance_in_the_worst_of_several_worlds():
+    """The median of the largest share, against drawn counts."""
+    alike = HoldOut("x", 4000, 40, 0.01, None, None, 0.0, 0, 160.0, ((1000, 10),) * 4, 0.2)
+    drawn = np.random.default_rng(1).binomial(1000, 0.01, (20_000, 4)).max(axis=1)
+    assert alike.worst_world[1] == hourly_rate(np.median(drawn) / 1000, 160.0)
+    assert alike._replace(worlds=((4000, 40),)).worst_world is None
+    none = alike._replace(alarms=0, worlds=((2000, 0), (2000, 0)))
+    assert none.worst_world == (0.0, 0.0)
+
+
+def test_the_error_offers_the_same_detector_with_nominal_thresholds():
+    """With all that it was asked for."""
+    asked = {"name": "snapshot-chi2", "false_alarm": 1e-4, "false_alarms_per_hour": 0.2}
+    with pytest.raises(ValueError, match="there is no calibration of snapshot-chi2") as told:
+        Engine(1, TightlyCoupledSetup(detector=asked, timeline=SHORT), threads=1)
+    offer = '{"name": "snapshot-chi2", "false_alarm": 0.0001, "thresholds": "nominal"}'
+    assert offer in str(told.value)
+
+
+def test_the_rate_elsewhere_is_another_one(setup):
+    found = calibrate(setup, "ewma", runs=100, false_alarms_per_hour=RATE)
+    elsewhere = TightlyCoupledSetup(scenario="groves", detector="never", timeline=SHORT)
+    (there,) = transfer(elsewhere, found, "ewma", false_alarms_per_hour=RATE, runs=100)
+    assert (there.low, there.high, there.holds) == (None, None, None)
+    assert there.window_s == elsewhere.window_s
+    longer = dict(SHORT, attack_s=3.0 * SHORT["attack_s"])
+    longer = TightlyCoupledSetup(scenario="groves", detector="never", timeline=longer)
+    (later,) = transfer(longer, found, "ewma", false_alarms_per_hour=RATE, runs=100)
+    assert later.window_s == longer.window_s > there.window_s
+    assert later.promised == pytest.approx(1.0 - np.exp(-RATE * longer.window_s / 3600.0))
+    share = later.alarms / later.runs
+    assert later.per_hour == (hourly_rate(share, longer.window_s))
+    json.dumps(there.as_dict(), allow_nan=False)
+    with pytest.raises(ValueError, match=r"for something else than ewma in groves: world scenario"):
+        check(elsewhere, found, "ewma")
+
+
+def test_rescaled_innovations_are_as_large_as_believed(setup):
+    (found,) = calibrate(
+        setup, "cusum", runs=80, false_alarms_per_hour=RATE, rescaled=True, threads=2
+    )
+    player = Player(setup, threads=2)
+    factors = np.array(calibration.rescale_factors(player, 80))
+    np.testing.assert_allclose(found.rescale, factors, rtol=1e-9)
+    rescaled = make_detector({"name": "cusum", "thresholds": "rescaled", **ASKED})
+    rescaled.look_up(setup)
+    assert rescaled.rescale == found.rescale
+    counted = Player(setup).play([rescaled], range(80)).alarmed.sum()
+    assert counted == found.point(RATE).rank - 1
+    assert SpoofEnv(timeline=SHORT, detector=rescaled).core.setup.detector.scale == rescaled.scale
+    check(setup, [found], "cusum")
+    plain = make_detector({"name": "cusum", **ASKED})
+    with pytest.raises(ValueError, match="there is no calibration of cusum in zhong2025"):
+        plain.look_up(setup)
+
+
+def test_a_sum_that_stays_at_zero_is_refused(setup):
+    """The world's range rates are far smaller than the filter believes."""
+    specs = [{"name": "cusum", "signals": "range_rate"}, "snapshot-chi2"]
+    settings = {"runs": 60, "false_alarms_per_hour": RATE}
+    with pytest.raises(ValueError, match=r"cusum is degenerate: its largest value is 0 in 100 %"):
+        calibrate(setup, specs, **settings)
+    # the other one is done, and neither is played again
+    steps = Steps()
+    found = calibrate(setup, specs, **settings, strict=False, progress=steps)
+    assert steps.done == 0.0
+    assert found[1].point(RATE).scale > 0.0
+    with pytest.raises(ValueError, match="is degenerate"):
+        SpoofEnv(timeline=SHORT, detector={**specs[0], **ASKED})
+    mended = calibrate(setup, specs[0], **settings, rescaled=True)
+    assert mended[0].point(RATE).scale > 0.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"runs": 20}, r"for which 20 clean runs are too few: it takes at least 21"),
+        ({"runs": 0}, "`runs` must be a whole number of at least 1, got 0"),
+        ({"false_alarms_per_hour": 0.0}, "`false_alarms_per_hour` must be a finite number > 0"),
+        ({"false_alarms_per_hour": [1.0, -1.0]}, "must be a finite number > 0, got -1.0"),
+        ({"runs": 30, "false_alarms_per_hour": 1e4}, "must be at most .* for 30 runs of 17 s"),
+        ({"threads": 0}, "`threads` must be at least 1, got 0"),
+        ({"rescaled": True}, "'rescaled' is for detectors with a drift term, which SnapshotChi2"),
+    ],
+)
+def test_bad_requests(setup, settings, message):
+    with pytest.raises(ValueError, match=message):
+        calibrate(setup, "snapshot-chi2", **{**ASKED, "runs": 60, **settings})
+
+
+def test_environments_look_a_calibration_up_and_never_run_one(setup, folder, monkeypatch):
+    def play(*_, **__):
+        raise AssertionError("an environment has played clean runs")
+
+    settings = {"timeline": SHORT, "detector": {"name": "snapshot-chi2", **ASKED}}
+    (found,) = calibrate(setup, "snapshot-chi2", runs=60, false_alarms_per_hour=RATE)
+    monkeypatch.setattr(Player, "play", play)
+    env = SpoofEnv(**settings)
+    assert env.core.setup.detector.scale == found.point(RATE).scale
+    assert env.core.setup.detector.point.runs == 60
+    env.reset(seed=1)
+    # target, attack and random direction do not make it another world
+    SpoofVectorEnv(2, **settings, target_heading_deg="random", attack="tracking-1m", twin=True)
+    watched = SpoofEnv(timeline=SHORT, watch=[settings["detector"]], detector="never")
+    watched.reset(seed=1)
+    for changed, named in [
+        ({"timeline": {**SHORT, "attack_s": 20.0}}, "world timeline.attack_s: 15 there, 20 here"),
+        ({"scenario": "groves"}, "world scenario.errors: 'zhong2025' there, 'groves' here"),
+        (
+            {"detector": {"name": "snapshot-chi2", "signals": "range_rate", **ASKED}},
+            "detector signals: ",
+        ),
+    ]:
+        with pytest.raises(ValueError, match="there is no calibration of snapshot-chi2") as told:
+            SpoofEnv(**{**settings, **changed})
+        text = str(told.value)
+        assert named in text, text
+        assert "`spoofgym calibrate --env spoofgym/TightlyCoupled-v0 --set " in text
+        assert "--false-alarms-per-hour 10`" in text
+        named = {k: v for k, v in {**settings, **changed}["detector"].items() if k not in ASKED}
+        assert json.dumps({**named, "thresholds": "nominal"}) in text
+
+
+def test_another_folder_is_apart_from_those_that_are_looked_up(setup, folder, tmp_path):
+    settings = {"runs": 60, "false_alarms_per_hour": RATE}
+    (own,) = calibrate(setup, "snapshot-chi2", **settings)
+    (other,) = calibrate(setup, "snapshot-chi2", **settings, folder=tmp_path / "other")
+    assert own.path.is_relative_to(folder)
+    assert other.path.is_relative_to(tmp_path / "other")
+    assert own == other
+    # nothing is left of what was played, and no lock is in the way of what is shipped
+    assert {path.suffix for path in (tmp_path / "other").rglob("*") if path.is_file()} == {".json"}
+    assert list((folder / "unfinished").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("scenario", "domain", "same"),
+    [
+        ("zhong2025", {"turn_on": "specimen"}, True),
+        ("zhong2025", {"turn_on": "drawn"}, False),
+        ("zhong2025", {"events": {}}, True),
+        ("zhong2025", {"events": {"clock_step": 0.1}}, False),
+        ("aviation-actual", {"turn_on": "drawn"}, True),
+        ("aviation-actual", {"turn_on": "specimen"}, False),
+        ("aviation-actual", {"events": {}}, False),
+        ("aviation-actual", {"events": EVENTS}, True),
+    ],
+)
+def test_a_domain_that_repeats_its_scenario_is_no_other_world(scenario, domain, same):
+    plain, other = (
+        TightlyCoupledSetup(detector="never", scenario=scenario, domain=each)
+        for each in ({}, domain)
+    )
+    assert (plain.conditions.digest == other.conditions.digest) is same
+
+
+def test_a_file_for_something_else_is_refused(setup, tmp_path):
+    (found,) = calibrate(setup, "ewma", runs=60, false_alarms_per_hour=RATE)
+    asked = {"name": "ewma", **ASKED, "calibration": str(found.path)}
+    env = SpoofEnv(timeline=SHORT, detector=asked)
+    assert env.core.setup.detector.scale == found.point(RATE).scale
+    with pytest.raises(
+        ValueError, match=r"something else than ewma .* smoothing: 0.1 there, 0.2 h"
+    ):
+        SpoofEnv(timeline=SHORT, detector={**asked, "smoothing": 0.2})
+    with pytest.raises(ValueError, match=r"in snapshot: world kind: 'tightly-coupled' there"):
+        SnapshotEnv(detector={**asked, "name": "snapshot-chi2"})
+
+
+def test_draws_by_last_bits_are_not_held_against_another_processor(setup):
+    """One bit of one innovation, as NumPy for other instructions computes it, is another draw."""
+    (found,) = calibrate(setup, "lottery", runs=30, false_alarms_per_hour=2.0 * RATE)
+    drawn = [(run, before / 3.0, judged / 3.0) for run, before, judged in found.witnesses]
+    check(setup, [dataclasses.replace(found, witnesses=tuple(drawn))], "lottery")
+    with pytest.raises(ValueError, match="something else than lottery"):
+        check(setup, [found], {"name": "lottery", "mean_wait_s": 7.0})
+
+
+def test_what_no_longer_behaves_so_is_told(setup):
+    (found,) = calibrate(setup, "ewma", runs=30, false_alarms_per_hour=2.0 * RATE)
+    kept = list(found.witnesses)
+    for error in (5e-7, 3e-6):
+        run, before, judged = found.witnesses[3]
+        kept[3] = (run, before, judged * (1.0 + error))
+        other = dataclasses.replace(found, witnesses=tuple(kept))
+        if error < TOLERANCE:
+            check(setup, [other], "ewma")
+    with pytest.raises(ValueError, match=r"no longer holds: the largest ratio of run 3 in it is"):
+        check(setup, [other], "ewma")
+
+
+def test_the_fused_step_has_the_bits_of_the_wrapper(setup):
+    """A calibrated chart in the kernel, and the same one asked in Python."""
+
+    class Slow(Calibrated):
+        """The same, which no kernel knows."""
+
+    fused, slow = (
+        Engine(5, setup.altered(detector=kind(Ewma(), 0.37)), threads=1)
+        for kind in (Calibrated, Slow)
+    )
+    assert fused.simulator._compiled_detector() != NO_FORM
+    assert slow.simulator._compiled_detector() == NO_FORM
+    player = Player(setup)
+    for engine in (fused, slow):
+        engine.reset(player._generators("training", range(5)))
+    np.testing.assert_array_equal(fused.warmup_alarm, slow.warmup_alarm)
+    command = np.full((5, 2), 0.2)
+    alarms = 0
+    for _ in range(setup.steps):
+        one, other = fused.step(command), slow.step(command)
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_array_equal(a, b)
+        np.testing.assert_array_equal(fused.simulator.position, slow.simulator.position)
+        np.testing.assert_array_equal(fused.simulator.ratio(), slow.simulator.ratio())
+        alarms += int(one.alarm.any())
+    assert alarms > 0
+
+
+def test_a_smaller_victim_is_calibrated_by_the_same_call():
+    setup = SnapshotSetup(detector="never", timeline={"attack_s": 30.0, "warmup_s": 10.0})
+    specs = ["raim", {"name": "srv-raim", "exclude": True}]
+    found = calibrate(setup, specs, runs=60, false_alarms_per_hour=5.0)
+    held = hold_out(setup, found, specs, false_alarms_per_hour=5.0, runs=60)
+    assert [each.holds for each in held] == [True, True]
+    check(setup, found, specs)
+
+
+def test_states_of_charts_are_scaled_in_the_loop(setup):
+    """At a factor that nothing reaches there is no alarm, and the weights are as published."""
+    never = setup.altered(detector=Calibrated(JointChart(), 1e6)).simulator(4, run_serially)
+    never.warm_up(Player(setup)._generators("training", range(4)))
+    for _ in range(setup.steps):
+        verdict = never.step(attacked=False)
+        assert not verdict.alarm.any()
+    assert (verdict.weights < 1.0).any()
+
+
+@pytest.mark.parametrize("name", sorted(VICTIMS))
+def test_every_suitable_detector_fits(name):
+    setup = make_setup(VICTIMS[name].setup, {"detector": "never"})
+    found = suitable_detectors(setup)
+    assert len(found) > 1
+    for detector in found:
+        setup.altered(detector=detector).simulator(1, run_serially)
+    names = {type(each) for each in found}
+    assert {type(make_detector(spec)) for spec in VICTIMS[name].detectors} <= names

@@ -1,0 +1,138 @@
+"""The divergence of an attack, by the filter's belief, is that of a clean twin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spoofgym.simulation import Engine, TightlyCoupledSetup
+from spoofgym.simulation.divergence import Divergence
+
+from ..envs.support import SHORT
+
+
+def engines(detector, **settings):
+    setup = TightlyCoupledSetup(timeline=SHORT, detector=detector, **settings)
+    setup = setup.altered(monitors=[Divergence()])
+    made = [Engine(2, setup), Engine(2, setup)]
+    for engine in made:
+        engine.reset([np.random.default_rng(5), np.random.default_rng(6)])
+    return made
+
+
+def memory(engine):
+    return engine.simulator.monitor(Divergence).memory
+
+
+@pytest.mark.parametrize(
+    ("attack", "command"),
+    [
+        ("false-position", [0.7, -0.5]),
+        ({"name": "false-position", "coherent": False}, [0.4, 0.3]),
+        ({"name": "per-channel", "channels": ["S05", "S09"]}, [0.1, -0.2]),
+    ],
+)
+def test_it_is_that_of_the_difference_to_a_clean_twin(attack, command):
+    attacked, clean = engines("never", attack=attack)
+    total = run(attacked, clean, command)
+    assert total.min() > 0.5
+    np.testing.assert_allclose(memory(attacked)["divergence"], total, rtol=0.01)
+    moved = attacked.simulator.position - clean.simulator.position
+    found = memory(attacked)["shift"][:, 6:9]
+    np.testing.assert_allclose(found, moved, atol=0.01 * np.abs(moved).max())
+
+
+def test_weights_of_the_run_count():
+    """Nearly that of a twin, whose own weights are other ones."""
+    attacked, clean = engines("ewma")
+    total = run(attacked, clean, [0.7, -0.5])
+    np.testing.assert_allclose(memory(attacked)["divergence"], total, rtol=0.05)
+
+
+def run(attacked, clean, command):
+    """Divergence by the difference of two engines."""
+    total = np.zeros(2)
+    for _ in range(24):
+        attacked.step(np.tile(command, (2, 1)))
+        clean.step(np.zeros((2, 2)))
+        shift = attacked.simulator.epoch.innovation - clean.simulator.epoch.innovation
+        S = attacked.simulator.epoch.innovation_cov
+        total += 0.5 * np.array(
+            [rho @ np.linalg.solve(cov, rho) for rho, cov in zip(shift, S, strict=True)]
+        )
+    return total
+
+
+def by_hand(simulator, shift, weights):
+    """Shift after an epoch, and what it adds to the divergence: the module's equations in NumPy."""
+    epoch, sensors = simulator.epoch, simulator.sensors
+    seen = np.tile(epoch.visible[0], 2)
+    H, P = epoch.design[0][seen], epoch.predicted_cov[0]
+    S = epoch.innovation_cov[0][np.ix_(seen, seen)]
+    a = np.r_[sensors.range_offset[0], sensors.rate_offset[0]][seen]
+    predicted = epoch.transition[0] @ shift
+    rho = a + H @ predicted
+    if epoch.visible[0].sum() < simulator.setup.receiver.min_satellites:
+        after = predicted
+    else:
+        after = predicted - P @ H.T @ np.linalg.inv(S) @ np.diag(weights[0][seen]) @ rho
+    return after, divergence_of_normals(rho, S, np.zeros_like(rho), S)
+
+
+def divergence_of_normals(mean, cov, mean_0, cov_0):
+    """Of N(mean, cov) from N(mean_0, cov_0) [nats], for any covariances."""
+    inverse, apart = np.linalg.inv(cov_0), mean - mean_0
+    ratio = np.linalg.slogdet(cov_0)[1] - np.linalg.slogdet(cov)[1]
+    return 0.5 * (np.trace(inverse @ cov) + apart @ inverse @ apart - len(apart) + ratio)
+
+
+@pytest.mark.parametrize(
+    ("detector", "attack"),
+    [
+        ("never", "false-position"),
+        ("ewma", "false-position"),
+        ("ewma", {"name": "per-channel", "channels": ["S05", "S09"]}),
+        ("never", "tracking-1m"),
+        ("snapshot-chi2", "pseudorange-only"),
+    ],
+)
+@pytest.mark.parametrize("min_satellites", [4, 13])
+def test_it_is_the_sum_of_the_divergences_of_normal_distributions(detector, attack, min_satellites):
+    """Epoch by epoch, with the run's own gain and weights, to rounding."""
+    setup = TightlyCoupledSetup(
+        timeline=SHORT,
+        detector=detector,
+        attack=attack,
+        receiver={"min_satellites": min_satellites},
+        domain={"start_s": (0.0, 60.0)},
+    ).altered(monitors=[Divergence()])
+    engine = Engine(1, setup)
+    engine.reset([np.random.default_rng(3)])
+    axes = len(setup.action_names)
+    rng, shift, total, weighed = np.random.default_rng(4), np.zeros(17), 0.0, False
+    for _ in range(24):
+        engine.predict(rng.uniform(-1.0, 1.0, (1, axes)))
+        verdict = engine.judge()
+        weights = np.ones((1, 24)) if verdict.weights is None else verdict.weights
+        weighed |= bool((weights != 1.0).any())
+        shift, added = by_hand(engine.simulator, shift, weights)
+        total += added
+        engine.update(verdict)
+        np.testing.assert_allclose(memory(engine)["shift"][0], shift, rtol=1e-6, atol=1e-9)
+        assert memory(engine)["divergence"][0] == pytest.approx(total, rel=1e-6, abs=1e-9)
+    assert total > 0.01
+    assert weighed == (detector == "ewma" and min_satellites == 4)
+
+
+def test_without_an_attack_there_is_none():
+    _, clean = engines("ewma")
+    for _ in range(5):
+        clean.step(np.zeros((2, 2)))
+    np.testing.assert_array_equal(memory(clean)["divergence"], 0.0)
+    np.testing.assert_array_equal(memory(clean)["shift"], 0.0)
+
+
+def test_an_engine_without_one_says_so():
+    engine = Engine(1, TightlyCoupledSetup(timeline=SHORT))
+    with pytest.raises(LookupError, match="no Divergence looks at these epochs"):
+        engine.simulator.monitor(Divergence)

@@ -1,0 +1,200 @@
+"""What differs from episode to episode: worlds, begins, sensors, errors, target directions."""
+
+from __future__ import annotations
+
+import json
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import spoofgym  # noqa: F401  (registers the ids)
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.domain import Domain, draw
+from spoofgym.truth.flight import turned
+from spoofgym.truth.manoeuvres import car
+
+ID = "spoofgym/TightlyCoupled-v0"
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
+ALL = {
+    "start_s": (5.0, 40.0),
+    "turned_deg": (0.0, 360.0),
+    "constellation_time_s": (0.0, 43_200.0),
+    "worlds": 3,
+    "imu": ("aviation", "tactical"),
+    "errors": ("zhong2025", "groves"),
+}
+
+
+def settings(**kwargs):
+    return {"timeline": SHORT, "knowledge": "oracle", "action": "full-command", **kwargs}
+
+
+def test_every_receiver_is_the_single_env_of_its_seed_in_a_world_of_its_own():
+    """Bit for bit, over episodes, with everything drawn, and warmed up in the background."""
+    kwargs = settings(domain=ALL, target_heading_deg="random", end_at_alarm=False)
+    envs = gym.make_vec(ID, num_envs=5, autoreset_mode="same_step", **kwargs)
+    seen, info = envs.reset(seed=7)
+    singles = [gym.make(ID, **kwargs).unwrapped for _ in range(5)]
+    firsts = [env.reset(seed=7 + i) for i, env in enumerate(singles)]
+    np.testing.assert_array_equal([first for first, _ in firsts], seen)
+    np.testing.assert_array_equal([told["time_s"] for _, told in firsts], info["time_s"])
+    rng = np.random.default_rng(1)
+    for _ in range(43):
+        actions = rng.uniform(-1.0, 1.0, (5, 2)).astype(np.float32)
+        seen, rewards, ended, _, _ = envs.step(actions)
+        for i, env in enumerate(singles):
+            own, reward, over, _, _ = env.step(actions[i])
+            assert (reward, over) == (rewards[i], ended[i])
+            if over:
+                own, _ = env.reset()
+            np.testing.assert_array_equal(own, seen[i])
+    assert len(set(info["time_s"])) > 1
+
+
+def test_an_episode_is_played_in_the_circumstances_that_it_has_drawn():
+    envs = gym.make_vec(ID, num_envs=24, **settings(domain=ALL, target_heading_deg="random"))
+    observation, info = envs.reset(seed=0)
+    core = envs.unwrapped.core
+    setup, simulator = core.setup, core.engine.simulator
+    start = info["time_s"] - 20.0
+    assert start.min() >= 5.0
+    assert start.max() <= 40.0
+    world = simulator.memory["first"] // setup.epochs_each
+    assert set(world) == {0, 1, 2}
+    # sensors, and what the receiver believes of them
+    grades = simulator.memory["combination"] // 2 % 2
+    bias = simulator.sensors.constants["accel_bias"]
+    assert len({tuple(row) for row in bias[grades == 0]}) == 1
+    assert np.abs(bias[grades == 1]).max() > 5.0 * np.abs(bias[grades == 0]).max()
+    attitude = simulator.buffers.covariance[:, 0, 0]
+    assert attitude[grades == 1].min() > attitude[grades == 0].max()
+    # the true motion that is observed is that of the world
+    names = envs.unwrapped.observation_names
+    own = [names.index(f"target_velocity_{a}") for a in ("north", "east")]
+    heading = np.degrees(np.arctan2(observation[:, own[1]], observation[:, own[0]])) % 360.0
+    turn = np.array([pair[0] for pair in setup.domain.pairs()])
+    spread = (heading - turn[world] + 180.0) % 360.0 - 180.0
+    late = start > 30.0
+    assert np.ptp(spread[~late]) < 60.0  # one flight, at different times, turned as it was drawn
+    shown = observation[:, [names.index(f"target_direction_{a}") for a in ("north", "east")]]
+    np.testing.assert_allclose(np.hypot(*shown.T), 1.0, atol=1e-6)
+
+
+def test_victims_in_all_circumstances_navigate():
+    envs = gym.make_vec(ID, num_envs=16, **settings(domain=ALL, detector="never"))
+    envs.reset(seed=3)
+    simulator = envs.unwrapped.core.engine.simulator
+    world = envs.unwrapped.core.setup.world
+    error = simulator.buffers.position_e - world.position_e[simulator.epochs]
+    assert np.linalg.norm(error, axis=1).max() < 40.0
+
+
+def test_a_reset_may_tell_the_circumstances():
+    kwargs = settings(domain=ALL, target_heading_deg="random")
+    envs = gym.make_vec(ID, num_envs=3, **kwargs)
+    told = {
+        "world": [2, 0, 1],
+        "start_s": [5.0, 40.0, 12.5],
+        "imu": "tactical",
+        "errors": ["groves", "zhong2025", "groves"],
+        "target_heading_deg": np.array([0.0, 90.0, 180.0]),
+    }
+    _, info = envs.reset(seed=1, options={"domain": told})
+    simulator = envs.unwrapped.core.engine.simulator
+    np.testing.assert_array_equal(info["time_s"], [25.0, 60.0, 32.5])
+    np.testing.assert_array_equal(simulator.memory["combination"], [11, 2, 7])
+    np.testing.assert_allclose(simulator.heading, np.radians([0.0, 90.0, 180.0]))
+    # the next episodes draw again, and are those of an env that was never told anything
+    again, _ = envs.reset()
+    other = gym.make_vec(ID, num_envs=3, **kwargs)
+    other.reset(seed=1)
+    np.testing.assert_array_equal(other.reset()[0], again)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"word": 1}, "unknown choice of a reset 'word'; valid: .*did you mean 'world'"),
+        ({"world": 3}, "`world` must be whole numbers, 0 to 2, got 3"),
+        ({"world": [0, 1, 2]}, "`world` must be one value or 2 of them, got 3"),
+        ({"start_s": 41.0}, "`start_s` must be 5 to 40, got 41"),
+        ({"start_s": 5.3}, "`start_s` must be a multiple of the interval between epochs, 0.5 s"),
+        ({"imu": "toy"}, "unknown imu 'toy'; valid: aviation, tactical"),
+        ({"target_heading_deg": 10.0}, "only where it is 'random'"),
+    ],
+)
+def test_a_reset_that_tells_nonsense_is_refused_and_nothing_is_lost(given, message):
+    envs = gym.make_vec(ID, num_envs=2, **settings(domain=ALL))
+    envs.reset(seed=2)
+    with pytest.raises(ValueError, match=message):
+        envs.reset(options={"domain": given})
+    other = gym.make_vec(ID, num_envs=2, **settings(domain=ALL))
+    other.reset(seed=2)
+    np.testing.assert_array_equal(other.reset()[0], envs.reset()[0])
+
+
+@pytest.mark.parametrize(
+    ("domain", "message"),
+    [
+        ({"start": (0, 1)}, "`domain` has no setting 'start'; valid: start_s"),
+        ({"start_s": (5.0, 2.0)}, "`start_s` must be finite, the least first"),
+        ({"start_s": (-1.0, 2.0)}, "`start_s` must not begin before 0 s"),
+        (
+            {"constellation_time_s": (0.0, 1e12)},
+            r"`constellation_time_s` must be -1e\+08 to 1e\+08",
+        ),
+        ({"worlds": 3}, "`worlds` 3 would all be the same"),
+        ({"imu": 3}, "`imu` must be a name or a list of names, got 3"),
+        ({"start_s": (0.0, 400.0)}, "an episode takes .* from a start at 400 s"),
+        ({"turned_deg": 10.0}, "`turned_deg` must be a pair of numbers"),
+        ({"imu": ("aviation", "toy")}, "unknown imu grade 'toy'"),
+        ({"errors": "none"}, "unknown errors 'none'"),
+        ({"worlds": 0}, "`worlds` must be 1 to 256, got 0"),
+    ],
+)
+def test_a_wrong_domain_says_what_is_valid(domain, message):
+    with pytest.raises(ValueError, match=message):
+        gym.make(ID, **settings(domain=domain))
+
+
+def test_a_begin_as_late_as_the_flight_allows():
+    setup = TightlyCoupledSetup(timeline=SHORT, domain={"start_s": (0.0, None)})
+    assert setup.bounds.last + setup.onset + setup.steps + setup.hold + 2 == setup.world.epochs
+    spec = gym.make(ID, **settings(domain={"start_s": (0.0, None)})).spec
+    again = gym.envs.registration.EnvSpec.from_json(spec.to_json())
+    assert json.loads(spec.to_json())["id"] == ID
+    assert gym.make(again).unwrapped.core.setup.bounds == setup.bounds
+
+
+def test_draws_are_uniform_and_by_the_key_alone():
+    setup = TightlyCoupledSetup(timeline=SHORT, domain=ALL, target_heading_deg="random")
+    keys = np.random.default_rng(0).integers(2**63, size=(4000, 2)).astype(np.uint64)
+    drawn = draw(setup.bounds, keys)
+    for array, count in ((drawn.world, 3), (drawn.grade, 2), (drawn.error, 2)):
+        share = np.bincount(array, minlength=count) / len(keys)
+        np.testing.assert_allclose(share, 1.0 / count, atol=4.0 * 0.5 / np.sqrt(len(keys)))
+    assert (drawn.start.min(), drawn.start.max()) == (setup.bounds.first, setup.bounds.last)
+    assert abs(np.exp(1j * drawn.heading).mean()) < 4.0 / np.sqrt(len(keys))
+    some = draw(setup.bounds, keys[100:110])
+    for all_of_them, few in zip(drawn, some, strict=True):
+        np.testing.assert_array_equal(all_of_them[100:110], few)
+
+
+def test_nothing_is_drawn_by_default():
+    assert TightlyCoupledSetup(timeline=SHORT).bounds.single
+    assert Domain().pairs() == [(0.0, 0.0)]
+
+
+def test_a_turned_flight_is_the_same_flight_in_another_direction():
+    flight = car()
+    other = turned(flight, np.radians(90.0))
+    np.testing.assert_array_equal(other.position_e[0], flight.position_e[0])
+    north, east, down = flight.velocity_n.T
+    np.testing.assert_allclose(other.velocity_n[0], [-east[0], north[0], down[0]], atol=1e-9)
+    moved = np.linalg.norm(other.position_e - other.position_e[0], axis=1)
+    np.testing.assert_allclose(
+        moved, np.linalg.norm(flight.position_e - flight.position_e[0], axis=1), atol=1e-6
+    )
+    # over some hundred metres the vertical turns by 1e-4
+    np.testing.assert_allclose(other.velocity_n, np.stack([-east, north, down]).T, atol=5e-3)

@@ -1,0 +1,170 @@
+"""Which optional fields an epoch has: what somebody needs, and the same bits whatever that is."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from spoofgym.detectors import Never, make_detector
+from spoofgym.detectors.learned import DetectorAgent
+from spoofgym.receiver.epoch import OPTIONAL
+from spoofgym.simulation import Engine
+from spoofgym.simulation.divergence import Divergence
+from spoofgym.simulation.monitors import Monitor, PassiveDetectors
+
+from ..envs.support import ID, SHORT
+from .support import SETUPS, rngs, setup_of, step, warm
+
+every_victim = pytest.mark.parametrize("kind", SETUPS)
+FAST = {"warmup_s": 4.0, "live_s": 3.0, "attack_s": 5.0, "time_to_alert_s": 1.0}
+
+
+class Reader(Never):
+    """Needs some fields, and sees that they are there."""
+
+    def __init__(self, *needs):
+        self.needs = frozenset(needs)
+
+    def judge(self, epoch):
+        assert given(epoch) >= self.needs
+        return super().judge(epoch)
+
+
+def given(epoch):
+    return {name for name in OPTIONAL if getattr(epoch, name) is not None}
+
+
+def tight(detector="never", **settings):
+    return setup_of("tightly-coupled", detector=detector, timeline=FAST, **settings)
+
+
+@every_victim
+def test_an_epoch_has_what_the_detector_needs_and_nothing_else(kind):
+    setup = setup_of(kind, detector=Reader("design", "predicted_cov"))
+    assert setup.has > setup.detector.needs
+    victim = warm(setup, 2)
+    assert victim.fields == given(victim.epoch) == {"design", "predicted_cov"}
+    assert given(warm(setup_of(kind, detector=Never()), 2).epoch) == set()
+
+
+@every_victim
+def test_fields_may_be_wanted_without_a_detector(kind):
+    setup = setup_of(kind, detector=Never())
+    setup.fields = setup.has
+    epoch = warm(setup, 2).epoch
+    assert given(epoch) == setup.has
+    for array in filter(lambda array: array is not None, epoch):
+        assert array.flags.c_contiguous
+        assert not array.flags.writeable
+        assert len(array) == 2
+
+
+@every_victim
+def test_the_variance_is_the_diagonal_of_the_covariance(kind):
+    wanted, frugal = (setup_of(kind, detector=Never()) for _ in range(2))
+    wanted.fields = wanted.has
+    mine, theirs = warm(wanted, 3), warm(frugal, 3)
+    for _ in range(5):
+        step(mine, 0.3)
+        step(theirs, 0.3)
+        variance = np.einsum("bii->bi", mine.epoch.innovation_cov)
+        np.testing.assert_array_equal(mine.epoch.innovation_variance, variance)
+        for name in theirs.epoch._fields:
+            if name not in OPTIONAL:
+                same = getattr(mine.epoch, name), getattr(theirs.epoch, name)
+                np.testing.assert_array_equal(*same, err_msg=name)
+        np.testing.assert_array_equal(mine.position, theirs.position)
+
+
+def test_needs_of_loop_passive_detectors_and_monitors_add_up():
+    passive = PassiveDetectors([Reader("imu_delta"), make_detector("raim"), make_detector("ewma")])
+    assert passive.needs == {"imu_delta", "pseudorange", "satellite_position"}
+    setup = tight("snapshot-chi2").altered(monitors=[passive, Divergence()])
+    engine = Engine(2, setup, twin=True)
+    engine.reset(rngs(2))
+    engine.step(np.zeros((2, 2)))
+    union = passive.needs | Divergence.needs | {"innovation_cov"}
+    assert engine.simulator.fields == given(engine.simulator.epoch) == union
+    assert given(engine.twin.epoch) == {"innovation_cov"}  # nobody monitors a clean twin
+    np.testing.assert_array_equal(
+        engine.simulator.epoch.innovation_variance, engine.twin.epoch.innovation_variance
+    )
+
+
+def test_passive_detectors_of_an_environment_get_what_they_need():
+    watch = [Reader("transition", "predicted_cov"), {"name": "pool", "members": ["aime", "raim"]}]
+    settings = {"timeline": SHORT, "action": "full-command"}
+    env = gym.make(ID, detector="ewma", watch=watch, **settings)
+    env.reset(seed=1)
+    env.step(np.zeros(2, dtype=np.float32))
+    needs = {"transition", "predicted_cov", "innovation_cov", "pseudorange", "satellite_position"}
+    assert given(env.unwrapped.core.engine.simulator.epoch) == needs
+
+
+def test_an_agent_of_the_duel_gets_what_its_terms_read():
+    assert DetectorAgent().needs == {"innovation_cov", "imu_delta"}
+    victim = warm(tight(DetectorAgent()), 2)
+    assert given(victim.epoch) == victim.detector.needs
+    assert victim.detector.memory["observation"].any()
+
+
+@pytest.mark.parametrize("way", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))])
+def test_a_copy_has_the_same_fields(way):
+    victim = warm(tight("snapshot-chi2"), 2)
+    copied = way(victim)
+    assert given(copied.epoch) == {"innovation_cov"}
+    assert not np.shares_memory(copied.epoch.innovation_cov, victim.epoch.innovation_cov)
+    for each in (victim, copied):
+        step(each, 0.5)
+    np.testing.assert_array_equal(copied.epoch.innovation_cov, victim.epoch.innovation_cov)
+
+
+class Forgetful(Never):
+    def judge(self, epoch):
+        return super().judge(epoch._replace(innovation=epoch.design[:, :, 0]))
+
+
+@every_victim
+def test_a_detector_that_forgets_its_needs_fails_alike_in_every_victim(kind):
+    message = r"Forgetful reads `epoch.design`, .* `needs = frozenset\({'design'}\)` into the class"
+    with pytest.raises(TypeError, match=message):
+        warm(setup_of(kind, detector=Forgetful()), 2)
+
+
+class Late(Monitor):
+    """Binds a detector whose needs it doesn't have."""
+
+    def bind(self, simulator):
+        simulator.bind_detector(Reader("transition", "design"))
+
+    def update(self, simulator):
+        raise NotImplementedError
+
+
+class Compass(Late):
+    needs = frozenset({"cn0_dbhz", "design"})
+
+    def bind(self, simulator):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("monitor", "message"),
+    [
+        (Late(), "Reader needs design, transition, but the fields of the epochs are fixed when a"),
+        (Compass(), "Compass needs cn0_dbhz, which a tightly coupled receiver does not have"),
+    ],
+)
+def test_fields_are_known_before_the_first_epoch(monitor, message):
+    with pytest.raises(ValueError, match=message):
+        warm(tight().altered(monitors=[monitor]), 1)
+
+
+@pytest.mark.parametrize("how", ["detector", "watch"])
+def test_unknown_needs_are_refused(how):
+    with pytest.raises(ValueError, match=r"`Reader.needs` must be .* not valid: \['designs'\]"):
+        gym.make(ID, timeline=SHORT, **{how: Reader("designs")})

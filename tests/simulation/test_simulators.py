@@ -1,0 +1,430 @@
+"""What holds for the simulators of all victims: identity in any batch, moves, twins, domains."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+from spoofgym.detectors import Never
+from spoofgym.simulation import Engine
+
+from .support import DOMAINS, SETUPS, SHORT, rngs, setup_of, step, warm
+
+every_victim = pytest.mark.parametrize("kind", SETUPS)
+
+
+def commands(setup, receivers, steps=8, seed=0):
+    """(steps, B, a) commands; a receiver has its own, whatever the batch."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-1.0, 1.0, (steps, 40, len(setup.action_names)))[:, :receivers].copy()
+
+
+def seen(simulator):
+    """What a receiver is and shows, by name, each with a leading axis of receivers."""
+    setup, b = simulator.setup, simulator.receivers
+    out = {f"detector {name}": array for name, array in simulator.detector.memory.items()}
+    out |= dict(simulator.memory)
+    for name, width in (("motion", setup.motion_names), ("geometry", setup.geometry_names)):
+        out[name] = np.full((b, len(width)), np.nan, dtype=np.float32)
+    simulator.motion(1e-4, 1e-2, out["motion"])
+    if setup.geometry_names and setup.kind != "tightly-coupled":  # which has a table of it
+        simulator.geometry(out["geometry"])
+    else:
+        out.pop("geometry")
+    displacement = np.empty(b)
+    simulator.displacement(np.zeros((b, 2)), None, displacement)
+    out |= {
+        "displacement": displacement,
+        "commanded": simulator.commanded_displacement,
+        "commanded rate": simulator.commanded_rate,
+        "error": simulator.error_n(),
+        "time": simulator.time_s(),
+        "ratio": simulator.ratio(),
+        "weights": simulator.observed_weights(),
+        "coasting": simulator.coasting,
+    }
+    return {name: np.array(array) for name, array in out.items()}
+
+
+def assert_same(mine, theirs, rows=None, theirs_rows=None):
+    """The same bits in rows of two simulators."""
+    a, b = seen(mine), seen(theirs)
+    rows = np.arange(mine.receivers) if rows is None else np.asarray(rows)
+    theirs_rows = rows if theirs_rows is None else np.asarray(theirs_rows)
+    for name, array in a.items():
+        np.testing.assert_array_equal(array[rows], b[name][theirs_rows], err_msg=name)
+
+
+@every_victim
+@pytest.mark.parametrize("receivers", [1, 3, 17])
+def test_a_receiver_is_the_single_one_in_any_batch(kind, receivers):
+    """In circumstances that each draws for itself."""
+    setup = setup_of(kind, domain=DOMAINS[kind], target_heading_deg="random")
+    many, actions = warm(setup, receivers), commands(setup, receivers)
+    rows = sorted({0, receivers // 2, receivers - 1})
+    singles = [warm(setup, 1, 100 + row) for row in rows]
+    for action in actions:
+        step(many, action)
+        for row, single in zip(rows, singles, strict=True):
+            step(single, action[row])
+            assert_same(single, many, [0], [row])
+    if receivers > 1:
+        errors = many.error_n()
+        assert not np.array_equal(errors[0], errors[1])
+
+
+@every_victim
+def test_rows_move_between_batches(kind):
+    setup = setup_of(kind)
+    source, target = warm(setup, 5), warm(setup, 3, first=50)
+    actions = commands(setup, 5, steps=10)
+    for action in actions[:5]:
+        step(source, action)
+        step(target, action[:3])
+    target.copy_rows(np.array([2, 0]), source, np.array([1, 4]))
+    assert_same(target, source, [2, 0], [1, 4])
+    for action in actions[5:]:
+        step(source, action)
+        step(target, action[[4, 0, 1]])
+    assert_same(target, source, [2, 0], [1, 4])
+
+
+@every_victim
+def test_a_reset_of_some_leaves_the_others_alone(kind):
+    setup = setup_of(kind)
+    engine, whole = Engine(4, setup), Engine(4, setup)
+    for each in (engine, whole):
+        each.reset(rngs(4))
+    actions = commands(setup, 4, steps=6)
+    for action in actions[:3]:
+        engine.step(action)
+        whole.step(action)
+    engine.reset(rngs(2, first=70), np.array([3, 1]))
+    fresh = warm(setup, 2, first=70)
+    for action in actions[3:]:
+        engine.step(action)
+        whole.step(action)
+        step(fresh, action[[3, 1]])
+    assert_same(engine.simulator, whole.simulator, [0, 2])
+    assert_same(engine.simulator, fresh, [3, 1], [0, 1])
+
+
+@every_victim
+def test_a_copy_goes_on_by_itself(kind):
+    setup = setup_of(kind)
+    mine, actions = warm(setup, 2), commands(setup, 2)
+    for action in actions[:3]:
+        step(mine, action)
+    copies = [copy.deepcopy(mine), pickle.loads(pickle.dumps(mine))]
+    for action in actions[3:]:
+        for each in (mine, *copies):
+            step(each, action)
+    for each in copies:
+        assert_same(each, mine)
+
+
+@every_victim
+def test_episodes_of_a_generator_differ_and_repeat(kind):
+    setup = setup_of(kind)
+    mine, other, generators = warm(setup, 2), warm(setup, 2), rngs(2, first=7)
+    mine.warm_up(generators)
+    first = mine.error_n().copy()
+    mine.warm_up(generators)
+    assert not np.array_equal(first, mine.error_n())
+    for action in commands(setup, 2):
+        step(other, action)
+    other.warm_up(rngs(2, first=7))
+    np.testing.assert_array_equal(first, other.error_n())
+    assert not other.commanded_displacement.any()
+
+
+@every_victim
+def test_zero_command_is_the_clean_run(kind):
+    """And so is any command of a receiver that the attack leaves alone."""
+    setup = setup_of(kind)
+    clean, idle, spared, attacked = (warm(setup, 3) for _ in range(4))
+    spared.clean = np.array([True, True, False])
+    for k, action in enumerate(commands(setup, 3, steps=12)):
+        step(clean)
+        step(idle, np.zeros_like(action) if k else None)
+        step(spared, action)
+        step(attacked, action)
+        assert_same(clean, idle)
+        np.testing.assert_array_equal(spared.error_n()[:2], clean.error_n()[:2])
+        assert_same(spared, attacked, [2])
+    assert (attacked.error_n() != clean.error_n()).any(axis=1).all()
+
+
+@every_victim
+def test_a_twin_is_the_receiver_without_the_attack(kind):
+    setup = setup_of(kind, target_heading_deg="worst")
+    engine = Engine(3, setup, twin=True)
+    engine.reset(rngs(3))
+    apart, origin = np.empty(3), np.zeros((3, 2))
+    for _ in range(4):
+        engine.step(None)
+        assert_same(engine.simulator, engine.twin)
+    engine.simulator.displacement(origin, engine.twin, apart)
+    assert not apart.any()
+    for _ in range(4):
+        engine.step(np.ones((3, len(setup.action_names))))
+    alone = warm(setup, 3)
+    for _ in range(8):
+        step(alone)
+    assert_same(engine.twin, alone)
+    engine.simulator.displacement(origin, engine.twin, apart)
+    assert (apart > 0.0).all()
+    held, of_twin = engine.hold(np.array([0, 2]))
+    assert held.shape == of_twin.shape == (setup.hold, 2)
+    assert engine.twin.time_s()[1] < engine.twin.time_s()[0] == engine.simulator.time_s()[0]
+
+
+@every_victim
+def test_the_displacement_is_the_error_along_the_target_since_the_origin(kind):
+    setup = setup_of(kind, target_heading_deg=30.0)
+    mine = warm(setup, 3)
+    origin, out = mine.origin_ne().copy(), np.empty(3)
+    for action in commands(setup, 3):
+        step(mine, action)
+    mine.displacement(origin, None, out)
+    north, east = (mine.error_n()[:, :2] - origin).T
+    expected = north * np.cos(np.radians(30.0)) + east * np.sin(np.radians(30.0))
+    np.testing.assert_allclose(out, expected, atol=1e-9)
+
+
+@every_victim
+def test_warm_ups_in_the_background_have_the_same_bits(kind):
+    setup = setup_of(kind, domain=DOMAINS[kind])
+    plain, ahead = Engine(2, setup), Engine(2, setup, prefetch=True)
+    generators = rngs(2), rngs(2)
+    try:
+        for _ in range(3):
+            for engine, mine in zip((plain, ahead), generators, strict=True):
+                engine.reset(mine)
+                engine.step(np.ones((2, len(setup.action_names))))
+            assert_same(ahead.simulator, plain.simulator)
+    finally:
+        ahead.close()
+
+
+@every_victim
+def test_decisions_last_and_an_episode_has_an_epoch_in_reserve(kind):
+    interval = setup_of(kind).interval_s
+    setup = setup_of(kind, decision_interval_s=5.0 * interval, between="linear")
+    assert setup.repeat == 5
+    assert setup.length == setup_of(kind).length  # so that episodes start at the same times
+    engine = Engine(3, setup, twin=True)
+    engine.reset(rngs(3))
+    for _ in range(setup.steps + setup.hold + 1):
+        engine.step(None)
+    assert np.isfinite(engine.simulator.error_n()).all()
+    np.testing.assert_allclose(engine.simulator.time_s(), setup.length * interval)
+    message = "`decision_interval_s` must be a multiple of the interval between epochs"
+    with pytest.raises(ValueError, match=message):
+        setup_of(kind, decision_interval_s=1.5 * interval)
+
+
+@every_victim
+def test_time_and_onset(kind):
+    setup, line = setup_of(kind), SHORT[kind]["timeline"]
+    mine = warm(setup, 2)
+    np.testing.assert_array_equal(mine.onset, setup.onset)
+    np.testing.assert_array_equal(mine.epochs, mine.onset)
+    np.testing.assert_allclose(mine.time_s(), line["warmup_s"])
+    step(mine)
+    np.testing.assert_allclose(mine.time_s(), line["warmup_s"] + setup.interval_s)
+    np.testing.assert_allclose(mine.epoch.time, mine.time_s())
+    assert setup.hold * setup.interval_s == line["time_to_alert_s"]
+
+
+@every_victim
+def test_the_onset_is_the_end_of_the_warm_up_wherever_an_episode_starts(kind):
+    setup = setup_of(kind, domain=DOMAINS[kind])
+    mine, motion = warm(setup, 6), np.full((6, len(setup.motion_names)), np.nan)
+    assert len({*mine.memory["first"]}) > 1
+    np.testing.assert_array_equal(mine.onset, mine.epochs)
+    mine.motion(1.0, 1.0, motion)
+    np.testing.assert_allclose(motion[:, :2], 0.0, atol=1e-6)  # since the onset
+    layout = mine.layout()
+    assert layout.onset_s == mine.time_s()[0] == setup.epoch_time[mine.epochs[0]]
+
+
+@every_victim
+def test_the_worst_direction_counts_from_the_error_at_the_onset(kind):
+    mine, out = warm(setup_of(kind, target_heading_deg="worst"), 3), np.full(3, np.nan)
+    origin = mine.origin_ne().copy()
+    assert origin.any(axis=1).all()
+    mine.displacement(origin, None, out)
+    np.testing.assert_allclose(out, 0.0, atol=1e-6)
+    for action in commands(mine.setup, 3):
+        step(mine, action)
+    mine.displacement(origin, None, out)
+    apart = mine.error_n()[:, :2] - origin
+    np.testing.assert_allclose(out, np.hypot(*apart.T), rtol=1e-6, atol=1e-6)
+
+
+@every_victim
+def test_what_is_observed_has_names_and_scales(kind):
+    setup = setup_of(kind)
+    mine = warm(setup, 3)
+    step(mine, 0.5)
+    shown = seen(mine)
+    for name, names in (
+        ("error", setup.error_names),
+        ("weights", setup.weight_names),
+        ("motion", setup.motion_names),
+        ("commanded", setup.action_names),
+    ):
+        assert shown[name].shape == (3, len(names)), name
+        assert np.isfinite(shown[name]).all(), name
+        assert len(set(names)) == len(names)
+    assert {"length_m", "position_m", "velocity_mps"} <= set(setup.scales)
+    assert setup.error_names[:2] == ("north", "east")
+    layout, frame = mine.layout(), mine.frame()
+    assert layout.track_ne.shape == (setup.steps + setup.hold + 1, 2)
+    assert layout.has_sky == (frame.sky is not None) == bool(setup.geometry_names)
+    assert layout.onset_s == SHORT[kind]["timeline"]["warmup_s"]
+    np.testing.assert_allclose(frame.position_ne, layout.track_ne[1], atol=1e-6)
+    np.testing.assert_allclose(frame.displacement_ne, mine.commanded_displacement[0, :2])
+    assert frame.ratio == mine.ratio()[0]
+
+
+@every_victim
+def test_an_episode_is_in_the_circumstances_that_are_drawn_or_given(kind):
+    setup = setup_of(kind, domain=DOMAINS[kind], target_heading_deg="random")
+    drawn = warm(setup, 12)
+    for name, least in (("first", 2), ("heading", 12)):
+        assert len(set(drawn.memory[name].tolist())) >= least
+    low, high = DOMAINS[kind].get("start_s", (0.0, 0.0))
+    given = {"start_s": low, "target_heading_deg": [10.0, 20.0]}
+    if "worlds" in DOMAINS[kind]:
+        given["world"] = [1, 0]
+    mine = warm(setup, 2, **given)
+    start = (mine.memory["first"] % setup.epochs_each) * setup.interval_s
+    np.testing.assert_allclose(start, low)
+    np.testing.assert_allclose(np.degrees(mine.heading), [10.0, 20.0])
+    np.testing.assert_allclose(mine.time_s(), low + SHORT[kind]["timeline"]["warmup_s"])
+    if high is not None:
+        assert (drawn.time_s() <= high + SHORT[kind]["timeline"]["warmup_s"]).all()
+    assert np.isfinite(mine.error_n()).all()
+
+
+@every_victim
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"world": 7}, "`world` must be whole numbers, 0 to 0, got 7"),
+        ({"start_s": 1e6}, r"`start_s` must be 0 to 0, got 1000000\.0"),
+        ({"imu": "tactical"}, "unknown imu 'tactical'"),
+        ({"target_heading_deg": 3.0}, "only where it is 'random'"),
+        ({"speed": 3.0}, "unknown choice of a reset 'speed'"),
+        ({"world": [0, 0]}, "`world` must be one value or 3 of them, got 2"),
+    ],
+)
+def test_what_cannot_be_given_is_refused(kind, given, message):
+    engine = Engine(3, setup_of(kind))
+    with pytest.raises(ValueError, match=message):
+        engine.reset(rngs(3), given=given)
+
+
+@pytest.mark.parametrize(
+    ("kind", "domain", "message"),
+    [
+        ("loose", {"worlds": 2, "turned_deg": (0.0, 90.0)}, "`domain` has no 'turned_deg' for a "),
+        ("loose", {"imu": "tactical"}, "a loosely coupled receiver; valid: start_s"),
+        ("loose", {"start_s": (700.0, 1e5)}, "an episode takes 7.1 s from a start at 100000 s"),
+        ("snapshot", {"start_s": (0.0, 5.0)}, "'start_s' for a snapshot receiver; valid: constell"),
+        ("robot", {"turned_deg": (0.0, 5.0)}, "'turned_deg' for a wheeled robot; valid: start_s"),
+        ("robot", {"start_s": (0.0, 1e9)}, "`start_s` must be within 0 and 100000 s, got"),
+        ("robot", {"start_s": (0.2, 0.7)}, "`start_s` must hold an epoch, of which there is one"),
+    ],
+)
+def test_a_domain_that_a_victim_does_not_have_is_refused(kind, domain, message):
+    with pytest.raises(ValueError, match=message):
+        setup_of(kind, domain=domain)
+
+
+@every_victim
+def test_settings_are_checked(kind):
+    for settings, message in (
+        ({"target_heading_deg": "north"}, "unknown target_heading_deg 'north'"),
+        ({"between": "cubic"}, "unknown between 'cubic'"),
+        ({"timeline": {"attack": 1.0}}, "`timeline` has no setting 'attack'; valid: warmup_s"),
+        ({"timeline": {"attack_s": 1e9}}, "an episode must have at most 100000 epochs"),
+        ({"detector": "srv-rain"}, "unknown detector 'srv-rain'"),
+        ({"domain": {"start": 1.0}}, "`domain` has no setting 'start'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            setup_of(kind, **settings)
+    with pytest.raises(ValueError, match="`receivers` must be at least 1, got 0"):
+        warm(setup_of(kind), 0)
+
+
+class Wheel(Never):
+    """Needs what no victim has."""
+
+    needs = frozenset({"cn0_dbhz"})
+
+
+@every_victim
+def test_a_detector_with_needs_is_refused(kind):
+    setup = setup_of(kind, detector=Wheel())
+    with pytest.raises(ValueError, match=f"Wheel needs cn0_dbhz, which {setup.whose} does not"):
+        warm(setup, 1)
+
+
+class Late(Never):
+    """Can't alarm in its first epochs."""
+
+    def __init__(self, silent_epochs):
+        self.silent_epochs = silent_epochs
+
+
+@every_victim
+def test_a_detector_must_have_an_epoch_in_which_it_can_alarm(kind):
+    setup = setup_of(kind)
+    epochs = setup.live + setup.steps + setup.hold
+    warm(setup_of(kind, detector=Late(epochs - 1)), 1)
+    message = f"Late can't alarm in its first {epochs} epochs, and an episode has {epochs} in"
+    with pytest.raises(ValueError, match=message):
+        warm(setup_of(kind, detector=Late(epochs)), 1)
+
+
+@every_victim
+def test_settings_are_json(kind):
+    settings = {
+        **SHORT[kind],
+        "domain": DOMAINS[kind],
+        "target_heading_deg": "random",
+        "decision_interval_s": setup_of(kind).interval_s * 5,
+        "between": "linear",
+    }
+    plain, read = SETUPS[kind](**settings), SETUPS[kind](**json.loads(json.dumps(settings)))
+    assert_same(warm(plain, 2), warm(read, 2))
+
+
+@pytest.mark.parametrize("kind", ["loose", "snapshot", "robot"])
+def test_rates_move_the_displacement_and_none_holds_them(kind):
+    setup = setup_of(kind)
+    mine, axes = warm(setup, 2), len(setup.action_names)
+    command = np.linspace(-1.0, 0.5, axes)
+    step(mine, command)
+    rate = command * setup.attack.limits
+    np.testing.assert_allclose(mine.commanded_rate, np.tile(rate, (2, 1)))
+    step(mine)
+    expected = 2.0 * rate * setup.interval_s
+    np.testing.assert_allclose(mine.commanded_displacement, np.tile(expected, (2, 1)))
+
+
+@pytest.mark.parametrize("kind", ["loose", "snapshot", "robot"])
+def test_an_episode_ends(kind):
+    setup = setup_of(kind)
+    mine = warm(setup, 2)
+    for _ in range(setup.steps + setup.hold + 1):  # one to spare, for receivers that wait
+        step(mine)
+    with pytest.raises(RuntimeError, match=rf"at most {setup.length} epochs, .* \[0, 1\] are at"):
+        step(mine)

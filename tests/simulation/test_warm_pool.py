@@ -1,0 +1,208 @@
+"""A pool of warm-ups: M pasts, the same for everyone, each with a future of its own."""
+
+import copy
+import json
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from scipy import stats
+
+from spoofgym.envs import SpoofCore
+from spoofgym.envs.wrappers import RecordEpochs
+from spoofgym.simulation.engine import POOL_SEED, Engine
+from spoofgym.simulation.tight import TightlyCoupledSimulator
+from spoofgym.truth.sensors import SOURCES
+
+from .support import DOMAINS, SETUPS, rngs, setup_of
+
+M = 5
+TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 1.0}
+FRESH = ("imu", "clock", "gnss", "spoofer", "correlated")
+
+every_victim = pytest.mark.parametrize("kind", SETUPS)
+
+
+def pooled(kind, receivers, **settings):
+    return Engine(receivers, setup_of(kind, **settings), warm_pool=M)
+
+
+def pasts(kind, **settings):
+    """The receivers of which all episodes are copies."""
+    seeds = [np.random.SeedSequence(POOL_SEED, spawn_key=(k,)) for k in range(M)]
+    simulator = setup_of(kind, **settings).simulator(M, lambda work, b: work(0, b))
+    simulator.warm_up([np.random.default_rng(seed) for seed in seeds])
+    return simulator
+
+
+def played(engine, generators, rounds=3, steps=4):
+    """Errors after every step of some episodes, (K, B, e)."""
+    errors, moves = [], np.ones((engine.receivers, len(engine.setup.action_names)))
+    for _ in range(rounds):
+        engine.reset(generators)
+        for _ in range(steps):
+            engine.step(moves)
+            errors.append(engine.simulator.error_n().copy())
+    return np.array(errors)
+
+
+@every_victim
+def test_a_receiver_is_the_same_in_any_batch_and_with_a_reset_of_some(kind):
+    together = played(pooled(kind, 9), rngs(9))
+    for row in (0, 4, 8):
+        alone = played(pooled(kind, 1), rngs(1, first=100 + row))
+        assert np.array_equal(alone[:, 0], together[:, row])
+    engine, generators = pooled(kind, 9), rngs(9)
+    engine.reset(generators)
+    some = np.array([8, 2])
+    for _ in range(2):
+        engine.reset([generators[row] for row in some], some)
+    for k in range(4):
+        engine.step(np.ones((9, len(engine.setup.action_names))))
+        assert np.array_equal(engine.simulator.error_n()[some], together[8 + k][some])
+
+
+@every_victim
+def test_all_episodes_have_pasts_of_the_pool_and_futures_of_their_own(kind):
+    count = 60
+    settings = {"domain": DOMAINS[kind]}
+    engine, pool = pooled(kind, count, **settings), pasts(kind, **settings)
+    engine.reset(rngs(count))
+    mine, theirs = engine.simulator, pool.error_n()
+    of = np.array([np.flatnonzero((theirs == each).all(axis=1)).item() for each in mine.error_n()])
+    assert set(of.tolist()) == set(range(M))
+    assert np.array_equal(engine.warmup_alarm, pool.memory["warmup_alarm"][of])
+    assert np.array_equal(mine.epochs, pool.epochs[of])
+    assert np.array_equal(mine.memory["key"], pool.memory["key"][of])
+    verdicts = mine.verdict.statistic, pool.verdict.statistic[of]
+    assert np.array_equal(*verdicts)
+    engine.step(None)
+    assert len(np.unique(mine.error_n(), axis=0)) == count
+
+
+def test_every_past_is_as_likely_as_any_other():
+    engine = Engine(400, setup_of("robot"), warm_pool=M)
+    engine.reset(rngs(400))
+    counts = np.unique(engine.simulator.error_n(), axis=0, return_counts=True)[1]
+    assert len(counts) == M
+    assert stats.chisquare(counts).pvalue > 1e-3
+
+
+def test_the_noise_after_the_onset_is_that_of_the_episode():
+    engine, pool = pooled("tightly-coupled", 6), pasts("tightly-coupled")
+    exact = Engine(6, setup_of("tightly-coupled"))
+    generators = rngs(6), rngs(6)
+    for _ in range(2):
+        engine.reset(generators[0])
+        exact.reset(generators[1])
+    keys, own = engine.simulator.sensors.keys, exact.simulator.sensors.keys
+    of_pool = {tuple(each.ravel().tolist()) for each in pool.sensors.keys.transpose(1, 0, 2)}
+    old = [k for k, name in enumerate(SOURCES) if name not in FRESH]
+    pool_old = {tuple(each.ravel().tolist()) for each in pool.sensors.keys[old].transpose(1, 0, 2)}
+    for row in range(6):
+        for k, name in enumerate(SOURCES):
+            assert (name in FRESH) == np.array_equal(keys[k, row], own[k, row])
+        assert tuple(keys[old][:, row].ravel().tolist()) in pool_old
+        assert tuple(keys[:, row].ravel().tolist()) not in of_pool
+    assert np.array_equal(engine.simulator.attack.memory["key"], keys[SOURCES.index("spoofer")])
+
+
+def test_innovations_after_the_onset_are_as_large_as_those_of_exact_warm_ups():
+    sizes, setup = [], setup_of("tightly-coupled")
+    for pool in (None, 64):
+        engine = Engine(200, setup, warm_pool=pool)
+        engine.reset(rngs(200))
+        nis = []
+        for _ in range(3):
+            engine.step(None)
+            epoch = engine.simulator.epoch
+            square = epoch.innovation**2 / epoch.innovation_variance
+            nis.append(square.sum() / (2 * epoch.visible.sum()))
+        sizes.append(np.mean(nis))
+    assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+def test_a_copy_goes_on_with_the_same_bits(copied):
+    engine, generators = pooled("tightly-coupled", 3), rngs(3)
+    played(engine, generators, rounds=1)
+    other, theirs = copied((engine, generators))
+    assert np.array_equal(played(engine, generators), played(other, theirs))
+
+
+def test_clean_twins_share_the_past_and_the_noise():
+    engine = Engine(4, setup_of("tightly-coupled"), warm_pool=M, twin=True)
+    engine.reset(rngs(4))
+    engine.step(None)
+    assert np.array_equal(engine.simulator.error_n(), engine.twin.error_n())
+
+
+def test_an_interrupted_pool_is_made_whole_by_the_next_reset(monkeypatch):
+    engine = pooled("tightly-coupled", 3)
+
+    def interrupted(*args):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TightlyCoupledSimulator, "live_epochs", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            engine.reset(rngs(3))
+    assert np.array_equal(played(engine, rngs(3)), played(pooled("tightly-coupled", 3), rngs(3)))
+
+
+def test_all_forms_of_an_environment_take_it():
+    settings = {"timeline": TIMELINE, "warm_pool": 3}
+
+    def made(name, **more):
+        return gym.make(name, **settings, **more, disable_env_checker=True)
+
+    plain = {"action": "full-command"}
+    envs = gym.make_vec(
+        "spoofgym/TightlyCoupled-v0", 4, **settings, **plain, autoreset_mode="same_step", threads=2
+    )
+    seen = [envs.reset(seed=5)[0]]
+    for _ in range(20):
+        seen.append(envs.step(np.full((4, 2), 0.5, dtype=np.float32))[0])
+    assert envs.unwrapped.core.engine._next is None
+    single = made("spoofgym/TightlyCoupled-v0", **plain)
+    assert single.spec.kwargs["warm_pool"] == 3
+    assert np.array_equal(single.reset(seed=7)[0], seen[0][2])
+    for observations in seen[1:]:
+        observation, _, terminated, _, _ = single.step(np.full(2, 0.5, dtype=np.float32))
+        if terminated:
+            observation = single.reset()[0]
+        assert np.array_equal(observation, observations[2])
+    view = made("spoofgym/SpooferView-v0", pool=["ewma", "snapshot-chi2"])
+    view.reset(seed=1)
+    assert view.unwrapped.core.engine.warm_pool == 3
+    for env in (envs, single, view):
+        env.close()
+
+
+@pytest.mark.parametrize("pool", [None, 3])
+def test_recorded_files_name_it(pool, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    settings = {"timeline": TIMELINE, "warm_pool": pool, "action": "full-command"}
+    env = gym.make("spoofgym/TightlyCoupled-v0", **settings)
+    env = RecordEpochs(env, tmp_path)
+    env.reset(seed=1)
+    env.step(np.zeros(2, dtype=np.float32))
+    env.close()
+    (file,) = tmp_path.glob("*.parquet")
+    assert json.loads(parquet.read_metadata(file).metadata[b"spoofgym"]).get("warm_pool") == pool
+
+
+@pytest.mark.parametrize("given", [0, -1, 1.5, True, "64"])
+def test_a_pool_has_at_least_one_receiver(given):
+    with pytest.raises(ValueError, match="`warm_pool` must be a whole number of at least 1, got"):
+        SpoofCore(2, setup_of("robot"), warm_pool=given)
+
+
+def test_nothing_of_an_episode_can_be_given():
+    engine, generators = pooled("tightly-coupled", 2, target_heading_deg="random"), rngs(2)
+    message = "with `warm_pool` 5 .* those of the pool: target_heading_deg can't be given"
+    with pytest.raises(ValueError, match=message):
+        engine.reset(generators, given={"target_heading_deg": 10.0})
+    fresh = pooled("tightly-coupled", 2, target_heading_deg="random")
+    assert np.array_equal(played(engine, generators), played(fresh, rngs(2)))

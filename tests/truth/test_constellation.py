@@ -1,0 +1,175 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from spoofgym.earth.wgs84 import EARTH_RATE, GRAVITATIONAL_CONSTANT
+from spoofgym.truth.satellites import CircularConstellation, CombinedConstellation, Constellation
+
+PROPERTY = settings(deadline=None, max_examples=50)
+EARTH_RATE_E = np.array([0.0, 0.0, EARTH_RATE])
+TIMES = st.floats(-1e5, 1e5)
+CONSTELLATIONS = st.builds(
+    CircularConstellation,
+    satellites=st.integers(1, 40),
+    radius_m=st.floats(7e6, 5e7),
+    inclination_deg=st.floats(0.0, 180.0),
+    time_offset_s=st.floats(-1e5, 1e5),
+)
+
+
+def inertial(
+    time: float, position_e: NDArray[np.float64], velocity_e: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Position and velocity in the inertial axes that are the ECEF axes at time 0."""
+    a = EARTH_RATE * time
+    C_ie = np.array([[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]])
+    return position_e @ C_ie.T, (velocity_e + np.cross(EARTH_RATE_E, position_e)) @ C_ie.T
+
+
+@pytest.mark.parametrize(
+    "name", ["golden_aviation_profile1_1Hz.mat", "golden_tactical_profile3_first120s_1Hz.mat"]
+)
+def test_golden_satellites(data_folder: Path, name: str) -> None:
+    rows = scipy.io.loadmat(data_folder / "groves_reference" / name)["gnss_meas"]
+    times, epoch = np.unique(rows[:, 0], return_inverse=True)
+    position_e, velocity_e = CircularConstellation().states(times)
+    distance = np.linalg.norm(position_e[epoch] - rows[:, None, 3:6], axis=-1)
+    satellite = distance.argmin(axis=1)
+    assert_allclose(position_e[epoch, satellite], rows[:, 3:6], rtol=0, atol=1e-6)
+    assert_allclose(velocity_e[epoch, satellite], rows[:, 6:9], rtol=0, atol=1e-9)
+    same_epoch = np.diff(epoch) == 0
+    assert (np.diff(satellite)[same_epoch] > 0).all()
+
+
+@PROPERTY
+@given(constellation=CONSTELLATIONS, time=TIMES)
+def test_radius_and_speed_are_those_of_a_circular_orbit(
+    constellation: CircularConstellation, time: float
+) -> None:
+    position_e, velocity_e = constellation.states([time])
+    position_i, velocity_i = inertial(time, position_e[0], velocity_e[0])
+    r = constellation.radius_m
+    assert_allclose(np.linalg.norm(position_i, axis=-1), r, rtol=1e-13)
+    speed = np.sqrt(GRAVITATIONAL_CONSTANT / r)
+    assert_allclose(np.linalg.norm(velocity_i, axis=-1), speed, rtol=1e-13)
+    assert_allclose(np.vecdot(position_i, velocity_i), 0.0, atol=1e-12 * r * speed)
+
+
+@PROPERTY
+@given(constellation=CONSTELLATIONS, time=TIMES)
+def test_planes_stand_still_in_inertial_space(
+    constellation: CircularConstellation, time: float
+) -> None:
+    def normal(t: float) -> NDArray[np.float64]:
+        position_e, velocity_e = constellation.states([t])
+        h = np.cross(*inertial(t, position_e[0], velocity_e[0]))
+        return np.asarray(h / np.linalg.norm(h, axis=-1, keepdims=True))
+
+    assert_allclose(normal(time), normal(0.0), atol=1e-9)
+    inclination = np.deg2rad(constellation.inclination_deg)
+    assert_allclose(normal(time)[:, 2], np.cos(inclination), atol=1e-12)
+
+
+def test_five_satellites_on_each_of_six_planes() -> None:
+    position_e, velocity_e = CircularConstellation().states([0.0])
+    h = np.cross(*inertial(0.0, position_e[0], velocity_e[0]))
+    node_deg = np.rad2deg(np.arctan2(h[:, 0], -h[:, 1])) % 360.0
+    planes, count = np.unique(np.round(node_deg / 60.0).astype(int) % 6, return_counts=True)
+    assert_array_equal(planes, np.arange(6))
+    assert_array_equal(count, 5)
+    assert_allclose(np.round(node_deg / 60.0) * 60.0, node_deg, atol=1e-9)
+
+
+def test_a_satellite_returns_after_a_revolution() -> None:
+    constellation = CircularConstellation()
+    period = 2.0 * np.pi / constellation.angular_rate
+    assert period == pytest.approx(0.5 * 86164.1, rel=1e-3)  # half a sidereal day
+    first, last = constellation.states([0.0, period]).position_e
+    again, _ = inertial(period, last, np.zeros_like(last))
+    assert_allclose(again, first, atol=1e-6)
+
+
+@PROPERTY
+@given(constellation=CONSTELLATIONS, time=TIMES)
+def test_velocity_is_the_derivative_of_position(
+    constellation: CircularConstellation, time: float
+) -> None:
+    h = 0.1
+    position_e, velocity_e = constellation.states([time - h, time, time + h])
+    difference = (position_e[2] - position_e[0]) / (2.0 * h)
+    assert_allclose(velocity_e[1], difference, rtol=0, atol=1e-4)
+
+
+def test_time_offset_is_a_time() -> None:
+    times = np.array([0.0, 10.0, 4000.0])
+    shifted = CircularConstellation(time_offset_s=500.0).states(times)
+    assert_array_equal(shifted, CircularConstellation().states(times + 500.0))
+
+
+def test_a_time_does_not_depend_on_the_others_asked_for() -> None:
+    times = np.linspace(0.0, 4e4, 64)
+    constellation = CircularConstellation()
+    together = constellation.states(times)
+    alone = [constellation.states([time]) for time in times]
+    assert_array_equal(together.position_e, np.concatenate([s.position_e for s in alone]))
+    assert_array_equal(together.velocity_e, np.concatenate([s.velocity_e for s in alone]))
+
+
+def test_shape_and_order() -> None:
+    constellation: Constellation = CircularConstellation()
+    assert constellation.satellite_ids == tuple(sorted(constellation.satellite_ids))
+    assert constellation.satellite_ids[0] == "S01"
+    assert constellation.satellite_ids[-1] == "S30"
+    for array in constellation.states(np.arange(4)):
+        assert array.shape == (4, 30, 3)
+        assert array.flags.c_contiguous
+
+
+def test_constellations_combined_are_those_they_are_made_of() -> None:
+    own = CircularConstellation()
+    other = CircularConstellation(satellites=4, prefix="A", planes=2, radius_m=3e7)
+    both = CombinedConstellation((own, other))
+    assert both.satellite_ids == tuple(sorted(own.satellite_ids + other.satellite_ids))
+    for part in (own, other):
+        places = [both.satellite_ids.index(name) for name in part.satellite_ids]
+        for found, want in zip(both.states([0.0, 50.0]), part.states([0.0, 50.0]), strict=True):
+            assert_array_equal(found[:, places], want)
+
+
+def test_combined_constellations_must_have_names_of_their_own() -> None:
+    with pytest.raises(ValueError, match="different satellite ids, got 'S01' twice"):
+        CombinedConstellation((CircularConstellation(), CircularConstellation(satellites=1)))
+    with pytest.raises(ValueError, match="at least one constellation, got none"):
+        CombinedConstellation(())
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"satellites": 0}, r"1\.\.99, got 0"),
+        ({"planes": 0}, r"`planes` must be within 1\.\.99, got 0"),
+        ({"prefix": "gps"}, "`prefix` must be a capital letter, A to Z, got 'gps'"),
+        ({"radius_m": 6.0e6}, r"above 6378137 m, got 6000000"),
+        ({"radius_m": float("nan")}, "got nan"),
+        ({"inclination_deg": 181.0}, r"0\.\.180, got 181"),
+        ({"time_offset_s": float("inf")}, "finite, got inf"),
+    ],
+)
+def test_settings_are_checked(settings: dict[str, float], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        CircularConstellation(**settings)  # type: ignore[arg-type]
+
+
+def test_times_are_checked() -> None:
+    with pytest.raises(ValueError, match=r"shape \(K,\), got \(\)"):
+        CircularConstellation().states(0.0)
+    with pytest.raises(ValueError, match="finite, got nan"):
+        CircularConstellation().states([0.0, float("nan")])

@@ -1,0 +1,296 @@
+"""GNSS errors: what stays with a satellite, what is white, and how they add up."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from spoofgym.core.compile import njit
+from spoofgym.core.simd import LANES, load
+from spoofgym.truth._kernels import SKY, gather_sky, measure
+from spoofgym.truth.clock import ReceiverClock
+from spoofgym.truth.gnss_errors import ERRORS, GnssErrors
+from spoofgym.truth.noise import padded
+from spoofgym.truth.sensors import IMU_GRADES, SensorBuffers
+
+from ..lanes import in_all_lanes
+
+N = 8
+
+
+def test_biases_in_the_zenith_and_at_the_horizon():
+    errors = ERRORS["groves"]
+    zenith, horizon = errors.bias_sd(np.array([math.pi / 2, 0.0]))
+    assert zenith == pytest.approx(math.sqrt(1.0 + 2.0**2 + 0.2**2))
+    assert horizon == pytest.approx(math.sqrt(1.0 + 2.0**2 / 0.101 + 0.2**2 / 0.002))
+    elevation = np.radians(np.arange(5.0, 90.0, 5.0))
+    assert (np.diff(errors.bias_sd(elevation)) < 0.0).all()  # the lower, the longer the path
+
+
+def test_biases_of_the_presets():
+    elevation = np.radians([10.0, 45.0, 80.0])
+    np.testing.assert_array_equal(ERRORS["white"].bias_sd(elevation), 0.0)
+    np.testing.assert_array_equal(ERRORS["zhong2025"].bias_sd(elevation), 1.0)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "code_sd_m",
+        "range_rate_sd_mps",
+        "signal_in_space_sd_m",
+        "zenith_iono_sd_m",
+        "zenith_tropo_sd_m",
+    ],
+)
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
+def test_standard_deviations_must_be_finite_and_not_negative(name, value):
+    with pytest.raises(ValueError, match=f"`{name}` must be finite and >= 0, got {value}"):
+        replace(ERRORS["groves"], **{name: value})
+
+
+@njit
+def measured(sensors, constants, keys, epoch, tau, sky, noise, added, out):
+    """Pseudoranges and range rates of a group, in all rows of `out`."""
+    n = out.shape[0] // 2
+    k, dt = load(epoch, 0), load(tau, 0)
+    both = sensors, 0, constants, 0
+    measure(*both, n, keys, 0, k, dt, sky, noise, added, added[:0], out, 0)
+
+
+def begun(errors, bias_sd, seeds, grade="aviation"):
+    buffers = SensorBuffers(len(seeds), N, with_authentic=True)
+    rows = np.arange(len(seeds))
+    buffers.draw_keys(rows, [np.random.default_rng(seed) for seed in seeds])
+    buffers.begin(rows, IMU_GRADES[grade], errors, np.full(N, float(bias_sd)))
+    return buffers
+
+
+def epochs_of(errors, count, tau=0.5, bias_sd=0.0, change=None, seed=3):
+    """(count, N) errors of pseudoranges and range rates of one receiver, and its clocks."""
+    buffers = begun(errors, bias_sd, [seed])
+    if change is not None:
+        change(buffers)
+    added = np.concatenate([buffers.range_offset[0], buffers.rate_offset[0], buffers.authentic[0]])
+    truth = np.zeros((1, N, 8))
+    truth[0, :, 6], truth[0, :, 7] = 2.2e7 + np.arange(N), 100.0 * np.arange(N)
+    out, clocks = np.empty((count, 2 * N)), np.empty((count, 2))
+    for k in range(count):
+        interval = np.array([tau if k else 0.0])
+        epoch = np.array([k], dtype=np.uint64)
+        measured(
+            buffers.fields.data,
+            buffers.constants.data,
+            buffers.words.data,
+            epoch,
+            interval,
+            truth.ravel(),
+            np.empty(padded(2 * N)),
+            added,
+            out[k],
+        )
+        clocks[k] = buffers.fields["clock"][0]
+    out -= truth[0, :, 6:].T.ravel()
+    return out[:, :N], out[:, N:], clocks, buffers.fields
+
+
+SILENT = GnssErrors(
+    code_sd_m=0.0,
+    range_rate_sd_mps=0.0,
+    signal_in_space_sd_m=0.0,
+    zenith_iono_sd_m=0.0,
+    zenith_tropo_sd_m=0.0,
+    clock=ReceiverClock(offset_m=1000.0, drift_mps=-20.0),
+)
+
+
+def test_without_noise_only_the_clock_is_left():
+    ranges, rates, clocks, _ = epochs_of(SILENT, 5)
+    np.testing.assert_allclose(clocks[:, 0], 1000.0 - 10.0 * np.arange(5))
+    np.testing.assert_allclose(ranges, np.tile(clocks[:, :1], (1, N)), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(rates, -20.0, rtol=0, atol=1e-12)
+
+
+def test_an_attack_adds_to_every_channel():
+    def attack(buffers):
+        buffers.range_offset[0] = np.arange(N) * 3.0
+        buffers.rate_offset[0] = np.arange(N) * -0.1
+
+    ranges, rates, _, _ = epochs_of(SILENT, 1, change=attack)
+    np.testing.assert_allclose(ranges[0], 1000.0 + 3.0 * np.arange(N), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(rates[0], -20.0 - 0.1 * np.arange(N), rtol=0, atol=1e-12)
+
+
+def test_biases_stay_and_the_rest_is_white():
+    count = 2000
+    ranges, rates, _, fields = epochs_of(
+        replace(ERRORS["groves"], clock=ReceiverClock(offset_m=0.0, drift_mps=0.0)),
+        count,
+        bias_sd=3.0,
+    )
+    white = ranges - fields["satellite_bias"][0]
+    for errors, sd in ((white, 1.0), (rates, 0.02)):
+        assert scipy.stats.kstest(errors.ravel() / sd, "norm").pvalue > 1e-3
+        correlation = (errors[1:] * errors[:-1]).mean() / sd**2
+        assert abs(correlation) < 4.0 / math.sqrt(count * N)
+        channels = np.corrcoef(errors.T) - np.eye(N)
+        assert np.abs(channels).max() < 5.0 / math.sqrt(count)
+    assert abs(np.corrcoef(white.ravel(), rates.ravel())[0, 1]) < 4.0 / math.sqrt(count * N)
+    assert 0.5 < fields["satellite_bias"][0].std() < 6.0
+
+
+def test_a_noisy_clock_wanders_as_its_densities_say():
+    count, tau = 4000, 0.5
+    clock = ReceiverClock(offset_m=0.0, drift_mps=0.0, phase_psd=0.3, frequency_psd=0.2)
+    _, _, clocks, _ = epochs_of(replace(SILENT, clock=clock), count, tau)
+    noise = np.column_stack([np.diff(clocks[:, 0]) - tau * clocks[:-1, 1], np.diff(clocks[:, 1])])
+    Q = np.array(
+        [[0.3 * tau + 0.2 * tau**3 / 3.0, 0.2 * tau**2 / 2.0], [0.2 * tau**2 / 2.0, 0.2 * tau]]
+    )
+    np.testing.assert_allclose(np.cov(noise.T), Q, rtol=0.12, atol=0)
+    whitened = np.linalg.solve(np.linalg.cholesky(Q), noise.T)
+    assert scipy.stats.kstest(whitened.ravel(), "norm").pvalue > 1e-3
+    assert abs(np.mean(whitened[:, 1:] * whitened[:, :-1])) < 4.0 / math.sqrt(2 * count)
+
+
+def test_the_clock_stands_still_at_the_first_epoch():
+    _, _, clocks, _ = epochs_of(SILENT, 1)
+    np.testing.assert_array_equal(clocks[0], [1000.0, -20.0])
+
+
+def test_noise_of_other_sources_does_not_move_with_the_clock_s():
+    quiet, _, _, _ = epochs_of(replace(SILENT, code_sd_m=1.0), 20)
+    noisy, _, clocks, _ = epochs_of(
+        replace(SILENT, code_sd_m=1.0, clock=ReceiverClock(phase_psd=1.0)), 20
+    )
+    np.testing.assert_allclose(
+        noisy - clocks[:, :1], quiet - (1000.0 - 10.0 * np.arange(20)[:, None]), atol=2e-8
+    )
+
+
+WANDERING = replace(
+    SILENT,
+    correlated_sd_m=0.75,
+    correlation_s=35.0,
+    clock=ReceiverClock(offset_m=0.0, drift_mps=0.0),
+)
+
+
+@pytest.mark.parametrize("tau", [0.5, 5.0])
+def test_correlated_errors_are_gauss_markov_and_stationary(tau):
+    ranges = np.concatenate(
+        [epochs_of(WANDERING, 200, tau, seed=seed)[0] for seed in range(40)], axis=1
+    )
+    count = ranges.shape[1]  # independent histories
+    for k in (0, 1, 50, 199):
+        assert ranges[k].std() == pytest.approx(0.75, rel=4.0 / math.sqrt(2 * count))
+    for lag in (1, 20, 100):
+        found = (ranges[lag:] * ranges[:-lag]).mean() / 0.75**2
+        assert found == pytest.approx(math.exp(-lag * tau / 35.0), abs=0.12)
+    # what drives it is white
+    driving = ranges[1:] - math.exp(-tau / 35.0) * ranges[:-1]
+    spread = 0.75 * math.sqrt(1.0 - math.exp(-2.0 * tau / 35.0))
+    assert driving.std() == pytest.approx(spread, rel=0.02)
+    assert abs((driving[1:] * driving[:-1]).mean()) < 0.02 * spread**2
+
+
+def test_correlated_errors_leave_range_rates_and_other_streams_alone():
+    white = replace(SILENT, code_sd_m=1.0, range_rate_sd_mps=0.1)
+    without, rates, _, _ = epochs_of(white, 30)
+    both, same, _, fields = epochs_of(replace(white, correlated_sd_m=0.75), 30)
+    np.testing.assert_array_equal(rates, same)
+    np.testing.assert_allclose((both - without)[-1], fields["correlated"][0], rtol=0, atol=1e-8)
+    alone, _, _, _ = epochs_of(replace(SILENT, correlated_sd_m=0.75), 30)
+    silent, _, _, _ = epochs_of(SILENT, 30)
+    np.testing.assert_allclose(both - without, alone - silent, rtol=0, atol=2e-8)
+
+
+def test_errors_of_authentic_signals_can_be_taken_away_with_the_receivers_noise_or_without():
+    def capture(buffers):
+        buffers.authentic[0, :3] = -1.0
+        buffers.authentic[0, 3:5] = 0.0
+        buffers.authentic[0, 5] = 0.25
+        buffers.authentic[0, N : N + 2] = -1.0
+        buffers.authentic[0, N + 2] = 0.0
+
+    errors = replace(
+        ERRORS["groves"], correlated_sd_m=2.0, clock=ReceiverClock(offset_m=5.0, drift_mps=1.0)
+    )
+    ranges, rates, _, _ = epochs_of(errors, 1, bias_sd=3.0, change=capture)
+    own, own_rates, _, fields = epochs_of(errors, 1, bias_sd=3.0)
+    np.testing.assert_allclose(ranges[0, :3], 5.0, rtol=0, atol=2e-8)
+    np.testing.assert_allclose(rates[0, :2], 1.0, rtol=0, atol=1e-12)
+    path = (fields["satellite_bias"] + fields["correlated"])[0]
+    np.testing.assert_allclose(ranges[0, 3:5], (own[0] - path)[3:5], rtol=0, atol=2e-8)
+    assert np.abs(ranges[0, 3:5] - 5.0).min() > 1e-3  # the noise of the receiver
+    np.testing.assert_allclose(ranges[0, 5], own[0, 5] - 0.75 * path[5], rtol=0, atol=2e-8)
+    np.testing.assert_array_equal(ranges[0, 6:], own[0, 6:])
+    np.testing.assert_array_equal(rates[0, 2:], own_rates[0, 2:])
+
+
+def test_the_errors_on_the_trolley_are_those_that_were_measured():
+    """Autocorrelation of the code error: 0.73 at 1 s, 0.32 at 30 s, 0.02 at 120 s."""
+    errors = ERRORS["trolley"]
+    wandering, white = errors.correlated_sd_m**2, errors.code_sd_m**2
+    for lag, found in ((1.0, 0.73), (30.0, 0.32), (120.0, 0.02)):
+        model = wandering * math.exp(-lag / errors.correlation_s) / (wandering + white)
+        assert model == pytest.approx(found, abs=0.06)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
+def test_a_correlation_time_must_be_above_zero(value):
+    with pytest.raises(ValueError, match=r"`correlation_s` must be finite and >=? 0, got"):
+        replace(ERRORS["groves"], correlation_s=value)
+
+
+@njit
+def sky_of(satellites, epochs, sky):
+    gather_sky(satellites, epochs, sky)
+
+
+def test_eight_receivers_measure_as_each_alone():
+    """Other errors, clocks, epochs, intervals, skies and attacks; one sees nothing."""
+    rng, seeds = np.random.default_rng(1), range(LANES)
+    noisy = ReceiverClock(phase_psd=0.3, frequency_psd=0.2)
+    errors = [
+        SILENT,
+        ERRORS["trolley"],
+        replace(WANDERING, correlation_s=3.0),
+        replace(SILENT, clock=noisy),
+        replace(ERRORS["groves"], correlated_sd_m=2.0, clock=noisy),
+        ERRORS["white"],
+        ERRORS["zhong2025"],
+        replace(SILENT, code_sd_m=1.0),
+    ]
+    buffers = SensorBuffers(LANES, N)
+    buffers.draw_keys(np.arange(LANES), [np.random.default_rng(seed) for seed in seeds])
+    for b, each in enumerate(errors):
+        buffers.begin(np.array([b]), IMU_GRADES["aviation"], each, rng.uniform(0.0, 3.0, N))
+    satellites = rng.normal(0.0, 2e7, (50, N, SKY))
+    visible = rng.uniform(size=(50, N)) < 0.7
+    satellites[:, :, 6] = visible * rng.uniform(2e7, 2.5e7, (50, N))
+    epochs = rng.integers(0, 50, LANES)
+    satellites[epochs[3], :, 6], visible[epochs[3]] = 0.0, False
+    sky = np.full((SKY * N, LANES), np.nan)
+    sky_of(satellites, epochs, sky)
+    np.testing.assert_array_equal(sky.T.reshape(LANES, N, SKY), satellites[epochs])
+    added = np.vstack(
+        [rng.normal(0.0, 10.0, (2 * N, LANES)), rng.choice([0.0, 1.0], (2 * N, LANES))]
+    )
+    tau = rng.choice([0.0, 0.1, 0.5, 30.0], (1, LANES))
+    out = np.full((2 * N, LANES), np.nan)
+    in_all_lanes(
+        measured,
+        buffers.fields.data,
+        buffers.constants.data,
+        buffers.words.data,
+        epochs[None].astype(np.uint64),
+        tau,
+        sky,
+        np.zeros((padded(2 * N), LANES)),
+        added,
+        out,
+    )
+    np.testing.assert_array_equal(out.T != 0.0, np.tile(visible[epochs], 2))

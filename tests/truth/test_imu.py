@@ -1,0 +1,226 @@
+"""Inertial sensors: what they make of the truth, their noise, and quantization."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from spoofgym.core.simd import LANES
+from spoofgym.earth.wgs84 import STANDARD_GRAVITY
+from spoofgym.truth._kernels import CHUNK
+from spoofgym.truth.gnss_errors import ERRORS
+from spoofgym.truth.noise import normals, padded
+from spoofgym.truth.sensors import IMU_GRADES, SensorBuffers
+
+from ..lanes import in_all_lanes
+from .sensing import draw_group, run_of, sensed, sensed_by_eight, sensors_of
+
+DEG = math.pi / 180.0
+
+
+def rounded(samples, level, residual):
+    """Quantization as it is defined: round each sample and what the last one left over."""
+    out, left = np.empty_like(samples), residual
+    for i, x in enumerate(samples):
+        out[i] = level * math.floor((x + left) / level + 0.5)
+        left += x - out[i]
+    return out, left
+
+
+def quantized(truth, levels, residual):
+    """Samples of sensors with no other error, and what they carry on."""
+    fields = sensors_of(imu_noise=[0.0, 0.0, *levels], residual=residual)
+    samples = sensed(fields, run_of(truth, np.full(truth.shape[1], 0.01)), np.zeros_like(truth))
+    return samples, fields["residual"][0]
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("grade", IMU_GRADES)
+def test_quantization_is_that_of_its_definition(grade):
+    levels = np.repeat(IMU_GRADES[grade].noise[2:], 3)
+    rng = np.random.default_rng(1)
+    residual, expected_residual = np.zeros(6), np.zeros(6)
+    for count in (100, 1, 37):  # the residual goes on from block to block
+        truth = rng.normal(0.0, 3.0 * levels[:, None], (6, count)) + 0.3 * levels[:, None]
+        samples, residual = quantized(truth, levels[[0, 3]], residual)
+        for c in range(6):
+            want, expected_residual[c] = rounded(truth[c], levels[c], expected_residual[c])
+            np.testing.assert_allclose(samples[c], want, rtol=0, atol=1e-6 * levels[c])
+        np.testing.assert_allclose(residual, expected_residual, rtol=0, atol=1e-9 * levels[0])
+
+
+def test_quantization_loses_nothing_in_the_long_run():
+    rng = np.random.default_rng(2)
+    truth = rng.normal(0.0, 1e-4, (6, 5000))
+    samples, residual = quantized(truth, (1e-2, 2e-4), np.zeros(6))
+    steps = samples / np.repeat([1e-2, 2e-4], 3)[:, None]
+    np.testing.assert_allclose(steps, np.round(steps), rtol=0, atol=1e-9)
+    lag = np.cumsum(truth, axis=1) - np.cumsum(samples, axis=1)
+    assert (np.abs(lag) <= 0.5 * np.repeat([1e-2, 2e-4], 3)[:, None] * (1.0 + 1e-9)).all()
+    np.testing.assert_allclose(lag[:, -1], residual, rtol=0, atol=1e-12)
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("levels", [(0.0, 0.0), (0.0, 1e-3), (1e-3, 0.0)])
+def test_without_a_level_samples_stay_as_they_are(levels):
+    truth = np.random.default_rng(3).normal(0.0, 10.0, (6, 50))
+    samples, residual = quantized(truth, levels, np.zeros(6))
+    for level, rows in zip(levels, (slice(0, 3), slice(3, 6)), strict=True):
+        if level == 0.0:
+            np.testing.assert_allclose(samples[rows], truth[rows], rtol=0, atol=1e-12)
+            np.testing.assert_array_equal(residual[rows], 0.0)
+        else:
+            assert np.abs(samples[rows] - truth[rows]).max() > 1e-4
+            assert residual[rows].all()
+
+
+def errors_of(rng, quantization):
+    """Errors of sensors, all other than nothing."""
+    return {
+        "accel_bias": rng.normal(0.0, 1.0, 3),
+        "gyro_bias": rng.normal(0.0, 1.0, 3),
+        "accel_matrix": rng.normal(0.0, 1.0, (3, 3)),
+        "gyro_matrix": rng.normal(0.0, 1.0, (3, 3)),
+        "g_dependence": rng.normal(0.0, 1.0, (3, 3)),
+        "imu_noise": [*rng.uniform(0.1, 1.0, 2), *quantization],
+        "residual": rng.normal(0.0, 1e-3, 6) * (np.repeat(quantization, 3) > 0.0),
+    }
+
+
+def modelled(errors, truth, deviates, lengths):
+    """(6, N) samples before quantization."""
+    white = deviates * np.asarray(lengths) ** -0.5
+    force = errors["accel_bias"][:, None] + errors["accel_matrix"] @ truth[:3]
+    rate = errors["gyro_bias"][:, None] + errors["gyro_matrix"] @ truth[3:]
+    rate = rate + errors["g_dependence"] @ truth[:3]
+    return np.vstack(
+        [force + errors["imu_noise"][0] * white[:3], rate + errors["imu_noise"][1] * white[3:]]
+    )
+
+
+@pytest.mark.nojit
+def test_a_sensor_is_linear_in_the_truth():
+    rng = np.random.default_rng(4)
+    truth, deviates = rng.normal(0.0, 1.0, (2, 6, 40))
+    errors, lengths = errors_of(rng, (0.0, 0.0)), rng.uniform(0.005, 0.02, 40)
+    got = sensed(sensors_of(**errors), run_of(truth, lengths), deviates[:, 7:33], first=7)
+    want = modelled(errors, truth, deviates, lengths)[:, 7:33]
+    np.testing.assert_allclose(got, want, rtol=1e-12, atol=1e-11)
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("count", [1, CHUNK - 1, CHUNK, 2 * CHUNK + 3])
+@pytest.mark.parametrize("together", [True, False])
+def test_eight_receivers_sense_as_each_alone(count, together):
+    """Other errors, levels, samples and intervals; those who wait keep their residuals."""
+    rng = np.random.default_rng(count)
+    lengths, most = rng.uniform(0.005, 0.02, 100), 100 - count
+    truth, deviates = rng.normal(0.0, 1.0, (6, 100)), rng.normal(0.0, 1.0, (LANES, 6, count))
+    levels = [(0.0, 0.0), (1e-2, 0.0), (0.0, 1e-3), *rng.uniform(1e-5, 1e-2, (5, 2))]
+    errors, fields = [errors_of(rng, level) for level in levels], sensors_of(LANES)
+    for b, each in enumerate(errors):
+        for name, value in each.items():
+            fields.put(name, np.array([b]), value)
+    first = np.full(LANES, most) if together else rng.integers(0, most + 1, LANES)
+    active = np.ones(LANES) if together else (np.arange(LANES) % 3 > 0).astype(float)
+    before = fields["residual"].copy()
+    got = sensed_by_eight(fields, run_of(truth, lengths), deviates, first, active)
+    for b, each in enumerate(errors):
+        now = slice(first[b], first[b] + count)
+        want = modelled(each, truth[:, now], deviates[b], lengths[now])
+        for c in range(6):
+            level, left = levels[b][c // 3], each["residual"][c]
+            expected, left = rounded(want[c], level, left) if level else (want[c], left)
+            np.testing.assert_allclose(got[b, c], expected, rtol=0, atol=max(1e-6 * level, 1e-10))
+            kept = left if active[b] else before[b, c]
+            np.testing.assert_allclose(fields["residual"][b, c], kept, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("step", [0.01, 0.002])
+def test_white_noise_has_its_density_at_any_rate(step):
+    count = 100 * 64
+    deviates = np.empty(6 * count)
+    normals(np.uint64(3), np.uint64(4), 0, deviates)
+    fields = sensors_of(imu_noise=[2e-3, 5e-4, 0.0, 0.0])
+    run = run_of(np.zeros((6, count)), np.full(count, step))
+    out = sensed(fields, run, deviates.reshape(6, count))
+    low, high = scipy.stats.chi2.ppf([1e-4, 1.0 - 1e-4], count) / count
+    for samples, root_density in zip(out, np.repeat([2e-3, 5e-4], 3), strict=True):
+        assert low < samples.var() * step / root_density**2 < high
+
+
+def test_grades_are_given_in_the_units_of_data_sheets():
+    grade = IMU_GRADES["tactical"]
+    micro_g, degree_per_hour = STANDARD_GRAVITY * 1e-6, DEG / 3600.0
+    np.testing.assert_allclose(grade.accel_bias, np.array([900, -1300, 800]) * micro_g)
+    np.testing.assert_allclose(grade.gyro_bias, np.array([-9, 13, -8]) * degree_per_hour)
+    assert grade.accel_matrix[0, 1] == pytest.approx(-300e-6)
+    assert grade.accel_matrix[1, 1] == pytest.approx(1.0 - 600e-6)
+    assert grade.gyro_matrix[1, 2] == pytest.approx(-150e-6)
+    assert grade.g_dependence[0, 2] == pytest.approx(-0.6 * degree_per_hour / STANDARD_GRAVITY)
+    np.testing.assert_allclose(
+        grade.noise, [100 * micro_g, 0.01 * DEG / 60.0, 1e-2, 2e-4], rtol=1e-12
+    )
+
+
+def test_each_grade_is_worse_than_the_one_before():
+    grades = [IMU_GRADES[name] for name in ("aviation", "tactical", "consumer")]
+    for better, worse in pairwise(grades):
+        assert (np.abs(worse.accel_bias) > np.abs(better.accel_bias)).all()
+        assert (np.abs(worse.gyro_bias) > np.abs(better.gyro_bias)).all()
+        assert (worse.noise > better.noise).all()
+
+
+def test_drawn_samples_are_the_error_model_of_the_grade():
+    grade, count, n = IMU_GRADES["consumer"], 50, 8
+    rng = np.random.default_rng(5)
+    step = 0.01
+    buffers = SensorBuffers(1, n)
+    buffers.draw_keys(np.arange(1), [np.random.default_rng(9)])
+    buffers.begin(np.arange(1), grade, ERRORS["white"], np.zeros(n))
+    residual, levels = np.zeros(6), np.repeat(grade.noise[2:], 3)
+    errors = {name: buffers.constants[name][0] for name in buffers.constants.shapes}
+    keys, first = buffers.words["imu"][0], np.array([20])
+    for epoch in (1, 2):
+        truth, size = rng.normal(0.0, 1.0, (6, 80)), padded(6 * 60)  # of the longest interval
+        run, samples = run_of(truth, np.full(80, step)), np.full(size, np.nan)
+        now, dt = np.array([epoch], dtype=np.uint64), np.empty(60)
+        sensors = buffers.fields.data, buffers.constants.data
+        given = run, first, count, buffers.words.data, now, *sensors, samples, dt
+        draw_group(*given, np.ones(1), np.empty(8 * CHUNK))
+        deviates = np.empty(size)
+        normals(keys[0], keys[1], epoch, deviates)
+        white = deviates[: 6 * count].reshape(6, -1)
+        want = modelled(errors, truth[:, 20:70], white, np.full(count, step))
+        for c in range(6):
+            expected, residual[c] = rounded(want[c], levels[c], residual[c])
+            got = samples[c * count : (c + 1) * count]
+            np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6 * levels[c])
+        np.testing.assert_allclose(buffers.fields["residual"][0], residual, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 20, 50])
+def test_eight_receivers_draw_as_each_alone(count):
+    """Other keys, epochs, grades and samples."""
+    rng, n = np.random.default_rng(6), 8
+    buffers = SensorBuffers(LANES, n)
+    buffers.draw_keys(np.arange(LANES), [np.random.default_rng(b) for b in range(LANES)])
+    for b, grade in enumerate([*IMU_GRADES.values()] * 3):
+        if b < LANES:
+            buffers.begin(np.array([b]), grade, ERRORS["white"], np.zeros(n))
+    run = run_of(rng.normal(0.0, 1.0, (6, 200)), rng.uniform(0.005, 0.02, 200))
+    first = rng.integers(0, 200 - count, (1, LANES))
+    now = rng.integers(0, 1000, (1, LANES)).astype(np.uint64)
+    samples = np.full((padded(6 * 50), LANES), np.nan)
+    dt, truth = np.full((50, LANES), np.nan), np.empty((8 * CHUNK, LANES))
+
+    def kernel(first, keys, now, sensors, constants, samples, dt, active, truth):
+        first = first[0] if first.ndim == 2 else first
+        draw_group(run, first, count, keys, now, sensors, constants, samples, dt, active, truth)
+        samples[6 * count :] = 0.0  # which may have been written or not
+
+    given = first, buffers.words.data, now, buffers.fields.data, buffers.constants.data
+    in_all_lanes(kernel, *given, samples, dt, np.ones((1, LANES)), truth, scratch=1)
+    assert np.isfinite(samples[: 6 * count]).all()

@@ -1,0 +1,164 @@
+"""What the robot measures: dead reckoning that drifts as it should, and errors of the fixes."""
+
+import math
+
+import numpy as np
+import pytest
+
+from spoofgym.truth.noise import BLOCK
+from spoofgym.truth.robot import (
+    FixErrors,
+    Odometer,
+    RobotLoop,
+    episode_keys,
+    measure_fix,
+    measure_odometry,
+)
+
+SAMPLES = 10
+
+
+def generators(count, first=0):
+    return [np.random.default_rng(first + i) for i in range(count)]
+
+
+def draw_keys(rngs):
+    """Keys and phases of the next episodes."""
+    episodes = [episode_keys(rng.bit_generator.seed_seq.spawn(1)[0]) for rng in rngs]
+    return tuple(np.array(each) for each in zip(*episodes, strict=True))
+
+
+def dead_reckoning(odometer, epochs, receivers=1, loop=None):
+    """(K+1, B, 2) position by dead reckoning from the truth on, and (K+1, 2) truth."""
+    track = (loop or RobotLoop()).track(epochs * SAMPLES, odometer.sample_interval_s)
+    left, right = track.wheels(odometer.wheel_base_m)
+    keys, phase = draw_keys(generators(receivers))
+    increment, yaw, noise = np.empty((receivers, 2)), np.zeros(receivers), np.empty(BLOCK)
+    found = [np.zeros((receivers, 2))]
+    for k in range(epochs + 1):
+        measure_odometry(
+            keys,
+            np.full(receivers, k),
+            np.zeros(receivers, dtype=np.int64),
+            left,
+            right,
+            track.yaw,
+            SAMPLES,
+            odometer.count_m,
+            math.radians(odometer.hard_iron_deg),
+            math.radians(odometer.yaw_noise_deg),
+            phase,
+            noise,
+            yaw,
+            increment,
+        )
+        found.append(found[-1] + increment)
+    return np.array(found[1:]), track.position_ne[::SAMPLES]
+
+
+def test_without_errors_dead_reckoning_follows_the_truth_to_a_few_counts():
+    odometer = Odometer(hard_iron_deg=0.0, yaw_noise_deg=0.0)
+    found, truth = dead_reckoning(odometer, 150)
+    # a count of each wheel, and the turns that a sample of 5 cm cuts
+    assert np.abs(found[:, 0] - truth).max() < 0.01
+
+
+def test_hard_iron_drives_it_off_by_the_same_vector_every_lap():
+    A = math.radians(2.0)
+    loop = RobotLoop(corner_radius_m=0.01)
+    odometer = Odometer(hard_iron_deg=2.0, yaw_noise_deg=0.0)
+    lap = 2.0 * (13.4 + 6.1) - (8.0 - 2.0 * math.pi) * 0.01
+    found, truth = dead_reckoning(odometer, 312, loop=loop)
+    error = found[:, 0] - truth
+    psi = math.radians(248.0)
+    # a side of length L and its opposite: twice -A sin(psi) L across its direction
+    across = np.zeros(2)
+    for length, side in ((13.4, psi), (6.1, psi + 0.5 * math.pi)):
+        across += -2.0 * A * math.sin(side) * length * np.array([-math.sin(side), math.cos(side)])
+    for laps in (1, 2, 3, 4):
+        at = lap * laps / 0.5
+        k = round(at)
+        np.testing.assert_allclose(error[k], laps * across, atol=0.03 * laps + 0.03)
+
+
+def test_the_noise_of_the_heading_adds_up_across_the_way():
+    odometer = Odometer(hard_iron_deg=0.0, yaw_noise_deg=5.0, counts_per_turn=100_000)
+    loop = RobotLoop(heading_deg=0.0, length_m=100.0, width_m=100.0)
+    found, truth = dead_reckoning(odometer, 60, receivers=400, loop=loop)
+    # the mean of two ends: neighbours share one, so that the sum has n draws of the full size
+    expected = 0.05 * math.radians(5.0) * math.sqrt(600)
+    assert (found[-1, :, 1] - truth[-1, 1]).std() == pytest.approx(expected, rel=0.15)
+
+
+def fixes(errors, epochs, receivers, offset=0.0, available=None):
+    keys, _ = draw_keys(generators(receivers))
+    correlated, noise = np.zeros((receivers, 2)), np.empty(BLOCK)
+    out = np.empty((epochs, receivers, 2))
+    for k in range(epochs):
+        measure_fix(
+            keys,
+            np.full(receivers, k),
+            np.zeros(receivers, dtype=np.int64),
+            np.tile([1.0, -2.0], (epochs, 1)),
+            np.ones(epochs, dtype=np.bool_) if available is None else available,
+            errors.correlated_sd_m,
+            errors.decay(1.0),
+            errors.white_sd_m,
+            np.full((receivers, 2), offset),
+            noise,
+            correlated,
+            out[k],
+        )
+    return out
+
+
+def test_fixes_have_the_stated_errors():
+    found = fixes(FixErrors(), 120, 2000) - [1.0, -2.0]
+    assert np.abs(found.mean(axis=(0, 1))).max() < 0.05
+    np.testing.assert_allclose(found.std(axis=1), math.hypot(1.0, 0.2), rtol=0.08)
+    lag = (found[60:] * found[:-60]).mean()
+    assert lag == pytest.approx(math.exp(-1.0), abs=0.05)
+    step = np.diff(found, axis=0).var()
+    assert step == pytest.approx(2.0 * (1.0 - math.exp(-1.0 / 60.0)) + 2.0 * 0.2**2, rel=0.03)
+
+
+def test_a_spoofer_moves_the_fix_and_nothing_else():
+    errors = FixErrors()
+    np.testing.assert_allclose(
+        fixes(errors, 5, 3, offset=7.0) - fixes(errors, 5, 3), 7.0, atol=1e-12
+    )
+
+
+def test_a_missing_fix_is_not_a_number_and_changes_no_other():
+    available = np.array([True, True, False, True])
+    found, all_there = fixes(FixErrors(), 4, 2, available=available), fixes(FixErrors(), 4, 2)
+    assert np.isnan(found[2]).all()
+    np.testing.assert_array_equal(found[available], all_there[available])
+
+
+@pytest.mark.nojit
+def test_keys_belong_to_receivers_and_episodes():
+    rngs = generators(3)
+    first, phase = draw_keys(rngs)
+    second, _ = draw_keys(rngs)
+    alone, own_phase = draw_keys([np.random.default_rng(2)])
+    np.testing.assert_array_equal(first[2], alone[0])
+    np.testing.assert_array_equal(phase[2], own_phase[0])
+    assert len({tuple(row) for row in np.concatenate([first, second]).reshape(-1, 2)}) == 12
+    assert ((phase >= 0.0) & (phase < 1.0)).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "message"),
+    [
+        (Odometer, {"counts_per_turn": 0}, "`counts_per_turn` must be at least 1, got 0"),
+        (Odometer, {"wheel_base_m": 0.0}, "`wheel_base_m` must be finite and > 0, got 0"),
+        (Odometer, {"hard_iron_deg": 46.0}, r"`hard_iron_deg` must be in \[-45, 45\], got 46"),
+        (Odometer, {"yaw_noise_deg": -1.0}, r"`yaw_noise_deg` must be in \[0, 45\], got -1"),
+        (FixErrors, {"white_sd_m": -0.1}, "`white_sd_m` must be finite and >= 0, got -0.1"),
+        (FixErrors, {"correlation_time_s": 0.0}, "`correlation_time_s` must be finite and > 0"),
+    ],
+)
+def test_settings_are_checked(kind, settings, message):
+    with pytest.raises(ValueError, match=message):
+        kind(**settings)

@@ -1,0 +1,92 @@
+"""Gauss-Markov errors of a position, and the other errors of a loosely coupled world."""
+
+import numpy as np
+import pytest
+
+from spoofgym.truth.gnss_errors import PositionErrors, gauss_markov_step
+from spoofgym.truth.run import InertialErrors, first_errors, flown_world, measure
+
+WORLD = flown_world("shadmehri2025", 0.1)
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("decay", [0.0, 0.9, 0.999])
+def test_the_spread_stays_and_neighbours_are_alike(decay):
+    rng = np.random.default_rng(0)
+    runs, sd = 4000, 1.6
+    error = sd * rng.standard_normal(runs)
+    for _ in range(20):
+        last = error
+        deviates = rng.standard_normal(runs)
+        pairs = zip(last, deviates, strict=True)
+        error = np.array([gauss_markov_step(e, decay, sd, n) for e, n in pairs])
+    assert error.std() == pytest.approx(sd, rel=0.06)
+    assert np.corrcoef(last, error)[0, 1] == pytest.approx(decay, abs=0.06)
+
+
+def measured(decay, receivers=300, epochs=30):
+    errors, inertial = PositionErrors(decay=decay), InertialErrors()
+    keys = np.random.default_rng(1).integers(0, 2**63, (receivers, 3, 2)).astype(np.uint64)
+    first, error = np.empty((receivers, 15)), np.empty((receivers, 3))
+    deviates = np.empty(128)
+    first_errors(keys, inertial.initial_sd, errors.sd, deviates, first, error)
+    epoch, displacement = np.zeros(receivers, dtype=np.int64), np.zeros((receivers, 3))
+    displacement[:, 1] = 7.0
+    samples, fix = np.empty((receivers, WORLD.samples, 6)), np.empty((receivers, 3))
+    noise, seen = [], []
+    for k in range(1, epochs + 1):
+        measure(
+            keys,
+            epoch,
+            WORLD.run,
+            WORLD.position_e,
+            WORLD.C_el,
+            WORLD.imu_interval_s,
+            inertial.noise,
+            first[:, 9:].copy(),
+            decay,
+            errors.sd,
+            displacement,
+            deviates,
+            error,
+            samples,
+            fix,
+        )
+        seen.append((fix - WORLD.position_e[k]) @ WORLD.C_el[k])
+        truth = WORLD.run[(k - 1) * WORLD.samples : k * WORLD.samples]
+        bias = np.hstack([first[:, 12:], first[:, 9:12]])
+        noise.append(samples - truth - bias[:, None])
+    return first, np.array(seen), np.concatenate(noise, axis=1)
+
+
+@pytest.mark.parametrize("decay", [0.0, 0.999])
+def test_fixes_err_by_their_errors_and_the_displacement(decay):
+    _, seen, _ = measured(decay)
+    apart = seen - [0.0, 7.0, 0.0]
+    assert np.abs(apart.mean(axis=(0, 1))).max() < 0.6
+    np.testing.assert_allclose(apart.std(axis=(0, 1)), [1.6, 1.6, 3.0], rtol=0.1)
+    steps = np.diff(apart, axis=0).std(axis=(0, 1))
+    np.testing.assert_allclose(
+        steps, np.sqrt(2.0 - 2.0 * decay) * np.array([1.6, 1.6, 3.0]), rtol=0.05
+    )
+
+
+def test_inertial_noise_and_biases_have_their_density():
+    first, _, noise = measured(0.999)
+    np.testing.assert_allclose(first.std(axis=0), InertialErrors().initial_sd, rtol=0.15)
+    level = InertialErrors().noise.repeat(3) / np.sqrt(WORLD.imu_interval_s)
+    np.testing.assert_allclose(noise.std(axis=(0, 1)), level, rtol=0.02)
+    assert np.abs(np.corrcoef(noise.reshape(-1, 6).T) - np.eye(6)).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "message"),
+    [
+        (PositionErrors, {"decay": 1.0}, r"`decay` must be in \[0, 1\), got 1"),
+        (PositionErrors, {"vertical_sd_m": -1.0}, "`vertical_sd_m` must be finite and >= 0"),
+        (InertialErrors, {"accel_bias_ug": np.inf}, "`accel_bias_ug` must be finite and >= 0"),
+    ],
+)
+def test_settings_are_checked_at_birth(kind, settings, message):
+    with pytest.raises(ValueError, match=message):
+        kind(**settings)

@@ -1,0 +1,133 @@
+"""Screening of broadcast records: which are copies, and which their neighbours contradict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from spoofgym.data.ephemerides import Ephemerides, screen
+
+from .records import HOUR, SATURDAY_22, chain, joined, later, one_record
+
+PROPERTY = settings(deadline=None, max_examples=50)
+
+
+def rejected_records(ephemerides: Ephemerides) -> list[int]:
+    _, report = screen(ephemerides)
+    toe = ephemerides.time_of_ephemeris.tolist()
+    return [toe.index(rejection.time_of_ephemeris) for rejection in report.rejections]
+
+
+@PROPERTY
+@given(count=st.integers(3, 9), data=st.data(), error=st.floats(110.0, 2e7) | st.floats(-2e7, -110))
+def test_a_single_bad_record_is_found_wherever_it_stands(
+    count: int, data: st.DataObject, error: float
+) -> None:
+    bad = data.draw(st.integers(0, count - 1))
+    errors = [0.0] * count
+    errors[bad] = error
+    records = chain(*errors)
+    assert rejected_records(records) == [bad]
+    kept, report = screen(records)
+    assert (report.records, report.rejected, report.unresolved) == (count, 1, 0)
+    assert len(kept) == count - 1
+
+
+@PROPERTY
+@given(errors=st.lists(st.floats(-45.0, 45.0), min_size=1, max_size=9))
+def test_broadcast_errors_are_no_contradiction(errors: list[float]) -> None:
+    kept, report = screen(chain(*errors))
+    assert len(kept) == len(errors)
+    assert (report.rejected, report.unresolved) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("errors", "bad"),
+    [
+        ((0, 0, 5000, -9000, 0, 0), [2, 3]),
+        ((0, 5000, -9000, 0), [1, 2]),
+        ((5000, -9000, 0, 0), [0, 1]),
+        ((0, 0, 0, 5000, -9000), [3, 4]),
+        ((0, 500, 0, 2e6, 0), [1, 3]),
+        ((5000, 0, 0, -9000), [0, 3]),
+        ((5000, 0, 9000, 0, 0), [0, 2]),
+    ],
+)
+def test_two_bad_records_are_found(errors: tuple[float, ...], bad: list[int]) -> None:
+    # half an hour apart, so that records beyond the bad ones are near enough to compare
+    assert rejected_records(chain(*errors, interval=0.5 * HOUR)) == bad
+
+
+def test_two_bad_records_in_a_row_two_hours_apart() -> None:
+    assert rejected_records(chain(0, 0, 5000, -9000, 0, 0)) == [2, 3]
+
+
+def test_records_wrong_in_the_same_way_confirm_each_other_but_are_told() -> None:
+    kept, report = screen(chain(0, 0, 5000, 5000, 0, 0))
+    assert len(kept) == 6
+    assert (report.rejected, report.unresolved) == (0, 2)
+
+
+def test_two_records_cannot_tell_which_is_wrong() -> None:
+    kept, report = screen(chain(0, 5000))
+    assert len(kept) == 2
+    assert (report.rejected, report.unresolved, report.unchecked) == (0, 1, 0)
+
+
+def test_a_lone_record_is_kept_unchecked() -> None:
+    kept, report = screen(one_record())
+    assert len(kept) == 1
+    assert (report.rejected, report.unresolved, report.unchecked) == (0, 0, 1)
+
+
+def test_records_too_far_apart_are_not_compared() -> None:
+    _, report = screen(chain(0, 5000, 0, interval=4.1 * HOUR))
+    assert (report.rejected, report.unresolved, report.unchecked) == (0, 0, 3)
+    assert rejected_records(chain(0, 5000, 0, interval=4.0 * HOUR)) == [1]
+
+
+def test_unhealthy_neighbours_bear_witness() -> None:
+    # G01 in brdc1820.10n: the only record marked healthy is the wrong one
+    records = chain(0, 0, 2e7, 0)
+    records = replace(records, health=np.array([63.0, 63.0, 0.0, 63.0]))
+    kept, report = screen(records)
+    assert rejected_records(records) == [2]
+    assert report.unhealthy == 3
+    assert not kept.healthy.any()
+
+
+def test_copies_are_dropped_and_bear_no_witness() -> None:
+    records = chain(0, 5000, 0)
+    rounded = replace(records, node=records.node * (1.0 + 1e-13))
+    kept, report = screen(joined(records, rounded, records))
+    assert (report.records, report.duplicates, report.rejected) == (9, 6, 1)
+    assert_array_equal(kept.time_of_ephemeris, SATURDAY_22 + np.array([0.0, 4.0]) * HOUR)
+
+
+def test_of_copies_the_unhealthy_one_stays() -> None:
+    kept, report = screen(joined(one_record(), one_record(health=63.0), one_record()))
+    assert (report.duplicates, report.unhealthy) == (2, 1)
+    assert_array_equal(kept.health, [63.0])
+
+
+def test_records_of_other_satellites_bear_no_witness() -> None:
+    other = one_record("G06", mean_anomaly=2.0)
+    records = joined(chain(0, 0, 5000, 0), other, later(other, 2 * HOUR), later(other, 4 * HOUR))
+    assert rejected_records(records) == [2]
+    kept, _ = screen(records)
+    assert kept.satellite_id.tolist() == ["G05"] * 3 + ["G06"] * 3
+
+
+@PROPERTY
+@given(order=st.permutations(range(7)))
+def test_the_order_of_the_records_does_not_matter(order: list[int]) -> None:
+    records = chain(0, 0, 5000, 0, 0, -9000, 0)
+    kept, report = screen(records)
+    shuffled, same_report = screen(records.take(order))
+    assert same_report == report
+    assert_array_equal(shuffled.time_of_ephemeris, kept.time_of_ephemeris)

@@ -1,0 +1,240 @@
+"""Inverse kinematics: the inverse of a plain forward strapdown, and what sensors must feel."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.io
+
+from spoofgym.earth.attitude import euler_to_dcm, skew
+from spoofgym.earth.wgs84 import (
+    EARTH_RATE,
+    dcm_e_from_n,
+    geodetic_to_ecef,
+    gravity,
+    radii_of_curvature,
+)
+from spoofgym.truth.flight import (
+    Flight,
+    flight_from_geodetic,
+    flight_from_velocity,
+    inverse_kinematics,
+)
+from spoofgym.truth.manoeuvres import Climb, Steer, Straight, Turn, Until, fly, zhong2025
+
+I3 = np.eye(3)
+
+
+def strapdown(position, velocity, C, force, rate, step):
+    """States after each sample, by the equations of Groves (2013), section 5.5, as printed."""
+    a = EARTH_RATE * step
+    turn = np.array(
+        [[math.cos(a), math.sin(a), 0.0], [-math.sin(a), math.cos(a), 0.0], [0.0, 0.0, 1.0]]
+    )
+    half_turn = 0.5 * skew([0.0, 0.0, a])
+    coriolis = 2.0 * skew([0.0, 0.0, EARTH_RATE])
+    A = skew(rate * step)
+    angle = np.linalg.norm(rate * step, axis=1)[:, None, None]
+    turning = np.where(angle > 1e-8, angle, 1.0)
+    s = np.where(angle > 1e-8, np.sin(turning) / turning, 1.0)
+    c = np.where(angle > 1e-8, (1.0 - np.cos(turning)) / turning**2, 0.0)
+    d = np.where(angle > 1e-8, (1.0 - s) / turning**2, 0.0)
+    new, average = I3 + s * A + c * A @ A, I3 + c * A + d * A @ A
+    states = [(position, velocity, C)]
+    for f, now, mean in zip(force, new, average, strict=True):
+        f_e = (C @ mean - half_turn @ C) @ f
+        before = velocity
+        velocity = before + step * (f_e + np.array(gravity(*position)) - coriolis @ before)
+        position = position + 0.5 * step * (before + velocity)
+        C = turn @ C @ now
+        states.append((position, velocity, C))
+    return (np.array(column) for column in zip(*states, strict=True))
+
+
+def closure(trajectory):
+    position, velocity, C = strapdown(
+        trajectory.position_e[0],
+        trajectory.velocity_e[0],
+        trajectory.C_eb[0],
+        trajectory.specific_force_b,
+        trajectory.angular_rate_b,
+        trajectory.step,
+    )
+    return (
+        np.linalg.norm(position - trajectory.position_e, axis=1).max(),
+        np.linalg.norm(velocity - trajectory.velocity_e, axis=1).max(),
+        np.abs(C - trajectory.C_eb).max(),
+    )
+
+
+def still(duration, step, latitude_deg=45.0):
+    count = round(duration / step) + 1
+    zero = np.zeros(count)
+    start = math.radians(latitude_deg), 0.5, 100.0
+    return flight_from_velocity(
+        "still", *start, np.zeros((count, 3)), zero + 0.1, zero - 0.2, zero + 1.0, step
+    )
+
+
+def test_samples_lead_back_along_the_flight_of_zhong2025():
+    position, velocity, attitude = closure(inverse_kinematics(zhong2025()))
+    assert position < 1e-6
+    assert velocity < 1e-8
+    assert attitude < 1e-11
+
+
+def test_samples_lead_back_along_a_flight_of_ke2022_s_length():
+    flight = fly(
+        [Until(100.0), Turn(30.0), Until(300.0), Turn(-60.0), Climb(-500.0), Until(746.0)],
+        latitude_deg=50.0,
+        longitude_deg=-3.0,
+        height_m=9000.0,
+        speed_mps=200.0,
+        heading_deg=80.0,
+    )
+    position, _, _ = closure(inverse_kinematics(flight))
+    assert position < 2e-6
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-9, 2e-8, 1e-6, 1e-3, 0.099, 0.101, 1.5])
+def test_any_samples_are_recovered_from_the_motion_they_cause(size):
+    rng = np.random.default_rng(1)
+    step, count = 0.01, 50
+    axis = rng.standard_normal((count, 3))
+    rate = size / step * axis / np.linalg.norm(axis, axis=1)[:, None]
+    force = 20.0 * rng.standard_normal((count, 3))
+    position = geodetic_to_ecef(0.7, -1.2, 5000.0)
+    C = dcm_e_from_n(0.7, -1.2) @ euler_to_dcm(0.4, -0.3, 2.0)
+    motion = strapdown(position, np.array([100.0, -50.0, 30.0]), C, force, rate, step)
+    flight = Flight("random", np.arange(count + 1) * step, *motion)
+    trajectory = inverse_kinematics(flight)
+    np.testing.assert_allclose(trajectory.angular_rate_b, rate, atol=1e-13 / step)
+    np.testing.assert_allclose(trajectory.specific_force_b, force, atol=1e-9)
+
+
+def test_still_for_an_hour_stays_still():
+    trajectory = inverse_kinematics(still(3600.0, 0.1))
+    position, velocity, _ = strapdown(
+        trajectory.position_e[0],
+        trajectory.velocity_e[0],
+        trajectory.C_eb[0],
+        trajectory.specific_force_b,
+        trajectory.angular_rate_b,
+        trajectory.step,
+    )
+    assert np.linalg.norm(position - position[0], axis=1).max() < 1e-4
+    assert np.linalg.norm(velocity, axis=1).max() < 1e-6
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("latitude_deg", [-90.0, -30.0, 0.0, 45.0, 90.0])
+def test_at_rest_sensors_feel_gravity_and_the_turn_of_the_earth(latitude_deg):
+    flight = still(1.0, 0.1, latitude_deg)
+    trajectory = inverse_kinematics(flight)
+    C_be = flight.C_eb[0].T
+    force = -C_be @ np.array(gravity(*flight.position_e[0]))
+    np.testing.assert_allclose(trajectory.specific_force_b, np.tile(force, (10, 1)), atol=1e-6)
+    rate = C_be @ np.array([0.0, 0.0, EARTH_RATE])
+    np.testing.assert_allclose(trajectory.angular_rate_b, np.tile(rate, (10, 1)), atol=1e-14)
+
+
+@pytest.mark.parametrize("heading_deg", [90.0, 270.0])
+def test_level_flight_weighs_gravity_less_the_lift_of_eotvos(heading_deg):
+    flight = fly(
+        [Straight(10.0)],
+        latitude_deg=50.0,
+        longitude_deg=20.0,
+        height_m=10000.0,
+        speed_mps=200.0,
+        heading_deg=heading_deg,
+    )
+    force = inverse_kinematics(flight).specific_force_b
+    east = 200.0 * math.sin(math.radians(heading_deg))
+    _, transverse = radii_of_curvature(math.radians(50.0))
+    cosine = math.cos(math.radians(50.0))
+    lift = 2.0 * EARTH_RATE * east * cosine + east**2 / (transverse + 10000.0)
+    weight = np.linalg.norm(gravity(*flight.position_e[0]))
+    np.testing.assert_allclose(-force[:, 2], weight - lift, atol=1e-4)
+    np.testing.assert_allclose(-force[:, 2], 9.80665, rtol=0.01)
+
+
+def test_a_flat_turn_shows_in_the_vertical_gyro():
+    flight = fly(
+        [Steer(90.0, rate_degps=7.0, ramp_s=1.0), Straight(1.0)],
+        latitude_deg=50.0,
+        longitude_deg=0.0,
+        height_m=0.0,
+        speed_mps=20.0,
+        heading_deg=0.0,
+    )
+    rate = inverse_kinematics(flight).angular_rate_b[:, 2]
+    turned = math.degrees(rate.sum() * flight.step)
+    earth = math.degrees(EARTH_RATE * flight.duration)
+    assert abs(turned - 90.0) < earth
+    assert math.degrees(rate.max()) == pytest.approx(7.0, abs=0.01)
+
+
+@pytest.mark.parametrize("bank_deg", [15.0, 30.0, 60.0])
+def test_a_coordinated_turn_weighs_the_secant_of_the_bank(bank_deg):
+    flight = fly(
+        [Turn(180.0, bank_deg=bank_deg)],
+        latitude_deg=40.0,
+        longitude_deg=0.0,
+        height_m=3000.0,
+        speed_mps=100.0,
+        heading_deg=0.0,
+    )
+    force = inverse_kinematics(flight).specific_force_b
+    middle = force[len(force) // 2]
+    secant = 1.0 / math.cos(math.radians(bank_deg))
+    assert -middle[2] / 9.80665 == pytest.approx(secant, rel=0.005)
+    assert abs(middle[1]) < 0.03 * 9.80665
+
+
+def test_turning_the_longitude_leaves_the_samples_alone():
+    there, here = (
+        inverse_kinematics(
+            fly(
+                [Straight(5.0), Turn(45.0), Climb(100.0)],
+                latitude_deg=50.0,
+                longitude_deg=longitude_deg,
+                height_m=5000.0,
+                speed_mps=150.0,
+                heading_deg=30.0,
+            )
+        )
+        for longitude_deg in (0.0, 170.0)
+    )
+    np.testing.assert_allclose(there.specific_force_b, here.specific_force_b, atol=1e-9)
+    np.testing.assert_allclose(there.angular_rate_b, here.angular_rate_b, atol=1e-12)
+
+
+def test_a_trajectory_keeps_the_states_of_its_flight():
+    flight = still(1.0, 0.1)
+    trajectory = inverse_kinematics(flight)
+    for field in ("time", "position_e", "velocity_e", "C_eb"):
+        np.testing.assert_array_equal(getattr(trajectory, field), getattr(flight, field))
+    assert trajectory.specific_force_b.shape == trajectory.angular_rate_b.shape == (10, 3)
+
+
+def test_a_somersault_within_a_sample_is_refused():
+    flight = still(0.2, 0.1)
+    C_eb = flight.C_eb.copy()
+    C_eb[1] = C_eb[1] @ euler_to_dcm(math.radians(100.0), 0.0, 0.0)
+    tumbling = Flight("tumbling", flight.time, flight.position_e, flight.velocity_e, C_eb)
+    with pytest.raises(ValueError, match="at most 90 deg in a sample, got 100 deg"):
+        inverse_kinematics(tumbling)
+
+
+@pytest.mark.parametrize(
+    "name", ["golden_aviation_profile1_1Hz", "golden_tactical_profile3_first120s_1Hz"]
+)
+def test_true_samples_are_those_of_the_reference_software(data_folder, name):
+    run = scipy.io.loadmat(data_folder / f"groves_reference/{name}.mat")
+    profile, imu = run["profile_used"], run["imu_true_meas"]
+    columns = profile[:, 1], profile[:, 2], profile[:, 3], profile[:, 4:7], *profile[:, 7:10].T
+    trajectory = inverse_kinematics(flight_from_geodetic(name, *columns))
+    # where a sample turns by 1e-6 rad, the last bit of cos a is 5e-9 of the force
+    np.testing.assert_allclose(trajectory.specific_force_b, imu[:, 0:3], atol=1e-8)
+    np.testing.assert_allclose(trajectory.angular_rate_b, imu[:, 3:6], atol=1e-11)
