@@ -13,41 +13,39 @@ from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
 ROOMS = {
-    "cli": "the command line",
+    "cli": "the command line, one file a command",
     "sb3": "stable-baselines3",
     "export": "torch to ONNX",
     "testing": "check_detector, check_attack, check_spoofer",
     "duel_v0": "the duel, for PettingZoo",
-    "bench": "detectors x spoofers x paired seeds, scored",
+    "bench": "detectors x spoofers x paired seeds: runs, scores, searches, experiments, reports",
     "duel": "spoofer against detector, views of one side",
+    "tasks": "T1 to T6 and D1 to D4, frozen settings",
     "envs": "what Gymnasium sees: one step path, terms, score, wrappers, pictures",
     "spoofers": "who decides what the attack does",
     "limits": "what no detector and no spoofer can beat",
-    "simulators": "B receivers in step: predict, judge, update; warm-up, twins, threads",
-    "detectors": "one algorithm per file: an Epoch in, a Verdict out",
+    "calibration": "thresholds from clean runs, for a rate of false alarms",
+    "simulation": "B receivers in step: predict, judge, update; warm-up, twins, threads",
+    "detectors": "one algorithm or family per file: an Epoch in, a Verdict out",
     "policies": "a learned policy: contract, ONNX model, card",
-    "io": "recorded tracks and navigation files",
     "attacks": "what a spoofer can do to measurements",
     "receiver": "the victim's filters and fixes",
-    "sim": "the authentic world: flights, sensors, clocks, satellites, noise",
+    "data": "recorded flights and navigation files",
+    "truth": "the authentic world: flights, sensors, clocks, satellites, noise",
     "earth": "ellipsoid, gravity, frames, ranges",
-    "detector_tasks": "families of attacks that detectors meet",
-    "tasks": "settings of the tasks and of the papers",
+    "core": "no physics: names, settings, files, memory, threads, compiled code",
 }
 """Every room, and what it is for in a few words."""
 WIDTH, LEFT, FLOOR, GAP, ROOF = 860, 40, 34, 4, 74
-PRIVATE = "shared tools: "
 
 
 def floors() -> list[list[str]]:
-    """Modules from the top layer to the lowest; the private ones are one floor."""
+    """Packages from the top layer to the lowest."""
     with (DOCS.parent / "pyproject.toml").open("rb") as file:
         contracts = tomllib.load(file)["tool"]["importlinter"]["contracts"]
-    (layers,) = (contract["layers"] for contract in contracts if contract["type"] == "layers")
+    layers = next(each["layers"] for each in contracts if each.get("containers") == ["spoofgym"])
     rows = [[name.strip(" ()") for name in layer.split("|")] for layer in layers]
-    private = [name for row in rows for name in row if name.startswith("_") and name[1] != "_"]
-    public = [[name for name in row if not name.startswith("_")] for row in rows]
-    return [*filter(None, public), private]
+    return [row for row in rows if row != ["__main__"]]
 
 
 def text(x: float, y: float, words: str, style: str) -> str:
@@ -76,18 +74,13 @@ def draw() -> str:
     ]
     for level, row in enumerate(rows):
         y = ROOF + level * (FLOOR + GAP)
-        rooms = [PRIVATE + "  ".join(row)] if row[0].startswith("_") else row
-        width = (WIDTH - LEFT - 10 - GAP * (len(rooms) - 1)) / len(rooms)
-        for place, name in enumerate(rooms):
+        width = (WIDTH - LEFT - 10 - GAP * (len(row) - 1)) / len(row)
+        for place, name in enumerate(row):
             x = LEFT + place * (width + GAP)
-            fill = "#e8ebee" if name.startswith(PRIVATE) else "#dcebf5"
             parts.append(
                 f'<rect x="{x:g}" y="{y}" width="{width:g}" height="{FLOOR}" rx="3" '
-                f'fill="{fill}" stroke="#5d7f99"/>'
+                'fill="#dcebf5" stroke="#5d7f99"/>'
             )
-            if name.startswith(PRIVATE):
-                parts.append(text(x + width / 2, y + 22, name, "what"))
-                continue
             if name not in ROOMS:
                 raise SystemExit(f"{name} has no entry in ROOMS of {Path(__file__).name}: add one")
             line = f'<tspan class="name">{name}</tspan>&#160;&#160;{escape(ROOMS[name])}'

@@ -1,6 +1,7 @@
 """Thresholds from clean runs, for a rate of false alarms, and their check on fresh runs."""
 
-from .holdouts import HoldOut, check, hold_out, transfer
-from .thresholds import calibrate
-
-__all__ = ["HoldOut", "calibrate", "check", "hold_out", "transfer"]
+from .holdouts import HoldOut as HoldOut
+from .holdouts import check as check
+from .holdouts import hold_out as hold_out
+from .holdouts import transfer as transfer
+from .thresholds import calibrate as calibrate

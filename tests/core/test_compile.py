@@ -13,31 +13,29 @@ import numba
 import pytest
 from numba.core import event
 
-from spoofgym.core import compile as _jit
+from spoofgym.core import compile as compiling
 from spoofgym.earth import wgs84
 
-LAYERS = range(len(_jit.COMPILED_LAYERS))
+LAYERS = range(len(compiling.COMPILED_LAYERS))
 
 
 @pytest.fixture
 def tree(tmp_path, monkeypatch):
-    """Copy of the sources, which `_jit` takes for its own."""
-    root = Path(_jit.__file__).parent
-    for package in _jit.COMPILED_LAYERS:
+    """Copy of the sources, which `compiling` takes for its own."""
+    root = Path(compiling.__file__).parents[1]
+    for package in ("core", *compiling.COMPILED_LAYERS):
         shutil.copytree(root / package, tmp_path / package)
-    for name in _jit.FOUNDATION:
-        shutil.copy(root / name, tmp_path)
-    monkeypatch.setattr(_jit, "__file__", str(tmp_path / "_jit.py"))
+    monkeypatch.setattr(compiling, "__file__", str(tmp_path / "core" / "compile.py"))
     return tmp_path
 
 
 def digests():
-    return [_jit.source_digest(layer) for layer in LAYERS]
+    return [compiling.source_digest(layer) for layer in LAYERS]
 
 
 def changed(before):
     return [
-        _jit.COMPILED_LAYERS[layer]
+        compiling.COMPILED_LAYERS[layer]
         for layer, (old, new) in enumerate(zip(before, digests(), strict=True))
         if old != new
     ]
@@ -51,21 +49,23 @@ def test_copied_sources_have_the_digests_of_the_original(tree, monkeypatch):
     assert all(len(digest) == 16 and int(digest, 16) >= 0 for digest in copied)
 
 
-@pytest.mark.parametrize("package", _jit.COMPILED_LAYERS)
+@pytest.mark.parametrize("package", compiling.COMPILED_LAYERS)
 def test_an_edit_counts_for_its_layer_and_those_above(tree, package):
     before = digests()
     path = next((tree / package).glob("[a-z]*.py"))
     path.write_text(path.read_text() + "\n# a comment\n")
-    assert changed(before) == list(_jit.COMPILED_LAYERS[_jit.COMPILED_LAYERS.index(package) :])
+    assert changed(before) == list(
+        compiling.COMPILED_LAYERS[compiling.COMPILED_LAYERS.index(package) :]
+    )
 
 
 def test_a_new_a_renamed_and_a_nested_file_count(tree):
     before = digests()
     (tree / "sim" / "weather.py").write_text("RAIN = 1.0\n")
-    assert changed(before) == list(_jit.COMPILED_LAYERS[1:])
+    assert changed(before) == list(compiling.COMPILED_LAYERS[1:])
     before = digests()
     (tree / "sim" / "weather.py").rename(tree / "sim" / "climate.py")
-    assert changed(before) == list(_jit.COMPILED_LAYERS[1:])
+    assert changed(before) == list(compiling.COMPILED_LAYERS[1:])
     before = digests()
     (tree / "envs" / "more").mkdir()
     (tree / "envs" / "more" / "rules.py").write_text("")
@@ -82,48 +82,48 @@ def test_what_is_no_source_does_not_count(tree):
 
 def test_the_decorator_the_vectors_and_numba_s_version_count_for_all(tree, monkeypatch):
     before = digests()
-    for name in ("_jit.py", "_compiled.py", "_simd.py", "_lanes.py"):
+    for name in ("compile.py", "simd.py", "lanes.py"):
         path = tree / name
         path.write_text(path.read_text() + "\n# a comment\n")
-        assert changed(before) == list(_jit.COMPILED_LAYERS)
+        assert changed(before) == list(compiling.COMPILED_LAYERS)
         before = digests()
     monkeypatch.setattr(numba, "__version__", "0.0.0")
-    assert changed(before) == list(_jit.COMPILED_LAYERS)
+    assert changed(before) == list(compiling.COMPILED_LAYERS)
 
 
 def test_a_module_belongs_to_its_package_s_layer():
-    assert _jit.layer_of("spoofgym.earth.wgs84") == 0
-    assert _jit.layer_of("spoofgym.truth._kernels") == 1
+    assert compiling.layer_of("spoofgym.earth.wgs84") == 0
+    assert compiling.layer_of("spoofgym.truth._kernels") == 1
     for outside in ("spoofgym.bench.runs.play", "spoofgym", "tests.core.test_compile", "__main__"):
-        assert _jit.layer_of(outside) == len(_jit.COMPILED_LAYERS) - 1
+        assert compiling.layer_of(outside) == len(compiling.COMPILED_LAYERS) - 1
 
 
 def test_the_least_recently_used_digests_are_pruned(tmp_path):
-    folders = [tmp_path / f"sim-{k:016x}" for k in range(_jit.KEPT_DIGESTS + 5)]
+    folders = [tmp_path / f"sim-{k:016x}" for k in range(compiling.KEPT_DIGESTS + 5)]
     for age, folder in enumerate(folders):
         folder.mkdir()
         (folder / "code.nbi").write_text("")
         os.utime(folder, (1e9 - age, 1e9 - age))
     (tmp_path / "a file").write_text("")
     keep = folders[-1]  # the oldest of all is the one in use
-    _jit._prune(tmp_path, keep)
+    compiling._prune(tmp_path, keep)
     left = sorted(path.name for path in tmp_path.iterdir() if path.is_dir())
-    assert left == sorted(f.name for f in [*folders[: _jit.KEPT_DIGESTS - 1], keep])
+    assert left == sorted(f.name for f in [*folders[: compiling.KEPT_DIGESTS - 1], keep])
     assert (tmp_path / "a file").exists()
     assert keep.stat().st_mtime > 1e9  # used just now
 
 
 def test_code_that_a_process_may_still_add_to_is_not_pruned(tmp_path):
-    folders = [tmp_path / f"sim-{k:016x}" for k in range(_jit.KEPT_DIGESTS + 5)]
+    folders = [tmp_path / f"sim-{k:016x}" for k in range(compiling.KEPT_DIGESTS + 5)]
     for folder in folders:
         folder.mkdir()
     os.utime(folders[3], (1e9, 1e9))
-    _jit._prune(tmp_path, folders[0])
+    compiling._prune(tmp_path, folders[0])
     assert sorted(tmp_path.iterdir()) == sorted({*folders} - {folders[3]})
 
 
 def test_pruning_what_is_not_there_is_no_error(tmp_path):
-    _jit._prune(tmp_path / "none", tmp_path / "none" / "sim-0")
+    compiling._prune(tmp_path / "none", tmp_path / "none" / "sim-0")
 
 
 @pytest.mark.nojit
@@ -133,7 +133,7 @@ def test_compiling_leaves_numba_s_own_settings_alone():
     def double(x):
         return 2.0 * x
 
-    for decorator in (_jit.njit, _jit.inlined):
+    for decorator in (compiling.njit, compiling.inlined):
         decorated = decorator(double)
         if numba.config.DISABLE_JIT:
             assert decorated is double
@@ -144,8 +144,8 @@ def test_compiling_leaves_numba_s_own_settings_alone():
 NOTICED = """
 import sys
 import numba
-from spoofgym import _jit
-_jit.NOTICE_S = 0.0
+from spoofgym.core import compile as compiling
+compiling.NOTICE_S = 0.0
 numba.njit(lambda x: x)(1.0)
 print("compiled one of the user's", file=sys.stderr)
 from spoofgym.earth import wgs84
@@ -156,7 +156,7 @@ wgs84.gravity(6378137, 0, 0)  # of whole numbers it is another function
 
 
 def test_compiling_is_said_once_on_stderr_and_loading_is_not(tmp_path):
-    environment = os.environ | {_jit.CACHE_VARIABLE: str(tmp_path)}
+    environment = os.environ | {compiling.CACHE_VARIABLE: str(tmp_path)}
     environment.pop("NUMBA_DISABLE_JIT", None)
     said = [
         subprocess.run(
@@ -168,14 +168,17 @@ def test_compiling_is_said_once_on_stderr_and_loading_is_not(tmp_path):
         ).stderr.splitlines()
         for _ in range(2)
     ]
-    assert said == [["compiled one of the user's", _jit.NOTICE], ["compiled one of the user's"]]
+    assert said == [
+        ["compiled one of the user's", compiling.NOTICE],
+        ["compiled one of the user's"],
+    ]
 
 
 def test_compiling_is_said_when_it_has_taken_two_seconds_in_all(monkeypatch, capsys):
-    monkeypatch.setattr(_jit, "NOTICE_S", 2.0)
+    monkeypatch.setattr(compiling, "NOTICE_S", 2.0)
     clock = 0.0
-    monkeypatch.setattr(_jit, "time", types.SimpleNamespace(monotonic=lambda: clock))
-    notice = _jit._Notice()
+    monkeypatch.setattr(compiling, "time", types.SimpleNamespace(monotonic=lambda: clock))
+    notice = compiling._Notice()
     ours, theirs = {"dispatcher": wgs84.gravity}, {"dispatcher": numba.njit(lambda x: x)}
     # who compiles, how long, and whether it has been said afterwards
     for compiled, seconds, said in ((theirs, 5.0, ""), (ours, 1.5, ""), (ours, 0.25, "")):
@@ -187,7 +190,7 @@ def test_compiling_is_said_when_it_has_taken_two_seconds_in_all(monkeypatch, cap
     notice.on_start(event.Event("numba:compile", event.EventStatus.START, ours))
     clock += 0.3
     notice.on_start(event.Event("numba:compile", event.EventStatus.START, theirs))  # called by it
-    assert capsys.readouterr().err == f"{_jit.NOTICE}\n"
+    assert capsys.readouterr().err == f"{compiling.NOTICE}\n"
     notice.on_end(event.Event("numba:compile", event.EventStatus.END, theirs))
     assert capsys.readouterr().err == ""
 
@@ -196,8 +199,8 @@ SCRIPT = """
 import sys, warnings
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
-    from spoofgym import _jit
-    _jit.NOTICE_S = float("inf")  # whether compiling takes that long depends on the machine
+    from spoofgym.core import compile as compiling
+    compiling.NOTICE_S = float("inf")  # whether compiling takes that long depends on the machine
     from spoofgym.earth import ranging, wgs84  # two modules, one warning
     from spoofgym.truth import noise  # another layer
     assert abs(wgs84.gravity(6378137.0, 0.0, 0.0)[0] + 9.78) < 1e-3
@@ -209,7 +212,7 @@ print(len(told), *told, sep="\\n")
 def in_new_processes(folder, temporary, number=1, **variables):
     """Number and texts of warnings, and the lines on stderr, of processes that run at once."""
     temporary.mkdir(exist_ok=True)
-    environment = os.environ | {_jit.CACHE_VARIABLE: str(folder), "TMPDIR": str(temporary)}
+    environment = os.environ | {compiling.CACHE_VARIABLE: str(folder), "TMPDIR": str(temporary)}
     environment |= variables
     environment.pop("NUMBA_DISABLE_JIT", None)
     running = [
@@ -243,7 +246,7 @@ def test_a_folder_that_cannot_be_written_gives_one_warning_and_works(tmp_path):
     count, told = in_a_new_process(folder, temporary)
     assert count == 1
     assert str(folder) in told[0]
-    assert _jit.CACHE_VARIABLE in told[0]
+    assert compiling.CACHE_VARIABLE in told[0]
     fallback = temporary / f"spoofgym-cache-{os.getuid()}"
     assert str(fallback) in told[0]
     kept = sorted(path.name.split("-")[0] for path in fallback.iterdir())
@@ -254,13 +257,13 @@ def test_a_folder_that_cannot_be_written_gives_one_warning_and_works(tmp_path):
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owner here")
 def test_code_is_not_loaded_from_where_others_may_leave_it(tmp_path, monkeypatch):
     """The name of the temporary folder is known to all users of a machine."""
-    monkeypatch.setattr(_jit.tempfile, "tempdir", str(tmp_path))
-    own = _jit._temporary_parent()
+    monkeypatch.setattr(compiling.tempfile, "tempdir", str(tmp_path))
+    own = compiling._temporary_parent()
     assert own == tmp_path / f"spoofgym-cache-{os.getuid()}"
     assert own.stat().st_mode & 0o777 == 0o700
-    assert _jit._temporary_parent() == own
+    assert compiling._temporary_parent() == own
     own.chmod(0o777)
-    other = _jit._temporary_parent()
+    other = compiling._temporary_parent()
     assert other != own
     assert other.stat().st_mode & 0o777 == 0o700
 
@@ -270,13 +273,15 @@ def test_code_is_not_loaded_from_where_others_may_leave_it(tmp_path, monkeypatch
 def test_a_cache_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, given):
     folder = tmp_path / "cache"
     if given:
-        monkeypatch.setenv(_jit.CACHE_VARIABLE, str(folder))
+        monkeypatch.setenv(compiling.CACHE_VARIABLE, str(folder))
     else:
-        monkeypatch.delenv(_jit.CACHE_VARIABLE, raising=False)
-        monkeypatch.setattr(_jit.platformdirs, "user_cache_dir", lambda name: str(tmp_path / name))
+        monkeypatch.delenv(compiling.CACHE_VARIABLE, raising=False)
+        monkeypatch.setattr(
+            compiling.platformdirs, "user_cache_dir", lambda name: str(tmp_path / name)
+        )
         folder = tmp_path / "spoofgym" / "numba"
-    monkeypatch.setattr(_jit.tempfile, "tempdir", str(tmp_path))
-    find = _jit.cache_parent.__wrapped__
+    monkeypatch.setattr(compiling.tempfile, "tempdir", str(tmp_path))
+    find = compiling.cache_parent.__wrapped__
     assert find() == folder
     assert folder.stat().st_mode & 0o777 == 0o700
     fallback = tmp_path / f"spoofgym-cache-{os.getuid()}"
@@ -287,7 +292,7 @@ def test_a_cache_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, giv
     folder.chmod(0o755)
     assert find() == folder
     uid = os.getuid()
-    monkeypatch.setattr(_jit.os, "getuid", lambda: uid + 1)
+    monkeypatch.setattr(compiling.os, "getuid", lambda: uid + 1)
     with pytest.warns(RuntimeWarning, match=f"must belong to user {uid + 1}, .* not to {uid}"):
         other = find()
     assert other not in (folder, fallback)
@@ -295,8 +300,8 @@ def test_a_cache_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, giv
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owner here")
 def test_a_layer_that_others_could_write_to_is_removed(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(_jit, "cache_parent", lambda: tmp_path)
-    find = _jit.cache_folder.__wrapped__
+    monkeypatch.setattr(compiling, "cache_parent", lambda: tmp_path)
+    find = compiling.cache_folder.__wrapped__
     folder = find(0)
     (folder / "kept").touch()
     assert (find(0) / "kept").exists()
@@ -308,9 +313,9 @@ def test_a_layer_that_others_could_write_to_is_removed(tmp_path, monkeypatch, ca
 
 
 def test_any_damage_to_a_file_makes_it_absent(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(_jit, "cache_parent", lambda: tmp_path)
-    _jit._say.cache_clear()
-    files = _jit._CheckedFiles(str(tmp_path), "function", "stamp")
+    monkeypatch.setattr(compiling, "cache_parent", lambda: tmp_path)
+    compiling._say.cache_clear()
+    files = compiling._CheckedFiles(str(tmp_path), "function", "stamp")
     files.save("one", [1.0])
     files.save("two", [2.0])
     index, one = tmp_path / "function.nbi", tmp_path / "function.1.nbc"
@@ -335,8 +340,8 @@ def test_any_damage_to_a_file_makes_it_absent(tmp_path, monkeypatch, capsys):
 
 def test_code_of_another_signature_is_not_taken(tmp_path):
     """Of two processes that save a first signature each, one's index may meet the other's code."""
-    first = _jit._CheckedFiles(str(tmp_path / "a"), "function", "stamp")
-    second = _jit._CheckedFiles(str(tmp_path / "b"), "function", "stamp")
+    first = compiling._CheckedFiles(str(tmp_path / "a"), "function", "stamp")
+    second = compiling._CheckedFiles(str(tmp_path / "b"), "function", "stamp")
     for files, key in ((first, "one"), (second, "two")):
         Path(files._cache_path).mkdir()
         files.save(key, [key])
@@ -393,14 +398,14 @@ def test_code_of_this_process_lies_in_the_folder_of_its_layer():
         pytest.skip("nothing is compiled")
     wgs84.gravity(7e6, 0.0, 0.0)
     folder = Path(wgs84.gravity.stats.cache_path)
-    assert folder.is_relative_to(_jit.cache_folder(0))
-    assert _jit.source_digest(0) in folder.as_posix()
+    assert folder.is_relative_to(compiling.cache_folder(0))
+    assert compiling.source_digest(0) in folder.as_posix()
 
 
 PARTS = """
 import numpy as np
-from spoofgym import _jit
-_jit.NOTICE_S = float("inf")
+from spoofgym.core import compile as compiling
+compiling.NOTICE_S = float("inf")
 from spoofgym.core.compile import is_part
 from spoofgym.earth import ranging, wgs84
 from spoofgym.truth import _kernels
@@ -424,7 +429,7 @@ print(before, forms())
 
 def test_what_only_compiled_code_calls_is_compiled_within_it(tmp_path):
     """Once Python calls it, it is compiled for that too, saved, and found by later processes."""
-    environment = os.environ | {_jit.CACHE_VARIABLE: str(tmp_path)}
+    environment = os.environ | {compiling.CACHE_VARIABLE: str(tmp_path)}
     environment.pop("NUMBA_DISABLE_JIT", None)
 
     def run(code):
@@ -476,7 +481,7 @@ print(digest.hexdigest())
 @pytest.mark.slow
 def test_a_process_that_compiles_has_the_bits_of_one_that_loads(tmp_path):
     """A chain of kernels; their sums come out otherwise where LLVM may regroup them."""
-    environment = os.environ | {_jit.CACHE_VARIABLE: str(tmp_path)}
+    environment = os.environ | {compiling.CACHE_VARIABLE: str(tmp_path)}
     environment.pop("NUMBA_DISABLE_JIT", None)
     digests_of = {}
     for case in ("compiling", "loading", "callees-first"):
