@@ -250,7 +250,7 @@ def test_a_folder_that_cannot_be_written_gives_one_warning_and_works(tmp_path):
     fallback = temporary / f"spoofgym-cache-{os.getuid()}"
     assert str(fallback) in told[0]
     kept = sorted(path.name.split("-")[0] for path in fallback.iterdir())
-    assert kept == ["earth", "sim"]
+    assert kept == ["earth", "truth"]
     assert list(fallback.rglob("*.nbi"))
 
 
@@ -384,7 +384,7 @@ def test_a_damaged_cache_is_compiled_again_with_one_line(tmp_path):
 def test_a_folder_that_can_be_written_is_made_and_used(tmp_path):
     folder, temporary = tmp_path / "some" / "cache", tmp_path / "temporary"
     assert in_a_new_process(folder, temporary) == (0, [])
-    assert {path.name.split("-")[0] for path in folder.iterdir()} == {"earth", "sim"}
+    assert {path.name.split("-")[0] for path in folder.iterdir()} == {"earth", "truth"}
     written = sorted(folder.rglob("*.nbi"))
     assert written
     times = [path.stat().st_mtime_ns for path in written]
