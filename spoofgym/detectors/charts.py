@@ -71,8 +71,8 @@ Deviations from `zhong2025`, whose method M3 this is:
    the epoch after the onset on.
 2. The ratio is formed only where :math:`|\Lambda| > T`, which keeps it finite.
 3. The time index of the threshold is set back with :math:`\Lambda`.
-4. m = 0.1 as printed locks satellites out; the default is 0.3, and exclusion is limited
-   (`limit_exclusions`).  ``weight_scale=0.1, max_exclusion_s=None, min_satellites=0`` is the paper's.
+4. m = 0.1 as printed locks satellites out; the default is 0.3, and exclusion is limited, by
+   `limit_exclusions`; ``weight_scale=0.1, max_exclusion_s=None, min_satellites=0`` is the paper's.
 5. A satellite that sets and rises starts again.
 
 The rate of false alarms is a little below that of the EWMA chart, since a false alarm can end
