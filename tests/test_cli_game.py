@@ -37,7 +37,7 @@ def test_json_is_the_matrix_and_its_equilibrium(tmp_path):
             {"name": "cusum", "signals": "range_rate", "thresholds": "nominal"},
         ],
     )
-    assert len(list(tmp_path.glob("*.npz"))) == 4
+    assert len(list(tmp_path.glob("cells/*.npz"))) == 4
     assert found == json.loads(
         json.dumps({**matrix.as_json(), "equilibrium": matrix.spread().as_json()})
     )
@@ -52,6 +52,19 @@ def test_the_table_says_what_each_spoofer_observes():
     assert [line.split()[1] for line in shown.splitlines() if " feedback " in line] == ["oracle"]
 
 
-def test_wrong_input_is_named():
+def test_shards_fill_one_folder(tmp_path):
+    parts = [("--spoofer", "ramp", "--out", str(tmp_path), "--shard", f"{i}/2") for i in (1, 2)]
+    first, second = (called(*part, "--json") for part in parts)
+    assert (first.exit_code, first.stdout) == (0, "")
+    assert "shard 1/2 is finished; others leave" in first.stderr
+    assert second.stdout == called("--spoofer", "ramp", "--json").stdout
+
+
+def test_wrong_input_is_named(tmp_path):
+    (tmp_path / "3f2a.npz").touch()
+    old = called("--spoofer", "ramp", "--out", str(tmp_path))
+    assert (old.exit_code, len(old.stderr.splitlines())) == (2, 1)
+    assert "holds no config.json of an experiment (3f2a.npz)" in old.stderr
+    assert "need a folder of results: --out" in called("--spoofer", "ramp", "--jobs", "2").stderr
     assert "rmap" in called("--spoofer", "rmap").stderr
     assert "payoff" in called("--spoofer", "ramp", "--payoff", "gold").stderr

@@ -160,7 +160,7 @@ class Shown:
 
     def advance(self, amount: float, now: str) -> None:
         """Print what has begun."""
-        if amount == 0.0 and now != self.last:
+        if amount == 0.0 and now != self.last and " against " not in now:
             self.console.print(f"  {now}", style="dim", highlight=False)
             self.last = now
 

@@ -10,7 +10,7 @@ from typer import Option
 
 from . import options as opt
 from .bench import specs_of
-from .output import print_json, print_table, progress
+from .output import print_json, print_table
 
 if TYPE_CHECKING:
     from ..bench.scores.matrix_game import PayoffMatrix
@@ -39,28 +39,22 @@ def game(
     as_json: opt.Json = False,
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
+    jobs: opt.Processes = 1,
+    backend: opt.Backend = "local",
+    shard: opt.Shard = None,
 ) -> None:
     """Solve the game of spoofers against detectors: payoffs on paired runs, mixes of both sides."""
     from ..bench.experiments.game import Game
-    from ..bench.experiments.members import DETECTOR, SPOOFER, member_of
 
-    settings: dict[str, Any] = {
-        "payoff": payoff,
-        "limit_m": limit_m,
-        "runs": runs,
-        "entropy": seed,
-        "folder": out,
-        "threads": threads,
-    }
-    who = [member_of(spec, SPOOFER) for spec in specs_of(spoofer)]
-    whom = [member_of(spec, DETECTOR) for spec in specs_of(detector)]
-    played = Game(task, **settings)
-    with progress(played.passes(who, whom)) as played.progress:
-        matrix = played.matrix(who, whom, oracles=oracles)
-    spread = matrix.spread()
+    pairs = Game(task, payoff=payoff, limit_m=limit_m, runs=runs, entropy=seed).pairs(
+        specs_of(spoofer), specs_of(detector), oracles=oracles
+    )
+    results = opt.finished(pairs, out, jobs=jobs, backend=backend, shard=shard, threads=threads)
     if as_json:
-        print_json({**matrix.as_json(), "equilibrium": spread.as_json()})
+        print_json(pairs.report(results))
         return
+    matrix = pairs.matrix(results)
+    spread = matrix.spread()
     shown = _figures([spread.value])[0]
     solved = "a pure pair solves it" if matrix.solve().pure else "no pure pair solves it"
     rows = _rows(matrix, _figures(spread.spoofer), _figures(spread.detector))

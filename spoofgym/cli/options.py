@@ -9,10 +9,15 @@ import inspect
 from collections.abc import Callable, Container
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Option
+
+from .output import progress
+
+if TYPE_CHECKING:
+    from ..bench.experiments import Experiment, Reader
 
 ENV = "spoofgym/TightlyCoupled-v0"
 LARGEST_RUNS = 1_000_000
@@ -46,6 +51,23 @@ Jobs = Annotated[
         "name, the processors.",
     ),
 ]
+Processes = Annotated[
+    int, Option("--jobs", min=1, help="Processes of this machine that compute at a time.")
+]
+Backend = Annotated[
+    str,
+    Option(
+        help="Who computes: local; dask or ray, on this machine, or with :address on a cluster "
+        "that runs already."
+    ),
+]
+Shard = Annotated[
+    str | None,
+    Option(
+        metavar="I/N",
+        help="Compute the i-th of n parts alone, such as 1/4; others fill the same folder.",
+    ),
+]
 Budget = Annotated[
     float,
     Option(
@@ -76,6 +98,40 @@ Oracles = Annotated[
         help="Let detectors play that know the attack by their settings; the results say so.",
     ),
 ]
+
+
+def finished(
+    experiment: Experiment,
+    out: Path | None,
+    *,
+    jobs: int,
+    backend: str,
+    shard: str | None,
+    threads: int | None,
+) -> Reader:
+    """Compute what a folder lacks; a shard that leaves cells to others ends the command here."""
+    from ..bench.experiments import Interrupted, MemoryStore, Store, parse_shard, run
+
+    if out is None and (jobs, backend, shard) != (1, "local", None):
+        raise ValueError("--jobs, --backend and --shard need a folder of results: --out")
+    try:
+        results = run(
+            experiment,
+            MemoryStore() if out is None else Store(out),
+            jobs=jobs,
+            backend=backend,
+            threads=threads,
+            shard=None if shard is None else parse_shard(shard),
+            progress=progress,
+        )
+    except Interrupted:
+        if out is None:  # nothing goes on
+            raise KeyboardInterrupt from None
+        raise
+    if left := len(results.missing):
+        typer.echo(f"shard {shard} is finished; others leave {left} cells of {out}", err=True)
+        raise typer.Exit
+    return results
 
 
 @dataclass(frozen=True, kw_only=True)

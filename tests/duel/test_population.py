@@ -10,8 +10,8 @@ import pytest
 from spoofgym import duel_v0, spoofers
 from spoofgym.bench.experiments import game as population
 from spoofgym.bench.experiments.game import Game
-from spoofgym.bench.experiments.game_entries import KeptEntries
-from spoofgym.bench.experiments.members import member_of, mixture, strategy_of
+from spoofgym.bench.experiments.members import member_of, mixture
+from spoofgym.bench.experiments.runner import Context
 from spoofgym.bench.report.cards import find_card
 from spoofgym.bench.runs.play import displacement_of, play
 from spoofgym.bench.scores.matrix_game import RunPayoff
@@ -46,8 +46,9 @@ def played():
 
 def test_a_shared_pass_equals_separate_ones_to_the_last_bit(played):
     found, matrix = played
+    pairs = found.pairs(SPOOFERS, DETECTORS, oracles=True)
     for j, detector in enumerate(matrix.detectors):
-        field = found._field([detector], alone=True)
+        field = pairs.field([detector], True, Context())
         twin, setup = field.twin, field.start.setup
         assert np.array_equal(matrix.counts[j], counted(field.start.warmup_alarm, twin.first_alarm))
         for i, spoofer in enumerate(matrix.spoofers):
@@ -150,46 +151,26 @@ def test_a_difference_is_paired(played):
     assert 0.0 <= spread.value.low <= spread.value.high <= 1.0
 
 
-def test_what_is_kept_is_not_played_again_and_is_the_same(tmp_path, monkeypatch, played):
+def test_what_is_finished_is_not_played_again_and_is_the_same(tmp_path, monkeypatch, played):
     _, matrix = played
-    with monkeypatch.context() as patch:
-        attack, calls = Game._attack, []
-
-        def killed(self, *args):
-            if len(calls) == 2:
-                raise KeyboardInterrupt
-            calls.append(args)
-            attack(self, *args)
-
-        patch.setattr(Game, "_attack", killed)
-        with pytest.raises(KeyboardInterrupt):
-            game(folder=tmp_path).matrix(SPOOFERS, DETECTORS, oracles=True)
-    assert len(list(tmp_path.glob("*.npz"))) == 2 * 3  # two spoofers, three passive detectors
-    again = game(folder=tmp_path).matrix(SPOOFERS, DETECTORS, oracles=True)
-    np.testing.assert_array_equal(again.values, matrix.values)
+    game(folder=tmp_path).matrix(SPOOFERS[:2], DETECTORS)
+    grown = game(folder=tmp_path).matrix(SPOOFERS, DETECTORS, oracles=True)
+    np.testing.assert_array_equal(grown.values, matrix.values)
     monkeypatch.setattr(population, "play", None)
-    third = game(folder=tmp_path)
-    assert third.passes(again.spoofers, again.detectors) == 0
-    np.testing.assert_array_equal(
-        third.matrix(SPOOFERS, DETECTORS, oracles=True).values, matrix.values
-    )
+    again = game(folder=tmp_path).matrix(SPOOFERS, DETECTORS, oracles=True)
+    assert again.as_json() == matrix.as_json()
 
 
-def test_other_runs_or_another_world_are_other_entries(tmp_path):
-    def entry(**settings):
-        found, detector = game(folder=tmp_path, **settings), strategy_of(CHI2, "detector")
-        kept = KeptEntries(tmp_path, found.suite, found.seeds)
-        return kept.file_of(strategy_of(RAMP, "spoofer"), detector, found.detector(detector))
+def test_other_runs_are_other_cells_and_another_world_another_experiment():
+    def pairs(**settings):
+        return game(**settings).pairs([RAMP], [CHI2])
 
-    files = [
-        entry(),
-        entry(entropy=1),
-        entry(split="evaluation"),
-        entry(runs=RUNS + 1),
-        entry(timeline={**SHORT, "attack_s": 20.0}),
-    ]
-    assert len(set(files)) == len(files)
-    assert entry(payoff="hmi", limit_m=9.0) == files[0]  # how runs are paid changes none of them
+    same = pairs(payoff="hmi", limit_m=9.0)  # how runs are paid changes none of them
+    others = [pairs(entropy=1), pairs(split="evaluation"), pairs(runs=RUNS + 1)]
+    assert len({each.key for found in (same, *others) for each in found.cells()}) == 4
+    assert [*same.cells()] == [*pairs().cells()]
+    assert all(each.config == same.config for each in others)
+    assert pairs(timeline={**SHORT, "attack_s": 20.0}).config != same.config
 
 
 def test_objects_play_and_leave_nothing_in_the_folder(tmp_path):
@@ -197,7 +178,7 @@ def test_objects_play_and_leave_nothing_in_the_folder(tmp_path):
     model = ModelPolicy(lambda seen: np.full((len(seen), 1), 0.1), label="mine", knowledge="blind")
     matrix = found.matrix([Ramp(rate_mps=0.2), model], [CHI2])
     assert [each.label for each in matrix.spoofers] == ["ramp(rate_mps=0.2)", "mine"]
-    assert len(list(tmp_path.glob("*.npz"))) == 1  # a ramp can be described, a function can't
+    assert len(list(tmp_path.glob("cells/*.npz"))) == 1  # a ramp can be described, a function can't
     with pytest.raises(TypeError, match="mine"):
         mixture("mix", matrix.spoofers, [1.0, 1.0]).pool()
 

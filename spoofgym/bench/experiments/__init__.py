@@ -11,6 +11,7 @@ from .runner import Interrupted as Interrupted
 from .runner import parse_shard as parse_shard
 from .runner import run as run
 from .store import Cell as Cell
+from .store import MemoryStore as MemoryStore
 from .store import Reader as Reader
 from .store import Result as Result
 from .store import Store as Store

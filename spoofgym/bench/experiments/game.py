@@ -10,17 +10,22 @@ of its own with every spoofer, and a spoofer that observes statistics one with e
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...calibration.clean_runs import Progress, Silent, weighs
 from ...core.registry import check_choice, check_keywords
+from ...core.settings import digest_of, outside_sources
 from ...detectors import Detector, Never, detector_in_world
-from ...detectors.calibrated import resolve
+from ...detectors.calibrated import factors_of, resolve
 from ...envs.terms.observation import REPORTED
 from ...simulation.monitors import Monitor, Monitored, PassiveDetectors, PastPositions
 from ...simulation.setup import SPLITS, Setup
@@ -30,15 +35,14 @@ from ..runs.play import Runs, WarmStart, induced_error, play
 from ..runs.world import WORLD, Suite
 from ..scores.matrix_game import PayoffMatrix, Played, RunPayoff
 from ..scores.scores import counted, undetected_displacement
-from .game_entries import KeptEntries
 from .members import DETECTOR, SPOOFER, Member, Mixture, Strategy, strategy_of
+from .runner import Context, Experiment, run
+from .store import Cell, MemoryStore, Reader, Result, Store
 
 FloatArray = NDArray[np.float64]
 SPLIT = "game"
 """Runs on which matrices are solved."""
 RUNS = 200
-FIELDS = 4
-"""Warm-ups that are kept in memory."""
 
 
 class EpochAlarms(PassiveDetectors):
@@ -60,6 +64,139 @@ class _Field(NamedTuple):
     start: WarmStart
     twin: Runs
     counts: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Pairs(Experiment):
+    """What all pairs of a game do; a spoofer meets the passive detectors in one pass.
+
+    `strategies`: of both sides; `spoofers`, `detectors`: pure ones, whose weights are `mixes`.
+    """
+
+    name: ClassVar[str] = "game"
+    game: Game
+    strategies: tuple[Sequence[Strategy], Sequence[Strategy]]
+    spoofers: Sequence[Member]
+    detectors: Sequence[Member]
+    mixes: tuple[FloatArray, FloatArray]
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """World of the game; runs are of the cells, so that all splits may be in one folder."""
+        config = self.game.suite.config
+        names = (*WORLD, "env", "settings", "outside")
+        return {name: config[name] for name in names if name in config}
+
+    @cached_property
+    def pairs(self) -> dict[str, tuple[Cell, Member, Member]]:
+        """Cells by key, with who meets whom; shared passes come first."""
+        passive = sum(map(self.game.is_passive, self.detectors))
+        found = {}
+        for b, a in sorted(product(self.detectors, self.spoofers), key=self._is_alone):
+            alone = self._is_alone((b, a))
+            group = f"{a.label} against {b.label if alone else f'{passive} detectors'}"
+            key, identity = self._identity(a, b)
+            cell = Cell(key, identity, 1.0 if alone else 1.0 / passive, group=group)
+            found[key] = cell, a, b
+        return found
+
+    def _is_alone(self, pair: tuple[Member, Member]) -> bool:
+        detector, spoofer = pair
+        return spoofer.sees_statistics or not self.game.is_passive(detector)
+
+    def _identity(self, spoofer: Member, detector: Member) -> tuple[str, dict[str, Any] | None]:
+        """Key of a pair, and all that it depends on; None where no text says that."""
+        judge, runs = self.game.detector(detector), [self.game.suite.runs, *self.game.seeds]
+        key = " ".join(map(str, (*runs, spoofer.label, detector.label)))
+        outside = outside_sources(judge, spoofer.spec, detector.spec)
+        if None in (spoofer.spec, detector.spec, *outside.values()):
+            return key, None
+        named = {"runs": runs, "spoofer": spoofer.spec, "sources": outside}
+        named["detector"] = [detector.spec, *factors_of(judge)]
+        return f"{key} {digest_of(named)[:8]}", named
+
+    def cells(self) -> Iterator[Cell]:
+        """One a pair."""
+        return (cell for cell, _, _ in self.pairs.values())
+
+    def run(self, cell: Cell, results: Reader, context: Context) -> Result:
+        """Play a pair alone."""
+        return next(self.run_group([cell], results, context))
+
+    def run_group(
+        self, cells: Sequence[Cell], results: Reader, context: Context
+    ) -> Iterator[Result]:
+        """Let one spoofer play against detectors that share its pass."""
+        _, (spoofer, *_), detectors = zip(*(self.pairs[cell.key] for cell in cells), strict=True)
+        work, alone = sum(cell.work for cell in cells), self._is_alone((detectors[0], spoofer))
+        field = self.field(detectors, alone, context)
+        setup = field.start.setup
+        tick = lambda part: context.tick(part * work)  # noqa: E731
+        runs, alarms = _pass(field.start, spoofer.given, len(cells), alone, tick)
+        error = induced_error(setup, runs, field.twin)[: setup.steps]
+        sky = np.asarray(field.twin.onset // setup.epochs_each)
+        for first, counts in zip(alarms, field.counts, strict=True):
+            moved = undetected_displacement(error, first, setup.hold)
+            yield Result({**Played(moved, first > 0, counts)._asdict(), "sky": sky})
+
+    def field(self, detectors: Sequence[Member], alone: bool, context: Context) -> _Field:
+        """Runs at the onset, with their clean twins, in front of detectors that share them."""
+        fields, suite = context.cache, self.game.suite
+        key = (alone, *(each.label for each in detectors))
+        if key not in fields:
+            judges = [self.game.detector(each) for each in detectors]
+            monitors: list[Monitor] = [] if alone else [EpochAlarms(judges)]
+            if any(REPORTED in each.knowledge for each in self.spoofers):
+                monitors.append(PastPositions())
+            guard = judges[0] if alone else Never()
+            setup = suite.world.altered(detector=guard, monitors=monitors)
+            rngs = suite.generators(self.game.seeds[1], suite.runs)
+            start = WarmStart(setup, rngs, threads=context.threads)
+            early = start.warmup_alarm[None]
+            if not alone:
+                early = start.engine().simulator.monitor(EpochAlarms).memory["so_far"].T
+            twin, alarms = _pass(start, "none", len(judges), alone)
+            fields.clear()  # what shares them comes together
+            fields[key] = _Field(start, twin, counted(early, alarms))
+        return fields[key]
+
+    def matrix(self, results: Reader) -> PayoffMatrix:
+        """Payoffs of all pairs."""
+        keys = {(a.label, b.label): key for key, (_, a, b) in self.pairs.items()}
+        found = [
+            [results[keys[a.label, b.label]].arrays for b in self.detectors] for a in self.spoofers
+        ]
+        moved, alarmed, counts = (
+            np.array([[each[name] for each in row] for row in found]) for name in Played._fields
+        )
+        runs = moved, alarmed, counts[0], found[0][0]["sky"]
+        return PayoffMatrix(
+            *map(tuple, self.strategies), self.game.payoff, *self.mixes, *runs, self.game.seeds
+        )
+
+    def report(self, results: Reader) -> dict[str, Any]:
+        """Payoffs, and mixes of both sides."""
+        matrix = self.matrix(results)
+        return {**matrix.as_json(), "equilibrium": matrix.spread().as_json()}
+
+
+def _pass(
+    start: WarmStart,
+    spec: Any,
+    detectors: int,
+    alone: bool,
+    tick: Callable[[float], None] | None = None,
+) -> tuple[Runs, NDArray[np.int64]]:
+    """One attack on all runs, and (D, R) the first alarms, from 1 on; 0 for none."""
+    first = np.zeros((detectors, start.receivers), dtype=np.int64)
+
+    def watch(epoch: int, rows: NDArray[np.intp], simulator: Simulator) -> NDArray[np.bool_]:
+        alarmed = simulator.monitor(EpochAlarms).memory["alarmed"].T
+        first[:, rows] = np.where(alarmed & (first[:, rows] == 0), epoch + 1, first[:, rows])
+        return np.asarray(alarmed.all(axis=0))
+
+    runs = play(start, spec, tick=tick, watch=None if alone else watch)
+    return runs, runs.first_alarm[None] if alone else first
 
 
 class Game:
@@ -112,7 +249,7 @@ class Game:
         runs: int = RUNS,
         entropy: int = 0,
         split: str = SPLIT,
-        folder: str | Path | None = None,
+        folder: str | os.PathLike[str] | None = None,
         threads: int | None = None,
         progress: Progress | None = None,
         **world: Any,
@@ -137,11 +274,9 @@ class Game:
             **world, detectors=["never"], spoofers=["none"], runs=runs, entropy=entropy
         )
         self.task, self.payoff, self.seeds = task, RunPayoff(payoff, limit_m), (entropy, split)
-        self._kept = None if folder is None else KeptEntries(Path(folder), self.suite, self.seeds)
+        self.store = MemoryStore(None if folder is None else Store(folder))
         self.threads, self.progress = threads, progress or Silent()
         self._judges: dict[str, tuple[Detector, bool]] = {}
-        self._fields: dict[tuple[str, ...], _Field] = {}
-        self._played: dict[tuple[str, str], tuple[Played, NDArray[np.int64]]] = {}
         self._members: dict[tuple[str, str], Member] = {}
 
     @property
@@ -200,6 +335,14 @@ class Game:
             When a list is empty, a name is unknown, a member does not fit the world, oracles and
             others meet without `oracles`, or somebody was trained or chosen on these runs.
         """
+        pairs = self.pairs(spoofers, detectors, oracles=oracles)
+        show = lambda _: nullcontext(self.progress)  # noqa: E731
+        return pairs.matrix(run(pairs, self.store, threads=self.threads, progress=show))
+
+    def pairs(
+        self, spoofers: Sequence[Any], detectors: Sequence[Any], *, oracles: bool = False
+    ) -> Pairs:
+        """Experiment of a `matrix`."""
         rows = [strategy_of(each, SPOOFER) for each in _listed(spoofers, SPOOFER)]
         columns = [strategy_of(each, DETECTOR) for each in _listed(detectors, DETECTOR)]
         for each in (*rows, *columns):
@@ -208,20 +351,7 @@ class Game:
         whom, of_columns = self._pure_of(columns)
         if not oracles:
             _check_oracles(who)
-        self._play(who, whom)
-        found = [[self._played[a.label, b.label] for b in whom] for a in who]
-        return PayoffMatrix(
-            tuple(rows),
-            tuple(columns),
-            self.payoff,
-            of_rows,
-            of_columns,
-            np.array([[each.displacement for each, _ in row] for row in found]),
-            np.array([[each.alarmed for each, _ in row] for row in found]),
-            np.array([each.counts for each, _ in found[0]]),
-            found[0][0][1],
-            self.seeds,
-        )
+        return Pairs(self, (rows, columns), who, whom, (of_rows, of_columns))
 
     def _check_fresh(self, strategy: Strategy) -> None:
         if self.seeds in strategy.decided_on:
@@ -251,38 +381,6 @@ class Game:
                 row[where[member.label]] += chance
         return list(everyone.values()), weights
 
-    # --- playing ---------------------------------------------------------------------------------
-
-    def passes(self, spoofers: Sequence[Member], detectors: Sequence[Member]) -> int:
-        """Passes of the engine that pure members still take, but for warm-ups and clean twins."""
-        return sum(len(who) for _, who, _ in self._groups(spoofers, detectors))
-
-    def _groups(
-        self, spoofers: Sequence[Member], detectors: Sequence[Member]
-    ) -> Iterator[tuple[list[Member], list[Member], bool]]:
-        """Detectors and spoofers of shared passes that are left, and whether it is one alone."""
-        missing = {
-            (a.label, b.label) for a in spoofers for b in detectors if not self._is_known(a, b)
-        }
-        passive = [each for each in detectors if not self._judge(each)[1]]
-        blind = [each for each in spoofers if not each.sees_statistics]
-        shared = [b for b in passive if any((a.label, b.label) in missing for a in blind)]
-        who = [a for a in blind if any((a.label, b.label) in missing for b in shared)]
-        if who:
-            yield shared, who, False
-        for b in detectors:
-            left = [a for a in spoofers if (a.label, b.label) in missing]
-            alone = [a for a in left if a.sees_statistics] if b in passive else left
-            if alone:
-                yield [b], alone, True
-
-    def _play(self, spoofers: Sequence[Member], detectors: Sequence[Member]) -> None:
-        for whom, who, alone in self._groups(spoofers, detectors):
-            field = self._field(whom, alone, any(REPORTED in each.knowledge for each in who))
-            for spoofer in who:
-                now = f"{spoofer.label} against {whom[0].label if alone else len(whom)}"
-                self._attack(field, spoofer, whom, alone, now)
-
     def _judge(self, member: Member) -> tuple[Detector, bool]:
         """Detector with its thresholds, and whether it takes weight off measurements."""
         if member.label not in self._judges:
@@ -290,71 +388,6 @@ class Game:
             resolve(made, self.setup)
             self._judges[member.label] = made, weighs(self.setup, made)
         return self._judges[member.label]
-
-    def _field(self, detectors: Sequence[Member], alone: bool, reported: bool = False) -> _Field:
-        """Runs at the onset, and their clean twins; `reported`: with the victims' reports."""
-        names = [each.label for each in detectors]
-        key = (str(alone), str(reported), *names)
-        if key not in self._fields:
-            judges = [self._judge(each)[0] for each in detectors]
-            self.progress.advance(0.0, f"warm-up of {', '.join(names)}")
-            monitors: list[Monitor] = [PastPositions()] if reported else []
-            if alone:
-                setup = self.setup.altered(detector=judges[0], monitors=monitors)
-            else:
-                monitors = [EpochAlarms(judges), *monitors]
-                setup = self.setup.altered(detector=Never(), monitors=monitors)
-            rngs = self.suite.generators(self.seeds[1], self.suite.runs)
-            start = WarmStart(setup, rngs, threads=self.threads)
-            early = start.warmup_alarm[None]
-            if not alone:
-                early = start.engine().simulator.monitor(EpochAlarms).memory["so_far"].T
-            twin, alarms = self._pass(start, "none", len(judges), alone, None)
-            while len(self._fields) >= FIELDS:
-                del self._fields[next(iter(self._fields))]
-            self._fields[key] = _Field(start, twin, counted(early, alarms))
-        return self._fields[key]
-
-    def _pass(
-        self, start: WarmStart, spec: Any, detectors: int, alone: bool, now: str | None
-    ) -> tuple[Runs, NDArray[np.int64]]:
-        """One attack on all runs, and (D, R) the first alarms, from 1 on; 0 for none."""
-        first = np.zeros((detectors, start.receivers), dtype=np.int64)
-
-        def watch(epoch: int, rows: NDArray[np.intp], simulator: Simulator) -> NDArray[np.bool_]:
-            alarmed = simulator.monitor(EpochAlarms).memory["alarmed"].T
-            first[:, rows] = np.where(alarmed & (first[:, rows] == 0), epoch + 1, first[:, rows])
-            return np.asarray(alarmed.all(axis=0))
-
-        def tick(part: float) -> None:
-            if now is not None:
-                self.progress.advance(part, now)
-
-        runs = play(start, spec, tick=tick, watch=None if alone else watch)
-        return runs, runs.first_alarm[None] if alone else first
-
-    def _attack(
-        self, field: _Field, spoofer: Member, detectors: Sequence[Member], alone: bool, now: str
-    ) -> None:
-        setup = field.start.setup
-        runs, alarms = self._pass(field.start, spoofer.given, len(detectors), alone, now)
-        error = induced_error(setup, runs, field.twin)[: setup.steps]
-        sky = np.asarray(field.twin.onset // setup.epochs_each)
-        for detector, first, counts in zip(detectors, alarms, field.counts, strict=True):
-            moved = undetected_displacement(error, first, setup.hold)
-            played = Played(moved, first > 0, counts)
-            self._played[spoofer.label, detector.label] = played, sky
-            if self._kept is not None:
-                self._kept.keep(spoofer, detector, self.detector(detector), played, sky)
-
-    def _is_known(self, spoofer: Member, detector: Member) -> bool:
-        """Whether an entry has been played, here or in the folder."""
-        key = spoofer.label, detector.label
-        if key not in self._played and self._kept is not None:
-            found = self._kept.load(spoofer, detector, self.detector(detector))
-            if found is not None:
-                self._played[key] = found
-        return key in self._played
 
 
 def _listed(given: Any, side: str) -> list[Any]:

@@ -42,13 +42,14 @@ class Cell(NamedTuple):
 
     - `key`: its name in the experiment;
     - `identity`: all that its result depends on and `config` of the experiment doesn't say, JSON;
+      None where no text says that, of what is held in memory alone;
     - `work`: how long it takes, in a unit of the experiment's; not of what is finished;
     - `after`: keys of cells that have to be finished before, whose results it may read;
     - `group`: cells of one group are computed in one call, such as detectors in one pass.
     """
 
     key: str
-    identity: Mapping[str, Any]
+    identity: Mapping[str, Any] | None
     work: float = 1.0
     after: tuple[str, ...] = ()
     group: str = ""
@@ -202,6 +203,8 @@ class Store:
 
     def _head(self, cell: Cell) -> dict[str, Any]:
         """What a cell's file is of."""
+        if cell.identity is None:
+            raise ValueError(f"{cell.key!r} can't be written: no text says what it depends on")
         return {
             "format": FORMAT,
             "experiment": self.config["experiment"],
@@ -230,6 +233,30 @@ class Store:
             write_file(path, content, exclusive=exclusive)
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+class MemoryStore(Store):
+    """Results that this process holds; of a folder, too, where one is given."""
+
+    def __init__(self, folder: Store | None = None) -> None:
+        super().__init__("memory" if folder is None else folder.path)
+        self._folder, self._results = folder, dict[str, Result]()
+
+    def open(self, experiment: str, config: Mapping[str, Any], **options: Any) -> None:
+        """Open the folder."""
+        if self._folder is not None:
+            self._folder.open(experiment, config, **options)
+
+    def _read(self, cell: Cell, *, whole: bool) -> Result | None:
+        if self._folder is None or cell.identity is None or cell.key in self._results:
+            return self._results.get(cell.key)
+        return self._folder._read(cell, whole=whole)
+
+    def put(self, cell: Cell, result: Result) -> None:
+        """Hold a finished cell, and write it where that can be."""
+        if self._folder is not None and cell.identity is not None:
+            self._folder.put(cell, result)
+        self._results[cell.key] = result
 
 
 class Reader(Mapping[str, Result]):
