@@ -79,20 +79,7 @@ def main(
 
 
 def small_picture(path: Path, colours: int = 64) -> Path:
-    """Store a picture of lines with few colours, at a quarter of its size.
-
-    Parameters
-    ----------
-    path : Path
-        A PNG file, which is replaced.
-    colours : int
-        How many are kept.
-
-    Returns
-    -------
-    Path
-        The same.
-    """
+    """Store a picture of lines with few colours, at a quarter of its size."""
     from PIL import Image
 
     with Image.open(path) as picture:
@@ -105,17 +92,8 @@ def small_picture(path: Path, colours: int = 64) -> Path:
 def page_record(reproduction: Reproduction, pictures: list[str]) -> dict[str, Any]:
     """What a page tells of a run.
 
-    Parameters
-    ----------
-    reproduction : Reproduction
-        A full one.
-    pictures : list of str
-        Names of the files in the folder of the figures.
-
-    Returns
-    -------
-    dict
-        As `Reproduction.record`, with pictures, versions, parts and their processor time.
+    `pictures`: names of the files in the folder of the figures.  Returns as `Reproduction.record`,
+    with pictures, versions, parts and their processor time.
     """
     told = [each["versions"] for each in reproduction.told]
     names = sorted({name for each in told for name in each})
@@ -130,20 +108,7 @@ def page_record(reproduction: Reproduction, pictures: list[str]) -> dict[str, An
 
 
 def page_text(paper: Paper, stored: dict[str, Any]) -> str:
-    """Page of a paper.
-
-    Parameters
-    ----------
-    paper : Paper
-        Has the texts.
-    stored : dict
-        Of `page_record`.
-
-    Returns
-    -------
-    str
-        Markdown.
-    """
+    """Page of a paper."""
     key, rows = stored["paper"], stored["rows"]
     seed = f" --seed {stored['seed']}" if stored["seed"] else ""
     computed = ", ".join(f"{name} {version}" for name, version in stored["versions"].items())

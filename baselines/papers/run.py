@@ -40,20 +40,12 @@ class PartError(RuntimeError):
 class Reproduction:
     """A paper, run.
 
-    Attributes
-    ----------
-    key : str
-        The paper.
-    paper : Paper
-        Its module.
-    settings : Settings
-        Of the run.
-    parts : list of Part
-        What was run.
-    data : dict
-        What each part returned, by its name.
-    told : list of dict
-        Versions and time of each part.
+    - `key`: the paper;
+    - `paper`: its module;
+    - `settings`: of the run;
+    - `parts`: what was run;
+    - `data`: what each part returned, by its name;
+    - `told`: versions and time of each part.
     """
 
     key: str
@@ -64,22 +56,13 @@ class Reproduction:
     told: list[dict[str, Any]]
 
     def rows(self) -> list[Row]:
-        """Figures of the paper beside ours.
-
-        Returns
-        -------
-        list of Row
-            Checked.
-        """
+        """Figures of the paper beside ours."""
         return rows_of(self.paper, self.data, self.settings)
 
     def record(self) -> dict[str, Any]:
         """The run as JSON.
 
-        Returns
-        -------
-        dict
-            ``paper``, ``runs``, ``seed``, and what `rows_record` gives.
+        Returns ``paper``, ``runs``, ``seed``, and what `rows_record` gives.
         """
         return {
             "paper": self.key,
@@ -89,18 +72,7 @@ class Reproduction:
         }
 
     def draw(self, folder: Path) -> list[Path]:
-        """The paper's figures, drawn from our runs.
-
-        Parameters
-        ----------
-        folder : Path
-            Where the pictures go; made where it is missing.
-
-        Returns
-        -------
-        list of Path
-            PNG files.
-        """
+        """The paper's figures, drawn from our runs."""
         import matplotlib
 
         matplotlib.use("Agg")
@@ -109,13 +81,7 @@ class Reproduction:
 
 
 def versions() -> dict[str, str]:
-    """What computes.
-
-    Returns
-    -------
-    dict
-        Versions by name.
-    """
+    """What computes."""
     return {
         "spoofgym": spoofgym.__version__,
         "python": platform.python_version(),
@@ -128,21 +94,11 @@ def versions() -> dict[str, str]:
 class PaperRun:
     """Parts of a paper with the folder in which their results are kept.
 
-    Parameters
-    ----------
-    key : str
-        The paper.
-    settings : Settings
-        Of the run.
-    out : Path
-        Folder of the results of all papers.
-
-    Attributes
-    ----------
-    parts : list of Part
-        All of them.
-    store : Store
-        Where their results lie.
+    - `key`: the paper;
+    - `settings`: of the run;
+    - `out`: folder of the results of all papers;
+    - `parts`: all of them;
+    - `store`: where their results lie.
     """
 
     def __init__(self, key: str, settings: Settings, out: Path) -> None:
@@ -157,18 +113,7 @@ class PaperRun:
         self._digest = digest_of_modules({part.function.__module__ for part in self.parts})
 
     def identity(self, part: Part) -> dict[str, Any]:
-        """What has to agree before a stored result is taken.
-
-        Parameters
-        ----------
-        part : Part
-            Which one.
-
-        Returns
-        -------
-        dict
-            JSON.
-        """
+        """What has to agree before a stored result is taken."""
         return {
             "part": part.name,
             "settings": part.settings,
@@ -178,18 +123,7 @@ class PaperRun:
         }
 
     def missing(self, say: Say) -> list[Part]:
-        """Parts that have to be run.
-
-        Parameters
-        ----------
-        say : callable
-            Told which stored results are not taken.
-
-        Returns
-        -------
-        list of Part
-            In their order.
-        """
+        """Parts that have to be run."""
         left = []
         unlike: dict[str, list[str]] = {}
         for part in self.parts:
@@ -214,33 +148,12 @@ class PaperRun:
         return left
 
     def keep(self, part: Part, result: dict[str, Any], seconds: float) -> None:
-        """Store what a part has returned.
-
-        Parameters
-        ----------
-        part : Part
-            Which one.
-        result : dict
-            What it returned.
-        seconds : float
-            How long it took.
-        """
+        """Store what a part has returned."""
         told = {"versions": versions(), "seconds": seconds}
         self.store.save(part, self.identity(part), told, result)
 
     def result(self) -> Reproduction:
-        """All results, read from the folder.
-
-        Returns
-        -------
-        Reproduction
-            As good as new.
-
-        Raises
-        ------
-        ValueError
-            When a part has not been run, or was run from other sources.
-        """
+        """All results, read from the folder."""
         data, told = {}, []
         for part in self.parts:
             found = self.store.load(part.name)
@@ -259,26 +172,7 @@ class PaperRun:
 def run_papers(runs: Sequence[PaperRun], jobs: int, tick: Tick, say: Say) -> list[Reproduction]:
     """Run what is left of some papers.
 
-    Parameters
-    ----------
-    runs : sequence of PaperRun
-        The papers.
-    jobs : int
-        Processes.
-    tick : callable
-        Told of every part that is done.
-    say : callable
-        Told of stored results that are not taken.
-
-    Returns
-    -------
-    list of Reproduction
-        One per paper.
-
-    Raises
-    ------
-    PartError
-        When a part fails; those that were done are kept.
+    `say`: told of stored results that are not taken.
     """
     if jobs < 1:
         raise ValueError(f"`jobs` must be at least 1, got {jobs}")

@@ -31,13 +31,7 @@ TOLD_NAMES = ("TITLE", "CLAIMS", "FOUND", "READINGS", "rows", "figures")
 
 @lru_cache(maxsize=1)
 def library_digest() -> str:
-    """Digest of the package and of what computes beneath it.
-
-    Returns
-    -------
-    str
-        Hexadecimal.
-    """
+    """Digest of the package and of what computes beneath it."""
     digest = hashlib.sha256()
     for part in (sys.version_info[:3], np.__version__, scipy.__version__, numba.__version__):
         digest.update(repr(part).encode())
@@ -52,15 +46,8 @@ def library_digest() -> str:
 def digest_of_modules(modules: Iterable[str]) -> str:
     """Digest of everything that the functions of some modules can call.
 
-    Parameters
-    ----------
-    modules : iterable of str
-        Modules of a checkout, outside the library, by their dotted names.
-
-    Returns
-    -------
-    str
-        16 hexadecimal digits, of the library, of these modules and of all that they import.
+    `modules`: modules of a checkout, outside the library, by their dotted names.  Returns 16
+    hexadecimal digits, of the library, of these modules and of all that they import.
     """
     digest = hashlib.sha256(library_digest().encode())
     known: set[str] = set()

@@ -20,31 +20,14 @@ STAMP = "stamp"
 
 
 class Store:
-    """Folder with the finished parts of one paper.
-
-    Parameters
-    ----------
-    folder : Path
-        Made where it is missing.
-    """
+    """Folder with the finished parts of one paper."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         remove_stale_parts(folder)
 
     def path(self, part: str) -> Path:
-        """File of a part.
-
-        Parameters
-        ----------
-        part : str
-            Its name.
-
-        Returns
-        -------
-        Path
-            There or not.
-        """
+        """File of a part."""
         return self.folder / f"{slug(part)}.npz"
 
     def save(
@@ -52,21 +35,8 @@ class Store:
     ) -> None:
         """Write what a part has returned.
 
-        Parameters
-        ----------
-        part : Part
-            Which one.
-        identity : dict
-            What has to agree when it is taken up again.
-        told : dict
-            What is only told, such as versions and times.
-        result : dict
-            Numbers, lists and arrays by name.
-
-        Raises
-        ------
-        TypeError
-            When something can't be stored; it is named.
+        `identity`: what has to agree when it is taken up again; `told`: what is only told, such as
+        versions and times.
         """
         arrays: dict[str, Any] = {}
         values: dict[str, Any] = {}
@@ -92,20 +62,7 @@ class Store:
     def load(self, part: str) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]] | None:
         """Read what a part has returned.
 
-        Parameters
-        ----------
-        part : str
-            Its name.
-
-        Returns
-        -------
-        tuple or None
-            Identity, what is told, and the result; None where there is no such file.
-
-        Raises
-        ------
-        ValueError
-            When the file is broken.
+        Returns identity, what is told, and the result; None where there is no such file.
         """
         path = self.path(part)
         try:

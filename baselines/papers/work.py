@@ -26,22 +26,7 @@ def end_with_parent() -> None:
 def work(
     function: Callable[..., dict[str, Any]], settings: dict[str, Any]
 ) -> tuple[dict[str, Any], float]:
-    """Run one part.
-
-    Parameters
-    ----------
-    function : callable
-        Of the part.
-    settings : dict
-        Its arguments.
-
-    Returns
-    -------
-    result : dict
-        What it returned.
-    seconds : float
-        Processor time that it took.
-    """
+    """Run one part."""
     begin = time.process_time()
     result = function(**settings)
     return result, time.process_time() - begin
