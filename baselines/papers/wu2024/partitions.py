@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.detectors import raim as residual_vectors
-from spoofgym.detectors import raim as traversal
+from spoofgym.detectors import raim
 from spoofgym.detectors.consistency import SearchData, fit_thresholds, search_data, tabulate_cases
 
 from .draws import displacements, offsets, subsets
@@ -21,17 +20,15 @@ FloatArray = NDArray[np.float64]
 NOISE_M = 4.0
 CONFIDENCE = 0.95
 METHODS = ("srv", "traversal")
-
-
 LIMIT = fit_thresholds(NOISE_M, 1.0 - CONFIDENCE, SATELLITES)
 
 
 def _srv(data: SearchData) -> None:
-    residual_vectors.search_all(data, LIMIT, residual_vectors.SEARCH_VECTORS)
+    raim.search_all(data, LIMIT, raim.SEARCH_VECTORS)
 
 
 def _traversal(data: SearchData) -> None:
-    traversal.search_all(data, LIMIT, traversal.LARGEST_GROUP)
+    raim.search_all_paths(data, LIMIT, raim.LARGEST_GROUP)
 
 
 SEARCHES: dict[str, Callable[[SearchData], None]] = {"srv": _srv, "traversal": _traversal}
