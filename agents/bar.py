@@ -10,14 +10,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 class Bar(BaseCallback):
     """Shows how far a training is.
 
-    Parameters
-    ----------
-    console : Console
-        Where it is shown.
-    name : str
-        Of the training.
-    steps : int
-        Of all receivers together, to its end.
+    - `console`: where it is shown;
+    - `name`: of the training;
+    - `steps`: of all receivers together, to its end.
     """
 
     def __init__(self, console: Console, name: str, steps: int) -> None:

@@ -30,19 +30,9 @@ def save_checkpoint(
 ) -> None:
     """Write a checkpoint, whole or not at all.
 
-    Parameters
-    ----------
-    path : Path
-        The file, a zip archive.
-    model : BaseAlgorithm
-        Its weights and optimizers are kept, and how many steps it has taken.
-    envs : VecNormalize
-        Its running statistics are kept.
-    state : dict
-        Anything else, JSON-able.
-    files : sequence of Path
-        Files that belong to this state of the training, such as the best policy; those that are
-        there are kept.
+    `model`: its weights and optimizers are kept, and how many steps it has taken; `files`: files
+    that belong to this state of the training, such as the best policy; those that are there are
+    kept.
     """
     running = {
         # in double precision, also what is a number of Python by itself
@@ -63,25 +53,7 @@ def save_checkpoint(
 def load_checkpoint(
     path: Path, model: BaseAlgorithm, envs: VecNormalize, folder: Path
 ) -> dict[str, Any]:
-    """Take over a checkpoint; its state.
-
-    Parameters
-    ----------
-    path, model, envs : Path, BaseAlgorithm and VecNormalize
-        As in `save_checkpoint`; the model has the same networks.
-    folder : Path
-        Where its files go.
-
-    Returns
-    -------
-    dict
-        The state.
-
-    Raises
-    ------
-    ValueError
-        When the file is damaged, or of another model.
-    """
+    """Take over a checkpoint; its state."""
     try:
         with zipfile.ZipFile(path) as archive:
             state = dict(json.loads(archive.read(STATE)))

@@ -28,19 +28,8 @@ def draw_curves(
 ) -> None:
     """Draw what trainings reached over their steps, a line for each, and the median of all.
 
-    Parameters
-    ----------
-    records : dict
-        Points of every record by its name, as `read_record` returns them.
-    path : Path
-        The picture, replaced.
-    levels : mapping, optional
-        Displacements to compare with, by the names of who reached them [m].
-
-    Raises
-    ------
-    ValueError
-        When a record has no points, or one that was not scored.
+    `records`: points of every record by its name, as `read_record` returns them; `levels`:
+    displacements to compare with, by the names of who reached them [m].
     """
     for name, points in records.items():
         _check(name, points)
@@ -103,20 +92,8 @@ def _check(name: str, points: list[Point]) -> None:
 def names_of(paths: list[Path]) -> list[str]:
     """Short name of every record.
 
-    Parameters
-    ----------
-    paths : list of Path
-        Files; those of training runs are called ``record.jsonl``, in a folder with the name.
-
-    Returns
-    -------
-    list of str
-        All different: the whole path where a short name would stand for two.
-
-    Raises
-    ------
-    ValueError
-        When a record is given twice.
+    `paths`: files; those of training runs are called ``record.jsonl``, in a folder with the name.
+    Returns all different: the whole path where a short name would stand for two.
     """
     if len(set(paths)) < len(paths):
         twice = next(path for path in paths if paths.count(path) > 1)

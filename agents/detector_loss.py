@@ -15,19 +15,8 @@ LARGEST_PART = 20
 def logistic(odds: torch.Tensor, attack: torch.Tensor, moved: torch.Tensor) -> torch.Tensor:
     """Weighted logistic loss of all epochs; clean and attacked ones weigh the same in total.
 
-    Parameters
-    ----------
-    odds : Tensor
-        (E, L) logarithm of the odds of an attack.
-    attack : Tensor
-        (E, L) bool, whether an attack is on.
-    moved : Tensor
-        (E, L) displacement in alert limits, at most 1: the weight of an attacked epoch.
-
-    Returns
-    -------
-    Tensor
-        A number.
+    `odds`: (E, L) logarithm of the odds of an attack; `attack`: (E, L) bool, whether an attack is
+    on; `moved`: (E, L) displacement in alert limits, at most 1: the weight of an attacked epoch.
     """
     weight = torch.where(attack, moved, (~attack).float())
     loss = functional.binary_cross_entropy_with_logits(odds, attack.float(), reduction="none")
@@ -43,19 +32,8 @@ def undetected(
 ) -> torch.Tensor:
     """Mean of min(D, AL) / AL, with the probability of no alarm in place of none.
 
-    Parameters
-    ----------
-    odds, moved : Tensor
-        As of `logistic`.
-    clean : Tensor
-        (E,) bool, which episodes are clean; some are, and some are not.
-    epochs : mapping
-        ``"live"``, ``"steps"`` and ``"hold"`` of an episode.
-
-    Returns
-    -------
-    Tensor
-        A number.
+    `clean`: (E,) bool, which episodes are clean; some are, and some are not; `epochs`: ``"live"``,
+    ``"steps"`` and ``"hold"`` of an episode.
     """
     live, steps, hold = (epochs[name] for name in ("live", "steps", "hold"))
     maxima = odds[clean, live:].amax(dim=1)

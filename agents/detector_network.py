@@ -43,17 +43,11 @@ BLOCK = 40
 class DetectorNetwork(nn.Module):
     """Statistic of every epoch.
 
-    Parameters
-    ----------
-    names : sequence of str
-        (o,) name of every element of an observation; ``..._slotNN`` are those of a satellite, and
-        ``visible`` must be among these.
-    interval_s : float
-        Time between epochs.
-    width : int
-        Units of the recurrent unit; the encoder has half of them.
-    projections : int
-        Vectors p.
+    - `names`: (o,) name of every element of an observation; ``..._slotNN`` are those of a
+      satellite, and ``visible`` must be among these;
+    - `interval_s`: time between epochs;
+    - `width`: units of the recurrent unit; the encoder has half of them;
+    - `projections`: vectors p.
     """
 
     def __init__(

@@ -22,19 +22,13 @@ CLASSIC = "classic_"
 class Scored(NamedTuple):
     """Score of a statistic.
 
-    Attributes
-    ----------
-    loss : float
-        Mean of min(D, AL) / AL over the runs that count, with D the undetected displacement of
-        the attacked run and AL the alert limit.
-    mean_m : float
-        Mean of D itself.
-    threshold : float
-        That a clean run exceeds with the probability that a rate of false alarms asks for.
-    counted : int
-        Runs that count: silent before the attack, with a silent twin.
-    area : float
-        Under the ROC curve of single epochs.
+    - `loss`: mean of min(D, AL) / AL over the runs that count, with D the undetected displacement
+      of the attacked run and AL the alert limit;
+    - `mean_m`: mean of D itself;
+    - `threshold`: that a clean run exceeds with the probability that a rate of false alarms asks
+      for;
+    - `counted`: runs that count: silent before the attack, with a silent twin;
+    - `area`: under the ROC curve of single epochs.
     """
 
     loss: float
@@ -58,26 +52,7 @@ def scored(
 ) -> Scored:
     """Score a statistic at the threshold that these runs' own clean episodes give.
 
-    Parameters
-    ----------
-    statistic : ndarray
-        (E, L) of every epoch.
-    episodes : Episodes
-        Of a data set, clean and attacked in turn.
-    config : mapping
-        Settings of the data set.
-    false_alarms_per_hour : float
-        Rate of false alarms.
-
-    Returns
-    -------
-    Scored
-        By these runs.
-
-    Raises
-    ------
-    ValueError
-        Where the clean episodes are too few for the rate.
+    `statistic`: (E, L) of every epoch; `episodes`: of a data set, clean and attacked in turn.
     """
     epochs, clean = config["epochs"], episodes.clean
     live, steps, hold = (epochs[name] for name in ("live", "steps", "hold"))

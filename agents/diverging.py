@@ -12,21 +12,9 @@ from spoofgym.spoofers.learned import finite
 def learn(model: BaseAlgorithm, steps: int, **how: Any) -> str | None:
     """Let a model learn; any other error than that of a diverged policy is raised as it is.
 
-    Parameters
-    ----------
-    model : BaseAlgorithm
-        Of stable-baselines3.
-    steps : int
-        For so many decisions of all receivers.
-    **how
-        As its own ``learn`` takes it.
-
-    Returns
-    -------
-    str or None
-        What torch said where a distribution had no number for its mean, in an update or in the
-        next rollout; the weights of the model are not finite then.  They may also be so where
-        nothing was said, after the last minibatch.
+    `**how`: as its own ``learn`` takes it.  Returns what torch said where a distribution had no
+    number for its mean, in an update or in the next rollout; the weights of the model are not
+    finite then.  They may also be so where nothing was said, after the last minibatch.
     """
     try:
         model.learn(steps, **how)

@@ -27,18 +27,7 @@ def used_versions() -> dict[str, str]:
 def open_folder(folder: Path, arguments: dict[str, Any]) -> None:
     """Write the settings of a training, or look whether the one in the folder has the same.
 
-    Parameters
-    ----------
-    folder : Path
-        Made where it is not there.
-    arguments : dict
-        Settings that decide the result, JSON-able.
-
-    Raises
-    ------
-    ValueError
-        When the folder holds a run with other settings or versions, is damaged, or is not empty
-        and holds no run.
+    `arguments`: settings that decide the result, JSON-able.
     """
     path, here = folder / CONFIG, {"arguments": arguments, "versions": used_versions()}
     remove_stale_parts(folder)

@@ -26,27 +26,9 @@ def learn_against(
 ) -> bool:
     """Let PPO learn against a mix, and write what it has learned, as an ONNX file with its card.
 
-    Parameters
-    ----------
-    mix : Mixture
-        Of detectors; every episode meets one of them.
-    task : str
-        Task whose world it is.
-    limit_m : float
-        Alert limit in place of the task's [m]; 0 for that.
-    steps : int
-        Decisions of all receivers together.
-    file : Path
-        Where the policy goes.
-    seed : int
-        Of everything.
-    threads : int
-        Of the engine.
-
-    Returns
-    -------
-    bool
-        Whether there is such a policy: none is written whose weights are not finite.
+    `mix`: of detectors; every episode meets one of them; `limit_m`: alert limit in place of the
+    task's [m]; 0 for that.  Returns whether there is such a policy: none is written whose weights
+    are not finite.
     """
     pool, world = mix.pool(), task_of(task)
     length = limit_m or world.alert_limit_m

@@ -19,23 +19,10 @@ Point = dict[str, Any]
 class TrainingRecord:
     """Writes a training record, each point as soon as it is known.
 
-    Parameters
-    ----------
-    path : path-like
-        A JSON lines file; one that is there is gone on with, and a line that was torn off when
-        its writer was killed is removed.
-    last_step : int, optional
-        Where training goes on from; points after it are dropped, to be written again.  By default
-        all are kept.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> path = Path(tempfile.mkdtemp()) / "curve.jsonl"
-    >>> with TrainingRecord(path) as record:
-    ...     record.append(4800, 1.5, train_return=3.0, eval_undetected_m=None)
-    >>> read_record(path)
-    [{'step': 4800, 'wall_s': 1.5, 'train_return': 3.0, 'eval_undetected_m': None}]
+    - `path`: A JSON lines file; one that is there is gone on with, and a line that was torn off
+      when its writer was killed is removed;
+    - `last_step`: where training goes on from; points after it are dropped, to be written again.
+      By default all are kept.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, last_step: int | None = None) -> None:
@@ -51,21 +38,10 @@ class TrainingRecord:
     def append(self, step: int, wall_s: float, **values: float | str | bool | None) -> None:
         """Write a point.
 
-        Parameters
-        ----------
-        step : int
-            Steps of all receivers so far; never less than in the point before.
-        wall_s : float
-            Wall time so far, also of runs before a resumption.
-        **values : float, str, bool or None
-            What was measured, such as ``train_return``, ``train_alarm_rate``,
-            ``eval_undetected_m``, ``eval_alarm_rate`` and ``alarm_penalty_m``; None where nothing
-            was.
-
-        Raises
-        ------
-        ValueError
-            When a number is not finite, or the step goes back.
+        `step`: steps of all receivers so far; never less than in the point before; `wall_s`: wall
+        time so far, also of runs before a resumption; `**values`: what was measured, such as
+        ``train_return``, ``train_alarm_rate``, ``eval_undetected_m``, ``eval_alarm_rate`` and
+        ``alarm_penalty_m``; None where nothing was.
         """
         if step < self._last:
             raise ValueError(f"`step` must be at least {self._last}, got {step}")
@@ -99,20 +75,7 @@ class TrainingRecord:
 def read_record(path: str | os.PathLike[str]) -> list[Point]:
     """Points of a training record.
 
-    Parameters
-    ----------
-    path : path-like
-        A JSON lines file.
-
-    Returns
-    -------
-    list of dict
-        Each with ``step`` and ``wall_s``; a last line that is torn off is left out.
-
-    Raises
-    ------
-    ValueError
-        When another line is damaged; names file and line.
+    Returns each with ``step`` and ``wall_s``; a last line that is torn off is left out.
     """
     path = Path(path)
     lines = path.read_bytes().split(b"\n")[:-1]  # what has no end of line is torn off

@@ -18,18 +18,11 @@ RATE_LIMIT_MPS = 250.0
 class PaperAttack:
     """One attack of a paper.
 
-    Parameters
-    ----------
-    paper : str
-        Key in references.bib.
-    onset_s : float
-        When it begins in the paper's flight: the warm-up.
-    duration_s : float
-        How long it lasts, pauses counted.
-    satellites : int
-        How many are spoofed.
-    spoofer : dict
-        As `make_spoofer` takes it.
+    - `paper`: key in references.bib;
+    - `onset_s`: when it begins in the paper's flight: the warm-up;
+    - `duration_s`: how long it lasts, pauses counted;
+    - `satellites`: how many are spoofed;
+    - `spoofer`: as `make_spoofer` takes it.
     """
 
     paper: str

@@ -24,22 +24,7 @@ ENV_ID = "spoofgym/TightlyCoupled-v0"
 
 
 def profile_card(run: ProfileRun, choice: Choice, command: str) -> Card:
-    """Card of what a search found.
-
-    Parameters
-    ----------
-    run : ProfileRun
-        The search, at its end.
-    choice : Choice
-        What was taken from it.
-    command : str
-        Command line that makes it again.
-
-    Returns
-    -------
-    Card
-        Not written yet.
-    """
+    """Card of what a search found."""
     fields = fields_of(spoofer_context(run.setup))
     designed_on = (
         f"{run.detector.label}, {run.setup.attack.label}, scenario {run.setup.name}, "
@@ -129,18 +114,8 @@ def _score(run: ProfileRun, choice: Choice) -> dict[str, Any]:
 def rivals(run: ProfileRun, choice: Choice) -> list[dict[str, Any]]:
     """The tuned ramps and the profile on the same runs, with all that was tried.
 
-    Parameters
-    ----------
-    run : ProfileRun
-        The search, at its end.
-    choice : Choice
-        What was taken from it.
-
-    Returns
-    -------
-    list of dict
-        ``spoofer``, ``alarm_rate``, ``alarm_limit``, ``stealthy_displacement_m``,
-        ``within_budget`` and tables.
+    Returns ``spoofer``, ``alarm_rate``, ``alarm_limit``, ``stealthy_displacement_m``,
+    ``within_budget`` and tables.
     """
     found: list[dict[str, Any]] = []
     for ramp in run.ramps:

@@ -31,22 +31,12 @@ WALKS = 6
 class Fit:
     """A shape with one factor on all runs of the choice.
 
-    Parameters
-    ----------
-    shape : str
-        Which one.
-    scale : float
-        Factor on its rates.
-    counted : int
-        Runs that count.
-    stealthy_displacement_m : float
-        Mean over them.
-    alarm_rate : float
-        Part of them with an alarm.
-    alarm_limit : float
-        Its upper 95 % limit.
-    within_budget : bool
-        Whether the budget is kept by that limit.
+    - `scale`: factor on its rates;
+    - `counted`: runs that count;
+    - `stealthy_displacement_m`: mean over them;
+    - `alarm_rate`: part of them with an alarm;
+    - `alarm_limit`: its upper 95 % limit;
+    - `within_budget`: whether the budget is kept by that limit.
     """
 
     shape: str
@@ -62,16 +52,8 @@ class Fit:
 class Choice:
     """What is taken from a search.
 
-    Parameters
-    ----------
-    profile : Profile
-        The curve.
-    fit : Fit
-        What it does on the runs of the choice.
-    displacement_m : ndarray
-        (R',) of those of these runs that count.
-    fits : tuple of Fit
-        All that were tried.
+    - `fit`: what it does on the runs of the choice;
+    - `displacement_m`: (R',) of those of these runs that count.
     """
 
     profile: Profile
@@ -86,24 +68,7 @@ _Tried = tuple[Fit, Profile, FloatArray]
 def choose(search: ProfileSearch, pool: RunPool, budget: float) -> Choice:
     """The largest displacement within the budget among the shapes of a search.
 
-    Parameters
-    ----------
-    search : ProfileSearch
-        With one generation at least.
-    pool : RunPool
-        Runs that it has not seen.
-    budget : float
-        Largest P(alarm | silent twin), which its upper limit keeps.
-
-    Returns
-    -------
-    Choice
-        Within the budget.
-
-    Raises
-    ------
-    ValueError
-        When no factor that was tried is within the budget.
+    `budget`: largest P(alarm | silent twin), which its upper limit keeps.
     """
     tried: list[_Tried] = []
     at, (step, halvings) = 1.0, WIDE

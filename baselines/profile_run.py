@@ -33,14 +33,7 @@ DEFAULT_SECONDS = 120.0
 class RunSettings:
     """A search and its choice.
 
-    Parameters
-    ----------
-    search : SearchSettings
-        Of the search.
-    runs : int
-        Training runs of the search.
-    select_runs : int
-        Other training runs, of the choice and of the ramps.
+    - `select_runs`: other training runs, of the choice and of the ramps.
     """
 
     search: SearchSettings
@@ -61,12 +54,7 @@ class RunSettings:
 class Bounds:
     """When a search ends.
 
-    Parameters
-    ----------
-    seconds : float or None
-        Time, interruptions not counted, above 0.
-    generations : int or None
-        Number of generations, at least 1.
+    - `seconds`: time, interruptions not counted, above 0.
     """
 
     seconds: float | None
@@ -83,36 +71,13 @@ class Bounds:
     def of(cls, seconds: float | None, generations: int | None) -> Bounds:
         """Bounds of which at least one is set.
 
-        Parameters
-        ----------
-        seconds : float or None
-            Time; 120 s where nothing is said at all.
-        generations : int or None
-            Number of generations.
-
-        Returns
-        -------
-        Bounds
-            The first of them that is reached ends the search.
+        `seconds`: time; 120 s where nothing is said at all.
         """
         neither = seconds is None and generations is None
         return cls(DEFAULT_SECONDS if neither else seconds, generations)
 
     def done(self, elapsed_s: float, generations: int) -> float:
-        """Part of the search that is behind; one generation is played at least.
-
-        Parameters
-        ----------
-        elapsed_s : float
-            Time of the search so far.
-        generations : int
-            Played so far.
-
-        Returns
-        -------
-        float
-            1 or more at the end.
-        """
+        """Part of the search that is behind; one generation is played at least."""
         if generations == 0:
             return 0.0
         parts = [
@@ -126,37 +91,14 @@ class Bounds:
 class ProfileRun:
     """A search, with a record beside its result.
 
-    Parameters
-    ----------
-    suite : Suite
-        World, attack, one detector, two ramps to be tuned, seeds and tuning.
-    settings : RunSettings
-        Of the search and the choice.
-    out : Path
-        Where the card will be.
-    start : Path, optional
-        Card of a profile to begin at.
-    threads : int, optional
-        As in `Engine`.
-    resume : bool
-        Whether to go on with the record that is there.  If not, record and card are replaced.
-
-    Attributes
-    ----------
-    out, path : Path
-        Where the card will be, and the record of the search beside it.
-    ramps : list of TuningResult
-        Tuned ramps, once they are.
-    generations : list of Generation
-        Of the search.
-    elapsed_s : float
-        Time of the search, interruptions not counted.
-
-    Raises
-    ------
-    ValueError
-        When the card can't have such a name, when there is one already, or a record of another
-        search.
+    - `suite`: world, attack, one detector, two ramps to be tuned, seeds and tuning;
+    - `out`: where the card will be;
+    - `start`: card of a profile to begin at;
+    - `resume`: whether to go on with the record that is there.  If not, record and card are
+      replaced;
+    - `out`, `path`: where the card will be, and the record of the search beside it;
+    - `ramps`: tuned ramps, once they are;
+    - `elapsed_s`: time of the search, interruptions not counted.
     """
 
     def __init__(
@@ -238,17 +180,7 @@ class ProfileRun:
     def play(self, bounds: Bounds, tell: Tell) -> Choice:
         """Tune the ramps, search, and choose; what the record holds is not done again.
 
-        Parameters
-        ----------
-        bounds : Bounds
-            Of the search.
-        tell : callable
-            Told the part of the search that is done, and what is going on.
-
-        Returns
-        -------
-        Choice
-            Within the budget.
+        `tell`: told the part of the search that is done, and what is going on.
         """
         tell(0.0, "warm-up")
         select, runs = self.settings.select_runs, self.settings.runs

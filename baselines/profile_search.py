@@ -46,28 +46,9 @@ SMOOTH_LENGTH = 0.25
 class ProfileSearch:
     """A search that can be stopped after every generation, and taken up again from its record.
 
-    Parameters
-    ----------
-    pool : RunPool
-        Training runs.
-    settings : SearchSettings
-        Of the search.
-    start : Start
-        Where it begins.
-    record : sequence of Generation
-        Generations of an interrupted search with the same settings, which goes on after them.
-
-    Attributes
-    ----------
-    generations : list of Generation
-        All so far.
-    finished : bool
-        Whether the last restart has converged.
-
-    Raises
-    ------
-    ValueError
-        When the record is not one of such a search.
+    - `record`: generations of an interrupted search with the same settings, which goes on after
+      them;
+    - `finished`: whether the last restart has converged.
     """
 
     def __init__(
@@ -107,31 +88,12 @@ class ProfileSearch:
         return np.sort(order[part * size : (part + 1) * size])
 
     def profile(self, point: FloatArray, scale: float = 1.0) -> Profile:
-        """Spoofer of a candidate.
-
-        Parameters
-        ----------
-        point : ndarray
-            Candidate.
-        scale : float
-            Factor on all rates.
-
-        Returns
-        -------
-        Profile
-            Cut to the attack's limit of the rate.
-        """
+        """Spoofer of a candidate."""
         limit = self.pool.setup.attack.rate_limit_mps
         return profile_at(self.settings, point * self.start.unit_mps * scale, limit)
 
     def step(self) -> Generation:
-        """Try one generation.
-
-        Returns
-        -------
-        Generation
-            Also the last one of `generations`.
-        """
+        """Try one generation."""
         points = [self._cma.ask() for _ in range(self.settings.population)]
         outcome = self.pool.play([self.profile(point) for point in points], self.rows())
         counted, soft = outcome.alarm_rate, soft_alarms(outcome)
@@ -180,11 +142,8 @@ class ProfileSearch:
     def shapes(self) -> dict[str, FloatArray]:
         """Curves that are worth a choice, by what they are.
 
-        Returns
-        -------
-        dict
-            The last mean of the search distribution, its average over the last third of the
-            generations, and the best candidate of the last generation.
+        Returns the last mean of the search distribution, its average over the last third of the
+        generations, and the best candidate of the last generation.
         """
         if not self.generations:
             raise ValueError("the search has not begun")
@@ -200,15 +159,7 @@ class ProfileSearch:
 def soft_alarms(outcome: Outcome) -> FloatArray:
     """Alarm rate in which runs that came close count in part.
 
-    Parameters
-    ----------
-    outcome : Outcome
-        Of P profiles.
-
-    Returns
-    -------
-    ndarray
-        (P,) mean over the runs that count.
+    Returns (P,) mean over the runs that count.
     """
     close = np.exp(-np.maximum(1.0 - outcome.peak, 0.0) / CLOSE)
     part = np.where(outcome.alarm, 1.0, close)
@@ -218,17 +169,7 @@ def soft_alarms(outcome: Outcome) -> FloatArray:
 def start_point(settings: SearchSettings, start: Start) -> FloatArray:
     """First mean of the search: the curve of the start, and nothing across.
 
-    Parameters
-    ----------
-    settings : SearchSettings
-        Of the search.
-    start : Start
-        Where it begins.
-
-    Returns
-    -------
-    ndarray
-        (knots,), or (2 knots,) with a second curve.
+    Returns (knots,), or (2 knots,) with a second curve.
     """
     point = np.asarray(start.rates_mps, dtype=np.float64) / start.unit_mps
     return np.concatenate([point, np.zeros(len(point) if settings.cross else 0)])
@@ -237,21 +178,7 @@ def start_point(settings: SearchSettings, start: Start) -> FloatArray:
 def begin(settings: SearchSettings, start: Start, mean: FloatArray, seed: int) -> CMA:
     """CMA-ES around a point, with curves that are smooth for a good part.
 
-    Parameters
-    ----------
-    settings : SearchSettings
-        Of the search.
-    start : Start
-        Tells the standard deviation, and how smooth the curves are.
-    mean : ndarray
-        The point.
-    seed : int
-        Of the candidates.
-
-    Returns
-    -------
-    CMA
-        Before its first generation.
+    `start`: tells the standard deviation, and how smooth the curves are.
     """
     t = np.linspace(0.0, 1.0, settings.knots)
     near = np.exp(-0.5 * ((t[:, None] - t) / SMOOTH_LENGTH) ** 2)
@@ -264,19 +191,7 @@ def begin(settings: SearchSettings, start: Start, mean: FloatArray, seed: int) -
 def profile_at(settings: SearchSettings, rates_mps: FloatArray, limit_mps: float) -> Profile:
     """Spoofer of one curve, or of one along and one across the heading.
 
-    Parameters
-    ----------
-    settings : SearchSettings
-        Of the search.
-    rates_mps : ndarray
-        (knots,) or (2 knots,).
-    limit_mps : float
-        Of the attack; what is beyond is shortened.
-
-    Returns
-    -------
-    Profile
-        Within the limit.
+    `rates_mps`: (knots,) or (2 knots,); `limit_mps`: of the attack; what is beyond is shortened.
     """
     curves = np.reshape(rates_mps, (-1, settings.knots))
     curves = curves * (limit_mps / np.maximum(np.linalg.norm(curves, axis=0), limit_mps))

@@ -14,24 +14,13 @@ KNOTS = (8, 16)
 class SearchSettings:
     """How a profile is searched for.
 
-    Parameters
-    ----------
-    knots : int
-        Of the curve, 8 to 16.
-    cross : bool
-        Whether a second curve across the heading is searched for as well.
-    heading_deg : float
-        Of the profile.
-    population : int
-        Candidates of a generation.
-    batch : int
-        Runs that each of them plays.
-    restarts : int
-        How often a search that has converged begins again from its mean.
-    budget : float
-        How much more often than without attack an alarm may come.
-    seed : int
-        Of the candidates, and of the order of the runs.
+    - `knots`: of the curve, 8 to 16;
+    - `cross`: whether a second curve across the heading is searched for as well;
+    - `population`: candidates of a generation;
+    - `batch`: runs that each of them plays;
+    - `restarts`: how often a search that has converged begins again from its mean;
+    - `budget`: how much more often than without attack an alarm may come;
+    - `seed`: of the candidates, and of the order of the runs.
     """
 
     knots: int = 12
@@ -58,16 +47,11 @@ class SearchSettings:
 class Start:
     """Where a search begins.
 
-    Parameters
-    ----------
-    rates_mps : list of float
-        (knots,) curve along the heading; it must move.
-    displacement_m : float
-        Mean undetected displacement that it reaches, above 0; the scale of the price of alarms.
-    sigma : float
-        Standard deviation of the first generation, in units of the largest rate.
-    smooth : float
-        Part of its variance that neighbouring knots share.
+    - `rates_mps`: (knots,) curve along the heading; it must move;
+    - `displacement_m`: mean undetected displacement that it reaches, above 0; the scale of the
+      price of alarms;
+    - `sigma`: standard deviation of the first generation, in units of the largest rate;
+    - `smooth`: part of its variance that neighbouring knots share.
     """
 
     rates_mps: list[float]
@@ -90,16 +74,9 @@ class Start:
 class Generation:
     """One generation: what was tried, and what came of it.
 
-    Parameters
-    ----------
-    points : list of list of float
-        Candidates.
-    losses : list of float
-        Minus their Lagrangians, which CMA-ES was told.
-    displacement_m : float
-        Mean undetected displacement over all candidates.
-    alarm_rate, soft_alarms : float
-        Their mean alarm rate, counted, and with runs that came close.
+    - `losses`: minus their Lagrangians, which CMA-ES was told;
+    - `displacement_m`: mean undetected displacement over all candidates;
+    - `alarm_rate`, `soft_alarms`: their mean alarm rate, counted, and with runs that came close.
     """
 
     points: list[list[float]]

@@ -26,22 +26,7 @@ start, on the average; the last one where none does."""
 def start_between(
     pool: RunPool, settings: SearchSettings, rate_mps: float, acceleration_mps2: float
 ) -> Start:
-    """Best of the curves between a ramp and an accelerating ramp, which are both tuned.
-
-    Parameters
-    ----------
-    pool : RunPool
-        Training runs; a part of them is played.
-    settings : SearchSettings
-        Of the search.
-    rate_mps, acceleration_mps2 : float
-        Of the two ramps.
-
-    Returns
-    -------
-    Start
-        With the spread that suits it.
-    """
+    """Best of the curves between a ramp and an accelerating ramp, which are both tuned."""
     window = pool.setup.steps * pool.setup.interval_s
     ramp = np.full(settings.knots, rate_mps)
     faster = acceleration_mps2 * window * np.linspace(0.0, 1.0, settings.knots)
@@ -56,19 +41,7 @@ def start_between(
 def best_start(pool: RunPool, settings: SearchSettings, curves: Sequence[FloatArray]) -> Start:
     """Best of some curves, and a spread around it.
 
-    Parameters
-    ----------
-    pool : RunPool
-        Training runs; a part of them is played.
-    settings : SearchSettings
-        Of the search.
-    curves : sequence of ndarray
-        (knots,) each [m/s].
-
-    Returns
-    -------
-    Start
-        Where a search may begin.
+    `curves`: (knots,) each [m/s].
     """
     limit = pool.setup.attack.rate_limit_mps
     profiles = [profile_at(settings, curve, limit) for curve in curves]
@@ -91,17 +64,7 @@ def best_start(pool: RunPool, settings: SearchSettings, curves: Sequence[FloatAr
 def resampled(rates_mps: Sequence[float], knots: int) -> list[float]:
     """A curve by another number of knots.
 
-    Parameters
-    ----------
-    rates_mps : sequence of float
-        Of a profile.
-    knots : int
-        How many are wanted.
-
-    Returns
-    -------
-    list of float
-        (knots,) [m/s].
+    Returns (knots,) [m/s].
     """
     inner = sampled(tuple(rates_mps), knots - 1)
     return [float(rates_mps[0]), *inner.tolist()]

@@ -23,16 +23,10 @@ MOST_RECEIVERS = 1024
 class Outcome(NamedTuple):
     """What P profiles did on R runs.
 
-    Attributes
-    ----------
-    displacement_m : ndarray
-        (P, R) undetected displacement [m].
-    alarm : ndarray
-        (P, R) bool, whether the run alarmed.
-    peak : ndarray
-        (P, R) largest ratio of a statistic to its threshold; of an alarmed run above 1.
-    counts : ndarray
-        (R,) bool, which runs count: silent before the onset and without attack.
+    - `displacement_m`: (P, R) undetected displacement [m];
+    - `alarm`: (P, R) bool, whether the run alarmed;
+    - `peak`: (P, R) largest ratio of a statistic to its threshold; of an alarmed run above 1;
+    - `counts`: (R,) bool, which runs count: silent before the onset and without attack.
     """
 
     displacement_m: FloatArray
@@ -55,24 +49,15 @@ class Outcome(NamedTuple):
 class Population(Profile):
     """Several profiles, each on an equal share of the receivers, in their order.
 
-    Parameters
-    ----------
-    rates_mps, cross_rates_mps, heading_deg, label, designed_on
-        As in `Profile`; the rates are those of the first profile.
-    members : tuple of Profile
-        All of them, with the same heading, all with cross rates or none.
+    - rates_mps, cross_rates_mps, heading_deg, label, designed_on: as in `Profile`; the rates are
+      those of the first profile;
+    - `members`: all of them, with the same heading, all with cross rates or none.
     """
 
     members: tuple[Profile, ...] = ()
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Sizes, limits and names.
-        """
+        """Prepare for a batch of receivers."""
         super().bind(context)
         count, steps = len(self.members), context.steps
         self._along = np.concatenate([sampled(m.rates_mps, steps) for m in self.members])
@@ -90,18 +75,7 @@ class Population(Profile):
 
 
 def population(profiles: Sequence[Profile]) -> Population:
-    """Profiles side by side.
-
-    Parameters
-    ----------
-    profiles : sequence of Profile
-        At least one.
-
-    Returns
-    -------
-    Population
-        Not bound yet.
-    """
+    """Profiles side by side."""
     first = profiles[0]
     return Population(
         heading_deg=first.heading_deg,
@@ -114,21 +88,7 @@ def population(profiles: Sequence[Profile]) -> Population:
 class RunPool:
     """Runs at the onset of the attack, and what they do without it.
 
-    Parameters
-    ----------
-    setup : Setup
-        World, victim, attack, detector and timeline.
-    rngs : sequence of Generator
-        One per run.
-    threads : int, optional
-        As in `Engine`.
-
-    Attributes
-    ----------
-    start : WarmStart
-        All runs.
-    clean : Runs
-        All runs without attack.
+    - `setup`: world, victim, attack, detector and timeline.
     """
 
     def __init__(
@@ -141,17 +101,7 @@ class RunPool:
     def play(self, profiles: Sequence[Profile], rows: NDArray[np.intp] | None = None) -> Outcome:
         """Let profiles attack the same runs.
 
-        Parameters
-        ----------
-        profiles : sequence of Profile
-            With the same heading, all with cross rates or none.
-        rows : ndarray, optional
-            Which runs; all by default.
-
-        Returns
-        -------
-        Outcome
-            The same for a profile whatever the others are.
+        `profiles`: with the same heading, all with cross rates or none.
         """
         rows = np.arange(self.runs) if rows is None else rows
         share = max(MOST_RECEIVERS // len(rows), 1)

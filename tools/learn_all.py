@@ -141,14 +141,11 @@ def steps_of(out: Path) -> dict[str, Step]:
 class Settings:
     """What is run."""
 
-    out: Path
-    """Folder of all results."""
-    only: tuple[str, ...] = ()
-    """Names of some steps, as `--list` has them; all by default."""
+    out: Path  # Folder of all results.
+    only: tuple[str, ...] = ()  # Names of some steps, as `--list` has them; all by default.
     workers: int = min(MOST_WORKERS, processors())
     """Steps at a time; each has its part of the processors."""
-    list: bool = False
-    """Print the steps, and run none."""
+    list: bool = False  # Print the steps, and run none.
 
     def __post_init__(self) -> None:
         """Check names and number."""

@@ -58,23 +58,16 @@ HEAD = (
 class Settings:
     """What is scored."""
 
-    out: Path
-    """Folder of the results."""
-    task: tuple[str, ...] = tuple(LEARNED)
-    """Tasks."""
+    out: Path  # Folder of the results.
+    task: tuple[str, ...] = tuple(LEARNED)  # Tasks.
     spoofer: tuple[str, ...] = ()
     """Names, files, or name:key=value; by default an accelerating ramp and what is shipped for the
     task. A ramp is always among them."""
-    entropies: tuple[int, ...] = (1, 2, 3, 4, 5)
-    """Seeds of the sets; tables of the tasks have 0."""
-    fit_runs: int = 256
-    """Training runs of a set."""
-    runs: int = 400
-    """Evaluation runs of a set."""
-    threads: int | None = None
-    """Of the engine."""
-    json: bool = False
-    """Print the results as JSON, and nothing else."""
+    entropies: tuple[int, ...] = (1, 2, 3, 4, 5)  # Seeds of the sets; tables of the tasks have 0.
+    fit_runs: int = 256  # Training runs of a set.
+    runs: int = 400  # Evaluation runs of a set.
+    threads: int | None = None  # Of the engine.
+    json: bool = False  # Print the results as JSON, and nothing else.
 
     def __post_init__(self) -> None:
         """Check the names."""

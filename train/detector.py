@@ -57,37 +57,23 @@ from spoofgym.policies.card import DECIDED_ON
 class Arguments:
     """Settings of a training; all but `threads` belong to its identity."""
 
-    data: Path
-    """Folder of the data set, of `spoofgym dataset`."""
-    out: Path
-    """Folder of the training; its last part is the name of the detector."""
-    passes: int = 10
-    """Largest number of passes through the data."""
-    patience: int = 4
-    """Passes without a better validation after which it stops."""
-    batch_size: int = 64
-    """Episodes of a minibatch."""
-    learning_rate: float = 5e-3
-    """At first; it falls as a cosine, to 0 at the last pass."""
-    weight_decay: float = 1e-4
-    """Of AdamW."""
-    clip_norm: float = 1.0
-    """Largest norm of a gradient."""
-    width: int = 32
-    """Units of the recurrent unit; the encoder of a satellite has half of them."""
-    projections: int = 8
-    """Vectors onto which innovations are projected."""
+    data: Path  # Folder of the data set, of `spoofgym dataset`.
+    out: Path  # Folder of the training; its last part is the name of the detector.
+    passes: int = 10  # Largest number of passes through the data.
+    patience: int = 4  # Passes without a better validation after which it stops.
+    batch_size: int = 64  # Episodes of a minibatch.
+    learning_rate: float = 5e-3  # At first; it falls as a cosine, to 0 at the last pass.
+    weight_decay: float = 1e-4  # Of AdamW.
+    clip_norm: float = 1.0  # Largest norm of a gradient.
+    width: int = 32  # Units of the recurrent unit; the encoder of a satellite has half of them.
+    projections: int = 8  # Vectors onto which innovations are projected.
     least_live_s: float = 10.0
     """Every minibatch begins at a drawn moment, at least so long before the onset: all attacks of a
     data set start at one epoch, and a network that remembers could count."""
-    emphasis: float = 3.0
-    """Weight of what is scored, beside the logistic loss."""
-    false_alarms_per_hour: float = 0.2
-    """Rate of false alarms at which it is validated."""
-    seed: int = 0
-    """Seed of the random number generators."""
-    threads: int = 1
-    """Threads of torch; on a busy machine two are slower than one."""
+    emphasis: float = 3.0  # Weight of what is scored, beside the logistic loss.
+    false_alarms_per_hour: float = 0.2  # Rate of false alarms at which it is validated.
+    seed: int = 0  # Seed of the random number generators.
+    threads: int = 1  # Threads of torch; on a busy machine two are slower than one.
 
     def __post_init__(self) -> None:
         """Check the settings."""

@@ -77,42 +77,26 @@ AMPLITUDES = (0.5, 0.7, 1.0)
 class Arguments:
     """Settings of a game; all but `threads` belong to its identity."""
 
-    out: Path
-    """Folder of the game."""
-    task: str = "T3"
-    """Task whose world and alert limit are taken, T1 to T6."""
-    iterations: int = 3
-    """Matrices that are solved; the first one is that of the start."""
+    out: Path  # Folder of the game.
+    task: str = "T3"  # Task whose world and alert limit are taken, T1 to T6.
+    iterations: int = 3  # Matrices that are solved; the first one is that of the start.
     detectors: tuple[str, ...] = ()
     """Detectors as name:key=value or JSON; by default all that are calibrated in this world."""
-    false_alarms_per_hour: float = STANDARD_RATE
-    """Rate of all detectors."""
-    payoff: str = "stealth"
-    """What a run is worth: stealth or hmi."""
-    limit_m: float = 0.0
-    """Alert limit in place of the task's; 0 for that."""
-    runs: int = 200
-    """Runs of the matrix, and as many fresh ones."""
-    selection_runs: int = 96
-    """Runs that decide on best responses."""
-    sift_runs: int = 32
-    """How many of them play all candidates."""
-    values: int = 8
-    """Values of every family's setting that are tried."""
-    search_runs: int = 64
-    """Runs of the search for blind optima; 0 for no search."""
-    generations: int = 6
-    """Of that search."""
-    ppo_steps: int = 0
-    """Decisions of a PPO best response in every iteration; 0 for none."""
-    detector_response: str = "none"
-    """none, or learned by `detector_command`."""
+    false_alarms_per_hour: float = STANDARD_RATE  # Rate of all detectors.
+    payoff: str = "stealth"  # What a run is worth: stealth or hmi.
+    limit_m: float = 0.0  # Alert limit in place of the task's; 0 for that.
+    runs: int = 200  # Runs of the matrix, and as many fresh ones.
+    selection_runs: int = 96  # Runs that decide on best responses.
+    sift_runs: int = 32  # How many of them play all candidates.
+    values: int = 8  # Values of every family's setting that are tried.
+    search_runs: int = 64  # Runs of the search for blind optima; 0 for no search.
+    generations: int = 6  # Of that search.
+    ppo_steps: int = 0  # Decisions of a PPO best response in every iteration; 0 for none.
+    detector_response: str = "none"  # none, or learned by `detector_command`.
     detector_command: str = ""
     """Command that writes a detector to {out}, against the spoofers of the JSON file {pool}."""
-    entropy: int = 0
-    """Seed of everything."""
-    threads: int = 1
-    """Threads of the engine."""
+    entropy: int = 0  # Seed of everything.
+    threads: int = 1  # Threads of the engine.
 
     def __post_init__(self) -> None:
         """Check them."""

@@ -47,26 +47,17 @@ PLAIN: dict[str, Any] = {
 class Settings:
     """What is trained."""
 
-    out: Path
-    """Folder of the results."""
-    task: str = "T3"
-    """Task, T1 to T6."""
-    kinds: tuple[str, ...] = ("plain", "defaults")
-    """Five arguments, or none."""
-    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
-    """One training each."""
-    steps: int = 1_000_000
-    """Steps of all receivers together."""
-    scores: int = 4
-    """How often it is scored while it learns."""
-    fit_runs: int = 128
-    """Training runs, on which amplitudes are fitted."""
-    runs: int = 400
-    """Evaluation runs."""
+    out: Path  # Folder of the results.
+    task: str = "T3"  # Task, T1 to T6.
+    kinds: tuple[str, ...] = ("plain", "defaults")  # Five arguments, or none.
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)  # One training each.
+    steps: int = 1_000_000  # Steps of all receivers together.
+    scores: int = 4  # How often it is scored while it learns.
+    fit_runs: int = 128  # Training runs, on which amplitudes are fitted.
+    runs: int = 400  # Evaluation runs.
     entropy: int = 0
     """Seed of training and evaluation runs; trials of recipes have played those of 0."""
-    num_envs: int | None = None
-    """Receivers side by side; 64, and 8 for the defaults, unless given."""
+    num_envs: int | None = None  # Receivers side by side; 64, and 8 for the defaults, unless given.
 
     def __post_init__(self) -> None:
         """Check names and numbers."""

@@ -27,18 +27,13 @@ from train.ppo_spoofer import Arguments, make_model
 class Settings:
     """What is measured."""
 
-    rounds: int = 3
-    """How often both are measured, in turn."""
+    rounds: int = 3  # How often both are measured, in turn.
     rollouts: int = 6
     """Rollouts, with learning, of each measurement; one more comes before and does not count."""
-    num_envs: int = 128
-    """Receivers side by side."""
-    detector: str = "ewma:thresholds=nominal"
-    """Detector, as in train.ppo_spoofer."""
-    knowledge: str = "blind"
-    """What the spoofer observes: blind, tracking or oracle."""
-    json: bool = False
-    """Print JSON, and nothing else."""
+    num_envs: int = 128  # Receivers side by side.
+    detector: str = "ewma:thresholds=nominal"  # Detector, as in train.ppo_spoofer.
+    knowledge: str = "blind"  # What the spoofer observes: blind, tracking or oracle.
+    json: bool = False  # Print JSON, and nothing else.
 
     def __post_init__(self) -> None:
         """Check the numbers."""

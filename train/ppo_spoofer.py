@@ -78,32 +78,24 @@ FREE = ("out", "seeds", "rivals", "threads", "tensorboard", "json")  # may chang
 class Arguments:
     """Settings of a training; all but those of `FREE` are its identity, which a folder keeps."""
 
-    out: Path
-    """Folder of the run; its last part is the name of the spoofer."""
+    out: Path  # Folder of the run; its last part is the name of the spoofer.
     task: str = "T3"
     """Task of spoofgym-bench-v1, T1 to T6, whose world and detector it learns against."""
     detector: str = ""
     """Another detector in that world: a name, with settings as name:key=value or JSON."""
     knowledge: str = "blind"
     """What it observes: blind, tracking or oracle, each also with +reported."""
-    settings: str = "{}"
-    """Further settings of that world, as JSON, such as '{"attack": "quiet"}'."""
-    alarm_price: float = ALARM_PRICE
-    """What an alarm costs at first, in lengths."""
+    settings: str = "{}"  # Further settings of that world, as JSON, such as '{"attack": "quiet"}'.
+    alarm_price: float = ALARM_PRICE  # What an alarm costs at first, in lengths.
     price_gain: float = 1.5
     """After a score the price is divided by this power of the amplitude; 0 for a fixed price."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     """One training each; they seed the network, the exploration and the episodes."""
-    steps: int = 150_000
-    """Decisions of all receivers together, for each seed."""
-    num_envs: int = 32
-    """Receivers side by side."""
-    batch_size: int = 240
-    """Decisions of a minibatch."""
-    n_epochs: int = 10
-    """How often each rollout is learned from."""
-    learning_rate: float = 1e-3
-    """At first; it falls linearly to a tenth."""
+    steps: int = 150_000  # Decisions of all receivers together, for each seed.
+    num_envs: int = 32  # Receivers side by side.
+    batch_size: int = 240  # Decisions of a minibatch.
+    n_epochs: int = 10  # How often each rollout is learned from.
+    learning_rate: float = 1e-3  # At first; it falls linearly to a tenth.
     gae_lambda: float = 0.98
     """Of generalised advantage estimation; nearer to 1 than by default, as `gamma` is."""
     log_std_init: float = -1.5
@@ -119,22 +111,16 @@ class Arguments:
     """Unit of rewards and prices; by default the alert limit, or 40 m."""
     average: float = 0.9
     """How much of the averaged weights stays at every update; 0 for the policy as it is."""
-    stages: int = 12
-    """How often a policy is scored, and a checkpoint is written."""
+    stages: int = 12  # How often a policy is scored, and a checkpoint is written.
     fit_runs: int = 256
     """Training runs, on which amplitudes are fitted and the best policy is chosen."""
-    runs: int = 400
-    """Evaluation runs, which decide nothing."""
-    entropy: int = 0
-    """Seed of training and evaluation runs."""
+    runs: int = 400  # Evaluation runs, which decide nothing.
+    entropy: int = 0  # Seed of training and evaluation runs.
     rivals: tuple[str, ...] = RIVALS
     """Spoofers to compare with on the same runs; `--rivals` alone for no comparison."""
-    threads: int | None = None
-    """Of the engine; all useful cores by default."""
-    tensorboard: bool = False
-    """Log for TensorBoard."""
-    json: bool = False
-    """Print the results as JSON, and nothing else."""
+    threads: int | None = None  # Of the engine; all useful cores by default.
+    tensorboard: bool = False  # Log for TensorBoard.
+    json: bool = False  # Print the results as JSON, and nothing else.
 
     def __post_init__(self) -> None:
         """Check what stable-baselines3 and the environment do not check, or only later."""

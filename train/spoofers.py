@@ -54,26 +54,19 @@ an action of 1 asks at least for its last rate."""
 class Settings:
     """What is trained."""
 
-    out: Path
-    """Folder of all trainings."""
+    out: Path  # Folder of all trainings.
     only: tuple[str, ...] = ()
     """Worlds, detectors or knowledge of a part, such as T3 aime blind; all by default."""
-    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
-    """Seeds of every cell."""
-    steps: int = 80_000
-    """Decisions of each training."""
-    stages: int = 8
-    """How often each of them is scored."""
-    fit_runs: int = 256
-    """Training runs, on which amplitudes are fitted."""
-    runs: int = 400
-    """Evaluation runs."""
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)  # Seeds of every cell.
+    steps: int = 80_000  # Decisions of each training.
+    stages: int = 8  # How often each of them is scored.
+    fit_runs: int = 256  # Training runs, on which amplitudes are fitted.
+    runs: int = 400  # Evaluation runs.
     warm_pool: int | None = 256
     """Receivers that are warmed up once for what is learned from, see train.ppo_spoofer; None for
     warm-ups of their own. At first most episodes end at once by an alarm: warm-ups would take half
     of the time."""
-    further: str = "{}"
-    """Further settings of train.ppo_spoofer for all of them, as JSON."""
+    further: str = "{}"  # Further settings of train.ppo_spoofer for all of them, as JSON.
 
     def __post_init__(self) -> None:
         """Check the names."""

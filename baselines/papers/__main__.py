@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from spoofgym.cli import INTERRUPTED, clear_errors
+from spoofgym.cli import clear_errors
+from spoofgym.core.progress import show_progress
 
 from .frame import Settings
 from .paper import ALL, KEYS, load_paper
-from .run import PaperRun, Tick, run_papers
+from .run import PaperRun
 from .tables import print_tables
 
 app = typer.Typer(
@@ -47,56 +46,31 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder in which finished parts are kept.")] = Path(
         "results/papers"
     ),
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Run all parts anew, also those of other sources.")
+    ] = False,
 ) -> None:
     """Reproduce a paper: its tables with our values, bands, and where these come from."""
     settings = Settings(quick=quick, seed=seed)
     if key != ALL:
         load_paper(key)
     runs = [PaperRun(each, settings, out) for each in (KEYS if key == ALL else (key,))]
-    for folder in [run.store.folder for run in runs] + ([figures] if figures else []):
-        folder.mkdir(
+    if figures:
+        figures.mkdir(
             parents=True, exist_ok=True
         )  # what can't be written to is told before the work
-    try:
-        with _progress() as tick:
-            found = run_papers(
-                runs, jobs or os.cpu_count() or 1, tick, lambda text: typer.echo(text, err=True)
-            )
-    except KeyboardInterrupt:
-        typer.echo(
-            f"interrupted: what is finished is kept in {out}; the same command goes on from there",
-            err=True,
-        )
-        raise typer.Exit(INTERRUPTED) from None
-    records = [each.record() for each in found]
+    most = jobs or os.cpu_count() or 1
+    found = [run.play(most, show_progress, overwrite=overwrite) for run in runs]
+    records = [run.record(data) for run, data in zip(runs, found, strict=True)]
     if as_json:
         typer.echo(json.dumps(records if key == ALL else records[0], indent=1, allow_nan=False))
     else:
-        for each, record in zip(found, records, strict=True):
-            print_tables(each.paper.TITLE, record)
+        for run, record in zip(runs, records, strict=True):
+            print_tables(load_paper(run.key).TITLE, record)
     if figures is not None:
-        for each in found:
-            for path in each.draw(figures / each.key):
+        for run, data in zip(runs, found, strict=True):
+            for path in run.draw(data, figures / run.key):
                 typer.echo(f"drawn: {path}", err=True)
-
-
-@contextmanager
-def _progress() -> Iterator[Tick]:
-    """A bar on the terminal, with the part that was done last."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    bar = Progress(
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}"),
-        console=Console(stderr=True),
-        transient=True,
-    )
-    task = bar.add_task("", total=1.0)
-    with bar:
-        yield lambda part, now: bar.update(task, advance=part, description=now)
 
 
 if __name__ == "__main__":

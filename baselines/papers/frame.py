@@ -24,12 +24,8 @@ KINDS: tuple[Kind, ...] = ("tolerance", "independent", "bound")
 class Settings:
     """Settings of a run.
 
-    Attributes
-    ----------
-    quick : bool
-        Whether to do with few runs: about a minute instead of ten.
-    seed : int
-        All chance follows from this number.
+    - `quick`: whether to do with few runs: about a minute instead of ten;
+    - `seed`: all chance follows from this number.
     """
 
     quick: bool
@@ -40,17 +36,12 @@ class Settings:
 class Part:
     """One unit of work, stored when it is done.
 
-    Attributes
-    ----------
-    name : str
-        Unique within the paper.
-    function : callable
-        Of a module, so that another process finds it; returns a dict of numbers, lists or arrays.
-    settings : dict
-        Its keyword arguments, as JSON has them, the seed among them.  ``runs`` here or in what is
-        returned is the number of its simulated runs; a part that tells none counts as one.
-    weight : float
-        Relative duration, for the progress bar.
+    - `name`: unique within the paper;
+    - `function`: of a module, so that another process finds it; returns a dict of numbers, lists or
+      arrays;
+    - `settings`: its keyword arguments, as JSON has them, the seed among them.  ``runs`` here or in
+      what is returned is the number of its simulated runs; a part that tells none counts as one;
+    - `weight`: relative duration, for the progress bar.
     """
 
     name: str
@@ -63,15 +54,11 @@ class Part:
 class Origin:
     """Where a band comes from, and so what it says when a value lies inside.
 
-    Attributes
-    ----------
-    kind : {"tolerance", "independent", "bound"}
-        How far a reproduction may be from the paper: a margin around the printed value, or the
-        spread of our runs; what a second, separately written program found; or a limit from
-        theory or of our own.
-    text : str
-        In full: whose runs, how many, which seeds, what varies between them, how wide and why.
-        White space is that of running text.
+    - `kind`: ``tolerance``, ``independent``, ``bound``: how far a reproduction may be from the
+      paper: a margin around the printed value, or the spread of our runs; what a second, separately
+      written program found; or a limit from theory or of our own;
+    - `text`: in full: whose runs, how many, which seeds, what varies between them, how wide and
+      why. White space is that of running text.
     """
 
     kind: Kind
@@ -88,12 +75,7 @@ class Origin:
 class Band:
     """Range of values, ends included.
 
-    Attributes
-    ----------
-    low, high : float or None
-        Its ends; None where it is open, on one side at most.
-    origin : Origin
-        Where it comes from.
+    - `low`, `high`: its ends; None where it is open, on one side at most.
     """
 
     low: float | None
@@ -116,21 +98,13 @@ class Band:
 class Row:
     """One figure of a paper beside ours.
 
-    Attributes
-    ----------
-    table : str
-        Table or figure of the paper, such as ``"Table 4"``.
-    row : str
-        Row of the table, such as ``"EWMA, experiment 1"``.
-    quantity : str
-        What is given, with its unit.
-    paper, ours : float or None
-        Published and measured value; None where there is none.  What the paper claims in words of
-        all or of none is a share of 1 or 0.
-    band : Band or None
-        What the values are held against; None where nothing can be said.
-    note : str
-        Why there is no band, why the paper cannot be met, or what else a reader should know.
+    - `table`: table or figure of the paper, such as ``"Table 4"``;
+    - `row`: row of the table, such as ``"EWMA, experiment 1"``;
+    - `quantity`: what is given, with its unit;
+    - `paper`, `ours`: published and measured value; None where there is none.  What the paper
+      claims in words of all or of none is a share of 1 or 0;
+    - `band`: what the values are held against; None where nothing can be said;
+    - `note`: why there is no band, why the paper cannot be met, or what else a reader should know.
     """
 
     table: str
@@ -170,17 +144,8 @@ class Row:
 def fill_origins(rows: Iterable[Row], **values: Any) -> list[Row]:
     """Rows whose origins of bands name the runs of this reproduction.
 
-    Parameters
-    ----------
-    rows : iterable of Row
-        With texts that have ``{name}`` where a value belongs.
-    **values : dict
-        By name, such as the seed and numbers of runs.
-
-    Returns
-    -------
-    list of Row
-        In their order.
+    `rows`: with texts that have ``{name}`` where a value belongs; `**values`: by name, such as the
+    seed and numbers of runs.
     """
 
     def filled(row: Row) -> Row:
@@ -196,12 +161,9 @@ def fill_origins(rows: Iterable[Row], **values: Any) -> list[Row]:
 class Paper(Protocol):
     """What a module of a paper has.
 
-    Attributes
-    ----------
-    TITLE : str
-        Authors and year, such as ``"Zhong et al. (2025)"``.
-    CLAIMS, FOUND, READINGS : str
-        Markdown: what the paper claims, what we found, and the readings that we took.
+    - `TITLE`: authors and year, such as ``"Zhong et al. (2025)"``;
+    - `CLAIMS`, `FOUND`, `READINGS`: Markdown, what the paper claims, what we found, and the
+      readings that we took.
     """
 
     TITLE: str
@@ -210,47 +172,10 @@ class Paper(Protocol):
     READINGS: str
 
     def parts(self, settings: Settings) -> list[Part]:
-        """Work of a run.
-
-        Parameters
-        ----------
-        settings : Settings
-            Of the run.
-
-        Returns
-        -------
-        list of Part
-            In the order in which they begin.
-        """
+        """Work of a run."""
 
     def rows(self, data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
-        """Figures of the paper beside ours.
-
-        Parameters
-        ----------
-        data : dict
-            What each part returned, by its name.
-        settings : Settings
-            Of the run.
-
-        Returns
-        -------
-        list of Row
-            In the order of the tables.
-        """
+        """Figures of the paper beside ours."""
 
     def figures(self, data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
-        """Redraw the paper's figures from our runs.
-
-        Parameters
-        ----------
-        data : dict
-            What each part returned, by its name.
-        folder : Path
-            Where the pictures go.
-
-        Returns
-        -------
-        list of Path
-            PNG files.
-        """
+        """Redraw the paper's figures from our runs."""

@@ -13,17 +13,19 @@ from typing import Annotated, Any
 
 import typer
 
+from spoofgym import __version__
 from spoofgym.cli import clear_errors
 from spoofgym.core.files import whole_file, write_file
 
 from .frame import Paper, Settings
 from .paper import ALL, KEYS, load_paper
-from .run import PaperRun, Reproduction, versions
+from .run import Data, PaperRun
 from .tables import HEAD, by_table, cells, counts_text
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "papers"
 FIGURES = "figures"
 """Folder of the pictures, within that of the pages."""
+VERSIONS = ("python", "numpy", "scipy", "numba")
 LEGEND = """\
 Every band says where it comes from, by its letter. A *tolerance* is a margin around the printed
 value, or the spread of our own runs; an *independent* band is what a second program found, which
@@ -68,9 +70,9 @@ def main(
             stored = json.loads(path.read_text(encoding="utf-8"))
         else:
             run = PaperRun(each, Settings(quick=False, seed=seed), out)
-            reproduction = run.result()
-            pictures = [small_picture(path) for path in reproduction.draw(docs / FIGURES)]
-            stored = page_record(reproduction, [path.name for path in pictures])
+            data = run.stored()
+            pictures = [small_picture(path) for path in run.draw(data, docs / FIGURES)]
+            stored = page_record(run, data, [path.name for path in pictures])
             content = json.dumps(stored, indent=1, allow_nan=False) + "\n"
             write_file(path, content.encode())
         page = path.with_suffix(".md")
@@ -79,20 +81,7 @@ def main(
 
 
 def small_picture(path: Path, colours: int = 64) -> Path:
-    """Store a picture of lines with few colours, at a quarter of its size.
-
-    Parameters
-    ----------
-    path : Path
-        A PNG file, which is replaced.
-    colours : int
-        How many are kept.
-
-    Returns
-    -------
-    Path
-        The same.
-    """
+    """Store a picture of lines with few colours, at a quarter of its size."""
     from PIL import Image
 
     with Image.open(path) as picture:
@@ -102,50 +91,22 @@ def small_picture(path: Path, colours: int = 64) -> Path:
     return path
 
 
-def page_record(reproduction: Reproduction, pictures: list[str]) -> dict[str, Any]:
-    """What a page tells of a run.
-
-    Parameters
-    ----------
-    reproduction : Reproduction
-        A full one.
-    pictures : list of str
-        Names of the files in the folder of the figures.
-
-    Returns
-    -------
-    dict
-        As `Reproduction.record`, with pictures, versions, parts and their processor time.
-    """
-    told = [each["versions"] for each in reproduction.told]
-    names = sorted({name for each in told for name in each})
-    found = {name: sorted({each[name] for each in told if name in each}) for name in names}
+def page_record(run: PaperRun, data: Data, pictures: list[str]) -> dict[str, Any]:
+    """What a page tells of a run, with the names of the files in the folder of the figures."""
+    code = run.store.config["code"]
     return {
-        **reproduction.record(),
+        **run.record(data),
         "pictures": pictures,
-        "versions": {name: ", ".join(found[name]) for name in versions()},
-        "parts": len(reproduction.parts),
-        "seconds": round(sum(each["seconds"] for each in reproduction.told)),
+        "versions": {"spoofgym": __version__, **{name: code[name] for name in VERSIONS}},
+        "parts": len(run.parts),
     }
 
 
 def page_text(paper: Paper, stored: dict[str, Any]) -> str:
-    """Page of a paper.
-
-    Parameters
-    ----------
-    paper : Paper
-        Has the texts.
-    stored : dict
-        Of `page_record`.
-
-    Returns
-    -------
-    str
-        Markdown.
-    """
+    """Page of a paper."""
     key, rows = stored["paper"], stored["rows"]
     seed = f" --seed {stored['seed']}" if stored["seed"] else ""
+    time = f", {stored['seconds']} s of one core" if "seconds" in stored else ""
     computed = ", ".join(f"{name} {version}" for name, version in stored["versions"].items())
     lines = [
         f"# {paper.TITLE}",
@@ -194,8 +155,8 @@ def page_text(paper: Paper, stored: dict[str, Any]) -> str:
         f"python -m baselines.papers {key}{seed}",
         "```",
         "",
-        f"Seed {stored['seed']}, {stored['runs']} simulated runs in {stored['parts']} parts, "
-        f"{stored['seconds']} s of one core; {computed}.",
+        f"Seed {stored['seed']}, {stored['runs']} simulated runs in {stored['parts']} parts{time}; "
+        f"{computed}.",
     ]
     return "\n".join(lines) + "\n"
 

@@ -23,23 +23,7 @@ VERDICTS = ("printed_inside", "agrees", "kept")
 
 
 def load_paper(key: str) -> Paper:
-    """Module of a paper.
-
-    Parameters
-    ----------
-    key : str
-        One of `KEYS`.
-
-    Returns
-    -------
-    Paper
-        The module.
-
-    Raises
-    ------
-    ValueError
-        When the key is unknown, or the module lacks something.
-    """
+    """Module of a paper."""
     check_choice("paper", key, (*KEYS, ALL))
     module = importlib.import_module(f"baselines.papers.{key}")
     missing = [name for name in NAMES if not hasattr(module, name)]
@@ -49,25 +33,7 @@ def load_paper(key: str) -> Paper:
 
 
 def parts_of(paper: Paper, settings: Settings) -> list[Part]:
-    """Parts of a paper, checked.
-
-    Parameters
-    ----------
-    paper : Paper
-        Its module.
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    list of Part
-        In the order in which they begin.
-
-    Raises
-    ------
-    ValueError
-        When there are none, two have the same name, or one could not be run elsewhere.
-    """
+    """Parts of a paper, checked."""
     parts = paper.parts(settings)
     if not parts:
         raise ValueError(f"{paper.TITLE} has no parts")
@@ -93,45 +59,14 @@ def parts_of(paper: Paper, settings: Settings) -> list[Part]:
 
 
 def rows_of(paper: Paper, data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
-    """Rows of a paper, checked.
-
-    Parameters
-    ----------
-    paper : Paper
-        Its module.
-    data : dict
-        What each part returned, by its name.
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    list of Row
-        In the order of the tables.
-
-    Raises
-    ------
-    ValueError
-        As `check_rows` does.
-    """
+    """Rows of a paper, checked."""
     rows = paper.rows(data, settings)
     check_rows(rows)
     return rows
 
 
 def check_rows(rows: Sequence[Row]) -> None:
-    """Raise unless every row has a key of its own, finite numbers and a band in order.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-        Of a paper.
-
-    Raises
-    ------
-    ValueError
-        Names the row.
-    """
+    """Raise unless every row has a key of its own, finite numbers and a band in order."""
     seen: set[tuple[str, str, str]] = set()
     for row in rows:
         key = (row.table, row.row, row.quantity)
@@ -160,16 +95,8 @@ def numbers_of(row: Row) -> dict[str, float | None]:
 def rows_record(rows: Sequence[Row]) -> dict[str, Any]:
     """Rows as JSON, with every origin of a band once.
 
-    Parameters
-    ----------
-    rows : sequence of Row
-        Checked.
-
-    Returns
-    -------
-    dict
-        ``origins``: kind and text by a letter; ``rows``: fields, ends of the band, the letter of
-        its origin, and the verdicts.
+    Returns ``origins``: kind and text by a letter; ``rows``: fields, ends of the band, the letter
+    of its origin, and the verdicts.
     """
     letters = {row.band.origin: "" for row in rows if row.band is not None}
     letters = {origin: letter_of(number) for number, origin in enumerate(letters)}
@@ -218,18 +145,8 @@ def _plain_bool(value: bool | None) -> bool | None:
 def runs_of(parts: Sequence[Part], data: dict[str, dict[str, Any]]) -> int:
     """How many runs a reproduction has simulated.
 
-    Parameters
-    ----------
-    parts : sequence of Part
-        Of the paper.
-    data : dict
-        What each of them returned.
-
-    Returns
-    -------
-    int
-        Sum over the parts of `runs` or `cases`, told in the result or among the settings; 1 for a
-        part that tells none.
+    Returns sum over the parts of `runs` or `cases`, told in the result or among the settings; 1 for
+    a part that tells none.
     """
     told = [{"runs": 1} | part.settings | data[part.name] for part in parts]
     return sum(int(part["cases"] if "cases" in part else part["runs"]) for part in told)

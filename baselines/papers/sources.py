@@ -8,70 +8,36 @@ the functions of its parts do not import.
 from __future__ import annotations
 
 import ast
-import hashlib
-import sys
 from collections.abc import Iterable, Iterator
-from functools import lru_cache
 from pathlib import Path
-from types import CodeType
 
-import numba
-import numpy as np
-import scipy
+from spoofgym.core.settings import digest_of, digest_of_code
 
 ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = "spoofgym"
-OUTSIDE = ("__main__.py", "cli", "sb3", "testing")
-"""Files and folders of the library that no figure comes from."""
 FRAME = "baselines.papers.frame"
 """Says what a part is, and computes nothing."""
 TOLD_NAMES = ("TITLE", "CLAIMS", "FOUND", "READINGS", "rows", "figures")
 """Names in a module that tell or draw."""
 
 
-@lru_cache(maxsize=1)
-def library_digest() -> str:
-    """Digest of the package and of what computes beneath it.
-
-    Returns
-    -------
-    str
-        Hexadecimal.
-    """
-    digest = hashlib.sha256()
-    for part in (sys.version_info[:3], np.__version__, scipy.__version__, numba.__version__):
-        digest.update(repr(part).encode())
-    library = ROOT / LIBRARY
-    for path in sorted(library.rglob("*.py")):
-        place = path.relative_to(library)
-        if place.parts[0] not in OUTSIDE:
-            _add_source(digest, place.as_posix(), path)
-    return digest.hexdigest()
-
-
 def digest_of_modules(modules: Iterable[str]) -> str:
     """Digest of everything that the functions of some modules can call.
 
-    Parameters
-    ----------
-    modules : iterable of str
-        Modules of a checkout, outside the library, by their dotted names.
-
-    Returns
-    -------
-    str
-        16 hexadecimal digits, of the library, of these modules and of all that they import.
+    `modules`: dotted names of modules of a checkout; what they import of it counts, too, but for
+    the library, whose digest is kept with every result.
     """
-    digest = hashlib.sha256(library_digest().encode())
     known: set[str] = set()
     waiting = set(modules)
     while waiting:
         known |= waiting
         found = {name for module in waiting for name in _imported(module)}
         waiting = {name for name in found if name != FRAME} - known
-    for module in sorted(known):
-        _add_source(digest, module, _file_of(module))
-    return digest.hexdigest()[:16]
+    files = {module: _file_of(module) for module in sorted(known)}
+    sources = {name: file and ast.unparse(_computing(file)) for name, file in files.items()}
+    return digest_of(
+        [(name, text and digest_of_code(text.encode())) for name, text in sources.items()]
+    )
 
 
 def _file_of(module: str) -> Path | None:
@@ -112,13 +78,6 @@ def _computing(file: Path) -> ast.Module:
     return tree
 
 
-def _add_source(digest: hashlib._Hash, name: str, file: Path | None) -> None:
-    digest.update(name.encode())
-    if file is not None:
-        # the highest optimization drops docstrings
-        _add_code(digest, compile(_computing(file), name, "exec", optimize=2))
-
-
 def _only_tells(node: ast.stmt) -> bool:
     """Whether a statement of a module is a text of the paper, or makes its rows or figures."""
     if isinstance(node, ast.FunctionDef):
@@ -128,17 +87,3 @@ def _only_tells(node: ast.stmt) -> bool:
     if isinstance(node, ast.Assign):
         return any(isinstance(t, ast.Name) and t.id in TOLD_NAMES for t in node.targets)
     return False
-
-
-def _add_code(digest: hashlib._Hash, code: CodeType) -> None:
-    """Add what a code object does, wherever it stands in its file."""
-    digest.update(code.co_code)
-    for names in (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars):
-        digest.update(repr(names).encode())
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            _add_code(digest, constant)
-        elif isinstance(constant, frozenset):
-            digest.update(repr(sorted(map(repr, constant))).encode())
-        else:
-            digest.update(repr(constant).encode())

@@ -20,15 +20,7 @@ COUNTS = {
 def number_text(value: float | None) -> str:
     """Number with four digits.
 
-    Parameters
-    ----------
-    value : float or None
-        Any.
-
-    Returns
-    -------
-    str
-        ``"-"`` for None.
+    Returns ``"-"`` for None.
     """
     return "-" if value is None else f"{value:.4g}"
 
@@ -36,15 +28,7 @@ def number_text(value: float | None) -> str:
 def band_text(low: float | None, high: float | None) -> str:
     """Band in words.
 
-    Parameters
-    ----------
-    low, high : float or None
-        Its ends.
-
-    Returns
-    -------
-    str
-        ``"-"`` where there is none.
+    Returns ``"-"`` where there is none.
     """
     if low is None and high is None:
         return "-"
@@ -58,32 +42,13 @@ def band_text(low: float | None, high: float | None) -> str:
 def verdict_text(verdict: bool | None) -> str:
     """A row's verdict.
 
-    Parameters
-    ----------
-    verdict : bool or None
-        None where there is none.
-
-    Returns
-    -------
-    str
-        ``"yes"``, ``"NO"`` or ``"-"``.
+    Returns ``"yes"``, ``"NO"`` or ``"-"``.
     """
     return {True: "yes", False: "NO", None: "-"}[verdict]
 
 
 def cells(row: Mapping[str, Any]) -> list[str]:
-    """Texts of a row under `HEAD`.
-
-    Parameters
-    ----------
-    row : mapping
-        As JSON has it.
-
-    Returns
-    -------
-    list of str
-        One a column.
-    """
+    """Texts of a row under `HEAD`."""
     return [
         row["row"],
         row["quantity"],
@@ -97,18 +62,7 @@ def cells(row: Mapping[str, Any]) -> list[str]:
 
 
 def by_table(rows: Iterable[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
-    """Rows of every table.
-
-    Parameters
-    ----------
-    rows : iterable of mapping
-        As JSON has them.
-
-    Returns
-    -------
-    dict
-        Rows by table, in their order.
-    """
+    """Rows of every table."""
     tables: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
         tables.setdefault(row["table"], []).append(row)
@@ -116,20 +70,7 @@ def by_table(rows: Iterable[Mapping[str, Any]]) -> dict[str, list[Mapping[str, A
 
 
 def count(rows: Sequence[Mapping[str, Any]], verdict: str) -> tuple[int, int]:
-    """How many rows say yes, of how many that say anything.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        As JSON has them.
-    verdict : str
-        A key of `COUNTS`.
-
-    Returns
-    -------
-    yes, all : int
-        Numbers of rows.
-    """
+    """How many rows say yes, of how many that say anything."""
     told = [row[verdict] for row in rows if row[verdict] is not None]
     return sum(told), len(told)
 
@@ -137,15 +78,7 @@ def count(rows: Sequence[Mapping[str, Any]], verdict: str) -> tuple[int, int]:
 def counts_text(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """What the rows of a paper say in all; a row may be in more than one count.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        As JSON has them.
-
-    Returns
-    -------
-    list of str
-        A sentence for each count that has rows, and one for the rows without a band.
+    Returns a sentence for each count that has rows, and one for the rows without a band.
     """
     lines = []
     for verdict, text in COUNTS.items():
@@ -157,15 +90,7 @@ def counts_text(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def print_tables(title: str, record: Mapping[str, Any]) -> None:
-    """Print a reproduction.
-
-    Parameters
-    ----------
-    title : str
-        Of the paper.
-    record : mapping
-        As JSON has it.
-    """
+    """Print a reproduction."""
     from rich import box
     from rich.console import Console
     from rich.table import Table

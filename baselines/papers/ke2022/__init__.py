@@ -17,34 +17,12 @@ RUNS, QUICK_RUNS = 50, 16
 
 
 def runs_of(settings: Settings) -> int:
-    """Runs of every part.
-
-    Parameters
-    ----------
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    int
-        50, or 16 in a hurry.
-    """
+    """Runs of every part."""
     return QUICK_RUNS if settings.quick else RUNS
 
 
 def parts(settings: Settings) -> list[Part]:
-    """Work of a run.
-
-    Parameters
-    ----------
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    list of Part
-        One for every attack.
-    """
+    """Work of a run."""
     third, low = CHANNELS[2], CHANNELS[4]
     found = []
 
@@ -106,37 +84,11 @@ def satellite_parts(settings: Settings) -> list[Part]:
 
 
 def rows(data: Data, settings: Settings) -> list[Row]:
-    """Figures of the paper beside ours.
-
-    Parameters
-    ----------
-    data : dict
-        What the parts returned, by name.
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    list of Row
-        In the order of the paper.
-    """
+    """Figures of the paper beside ours."""
     runs = runs_of(settings)
     return fill_origins(all_rows(data, runs), runs=runs, seed=settings.seed)
 
 
 def figures(data: Data, folder: Path) -> list[Path]:
-    """Draw figures 6 to 10 from our runs.
-
-    Parameters
-    ----------
-    data : dict
-        What the parts returned, by name.
-    folder : Path
-        Where to write them.
-
-    Returns
-    -------
-    list of Path
-        PNG files.
-    """
+    """Draw figures 6 to 10 from our runs."""
     return draw(data, folder)

@@ -62,21 +62,9 @@ def detector_in_loop(
 ) -> Detector:
     """Detector with weights, by the paper's name.
 
-    Parameters
-    ----------
-    method : {"M2", "M2 adaptive", "oracle"}
-        The paper's M2; the same with the adaptive threshold and the guard; M3 or M4.
-    kind : {"step", "ramp"}
-        Of the attack that an oracle is told.
-    size : float
-        Its size [m] or slope [m/s].
-    channels : sequence of str or None
-        Its satellites.
-
-    Returns
-    -------
-    Detector
-        Not bound yet.
+    `method`: ``M2``, ``M2 adaptive``, ``oracle``: the paper's M2; the same with the adaptive
+    threshold and the guard; M3 or M4; `kind`: ``step``, ``ramp``: of the attack that an oracle is
+    told; `size`: its size [m] or slope [m/s].
     """
     if method == "M2":
         return InnovationRate(weight_scale=1.0, **PAPER)
@@ -89,13 +77,7 @@ def detector_in_loop(
 
 
 class Recorder:
-    """What one detector said of the runs.
-
-    Parameters
-    ----------
-    epochs, runs, channels : int
-        Sizes.
-    """
+    """What one detector said of the runs."""
 
     def __init__(self, epochs: int, runs: int, channels: int) -> None:
         self.alarm = np.zeros((epochs, runs, channels), dtype=np.bool_)
@@ -144,26 +126,9 @@ def fly(
 ) -> dict[str, Any]:
     """Runs of one attack.
 
-    Parameters
-    ----------
-    kind, size, satellites : str, float, sequence of str
-        The attack; of size 0 for none.
-    in_loop : Detector
-        Whose weights are used.
-    watchers : dict
-        Others, by name.
-    name : str
-        What the first one is called; empty to leave it out.
-    scenario, update : str
-        World, and form of the covariance update.
-    runs, seed : int
-        How many, and their chance.
-
-    Returns
-    -------
-    dict
-        By name what `Recorder` tells, and ``"position"``: largest errors north, east, down of
-        every run (runs, 3) and those of the first run (K, 3) [m].
+    `name`: what the first one is called; empty to leave it out; `scenario`, `update`: world, and
+    form of the covariance update.  Returns by name what `Recorder` tells, and ``"position"``:
+    largest errors north, east, down of every run (runs, 3) and those of the first run (K, 3) [m].
     """
     count = LAST - FIRST + 1
     begun = FIRST - 1
@@ -236,27 +201,10 @@ def attack(
 ) -> dict[str, Any]:
     """Runs of one attack for several methods.
 
-    Parameters
-    ----------
-    kind : {"step", "ramp"}
-        Of the attack.
-    size : float
-        Size [m] or slope [m/s]; 0 for no attack.
-    satellites : list of str
-        Attacked ones.
-    methods : list of str
-        Names of `detector_in_loop`; ``"watchers"`` for all `WATCHERS`.
-    runs, seed : int
-        How many, and their chance.
-    scenario, update : str
-        World, and form of the covariance update.
-    told_size, told_satellites : float and list of str, optional
-        What an oracle is told; the truth by default.
-
-    Returns
-    -------
-    dict
-        Arrays, named ``"<method>/<what>"``.
+    `kind`: ``step``, ``ramp``: of the attack; `size`: size [m] or slope [m/s]; 0 for no attack;
+    `methods`: names of `detector_in_loop`; ``"watchers"`` for all `WATCHERS`; `scenario`, `update`:
+    world, and form of the covariance update; `told_size`, `told_satellites`: what an oracle is
+    told; the truth by default.  Returns arrays, named ``"<method>/<what>"``.
     """
     found: dict[str, Any] = {}
     for method in methods:
@@ -291,21 +239,7 @@ def misses_by_satellite(
 ) -> dict[str, Any]:
     """Runs of one attack on each of several satellites in turn, with M2 in the loop.
 
-    Parameters
-    ----------
-    kind, size : str and float
-        As in `attack`.
-    satellites : list of str
-        Attacked one after the other.
-    runs, seed : int
-        How many for each, and their chance.
-    scenario : str
-        World.
-
-    Returns
-    -------
-    dict
-        ``missed``: (n,) share of runs without an alarm by satellite [%]; ``cases``: all runs.
+    Returns ``missed``: (n,) share of runs without an alarm by satellite [%]; ``cases``: all runs.
     """
     missed = []
     for satellite in satellites:

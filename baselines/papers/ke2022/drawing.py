@@ -19,16 +19,7 @@ if TYPE_CHECKING:
 def rate_panel(axes: Axes, title: str, traces: dict[str, Any], limit: float) -> None:
     """Innovation rates over time, with the paper's threshold.
 
-    Parameters
-    ----------
-    axes : Axes
-        Where to draw.
-    title : str
-        Its title.
-    traces : dict
-        (K,) size of the rate, by label [1/s].
-    limit : float
-        Upper end of the axis [1/s].
+    `traces`: (K,) size of the rate, by label [1/s]; `limit`: upper end of the axis [1/s].
     """
     for label, trace in traces.items():
         axes.plot(SEEN_FROM + np.arange(len(trace)), trace, label=label, linewidth=1.0)
@@ -41,19 +32,7 @@ def rate_panel(axes: Axes, title: str, traces: dict[str, Any], limit: float) -> 
 def three_channels(data: Data, kind: str, path: Path) -> Path:
     """Figures 6 and 7: all channels under M1 and M2, three of them attacked.
 
-    Parameters
-    ----------
-    data : dict
-        By name of part.
-    kind : {"step", "ramp"}
-        Of the attack.
-    path : Path
-        File to write.
-
-    Returns
-    -------
-    Path
-        The same.
+    `kind`: ``step``, ``ramp``: of the attack.
     """
     from matplotlib.figure import Figure
 
@@ -67,20 +46,7 @@ def three_channels(data: Data, kind: str, path: Path) -> Path:
 
 
 def sizes(data: Data, path: Path) -> Path:
-    """Figure 8: channel 3 under M2, for all sizes.
-
-    Parameters
-    ----------
-    data : dict
-        By name of part.
-    path : Path
-        File to write.
-
-    Returns
-    -------
-    Path
-        The same.
-    """
+    """Figure 8: channel 3 under M2, for all sizes."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.0, 4.5), layout="constrained")
@@ -96,19 +62,7 @@ def sizes(data: Data, path: Path) -> Path:
 def oracle_and_error(data: Data, kind: str, path: Path) -> Path:
     """Figures 9 and 10: M2 beside the oracle, and the position error under it.
 
-    Parameters
-    ----------
-    data : dict
-        By name of part.
-    kind : {"step", "ramp"}
-        Of the attack.
-    path : Path
-        File to write.
-
-    Returns
-    -------
-    Path
-        The same.
+    `kind`: ``step``, ``ramp``: of the attack.
     """
     from matplotlib.figure import Figure
 
@@ -135,20 +89,7 @@ def oracle_and_error(data: Data, kind: str, path: Path) -> Path:
 
 
 def draw(data: Data, folder: Path) -> list[Path]:
-    """Draw figures 6 to 10.
-
-    Parameters
-    ----------
-    data : dict
-        By name of part.
-    folder : Path
-        Where to write them.
-
-    Returns
-    -------
-    list of Path
-        PNG files.
-    """
+    """Draw figures 6 to 10."""
     return [
         three_channels(data, "step", folder / "ke2022_fig6.png"),
         three_channels(data, "ramp", folder / "ke2022_fig7.png"),

@@ -298,20 +298,7 @@ def form_rows(data: Data) -> Iterable[Row]:
 
 
 def all_rows(data: Data, runs: int) -> list[Row]:
-    """Rows of everything.
-
-    Parameters
-    ----------
-    data : dict
-        By name of part.
-    runs : int
-        Runs of each part.
-
-    Returns
-    -------
-    list of Row
-        In the order of the paper.
-    """
+    """Rows of everything."""
     return [
         *threshold_rows(),
         *scenario1_rows(data, runs),

@@ -44,15 +44,7 @@ def runs_of(settings: Settings) -> tuple[int, int]:
 def parts(settings: Settings) -> list[Part]:
     """Work of a run.
 
-    Parameters
-    ----------
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    list of Part
-        Cases of latency, then clean runs, then stability, then one run for the figures.
+    Returns cases of latency, then clean runs, then stability, then one run for the figures.
     """
     runs, clean = runs_of(settings)
     common: dict[str, Any] = {"runs": runs, "seed": settings.seed}
@@ -92,17 +84,7 @@ def parts(settings: Settings) -> list[Part]:
 def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
     """Figures of the paper beside ours.
 
-    Parameters
-    ----------
-    data : dict
-        What each part returned, by its name.
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    list of Row
-        Table 1 in all readings, then what the paper does not measure.
+    Returns table 1 in all readings, then what the paper does not measure.
     """
     made = [*latency_rows(data), *test_rows(data), *decay_rows(data), *false_alarm_rows(data)]
     made += [*stability_rows(data), *absorption_rows(data)]
@@ -111,18 +93,5 @@ def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
 
 
 def figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
-    """Redraw the paper's figures from our runs.
-
-    Parameters
-    ----------
-    data : dict
-        What each part returned, by its name.
-    folder : Path
-        Where the pictures go.
-
-    Returns
-    -------
-    list of Path
-        PNG files.
-    """
+    """Redraw the paper's figures from our runs."""
     return draw(data["sample"], folder)

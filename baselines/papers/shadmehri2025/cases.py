@@ -12,15 +12,10 @@ from .runs import MARKOV, SMALL_WHITE, WHITE, scaled, tuned
 class Found(NamedTuple):
     """What the second program found at one ramp.
 
-    Attributes
-    ----------
-    detected : float
-        Share of the runs.
-    mean, sd : float or None
-        Of the latency [s], where anything was detected.
-    spread_recorded, share_recorded : bool
-        Whether `sd` and `detected` are its own; if not, `sd` is a width of ours, and the share is
-        not held against anything.
+    - `detected`: share of the runs;
+    - `mean`, `sd`: of the latency [s], where anything was detected;
+    - `spread_recorded`, `share_recorded`: whether `sd` and `detected` are its own; if not, `sd` is
+      a width of ours, and the share is not held against anything.
     """
 
     detected: float
@@ -33,16 +28,8 @@ class Found(NamedTuple):
 class Case(NamedTuple):
     """One receiver under one kind of errors.
 
-    Attributes
-    ----------
-    title : str
-        For the tables.
-    errors, receiver : dict
-        Settings.
-    found : dict
-        Figures of the second program by ramp; where there are none, there is no band.
-    tests : dict
-        More tests of the same runs than the paper's, as `runs.judged` takes them.
+    - `found`: figures of the second program by ramp; where there are none, there is no band;
+    - `tests`: more tests of the same runs than the paper's, as `runs.judged` takes them.
     """
 
     title: str

@@ -16,20 +16,7 @@ ATTACK = (20.0, 25.0)
 
 
 def draw(run: dict[str, Any], folder: Path) -> list[Path]:
-    """Draw figures 1 to 5.
-
-    Parameters
-    ----------
-    run : dict
-        What `runs.sample` returned.
-    folder : Path
-        Where the pictures go.
-
-    Returns
-    -------
-    list of Path
-        PNG files.
-    """
+    """Draw figures 1 to 5."""
     from matplotlib.figure import Figure
 
     paths = []

@@ -37,18 +37,7 @@ SMALL_WHITE = {"horizontal_sd_m": 1.6, "vertical_sd_m": 3.0, "decay": 0.0}
 
 
 def scaled(factor: float) -> dict[str, Any]:
-    """Conventional receiver whose R is the paper's times a factor.
-
-    Parameters
-    ----------
-    factor : float
-        Of the variances.
-
-    Returns
-    -------
-    dict
-        Settings of `LooselyCoupled`.
-    """
+    """Conventional receiver whose R is the paper's times a factor."""
     root = factor**0.5
     return {"horizontal_sd_m": STATED_SD[0] * root, "vertical_sd_m": STATED_SD[1] * root}
 
@@ -56,19 +45,7 @@ def scaled(factor: float) -> dict[str, Any]:
 def tuned(window: int, process: str = "fixed", floor_m: float = 0.0) -> dict[str, Any]:
     """Self-tuning receiver.
 
-    Parameters
-    ----------
-    window : int
-        w.
-    process : str
-        What becomes of Q.
-    floor_m : float
-        Least standard deviation of a coordinate [m].
-
-    Returns
-    -------
-    dict
-        Settings of `LooselyCoupled`.
+    `floor_m`: least standard deviation of a coordinate [m].
     """
     return {"self_tuning": {"window": window, "process": process, "floor_m": floor_m}}
 
@@ -76,20 +53,12 @@ def tuned(window: int, process: str = "fixed", floor_m: float = 0.0) -> dict[str
 class Play(NamedTuple):
     """What a batch of runs showed from the onset on.
 
-    Attributes
-    ----------
-    statistic : ndarray
-        (K, B) normalized innovation squared.
-    masked : ndarray
-        (K, B) the same with the covariance that the present residual has already entered.
-    before : ndarray
-        (B,) bool, whether the statistic was above 25.9 before the onset.
-    error : ndarray
-        (K, B, 2) error of the solution north and east [m].
-    scale : ndarray
-        (K, B) of Q.
-    noise_sd : ndarray
-        (K, B) root of R's first element [m].
+    - `statistic`: (K, B) normalized innovation squared;
+    - `masked`: (K, B) the same with the covariance that the present residual has already entered;
+    - `before`: (B,) bool, whether the statistic was above 25.9 before the onset;
+    - `error`: (K, B, 2) error of the solution north and east [m];
+    - `scale`: (K, B) of Q;
+    - `noise_sd`: (K, B) root of R's first element [m].
     """
 
     statistic: FloatArray
@@ -112,23 +81,10 @@ def play(
 ) -> Play:
     """Play runs with a ramp to the north and to the east.
 
-    Parameters
-    ----------
-    errors, receiver : dict
-        Settings of `PositionErrors` and `LooselyCoupled`.
-    ramp_mps : float
-        Rate along each of the two axes [m/s].
-    runs, seed : int
-        Run i is seeded by the pair (seed, i), whatever the attack and the receiver.
-    attack_s, after_s : float
-        How long the ramp grows, and how long it then stays at its last offset [s].
-    lead_in_s : float
-        Clean run before the onset [s].
-
-    Returns
-    -------
-    Play
-        From the onset on.
+    `errors`, `receiver`: settings of `PositionErrors` and `LooselyCoupled`; `ramp_mps`: rate along
+    each of the two axes [m/s]; `runs`, `seed`: run i is seeded by the pair (seed, i), whatever the
+    attack and the receiver; `attack_s`, `after_s`: how long the ramp grows, and how long it then
+    stays at its last offset [s]; `lead_in_s`: clean run before the onset [s].
     """
     setup = LooselyCoupledSetup(
         detector=WATCHER,
@@ -165,18 +121,9 @@ def play(
 def judged(statistic: FloatArray, test: dict[str, Any]) -> NDArray[np.bool_]:
     """Alarms of one test.
 
-    Parameters
-    ----------
-    statistic : ndarray
-        (K, B) of single epochs.
-    test : dict
-        ``window`` N (1); ``rule``: ``"sum"`` against chi-square of 3 N (the default), ``"mean"``
-        against the paper's 25.9, or ``"estimated"`` with ``covariance_window`` w.
-
-    Returns
-    -------
-    ndarray
-        (K, B) bool; windows reach back to the onset at most.
+    `statistic`: (K, B) of single epochs; `test`: ``window`` N (1); ``rule``: ``"sum"`` against chi-
+    square of 3 N (the default), ``"mean"`` against the paper's 25.9, or ``"estimated"`` with
+    ``covariance_window`` w.  Returns (K, B) bool; windows reach back to the onset at most.
     """
     n = int(test.get("window", 1))
     total = np.cumsum(statistic, axis=0)
@@ -193,15 +140,8 @@ def judged(statistic: FloatArray, test: dict[str, Any]) -> NDArray[np.bool_]:
 def latency(alarm: NDArray[np.bool_]) -> FloatArray:
     """Time from the onset to the first alarm during the attack.
 
-    Parameters
-    ----------
-    alarm : ndarray
-        (K, B) bool, the first epoch being the first with an offset.
-
-    Returns
-    -------
-    ndarray
-        (B,) [s]; NaN where there is none.
+    `alarm`: (K, B) bool, the first epoch being the first with an offset.  Returns (B,) [s]; NaN
+    where there is none.
     """
     during = alarm[: round(ATTACK_S / INTERVAL_S)]
     first = np.round((during.argmax(axis=0) + 1) * INTERVAL_S, 6)
@@ -211,16 +151,8 @@ def latency(alarm: NDArray[np.bool_]) -> FloatArray:
 def told(delay: FloatArray) -> dict[str, float | None]:
     """Fraction detected, and median, mean and spread of the delays.
 
-    Parameters
-    ----------
-    delay : ndarray
-        (B,) [s], NaN where missed.
-
-    Returns
-    -------
-    dict
-        ``detected``, ``runs``, ``median``, ``mean``, ``sd``; the last three None where nothing was
-        detected.
+    `delay`: (B,) [s], NaN where missed.  Returns ``detected``, ``runs``, ``median``, ``mean``,
+    ``sd``; the last three None where nothing was detected.
     """
     found = delay[np.isfinite(delay)]
     share, runs = found.size / delay.size, float(delay.size)
@@ -240,23 +172,10 @@ def latencies(
 ) -> dict[str, Any]:
     """Part of the reproduction: latencies of one receiver under all ramps, by several tests.
 
-    Parameters
-    ----------
-    errors, receiver : dict
-        As in `play`.
-    tests : dict
-        As `judged` takes them, by name; with ``"masked": True`` on the covariance that the present
-        residual has already entered.
-    runs, seed : int
-        As in `play`.
-    ramps : tuple of float
-        Rates [m/s].
-
-    Returns
-    -------
-    dict
-        By test and ramp what `told` gives; by ramp the share of epochs with an alarm at 25.9 during
-        the attack and after it, and the mean horizontal error when the attack ends.
+    `tests`: as `judged` takes them, by name; with ``"masked": True`` on the covariance that the
+    present residual has already entered; `ramps`: rates [m/s].  Returns by test and ramp what
+    `told` gives; by ramp the share of epochs with an alarm at 25.9 during the attack and after it,
+    and the mean horizontal error when the attack ends.
     """
     out: dict[str, Any] = {name: {} for name in tests}
     out |= {"duty": {}, "afterwards": {}, "error_m": {}}
@@ -279,21 +198,10 @@ def false_alarms(
 ) -> dict[str, Any]:
     """Part of the reproduction: alarms of clean runs of 35 s, after the lead-in of 20 s.
 
-    Parameters
-    ----------
-    errors, receiver : dict
-        As in `play`.
-    window : int
-        w, for the threshold of an estimated covariance; 0 where it is known.
-    runs, seed : int
-        As in `play`.
-
-    Returns
-    -------
-    dict
-        Shares of epochs with an alarm: ``rate`` at 25.9, ``early`` in the first 15 s alone,
-        ``fitting`` at the threshold for an estimated covariance; number of ``epochs``; ``any``,
-        share of runs with an alarm within 15 s; mean ``nis``.
+    `window`: w, for the threshold of an estimated covariance; 0 where it is known.  Returns shares
+    of epochs with an alarm: ``rate`` at 25.9, ``early`` in the first 15 s alone, ``fitting`` at the
+    threshold for an estimated covariance; number of ``epochs``; ``any``, share of runs with an
+    alarm within 15 s; mean ``nis``.
     """
     run = play(errors, receiver, 0.0, runs, seed, attack_s=35.0, after_s=0.0)
     alarm = run.statistic > THRESHOLD
@@ -315,18 +223,8 @@ def alarms_since_start(
 ) -> dict[str, Any]:
     """Part of the reproduction: alarms of clean runs of 55 s by the time since the filter's start.
 
-    Parameters
-    ----------
-    errors, receiver : dict
-        As in `play`.
-    runs, seed : int
-        As in `play`.
-
-    Returns
-    -------
-    dict
-        ``begin_s`` and ``end_s`` of every stretch, its share of epochs with an alarm at 25.9,
-        ``rate``, and its mean statistic, ``nis``.
+    Returns ``begin_s`` and ``end_s`` of every stretch, its share of epochs with an alarm at 25.9,
+    ``rate``, and its mean statistic, ``nis``.
     """
     statistic = play(errors, receiver, 0.0, runs, seed, 55.0, 0.0, lead_in_s=0.0).statistic
     alarm = statistic > THRESHOLD
@@ -345,24 +243,10 @@ def stability(
 ) -> dict[str, Any]:
     """Part of the reproduction: where the scale of Q goes in clean runs of 30 s.
 
-    Parameters
-    ----------
-    errors : dict
-        As in `play`.
-    window : int
-        w.
-    process : str
-        What becomes of Q.
-    runs, seed : int
-        As in `play`.
-
-    Returns
-    -------
-    dict
-        ``low``, ``median``, ``high``: quantiles 5, 50 and 95 % of the last scale; ``zero``: share
-        of runs that end with Q = 0; ``negative``: mean number of epochs in which a full window
-        left the scale alone, which with ``"skip"`` are those of a negative ratio; mean horizontal
-        ``error_m`` at the end.
+    Returns ``low``, ``median``, ``high``: quantiles 5, 50 and 95 % of the last scale; ``zero``:
+    share of runs that end with Q = 0; ``negative``: mean number of epochs in which a full window
+    left the scale alone, which with ``"skip"`` are those of a negative ratio; mean horizontal
+    ``error_m`` at the end.
     """
     run = play(errors, tuned(window, process), 0.0, runs, seed, 30.0, 0.0, lead_in_s=0.0)
     low, median, high = np.quantile(run.scale[-1], [0.05, 0.5, 0.95])
@@ -380,17 +264,9 @@ def stability(
 def sample(seed: int) -> dict[str, Any]:
     """Part of the reproduction: one run of each filter, for the figures.
 
-    Parameters
-    ----------
-    seed : int
-        Of the run.
-
-    Returns
-    -------
-    dict
-        ``time`` [s], the ``offset`` of the spoofer [m], ``track`` east, north, up of the flight
-        [m], and for ``conventional`` and ``tuned`` the errors of the solution north and east [m],
-        of the GNSS position, and the statistic by ramp.
+    Returns ``time`` [s], the ``offset`` of the spoofer [m], ``track`` east, north, up of the flight
+    [m], and for ``conventional`` and ``tuned`` the errors of the solution north and east [m], of
+    the GNSS position, and the statistic by ramp.
     """
     out: dict[str, Any] = {}
     for name, receiver in (("conventional", scaled(0.26)), ("tuned", tuned(100))):

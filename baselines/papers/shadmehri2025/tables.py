@@ -111,18 +111,7 @@ def _share_row(
 
 
 def latency_rows(data: Data) -> list[Row]:
-    """Table 1 in all readings, and fixed small R.
-
-    Parameters
-    ----------
-    data : dict
-        What the parts returned.
-
-    Returns
-    -------
-    list of Row
-        By case and ramp.
-    """
+    """Table 1 in all readings, and fixed small R."""
     rows = []
     groups = (
         ("Table 1, common filter", CONVENTIONAL, PAPER["conventional"]),
@@ -162,18 +151,7 @@ def _masked_rows(data: Data, name: str) -> list[Row]:
 
 
 def test_rows(data: Data) -> list[Row]:
-    """Other tests of the same runs.
-
-    Parameters
-    ----------
-    data : dict
-        What the parts returned.
-
-    Returns
-    -------
-    list of Row
-        By test and ramp.
-    """
+    """Other tests of the same runs."""
     rows = _extra(
         data,
         "tuned, w = 100",
@@ -197,18 +175,7 @@ def test_rows(data: Data) -> list[Row]:
 
 
 def decay_rows(data: Data) -> list[Row]:
-    """How the correlation of the errors decides.
-
-    Parameters
-    ----------
-    data : dict
-        What the parts returned.
-
-    Returns
-    -------
-    list of Row
-        By decay.
-    """
+    """How the correlation of the errors decides."""
     rows = []
     for decay, share in DECAYS.items():
         result = data[f"decay {decay:g}"]["paper"]["2"]
@@ -227,18 +194,7 @@ def decay_rows(data: Data) -> list[Row]:
 
 
 def false_alarm_rows(data: Data) -> list[Row]:
-    """Measured false alarms by length of the window.
-
-    Parameters
-    ----------
-    data : dict
-        What the parts returned.
-
-    Returns
-    -------
-    list of Row
-        For the conventional filter, then by w.
-    """
+    """Measured false alarms by length of the window."""
     table = "Not in the paper: false alarms"
     stated = "1e-5 is stated, not measured"
     fitting = "alarms per epoch, threshold for an estimated covariance"
@@ -309,18 +265,7 @@ def _why_small_r_alarms(data: Data) -> str:
 
 
 def stability_rows(data: Data) -> list[Row]:
-    """Where the scale of Q goes.
-
-    Parameters
-    ----------
-    data : dict
-        What the parts returned.
-
-    Returns
-    -------
-    list of Row
-        By rule, w and errors.
-    """
+    """Where the scale of Q goes."""
     table = "Not in the paper: stability of Q"
     rows = []
     for rule, window, errors in SPREADS:
@@ -344,18 +289,7 @@ def stability_rows(data: Data) -> list[Row]:
 
 
 def absorption_rows(data: Data) -> list[Row]:
-    """The alarm of the self-tuning filter passes; what the attack does to the solution.
-
-    Parameters
-    ----------
-    data : dict
-        What the parts returned.
-
-    Returns
-    -------
-    list of Row
-        Duty cycles and errors.
-    """
+    """The alarm of the self-tuning filter passes; what the attack does to the solution."""
     table = "Not in the paper: how long the alarm lasts"
     rows = []
     bands = {"tuned, w = 100": (0.19, 0.26), "tuned, w = 30": (0.04, 0.09)}

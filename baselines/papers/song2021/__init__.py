@@ -41,15 +41,7 @@ QUICK_SLOW = [0.01, 0.5, 0.9, 1.12, 1.2, 1.28, 1.4, 1.6, 2.4, 3.04, 6.0, 10.0]
 def parts(settings: Settings) -> list[Part]:
     """Work of a run.
 
-    Parameters
-    ----------
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    list of Part
-        Tables at three errors of the heading, sweeps by groups of windows, and the limits.
+    Returns tables at three errors of the heading, sweeps by groups of windows, and the limits.
     """
     seed, quick = settings.seed, settings.quick
     runs = QUICK_RUNS if quick else RUNS
@@ -78,17 +70,7 @@ def parts(settings: Settings) -> list[Part]:
 def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
     """Figures of the paper beside ours.
 
-    Parameters
-    ----------
-    data : dict
-        What each part returned, by its name.
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    list of Row
-        Tables 3 to 7, figures 9 to 12, rates, shares of runs, limits.
+    Returns tables 3 to 7, figures 9 to 12, rates, shares of runs, limits.
     """
     made = [
         *tables.accuracy_rows(data),
@@ -104,18 +86,5 @@ def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
 
 
 def figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
-    """Redraw figures 9 to 18 from our runs.
-
-    Parameters
-    ----------
-    data : dict
-        What each part returned, by its name.
-    folder : Path
-        Where the pictures go.
-
-    Returns
-    -------
-    list of Path
-        PNG files.
-    """
+    """Redraw figures 9 to 18 from our runs."""
     return pictures.draw(data, folder)

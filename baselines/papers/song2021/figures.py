@@ -18,20 +18,7 @@ RULES = {"jump": ("j", "1.5 m", 2), "slow": ("s", "1.28 m", 5)}
 
 
 def draw(data: Data, folder: Path) -> list[Path]:
-    """Draw all figures.
-
-    Parameters
-    ----------
-    data : dict
-        What each part returned, by its name.
-    folder : Path
-        Where the pictures go.
-
-    Returns
-    -------
-    list of Path
-        PNG files.
-    """
+    """Draw all figures."""
     import matplotlib as mpl
 
     mpl.use("Agg")

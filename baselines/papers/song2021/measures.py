@@ -19,16 +19,7 @@ def accuracy(error: FloatArray) -> dict[str, FloatArray]:
 
     Its sigma is the standard deviation of the horizontal error's length, not a root mean square:
     20 m on each axis in half of the run give its 13.47 m.
-
-    Parameters
-    ----------
-    error : ndarray
-        (K, B, 2) north, east [m].
-
-    Returns
-    -------
-    dict
-        (B,) by `QUANTITIES` and `HONEST` [m].
+    `error`: (K, B, 2) north, east [m].  Returns (B,) by `QUANTITIES` and `HONEST` [m].
     """
     north, east = error[:, :, 0], error[:, :, 1]
     size = np.hypot(north, east)
@@ -47,15 +38,7 @@ def accuracy(error: FloatArray) -> dict[str, FloatArray]:
 def credibility(gamma: FloatArray, gamma_gnss: FloatArray) -> FloatArray:
     """Eq. 35.
 
-    Parameters
-    ----------
-    gamma, gamma_gnss : ndarray
-        Deterioration of the algorithm and of GNSS.
-
-    Returns
-    -------
-    ndarray
-        Zeta [%].
+    `gamma`, `gamma_gnss`: deterioration of the algorithm and of GNSS.  Returns zeta [%].
     """
     return 100.0 * (gamma_gnss - gamma) / gamma_gnss
 
@@ -63,17 +46,7 @@ def credibility(gamma: FloatArray, gamma_gnss: FloatArray) -> FloatArray:
 def latency(alarm: BoolArray, window: NDArray[np.intp]) -> FloatArray:
     """Fixes from the first attacked one to the first alarm, both counted.
 
-    Parameters
-    ----------
-    alarm : ndarray
-        (K, B).
-    window : ndarray
-        Indices of the attacked fixes.
-
-    Returns
-    -------
-    ndarray
-        (B,) 1 for an alarm at once; NaN where there is none.
+    `alarm`: (K, B).  Returns (B,) 1 for an alarm at once; NaN where there is none.
     """
     inside = alarm[window]
     return np.where(inside.any(axis=0), inside.argmax(axis=0) + 1.0, np.nan)
@@ -82,18 +55,8 @@ def latency(alarm: BoolArray, window: NDArray[np.intp]) -> FloatArray:
 def recovery(alarm: BoolArray, window: NDArray[np.intp]) -> FloatArray:
     """Fixes after an attack until the first one that is believed again.
 
-    Parameters
-    ----------
-    alarm : ndarray
-        (K, B).
-    window : ndarray
-        Indices of the attacked fixes.
-
-    Returns
-    -------
-    ndarray
-        (B,) 1 for the first one; NaN where there is none until the end of the run, or where no
-        fix is left.
+    `alarm`: (K, B).  Returns (B,) 1 for the first one; NaN where there is none until the end of the
+    run, or where no fix is left.
     """
     after = ~alarm[window[-1] + 1 :]
     if not len(after):
@@ -106,19 +69,9 @@ def rates(alarm: BoolArray, attacked: BoolArray) -> dict[str, float]:
 
     The paper calls what is normal positive: its P_FA, eq. 13, is the share of attacked fixes that
     were not alarmed, its P_MD, eq. 14, the share of clean ones that were.  The sum is the same.
-
-    Parameters
-    ----------
-    alarm : ndarray
-        (K, B).
-    attacked : ndarray
-        (K,).
-
-    Returns
-    -------
-    dict
-        ``P_FA`` alarms on clean fixes, ``P_MD`` attacked fixes without an alarm, ``P_D`` fixes
-        that were told right, eq. 12; the first two are 0 where there are no such fixes.
+    `alarm`: (K, B); `attacked`: (K,).  Returns ``P_FA`` alarms on clean fixes, ``P_MD`` attacked
+    fixes without an alarm, ``P_D`` fixes that were told right, eq. 12; the first two are 0 where
+    there are no such fixes.
     """
     clean, hit = alarm[~attacked], alarm[attacked]
     return {
@@ -131,17 +84,7 @@ def rates(alarm: BoolArray, attacked: BoolArray) -> dict[str, float]:
 def retroactive(alarm: BoolArray, window: int) -> BoolArray:
     """Alarms that are also told of the fixes that led to them.
 
-    Parameters
-    ----------
-    alarm : ndarray
-        (K, B).
-    window : int
-        Fixes that an alarm speaks of, its own among them.
-
-    Returns
-    -------
-    ndarray
-        (K, B).
+    `alarm`: (K, B); `window`: fixes that an alarm speaks of, its own among them.  Returns (K, B).
     """
     told = alarm.copy()
     for back in range(1, window):

@@ -30,14 +30,9 @@ FILTERS: dict[str, dict[str, Any]] = {
 class Recording(NamedTuple):
     """What B robots measured.
 
-    Attributes
-    ----------
-    first_fix : ndarray
-        (B, 2) north, east [m].
-    increment, fix : ndarray
-        (K, B, 2) dead reckoning and GNSS positions [m].
-    truth : ndarray
-        (K, 2) [m].
+    - `first_fix`: (B, 2) north, east [m];
+    - `increment`, `fix`: (K, B, 2) dead reckoning and GNSS positions [m];
+    - `truth`: (K, 2) [m].
     """
 
     first_fix: FloatArray
@@ -54,12 +49,8 @@ class Recording(NamedTuple):
 class Judged(NamedTuple):
     """What a filter made of it.
 
-    Attributes
-    ----------
-    error : ndarray
-        (K, B, 2) estimate minus truth [m].
-    alarm : ndarray
-        (K, B) bool.
+    - `error`: (K, B, 2) estimate minus truth [m];
+    - `alarm`: (K, B) bool.
     """
 
     error: FloatArray
@@ -69,15 +60,8 @@ class Judged(NamedTuple):
 def generators(seed: int, runs: int, stream: int) -> list[np.random.Generator]:
     """Generators of some runs.
 
-    Parameters
-    ----------
-    seed, runs, stream : int
-        Of the reproduction; how many; 0 for the robots, 1 for the attacks on them.
-
-    Returns
-    -------
-    list of Generator
-        Run i has the same one whatever the number of runs.
+    `seed`, `runs`, `stream`: of the reproduction; how many; 0 for the robots, 1 for the attacks on
+    them.
     """
     return [
         np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream, i)))
@@ -86,22 +70,7 @@ def generators(seed: int, runs: int, stream: int) -> list[np.random.Generator]:
 
 
 def make_setup(data_set: RobotDataSet, detector: Any, **settings: Any) -> WheeledRobotSetup:
-    """Robots that drive a data set from its first second on.
-
-    Parameters
-    ----------
-    data_set : RobotDataSet
-        Its speed and duration are taken.
-    detector : str or mapping
-        As `make_detector` takes it.
-    **settings : dict
-        More settings of `WheeledRobotSetup`.
-
-    Returns
-    -------
-    WheeledRobotSetup
-        For any number of robots.
-    """
+    """Robots that drive a data set from its first second on."""
     return WheeledRobotSetup(
         detector=detector,
         timeline={
@@ -120,15 +89,7 @@ def make_setup(data_set: RobotDataSet, detector: Any, **settings: Any) -> Wheele
 def commands(offsets: FloatArray) -> FloatArray:
     """Actions that move the offset as a data set does.
 
-    Parameters
-    ----------
-    offsets : ndarray
-        (K, B, 2) [m].
-
-    Returns
-    -------
-    ndarray
-        (K, B, 2) in [-1, 1].
+    `offsets`: (K, B, 2) [m].  Returns (K, B, 2) in [-1, 1].
     """
     steps = np.diff(offsets, axis=0, prepend=np.zeros((1, *offsets.shape[1:])))
     return steps / (JUMP_LIMIT_MPS * INTERVAL_S)
@@ -143,21 +104,7 @@ def record(
 ) -> Recording:
     """Let robots drive, and keep what they measure.
 
-    Parameters
-    ----------
-    name : str or RobotDataSet
-        In `DATA_SETS`, or a data set.
-    seed, runs : int
-        As in `generators`.
-    offsets : ndarray, optional
-        (K, B, 2) another attack than the data set's [m].
-    **settings : dict
-        More settings of `WheeledRobotSetup`.
-
-    Returns
-    -------
-    Recording
-        Of K fixes.
+    `offsets`: (K, B, 2) another attack than the data set's [m].
     """
     data_set = DATA_SETS[name] if isinstance(name, str) else name
     setup = make_setup(data_set, "never", **settings)
@@ -175,22 +122,7 @@ def record(
 
 
 def judge(recording: Recording, detector: Any, settings: CredibleFilter | None = None) -> Judged:
-    """Filter recorded measurements with a detector in the loop.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of B robots.
-    detector : str or mapping
-        As `make_detector` takes it.
-    settings : CredibleFilter, optional
-        Of the filter.
-
-    Returns
-    -------
-    Judged
-        Errors and alarms.
-    """
+    """Filter recorded measurements with a detector in the loop."""
     count, runs, _ = recording.fix.shape
     batch = CredibleBatch(settings or CredibleFilter(), Memory(runs), INTERVAL_S)
     bound = make_detector(detector)
@@ -211,21 +143,7 @@ def judge(recording: Recording, detector: Any, settings: CredibleFilter | None =
 def ramp_offsets(rate_mps: float, begin_s: float, seconds: Sequence[int], runs: int) -> FloatArray:
     """Steady ramps in north and east, without chance.
 
-    Parameters
-    ----------
-    rate_mps : float
-        Of each axis.
-    begin_s : float
-        When they begin.
-    seconds : sequence of int
-        Times of the fixes.
-    runs : int
-        B.
-
-    Returns
-    -------
-    ndarray
-        (K, B, 2) [m].
+    Returns (K, B, 2) [m].
     """
     size = rate_mps * np.maximum(np.asarray(seconds, dtype=np.float64) - begin_s, 0.0)
     return np.tile(size[:, None, None], (1, runs, 2))

@@ -61,18 +61,7 @@ SHARED_DRAWS = 100
 
 
 def parts(settings: Settings) -> list[Part]:
-    """Work of a run.
-
-    Parameters
-    ----------
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    list of Part
-        Two for every sky, and the pictures.
-    """
+    """Work of a run."""
     draws, skies = QUICK if settings.quick else FULL
     work: list[Part] = []
     for number in range(skies):
@@ -85,38 +74,12 @@ def parts(settings: Settings) -> list[Part]:
 
 
 def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
-    """Figures of the paper beside ours.
-
-    Parameters
-    ----------
-    data : dict
-        What each part returned, by its name.
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    list of Row
-        Tables 2 to 8, and the speed.
-    """
+    """Figures of the paper beside ours."""
     draws, skies = QUICK if settings.quick else FULL
     made = separation_rows(data) + partition_rows(data)
     return fill_origins(made, draws=draws, skies=skies, seed=settings.seed)
 
 
 def figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
-    """Redraw the paper's figures from our runs.
-
-    Parameters
-    ----------
-    data : dict
-        What each part returned, by its name.
-    folder : Path
-        Where the pictures go.
-
-    Returns
-    -------
-    list of Path
-        PNG files.
-    """
+    """Redraw the paper's figures from our runs."""
     return draw_figures(data, folder)

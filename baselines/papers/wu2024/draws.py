@@ -18,17 +18,7 @@ LEAST_M = 100.0
 def subsets(satellites: int, spoofed: int, draws: int) -> NDArray[np.bool_]:
     """All subsets of one size, each as often as it takes.
 
-    Parameters
-    ----------
-    satellites, spoofed : int
-        n and how many of them.
-    draws : int
-        Least number of cases.
-
-    Returns
-    -------
-    ndarray
-        (C, n) bool, C at least `draws`.
+    Returns (C, n) bool, C at least `draws`.
     """
     chosen = np.array(list(combinations(range(satellites), spoofed)))
     masks = np.zeros((len(chosen), satellites), dtype=np.bool_)
@@ -44,20 +34,8 @@ def displacements(
     The direction is uniform in four dimensions, clock included, the length uniform; both are drawn
     again until every spoofed satellite's range is changed by more than 100 m.  What it would change
     of the authentic ones does not matter.
-
-    Parameters
-    ----------
-    rng : Generator
-        Chance.
-    lines : ndarray
-        (n, 3) rows of the geometry without the clock's column.
-    spoofed : ndarray
-        (C, n) bool.
-
-    Returns
-    -------
-    ndarray
-        (C, 4) [m].
+    `lines`: (n, 3) rows of the geometry without the clock's column; `spoofed`: (C, n) bool.
+    Returns (C, 4) [m].
     """
     G = np.column_stack([lines, np.ones(len(lines))])
     out = np.empty((len(spoofed), 4))
@@ -76,19 +54,8 @@ def displacements(
 def offsets(lines: FloatArray, spoofed: NDArray[np.bool_], displacement: FloatArray) -> FloatArray:
     """Noise-free changes of the pseudoranges.
 
-    Parameters
-    ----------
-    lines : ndarray
-        (n, 3) rows of the geometry without the clock's column.
-    spoofed : ndarray
-        (C, n) bool.
-    displacement : ndarray
-        (C, 4) [m].
-
-    Returns
-    -------
-    ndarray
-        (C, n) [m], 0 for authentic satellites.
+    `lines`: (n, 3) rows of the geometry without the clock's column; `spoofed`: (C, n) bool;
+    `displacement`: (C, 4) [m].  Returns (C, n) [m], 0 for authentic satellites.
     """
     changed = displacement[:, :3] @ lines.T + displacement[:, 3:]
     return np.where(spoofed, changed, 0.0)

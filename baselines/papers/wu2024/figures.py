@@ -24,18 +24,9 @@ CAP = 5
 def run_pictures(draws: int, seed: int) -> dict[str, Any]:
     """Cases of figures 1 and 2.
 
-    Parameters
-    ----------
-    draws : int
-        Displacements of a constellation in figure 1; figure 2 has five times as many.
-    seed : int
-        All chance follows from it.
-
-    Returns
-    -------
-    dict
-        (66, draws) numbers of hybrids with two spoofed satellites, and (5 draws, 4) displacements
-        [m] with their numbers in one constellation of six.
+    `draws`: displacements of a constellation in figure 1; figure 2 has five times as many.  Returns
+    (66, draws) numbers of hybrids with two spoofed satellites, and (5 draws, 4) displacements [m]
+    with their numbers in one constellation of six.
     """
     lines, rng = sky(SKY), np.random.default_rng([seed, SKY, 1])
     pairs = np.repeat(subsets(SATELLITES, PAIR, 1), draws, axis=0)
@@ -51,20 +42,7 @@ def run_pictures(draws: int, seed: int) -> dict[str, Any]:
 
 
 def draw_figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
-    """Redraw figures 1 and 2.
-
-    Parameters
-    ----------
-    data : dict
-        What the parts returned, by name.
-    folder : Path
-        Where the pictures go.
-
-    Returns
-    -------
-    list of Path
-        PNG files.
-    """
+    """Redraw figures 1 and 2."""
     from matplotlib.figure import Figure
 
     picture = {name: np.asarray(value) for name, value in data["pictures"].items()}

@@ -27,16 +27,10 @@ GDOP = (1.3, 2.3)
 class Place(NamedTuple):
     """A sky to search for.
 
-    Attributes
-    ----------
-    orbits : int
-        Satellites of the circular model; 0 for a random sky.
-    latitude_deg, longitude_deg : float
-        Where the receiver is.
-    mask_deg : float
-        Least elevation.
-    start_s : float
-        When to begin to search; number of the sky for a random one.
+    - `orbits`: satellites of the circular model; 0 for a random sky;
+    - `latitude_deg`, `longitude_deg`: where the receiver is;
+    - `mask_deg`: least elevation;
+    - `start_s`: when to begin to search; number of the sky for a random one.
     """
 
     orbits: int
@@ -62,15 +56,7 @@ PLACES = (
 def gdop(lines: FloatArray) -> float:
     """Geometric dilution of precision.
 
-    Parameters
-    ----------
-    lines : ndarray
-        (n, 3) rows of the geometry without the clock's column.
-
-    Returns
-    -------
-    float
-        Square root of the trace of (G^T G)^-1.
+    `lines`: (n, 3) rows of the geometry without the clock's column.
     """
     G = np.column_stack([lines, np.ones(len(lines))])
     return math.sqrt(np.trace(np.linalg.inv(G.T @ G)))
@@ -79,15 +65,7 @@ def gdop(lines: FloatArray) -> float:
 def sky(number: int) -> FloatArray:
     """Rows of one sky, minus the lines of sight.
 
-    Parameters
-    ----------
-    number : int
-        In `PLACES`.
-
-    Returns
-    -------
-    ndarray
-        (12, 3) in ECEF axes, as the paper's equation 2 has them.
+    Returns (12, 3) in ECEF axes, as the paper's equation 2 has them.
     """
     place = PLACES[number]
     return _random_sky(place) if place.orbits == 0 else _orbits(place)

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.detectors import raim as residual_vectors
-from spoofgym.detectors import raim as traversal
+from spoofgym.detectors import raim
 from spoofgym.detectors.consistency import SearchData, fit_thresholds, search_data, tabulate_cases
 
 from .draws import displacements, offsets, subsets
@@ -21,17 +20,15 @@ FloatArray = NDArray[np.float64]
 NOISE_M = 4.0
 CONFIDENCE = 0.95
 METHODS = ("srv", "traversal")
-
-
 LIMIT = fit_thresholds(NOISE_M, 1.0 - CONFIDENCE, SATELLITES)
 
 
 def _srv(data: SearchData) -> None:
-    residual_vectors.search_all(data, LIMIT, residual_vectors.SEARCH_VECTORS)
+    raim.search_all(data, LIMIT, raim.SEARCH_VECTORS)
 
 
 def _traversal(data: SearchData) -> None:
-    traversal.search_all(data, LIMIT, traversal.LARGEST_GROUP)
+    raim.search_all_paths(data, LIMIT, raim.LARGEST_GROUP)
 
 
 SEARCHES: dict[str, Callable[[SearchData], None]] = {"srv": _srv, "traversal": _traversal}
@@ -42,25 +39,10 @@ def score(
 ) -> tuple[float, float, float, float, float]:
     """Rates of one method.
 
-    Parameters
-    ----------
-    method : {"srv", "traversal"}
-        Which search.
-    lines : ndarray
-        (n, 3) rows of the geometry without the clock's column.
-    y : ndarray
-        (C, n) pseudoranges minus predicted ranges [m].
-    spoofed : ndarray
-        (C, n) bool.
-
-    Returns
-    -------
-    success, false, fail : float
-        Both groups right in either order; a partition, but another one; no partition.
-    positionings : float
-        Mean number of fits where there is a partition.
-    time_us : float
-        Mean time of a call, of the processor [us].
+    `method`: ``srv``, ``traversal``: which search; `lines`: (n, 3) rows of the geometry without the
+    clock's column; `y`: (C, n) pseudoranges minus predicted ranges [m]; `spoofed`: (C, n) bool.
+    Returns `success`, `false`, `fail` both groups right in either order; a partition, but another
+    one; no partition; `time_us` mean time of a call, of the processor [us].
     """
     cases, n = y.shape
     data = search_data(cases, n)
@@ -83,19 +65,8 @@ def score(
 def run_partitions(number: int, draws: int, seed: int) -> dict[str, Any]:
     """Tables 5 to 8 in one sky.
 
-    Parameters
-    ----------
-    number : int
-        Of the sky.
-    draws : int
-        Least number of cases for each number of spoofed satellites.
-    seed : int
-        All chance follows from it.
-
-    Returns
-    -------
-    dict
-        (11, 5) success, false, fail, positionings and time [us] by method, number of cases.
+    `draws`: least number of cases for each number of spoofed satellites.  Returns (11, 5) success,
+    false, fail, positionings and time [us] by method, number of cases.
     """
     lines, rng = sky(number), np.random.default_rng([seed, number, 5])
     result: dict[str, Any] = {}

@@ -32,19 +32,9 @@ SIZES = (12, 24, 40)
 def judge_direction(projection: FloatArray, spoofed: NDArray[np.bool_]) -> tuple[int, int, bool]:
     """What one direction and its opposite say.
 
-    Parameters
-    ----------
-    projection : ndarray
-        (n,) of the residual vectors.
-    spoofed : ndarray
-        (n,) bool, of which there are some, but not all.
-
-    Returns
-    -------
-    forth, back : int
-        Number of hybrids along the direction, and along its opposite.
-    seeded : bool
-        Whether the five largest or the five smallest are of one kind.
+    `projection`: (n,) of the residual vectors; `spoofed`: (n,) bool, of which there are some, but
+    not all.  Returns `forth`, `back` number of hybrids along the direction, and along its opposite;
+    `seeded` whether the five largest or the five smallest are of one kind.
     """
     top_s = top_a = -np.inf
     low_s = low_a = np.inf
@@ -77,21 +67,8 @@ def search_sums(
 ) -> tuple[int, int]:
     """Search all directions of S0, until there is nothing more to find.
 
-    Parameters
-    ----------
-    gram : ndarray
-        (n, n) inner products of the residual vectors.
-    spoofed : ndarray
-        (n,) bool.
-    projection : ndarray
-        (n,) scratch.
-
-    Returns
-    -------
-    hybrids : int
-        Least number.
-    seeded : int
-        1 where some direction has a seed.
+    `gram`: (n, n) inner products of the residual vectors; `spoofed`: (n,) bool; `projection`: (n,)
+    scratch.
     """
     n = gram.shape[0]
     projection[:] = 0.0
@@ -124,19 +101,10 @@ def separate_cases(
 ) -> None:
     """Numbers of hybrids and seeds of many cases.
 
-    Parameters
-    ----------
-    lines : ndarray
-        (n, 4) rows of the geometry.
-    residual, spoofed : ndarray
-        (C, n) [m] and bool.
-    vectors : ndarray
-        (V, 4) of S3.
-    hybrids, hybrids_clock : ndarray
-        (C,), written: least number over S0, and over the clock's axis and its opposite.
-    seeded : ndarray
-        (C, 2), written: whether S0 has a seed, and number of the first vector of S3 that has
-        one, V where there is none.
+    `lines`: (n, 4) rows of the geometry; `residual`, `spoofed`: (C, n) [m] and bool; `vectors`: (V,
+    4) of S3; `hybrids`, `hybrids_clock`: (C,), written: least number over S0, and over the clock's
+    axis and its opposite; `seeded`: (C, 2), written: whether S0 has a seed, and number of the first
+    vector of S3 that has one, V where there is none.
     """
     n = residual.shape[1]
     gram, p = np.empty((n, n)), np.empty(n)
@@ -163,17 +131,9 @@ def separate(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Numbers of hybrids and seeds of noise-free cases.
 
-    Parameters
-    ----------
-    lines : ndarray
-        (n, 3) rows of the geometry without the clock's column.
-    spoofed, displacement : ndarray
-        (C, n) bool, (C, 4) [m].
-
-    Returns
-    -------
-    hybrids, hybrids_clock, seeded : ndarray
-        (C,), (C,), (C, 2), as by `separate_cases`.
+    `lines`: (n, 3) rows of the geometry without the clock's column; `spoofed`, `displacement`: (C,
+    n) bool, (C, 4) [m].  Returns `hybrids`, `hybrids_clock`, `seeded` (C,), (C,), (C, 2), as by
+    `separate_cases`.
     """
     G = np.column_stack([lines, np.ones(len(lines))])
     y = offsets(lines, spoofed, displacement)
@@ -188,15 +148,7 @@ def separate(
 def histogram(hybrids: NDArray[np.int64]) -> FloatArray:
     """Parts of the cases with 0, 2, 3, 4 and more hybrids.
 
-    Parameters
-    ----------
-    hybrids : ndarray
-        (C,) numbers of hybrids.
-
-    Returns
-    -------
-    ndarray
-        (5,) sums to 1.
+    `hybrids`: (C,) numbers of hybrids.  Returns (5,) sums to 1.
     """
     bins = np.clip(hybrids - 1, 0, BINS - 1)
     return np.bincount(bins, minlength=BINS) / len(hybrids)
@@ -205,20 +157,9 @@ def histogram(hybrids: NDArray[np.int64]) -> FloatArray:
 def run_separation(number: int, draws: int, seed: int) -> dict[str, Any]:
     """Tables 2, 3 and 4 in one sky.
 
-    Parameters
-    ----------
-    number : int
-        Of the sky.
-    draws : int
-        Least number of cases for each number of spoofed satellites.
-    seed : int
-        All chance follows from it.
-
-    Returns
-    -------
-    dict
-        (11, 5) parts by number of hybrids over S0 and along the clock's axis, (11, 4) parts with a
-        seed in S0 to S3, number of cases.
+    `draws`: least number of cases for each number of spoofed satellites.  Returns (11, 5) parts by
+    number of hybrids over S0 and along the clock's axis, (11, 4) parts with a seed in S0 to S3,
+    number of cases.
     """
     lines, rng = sky(number), np.random.default_rng([seed, number, 2])
     least, clock, seeds, cases = [], [], [], 0

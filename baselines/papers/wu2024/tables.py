@@ -50,19 +50,7 @@ REST = "no band: 100 % less the others"
 def stacked(data: Data, part: str, name: str) -> FloatArray:
     """Results of all skies.
 
-    Parameters
-    ----------
-    data : dict
-        What the parts returned, by name.
-    part : str
-        How the names of the parts begin.
-    name : str
-        Of the result.
-
-    Returns
-    -------
-    ndarray
-        (skies, 11, columns).
+    Returns (skies, 11, columns).
     """
     return np.array([np.asarray(d[name]) for key, d in data.items() if key.startswith(part)])
 
@@ -75,15 +63,7 @@ def mean(values: FloatArray) -> float:
 def pooled(rates: FloatArray) -> float:
     """Mean number of fits of all cases that did not fail.
 
-    Parameters
-    ----------
-    rates : ndarray
-        (11, 4 or more) success, false, fail and fits by number of spoofed satellites.
-
-    Returns
-    -------
-    float
-        Weighted by the number of subsets and of cases.
+    `rates`: (11, 4 or more) success, false, fail and fits by number of spoofed satellites.
     """
     weight = WEIGHT * (1.0 - rates[:, 2])
     return float(weight @ rates[:, 3] / weight.sum())
@@ -100,18 +80,7 @@ def spoofed(count: int) -> str:
 
 
 def separation_rows(data: Data) -> list[Row]:
-    """Tables 2, 3 and 4.
-
-    Parameters
-    ----------
-    data : dict
-        What the parts returned, by name.
-
-    Returns
-    -------
-    list of Row
-        Ours in percent.
-    """
+    """Tables 2, 3 and 4."""
     least = 100.0 * stacked(data, "separation", "hybrids").mean(axis=0)
     clock = 100.0 * stacked(data, "separation", "hybrids_clock").mean(axis=0)
     seeded = 100.0 * stacked(data, "separation", "seeded").mean(axis=0)
@@ -159,17 +128,7 @@ TIME_LIMIT_US = {"srv": 8.0, "traversal": 80.0}
 def rate_rows(method: str, rates: FloatArray) -> list[Row]:
     """Table 5 or 7.
 
-    Parameters
-    ----------
-    method : {"srv", "traversal"}
-        Which search.
-    rates : ndarray
-        (11, 5) means over the skies.
-
-    Returns
-    -------
-    list of Row
-        Ours in percent.
+    `method`: ``srv``, ``traversal``: which search; `rates`: (11, 5) means over the skies.
     """
     table, _ = RATE_TABLES[method]
     rows = []
@@ -192,17 +151,7 @@ def rate_rows(method: str, rates: FloatArray) -> list[Row]:
 def fit_rows(method: str, rates: FloatArray) -> list[Row]:
     """Table 6 or 8.
 
-    Parameters
-    ----------
-    method : {"srv", "traversal"}
-        Which search.
-    rates : ndarray
-        (11, 5) means over the skies.
-
-    Returns
-    -------
-    list of Row
-        Mean numbers of fits.
+    `method`: ``srv``, ``traversal``: which search; `rates`: (11, 5) means over the skies.
     """
     _, table = RATE_TABLES[method]
     rows = []
@@ -221,18 +170,7 @@ def fit_rows(method: str, rates: FloatArray) -> list[Row]:
 
 
 def partition_rows(data: Data) -> list[Row]:
-    """Tables 5 to 8, and the time of a call.
-
-    Parameters
-    ----------
-    data : dict
-        What the parts returned, by name.
-
-    Returns
-    -------
-    list of Row
-        In the order of the tables.
-    """
+    """Tables 5 to 8, and the time of a call."""
     rates = {m: stacked(data, "partitions", m).mean(axis=0) for m in METHODS}
     rows = [row for m in METHODS for row in (*rate_rows(m, rates[m]), *fit_rows(m, rates[m]))]
     ratio = 100.0 * pooled(rates["srv"]) / pooled(rates["traversal"])

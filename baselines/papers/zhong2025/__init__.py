@@ -69,18 +69,7 @@ def runs_of(settings: Settings) -> tuple[int, int]:
 
 
 def parts(settings: Settings) -> list[Part]:
-    """Work of a run: every attack, every assumed noise, M1 on every satellite.
-
-    Parameters
-    ----------
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    list of Part
-        In the order in which they begin.
-    """
+    """Work of a run: every attack, every assumed noise, M1 on every satellite."""
     runs, few = runs_of(settings)
     common = {"seed": settings.seed}
     out = [
@@ -110,17 +99,7 @@ def parts(settings: Settings) -> list[Part]:
 def rows(data: Mapping[str, Mapping[str, Any]], settings: Settings) -> list[Row]:
     """Figures of the paper beside ours.
 
-    Parameters
-    ----------
-    data : dict
-        What each part returned, by its name.
-    settings : Settings
-        Of the run.
-
-    Returns
-    -------
-    list of Row
-        Tables 4 and 5, experiments 8 and 1 to 5, then what the paper does not show.
+    Returns tables 4 and 5, experiments 8 and 1 to 5, then what the paper does not show.
     """
     made = [
         *tables.table_rows(data),
@@ -135,20 +114,7 @@ def rows(data: Mapping[str, Mapping[str, Any]], settings: Settings) -> list[Row]
 
 
 def figures(data: Mapping[str, Mapping[str, Any]], folder: Path) -> list[Path]:
-    """Redraw figures 2 to 5 and 7 to 10.
-
-    Parameters
-    ----------
-    data : dict
-        What each part returned, by its name.
-    folder : Path
-        Where the pictures go.
-
-    Returns
-    -------
-    list of Path
-        PNG files.
-    """
+    """Redraw figures 2 to 5 and 7 to 10."""
     from .pictures import all_figures
 
     return all_figures(data, folder)

@@ -52,17 +52,7 @@ PROMPT = Band(FIRST_S, FIRST_S + EPOCH_S, ONE_EPOCH)
 def around(middle: float, spread: float, origin: Origin) -> Band:
     """Band of a spread around a median; a delay is a whole number of epochs, and not negative.
 
-    Parameters
-    ----------
-    middle, spread : float
-        [s].
-    origin : Origin
-        Whose.
-
-    Returns
-    -------
-    Band
-        [s].
+    All in [s].
     """
     allowed = max(spread, EPOCH_S)
     return Band(round(max(middle - allowed, FIRST_S), 2), round(middle + allowed, 2), origin)
@@ -71,15 +61,7 @@ def around(middle: float, spread: float, origin: Origin) -> Band:
 def spread_of(values: Any) -> float:
     """Standard deviation of the delays that are finite.
 
-    Parameters
-    ----------
-    values : ndarray
-        (R,) [s].
-
-    Returns
-    -------
-    float
-        0 where there are none.
+    `values`: (R,) [s].
     """
     finite = values[np.isfinite(values)]
     return float(finite.std()) if finite.size else 0.0
@@ -88,21 +70,7 @@ def spread_of(values: Any) -> float:
 def onset_band(method: str, number: int, values: Any) -> tuple[Band, str]:
     """Band of an onset's median delay.
 
-    Parameters
-    ----------
-    method : str
-        M1, M2 or M3.
-    number : int
-        Which attack.
-    values : ndarray
-        (R,) our delays.
-
-    Returns
-    -------
-    band : Band
-        [s].
-    note : str
-        What else is to be known.
+    `values`: (R,) our delays.  Returns `band` [s].
     """
     if method != "M1":
         return around(*CHART_ONSET[number], CHART), ""
@@ -116,19 +84,7 @@ def onset_band(method: str, number: int, values: Any) -> tuple[Band, str]:
 def end_band(method: str, number: int) -> tuple[Band, str]:
     """Band of a termination's median delay.
 
-    Parameters
-    ----------
-    method : str
-        M1, M2 or M3.
-    number : int
-        Which attack.
-
-    Returns
-    -------
-    band : Band
-        [s].
-    note : str
-        What else is to be known.
+    Returns `band` [s].
     """
     if method == "M2":
         return around(*CHART_END[number], CHART), ""

@@ -13,17 +13,7 @@ FloatArray = NDArray[np.float64]
 def onset_delay(alarm: NDArray[np.bool_], first: int = 0, last: int = 300) -> FloatArray:
     """Delay of the first alarm within an attack, as the paper counts it.
 
-    Parameters
-    ----------
-    alarm : ndarray
-        (K, R) bool.
-    first, last : int
-        Epochs of the attack, `last` excluded.
-
-    Returns
-    -------
-    ndarray
-        (R,) [s]; infinite where there is none.
+    `alarm`: (K, R) bool.  Returns (R,) [s]; infinite where there is none.
     """
     inside = alarm[first:last]
     return np.where(inside.any(axis=0), inside.argmax(axis=0) * EPOCH_S + FIRST_S, np.inf)
@@ -34,20 +24,9 @@ def end_delay(
 ) -> FloatArray:
     """Delay of the first epoch without an alarm after an attack, as the paper counts it.
 
-    Parameters
-    ----------
-    alarm : ndarray
-        (K, R) bool.
-    first, last : int
-        Epochs of the attack, `last` excluded.
-    until : int, optional
-        Epoch of the next attack; the end of the record by default.
-
-    Returns
-    -------
-    ndarray
-        (R,) [s]; negative where the last alarm of the attack was over before its end, and infinite
-        where there was none, or no end of it.
+    `alarm`: (K, R) bool; `until`: epoch of the next attack; the end of the record by default.
+    Returns (R,) [s]; negative where the last alarm of the attack was over before its end, and
+    infinite where there was none, or no end of it.
     """
     inside, after = alarm[first:last], alarm[last:until]
     late = np.where(after.all(axis=0), np.inf, (~after).argmax(axis=0) * EPOCH_S)

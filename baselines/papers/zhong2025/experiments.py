@@ -25,18 +25,7 @@ from .tables import Data, alarms, median_of
 
 
 def intermittent_rows(data: Data) -> list[Row]:
-    """Experiment 8: a ramp, a pause of 10 s, and a step.
-
-    Parameters
-    ----------
-    data : dict
-        By part.
-
-    Returns
-    -------
-    list of Row
-        By method.
-    """
+    """Experiment 8: a ramp, a pause of 10 s, and a step."""
     found = data[INTERMITTENT]
     printed = {"M1": (32.5, 0.01, 0.01, 0.01), "M2": (10.01,), "M3": (None,) * 4}
     unprinted = "the text has no figure for M3 here, and says that its intervals are right"
@@ -68,18 +57,7 @@ def intermittent_rows(data: Data) -> list[Row]:
 
 
 def satellite_rows(data: Data) -> list[Row]:
-    """M1 over the satellites, since the paper does not say which one it spoofs.
-
-    Parameters
-    ----------
-    data : dict
-        By part.
-
-    Returns
-    -------
-    list of Row
-        By attack.
-    """
+    """M1 over the satellites, since the paper does not say which one it spoofs."""
     out = []
     for number, attack in enumerate(TABLED):
         for what, printed in (("onset", PRINTED_ONSET), ("end", PRINTED_END)):
@@ -93,18 +71,7 @@ def satellite_rows(data: Data) -> list[Row]:
 
 
 def metric_rows(data: Data) -> list[Row]:
-    """Experiments 1 to 5: the joint detection metric against its threshold of 0.6.
-
-    Parameters
-    ----------
-    data : dict
-        By part.
-
-    Returns
-    -------
-    list of Row
-        By assumed noise and attack.
-    """
+    """Experiments 1 to 5: the joint detection metric against its threshold of 0.6."""
     out = []
     note = "the noise that the filter assumes; the true one is 1 m"
     for sd in NOISES:
@@ -126,18 +93,7 @@ def metric_rows(data: Data) -> list[Row]:
 
 
 def noise_rows(data: Data) -> list[Row]:
-    """Experiment 5 read literally: pseudoranges as noisy as the filter assumes.
-
-    Parameters
-    ----------
-    data : dict
-        By part.
-
-    Returns
-    -------
-    list of Row
-        By noise and attack.
-    """
+    """Experiment 5 read literally: pseudoranges as noisy as the filter assumes."""
     out = []
     note = (
         "no band: true noise as large as assumed, the other reading of experiments 3 to 5; a "
@@ -158,18 +114,7 @@ def noise_rows(data: Data) -> list[Row]:
 
 
 def comparator_rows(data: Data) -> list[Row]:
-    """Classics on the same runs, which the paper does not show.
-
-    Parameters
-    ----------
-    data : dict
-        By part.
-
-    Returns
-    -------
-    list of Row
-        By detector and attack.
-    """
+    """Classics on the same runs, which the paper does not show."""
     out = []
     for name in COMPARATORS:
         for number, attack in enumerate(TABLED):

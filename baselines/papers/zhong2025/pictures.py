@@ -38,20 +38,7 @@ def _panels(count: int, title: str) -> tuple[Any, list[Any]]:
 
 
 def metric_figures(data: Data, folder: Path) -> list[Path]:
-    """Figures 2 to 5: innovation, chart, their ratio, and what it is tested by.
-
-    Parameters
-    ----------
-    data : dict
-        By part.
-    folder : Path
-        Where the pictures go.
-
-    Returns
-    -------
-    list of Path
-        PNG files.
-    """
+    """Figures 2 to 5: innovation, chart, their ratio, and what it is tested by."""
     paths = []
     usual = data[f"metric-{NOISES[0]:g}m"]
     for number, attack in ((2, RAMP), (3, STEP)):
@@ -95,18 +82,7 @@ def _finish(axes: Sequence[Any]) -> None:
 
 
 def flight_figure(folder: Path) -> Path:
-    """Figure 7: the flight.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the picture goes.
-
-    Returns
-    -------
-    Path
-        PNG file.
-    """
+    """Figure 7: the flight."""
     world = setup_of(STEP, Several([METHODS["M2"]])).world
     latitude, longitude, height = np.array([ecef_to_geodetic(p) for p in world.position_e]).T
     figure, (left, right) = _panels(2, "Figure 7: flight")
@@ -122,24 +98,7 @@ def flight_figure(folder: Path) -> Path:
 
 
 def chart_figure(data: Data, folder: Path, name: str, title: str, attacks: Sequence[str]) -> Path:
-    """Figures 8 to 10: statistics of the three methods and their limits.
-
-    Parameters
-    ----------
-    data : dict
-        By part.
-    folder : Path
-        Where the picture goes.
-    name, title : str
-        Of the picture.
-    attacks : sequence of str
-        Which.
-
-    Returns
-    -------
-    Path
-        PNG file.
-    """
+    """Figures 8 to 10: statistics of the three methods and their limits."""
     figure, axes = _panels(3, title)
     quantile = two_sided_quantile(METHODS["M1"]["false_alarm"])
     for axis, method in zip(axes, ("M1", "M2", "M3"), strict=True):
@@ -157,20 +116,7 @@ def chart_figure(data: Data, folder: Path, name: str, title: str, attacks: Seque
 
 
 def all_figures(data: Data, folder: Path) -> list[Path]:
-    """Figures 2 to 5 and 7 to 10; 1 and 6 are flow charts.
-
-    Parameters
-    ----------
-    data : dict
-        By part.
-    folder : Path
-        Where the pictures go.
-
-    Returns
-    -------
-    list of Path
-        PNG files.
-    """
+    """Figures 2 to 5 and 7 to 10; 1 and 6 are flow charts."""
     folder.mkdir(parents=True, exist_ok=True)
     steps, ramps = TABLED[:3], TABLED[3:]
     return [

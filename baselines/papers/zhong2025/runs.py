@@ -64,13 +64,7 @@ INTERMITTENT = "zhong2025-intermittent"
 
 
 class Several(Detector):
-    """Several detectors on the same epochs; the first one is in the loop, the others are passive.
-
-    Parameters
-    ----------
-    specs : sequence of dict
-        As `make_detector` takes them.
-    """
+    """Several detectors on the same epochs: the first one in the loop, the others passive."""
 
     paper = "zhong2025"
     scope = "channel"
@@ -100,16 +94,10 @@ class Several(Detector):
 class Flown(NamedTuple):
     """What R runs did over K epochs from the onset on.
 
-    Attributes
-    ----------
-    alarm : ndarray
-        (D, K, R) bool, of the spoofed satellite, or of the receiver by a test of the whole.
-    others : ndarray
-        (D, R) how many other satellites a test of single satellites alarmed at least once.
-    innovation, sd : ndarray
-        (K, R) of the spoofed satellite [m].
-    average, threshold : ndarray
-        (K, R) of the first detector's chart [m]; 0 where it has none.
+    - `alarm`: (D, K, R) bool, of the spoofed satellite, or of the receiver by a test of the whole;
+    - `others`: (D, R) how many other satellites a test of single satellites alarmed at least once;
+    - `innovation`, `sd`: (K, R) of the spoofed satellite [m];
+    - `average`, `threshold`: (K, R) of the first detector's chart [m]; 0 where it has none.
     """
 
     alarm: NDArray[np.bool_]
@@ -129,23 +117,7 @@ def setup_of(
 ) -> TightlyCoupledSetup:
     """The paper's receiver under one of its attacks.
 
-    Parameters
-    ----------
-    attack : str
-        A name in `PAPER_ATTACKS`.
-    detector : Detector
-        In the loop.
-    pseudorange_sd_m : float
-        What the filter takes for the noise of pseudoranges.
-    satellite : str
-        Which one is spoofed.
-    true_sd_m : float
-        Noise of the pseudoranges.
-
-    Returns
-    -------
-    TightlyCoupledSetup
-        For an engine.
+    `pseudorange_sd_m`: what the filter takes for the noise of pseudoranges.
     """
     found = PAPER_ATTACKS[attack]
     noise = NoiseModel(pseudorange_sd=pseudorange_sd_m)
@@ -175,23 +147,7 @@ def fly(
 ) -> Flown:
     """Run an attack against a detector in the loop, with others passive.
 
-    Parameters
-    ----------
-    attack : str
-        A name in `PAPER_ATTACKS`.
-    specs : sequence of dict
-        Detectors, the first one in the loop.
-    runs : int
-        R; run r has the same noise whatever the attack and the detectors are.
-    seed : int
-        Of the noise.
-    pseudorange_sd_m, satellite, true_sd_m : optional
-        As in `setup_of`.
-
-    Returns
-    -------
-    Flown
-        From the onset to `AFTER_S` after the end.
+    Run r has the same noise whatever the attack and the detectors are.
     """
     setup = setup_of(attack, Several(specs), pseudorange_sd_m, satellite, true_sd_m)
     engine = Engine(runs, setup, threads=1)

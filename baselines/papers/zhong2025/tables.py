@@ -19,15 +19,8 @@ Data = Mapping[str, Mapping[str, Any]]
 def median_of(values: Any) -> float | None:
     """Median of some delays.
 
-    Parameters
-    ----------
-    values : ndarray
-        (R,) [s], infinite where a run was missed.
-
-    Returns
-    -------
-    float or None
-        None where half of the runs were missed, or more.
+    `values`: (R,) [s], infinite where a run was missed.  Returns None where half of the runs were
+    missed, or more.
     """
     middle = round(float(np.median(values)), 3)
     return middle if np.isfinite(middle) else None
@@ -42,16 +35,6 @@ def table_rows(data: Data) -> list[Row]:
     """Tables 4 and 5: onset and termination of every method.
 
     The intervals that the paper prints are 200 s and 350 s plus the two delays, and have no rows.
-
-    Parameters
-    ----------
-    data : dict
-        By part.
-
-    Returns
-    -------
-    list of Row
-        Attack by attack.
     """
     out = []
     for number, attack in enumerate(TABLED):

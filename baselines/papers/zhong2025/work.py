@@ -18,21 +18,9 @@ FloatArray = NDArray[np.float64]
 def table_part(attack: str, runs: int, seed: int) -> dict[str, Any]:
     """The three methods and the comparators against one attack.
 
-    Parameters
-    ----------
-    attack : str
-        A name in `PAPER_ATTACKS`.
-    runs : int
-        How many.
-    seed : int
-        Of the noise.
-
-    Returns
-    -------
-    dict
-        ``alarm_NAME`` (K, R) and ``others_NAME`` (R,) for every method and comparator, of M1 also
-        ``upper_M1`` (K, R), its alarms above the upper limit alone, and ``trace_M`` (4, K),
-        innovation, its standard deviation, average and threshold of the first run of a method.
+    Returns ``alarm_NAME`` (K, R) and ``others_NAME`` (R,) for every method and comparator, of M1
+    also ``upper_M1`` (K, R), its alarms above the upper limit alone, and ``trace_M`` (4, K),
+    innovation, its standard deviation, average and threshold of the first run of a method.
     """
     out: dict[str, Any] = {}
     plain = {"M1": METHODS["M1"], **COMPARATORS}
@@ -53,15 +41,8 @@ def table_part(attack: str, runs: int, seed: int) -> dict[str, Any]:
 def differences(xi: FloatArray) -> FloatArray:
     """Largest distance of three successive ratios from their median.
 
-    Parameters
-    ----------
-    xi : ndarray
-        (K, R) joint detection metric, 0 where nothing is detected.
-
-    Returns
-    -------
-    ndarray
-        (K, R) Delta Y of the window that ends at each epoch.
+    `xi`: (K, R) joint detection metric, 0 where nothing is detected.  Returns (K, R) Delta Y of the
+    window that ends at each epoch.
     """
     padded = np.concatenate([np.zeros((2, xi.shape[1])), xi])
     window = np.stack([padded[:-2], padded[1:-1], padded[2:]])
@@ -71,22 +52,10 @@ def differences(xi: FloatArray) -> FloatArray:
 def metric_part(pseudorange_sd_m: float, runs: int, seed: int) -> dict[str, Any]:
     """The joint detection metric under all six attacks, by the noise that the filter assumes.
 
-    Parameters
-    ----------
-    pseudorange_sd_m : float
-        As in `setup_of`.
-    runs : int
-        How many.
-    seed : int
-        Of the noise.
-
-    Returns
-    -------
-    dict
-        By attack: ``xi_NAME`` (K,) of the first run, ``average_NAME`` and ``innovation_NAME``
-        beside it, ``jump_NAME`` (R,) Delta Y at the first epoch after the attack,
-        ``settled_NAME`` (R,) its largest value in the last 50 s of the attack, and ``ended_NAME``
-        (R,) bool, whether the joint chart ends its alarm there.
+    Returns by attack: ``xi_NAME`` (K,) of the first run, ``average_NAME`` and ``innovation_NAME``
+    beside it, ``jump_NAME`` (R,) Delta Y at the first epoch after the attack, ``settled_NAME`` (R,)
+    its largest value in the last 50 s of the attack, and ``ended_NAME`` (R,) bool, whether the
+    joint chart ends its alarm there.
     """
     out: dict[str, Any] = {}
     last = 300
@@ -110,21 +79,9 @@ def metric_part(pseudorange_sd_m: float, runs: int, seed: int) -> dict[str, Any]
 def noise_part(noise_sd_m: float, runs: int, seed: int) -> dict[str, Any]:
     """The joint chart where the pseudoranges are as noisy as the filter assumes.
 
-    Parameters
-    ----------
-    noise_sd_m : float
-        Both.
-    runs : int
-        How many.
-    seed : int
-        Of the noise.
-
-    Returns
-    -------
-    dict
-        ``ended_NAME`` (R,) bool by attack: alarmed to the last epoch of the attack, and not at the
-        first one after it; ``early_NAME`` (R,) alarms that ended within the attack; and
-        ``others_NAME`` (R,) other satellites that alarmed.
+    Returns ``ended_NAME`` (R,) bool by attack: alarmed to the last epoch of the attack, and not at
+    the first one after it; ``early_NAME`` (R,) alarms that ended within the attack; and
+    ``others_NAME`` (R,) other satellites that alarmed.
     """
     out: dict[str, Any] = {}
     for attack in TABLED:
@@ -139,19 +96,7 @@ def noise_part(noise_sd_m: float, runs: int, seed: int) -> dict[str, Any]:
 def satellites_part(attack: str, runs: int, seed: int) -> dict[str, Any]:
     """M1 against an attack on each of the satellites, one after the other.
 
-    Parameters
-    ----------
-    attack : str
-        A name in `PAPER_ATTACKS`.
-    runs : int
-        How many.
-    seed : int
-        Of the noise.
-
-    Returns
-    -------
-    dict
-        ``onset`` and ``end`` (n,) medians of the delays by satellite [s].
+    Returns ``onset`` and ``end`` (n,) medians of the delays by satellite [s].
     """
     limit = two_sided_quantile(METHODS["M1"]["false_alarm"])
     onset, end = [], []

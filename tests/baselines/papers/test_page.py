@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from baselines.papers import page
 from baselines.papers.frame import Settings
-from baselines.papers.run import PaperRun, run_papers
+from baselines.papers.run import PaperRun
 from baselines.papers.tables import COUNTS
 
 from . import toy
@@ -28,11 +28,11 @@ def test_a_page_is_made_of_a_stored_full_run(tmp_path, monkeypatch):
     assert "part '1000 throws' of toy2025 is not in" in result.stderr
 
     full = PaperRun(toy.KEY, Settings(quick=False, seed=0), tmp_path / "out")
-    (found,) = run_papers([full], 1, lambda part, now: None, lambda text: None)
+    data = full.play()
     assert CliRunner().invoke(page.app, arguments).exit_code == 0
     stored = json.loads((tmp_path / "toy2025.json").read_text())
     agreed = ("paper", "runs", "seed", "origins", "rows")
-    assert {key: stored[key] for key in agreed} == found.record()
+    assert {key: stored[key] for key in agreed} == full.record(data)
     written = (tmp_path / "toy2025.md").read_text()
     assert written == page.page_text(toy, stored)
     assert written.startswith("# Dice et al. (2025)\n")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
@@ -25,8 +23,7 @@ from baselines.papers.paper import (
     rows_from_record,
     rows_record,
 )
-from baselines.papers.run import PaperRun, PartError, run_papers
-from baselines.papers.store import Store
+from baselines.papers.run import PaperRun, PartError
 
 from . import toy
 
@@ -44,78 +41,57 @@ def dice(monkeypatch, tmp_path):
     return marks
 
 
-@pytest.fixture
-def threads(monkeypatch):
-    """Threads in the place of processes, which take seconds to begin."""
-
-    @contextmanager
-    def pool(jobs):
-        with ThreadPoolExecutor(jobs) as threads:
-            yield threads
-
-    monkeypatch.setattr(running, "_pool", pool)
-
-
-def play(out, settings=QUICK, jobs=1):
-    said, ticks = [], []
-    (found,) = run_papers(
-        [PaperRun(toy.KEY, settings, out)],
-        jobs,
-        lambda part, now: ticks.append(part),
-        said.append,
-    )
-    assert sum(ticks) == pytest.approx(1.0)
-    return found, said
+def play(out, settings=QUICK, jobs=1, **options):
+    run = PaperRun(toy.KEY, settings, out)
+    return run, run.play(jobs, **options)
 
 
 def test_parts_run_in_processes_that_have_a_thread_each(dice, tmp_path, monkeypatch):
     parts = [Part(name, toy.place, {"seed": 0}) for name in ("a", "b")]
     monkeypatch.setattr(toy, "parts", lambda settings: parts)
-    monkeypatch.setattr(toy, "rows", lambda data, settings: [])
     before = os.environ.get("OMP_NUM_THREADS")
-    found, _ = play(tmp_path, jobs=2)
-    assert os.getpid() not in {result["process"] for result in found.data.values()}
-    assert {result["threads"] for result in found.data.values()} == {before or "1"}
+    _, found = play(tmp_path, jobs=2)
+    assert os.getpid() not in {result["process"] for result in found.values()}
+    assert {result["threads"] for result in found.values()} == {"1"}
     assert os.environ.get("OMP_NUM_THREADS") == before
 
 
-def test_stored_parts_are_not_run_again_and_say_the_same(dice, threads, tmp_path):
-    first, _ = play(tmp_path / "out", jobs=2)
+def test_stored_parts_are_not_run_again_and_say_the_same(dice, tmp_path):
+    run, first = play(tmp_path / "out", jobs=2)
     assert sorted(dice.read_text().split()) == ["100", "200"]
-    again, said = play(tmp_path / "out")
+    again, found = play(tmp_path / "out")
     assert sorted(dice.read_text().split()) == ["100", "200"]
-    assert not said
-    assert again.record() == first.record()
-    assert again.data["100 throws"]["eyes"].tolist() == toy.throw(100, 0)["eyes"].tolist()
+    assert again.record(found) == run.record(first)
+    assert found["100 throws"]["eyes"].tolist() == toy.throw(100, 0)["eyes"].tolist()
 
 
-def test_a_part_that_is_left_is_run(dice, threads, tmp_path):
+def test_a_part_that_is_left_is_run_and_a_damaged_one_is_named(dice, tmp_path):
+    run, _ = play(tmp_path)
+    run.store.path_of("100 throws").unlink()
     play(tmp_path)
-    run = PaperRun(toy.KEY, QUICK, tmp_path)
-    run.store.path("100 throws").unlink()
-    run.store.path("200 throws").write_bytes(b"half a file")
-    _, said = play(tmp_path)
-    assert sorted(dice.read_text().split()) == ["100", "100", "200", "200"]
-    assert len(said) == 1
-    assert "is not the result of a part" in said[0]
+    assert sorted(dice.read_text().split()) == ["100", "100", "200"]
+    run.store.path_of("200 throws").write_bytes(b"half a file")
+    with pytest.raises(ValueError, match=r"200-throws.* is damaged .*; delete it and run again"):
+        play(tmp_path)
 
 
-def test_what_other_sources_have_made_is_not_taken(dice, threads, tmp_path, monkeypatch):
+def test_what_other_sources_have_made_is_not_taken(dice, tmp_path, monkeypatch):
     play(tmp_path)
     monkeypatch.setattr(running, "digest_of_modules", lambda modules: "another")
-    with pytest.raises(ValueError, match="made from other sources or settings"):
-        PaperRun(toy.KEY, QUICK, tmp_path).result()
-    _, said = play(tmp_path)
-    assert said == [
-        "toy2025: 2 stored part(s) are of other sources and run anew: 100 throws, 200 throws"
-    ]
+    for use in (lambda: PaperRun(toy.KEY, QUICK, tmp_path).stored(), lambda: play(tmp_path)):
+        with pytest.raises(ValueError, match=r"holds other results \(config\.sources: "):
+            use()
+    play(tmp_path, overwrite=True)
     assert len(dice.read_text().split()) == 4
 
 
-def test_another_seed_and_the_full_run_have_results_of_their_own(dice, threads, tmp_path):
+def test_another_seed_and_the_full_run_have_results_of_their_own(dice, tmp_path):
     means = [
-        play(tmp_path, settings)[0].rows()[0].ours
-        for settings in (QUICK, replace(QUICK, seed=1), replace(QUICK, quick=False), QUICK)
+        run.rows(data)[0].ours
+        for run, data in (
+            play(tmp_path, settings)
+            for settings in (QUICK, replace(QUICK, seed=1), replace(QUICK, quick=False), QUICK)
+        )
     ]
     assert len(set(means)) == 3
     assert means[0] == means[-1]
@@ -123,28 +99,20 @@ def test_another_seed_and_the_full_run_have_results_of_their_own(dice, threads, 
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
-def test_a_part_that_fails_is_named_and_the_others_are_kept(
-    dice, threads, tmp_path, monkeypatch, place
+def test_a_part_that_fails_is_named_and_those_before_it_are_kept(
+    dice, tmp_path, monkeypatch, place
 ):
-    """Also where all have ended before one is looked at, as on a busy machine."""
-    parts = toy.parts(QUICK)
+    parts = [Part(part.name, part.function, part.settings) for part in toy.parts(QUICK)]
     parts.insert(place, Part("odd", toy.fail, {"seed": 0}))
     monkeypatch.setattr(toy, "parts", lambda settings: parts)
-
-    def wait_for_all(futures, return_when):
-        done, _ = wait(futures)
-        return sorted(done, key=lambda future: future.exception() is None), []
-
-    monkeypatch.setattr(running, "wait", wait_for_all)
     with pytest.raises(PartError, match=r"part 'odd' of toy2025 has failed: no die"):
         play(tmp_path)
-    store = PaperRun(toy.KEY, QUICK, tmp_path).store
-    assert store.load("100 throws") is not None
-    assert store.load("200 throws") is not None
-    assert store.load("odd") is None
+    assert len(dice.read_text().split() if dice.exists() else []) == place
+    with pytest.raises(ValueError, match="is not in"):
+        PaperRun(toy.KEY, QUICK, tmp_path).stored()
 
 
-def test_json_has_the_fields_that_were_agreed_on(dice, threads, tmp_path):
+def test_json_has_the_fields_that_were_agreed_on(dice, tmp_path):
     arguments = [toy.KEY, "--quick", "--json", "--jobs", "1", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(command.app, arguments)
     assert result.exit_code == 0
@@ -165,7 +133,7 @@ def test_json_has_the_fields_that_were_agreed_on(dice, threads, tmp_path):
     assert json.loads(every.stdout) == [told]
 
 
-def test_tables_and_figures(dice, threads, tmp_path):
+def test_tables_and_figures(dice, tmp_path):
     arguments = [toy.KEY, "--quick", "--jobs", "1", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(command.app, [*arguments, "--figures", str(tmp_path / "fig")])
     assert result.exit_code == 0
@@ -293,14 +261,17 @@ def test_origins_are_named_by_letters():
     assert [letter_of(n) for n in (0, 25, 26, 51, 52)] == ["A", "Z", "AA", "AZ", "BA"]
 
 
-def test_what_cannot_be_stored_is_named(tmp_path):
-    with pytest.raises(TypeError, match=r"part 'p' returns 'x': a set cannot be stored"):
-        Store(tmp_path).save(Part("p", toy.throw), {}, {}, {"x": {1}})
+def test_what_cannot_be_stored_is_named(dice, tmp_path, monkeypatch):
+    monkeypatch.setattr(toy, "place", lambda seed: {"x": {1}})
+    monkeypatch.setattr(toy, "parts", lambda settings: [Part("p", toy.place, {"seed": 0})])
+    with monkeypatch.context() as patch:
+        patch.setattr(running, "parts_of", lambda paper, settings: paper.parts(settings))
+        with pytest.raises(TypeError, match=r"record of cell 'p' can't be written as JSON: a set"):
+            play(tmp_path)
 
 
 def test_texts_and_comments_cost_no_run_but_code_does(tmp_path, monkeypatch):
     monkeypatch.setattr(sources, "ROOT", tmp_path)
-    sources.library_digest.cache_clear()
     package = tmp_path / "toys" / "toy2025"
     package.mkdir(parents=True)
 
@@ -325,20 +296,3 @@ def test_texts_and_comments_cost_no_run_but_code_does(tmp_path, monkeypatch):
     of_package = begin.replace("helper", "helper, RUNS")
     other = digest("runs", of_package)
     assert digest("__init__", "RUNS = 5\n") != other
-    sources.library_digest.cache_clear()
-
-
-def test_the_library_counts_but_not_its_command_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(sources, "ROOT", tmp_path)
-    library = tmp_path / "spoofgym"
-    library.joinpath("cli").mkdir(parents=True)
-
-    def digest(name, text):
-        library.joinpath(name).write_text(text)
-        sources.library_digest.cache_clear()
-        return sources.library_digest()
-
-    first = digest("filter.py", "GAIN = 1\n")
-    assert digest("cli/run.py", "GAIN = 1\n") == first
-    assert digest("filter.py", "GAIN = 2\n") != first
-    sources.library_digest.cache_clear()
