@@ -172,7 +172,7 @@ def test_a_learned_detector_is_warned_of_where_it_has_met_what_is_held_out(key, 
 
 
 def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():
-    cards, missing = detector_cards.stored_cards(), detector_cards.missing()
+    cards, missing = detector_cards.stored_detector_cards(), detector_cards.missing()
     assert {*cards} | {*missing} == {*DETECTOR_TASKS}
     assert not {*cards} & {*missing}
     assert all(key in command for key, command in missing.items())
@@ -195,7 +195,7 @@ def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():
 
 def test_the_learned_detector_is_no_worse_than_the_best_classic_by_a_tenth():
     """In two of D1 to D4, by the upper end of the paired interval of the hazard."""
-    stored, sound = detector_cards.stored_cards(), []
+    stored, sound = detector_cards.stored_detector_cards(), []
     for key, task in DETECTOR_TASKS.items():
         names = [spec["name"] for spec in detector_cards.learned_of(task)]
         scores = {score["detector"]: score for score in stored[key]["detectors"]}
@@ -205,7 +205,7 @@ def test_the_learned_detector_is_no_worse_than_the_best_classic_by_a_tenth():
 
 
 def test_every_reference_has_a_score_in_d1_and_is_refused_or_named_as_unplayed_elsewhere():
-    cards = detector_cards.stored_cards()
+    cards = detector_cards.stored_detector_cards()
     for key, card in cards.items():
         assert all("is degenerate" in why for why in card["left_out"].values())
         waiting = detector_cards.unplayed(DETECTOR_TASKS[key], card)
@@ -217,7 +217,7 @@ def test_every_reference_has_a_score_in_d1_and_is_refused_or_named_as_unplayed_e
 
 
 def test_a_card_keeps_the_rows_of_the_same_runs_and_no_others():
-    stored = detector_cards.stored_cards()["D1"]
+    stored = detector_cards.stored_detector_cards()["D1"]
     best = stored["best_classic"]
     few = [each for each in stored["detectors"] if each["detector"] in (best, "never")]
     card = {**stored, "detectors": few, "left_out": {"mine": "degenerate"}}

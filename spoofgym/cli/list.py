@@ -78,31 +78,30 @@ def card(
 
 def tasks(as_json: opt.Json = False) -> None:
     """List the tasks of spoofgym-bench-v1, with their brackets and the scores that are known."""
-    from ..bench.report import tasks as detector_cards
-    from ..bench.report import tasks as task_cards
+    from ..bench.report import tasks as stored
     from ..tasks import DETECTOR_TASKS, SUITE, TASKS
 
     if as_json:
-        print_json([*task_cards.listed(), *detector_cards.listed()])
+        print_json([*stored.listed(), *stored.listed_detectors()])
         return
     rows = [
         (key, task.env_id, task.title + (", historical" if task.historical else ""))
         for key, task in TASKS.items()
     ]
     print_table(SUITE, ("task", "environment", "what it asks for"), rows)
-    print_table("stealthy displacement", task_cards.HEAD, task_cards.score_rows())
-    print_table("admission", task_cards.ADMISSION_HEAD, task_cards.admission_rows())
+    print_table("stealthy displacement", stored.HEAD, stored.score_rows())
+    print_table("admission", stored.ADMISSION_HEAD, stored.admission_rows())
     head = ("task", "environment of a learner", "world", "families that are held out")
     defended = [
         (key, each.env_id, each.title, ", ".join(family.key for family in each.held_out))
         for key, each in DETECTOR_TASKS.items()
     ]
     print_table(f"{SUITE}, for detectors", head, defended)
-    cards = detector_cards.stored_cards()
-    print_table("protection", detector_cards.CARD_HEAD, detector_cards.card_rows(cards))
+    cards = stored.stored_detector_cards()
+    print_table("protection", stored.CARD_HEAD, stored.card_rows(cards))
     print_lines(
         f"{key} has no reference scores yet: {command}"
-        for key, command in detector_cards.missing().items()
+        for key, command in stored.missing().items()
     )
 
 

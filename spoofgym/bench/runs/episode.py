@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from numpy.typing import NDArray
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from ...core.plots import BLUE, GREEN, GREY, ORANGE, figure_class, save_figure, style
 from ...core.registry import whole_number
 from ...simulation.engine import Engine
 from ...spoofers.aim import AXES
-from .play import Attacker
-from .players import Entry
-from .play import epochs_of, to_local
 from ..scores.scores import undetected_displacement
+from .play import Attacker, epochs_of, to_local
+from .players import Entry
 from .world import Suite
 
 

@@ -15,17 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tasks import CANDIDATES, NEAR_ALARM_S, SWITCH_WITHIN_S, TURNING_DEGPS
-from ...detectors import Calibrated, Detector, Never, PooledDetector
-from ...truth.sensors import keys_of
-from ...simulation.simulator import Simulator, episode_seeds
 from ...calibration.clean_runs import RunMaxima
+from ...detectors import Calibrated, Detector, Never, PooledDetector
 from ...simulation.domain import draw
 from ...simulation.monitors import PassiveDetectors
-from ...simulation.setup import Setup
-from ...simulation.setup import generators_of, seeds_of_runs
-from .play import Runs, WarmStart, induced_error, play
+from ...simulation.setup import Setup, generators_of, seeds_of_runs
+from ...simulation.simulator import Simulator, episode_seeds
+from ...tasks import CANDIDATES, NEAR_ALARM_S, SWITCH_WITHIN_S, TURNING_DEGPS
+from ...truth.sensors import keys_of
 from ..scores.scores import counted, undetected_displacement
+from .play import Runs, WarmStart, induced_error, play
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]

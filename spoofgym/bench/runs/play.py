@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+import copy
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
+
 from ...envs.decisions import Decisions
 from ...envs.observer import Observer
 from ...envs.spoofer_binding import bound_spoofer, paced
 from ...envs.terms.action import CommandMap
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
-from ...spoofers import Spoofer
-from .players import build_spoofer
-import copy
-import functools
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
 from ...simulation.simulator import Simulator
+from ...spoofers import Spoofer
 from ..scores.scores import undetected_displacement
+from .players import build_spoofer
 
 
 def make_bound_spoofer(

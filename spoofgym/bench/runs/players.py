@@ -5,23 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
-from ...detectors import DETECTORS, Calibrated, Detector, LearnedDetector
-from ...detectors.build import asked_by_default
-from ...spoofers import SPOOFERS, Spoofer, resolve, shipped
-from ...spoofers.scaled import AMPLITUDE, Scaled, split_amplitude, with_amplitude
-from ...core.registry import Spec, label_of, make, slug, spec_of
-from ...detectors import detector_in_world
-from ...detectors.build import spec_of_judge
+
 from ...attacks import ATTACKS
+from ...core.registry import Spec, label_of, make, slug, spec_of
+from ...core.settings import describe
+from ...detectors import DETECTORS, Calibrated, Detector, LearnedDetector, detector_in_world
+from ...detectors.build import asked_by_default, spec_of_judge
 from ...envs.spoofer_binding import bound_spoofer, monitors_for, setup_of_card
 from ...simulation.setup import Setup
-from ...spoofers import Spoofer
+from ...spoofers import SPOOFERS, Spoofer, resolve
 from ...spoofers.card import Card
-from ...spoofers.scaled import split_amplitude
+from ...spoofers.scaled import AMPLITUDE, Scaled, split_amplitude, with_amplitude
 from ...spoofers.zoo import card_of, shipped
-from ...core.registry import spec_of
-from ...core.settings import describe
-
 
 TUNED = "tuned"
 """Value of a spoofer's setting that is to be searched for."""

@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
-from ...simulation.setup import Setup
-from .play import Runs, horizontal, induced, off_truth
-from ..scores.scores import Stealth, counted, stealth_of, undetected_displacement
-from typing import Any, NamedTuple
-from ..scores.scores import exceeded
 
+from ...simulation.setup import Setup
+from ..scores.scores import Stealth, counted, exceeded, stealth_of, undetected_displacement
+from .play import Runs, horizontal, induced, off_truth
 
 FloatArray = NDArray[np.float64]
 PERCENTILES = (5, 50, 95)

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-from ...envs.spoofer_binding import SETUPS
-from ...simulation import LooselyCoupledSetup, SnapshotSetup, TightlyCoupledSetup, WheeledRobotSetup, loose as loosely_coupled, robot as wheeled_robot
-from ...simulation.setup import Setup
-from .players import DEFAULT_DETECTORS
 import dataclasses
 import math
 import uuid
@@ -14,37 +9,47 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
+
 import numpy as np
-from ...core.settings import outside_sources
-from ...core.registry import check_choice, whole_number
+
 from ...attacks import ATTACKS, Attack
-from ...detectors import Calibrated, Detector, OperatingPoint, PooledDetector
+from ...core.registry import check_choice, settings_of, spec_of, whole_number
+from ...core.settings import describe, outside_sources
+from ...detectors import Calibrated, Detector, OperatingPoint, PooledDetector, detector_in_world
 from ...detectors.calibrated import resolve
 from ...envs.factory import make_setup
-from ...envs.spoofer_binding import ENV_ID, monitors_for, tuning_range_of, warn_of_headings
+from ...envs.spoofer_binding import ENV_ID, SETUPS, monitors_for, tuning_range_of, warn_of_headings
 from ...envs.spoofer_binding import spoofer_context as spoofer_context
-from ...truth.scenario import Scenario
-from ...simulation.simulator import run_serially
+from ...simulation import LooselyCoupledSetup, SnapshotSetup, TightlyCoupledSetup, WheeledRobotSetup
+from ...simulation import loose as loosely_coupled
+from ...simulation import robot as wheeled_robot
 from ...simulation.domain import Domain
 from ...simulation.monitors import Monitor
 from ...simulation.setup import SPLITS as SPLITS
-from ...simulation.setup import generators_of
+from ...simulation.setup import Setup, Timeline, generators_of
 from ...simulation.setup import seed_sequences as seed_sequences
-from ...simulation.tight import TightlyCoupledSetup
-from ...simulation.setup import Timeline
+from ...simulation.simulator import run_serially
 from ...spoofers import Scaled, Spoofer
+from ...truth.scenario import Scenario
+from ..experiments.versions import campaign_digest, versions
 from ..search.attack_suite import NAME, VERSION, Member, fitting_members, suite_digest
-from .play import make_bound_spoofer
-from .players import DEFAULT_SPOOFERS, Entry, build_spoofer, check_labels, detector_entry, fitted, oracle_labels, refuse_oracles, spoofer_entry
 from ..search.settings import Selection
 from ..search.settings import Tuning as Tuning
-from .players import fitting
-from ...core.registry import settings_of, spec_of
-from ...detectors import detector_in_world
-from ...core.settings import describe
-from ..experiments.versions import campaign_digest
-from ..experiments.versions import versions
+from .play import make_bound_spoofer
+from .players import (
+    DEFAULT_DETECTORS,
+    DEFAULT_SPOOFERS,
+    Entry,
+    build_spoofer,
+    check_labels,
+    detector_entry,
+    fitted,
+    fitting,
+    oracle_labels,
+    refuse_oracles,
+    spoofer_entry,
+)
 
 
 class Victim(NamedTuple):
