@@ -6,7 +6,7 @@ import os
 from functools import cache
 from pathlib import Path
 
-ZOO_FOLDER = Path(__file__).parent
+ZOO_FOLDER = Path(__file__).with_suffix("")
 """Where they are."""
 
 

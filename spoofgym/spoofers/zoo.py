@@ -11,7 +11,7 @@ from typing import Any
 from ..core.registry import check_choice
 from .card import Card
 
-ZOO_FOLDER = Path(__file__).parent
+ZOO_FOLDER = Path(__file__).with_suffix("")
 """Where they are."""
 
 

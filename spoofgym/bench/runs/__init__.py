@@ -1,0 +1,1 @@
+"""Worlds, players, and what they did in one run."""
