@@ -178,7 +178,7 @@ def test_what_is_kept_is_not_played_again_and_is_the_same(tmp_path, monkeypatch,
 def test_other_runs_or_another_world_are_other_entries(tmp_path):
     def entry(**settings):
         found, detector = game(folder=tmp_path, **settings), strategy_of(CHI2, "detector")
-        kept = KeptEntries(tmp_path, found.suite, found.seeds)
+        kept = KeptEntries(tmp_path, found.world, found.runs, found.seeds)
         return kept.file_of(strategy_of(RAMP, "spoofer"), detector, found.detector(detector))
 
     files = [
@@ -332,7 +332,7 @@ def test_a_detector_that_leaves_no_run_has_no_payoff():
         ({"split": "mine"}, "split"),
         ({"payoff": "gold"}, "payoff"),
         ({"speed": 1.0}, "speed"),
-        ({"task": "T3"}, "decides the world"),
+        ({"task": "T3"}, "can't be given with task T3"),
     ],
 )
 def test_bad_games_are_refused(settings, words):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...calibration.clean_runs import Progress, Silent, weighs
-from ...core.registry import check_choice, check_keywords
+from ...core.registry import check_choice, check_keywords, whole_number
 from ...detectors import Detector, Never, detector_in_world
 from ...detectors.calibrated import resolve
 from ...envs.terms.observation import REPORTED
@@ -27,7 +27,7 @@ from ...simulation.setup import SPLITS, Setup
 from ...simulation.simulator import Simulator
 from ...tasks import task_of
 from ..runs.play import Runs, WarmStart, induced_error, play
-from ..runs.world import WORLD, Suite
+from ..runs.world import WORLD, World
 from ..scores.matrix_game import PayoffMatrix, Played, RunPayoff
 from ..scores.scores import counted, undetected_displacement
 from .game_entries import KeptEntries
@@ -82,7 +82,7 @@ class Game:
     progress : Progress, optional
         Shows how far it is, in passes of the engine.
     **world
-        Without a task: settings of the environment as `Suite` takes them.
+        Without a task: settings of the environment as `World.of` takes them.
 
     Raises
     ------
@@ -120,24 +120,19 @@ class Game:
         check_choice("split", split, [name for name in SPLITS if name != "calibration"])
         if task is None:
             check_keywords("Game", world, (*WORLD, "env", "settings"))
-        else:
-            if world:
-                raise ValueError(
-                    f"task {task} decides the world: `{', '.join(world)}` can't be given with it"
-                )
-            known = task_of(task)
-            world = known.world_kwargs
-            limit_m = known.alert_limit_m if limit_m is None else limit_m
+        self.world = World.of(task, **world)
+        if task is not None and limit_m is None:
+            limit_m = task_of(task).alert_limit_m
         if limit_m is None:
             raise ValueError("`limit_m` is needed: this world has no alert limit of its own")
         self._world = {**world, "task": task} if task is None else {"task": task}
         self._world |= {"payoff": payoff, "limit_m": limit_m, "folder": folder}
         self._world |= {"threads": threads, "progress": progress}
-        self.suite = Suite(
-            **world, detectors=["never"], spoofers=["none"], runs=runs, entropy=entropy
-        )
+        self.runs, entropy = whole_number("`runs`", runs, 2), whole_number("`entropy`", entropy)
         self.task, self.payoff, self.seeds = task, RunPayoff(payoff, limit_m), (entropy, split)
-        self._kept = None if folder is None else KeptEntries(Path(folder), self.suite, self.seeds)
+        self._kept = (
+            None if folder is None else KeptEntries(Path(folder), self.world, self.runs, self.seeds)
+        )
         self.threads, self.progress = threads, progress or Silent()
         self._judges: dict[str, tuple[Detector, bool]] = {}
         self._fields: dict[tuple[str, ...], _Field] = {}
@@ -147,7 +142,7 @@ class Game:
     @property
     def setup(self) -> Setup:
         """The world, without a defence."""
-        return self.suite.world
+        return self.world.setup
 
     def on(self, split: str, runs: int | None = None, entropy: int | None = None) -> Game:
         """The same game on runs of another split.
@@ -164,7 +159,7 @@ class Game:
         Game
             With the same folder and payoff.
         """
-        count = self.suite.runs if runs is None else runs
+        count = self.runs if runs is None else runs
         seed = self.seeds[0] if entropy is None else entropy
         return Game(**self._world, runs=count, entropy=seed, split=split)
 
@@ -304,7 +299,7 @@ class Game:
             else:
                 monitors = [EpochAlarms(judges), *monitors]
                 setup = self.setup.altered(detector=Never(), monitors=monitors)
-            rngs = self.suite.generators(self.seeds[1], self.suite.runs)
+            rngs = self.world.generators(*self.seeds, self.runs)
             start = WarmStart(setup, rngs, threads=self.threads)
             early = start.warmup_alarm[None]
             if not alone:

@@ -12,9 +12,10 @@ from ...core.files import remove_stale_parts, whole_file
 from ...core.settings import digest_of, outside_sources
 from ...detectors import Detector
 from ...detectors.calibrated import factors_of
-from ..runs.world import WORLD, Suite
+from ..runs.world import WORLD, World
 from ..scores.matrix_game import Played
 from .members import Member
+from .versions import versions
 
 FORMAT = 1
 
@@ -23,8 +24,8 @@ class KeptEntries:
     """Folder of what the pairs of one world have played on one set of runs. `seeds`: entropy and
     split of the runs."""
 
-    def __init__(self, folder: Path, suite: Suite, seeds: tuple[int, str]) -> None:
-        self.folder, self.suite, self.seeds = folder, suite, seeds
+    def __init__(self, folder: Path, world: World, runs: int, seeds: tuple[int, str]) -> None:
+        self.folder, self.world, self.runs, self.seeds = folder, world, runs, seeds
         folder.mkdir(parents=True, exist_ok=True)
         remove_stale_parts(folder)
 
@@ -61,15 +62,19 @@ class KeptEntries:
         if spoofer.spec is None or detector.spec is None:
             return None
         factors = factors_of(judge)
+        around = outside_sources(*self.world.parts)
         outside = outside_sources(judge, spoofer.spec, detector.spec)
-        if None in outside.values():
+        if None in (*around.values(), *outside.values()):
             return None
-        config = self.suite.config
+        config = self.world.config
         named = {
             "format": FORMAT,
-            "world": {name: config[name] for name in (*WORLD, "env", "versions", "outside")},
+            "world": {
+                **{name: config[name] for name in (*WORLD, "env")},
+                **{"versions": versions(), "outside": around},
+            },
             "settings": config.get("settings"),
-            "runs": [self.suite.runs, *self.seeds],
+            "runs": [self.runs, *self.seeds],
             "spoofer": spoofer.spec,
             "detector": [detector.spec, *factors],
             "sources": outside,
