@@ -58,6 +58,7 @@ docs/papers/*
 :hidden:
 :caption: The library
 docs/architecture
+docs/tree
 docs/performance
 docs/api/README
 CONTRIBUTING

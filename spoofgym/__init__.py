@@ -3,28 +3,29 @@
 All of it is simulation at the level of measurements, for defence research: no radio signal is
 ever generated.
 
-**Map**
+**Map**, from the ground up
 
-earth      the ellipsoid and its gravity, frames, attitude, ranges over the turning Earth
-sim        the authentic world: flights, inertial sensors, clocks, satellites, errors, noise
-attacks    what a spoofer can physically do to measurements
-receiver   the victim: strapdown, tightly and loosely coupled filters, least squares, replay
-io         readers of recorded tracks and of navigation files
-policies   what a learned policy is: contract, ONNX model, card
-detectors  one algorithm a file, behind one contract
-simulators B receivers of one kind of victim in step, without Gymnasium
-spoofers   scripted and learned ones, which decide what the attack does
-envs       what Gymnasium sees: one step path over any victim, terms, wrappers
-duel       the game of a spoofer and a detector, its two forms and the views of one side
-duel_v0    what is public of the duel, for PettingZoo and Gymnasium
-tasks      the tasks of `spoofgym-bench-v1`, and the papers' scenarios
-detector_tasks  its tasks for detectors
-bench      campaigns: detectors x spoofers x paired seeds, and their scores
-sb3        the vector environment of stable-baselines3, and a callback that scores
-export     from a model to an ONNX file with its card
-testing    check_detector, check_attack, check_spoofer
-limits     how far any attack can go unseen: bounds, floors, the blind optimum
-cli        the command line: `spoofgym --help`
+core         no physics: registry, settings, files, memory, threads, compiled code
+earth        ellipsoid and gravity, frames, attitude
+truth        what really happens: flights, sensors, clocks, satellites, errors, noise
+data         recorded flights and navigation files
+attacks      what a spoofer can physically do to measurements
+receiver     the victim: strapdown, tightly and loosely coupled filters, least squares, replay
+policies     what a learned policy is: contract, ONNX model, card
+detectors    one algorithm or family a file, behind one contract
+simulation   B receivers of one kind of victim in step, without Gymnasium
+calibration  thresholds from clean runs, for a rate of false alarms
+limits       what no attack, and no detector, exceeds
+spoofers     scripted and learned ones, which decide what the attack does
+envs         what Gymnasium sees: one step path over any victim, terms, wrappers, pictures
+tasks        tasks for spoofers and for detectors, frozen settings
+duel         the game of a spoofer and a detector, its two forms and the views of one side
+bench        detectors x spoofers x paired seeds: runs, scores, searches, experiments, reports
+duel_v0      what is public of the duel, for PettingZoo and Gymnasium
+testing      check_detector, check_attack, check_spoofer
+export       from a model to an ONNX file with its card
+sb3          the vector environment of stable-baselines3, and a callback that scores
+cli          the command line: `spoofgym --help`
 
 `spoofgym.evaluate` scores any spoofer by the rule of the benchmark, and
 `spoofgym.evaluate_detector` any detector.

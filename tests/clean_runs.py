@@ -58,7 +58,7 @@ def attitude_error(simulator: TightlyCoupledSimulator) -> np.ndarray:
 
 
 def state_error(simulator: TightlyCoupledSimulator) -> np.ndarray:
-    """(B, 17) errors with the signs of `error_model`.
+    """(B, 17) errors with the signs of `receiver.states`.
 
     A bias is what an accelerometer or a gyro adds in straight flight at the present specific force:
     errors of scale act on it as on a bias.  What they make of a rotation is no bias.

@@ -28,8 +28,8 @@ MEANWHILE = (
     "agents/",
     "conformance/test_compiled.py",
     "conformance/test_docstrings.py",
-    "io/",
-    "test_jit.py",
+    "core/test_compile.py",
+    "data/",
 )
 """For the other processes in these two minutes: needs little of it, or nothing."""
 LONG = (
@@ -105,9 +105,9 @@ def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(autouse=True, scope="session")
 def _no_word_of_compiling() -> None:
     """In which test the notice would appear on stderr depends on the machine and the order."""
-    from spoofgym.core import compile as _jit
+    from spoofgym.core import compile as compiling
 
-    _jit.NOTICE_S = math.inf
+    compiling.NOTICE_S = math.inf
 
 
 @pytest.fixture(scope="session")

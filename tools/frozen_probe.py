@@ -64,7 +64,7 @@ IMPORTS = {
     "evaluate": "spoofgym:evaluate",
     "evaluate_detector": "spoofgym:evaluate_detector",
     "default_rate": "spoofgym.detectors.calibrated:DEFAULT_RATE",
-    "own_calibrations": "spoofgym.detectors.calibration_file:FOLDER_VARIABLE",
+    "own_calibrations": "spoofgym.detectors.calibration:FOLDER_VARIABLE",
 }
 """What is imported or patched, by use; the name map may give other places in the new tree."""
 TIMES = "--warmup-s 20 --live-s 10 --attack-s 20 --time-to-alert-s 5"

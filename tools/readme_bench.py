@@ -22,7 +22,6 @@ from spoofgym.bench.report import table as tables
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.scores.bounds import HALF, STEALTHY, headline
 from spoofgym.core.files import write_file
-from spoofgym.spoofers import Feedback
 from tools.headlines import KEPT as FULL
 from tools.pages import put_between
 
@@ -35,13 +34,13 @@ WORLD = "trolley"
 SPOOFERS = {
     "ramp": "ramp",
     "snapshot-chi2-profile": "profile",
-    "blind-optimum": "blind optimum",
-    "feedback": tables.titled("feedback", Feedback.knowledge),
+    "blind-optimum": "open-loop",
+    "feedback": "feedback (sees statistics)",
 }
 """Whose stealthy displacements are shown, and their headings."""
 DEFAULTS = ("snapshot-chi2", "windowed-chi2", "ewma", "joint-chart", "innovation-rate", "raim")
 """Detectors with their own settings that the README shows, besides the first ones."""
-HEAD = ("detector", "in 50 % of runs", "in 5 %", *SPOOFERS.values(), "bracket")
+HEAD = ("detector", "in 50 % of runs", "in 5 %", *SPOOFERS.values(), "bounds")
 OVER = "*"
 SHARES = (0.5, 0.05)
 
@@ -72,16 +71,16 @@ def shown(world: dict[str, Any]) -> str:
     floor = world["limits"]["floor"]["floor_m"]
     return "\n".join(
         [
-            "Displacement in metres that the worst attack of the suite exceeds before anyone "
-            "notices, and what spoofers reach that keep to 5 % of alarms",
-            f"(`{OVER}`: over it). All detectors have 0.2 false alarms an hour, "
+            "Displacement in metres that the worst attack of the suite exceeds undetected, "
+            "and what spoofers reach undetected with alarms in at most 5 % of the runs",
+            f"(`{OVER}`: in more). All detectors have 0.2 false alarms an hour, "
             f"{100 * per_run:.3g} % of runs. World of task T3, `{world['scenario']}`: "
             f"{world['runs']} runs, sky, heading,",
             "onset and sensors drawn for each; "
-            f"`{world['command']}`, campaign {world['campaign']}. A perfect detector would allow "
-            f"{tables.number(floor['half']['value'])} m in half of the runs. The bracket is the",
-            "floor of a stealthy attack, the blind optimum found, and the zero-alarm bound "
-            "([assumptions](docs/limits.md)).",
+            f"`{world['command']}`, campaign {world['campaign']}. An ideal detector would allow "
+            f"{tables.number(floor['half']['value'])} m in half of the runs. The bounds are the",
+            "lower limit of a stealthy attack (ideal detector), the optimized open-loop attack "
+            "(`blind-optimum`), and the zero-alarm bound ([assumptions](docs/limits.md)).",
             "",
             *markdown_table(HEAD, [_row(world, row) for row in chosen(world)]),
             "",
@@ -114,7 +113,7 @@ def _reached(cell: dict[str, Any]) -> str:
 
 
 def _bracket(found: dict[str, Any]) -> str:
-    """Floor, blind optimum and zero-alarm bound of a detector."""
+    """Lower limit, optimized open-loop attack and zero-alarm bound of a detector."""
     floor, best = found["floor_m"][STEALTHY], found["blind_optimum"]
     bound = found["zero_alarm"]
     sign = "<= " if bound["kind"] == "upper" else ""

@@ -78,7 +78,7 @@ def _leave(code: int) -> NoReturn:
 
     An interrupt can leave a thread, of this package or of another, somewhere in compiled code.  One
     that comes back while the interpreter is taken down aborts the process, whose exit code is lost.
-    Nothing else is: files are whole or absent (`_files`), and what waits for the end, temporary
+    Nothing else is: files are whole or absent (`core.files`), and what waits for the end, temporary
     folders and threads, has exit hooks, which are run.
     """
     try:

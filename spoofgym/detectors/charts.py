@@ -32,8 +32,8 @@ Deviations from `zhong2025`, whose method M2 this is:
 4. The range rates keep weight 1, and the covariance update with the unweighted gain is the
    receiver's default (``covariance_update="unweighted"``), without which the delays are not met.
 5. A satellite that sets and rises starts again.
-6. Exclusion can be limited in time and in number (`lockout`).  It is not by default, so that the
-   chart stays the one that the shipped spoofers were trained against.
+6. Exclusion can be limited in time and in number (`limit_exclusions`).  It is not by default, so
+   that the chart stays the one that the shipped spoofers were trained against.
 
 Source: `zhong2025`, eqs. 11 to 14; the chart is from `roberts1959`, the weights from `yang2002`.
 
@@ -71,8 +71,8 @@ Deviations from `zhong2025`, whose method M3 this is:
    the epoch after the onset on.
 2. The ratio is formed only where :math:`|\Lambda| > T`, which keeps it finite.
 3. The time index of the threshold is set back with :math:`\Lambda`.
-4. m = 0.1 as printed locks satellites out; the default is 0.3, and exclusion is limited
-   (`lockout`).  ``weight_scale=0.1, max_exclusion_s=None, min_satellites=0`` is the paper's.
+4. m = 0.1 as printed locks satellites out; the default is 0.3, and exclusion is limited, by
+   `limit_exclusions`; ``weight_scale=0.1, max_exclusion_s=None, min_satellites=0`` is the paper's.
 5. A satellite that sets and rises starts again.
 
 The rate of false alarms is a little below that of the EWMA chart, since a false alarm can end
@@ -102,7 +102,7 @@ Deviations from `zhong2025`, whose method M1 this is:
 2. The paper tests pseudoranges alone, which is the default.  With ``signals="both"`` a satellite's
    statistic is the larger of its two, and each is tested at :math:`\alpha/2`.
 3. The paper's M1 has no weights; nor has this one by default.  `weight_scale` gives it those that
-   M2 has, with limits of exclusion (`lockout`).
+   M2 has, with limits of exclusion (`limit_exclusions`).
 
 Source: `zhong2025`, eqs. 15 and 16; the chart is from `shewhart1931`.
 """

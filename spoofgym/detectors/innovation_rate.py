@@ -22,7 +22,7 @@ read so, the filter has no gain.  Here the equation is integrated over the inter
 Rate of every satellite's innovation, with robust weights in the loop if wanted.
 
 A constant offset of an innovation, such as a satellite bias leaves, is no sign of an attack; that
-it changes is.  A small Kalman filter (`rate_filter`) estimates the rate v of the normalized
+it changes is.  A small Kalman filter (`advance`) estimates the rate v of the normalized
 pseudorange innovation, and an alarm is raised where
 
 .. math:: |v_k| > z_{a_0 / 2} \sqrt{P_{v,k}}, \qquad a_0 = 1 - (1 - P_{fa})^{1/n},

@@ -1,4 +1,4 @@
-r"""Bank of coasting solutions; its `_kernels` beside it.
+r"""Bank of coasting solutions; its kernels are in `_solution_separation_kernels`.
 
 Solution separation: the filter's solution against those that have taken no GNSS for a while.
 

@@ -29,7 +29,7 @@ class LooseState(NamedTuple):
     - `position_e`, `velocity_e` (B, 3) ECEF [m], [m/s];
     - `C_eb` (B, 3, 3) attitude;
     - `bias` (B, 6) of gyros [rad/s] and accelerometers [m/s^2];
-    - `covariance` (B, 15, 15) in the order of `loose_model`;
+    - `covariance` (B, 15, 15) in the order of `loose_states`;
     - `innovation`, `innovation_cov` (B, 3) and (B, 3, 3) of the epoch, GNSS minus prediction; east,
       north, up [m];
     - `measurement_cov` (B, 3, 3) R of the next update [m^2];

@@ -1,6 +1,6 @@
 r"""A tightly coupled filter with states for all that is not white, so that its innovations are.
 
-To the 17 states of `error_model` come
+To the 17 states of `receiver.states` come
 
 - the 27 errors of scale, cross coupling and g-dependence of the inertial sensors, constants that
   move attitude and velocity as biases of the size of the motion would,
@@ -201,7 +201,7 @@ class AugmentedFilter:
                 mine[to] = other.shown[name][rows]
 
     def begin(self, rows: NDArray[np.intp], covariance: FloatArray, grade: str) -> None:
-        """Begin new episodes; `covariance` (17, 17) of the states of `error_model`."""
+        """Begin new episodes; `covariance` (17, 17) of the states of `receiver.states`."""
         more = np.concatenate([matrix_variances(grade), self.model.first])
         P = np.diag(np.concatenate([np.zeros(STATES), more]))
         P[:STATES, :STATES] = covariance

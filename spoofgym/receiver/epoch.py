@@ -134,7 +134,7 @@ class ReceiverBuffers:
 
     @property
     def covariance(self) -> FloatArray:
-        """(B, 17, 17) in the order of `error_model`, a copy."""
+        """(B, 17, 17) in the order of `receiver.states`, a copy."""
         return self.fields["packed_covariance"][:, INDEX]
 
     def put_covariance(self, rows: NDArray[np.intp], covariance: FloatArray) -> None:

@@ -12,8 +12,8 @@ diagonal of the stacked rows, H = D E, and because the measurement noise R is di
 by the push-through identity.  No m x m matrix is factored, and any number of satellites, also
 none, costs the same 8 x 8 solution.
 
-All functions are of lane arrays (`_simd`), one group of receivers at a time.  A lower triangle of
-4 x 4 is kept in ten rows, column by column: 00 10 20 30 11 21 31 22 32 33.
+All functions are of lane arrays (`core.simd`), one group of receivers at a time.  A lower triangle
+of 4 x 4 is stored in ten rows, column by column: 00 10 20 30 11 21 31 22 32 33.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The victim is the credible Kalman filter, and the detector decides which fixes it believes.  With a
 high limit of the rate a displacement jumps within one fix.
 
-Source: `song2021`; the physics is in `sim.robot_track`, `sim.odometry` and `receiver.credible`.
+Source: `song2021`; the physics is in `truth.robot` and `receiver.credible`.
 """
 
 from __future__ import annotations

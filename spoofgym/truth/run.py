@@ -1,8 +1,8 @@
-"""All truth of one run, for each victim (class `Truth`: *World* is the benchmark's word).
+"""All truth of one run, for each victim.
 
 The world of a loosely coupled receiver: a flight, inertial sensors, GNSS positions.
 
-Its measurement is a position, so that there are no satellites; all else is as in `world`.
+Its measurement is a position, so that there are no satellites; all else is as in `World`.
 """
 
 from __future__ import annotations
@@ -249,7 +249,7 @@ class InertialErrors:
 
     @cached_property
     def initial_sd(self) -> FloatArray:
-        """(15,) of the first state, east-north-up axes: `receiver.loose_model`; SI, radians."""
+        """(15,) of the first state, east-north-up axes: `receiver.loose_states`; SI, radians."""
         arcsec = _DEG / 3600.0
         return np.concatenate(
             [

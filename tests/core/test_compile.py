@@ -61,10 +61,10 @@ def test_an_edit_counts_for_its_layer_and_those_above(tree, package):
 
 def test_a_new_a_renamed_and_a_nested_file_count(tree):
     before = digests()
-    (tree / "sim" / "weather.py").write_text("RAIN = 1.0\n")
+    (tree / "truth" / "weather.py").write_text("RAIN = 1.0\n")
     assert changed(before) == list(compiling.COMPILED_LAYERS[1:])
     before = digests()
-    (tree / "sim" / "weather.py").rename(tree / "sim" / "climate.py")
+    (tree / "truth" / "weather.py").rename(tree / "truth" / "climate.py")
     assert changed(before) == list(compiling.COMPILED_LAYERS[1:])
     before = digests()
     (tree / "envs" / "more").mkdir()
@@ -74,7 +74,7 @@ def test_a_new_a_renamed_and_a_nested_file_count(tree):
 
 def test_what_is_no_source_does_not_count(tree):
     before = digests()
-    (tree / "sim" / "notes.txt").write_text("rain")
+    (tree / "truth" / "notes.txt").write_text("rain")
     (tree / "spoofers").mkdir()
     (tree / "spoofers" / "idea.py").write_text("")
     assert changed(before) == []
@@ -83,7 +83,7 @@ def test_what_is_no_source_does_not_count(tree):
 def test_the_decorator_the_vectors_and_numba_s_version_count_for_all(tree, monkeypatch):
     before = digests()
     for name in ("compile.py", "simd.py", "lanes.py"):
-        path = tree / name
+        path = tree / "core" / name
         path.write_text(path.read_text() + "\n# a comment\n")
         assert changed(before) == list(compiling.COMPILED_LAYERS)
         before = digests()
@@ -99,7 +99,7 @@ def test_a_module_belongs_to_its_package_s_layer():
 
 
 def test_the_least_recently_used_digests_are_pruned(tmp_path):
-    folders = [tmp_path / f"sim-{k:016x}" for k in range(compiling.KEPT_DIGESTS + 5)]
+    folders = [tmp_path / f"truth-{k:016x}" for k in range(compiling.KEPT_DIGESTS + 5)]
     for age, folder in enumerate(folders):
         folder.mkdir()
         (folder / "code.nbi").write_text("")
@@ -114,7 +114,7 @@ def test_the_least_recently_used_digests_are_pruned(tmp_path):
 
 
 def test_code_that_a_process_may_still_add_to_is_not_pruned(tmp_path):
-    folders = [tmp_path / f"sim-{k:016x}" for k in range(compiling.KEPT_DIGESTS + 5)]
+    folders = [tmp_path / f"truth-{k:016x}" for k in range(compiling.KEPT_DIGESTS + 5)]
     for folder in folders:
         folder.mkdir()
     os.utime(folders[3], (1e9, 1e9))
@@ -123,7 +123,7 @@ def test_code_that_a_process_may_still_add_to_is_not_pruned(tmp_path):
 
 
 def test_pruning_what_is_not_there_is_no_error(tmp_path):
-    compiling._prune(tmp_path / "none", tmp_path / "none" / "sim-0")
+    compiling._prune(tmp_path / "none", tmp_path / "none" / "truth-0")
 
 
 @pytest.mark.nojit
@@ -201,7 +201,7 @@ with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
     from spoofgym.core import compile as compiling
     compiling.NOTICE_S = float("inf")  # whether compiling takes that long depends on the machine
-    from spoofgym.earth import ranging, wgs84  # two modules, one warning
+    from spoofgym.earth import attitude, wgs84  # two modules, one warning
     from spoofgym.truth import noise  # another layer
     assert abs(wgs84.gravity(6378137.0, 0.0, 0.0)[0] + 9.78) < 1e-3
 told = [str(w.message) for w in caught if issubclass(w.category, RuntimeWarning)]
@@ -250,7 +250,7 @@ def test_a_folder_that_cannot_be_written_gives_one_warning_and_works(tmp_path):
     fallback = temporary / f"spoofgym-cache-{os.getuid()}"
     assert str(fallback) in told[0]
     kept = sorted(path.name.split("-")[0] for path in fallback.iterdir())
-    assert kept == ["earth", "sim"]
+    assert kept == ["earth", "truth"]
     assert list(fallback.rglob("*.nbi"))
 
 
@@ -384,7 +384,7 @@ def test_a_damaged_cache_is_compiled_again_with_one_line(tmp_path):
 def test_a_folder_that_can_be_written_is_made_and_used(tmp_path):
     folder, temporary = tmp_path / "some" / "cache", tmp_path / "temporary"
     assert in_a_new_process(folder, temporary) == (0, [])
-    assert {path.name.split("-")[0] for path in folder.iterdir()} == {"earth", "sim"}
+    assert {path.name.split("-")[0] for path in folder.iterdir()} == {"earth", "truth"}
     written = sorted(folder.rglob("*.nbi"))
     assert written
     times = [path.stat().st_mtime_ns for path in written]
@@ -407,11 +407,11 @@ import numpy as np
 from spoofgym.core import compile as compiling
 compiling.NOTICE_S = float("inf")
 from spoofgym.core.compile import is_part
-from spoofgym.earth import ranging, wgs84
+from spoofgym.earth import wgs84
 from spoofgym.truth import _kernels
 
 def forms():
-    return [is_part(each) for each in ranging.range_and_rate.overloads.values()]
+    return [is_part(each) for each in wgs84.range_and_rate.overloads.values()]
 
 satellites, visible = np.zeros((1, 1, 8)), np.ones((1, 1), dtype=np.bool_)
 satellites[0, 0, :6] = 2e7, 3e6, 1e6, 1.0, 2e3, 3e3
@@ -420,7 +420,7 @@ assert forms() == []
 _kernels.fill_ranges(satellites, visible, position, velocity)
 before = forms()
 arguments = [*satellites[0, 0, :6].tolist(), *position[0].tolist(), *velocity[0].tolist()]
-found = ranging.range_and_rate(*arguments)
+found = wgs84.range_and_rate(*arguments)
 assert found[:2] == tuple(satellites[0, 0, 6:].tolist()), found
 _kernels.fill_ranges(satellites.astype(np.float64), visible, position[::1], velocity)
 print(before, forms())
@@ -440,7 +440,7 @@ def test_what_only_compiled_code_calls_is_compiled_within_it(tmp_path):
 
     kernel, _, _ = PARTS.partition("arguments =")
     assert run(kernel + "print(before)") == ("[True]", {"_kernels.fill_ranges"})
-    both = {"_kernels.fill_ranges", "ranging.range_and_rate"}
+    both = {"_kernels.fill_ranges", "wgs84.range_and_rate"}
     assert run(PARTS) == ("[] [False]", both)  # the kernel is loaded, with its parts in it
     for path in tmp_path.rglob("*.nb[ic]"):
         path.unlink()

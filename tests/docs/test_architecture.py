@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import runpy
 
@@ -46,3 +47,48 @@ def test_the_files_of_the_flow_of_a_step_exist():
     paths = re.findall(r"(?<=\s)[\w/]+\.py", flow)
     assert len(paths) > 10
     assert [path for path in paths if not places(path)] == []
+
+
+def only_exports(path):
+    """Whether a module has neither a function nor a class of its own."""
+    body = ast.parse(path.read_text()).body
+    return not any(isinstance(node, ast.FunctionDef | ast.ClassDef) for node in body)
+
+
+def files_of_the_tree():
+    """Paths that docs/tree.md lists, without their `.py`."""
+    (block,) = re.findall(r"```text\n(.*?)```", text_of("tree.md"), flags=re.DOTALL)
+    folder, found = "", []
+    for line in block.splitlines():
+        if line.startswith("  "):
+            name, words = line.split(maxsplit=1)
+            assert words
+            found.append(folder + name)
+        else:
+            assert line.endswith("/")
+            folder = line.removeprefix("spoofgym/")
+    return found
+
+
+def test_every_file_of_the_package_stands_in_the_tree_once():
+    package = ROOT / "spoofgym"
+    found = files_of_the_tree()
+    files = {
+        str(path.relative_to(package).with_suffix(""))
+        for path in package.rglob("*.py")
+        if path == package / "__init__.py" or path.name != "__init__.py" or not only_exports(path)
+    }
+    bare = {name for name in found if name.endswith("/__init__")}  # a registry may be listed, too
+    assert len(found) == len(set(found))
+    assert set(found) - files <= bare
+    assert sorted(files - set(found)) == []
+
+
+def test_the_rooms_of_the_page_are_the_layers_from_top_to_bottom():
+    (table,) = re.findall(r"## The house\n.*?(\| room .*?)\n\n", PAGE, flags=re.DOTALL)
+    rooms = [SPAN.search(row)[1] for row in table.splitlines()[2:]]
+    rooms = [room.removesuffix(".py").strip("/").split("/")[0] for room in rooms]
+    floors = runpy.run_path(str(ROOT / "docs" / "house.py"))["floors"]()
+    assert sorted(set(rooms)) == sorted(name for floor in floors for name in floor)
+    level = {name: k for k, floor in enumerate(floors) for name in floor}
+    assert [level[room] for room in rooms] == sorted(level[room] for room in rooms)

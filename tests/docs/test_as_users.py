@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym.core import compile as _jit
+from spoofgym.core import compile as compiling
 from spoofgym.detectors.zoo import shipped as shipped_detectors
 from spoofgym.spoofers import shipped
 
@@ -98,7 +98,7 @@ def checkout(folder: Path) -> dict[str, str]:
         "MPLBACKEND": "agg",
         "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
         "PYTHONPATH": str(copy),
-        _jit.CACHE_VARIABLE: str(_jit.cache_parent()),
+        compiling.CACHE_VARIABLE: str(compiling.cache_parent()),
     }
 
 

@@ -35,9 +35,9 @@ SMALL = {
 """What is appended to a command; the last of an option counts."""
 IN_ONE_PROCESS = """
 import json, runpy, sys
-from spoofgym.simulation import calibration
+from spoofgym.calibration import thresholds
 
-calibration.PASSIVE_RUNS = 3000
+thresholds.PASSIVE_RUNS = 3000
 for words in json.load(sys.stdin):
     sys.argv = words
     try:

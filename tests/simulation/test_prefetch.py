@@ -361,11 +361,11 @@ def test_a_thread_may_close_its_owner(setup):
 
 def test_an_environment_that_is_not_closed_lets_the_interpreter_end():
     code = f"""
-from spoofgym import _jit
+from spoofgym.core import compile as compiling
 import warnings
 warnings.simplefilter("ignore")  # the episode is too short for the memory of its detector
 from spoofgym.envs import SpoofVectorEnv
-_jit.NOTICE_S = float("inf")
+compiling.NOTICE_S = float("inf")
 envs = SpoofVectorEnv(40, threads=1, timeline={TIMELINE}, detector="never")
 envs.reset(seed=1)
 """

@@ -11,7 +11,7 @@ Data sets to train a detector on: labelled episodes of one world, from its switc
 Every run is played twice, with the same noise: attacked, and not.  Both are episodes, in which is
 kept what a learned detector observes at each epoch, whether an attack is on, and how far it has
 moved the solution.  Runs of the splits of a data set share no noise with each other, nor with those
-of a campaign, a calibration or a search (`simulators.splits`).
+of a campaign, a calibration or a search (`simulation.setup`).
 
 A data set is a folder: shards, each an ``.npz`` file of some runs, and `MANIFEST`, which is written
 last.  A process that was killed goes on from the shards that are whole, and comes to the same
@@ -287,7 +287,7 @@ class Attackers:
 
 
 PARTS = {"train": "dataset-train", "validation": "dataset-validation", "test": "dataset-test"}
-"""Splits of a data set, and what `simulators.splits` calls them."""
+"""Splits of a data set, and what `simulation.setup` calls them."""
 TERMS: tuple[Any, ...] = (
     "innovation",
     "innovation-sd",

@@ -16,7 +16,7 @@ from ...core.files import write_file
 from ...core.settings import digest_of, digest_of_bytes, digest_of_code
 
 PACKAGES = ("numpy", "scipy", "numba", "onnxruntime")
-NOT_COMPUTING = {"cli", "report", "testing", "__main__", "_progress", "_files", "runner"}
+NOT_COMPUTING = {"cli", "report", "testing", "__main__", "progress", "files", "runner"}
 """Names of packages and modules that no number depends on."""
 LIBRARY = Path(__file__).parents[2]
 KNOWN, MOST_KNOWN = "sources.json", 5_000

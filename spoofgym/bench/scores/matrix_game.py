@@ -255,7 +255,7 @@ class PayoffMatrix:
         return np.asarray(self.resampled(np.ones((1, len(self.sky))))[0])
 
     def resampled(self, samples: FloatArray) -> FloatArray:
-        """(S, m, n) payoffs of bootstrap samples (S, R), as of `bench.metrics.resamples`."""
+        """(S, m, n) payoffs of bootstrap samples (S, R), as of `statistics.resamples`."""
         worth = self.payoff.worth(self.displacement, self.alarmed) * self.counts
         runs = (samples @ self.counts.T.astype(np.float64))[:, None, :]
         with np.errstate(invalid="ignore"):

@@ -8,10 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ..core.registry import check_choice
-from .card import Card
+from ...core.registry import check_choice
+from ..card import Card
 
-ZOO_FOLDER = Path(__file__).with_suffix("")
+ZOO_FOLDER = Path(__file__).parent
 """Where they are."""
 
 

@@ -6,7 +6,7 @@ import os
 from functools import cache
 from pathlib import Path
 
-ZOO_FOLDER = Path(__file__).with_suffix("")
+ZOO_FOLDER = Path(__file__).parent
 """Where they are."""
 
 
