@@ -22,9 +22,10 @@ from typing import Annotated, Any
 
 import typer
 
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report.table import ALARMS_HEAD, alarm_texts
-from spoofgym.bench.runs.world import Suite, Tuning
 from spoofgym.bench.scores.statistics import BUDGET
+from spoofgym.bench.search.settings import Tuning
 from spoofgym.cli import INTERRUPTED, clear_errors
 from spoofgym.cli.bench import calibrate_with_progress
 from spoofgym.core.registry import parse_spec
@@ -155,7 +156,7 @@ def main(
         entropy=seed,
         tuning=Tuning(runs=select_runs, sift_runs=max(select_runs // 16, 1), budget=budget),
     )
-    calibrate_with_progress(suite, threads)
+    calibrate_with_progress(suite.world, suite.detector_entries, threads)
     bounds = Bounds.of(seconds, generations)
     run = ProfileRun(suite, settings, out, start=start, threads=threads, resume=resume)
     try:

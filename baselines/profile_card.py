@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from spoofgym.bench.experiments.versions import versions
-from spoofgym.bench.runs.world import spoofer_context
 from spoofgym.bench.scores.statistics import bootstrap_mean, resamples_of
 from spoofgym.bench.search.amplitude import Trial
 from spoofgym.core.settings import describe
+from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.policies.card import DECIDED_ON
 from spoofgym.spoofers import Card
 from spoofgym.spoofers.card import fields_of
@@ -64,7 +64,7 @@ def _env_kwargs(run: ProfileRun) -> dict[str, Any]:
     suite = run.suite
     return {
         "receiver": {},
-        **describe(suite.given),
+        **describe(suite.world.given),
         "detector": run.detector.spec,
         "attack": dict(suite.config["attack"]),
         "action": {"name": "full-command"},  # of any rate that the attack allows

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym.bench.runs.world import Suite
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.scores.statistics import aim
 from spoofgym.bench.search.amplitude import TuningResult, tune
 from spoofgym.core.files import write_file

@@ -430,7 +430,7 @@ def test_a_side_or_a_pool_alone_chooses_the_view():
     [
         ({"env_id": "nix"}, ValueError, "unknown environment 'nix'; valid: spoofgym/Bench"),
         ({"env_id": "CartPole-v1"}, ValueError, "CartPole-v1 is no environment of a spoofer"),
-        ({"env_id": "a", "task": "T1"}, ValueError, "`env_id` and `task` are both given"),
+        ({"env_id": "a", "task": "T1"}, ValueError, "`env_id` can't be given with task T1"),
         ({"task": "T9"}, ValueError, "unknown task 'T9'"),
         ({"side": "referee"}, ValueError, "unknown side 'referee'; valid: detector, spoofer"),
         ({"side": "detector", "detector": "ewma"}, ValueError, "the detector is the learner"),

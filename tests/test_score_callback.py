@@ -123,7 +123,7 @@ def test_a_callback_goes_on_from_its_state():
     model.learn(160, callback=second, reset_num_timesteps=False)
     assert [step for step, _ in second.history] == [0, 160, 320, 480]
     assert second.history[:3] == first.history
-    with pytest.raises(ValueError, match="`judge` decides the world"):
+    with pytest.raises(ValueError, match="can't be given with `judge`"):
         ScoreCallback("T3", judge=first.judge)
 
 

@@ -10,10 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 import spoofgym  # noqa: F401  (registers the ids)
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report import tasks as task_cards
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import detector_entry
-from spoofgym.bench.runs.world import Suite
 from spoofgym.cli import app
 from spoofgym.detectors import make_detector
 from spoofgym.envs import core

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym.bench.experiments.calibration import calibrate_suite, missing_runs
+from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
 from spoofgym.bench.experiments.protect import DetectorEvaluator
+from spoofgym.bench.experiments.task_worlds import entries_of
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.report.tasks import (
     CARD_HEAD,
@@ -57,12 +58,11 @@ def played(
     evaluator = DetectorEvaluator(
         task.key, runs=runs, selection_runs=selection_runs, folder=out, threads=1
     )
-    suite = evaluator.suite_of(chosen)
-    labels = [each.label for each in suite.detector_entries]
-    with progress(missing_runs(suite)) as bar:
-        refused = calibrate_suite(suite, progress=bar, optional=labels)
-    entries = zip(suite.detector_entries, chosen, strict=True)
-    whom = [spec for entry, spec in entries if entry.label not in refused]
+    world, entries = evaluator.worlds.world, entries_of(chosen)
+    labels = [each.label for each in entries]
+    with progress(missing_runs(world, entries)) as bar:
+        refused = calibrate_entries(world, entries, progress=bar, optional=labels)
+    whom = [spec for label, spec in zip(labels, chosen, strict=True) if label not in refused]
     with progress(evaluator.expected_work(whom)) as bar:
         evaluator.progress = bar
         scores = evaluator.scores(whom)

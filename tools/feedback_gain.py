@@ -30,7 +30,6 @@ from spoofgym.bench.report.table import interval, number, titled
 from spoofgym.bench.runs.players import detector_entry
 from spoofgym.bench.scores.bounds import bound_of
 from spoofgym.bench.scores.spoofer import Score
-from spoofgym.bench.search.bounds import Brackets
 from spoofgym.cli.output import print_json, print_table, progress
 from spoofgym.core.files import write_file
 from spoofgym.core.settings import digest_of
@@ -136,7 +135,7 @@ def case_of(label: str, case: dict[str, Any], given: argparse.Namespace) -> dict
         searched = judge.fit(BLIND).found
         assert searched is not None  # as of every blind optimum
         rates = searched["played"]["rates_mps"]
-        bound = Brackets(judge.suite).zero_alarm(judge.detector).as_json()
+        bound = judge.optima.brackets.zero_alarm(judge.detector).as_json()
         case = {**case, "bound": bound_of(bound)}
     return {**case, **played(judge, rates)}
 

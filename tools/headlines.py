@@ -24,7 +24,6 @@ from spoofgym.bench.report import table as tables
 from spoofgym.bench.report.bounds import floor_notes
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.scores.bounds import bracket_of
-from spoofgym.bench.search.bounds import Brackets
 from spoofgym.cli.bench import LEFT_OUT, standard_suite
 from spoofgym.core.files import write_file
 from spoofgym.core.settings import digest_of
@@ -92,7 +91,7 @@ def played(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
 def with_limits(world: dict[str, Any]) -> dict[str, Any]:
     """A standard suite that is kept, with its limits computed again: they need no run."""
     suite = standard_suite(None, {"spoofers": []})
-    brackets = Brackets(suite)
+    brackets = suite.brackets()
     bounds = {}
     for entry in suite.detector_entries:
         if entry.label in {row["detector"] for row in world["detectors"]}:

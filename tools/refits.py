@@ -112,7 +112,8 @@ def play(settings: Settings, console: Console) -> dict[str, Any]:
         specs = [entry.spec for entry in whom]
         for entropy in settings.entropies:
             judge = Evaluator(task, entropy=entropy, threads=settings.threads, **sizes)
-            digest = digest_of([judge.suite.config, specs])
+            points = [each._asdict() for each in judge.world.points(judge.detector)]
+            digest = digest_of([made, judge.world.config, points, sizes, entropy, specs])
             with console.status(f"{task}, entropy {entropy}"):
                 sets.append(kept(digest, partial(scored, judge, whom)))
         results[f"{task}/{settings.fit_runs}"] = {

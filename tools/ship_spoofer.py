@@ -45,7 +45,7 @@ def ship(policy: Path, name: str, judge: Evaluator, folder: Path = ZOO_FOLDER) -
     if not score.within_budget:
         raise ValueError(f"{policy} is not shipped: {score}")
     target = folder / f"{name}.onnx"
-    copy_policy(policy, target, scores=[on_card(score, judge.suite.entropy)])
+    copy_policy(policy, target, scores=[on_card(score, judge.entropy)])
     print(score)
     return target
 

@@ -30,10 +30,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.bench.experiments.calibration import calibrate_suite, missing_runs
+from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
 from spoofgym.bench.experiments.campaign import run_campaign
 from spoofgym.bench.experiments.remaining import expected_work
 from spoofgym.bench.experiments.results_folder import ResultsFolder
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.experiments.summary import summarize
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.report.tasks import (
@@ -45,7 +46,7 @@ from spoofgym.bench.report.tasks import (
     stored_cards,
 )
 from spoofgym.bench.runs.players import detector_entry, fitted
-from spoofgym.bench.runs.world import Selection, Suite, Tuning
+from spoofgym.bench.search.settings import Selection, Tuning
 from spoofgym.cli.output import progress
 from spoofgym.core.files import write_file
 from spoofgym.core.settings import describe
@@ -97,8 +98,9 @@ def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
 def played(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
     """Play a task, and return its card."""
     suite = suite_of(task, sizes)
-    with progress(max(missing_runs(suite), 1)) as bar:
-        calibrate_suite(suite, progress=bar)
+    world, whom = suite.world, suite.detector_entries
+    with progress(max(missing_runs(world, whom), 1)) as bar:
+        calibrate_entries(world, whom, progress=bar)
     suite.check_fit()
     folder = ResultsFolder(out / task.key)
     folder.open(suite)

@@ -13,15 +13,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .experiments.campaign import run_campaign
     from .experiments.results_folder import ResultsFolder
+    from .experiments.suite import Suite
     from .experiments.summary import summarize
-    from .runs.world import Suite, Tuning
+    from .search.settings import Tuning
 
 __all__ = ["ResultsFolder", "Suite", "Tuning", "run_campaign", "summarize"]
 
 _PLACES = {
     **{
         "ResultsFolder": "experiments.results_folder",
-        "Suite": "runs.world",
+        "Suite": "experiments.suite",
         "Tuning": "search.settings",
     },
     **{"run_campaign": "experiments.campaign", "summarize": "experiments.summary"},

@@ -20,9 +20,10 @@ from .output import print_json, print_lines, print_table, progress
 if TYPE_CHECKING:
     from datetime import date
 
+    from ..bench.experiments.suite import Suite
     from ..bench.runs.players import Entry
-    from ..bench.runs.world import Suite, Tuning
-    from ..bench.search.settings import Selection
+    from ..bench.runs.world import World as Played
+    from ..bench.search.settings import Selection, Tuning
     from ..core.registry import Spec
     from ..truth.scenario import Scenario
 
@@ -75,7 +76,8 @@ def calibrated(suite: Suite, detectors: Sequence[str] | None, threads: int | Non
     # of what `all` means, those without a calibration are left out
     given = {spec["name"] for spec in specs_of(detectors)} if detectors else {"all"}
     labels = [entry.label for entry in suite.detector_entries if entry.spec["name"] not in given]
-    refused = calibrate_with_progress(suite, threads, labels if "all" in given else ())
+    optional = labels if "all" in given else ()
+    refused = calibrate_with_progress(suite.world, suite.detector_entries, threads, optional)
     if refused:
         kept = [e.spec for e in suite.detector_entries if e.label not in refused]
         notes = (*suite.notes, *(f"{label}{LEFT_OUT}{why}" for label, why in refused.items()))
@@ -99,20 +101,16 @@ def uncalibrated(
     `headline`: whether there are negative controls, and a drawn world, where nothing else is asked
     for; `settings`: those of a suite that no task decides.
     """
-    from ..bench.runs.world import Suite
+    from ..bench.experiments.suite import Suite
     from ..tasks import SUITE, task_of
 
     reports = None
     if task is None:
         decided, reports = _victim(world)
-        decided["settings"] = own = _settings(world.settings or ())
-        for name in {*own} & {*decided}:
-            if not world.given(OPTIONS_OF.get(name, (name,))):
-                del decided[name]  # its option has its default
         specs = specs_of(detectors) if detectors else None
         if headline:
             specs = _with_controls(world, specs, "false_alarms_per_hour" in (asked or {}))
-            if world.env == ENV and world.track is None and "domain" not in own:
+            if world.env == ENV and world.track is None and "domain" not in decided["settings"]:
                 from ..bench.runs.world import HEADLINE_DOMAIN
 
                 decided["domain"] = HEADLINE_DOMAIN
@@ -127,8 +125,9 @@ def uncalibrated(
 
 def refuse_decided(world: World, option: str, names: Collection[str]) -> None:
     """Raise where an option is given that another one decides."""
-    for given in world.given(names).values():
-        raise ValueError(f"{given} can't be given with {option}, which decides it")
+    from ..core.registry import refuse_given
+
+    refuse_given(option, world.given(names).values())
 
 
 def standard_players(
@@ -151,15 +150,17 @@ def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) ->
     """The standard suite, with all detectors, or with those that are given and the controls."""
     from ..bench.experiments.campaign import (
         RATE,
+        TASK,
         everyone_in,
         in_order,
         standard_kwargs,
-        standard_world,
     )
-    from ..bench.runs.world import CONTROLS, Suite
+    from ..bench.experiments.suite import Suite
+    from ..bench.runs.world import CONTROLS
+    from ..bench.runs.world import World as Played
 
     if detectors is None:
-        whom = in_order(everyone_in(standard_world().world, rescaled=True))
+        whom = in_order(everyone_in(Played.of(TASK).setup, rescaled=True))
     else:
         given = specs_of(detectors)
         names = {spec["name"] for spec in given}
@@ -168,15 +169,16 @@ def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) ->
     return Suite(**standard_kwargs(), detectors=specs, **settings)
 
 
-def world_of(world: World, task: str | None = None) -> Suite:
-    """A suite for its world, or that of a task, alone: nothing is looked up, and nobody plays."""
-    from ..bench.experiments.campaign import nobody_in
-    from ..tasks import task_of
+def world_of(world: World, task: str | None = None) -> Played:
+    """The world of the options, or of a task."""
+    from ..bench.runs.world import World as Played
 
-    if task is None:
-        return uncalibrated(world, ["never"], spoofers=[])[0]
-    refuse_decided(world, "--task", World.__dataclass_fields__)
-    return nobody_in(task_of(task).suite_kwargs)
+    if task is not None:
+        refuse_decided(world, "--task", World.__dataclass_fields__)
+        return Played.of(task)
+    decided = _victim(world)[0]
+    decided.pop("notes", None)
+    return Played.of(**decided)
 
 
 def at_rate(false_alarms_per_hour: float | None) -> Spec | None:
@@ -214,28 +216,29 @@ def _with_controls(
         return specs
     named = [spec for spec in specs if spec["name"] != "all"]
     given = {spec["name"] for spec in named}
-    found = everyone_in(world_of(world).world, rescaled)
+    found = everyone_in(world_of(world).setup, rescaled)
     return [*named, *(spec for spec in found if spec["name"] not in given)]
 
 
 def calibrate_with_progress(
-    suite: Suite, threads: int | None, optional: Collection[str] = ()
+    world: Played, entries: Sequence[Entry], threads: int | None, optional: Collection[str] = ()
 ) -> dict[str, str]:
     """Calibrate the detectors that ask for a rate of false alarms, and show how far that is.
 
     `optional`: labels of those that may have no calibration; returns why, by their labels.
     """
-    from ..bench.experiments.calibration import calibrate_suite, missing_runs
+    from ..bench.experiments.calibration import calibrate_entries, missing_runs
 
-    if left := missing_runs(suite):
+    settings: dict[str, Any] = {"threads": threads, "optional": optional}
+    if left := missing_runs(world, entries):
         with progress(left) as bar:
-            return calibrate_suite(suite, threads=threads, progress=bar, optional=optional)
-    return calibrate_suite(suite, threads=threads, optional=optional)
+            return calibrate_entries(world, entries, progress=bar, **settings)
+    return calibrate_entries(world, entries, **settings)
 
 
 def tuning_of(runs: int, budget: float) -> Tuning:
     """A search on so many training runs, of which a sixteenth sifts."""
-    from ..bench.runs.world import Tuning
+    from ..bench.search.settings import Tuning
 
     try:
         return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget)
@@ -262,6 +265,16 @@ def untuned(suite: Suite) -> Entry:
 
 
 def _victim(world: World) -> tuple[dict[str, Any], Reports]:
+    """Environment and settings of the options, notes, and the reports of real input."""
+    decided, reports = _options(world)
+    decided["settings"] = own = _settings(world.settings or ())
+    for name in {*own} & {*decided}:
+        if not world.given(OPTIONS_OF.get(name, (name,))):
+            del decided[name]  # its option has its default
+    return decided, reports
+
+
+def _options(world: World) -> tuple[dict[str, Any], Reports]:
     """Environment and settings that have options of their own, and the reports of real input."""
     if world.env != ENV:
         for option in world.given(SCENARIO_OPTIONS).values():
@@ -379,12 +392,12 @@ def tune(
     if not as_json:
         print_lines((*suite.notes, *suite.captions))
     entries = [entry for entry in suite.spoofer_entries if entry.tuned]
-    each = 2.0 * suite.tuning.runs + len(entries) * search_work(suite)
-    results = []
+    each = 2.0 * suite.tuning.runs + len(entries) * search_work(suite.tuning)
+    results, optima = [], suite.optima()
     with progress(each * len(suite.detector_entries)) as bar:
         for judge in suite.detector_entries:
             start, clean = training_start(suite, judge, threads, bar)
-            results += [search(suite, judge, entry, start, clean, bar) for entry in entries]
+            results += [search(judge, entry, start, clean, bar, optima) for entry in entries]
     if as_json:
         print_json([result.as_dict() for result in results])
         return

@@ -16,7 +16,7 @@ from .options import World, with_world
 from .output import print_json, print_lines, print_table, progress
 
 if TYPE_CHECKING:
-    from ..bench.runs.world import Suite
+    from ..bench.runs.world import World as Played
     from ..calibration.holdouts import HoldOut
     from ..detectors import Calibration, Detector
 
@@ -80,10 +80,10 @@ def calibrate(
     from ..calibration import thresholds as calibration
     from ..detectors.calibration_file import TOLERANCE
 
-    suite = world_of(world, task)
-    setup, rate = suite.world, false_alarms_per_hour
-    judges, named = _judges(detector, suite, rescaled)
-    others = {text: _other(suite, text) for text in transfer or ()}
+    played = world_of(world, task)
+    setup, rate = played.setup, false_alarms_per_hour
+    judges, named = _judges(detector, played, rescaled)
+    others = {text: _other(played, text) for text in transfer or ()}
     asked: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
     left = calibration.expected_runs(setup, judges, **asked, overwrite=overwrite)
     with progress(left) as bar:
@@ -135,7 +135,7 @@ def calibrate(
 
 
 def _judges(
-    texts: Sequence[str] | None, suite: Suite, rescaled: bool
+    texts: Sequence[str] | None, world: Played, rescaled: bool
 ) -> tuple[list[Detector], set[int]]:
     """Detectors, and which of them were named; they may not ask for thresholds. Those that never
     alarm are left out, and of `all` those that can't be rescaled."""
@@ -145,7 +145,7 @@ def _judges(
     from ..detectors.build import ASKED, is_file
     from ..detectors.calibrated import identity_of
 
-    specs: list[Any] = list(VICTIMS[suite.env].detectors) if not texts else specs_of(texts)
+    specs: list[Any] = list(VICTIMS[world.env].detectors) if not texts else specs_of(texts)
     named: list[Any] = []
     offered: list[Any] = []
     for spec in specs:
@@ -156,7 +156,7 @@ def _judges(
                 "looked for here: give the rate as --false-alarms-per-hour"
             )
         if spec["name"] == "all":
-            fit = suitable_detectors(suite.world)
+            fit = suitable_detectors(world.setup)
             offered += [each for each in fit if each.drifts or not rescaled]
         else:
             named.append(spec if is_file(spec) else detector_in_world(spec))
@@ -167,13 +167,11 @@ def _judges(
     return judges, {k for k, each in enumerate(judges) if repr(identity_of(each)) in words}
 
 
-def _other(suite: Suite, text: str) -> Any:
+def _other(world: Played, text: str) -> Any:
     """Another world: settings of this one that differ."""
     from ..bench.runs.world import VICTIMS
     from ..core.registry import check_keywords
-    from ..envs.factory import make_setup
 
-    kind = VICTIMS[suite.env].setup
     if text.lstrip().startswith("{"):
         try:
             changed = json.loads(text)
@@ -181,10 +179,11 @@ def _other(suite: Suite, text: str) -> Any:
             raise ValueError(f"--transfer {text!r} is not JSON: {error}") from error
     else:
         (changed,) = ({"scenario": spec} for spec in specs_of([text]))
-    settings = [name for name in inspect.signature(kind).parameters if name != "detector"]
+    known = inspect.signature(VICTIMS[world.env].setup).parameters
+    settings = [name for name in known if name != "detector"]
     check_keywords(f"the world of --transfer {text}", changed, settings)
-    found = make_setup(kind, {**suite.given, **changed, "detector": "never"})
-    if found.conditions.digest == suite.world.conditions.digest:
+    found = world.altered(**changed).setup
+    if found.conditions.digest == world.setup.conditions.digest:
         raise ValueError(f"--transfer {text!r} is the same world: that is what --hold-out counts")
     return found
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -108,22 +107,25 @@ def _plan(
 ) -> Plan:
     """The plan of the options, its detector calibrated; `chosen`: what it takes as it is."""
     from ..bench.experiments.dataset import Plan
+    from ..bench.experiments.suite import ALERT_LIMIT_M
+    from ..bench.experiments.task_worlds import entries_of
     from ..bench.report.tasks import optima_of
     from ..core.registry import check_finite
     from ..tasks import task_of
 
     task = chosen["task"]
-    suite = world_of(world, task)
-    guard: Any = None if task is None else task_of(task).detector
+    played, guard, limit = world_of(world, task), None, None
+    if task is not None:
+        guard, limit = task_of(task).detector, task_of(task).alert_limit_m
     if detector is not None:
         (guard,) = specs_of([detector])
     if alert_limit_m is not None:
         check_finite("alert_limit_m", alert_limit_m, "> 0")
-    limit = suite.alert_limit_m if alert_limit_m is None else alert_limit_m
+    limit = alert_limit_m or limit or ALERT_LIMIT_M
     optima = optima_of(task) if task else ()
-    plan = Plan(suite.world, limit, detector=guard, optima=optima, **chosen)
+    plan = Plan(played.setup, limit, detector=guard, optima=optima, **chosen)
     if guard is not None:
-        calibrate_with_progress(replace(suite, detectors=[guard]), threads)
+        calibrate_with_progress(played, entries_of([guard]), threads)
     return plan
 
 

@@ -14,7 +14,7 @@ from .output import print_json, print_lines, print_table, progress
 
 if TYPE_CHECKING:
     from ..bench.experiments.campaign import Progress
-    from ..bench.runs.world import Suite
+    from ..bench.experiments.suite import Suite
     from ..limits import Frontier
 
 MOST_WORLDS = 1024
@@ -132,7 +132,7 @@ def _floors(
     from ..bench.report.limits import TIMES, floor_record, per_run
     from ..limits.floor import check_linear_victim, frontier_of
 
-    setup = check_linear_victim(suite.world)
+    setup = check_linear_victim(suite.world.setup)
     per_run(rate, setup)
     with progress(1.0) as bar:
         frontier = frontier_of(
@@ -152,15 +152,14 @@ def _divergence(suite: Suite, frontier: Frontier, record: dict[str, Any]) -> dic
     from ..bench.report.limits import divergence_record
 
     player = suite.spoofer_entries[-1]
-    return divergence_record(suite.world, frontier, player, record["p_fa"], record["budget"])
+    return divergence_record(suite.world.setup, frontier, player, record["p_fa"], record["budget"])
 
 
 def _add_bounds(suite: Suite, record: dict[str, Any]) -> None:
     """Add the zero-alarm bounds of all detectors."""
     from ..bench.report.limits import zero_alarm_record
-    from ..bench.search.bounds import Brackets
 
-    brackets, entries = Brackets(suite, record["worlds"]), suite.detector_entries
+    brackets, entries = suite.brackets(worlds=record["worlds"]), suite.detector_entries
 
     def ticking(bar: Progress, text: str) -> Any:
         return lambda part: bar.advance(part, text)
@@ -170,7 +169,7 @@ def _add_bounds(suite: Suite, record: dict[str, Any]) -> None:
         found = {
             each.label: brackets.zero_alarm(each, ticking(bar, each.label)) for each in entries
         }
-    points = {each.label: suite.points(each) for each in entries}
+    points = {each.label: suite.world.points(each) for each in entries}
     bounds = zero_alarm_record(found, points)
     record["zero_alarm"] = bounds["zero_alarm"]
     record["assumptions"] |= bounds["assumptions"]

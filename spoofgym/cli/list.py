@@ -100,8 +100,7 @@ def tasks(as_json: opt.Json = False) -> None:
     cards = stored.stored_detector_cards()
     print_table("protection", stored.CARD_HEAD, stored.card_rows(cards))
     print_lines(
-        f"{key} has no reference scores yet: {command}"
-        for key, command in stored.missing().items()
+        f"{key} has no reference scores yet: {command}" for key, command in stored.missing().items()
     )
 
 

@@ -45,6 +45,7 @@ def protect(
 ) -> None:
     """Score detectors by the worst family of attacks of a task, most of which none has met."""
     from ..bench.experiments.protect import DetectorEvaluator
+    from ..bench.experiments.task_worlds import entries_of
 
     specs = specs_of(detector)
     evaluator = DetectorEvaluator(
@@ -56,7 +57,7 @@ def protect(
         threads=threads,
         folder=out,
     )
-    calibrate_with_progress(evaluator.suite_of(specs), threads)
+    calibrate_with_progress(evaluator.worlds.world, entries_of(specs), threads)
     try:
         with progress(evaluator.expected_work(specs)) as bar:
             evaluator.progress = bar

@@ -14,7 +14,7 @@ from .options import World, with_world
 from .output import print_json, print_lines, print_table, progress
 
 if TYPE_CHECKING:
-    from ..bench.runs.world import Suite
+    from ..bench.experiments.suite import Suite
 
 
 @with_world
@@ -43,7 +43,7 @@ def run(
     judge, player = suite.detector_entries[-1], untuned(suite)
     if not as_json:
         print_lines((*suite.notes, *suite.captions))
-    episode = play_episode(suite, judge, player, number)
+    episode = play_episode(suite.world, judge, player, number, seed)
     summary = episode.summary()
     if picture:
         summary["picture"] = str(draw_episode(episode, out))

@@ -169,6 +169,12 @@ def whole_number(name: str, value: Any, least: int = 0) -> int:
     return int(value)
 
 
+def refuse_given(decider: str, names: Iterable[str]) -> None:
+    """Raise where something is given that something else decides."""
+    if given := ", ".join(names):
+        raise ValueError(f"{given} can't be given with {decider}, which decides it")
+
+
 def check_keywords(
     whose: Callable[..., Any] | str, given: Iterable[str], valid: Iterable[str]
 ) -> None:

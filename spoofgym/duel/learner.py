@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Self
 
 import gymnasium as gym
 
-from ..core.registry import check_choice
+from ..core.registry import check_choice, refuse_given
 from ..detectors.pool import checked_weights
 from ..envs.core import SpoofCore
 from ..envs.factory import CORE, make_core
@@ -54,7 +54,7 @@ class LearnersSide(NamedTuple):
         """Look the id up, and put its settings below those that are given."""
         check_choice("side", side, (SPOOFER, DETECTOR))
         if task is not None and env_id is not None:
-            raise ValueError(f"`env_id` and `task` are both given: {env_id!r} and {task!r}")
+            refuse_given(f"task {task}", ["`env_id`"])
         name = _task_id(task, side) if task is not None else env_id or ENV_ID
         setup, view, merged = _registered(name)
         if view == "DetectorView":

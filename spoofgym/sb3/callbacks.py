@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from ..bench.experiments.evaluate import FIT_RUNS, Evaluator
 from ..bench.search.amplitude import TuningResult
 from ..calibration.clean_runs import Progress
-from ..core.registry import check_finite, whole_number
+from ..core.registry import check_finite, refuse_given, whole_number
 from ..envs.recorder import EpochRecorder
 from ..policies.card import DECIDED_ON
 from ..policies.contract import NotFinite
@@ -233,8 +233,9 @@ class ScoreCallback(BaseCallback):
         **world: Any,
     ) -> None:
         super().__init__(verbose)
-        if judge is not None and (task is not None or world):
-            raise ValueError("`judge` decides the world: no task and no settings can be given")
+        if judge is not None:
+            given = world if task is None else {"task": task, **world}
+            refuse_given("`judge`", (f"`{name}`" for name in given))
         self.every = whole_number("`every`", every, 1)
         self.path = None if path is None else checked_path(path)
         check_finite("average", average)
@@ -381,5 +382,5 @@ class ScoreCallback(BaseCallback):
 
         assert self.path is not None  # else nothing is kept
         with self.averaged():
-            seeds = {DECIDED_ON: [[self.judge.suite.entropy, "training"]]}
+            seeds = {DECIDED_ON: [[self.judge.entropy, "training"]]}
             onnx(self.model, path=self.path, amplitude=found.value, training=seeds)

@@ -22,8 +22,8 @@ from baselines.profile_search import ProfileSearch, profile_at, soft_alarms
 from baselines.profile_settings import SearchSettings, Start
 from baselines.profile_start import best_start, resampled
 from baselines.runs import Outcome, RunPool
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.play import displacement_of, play
-from spoofgym.bench.runs.world import Suite
 from spoofgym.bench.scores.scores import counted, stealth_of
 from spoofgym.bench.scores.statistics import most_alarms
 from spoofgym.bench.search.amplitude import Trial, TuningResult

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from spoofgym.bench.runs.world import Suite, Tuning
+from spoofgym.bench.experiments.suite import Suite
+from spoofgym.bench.search.settings import Tuning
 from spoofgym.envs import Observer, default_terms
 from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.simulation import Timeline

@@ -10,7 +10,6 @@ import pytest
 
 from spoofgym.bench import ResultsFolder, Suite, run_campaign
 from spoofgym.bench.search.amplitude import RESOLUTION
-from spoofgym.bench.search.bounds import Brackets
 from spoofgym.bench.search.settings import Tuning
 
 LINE = {"warmup_s": 60.0, "live_s": 40.0, "attack_s": 60.0, "time_to_alert_s": 5.0}
@@ -50,7 +49,7 @@ def displacements(suite: Suite, path: Path) -> dict[str, np.ndarray]:
 def test_no_known_curve_gets_farther(detector: str, tmp_path: Path) -> None:
     bare = suite_of(detector, [])
     (entry,) = bare.detector_entries
-    shape = np.mean(Brackets(bare).zero_alarm(entry).rates_mps, axis=0)
+    shape = np.mean(bare.brackets().zero_alarm(entry).rates_mps, axis=0)
     zero_alarm = {
         "name": "profile",
         "rates_mps": tuple(shape.tolist()),

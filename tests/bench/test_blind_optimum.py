@@ -29,12 +29,10 @@ from spoofgym.bench.search.open_loop import (
     BlindSearch,
     Optima,
     crossing,
-    curves_to_fit,
 )
 from spoofgym.bench.search.settings import Selection
 from spoofgym.calibration.clean_runs import Silent
 from spoofgym.envs.factory import make_setup
-from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.limits import Replay
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.setup import generators_of, seed_sequences
@@ -261,7 +259,7 @@ def _few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def searched(suite: Suite) -> dict[str, Any]:
     (detector,) = suite.detector_entries
-    return Optima(suite, threads=1).find(detector, spoofer_entry(BLIND), lambda part: None)
+    return suite.optima(threads=1).find(detector, spoofer_entry(BLIND), lambda part: None)
 
 
 def test_a_passive_detector_is_searched_against_by_replay() -> None:
@@ -339,18 +337,19 @@ def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(
     monkeypatch.setattr(Optima, "find", lambda *_: copy.deepcopy(found))
     (detector,) = suite.detector_entries
     start, clean = training_start(suite, detector, 1, Silent())
-    result = search(suite, detector, spoofer_entry(BLIND), start, clean, Silent())
+    optima = suite.optima()
+    result = search(detector, spoofer_entry(BLIND), start, clean, Silent(), optima)
     assert result.found is not None
     fitted = result.found["fitted_m"]
     assert set(fitted) == {"found", "constant", "linear", "mine", ZERO_ALARM}
     assert fitted["found"] < max(fitted.values()) == result.score
     played = result.found["played"]
     assert fitted[played["curve"]] == result.score
-    assert played["rates_mps"] == curves_to_fit(suite, found)[played["curve"]]
+    assert played["rates_mps"] == optima.curves_to_fit(found)[played["curve"]]
     # nothing gets farther than the largest rate, where that was found
-    limit, _ = limits_of(suite.world)
+    limit, _ = limits_of(suite.world.setup)
     fastest = {"aims": {name: {"rates_mps": [limit] * 4} for name in AIMS}}
-    assert list(curves_to_fit(suite, fastest)) == ["found"]
+    assert list(optima.curves_to_fit(fastest)) == ["found"]
 
 
 def test_a_campaign_that_goes_on_finds_the_same(
@@ -392,7 +391,7 @@ def test_the_blind_optimum_is_a_candidate_of_the_protection(
     ]
     for member in members:
         assert member.entry.tuned == "amplitude"
-        grid = grid_of(member, spoofer_context(suite.world), 5)
+        grid = grid_of(member, suite.world.context, 5)
         assert (grid[0], grid[-1]) == pytest.approx(AROUND_FOUND, rel=1e-3)
     assert summarize(folder)
     assert "blind-optimum" in markdown(folder.config(), summarize(folder))

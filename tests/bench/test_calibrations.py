@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from spoofgym.bench.experiments.calibration import calibrate_suite, missing_runs
+from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
 from spoofgym.bench.experiments.campaign import run_campaign
 from spoofgym.bench.experiments.results_folder import ResultsFolder
-from spoofgym.bench.runs.world import Suite
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.calibration import thresholds as calibration
 from spoofgym.cli import app
 from spoofgym.detectors import SnapshotChi2, calibrated
@@ -40,9 +40,9 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
     suite = small({"name": name, "false_alarms_per_hour": 20.0}, "never")
     with pytest.raises(ValueError, match=r"detector Toy.* does not fit .*there is no calibration"):
         suite.check_fit()
-    assert missing_runs(suite) == 60
-    calibrate_suite(suite)
-    assert missing_runs(suite) == 0
+    assert missing_runs(suite.world, suite.detector_entries) == 60
+    calibrate_entries(suite.world, suite.detector_entries)
+    assert missing_runs(suite.world, suite.detector_entries) == 0
     suite.check_fit()
     (caption,) = suite.captions
     assert caption == (
@@ -56,7 +56,7 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
     folder.open(suite)
     run_campaign(suite, folder, threads=1)
     assert folder.cell("Toy(false_alarms_per_hour=20)", "none").runs == 4
-    calibrate_suite(suite)  # replays what is there
+    calibrate_entries(suite.world, suite.detector_entries)  # replays what is there
 
 
 def test_specs_say_what_is_asked_of_thresholds(monkeypatch):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from spoofgym.bench import ResultsFolder, run_campaign, summarize
-from spoofgym.bench.experiments.calibration import calibrate_suite
+from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.summary import times_of
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.report.table import DETECTORS_HEAD, attack_rows, detector_rows, groups, mark_of
@@ -69,7 +69,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Any:
             selection=Selection(runs=24, sift_runs=8, values=4),
             runs=RUNS,
         )
-        calibrate_suite(suite, threads=1)
+        calibrate_entries(suite.world, suite.detector_entries, threads=1)
         folder = ResultsFolder(tmp_path_factory.mktemp("played") / "results")
         folder.open(suite)
         run_campaign(suite, folder, threads=1)
@@ -169,7 +169,7 @@ def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played: Any) 
     suite, _, summary = played
     label = f"toy({LABEL})"
     row = next(row for row in summary["detectors"] if row["detector"] == label)
-    (point,) = suite.points(suite.detector_entries[-1])
+    (point,) = suite.world.points(suite.detector_entries[-1])
     assert (
         row["claimed"]["per_run"] == point.per_run == pytest.approx(1 - np.exp(-RATE * 25 / 3600))
     )

@@ -13,7 +13,7 @@ from spoofgym.bench.experiments import dataset as module
 from spoofgym.bench.experiments.dataset import FAMILIES, PARTS, Plan, load, play, write
 from spoofgym.bench.experiments.dataset_files import MANIFEST
 from spoofgym.bench.report.tasks import optima_of
-from spoofgym.bench.runs.world import Suite
+from spoofgym.bench.runs.world import World
 from spoofgym.simulation.setup import SPLITS, seeds_of_runs
 from spoofgym.spoofers import make_spoofer
 from spoofgym.tasks import TASKS
@@ -25,7 +25,7 @@ TERMS = ["innovation", "in-view", {"name": "classic", "detector": {"name": "snap
 
 
 def plan(**changes: Any) -> Plan:
-    setup = Suite(timeline=SHORT, spoofers=[], **changes.pop("world", {})).world
+    setup = World.of(timeline=SHORT, **changes.pop("world", {})).setup
     given = {"runs": SIZES, "shard": 2, "terms": TERMS, "length_m": 20.0, **changes}
     return Plan(setup, **given)
 

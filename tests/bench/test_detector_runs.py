@@ -15,7 +15,7 @@ from spoofgym.bench.runs.panel import (
     numbers_of,
 )
 from spoofgym.bench.runs.play import WarmStart, displacement_of, play
-from spoofgym.bench.runs.world import Suite
+from spoofgym.bench.runs.world import World
 from spoofgym.detectors import Calibrated, Never, PooledDetector, SnapshotChi2, make_detector
 from spoofgym.tasks import CANDIDATES, SWITCH_WITHIN_S, TURNING_DEGPS
 
@@ -27,7 +27,7 @@ RAMP = {"name": "ramp", "rate_mps": 0.4}
 
 @pytest.fixture(scope="module")
 def setup():
-    return Suite(**small_task().world_kwargs, detectors=["never"], spoofers=[]).world
+    return World(given=small_task().world_kwargs).setup
 
 
 def rngs_of(setup, numbers, split="evaluation"):

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report.figures import play_frames
 from spoofgym.bench.runs.episode import TWIN, Episode, draw_episode, play_episode
 from spoofgym.bench.runs.play import WarmStart, displacement_of, induced_error, play
-from spoofgym.bench.runs.world import Suite
 from spoofgym.core.plots import check_picture
 from spoofgym.detectors import Ewma
 from spoofgym.simulation.monitors import PastPositions
@@ -29,7 +29,7 @@ def suite() -> Suite:
 
 @pytest.fixture(scope="module")
 def episode(suite: Suite) -> Episode:
-    return play_episode(suite, suite.detector_entries[0], suite.spoofer_entries[1], run=3)
+    return play_episode(suite.world, suite.detector_entries[0], suite.spoofer_entries[1], run=3)
 
 
 def test_it_is_the_run_of_that_number(suite: Suite, episode: Episode) -> None:
@@ -47,10 +47,10 @@ def test_it_is_the_run_of_that_number(suite: Suite, episode: Episode) -> None:
 
 
 def test_a_number_may_be_one_of_numpy(suite: Suite, episode: Episode) -> None:
-    again = play_episode(suite, episode.detector, episode.spoofer, run=np.int64(3))
+    again = play_episode(suite.world, episode.detector, episode.spoofer, run=np.int64(3))
     assert json.dumps(again.summary()) == json.dumps(episode.summary())
     with pytest.raises(ValueError, match="`run` must be a whole number of at least 0, got -1"):
-        play_episode(suite, episode.detector, episode.spoofer, run=-1)
+        play_episode(suite.world, episode.detector, episode.spoofer, run=-1)
 
 
 def test_the_twin_is_not_attacked(episode: Episode) -> None:
@@ -64,7 +64,7 @@ def test_the_twin_is_not_attacked(episode: Episode) -> None:
 @pytest.mark.parametrize("attack", ["false-position", "per-channel"])
 def test_it_can_be_drawn(tmp_path: Path, attack: str) -> None:
     suite = small_suite(detectors=(Ewma(false_alarm=0.5),), spoofers=("step",), attack=attack)
-    drawn = play_episode(suite, suite.detector_entries[0], suite.spoofer_entries[1])
+    drawn = play_episode(suite.world, suite.detector_entries[0], suite.spoofer_entries[1])
     assert drawn.summary()["alarm"]
     written = draw_episode(drawn, tmp_path / "new" / "picture")
     assert written == tmp_path / "new" / "picture.png"
@@ -96,6 +96,6 @@ def test_a_spoofer_of_a_campaign_sees_what_the_victim_reports(
     judge, none, ramp = (*reported.detector_entries, *reported.spoofer_entries)
     assert [type(each) for each in reported.setup(judge).monitors] == [PastPositions]
     assert reported.setup(judge, [none]).monitors == ()
-    again = play_episode(reported, judge, ramp, run=3)
+    again = play_episode(reported.world, judge, ramp, run=3)
     assert json.dumps(again.summary()) == json.dumps(episode.summary())
     assert len(list(play_frames(reported, judge, ramp, every=1000))) == 2

@@ -11,8 +11,9 @@ import spoofgym
 from spoofgym.bench.experiments.campaign import run_campaign
 from spoofgym.bench.experiments.evaluate import Evaluator, evaluate
 from spoofgym.bench.experiments.results_folder import ResultsFolder
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.experiments.summary import summarize
-from spoofgym.bench.runs.world import Suite, Tuning
+from spoofgym.bench.search.settings import Tuning
 from spoofgym.policies.contract import NotFinite
 from spoofgym.spoofers import make_spoofer
 
@@ -223,7 +224,11 @@ def test_a_detector_that_is_not_calibrated_here_says_how_that_is_done():
     [
         ({}, ValueError, "needs a task, or a `detector` and its world"),
         ({"task": "T9"}, ValueError, "unknown task 'T9'"),
-        ({"task": "T3", "scenario": "trolley"}, ValueError, "`scenario` can't be given with it"),
+        (
+            {"task": "T3", "scenario": "trolley"},
+            ValueError,
+            "`scenario` can't be given with task",
+        ),
         ({**WORLD, "skenario": "trolley"}, TypeError, "did you mean 'scenario'"),
         ({**WORLD, "runs": 1}, ValueError, "`runs` must be a whole number of at least 2, got 1"),
         ({**WORLD, "fit_runs": 58}, ValueError, "`fit_runs` must be .* at least 59, got 58"),

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from spoofgym.bench import ResultsFolder
-from spoofgym.bench.runs.world import Suite
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.core.settings import outside_sources
 from spoofgym.detectors import Ewma
 from spoofgym.policies.detector_policy import DetectorPolicy

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from spoofgym.bench.experiments.evaluate import entry_of
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report.figures import frame_count, play_frames
 from spoofgym.bench.runs.play import Runs, WarmStart, play
 from spoofgym.bench.runs.players import spoofer_entry
-from spoofgym.bench.runs.world import Suite
 from spoofgym.envs.spoofer_binding import attach, bound_spoofer, paced, tuning_range_of
 from spoofgym.spoofers import OnnxPolicy, Spoofer, SpooferContext, make_spoofer
 from spoofgym.spoofers.learned import ModelPolicy

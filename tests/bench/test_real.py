@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spoofgym.bench.runs.world import Suite
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.data.recorded import RealInput, real_scenario
 
 

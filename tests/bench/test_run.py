@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.play import (
     Attacker,
     WarmStart,
@@ -19,7 +20,6 @@ from spoofgym.bench.runs.play import (
     to_local,
 )
 from spoofgym.bench.runs.record import make_cell
-from spoofgym.bench.runs.world import Suite
 from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofCore
 from spoofgym.simulation import Engine

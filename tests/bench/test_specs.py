@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench.runs.world import detector_entry, spoofer_entry
+from spoofgym.bench.runs.players import detector_entry, spoofer_entry
 from spoofgym.core.registry import load_class, make, parse_spec, slug, spec_of
 from spoofgym.core.settings import describe, differences, digest_of
 from spoofgym.detectors import DETECTORS, Detector, Ewma

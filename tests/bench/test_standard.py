@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from spoofgym.bench.experiments import campaign as standard
-from spoofgym.bench.runs.world import Suite
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.cli import app
 from spoofgym.cli.bench import standard_suite
 from spoofgym.detectors import Shewhart
@@ -25,7 +25,7 @@ def suite() -> Suite:
 
 def test_it_plays_in_the_world_of_the_task(suite: Suite) -> None:
     task = task_of(standard.TASK)
-    given = {name: value for name, value in suite.given.items() if name in task.world_kwargs}
+    given = {name: value for name, value in suite.world.given.items() if name in task.world_kwargs}
     assert given == task.world_kwargs
     assert suite.alert_limit_m == (task.alert_limit_m or Suite.alert_limit_m)
 

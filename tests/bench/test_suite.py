@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.players import DEFAULT_DETECTORS
-from spoofgym.bench.runs.world import SPLITS, Suite, Tuning, seed_sequences
-from spoofgym.bench.search.settings import Selection
+from spoofgym.bench.search.settings import Selection, Tuning
 from spoofgym.core.settings import digest_of
 from spoofgym.detectors import DETECTORS
+from spoofgym.simulation.setup import SPLITS, seed_sequences
 
 from .support import small_suite
 

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from spoofgym.bench.runs.play import Runs, WarmStart, displacement_of, play
-from spoofgym.bench.runs.world import Tuning, spoofer_entry
+from spoofgym.bench.runs.players import spoofer_entry
 from spoofgym.bench.scores.scores import counted, stealth_of
 from spoofgym.bench.scores.statistics import most_alarms
 from spoofgym.bench.search import amplitude as module
 from spoofgym.bench.search.amplitude import RESOLUTION, Trial, TuningResult, tune
+from spoofgym.bench.search.settings import Tuning
 from spoofgym.detectors import Ewma, SnapshotChi2
 
 from .support import small_suite

@@ -98,7 +98,7 @@ def test_a_cell_scores_what_the_environment_pays(env: str, between: str) -> None
 def test_a_run_looked_at_closely_is_that_of_the_campaign(env: str, tmp_path: Path) -> None:
     suite = suite_of(env)
     judge, player = suite.detector_entries[-1], suite.spoofer_entries[-1]
-    episode = play_episode(suite, judge, player, run=2)
+    episode = play_episode(suite.world, judge, player, run=2)
     setup = suite.setup(judge)
     start = WarmStart(setup, suite.generators("evaluation", 4), threads=1)
     attacked, clean = play(start, PUSH), play(start, "none")

@@ -12,9 +12,9 @@ import pytest
 
 import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym import duel_v0
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.episode import play_episode
 from spoofgym.bench.runs.play import WarmStart, play
-from spoofgym.bench.runs.world import Suite
 from spoofgym.detectors import Detector, Verdict
 from spoofgym.envs import SpoofVectorEnv
 from spoofgym.simulation import Engine, Timeline
@@ -168,7 +168,7 @@ def bench(detector: Detector) -> Iterator[None]:
 def episode(detector: Detector) -> Iterator[None]:
     suite = small_suite(detector)
     yield
-    play_episode(suite, suite.detector_entries[0], suite.spoofer_entries[0])
+    play_episode(suite.world, suite.detector_entries[0], suite.spoofer_entries[0])
 
 
 SIMULATIONS: dict[str, tuple[int, Callable[[Detector], Iterator[None]]]] = {

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import detector_entry
-from spoofgym.bench.runs.world import Suite
 from spoofgym.detectors import Calibrated, PooledDetector, SnapshotChi2, make_detector
 from spoofgym.duel_v0 import SpooferView
 from spoofgym.envs import SpoofEnv

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from spoofgym.bench.runs.world import Suite
+from spoofgym.bench.runs.world import World
 from spoofgym.cli.list import KINDS
 from spoofgym.detectors import Calibrated, make_detector
 from spoofgym.detectors.calibrated import identity_of, resolve
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER
 from spoofgym.detectors.learned import LearnedDetector
 from spoofgym.detectors.zoo import ZOO_FOLDER, path_of, shipped
-from spoofgym.tasks import task_of
 
 LARGEST_BYTES = 200_000
 
@@ -35,7 +34,7 @@ def test_it_has_a_threshold_in_the_world_that_it_was_made_for(name: str) -> None
     made = make_detector({"name": name, "false_alarms_per_hour": 0.2})
     assert isinstance(made, Calibrated)
     trained_in = made.detector.card.training["task"]  # type: ignore[attr-defined]
-    world = Suite(**task_of(trained_in).world_kwargs, detectors=["never"], spoofers=[]).world
+    world = World.of(trained_in).setup
     resolve(made, world)
     assert 0.0 < (made.scale or 0.0) < 1.0
     (found,) = made._found(world.conditions, identity_of(made.detector))

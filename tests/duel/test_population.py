@@ -313,7 +313,7 @@ def test_a_detector_that_leaves_no_run_has_no_payoff():
         ({"split": "mine"}, "split"),
         ({"payoff": "gold"}, "payoff"),
         ({"speed": 1.0}, "speed"),
-        ({"task": "T3"}, "decides the world"),
+        ({"task": "T3"}, "can't be given with task T3"),
     ],
 )
 def test_bad_games_are_refused(settings, words):

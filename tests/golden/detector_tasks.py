@@ -52,7 +52,7 @@ def resolved(task: DetectorTask) -> dict[str, Any]:
             ],
         }
     found = {
-        "world": evaluator.worlds.suite.world.conditions.settings,
+        "world": evaluator.worlds.world.setup.conditions.settings,
         "alert_limit_m": task.alert_limit_m,
         "families": families,
         "constants": {name: getattr(detector_tasks, name) for name in CONSTANTS},

@@ -14,7 +14,7 @@ import numpy as np
 
 from spoofgym.attacks import ATTACKS
 from spoofgym.bench.runs.players import detector_entry
-from spoofgym.bench.runs.world import Suite
+from spoofgym.bench.runs.world import World
 from spoofgym.core.files import write_file
 from spoofgym.core.registry import spec_of
 from spoofgym.core.settings import describe, digest_of
@@ -30,7 +30,7 @@ def resolved(task: Task) -> dict[str, Any]:
     """All settings of a task with their defaults, and the factors on its detectors' thresholds."""
     env: Any = gym.make(task.env_id).unwrapped
     setup = env.core.setup
-    points = Suite(**task.suite_kwargs, runs=2).points(detector_entry(task.detector))
+    points = World.of(task.key).points(detector_entry(task.detector))
     found = {
         "world": setup.conditions.settings,
         "attack": spec_of("attack", ATTACKS, setup.attack),

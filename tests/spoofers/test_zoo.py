@@ -9,6 +9,7 @@ import pytest
 
 from spoofgym.bench import Suite
 from spoofgym.bench.runs.players import fitting
+from spoofgym.bench.runs.world import World
 from spoofgym.envs.spoofer_binding import setup_of_card
 from spoofgym.spoofers import SPOOFERS, OnnxPolicy, Ramp, card_of, make_spoofer, resolve, shipped
 from spoofgym.spoofers.zoo import ZOO_FOLDER, spec_of_shipped
@@ -106,7 +107,7 @@ def test_every_shipped_spoofer_is_whole(name: str) -> None:
 @pytest.mark.parametrize("name", shipped())
 def test_every_shipped_spoofer_fits_its_own_world_and_the_default_one(name: str) -> None:
     card = card_of(name)
-    for setup in (setup_of_card(card), Suite(env=card.env_id).world):
+    for setup in (setup_of_card(card), World(card.env_id).setup):
         names, notes = fitting(card.env_id, setup)
         assert name in names, notes
     assert name in {entry.label for entry in Suite(env=card.env_id).spoofer_entries}

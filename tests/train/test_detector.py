@@ -26,7 +26,7 @@ from agents.detector_score import area, classics_of, scored
 from agents.record import read_record
 from spoofgym.bench.experiments.dataset import Episodes, Plan, load, write
 from spoofgym.bench.runs.play import WarmStart, displacement_of, play
-from spoofgym.bench.runs.world import Suite
+from spoofgym.bench.runs.world import World
 from spoofgym.detectors import make_detector
 from spoofgym.simulation.setup import generators_of, seeds_of_runs
 from train import detector as module
@@ -38,7 +38,7 @@ OFTEN = 30.0
 
 
 def setup() -> Any:
-    return Suite(timeline=TIMES, spoofers=[]).world
+    return World.of(timeline=TIMES).setup
 
 
 @pytest.fixture(scope="module")

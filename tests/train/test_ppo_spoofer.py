@@ -226,9 +226,9 @@ def test_a_training_that_diverges_keeps_the_best_and_says_so(trained, tmp_path):
 
 def test_evaluation_and_training_share_no_runs(trained):
     args, _ = trained
-    suite = Evaluator(runs=2, fit_runs=80, **args.world).suite
+    world = Evaluator(runs=2, fit_runs=80, **args.world).world
     states = [
-        suite.generators(split, 1)[0].bit_generator.state["state"]["state"]
+        world.generators(0, split, 1)[0].bit_generator.state["state"]["state"]
         for split in ("training", "evaluation")
     ]
     for seed in args.seeds:

@@ -1,8 +1,8 @@
-"""Calibration of a campaign's detectors: what is missing is made, what is there is replayed."""
+"""All detectors of a world calibrated: what is missing is made, what is there is replayed."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from ...calibration.clean_runs import Progress
@@ -11,7 +11,7 @@ from ...calibration.thresholds import calibrate, expected_runs
 from ...detectors import Calibrated, Detector, PooledDetector, detector_in_world
 from ...detectors.calibrated import resolve
 from ..runs.players import Entry
-from ..runs.world import Suite
+from ..runs.world import World
 
 
 class _Rate(NamedTuple):
@@ -21,10 +21,10 @@ class _Rate(NamedTuple):
     rescaled: bool
 
 
-def _asked(suite: Suite) -> dict[_Rate, list[Detector]]:
-    """Detectors of a campaign that ask for a rate of the calibrations that are looked up."""
+def _asked(entries: Iterable[Entry]) -> dict[_Rate, list[Detector]]:
+    """Detectors that ask for a rate of the calibrations that are looked up."""
     found: dict[_Rate, list[Detector]] = {}
-    for part in (part for entry in suite.detector_entries for part in _parts(entry)):
+    for part in (part for entry in entries for part in _parts(entry)):
         rate = part.false_alarms_per_hour
         if part.scale is None and part.calibration is None and rate is not None:
             found.setdefault(_Rate(rate, part.rescaled), []).append(part.detector)
@@ -37,21 +37,22 @@ def _parts(entry: Entry) -> Iterator[Calibrated]:
     yield from (part for part in parts if isinstance(part, Calibrated))
 
 
-def missing_runs(suite: Suite) -> int:
-    """Clean runs that the campaign's calibrations lack."""
+def missing_runs(world: World, entries: Iterable[Entry]) -> int:
+    """Clean runs that the calibrations of detectors lack."""
     return sum(
         expected_runs(
-            suite.world,
+            world.setup,
             detectors,
             false_alarms_per_hour=rate.false_alarms_per_hour,
             rescaled=rate.rescaled,
         )
-        for rate, detectors in _asked(suite).items()
+        for rate, detectors in _asked(entries).items()
     )
 
 
-def calibrate_suite(
-    suite: Suite,
+def calibrate_entries(
+    world: World,
+    entries: Sequence[Entry],
     *,
     threads: int | None = None,
     progress: Progress | None = None,
@@ -60,9 +61,9 @@ def calibrate_suite(
     """Calibrate the detectors that ask for a rate, and replay the first runs of their files.
     `optional`: labels of detectors that may be left out where no factor on their thresholds makes
     the rate; returns why, by their labels."""
-    for rate, detectors in _asked(suite).items():
+    for rate, detectors in _asked(entries).items():
         found = calibrate(
-            suite.world,
+            world.setup,
             detectors,
             false_alarms_per_hour=rate.false_alarms_per_hour,
             rescaled=rate.rescaled,
@@ -70,12 +71,12 @@ def calibrate_suite(
             progress=progress,
             strict=False,
         )
-        check(suite.world, found, detectors, threads=threads)
+        check(world.setup, found, detectors, threads=threads)
     refused = {}
-    for entry in suite.detector_entries:
+    for entry in entries:
         try:
             for part in _parts(entry):  # those of a file of the user's, too, which this looks up
-                resolve(part, suite.world)
+                resolve(part, world.setup)
         except ValueError as error:
             if entry.label not in optional:
                 raise

@@ -32,15 +32,15 @@ from ...tasks import RANGE_RATE_TESTS, SUITE, task_of
 from ..runs.play import Runs, WarmStart, play
 from ..runs.players import Entry, knowledge_of
 from ..runs.record import Aim, Cell, Protection, make_cell
-from ..runs.world import CONTROLS, Suite
+from ..runs.world import CONTROLS
 from ..scores.scores import counted
 from ..search.amplitude import TuningResult, tune
 from ..search.attack_suite import Member
-from ..search.bounds import Brackets
-from ..search.open_loop import AIMS, Optima, curves_to_fit
+from ..search.open_loop import AIMS, Optima
 from ..search.worst_attack import Search, measured, winner_of
 from .remaining import WARMUP_SHARE, left_of, protection_work, search_work, work_of
 from .results_folder import ResultsFolder
+from .suite import Suite
 
 
 def run_campaign(
@@ -84,8 +84,8 @@ class Player:
 
     def __init__(self, suite: Suite, folder: ResultsFolder, threads: int | None) -> None:
         self.suite, self.folder, self.threads = suite, folder, threads
-        self.brackets = Brackets(suite)
-        self.optima = Optima(suite, threads, self.brackets)
+        self.optima = suite.optima(threads)
+        self.brackets = self.optima.brackets
 
     def play(self, detector: Entry, progress: Progress) -> None:
         """Run the cells of a detector that are not finished, its searches and its protection."""
@@ -162,7 +162,7 @@ def _search(
 ) -> None:
     start, clean = training_start(suite, detector, threads, progress)
     for entry in searches:
-        folder.put_tuning(search(suite, detector, entry, start, clean, progress, optima))
+        folder.put_tuning(search(detector, entry, start, clean, progress, optima))
 
 
 def _members(suite: Suite, folder: ResultsFolder, detector: Entry) -> tuple[Member, ...]:
@@ -187,27 +187,28 @@ def training_start(
     suite: Suite, detector: Entry, threads: int | None, progress: Progress
 ) -> tuple[WarmStart, Runs]:
     """Training runs of a detector at the onset, and what they do without attack."""
-    return start_of(suite, detector, "training", suite.tuning.runs, threads, progress)
+    return _start(suite, detector, "training", suite.tuning.runs, threads, progress)
+
+
+def _start(
+    suite: Suite, detector: Entry, split: str, runs: int, threads: int | None, progress: Progress
+) -> tuple[WarmStart, Runs]:
+    now, setup = f"{detector.label}: {split} runs", suite.setup(detector)
+    return start_of(setup, suite.generators(split, runs), now, threads, progress)
 
 
 def start_of(
-    suite: Suite,
-    detector: Entry,
-    split: str,
-    runs: int,
+    setup: Setup,
+    rngs: Sequence[np.random.Generator],
+    now: str,
     threads: int | None,
     progress: Progress,
-    spoofers: Sequence[Entry] | None = None,
 ) -> tuple[WarmStart, Runs]:
-    """Runs of a split at the onset, and what they do without attack. `spoofers`: who is to play
-    them, all of the suite's by default."""
-    now = f"{detector.label}: {split} runs"
+    """Runs at the onset, and what they do without attack."""
     progress.advance(0.0, now)
-    start = WarmStart(
-        suite.setup(detector, spoofers), suite.generators(split, runs), threads=threads
-    )
-    progress.advance(runs * WARMUP_SHARE, now)
-    return start, play(start, "none", tick=lambda part: progress.advance(runs * part, now))
+    start = WarmStart(setup, rngs, threads=threads)
+    progress.advance(len(rngs) * WARMUP_SHARE, now)
+    return start, play(start, "none", tick=lambda part: progress.advance(len(rngs) * part, now))
 
 
 class Left:
@@ -226,31 +227,30 @@ class Left:
 
 
 def search(
-    suite: Suite,
     detector: Entry,
     entry: Entry,
     start: WarmStart,
     clean: Runs,
     progress: Progress,
-    optima: Optima | None = None,
+    optima: Optima,
 ) -> TuningResult:
     """Search for the setting of one spoofer, and for the curve of a blind optimum before."""
-    left = Left(progress, search_work(suite), f"{detector.label}: tuning {entry.label}")
+    work = search_work(optima.tuning)
+    left = Left(progress, work, f"{detector.label}: tuning {entry.label}")
     if not entry.searched:
-        result = tune(start, clean, entry, detector.label, suite.tuning, tick=left.tick)
+        result = tune(start, clean, entry, detector.label, optima.tuning, tick=left.tick)
         left.end()
         return result
-    most = 0.25 * search_work(suite)
-    looking = optima or Optima(suite)
-    found = looking.find(detector, entry, lambda part: left.tick(most * part))
-    curves = curves_to_fit(suite, found)
+    most = 0.25 * work
+    found = optima.find(detector, entry, lambda part: left.tick(most * part))
+    curves = optima.curves_to_fit(found)
     fits = {
         name: tune(
             start,
             clean,
             with_rates(entry, rates),
             detector.label,
-            suite.tuning,
+            optima.tuning,
             tick=lambda part: left.tick(part / len(curves)),
         )
         for name, rates in curves.items()
@@ -281,7 +281,7 @@ def _worst(
     """Look for the worst attacks on runs of the selection."""
     assert suite.selection is not None  # as `_open` has seen
     runs = suite.selection.runs
-    start, clean = start_of(suite, detector, "selection", runs, threads, progress)
+    start, clean = _start(suite, detector, "selection", runs, threads, progress)
     expected = protection_work(suite) - runs * (1.0 + WARMUP_SHARE)
     left = Left(progress, expected, f"{detector.label}: worst attack")
     context = spoofer_context(start.setup)
@@ -299,7 +299,7 @@ def _cells(
     threads: int | None,
     progress: Progress,
 ) -> None:
-    start, twin = start_of(suite, detector, "evaluation", suite.runs, threads, progress)
+    start, twin = _start(suite, detector, "evaluation", suite.runs, threads, progress)
     for entry in cells:
         tuning = folder.tuning(detector.label, entry.label) if entry.tuned else None
         spec = entry.spec
@@ -404,12 +404,3 @@ def standard_kwargs() -> dict[str, Any]:
     limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
     note = f"suite {STANDARD}: the world of task {task.key} of {SUITE}"
     return {**task.world_kwargs, **limit, "notes": (note,)}
-
-
-def standard_world() -> Suite:
-    return nobody_in(standard_kwargs())
-
-
-def nobody_in(settings: Mapping[str, Any]) -> Suite:
-    """A suite for its world alone, by keyword arguments of a `Suite`: nobody plays."""
-    return Suite(**{**settings, "detectors": ["never"], "spoofers": []})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,12 +17,22 @@ from ...spoofers.learned import ModelPolicy, trained_in
 from ...spoofers.scaled import AMPLITUDE, SMALLEST, Scaled
 from ...tasks import task_of
 from ..runs.play import Runs, WarmStart, displacement_of, play
-from ..runs.players import Entry, build_spoofer, fitted, spoofer_entry
-from ..runs.world import WORLD, Suite, Tuning
+from ..runs.players import (
+    Entry,
+    build_spoofer,
+    detector_entry,
+    fitted,
+    refuse_oracles,
+    spoofer_entry,
+)
+from ..runs.world import WORLD, World
 from ..scores.scores import clusters_of, counted, stealth_of
 from ..scores.spoofer import Score
 from ..scores.statistics import BUDGET, bootstrap_mean, fewest_runs, resamples_of, wilson
 from ..search.amplitude import TuningResult
+from ..search.bounds import Brackets
+from ..search.open_loop import Optima
+from ..search.settings import Tuning
 from .campaign import search, start_of, with_rates
 
 FITTED = "fitted"
@@ -80,8 +90,8 @@ class Evaluator:
     progress : Progress, optional
         Shows how far it is.
     **world
-        Without a task: ``detector``, and settings of the environment as `Suite` takes them, such as
-        ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``.
+        Without a task: ``detector``, and settings of the environment as `World.of` takes them,
+        such as ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``.
 
     Raises
     ------
@@ -116,34 +126,33 @@ class Evaluator:
                 raise ValueError("`evaluate` needs a task, or a `detector` and its world")
             detector = world.pop("detector")
             check_keywords("evaluate", world, (*WORLD, "env", "settings"))
-            chosen: dict[str, Any] = {**world, "detectors": [detector]}
-        elif world:
-            raise ValueError(
-                f"task {task} decides the world: `{', '.join(world)}` can't be given with it"
-            )
-        else:
-            chosen = task_of(task).suite_kwargs
+        self.world = World.of(task, **world)
+        self.detector = detector_entry(detector if task is None else task_of(task).detector)
+        refuse_oracles((self.detector,))
         fit_runs = whole_number("`fit_runs`", fit_runs, fewest_runs(BUDGET))
+        self.runs = whole_number("`runs`", runs, 2)
+        self.entropy = whole_number("`entropy`", entropy)
         tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1))
         self.task, self.threads, self.progress = task, threads, progress or Silent()
-        self.suite = Suite(**chosen, spoofers=["none"], runs=runs, entropy=entropy, tuning=tuning)
-        self.suite.check_fit()
-        (self.detector,) = self.suite.detector_entries
+        self.world.check_fit([self.detector])
+        brackets = Brackets(self.world, [self.detector], self.entropy)
+        self.optima = Optima(brackets, tuning, threads=threads)
         self._starts: dict[tuple[str, tuple[type, ...]], tuple[WarmStart, Runs]] = {}
 
     def _start(self, split: str, entry: Entry) -> tuple[WarmStart, Runs]:
         """Runs of a split, kept for all spoofers that need the same to be watched."""
-        watched = tuple(map(type, self.suite.watched_for([entry])))
+        watched = tuple(map(type, self.world.watched_for([entry])))
         if (split, watched) not in self._starts:
-            runs = self.suite.tuning.runs if split == "training" else self.suite.runs
-            self._starts[split, watched] = start_of(
-                self.suite, self.detector, split, runs, self.threads, self.progress, [entry]
-            )
+            runs = self.optima.tuning.runs if split == "training" else self.runs
+            setup = self.world.setup_of(self.detector, [entry])
+            rngs = self.world.generators(self.entropy, split, runs)
+            now = f"{self.detector.label}: {split} runs"
+            self._starts[split, watched] = start_of(setup, rngs, now, self.threads, self.progress)
         return self._starts[split, watched]
 
     def _fitted(self, entry: Entry) -> TuningResult:
         start, clean = self._start("training", entry)
-        return search(self.suite, self.detector, entry, start, clean, self.progress)
+        return search(self.detector, entry, start, clean, self.progress, self.optima)
 
     def fit(self, policy: Any, *, knowledge: str | None = None) -> TuningResult:
         """Fit the amplitude of a spoofer on the training runs; its `score` is of these.
@@ -173,7 +182,7 @@ class Evaluator:
         ValueError
             When there is none of that name, or it needs another world.
         """
-        replace(self.suite, spoofers=[entry_of(policy, FITTED, None).spec]).check_fit()
+        self.world.check_fit([self.detector], [entry_of(policy, FITTED, None)])
 
     def score(
         self,
@@ -206,7 +215,7 @@ class Evaluator:
         elif isinstance(entry, LiveEntry) and isinstance(entry.spoofer, Scaled):
             setting, value = AMPLITUDE, entry.spoofer.amplitude
         start, twin = self._start("evaluation", entry)
-        setup, runs, now = start.setup, self.suite.runs, f"{entry.label}: evaluation runs"
+        setup, runs, now = start.setup, self.runs, f"{entry.label}: evaluation runs"
         attacked = play(start, spec, tick=lambda part: self.progress.advance(part * runs, now))
         counts = counted(start.warmup_alarm, twin.first_alarm)
         moved = displacement_of(setup, attacked, twin)
@@ -214,7 +223,7 @@ class Evaluator:
         stealth = stealth_of(moved, alarmed, counts)
         sky = twin.onset // setup.epochs_each
         samples = resamples_of(clusters_of(sky)[counts])
-        budget = self.suite.tuning.budget
+        budget = self.optima.tuning.budget
         return Score(
             task=self.task,
             detector=self.detector.label,

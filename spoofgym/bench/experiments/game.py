@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...calibration.clean_runs import Progress, Silent, weighs
-from ...core.registry import check_choice, check_keywords
+from ...core.registry import check_choice, check_keywords, whole_number
 from ...core.settings import digest_of, outside_sources
 from ...detectors import Detector, Never, detector_in_world
 from ...detectors.calibrated import factors_of, resolve
@@ -32,7 +32,7 @@ from ...simulation.setup import SPLITS, Setup
 from ...simulation.simulator import Simulator
 from ...tasks import task_of
 from ..runs.play import Runs, WarmStart, induced_error, play
-from ..runs.world import WORLD, Suite
+from ..runs.world import WORLD, World
 from ..scores.matrix_game import PayoffMatrix, Played, RunPayoff
 from ..scores.scores import counted, undetected_displacement
 from .members import DETECTOR, SPOOFER, Member, Mixture, Strategy, strategy_of
@@ -83,9 +83,11 @@ class Pairs(Experiment):
     @property
     def config(self) -> dict[str, Any]:
         """World of the game; runs are of the cells, so that all splits may be in one folder."""
-        config = self.game.suite.config
-        names = (*WORLD, "env", "settings", "outside")
-        return {name: config[name] for name in names if name in config}
+        world = self.game.world
+        named = {
+            name: world.config[name] for name in (*WORLD, "env", "settings") if name in world.config
+        }
+        return {**named, "outside": outside_sources(*world.parts)}
 
     @cached_property
     def pairs(self) -> dict[str, tuple[Cell, Member, Member]]:
@@ -106,10 +108,15 @@ class Pairs(Experiment):
 
     def _identity(self, spoofer: Member, detector: Member) -> tuple[str, dict[str, Any] | None]:
         """Key of a pair, and all that it depends on; None where no text says that."""
-        judge, runs = self.game.detector(detector), [self.game.suite.runs, *self.game.seeds]
+        judge, runs = self.game.detector(detector), [self.game.runs, *self.game.seeds]
         key = " ".join(map(str, (*runs, spoofer.label, detector.label)))
         outside = outside_sources(judge, spoofer.spec, detector.spec)
-        if None in (spoofer.spec, detector.spec, *outside.values()):
+        if None in (
+            spoofer.spec,
+            detector.spec,
+            *outside.values(),
+            *self.config["outside"].values(),
+        ):
             return key, None
         named = {"runs": runs, "spoofer": spoofer.spec, "sources": outside}
         named["detector"] = [detector.spec, *factors_of(judge)]
@@ -141,16 +148,16 @@ class Pairs(Experiment):
 
     def field(self, detectors: Sequence[Member], alone: bool, context: Context) -> _Field:
         """Runs at the onset, with their clean twins, in front of detectors that share them."""
-        fields, suite = context.cache, self.game.suite
+        fields, game = context.cache, self.game
         key = (alone, *(each.label for each in detectors))
         if key not in fields:
-            judges = [self.game.detector(each) for each in detectors]
+            judges = [game.detector(each) for each in detectors]
             monitors: list[Monitor] = [] if alone else [EpochAlarms(judges)]
             if any(REPORTED in each.knowledge for each in self.spoofers):
                 monitors.append(PastPositions())
             guard = judges[0] if alone else Never()
-            setup = suite.world.altered(detector=guard, monitors=monitors)
-            rngs = suite.generators(self.game.seeds[1], suite.runs)
+            setup = game.setup.altered(detector=guard, monitors=monitors)
+            rngs = game.world.generators(*game.seeds, game.runs)
             start = WarmStart(setup, rngs, threads=context.threads)
             early = start.warmup_alarm[None]
             if not alone:
@@ -219,7 +226,7 @@ class Game:
     progress : Progress, optional
         Shows how far it is, in passes of the engine.
     **world
-        Without a task: settings of the environment as `Suite` takes them.
+        Without a task: settings of the environment as `World.of` takes them.
 
     Raises
     ------
@@ -257,22 +264,15 @@ class Game:
         check_choice("split", split, [name for name in SPLITS if name != "calibration"])
         if task is None:
             check_keywords("Game", world, (*WORLD, "env", "settings"))
-        else:
-            if world:
-                raise ValueError(
-                    f"task {task} decides the world: `{', '.join(world)}` can't be given with it"
-                )
-            known = task_of(task)
-            world = known.world_kwargs
-            limit_m = known.alert_limit_m if limit_m is None else limit_m
+        self.world = World.of(task, **world)
+        if task is not None and limit_m is None:
+            limit_m = task_of(task).alert_limit_m
         if limit_m is None:
             raise ValueError("`limit_m` is needed: this world has no alert limit of its own")
         self._world = {**world, "task": task} if task is None else {"task": task}
         self._world |= {"payoff": payoff, "limit_m": limit_m, "folder": folder}
         self._world |= {"threads": threads, "progress": progress}
-        self.suite = Suite(
-            **world, detectors=["never"], spoofers=["none"], runs=runs, entropy=entropy
-        )
+        self.runs, entropy = whole_number("`runs`", runs, 2), whole_number("`entropy`", entropy)
         self.task, self.payoff, self.seeds = task, RunPayoff(payoff, limit_m), (entropy, split)
         self.store = MemoryStore(None if folder is None else Store(folder))
         self.threads, self.progress = threads, progress or Silent()
@@ -282,7 +282,7 @@ class Game:
     @property
     def setup(self) -> Setup:
         """The world, without a defence."""
-        return self.suite.world
+        return self.world.setup
 
     def on(self, split: str, runs: int | None = None, entropy: int | None = None) -> Game:
         """The same game on runs of another split.
@@ -299,7 +299,7 @@ class Game:
         Game
             With the same folder and payoff.
         """
-        count = self.suite.runs if runs is None else runs
+        count = self.runs if runs is None else runs
         seed = self.seeds[0] if entropy is None else entropy
         return Game(**self._world, runs=count, entropy=seed, split=split)
 

@@ -20,7 +20,6 @@ from ...core.registry import whole_number
 from ...envs.spoofer_binding import spoofer_context
 from ...tasks import ANTENNA_PARTS, EVENTS, AttackFamily, DetectorTask, detector_task_of
 from ..runs.record import MEASURES, Protection
-from ..runs.world import Suite
 from ..scores.detector import (
     CLEAN,
     WINDOW,
@@ -96,21 +95,6 @@ class DetectorEvaluator:
         where = None if folder is None else Path(folder)
         self._parts = Parts(where, self.task, self.runs, self.selection, self.entropy)
 
-    def suite_of(self, detectors: Sequence[Any]) -> Suite:
-        """Suite of the task's world with some detectors, which `calibrate_suite` takes.
-
-        Parameters
-        ----------
-        detectors : sequence
-            As of `evaluate_detector`.
-
-        Returns
-        -------
-        Suite
-            Nobody plays in it.
-        """
-        return self.worlds.suite_of(detectors)
-
     def expected_work(self, detectors: Iterable[Any]) -> float:
         """Work that is left for some detectors, roughly.
 
@@ -169,7 +153,7 @@ class DetectorEvaluator:
                 entropy=self.entropy,
                 families=tuple(families),
                 false_alarms=alarms[label],
-                window_s=self.worlds.suite.world.window_s,
+                window_s=self.worlds.world.setup.window_s,
             )
             for label, families in found.items()
         ]

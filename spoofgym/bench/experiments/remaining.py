@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from ..runs.players import Entry
-from ..runs.world import Suite
+from ..search.settings import Tuning
 from .results_folder import ResultsFolder
+from .suite import Suite
 
 WARMUP_SHARE = 1.0
 """Work of a warm-up, in cells."""
@@ -22,12 +23,11 @@ def work_of(suite: Suite, folder: ResultsFolder, detector: Entry) -> float:
         total += suite.runs * sum(entry.label != "none" for entry in cells)
     if searches:
         total += suite.tuning.runs * (1.0 + WARMUP_SHARE)
-        total += len(searches) * search_work(suite)
+        total += len(searches) * search_work(suite.tuning)
     return total + (protection_work(suite) if protect else 0.0)
 
 
-def search_work(suite: Suite) -> float:
-    settings = suite.tuning
+def search_work(settings: Tuning) -> float:
     return settings.values * settings.sift_runs + (settings.refined + 2) * settings.runs
 
 

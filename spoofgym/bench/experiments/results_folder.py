@@ -17,8 +17,8 @@ from ...core.registry import slug
 from ...core.settings import differences
 from ..runs.players import TUNED
 from ..runs.record import Cell, Protection
-from ..runs.world import Suite
 from ..search.amplitude import TuningResult
+from .suite import Suite
 from .versions import campaign_digest
 
 CONFIG, TABLE, SUMMARY, PICTURE = "config.json", "results.md", "summary.json", "campaign.png"

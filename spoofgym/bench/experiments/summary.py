@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runs.record import Aim, Cell, Protection, Winner
-from ..runs.world import FORMAT
 from ..scores.bounds import bracket_of
 from ..scores.clean import number, operating_point, score_detector
 from ..scores.paired import compare
@@ -32,6 +31,7 @@ from ..scores.statistics import (
     wilson,
 )
 from .results_folder import ResultsFolder
+from .suite import FORMAT
 
 SURVIVAL_TIMES = 8
 """At how many times the share of undetected attacks is told."""

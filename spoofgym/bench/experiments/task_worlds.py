@@ -19,7 +19,7 @@ from ...tasks import CANDIDATES, AttackFamily, DetectorTask
 from ..runs.panel import NearAlarm, Panel, generators, in_any_world, numbers_of
 from ..runs.players import TUNED, Entry, check_labels, detector_entry, fitted, refuse_oracles
 from ..runs.players import spoofer_entry as entry_of_spoofer
-from ..runs.world import Suite
+from ..runs.world import World
 from ..scores.paired import CONTROLS
 from ..search.attack_suite import ORACLES, Member, fitting_members
 from ..search.worst_attack import AntennaEntry
@@ -49,6 +49,16 @@ def sharing(defences: Sequence[Defence], family: AttackFamily | None) -> list[li
     return [*([shared] if shared else []), *others]
 
 
+def entries_of(detectors: Iterable[Any]) -> tuple[Entry, ...]:
+    """Detectors that may be scored together."""
+    entries = tuple(map(detector_entry, detectors))
+    if not entries:
+        raise ValueError("no detector is given")
+    check_labels(entries)
+    refuse_oracles(entries)
+    return entries
+
+
 def held_out_but_met(judge: Detector, task: DetectorTask) -> str | None:
     """Family that a task holds out, and that a detector has learned from, as its card has it."""
     inner = judge.detector if isinstance(judge, Calibrated) else judge
@@ -69,37 +79,27 @@ class Worlds:
 
     def __init__(self, task: DetectorTask, entropy: int, threads: int | None) -> None:
         self.task, self.entropy, self.threads = task, entropy, threads
-        self._suites: dict[str, Suite] = {}
+        self._setups: dict[str, Setup] = {}
         self._panels: dict[Any, Panel] = {}
 
     @cached_property
-    def suite(self) -> Suite:
-        """The task's world, without anybody in it."""
-        return self.suite_of(["never"])
-
-    def suite_of(self, detectors: Sequence[Any]) -> Suite:
-        """Suite of the task's world with some detectors; nobody plays in it."""
-        return Suite(**self.task.world_kwargs, detectors=detectors, spoofers=[])
+    def world(self) -> World:
+        """The task's world."""
+        return World(given=self.task.world_kwargs)
 
     def setup(self, **overrides: Any) -> Setup:
         """World of a family, or with an event, without a defence."""
         key = digest_of(describe(overrides))
-        if key not in self._suites:
-            settings = {**self.task.world_kwargs, **overrides}
-            self._suites[key] = Suite(**settings, detectors=["never"], spoofers=[])
-        return self._suites[key].world
+        if key not in self._setups:
+            self._setups[key] = self.world.altered(**overrides).setup
+        return self._setups[key]
 
     def defences(self, detectors: Iterable[Any]) -> list[Defence]:
         """Detectors with their thresholds of the task's world. `detectors`: as of
         `evaluate_detector`; `UserWarning`: of a detector that has learned from what the task holds
         out, as its card has it."""
         specs = list(detectors)
-        if not specs:
-            raise ValueError("no detector is given")
-        entries = tuple(map(detector_entry, specs))
-        check_labels(entries)
-        refuse_oracles(entries)
-        world, found = self.suite.world, []
+        entries, world, found = entries_of(specs), self.world.setup, []
         for entry, spec in zip(entries, specs, strict=True):
             judge = detector_in_world(spec)
             resolve(judge, world)

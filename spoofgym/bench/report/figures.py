@@ -17,10 +17,10 @@ from ...envs.core import SpoofCore
 from ...envs.rendering import CoreRecorder, Screen
 from ...envs.spoofer_binding import commands_of
 from ..experiments.results_folder import PICTURE, ResultsFolder
+from ..experiments.suite import Suite
 from ..runs.play import Attacker
 from ..runs.players import Entry, build_spoofer
 from ..runs.record import Cell
-from ..runs.world import Suite
 from ..scores.bounds import STEALTHY
 from .table import number
 

@@ -10,7 +10,8 @@ from ...core.registry import label_of
 from ...detectors import zoo
 from ...detectors.learned_card import DetectorCard, card_path
 from ...tasks import DETECTOR_TASKS, SUITE, TASKS, DetectorTask, task_of
-from ..experiments.campaign import everyone_in, in_order, nobody_in
+from ..experiments.campaign import everyone_in, in_order
+from ..runs.world import World
 from .table import attack_of_suite, interval, number, titled
 
 FILE = "task_cards_v1.json"
@@ -154,7 +155,7 @@ def classics_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
     with a drift term with rescaled innovations."""
     bank = next(each for each in task.task.detectors if each["name"] == "solution-separation")
     plain = {key: value for key, value in bank.items() if key != "false_alarms_per_hour"}
-    everyone = in_order(everyone_in(nobody_in(task.task.world_kwargs).world, rescaled=True))
+    everyone = in_order(everyone_in(World(given=task.task.world_kwargs).setup, rescaled=True))
     return tuple(plain if each["name"] == plain["name"] else each for each in everyone)
 
 

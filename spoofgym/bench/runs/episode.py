@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.plots import BLUE, GREEN, GREY, ORANGE, figure_class, save_figure, style
 from ...core.registry import whole_number
 from ...simulation.engine import Engine
+from ...simulation.setup import Setup
 from ...spoofers.aim import AXES
 from ..scores.scores import undetected_displacement
 from .play import Attacker, epochs_of, to_local
 from .players import Entry
-from .world import Suite
+from .world import World
 
 
 class Interval(NamedTuple):
@@ -107,8 +108,7 @@ class Episode:
     Times are since the onset, negative in the last part of the warm-up; L epochs of it and K from
     the onset to the end are kept.
 
-    - `suite`: scenario, receiver, attack, timeline and seed;
-    - `run`: which of the evaluation runs;
+    - `setup`: world and detector; `entropy`, `run`: which of the evaluation runs;
     - `time` (L + K,) [s];
     - `ratio` (L + K, 2) largest ratio of a statistic to its threshold, attacked and twin;
     - `alarm` (L + K, 2) bool;
@@ -118,9 +118,10 @@ class Episode:
     - `onset_epoch`: epoch of `Setup.epoch_time` after which the attack starts.
     """
 
-    suite: Suite
+    setup: Setup
     detector: Entry
     spoofer: Entry
+    entropy: int
     run: int
     time: FloatArray
     ratio: FloatArray
@@ -154,7 +155,7 @@ class Episode:
 
     def summary(self) -> dict[str, Any]:
         """What came of it, JSON-able."""
-        setup = self.suite.setup(self.detector)
+        setup = self.setup
         interval, induced, first = setup.interval_s, self.induced, self.first_alarm
         commanded = induced[: setup.steps]
         alarms = self.alarm[: self.onset, ATTACKED]
@@ -165,7 +166,7 @@ class Episode:
             "detector": self.detector.spec,
             "spoofer": self.spoofer.spec,
             "attack": setup.attack.label,
-            "entropy": self.suite.entropy,
+            "entropy": self.entropy,
             "run": self.run,
             "warmup_alarm": bool(alarms.any()),
             "alarm": first > 0,
@@ -182,16 +183,18 @@ class Episode:
         }
 
 
-def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) -> Episode:
+def play_episode(
+    world: World, detector: Entry, spoofer: Entry, run: int = 0, entropy: int = 0
+) -> Episode:
     run = whole_number("`run`", run)
-    setup = suite.setup(detector, [spoofer])
+    setup = world.setup_of(detector, [spoofer])
     engine = Engine(1, setup, threads=1, twin=True)
     simulator, twin = engine.simulator, engine.twin
     assert twin is not None  # as was asked for
     everyone, epochs = np.zeros(1, dtype=np.intp), setup.steps + setup.hold
     ratio = np.zeros((setup.live + epochs, 2))
     alarm = np.zeros(ratio.shape, dtype=np.bool_)
-    simulator.begin(suite.generators("evaluation", run + 1, run))
+    simulator.begin(world.generators(entropy, "evaluation", run + 1, run))
     simulator.quiet_epochs(setup.quiet)
     for k in range(setup.live):
         alarm[k], ratio[k] = simulator.live_epochs(1)[0], simulator.ratio()
@@ -209,9 +212,10 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
             apart[k, column] = (each.position - truth[each.epochs])[0]
         displacement[k] = simulator.commanded_displacement[0]
     return Episode(
-        suite=suite,
+        setup=setup,
         detector=detector,
         spoofer=spoofer,
+        entropy=entropy,
         run=run,
         time=np.arange(1.0 - setup.live, epochs + 1) * setup.interval_s,
         ratio=ratio,
@@ -244,7 +248,7 @@ def draw_episode(episode: Episode, path: Path) -> Path:
 
 def _draw_flight(ax: Any, episode: Episode) -> None:
     """True ground track; the part under attack stands out."""
-    setup = episode.suite.setup(episode.detector)
+    setup = episode.setup
     world, onset = divmod(episode.onset_epoch, setup.epochs_each)
     flown = setup.true_position[world * setup.epochs_each :][: setup.epochs_each]
     end, first = onset + setup.steps + setup.hold, onset - setup.onset
@@ -281,7 +285,7 @@ def _draw_displacement(ax: Any, episode: Episode) -> None:
 
 
 def _phases(ax: Any, episode: Episode) -> None:
-    setup = episode.suite.setup(episode.detector)
+    setup = episode.setup
     interval = setup.interval_s
     end = setup.steps * interval
     ax.axvline(0.0, color=GREY, lw=1)

@@ -18,10 +18,10 @@ from ...detectors.calibration_file import run_probability
 from ...limits import Frontier, deflection_for, frontier_of
 from ...limits.bounds import Case, Tick, ZeroAlarm, cases_of, zero_alarm_bounds
 from ...limits.floor import QUANTILES, check_linear_victim
-from ...simulation.setup import Setup
 from ...simulation.tight import TightlyCoupledSetup
 from ..runs.players import Entry
-from ..runs.world import Suite
+from ..runs.world import World
+from ..scores.statistics import BUDGET
 
 WORLDS = 4
 """Drawn worlds over which floors and bounds are taken."""
@@ -77,28 +77,37 @@ def _finite(value: float) -> float | None:
 
 
 class Brackets:
-    """Floor and zero-alarm bounds of a campaign's detectors, over so many drawn worlds."""
+    """Floor of a world and zero-alarm bounds of detectors in it, over so many that are drawn.
+    `budget`: of alarms, which the floor keeps."""
 
-    def __init__(self, suite: Suite, worlds: int = WORLDS) -> None:
-        self.suite, self.worlds = suite, worlds
+    def __init__(
+        self,
+        world: World,
+        detectors: Sequence[Entry],
+        entropy: int = 0,
+        budget: float = BUDGET,
+        worlds: int = WORLDS,
+    ) -> None:
+        self.world, self.detectors, self.entropy = world, detectors, entropy
+        self.budget, self.worlds = budget, worlds
         self._cases: list[Case] | None = None
         self._bounds: dict[str, ZeroAlarm] = {}
 
     @property
     def setup(self) -> TightlyCoupledSetup | None:
         """The world, where limits are known for its victim."""
-        world: Setup = self.suite.world
-        return world if isinstance(world, TightlyCoupledSetup) else None
+        setup = self.world.setup
+        return setup if isinstance(setup, TightlyCoupledSetup) else None
 
     def floor(self) -> dict[str, Any]:
         """Floors of the world at the campaign's rate of false alarms; why there is none."""
         if self.setup is None:
-            return {"why": f"no limit is known for {self.suite.world.whose}"}
+            return {"why": f"no limit is known for {self.world.setup.whose}"}
         try:
-            frontier = frontier_of(self.setup, worlds=self.worlds, entropy=self.suite.entropy)
+            frontier = frontier_of(self.setup, worlds=self.worlds, entropy=self.entropy)
         except ValueError as error:
             return {"why": str(error)}
-        return floors_at(frontier, self.rates, self.suite.tuning.budget)
+        return floors_at(frontier, self.rates, self.budget)
 
     @property
     def p_fa(self) -> float:
@@ -108,13 +117,13 @@ class Brackets:
     @property
     def rates(self) -> list[float]:
         """Probabilities of a false alarm in a run of the detectors, the standard one for none."""
-        points = [self.suite.points(entry) for entry in self.suite.detector_entries]
+        points = map(self.world.points, self.detectors)
         found = dict.fromkeys(float(point.per_run) for each in points for point in each)
-        return list(found) or [run_probability(STANDARD_RATE, self.suite.world.window_s)]
+        return list(found) or [run_probability(STANDARD_RATE, self.world.setup.window_s)]
 
     def zero_alarm(self, detector: Entry, tick: Tick | None = None) -> ZeroAlarm:
         if self.setup is None:
-            why = f"no limit is known for {self.suite.world.whose}"
+            why = f"no limit is known for {self.world.setup.whose}"
             return ZeroAlarm(None, None, "", why, [])
         if detector.label not in self._bounds:
             judge = detector_in_world(detector.spec)
@@ -126,6 +135,6 @@ class Brackets:
     def cases(self, tick: Tick | None = None) -> list[Case]:
         """Drawn worlds, the same for all detectors."""
         if self._cases is None:
-            setup = check_linear_victim(self.suite.world)
-            self._cases = cases_of(setup, self.worlds, self.suite.entropy, tick)
+            setup = check_linear_victim(self.world.setup)
+            self._cases = cases_of(setup, self.worlds, self.entropy, tick)
         return self._cases

@@ -29,7 +29,7 @@ campaign's own profiles are fitted like the one that was found, and the best of 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -47,10 +47,10 @@ from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.profile import MOST_KNOTS, sampled
 from ..runs.play import Runs, WarmStart, induced_error, play
 from ..runs.players import Entry
-from ..runs.world import Suite
 from ..scores.statistics import aim
 from .backends import EnginePlayer, ReplayPlayer, limits_of
 from .bounds import Brackets
+from .settings import Tuning
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -317,21 +317,27 @@ ZERO_ALARM, BEFORE = "zero-alarm shape", "found before"
 
 
 class Optima:
-    """Searches of one campaign."""
+    """Searches in the world of some brackets, against their detectors. `spoofers`: who plays there
+    besides; profiles among them are candidates."""
 
     def __init__(
-        self, suite: Suite, threads: int | None = None, brackets: Brackets | None = None
+        self,
+        brackets: Brackets,
+        tuning: Tuning,
+        spoofers: Sequence[Entry] = (),
+        threads: int | None = None,
     ) -> None:
-        self.suite, self.threads, self.settings = suite, threads, BlindSearch()
-        self.brackets = brackets or Brackets(suite)
+        self.brackets, self.tuning, self.spoofers = brackets, tuning, spoofers
+        self.world, self.threads, self.settings = brackets.world, threads, BlindSearch()
         self._replay: Replay | None = None
         self._numbers: dict[str, int] | None = None
 
     def find(self, detector: Entry, spoofer: Entry, tick: Tick) -> dict[str, Any]:
         """Curves by `AIMS`, ``aims``, with their ``rates_mps``; ``by``, what played the candidates.
         `spoofer`: a blind optimum without rates, for its heading."""
-        generators = self.suite.generators(SPLIT, self.settings.runs)
-        start = WarmStart(self.suite.setup(detector), generators, threads=self.threads)
+        generators = self.world.generators(self.brackets.entropy, SPLIT, self.settings.runs)
+        setup = self.world.setup_of(detector, self.spoofers)
+        start = WarmStart(setup, generators, threads=self.threads)
         clean = play(start, "none")
         heading_deg = spoofer.spec["heading_deg"]
         shape = self._zero_alarm(detector)
@@ -357,7 +363,7 @@ class Optima:
         found: dict[str, Any] = {}
         best: BlindOptimum | None = None
         least = 1.0
-        tuning = self.suite.tuning
+        tuning = self.tuning
         for name, share in zip(AIMS, (aim(tuning.runs, tuning.budget), 0.5), strict=True):
             # what gets as far as any attack at few alarms does so at more of them
             if best is None or not best.free or share < least:
@@ -383,7 +389,7 @@ class Optima:
 
     def _player(self, detector: Entry, heading_deg: float | str) -> tuple[ReplayPlayer | None, str]:
         """The detector on the shared replay; None, and why, where it has none."""
-        setup = self.suite.world
+        setup = self.world.setup
         if not isinstance(setup, TightlyCoupledSetup):
             return None, f"{setup.whose} has no linear response here"
         try:
@@ -398,14 +404,14 @@ class Optima:
 
     def _judge(self, detector: Entry) -> Detector:
         judge = detector_in_world(detector.spec)
-        resolve(judge, self.suite.world)
+        resolve(judge, self.world.setup)
         return judge
 
     def _recorded(self, setup: TightlyCoupledSetup) -> tuple[Replay, dict[str, int]]:
         """The replay of all passive detectors, and their numbers."""
         if self._replay is None or self._numbers is None:
             judges = {}
-            for entry in self.suite.detector_entries:
+            for entry in self.brackets.detectors:
                 judge = self._judge(entry)
                 try:
                     check_replayable(judge)
@@ -413,34 +419,34 @@ class Optima:
                     continue
                 if not weighs(setup, judge):
                     judges[entry.label] = judge
-            seeds = seed_sequences(self.suite.entropy, SPLIT, setup.name, self.settings.runs)
+            entropy, runs = self.brackets.entropy, self.settings.runs
+            seeds = seed_sequences(entropy, SPLIT, setup.name, runs)
             everyone = list(judges.values())
             self._replay = Replay(setup, everyone, seeds, threads=self.threads)
             self._numbers = {label: k for k, label in enumerate(judges)}
         return self._replay, self._numbers
 
-
-def curves_to_fit(suite: Suite, found: dict[str, Any]) -> dict[str, list[float]]:
-    """The curve for the budget, and others that get as far, by their names. Nothing gets farther
-    than the largest rate: where that was found, it is the only one."""
-    rates = np.array(found["aims"][AIMS[0]]["rates_mps"])
-    limit, _ = limits_of(suite.world)
-    curves = {FOUND: rates}
-    if rates.min() < limit:
-        t = np.linspace(0.0, 1.0, len(rates))
-        plain = {name: SHAPES[name](t) for name in PLAIN}
-        plain |= {
-            entry.label: np.array(entry.spec["rates_mps"])
-            for entry in suite.spoofer_entries
-            if entry.spec["name"] == "profile" and not entry.spec["cross_rates_mps"]
-        }
-        plain |= {name: np.array(each) for name, each in found["shapes"].items()}
-        for name, shape in plain.items():
-            # its amplitude may exceed 1, and the attack's limit holds after that
-            shape = np.interp(t, np.linspace(0.0, 1.0, len(shape)), shape)
-            size = min(rates.mean() / shape.mean(), limit / np.abs(shape).max())
-            curves[name] = size * shape
-    return {name: [float(f"{rate:.6g}") for rate in each] for name, each in curves.items()}
+    def curves_to_fit(self, found: dict[str, Any]) -> dict[str, list[float]]:
+        """The curve for the budget, and others that get as far, by their names. Nothing gets
+        farther than the largest rate: where that was found, it is the only one."""
+        rates = np.array(found["aims"][AIMS[0]]["rates_mps"])
+        limit, _ = limits_of(self.world.setup)
+        curves = {FOUND: rates}
+        if rates.min() < limit:
+            t = np.linspace(0.0, 1.0, len(rates))
+            plain = {name: SHAPES[name](t) for name in PLAIN}
+            plain |= {
+                entry.label: np.array(entry.spec["rates_mps"])
+                for entry in self.spoofers
+                if entry.spec["name"] == "profile" and not entry.spec["cross_rates_mps"]
+            }
+            plain |= {name: np.array(each) for name, each in found["shapes"].items()}
+            for name, shape in plain.items():
+                # its amplitude may exceed 1, and the attack's limit holds after that
+                shape = np.interp(t, np.linspace(0.0, 1.0, len(shape)), shape)
+                size = min(rates.mean() / shape.mean(), limit / np.abs(shape).max())
+                curves[name] = size * shape
+        return {name: [float(f"{rate:.6g}") for rate in each] for name, each in curves.items()}
 
 
 def linear_error(

@@ -14,9 +14,9 @@ from onnx import helper, numpy_helper
 import spoofgym
 from spoofgym import duel_v0
 from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.experiments.versions import campaign_digest
 from spoofgym.bench.runs.players import detector_entry
-from spoofgym.bench.runs.world import Suite
 from spoofgym.calibration import calibrate
 from spoofgym.calibration.clean_runs import Player
 from spoofgym.cli.app import app

@@ -1,0 +1,260 @@
+"""What a campaign runs: who meets whom in which world, and how settings are searched for."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import uuid
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...attacks import Attack
+from ...core.registry import whole_number
+from ...core.settings import outside_sources
+from ...detectors import Detector, OperatingPoint, detector_in_world
+from ...envs.spoofer_binding import ENV_ID
+from ...simulation.domain import Domain
+from ...simulation.setup import SPLITS, Setup, Timeline
+from ...spoofers import Spoofer
+from ...truth.scenario import Scenario
+from ..runs.players import (
+    DEFAULT_SPOOFERS,
+    Entry,
+    build_spoofer,
+    check_labels,
+    detector_entry,
+    fitted,
+    fitting,
+    oracle_labels,
+    refuse_oracles,
+    spoofer_entry,
+)
+from ..runs.world import VICTIMS, WORLD, World
+from ..search.attack_suite import NAME, VERSION, Member, fitting_members, suite_digest
+from ..search.bounds import Brackets
+from ..search.open_loop import Optima
+from ..search.settings import Selection, Tuning
+from .versions import campaign_digest, versions
+
+FORMAT = 5
+"""Of the results; those of another one are not scored."""
+ALERT_LIMIT_M = 40.0
+"""Horizontal alert limit of an approach with vertical guidance (`icao-annex10`)."""
+ALERT_LIMITS_M = (5.0, 10.0, 20.0, ALERT_LIMIT_M, 80.0, 160.0, 320.0, 556.0)
+"""Alert limits of a campaign besides its own; 556 m is that of a non-precision approach."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """What a campaign runs.
+
+    Parameters
+    ----------
+    env : str
+        Environment whose victim it is, in `VICTIMS`.
+    scenario, receiver, attack, timeline, domain : optional
+        Settings of the victim, as its environment takes them; an attack and a scenario only where
+        it has them.
+    target_heading_deg, decision_interval_s, between : optional
+        The same; the score counts any direction.
+    settings : mapping
+        Further settings of the victim.
+    detectors : sequence, optional
+        As `detector_entry` takes them; by default those that suit the victim.
+    spoofers : sequence, optional
+        As `spoofer_entry` takes them; ``none`` is always among them.  By default
+        `DEFAULT_SPOOFERS` and the shipped spoofers that were made for such attacks.
+    runs : int
+        Evaluation runs of every cell, the same for all.
+    entropy : int
+        Seed of the random number generators.
+    tuning : Tuning
+        Search for the settings that are ``"tuned"``.
+    alert_limit_m : float
+        Undetected displacement of which tables show how often it is exceeded; by default the
+        horizontal alert limit of an approach with vertical guidance.
+    notes : sequence of str
+        Where the scenario comes from, for the report.
+    allow_oracles : bool
+        Whether detectors may play that know the attack; the report then says which ones do.
+    selection : Selection, optional
+        Search for the worst attack of the attack suite, by which detectors are protected; None for
+        none.
+    """
+
+    env: str = ENV_ID
+    scenario: str | Mapping[str, Any] | Scenario | None = None
+    receiver: str | Mapping[str, Any] | None = None
+    attack: str | Mapping[str, Any] | Attack | None = None
+    timeline: Mapping[str, float] | Timeline | None = None
+    domain: Mapping[str, Any] | Domain | None = None
+    target_heading_deg: float | str | None = None
+    decision_interval_s: float | None = None
+    between: str | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    detectors: Sequence[str | Mapping[str, Any] | Detector] | None = None
+    spoofers: Sequence[str | Mapping[str, Any] | Spoofer] | None = None
+    runs: int = 200
+    entropy: int = 0
+    tuning: Tuning = field(default_factory=Tuning)
+    alert_limit_m: float = ALERT_LIMIT_M
+    notes: Sequence[str] = ()
+    allow_oracles: bool = False
+    selection: Selection | None = None
+
+    def __post_init__(self) -> None:
+        _ = self.world  # which raises where a setting is not one of the victim's
+        for name, least in (("runs", 2), ("entropy", 0)):
+            object.__setattr__(self, name, whole_number(f"`{name}`", getattr(self, name), least))
+        if not (math.isfinite(self.alert_limit_m) and self.alert_limit_m > 0.0):
+            raise ValueError(f"`alert_limit_m` must be finite and > 0, got {self.alert_limit_m}")
+        for entries in (self.detector_entries, self.spoofer_entries):
+            check_labels(entries)
+        if not self.detector_entries:
+            raise ValueError("a campaign needs at least one detector")
+        if not self.allow_oracles:
+            refuse_oracles(self.detector_entries)
+
+    @cached_property
+    def world(self) -> World:
+        named = {name: getattr(self, name) for name in ("env", *WORLD, "settings")}
+        return World.of(**named)
+
+    @cached_property
+    def detector_entries(self) -> tuple[Entry, ...]:
+        """Detectors in their order."""
+        specs = VICTIMS[self.env].detectors if self.detectors is None else self.detectors
+        return tuple(detector_entry(spec) for spec in specs)
+
+    @property
+    def alert_limits_m(self) -> list[float]:
+        """Alert limits by which detectors are compared."""
+        return sorted({*ALERT_LIMITS_M, float(self.alert_limit_m)})
+
+    @property
+    def _oracle_notes(self) -> tuple[str, ...]:
+        """Which detectors are none; a line each."""
+        labels = oracle_labels(self.detector_entries)
+        return tuple(f"{label} is an oracle: it knows the attack" for label in labels)
+
+    @cached_property
+    def spoofer_entries(self) -> tuple[Entry, ...]:
+        """Spoofers in their order, ``none`` first."""
+        specs = self.spoofers
+        if specs is None:
+            specs = (*DEFAULT_SPOOFERS, *map(fitted, self._shipped[0]))
+        entries = [spoofer_entry(spec) for spec in specs]
+        none = spoofer_entry("none")
+        return (none, *(entry for entry in entries if entry != none))
+
+    @cached_property
+    def _shipped(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Shipped spoofers that fit, and why others do not."""
+        return fitting(self.env, self.world.setup)
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Which shipped spoofers do not fit, and why, by default; a line each."""
+        return self._shipped[1] if self.spoofers is None else ()
+
+    def check_fit(self) -> None:
+        """As `World.check_fit`, of everybody who plays."""
+        self.world.check_fit(self.detector_entries, self.spoofer_entries)
+
+    def setup(self, detector: Entry, spoofers: Sequence[Entry] | None = None) -> Setup:
+        """As `World.setup_of`. `spoofers`: who plays, all of the suite's by default."""
+        return self.world.setup_of(detector, self.spoofer_entries if spoofers is None else spoofers)
+
+    def generators(self, split: str, runs: int, first: int = 0) -> list[np.random.Generator]:
+        """Generators of the runs of a split, from `first` on."""
+        return self.world.generators(self.entropy, split, runs, first)
+
+    def brackets(self, **settings: int) -> Brackets:
+        """Floor and zero-alarm bounds; `settings`: ``worlds`` of `Brackets`."""
+        budget = self.tuning.budget
+        return Brackets(self.world, self.detector_entries, self.entropy, budget, **settings)
+
+    def optima(self, threads: int | None = None) -> Optima:
+        """Searches for blind optima."""
+        return Optima(self.brackets(), self.tuning, self.spoofer_entries, threads)
+
+    @cached_property
+    def _points(self) -> dict[str, list[OperatingPoint]]:
+        """Where the detectors work that ask for a rate."""
+        found = {entry.label: self.world.points(entry) for entry in self.detector_entries}
+        return {label: points for label, points in found.items() if points}
+
+    @property
+    def captions(self) -> tuple[str, ...]:
+        """Where the detectors work that ask for a rate: per hour and per run; a line each."""
+        return tuple(
+            f"{label}: {'; '.join(sorted({str(point) for point in points}))}"
+            for label, points in self._points.items()
+        )
+
+    def _calibrations(self) -> dict[str, Any]:
+        """Scales of the detectors that ask for a rate, for `config`, and who never alarms."""
+        named = {label: [p._asdict() for p in points] for label, points in self._points.items()}
+        never = [e.label for e in self.detector_entries if not detector_in_world(e.spec).calibrates]
+        return {"calibrations": named, "never_alarm": never}
+
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """Everything that the results depend on, JSON-able. What comes from outside of spoofgym is
+        there by digests of its sources. Where one can't be read, a number of this suite alone is in
+        its place, so that no other one takes up its results; this is warned of."""
+        judges = [detector_in_world(entry.spec) for entry in self.detector_entries]
+        players = [build_spoofer(entry.untuned) for entry in self.spoofer_entries]
+        outside = outside_sources(*judges, *players, *self.world.parts)
+        unknown = [
+            f"the source of {name} can't be read: its results are never taken up again"
+            for name, digest in outside.items()
+            if digest is None
+        ]
+        for line in unknown:
+            warnings.warn(line, UserWarning, stacklevel=2)
+        return {
+            "format": FORMAT,
+            "versions": versions(),
+            "outside": {name: d or f"unknown, {uuid.uuid4().hex}" for name, d in outside.items()},
+            **self.world.config,
+            "detectors": [dataclasses.asdict(entry) for entry in self.detector_entries],
+            "spoofers": [dataclasses.asdict(entry) for entry in self.spoofer_entries],
+            **self._calibrations(),
+            "runs": self.runs,
+            "entropy": self.entropy,
+            "splits": dict(SPLITS),
+            "tuning": dataclasses.asdict(self.tuning),
+            "attack_suite": self._attack_suite(),
+            "alert_limit_m": float(self.alert_limit_m),
+            "alert_limits_m": list(ALERT_LIMITS_M),
+            "notes": [
+                *self.notes,
+                *self.captions,
+                *self._oracle_notes,
+                *self.left_out,
+                *unknown,
+            ],
+        }
+
+    @cached_property
+    def members(self) -> tuple[Member, ...]:
+        """Attacks of the attack suite that fit the victim."""
+        return fitting_members(self.world.setup, self.world.context)
+
+    def _attack_suite(self) -> dict[str, Any] | None:
+        """Name, version and search of the attack suite; None where it is not played."""
+        if self.selection is None:
+            return None
+        named = {"name": NAME, "version": VERSION, "digest": suite_digest(self.members)}
+        return {**named, **dataclasses.asdict(self.selection)}
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest of `config`; ONNX files count by their content, wherever they are."""
+        return campaign_digest(self.config)
