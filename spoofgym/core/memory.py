@@ -29,7 +29,7 @@ class Memory(dict[str, NDArray[Any]]):
     array([0., 1.])
     """
 
-    stamp: object = None
+    stamp: Any = None
 
     def __init__(self, receivers: int = 0) -> None:
         super().__init__()

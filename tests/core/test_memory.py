@@ -87,3 +87,13 @@ def test_a_copy_goes_on_for_itself_and_can_be_reset(memory, way):
     copied.reset()
     np.testing.assert_array_equal(copied["count"], 0)
     np.testing.assert_array_equal(memory["count"], 4)
+
+
+@pytest.mark.parametrize("way", [copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m))])
+def test_no_two_memories_have_one_stamp(memory, way):
+    # a number from another process would be that of one of this process's own, sooner or later
+    copied = way(memory)
+    before = copied.stamp
+    assert before != memory.stamp
+    copied["count"] = copied["count"]
+    assert copied.stamp != before
