@@ -165,7 +165,8 @@ class Pairs(Experiment):
             twin, alarms = _pass(start, "none", len(judges), alone)
             fields.clear()  # what shares them comes together
             fields[key] = _Field(start, twin, counted(early, alarms))
-        return fields[key]
+        shared: _Field = fields[key]
+        return shared
 
     def matrix(self, results: Reader) -> PayoffMatrix:
         """Payoffs of all pairs."""
@@ -176,9 +177,17 @@ class Pairs(Experiment):
         moved, alarmed, counts = (
             np.array([[each[name] for each in row] for row in found]) for name in Played._fields
         )
-        runs = moved, alarmed, counts[0], found[0][0]["sky"]
+        spoofers, detectors = self.strategies
         return PayoffMatrix(
-            *map(tuple, self.strategies), self.game.payoff, *self.mixes, *runs, self.game.seeds
+            tuple(spoofers),
+            tuple(detectors),
+            self.game.payoff,
+            *self.mixes,
+            moved,
+            alarmed,
+            counts[0],
+            found[0][0]["sky"],
+            self.game.seeds,
         )
 
     def report(self, results: Reader) -> dict[str, Any]:
