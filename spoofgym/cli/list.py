@@ -2,21 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from ..attacks import ATTACKS
-from ..bench.report.cards import find_card, score_text
-from ..core.registry import settings_of
-from ..core.settings import describe
-from ..detectors import DETECTORS, LearnedDetector
-from ..detectors.zoo import shipped as shipped_detectors
-from ..spoofers import SPOOFERS
-from ..spoofers.zoo import card_of, shipped
-from ..truth.scenario import SCENARIOS
 from . import options as opt
 from .output import print_json, print_lines, print_table
 
@@ -31,9 +20,8 @@ def list_(
     as_json: opt.Json = False,
 ) -> None:
     """List what there is: environments, scenarios, attacks, detectors, spoofers, shipped ones."""
+    from ..bench.report.catalogue import KINDS, table_of
     from ..core.registry import check_choice
-
-    pass  # MOVED
 
     if kind is not None:
         check_choice("kind", kind, KINDS)
@@ -102,151 +90,3 @@ def tasks(as_json: opt.Json = False) -> None:
     print_lines(
         f"{key} has no reference scores yet: {command}" for key, command in stored.missing().items()
     )
-
-
-def summary_of(thing: Any) -> str:
-    """First sentence of a docstring."""
-    text = inspect.getdoc(thing) or ""
-    paragraph = " ".join(text.split("\n\n")[0].split())
-    return paragraph.split(". ")[0].rstrip(".") if paragraph else ""
-
-
-def _classes(kinds: Mapping[str, type[Any]], *more: str) -> list[dict[str, Any]]:
-    return [
-        {
-            "name": name,
-            "summary": summary_of(kind),
-            "settings": _defaults(kind),
-            **{key: getattr(kind, key) for key in more},
-        }
-        for name, kind in sorted(kinds.items())
-    ]
-
-
-def _defaults(kind: Callable[..., Any]) -> dict[str, Any]:
-    return {
-        key: describe(value)
-        for key, value in settings_of(kind).items()
-        if value is not inspect.Parameter.empty
-    }
-
-
-def _scenarios() -> list[dict[str, Any]]:
-    rows = []
-    for name, build in SCENARIOS.items():
-        made = build()
-        flight = made.flight if isinstance(made.flight, str) else made.flight.name
-        errors = made.errors if isinstance(made.errors, str) else type(made.errors).__name__
-        rows.append(
-            {
-                "name": name,
-                "summary": f"flight {flight}, errors {errors}, {made.imu} inertial sensors",
-                "settings": {
-                    "flight": flight,
-                    "errors": errors,
-                    "imu": made.imu,
-                    "epoch_interval_s": made.epoch_interval_s,
-                    "channels": made.channels,
-                    "mask_deg": made.mask_deg,
-                },
-            }
-        )
-    return rows
-
-
-def _envs() -> list[dict[str, Any]]:
-    import gymnasium
-    from gymnasium.envs.registration import load_env_creator
-
-    rows = []
-    for name, spec in sorted(gymnasium.registry.items()):
-        if spec.namespace != "spoofgym":
-            continue
-        entry = spec.entry_point
-        creator = load_env_creator(entry) if isinstance(entry, str) else entry
-        assert creator is not None  # of ours, each has one
-        rows.append(
-            {
-                "name": name,
-                "summary": summary_of(creator),
-                "settings": {**_defaults(creator), **describe(spec.kwargs)},
-            }
-        )
-    return rows
-
-
-def _shipped_detectors() -> list[dict[str, Any]]:
-    """Learned detectors that have names; what is a setting of others, is on their cards."""
-    keys = ("paper", "scope", "measures", "oracle")
-    rows = []
-    for name in shipped_detectors():
-        made = LearnedDetector(name)
-        known = {key: getattr(made, key) for key in keys}
-        rows.append({"name": name, "summary": summary_of(made), "settings": {}, **known})
-    return rows
-
-
-def _shipped() -> list[dict[str, Any]]:
-    rows = []
-    for name in shipped():
-        card = card_of(name)
-        rows.append(
-            {
-                "name": name,
-                "summary": "learned policy" if card.kind == "onnx-policy" else "optimised profile",
-                "kind": card.kind,
-                "knowledge": card.knowledge.run_time,
-                "designed_on": card.knowledge.design_time,
-                "scores": [score.model_dump() for score in card.scores],
-            }
-        )
-    detector: dict[str, Any] = {
-        "summary": "learned detector",
-        "kind": "detector-policy",
-        "scores": [],
-    }
-    for name in shipped_detectors():
-        known = {"knowledge": "innovations of its receiver"}
-        learned_on = f"attacks in {find_card(name).training.get('task', 'a world of its own')}"
-        rows.append({"name": name, **detector, **known, "designed_on": learned_on})
-    return rows
-
-
-KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
-    "envs": _envs,
-    "scenarios": _scenarios,
-    "attacks": lambda: _classes(ATTACKS),
-    "detectors": lambda: [
-        *_classes(DETECTORS, "paper", "scope", "measures", "oracle"),
-        *_shipped_detectors(),
-    ],
-    "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
-    "shipped": _shipped,
-}
-"""Lists by kind; each row has a name, a summary, and settings with their defaults or what its
-card says."""
-
-
-def table_of(kind: str, rows: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[list[str]]]:
-    """Table of one of `KINDS`."""
-    if kind == "shipped":
-        head = ("name", "what it is", "knows at run time", "was designed on", "reached")
-        keys = ("name", "summary", "knowledge", "designed_on")
-        return head, [
-            [*(row[key] for key in keys), "; ".join(map(score_text, row["scores"])) or "-"]
-            for row in rows
-        ]
-    return ("name", "what it is", "settings and their defaults"), [
-        [row["name"], _marked(row), ", ".join(f"{k}={v}" for k, v in row["settings"].items())]
-        for row in rows
-    ]
-
-
-def _marked(row: Mapping[str, Any]) -> str:
-    """Summary, with a mark where a detector knows the truth or judges no satellites."""
-    marks = []
-    if row.get("oracle"):
-        marks.append("oracle, knows what no receiver does")
-    if row.get("measures", "satellites") != "satellites":
-        marks.append("for positions" if row["measures"] == "position" else "for any measurement")
-    return f"{row['summary']} [{'; '.join(marks)}]" if marks else str(row["summary"])
