@@ -28,12 +28,9 @@ def save_checkpoint(
     state: dict[str, Any],
     files: Sequence[Path] = (),
 ) -> None:
-    """Write a checkpoint, whole or not at all.
-
-    `model`: its weights and optimizers are kept, and how many steps it has taken; `files`: files
-    that belong to this state of the training, such as the best policy; those that are there are
-    kept.
-    """
+    """Write a checkpoint, whole or not at all. `model`: its weights and optimizers are kept, and
+    how many steps it has taken; `files`: files that belong to this state of the training, such as
+    the best policy; those that are there are kept."""
     running = {
         # in double precision, also what is a number of Python by itself
         name: {key: torch.tensor(np.float64(getattr(getattr(envs, name), key))) for key in keys}

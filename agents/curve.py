@@ -27,10 +27,8 @@ def draw_curves(
     records: dict[str, list[Point]], path: Path, levels: Mapping[str, float] | None = None
 ) -> None:
     """Draw what trainings reached over their steps, a line for each, and the median of all.
-
     `records`: points of every record by its name, as `read_record` returns them; `levels`:
-    displacements to compare with, by the names of who reached them [m].
-    """
+    displacements to compare with, by the names of who reached them [m]."""
     for name, points in records.items():
         _check(name, points)
     figure = figure_class()(figsize=(7.0, 4.2), layout="constrained")
@@ -90,11 +88,9 @@ def _check(name: str, points: list[Point]) -> None:
 
 
 def names_of(paths: list[Path]) -> list[str]:
-    """Short name of every record.
-
-    `paths`: files; those of training runs are called ``record.jsonl``, in a folder with the name.
-    Returns all different: the whole path where a short name would stand for two.
-    """
+    """Short name of every record. `paths`: files; those of training runs are called
+    ``record.jsonl``, in a folder with the name. Returns all different: the whole path where a short
+    name would stand for two."""
     if len(set(paths)) < len(paths):
         twice = next(path for path in paths if paths.count(path) > 1)
         raise ValueError(f"{twice} is given twice")

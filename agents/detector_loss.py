@@ -14,10 +14,8 @@ LARGEST_PART = 20
 
 def logistic(odds: torch.Tensor, attack: torch.Tensor, moved: torch.Tensor) -> torch.Tensor:
     """Weighted logistic loss of all epochs; clean and attacked ones weigh the same in total.
-
     `odds`: (E, L) logarithm of the odds of an attack; `attack`: (E, L) bool, whether an attack is
-    on; `moved`: (E, L) displacement in alert limits, at most 1: the weight of an attacked epoch.
-    """
+    on; `moved`: (E, L) displacement in alert limits, at most 1: the weight of an attacked epoch."""
     weight = torch.where(attack, moved, (~attack).float())
     loss = functional.binary_cross_entropy_with_logits(odds, attack.float(), reduction="none")
     parts = [
@@ -30,11 +28,9 @@ def logistic(odds: torch.Tensor, attack: torch.Tensor, moved: torch.Tensor) -> t
 def undetected(
     odds: torch.Tensor, moved: torch.Tensor, clean: torch.Tensor, epochs: Mapping[str, int]
 ) -> torch.Tensor:
-    """Mean of min(D, AL) / AL, with the probability of no alarm in place of none.
-
-    `clean`: (E,) bool, which episodes are clean; some are, and some are not; `epochs`: ``"live"``,
-    ``"steps"`` and ``"hold"`` of an episode.
-    """
+    """Mean of min(D, AL) / AL, with the probability of no alarm in place of none. `clean`: (E,)
+    bool, which episodes are clean; some are, and some are not; `epochs`: ``"live"``, ``"steps"``
+    and ``"hold"`` of an episode."""
     live, steps, hold = (epochs[name] for name in ("live", "steps", "hold"))
     maxima = odds[clean, live:].amax(dim=1)
     threshold = maxima.topk(math.ceil(len(maxima) / LARGEST_PART)).values.mean()

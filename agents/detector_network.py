@@ -175,11 +175,9 @@ class DetectorNetwork(nn.Module):
         self, observation: torch.Tensor, hidden: torch.Tensor, average: torch.Tensor | None = None
     ) -> tuple[torch.Tensor, ...]:
         """One epoch: (B, o), and states; returns (B, 1) statistic in [-1, 1], and the next states.
-
         The statistic is l / (1 + |l|) of the log odds l.  A sigmoid of 17 is 1 in single precision;
         here neighbouring numbers are 3e-5 apart in l at l = 20, so that thresholds for rare false
-        alarms can be told apart.
-        """
+        alarms can be told apart."""
         code, vectors = self.encode(observation)
         if average is not None:
             before = average.unflatten(-1, (len(self.pace), self.vectors))
@@ -203,10 +201,8 @@ class DetectorNetwork(nn.Module):
 
 
 def total(values: torch.Tensor) -> torch.Tensor:
-    """Sum over satellites, (..., n, k) to (..., k), in the same order for any batch.
-
-    onnxruntime's own sums are not the same to the last bit, and so would be refused.
-    """
+    """Sum over satellites, (..., n, k) to (..., k), in the same order for any batch. onnxruntime's
+    own sums are not the same to the last bit, and so would be refused."""
     first, *rest = values.unbind(dim=-2)
     for each in rest:
         first = first + each

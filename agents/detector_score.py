@@ -50,10 +50,8 @@ def scored(
     config: Mapping[str, Any],
     false_alarms_per_hour: float,
 ) -> Scored:
-    """Score a statistic at the threshold that these runs' own clean episodes give.
-
-    `statistic`: (E, L) of every epoch; `episodes`: of a data set, clean and attacked in turn.
-    """
+    """Score a statistic at the threshold that these runs' own clean episodes give. `statistic`: (E,
+    L) of every epoch; `episodes`: of a data set, clean and attacked in turn."""
     epochs, clean = config["epochs"], episodes.clean
     live, steps, hold = (epochs[name] for name in ("live", "steps", "hold"))
     check_runs(false_alarms_per_hour, int(clean.sum()), window_s(config), tail=False)

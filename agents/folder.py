@@ -26,9 +26,7 @@ def used_versions() -> dict[str, str]:
 
 def open_folder(folder: Path, arguments: dict[str, Any]) -> None:
     """Write the settings of a training, or look whether the one in the folder has the same.
-
-    `arguments`: settings that decide the result, JSON-able.
-    """
+    `arguments`: settings that decide the result, JSON-able."""
     path, here = folder / CONFIG, {"arguments": arguments, "versions": used_versions()}
     remove_stale_parts(folder)
     if not path.is_file():

@@ -13,8 +13,7 @@ from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers.learned import finite
 from spoofgym.tasks import ALARM_PRICE, task_of
 
-from .diverging import learn
-from .full_scale import for_learning
+from .learning import for_learning, learn
 
 NUM_ENVS, LOG_STD = 32, -1.5
 """Of PPO, which decides as seldom as in `train.ppo_spoofer`; the rest are the defaults of
@@ -25,11 +24,9 @@ def learn_against(
     mix: Mixture, task: str, limit_m: float, steps: int, file: Path, seed: int, threads: int
 ) -> bool:
     """Let PPO learn against a mix, and write what it has learned, as an ONNX file with its card.
-
     `mix`: of detectors; every episode meets one of them; `limit_m`: alert limit in place of the
     task's [m]; 0 for that.  Returns whether there is such a policy: none is written whose weights
-    are not finite.
-    """
+    are not finite."""
     pool, world = mix.pool(), task_of(task)
     length = limit_m or world.alert_limit_m
     settings: dict[str, Any] = {

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import math
 import os
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +16,10 @@ from spoofgym.core.files import write_file
 Point = dict[str, Any]
 
 
-class TrainingRecord:
+class TrainingRecord(AbstractContextManager["TrainingRecord"]):
     """Writes a training record, each point as soon as it is known.
 
-    - `path`: A JSON lines file; one that is there is gone on with, and a line that was torn off
+    - `path`: a JSON lines file; one that is there is gone on with, and a line that was torn off
       when its writer was killed is removed;
     - `last_step`: where training goes on from; points after it are dropped, to be written again.
       By default all are kept.
@@ -36,13 +36,10 @@ class TrainingRecord:
         self._file = self.path.open("a", encoding="utf-8", newline="\n")
 
     def append(self, step: int, wall_s: float, **values: float | str | bool | None) -> None:
-        """Write a point.
-
-        `step`: steps of all receivers so far; never less than in the point before; `wall_s`: wall
-        time so far, also of runs before a resumption; `**values`: what was measured, such as
-        ``train_return``, ``train_alarm_rate``, ``eval_undetected_m``, ``eval_alarm_rate`` and
-        ``alarm_penalty_m``; None where nothing was.
-        """
+        """Write a point. `step`: steps of all receivers so far; never less than in the point
+        before; `wall_s`: wall time so far, also of runs before a resumption; `**values`: what was
+        measured, such as ``train_return``, ``train_alarm_rate``, ``eval_undetected_m``,
+        ``eval_alarm_rate`` and ``alarm_penalty_m``; None where nothing was."""
         if step < self._last:
             raise ValueError(f"`step` must be at least {self._last}, got {step}")
         given: Point = {"step": step, "wall_s": wall_s, **values}
@@ -58,25 +55,14 @@ class TrainingRecord:
         """Close the file."""
         self._file.close()
 
-    def __enter__(self) -> Self:
-        """Be closed at the end of a block."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the file."""
         self.close()
 
 
 def read_record(path: str | os.PathLike[str]) -> list[Point]:
-    """Points of a training record.
-
-    Returns each with ``step`` and ``wall_s``; a last line that is torn off is left out.
-    """
+    """Points of a training record. Returns each with ``step`` and ``wall_s``; a last line that is
+    torn off is left out."""
     path = Path(path)
     lines = path.read_bytes().split(b"\n")[:-1]  # what has no end of line is torn off
     points = []

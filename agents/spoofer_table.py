@@ -19,9 +19,7 @@ FEEDBACK, BEST = "feedback", "blind-optimum"
 
 def page(table: Mapping[str, Any]) -> str:
     """Table of all cells, a line for each detector; what needs the victim's statistics is last.
-
-    `table`: results of trainings by ``"world/detector/knowledge"``.
-    """
+    `table`: results of trainings by ``"world/detector/knowledge"``."""
     heads = (
         *("world", "detector", *(_head(table, name) for name in RIVALS)),
         *("PPO (blind)", f"of the {BEST}", "PPO (blind+reported)"),

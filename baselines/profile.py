@@ -15,8 +15,6 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,6 +26,7 @@ from spoofgym.bench.scores.statistics import BUDGET
 from spoofgym.bench.search.settings import Tuning
 from spoofgym.cli import INTERRUPTED, clear_errors
 from spoofgym.cli.bench import calibrate_with_progress
+from spoofgym.core.progress import ProgressCallback, show_progress
 from spoofgym.core.registry import parse_spec
 from spoofgym.simulation import Timeline
 from spoofgym.tasks import task_of
@@ -160,8 +159,8 @@ def main(
     bounds = Bounds.of(seconds, generations)
     run = ProfileRun(suite, settings, out, start=start, threads=threads, resume=resume)
     try:
-        with _progress() as tell:
-            choice = run.play(bounds, tell)
+        with show_progress(1.0) as bar:
+            choice = run.play(bounds, _teller(bar))
     except KeyboardInterrupt:
         typer.echo(
             f"interrupted: what is finished is kept in {run.path}; the same command goes on from "
@@ -208,23 +207,16 @@ def _command(context: typer.Context) -> str:
     return shlex.join(words)
 
 
-@contextmanager
-def _progress() -> Iterator[Tell]:
-    """A bar that is told which part of the search is done, and what is going on."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+def _teller(bar: ProgressCallback) -> Tell:
+    """What is told which part of the search is done, and what is going on."""
+    done = 0.0
 
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )
-    task = bar.add_task("", total=1.0)
-    with bar:
-        yield lambda part, now: bar.update(task, completed=part, description=now)
+    def tell(part: float, now: str) -> None:
+        nonlocal done
+        bar.advance(part - done, now)
+        done = part
+
+    return tell
 
 
 def _print_table(run: ProfileRun, choice: Choice) -> None:

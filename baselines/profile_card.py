@@ -112,11 +112,9 @@ def _score(run: ProfileRun, choice: Choice) -> dict[str, Any]:
 
 
 def rivals(run: ProfileRun, choice: Choice) -> list[dict[str, Any]]:
-    """The tuned ramps and the profile on the same runs, with all that was tried.
-
-    Returns ``spoofer``, ``alarm_rate``, ``alarm_limit``, ``stealthy_displacement_m``,
-    ``within_budget`` and tables.
-    """
+    """The tuned ramps and the profile on the same runs, with all that was tried. Returns
+    ``spoofer``, ``alarm_rate``, ``alarm_limit``, ``stealthy_displacement_m``, ``within_budget`` and
+    tables."""
     found: list[dict[str, Any]] = []
     for ramp in run.ramps:
         name = f"{ramp.spoofer}: {ramp.setting} = {ramp.value:g}"

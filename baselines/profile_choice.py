@@ -66,10 +66,8 @@ _Tried = tuple[Fit, Profile, FloatArray]
 
 
 def choose(search: ProfileSearch, pool: RunPool, budget: float) -> Choice:
-    """The largest displacement within the budget among the shapes of a search.
-
-    `budget`: largest P(alarm | silent twin), which its upper limit keeps.
-    """
+    """The largest displacement within the budget among the shapes of a search. `budget`: largest
+    P(alarm | silent twin), which its upper limit keeps."""
     tried: list[_Tried] = []
     at, (step, halvings) = 1.0, WIDE
     for name, point in search.shapes().items():

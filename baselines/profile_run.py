@@ -69,10 +69,8 @@ class Bounds:
 
     @classmethod
     def of(cls, seconds: float | None, generations: int | None) -> Bounds:
-        """Bounds of which at least one is set.
-
-        `seconds`: time; 120 s where nothing is said at all.
-        """
+        """Bounds of which at least one is set. `seconds`: time; 120 s where nothing is said at
+        all."""
         neither = seconds is None and generations is None
         return cls(DEFAULT_SECONDS if neither else seconds, generations)
 
@@ -178,10 +176,8 @@ class ProfileRun:
         write_file(self.path, json.dumps(content, allow_nan=False).encode())
 
     def play(self, bounds: Bounds, tell: Tell) -> Choice:
-        """Tune the ramps, search, and choose; what the record holds is not done again.
-
-        `tell`: told the part of the search that is done, and what is going on.
-        """
+        """Tune the ramps, search, and choose; what the record holds is not done again. `tell`: told
+        the part of the search that is done, and what is going on."""
         tell(0.0, "warm-up")
         select, runs = self.settings.select_runs, self.settings.runs
         rngs = self.suite.generators("training", select + runs)

@@ -140,11 +140,9 @@ class ProfileSearch:
         self._learn(points, past)
 
     def shapes(self) -> dict[str, FloatArray]:
-        """Curves that are worth a choice, by what they are.
-
-        Returns the last mean of the search distribution, its average over the last third of the
-        generations, and the best candidate of the last generation.
-        """
+        """Curves that are worth a choice, by what they are. Returns the last mean of the search
+        distribution, its average over the last third of the generations, and the best candidate of
+        the last generation."""
         if not self.generations:
             raise ValueError("the search has not begun")
         last = self.generations[-1]
@@ -157,29 +155,23 @@ class ProfileSearch:
 
 
 def soft_alarms(outcome: Outcome) -> FloatArray:
-    """Alarm rate in which runs that came close count in part.
-
-    Returns (P,) mean over the runs that count.
-    """
+    """Alarm rate in which runs that came close count in part. Returns (P,) mean over the runs that
+    count."""
     close = np.exp(-np.maximum(1.0 - outcome.peak, 0.0) / CLOSE)
     part = np.where(outcome.alarm, 1.0, close)
     return np.asarray(part[:, outcome.counts].mean(axis=1))
 
 
 def start_point(settings: SearchSettings, start: Start) -> FloatArray:
-    """First mean of the search: the curve of the start, and nothing across.
-
-    Returns (knots,), or (2 knots,) with a second curve.
-    """
+    """First mean of the search: the curve of the start, and nothing across. Returns (knots,), or (2
+    knots,) with a second curve."""
     point = np.asarray(start.rates_mps, dtype=np.float64) / start.unit_mps
     return np.concatenate([point, np.zeros(len(point) if settings.cross else 0)])
 
 
 def begin(settings: SearchSettings, start: Start, mean: FloatArray, seed: int) -> CMA:
-    """CMA-ES around a point, with curves that are smooth for a good part.
-
-    `start`: tells the standard deviation, and how smooth the curves are.
-    """
+    """CMA-ES around a point, with curves that are smooth for a good part. `start`: tells the
+    standard deviation, and how smooth the curves are."""
     t = np.linspace(0.0, 1.0, settings.knots)
     near = np.exp(-0.5 * ((t[:, None] - t) / SMOOTH_LENGTH) ** 2)
     block = start.smooth * near + (1.0 - start.smooth) * np.eye(len(t))
@@ -189,10 +181,8 @@ def begin(settings: SearchSettings, start: Start, mean: FloatArray, seed: int) -
 
 
 def profile_at(settings: SearchSettings, rates_mps: FloatArray, limit_mps: float) -> Profile:
-    """Spoofer of one curve, or of one along and one across the heading.
-
-    `rates_mps`: (knots,) or (2 knots,); `limit_mps`: of the attack; what is beyond is shortened.
-    """
+    """Spoofer of one curve, or of one along and one across the heading. `rates_mps`: (knots,) or (2
+    knots,); `limit_mps`: of the attack; what is beyond is shortened."""
     curves = np.reshape(rates_mps, (-1, settings.knots))
     curves = curves * (limit_mps / np.maximum(np.linalg.norm(curves, axis=0), limit_mps))
     if len(curves) == 2:

@@ -39,10 +39,7 @@ def start_between(
 
 
 def best_start(pool: RunPool, settings: SearchSettings, curves: Sequence[FloatArray]) -> Start:
-    """Best of some curves, and a spread around it.
-
-    `curves`: (knots,) each [m/s].
-    """
+    """Best of some curves, and a spread around it. `curves`: (knots,) each [m/s]."""
     limit = pool.setup.attack.rate_limit_mps
     profiles = [profile_at(settings, curve, limit) for curve in curves]
     outcome = pool.play(profiles, np.arange(min(pool.runs, 2 * settings.batch)))
@@ -62,9 +59,6 @@ def best_start(pool: RunPool, settings: SearchSettings, curves: Sequence[FloatAr
 
 
 def resampled(rates_mps: Sequence[float], knots: int) -> list[float]:
-    """A curve by another number of knots.
-
-    Returns (knots,) [m/s].
-    """
+    """A curve by another number of knots. Returns (knots,) [m/s]."""
     inner = sampled(tuple(rates_mps), knots - 1)
     return [float(rates_mps[0]), *inner.tolist()]

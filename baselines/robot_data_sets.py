@@ -29,11 +29,8 @@ SLOW_MEAN, SLOW_VARIANCE = 0.5, 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class RobotDataSet:
-    """A run of the robot, and the attacks on it.
-
-    `speed_mps`: 0 for a robot at rest; `jump_s`, `slow_s`: start (excluded) and end (included)
-    of the jumps and of the slow changes.
-    """
+    """A run of the robot, and the attacks on it. `speed_mps`: 0 for a robot at rest; `jump_s`,
+    `slow_s`: start (excluded) and end (included) of the jumps and of the slow changes."""
 
     speed_mps: float = 0.5
     jump_s: tuple[Window, ...] = ()
@@ -62,11 +59,8 @@ class RobotDataSet:
         return attacked
 
     def offsets(self, rngs: Sequence[np.random.Generator], interval_s: float = 1.0) -> FloatArray:
-        """Draw what is added to the fixes.
-
-        `interval_s`: time between fixes; the slow change is per second; returns (K, B, 2) north,
-        east [m].
-        """
+        """Draw what is added to the fixes. `interval_s`: time between fixes; the slow change is per
+        second; returns (K, B, 2) north, east [m]."""
         offsets = np.zeros((round(self.duration_s / interval_s), len(rngs), 2))
         for b, rng in enumerate(rngs):
             for window in self.jump_s:

@@ -99,10 +99,8 @@ class RunPool:
         self.clean = play(self.start, "none")
 
     def play(self, profiles: Sequence[Profile], rows: NDArray[np.intp] | None = None) -> Outcome:
-        """Let profiles attack the same runs.
-
-        `profiles`: with the same heading, all with cross rates or none.
-        """
+        """Let profiles attack the same runs. `profiles`: with the same heading, all with cross
+        rates or none."""
         rows = np.arange(self.runs) if rows is None else rows
         share = max(MOST_RECEIVERS // len(rows), 1)
         parts = [

@@ -88,9 +88,8 @@ def card_of(scores: list[DetectorScore]) -> dict[str, Any]:
 
 def with_others(card: dict[str, Any], stored: dict[str, Any] | None) -> dict[str, Any]:
     """A card with the rows of a stored one that was played on the same runs, and what they lack.
-
-    The stored rows stay where the best classic, which all are compared with, has the same scores.
-    """
+    The stored rows stay where the best classic, which all are compared with, has the same
+    scores."""
     same = ("runs", "selection_runs", "entropy", "best_classic")
     if stored is None or any(card[name] != stored[name] for name in same):
         return card

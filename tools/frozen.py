@@ -232,11 +232,9 @@ class Tolerance:
     inexact: set[str] = field(default_factory=set)
 
     def unequal(self, old: Array, new: Array) -> Array:
-        """Where two arrays of one shape differ by too much; NaN equals NaN.
-
-        Without a tolerance 0.0 is not -0.0.  Numbers that were rounded to single precision may
-        have gone to its next number.
-        """
+        """Where two arrays of one shape differ by too much; NaN equals NaN.  Without a tolerance
+        0.0 is not -0.0.  Numbers that were rounded to single precision may have gone to its next
+        number."""
         if old.dtype.kind != "f":
             return np.asarray(old != new)
         nan = np.isnan(old) & np.isnan(new)

@@ -53,11 +53,8 @@ def measure(
     rounds: int,
     progress: Progress,
 ) -> dict[str, dict[str, float]]:
-    """Times and ratios of `speeds` in both trees.
-
-    Whole episodes are played in processes of their own, as what they warm up ahead would take time
-    from what is measured after them.
-    """
+    """Times and ratios of `speeds` in both trees. Whole episodes are played in processes of their
+    own, as what they warm up ahead would take time from what is measured after them."""
     probes: dict[bool, tuple[Probe, Probe]] = {}
     for whole in {SPEEDS[what].whole for what in speeds}:
         probes[whole] = (old(), new())
@@ -88,11 +85,9 @@ def measure(
 
 def summary(taken: dict[str, list[list[dict[str, float]]]]) -> dict[str, dict[str, float]]:
     """By measurement: microseconds a receiver-step of both trees, and how many times as fast.
-
     `taken`: by measurement, of every round the seconds a step of the old and of the new tree, by
     clock.  The ratios are medians over the rounds with their quartiles.  What a second thread
-    brings is the ratio of the least times by the clock with one thread and with two.
-    """
+    brings is the ratio of the least times by the clock with one thread and with two."""
     result: dict[str, dict[str, float]] = {}
     for what, rounds in taken.items():
         receivers = SPEEDS[what].batch or 1
@@ -116,10 +111,8 @@ def summary(taken: dict[str, list[list[dict[str, float]]]]) -> dict[str, dict[st
 
 
 def speed_table(speed: dict[str, dict[str, float]]) -> Table:
-    """Both trees and their ratio; of several threads by both clocks.
-
-    How many processors were used shows whether other work had left one to the second thread.
-    """
+    """Both trees and their ratio; of several threads by both clocks. How many processors were used
+    shows whether other work had left one to the second thread."""
     table = Table(
         *("", "time", "old µs", "new µs", "times as fast", "quartiles", "of the least", "steps/s"),
         *("over one thread", "processors used"),

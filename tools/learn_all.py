@@ -156,11 +156,9 @@ class Settings:
 
 
 def run(out: Path, steps: Steps, console: Console, workers: int = 1) -> dict[str, Any]:
-    """Run what has not ended yet; seconds and command of every step that has, by its name.
-
-    Raises `subprocess.CalledProcessError` when a command fails.  Then no other one is begun, and
-    those that run go on to their end.
-    """
+    """Run what has not ended yet; seconds and command of every step that has, by its name.  Raises
+    `subprocess.CalledProcessError` when a command fails.  Then no other one is begun, and those
+    that run go on to their end."""
     path = out / MARKS
     done = json_object(str(path), path.read_text("utf-8") if path.is_file() else "{}")
     order = TopologicalSorter({name: {*step.after} & {*steps} for name, step in steps.items()})

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -33,25 +33,18 @@ from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.report.table import interval
 from spoofgym.core.files import write_file
 
-from .pages import put_between
+from .pages import marks, put_between
 from .refits import RESULTS as REFITS
 from .refits import table as table_of_refits
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE, KEPT = DOCS / "learned_spoofers.md", DOCS / "learned_spoofers.json"
-BEGIN, END = "<!-- learned:begin -->", "<!-- learned:end -->"
-FRESH_BEGIN, FRESH_END = "<!-- fresh:begin -->", "<!-- fresh:end -->"
-MANY_BEGIN, MANY_END = "<!-- spoofers:begin -->", "<!-- spoofers:end -->"
-PLAIN_BEGIN, PLAIN_END = "<!-- plain:begin -->", "<!-- plain:end -->"
-PLAIN_FRESH_BEGIN, PLAIN_FRESH_END = "<!-- plain-fresh:begin -->", "<!-- plain-fresh:end -->"
-REFITS_BEGIN, REFITS_END = "<!-- refits:begin -->", "<!-- refits:end -->"
 MANY = "spoofers.json"
 """Results of `train.spoofers` in their folder."""
 TASK_HEAD = (
     *("task", "detector", "ramp [m]", "accelerating ramp [m]", "blind optimum [m]"),
     *("PPO, median and range of the seeds [m]", "of the best of the three", "untrained [m]"),
 )
-TRANSFER_BEGIN, TRANSFER_END = "<!-- transfer:begin -->", "<!-- transfer:end -->"
 CURVE_HEAD = ("task", "arguments", "thousands of steps: stealthy displacement")
 TRANSFERRED = ("as fitted at home", "refitted")
 KINDS = {"plain": "five arguments", "defaults": "those of the library alone"}
@@ -60,10 +53,8 @@ KINDS = {"plain": "five arguments", "defaults": "those of the library alone"}
 def taken(
     results: dict[str, Any], whom: Iterable[str] = RIVALS, *, alone: bool = True
 ) -> dict[str, Any]:
-    """What the page needs of the results of `train.ppo_spoofer`.
-
-    `whom`: of which rivals; `alone`: whether it is one of the recipe, and no cell of many.
-    """
+    """What the page needs of the results of `train.ppo_spoofer`. `whom`: of which rivals; `alone`:
+    whether it is one of the recipe, and no cell of many."""
     plain = ("command", "versions", "detector", "kept")
     further = ("wall_s", "untrained") if alone else ("wall_s",)
     seeds = [
@@ -191,16 +182,22 @@ def shown_of_transfer(kept: dict[str, Any]) -> str:
     return "\n".join(markdown_table(head, rows)) + "\n"
 
 
+TABLES: dict[str, tuple[str, Callable[[dict[str, Any]], str]]] = {
+    "learned": ("recipe", shown),
+    "fresh": ("fresh", shown_of_tasks),
+    "plain": ("plain", shown_of_plain),
+    "plain-fresh": ("plain_fresh", shown_of_plain),
+    "refits": ("refits", table_of_refits),
+    "transfer": ("transfer", shown_of_transfer),
+    "spoofers": ("spoofers", page),
+}
+"""What the page has between its marks: which results, and how they are shown."""
+
+
 def main() -> None:
     """Take the results of the folders that are given, and write the page."""
-    kept = {
-        "fresh": {},
-        "plain_fresh": {},
-        "spoofers": {},
-        "refits": {},
-        "transfer": {},
-        **json.loads(KEPT.read_text(encoding="utf-8")),
-    }
+    further = [part for part, _ in TABLES.values() if part not in ("recipe", "plain")]
+    kept = {part: {} for part in further} | json.loads(KEPT.read_text(encoding="utf-8"))
     for folder in map(Path, sys.argv[1:]):
         if folder.suffix == ".json":
             rows = json.loads(folder.read_text(encoding="utf-8"))
@@ -233,13 +230,8 @@ def main() -> None:
         write_file(DOCS / f"learning_{task.lower()}.png", picture)
     kept = {part: dict(sorted(found.items())) for part, found in kept.items()}
     write_file(KEPT, (json.dumps(kept, indent=1) + "\n").encode())
-    put_between(PAGE, BEGIN, END, shown(kept["recipe"]))
-    put_between(PAGE, FRESH_BEGIN, FRESH_END, shown_of_tasks(kept["fresh"]))
-    put_between(PAGE, PLAIN_BEGIN, PLAIN_END, shown_of_plain(kept["plain"]))
-    put_between(PAGE, PLAIN_FRESH_BEGIN, PLAIN_FRESH_END, shown_of_plain(kept["plain_fresh"]))
-    put_between(PAGE, REFITS_BEGIN, REFITS_END, table_of_refits(kept["refits"]))
-    put_between(PAGE, TRANSFER_BEGIN, TRANSFER_END, shown_of_transfer(kept["transfer"]))
-    put_between(PAGE, MANY_BEGIN, MANY_END, page(kept["spoofers"]))
+    for mark, (part, show) in TABLES.items():
+        put_between(PAGE, *marks(mark), show(kept[part]))
 
 
 if __name__ == "__main__":

@@ -7,6 +7,11 @@ from pathlib import Path
 from spoofgym.core.files import write_file
 
 
+def marks(name: str) -> tuple[str, str]:
+    """Begin and end of what a program makes of a page."""
+    return f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+
+
 def part_between(text: str, begin: str, end: str) -> str:
     """What stands between two marks of a text; a ValueError where they are not there, once each."""
     if text.count(begin) != 1 or text.count(end) != 1:

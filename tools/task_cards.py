@@ -207,10 +207,8 @@ def admission(
 
 
 def spread(moved: list[FloatArray], sky: IntArray) -> float:
-    """90th over 10th percentile of the skies' mean displacement, each by its worst attack.
-
-    A mean, since the median of a few runs, each alarmed or not, falls to one side or the other.
-    """
+    """90th over 10th percentile of the skies' mean displacement, each by its worst attack. A mean,
+    since the median of a few runs, each alarmed or not, falls to one side or the other."""
     skies = [max(float(x[sky == each].mean()) for x in moved) for each in np.unique(sky)]
     low, high = np.percentile(skies, (10.0, 90.0))
     return float(high / low)

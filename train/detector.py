@@ -39,7 +39,6 @@ import numpy as np
 import torch
 import tyro
 from rich.console import Console
-from rich.progress import track
 
 from agents.detector_loss import logistic, undetected
 from agents.detector_network import DetectorNetwork, parameters_of, statistic_of
@@ -49,6 +48,7 @@ from agents.record import TrainingRecord
 from spoofgym import export
 from spoofgym.bench.experiments.dataset import Dataset, Episodes, load
 from spoofgym.core.files import write_file
+from spoofgym.core.progress import show_progress
 from spoofgym.detectors.calibration_file import check_runs
 from spoofgym.policies.card import DECIDED_ON
 
@@ -125,17 +125,20 @@ class Trainer:
         rng = np.random.default_rng([self.given.seed, self.done])
         order = rng.permutation(len(episodes.clean))
         size, losses = self.given.batch_size, []
-        for start in track(range(0, len(order), size), f"pass {self.done + 1}", transient=True):
-            rows = np.sort(order[start : start + size])
-            begin = int(rng.integers(self.latest + 1))
-            loss = self._loss(Episodes(*(part[rows] for part in episodes)), begin)
-            self.optimizer.zero_grad()
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.given.clip_norm)
-            self.optimizer.step()
-            losses.append(float(loss.detach()))
-            if not math.isfinite(losses[-1]):
-                break
+        starts = range(0, len(order), size)
+        with show_progress(len(starts), start=f"pass {self.done + 1}") as bar:
+            for start in starts:
+                rows = np.sort(order[start : start + size])
+                begin = int(rng.integers(self.latest + 1))
+                loss = self._loss(Episodes(*(part[rows] for part in episodes)), begin)
+                self.optimizer.zero_grad()
+                loss.backward()
+                torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.given.clip_norm)
+                self.optimizer.step()
+                losses.append(float(loss.detach()))
+                bar.advance(1.0, f"pass {self.done + 1}")
+                if not math.isfinite(losses[-1]):
+                    break
         self.schedule.step()
         self.done += 1
         return float(np.mean(losses))

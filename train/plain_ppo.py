@@ -23,8 +23,8 @@ from rich.console import Console
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.diverging import learn
 from agents.folder import error_lines, open_folder
+from agents.learning import learn
 from agents.seeds import KIND_HEAD, LOUDEST, kind_cells
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.campaign import markdown_table
@@ -77,10 +77,8 @@ class Settings:
 
 
 def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[Score | None, Any]:
-    """One training: its score on evaluation runs, and what it was on training runs meanwhile.
-
-    A training that has diverged has no score.
-    """
+    """One training: its score on evaluation runs, and what it was on training runs meanwhile. A
+    training that has diverged has no score."""
     num_envs = settings.num_envs or NUM_ENVS[kind]
     envs: Any = SpoofVecEnv(num_envs, task=settings.task, knowledge="blind", seed=1000 * seed)
     if kind == "plain":

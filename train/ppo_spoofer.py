@@ -51,19 +51,17 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.bar import Bar
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.curve import draw_curves
-from agents.diverging import learn
 from agents.folder import command_of, error_lines, json_object, open_folder, used_versions
-from agents.full_scale import for_learning
-from agents.price import LEAST, MOST, next_price, set_price
+from agents.learning import LEAST, MOST, Bar, for_learning, learn, next_price, set_price
 from agents.record import TrainingRecord, read_record
 from agents.seeds import LOUDEST, comparable, copy_policy, table_of
 from agents.spoofer_table import RIVALS
 from spoofgym.bench.experiments.evaluate import FITTED, Evaluator, entry_of
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.core.files import write_file
+from spoofgym.core.progress import show_progress
 from spoofgym.core.registry import check_choice, parse_spec
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE
@@ -162,9 +160,7 @@ class Arguments:
     @property
     def world(self) -> dict[str, Any]:
         """World and detector, as `Evaluator` takes them: by the task, or by settings of their own.
-
-        With a detector or settings of its own it is no longer the task.
-        """
+        With a detector or settings of its own it is no longer the task."""
         given = json_object("settings", self.settings)
         if not self.detector and not given:
             return {"task": self.task}
@@ -340,9 +336,9 @@ def train(args: Arguments, console: Console) -> dict[str, Any]:
     open_folder(args.out, args.identity)
     trainings = []
     for seed in args.seeds:
-        training, bar = Training(args, seed, judge), Bar(console, f"seed {seed}", args.steps)
-        with bar.progress:
-            training.run(bar)
+        training, name = Training(args, seed, judge), f"seed {seed}"
+        with show_progress(args.steps, start=name) as bar:
+            training.run(Bar(bar, name))
         training.envs.close()
         trainings.append(training)
     with console.status("the rivals play"):

@@ -117,10 +117,8 @@ class Row:
 
     @property
     def printed_inside(self) -> bool | None:
-        """Whether the printed value and ours both lie in the band; None where one is missing.
-
-        A band that excludes the printed value is never met, wherever ours lies.
-        """
+        """Whether the printed value and ours both lie in the band; None where one is missing. A
+        band that excludes the printed value is never met, wherever ours lies."""
         if self.paper is None or self.band is None:
             return None
         return self.band.holds(self.paper) and self.band.holds(self.ours)
@@ -142,11 +140,8 @@ class Row:
 
 
 def fill_origins(rows: Iterable[Row], **values: Any) -> list[Row]:
-    """Rows whose origins of bands name the runs of this reproduction.
-
-    `rows`: with texts that have ``{name}`` where a value belongs; `**values`: by name, such as the
-    seed and numbers of runs.
-    """
+    """Rows whose origins of bands name the runs of this reproduction. `rows`: with texts that have
+    ``{name}`` where a value belongs; `**values`: by name, such as the seed and numbers of runs."""
 
     def filled(row: Row) -> Row:
         if row.band is None:

@@ -93,11 +93,8 @@ def numbers_of(row: Row) -> dict[str, float | None]:
 
 
 def rows_record(rows: Sequence[Row]) -> dict[str, Any]:
-    """Rows as JSON, with every origin of a band once.
-
-    Returns ``origins``: kind and text by a letter; ``rows``: fields, ends of the band, the letter
-    of its origin, and the verdicts.
-    """
+    """Rows as JSON, with every origin of a band once. Returns ``origins``: kind and text by a
+    letter; ``rows``: fields, ends of the band, the letter of its origin, and the verdicts."""
     letters = {row.band.origin: "" for row in rows if row.band is not None}
     letters = {origin: letter_of(number) for number, origin in enumerate(letters)}
     return {
@@ -143,10 +140,7 @@ def _plain_bool(value: bool | None) -> bool | None:
 
 
 def runs_of(parts: Sequence[Part], data: dict[str, dict[str, Any]]) -> int:
-    """How many runs a reproduction has simulated.
-
-    Returns sum over the parts of `runs` or `cases`, told in the result or among the settings; 1 for
-    a part that tells none.
-    """
+    """How many runs a reproduction has simulated. Returns sum over the parts of `runs` or `cases`,
+    told in the result or among the settings; 1 for a part that tells none."""
     told = [{"runs": 1} | part.settings | data[part.name] for part in parts]
     return sum(int(part["cases"] if "cases" in part else part["runs"]) for part in told)

@@ -22,11 +22,9 @@ TOLD_NAMES = ("TITLE", "CLAIMS", "FOUND", "READINGS", "rows", "figures")
 
 
 def digest_of_modules(modules: Iterable[str]) -> str:
-    """Digest of everything that the functions of some modules can call.
-
-    `modules`: dotted names of modules of a checkout; what they import of it counts, too, but for
-    the library, whose digest is kept with every result.
-    """
+    """Digest of everything that the functions of some modules can call. `modules`: dotted names of
+    modules of a checkout; what they import of it counts, too, but for the library, whose digest is
+    kept with every result."""
     known: set[str] = set()
     waiting = set(modules)
     while waiting:

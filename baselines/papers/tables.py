@@ -18,18 +18,12 @@ COUNTS = {
 
 
 def number_text(value: float | None) -> str:
-    """Number with four digits.
-
-    Returns ``"-"`` for None.
-    """
+    """Number with four digits. Returns ``"-"`` for None."""
     return "-" if value is None else f"{value:.4g}"
 
 
 def band_text(low: float | None, high: float | None) -> str:
-    """Band in words.
-
-    Returns ``"-"`` where there is none.
-    """
+    """Band in words. Returns ``"-"`` where there is none."""
     if low is None and high is None:
         return "-"
     if high is None:
@@ -40,10 +34,7 @@ def band_text(low: float | None, high: float | None) -> str:
 
 
 def verdict_text(verdict: bool | None) -> str:
-    """A row's verdict.
-
-    Returns ``"yes"``, ``"NO"`` or ``"-"``.
-    """
+    """A row's verdict. Returns ``"yes"``, ``"NO"`` or ``"-"``."""
     return {True: "yes", False: "NO", None: "-"}[verdict]
 
 
@@ -76,10 +67,8 @@ def count(rows: Sequence[Mapping[str, Any]], verdict: str) -> tuple[int, int]:
 
 
 def counts_text(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What the rows of a paper say in all; a row may be in more than one count.
-
-    Returns a sentence for each count that has rows, and one for the rows without a band.
-    """
+    """What the rows of a paper say in all; a row may be in more than one count. Returns a sentence
+    for each count that has rows, and one for the rows without a band."""
     lines = []
     for verdict, text in COUNTS.items():
         yes, every = count(rows, verdict)

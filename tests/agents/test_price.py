@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.price import LEAST, MOST, next_price, set_price
+from agents.learning import LEAST, MOST, next_price, set_price
 from spoofgym.sb3 import SpoofVecEnv
 
 SHORT = {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}

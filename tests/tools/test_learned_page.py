@@ -8,35 +8,9 @@ from statistics import median
 import pytest
 
 from agents.seeds import LOUDEST, middle_of, value_of
-from agents.spoofer_table import page as table
-from tools.learned_page import (
-    BEGIN,
-    DOCS,
-    END,
-    FRESH_BEGIN,
-    FRESH_END,
-    KEPT,
-    MANY_BEGIN,
-    MANY_END,
-    PAGE,
-    PLAIN_BEGIN,
-    PLAIN_END,
-    PLAIN_FRESH_BEGIN,
-    PLAIN_FRESH_END,
-    REFITS_BEGIN,
-    REFITS_END,
-    TRANSFER_BEGIN,
-    TRANSFER_END,
-    bar_of,
-    shown,
-    shown_of_plain,
-    shown_of_tasks,
-    shown_of_transfer,
-    taken,
-)
-from tools.pages import part_between
+from tools.learned_page import DOCS, KEPT, PAGE, TABLES, bar_of, taken
+from tools.pages import marks, part_between
 from tools.refits import LEARNED
-from tools.refits import table as table_of_refits
 
 SEEDS = [0, 1, 2, 3, 4]
 
@@ -46,18 +20,10 @@ def kept():
     return json.loads(KEPT.read_text())
 
 
-def test_the_page_has_the_tables_of_the_kept_results(kept):
-    page = PAGE.read_text()
-    assert part_between(page, BEGIN, END) == f"\n{shown(kept['recipe'])}"
-    assert part_between(page, FRESH_BEGIN, FRESH_END) == f"\n{shown_of_tasks(kept['fresh'])}"
-    assert part_between(page, PLAIN_BEGIN, PLAIN_END) == f"\n{shown_of_plain(kept['plain'])}"
-    assert part_between(page, TRANSFER_BEGIN, TRANSFER_END) == (
-        f"\n{shown_of_transfer(kept['transfer'])}"
-    )
-    fresh = part_between(page, PLAIN_FRESH_BEGIN, PLAIN_FRESH_END)
-    assert fresh == f"\n{shown_of_plain(kept['plain_fresh'])}"
-    assert part_between(page, REFITS_BEGIN, REFITS_END) == f"\n{table_of_refits(kept['refits'])}"
-    assert part_between(page, MANY_BEGIN, MANY_END) == f"\n{table(kept['spoofers'])}"
+@pytest.mark.parametrize("mark", TABLES)
+def test_the_page_has_the_tables_of_the_kept_results(kept, mark):
+    part, show = TABLES[mark]
+    assert part_between(PAGE.read_text(), *marks(mark)) == f"\n{show(kept[part])}"
 
 
 def test_every_training_has_five_seeds_and_a_picture(kept):

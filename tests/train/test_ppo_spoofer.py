@@ -19,11 +19,11 @@ for name in ("stable_baselines3", "onnxscript", "tyro", "matplotlib"):
 
 from rich.console import Console
 
-from agents.bar import Bar
 from agents.folder import open_folder
-from agents.price import next_price
+from agents.learning import Bar, next_price
 from agents.record import read_record
 from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.core.progress import NullProgress
 from spoofgym.envs import attach
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import Card, OnnxPolicy
@@ -215,7 +215,7 @@ def test_a_training_that_diverges_keeps_the_best_and_says_so(trained, tmp_path):
 
     training.model.learn = learn_and_break
     with pytest.warns(UserWarning, match="training has diverged after 200 steps"):
-        training.run(Bar(quiet(), "seed 0", 400))
+        training.run(Bar(NullProgress(), "seed 0"))
     training.envs.close()
     assert training.watch.diverged is not None
     row = training.scored({})
@@ -280,7 +280,7 @@ def test_the_price_follows_the_amplitude_and_is_kept(tmp_path):
     judge = Evaluator(runs=args.runs, fit_runs=args.fit_runs, threads=1, **args.world)
     training = Training(args, 0, judge)
     assert training.price == 6.0
-    training.run(Bar(quiet(), "", args.steps))
+    training.run(Bar(NullProgress(), ""))
     expected = 6.0
     for _, found in training.watch.history[1:]:
         expected = next_price(expected, found.value, args.price_gain)

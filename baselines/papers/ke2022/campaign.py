@@ -60,12 +60,9 @@ WATCHERS: dict[str, Detector] = {
 def detector_in_loop(
     method: str, kind: str, size: float, channels: Sequence[str] | None
 ) -> Detector:
-    """Detector with weights, by the paper's name.
-
-    `method`: ``M2``, ``M2 adaptive``, ``oracle``: the paper's M2; the same with the adaptive
-    threshold and the guard; M3 or M4; `kind`: ``step``, ``ramp``: of the attack that an oracle is
-    told; `size`: its size [m] or slope [m/s].
-    """
+    """Detector with weights, by the paper's name. `method`: ``M2``, ``M2 adaptive``, ``oracle``:
+    the paper's M2; the same with the adaptive threshold and the guard; M3 or M4; `kind`: ``step``,
+    ``ramp``: of the attack that an oracle is told; `size`: its size [m] or slope [m/s]."""
     if method == "M2":
         return InnovationRate(weight_scale=1.0, **PAPER)
     if method == "M2 adaptive":
@@ -124,12 +121,10 @@ def fly(
     runs: int,
     seed: int,
 ) -> dict[str, Any]:
-    """Runs of one attack.
-
-    `name`: what the first one is called; empty to leave it out; `scenario`, `update`: world, and
-    form of the covariance update.  Returns by name what `Recorder` tells, and ``"position"``:
-    largest errors north, east, down of every run (runs, 3) and those of the first run (K, 3) [m].
-    """
+    """Runs of one attack.  `name`: what the first one is called; empty to leave it out; `scenario`,
+    `update`: world, and form of the covariance update.  Returns by name what `Recorder` tells, and
+    ``"position"``: largest errors north, east, down of every run (runs, 3) and those of the first
+    run (K, 3) [m]."""
     count = LAST - FIRST + 1
     begun = FIRST - 1
     setup = TightlyCoupledSetup(
@@ -199,13 +194,11 @@ def attack(
     told_size: float | None = None,
     told_satellites: list[str] | None = None,
 ) -> dict[str, Any]:
-    """Runs of one attack for several methods.
-
-    `kind`: ``step``, ``ramp``: of the attack; `size`: size [m] or slope [m/s]; 0 for no attack;
-    `methods`: names of `detector_in_loop`; ``"watchers"`` for all `WATCHERS`; `scenario`, `update`:
-    world, and form of the covariance update; `told_size`, `told_satellites`: what an oracle is
-    told; the truth by default.  Returns arrays, named ``"<method>/<what>"``.
-    """
+    """Runs of one attack for several methods.  `kind`: ``step``, ``ramp``: of the attack; `size`:
+    size [m] or slope [m/s]; 0 for no attack; `methods`: names of `detector_in_loop`; ``"watchers"``
+    for all `WATCHERS`; `scenario`, `update`: world, and form of the covariance update; `told_size`,
+    `told_satellites`: what an oracle is told; the truth by default.  Returns arrays, named
+    ``"<method>/<what>"``."""
     found: dict[str, Any] = {}
     for method in methods:
         if method == "watchers":
@@ -237,10 +230,8 @@ def attack(
 def misses_by_satellite(
     kind: str, size: float, satellites: list[str], runs: int, seed: int, scenario: str
 ) -> dict[str, Any]:
-    """Runs of one attack on each of several satellites in turn, with M2 in the loop.
-
-    Returns ``missed``: (n,) share of runs without an alarm by satellite [%]; ``cases``: all runs.
-    """
+    """Runs of one attack on each of several satellites in turn, with M2 in the loop. Returns
+    ``missed``: (n,) share of runs without an alarm by satellite [%]; ``cases``: all runs."""
     missed = []
     for satellite in satellites:
         flown = attack(kind, size, [satellite], ["M2"], runs, seed, scenario)

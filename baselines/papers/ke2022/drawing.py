@@ -17,10 +17,8 @@ if TYPE_CHECKING:
 
 
 def rate_panel(axes: Axes, title: str, traces: dict[str, Any], limit: float) -> None:
-    """Innovation rates over time, with the paper's threshold.
-
-    `traces`: (K,) size of the rate, by label [1/s]; `limit`: upper end of the axis [1/s].
-    """
+    """Innovation rates over time, with the paper's threshold. `traces`: (K,) size of the rate, by
+    label [1/s]; `limit`: upper end of the axis [1/s]."""
     for label, trace in traces.items():
         axes.plot(SEEN_FROM + np.arange(len(trace)), trace, label=label, linewidth=1.0)
     axes.axhline(THRESHOLD, color="black", linestyle="--", linewidth=1.0, label="threshold")
@@ -30,10 +28,8 @@ def rate_panel(axes: Axes, title: str, traces: dict[str, Any], limit: float) -> 
 
 
 def three_channels(data: Data, kind: str, path: Path) -> Path:
-    """Figures 6 and 7: all channels under M1 and M2, three of them attacked.
-
-    `kind`: ``step``, ``ramp``: of the attack.
-    """
+    """Figures 6 and 7: all channels under M1 and M2, three of them attacked. `kind`: ``step``,
+    ``ramp``: of the attack."""
     from matplotlib.figure import Figure
 
     part = data[f"three {kind}"]
@@ -60,10 +56,8 @@ def sizes(data: Data, path: Path) -> Path:
 
 
 def oracle_and_error(data: Data, kind: str, path: Path) -> Path:
-    """Figures 9 and 10: M2 beside the oracle, and the position error under it.
-
-    `kind`: ``step``, ``ramp``: of the attack.
-    """
+    """Figures 9 and 10: M2 beside the oracle, and the position error under it. `kind`: ``step``,
+    ``ramp``: of the attack."""
     from matplotlib.figure import Figure
 
     name, pair = ("M3", (10.0, 5.0)) if kind == "step" else ("M4", (0.1, 0.05))

@@ -57,10 +57,8 @@ def around(paper: float) -> Band:
 
 
 def share_band(paper: float, runs: int, origin: Origin = SHARE) -> Band:
-    """Band of a share [%]: three standard errors of ours and of the paper's 100 runs.
-
-    A share of 0 or 100 % is given the error of one run in the number.
-    """
+    """Band of a share [%]: three standard errors of ours and of the paper's 100 runs. A share of 0
+    or 100 % is given the error of one run in the number."""
     p = paper / 100.0
     spread = sum(max(p * (1.0 - p), 1.0 / n) / n for n in (runs, 100))
     wide = 300.0 * math.sqrt(spread)

@@ -42,10 +42,8 @@ def runs_of(settings: Settings) -> tuple[int, int]:
 
 
 def parts(settings: Settings) -> list[Part]:
-    """Work of a run.
-
-    Returns cases of latency, then clean runs, then stability, then one run for the figures.
-    """
+    """Work of a run. Returns cases of latency, then clean runs, then stability, then one run for
+    the figures."""
     runs, clean = runs_of(settings)
     common: dict[str, Any] = {"runs": runs, "seed": settings.seed}
     made = []
@@ -82,10 +80,8 @@ def parts(settings: Settings) -> list[Part]:
 
 
 def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
-    """Figures of the paper beside ours.
-
-    Returns table 1 in all readings, then what the paper does not measure.
-    """
+    """Figures of the paper beside ours. Returns table 1 in all readings, then what the paper does
+    not measure."""
     made = [*latency_rows(data), *test_rows(data), *decay_rows(data), *false_alarm_rows(data)]
     made += [*stability_rows(data), *absorption_rows(data)]
     runs, clean = runs_of(settings)

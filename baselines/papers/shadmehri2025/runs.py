@@ -43,10 +43,7 @@ def scaled(factor: float) -> dict[str, Any]:
 
 
 def tuned(window: int, process: str = "fixed", floor_m: float = 0.0) -> dict[str, Any]:
-    """Self-tuning receiver.
-
-    `floor_m`: least standard deviation of a coordinate [m].
-    """
+    """Self-tuning receiver. `floor_m`: least standard deviation of a coordinate [m]."""
     return {"self_tuning": {"window": window, "process": process, "floor_m": floor_m}}
 
 
@@ -79,13 +76,11 @@ def play(
     after_s: float = AFTER_S,
     lead_in_s: float = LEAD_IN_S,
 ) -> Play:
-    """Play runs with a ramp to the north and to the east.
-
-    `errors`, `receiver`: settings of `PositionErrors` and `LooselyCoupled`; `ramp_mps`: rate along
-    each of the two axes [m/s]; `runs`, `seed`: run i is seeded by the pair (seed, i), whatever the
-    attack and the receiver; `attack_s`, `after_s`: how long the ramp grows, and how long it then
-    stays at its last offset [s]; `lead_in_s`: clean run before the onset [s].
-    """
+    """Play runs with a ramp to the north and to the east. `errors`, `receiver`: settings of
+    `PositionErrors` and `LooselyCoupled`; `ramp_mps`: rate along each of the two axes [m/s];
+    `runs`, `seed`: run i is seeded by the pair (seed, i), whatever the attack and the receiver;
+    `attack_s`, `after_s`: how long the ramp grows, and how long it then stays at its last offset
+    [s]; `lead_in_s`: clean run before the onset [s]."""
     setup = LooselyCoupledSetup(
         detector=WATCHER,
         errors=errors,
@@ -119,12 +114,10 @@ def play(
 
 
 def judged(statistic: FloatArray, test: dict[str, Any]) -> NDArray[np.bool_]:
-    """Alarms of one test.
-
-    `statistic`: (K, B) of single epochs; `test`: ``window`` N (1); ``rule``: ``"sum"`` against chi-
-    square of 3 N (the default), ``"mean"`` against the paper's 25.9, or ``"estimated"`` with
-    ``covariance_window`` w.  Returns (K, B) bool; windows reach back to the onset at most.
-    """
+    """Alarms of one test.  `statistic`: (K, B) of single epochs; `test`: ``window`` N (1);
+    ``rule``: ``"sum"`` against chi- square of 3 N (the default), ``"mean"`` against the paper's
+    25.9, or ``"estimated"`` with ``covariance_window`` w.  Returns (K, B) bool; windows reach back
+    to the onset at most."""
     n = int(test.get("window", 1))
     total = np.cumsum(statistic, axis=0)
     total[n:] -= total[:-n].copy()
@@ -138,22 +131,17 @@ def judged(statistic: FloatArray, test: dict[str, Any]) -> NDArray[np.bool_]:
 
 
 def latency(alarm: NDArray[np.bool_]) -> FloatArray:
-    """Time from the onset to the first alarm during the attack.
-
-    `alarm`: (K, B) bool, the first epoch being the first with an offset.  Returns (B,) [s]; NaN
-    where there is none.
-    """
+    """Time from the onset to the first alarm during the attack.  `alarm`: (K, B) bool, the first
+    epoch being the first with an offset.  Returns (B,) [s]; NaN where there is none."""
     during = alarm[: round(ATTACK_S / INTERVAL_S)]
     first = np.round((during.argmax(axis=0) + 1) * INTERVAL_S, 6)
     return np.where(during.any(axis=0), first, np.nan)
 
 
 def told(delay: FloatArray) -> dict[str, float | None]:
-    """Fraction detected, and median, mean and spread of the delays.
-
-    `delay`: (B,) [s], NaN where missed.  Returns ``detected``, ``runs``, ``median``, ``mean``,
-    ``sd``; the last three None where nothing was detected.
-    """
+    """Fraction detected, and median, mean and spread of the delays.  `delay`: (B,) [s], NaN where
+    missed.  Returns ``detected``, ``runs``, ``median``, ``mean``, ``sd``; the last three None where
+    nothing was detected."""
     found = delay[np.isfinite(delay)]
     share, runs = found.size / delay.size, float(delay.size)
     out: dict[str, float | None] = {"detected": share, "runs": runs}
@@ -171,12 +159,10 @@ def latencies(
     ramps: tuple[float, ...] = RAMPS,
 ) -> dict[str, Any]:
     """Part of the reproduction: latencies of one receiver under all ramps, by several tests.
-
     `tests`: as `judged` takes them, by name; with ``"masked": True`` on the covariance that the
     present residual has already entered; `ramps`: rates [m/s].  Returns by test and ramp what
     `told` gives; by ramp the share of epochs with an alarm at 25.9 during the attack and after it,
-    and the mean horizontal error when the attack ends.
-    """
+    and the mean horizontal error when the attack ends."""
     out: dict[str, Any] = {name: {} for name in tests}
     out |= {"duty": {}, "afterwards": {}, "error_m": {}}
     steps = round(ATTACK_S / INTERVAL_S)
@@ -196,13 +182,11 @@ def latencies(
 def false_alarms(
     errors: dict[str, float], receiver: dict[str, Any], window: int, runs: int, seed: int
 ) -> dict[str, Any]:
-    """Part of the reproduction: alarms of clean runs of 35 s, after the lead-in of 20 s.
-
-    `window`: w, for the threshold of an estimated covariance; 0 where it is known.  Returns shares
-    of epochs with an alarm: ``rate`` at 25.9, ``early`` in the first 15 s alone, ``fitting`` at the
-    threshold for an estimated covariance; number of ``epochs``; ``any``, share of runs with an
-    alarm within 15 s; mean ``nis``.
-    """
+    """Part of the reproduction: alarms of clean runs of 35 s, after the lead-in of 20 s.  `window`:
+    w, for the threshold of an estimated covariance; 0 where it is known.  Returns shares of epochs
+    with an alarm: ``rate`` at 25.9, ``early`` in the first 15 s alone, ``fitting`` at the threshold
+    for an estimated covariance; number of ``epochs``; ``any``, share of runs with an alarm within
+    15 s; mean ``nis``."""
     run = play(errors, receiver, 0.0, runs, seed, attack_s=35.0, after_s=0.0)
     alarm = run.statistic > THRESHOLD
     fitting = alarm
@@ -222,10 +206,8 @@ def alarms_since_start(
     errors: dict[str, float], receiver: dict[str, Any], runs: int, seed: int
 ) -> dict[str, Any]:
     """Part of the reproduction: alarms of clean runs of 55 s by the time since the filter's start.
-
     Returns ``begin_s`` and ``end_s`` of every stretch, its share of epochs with an alarm at 25.9,
-    ``rate``, and its mean statistic, ``nis``.
-    """
+    ``rate``, and its mean statistic, ``nis``."""
     statistic = play(errors, receiver, 0.0, runs, seed, 55.0, 0.0, lead_in_s=0.0).statistic
     alarm = statistic > THRESHOLD
     edges = [round(second / INTERVAL_S) for second in STRETCHES_S]
@@ -241,13 +223,10 @@ def alarms_since_start(
 def stability(
     errors: dict[str, float], window: int, process: str, runs: int, seed: int
 ) -> dict[str, Any]:
-    """Part of the reproduction: where the scale of Q goes in clean runs of 30 s.
-
-    Returns ``low``, ``median``, ``high``: quantiles 5, 50 and 95 % of the last scale; ``zero``:
-    share of runs that end with Q = 0; ``negative``: mean number of epochs in which a full window
-    left the scale alone, which with ``"skip"`` are those of a negative ratio; mean horizontal
-    ``error_m`` at the end.
-    """
+    """Part of the reproduction: where the scale of Q goes in clean runs of 30 s. Returns ``low``,
+    ``median``, ``high``: quantiles 5, 50 and 95 % of the last scale; ``zero``: share of runs that
+    end with Q = 0; ``negative``: mean number of epochs in which a full window left the scale alone,
+    which with ``"skip"`` are those of a negative ratio; mean horizontal ``error_m`` at the end."""
     run = play(errors, tuned(window, process), 0.0, runs, seed, 30.0, 0.0, lead_in_s=0.0)
     low, median, high = np.quantile(run.scale[-1], [0.05, 0.5, 0.95])
     same = np.diff(run.scale[window - 1 :], axis=0) == 0.0
@@ -262,12 +241,10 @@ def stability(
 
 
 def sample(seed: int) -> dict[str, Any]:
-    """Part of the reproduction: one run of each filter, for the figures.
-
-    Returns ``time`` [s], the ``offset`` of the spoofer [m], ``track`` east, north, up of the flight
-    [m], and for ``conventional`` and ``tuned`` the errors of the solution north and east [m], of
-    the GNSS position, and the statistic by ramp.
-    """
+    """Part of the reproduction: one run of each filter, for the figures. Returns ``time`` [s], the
+    ``offset`` of the spoofer [m], ``track`` east, north, up of the flight [m], and for
+    ``conventional`` and ``tuned`` the errors of the solution north and east [m], of the GNSS
+    position, and the statistic by ramp."""
     out: dict[str, Any] = {}
     for name, receiver in (("conventional", scaled(0.26)), ("tuned", tuned(100))):
         out[name] = {"statistic": {}}

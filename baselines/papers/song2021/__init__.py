@@ -39,10 +39,8 @@ QUICK_SLOW = [0.01, 0.5, 0.9, 1.12, 1.2, 1.28, 1.4, 1.6, 2.4, 3.04, 6.0, 10.0]
 
 
 def parts(settings: Settings) -> list[Part]:
-    """Work of a run.
-
-    Returns tables at three errors of the heading, sweeps by groups of windows, and the limits.
-    """
+    """Work of a run. Returns tables at three errors of the heading, sweeps by groups of windows,
+    and the limits."""
     seed, quick = settings.seed, settings.quick
     runs = QUICK_RUNS if quick else RUNS
     common = {"seed": seed, "runs": runs}
@@ -68,10 +66,8 @@ def parts(settings: Settings) -> list[Part]:
 
 
 def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
-    """Figures of the paper beside ours.
-
-    Returns tables 3 to 7, figures 9 to 12, rates, shares of runs, limits.
-    """
+    """Figures of the paper beside ours. Returns tables 3 to 7, figures 9 to 12, rates, shares of
+    runs, limits."""
     made = [
         *tables.accuracy_rows(data),
         *tables.deterioration_rows(data),

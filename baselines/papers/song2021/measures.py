@@ -15,12 +15,10 @@ HONEST = ("rms", "95 %")
 
 
 def accuracy(error: FloatArray) -> dict[str, FloatArray]:
-    """Accuracy of every run, as the paper's tables have it.
-
-    Its sigma is the standard deviation of the horizontal error's length, not a root mean square:
-    20 m on each axis in half of the run give its 13.47 m.
-    `error`: (K, B, 2) north, east [m].  Returns (B,) by `QUANTITIES` and `HONEST` [m].
-    """
+    """Accuracy of every run, as the paper's tables have it.  Its sigma is the standard deviation of
+    the horizontal error's length, not a root mean square: 20 m on each axis in half of the run give
+    its 13.47 m. `error`: (K, B, 2) north, east [m].  Returns (B,) by `QUANTITIES` and `HONEST`
+    [m]."""
     north, east = error[:, :, 0], error[:, :, 1]
     size = np.hypot(north, east)
     return {
@@ -36,28 +34,22 @@ def accuracy(error: FloatArray) -> dict[str, FloatArray]:
 
 
 def credibility(gamma: FloatArray, gamma_gnss: FloatArray) -> FloatArray:
-    """Eq. 35.
-
-    `gamma`, `gamma_gnss`: deterioration of the algorithm and of GNSS.  Returns zeta [%].
-    """
+    """Eq. 35.  `gamma`, `gamma_gnss`: deterioration of the algorithm and of GNSS.  Returns zeta
+    [%]."""
     return 100.0 * (gamma_gnss - gamma) / gamma_gnss
 
 
 def latency(alarm: BoolArray, window: NDArray[np.intp]) -> FloatArray:
-    """Fixes from the first attacked one to the first alarm, both counted.
-
-    `alarm`: (K, B).  Returns (B,) 1 for an alarm at once; NaN where there is none.
-    """
+    """Fixes from the first attacked one to the first alarm, both counted.  `alarm`: (K, B).
+    Returns (B,) 1 for an alarm at once; NaN where there is none."""
     inside = alarm[window]
     return np.where(inside.any(axis=0), inside.argmax(axis=0) + 1.0, np.nan)
 
 
 def recovery(alarm: BoolArray, window: NDArray[np.intp]) -> FloatArray:
-    """Fixes after an attack until the first one that is believed again.
-
-    `alarm`: (K, B).  Returns (B,) 1 for the first one; NaN where there is none until the end of the
-    run, or where no fix is left.
-    """
+    """Fixes after an attack until the first one that is believed again.  `alarm`: (K, B).  Returns
+    (B,) 1 for the first one; NaN where there is none until the end of the run, or where no fix is
+    left."""
     after = ~alarm[window[-1] + 1 :]
     if not len(after):
         return np.full(alarm.shape[1], np.nan)
@@ -65,14 +57,11 @@ def recovery(alarm: BoolArray, window: NDArray[np.intp]) -> FloatArray:
 
 
 def rates(alarm: BoolArray, attacked: BoolArray) -> dict[str, float]:
-    """Rates over all runs, by their proper names.
-
-    The paper calls what is normal positive: its P_FA, eq. 13, is the share of attacked fixes that
-    were not alarmed, its P_MD, eq. 14, the share of clean ones that were.  The sum is the same.
-    `alarm`: (K, B); `attacked`: (K,).  Returns ``P_FA`` alarms on clean fixes, ``P_MD`` attacked
-    fixes without an alarm, ``P_D`` fixes that were told right, eq. 12; the first two are 0 where
-    there are no such fixes.
-    """
+    """Rates over all runs, by their proper names.  The paper calls what is normal positive: its
+    P_FA, eq. 13, is the share of attacked fixes that were not alarmed, its P_MD, eq. 14, the share
+    of clean ones that were.  The sum is the same. `alarm`: (K, B); `attacked`: (K,).  Returns
+    ``P_FA`` alarms on clean fixes, ``P_MD`` attacked fixes without an alarm, ``P_D`` fixes that
+    were told right, eq. 12; the first two are 0 where there are no such fixes."""
     clean, hit = alarm[~attacked], alarm[attacked]
     return {
         "P_FA": float(clean.mean()) if clean.size else 0.0,
@@ -82,10 +71,8 @@ def rates(alarm: BoolArray, attacked: BoolArray) -> dict[str, float]:
 
 
 def retroactive(alarm: BoolArray, window: int) -> BoolArray:
-    """Alarms that are also told of the fixes that led to them.
-
-    `alarm`: (K, B); `window`: fixes that an alarm speaks of, its own among them.  Returns (K, B).
-    """
+    """Alarms that are also told of the fixes that led to them.  `alarm`: (K, B); `window`: fixes
+    that an alarm speaks of, its own among them.  Returns (K, B)."""
     told = alarm.copy()
     for back in range(1, window):
         told[:-back] |= alarm[back:]

@@ -112,10 +112,8 @@ def _gamma(part: dict[str, Any], data_set: str, word: str) -> FloatArray:
 
 
 def deterioration_rows(data: Data) -> list[Row]:
-    """Table 6: gamma and zeta on data set 4.
-
-    Its attacked sigma is that of table 5, and has no row.
-    """
+    """Table 6: gamma and zeta on data set 4. Its attacked sigma is that of table 5, and has no
+    row."""
     part, rows = data[table_name(NOMINAL)], []
     reference = _gamma(part, "both", "GNSS")
     for word in FILTERS:

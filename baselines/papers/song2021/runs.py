@@ -58,11 +58,8 @@ class Judged(NamedTuple):
 
 
 def generators(seed: int, runs: int, stream: int) -> list[np.random.Generator]:
-    """Generators of some runs.
-
-    `seed`, `runs`, `stream`: of the reproduction; how many; 0 for the robots, 1 for the attacks on
-    them.
-    """
+    """Generators of some runs. `seed`, `runs`, `stream`: of the reproduction; how many; 0 for the
+    robots, 1 for the attacks on them."""
     return [
         np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream, i)))
         for i in range(runs)
@@ -87,10 +84,8 @@ def make_setup(data_set: RobotDataSet, detector: Any, **settings: Any) -> Wheele
 
 
 def commands(offsets: FloatArray) -> FloatArray:
-    """Actions that move the offset as a data set does.
-
-    `offsets`: (K, B, 2) [m].  Returns (K, B, 2) in [-1, 1].
-    """
+    """Actions that move the offset as a data set does.  `offsets`: (K, B, 2) [m].  Returns (K, B,
+    2) in [-1, 1]."""
     steps = np.diff(offsets, axis=0, prepend=np.zeros((1, *offsets.shape[1:])))
     return steps / (JUMP_LIMIT_MPS * INTERVAL_S)
 
@@ -102,10 +97,8 @@ def record(
     offsets: FloatArray | None = None,
     **settings: Any,
 ) -> Recording:
-    """Let robots drive, and keep what they measure.
-
-    `offsets`: (K, B, 2) another attack than the data set's [m].
-    """
+    """Let robots drive, and keep what they measure. `offsets`: (K, B, 2) another attack than the
+    data set's [m]."""
     data_set = DATA_SETS[name] if isinstance(name, str) else name
     setup = make_setup(data_set, "never", **settings)
     engine = Engine(runs, setup)
@@ -141,9 +134,6 @@ def judge(recording: Recording, detector: Any, settings: CredibleFilter | None =
 
 
 def ramp_offsets(rate_mps: float, begin_s: float, seconds: Sequence[int], runs: int) -> FloatArray:
-    """Steady ramps in north and east, without chance.
-
-    Returns (K, B, 2) [m].
-    """
+    """Steady ramps in north and east, without chance. Returns (K, B, 2) [m]."""
     size = rate_mps * np.maximum(np.asarray(seconds, dtype=np.float64) - begin_s, 0.0)
     return np.tile(size[:, None, None], (1, runs, 2))

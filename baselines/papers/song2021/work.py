@@ -19,11 +19,8 @@ RAMP_BEGIN_S = 150.0
 
 
 def table_part(seed: int, runs: int, hard_iron_deg: float) -> dict[str, Any]:
-    """All data sets and filters.
-
-    Returns ``"SET/FILTER/QUANTITY"``: (B,) figures of merit, latencies and recovery times;
-    ``"SET/FILTER/P_*"``: rates.
-    """
+    """All data sets and filters. Returns ``"SET/FILTER/QUANTITY"``: (B,) figures of merit,
+    latencies and recovery times; ``"SET/FILTER/P_*"``: rates."""
     out: dict[str, Any] = {}
     for name in ("psi1", "psi2", *ATTACKED):
         recording = record(name, seed, runs, odometer={"hard_iron_deg": hard_iron_deg})
@@ -51,10 +48,8 @@ def _alarms(prefix: str, data_set: RobotDataSet, alarm: NDArray[np.bool_]) -> di
 
 
 def trace_part(seed: int) -> dict[str, Any]:
-    """One run of every data set, for the figures.
-
-    Returns ``"SET/FILTER"``: (K, 2) errors [m]; ``"truth"``: (K, 2) [m].
-    """
+    """One run of every data set, for the figures. Returns ``"SET/FILTER"``: (K, 2) errors [m];
+    ``"truth"``: (K, 2) [m]."""
     out: dict[str, Any] = {}
     for name in ATTACKED:
         recording = record(name, seed, 1)
@@ -81,13 +76,11 @@ def _rule(kind: str, variant: str, window: int, threshold: float) -> dict[str, A
 def sweep_part(
     seed: int, runs: int, kind: str, windows: list[int], thresholds: list[float]
 ) -> dict[str, Any]:
-    """Figs. 9 to 12: one rule alone, over its window and threshold.
-
-    `kind`: ``jump``, ``slow``: the rule, on the data set of its attack; `thresholds`: Th_j or Th_s
-    [m].  Returns ``P_D``, ``P_FA``, ``P_MD`` as the literal variant has them; ``P_D held``: with
-    pending fixes held back; ``P_D told``: with alarms told of the whole window, of the held one for
-    the jump and of the literal one for the slow change; each (windows, thresholds).
-    """
+    """Figs. 9 to 12: one rule alone, over its window and threshold.  `kind`: ``jump``, ``slow``:
+    the rule, on the data set of its attack; `thresholds`: Th_j or Th_s [m].  Returns ``P_D``,
+    ``P_FA``, ``P_MD`` as the literal variant has them; ``P_D held``: with pending fixes held back;
+    ``P_D told``: with alarms told of the whole window, of the held one for the jump and of the
+    literal one for the slow change; each (windows, thresholds)."""
     recording = record(kind, seed, runs)
     attacked = DATA_SETS[kind].attacked()
     shape = (len(windows), len(thresholds))
@@ -108,11 +101,9 @@ def sweep_part(
 
 
 def ramp_part(seed: int, runs: int, ramp_rates: list[float]) -> dict[str, Any]:
-    """What drift is slow enough not to be seen.
-
-    `ramp_rates`: rates of each axis [m/s].  Returns by rate: share of runs with an alarm in the 150
-    s of the ramp beyond those without one, mean latency of those [s], mean error at the end [m].
-    """
+    """What drift is slow enough not to be seen.  `ramp_rates`: rates of each axis [m/s].  Returns
+    by rate: share of runs with an alarm in the 150 s of the ramp beyond those without one, mean
+    latency of those [s], mean error at the end [m]."""
     course = RobotDataSet(slow_s=((RAMP_BEGIN_S, 300.0),))
     epochs = course.epochs(course.slow_s[0])
     seconds = list(range(1, 301))
@@ -131,11 +122,9 @@ def ramp_part(seed: int, runs: int, ramp_rates: list[float]) -> dict[str, Any]:
 
 
 def assumption_part(seed: int, runs: int) -> dict[str, Any]:
-    """What the printed thresholds need of the errors and of the anchor.
-
-    Returns alarms on clean fixes: of both rules alone under white noise, and of the literal
-    detector whose dead reckoning runs free from the begin; and sigma of GNSS under white noise.
-    """
+    """What the printed thresholds need of the errors and of the anchor. Returns alarms on clean
+    fixes: of both rules alone under white noise, and of the literal detector whose dead reckoning
+    runs free from the begin; and sigma of GNSS under white noise."""
     white = {"correlated_sd_m": 0.0, "white_sd_m": 0.9}
     noisy = record("psi2", seed, runs, fix_errors=white)
     out: dict[str, Any] = {

@@ -16,10 +16,8 @@ LEAST_M = 100.0
 
 
 def subsets(satellites: int, spoofed: int, draws: int) -> NDArray[np.bool_]:
-    """All subsets of one size, each as often as it takes.
-
-    Returns (C, n) bool, C at least `draws`.
-    """
+    """All subsets of one size, each as often as it takes. Returns (C, n) bool, C at least
+    `draws`."""
     chosen = np.array(list(combinations(range(satellites), spoofed)))
     masks = np.zeros((len(chosen), satellites), dtype=np.bool_)
     np.put_along_axis(masks, chosen, True, axis=1)
@@ -29,14 +27,11 @@ def subsets(satellites: int, spoofed: int, draws: int) -> NDArray[np.bool_]:
 def displacements(
     rng: np.random.Generator, lines: FloatArray, spoofed: NDArray[np.bool_]
 ) -> FloatArray:
-    """Counterfeit minus true position and clock of every case.
-
-    The direction is uniform in four dimensions, clock included, the length uniform; both are drawn
-    again until every spoofed satellite's range is changed by more than 100 m.  What it would change
-    of the authentic ones does not matter.
-    `lines`: (n, 3) rows of the geometry without the clock's column; `spoofed`: (C, n) bool.
-    Returns (C, 4) [m].
-    """
+    """Counterfeit minus true position and clock of every case.  The direction is uniform in four
+    dimensions, clock included, the length uniform; both are drawn again until every spoofed
+    satellite's range is changed by more than 100 m.  What it would change of the authentic ones
+    does not matter. `lines`: (n, 3) rows of the geometry without the clock's column; `spoofed`: (C,
+    n) bool. Returns (C, 4) [m]."""
     G = np.column_stack([lines, np.ones(len(lines))])
     out = np.empty((len(spoofed), 4))
     left = np.arange(len(spoofed))
@@ -52,10 +47,8 @@ def displacements(
 
 
 def offsets(lines: FloatArray, spoofed: NDArray[np.bool_], displacement: FloatArray) -> FloatArray:
-    """Noise-free changes of the pseudoranges.
-
-    `lines`: (n, 3) rows of the geometry without the clock's column; `spoofed`: (C, n) bool;
-    `displacement`: (C, 4) [m].  Returns (C, n) [m], 0 for authentic satellites.
-    """
+    """Noise-free changes of the pseudoranges.  `lines`: (n, 3) rows of the geometry without the
+    clock's column; `spoofed`: (C, n) bool; `displacement`: (C, 4) [m].  Returns (C, n) [m], 0 for
+    authentic satellites."""
     changed = displacement[:, :3] @ lines.T + displacement[:, 3:]
     return np.where(spoofed, changed, 0.0)

@@ -22,12 +22,9 @@ CAP = 5
 
 
 def run_pictures(draws: int, seed: int) -> dict[str, Any]:
-    """Cases of figures 1 and 2.
-
-    `draws`: displacements of a constellation in figure 1; figure 2 has five times as many.  Returns
-    (66, draws) numbers of hybrids with two spoofed satellites, and (5 draws, 4) displacements [m]
-    with their numbers in one constellation of six.
-    """
+    """Cases of figures 1 and 2.  `draws`: displacements of a constellation in figure 1; figure 2
+    has five times as many.  Returns (66, draws) numbers of hybrids with two spoofed satellites, and
+    (5 draws, 4) displacements [m] with their numbers in one constellation of six."""
     lines, rng = sky(SKY), np.random.default_rng([seed, SKY, 1])
     pairs = np.repeat(subsets(SATELLITES, PAIR, 1), draws, axis=0)
     by_pair, _, _ = separate(lines, pairs, displacements(rng, lines, pairs))

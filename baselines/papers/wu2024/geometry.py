@@ -54,19 +54,15 @@ PLACES = (
 
 
 def gdop(lines: FloatArray) -> float:
-    """Geometric dilution of precision.
-
-    `lines`: (n, 3) rows of the geometry without the clock's column.
-    """
+    """Geometric dilution of precision. `lines`: (n, 3) rows of the geometry without the clock's
+    column."""
     G = np.column_stack([lines, np.ones(len(lines))])
     return math.sqrt(np.trace(np.linalg.inv(G.T @ G)))
 
 
 def sky(number: int) -> FloatArray:
-    """Rows of one sky, minus the lines of sight.
-
-    Returns (12, 3) in ECEF axes, as the paper's equation 2 has them.
-    """
+    """Rows of one sky, minus the lines of sight. Returns (12, 3) in ECEF axes, as the paper's
+    equation 2 has them."""
     place = PLACES[number]
     return _random_sky(place) if place.orbits == 0 else _orbits(place)
 

@@ -37,13 +37,11 @@ SEARCHES: dict[str, Callable[[SearchData], None]] = {"srv": _srv, "traversal": _
 def score(
     method: str, lines: FloatArray, y: FloatArray, spoofed: NDArray[np.bool_]
 ) -> tuple[float, float, float, float, float]:
-    """Rates of one method.
-
-    `method`: ``srv``, ``traversal``: which search; `lines`: (n, 3) rows of the geometry without the
-    clock's column; `y`: (C, n) pseudoranges minus predicted ranges [m]; `spoofed`: (C, n) bool.
-    Returns `success`, `false`, `fail` both groups right in either order; a partition, but another
-    one; no partition; `time_us` mean time of a call, of the processor [us].
-    """
+    """Rates of one method. `method`: ``srv``, ``traversal``: which search; `lines`: (n, 3) rows of
+    the geometry without the clock's column; `y`: (C, n) pseudoranges minus predicted ranges [m];
+    `spoofed`: (C, n) bool. Returns `success`, `false`, `fail` both groups right in either order; a
+    partition, but another one; no partition; `time_us` mean time of a call, of the processor
+    [us]."""
     cases, n = y.shape
     data = search_data(cases, n)
     begin = time.thread_time()
@@ -63,11 +61,9 @@ def score(
 
 
 def run_partitions(number: int, draws: int, seed: int) -> dict[str, Any]:
-    """Tables 5 to 8 in one sky.
-
-    `draws`: least number of cases for each number of spoofed satellites.  Returns (11, 5) success,
-    false, fail, positionings and time [us] by method, number of cases.
-    """
+    """Tables 5 to 8 in one sky.  `draws`: least number of cases for each number of spoofed
+    satellites.  Returns (11, 5) success, false, fail, positionings and time [us] by method, number
+    of cases."""
     lines, rng = sky(number), np.random.default_rng([seed, number, 5])
     result: dict[str, Any] = {}
     scores: dict[str, list[tuple[float, ...]]] = {method: [] for method in METHODS}

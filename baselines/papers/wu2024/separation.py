@@ -30,12 +30,10 @@ SIZES = (12, 24, 40)
 
 @inlined
 def judge_direction(projection: FloatArray, spoofed: NDArray[np.bool_]) -> tuple[int, int, bool]:
-    """What one direction and its opposite say.
-
-    `projection`: (n,) of the residual vectors; `spoofed`: (n,) bool, of which there are some, but
-    not all.  Returns `forth`, `back` number of hybrids along the direction, and along its opposite;
-    `seeded` whether the five largest or the five smallest are of one kind.
-    """
+    """What one direction and its opposite say.  `projection`: (n,) of the residual vectors;
+    `spoofed`: (n,) bool, of which there are some, but not all.  Returns `forth`, `back` number of
+    hybrids along the direction, and along its opposite; `seeded` whether the five largest or the
+    five smallest are of one kind."""
     top_s = top_a = -np.inf
     low_s = low_a = np.inf
     for i in range(projection.shape[0]):
@@ -65,11 +63,8 @@ def judge_direction(projection: FloatArray, spoofed: NDArray[np.bool_]) -> tuple
 def search_sums(
     gram: FloatArray, spoofed: NDArray[np.bool_], projection: FloatArray
 ) -> tuple[int, int]:
-    """Search all directions of S0, until there is nothing more to find.
-
-    `gram`: (n, n) inner products of the residual vectors; `spoofed`: (n,) bool; `projection`: (n,)
-    scratch.
-    """
+    """Search all directions of S0, until there is nothing more to find. `gram`: (n, n) inner
+    products of the residual vectors; `spoofed`: (n,) bool; `projection`: (n,) scratch."""
     n = gram.shape[0]
     projection[:] = 0.0
     hybrids, seeded, held = n, 0, 0
@@ -99,13 +94,11 @@ def separate_cases(
     hybrids_clock: NDArray[np.int64],
     seeded: NDArray[np.int64],
 ) -> None:
-    """Numbers of hybrids and seeds of many cases.
-
-    `lines`: (n, 4) rows of the geometry; `residual`, `spoofed`: (C, n) [m] and bool; `vectors`: (V,
-    4) of S3; `hybrids`, `hybrids_clock`: (C,), written: least number over S0, and over the clock's
-    axis and its opposite; `seeded`: (C, 2), written: whether S0 has a seed, and number of the first
-    vector of S3 that has one, V where there is none.
-    """
+    """Numbers of hybrids and seeds of many cases. `lines`: (n, 4) rows of the geometry; `residual`,
+    `spoofed`: (C, n) [m] and bool; `vectors`: (V, 4) of S3; `hybrids`, `hybrids_clock`: (C,),
+    written: least number over S0, and over the clock's axis and its opposite; `seeded`: (C, 2),
+    written: whether S0 has a seed, and number of the first vector of S3 that has one, V where there
+    is none."""
     n = residual.shape[1]
     gram, p = np.empty((n, n)), np.empty(n)
     inner, along = lines @ lines.T, vectors @ lines.T
@@ -129,12 +122,9 @@ def separate_cases(
 def separate(
     lines: FloatArray, spoofed: NDArray[np.bool_], displacement: FloatArray
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Numbers of hybrids and seeds of noise-free cases.
-
-    `lines`: (n, 3) rows of the geometry without the clock's column; `spoofed`, `displacement`: (C,
-    n) bool, (C, 4) [m].  Returns `hybrids`, `hybrids_clock`, `seeded` (C,), (C,), (C, 2), as by
-    `separate_cases`.
-    """
+    """Numbers of hybrids and seeds of noise-free cases.  `lines`: (n, 3) rows of the geometry
+    without the clock's column; `spoofed`, `displacement`: (C, n) bool, (C, 4) [m].  Returns
+    `hybrids`, `hybrids_clock`, `seeded` (C,), (C,), (C, 2), as by `separate_cases`."""
     G = np.column_stack([lines, np.ones(len(lines))])
     y = offsets(lines, spoofed, displacement)
     residual = np.ascontiguousarray(y - y @ G @ np.linalg.inv(G.T @ G) @ G.T)
@@ -146,21 +136,16 @@ def separate(
 
 
 def histogram(hybrids: NDArray[np.int64]) -> FloatArray:
-    """Parts of the cases with 0, 2, 3, 4 and more hybrids.
-
-    `hybrids`: (C,) numbers of hybrids.  Returns (5,) sums to 1.
-    """
+    """Parts of the cases with 0, 2, 3, 4 and more hybrids.  `hybrids`: (C,) numbers of hybrids.
+    Returns (5,) sums to 1."""
     bins = np.clip(hybrids - 1, 0, BINS - 1)
     return np.bincount(bins, minlength=BINS) / len(hybrids)
 
 
 def run_separation(number: int, draws: int, seed: int) -> dict[str, Any]:
-    """Tables 2, 3 and 4 in one sky.
-
-    `draws`: least number of cases for each number of spoofed satellites.  Returns (11, 5) parts by
-    number of hybrids over S0 and along the clock's axis, (11, 4) parts with a seed in S0 to S3,
-    number of cases.
-    """
+    """Tables 2, 3 and 4 in one sky.  `draws`: least number of cases for each number of spoofed
+    satellites.  Returns (11, 5) parts by number of hybrids over S0 and along the clock's axis, (11,
+    4) parts with a seed in S0 to S3, number of cases."""
     lines, rng = sky(number), np.random.default_rng([seed, number, 2])
     least, clock, seeds, cases = [], [], [], 0
     for count in range(1, SATELLITES):

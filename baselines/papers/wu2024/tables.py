@@ -48,10 +48,7 @@ REST = "no band: 100 % less the others"
 
 
 def stacked(data: Data, part: str, name: str) -> FloatArray:
-    """Results of all skies.
-
-    Returns (skies, 11, columns).
-    """
+    """Results of all skies. Returns (skies, 11, columns)."""
     return np.array([np.asarray(d[name]) for key, d in data.items() if key.startswith(part)])
 
 
@@ -61,10 +58,8 @@ def mean(values: FloatArray) -> float:
 
 
 def pooled(rates: FloatArray) -> float:
-    """Mean number of fits of all cases that did not fail.
-
-    `rates`: (11, 4 or more) success, false, fail and fits by number of spoofed satellites.
-    """
+    """Mean number of fits of all cases that did not fail. `rates`: (11, 4 or more) success, false,
+    fail and fits by number of spoofed satellites."""
     weight = WEIGHT * (1.0 - rates[:, 2])
     return float(weight @ rates[:, 3] / weight.sum())
 
@@ -126,10 +121,8 @@ TIME_LIMIT_US = {"srv": 8.0, "traversal": 80.0}
 
 
 def rate_rows(method: str, rates: FloatArray) -> list[Row]:
-    """Table 5 or 7.
-
-    `method`: ``srv``, ``traversal``: which search; `rates`: (11, 5) means over the skies.
-    """
+    """Table 5 or 7. `method`: ``srv``, ``traversal``: which search; `rates`: (11, 5) means over the
+    skies."""
     table, _ = RATE_TABLES[method]
     rows = []
     origin = SEARCH_RATES if method == "srv" else TRAVERSAL_RATES
@@ -149,10 +142,8 @@ def rate_rows(method: str, rates: FloatArray) -> list[Row]:
 
 
 def fit_rows(method: str, rates: FloatArray) -> list[Row]:
-    """Table 6 or 8.
-
-    `method`: ``srv``, ``traversal``: which search; `rates`: (11, 5) means over the skies.
-    """
+    """Table 6 or 8. `method`: ``srv``, ``traversal``: which search; `rates`: (11, 5) means over the
+    skies."""
     _, table = RATE_TABLES[method]
     rows = []
     for k in COUNTS:

@@ -97,10 +97,8 @@ def parts(settings: Settings) -> list[Part]:
 
 
 def rows(data: Mapping[str, Mapping[str, Any]], settings: Settings) -> list[Row]:
-    """Figures of the paper beside ours.
-
-    Returns tables 4 and 5, experiments 8 and 1 to 5, then what the paper does not show.
-    """
+    """Figures of the paper beside ours. Returns tables 4 and 5, experiments 8 and 1 to 5, then what
+    the paper does not show."""
     made = [
         *tables.table_rows(data),
         *experiments.intermittent_rows(data),

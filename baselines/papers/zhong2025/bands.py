@@ -50,28 +50,20 @@ PROMPT = Band(FIRST_S, FIRST_S + EPOCH_S, ONE_EPOCH)
 
 
 def around(middle: float, spread: float, origin: Origin) -> Band:
-    """Band of a spread around a median; a delay is a whole number of epochs, and not negative.
-
-    All in [s].
-    """
+    """Band of a spread around a median; a delay is a whole number of epochs, and not negative. All
+    in [s]."""
     allowed = max(spread, EPOCH_S)
     return Band(round(max(middle - allowed, FIRST_S), 2), round(middle + allowed, 2), origin)
 
 
 def spread_of(values: Any) -> float:
-    """Standard deviation of the delays that are finite.
-
-    `values`: (R,) [s].
-    """
+    """Standard deviation of the delays that are finite. `values`: (R,) [s]."""
     finite = values[np.isfinite(values)]
     return float(finite.std()) if finite.size else 0.0
 
 
 def onset_band(method: str, number: int, values: Any) -> tuple[Band, str]:
-    """Band of an onset's median delay.
-
-    `values`: (R,) our delays.  Returns `band` [s].
-    """
+    """Band of an onset's median delay.  `values`: (R,) our delays.  Returns `band` [s]."""
     if method != "M1":
         return around(*CHART_ONSET[number], CHART), ""
     if ("onset", number) in SHEWHART_RANGES:
@@ -82,10 +74,7 @@ def onset_band(method: str, number: int, values: Any) -> tuple[Band, str]:
 
 
 def end_band(method: str, number: int) -> tuple[Band, str]:
-    """Band of a termination's median delay.
-
-    Returns `band` [s].
-    """
+    """Band of a termination's median delay. Returns `band` [s]."""
     if method == "M2":
         return around(*CHART_END[number], CHART), ""
     if method == "M1" and ("end", number) in SHEWHART_RANGES:

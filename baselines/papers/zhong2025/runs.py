@@ -115,10 +115,8 @@ def setup_of(
     satellite: str = SATELLITE,
     true_sd_m: float = 1.0,
 ) -> TightlyCoupledSetup:
-    """The paper's receiver under one of its attacks.
-
-    `pseudorange_sd_m`: what the filter takes for the noise of pseudoranges.
-    """
+    """The paper's receiver under one of its attacks. `pseudorange_sd_m`: what the filter takes for
+    the noise of pseudoranges."""
     found = PAPER_ATTACKS[attack]
     noise = NoiseModel(pseudorange_sd=pseudorange_sd_m)
     errors = replace(ERRORS["white"], code_sd_m=true_sd_m)
@@ -145,10 +143,8 @@ def fly(
     satellite: str = SATELLITE,
     true_sd_m: float = 1.0,
 ) -> Flown:
-    """Run an attack against a detector in the loop, with others passive.
-
-    Run r has the same noise whatever the attack and the detectors are.
-    """
+    """Run an attack against a detector in the loop, with others passive. Run r has the same noise
+    whatever the attack and the detectors are."""
     setup = setup_of(attack, Several(specs), pseudorange_sd_m, satellite, true_sd_m)
     engine = Engine(runs, setup, threads=1)
     engine.reset([np.random.default_rng([seed, run]) for run in range(runs)])

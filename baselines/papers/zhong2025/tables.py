@@ -17,11 +17,8 @@ Data = Mapping[str, Mapping[str, Any]]
 
 
 def median_of(values: Any) -> float | None:
-    """Median of some delays.
-
-    `values`: (R,) [s], infinite where a run was missed.  Returns None where half of the runs were
-    missed, or more.
-    """
+    """Median of some delays.  `values`: (R,) [s], infinite where a run was missed.  Returns None
+    where half of the runs were missed, or more."""
     middle = round(float(np.median(values)), 3)
     return middle if np.isfinite(middle) else None
 
@@ -32,10 +29,8 @@ def alarms(found: Mapping[str, Any], method: str) -> Any:
 
 
 def table_rows(data: Data) -> list[Row]:
-    """Tables 4 and 5: onset and termination of every method.
-
-    The intervals that the paper prints are 200 s and 350 s plus the two delays, and have no rows.
-    """
+    """Tables 4 and 5: onset and termination of every method. The intervals that the paper prints
+    are 200 s and 350 s plus the two delays, and have no rows."""
     out = []
     for number, attack in enumerate(TABLED):
         found = data[attack]

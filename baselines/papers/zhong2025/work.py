@@ -16,12 +16,10 @@ FloatArray = NDArray[np.float64]
 
 
 def table_part(attack: str, runs: int, seed: int) -> dict[str, Any]:
-    """The three methods and the comparators against one attack.
-
-    Returns ``alarm_NAME`` (K, R) and ``others_NAME`` (R,) for every method and comparator, of M1
-    also ``upper_M1`` (K, R), its alarms above the upper limit alone, and ``trace_M`` (4, K),
-    innovation, its standard deviation, average and threshold of the first run of a method.
-    """
+    """The three methods and the comparators against one attack. Returns ``alarm_NAME`` (K, R) and
+    ``others_NAME`` (R,) for every method and comparator, of M1 also ``upper_M1`` (K, R), its alarms
+    above the upper limit alone, and ``trace_M`` (4, K), innovation, its standard deviation, average
+    and threshold of the first run of a method."""
     out: dict[str, Any] = {}
     plain = {"M1": METHODS["M1"], **COMPARATORS}
     for group in (plain, {"M2": METHODS["M2"]}, {"M3": METHODS["M3"]}, {"production": PRODUCTION}):
@@ -39,11 +37,9 @@ def table_part(attack: str, runs: int, seed: int) -> dict[str, Any]:
 
 
 def differences(xi: FloatArray) -> FloatArray:
-    """Largest distance of three successive ratios from their median.
-
-    `xi`: (K, R) joint detection metric, 0 where nothing is detected.  Returns (K, R) Delta Y of the
-    window that ends at each epoch.
-    """
+    """Largest distance of three successive ratios from their median.  `xi`: (K, R) joint detection
+    metric, 0 where nothing is detected.  Returns (K, R) Delta Y of the window that ends at each
+    epoch."""
     padded = np.concatenate([np.zeros((2, xi.shape[1])), xi])
     window = np.stack([padded[:-2], padded[1:-1], padded[2:]])
     return np.asarray(np.abs(window - np.median(window, axis=0)).max(axis=0))
@@ -51,12 +47,10 @@ def differences(xi: FloatArray) -> FloatArray:
 
 def metric_part(pseudorange_sd_m: float, runs: int, seed: int) -> dict[str, Any]:
     """The joint detection metric under all six attacks, by the noise that the filter assumes.
-
     Returns by attack: ``xi_NAME`` (K,) of the first run, ``average_NAME`` and ``innovation_NAME``
     beside it, ``jump_NAME`` (R,) Delta Y at the first epoch after the attack, ``settled_NAME`` (R,)
     its largest value in the last 50 s of the attack, and ``ended_NAME`` (R,) bool, whether the
-    joint chart ends its alarm there.
-    """
+    joint chart ends its alarm there."""
     out: dict[str, Any] = {}
     last = 300
     for attack in TABLED:
@@ -77,12 +71,10 @@ def metric_part(pseudorange_sd_m: float, runs: int, seed: int) -> dict[str, Any]
 
 
 def noise_part(noise_sd_m: float, runs: int, seed: int) -> dict[str, Any]:
-    """The joint chart where the pseudoranges are as noisy as the filter assumes.
-
-    Returns ``ended_NAME`` (R,) bool by attack: alarmed to the last epoch of the attack, and not at
-    the first one after it; ``early_NAME`` (R,) alarms that ended within the attack; and
-    ``others_NAME`` (R,) other satellites that alarmed.
-    """
+    """The joint chart where the pseudoranges are as noisy as the filter assumes. Returns
+    ``ended_NAME`` (R,) bool by attack: alarmed to the last epoch of the attack, and not at the
+    first one after it; ``early_NAME`` (R,) alarms that ended within the attack; and ``others_NAME``
+    (R,) other satellites that alarmed."""
     out: dict[str, Any] = {}
     for attack in TABLED:
         flown = fly(attack, [METHODS["M3"]], runs, seed, noise_sd_m, true_sd_m=noise_sd_m)
@@ -94,10 +86,8 @@ def noise_part(noise_sd_m: float, runs: int, seed: int) -> dict[str, Any]:
 
 
 def satellites_part(attack: str, runs: int, seed: int) -> dict[str, Any]:
-    """M1 against an attack on each of the satellites, one after the other.
-
-    Returns ``onset`` and ``end`` (n,) medians of the delays by satellite [s].
-    """
+    """M1 against an attack on each of the satellites, one after the other. Returns ``onset`` and
+    ``end`` (n,) medians of the delays by satellite [s]."""
     limit = two_sided_quantile(METHODS["M1"]["false_alarm"])
     onset, end = [], []
     for satellite in SATELLITES:

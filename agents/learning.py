@@ -1,0 +1,121 @@
+"""What PPO learns with: the action, the price of an alarm, a bar, and an end where it diverges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+
+from spoofgym.core.progress import ProgressCallback
+from spoofgym.envs.core import SpoofCore
+from spoofgym.envs.terms.reward import default_rewards
+from spoofgym.sb3 import SpoofVecEnv
+from spoofgym.simulation.setup import Setup
+from spoofgym.spoofers.learned import finite
+
+ABOUT_S = 10.0
+"""Time between decisions, as far as the attack holds a whole number of them."""
+LENGTHS = 4.0
+"""How far an action of 1 all through an attack goes, in lengths, by default."""
+LEAST, MOST = 1.0, 8.0
+"""In lengths.  With less a policy that has found nothing learns that alarms are for nothing; with
+more a few alarms drown what else there is to learn."""
+
+
+def for_learning(
+    settings: Mapping[str, Any],
+    full_scale_mps: float | None = None,
+    decision_interval_s: float | None = None,
+) -> dict[str, Any]:
+    """Settings of a `SpoofVecEnv` with the action that is learned, as the two below have it."""
+    with closing(SpoofVecEnv(1, **settings)) as probe:
+        return {
+            **settings,
+            **setpoint_action(probe.core, full_scale_mps),
+            **seldom(probe.core.setup, decision_interval_s),
+        }
+
+
+def seldom(setup: Setup, decision_interval_s: float | None) -> dict[str, Any]:
+    """Settings of an environment like this one in which decisions are seldom, and linear between.
+    `decision_interval_s`: time between them [s]; 0 for one at every epoch, None for some ten
+    seconds.  {} where the world has decisions of its own."""
+    if decision_interval_s == 0.0 or setup.decision_interval_s is not None:
+        return {}
+    if decision_interval_s is None:
+        fitting = [n for n in range(1, setup.steps + 1) if setup.steps % n == 0]
+        nearest = min(fitting, key=lambda n: abs(n * setup.interval_s - ABOUT_S))
+        decision_interval_s = round(nearest * setup.interval_s, 9)
+    return {"decision_interval_s": decision_interval_s, "between": "linear"}
+
+
+def setpoint_action(core: SpoofCore, full_scale_mps: float | None) -> dict[str, Any]:
+    """Setting `action` for an environment like this one; {} where it commands no wanted rate.  By
+    default the full scale is that of `LENGTHS`, or the attack's limit where that is less.  A
+    ValueError where one is asked for that nothing can be done with."""
+    commands, setup = core.commands, core.setup
+    if commands.setpoint_mps is None:
+        if full_scale_mps is not None:
+            raise ValueError(
+                "`full_scale_mps` is that of a wanted rate, and the attack of these settings is "
+                f"commanded otherwise ({', '.join(core.action_names)}); got {full_scale_mps}"
+            )
+        return {}
+    if full_scale_mps is None:
+        window_s = setup.steps * setup.interval_s
+        most = float(np.min(setup.attack.rate_limit_mps))
+        full_scale_mps = min(LENGTHS * core.length_m / window_s, most)
+    dimensions = {} if commands.along_target else {"dimensions": 2}
+    return {
+        "action": {"name": "rate-setpoint", "full_scale_mps": full_scale_mps, **dimensions},
+    }
+
+
+def next_price(price: float, amplitude: float, gain: float) -> float:
+    """Price in lengths after a fit of the amplitude: more where it had to be scaled down. It is
+    divided by the amplitude to the power of `gain`, within a factor of two and from `LEAST` to
+    `MOST`."""
+    if gain == 0.0:
+        return price
+    factor = min(max(max(amplitude, 1e-3) ** -gain, 0.5), 2.0)
+    return min(max(price * factor, LEAST), MOST)
+
+
+def set_price(envs: SpoofVecEnv, price: float) -> None:
+    """Let an alarm cost `price` lengths from now on, unless the reward is one's own."""
+    core = envs.core
+    if core.settings["reward"] is None:
+        envs.set_rewards(default_rewards(price * core.length_m))
+
+
+def learn(model: BaseAlgorithm, steps: int, **how: Any) -> str | None:
+    """Let a model learn; any other error than that of a diverged policy is raised as it is.
+    `**how`: as its own ``learn`` takes it.  Returns what torch said where a distribution had no
+    number for its mean, in an update or in the next rollout; the weights of the model are not
+    finite then.  They may also be so where nothing was said, after the last minibatch."""
+    try:
+        model.learn(steps, **how)
+    except ValueError as error:
+        if finite(model.policy):
+            raise
+        return str(error).partition("\n")[0]
+    return None
+
+
+class Bar(BaseCallback):
+    """Tells a bar how many steps of a training have been taken."""
+
+    def __init__(self, bar: ProgressCallback, name: str) -> None:
+        super().__init__()
+        self.bar, self.name, self.told = bar, name, 0
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        self.bar.advance(self.num_timesteps - self.told, self.name)
+        self.told = self.num_timesteps
