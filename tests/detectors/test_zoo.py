@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from spoofgym.bench.runs.world import World
 from spoofgym.bench.report.catalogue import KINDS
+from spoofgym.bench.runs.world import World
 from spoofgym.detectors import Calibrated, make_detector
 from spoofgym.detectors.calibrated import identity_of, resolve
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER
