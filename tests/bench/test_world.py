@@ -43,5 +43,5 @@ def test_a_campaign_has_its_world_and_its_runs() -> None:
     suite = Suite(timeline=TIMES, entropy=3, detectors=["never"], spoofers=["none"])
     world = World.of(timeline=TIMES)
     assert {name: suite.config[name] for name in world.config} == world.config
-    one, few = world.generators(3, "training", 1, first=2), suite.generators("training", 3)
+    one, few = world.generators(3, "training", 3, first=2), suite.generators("training", 3)
     assert one[0].random() == few[2].random()
