@@ -29,10 +29,10 @@ def warmup(
     """
     import gymnasium as gym
 
-    from ..core import compile as _jit
+    from ..core import compile as compiling
     from ..core.registry import check_choice
 
-    if _jit.is_disabled():
+    if compiling.is_disabled():
         raise ValueError("nothing can be compiled where NUMBA_DISABLE_JIT is set; unset it")
     known = sorted(name for name in gym.registry if name.startswith(PREFIX))
     wanted = [name if name.startswith(PREFIX) else PREFIX + name for name in ids or known]
@@ -44,14 +44,14 @@ def warmup(
             for form, receivers in FORMS.items():
                 shown.advance(0.0, "")
                 start = time.perf_counter()
-                with _jit.compiled_functions() as functions:
+                with compiling.compiled_functions() as functions:
                     _play(name, receivers)
                 seconds = round(time.perf_counter() - start, 3)
                 rows.append(
                     {"id": name, "form": form, "seconds": seconds, "compiled": len(functions)}
                 )
                 shown.advance(1.0, f"{name} {form}")
-    cache = str(_jit.cache_parent())
+    cache = str(compiling.cache_parent())
     if as_json:
         print_json({"cache": cache, "environments": rows})
         return
