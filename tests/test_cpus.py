@@ -27,7 +27,7 @@ if numba.config.DISABLE_JIT:
 
 def compiled(kernel, *signatures):
     """Compile a kernel once more: code from the cache can't be looked at."""
-    copy = type(kernel)(kernel.py_func, kernel.targetoptions, NullCache())
+    copy = type(kernel)(kernel.py_func, {}, kernel.targetoptions, NullCache())
     for signature in signatures or kernel.signatures:
         copy.compile(signature)
     return copy
