@@ -115,7 +115,7 @@ def test_shipped_networks_are_unchanged():
 def test_every_shipped_spoofer_meets_the_environment_of_its_card(name):
     card = card_of(name)
     profile = {} if card.file else {"action": "full-command"}
-    env = gym.make(card.env_id, **card.env_kwargs, **profile)
+    env = gym.make(card.env_id, **{**profile, **card.env_kwargs})
     attach(name, env)
     env.close()
 

@@ -314,13 +314,14 @@ def test_what_is_patched_has_to_be_there(use, at):
 
 def test_thresholds_are_as_published_or_those_that_users_have(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    owner, rate = frozen_probe.place(IMPORTS["default_rate"])
-    variable = getattr(*frozen_probe.place(IMPORTS["own_calibrations"]))
+    imports = {**IMPORTS, **Names.load(frozen.NAMES).imports}
+    owner, rate = frozen_probe.place(imports["default_rate"])
+    variable = getattr(*frozen_probe.place(imports["own_calibrations"]))
     monkeypatch.setattr(owner, rate, 0.2)
     monkeypatch.setattr(frozen_probe, "USUAL", {})
     monkeypatch.setenv(variable, "those of a user")
     for usual, expected in ((True, 0.2), (False, None), (True, 0.2)):
-        frozen_probe.set_thresholds(IMPORTS, usual=usual)
+        frozen_probe.set_thresholds(imports, usual=usual)
         assert getattr(owner, rate) == expected
         assert os.environ[variable] == str(tmp_path / "own")
 

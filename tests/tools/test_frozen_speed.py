@@ -1,9 +1,7 @@
 """Both trees are timed in turn, and their ratios are those of the rounds."""
 
 import signal
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from rich.console import Console
 from rich.progress import Progress
@@ -95,22 +93,6 @@ def test_a_second_thread_is_compared_with_one_by_the_clock():
     with console.capture() as shown:
         console.print(frozen_speed.speed_table(result))
     assert "2.00 -> 1.00" in shown.get()
-
-
-def test_the_engine_of_either_tree_is_found():
-    class Actor:
-        def command(self, action):
-            return action.shape
-
-    names = ["north", "east"]
-    old = SimpleNamespace(action_names=names, game=SimpleNamespace(engine="old", actor=Actor()))
-    assert frozen_probe._engine(old, 3) == ("old", (3, 2))
-    setup = SimpleNamespace(action_names=names)
-    core = SimpleNamespace(engine="new", setup=setup)
-    new = SimpleNamespace(action_names=["along_target_setpoint"], core=core)
-    engine, command = frozen_probe._engine(new, 3)
-    assert engine == "new"
-    np.testing.assert_array_equal(command, np.zeros((3, 2)))
 
 
 @pytest.mark.parametrize("kind", ["engine", "env", "episodes"])
