@@ -26,8 +26,9 @@ from spoofgym.bench.scores.statistics import BUDGET
 from spoofgym.bench.search.settings import Tuning
 from spoofgym.cli import INTERRUPTED, clear_errors
 from spoofgym.cli.bench import calibrate_with_progress
+from spoofgym.cli.options import given_options
 from spoofgym.core.progress import ProgressCallback, show_progress
-from spoofgym.core.registry import parse_spec
+from spoofgym.core.registry import parse_spec, refuse_given
 from spoofgym.simulation import Timeline
 from spoofgym.tasks import task_of
 
@@ -184,10 +185,7 @@ DECIDED = {"detector", "scenario", "attack", "warmup_s", "live_s", "attack_s", "
 
 def _world_of_task(context: typer.Context, task: str) -> dict[str, Any]:
     """What a task tells a `Suite`."""
-    for option in context.command.params:
-        source = context.get_parameter_source(str(option.name))
-        if option.name in DECIDED and source is not None and source.name == "COMMANDLINE":
-            raise ValueError(f"{option.opts[0]} can't be given with --task, which decides it")
+    refuse_given("--task", given_options(context, DECIDED).values())
     return task_of(task).suite_kwargs
 
 

@@ -25,11 +25,11 @@ from llvmlite import binding
 
 from spoofgym import __version__
 from spoofgym.bench.report.campaign import markdown_table
-from spoofgym.calibration.clean_runs import Progress, Silent
 from spoofgym.cli import clear_errors
 from spoofgym.cli.options import Json
 from spoofgym.cli.output import print_json, print_lines, print_table, progress
 from spoofgym.core.lanes import LaneFields
+from spoofgym.core.progress import NullProgress, ProgressCallback
 from spoofgym.core.simd import LANES
 from spoofgym.envs.core import SpoofCore
 from spoofgym.truth.noise import padded
@@ -218,13 +218,13 @@ def measure(
     threads: Sequence[int] = THREADS,
     *,
     rounds: int = ROUNDS,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> dict[str, Any]:
     """Microseconds per receiver-epoch by part, and bytes per receiver; `progress` runs to 1.
 
     So many receivers are measured on so many threads where each of these has a group of them.
     """
-    shown = progress or Silent()
+    shown = progress or NullProgress()
     chosen = [(b, t) for t in threads for b in receivers if -(-b // LANES) >= t]
     if not chosen:
         raise ValueError(

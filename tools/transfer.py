@@ -34,9 +34,9 @@ from spoofgym.bench.experiments.versions import versions
 from spoofgym.bench.report.table import interval
 from spoofgym.bench.runs.players import fitted, spoofer_entry
 from spoofgym.bench.scores.spoofer import Score
-from spoofgym.calibration.clean_runs import Progress
 from spoofgym.cli.output import print_json, print_table, progress
 from spoofgym.core.files import write_file
+from spoofgym.core.progress import ProgressCallback
 from spoofgym.core.registry import check_choice, parse_spec
 from spoofgym.core.settings import digest_of
 from spoofgym.tasks import TASKS, task_of
@@ -123,7 +123,7 @@ def _score(judge: Evaluator, spec: Row) -> Score:
 
 
 def table(
-    worlds: Worlds, spoofers: list[tuple[Row, str | None]], kept: Kept, bar: Progress
+    worlds: Worlds, spoofers: list[tuple[Row, str | None]], kept: Kept, bar: ProgressCallback
 ) -> list[Row]:
     """All cases: each spoofer, from each of its homes, in each world."""
     names, rows = list(worlds.settings), []

@@ -20,12 +20,11 @@ if TYPE_CHECKING:
 __all__ = ["ResultsFolder", "Suite", "Tuning", "run_campaign", "summarize"]
 
 _PLACES = {
-    **{
-        "ResultsFolder": "experiments.results_folder",
-        "Suite": "experiments.suite",
-        "Tuning": "search.settings",
-    },
-    **{"run_campaign": "experiments.campaign", "summarize": "experiments.summary"},
+    "ResultsFolder": "experiments.results_folder",
+    "Suite": "experiments.suite",
+    "Tuning": "search.settings",
+    "run_campaign": "experiments.campaign",
+    "summarize": "experiments.summary",
 }
 
 

@@ -13,7 +13,7 @@ import zipfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ..core.compile import COMPILED_LAYERS, source_digest
 from ..core.files import whole_file
 from ..core.memory import Memory
+from ..core.progress import NullProgress, ProgressCallback
 from ..core.settings import digest_of
 from ..detectors import Calibrated, Detector, Never, PooledDetector
 from ..detectors.base import judged
@@ -37,20 +38,6 @@ SAVE_EVERY_S = 10.0
 """How often what has been played is written down."""
 UNREACHED = 2.0**100
 """Factor on a threshold that no statistic reaches; a power of two, so that no bit is lost."""
-
-
-class Progress(Protocol):
-    """Shows how far something is."""
-
-    def advance(self, amount: float, now: str) -> None:
-        """Some work is done."""
-
-
-class Silent:
-    """Shows nothing."""
-
-    def advance(self, amount: float, now: str) -> None:
-        """Ignore it."""
 
 
 class CleanRuns(NamedTuple):
@@ -152,12 +139,12 @@ class Player:
         threads: int | None = None,
         chunk: int = CHUNK,
         store: Path | None = None,
-        progress: Progress | None = None,
+        progress: ProgressCallback | None = None,
     ) -> None:
         self.setup, self.entropy = setup, entropy
         self.seed_name = setup.name if seed_name is None else seed_name
         self.threads = available_threads(10**9) if threads is None else threads
-        self.chunk, self.store, self.progress = chunk, store, progress or Silent()
+        self.chunk, self.store, self.progress = chunk, store, progress or NullProgress()
         for name, value in (("threads", self.threads), ("chunk", chunk)):
             if value < 1:
                 raise ValueError(f"`{name}` must be at least 1, got {value}")

@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..core.progress import ProgressCallback
 from ..detectors import Calibrated, Detector
 from ..detectors.calibrated import identity_of
 from ..detectors.calibration_file import TOLERANCE, Calibration, hourly_rate, run_probability
 from ..simulation.setup import Setup
-from .clean_runs import CleanRuns, Player, Progress, measuring, weighs
+from .clean_runs import CleanRuns, Player, measuring, weighs
 from .thresholds import DetectorSpec, inner_detectors, rates_of, unfinished_folder
 
 HOLDOUT_PASSIVE, HOLDOUT_WEIGHING = 100_000, 1_000
@@ -108,7 +109,7 @@ def hold_out(
     cells: int | None = None,
     threads: int | None = None,
     chunk: int = 256,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     split: str = "holdout",
     predicted: bool = True,
 ) -> list[HoldOut]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
+from ..core.progress import ProgressCallback
 from ..core.registry import whole_number
 from ..detectors import DETECTORS, Calibrated, Detector, PooledDetector, make_detector
 from ..detectors.build import is_file
@@ -38,7 +39,7 @@ from ..detectors.calibration_file import (
 from ..detectors.learned import unscaled
 from ..simulation.monitors import Monitor
 from ..simulation.setup import Setup
-from .clean_runs import CleanRuns, Player, Progress, measuring, weighs
+from .clean_runs import CleanRuns, Player, measuring, weighs
 
 FloatArray = NDArray[np.float64]
 PASSIVE_RUNS, WEIGHING_RUNS = 20_000, 2_000
@@ -58,7 +59,7 @@ def calibrate(
     entropy: int = 0,
     threads: int | None = None,
     chunk: int = 256,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     folder: Path | None = None,
     overwrite: bool = False,
     strict: bool = True,
@@ -84,7 +85,7 @@ def calibrate(
         Threads that play runs; all useful cores by default.
     chunk : int
         Runs that are played side by side; results do not depend on it.
-    progress : Progress, optional
+    progress : ProgressCallback, optional
         Shows how far it is, in runs.
     folder : Path, optional
         Where the files go, and the only place where they are looked for; by default

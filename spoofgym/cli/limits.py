@@ -13,8 +13,8 @@ from .options import World, with_world
 from .output import print_json, print_lines, print_table, progress
 
 if TYPE_CHECKING:
-    from ..bench.experiments.campaign import Progress
     from ..bench.experiments.suite import Suite
+    from ..core.progress import ProgressCallback
     from ..limits import Frontier
 
 MOST_WORLDS = 1024
@@ -161,7 +161,7 @@ def _add_bounds(suite: Suite, record: dict[str, Any]) -> None:
 
     brackets, entries = suite.brackets(worlds=record["worlds"]), suite.detector_entries
 
-    def ticking(bar: Progress, text: str) -> Any:
+    def ticking(bar: ProgressCallback, text: str) -> Any:
         return lambda part: bar.advance(part, text)
 
     with progress(1.0 + len(entries)) as bar:

@@ -198,12 +198,17 @@ class World:
 
     def given(self, names: Container[str | None]) -> dict[str, str]:
         """Which of some options are on the command line, as they are written there."""
-        found = {}
-        for option in self.context.command.params:
-            source = self.context.get_parameter_source(str(option.name))
-            if option.name in names and source is not None and source.name == "COMMANDLINE":
-                found[str(option.name)] = option.opts[0]
-        return found
+        return given_options(self.context, names)
+
+
+def given_options(context: typer.Context, names: Container[str | None]) -> dict[str, str]:
+    """Which of some options are on the command line, as they are written there, by their names."""
+    found = {}
+    for option in context.command.params:
+        source = context.get_parameter_source(str(option.name))
+        if option.name in names and source is not None and source.name == "COMMANDLINE":
+            found[str(option.name)] = option.opts[0]
+    return found
 
 
 TIMES = ("warmup_s", "live_s", "attack_s", "time_to_alert_s")

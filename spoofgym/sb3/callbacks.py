@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from ..bench.experiments.evaluate import FIT_RUNS, Evaluator
 from ..bench.search.amplitude import TuningResult
-from ..calibration.clean_runs import Progress
+from ..core.progress import ProgressCallback
 from ..core.registry import check_finite, refuse_given, whole_number
 from ..envs.recorder import EpochRecorder
 from ..policies.card import DECIDED_ON
@@ -227,7 +227,7 @@ class ScoreCallback(BaseCallback):
         average: float = 0.0,
         entropy: int = 0,
         threads: int | None = None,
-        progress: Progress | None = None,
+        progress: ProgressCallback | None = None,
         judge: Evaluator | None = None,
         verbose: int = 1,
         **world: Any,

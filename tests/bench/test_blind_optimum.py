@@ -31,7 +31,7 @@ from spoofgym.bench.search.open_loop import (
     crossing,
 )
 from spoofgym.bench.search.settings import Selection
-from spoofgym.calibration.clean_runs import Silent
+from spoofgym.core.progress import NullProgress
 from spoofgym.envs.factory import make_setup
 from spoofgym.limits import Replay
 from spoofgym.simulation import TightlyCoupledSetup
@@ -336,9 +336,9 @@ def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(
     }
     monkeypatch.setattr(Optima, "find", lambda *_: copy.deepcopy(found))
     (detector,) = suite.detector_entries
-    start, clean = training_start(suite, detector, 1, Silent())
+    start, clean = training_start(suite, detector, 1, NullProgress())
     optima = suite.optima()
-    result = search(detector, spoofer_entry(BLIND), start, clean, Silent(), optima)
+    result = search(detector, spoofer_entry(BLIND), start, clean, NullProgress(), optima)
     assert result.found is not None
     fitted = result.found["fitted_m"]
     assert set(fitted) == {"found", "constant", "linear", "mine", ZERO_ALARM}

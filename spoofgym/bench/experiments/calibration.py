@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
-from ...calibration.clean_runs import Progress
 from ...calibration.holdouts import check
 from ...calibration.thresholds import calibrate, expected_runs
+from ...core.progress import ProgressCallback
 from ...detectors import Calibrated, Detector, PooledDetector, detector_in_world
 from ...detectors.calibrated import resolve
 from ..runs.players import Entry
@@ -55,7 +55,7 @@ def calibrate_entries(
     entries: Sequence[Entry],
     *,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     optional: Collection[str] = (),
 ) -> dict[str, str]:
     """Calibrate the detectors that ask for a rate, and replay the first runs of their files.

@@ -20,9 +20,8 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from ...calibration.clean_runs import Progress as Progress
-from ...calibration.clean_runs import Silent
 from ...calibration.thresholds import suitable_detectors
+from ...core.progress import NullProgress, ProgressCallback, RemainingWork
 from ...detectors.build import spec_of_judge
 from ...detectors.calibrated import STANDARD_RATE
 from ...envs.spoofer_binding import spoofer_context
@@ -49,7 +48,7 @@ def run_campaign(
     *,
     threads: int | None = None,
     jobs: int = 1,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> None:
     """Run all cells that are not finished yet.
 
@@ -65,12 +64,12 @@ def run_campaign(
         As in `Engine`, in each process.
     jobs : int
         Processes that play detectors, one detector each at a time.
-    progress : Progress, optional
+    progress : ProgressCallback, optional
         Shows how far it is.
     """
     if jobs < 1:
         raise ValueError(f"`jobs` must be at least 1, got {jobs}")
-    shown, player = progress or Silent(), Player(suite, folder, threads)
+    shown, player = progress or NullProgress(), Player(suite, folder, threads)
     if jobs == 1:
         for detector in suite.detector_entries:
             player.play(detector, shown)
@@ -87,7 +86,7 @@ class Player:
         self.optima = suite.optima(threads)
         self.brackets = self.optima.brackets
 
-    def play(self, detector: Entry, progress: Progress) -> None:
+    def play(self, detector: Entry, progress: ProgressCallback) -> None:
         """Run the cells of a detector that are not finished, its searches and its protection."""
         suite, folder, threads = self.suite, self.folder, self.threads
         cells, searches, protect = left_of(suite, folder, detector)
@@ -98,18 +97,18 @@ class Player:
         if cells or winners is not None:
             _cells(suite, folder, detector, cells, winners, threads, progress)
 
-    def limits(self, progress: Progress) -> None:
+    def limits(self, progress: ProgressCallback) -> None:
         """Compute the floor of the world, and the zero-alarm bounds of the detectors."""
         self.floor(progress)
         for detector in self.suite.detector_entries:
             self.bound(detector, progress)
 
-    def floor(self, progress: Progress) -> None:
+    def floor(self, progress: ProgressCallback) -> None:
         if self.folder.limits(None) is None:
             progress.advance(0.0, "floor")
             self.folder.put_limits(None, self.brackets.floor())
 
-    def bound(self, detector: Entry, progress: Progress) -> None:
+    def bound(self, detector: Entry, progress: ProgressCallback) -> None:
         """Compute the zero-alarm bound of a detector."""
         if self.folder.limits(detector.label) is None:
             progress.advance(0.0, f"{detector.label}: zero-alarm bound")
@@ -118,7 +117,7 @@ class Player:
 
 
 def _in_processes(
-    suite: Suite, folder: ResultsFolder, threads: int | None, jobs: int, progress: Progress
+    suite: Suite, folder: ResultsFolder, threads: int | None, jobs: int, progress: ProgressCallback
 ) -> None:
     """Play the detectors, each in one of some processes, which write into the same folder."""
     work = {each.label: work_of(suite, folder, each) for each in suite.detector_entries}
@@ -143,11 +142,11 @@ def _played(suite: Suite, path: Path, label: str | None, threads: int) -> str | 
         _players[suite.digest] = Player(suite, ResultsFolder(path), threads)
     player = _players[suite.digest]
     if label is None:
-        player.floor(Silent())
+        player.floor(NullProgress())
         return None
     (detector,) = (entry for entry in suite.detector_entries if entry.label == label)
-    player.play(detector, Silent())
-    player.bound(detector, Silent())
+    player.play(detector, NullProgress())
+    player.bound(detector, NullProgress())
     return label
 
 
@@ -157,7 +156,7 @@ def _search(
     detector: Entry,
     searches: list[Entry],
     threads: int | None,
-    progress: Progress,
+    progress: ProgressCallback,
     optima: Optima,
 ) -> None:
     start, clean = training_start(suite, detector, threads, progress)
@@ -184,14 +183,19 @@ def with_rates(entry: Entry, rates_mps: list[float]) -> Entry:
 
 
 def training_start(
-    suite: Suite, detector: Entry, threads: int | None, progress: Progress
+    suite: Suite, detector: Entry, threads: int | None, progress: ProgressCallback
 ) -> tuple[WarmStart, Runs]:
     """Training runs of a detector at the onset, and what they do without attack."""
     return _start(suite, detector, "training", suite.tuning.runs, threads, progress)
 
 
 def _start(
-    suite: Suite, detector: Entry, split: str, runs: int, threads: int | None, progress: Progress
+    suite: Suite,
+    detector: Entry,
+    split: str,
+    runs: int,
+    threads: int | None,
+    progress: ProgressCallback,
 ) -> tuple[WarmStart, Runs]:
     now, setup = f"{detector.label}: {split} runs", suite.setup(detector)
     return start_of(setup, suite.generators(split, runs), now, threads, progress)
@@ -202,7 +206,7 @@ def start_of(
     rngs: Sequence[np.random.Generator],
     now: str,
     threads: int | None,
-    progress: Progress,
+    progress: ProgressCallback,
 ) -> tuple[WarmStart, Runs]:
     """Runs at the onset, and what they do without attack."""
     progress.advance(0.0, now)
@@ -211,32 +215,17 @@ def start_of(
     return start, play(start, "none", tick=lambda part: progress.advance(len(rngs) * part, now))
 
 
-class Left:
-    """Shows work, but no more of it than was expected, and the rest at the end."""
-
-    def __init__(self, progress: Progress, expected: float, now: str) -> None:
-        self._progress, self._left, self._now = progress, expected, now
-
-    def tick(self, amount: float) -> None:
-        amount = min(amount, self._left)
-        self._left -= amount
-        self._progress.advance(amount, self._now)
-
-    def end(self) -> None:
-        self.tick(self._left)
-
-
 def search(
     detector: Entry,
     entry: Entry,
     start: WarmStart,
     clean: Runs,
-    progress: Progress,
+    progress: ProgressCallback,
     optima: Optima,
 ) -> TuningResult:
     """Search for the setting of one spoofer, and for the curve of a blind optimum before."""
     work = search_work(optima.tuning)
-    left = Left(progress, work, f"{detector.label}: tuning {entry.label}")
+    left = RemainingWork(progress, work, f"{detector.label}: tuning {entry.label}")
     if not entry.searched:
         result = tune(start, clean, entry, detector.label, optima.tuning, tick=left.tick)
         left.end()
@@ -268,7 +257,7 @@ class _Worst(NamedTuple):
     found: dict[tuple[int, float], list[Aim]]
     members: tuple[Member, ...]
     skies: NDArray[np.int64] | None
-    left: Left
+    left: RemainingWork
 
 
 def _worst(
@@ -276,14 +265,14 @@ def _worst(
     detector: Entry,
     members: tuple[Member, ...],
     threads: int | None,
-    progress: Progress,
+    progress: ProgressCallback,
 ) -> _Worst:
     """Look for the worst attacks on runs of the selection."""
     assert suite.selection is not None  # as `_open` has seen
     runs = suite.selection.runs
     start, clean = _start(suite, detector, "selection", runs, threads, progress)
     expected = protection_work(suite) - runs * (1.0 + WARMUP_SHARE)
-    left = Left(progress, expected, f"{detector.label}: worst attack")
+    left = RemainingWork(progress, expected, f"{detector.label}: worst attack")
     context = spoofer_context(start.setup)
     looked = Search(start, clean, members, context, suite.selection, left.tick)
     found = looked.winners(suite.alert_limits_m)
@@ -297,7 +286,7 @@ def _cells(
     cells: list[Entry],
     worst: _Worst | None,
     threads: int | None,
-    progress: Progress,
+    progress: ProgressCallback,
 ) -> None:
     start, twin = _start(suite, detector, "evaluation", suite.runs, threads, progress)
     for entry in cells:
@@ -323,7 +312,7 @@ def _cell(
     within_budget: bool | None,
     start: WarmStart,
     twin: Runs,
-    progress: Progress,
+    progress: ProgressCallback,
 ) -> Cell:
     now = f"{detector.label}: {entry.label}"
     attacked = twin

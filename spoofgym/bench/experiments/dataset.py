@@ -40,9 +40,10 @@ from numpy.typing import NDArray
 
 from ...attacks import Meaconer
 from ...attacks.equipment import QUIET, CounterfeitErrors
-from ...calibration.clean_runs import Progress, Silent, Stopped, in_order, weighs
+from ...calibration.clean_runs import Stopped, in_order, weighs
 from ...calibration.thresholds import inner_detectors
 from ...core.files import remove_stale_parts, write_file
+from ...core.progress import NullProgress, ProgressCallback
 from ...core.registry import Spec, check_choice, check_finite, whole_number
 from ...core.settings import describe, digest_of, outside_sources
 from ...detectors import Detector, Never, detector_in_world
@@ -462,7 +463,7 @@ def write(
     plan: Plan,
     *,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Play all runs of a plan, and write them down.
@@ -475,7 +476,7 @@ def write(
         What to play.
     threads : int, optional
         Shards that are played side by side; by default all useful cores.
-    progress : Progress, optional
+    progress : ProgressCallback, optional
         Shows how far it is, in runs.
     overwrite : bool
         Whether another data set in the folder may be replaced.
@@ -490,7 +491,7 @@ def write(
     ValueError
         Where the folder holds something else.
     """
-    path, progress = Path(folder), progress or Silent()
+    path, progress = Path(folder), progress or NullProgress()
     make_room(path, plan, overwrite=overwrite)
     shards = [
         (part, number, range(start, min(start + plan.shard, runs)))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...calibration.clean_runs import Progress, Silent
+from ...core.progress import NullProgress, ProgressCallback
 from ...core.registry import check_finite, check_keywords, whole_number
 from ...spoofers import Spoofer
 from ...spoofers.learned import ModelPolicy, trained_in
@@ -87,7 +87,7 @@ class Evaluator:
         Seed of all of them.
     threads : int, optional
         Threads of the engine.
-    progress : Progress, optional
+    progress : ProgressCallback, optional
         Shows how far it is.
     **world
         Without a task: ``detector``, and settings of the environment as `World.of` takes them,
@@ -118,7 +118,7 @@ class Evaluator:
         fit_runs: int = FIT_RUNS,
         entropy: int = 0,
         threads: int | None = None,
-        progress: Progress | None = None,
+        progress: ProgressCallback | None = None,
         **world: Any,
     ) -> None:
         if task is None:
@@ -133,7 +133,7 @@ class Evaluator:
         self.runs = whole_number("`runs`", runs, 2)
         self.entropy = whole_number("`entropy`", entropy)
         tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1))
-        self.task, self.threads, self.progress = task, threads, progress or Silent()
+        self.task, self.threads, self.progress = task, threads, progress or NullProgress()
         self.world.check_fit([self.detector])
         brackets = Brackets(self.world, [self.detector], self.entropy)
         self.optima = Optima(brackets, tuning, threads=threads)
@@ -259,7 +259,7 @@ def evaluate(
     largest_amplitude: float | None = None,
     entropy: int = 0,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     **world: Any,
 ) -> Score:
     """Score a spoofer by the rule of the benchmark, on runs that the call decides nothing on.

@@ -21,7 +21,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...calibration.clean_runs import Progress, Silent, weighs
+from ...calibration.clean_runs import weighs
+from ...core.progress import NullProgress, ProgressCallback
 from ...core.registry import check_choice, check_keywords, whole_number
 from ...core.settings import digest_of, outside_sources
 from ...detectors import Detector, Never, detector_in_world
@@ -232,7 +233,7 @@ class Game:
         Where every entry is kept as soon as it is finished; a killed process goes on from there.
     threads : int, optional
         Threads of the engine.
-    progress : Progress, optional
+    progress : ProgressCallback, optional
         Shows how far it is, in passes of the engine.
     **world
         Without a task: settings of the environment as `World.of` takes them.
@@ -267,7 +268,7 @@ class Game:
         split: str = SPLIT,
         folder: str | os.PathLike[str] | None = None,
         threads: int | None = None,
-        progress: Progress | None = None,
+        progress: ProgressCallback | None = None,
         **world: Any,
     ) -> None:
         check_choice("split", split, [name for name in SPLITS if name != "calibration"])
@@ -284,7 +285,7 @@ class Game:
         self.runs, entropy = whole_number("`runs`", runs, 2), whole_number("`entropy`", entropy)
         self.task, self.payoff, self.seeds = task, RunPayoff(payoff, limit_m), (entropy, split)
         self.store = MemoryStore(None if folder is None else Store(folder))
-        self.threads, self.progress = threads, progress or Silent()
+        self.threads, self.progress = threads, progress or NullProgress()
         self._judges: dict[str, tuple[Detector, bool]] = {}
         self._members: dict[tuple[str, str], Member] = {}
 

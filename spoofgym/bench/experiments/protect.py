@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...calibration.clean_runs import Progress, Silent
+from ...core.progress import NullProgress, ProgressCallback, RemainingWork
 from ...core.registry import whole_number
 from ...envs.spoofer_binding import spoofer_context
 from ...tasks import ANTENNA_PARTS, EVENTS, AttackFamily, DetectorTask, detector_task_of
@@ -31,7 +31,6 @@ from ..scores.detector import (
 from ..search.settings import Selection
 from ..search.worst_attack import ROUNDS, FamilySearch, expected_plays, winner_of
 from ..search.worst_attack import PlayedFamily as Played
-from .campaign import Left
 from .protect_parts import Parts
 from .task_worlds import Defence, Worlds, sharing
 
@@ -58,7 +57,7 @@ class DetectorEvaluator:
         Seed of all of them.
     threads : int, optional
         Threads of the engine.
-    progress : Progress, optional
+    progress : ProgressCallback, optional
         Shows how far it is; `expected_work` is the whole.
     folder : path-like, optional
         Where finished parts are kept, and looked for.
@@ -78,7 +77,7 @@ class DetectorEvaluator:
         families: Sequence[str] | None = None,
         entropy: int = 0,
         threads: int | None = None,
-        progress: Progress | None = None,
+        progress: ProgressCallback | None = None,
         folder: str | os.PathLike[str] | None = None,
     ) -> None:
         self.task = detector_task_of(task) if isinstance(task, str) else task
@@ -90,7 +89,7 @@ class DetectorEvaluator:
             raise ValueError("`families` must name at least one family of attacks, got none")
         self.families = tuple(self.task.family(key) for key in dict.fromkeys(keys))
         self.entropy = whole_number("`entropy`", entropy)
-        self.progress = progress or Silent()
+        self.progress = progress or NullProgress()
         self.worlds = Worlds(self.task, self.entropy, threads)
         where = None if folder is None else Path(folder)
         self._parts = Parts(where, self.task, self.runs, self.selection, self.entropy)
@@ -172,7 +171,7 @@ class DetectorEvaluator:
         """Search for the worst attacks on detectors that share their runs, and score them."""
         names = ", ".join(each.entry.label for each in group[:3]) + (" ..." * (len(group) > 3))
         work = self._work(family, group)
-        left = Left(self.progress, work, f"{self.task.key}, {family.key}: {names}")
+        left = RemainingWork(self.progress, work, f"{self.task.key}, {family.key}: {names}")
         left.tick(0.0)
         members, limit = self.worlds.members(family), self.task.alert_limit_m
         antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
@@ -231,7 +230,7 @@ def evaluate_detector(
     families: Sequence[str] | None = None,
     entropy: int = 0,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     folder: str | os.PathLike[str] | None = None,
 ) -> DetectorScore:
     """Score a detector by the worst family of attacks of a task, on runs that decided nothing.
