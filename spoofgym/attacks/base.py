@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
-from ..core.registry import build_record, check_choice
+from ..core.registry import build_record, check_choice, check_finite
 from ..core.settings import kind_of
 from ..truth.run import World
+from ._kernels import Commanded
 from .equipment import (
     QUIET,
     REPLACED,
@@ -120,9 +120,7 @@ class Attack(ABC):
                 f"`control` must be one of {', '.join(map(repr, CONTROLS))}, got {self.control!r}"
             )
         for name in ("acceleration_limit_mps2", "rate_limit_mps"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"`{name}` must be finite and > 0, got {value}")
+            check_finite(name, getattr(self, name), "> 0")
         if isinstance(self.channels, str):
             if self.channels != "all" and "*" not in self.channels:
                 raise ValueError(
@@ -175,7 +173,6 @@ class Attack(ABC):
 
     @property
     def equipment(self) -> Equipment:
-        """Options as records."""
         records: dict[str, Any] = {
             "errors": None if self.errors == "inherited" else self.errors,
             "tracking": self.tracking,
@@ -186,7 +183,6 @@ class Attack(ABC):
 
     @property
     def replaces_errors(self) -> bool:
-        """Whether ``memory["authentic"]`` says which authentic errors stay."""
         return self.errors != "inherited"
 
     @property
@@ -201,6 +197,12 @@ class Attack(ABC):
         if self.control == "acceleration":
             return self.acceleration_limit_mps2
         return self.rate_limit_mps
+
+    @property
+    def kernel_settings(self) -> FloatArray:
+        """(4,) whether rates are commanded, scale of an action, limit of the rate, coherence."""
+        rules = (self.control == "rate", self.unit_scale, self.rate_limit_mps, self.coherent)
+        return np.array(rules, dtype=np.float64)
 
     def captured(self, world: World) -> NDArray[np.bool_]:
         """Which channels are counterfeited.
@@ -264,13 +266,12 @@ class Attack(ABC):
         axes = len(self.action_names(context.world))
         self.idle = np.zeros((context.receivers, axes))
         self.slots = np.flatnonzero(self.mask)
-        rules = (self.control == "rate", self.unit_scale, self.rate_limit_mps, self.coherent)
-        self.kernel_settings = np.array(rules, dtype=np.float64)
         self.memory = Memory(context.receivers)
-        self.memory.declare("displacement", np.zeros((context.receivers, axes)))
-        self.memory.declare("rate", np.zeros((context.receivers, axes)))
-        self.memory.declare("onset", np.zeros(context.receivers, dtype=np.int64))
-        self.memory.declare("key", np.zeros((context.receivers, 2), dtype=np.uint64))
+        b = context.receivers
+        self.memory.declare("displacement", np.zeros((b, axes)))
+        self.memory.declare("rate", np.zeros((b, axes)))
+        self.memory.declare("onset", np.zeros(b, dtype=np.int64))
+        self.memory.declare("key", np.zeros((b, 2), dtype=np.uint64))
         self._equipment = self.equipment
         self.is_perfect = self._equipment.perfect
         self._equipment.declare(self.memory, context.world.channels)
@@ -293,24 +294,6 @@ class Attack(ABC):
         self.memory["key"][rows] = keys
         self._equipment.begin(self.memory, self.world, rows, keys, onsets)
 
-    def _prepare(self, epochs: NDArray[np.int64], lo: int, hi: int) -> None:
-        """Let what the spoofer knows, and its clock, come to the coming epoch."""
-        self._equipment.advance(self.memory, self.world, epochs, lo, hi)
-
-    def _transmit(
-        self,
-        epochs: NDArray[np.int64],
-        d_range: FloatArray,
-        d_rate: FloatArray,
-        lo: int,
-        hi: int,
-    ) -> None:
-        """Make of perfect offsets what the receivers get."""
-        self._equipment.transmit(
-            self.memory, self.world, self.mask, self.coherent, epochs, d_range, d_rate, lo, hi
-        )
-
-    @abstractmethod
     def command(
         self,
         action: FloatArray | None,
@@ -333,3 +316,17 @@ class Attack(ABC):
         lo, hi : int
             Slice of receivers to work on.
         """
+        memory, world, offsets = self.memory, self.world, (d_range, d_rate, lo, hi)
+        self._equipment.advance(memory, world, epochs, lo, hi)
+        given, moved = (
+            self.idle if action is None else action,
+            (memory["displacement"], memory["rate"]),
+        )
+        commanded = Commanded(given, action is None, self.kernel_settings, *moved)
+        self._displace(commanded, (epochs, world.epoch_truth, self.mask, *offsets))
+        self._equipment.transmit(memory, world, self.mask, self.coherent, epochs, *offsets)
+
+    def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:
+        """What a command adds with perfect equipment; `rest`: of the arguments of the kernels, from
+        `epochs` on. An attack has this or a `command` of its own."""
+        raise NotImplementedError(f"{type(self).__name__} has no command")

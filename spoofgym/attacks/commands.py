@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..truth.run import World
-from ._kernels import displaced_ranges, false_position, per_channel
-from .base import Attack, AttackContext, FloatArray
+from ._kernels import Commanded, displaced_ranges, false_position, per_channel
+from .base import Attack, AttackContext
 
 AXES = {"n": "north", "e": "east", "d": "down"}
 
@@ -63,43 +63,8 @@ class FalsePosition(Attack):
         self.axes_e = np.concatenate([each[:, :, columns] for each in axes], axis=1)
         self.axes_e = np.ascontiguousarray(self.axes_e.transpose(0, 2, 1))
 
-    def command(
-        self,
-        action: FloatArray | None,
-        epochs: NDArray[np.int64],
-        d_range: FloatArray,
-        d_rate: FloatArray,
-        lo: int,
-        hi: int,
-    ) -> None:
-        """Take one command, and write what it adds to the measurements of the coming epoch.
-        `action` (B, a) in [-1, 1]; None holds the rate; `epochs` (B,) the epoch that each receiver
-        is at; `d_range`, `d_rate` (B, n), written [m], [m/s]."""
-        world = self.world
-        self._prepare(epochs, lo, hi)
-        false_position(
-            self.idle if action is None else action,
-            action is None,
-            self.control == "rate",
-            self.unit_scale,
-            self.rate_limit_mps,
-            self.memory["displacement"],
-            self.memory["rate"],
-            self.axes_e,
-            self.memory["target_error"],
-            self.coherent,
-            epochs,
-            world.epoch_time,
-            world.satellites,
-            world.position_e,
-            world.velocity_e,
-            self.mask,
-            d_range,
-            d_rate,
-            lo,
-            hi,
-        )
-        self._transmit(epochs, d_range, d_rate, lo, hi)
+    def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:
+        false_position(commanded, self.axes_e, self.memory["target_error"], *rest)
 
 
 @dataclass(kw_only=True)
@@ -125,55 +90,11 @@ class PerChannel(Attack):
         return "per-channel"
 
     def action_names(self, world: World) -> tuple[str, ...]:
-        """Name of every element of an action. Returns for example ``("S05_acceleration", ...)``, in
-        the order of the slots."""
         mask = self.captured(world)
         ids = [name for name, taken in zip(world.satellite_ids, mask, strict=True) if taken]
         return tuple(f"{name}_{self.control}" for name in ids)
 
-    def command(
-        self,
-        action: FloatArray | None,
-        epochs: NDArray[np.int64],
-        d_range: FloatArray,
-        d_rate: FloatArray,
-        lo: int,
-        hi: int,
-    ) -> None:
-        """Take one command, and write what it adds to the measurements of the coming epoch.
-        `action` (B, a) in [-1, 1]; None holds the rate; `epochs` (B,) the epoch that each receiver
-        is at; `d_range`, `d_rate` (B, n), written [m], [m/s]."""
-        world = self.world
-        self._prepare(epochs, lo, hi)
-        per_channel(
-            self.idle if action is None else action,
-            action is None,
-            self.control == "rate",
-            self.unit_scale,
-            self.rate_limit_mps,
-            self.memory["displacement"],
-            self.memory["rate"],
-            self.slots,
-            self.coherent,
-            epochs,
-            world.epoch_time,
-            d_range,
-            d_rate,
-            lo,
-            hi,
-        )
+    def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:
+        per_channel(commanded, self.slots, *rest)
         if self.tracking is not None:
-            displaced_ranges(
-                self.memory["target_error"],
-                self.coherent,
-                epochs,
-                world.satellites,
-                world.position_e,
-                world.velocity_e,
-                self.mask,
-                d_range,
-                d_rate,
-                lo,
-                hi,
-            )
-        self._transmit(epochs, d_range, d_rate, lo, hi)
+            displaced_ranges(self.memory["target_error"], self.coherent, *rest)

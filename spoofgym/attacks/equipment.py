@@ -9,20 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
+from ..core.registry import check_finite
 from ..truth.noise import padded
 from ..truth.run import World
 from . import _kernels as kernels
 
-CHIP_M = 293.05
-"""Length of a chip of the GPS C/A code [m], c / 1.023 MHz (`is-gps-200`)."""
+CHIP_M = 293.05  # length of a chip of the GPS C/A code [m], c / 1.023 MHz (`is-gps-200`)
 MOST_DELAY_S = 10.0
 
 
 def _check_not_negative(record: object, *skip: str) -> None:
     for item in fields(record):  # type: ignore[arg-type]
-        value = getattr(record, item.name)
-        if item.name not in skip and not (math.isfinite(value) and value >= 0.0):
-            raise ValueError(f"`{item.name}` must be finite and >= 0, got {value}")
+        if item.name not in skip:
+            check_finite(item.name, getattr(record, item.name), ">= 0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,10 +61,8 @@ class CounterfeitErrors:
             )
 
 
-REPLACED = CounterfeitErrors()
-"""A step at the capture, to the noise of the receiver alone."""
-QUIET = CounterfeitErrors(blend_s=30.0)
-"""The same, blended in: no step, and measurements that are better than authentic ones."""
+REPLACED = CounterfeitErrors()  # a step at the capture, to the noise of the receiver alone
+QUIET = CounterfeitErrors(blend_s=30.0)  # blended in: no step, and better than authentic
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,7 +162,6 @@ class Capture:
 
 
 def checked_vector(name: str, value: tuple[float, ...]) -> tuple[float, float, float]:
-    """Three finite numbers: (3,)."""
     message = f"`{name}` must be three finite numbers: north, east, down; got {value!r}"
     try:
         numbers = tuple(float(x) for x in value)
@@ -177,8 +173,7 @@ def checked_vector(name: str, value: tuple[float, ...]) -> tuple[float, float, f
 
 
 FloatArray = NDArray[np.float64]
-_OWN = -1.0
-"""As a standard deviation: noise of the receiver itself."""
+_OWN = -1.0  # as a standard deviation: noise of the receiver itself
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,12 +220,10 @@ class Equipment:
         keys: NDArray[np.uint64],
         onsets: NDArray[np.int64],
     ) -> None:
-        """Draw what an episode starts with."""
         if self.perfect:
             return
-        tracking = self.tracking if self.tracking is not None else TrackingError()
-        clock = self.clock if self.clock is not None else SpooferClock()
-        errors = self.errors if self.errors is not None else CounterfeitErrors()
+        tracking, clock = self.tracking or TrackingError(), self.clock or SpooferClock()
+        errors = self.errors or CounterfeitErrors()
         sds = (tracking.sd_m, tracking.sd_m / tracking.correlation_s)
         drawn = np.empty((len(rows), 8 + world.channels))
         kernels.first_deviates(keys, onsets, padded(drawn.shape[1]), drawn)
@@ -243,32 +236,15 @@ class Equipment:
     def advance(
         self, memory: Memory, world: World, epochs: NDArray[np.int64], lo: int, hi: int
     ) -> None:
-        """Error of the known position, and clock, at the coming epoch. `epochs` (B,) the epoch that
-        each receiver is at."""
+        """Error of the known position, and clock, at the coming epoch."""
         if self.tracking is None and self.clock is None:
             return
-        tracking = self.tracking if self.tracking is not None else TrackingError()
-        clock = self.clock if self.clock is not None else SpooferClock()
-        kernels.advance(
-            memory["key"],
-            epochs,
-            world.epoch_time,
-            world.position_e,
-            world.velocity_e,
-            tracking.sd_m,
-            1.0 / tracking.correlation_s,
-            tracking.delay_s,
-            clock.phase_psd,
-            clock.frequency_psd,
-            np.array(tracking.bias_m),
-            world.C_en,
-            world.axes_turning,
-            memory["wander"],
-            memory["spoofer_clock"],
-            memory["target_error"],
-            lo,
-            hi,
-        )
+        tracking, clock = self.tracking or TrackingError(), self.clock or SpooferClock()
+        error = float(tracking.sd_m), 1.0 / tracking.correlation_s, float(tracking.delay_s)
+        psd, bias = (float(clock.phase_psd), float(clock.frequency_psd)), np.array(tracking.bias_m)
+        axes, moved = (world.C_en, world.axes_turning), (memory["wander"], memory["spoofer_clock"])
+        truth, written = (epochs, world.epoch_truth), (*moved, memory["target_error"])
+        kernels.advance(memory["key"], *truth, error, psd, bias, axes, *written, lo, hi)
 
     def transmit(
         self,
@@ -282,35 +258,16 @@ class Equipment:
         lo: int,
         hi: int,
     ) -> None:
-        """Add clock and errors to the perfect offsets, where channels are captured. `chosen` (n,)
-        bool, channels that are counterfeited; `epochs` (B,) the epoch that each receiver is at;
-        `d_range`, `d_rate` (B, n), overwritten [m], [m/s]."""
         if self.perfect:
             return
-        capture = self.capture if self.capture is not None else Capture(alignment_m=None)
-        errors = self.errors if self.errors is not None else CounterfeitErrors()
-        sds = errors.code_sd_m, errors.range_rate_sd_mps
+        capture, errors = self.capture or Capture(alignment_m=None), self.errors or REPLACED
+        sds = [_OWN if sd is None else sd for sd in (errors.code_sd_m, errors.range_rate_sd_mps)]
+        limit = math.inf if capture.alignment_m is None else float(capture.alignment_m)
+        size = padded(2 * world.channels)
+        rules = coherent, self.errors is not None, size, float(capture.delay_s), limit
+        names = "spoofer_clock", "counterfeit_bias", "captured", "capture_time", "authentic"
         kernels.transmit(
-            memory["key"],
-            memory["onset"],
-            epochs,
-            world.epoch_time,
-            world.satellites,
-            chosen,
-            coherent,
-            capture.delay_s,
-            math.inf if capture.alignment_m is None else capture.alignment_m,
-            memory["spoofer_clock"],
-            self.errors is not None,
-            np.array([_OWN if sd is None else sd for sd in sds]),
-            errors.blend_s,
-            memory["counterfeit_bias"],
-            padded(2 * world.channels),
-            memory["captured"],
-            memory["capture_time"],
-            memory["authentic"],
-            d_range,
-            d_rate,
-            lo,
-            hi,
+            *(memory["key"], memory["onset"], epochs, world.epoch_truth, chosen, rules),
+            *((np.array(sds), float(errors.blend_s)), tuple(memory[name] for name in names)),
+            *(d_range, d_rate, lo, hi),
         )

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..truth.run import World
-from ._kernels import meaconer
-from .base import Attack, AttackContext, FloatArray
+from ._kernels import Commanded, meaconer
+from .base import Attack, AttackContext
 from .equipment import checked_vector
 
 
@@ -59,7 +59,6 @@ class Meaconer(Attack):
 
     @property
     def idle_is_clean(self) -> bool:
-        """Whether an attack without commands leaves the measurements as they are, exactly."""
         return super().idle_is_clean and self.follows and self.antenna_m == (0.0, 0.0, 0.0)
 
     def action_names(self, world: World) -> tuple[str, ...]:
@@ -76,49 +75,11 @@ class Meaconer(Attack):
         super().begin(rows, keys, onsets)
         self.memory["antenna"][rows] = (self.world.C_en[onsets] * self.antenna_m).sum(axis=2)
 
-    def command(
-        self,
-        action: FloatArray | None,
-        epochs: NDArray[np.int64],
-        d_range: FloatArray,
-        d_rate: FloatArray,
-        lo: int,
-        hi: int,
-    ) -> None:
-        """Take one command, and write what it adds to the measurements of the coming epoch.
-        `action` (B, 1) in [-1, 1]; None holds the rate, until the delay would fall below zero;
-        `epochs` (B,) the epoch that each receiver is at; `d_range`, `d_rate` (B, n), written [m],
-        [m/s]."""
-        world, memory = self.world, self.memory
-        self._prepare(epochs, lo, hi)
+    def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:
+        world, memory, (epochs, *_, lo, hi) = self.world, self.memory, rest
         if self.follows:
-            coming = epochs[lo:hi] + 1
-            memory["antenna"][lo:hi] = (world.C_en[coming] * self.antenna_m).sum(axis=2)
-            memory["antenna_rate"][lo:hi] = (world.axes_turning[coming] * self.antenna_m).sum(
-                axis=2
-            )
-        meaconer(
-            self.idle if action is None else action,
-            action is None,
-            self.control == "rate",
-            self.unit_scale,
-            self.rate_limit_mps,
-            memory["displacement"],
-            memory["rate"],
-            memory["antenna"],
-            memory["antenna_rate"],
-            self.follows,
-            self.coherent,
-            memory["onset"],
-            epochs,
-            world.epoch_time,
-            world.satellites,
-            world.position_e,
-            world.velocity_e,
-            self.mask,
-            d_range,
-            d_rate,
-            lo,
-            hi,
-        )
-        self._transmit(epochs, d_range, d_rate, lo, hi)
+            coming, here = epochs[lo:hi] + 1, slice(lo, hi)
+            memory["antenna"][here] = (world.C_en[coming] * self.antenna_m).sum(axis=2)
+            memory["antenna_rate"][here] = (world.axes_turning[coming] * self.antenna_m).sum(axis=2)
+        antenna = memory["antenna"], memory["antenna_rate"]
+        meaconer(commanded, antenna, self.follows, memory["onset"], *rest)

@@ -42,7 +42,6 @@ class Memory(dict[str, NDArray[Any]]):
 
     @property
     def declared(self) -> Mapping[str, NDArray[Any]]:
-        """Values at the start of an episode, by name."""
         return self._initial
 
     def declare(self, name: str, initial: NDArray[Any]) -> None:
@@ -57,7 +56,6 @@ class Memory(dict[str, NDArray[Any]]):
         self[name] = array.copy()
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Restore the initial values."""
         for name, initial in self._initial.items():
             if mask is None:
                 self[name] = initial.copy()

@@ -24,10 +24,8 @@ COLOURS = (
     "#882255",
     "#999933",
 )
-BLUE, ORANGE, GREEN = COLOURS[:3]
-"""The clean twin, what is attacked, what is commanded."""
-RED = "#B2182B"
-"""Alarms."""
+BLUE, ORANGE, GREEN = COLOURS[:3]  # the clean twin, what is attacked, what is commanded
+RED = "#B2182B"  # alarms
 GREY = "#777777"
 GRID = "#dddddd"
 

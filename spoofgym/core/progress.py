@@ -10,8 +10,7 @@ from typing import Protocol
 
 from . import threads as _threads
 
-REFRESH_S = 0.1
-"""How often the time in a bar is drawn."""
+REFRESH_S = 0.1  # how often the time in a bar is drawn
 
 
 class ProgressCallback(Protocol):
@@ -39,13 +38,11 @@ class RemainingWork:
         self._progress, self._left, self._now = progress, expected, now
 
     def tick(self, amount: float) -> None:
-        """Report an amount."""
         amount = min(amount, self._left)
         self._left -= amount
         self._progress.advance(amount, self._now)
 
     def end(self) -> None:
-        """Report what is left."""
         self.tick(self._left)
 
 

@@ -155,7 +155,6 @@ def check_finite(name: str, value: Any, bound: str = "") -> None:
 
 
 def check_truth(name: str, value: Any) -> None:
-    """Raise unless a setting is True or False."""
     if value is not True and value is not False:
         raise ValueError(f"`{name}` must be True or False, got {value!r}")
 
@@ -170,7 +169,6 @@ def whole_number(name: str, value: Any, least: int = 0) -> int:
 
 
 def refuse_given(decider: str, names: Iterable[str]) -> None:
-    """Raise where something is given that something else decides."""
     if given := ", ".join(names):
         raise ValueError(f"{given} can't be given with {decider}, which decides it")
 
@@ -195,8 +193,7 @@ def check_keywords(
 
 Spec = dict[str, Any]
 _WORDS = {"None": None, "True": True, "False": False}
-_COMMAS = r",(?![^\[\]]*\])"
-"""Commas between settings, not those within the brackets of a list."""
+_COMMAS = r",(?![^\[\]]*\])"  # commas between settings, not those within the brackets of a list
 
 
 def parse_spec(text: str) -> Spec:
@@ -256,7 +253,6 @@ def _value(text: str) -> Any:
 
 
 def load_class(path: str, base: Callable[..., T]) -> type[T]:
-    """Class of a module that is not part of spoofgym.  `base`: what it must be derived from."""
     kind = cast("type[T]", base)  # abstract, which type[T] does not allow for
     module_name, _, name = path.partition(":")
     try:
@@ -296,7 +292,6 @@ def make(
 
 
 def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
-    """Name and all settings of an object, from which `make` makes an equal one."""
     kind = type(thing)
     registered = {cls: name for name, cls in kinds.items()}
     name = registered.get(kind, f"{kind.__module__}:{kind.__qualname__}")

@@ -45,7 +45,6 @@ def describe(value: Any) -> Any:
 
 
 def _describe_parts(value: Any) -> Any:
-    """A record, mapping or sequence as JSON."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         named = {
             f.name: describe(getattr(value, f.name))
@@ -133,7 +132,6 @@ def _digest_of_file(path: Path) -> str:
 
 
 def digest_of_bytes(content: bytes) -> str:
-    """Digest of the content of a file."""
     return hashlib.sha256(content).hexdigest()[:16]
 
 
@@ -156,7 +154,6 @@ def _is_outside(module: str, kind: type) -> bool:
 
 
 def _sources(kind: type) -> dict[str, str]:
-    """Digests of the module of a class and of the user's modules that it imports, by name."""
     found: dict[str, str] = {}
     waiting = [kind.__module__]
     while waiting:
@@ -190,7 +187,6 @@ def differences(one: Any, other: Any, where: str = "") -> list[tuple[str, Any, A
 
 
 def unlike(card: Any, here: Any, where: str = "") -> list[str]:
-    """Where settings differ from those on a card, a line each."""
     return [
         f"{name}: {a!r} on the card, {b!r} here" for name, a, b in differences(card, here, where)
     ]

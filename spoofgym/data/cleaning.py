@@ -26,20 +26,13 @@ from ..earth.wgs84 import EQUATORIAL_RADIUS, dcm_e_from_n, geodetic_to_ecef
 from .track_fit import MINIMUM_FIXES, Track
 from .tracks import KNOT, RawTrack
 
-POSITION_SD = 100.0
-"""Standard deviation of a fix, mostly the lateness of its time [m]."""
-LARGEST_GAP_S = 30.0
-"""Longest time between distinct fixes of a stretch [s]."""
-COURSE_TOLERANCE = math.radians(20.0)
-"""Largest difference between a reported course and the course made good [rad]."""
-INTERPOLATION_TOLERANCE = 0.5
-"""Distance from the line between its neighbours up to which a fix is interpolated [m]."""
-STALE_SHARE = 0.1
-"""Rejected share of a run of one value above which the whole run counts as stale."""
-CHORD_S = 4.0
-"""Time to either side over which course and speed made good are taken, at least [s]."""
-HIGHEST_SPEED = 350.0
-"""Highest speed believed between two fixes [m/s]."""
+POSITION_SD = 100.0  # standard deviation of a fix, mostly the lateness of its time [m]
+LARGEST_GAP_S = 30.0  # longest time between distinct fixes of a stretch [s]
+COURSE_TOLERANCE = math.radians(20.0)  # between a reported course and the course made good [rad]
+INTERPOLATION_TOLERANCE = 0.5  # from the line between its neighbours, of an interpolated fix [m]
+STALE_SHARE = 0.1  # rejected share of a run of one value above which the whole run counts as stale
+CHORD_S = 4.0  # time to either side over which course and speed made good are taken, at least [s]
+HIGHEST_SPEED = 350.0  # highest speed believed between two fixes [m/s]
 
 
 def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask:
@@ -220,7 +213,6 @@ def resolved_courses(track_deg: Floats, course: Floats) -> tuple[Floats, Mask]:
 
 
 def _wrapped(angle: Floats) -> Floats:
-    """Angle in (-pi, pi]."""
     return np.asarray(np.pi - (np.pi - angle) % (2.0 * np.pi))
 
 
@@ -236,10 +228,8 @@ def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-AIRBORNE_SPEED = 60.0 * KNOT
-"""Speed over ground above which a fix counts as airborne [m/s]."""
-DEFAULT_DURATION_S = 600.0
-"""Duration of a track where none is asked for [s]."""
+AIRBORNE_SPEED = 60.0 * KNOT  # speed over ground above which a fix counts as airborne [m/s]
+DEFAULT_DURATION_S = 600.0  # duration of a track where none is asked for [s]
 
 
 @dataclass(frozen=True)
@@ -289,7 +279,6 @@ class CleaningReport:
         return asdict(self)
 
     def lines(self) -> list[str]:
-        """Sentences for people."""
         kept = self.angles_as_given + self.angles_unwrapped
         return [
             f"{self.name}: {self.rows} rows, {self.incomplete} without a position or altitude",
@@ -367,7 +356,6 @@ class _Fixes:
 
     @property
     def position_e(self) -> Floats:
-        """(n, 3) positions on the ellipsoid, ECEF [m]."""
         return geodetic_to_ecef(self.latitude, self.longitude, 0.0)
 
 
@@ -403,7 +391,6 @@ def _distinct_fixes(raw: RawTrack, counts: dict[str, int], drop_interpolated: bo
 
 
 def _without_outliers(fixes: _Fixes, counts: dict[str, int]) -> _Fixes:
-    """Fixes without single ones that are off in altitude or position."""
     off = isolated_outliers(fixes.time, fixes.altitude[:, None], 300.0, 10.0)
     counts["height_outliers"] = int(off.sum())
     fixes = fixes[~off]
@@ -452,7 +439,6 @@ def _airborne_stretches(
 def _chosen_stretch(
     elapsed: Floats, found: list[tuple[int, int]], from_s: float | None
 ) -> tuple[int, int]:
-    """Longest stretch, or the one that a time lies in."""
     if from_s is None:
         return found[0]
     for a, b in found:
@@ -465,7 +451,6 @@ def _chosen_stretch(
 def _cut(
     elapsed: Floats, stretch: tuple[int, int], from_s: float | None, duration_s: float | None
 ) -> Mask:
-    """Fixes of the stretch between two times."""
     start = elapsed[stretch[0]] if from_s is None else from_s
     rest = float(elapsed[stretch[1]] - start)
     if duration_s is not None and not 0.0 < duration_s <= rest + 1e-6:

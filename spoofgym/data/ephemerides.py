@@ -26,21 +26,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..truth.satellites import SatelliteStates, checked_time, ecef_from_orbit
 
-GPS_EPOCH = datetime(1980, 1, 6)
-"""Start of GPS time."""
+GPS_EPOCH = datetime(1980, 1, 6)  # start of GPS time
 SECONDS_PER_WEEK = 604800.0
 GPS_GRAVITATIONAL_CONSTANT = 3.986005e14
 """mu of the GPS user, IS-GPS-200 [m^3/s^2]; not the WGS-84 value of today."""
-GPS_EARTH_RATE = 7.2921151467e-5
-"""Earth rate of the GPS user, IS-GPS-200 [rad/s]."""
+GPS_EARTH_RATE = 7.2921151467e-5  # earth rate of the GPS user, IS-GPS-200 [rad/s]
 VALIDITY = 7200.0
 """Longest time from the reference time of a record [s]: half the 4 h curve fit interval."""
-ORBIT_FIELDS = (
+ORBIT_FIELDS = (  # the 16 Keplerian parameters of a record
     *("root_semi_major_axis", "eccentricity", "mean_anomaly", "mean_motion_correction", "perigee"),
     *("node", "node_rate", "inclination", "inclination_rate"),
     *("cuc", "cus", "cic", "cis", "crc", "crs", "time_of_ephemeris"),
 )
-"""The 16 Keplerian parameters of a record."""
 KEPLER_ITERATIONS = 6
 
 LEAP_SECOND_DATES = (
@@ -49,8 +46,7 @@ LEAP_SECOND_DATES = (
     *((year, 7, 1) for year in (1992, 1993, 1994)),
     *((1996, 1, 1), (1997, 7, 1), (1999, 1, 1), (2006, 1, 1), (2009, 1, 1)),
     *((2012, 7, 1), (2015, 7, 1), (2017, 1, 1)),
-)
-"""UTC dates at whose start GPS time gained one second on UTC (IERS Bulletin C, to 2017)."""
+)  # UTC dates at whose start GPS time gained one second on UTC (IERS Bulletin C, to 2017)
 
 
 def gps_seconds(moment: datetime) -> float:
@@ -67,7 +63,6 @@ def gps_seconds(moment: datetime) -> float:
 
 
 def _calendar(seconds: float) -> str:
-    """The date of GPS seconds, for messages."""
     return f"{GPS_EPOCH + timedelta(seconds=round(seconds)):%Y-%m-%d %H:%M:%S} GPS time"
 
 
@@ -151,17 +146,14 @@ class Ephemerides:
             )
 
     def __len__(self) -> int:
-        """Number of records R."""
         return self.satellite_id.size
 
     @property
     def satellite_ids(self) -> tuple[str, ...]:
-        """The satellites that have a record, each once, sorted."""
         return tuple(np.unique(self.satellite_id).tolist())
 
     @property
     def healthy(self) -> NDArray[np.bool_]:
-        """(R,) whether the record says that its satellite is healthy."""
         return np.asarray(self.health == 0.0)
 
     def take(self, records: ArrayLike) -> Ephemerides:
@@ -270,7 +262,6 @@ class BroadcastConstellation:
 
     @cached_property
     def satellite_ids(self) -> tuple[str, ...]:
-        """The satellites that have a record, healthy or not, sorted."""
         return self.ephemerides.satellite_ids
 
     @cached_property
@@ -304,10 +295,8 @@ class BroadcastConstellation:
         return propagate(self.ephemerides, schedule.record[satellite, column], elapsed)
 
 
-DISAGREEMENT_TOLERANCE = 100.0
-"""Distance between two records' positions from which one of them is wrong [m]."""
-DUPLICATE_RTOL = 1e-10
-"""Relative difference that rounding to 12 decimals may leave between copies of a record."""
+DISAGREEMENT_TOLERANCE = 100.0  # distance of two records from which one of them is wrong [m]
+DUPLICATE_RTOL = 1e-10  # what rounding to 12 decimals may leave between copies of a record
 
 
 class Rejection(NamedTuple):
@@ -339,7 +328,6 @@ class ScreeningReport:
 
     @property
     def rejected(self) -> int:
-        """Number of records rejected."""
         return len(self.rejections)
 
 

@@ -37,8 +37,7 @@ _LOGGER = logging.getLogger(__name__)
 COMPRESS_MAGIC = b"\x1f\x9d"
 FIELD_WIDTH = 19
 LINES_PER_RECORD = 8
-LAST_SATELLITE = 63
-"""Largest number of a GPS satellite, IS-GPS-200 table 3-I."""
+LAST_SATELLITE = 63  # largest number of a GPS satellite, IS-GPS-200 table 3-I
 LAST_YEAR = 2099
 FIELDS = {
     **dict(clock_bias=(0, 1), clock_drift=(0, 2), clock_drift_rate=(0, 3)),
@@ -47,8 +46,7 @@ FIELDS = {
     **dict(second_of_week=(3, 0), cic=(3, 1), node=(3, 2), cis=(3, 3)),
     **dict(inclination=(4, 0), crc=(4, 1), perigee=(4, 2), node_rate=(4, 3)),
     **dict(inclination_rate=(5, 0), health=(6, 1), group_delay=(6, 2)),
-}
-"""Line and column of the fields of a record; in line 0 the satellite and epoch are column 0."""
+}  # line and column of the fields of a record; in line 0 the satellite and epoch are column 0
 
 
 def _signed(bits: int, exponent: int, unit: float = 1.0) -> tuple[float, float]:
@@ -161,7 +159,6 @@ def _read_lines(path: Path) -> list[str]:
 
 
 def _checked_version(line: str, path: Path) -> int:
-    """The version of a navigation file by its first line, 2 or 3."""
     if line[60:80].rstrip() != "RINEX VERSION / TYPE":
         raise FileError(f"{path} is not a RINEX file: it begins with {line[:80]!r}")
     kind = line[20:40].strip()
@@ -196,7 +193,6 @@ def _blocks(lines: list[str], path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _parse(block: list[str], layout: _Layout) -> tuple[str, dict[str, float]]:
-    """Satellite and fields of a record; ValueError says what is wrong with it."""
     if len(block) != LINES_PER_RECORD:
         raise ValueError(f"a record has {LINES_PER_RECORD} lines, got {len(block)}")
     number = int(block[0][layout.satellite])

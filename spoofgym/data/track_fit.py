@@ -39,10 +39,8 @@ from scipy.sparse.linalg import splu
 from ..earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS, STANDARD_GRAVITY
 from ..truth.flight import Flight, flight_from_geodetic, inverse_kinematics
 
-MINIMUM_FIXES = 6
-"""Fewest fixes of a track; a quintic polynomial has as many coefficients."""
-STEEPEST_LATITUDE = math.radians(89.0)
-"""Largest latitude north or south [rad]; closer to a pole, courses change too fast."""
+MINIMUM_FIXES = 6  # fewest fixes of a track; a quintic polynomial has as many coefficients
+STEEPEST_LATITUDE = math.radians(89.0)  # closer to a pole, courses change too fast [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +86,6 @@ class Track:
             )
 
     def _settle(self, field: str, count: int) -> NDArray[np.float64]:
-        """Replace a field by a checked float64 copy."""
         value = np.array(getattr(self, field), dtype=np.float64)
         if value.shape != (count,):
             raise ValueError(f"`{field}` must have shape ({count},), got {value.shape}")
@@ -97,32 +94,21 @@ class Track:
 
     @property
     def duration(self) -> float:
-        """Time of the last fix [s]."""
         return float(self.time[-1])
 
 
 POSITION_SD = 100.0
 """Standard deviation of a fix, north and east [m]: its time is late by up to a second."""
-VELOCITY_SD = 2.0
-"""Standard deviation of a reported velocity [m/s]: steps of 1 kt and 1 deg."""
-HEIGHT_SD = 10.0
-"""Standard deviation of a height [m]: steps of 25 ft, and up to a second of climb."""
-TURN_JERK_PSD = 0.2
-"""Spectral density of the jerk across the path [m^2/s^5]: 0.3 m/s^3 kept up for 2 s."""
-SPEED_JERK_PSD = 0.005
-"""Spectral density of the jerk along the path [m^2/s^5]: 0.05 m/s^3 kept up for 2 s."""
-CLIMB_JERK_PSD = 0.005
-"""Spectral density of the vertical jerk [m^2/s^5]."""
-HUBER_LIMIT = 3.0
-"""Misfit in standard deviations beyond which a measurement is doubted."""
-KNOT_INTERVAL = 3.0
-"""Interval of the knots of the splines [s]."""
-DEGREE = 5
-"""Degree of the splines; from 4 upwards the body rates are continuous."""
-PASSES = 30
-"""Most passes of the least squares, whose directions and weights follow from the last one."""
-PASS_STOP = 0.1
-"""Change of the path between passes at which it is done [m]."""
+VELOCITY_SD = 2.0  # standard deviation of a reported velocity [m/s]: steps of 1 kt and 1 deg
+HEIGHT_SD = 10.0  # standard deviation of a height [m]: steps of 25 ft, and up to a second of climb
+TURN_JERK_PSD = 0.2  # density of the jerk across the path [m^2/s^5]: 0.3 m/s^3 kept up for 2 s
+SPEED_JERK_PSD = 0.005  # density of the jerk along the path [m^2/s^5]: 0.05 m/s^3 kept up for 2 s
+CLIMB_JERK_PSD = 0.005  # spectral density of the vertical jerk [m^2/s^5]
+HUBER_LIMIT = 3.0  # misfit in standard deviations beyond which a measurement is doubted
+KNOT_INTERVAL = 3.0  # interval of the knots of the splines [s]
+DEGREE = 5  # degree of the splines; from 4 upwards the body rates are continuous
+PASSES = 30  # most passes of the least squares; directions and weights follow from the last one
+PASS_STOP = 0.1  # change of the path between passes at which it is done [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +201,6 @@ class _Plane:
         self.fixes = np.concatenate([north, (unwrapped - unwrapped[0]) * per_east])
 
     def fit(self) -> tuple[Floats, Floats, int]:
-        """Coefficients north and east, and the number of measurements doubted."""
         count = self.place.shape[0] + 2 * self.track.time.size
         trust = np.ones(count)
         solution = self._first_pass()
@@ -233,7 +218,6 @@ class _Plane:
         return north, east, int((trust[half:] < 1.0).sum())
 
     def _first_pass(self) -> Floats:
-        """Fit to the fixes alone, without a difference between along and across."""
         scale = np.tile(np.sqrt(self.weight / TURN_JERK_PSD), 2)
         jerks = _scaled(vstack(self.node_jerk), scale)
         rows = [self.place / POSITION_SD, jerks]
@@ -314,19 +298,15 @@ def _quadrature(edges: Floats) -> tuple[Floats, Floats]:
 
 
 def _solve(rows: list[csr_array], values: list[Floats]) -> Floats:
-    """Least squares by the normal equations."""
     stacked = csr_array(vstack(rows))
     normal = csc_array(stacked.T @ stacked)
     solution: Floats = splu(normal).solve(stacked.T @ np.concatenate(values))
     return solution
 
 
-LOAD_LIMITS = (0.3, 2.5)
-"""Normal load factors of a flight [g], the larger one of EASA CS-25.337."""
-RATE_LIMIT = math.radians(20.0)
-"""Largest body rate of a flight [rad/s]."""
-SLOWEST = 15.0
-"""Smallest horizontal speed [m/s]; below, the velocity doesn't give the heading."""
+LOAD_LIMITS = (0.3, 2.5)  # normal load factors of a flight [g], the larger one of EASA CS-25.337
+RATE_LIMIT = math.radians(20.0)  # largest body rate of a flight [rad/s]
+SLOWEST = 15.0  # smallest horizontal speed [m/s]; below, the velocity doesn't give the heading
 
 Floats = NDArray[np.float64]
 
@@ -367,11 +347,9 @@ class FitReport:
     rate_max_degps: float
 
     def as_dict(self) -> dict[str, str | int | float | None]:
-        """All fields by name, for JSON; None where there is nothing to compare."""
         return {key: None if value != value else value for key, value in asdict(self).items()}
 
     def lines(self) -> list[str]:
-        """Sentences for people."""
         return [
             f"{self.name}: {self.duration_s:.0f} s from {self.start_utc}, {self.fixes} fixes, "
             f"{self.doubted} measurements doubted",
@@ -386,7 +364,6 @@ class FitReport:
 
 
 def _residual(name: str, value: float, unit: str) -> str:
-    """A residual in words; NaN where the track has no such column."""
     return f"{name} not reported" if math.isnan(value) else f"{name} RMS {value:.1f} {unit}"
 
 
@@ -483,7 +460,6 @@ def _report(track: Track, path: SmoothPath, flight: Flight) -> FitReport:
 
 
 def _half_turn(angle: Floats) -> Floats:
-    """Angle in [-pi, pi)."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 

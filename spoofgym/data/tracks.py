@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 GZIP_MAGIC = b"\x1f\x8b"
-LARGEST_SIZE = 64 * 2**20
-"""Of a file, unpacked [bytes]; a day of records once a second, twenty quantities each, is half."""
+LARGEST_SIZE = 64 * 2**20  # of a file, unpacked [bytes]: twice a day of records once a second
 
 
 class FileError(ValueError):
@@ -49,12 +48,9 @@ def read_file(path: Path) -> bytes:
 if TYPE_CHECKING:
     import pandas
 
-FOOT = 0.3048
-"""International foot [m]."""
-KNOT = 1852.0 / 3600.0
-"""Knot [m/s]."""
-MINUTE = 60.0
-"""Minute [s]."""
+FOOT = 0.3048  # international foot [m]
+KNOT = 1852.0 / 3600.0  # knot [m/s]
+MINUTE = 60.0  # minute [s]
 
 TIME = ("timestamp", "time", "datetime", "utc")
 POSITION_TIME = ("last_position", "lastposupdate", "position_time")
@@ -82,9 +78,8 @@ QUANTITIES: dict[str, dict[str, float]] = {
         "vertical_rate_ftpmin": FOOT / MINUTE,
         "baro_rate": FOOT / MINUTE,
     },
-}
-"""Column names by quantity, each with what turns its unit into m, m/s or deg."""
-RANGES = {
+}  # column names by quantity, each with what turns its unit into m, m/s or deg
+RANGES = {  # valid values by quantity; beyond what ADS-B can say where that is bounded
     "latitude": (-90.0, 90.0, "deg"),
     "longitude": (-180.0, 360.0, "deg"),
     "altitude": (-2_000.0, 50_000.0, "m"),
@@ -92,9 +87,7 @@ RANGES = {
     "track": (-360.0, 360.0, "deg"),
     "vertical_rate": (-500.0, 500.0, "m/s"),
 }
-"""Valid values by quantity; beyond what ADS-B can say where that is bounded."""
-TIMES = (0.0, 4_102_444_800.0)
-"""Valid times since 1970-01-01 UTC [s]: to the year 2100."""
+TIMES = (0.0, 4_102_444_800.0)  # valid times since 1970-01-01 UTC [s]: to the year 2100
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +144,6 @@ def read_track(
 
 
 def _frame(content: bytes, kind: str) -> pandas.DataFrame:
-    """The table of a file by the ending of its name."""
     import pandas
 
     if kind == "csv":
@@ -211,7 +203,6 @@ def track_from_frame(
 
 
 def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None) -> pandas.DataFrame:
-    """Rows of one aircraft; all of them when the file doesn't name aircraft."""
     column = next((name for name in AIRCRAFT if name in frame), None)
     if column is None:
         return frame

@@ -54,7 +54,6 @@ class LooseState(NamedTuple):
 
 @inlined
 def _to_local(C_el: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Turn a vector from ECEF to local axes."""
     return (
         C_el[0, 0] * x + C_el[1, 0] * y + C_el[2, 0] * z,
         C_el[0, 1] * x + C_el[1, 1] * y + C_el[2, 1] * z,

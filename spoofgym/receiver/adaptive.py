@@ -39,8 +39,7 @@ from ..core.registry import check_choice
 FloatArray = NDArray[np.float64]
 FIXED, RAW, SKIP, CLAMPED = 0, 1, 2, 3
 PROCESS = {"fixed": FIXED, "raw": RAW, "skip": SKIP, "clamped": CLAMPED}
-LARGEST_SCALE = 1e12
-"""Bound of the scale of Q, so that an unstable run shows and no number overflows."""
+LARGEST_SCALE = 1e12  # bound of the scale of Q, so that an unstable run shows without an overflow
 
 
 @dataclass(frozen=True, kw_only=True)

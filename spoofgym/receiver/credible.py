@@ -148,7 +148,6 @@ class CredibleFilter:
 
     @property
     def noise_variance(self) -> float:
-        """R [m^2]."""
         return self.noise_sd_m**2
 
     def process_noise(self, interval_s: float) -> float:
@@ -252,7 +251,6 @@ class CredibleBatch:
 
 
 def _empty_fields(b: int, interval_s: float) -> Mapping[str, NDArray[Any]]:
-    """What an epoch of a receiver without channels has, but never changes."""
     return {
         "interval": np.full(b, interval_s),
         "transition": np.tile(np.eye(AXES), (b, 1, 1)),

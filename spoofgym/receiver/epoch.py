@@ -54,7 +54,7 @@ def assumed_shapes(channels: int) -> dict[str, tuple[int, ...]]:
     return {"noise_psd": (STATES,), "noise_variance": (2 * channels,)}
 
 
-SEEN = (
+SEEN = (  # fields of an epoch that kernels write, in the order in which they get their places
     "innovation",
     "innovation_variance",
     "innovation_cov",
@@ -67,7 +67,6 @@ SEEN = (
     "satellite_position",
     "satellite_velocity",
 )
-"""Fields of an epoch that kernels write, in the order in which they get their places."""
 ALWAYS_SEEN = frozenset({"innovation", "innovation_variance"})
 
 
@@ -145,7 +144,6 @@ class ReceiverBuffers:
     def copy_rows(
         self, to: NDArray[np.intp], other: ReceiverBuffers, rows: NDArray[np.intp]
     ) -> None:
-        """Take over receivers of another batch."""
         self.fields.copy_rows(to, other.fields, rows)
         self.assumed.copy_rows(to, other.assumed, rows)
         for name in ("time", "interval", "position_e", "velocity_e", "visible", "coasting"):
@@ -253,10 +251,8 @@ class Epoch(NamedTuple):
     cn0_dbhz: FloatArray | None = None
 
 
-OPTIONAL = tuple(Epoch._field_defaults)
-"""Fields of an epoch that are None unless somebody's `needs` names them."""
-ALWAYS = frozenset(Epoch._fields).difference(OPTIONAL)
-"""The others."""
+OPTIONAL = tuple(Epoch._field_defaults)  # None unless somebody's `needs` names them
+ALWAYS = frozenset(Epoch._fields).difference(OPTIONAL)  # the others
 
 
 class TracedEpoch(Epoch):
@@ -324,5 +320,4 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
 def frozen_fields(
     arrays: Mapping[str, NDArray[Any]], names: Collection[str]
 ) -> dict[str, NDArray[Any]]:
-    """`frozen` copies of the arrays with these names."""
     return {name: frozen(array) for name, array in arrays.items() if name in names}

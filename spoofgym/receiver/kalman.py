@@ -25,22 +25,18 @@ from ..core.compile import inlined, njit
 from ..core.simd import LANES, any_lane, lane, lanes_of, load, select, set_lane, splat, sqrt, store
 from .states import INDEX
 
-OBSERVED = np.array([6, 7, 8, 15, 3, 4, 5, 16])
-"""E: the states of position and clock bias, then of velocity and clock drift."""
+OBSERVED = np.array([6, 7, 8, 15, 3, 4, 5, 16])  # E: position, clock bias; velocity, clock drift
 
 PLAIN, UNWEIGHTED, GENERAL = 0, 1, 2
 COVARIANCE_UPDATES = {"plain": PLAIN, "unweighted": UNWEIGHTED, "general": GENERAL}
-NO_INFORMATION = 1e-12
-"""A pivot that has lost all but this part of its size to rounding has no information."""
+NO_INFORMATION = 1e-12  # part of a pivot that rounding may leave of one without information
 Y, L, X, F, M, Q, V, A1, A2, REST = 0, 8, 28, 60, 124, 188, 324, 388, 408, 428
 """Rows of scratch memory: y, L, the correction and V Pe y, F and C, F L, Q, V, A1, A2."""
-WORK = REST + 6 * 64 + 8 * 17
-"""Rows of scratch memory that `update` needs."""
+WORK = REST + 6 * 64 + 8 * 17  # rows of scratch memory that `update` needs
 
 
 @inlined
 def _store_triangle(out, first, a):
-    """Write the ten elements of a lower triangle."""
     store(out, first, a[0])
     store(out, first + 1, a[1])
     store(out, first + 2, a[2])
@@ -290,7 +286,6 @@ def _lower(work, first, i, j):
 
 @njit
 def _expand(work, first, out):
-    """Write an 8 x 8 matrix that is kept as two lower triangles, row by row."""
     zero = splat(0.0, work)
     for i in range(8):
         for j in range(8):
@@ -302,7 +297,6 @@ def _expand(work, first, out):
 
 @njit
 def _multiply(a, b, c, transposed):
-    """``c = a b``, or ``a b'``, all 8 x 8."""
     zero = splat(0.0, a)
     for i in range(8):
         for j in range(8):

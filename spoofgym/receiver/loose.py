@@ -80,7 +80,6 @@ class LooselyCoupled:
 
     @property
     def tuning(self) -> SelfTuning | None:
-        """How the noise adapts, if it does."""
         return self.self_tuning if isinstance(self.self_tuning, SelfTuning) else None
 
     def noise_variance(self) -> FloatArray:
@@ -170,7 +169,6 @@ class LooseReceivers:
 
     @property
     def state(self) -> LooseState:
-        """What the receivers remember: the arrays of the memory."""
         memory = self.memory
         return LooseState(*[memory[name] for name in LooseState._fields])
 

@@ -78,7 +78,6 @@ def fill_local_axes(latitude: float, longitude: float, C_el: FloatArray) -> None
 
 @inlined
 def _put_skew(F: FloatArray, row: int, column: int, x: float, y: float, z: float) -> None:
-    """Write a cross-product matrix."""
     F[row, column], F[row, column + 1], F[row, column + 2] = 0.0, -z, y
     F[row + 1, column], F[row + 1, column + 1], F[row + 1, column + 2] = z, 0.0, -x
     F[row + 2, column], F[row + 2, column + 1], F[row + 2, column + 2] = -y, x, 0.0
@@ -172,6 +171,5 @@ def fill_transition(
 
 @inlined
 def gravity_size(x: float, y: float, z: float) -> float:
-    """Size of gravity.  `x`, `y`, `z`: position, ECEF [m]; returns [m/s^2]."""
     gx, gy, gz = gravity(x, y, z)
     return math.sqrt(gx * gx + gy * gy + gz * gz)

@@ -89,8 +89,7 @@ FIRST_FIX_SD_M = 100.0
 pseudoranges replace it."""
 
 
-LEAST_SD = 1e-4
-"""Least noise of a measurement whose noise is a state [m], [m/s], so that S can be inverted."""
+LEAST_SD = 1e-4  # least noise of a measurement whose noise is a state [m], [m/s]: S can be inverted
 
 
 class Motion(NamedTuple):
@@ -122,7 +121,6 @@ def motion_of(world: World, epochs: int) -> Motion:
 
 
 def _largest_change(history: FloatArray, window: int) -> float:
-    """Largest squared change over a window, by its length; `history` is (3, seconds)."""
     change = history[:, window:] - history[:, :-window]
     return float(np.max(np.sum(change**2, axis=0))) / window
 

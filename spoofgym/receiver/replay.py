@@ -165,7 +165,6 @@ class Solution:
 
 
 def load_initial(buffers: ReceiverBuffers, receiver: TightlyCoupled, initial: NavState) -> None:
-    """Write one navigation solution and the initial covariance into every receiver."""
     fields = buffers.fields
     fields["position_e"], fields["velocity_e"] = initial.position_e, initial.velocity_e
     fields["C_eb"] = initial.C_eb

@@ -33,16 +33,12 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.compile import inlined, njit
 from ..earth.wgs84 import range_and_rate
 
-STATES = 4
-"""Position and clock."""
-SMALLEST_PIVOT = 1e-10
-"""Pivots up to this make a geometry singular."""
-PRODUCTS = 16
-"""Columns of a satellite's row: 1 g y, the products of g, g y, y y, and one for alignment."""
+STATES = 4  # position and clock
+SMALLEST_PIVOT = 1e-10  # pivots up to this make a geometry singular
+PRODUCTS = 16  # columns of a satellite's row: 1 g y, products of g, g y, y y, one for alignment
 ITERATIONS = 20
 TOLERANCE_M = 1e-4
-FIXED, TOO_FEW, SINGULAR, DIVERGED = range(4)
-"""Outcome of a fix."""
+FIXED, TOO_FEW, SINGULAR, DIVERGED = range(4)  # outcome of a fix
 
 
 @inlined
@@ -408,8 +404,7 @@ def least_squares_fix(
 FloatArray = NDArray[np.float64]
 
 EXPECTED_POSITION_SD_M = 1e3
-EXPECTED_CLOCK_SD_M = 1e4
-"""How little the last fix is trusted."""
+EXPECTED_CLOCK_SD_M = 1e4  # how little the last fix is trusted
 
 
 @njit

@@ -19,8 +19,7 @@ ATTITUDE, VELOCITY, POSITION, ACCEL_BIAS, GYRO_BIAS = 0, 3, 6, 9, 12
 CLOCK_BIAS, CLOCK_DRIFT = 15, 16
 
 
-PACKED = STATES * (STATES + 1) // 2
-"""Elements of a symmetric matrix on and above its diagonal, row by row."""
+PACKED = STATES * (STATES + 1) // 2  # of a symmetric matrix, row by row from its diagonal on
 
 
 def _packed_index() -> NDArray[np.int64]:
@@ -29,11 +28,9 @@ def _packed_index() -> NDArray[np.int64]:
     return np.maximum(index, index.T)
 
 
-INDEX = _packed_index()
-"""(17, 17) place of every element of a packed symmetric matrix."""
+INDEX = _packed_index()  # (17, 17) place of every element of a packed symmetric matrix
 IN_ORDER = np.arange(STATES)
-TERMS = 21
-"""Elements of the transition matrix that are neither 0 nor 1 nor times: C tau, C f tau, G tau."""
+TERMS = 21  # of the transition matrix, neither 0 nor 1 nor times: C tau, C f tau, G tau
 
 
 @njit

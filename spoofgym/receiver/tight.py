@@ -83,8 +83,7 @@ FILTER_GRADES: dict[str, FilterGrade] = {
         1e-5,
         4e-11,
     ),
-}
-"""Filter tuning by grade of the inertial sensors (`groves2013`, the book's software)."""
+}  # filter tuning by grade of the inertial sensors (`groves2013`, the book's software)
 
 
 class NoiseModel(NamedTuple):
@@ -178,7 +177,6 @@ class TightlyCoupled:
                 raise ValueError("`noise` standard deviations must be > 0")
 
     def _check_augmented(self) -> None:
-        """Raise where a setting does not go with states for what is not white."""
         if self.noise is not None:
             raise ValueError('`noise` can\'t be set with `tuning` "augmented", which derives it')
         if self.covariance_update != "unweighted":
@@ -189,7 +187,6 @@ class TightlyCoupled:
 
     @property
     def matches(self) -> bool:
-        """Whether what it assumes is derived from its world."""
         return self.tuning != "paper" and self.noise is None
 
     @property
@@ -198,18 +195,15 @@ class TightlyCoupled:
         return self.noise if self.noise is not None else NoiseModel()
 
     def sensors(self, noise: NoiseModel | None = None) -> FilterGrade:
-        """Tuning for the inertial sensors, and the initial errors."""
         model = self.noise_model if noise is None else noise
         return FILTER_GRADES[self.grade] if model.inertial is None else model.inertial
 
     @property
     def covariance_code(self) -> int:
-        """`covariance_update` as the kernels take it."""
         return COVARIANCE_UPDATES[self.covariance_update]
 
     @property
     def orthonormalize(self) -> bool:
-        """Whether the attitude matrix is re-orthonormalized after each update."""
         return self.conventions == "orthonormal"
 
     def initial_covariance(self, noise: NoiseModel | None = None) -> NDArray[np.float64]:

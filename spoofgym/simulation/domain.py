@@ -28,10 +28,8 @@ from ..truth.sensors import IMU_GRADES, ImuGrade
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 MOST_WORLDS = 256
-MOST_TIME_S = 1e8
-"""Three years; beyond them a float's rounding of the time shows in positions of satellites."""
-CHOICES = ("world", "start_s", "imu", "errors", "target_heading_deg")
-"""What a reset may be given for every receiver."""
+MOST_TIME_S = 1e8  # three years; beyond, the rounding of the time shows in positions of satellites
+CHOICES = ("world", "start_s", "imu", "errors", "target_heading_deg")  # what a reset may be given
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +114,6 @@ class Domain:
 
     @property
     def varies(self) -> bool:
-        """Whether turns or times of the constellation have a range."""
         pairs = (self.turned_deg, self.constellation_time_s)
         return any(high > low for low, high in pairs)
 
@@ -130,7 +127,6 @@ class Domain:
 
 
 def _range(name: str, given: Any, open_end: bool) -> tuple[float, float | None]:
-    """Pair of a least and a largest number."""
     if isinstance(given, str) or not isinstance(given, Sequence) or len(given) != 2:
         raise ValueError(f"`{name}` must be a pair of numbers, least and largest, got {given!r}")
     low, high = given
@@ -168,7 +164,6 @@ class Bounds(NamedTuple):
 
     @property
     def single(self) -> bool:
-        """Whether there is nothing to choose."""
         counts = (self.worlds, self.grades, self.errors, self.last - self.first + 1)
         return max(counts) == 1 and self.heading is not None
 
@@ -378,7 +373,6 @@ class Combinations:
 
     @property
     def assume_alike(self) -> bool:
-        """Whether victims assume the same noise in all of them."""
         first = self._all[0]
         return all(
             np.array_equal(case.noise_variance, first.noise_variance)
@@ -396,13 +390,11 @@ class Combinations:
 
     @property
     def largest_epoch_variance(self) -> FloatArray:
-        """(2n,) largest variance of one epoch alone of all combinations."""
         largest: FloatArray = np.max([case.epoch_variance for case in self._all], axis=0)
         return largest
 
     @property
     def largest_variance(self) -> FloatArray:
-        """(2n,) largest R of all combinations."""
         largest: FloatArray = np.max([case.noise_variance for case in self._all], axis=0)
         return largest
 

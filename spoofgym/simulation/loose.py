@@ -46,7 +46,6 @@ class RateSimulator(Simulator):
 
     @property
     def epochs(self) -> NDArray[np.int64]:
-        """(B,) index of each receiver's epoch."""
         return self.memory["epoch"]
 
     def _move(self, command: FloatArray | None) -> None:
@@ -156,13 +155,11 @@ class LooselyCoupledSetup(Setup):
         self.C_en = np.ascontiguousarray(self.world.C_el[:, :, [1, 0, 2]] * [1.0, 1.0, -1.0])
 
     def world_settings(self) -> dict[str, Any]:
-        """Flight, errors, sensors, receiver and domain."""
         parts = (self.errors, self.inertial, self.receiver, self.domain)
         names = ("errors", "inertial", "receiver", "domain")
         return {"flight": self.name, **dict(zip(names, map(describe, parts), strict=True))}
 
     def simulator(self, receivers: int, run: Run) -> LooselyCoupledSimulator:
-        """B receivers, not begun yet."""
         return LooselyCoupledSimulator(self, receivers, run)
 
 
@@ -225,11 +222,9 @@ class LooselyCoupledSimulator(RateSimulator):
 
     @property
     def position(self) -> FloatArray:
-        """(B, 3) estimated, ECEF [m]."""
         return self.memory["position_e"]
 
     def error_n(self) -> FloatArray:
-        """(B, 2) error of the estimate in the local axes of the epoch: north, east [m]."""
         epochs = self.epochs
         apart = self.memory["position_e"] - self.setup.world.position_e[epochs]
         error: FloatArray = (apart[:, :, None] * self.setup.C_en[epochs, :, :2]).sum(axis=1)

@@ -61,11 +61,9 @@ class Monitor(ABC):
         """Look at an epoch after the update."""
 
     def begin(self) -> None:
-        """Start new episodes in all receivers."""
         self.memory.reset()
 
     def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
-        """Take over receivers of another simulator."""
         self.memory.copy_rows(to, other.memory, rows)
 
 
@@ -122,8 +120,7 @@ def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:
     return tuple(f"{word}_{count + 1}" if count else word for word, count in before)
 
 
-KEPT = 64
-"""Epochs of which positions are kept."""
+KEPT = 64  # epochs of which positions are kept
 
 
 class PastPositions(Monitor):

@@ -15,8 +15,7 @@ from .simulator import run_serially
 from .tight import TightlyCoupledSetup, TightlyCoupledSimulator
 
 FloatArray = NDArray[np.float64]
-RANGES = "pseudorange", "range_rate"
-"""Fields of an epoch that a recording keeps."""
+RANGES = "pseudorange", "range_rate"  # fields of an epoch that a recording keeps
 
 
 def record_run(

@@ -139,7 +139,6 @@ class WheeledRobotSetup(Setup):
         self._interrupt(interruptions_s)
 
     def world_settings(self) -> dict[str, Any]:
-        """Course, odometer, fixes, receiver and domain."""
         names = ("loop", "odometer", "fix_errors", "receiver", "domain")
         parts = {name: describe(getattr(self, name)) for name in names}
         return {**parts, "interruptions_s": [list(pair) for pair in self._interruptions_s]}
@@ -187,7 +186,6 @@ class WheeledRobotSetup(Setup):
         )
 
     def simulator(self, receivers: int, run: Run) -> WheeledRobotSimulator:
-        """B robots, not begun yet."""
         return WheeledRobotSimulator(self, receivers, run)
 
 
@@ -224,7 +222,6 @@ class WheeledRobotSimulator(RateSimulator):
         self.filters.begin(self.memory["fix"])
 
     def _observe(self) -> None:
-        """Measure dead reckoning and fix of the epoch."""
         memory, setup = self.memory, self.setup
         odometer, errors = setup.odometer, setup.fix_errors
         drawn = memory["keys"], memory["epoch"], memory["first"]
@@ -251,26 +248,21 @@ class WheeledRobotSimulator(RateSimulator):
 
     @property
     def coasting(self) -> NDArray[np.bool_]:
-        """(B,) bool, whether the last epoch had no fix."""
         missing: NDArray[np.bool_] = ~self.setup.available[self.epochs - self.memory["first"]]
         return missing
 
     @property
     def position(self) -> FloatArray:
-        """(B, 2) estimated, north and east [m]."""
         return self.memory["position"][:, :AXES]
 
     def error_n(self) -> FloatArray:
-        """(B, 2) error of the estimate: north, east [m]."""
         return self.position - self.setup.true_position[self.epochs]
 
     def observed_weights(self) -> FloatArray:
-        """(B, 1) mean weight of the last fix."""
         mean: FloatArray = self.weights.mean(axis=1, keepdims=True)
         return mean
 
     def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
-        """Write true position since the onset and true velocity, scaled."""
         setup, truth = self.setup, self.setup.true_position
         out[:, :AXES] = per_position * (truth[self.epochs] - truth[self.onset])
         out[:, AXES:] = per_velocity * setup.true_velocity_ne[self.epochs]

@@ -24,8 +24,7 @@ from ._kernels import local_motion
 from .domain import Bounds, Domain
 from .monitors import Monitor
 
-MOST_EPOCHS = 100_000
-"""Longest episode."""
+MOST_EPOCHS = 100_000  # longest episode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +75,6 @@ class Timeline:
 
 
 def epochs_of_decision(decision_interval_s: float | None, interval_s: float, steps: int) -> int:
-    """Epochs of a decision; by default every epoch is one."""
     if decision_interval_s is None:
         return 1
     check_finite("decision_interval_s", decision_interval_s, "> 0")
@@ -95,12 +93,9 @@ def epochs_of_decision(decision_interval_s: float | None, interval_s: float, ste
 
 
 FloatArray = NDArray[np.float64]
-TARGETS = ("random", "worst")
-"""Target directions that are no number."""
-BETWEEN = ("hold", "linear")
-"""What is commanded between two decisions."""
-Run = Callable[[Callable[[int, int], None], int], None]
-"""``run(f, B)`` calls ``f(lo, hi)`` over slices of the receivers, possibly in threads."""
+TARGETS = ("random", "worst")  # target directions that are no number
+BETWEEN = ("hold", "linear")  # what is commanded between two decisions
+Run = Callable[[Callable[[int, int], None], int], None]  # calls ``f(lo, hi)`` over slices of B
 
 
 @dataclass(frozen=True)
@@ -118,12 +113,10 @@ class RateCommands:
 
     @property
     def label(self) -> str:
-        """Threat in a word, for results."""
         return self.kind
 
     @property
     def rate_limit_mps(self) -> float | tuple[float, ...]:
-        """Limit of all axes, or of each where they differ [m/s]."""
         return self.limits[0] if len(set(self.limits)) == 1 else self.limits
 
     def action_names(self, world: object) -> tuple[str, ...]:
@@ -178,35 +171,25 @@ class Setup(ABC):
     """
 
     kind: ClassVar[str]
-    whose: ClassVar[str]
-    """The victim with its article, for messages."""
-    env_id: ClassVar[str] = ""
-    """Environment of this victim; "" for none."""
-    of_attack: ClassVar[frozenset[str]] = frozenset(
+    whose: ClassVar[str]  # the victim with its article, for messages
+    env_id: ClassVar[str] = ""  # environment of this victim; "" for none
+    of_attack: ClassVar[frozenset[str]] = frozenset(  # settings that a clean run does not depend on
         {
             *("detector", "attack", "target_heading_deg", "rate_limit_mps"),
             *("decision_interval_s", "between"),
         }
     )
-    """Settings that a clean run does not depend on."""
-    given: Mapping[str, Any] | None = None
-    """Settings as they were given, where an environment or a benchmark was made from them."""
+    given: Mapping[str, Any] | None = None  # settings as they were given
     has: ClassVar[frozenset[str]] = frozenset(OPTIONAL) - {
         "gnss_position",
         "auxiliary_position",
         "cn0_dbhz",
-    }
-    """Optional fields of `Epoch` that the victim has."""
-    fields: frozenset[str] = frozenset()
-    """Those that are wanted besides the `needs` of detectors and monitors."""
-    domain_names: ClassVar[frozenset[str]] = frozenset()
-    """Settings of `Domain` that the victim has."""
-    threaded: ClassVar[bool] = False
-    """Whether its kernels work on slices of the receivers."""
-    follows_setpoint: ClassVar[bool] = False
-    """Whether a spoofer commands by a wanted rate where nothing else is asked for."""
-    ratio_is_largest: ClassVar[bool] = True
-    """Whether the default observation shows the largest statistic ratio, not one a channel."""
+    }  # optional fields of `Epoch` that the victim has
+    fields: frozenset[str] = frozenset()  # wanted besides the `needs` of detectors and monitors
+    domain_names: ClassVar[frozenset[str]] = frozenset()  # settings of `Domain` that the victim has
+    threaded: ClassVar[bool] = False  # whether its kernels work on slices of the receivers
+    follows_setpoint: ClassVar[bool] = False  # whether spoofers command wanted rates by default
+    ratio_is_largest: ClassVar[bool] = True  # else the default observation has one a channel
     motion_names: tuple[str, ...] = ()
     error_names: tuple[str, ...] = ("north", "east")
     weight_names: tuple[str, ...] = ()
@@ -250,7 +233,6 @@ class Setup(ABC):
         self.length = self.onset + self.steps + self.hold + 1
 
     def _decide_every(self, decision_interval_s: float | None, between: str) -> None:
-        """Take how often a spoofer decides, and what is commanded between two decisions."""
         check_choice("between", between, BETWEEN)
         if between != "hold" and decision_interval_s is None:
             raise ValueError(
@@ -266,7 +248,6 @@ class Setup(ABC):
 
     @property
     def window_s(self) -> float:
-        """Judged window: from the start of an attack to its end plus the time to alert [s]."""
         return (self.steps + self.hold) * self.interval_s
 
     @cached_property
@@ -340,7 +321,6 @@ class Setup(ABC):
 
     @property
     def title(self) -> str:
-        """What a picture says of the victim."""
         return f"{self.kind} receiver"
 
     @property
@@ -350,7 +330,6 @@ class Setup(ABC):
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Name of every element that can be commanded."""
         names: tuple[str, ...] = self.attack.action_names(self.world)
         return names
 
@@ -369,7 +348,6 @@ class Setup(ABC):
         return None
 
     def local_motion(self, *epochs_to_out: Any) -> None:
-        """`_kernels.local_motion` of this target."""
         local_motion(self.true_position, self.world.velocity_e, self.C_en, *epochs_to_out)
 
     def geometry_table(self) -> FloatArray | None:
@@ -430,7 +408,7 @@ def checked_target(target_heading_deg: float | str) -> float | str:
     return target_heading_deg
 
 
-SPLITS = {
+SPLITS = {  # first element of the spawn keys; 3 was once another split's
     "training": 0,
     "calibration": 1,
     "evaluation": 2,
@@ -442,7 +420,6 @@ SPLITS = {
     "dataset-validation": 9,
     "dataset-test": 10,
 }
-"""First element of the spawn keys; 3 was once another split's."""
 
 
 def seed_sequences(

@@ -34,13 +34,11 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Rngs = Sequence[np.random.Generator]
-Given = Mapping[str, Any]
-"""Circumstances that are not to be drawn, by `domain.CHOICES`."""
+Given = Mapping[str, Any]  # circumstances that are not to be drawn, by `domain.CHOICES`
 Written = NDArray[np.floating[Any]]
 StepArrays = tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray, FloatArray]
 M = TypeVar("M", bound=Monitor)
-DOMAIN_STREAM = 0xD0
-"""Key of the stream of an episode's seed from which a domain is drawn."""
+DOMAIN_STREAM = 0xD0  # key of the stream of an episode's seed from which a domain is drawn
 
 
 class Sequel(Protocol):
@@ -165,12 +163,10 @@ class Simulator(ABC):
 
     @property
     def commanded_displacement(self) -> FloatArray:
-        """(B, a) displacement that the spoofer has commanded so far [m]."""
         return self.commands["displacement"]
 
     @property
     def commanded_rate(self) -> FloatArray:
-        """(B, a) its rate [m/s]."""
         return self.commands["rate"]
 
     def step_arrays(self) -> StepArrays:
@@ -201,18 +197,15 @@ class Simulator(ABC):
         return np.asarray(ground_e @ setup.C_en[onset])[:, :2]
 
     def _sky(self) -> SkyData | None:
-        """Satellites over the first receiver."""
         return None
 
     def recorded(self) -> dict[str, NDArray[Any]]:
-        """What a recording of epochs holds besides the epoch itself."""
         return {"commanded_displacement_m": self.commanded_displacement}
 
     # --- the same for all victims --------------------------------------------------------------
 
     @property
     def onset(self) -> NDArray[np.int64]:
-        """(B,) the epoch after which each receiver's attack starts."""
         return self.memory["onset"]
 
     @property
@@ -221,7 +214,6 @@ class Simulator(ABC):
         return self.memory["heading"]
 
     def time_s(self) -> FloatArray:
-        """(B,) time of the present epoch [s], a new array."""
         return self.setup.epoch_time[self.epochs]
 
     def bind_detector(self, detector: Detector) -> None:
@@ -305,7 +297,6 @@ class Simulator(ABC):
         return self.predict(None)
 
     def judge(self) -> Verdict:
-        """Let the detector judge the epoch, and the monitors look at it."""
         self.verdict = judged(self.detector, self.epoch)
         for monitor in self.monitors:
             monitor.update(self)
@@ -336,7 +327,6 @@ class Simulator(ABC):
         return verdict
 
     def quiet_epochs(self, count: int) -> None:
-        """Run clean epochs without a detector."""
         self.weights = self.ones
         for _ in range(count):
             self._measure(None)
@@ -385,7 +375,6 @@ class Simulator(ABC):
         self._renew(rows, episodes)
 
     def layout(self) -> EpisodeLayout:
-        """What stays the same in a picture of the first receiver's episode."""
         setup, onset = self.setup, int(self.onset[0])
         return EpisodeLayout(
             title=f"{setup.title} against {detector_name(setup.detector)}",
@@ -400,7 +389,6 @@ class Simulator(ABC):
         )
 
     def frame(self) -> FrameData:
-        """The first receiver now, for a picture."""
         epoch = int(self.epochs[0])
         return FrameData(
             position_ne=self._ground_ne(slice(epoch, epoch + 1))[0],
@@ -501,7 +489,6 @@ def domain_keys(episodes: Sequence[np.random.SeedSequence]) -> NDArray[np.uint64
 
 
 def run_serially(work: Callable[[int, int], None], receivers: int) -> None:
-    """Call ``work(lo, hi)`` once over all receivers."""
     work(0, receivers)
 
 

@@ -34,8 +34,7 @@ from .simulator import Rows, Written
 FloatArray = NDArray[np.float64]
 AXES = ("north", "east", "down", "clock")
 DEFAULT_TIMELINE = {"warmup_s": 10.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 10.0}
-CLOCK_SD = (1e4, 10.0)
-"""Standard deviation of the receiver's clock offset [m] and drift [m/s]."""
+CLOCK_SD = (1e4, 10.0)  # standard deviation of the receiver's clock offset [m] and drift [m/s]
 
 
 class SnapshotSetup(Setup):
@@ -148,7 +147,6 @@ class SnapshotSetup(Setup):
         return {**self._flown, "noise_m": self.noise_m, "domain": describe(self.domain)}
 
     def simulator(self, receivers: int, run: Run) -> SnapshotSimulator:
-        """B receivers, not begun yet."""
         return SnapshotSimulator(self, receivers, run)
 
 
@@ -242,7 +240,6 @@ class SnapshotSimulator(RateSimulator):
         self._correct(None)
 
     def _receive(self) -> None:
-        """Measure the pseudoranges of the epoch."""
         sky, memory = self.setup.sky, self.memory
         drawn = memory["epoch"], memory["keys"], memory["true_clock"]
         spoofing = memory["displacement"], memory["spoofed"]
@@ -274,7 +271,6 @@ class SnapshotSimulator(RateSimulator):
         return Epoch(**frozen_fields(arrays, self._names), **self._constant)
 
     def _correct(self, weights: FloatArray | None) -> None:
-        """Make a fix; where there is none, the last one stays."""
         memory = self.memory
         used = self.ones if weights is None else weights
         written = memory["position_e"], memory["clock"], memory["status"]
@@ -282,23 +278,19 @@ class SnapshotSimulator(RateSimulator):
 
     @property
     def coasting(self) -> NDArray[np.bool_]:
-        """(B,) bool, whether the last epoch had no fix."""
         missing: NDArray[np.bool_] = self.memory["status"] != FIXED
         return missing
 
     @property
     def position(self) -> FloatArray:
-        """(B, 3) last fix, ECEF [m]."""
         return self.memory["position_e"]
 
     def error_n(self) -> FloatArray:
-        """(B, 2) error of the fix: north, east [m]."""
         sky = self.setup.sky
         error = self.memory["position_e"] - sky.position_e[self.epochs]
         return np.asarray(np.einsum("bi,ij->bj", error, sky.C_en)[:, :2])
 
     def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
-        """Write true position since the onset, scaled."""
         sky = self.setup.sky
         moved = sky.position_e[self.epochs] - sky.position_e[self.onset]
         out[:] = per_position * np.einsum("bi,ij->bj", moved, sky.C_en)

@@ -32,7 +32,6 @@ class Slices:
         self.failure: BaseException | None = None
 
     def __call__(self) -> None:
-        """Run slices until all have been taken."""
         while (number := self._next()) < len(self._bounds):
             try:
                 self._work(*self._bounds[number])
@@ -81,7 +80,6 @@ class Workers:
             raise slices.failure
 
     def wake(self) -> None:
-        """Let the threads look for pieces."""
         self._start()
         for queue in self._jobs:
             queue.put(_nothing)

@@ -49,11 +49,9 @@ AUGMENTED_NEEDS = frozenset({"transition", "imu_delta", "design", "innovation_co
 """Fields of an epoch that an augmented filter works on."""
 AUGMENTED_SHOWS = frozenset({"transition", "design", "predicted_cov"})
 """Fields of an epoch that it has with all its states."""
-FIRST_FIX = 4
-"""Satellites that a first fix takes."""
+FIRST_FIX = 4  # satellites that a first fix takes
 AXES = ("north", "east", "down")
-AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")
-"""Sources whose noise goes on after the onset."""
+AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")  # noise that goes on
 MEASURE, UPDATE, SHOW = (
     _kernels_of_receiver.MEASURE,
     _kernels_of_receiver.UPDATE,
@@ -65,8 +63,7 @@ OWN_KERNEL = SequelKernel(_kernels.run_epochs, ())
 ATTACK_FORMS: dict[type, int] = {
     FalsePosition: _kernels.FALSE_POSITION,
     PerChannel: _kernels.PER_CHANNEL,
-}
-"""Attacks that the kernel makes itself, if their equipment is perfect."""
+}  # attacks that the kernel makes itself, if their equipment is perfect
 
 
 class TightlyCoupledSetup(Setup):
@@ -177,7 +174,6 @@ class TightlyCoupledSetup(Setup):
         return starts + self.bounds.first + self.onset
 
     def motion_table(self, per_position: float, per_velocity: float) -> NDArray[np.float32] | None:
-        """(K, 6) motion of the target at every epoch, where each belongs to one onset."""
         if self.onsets is None:
             return None
         table = np.empty((self.world.epochs, 6), dtype=np.float32)
@@ -194,7 +190,6 @@ class TightlyCoupledSetup(Setup):
         return np.hstack([sight.reshape(world.epochs, -1), world.visible])
 
     def simulator(self, receivers: int, run: Run) -> TightlyCoupledSimulator:
-        """B receivers, not begun yet."""
         return TightlyCoupledSimulator(self, receivers, run)
 
     def _check_first_fixes(self) -> None:
@@ -225,7 +220,6 @@ def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
 
 
 def _unscaled(detector: Detector) -> tuple[Detector, float]:
-    """A detector, and the factor on its thresholds."""
     if type(detector) is Calibrated and detector.scale is not None and not detector.rescaled:
         return detector.detector, detector.scale
     return detector, 1.0
@@ -267,7 +261,6 @@ class TightlyCoupledSimulator(Simulator):
         self._hold_arguments()
 
     def _view(self) -> Epoch:
-        """The current epoch; its matrices are those of the filter that is updated."""
         return epoch_view(self.buffers, self.augmented.shown if self.augmented else None)
 
     def _hold_arguments(self) -> None:
@@ -322,17 +315,14 @@ class TightlyCoupledSimulator(Simulator):
 
     @property
     def epochs(self) -> NDArray[np.int64]:
-        """(B,) the epoch of the world that each receiver is at."""
         return self.sensors.epoch
 
     @property
     def position(self) -> FloatArray:
-        """(B, 3) estimated antenna, ECEF [m]."""
         return self.buffers.position_e
 
     @property
     def coasting(self) -> NDArray[np.bool_]:
-        """(B,) bool, whether the last epoch had too few satellites for an update."""
         return self.buffers.coasting
 
     @property
@@ -341,7 +331,6 @@ class TightlyCoupledSimulator(Simulator):
         return memory
 
     def step_arrays(self) -> StepArrays:
-        """Epochs, coasting, commanded displacement and rate, target direction, for kernels."""
         memory, direction = self.attack.memory, self.memory["direction"]
         coasting = self.buffers.coasting
         return self.sensors.epoch, coasting, memory["displacement"], memory["rate"], direction
@@ -356,7 +345,6 @@ class TightlyCoupledSimulator(Simulator):
         self.attack.begin(rows, self.sensors.words.get("spoofer", rows), self.onset[rows])
 
     def _start(self, choice: Choice) -> None:
-        """Draw the errors; first fix, attitude, empty memories."""
         setup, b, first = self.setup, self.receivers, self.memory["first"]
         combinations = setup.combinations
         self.sensors.epoch[:] = first
@@ -376,7 +364,6 @@ class TightlyCoupledSimulator(Simulator):
         self.buffers.position_e[:], self.buffers.velocity_e[:] = position_e, velocity_e
 
     def _start_combinations(self) -> None:
-        """Draw the errors, and give the victims what they assume."""
         indices, combinations = self.memory["combination"], self.setup.combinations
         assumed = self.buffers.assumed
         for index in np.unique(indices).tolist():
@@ -394,7 +381,6 @@ class TightlyCoupledSimulator(Simulator):
             self._draw_events(combinations.events)
 
     def _draw_events(self, events: BenignEvents) -> None:
-        """Draw what looks like spoofing and is none, for new episodes."""
         setup, world, signals = self.setup, self.setup.world, self.sensors.signals
         lasts = setup.live + setup.steps + setup.hold
         sky = setup.interval_s, world.visible, world.azimuth, world.elevation
@@ -424,7 +410,6 @@ class TightlyCoupledSimulator(Simulator):
             self._found.add(found)
 
     def _compiled_attack(self) -> int:
-        """Number of the attack's compiled form, if it has one."""
         attack = self.attack
         if self.clean is not None or not attack.is_perfect:
             return _kernels.NO_FORM
@@ -578,13 +563,11 @@ class TightlyCoupledSimulator(Simulator):
         return self._verdicts[detector]
 
     def predict(self, command: FloatArray | None) -> Epoch:
-        """First half of an epoch under attack; the epoch's arrays follow the buffers."""
         self._first_half(ADVANCE + SHOW, command, True, self._compiled_attack())
         self._augment()
         return self.epoch
 
     def advance(self) -> Epoch:
-        """First half of an epoch without attack: measure, mechanize, predict."""
         self._first_half(ADVANCE + SHOW, None, False, _kernels.NO_FORM)
         self._augment()
         return self.epoch
@@ -617,8 +600,6 @@ class TightlyCoupledSimulator(Simulator):
         return self._compiled_detector() != _kernels.NO_FORM
 
     def live_epochs(self, count: int, *, holding: bool = False) -> NDArray[np.bool_]:
-        """Run epochs with the detector and without commands, in one kernel where that is possible.
-        (`count`, B) bool alarms."""
         detector = self._compiled_detector()
         form = self._compiled_attack() if holding else _kernels.NO_FORM
         in_python = holding and form == _kernels.NO_FORM
@@ -653,7 +634,6 @@ class TightlyCoupledSimulator(Simulator):
         return verdict
 
     def _compiled_detector(self) -> int:
-        """Number of the detector's compiled form, if it has one."""
         if self.monitors or self.augmented is not None:
             return _kernels.NO_FORM
         detector, _ = _unscaled(self.detector)
@@ -664,7 +644,6 @@ class TightlyCoupledSimulator(Simulator):
         return _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
 
     def quiet_epochs(self, count: int) -> None:
-        """Run clean epochs without a detector, in one kernel call."""
         self.weights = self.ones
         if self.augmented is not None:
             for _ in range(count):
@@ -675,7 +654,6 @@ class TightlyCoupledSimulator(Simulator):
         self._run(part, self.receivers)
 
     def error_n(self) -> FloatArray:
-        """(B, 3) error of the estimate in the local axes of the epoch: north, east, down [m]."""
         world = self.setup.world
         error_e = self.buffers.position_e - world.position_e[self.epochs]
         axes = world.C_en[self.epochs]
@@ -711,7 +689,6 @@ class TightlyCoupledSimulator(Simulator):
         super().copy_rows(to, other, rows)
 
     def captured_channels(self) -> NDArray[np.int64]:
-        """(B,) channels that follow the counterfeit signals."""
         captured: NDArray[np.int64] = self.attack.memory["captured"].sum(axis=1)
         return captured
 

@@ -17,16 +17,12 @@ _ROWS = first_rows(sensor_shapes(1))
 RESIDUAL, CLOCK = _ROWS["residual"], _ROWS["clock"]
 _CONSTANTS = first_rows(CONSTANTS)
 ACCEL_BIAS, ACCEL_MATRIX = _CONSTANTS["accel_bias"], _CONSTANTS["accel_matrix"]
-GYRO_BIAS, GYRO_MATRIX, G_DEPENDENCE = (
-    _CONSTANTS["gyro_bias"],
-    _CONSTANTS["gyro_matrix"],
-    _CONSTANTS["g_dependence"],
-)
+GYRO_BIAS, GYRO_MATRIX = _CONSTANTS["gyro_bias"], _CONSTANTS["gyro_matrix"]
+G_DEPENDENCE = _CONSTANTS["g_dependence"]
 IMU_NOISE, CLOCK_PSD = _CONSTANTS["imu_noise"], _CONSTANTS["clock_psd"]
 GNSS_NOISE, CORRELATED_NOISE = _CONSTANTS["gnss_noise"], _CONSTANTS["correlated_noise"]
 CONSTANT_ROWS = CORRELATED_NOISE + 2
-CHANNELS = _ROWS["satellite_bias"]
-"""First row of the biases; n rows later the correlated errors."""
+CHANNELS = _ROWS["satellite_bias"]  # first row of the biases; n rows later the correlated errors
 IMU_KEY, CLOCK_KEY, GNSS_KEY, CORRELATED_KEY = (
     2 * SOURCES.index(source) for source in ("imu", "clock", "gnss", "correlated")
 )
@@ -38,14 +34,32 @@ FRONT, ZENITH, SIGNALS = _SIGNALS["front"], _SIGNALS["zenith"], _SIGNALS["front_
 """First rows of what there is of every receiver's signals, and from `SIGNALS` on of each of them:
 arrivals of a front, errors of orbit and clock, their rates, multipath, noise, readings."""
 SIGNAL_ROWS = 6
-DISTURBED = 4
-"""Rows of each signal that `disturb` writes."""
+DISTURBED = 4  # rows of each signal that `disturb` writes
 LATER = 1 << 40
 """Counter of the first epoch's deviates of signals, under the key of the correlated errors."""
-CHUNK = 16
-"""Samples whose truth is gathered at a time, so that it stays in the nearest cache."""
-SKY = 8
-"""What is known of a satellite: position, velocity, true range and range rate, 0 if invisible."""
+CHUNK = 16  # samples whose truth is gathered at a time, so that it stays in the nearest cache
+SKY = 8  # of a satellite: position, velocity, true range and range rate, 0 if invisible
+
+
+@inlined
+def load3(x, row):
+    return load(x, row), load(x, row + 1), load(x, row + 2)
+
+
+@inlined
+def store3(x, row, values):
+    store(x, row, values[0])
+    store(x, row + 1, values[1])
+    store(x, row + 2, values[2])
+
+
+@inlined
+def keep3(x, row, now, values):
+    """Write three rows in the lanes of `now`."""
+    a, b, c = load3(x, row)
+    store3(
+        x, row, (select(now, values[0], a), select(now, values[1], b), select(now, values[2], c))
+    )
 
 
 @njit
@@ -58,9 +72,7 @@ def fill_ranges(satellites, visible, position_e, velocity_e):
         for s in range(satellites.shape[1]):
             if visible[k, s]:
                 p = satellites[k, s]
-                rho, rate, _, _, _ = range_and_rate(
-                    p[0], p[1], p[2], p[3], p[4], p[5], r[0], r[1], r[2], v[0], v[1], v[2]
-                )
+                rho, rate, _, _, _ = range_and_rate(p[:3], p[3:6], r, v)
                 p[6] = rho
                 p[7] = rate
 
@@ -98,14 +110,9 @@ def _rounded(total, level, inverse):
 
 
 @inlined
-def _row(matrix, row, f0, f1, f2):
-    m = load(matrix, row) * f0 + load(matrix, row + 1) * f1
-    return m + load(matrix, row + 2) * f2
-
-
-@inlined
-def _keep(sensors, row, now, value):
-    store(sensors, row, select(now, value, load(sensors, row)))
+def _row(matrix, row, f):
+    m = load(matrix, row) * f[0] + load(matrix, row + 1) * f[1]
+    return m + load(matrix, row + 2) * f[2]
 
 
 @njit
@@ -130,9 +137,9 @@ def sense(run, first, count, sensors, base, constants, fixed, samples, dt, truth
     level_a, level_g = load(constants, k + IMU_NOISE), load(constants, k + IMU_NOISE + 1)
     qa, qg = load(constants, k + IMU_NOISE + 2), load(constants, k + IMU_NOISE + 3)
     ia, ig = select(qa > 0.0, 1.0 / qa, 0.0), select(qg > 0.0, 1.0 / qg, 0.0)
-    c0, c1 = load(sensors, b + RESIDUAL), load(sensors, b + RESIDUAL + 1)
-    c2, c3 = load(sensors, b + RESIDUAL + 2), load(sensors, b + RESIDUAL + 3)
-    c4, c5 = load(sensors, b + RESIDUAL + 4), load(sensors, b + RESIDUAL + 5)
+    b += RESIDUAL
+    c0, c1, c2 = load3(sensors, b)
+    c3, c4, c5 = load3(sensors, b + 3)
     zero = splat(0.0, sensors)
     p0, p1, p2, p3, p4, p5 = zero, zero, zero, zero, zero, zero
     n = count
@@ -141,35 +148,23 @@ def sense(run, first, count, sensors, base, constants, fixed, samples, dt, truth
         gather_truth(run, first, start, stop, truth)
         for i in range(start, stop):
             t = 8 * (i - start)
-            f0, f1, f2 = load(truth, t), load(truth, t + 1), load(truth, t + 2)
-            w0, w1, w2 = load(truth, t + 3), load(truth, t + 4), load(truth, t + 5)
+            f, w = load3(truth, t), load3(truth, t + 3)
             store(dt, i, load(truth, t + 6))
             rate = load(truth, t + 7)
             a, g, d = k + ACCEL_BIAS, k + GYRO_BIAS, k + G_DEPENDENCE
-            c0 += (load(constants, a) + level_a * load(samples, i) * rate) + _row(
-                constants, k + ACCEL_MATRIX, f0, f1, f2
-            )
-            c1 += (load(constants, a + 1) + level_a * load(samples, n + i) * rate) + _row(
-                constants, k + ACCEL_MATRIX + 3, f0, f1, f2
-            )
-            c2 += (load(constants, a + 2) + level_a * load(samples, 2 * n + i) * rate) + _row(
-                constants, k + ACCEL_MATRIX + 6, f0, f1, f2
-            )
-            c3 += (
-                (load(constants, g) + level_g * load(samples, 3 * n + i) * rate)
-                + _row(constants, d, f0, f1, f2)
-                + _row(constants, k + GYRO_MATRIX, w0, w1, w2)
-            )
-            c4 += (
-                (load(constants, g + 1) + level_g * load(samples, 4 * n + i) * rate)
-                + _row(constants, d + 3, f0, f1, f2)
-                + _row(constants, k + GYRO_MATRIX + 3, w0, w1, w2)
-            )
-            c5 += (
-                (load(constants, g + 2) + level_g * load(samples, 5 * n + i) * rate)
-                + _row(constants, d + 6, f0, f1, f2)
-                + _row(constants, k + GYRO_MATRIX + 6, w0, w1, w2)
-            )
+            force, spin = k + ACCEL_MATRIX, k + GYRO_MATRIX
+            x = load(constants, a) + level_a * load(samples, i) * rate
+            c0 += x + _row(constants, force, f)
+            x = load(constants, a + 1) + level_a * load(samples, n + i) * rate
+            c1 += x + _row(constants, force + 3, f)
+            x = load(constants, a + 2) + level_a * load(samples, 2 * n + i) * rate
+            c2 += x + _row(constants, force + 6, f)
+            x = load(constants, g) + level_g * load(samples, 3 * n + i) * rate
+            c3 += x + _row(constants, d, f) + _row(constants, spin, w)
+            x = load(constants, g + 1) + level_g * load(samples, 4 * n + i) * rate
+            c4 += x + _row(constants, d + 3, f) + _row(constants, spin + 3, w)
+            x = load(constants, g + 2) + level_g * load(samples, 5 * n + i) * rate
+            c5 += x + _row(constants, d + 6, f) + _row(constants, spin + 6, w)
             m0, m1, m2 = _rounded(c0, qa, ia), _rounded(c1, qa, ia), _rounded(c2, qa, ia)
             m3, m4, m5 = _rounded(c3, qg, ig), _rounded(c4, qg, ig), _rounded(c5, qg, ig)
             store(samples, i, m0 - p0)
@@ -180,13 +175,8 @@ def sense(run, first, count, sensors, base, constants, fixed, samples, dt, truth
             store(samples, 5 * n + i, m5 - p5)
             p0, p1, p2, p3, p4, p5 = m0, m1, m2, m3, m4, m5
     now = load(active, 0) > 0.0
-    b += RESIDUAL
-    _keep(sensors, b, now & (qa > 0.0), c0 - p0)
-    _keep(sensors, b + 1, now & (qa > 0.0), c1 - p1)
-    _keep(sensors, b + 2, now & (qa > 0.0), c2 - p2)
-    _keep(sensors, b + 3, now & (qg > 0.0), c3 - p3)
-    _keep(sensors, b + 4, now & (qg > 0.0), c4 - p4)
-    _keep(sensors, b + 5, now & (qg > 0.0), c5 - p5)
+    keep3(sensors, b, now & (qa > 0.0), (c0 - p0, c1 - p1, c2 - p2))
+    keep3(sensors, b + 3, now & (qg > 0.0), (c3 - p3, c4 - p4, c5 - p5))
 
 
 @njit
@@ -220,7 +210,6 @@ def advance_correlated(sensors, base, channels, sd, time, key0, key1, epoch, tau
 
 @inlined
 def _advance_process(x, row, value, rate, moves, first, second):
-    """Value and rate of a critically damped process at the next epoch, where the lane moves."""
     v, w = load(x, value), load(x, rate)
     new = load(x, row) * v + load(x, row + 1) * w + load(x, row + 4) * first
     speed = load(x, row + 2) * v + load(x, row + 3) * w
@@ -233,7 +222,6 @@ def _advance_process(x, row, value, rate, moves, first, second):
 
 @njit
 def gather_mappings(mappings, epochs, out):
-    """Put what is known of the lines of sight at each lane's epoch into rows of `MAPPINGS`."""
     for index in range(epochs.shape[0]):
         for s in range(mappings.shape[1]):
             for i in range(MAPPINGS):
@@ -256,14 +244,9 @@ def disturb(signals, base, n, key0, key1, number, epoch, tau, mapping, noise, sk
     ionosphere, ionosphere_rate = _advance_process(
         signals, b + PROCESSES, b + ZENITH, b + ZENITH + 1, moves, load(noise, 0), load(noise, 1)
     )
+    row, of_zenith = b + PROCESSES + 7, b + ZENITH + 2
     troposphere, troposphere_rate = _advance_process(
-        signals,
-        b + PROCESSES + 7,
-        b + ZENITH + 2,
-        b + ZENITH + 3,
-        moves,
-        load(noise, 2),
-        load(noise, 3),
+        signals, row, of_zenith, of_zenith + 1, moves, load(noise, 2), load(noise, 3)
     )
     alpha, driving = load(signals, b + FADING), load(signals, b + FADING + 1)
     per_time, growth = load(signals, b + CARRIER + 1), load(signals, b + FRONT)
@@ -271,17 +254,11 @@ def disturb(signals, base, n, key0, key1, number, epoch, tau, mapping, noise, sk
     lost = (number >= load(signals, b + LOSS + 1)) & (number < load(signals, b + LOSS + 2))
     each = b + SIGNALS
     for s in range(n):
-        k = 4 + s
+        k, row = 4 + s, each + n + s
         orbit, orbit_rate = _advance_process(
-            signals,
-            b + PROCESSES + 14,
-            each + n + s,
-            each + 2 * n + s,
-            moves,
-            load(noise, k),
-            load(noise, k + n),
+            signals, b + PROCESSES + 14, row, row + n, moves, load(noise, k), load(noise, k + n)
         )
-        row = each + 3 * n + s
+        row += 2 * n
         reflected = load(signals, row)
         fresh = alpha * reflected + driving * load(noise, k + 2 * n)
         reflected = select(moves, fresh, reflected)
@@ -318,54 +295,32 @@ def disturb(signals, base, n, key0, key1, number, epoch, tau, mapping, noise, sk
 
 @njit
 def measure(
-    sensors,
-    base,
-    constants,
-    fixed,
-    channels,
-    keys,
-    key_row,
-    epoch,
-    tau,
-    sky,
-    noise,
-    replaced,
-    picked_up,
-    out,
-    first,
+    of_sensors, channels, keys, key_row, epoch, tau, sky, noise, replaced, picked_up, out, first
 ):
     """Measure a group's pseudoranges and range rates at one epoch.
 
-    `sensors`, `base`, `constants`, `fixed`: as in `sense`; `epoch`, `tau`: of each lane, and time
-    since the epoch before [s]; 0 leaves the clock alone; `sky`: of `gather_sky`; `noise`: scratch
-    memory for the deviates; `replaced`: lane array of 4 n rows, what an attack adds to pseudoranges
-    and range rates, and what stays of their authentic errors (`SensorBuffers`); `picked_up`: lane
-    array of what `disturb` wrote, or of no row; `out`: lane array; its 2 n rows from `first` on are
-    written, 0 where invisible.
+    `of_sensors`: `sensors`, `base`, `constants` and `fixed` of `sense`; `epoch`, `tau`: of each
+    lane, and time since the epoch before [s]; 0 leaves the clock alone; `sky`: of `gather_sky`;
+    `noise`: scratch memory for the deviates; `replaced`: lane array of 4 n rows, what an attack
+    adds to pseudoranges and range rates, and what stays of their authentic errors
+    (`SensorBuffers`); `picked_up`: lane array of what `disturb` wrote, or of no row; `out`: lane
+    array; its 2 n rows from `first` on are written, 0 where invisible.
     """
-    n = channels
-    b, k = base, key_row
+    sensors, b, constants, fixed = of_sensors
+    n, k = channels, key_row
     phase, frequency = load(constants, fixed + CLOCK_PSD), load(constants, fixed + CLOCK_PSD + 1)
     a, w = splat(0.0, sensors), splat(0.0, sensors)
     if any_lane((phase > 0.0) | (frequency > 0.0)):
-        deviates(
-            load(keys, k + CLOCK_KEY),
-            load(keys, k + CLOCK_KEY + 1),
-            epoch,
-            noise.shape[0],
-            2,
-            noise,
-        )
+        key0, key1 = load(keys, k + CLOCK_KEY), load(keys, k + CLOCK_KEY + 1)
+        deviates(key0, key1, epoch, noise.shape[0], 2, noise)
         a, w = load(noise, 0), load(noise, 1)
     bias, drift = advance_clock(
         load(sensors, b + CLOCK), load(sensors, b + CLOCK + 1), tau, phase, frequency, a, w
     )
     store(sensors, b + CLOCK, bias)
     store(sensors, b + CLOCK + 1, drift)
-    sd, time = (
-        load(constants, fixed + CORRELATED_NOISE),
-        load(constants, fixed + CORRELATED_NOISE + 1),
-    )
+    row = fixed + CORRELATED_NOISE
+    sd, time = load(constants, row), load(constants, row + 1)
     if any_lane(sd > 0.0):
         key0, key1 = load(keys, k + CORRELATED_KEY), load(keys, k + CORRELATED_KEY + 1)
         advance_correlated(sensors, b, n, sd, time, key0, key1, epoch, tau, noise)

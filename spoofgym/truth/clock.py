@@ -50,8 +50,7 @@ def clock_of_allan(h0: float, h_2: float) -> ReceiverClock:
     return ReceiverClock(phase_psd=0.5 * c2 * h0, frequency_psd=2.0 * math.pi**2 * c2 * h_2)
 
 
-TCXO = clock_of_allan(2e-19, 2e-20)
-"""A temperature-compensated crystal oscillator by `brownhwang2012`: 0.0090 m^2/s, 0.035 m^2/s^3."""
+TCXO = clock_of_allan(2e-19, 2e-20)  # `brownhwang2012`: 0.0090 m^2/s, 0.035 m^2/s^3
 
 
 @inlined

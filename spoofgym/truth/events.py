@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from .signal_errors import IONOSPHERE_HEIGHT_M, NEVER, SHELL_RADIUS_M
 
 FloatArray = NDArray[np.float64]
-STREAM = 0xBE
-"""Key of the stream of an episode's domain from which its events are drawn."""
+STREAM = 0xBE  # key of the stream of an episode's domain from which its events are drawn
 
 
 @dataclass(frozen=True, kw_only=True)

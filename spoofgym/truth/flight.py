@@ -21,12 +21,9 @@ from ..earth.attitude import dcm_to_euler, euler_to_dcm
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic, geodetic_to_ecef
 from .kinematics import invert_samples
 
-DEFAULT_STEP = 0.01
-"""Interval of the inertial samples [s], the 100 Hz of Groves' profiles (`groves2013`)."""
-CLOSURE_TOLERANCE = 1e-5
-"""Largest distance of a position from the trapezoid integral of the velocity [m]."""
-ORTHONORMALITY_TOLERANCE = 1e-9
-"""Largest element of C C' - I."""
+DEFAULT_STEP = 0.01  # interval of the inertial samples [s], as in Groves' profiles (`groves2013`)
+CLOSURE_TOLERANCE = 1e-5  # largest distance of a position from the integral of the velocity [m]
+ORTHONORMALITY_TOLERANCE = 1e-9  # largest element of C C' - I
 _PICARD_STOP = 1e-6
 _PICARD_LIMIT = 100
 
@@ -71,7 +68,6 @@ class Flight:
         check_closure(self.position_e, closed, self.step, CLOSURE_TOLERANCE)
 
     def _settle(self, field: str, shape: tuple[int, ...]) -> None:
-        """Replace a field by a checked C-contiguous float64 copy."""
         value = np.array(getattr(self, field), dtype=np.float64, order="C")
         if value.shape != shape:
             raise ValueError(f"`{field}` must have shape {shape}, got {value.shape}")
@@ -93,12 +89,10 @@ class Flight:
 
     @property
     def duration(self) -> float:
-        """Time of the last sample [s]."""
         return float(self.time[-1])
 
     @cached_property
     def geodetic(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Latitude [rad], longitude [rad] and height above the ellipsoid [m], (N+1,) each."""
         return ecef_to_geodetic(self.position_e)
 
     @cached_property
@@ -115,7 +109,6 @@ class Flight:
 
     @cached_property
     def euler(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Roll, pitch and yaw against the local north-east-down axes [rad], (N+1,) each."""
         return dcm_to_euler(self.C_ne @ self.C_eb)
 
 
@@ -243,10 +236,8 @@ def flight_from_velocity(
     )
 
 
-LARGEST_ROTATION = math.radians(90.0)
-"""Largest rotation over one sample [rad]; beyond, its direction becomes uncertain."""
-LARGEST_DECIMATED = 1.0
-"""The same over a sample of a lower rate: up to it the series of the receiver are exact."""
+LARGEST_ROTATION = math.radians(90.0)  # over one sample [rad]; beyond, its direction is uncertain
+LARGEST_DECIMATED = 1.0  # of a longer sample [rad]: up to it the series of the receiver are exact
 
 
 @dataclass(frozen=True, eq=False)

@@ -173,8 +173,7 @@ ERRORS: dict[str, GnssErrors] = {
   is the carrier's.
 """
 
-RENAMED = {"realistic": "trolley"}
-"""New names of errors, and of what names of scenarios begin with, by the old ones."""
+RENAMED = {"realistic": "trolley"}  # errors, and what scenarios begin with, by their old names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,7 +209,6 @@ class PositionErrors:
 
     @property
     def sd(self) -> NDArray[np.float64]:
-        """(3,) standard deviations to the east, to the north and upwards [m]."""
         return np.array([self.horizontal_sd_m, self.horizontal_sd_m, self.vertical_sd_m])
 
 

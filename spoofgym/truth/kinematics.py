@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from ..core.compile import njit
 from ..earth.wgs84 import EARTH_RATE, gravity
 
-SMALL_ANGLE = 1e-8
-"""Rotation of a sample [rad] up to which the mechanization takes I + A and I."""
-SERIES_ANGLE = 0.1
-"""Rotation [rad] up to which (1 - sin(a) / a) / a^2 is taken from its series."""
+SMALL_ANGLE = 1e-8  # rotation of a sample [rad] up to which the mechanization takes I + A and I
+SERIES_ANGLE = 0.1  # rotation [rad] up to which (1 - sin(a) / a) / a^2 is taken from its series
 
 
 @njit

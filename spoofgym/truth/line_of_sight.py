@@ -20,8 +20,7 @@ from .satellites import Constellation
 
 FloatArray = NDArray[np.float64]
 
-MASK_DEG = 5.0
-"""Least elevation of a satellite that is used [deg]."""
+MASK_DEG = 5.0  # least elevation of a satellite that is used [deg]
 
 
 class Sky(NamedTuple):
@@ -178,5 +177,4 @@ def measure(
 
 
 def scratch(satellites: int) -> FloatArray:
-    """Room for the deviates of one epoch."""
     return np.empty(padded(satellites))

@@ -42,12 +42,10 @@ class Pulse:
 
     @classmethod
     def idle(cls, duration: float) -> Pulse:
-        """No rate at all for a duration [s]."""
         return cls(0.0, 0.0, duration)
 
     @property
     def duration(self) -> float:
-        """Time from the beginning to the end [s]."""
         return 2.0 * self.ramp + self.hold
 
     def rate(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -56,7 +54,6 @@ class Pulse:
         return self.peak * 0.5 * (1.0 - np.cos(np.pi * inside / self.ramp))
 
     def total(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Integral of the rate up to times since the beginning [s]."""
         return self.peak * (self._edge(time) - self._edge(time - self.ramp - self.hold))
 
     def _edge(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -68,10 +65,8 @@ class Pulse:
 
 Axis = Literal["none", "turn", "steer", "climb", "speed"]
 
-STEEPEST_BANK_DEG = 75.0
-"""Largest bank of a turn [deg], 3.9 g."""
-STEEPEST_PATH_DEG = 60.0
-"""Largest flight-path angle of a climb [deg]."""
+STEEPEST_BANK_DEG = 75.0  # largest bank of a turn [deg], 3.9 g
+STEEPEST_PATH_DEG = 60.0  # largest flight-path angle of a climb [deg]
 
 
 class Manoeuvre(Protocol):
@@ -111,7 +106,6 @@ class Until:
         _check_between("time_s", self.time_s, 0.0, math.inf)
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        """No rate at all; the time must not have passed."""
         if self.time_s < start:
             raise ValueError(
                 f"`time_s` must not lie before the end of the previous manoeuvre, {start:g} s, "
@@ -150,7 +144,6 @@ class Turn:
         _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        """Turn rate [rad/s]."""
         if speed <= 0.0:
             raise ValueError(f"a banked turn needs a speed above 0 m/s, got {speed:g} m/s")
         peak = STANDARD_GRAVITY * math.tan(math.radians(self.bank_deg)) / speed
@@ -178,7 +171,6 @@ class Steer:
         _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        """Turn rate [rad/s]."""
         peak = math.radians(self.rate_degps)
         return Pulse.of_area(math.radians(self.angle_deg), peak, self.ramp_s)
 
@@ -205,7 +197,6 @@ class Climb:
         _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        """Vertical speed [m/s], upwards."""
         steepest = speed * math.sin(math.radians(STEEPEST_PATH_DEG))
         if self.rate_mps > steepest:
             raise ValueError(
@@ -236,7 +227,6 @@ class Accelerate:
         _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        """Acceleration [m/s^2]."""
         if speed + self.change_mps < -1e-9:
             raise ValueError(
                 f"`change_mps` must be at least {-speed:g} m/s at this speed, "
@@ -319,7 +309,6 @@ def _chain(manoeuvres: Sequence[Manoeuvre], speed: float) -> list[_Placed]:
 def _sum(
     placed: Sequence[_Placed], axes: Sequence[Axis], time: NDArray[np.float64], total: bool = False
 ) -> NDArray[np.float64]:
-    """Sum of the rates, or of their integrals, of the pulses on some axes."""
     value = np.zeros_like(time)
     for item in placed:
         if item.axis in axes:
@@ -487,7 +476,7 @@ def approach() -> Flight:
     )
 
 
-FLIGHTS: dict[str, Callable[[], Flight]] = {
+FLIGHTS: dict[str, Callable[[], Flight]] = {  # the ready-made flights by name
     "airway": airway,
     "approach": approach,
     "car": car,
@@ -495,4 +484,3 @@ FLIGHTS: dict[str, Callable[[], Flight]] = {
     "shadmehri2025": shadmehri2025,
     "zhong2025": zhong2025,
 }
-"""The ready-made flights by name."""

@@ -38,8 +38,7 @@ _PARITY = np.uint64(0x1BD11BDAA9FC1A22)
 _SQRT2 = math.sqrt(2.0)
 _LN2 = math.log(2.0)
 _LN2_HIGH = 0.6931471803691238
-_LN2_LOW = 1.9082149292705877e-10
-"""ln 2 in two parts, of which the first has so few bits that multiples of it are exact."""
+_LN2_LOW = 1.9082149292705877e-10  # ln 2 in two parts; multiples of the first are exact
 _DIVISORS = tuple(1.0 / k for k in range(11, 0, -1))
 _MANTISSA = np.uint64(0x000FFFFFFFFFFFFF)
 _ONE_BITS = np.uint64(0x3FF0000000000000)
@@ -52,8 +51,7 @@ _UPPER = np.uint64(2)
 COUNTERS_OF_ONE = np.arange(2 * LANES, dtype=np.uint64).reshape(2, LANES)
 COUNTERS_OF_EIGHT = np.repeat(np.arange(2, dtype=np.uint64), LANES).reshape(2, LANES)
 """Counters of the two rows of a pair: of a single receiver, and of eight."""
-BLOCK = 64
-"""Deviates come in multiples of this many, so that a vectorized loop has no remainder."""
+BLOCK = 64  # deviates come in multiples of this many, so that a vectorized loop has no remainder
 
 
 @inlined
@@ -218,5 +216,4 @@ def exponential(x: Any) -> Any:
 
 
 def padded(count: int) -> int:
-    """Smallest multiple of `BLOCK` that holds `count` deviates."""
     return -(-count // BLOCK) * BLOCK

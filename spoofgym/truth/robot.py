@@ -111,11 +111,9 @@ class RobotLoop:
 
     @property
     def lap_s(self) -> float:
-        """Time of a lap; 0 for a robot at rest."""
         return float(self._pieces()[0].sum()) / self.speed_mps if self.speed_mps else 0.0
 
     def _pieces(self) -> tuple[FloatArray, FloatArray]:
-        """(8,) length and turn of the sides and corners of a lap."""
         r = self.corner_radius_m
         corner = 0.5 * math.pi * r
         long, short = self.length_m - 2.0 * r, self.width_m - 2.0 * r
@@ -166,10 +164,8 @@ class RobotLoop:
         return r * np.stack([np.sin(end) - np.sin(heading), np.cos(heading) - np.cos(end)], axis=-1)
 
 
-SOURCES = ("yaw", "fix")
-"""Sources of chance; each has a key of its own in every episode."""
-MOST_SAMPLES = BLOCK
-"""Most encoder samples between two fixes: one block of noise."""
+SOURCES = ("yaw", "fix")  # sources of chance; each has a key of its own in every episode
+MOST_SAMPLES = BLOCK  # most encoder samples between two fixes: one block of noise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,7 +200,6 @@ class Odometer:
 
     @property
     def count_m(self) -> float:
-        """Way of one count [m]."""
         return 2.0 * math.pi * self.wheel_radius_m / self.counts_per_turn
 
 

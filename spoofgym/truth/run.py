@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,15 @@ from .satellites import Constellation
 FloatArray = NDArray[np.float64]
 CHANNELS = 12
 MASK_DEG = 10.0
+
+
+class EpochTruth(NamedTuple):
+    """Truth of `World` at its epochs, as kernels take it."""
+
+    epoch_time: FloatArray
+    satellites: FloatArray
+    position_e: FloatArray
+    velocity_e: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,17 +81,14 @@ class World:
 
     @property
     def epochs(self) -> int:
-        """Number of epochs, K."""
         return len(self.epoch_time)
 
     @property
     def channels(self) -> int:
-        """Number of slots, n."""
         return len(self.satellite_ids)
 
     @property
     def most_samples(self) -> int:
-        """Most samples between two epochs, S."""
         return int(np.diff(self.epoch_end).max())
 
     @property
@@ -97,11 +103,9 @@ class World:
         """(K, 3, 3) rate of change of `C_en` [1/s], since the axes move with the true position."""
         return np.ascontiguousarray(turning_of_local_axes(self.position_e, self.velocity_e))
 
-    def local_frame(self, epoch: int) -> FloatArray:
-        """North-east-down axes at the true position of an epoch. Returns (3, 3) `C_en`, to ECEF
-        from local axes."""
-        C_en: FloatArray = self.C_en[epoch]
-        return C_en
+    @cached_property
+    def epoch_truth(self) -> EpochTruth:
+        return EpochTruth(*(getattr(self, name) for name in EpochTruth._fields))
 
 
 def build_world(
@@ -194,7 +198,6 @@ def _in_slots(array: NDArray[Any], chosen: list[int], channels: int) -> FloatArr
 
 
 def _choose(visible: NDArray[np.bool_], channels: int) -> list[int]:
-    """Satellites for the slots, in the order of their ids: those that are visible longest."""
     epochs = visible.sum(axis=0)
     longest = np.argsort(-epochs, kind="stable")[:channels]
     return sorted(int(i) for i in longest if epochs[i] > 0)
@@ -203,8 +206,7 @@ def _choose(visible: NDArray[np.bool_], channels: int) -> list[int]:
 _DEG = math.pi / 180.0
 _UG = STANDARD_GRAVITY * 1e-6
 _GRID = 1e-9
-IMU, GNSS, INITIAL = 0, 1, 2
-"""Sources of chance; each has a key of its own in every episode."""
+IMU, GNSS, INITIAL = 0, 1, 2  # sources of chance; each has a key of its own in every episode
 SOURCES = 3
 
 
@@ -285,12 +287,10 @@ class LooseWorld:
 
     @property
     def epochs(self) -> int:
-        """Number of epochs, K."""
         return len(self.position_e)
 
     @property
     def samples(self) -> int:
-        """Inertial samples of an epoch."""
         return round(self.interval_s / self.imu_interval_s)
 
 
@@ -318,7 +318,6 @@ def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
 
 @lru_cache(maxsize=4)
 def flown_world(flight: str, interval_s: float, imu_rate_hz: float | None = None) -> LooseWorld:
-    """World of a ready-made flight; `imu_rate_hz` as in `Scenario`."""
     check_choice("flight", flight, FLIGHTS)
     return loose_world(trajectory_at(FLIGHTS[flight](), imu_rate_hz, interval_s), interval_s)
 

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..earth.wgs84 import EARTH_RATE, EQUATORIAL_RADIUS, GRAVITATIONAL_CONSTANT
 
-PLANES = 6
-"""Orbital planes of the circular model of the book, 60 degrees apart."""
+PLANES = 6  # orbital planes of the circular model of the book, 60 degrees apart
 
 
 class SatelliteStates(NamedTuple):
@@ -144,12 +143,10 @@ class CircularConstellation:
 
     @property
     def satellite_ids(self) -> tuple[str, ...]:
-        """Ids "S01", "S02", ... in order."""
         return tuple(f"{self.prefix}{j:02d}" for j in range(1, self.satellites + 1))
 
     @property
     def angular_rate(self) -> float:
-        r"""Orbital rate \omega with respect to inertial space [rad/s]."""
         return math.sqrt(GRAVITATIONAL_CONSTANT / self.radius_m**3)
 
     def states(self, time: ArrayLike) -> SatelliteStates:
@@ -188,7 +185,6 @@ class CombinedConstellation:
 
     @property
     def _order(self) -> NDArray[np.intp]:
-        """Places of the sorted satellite ids in those of the parts, one after the other."""
         return np.argsort([name for part in self.parts for name in part.satellite_ids])
 
     @property
@@ -203,12 +199,13 @@ class CombinedConstellation:
         return SatelliteStates(position[:, self._order], velocity[:, self._order])
 
 
-TWO_CONSTELLATIONS = CombinedConstellation(
-    (
-        CircularConstellation(),
-        CircularConstellation(
-            satellites=24, radius_m=2.96e7, inclination_deg=56.0, planes=3, prefix="E"
-        ),
+TWO_CONSTELLATIONS = (
+    CombinedConstellation(  # the book's, and planes as of Galileo (`galileo-os-sis-icd`)
+        (
+            CircularConstellation(),
+            CircularConstellation(
+                satellites=24, radius_m=2.96e7, inclination_deg=56.0, planes=3, prefix="E"
+            ),
+        )
     )
 )
-"""The book's satellites, and as many on three planes as Galileo has (`galileo-os-sis-icd`)."""

@@ -23,8 +23,7 @@ from .satellites import (
 )
 from .sensors import IMU_GRADES
 
-TURN_ON = ("specimen", "drawn")
-"""Constants of inertial sensors: those of the data sheet, or others in every episode."""
+TURN_ON = ("specimen", "drawn")  # inertial constants: of the data sheet, or drawn per episode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +97,6 @@ class Scenario:
 
     @property
     def gnss_errors(self) -> GnssErrors:
-        """Errors of pseudoranges, range rates and clock."""
         return ERRORS[self.errors] if isinstance(self.errors, str) else self.errors
 
     @property
@@ -108,7 +106,6 @@ class Scenario:
         return ERRORS[self.assumed] if isinstance(self.assumed, str) else self.assumed
 
     def world(self) -> World:
-        """Compute the truth; the last few named flights are remembered."""
         constellation = self.constellation
         if isinstance(self.flight, str) and _is_analytic(constellation):
             return _named_world(
@@ -133,7 +130,6 @@ class Scenario:
 
 
 def at_rate(name: str, imu_rate_hz: float | None) -> str:
-    """Name of a world, with the rate of its inertial sensors where one is given."""
     return name if imu_rate_hz is None else f"{name}@{imu_rate_hz:g}Hz"
 
 

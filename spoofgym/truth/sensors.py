@@ -58,27 +58,22 @@ class ImuGrade(NamedTuple):
 
     @property
     def accel_bias(self) -> NDArray[np.float64]:
-        """(3,) accelerometer bias, body axes [m/s^2]."""
         return np.array(self.accel_bias_ug) * _UG
 
     @property
     def gyro_bias(self) -> NDArray[np.float64]:
-        """(3,) gyro bias, body axes [rad/s]."""
         return np.array(self.gyro_bias_deg_per_h) * _DEG_PER_HOUR
 
     @property
     def accel_matrix(self) -> NDArray[np.float64]:
-        """(3, 3) I + M_a."""
         return np.eye(3) + np.array(self.accel_matrix_ppm) * 1e-6
 
     @property
     def gyro_matrix(self) -> NDArray[np.float64]:
-        """(3, 3) I + M_g."""
         return np.eye(3) + np.array(self.gyro_matrix_ppm) * 1e-6
 
     @property
     def g_dependence(self) -> NDArray[np.float64]:
-        """(3, 3) G_g [rad s/m]."""
         return np.array(self.gyro_g_dependence) * _DEG_PER_HOUR / STANDARD_GRAVITY
 
     @property
@@ -96,7 +91,7 @@ class ImuGrade(NamedTuple):
 
 _ZERO: Rows = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
-IMU_GRADES: dict[str, ImuGrade] = {
+IMU_GRADES: dict[str, ImuGrade] = {  # sensor errors by grade (`groves2013`, the book's software)
     "aviation": ImuGrade(
         attitude_error_deg=(-0.01, 0.008, 0.01),
         accel_bias_ug=(30.0, -45.0, 26.0),
@@ -146,12 +141,10 @@ IMU_GRADES: dict[str, ImuGrade] = {
         gyro_quantization=2e-3,
     ),
 }
-"""Sensor errors by grade (`groves2013`, the book's software)."""
 
 
 FloatArray = NDArray[np.float64]
-TURN_ON = 1
-"""Counter of the deviates of a satellite bias's key with which inertial sensors are drawn."""
+TURN_ON = 1  # counter, under a satellite bias's key, of the deviates of inertial sensors
 SOURCES = ("imu", "clock", "gnss", "bias", "trajectory", "domain", "spoofer", "correlated")
 """Sources of chance; each has a key of its own in every episode.  New ones come last, which leaves
 the keys of the others as they are."""
@@ -236,7 +229,6 @@ class SensorBuffers:
         return np.array([self.words[source] for source in SOURCES])
 
     def copy_rows(self, to: NDArray[np.intp], other: SensorBuffers, rows: NDArray[np.intp]) -> None:
-        """Take over receivers of another batch."""
         self.fields.copy_rows(to, other.fields, rows)
         self.constants.copy_rows(to, other.constants, rows)
         self.words.copy_rows(to, other.words, rows)

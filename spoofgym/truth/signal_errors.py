@@ -19,21 +19,16 @@ from ..core.compile import inlined
 from .noise import normals, padded
 
 FloatArray = NDArray[np.float64]
-IONOSPHERE_HEIGHT_M = 350_000.0
-"""Height of the thin shell (`do-229`, A.4.4.10.4)."""
-SHELL_RADIUS_M = 6_378_136.3
-"""Radius of the Earth below it, there."""
+IONOSPHERE_HEIGHT_M = 350_000.0  # height of the thin shell (`do-229`, A.4.4.10.4)
+SHELL_RADIUS_M = 6_378_136.3  # radius of the Earth below it, there
 MULTIPATH_DEG, NOISE_DEG = 10.0, 6.9
 """Elevations at which multipath (`do-229`, J.2.4) and noise (`wgc2016`) have fallen to 1/e."""
 MAPPINGS = 6
 """What is known of a line of sight: obliquity of ionosphere and troposphere, each with its rate
 [1/s], and the two exponentials of multipath and noise."""
-HALF_LIFE = 2.146193220620583
-"""Of a critically damped process: (1 + x) exp(-x) is 1/e at this x."""
-DRAWN = 1 << 41
-"""Counter of the deviates with which an episode starts."""
-NEVER = 1e18
-"""As an epoch: after all."""
+HALF_LIFE = 2.146193220620583  # of a critically damped process: (1 + x) exp(-x) is 1/e at this x
+DRAWN = 1 << 41  # counter of the deviates with which an episode starts
+NEVER = 1e18  # as an epoch: after all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +72,6 @@ class SignalErrors:
     smoothing_s: float = 100.0
 
     def __post_init__(self) -> None:
-        """Check that the numbers are finite and not negative, times above 0."""
         for item in fields(self):
             given = getattr(self, item.name)
             if item.name in ("multipath_sd_m", "noise_sd_m"):
@@ -107,7 +101,6 @@ class SignalErrors:
         ]
 
     def code_variance(self, elevation: FloatArray) -> FloatArray:
-        """Variance of all that wanders in a code [m^2]; `elevation`: any shape [rad]."""
         return np.asarray(sum(sd**2 for sd, _, _ in self.wandering(elevation)))
 
 
@@ -272,5 +265,4 @@ SIGNAL_ERRORS: dict[str, SignalErrors] = {
         multipath_sd_m=(0.13, 0.53),
         noise_sd_m=(0.36, 0.0),
     ),
-}
-"""Errors of airborne signals; docs/worlds.md has the source of every figure."""
+}  # errors of airborne signals; docs/worlds.md has the source of every figure

@@ -90,7 +90,7 @@ def test_a_push_towards_a_satellite_shortens_its_range(world):
     """Change of range = - u . displacement, and nothing is added to the clock."""
     attack = FalsePosition(axes="e", control="rate", rate_limit_mps=20.0)
     *_, (d_range, d_rate, k) = command(attack, world, [(1.0,)] * 10)
-    east = world.local_frame(k)[:, 1]
+    east = world.C_en[k][:, 1]
     for s in np.flatnonzero(world.visible[k]):
         sight = world.satellites[k, s, :3] - world.position_e[k]
         u = sight / np.linalg.norm(sight)

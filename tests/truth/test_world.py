@@ -256,7 +256,7 @@ def test_no_satellite_in_view_at_all_is_refused():
 
 
 def test_local_axes_stand_at_the_true_position(world):
-    C_en = world.local_frame(3)
+    C_en = world.C_en[3]
     latitude, longitude, height = ecef_to_geodetic(world.position_e[3])
     higher = geodetic_to_ecef(latitude, longitude, height + 100.0) - world.position_e[3]
     np.testing.assert_allclose(C_en.T @ higher, [0.0, 0.0, -100.0], atol=1e-7)
