@@ -51,7 +51,6 @@ class AttackContext(NamedTuple):
 
 
 def _record(name: str, kind: type[Any], given: Any) -> Any:
-    """Record of an option, also from what results write of it, with its kind."""
     if isinstance(given, Mapping) and given.get("kind") == kind_of(kind):
         given = {key: value for key, value in given.items() if key != "kind"}
     return build_record(name, kind, given)

@@ -9,19 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
-from ..core.registry import check_finite
+from ..core.registry import check_fields, check_finite
 from ..truth.noise import padded
 from ..truth.run import World
 from . import _kernels as kernels
 
 CHIP_M = 293.05  # length of a chip of the GPS C/A code [m], c / 1.023 MHz (`is-gps-200`)
 MOST_DELAY_S = 10.0
-
-
-def _check_not_negative(record: object, *skip: str) -> None:
-    for item in fields(record):  # type: ignore[arg-type]
-        if item.name not in skip:
-            check_finite(item.name, getattr(record, item.name), ">= 0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +47,7 @@ class CounterfeitErrors:
 
     def __post_init__(self) -> None:
         unset = [item.name for item in fields(self) if getattr(self, item.name) is None]
-        _check_not_negative(self, *unset)
+        check_fields(self, ">= 0", *(item.name for item in fields(self) if item.name not in unset))
         if self.blend_s > 0.0 and len(unset) < 2:
             raise ValueError(
                 f"`blend_s` {self.blend_s} takes the receiver's own noise: leave out `code_sd_m` "
@@ -96,9 +90,8 @@ class TrackingError:
     bias_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        _check_not_negative(self, "bias_m")
-        if self.correlation_s == 0.0:
-            raise ValueError("`correlation_s` must be finite and > 0, got 0")
+        check_fields(self, ">= 0", "sd_m", "delay_s")
+        check_finite("correlation_s", self.correlation_s, "> 0")
         if self.delay_s > MOST_DELAY_S:
             raise ValueError(f"`delay_s` must be at most {MOST_DELAY_S:g}, got {self.delay_s}")
         object.__setattr__(self, "bias_m", checked_vector("bias_m", self.bias_m))
@@ -127,7 +120,7 @@ class SpooferClock:
     frequency_psd: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_not_negative(self, "offset_m", "drift_mps")
+        check_fields(self, ">= 0", "offset_sd_m", "drift_sd_mps", "phase_psd", "frequency_psd")
         for name in ("offset_m", "drift_mps"):
             if not math.isfinite(getattr(self, name)):
                 raise ValueError(f"`{name}` must be finite, got {getattr(self, name)}")
@@ -155,7 +148,7 @@ class Capture:
     alignment_m: float | None = 0.5 * CHIP_M
 
     def __post_init__(self) -> None:
-        _check_not_negative(self, "alignment_m")
+        check_finite("delay_s", self.delay_s, ">= 0")
         limit = self.alignment_m
         if limit is not None and not (math.isfinite(limit) and limit > 0.0):
             raise ValueError(f"`alignment_m` must be finite and > 0, or None, got {limit}")

@@ -17,7 +17,6 @@ STALE_S = 7 * 86_400.0  # age at which a temporary file, of any machine, counts 
 
 
 def write_file(path: Path, content: bytes, *, exclusive: bool = False) -> None:
-    """Write all of a file, as `whole_file` does."""
     with whole_file(path, exclusive=exclusive) as part:
         part.write_bytes(content)
 

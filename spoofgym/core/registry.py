@@ -37,7 +37,6 @@ def check_choice(
 
 
 def refuse_pickle(name: Any) -> None:
-    """Raise where what is named is a file that would have to be unpickled."""
     if str(name).lower().endswith(PICKLES):
         raise ValueError(
             f"{name} is a pickled file, which is never opened, since it can run any code: export "
@@ -152,6 +151,12 @@ def check_finite(name: str, value: Any, bound: str = "") -> None:
     if not good:
         must = f"finite and {bound}" if bound else "a finite number"
         raise ValueError(f"`{name}` must be {must}, got {value!r}")
+
+
+def check_fields(record: object, bound: str, *names: str) -> None:
+    """`check_finite` for the fields of a record with these names, all of them by default."""
+    for name in names or tuple(field.name for field in dataclasses.fields(record)):  # type: ignore[arg-type]
+        check_finite(name, getattr(record, name), bound)
 
 
 def check_truth(name: str, value: Any) -> None:
@@ -313,7 +318,6 @@ def settings_of(kind: Callable[..., Any]) -> dict[str, Any]:
 
 
 def label_of(spec: Spec, default: Spec | None) -> str:
-    """Short name: what differs from the default settings is in brackets."""
     settings = {key: value for key, value in spec.items() if key != "name"}
     if default is not None:
         settings = {key: v for key, v in settings.items() if default.get(key, v) != v}

@@ -78,7 +78,6 @@ def kind_of(record: type) -> str:
 
 
 def digest_of(config: Any) -> str:
-    """Digest of a configuration, whatever the order of its keys."""
     text = json.dumps(config, sort_keys=True, allow_nan=False, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -174,7 +173,6 @@ def _sources(kind: type) -> dict[str, str]:
 
 
 def differences(one: Any, other: Any, where: str = "") -> list[tuple[str, Any, Any]]:
-    """Dotted names of JSON-able settings that differ, with both values."""
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         found = []
         for name in [*one, *(name for name in other if name not in one)]:

@@ -80,7 +80,6 @@ def _indices(lanes: Sequence[int]) -> Any:
 
 
 def _cast(context: Any, builder: Any, value: Any, given: types.Type, wanted: types.Type) -> Any:
-    """Make a number, or a vector, one of a wanted type."""
     if given == wanted:
         return value
     if not isinstance(wanted, _Vector):
@@ -256,7 +255,6 @@ def store(array: Any, row: int, value: Any) -> None:
 
 
 def load_pair(array: Any, row: int) -> Any:
-    """Two rows of a lane array of eight receivers, as a pair."""
     return _python(array[row : row + 2].reshape(-1).copy())
 
 

@@ -1,15 +1,9 @@
-"""Rules and report of track cleaning.
-
-Rules by which recorded tracks are cleaned: arrays in, True where a row doesn't count.
+"""Cleaning of recorded tracks: rules, arrays in, True where a row doesn't count; and a report.
 
 Rules and limits follow from what recorded tracks look like: rows at a fixed rate that repeat or
 interpolate sparser fixes, fixes with about 100 m of error since their times are late by up to a
-second, courses stored in a signed byte, fields that went stale.
-
-Cleaning of recorded tracks, with a report of what was dropped and why.
-
-Nothing is smoothed over here: a fix is kept as it is or dropped, and a course or speed is used
-or not.  The rules are in `spoofgym.data.cleaning`.
+second, courses stored in a signed byte, fields that went stale.  Nothing is smoothed over: a fix is
+kept as it is or dropped, and a course or speed is used or not.
 """
 
 from __future__ import annotations
@@ -42,8 +36,7 @@ def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask
     there is nothing to repeat: there, rows without a known time of their position are filled
     backwards, and the last of them counts.
 
-    `latitude`, `longitude` (n,) geodetic [rad]; `known` (n,) whether the file gives the time of the
-    position; returns (n,) True where the row doesn't count.
+    `known` (n,) whether the file gives the time of the position.
     """
     same = (np.diff(latitude) == 0.0) & (np.diff(longitude) == 0.0)
     again = np.concatenate([[False], same])[: latitude.size]
@@ -55,17 +48,14 @@ def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask
 
 
 def late_positions(time: Floats) -> Mask:
-    """Rows whose position isn't newer than all before; a time counts once. `time` (n,) time of the
-    positions [s]; returns (n,) True where the row doesn't count."""
+    """Rows whose position isn't newer than all before; a time counts once."""
     latest = np.maximum.accumulate(time)
     return np.concatenate([[False], time[1:] <= latest[:-1]])[: time.size]
 
 
 def interpolated_positions(time: Floats, latitude: Floats, longitude: Floats) -> Mask:
-    """Rows on the line between their neighbours, at the time that interpolation gives. Of a run of
-    equal displacements, only the fix at each end was ever observed. `time` (n,) time of the
-    positions [s], rising; `latitude`, `longitude` (n,) geodetic [rad]; returns (n,) True where a
-    position is interpolated."""
+    """Rows on the line between their neighbours, at the time that interpolation gives: of a run of
+    equal displacements, only the fix at each end was ever observed. Geodetic [rad]."""
     north = EQUATORIAL_RADIUS * off_line(time, latitude[:, None])
     east = EQUATORIAL_RADIUS * np.cos(latitude) * off_line(time, np.unwrap(longitude)[:, None])
     between = np.hypot(north, east) < INTERPOLATION_TOLERANCE
@@ -74,8 +64,8 @@ def interpolated_positions(time: Floats, latitude: Floats, longitude: Floats) ->
 
 
 def off_line(time: Floats, value: Floats) -> Floats:
-    """Distance of each row from the line between its neighbours; 0 at both ends. `time` (n,) rising
-    [s]; `value` (n, k) coordinates; returns (n,) in the unit of the coordinates."""
+    """(n,) distance of each row of `value` (n, k) from the line between its neighbours; 0 at both
+    ends."""
     distance = np.zeros(time.size)
     if time.size > 2:
         weight = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
@@ -99,8 +89,7 @@ def isolated_outliers(time: Floats, value: Floats, allowance: float, acceleratio
     one, worst of their surroundings first, and only if that heals the surroundings: a jump that
     lasts is none, and breaks the track instead.
 
-    `time` (n,) rising [s]; `value` (n, k) coordinates [m]; `allowance`: distance believed [m];
-    `acceleration`: acceleration believed [m/s^2]; returns (n,) True where a row is an outlier.
+    `value` (n, k) coordinates [m]; `allowance`, `acceleration`: believed [m], [m/s^2].
     """
     kept = np.arange(time.size)
     while True:
@@ -121,8 +110,7 @@ def isolated_outliers(time: Floats, value: Floats, allowance: float, acceleratio
 
 
 def broken_links(time: Floats, position_e: Floats) -> Mask:
-    """Which fixes don't lead on to the next: gaps, and jumps that last. `time` (n,) rising [s];
-    `position_e` (n, 3) ECEF [m]; returns (n-1,) True where a stretch ends."""
+    """(n-1,) which fixes don't lead on to the next: gaps, and jumps that last."""
     interval = np.diff(time)
     distance = np.linalg.norm(np.diff(position_e, axis=0), axis=1)
     broken = interval > LARGEST_GAP_S
@@ -149,9 +137,8 @@ class MadeGood(NamedTuple):
 
 
 def made_good(time: Floats, latitude: Floats, longitude: Floats) -> MadeGood:
-    """Speeds and courses from positions, over chords of at least `CHORD_S` to either side. `time`
-    (n,) rising [s]; `latitude`, `longitude` (n,) geodetic [rad]; returns NaN where there is no
-    other fix within `LARGEST_GAP_S`."""
+    """Speeds and courses from positions [rad], over chords of at least `CHORD_S` to either side;
+    NaN where there is no other fix within `LARGEST_GAP_S`."""
     position = geodetic_to_ecef(latitude, longitude, 0.0)
     here = np.arange(time.size)
     a = np.maximum(np.searchsorted(time, time - CHORD_S, side="right") - 1, 0)
@@ -168,9 +155,8 @@ def made_good(time: Floats, latitude: Floats, longitude: Floats) -> MadeGood:
 
 
 def contradicting_speeds(groundspeed: Floats, made: MadeGood) -> Mask:
-    """Groundspeeds outside chord and path speed by a tenth and three standard deviations.
-    `groundspeed` (n,) as reported [m/s]; returns (n,) True where the reported speed can't be true,
-    a stale one for instance."""
+    """Reported speeds [m/s] that can't be true, a stale one for instance: outside chord and path
+    speed by a tenth and three standard deviations."""
     margin = 3.0 * math.sqrt(2.0) * POSITION_SD / made.span
     too_low = groundspeed < 0.9 * made.speed - margin
     too_high = groundspeed > 1.1 * made.path_speed + margin
@@ -178,13 +164,11 @@ def contradicting_speeds(groundspeed: Floats, made: MadeGood) -> Mask:
 
 
 def stale_runs(value: Floats, wrong: Mask) -> Mask:
-    """Runs of one and the same value, too much of which is wrong for the rest to be right. `value`
-    (n,) as reported, NaN where missing; `wrong` (n,) whether a value was rejected; returns (n,)
-    True in runs of which more than `STALE_SHARE` was rejected."""
+    """Runs of one and the same value of which more than `STALE_SHARE` was rejected as `wrong`, too
+    much for the rest to be right; NaN where missing."""
     run = np.cumsum(np.diff(value, prepend=value[:1]) != 0.0)
     share = np.bincount(run, wrong) / np.maximum(np.bincount(run), 1)
-    stale: Mask = np.isfinite(value) & (share[run] > STALE_SHARE)
-    return stale
+    return np.asarray(np.isfinite(value) & (share[run] > STALE_SHARE))
 
 
 def resolved_courses(track_deg: Floats, course: Floats) -> tuple[Floats, Mask]:
@@ -217,8 +201,7 @@ def _wrapped(angle: Floats) -> Floats:
 
 
 def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int]]:
-    """Airborne stretches without a broken link. `time` (n,) rising [s]; `broken` (n-1,) whether a
-    fix doesn't lead on to the next; `airborne` (n,) whether a fix is in the air."""
+    """Airborne stretches without a broken link, (n-1,), longest first."""
     linked = np.concatenate([[False], ~broken & airborne[1:] & airborne[:-1], [False]])
     edges = np.flatnonzero(np.diff(linked.astype(np.int8)))
     found = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
@@ -303,9 +286,9 @@ def clean_track(
     duration_s: float | None = None,
     interpolated: Literal["drop", "keep"] = "drop",
 ) -> tuple[Track, CleaningReport]:
-    """Clean a recorded track and cut out a stretch that was flown without a gap. `from_s`: start of
-    the cut [s] since the first row of the file; by default the start of the longest stretch;
-    `duration_s`: duration of the cut [s]; by default ten minutes, or what the stretch offers."""
+    """Clean a recorded track and cut out a stretch that was flown without a gap: from so many
+    seconds after the first row of the file, by default the start of the longest stretch, for ten
+    minutes, or what the stretch offers."""
     if interpolated not in {"drop", "keep"}:
         raise ValueError(f"`interpolated` must be 'drop' or 'keep', got {interpolated!r}")
     counts: dict[str, int] = {"rows": raw.time.size}

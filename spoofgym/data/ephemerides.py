@@ -1,16 +1,12 @@
-"""Broadcast orbits, screened.
-
-Broadcast ephemerides: GPS satellites where they really were on a day of the past.
+"""Broadcast ephemerides: GPS satellites where they really were on a day of the past.
 
 Orbits follow IS-GPS-200, "NAVSTAR GPS Space Segment/Navigation User Interfaces", table 20-IV;
 velocities are their exact derivatives (Thompson et al. 2019, "Computing GPS satellite velocity and
 acceleration from the broadcast navigation message", NAVIGATION 66(4)).  All times are GPS seconds:
 seconds since 1980-01-06 00:00 in the GPS time scale, counted through every week.
 
-Screening of broadcast ephemerides: copies, and records that their neighbours contradict.
-
-A navigation file holds what receivers around the world have heard, now and then wrongly.  A record
-has no check of its own, but its neighbours in time describe the same orbit.
+A navigation file holds what receivers around the world have heard, now and then wrongly: `screen`
+drops copies, and records that their neighbours in time, which describe the same orbit, contradict.
 """
 
 from __future__ import annotations
@@ -50,9 +46,8 @@ LEAP_SECOND_DATES = (
 
 
 def gps_seconds(moment: datetime) -> float:
-    """GPS seconds of a calendar date. `moment`: without a time zone, the date is in the GPS time
-    scale, like the dates in a RINEX navigation file; with one, it is civil time, and leap seconds
-    are added; returns seconds since 1980-01-06 00:00 GPS time [s]."""
+    """GPS seconds of a date [s]: without a time zone it is in the GPS time scale, like those of a
+    RINEX file; with one, it is civil time, and leap seconds are added."""
     leap_seconds = 0
     if moment.tzinfo is not None:
         moment = moment.astimezone(UTC).replace(tzinfo=None)
@@ -157,8 +152,7 @@ class Ephemerides:
         return np.asarray(self.health == 0.0)
 
     def take(self, records: ArrayLike) -> Ephemerides:
-        """Some of the records. `records` (S,) indices, or (R,) booleans; returns the S records, in
-        the order of the indices."""
+        """Some of the records, by indices (S,) in their order, or booleans (R,)."""
         index = np.asarray(records)
         return Ephemerides(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
@@ -172,8 +166,8 @@ def solve_kepler(mean_anomaly: ArrayLike, eccentricity: ArrayLike) -> NDArray[np
     Newton's method from :math:`E = M + e \sin M`, always `KEPLER_ITERATIONS` steps, so that a
     value does not depend on which others are solved along with it.
 
-    `mean_anomaly`: M [rad], any shape S; `eccentricity`: e, broadcast against it; exact to rounding
-    up to 0.5, GPS orbits stay below 0.03; returns (S,) E [rad], within a revolution of zero.
+    `mean_anomaly`: M [rad]; `eccentricity`: e; exact to rounding up to e = 0.5, GPS orbits stay
+    below 0.03; returns E [rad], within a revolution of zero.
     """
     e = np.asarray(eccentricity, dtype=np.float64)
     M = np.remainder(np.asarray(mean_anomaly, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
@@ -192,11 +186,7 @@ def propagate(ephemerides: Ephemerides, record: ArrayLike, elapsed: ArrayLike) -
         i = i_0 + \dot\imath\,t_k + C_{is}\sin 2\phi + C_{ic}\cos 2\phi, \qquad
         \Omega = \Omega_0 + (\dot\Omega - \dot\Omega_e)\,t_k - \dot\Omega_e t_{oe}
 
-    `elapsed`: time since its `time_of_ephemeris`, t_k [s], broadcast against it; NaN gives NaN;
-    returns (S, 3) position and velocity, ECEF [m], [m/s].
-
-    Notes
-    -----
+    `elapsed`: time since its `time_of_ephemeris`, t_k [s]; NaN gives NaN; returns (S, 3) each.
     IS-GPS-200, table 20-IV; Thompson et al. (2019) for the derivatives.
     """
     index = np.asarray(record, dtype=np.intp)
@@ -283,9 +273,7 @@ class BroadcastConstellation:
         return _Schedule(record, np.where(e.healthy[record], epoch, np.nan), switch)
 
     def states(self, time: ArrayLike) -> SatelliteStates:
-        """Positions and velocities of all satellites. `time` (K,) time of the simulation [s];
-        returns (K, n, 3) position and velocity, ECEF [m], [m/s]; NaN while the nearest record is
-        unhealthy or more than 2 h away."""
+        """Positions and velocities; NaN while the nearest record is unhealthy or 2 h away."""
         t = checked_time(time)
         schedule = self._schedule
         column = (t[:, None, None] >= schedule.switch).sum(axis=-1)
@@ -300,8 +288,8 @@ DUPLICATE_RTOL = 1e-10  # what rounding to 12 decimals may leave between copies 
 
 
 class Rejection(NamedTuple):
-    """A record that its neighbours contradict. `time_of_ephemeris`: its reference time, GPS seconds
-    [s]; `disagreement`: distance to the position by the neighbour that it contradicts least [m]."""
+    """A record that its neighbours contradict, its GPS seconds, and the distance to the position by
+    the neighbour that it contradicts least [m]."""
 
     satellite_id: str
     time_of_ephemeris: float
@@ -373,7 +361,6 @@ def screen(ephemerides: Ephemerides) -> tuple[Ephemerides, ScreeningReport]:
 
 
 def _without_copies(ephemerides: Ephemerides) -> Ephemerides:
-    """The records by satellite, time and issue; of copies the unhealthiest."""
     e = ephemerides
     e = e.take(np.lexsort((-e.health, e.issue, e.time_of_ephemeris, e.satellite_id)))
     same = e.satellite_id[1:] == e.satellite_id[:-1]

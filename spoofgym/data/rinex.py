@@ -22,14 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .ephemerides import (
-    SECONDS_PER_WEEK,
-    BroadcastConstellation,
-    Ephemerides,
-    ScreeningReport,
-    gps_seconds,
-    screen,
-)
+from .ephemerides import SECONDS_PER_WEEK, Ephemerides, gps_seconds
 from .tracks import FileError, read_file
 
 _LOGGER = logging.getLogger(__name__)
@@ -136,17 +129,6 @@ def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
         )
     columns = {name: np.array([record[name] for record in records]) for name in records[0]}
     return Ephemerides(satellite_id=np.array(satellites), **columns)
-
-
-def load_broadcast(
-    path: str | os.PathLike[str], start: float | datetime
-) -> tuple[BroadcastConstellation, ScreeningReport]:
-    """The constellation of a RINEX navigation file, its records screened. `start`: time 0 of the
-    simulation: GPS seconds [s], or a date as `gps_seconds` takes it."""
-    kept, report = screen(read_navigation(path))
-    if isinstance(start, datetime):
-        start = gps_seconds(start)
-    return BroadcastConstellation(kept, start), report
 
 
 def _read_lines(path: Path) -> list[str]:

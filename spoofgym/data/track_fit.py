@@ -1,11 +1,10 @@
-r"""Smoothing spline and coordinated turns: track to flight.
+r"""From a recorded track to a flight: a smoothing spline and coordinated turns.
 
-Smooth paths through tracks: penalised least squares with quintic splines.
-
-Latitude and longitude, scaled to metres near the first fix, and height are splines.  The misfit
-is weighed with the standard deviations of fixes and reported velocities, the shape with
-densities of the jerk: changes of the turn rate are cheap, changes of the acceleration along the
-path dear, since aircraft turn much faster than they change speed.
+The path is a penalised least squares with quintic splines.  Latitude and longitude, scaled to
+metres near the first fix, and height are splines.  The misfit is weighed with the standard
+deviations of fixes and reported velocities, the shape with densities of the jerk: changes of the
+turn rate are cheap, changes of the acceleration along the path dear, since aircraft turn much
+faster than they change speed.
 
 .. math::
     \sum \rho\!\left(\frac{r - r_k}{\sigma_r}\right)
@@ -15,8 +14,6 @@ path dear, since aircraft turn much faster than they change speed.
 
 with e and n along and across the course and :math:`\ddot v = e \cdot \dddot r + a_n^2 / v`, a_n
 being the acceleration across.  The loss is Huber's: quadratic up to 3, linear beyond.
-
-From a recorded track to a flight: a smoothing spline and coordinated turns.
 
 Fixes of recorded tracks are sparse and late by up to a second, so they weigh little, and the
 velocity reported with them much.  Body axes follow from the path: yaw along the velocity, pitch
@@ -260,14 +257,12 @@ class _Plane:
 
 
 def _pair(rows: csr_array, stretch: tuple[Floats, ...]) -> tuple[csr_array, csr_array]:
-    """Rows north and east, acting on the coefficients of both splines."""
     nothing = csr_array(rows.shape)
     north, east = (_scaled(rows, factor) for factor in stretch)
     return csr_array(hstack([north, nothing])), csr_array(hstack([nothing, east]))
 
 
 def _turned(pair: tuple[csr_array, csr_array], course: Floats) -> tuple[csr_array, csr_array]:
-    """Rows along and across a course, from rows north and east."""
     cosine, sine = np.cos(course), np.sin(course)
     along = _scaled(pair[0], cosine) + _scaled(pair[1], sine)
     return along, _scaled(pair[1], cosine) - _scaled(pair[0], sine)
@@ -300,8 +295,7 @@ def _quadrature(edges: Floats) -> tuple[Floats, Floats]:
 def _solve(rows: list[csr_array], values: list[Floats]) -> Floats:
     stacked = csr_array(vstack(rows))
     normal = csc_array(stacked.T @ stacked)
-    solution: Floats = splu(normal).solve(stacked.T @ np.concatenate(values))
-    return solution
+    return np.asarray(splu(normal).solve(stacked.T @ np.concatenate(values)))
 
 
 LOAD_LIMITS = (0.3, 2.5)  # normal load factors of a flight [g], the larger one of EASA CS-25.337
@@ -368,7 +362,6 @@ def _residual(name: str, value: float, unit: str) -> str:
 
 
 def fit_track(track: Track, *, rate_hz: float = 100.0) -> tuple[Flight, FitReport]:
-    """Fit a flight to a track.  `rate_hz`: samples a second of the flight [Hz]."""
     if not 0.0 < rate_hz < math.inf:
         raise ValueError(f"`rate_hz` must be positive and finite, got {rate_hz:g}")
     path = smooth_path(track)
@@ -413,7 +406,6 @@ def coordinated_attitude(
 
 
 def _report(track: Track, path: SmoothPath, flight: Flight) -> FitReport:
-    """Distances from the track, and a check of what the flight asks of an aircraft."""
     trajectory = inverse_kinematics(flight)
     load = -trajectory.specific_force_b[:, 2] / STANDARD_GRAVITY
     rate = np.abs(trajectory.angular_rate_b).max(axis=1)
@@ -464,6 +456,5 @@ def _half_turn(angle: Floats) -> Floats:
 
 
 def _rms(value: Floats) -> float:
-    """Root mean square of the finite values, NaN without any."""
     finite = value[np.isfinite(value)]
     return math.sqrt(float(np.mean(finite**2))) if finite.size else math.nan

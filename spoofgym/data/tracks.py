@@ -1,9 +1,5 @@
-"""ADS-B tracks from CSV, Parquet, JSON.
-
-Recorded tracks as they are: CSV, Parquet and JSON files of ADS-B records.
-
-`spoofgym.data.cleaning` makes clean tracks of them.
-"""
+"""Recorded tracks as they are: CSV, Parquet and JSON files of ADS-B records; `cleaning` comes
+next."""
 
 from __future__ import annotations
 
@@ -232,7 +228,6 @@ def _check_columns(frame: pandas.DataFrame, required: Mapping[str, tuple[str, ..
 
 
 def _numbers(frame: pandas.DataFrame, factors: Mapping[str, float]) -> NDArray[np.float64]:
-    """First column found of some names, times its factor; NaN without one."""
     for name, factor in factors.items():
         if name in frame:
             return _as_numbers(frame, name) * factor
@@ -274,8 +269,7 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
     except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"`{name}` must hold numbers or ISO 8601 times: {error}") from error
     epoch = pandas.Timestamp(0, tz="UTC")
-    seconds: NDArray[np.float64] = (moments - epoch).dt.total_seconds().to_numpy(np.float64)
-    return seconds
+    return np.asarray((moments - epoch).dt.total_seconds().to_numpy(np.float64))
 
 
 def _check_times(time: NDArray[np.float64]) -> None:

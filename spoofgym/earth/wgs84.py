@@ -174,8 +174,7 @@ def turning_of_local_axes(position_e: ArrayLike, velocity_e: ArrayLike) -> NDArr
     x, y = east / (transverse + height), -north / (meridian + height)
     z, none = -x * np.tan(latitude), np.zeros_like(x)
     cross = np.stack([none, -z, y, z, none, -x, -y, x, none], axis=-1)
-    turning: NDArray[np.float64] = C_en @ cross.reshape(*x.shape, 3, 3)
-    return turning
+    return np.asarray(C_en @ cross.reshape(*x.shape, 3, 3))
 
 
 Vector = tuple[Any, Any, Any] | NDArray[np.float64]

@@ -213,7 +213,6 @@ def _orthonormalize(x, first, now):
 
 @njit
 def spread(x, row, count, out, place, first, lanes):
-    """Copy rows of a group to where its receivers have theirs, one after the other."""
     for index in range(lanes):
         o = place + (first + index) * count
         for i in range(count):
@@ -289,7 +288,6 @@ def show_satellites(sky, column, each, n, out, first):
 
 @njit
 def show_design(x, u, seen, each, n, H):
-    """Write what is not 0 of the design matrix H of one receiver, row by row."""
     for s in range(n):
         for i in range(3):
             H[17 * s + 6 + i] = H[17 * (n + s) + 3 + i] = lane(x, u + 3 * s + i, each)
@@ -520,7 +518,6 @@ def update_group(a, w, group, weights):
 
 @njit
 def arrays_at(table, work, channels):
-    """Name the arrays of a table that begins with those of `Arrays` (`epoch.kernel_table`)."""
     n, epochs, epoch_time = channels, integers_at(table, 9), floats_at(table, 14)
     receivers, run = epochs.shape[0], floats_at(table, 13)
     authentic, mappings = floats_at(table, 12), floats_at(table, 19)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
-from ..core.registry import build_record
+from ..core.registry import build_record, check_fields
 from ..earth.wgs84 import STANDARD_GRAVITY
 from ._loose_kernels import LooseState, first_estimate, predict, update
 from .adaptive import PROCESS, SelfTuning
@@ -68,9 +68,7 @@ class LooselyCoupled:
     self_tuning: SelfTuning | Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name != "self_tuning" and not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
+        check_fields(self, ">= 0", *(name for name in vars(self) if name != "self_tuning"))
         for name in ("horizontal_sd_m", "vertical_sd_m"):
             if getattr(self, name) <= 0.0:
                 raise ValueError(f"`{name}` must be > 0, got {getattr(self, name)}")
@@ -181,7 +179,6 @@ class LooseReceivers:
         first_estimate(self.state, position_e, velocity_e, C_eb, error)
 
     def predict(self) -> None:
-        """Run the samples through the strapdown, and compare with the GNSS position."""
         predict(
             self.state,
             self.samples,

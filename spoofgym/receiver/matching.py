@@ -126,7 +126,6 @@ def _largest_change(history: FloatArray, window: int) -> float:
 
 
 def matched_sensors(grade: str, motion: Motion) -> FilterGrade:
-    """Tuning of the filter by the data sheet of its sensors and the manoeuvres to be expected."""
     sheet = IMU_GRADES[grade]
     accel_noise, gyro_noise = sheet.noise[:2]
     accel_scale = _rms(sheet.accel_matrix - np.eye(3))

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.registry import check_finite
 from ..earth.wgs84 import STANDARD_GRAVITY
 from .kalman import COVARIANCE_UPDATES
 from .states import (
@@ -171,8 +172,7 @@ class TightlyCoupled:
             if inertial is not None:
                 values |= {f"inertial.{name}": x for name, x in inertial._asdict().items()}
             for name, value in values.items():
-                if not (math.isfinite(value) and value >= 0.0):
-                    raise ValueError(f"`noise.{name}` must be finite and >= 0, got {value}")
+                check_finite(f"noise.{name}", value, ">= 0")
             if min(self.noise.pseudorange_sd, self.noise.range_rate_sd) <= 0.0:
                 raise ValueError("`noise` standard deviations must be > 0")
 

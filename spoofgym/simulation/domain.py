@@ -382,7 +382,6 @@ class Combinations:
 
     @property
     def sense_alike(self) -> bool:
-        """Whether sensors have the same constants in all episodes of all of them."""
         first = self._all[0]
         return not self.drawn and all(
             case.grade is first.grade and case.errors == first.errors for case in self._all
@@ -390,13 +389,11 @@ class Combinations:
 
     @property
     def largest_epoch_variance(self) -> FloatArray:
-        largest: FloatArray = np.max([case.epoch_variance for case in self._all], axis=0)
-        return largest
+        return np.asarray(np.max([case.epoch_variance for case in self._all], axis=0))
 
     @property
     def largest_variance(self) -> FloatArray:
-        largest: FloatArray = np.max([case.noise_variance for case in self._all], axis=0)
-        return largest
+        return np.asarray(np.max([case.noise_variance for case in self._all], axis=0))
 
     def first_C_eb(self, grade: NDArray[np.int64], epochs: NDArray[np.int64]) -> FloatArray:
         """(b, 3, 3) attitudes, to ECEF from body axes, with which receivers start at `epochs`."""

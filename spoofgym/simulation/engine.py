@@ -17,10 +17,9 @@ from ..receiver.epoch import Epoch
 from .domain import draw, given_choice
 from .prefetch import PIECE, STOCK, NextEpisodes
 from .setup import Setup
-from .simulator import Given, Rngs, Rows, Sequel, Simulator, run_serially
+from .simulator import FloatArray, Given, Rngs, Rows, Sequel, Simulator, run_serially
 from .threads import Workers
 
-FloatArray = NDArray[np.float64]
 T = TypeVar("T")
 RECEIVERS_PER_THREAD = 16
 SLICES_PER_THREAD, LEAST_SLICE = 4, 32  # of a step, so that none waits long; least receivers of one
@@ -115,7 +114,6 @@ class Engine:
         self._pool = None
 
     def _run(self, work: Callable[[int, int], None], receivers: int) -> None:
-        """Call ``work(lo, hi)`` over slices of whole lanes."""
         parts = min(SLICES_PER_THREAD * self.threads, receivers // LEAST_SLICE)
         if self.threads == 1 or parts < 2:
             work(0, receivers)
@@ -195,7 +193,6 @@ class Engine:
         self.simulator.update(verdict.weights)
 
     def step(self, command: FloatArray | None, sequel: Sequel | None = None) -> Verdict:
-        """Both halves with the engine's own detector, and what follows them, before the twins."""
         verdict = self.simulator.step(command, sequel=sequel)
         if self.twin is not None:
             self.step_twin()

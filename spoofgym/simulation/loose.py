@@ -14,13 +14,14 @@ from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch
 from ..receiver.loose import LooselyCoupled, LooseReceivers
+from ..truth._kernels import first_errors, measure_loose
 from ..truth.gnss_errors import PositionErrors
 from ..truth.noise import padded
-from ..truth.run import SOURCES, InertialErrors, first_errors, flown_world, measure
+from ..truth.run import SOURCES, InertialErrors, flown_world
 from ..truth.scenario import at_rate
 from .domain import Choice, Domain
 from .setup import RateCommands, Run, Setup, Timeline
-from .simulator import Rngs, Rows, Simulator, domain_keys, episode_seeds
+from .simulator import FloatArray, Rngs, Rows, Simulator, domain_keys, episode_seeds
 
 
 class RateSimulator(Simulator):
@@ -49,7 +50,6 @@ class RateSimulator(Simulator):
         return self.memory["epoch"]
 
     def _move(self, command: FloatArray | None) -> None:
-        """Move the counterfeit over one epoch, by a new rate or by the present one."""
         memory, length = self.memory, self.setup.length
         late = np.flatnonzero(memory["epoch"] - memory["first"] >= length)
         if len(late):
@@ -63,7 +63,6 @@ class RateSimulator(Simulator):
         memory["displacement"] = memory["displacement"] + memory["rate"] * self.setup.interval_s
 
 
-FloatArray = NDArray[np.float64]
 INTERVAL_S = 0.1
 DEFAULT_WINDOW = 100
 DEFAULT_DETECTOR: dict[str, Any] = {
@@ -72,7 +71,6 @@ DEFAULT_DETECTOR: dict[str, Any] = {
     "covariance": "estimated",
     "covariance_window": DEFAULT_WINDOW,
 }
-DEFAULT_RECEIVER: dict[str, Any] = {"self_tuning": {"window": DEFAULT_WINDOW}}
 DEFAULT_TIMELINE = {"warmup_s": 20.0, "live_s": 20.0, "attack_s": 5.0, "time_to_alert_s": 5.0}
 
 
@@ -110,6 +108,8 @@ class LooselyCoupledSetup(Setup):
     whose: ClassVar[str] = "a loosely coupled receiver"
     has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
+    usual_detector = DEFAULT_DETECTOR
+    usual_timeline = DEFAULT_TIMELINE
     motion_names = tuple(
         f"{what}_{axis}" for what in ("position", "velocity") for axis in ("north", "east", "down")
     )
@@ -141,11 +141,11 @@ class LooselyCoupledSetup(Setup):
         self.errors = build_record("errors", PositionErrors, errors)
         self.inertial = build_record("inertial", InertialErrors, inertial)
         self.receiver = build_record(
-            "receiver", LooselyCoupled, DEFAULT_RECEIVER if receiver is None else receiver
+            "receiver",
+            LooselyCoupled,
+            {"self_tuning": {"window": DEFAULT_WINDOW}} if receiver is None else receiver,
         )
         self._aim(target_heading_deg, domain)
-        detector = DEFAULT_DETECTOR if detector is None else detector
-        timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
         self._phase(detector, timeline, INTERVAL_S, decision_interval_s, between)
         self.epochs_each = self.world.epochs
         self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, self.name))
@@ -155,9 +155,8 @@ class LooselyCoupledSetup(Setup):
         self.C_en = np.ascontiguousarray(self.world.C_el[:, :, [1, 0, 2]] * [1.0, 1.0, -1.0])
 
     def world_settings(self) -> dict[str, Any]:
-        parts = (self.errors, self.inertial, self.receiver, self.domain)
         names = ("errors", "inertial", "receiver", "domain")
-        return {"flight": self.name, **dict(zip(names, map(describe, parts), strict=True))}
+        return {"flight": self.name} | {name: describe(getattr(self, name)) for name in names}
 
     def simulator(self, receivers: int, run: Run) -> LooselyCoupledSimulator:
         return LooselyCoupledSimulator(self, receivers, run)
@@ -211,7 +210,7 @@ class LooselyCoupledSimulator(RateSimulator):
         errors = setup.errors.decay, setup.errors.sd
         written = memory["position_error"], self.victims.samples, self.victims.fix_e
         drawn = memory["keys"], memory["epoch"]
-        measure(*drawn, *flight, *inertial, *errors, self._offset, self._deviates, *written)
+        measure_loose(*drawn, *flight, *inertial, *errors, self._offset, self._deviates, *written)
         self.victims.predict()
 
     def _form_epoch(self) -> Epoch:
@@ -227,5 +226,4 @@ class LooselyCoupledSimulator(RateSimulator):
     def error_n(self) -> FloatArray:
         epochs = self.epochs
         apart = self.memory["position_e"] - self.setup.world.position_e[epochs]
-        error: FloatArray = (apart[:, :, None] * self.setup.C_en[epochs, :, :2]).sum(axis=1)
-        return error
+        return np.asarray((apart[:, :, None] * self.setup.C_en[epochs, :, :2]).sum(axis=1))

@@ -106,7 +106,6 @@ class PassiveDetectors(Monitor):
 
 
 def needed_monitors(terms: Iterable[Any]) -> list[Monitor]:
-    """Monitors that terms rely on: one of each class that their attribute `needs` lists."""
     kinds = dict.fromkeys(kind for term in terms for kind in getattr(term, "needs", ()))
     return [kind() for kind in kinds]
 

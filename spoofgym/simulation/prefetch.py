@@ -92,7 +92,6 @@ class NextEpisodes:
         self._generation = _threads.generation()
 
     def forget(self) -> None:
-        """Throw away all that has been asked for; the generators go on from where they are."""
         self._ask_again(self._groups)
         self._asked, self._sources = {}, [None] * self._receivers
 

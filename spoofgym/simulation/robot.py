@@ -20,6 +20,7 @@ from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
 from ..receiver.epoch import Epoch
+from ..truth._kernels import measure_fix, measure_odometry
 from ..truth.noise import BLOCK
 from ..truth.robot import (
     MOST_SAMPLES,
@@ -28,15 +29,12 @@ from ..truth.robot import (
     Odometer,
     RobotLoop,
     episode_keys,
-    measure_fix,
-    measure_odometry,
 )
 from .domain import Choice, Domain
 from .loose import RateSimulator
 from .setup import MOST_EPOCHS, RateCommands, Run, Setup, Timeline
-from .simulator import Rows, Written
+from .simulator import FloatArray, Rows, Written
 
-FloatArray = NDArray[np.float64]
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "acna", "variant": "production"}
 DEFAULT_TIMELINE = {"warmup_s": 60.0, "live_s": 60.0, "attack_s": 150.0, "time_to_alert_s": 10.0}
 
@@ -89,6 +87,8 @@ class WheeledRobotSetup(Setup):
     whose: ClassVar[str] = "a wheeled robot"
     has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position", "auxiliary_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
+    usual_detector = DEFAULT_DETECTOR
+    usual_timeline = DEFAULT_TIMELINE
     motion_names = ("position_north", "position_east", "velocity_north", "velocity_east")
     weight_names = ("fix",)
 
@@ -112,11 +112,15 @@ class WheeledRobotSetup(Setup):
         decision_interval_s: float | None = None,
         between: str = "hold",
     ) -> None:
-        check_finite("interval_s", interval_s, "> 0")
-        check_finite("rate_limit_mps", rate_limit_mps, "> 0")
-        check_finite("displacement_scale_m", displacement_scale_m, "> 0")
-        check_finite("position_scale_m", position_scale_m, "> 0")
-        check_finite("velocity_scale_mps", velocity_scale_mps, "> 0")
+        positive = {
+            "interval_s": interval_s,
+            "rate_limit_mps": rate_limit_mps,
+            "displacement_scale_m": displacement_scale_m,
+            "position_scale_m": position_scale_m,
+            "velocity_scale_mps": velocity_scale_mps,
+        }
+        for name, value in positive.items():
+            check_finite(name, value, "> 0")
         self.name = self.kind
         self.attack = RateCommands(
             self.kind, ("north_rate", "east_rate"), (float(rate_limit_mps),) * 2
@@ -131,8 +135,6 @@ class WheeledRobotSetup(Setup):
         self.fix_errors = build_record("fix_errors", FixErrors, fix_errors)
         self.receiver = build_record("receiver", CredibleFilter, receiver)
         self._aim(target_heading_deg, domain)
-        detector = DEFAULT_DETECTOR if detector is None else detector
-        timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
         self._phase(detector, timeline, float(interval_s), decision_interval_s, between)
         self._drive()
         self._interruptions_s = interruptions_s
@@ -198,10 +200,13 @@ class WheeledRobotSimulator(RateSimulator):
         super()._allocate()
         b, memory, setup = self.receivers, self.memory, self.setup
         memory.declare("keys", np.zeros((b, len(SOURCES), 2), dtype=np.uint64))
-        memory.declare("phase", np.zeros((b, 2)))
-        memory.declare("yaw", np.zeros(b))
-        memory.declare("correlated", np.zeros((b, AXES)))
-        memory.declare("fix", np.zeros((b, AXES)))
+        for name, shape in {
+            "phase": (2,),
+            "yaw": (),
+            "correlated": (AXES,),
+            "fix": (AXES,),
+        }.items():
+            memory.declare(name, np.zeros((b, *shape)))
         self.filters = CredibleBatch(setup.receiver, memory, setup.interval_s, self.fields)
         self.increment = np.zeros((b, AXES))
         self._noise = np.empty(BLOCK)
@@ -248,8 +253,7 @@ class WheeledRobotSimulator(RateSimulator):
 
     @property
     def coasting(self) -> NDArray[np.bool_]:
-        missing: NDArray[np.bool_] = ~self.setup.available[self.epochs - self.memory["first"]]
-        return missing
+        return np.asarray(~self.setup.available[self.epochs - self.memory["first"]])
 
     @property
     def position(self) -> FloatArray:
@@ -259,8 +263,7 @@ class WheeledRobotSimulator(RateSimulator):
         return self.position - self.setup.true_position[self.epochs]
 
     def observed_weights(self) -> FloatArray:
-        mean: FloatArray = self.weights.mean(axis=1, keepdims=True)
-        return mean
+        return np.asarray(self.weights.mean(axis=1, keepdims=True))
 
     def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
         setup, truth = self.setup, self.setup.true_position

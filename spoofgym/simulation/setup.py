@@ -187,6 +187,8 @@ class Setup(ABC):
     }  # optional fields of `Epoch` that the victim has
     fields: frozenset[str] = frozenset()  # wanted besides the `needs` of detectors and monitors
     domain_names: ClassVar[frozenset[str]] = frozenset()  # settings of `Domain` that the victim has
+    usual_detector: ClassVar[Mapping[str, Any]] = {}  # in the loop where none is given
+    usual_timeline: ClassVar[Mapping[str, float] | None] = None
     threaded: ClassVar[bool] = False  # whether its kernels work on slices of the receivers
     follows_setpoint: ClassVar[bool] = False  # whether spoofers command wanted rates by default
     ratio_is_largest: ClassVar[bool] = True  # else the default observation has one a channel
@@ -216,14 +218,15 @@ class Setup(ABC):
 
     def _phase(
         self,
-        detector: str | Mapping[str, Any] | Detector,
-        timeline: Timeline,
+        detector: str | Mapping[str, Any] | Detector | None,
+        timeline: Mapping[str, float] | Timeline | None,
         interval_s: float,
         decision_interval_s: float | None,
         between: str,
     ) -> None:
-        self.detector, self.timeline = detector_in_world(detector), timeline
-        self.interval_s = interval_s
+        self.detector = detector_in_world(self.usual_detector if detector is None else detector)
+        timeline = build_record("timeline", Timeline, timeline, self.usual_timeline)
+        self.timeline, self.interval_s = timeline, interval_s
         self.monitors: tuple[Monitor, ...] = ()
         self.kernel: SequelKernel | None = None
         self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval_s)
@@ -277,7 +280,6 @@ class Setup(ABC):
     def _aim(
         self, target_heading_deg: float | str, domain: Mapping[str, Any] | Domain | None
     ) -> None:
-        """Take target direction and domain, as far as this victim has one."""
         self.target_heading_deg = checked_target(target_heading_deg)
         self.domain = build_record("domain", Domain, domain)
         nothing = Domain()
@@ -297,7 +299,6 @@ class Setup(ABC):
         return Bounds(worlds, grades, errors, first, last, fixed)
 
     def _starts(self, epochs: int, name: str) -> tuple[int, int]:
-        """First and last epoch, of a flight of so many, at which an episode may start."""
         interval, length = self.interval_s, self.length
         early, late = self.domain.start_s
         room = epochs - 1 - length
@@ -330,12 +331,10 @@ class Setup(ABC):
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        names: tuple[str, ...] = self.attack.action_names(self.world)
-        return names
+        return tuple(self.attack.action_names(self.world))
 
     @property
     def combination_names(self) -> Mapping[str, Sequence[str]]:
-        """Names of the grades, ``"imu"``, and of the errors, ``"errors"``, of the domain."""
         return {"imu": ("own",), "errors": ("own",)}
 
     @property
@@ -359,7 +358,6 @@ class Setup(ABC):
         """`Simulator` of B receivers of this victim, not begun yet."""
 
     def check_fit(self, detector: Detector) -> None:
-        """Raise a ValueError where a detector can't judge this victim."""
         fitted = self.altered(detector=detector, monitors=())
         fitted.simulator(1, lambda work, receivers: work(0, receivers))
 

@@ -13,7 +13,7 @@ import sys
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,6 @@ from ..detectors.base import YoungMemoryWarning, check_needs, checked_weights, j
 from ..detectors.calibrated import resolve
 from ..receiver.epoch import Epoch
 from .domain import Choice, draw, given_choice
-from .frame import EpisodeLayout, FrameData, SkyData
 from .monitors import Monitor
 from .setup import Run, Setup
 
@@ -39,6 +38,47 @@ Written = NDArray[np.floating[Any]]
 StepArrays = tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray, FloatArray]
 M = TypeVar("M", bound=Monitor)
 DOMAIN_STREAM = 0xD0  # key of the stream of an episode's seed from which a domain is drawn
+
+
+class SkyData(NamedTuple):
+    """The satellites over one receiver, by slot (n,). Angles in radians; `spoofed` where the
+    spoofer changes the signal; `weight` of the pseudorange in the receiver, 0 where the detector
+    excludes it; `names` is ``""`` for an empty slot."""
+
+    names: tuple[str, ...]
+    azimuth: FloatArray
+    elevation: FloatArray
+    visible: NDArray[np.bool_]
+    spoofed: NDArray[np.bool_]
+    weight: FloatArray
+
+
+class FrameData(NamedTuple):
+    """One receiver at one instant. `position_ne` (2,) true position from that at the onset,
+    `error_ne` (2,) estimate minus truth, `displacement_ne` (2,) commanded, None where the spoofer
+    commands no position [m]; `ratio` the largest statistic over its threshold, NaN before the first
+    verdict; `sky` None where the receiver takes positions."""
+
+    position_ne: FloatArray
+    error_ne: FloatArray
+    displacement_ne: FloatArray | None
+    ratio: float
+    sky: SkyData | None
+
+
+class EpisodeLayout(NamedTuple):
+    """What stays the same in a picture for a whole episode. `track_ne` (K, 2) is the true ground
+    track from the onset to the end of the time to alert [m]; `onset_s` the time of the onset."""
+
+    title: str
+    track_ne: FloatArray
+    interval_s: float
+    steps: int
+    attack_s: float
+    hold_s: float
+    onset_s: float
+    commands_position: bool
+    has_sky: bool
 
 
 class Sequel(Protocol):
@@ -82,13 +122,13 @@ class Simulator(ABC):
         if receivers < 1:
             raise ValueError(f"`receivers` must be at least 1, got {receivers}")
         self.setup, self.receivers, self._run = setup, receivers, run
-        self.memory = Memory(receivers)
-        self.memory.declare("first", np.zeros(receivers, dtype=np.int64))
-        self.memory.declare("onset", np.zeros(receivers, dtype=np.int64))
-        self.memory.declare("heading", np.zeros(receivers))
-        self.memory.declare("key", np.zeros((receivers, 2), dtype=np.uint64))
-        self.memory.declare("direction", np.zeros((receivers, 2)))
-        self.memory.declare("warmup_alarm", np.zeros(receivers, dtype=np.bool_))
+        self.memory, b = Memory(receivers), receivers
+        self.memory.declare("first", np.zeros(b, dtype=np.int64))
+        self.memory.declare("onset", np.zeros(b, dtype=np.int64))
+        self.memory.declare("heading", np.zeros(b))
+        self.memory.declare("key", np.zeros((b, 2), dtype=np.uint64))
+        self.memory.declare("direction", np.zeros((b, 2)))
+        self.memory.declare("warmup_alarm", np.zeros(b, dtype=np.bool_))
         resolve(setup.detector, setup)
         readers = setup.detector, *setup.monitors
         self.fields = setup.fields.union(*map(check_needs, readers))
@@ -179,11 +219,9 @@ class Simulator(ABC):
         self.setup.local_motion(self.epochs, self.onset, per_position, per_velocity, out)
 
     def geometry(self, out: NDArray[np.float32]) -> None:
-        """Write `Setup.geometry_names`; victims without satellites have none."""
         raise TypeError(f"{self.setup.whose} has no satellites")
 
     def captured_channels(self) -> NDArray[np.int64]:
-        """(B,) channels that follow the counterfeit signals."""
         raise TypeError(f"the channels of {self.setup.whose} are not captured one by one")
 
     def observed_weights(self) -> FloatArray:
@@ -293,7 +331,6 @@ class Simulator(ABC):
         return self.epoch
 
     def advance(self) -> Epoch:
-        """First half of an epoch without attack."""
         return self.predict(None)
 
     def judge(self) -> Verdict:
@@ -346,7 +383,6 @@ class Simulator(ABC):
         return alarms
 
     def warm_up(self, rngs: Rngs, given: Given | None = None) -> NDArray[np.bool_]:
-        """Start new episodes, and run them to the onset; (B,) bool, who alarmed."""
         for _ in self.warming(rngs, given):
             pass
         return self.memory["warmup_alarm"]
@@ -429,7 +465,6 @@ class Simulator(ABC):
         )
 
     def command_with(self, command: FloatArray | None) -> FloatArray | None:
-        """Command within [-1, 1], 0 for receivers that are left alone."""
         if command is None:
             return None
         within = np.clip(command, -1.0, 1.0)
@@ -457,8 +492,7 @@ class Simulator(ABC):
         """(B,) largest statistic over its threshold of the last verdict; NaN before the first."""
         if self.verdict is None:
             return np.full(self.receivers, np.nan)
-        largest: FloatArray = (self.verdict.statistic / self.verdict.threshold).max(axis=1)
-        return largest
+        return np.asarray((self.verdict.statistic / self.verdict.threshold).max(axis=1))
 
 
 def _merge(mine: Verdict | None, theirs: Verdict, to: Rows, rows: Rows, receivers: int) -> Verdict:
@@ -493,7 +527,6 @@ def run_serially(work: Callable[[int, int], None], receivers: int) -> None:
 
 
 def detector_name(detector: Detector) -> str:
-    """Registered name of a detector, else that of its class, for titles."""
     detector = detector.detector if isinstance(detector, Calibrated) else detector
     found = (name for name, kind in DETECTORS.items() if kind is type(detector))
     return detector.label or next(found, type(detector).__name__)

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import build_record, check_finite, is_number
+from ..core.registry import check_finite, is_number
 from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import ALWAYS, Epoch, frozen_fields
@@ -23,15 +23,15 @@ from ..receiver.snapshot import (
     expect,
     fix_receivers,
 )
-from ..truth.line_of_sight import chain_skies, make_sky, measure, scratch
+from ..truth._kernels import measure_snapshot
+from ..truth.noise import padded
+from ..truth.run import chain_skies, make_sky
 from ..truth.satellites import CircularConstellation
 from .domain import Choice, Domain
-from .frame import SkyData
 from .loose import RateSimulator
 from .setup import RateCommands, Run, Setup, Timeline
-from .simulator import Rows, Written
+from .simulator import FloatArray, Rows, SkyData, Written
 
-FloatArray = NDArray[np.float64]
 AXES = ("north", "east", "down", "clock")
 DEFAULT_TIMELINE = {"warmup_s": 10.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 10.0}
 CLOCK_SD = (1e4, 10.0)  # standard deviation of the receiver's clock offset [m] and drift [m/s]
@@ -80,6 +80,7 @@ class SnapshotSetup(Setup):
     domain_names: ClassVar[frozenset[str]] = frozenset(
         {"turned_deg", "constellation_time_s", "worlds", "world_seed"}
     )
+    usual_timeline = DEFAULT_TIMELINE
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"position_{axis}" for axis in AXES[:3])
 
@@ -119,7 +120,6 @@ class SnapshotSetup(Setup):
             self.kind, tuple(f"{axis}_rate" for axis in AXES), _rates(rate_limit_mps)
         )
         self._aim(target_heading_deg, domain)
-        timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
         self._phase(detector, timeline, float(interval_s), decision_interval_s, between)
         self.epochs_each = self.length + 1
         skies = [
@@ -198,7 +198,7 @@ class SnapshotSimulator(RateSimulator):
             "status": np.full(b, FIXED, dtype=np.int64),
         }.items():
             self.memory.declare(name, initial)
-        self._deviates = scratch(n)
+        self._deviates = np.empty(padded(n))
         self._pseudorange, self._satellites = np.empty((b, n)), np.empty((b, n, 3))
         self._innovation, self._cov = np.empty((b, 2 * n)), np.empty((b, 2 * n, 2 * n))
         self._design = np.empty((b, 2 * n, 4))
@@ -245,7 +245,7 @@ class SnapshotSimulator(RateSimulator):
         spoofing = memory["displacement"], memory["spoofed"]
         world = sky.time, sky.position_e, sky.C_en, sky.satellite_position_e
         written = self._deviates, self._pseudorange, self._satellites
-        measure(*drawn, *spoofing, *world, self.setup.noise_m, *written)
+        measure_snapshot(*drawn, *spoofing, *world, self.setup.noise_m, *written)
 
     def _measure(self, command: FloatArray | None) -> None:
         self._move(command)
@@ -278,8 +278,7 @@ class SnapshotSimulator(RateSimulator):
 
     @property
     def coasting(self) -> NDArray[np.bool_]:
-        missing: NDArray[np.bool_] = self.memory["status"] != FIXED
-        return missing
+        return np.asarray(self.memory["status"] != FIXED)
 
     @property
     def position(self) -> FloatArray:

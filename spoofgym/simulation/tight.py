@@ -22,7 +22,7 @@ from ..detectors.base import checked
 from ..detectors.charts import Ewma
 from ..detectors.controls import Never
 from ..receiver import TightlyCoupled
-from ..receiver import _kernels as _kernels_of_receiver
+from ..receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE, first_fix, work_rows
 from ..receiver.augmented import AugmentedFilter, Predicted
 from ..receiver.epoch import Epoch, ReceiverBuffers, epoch_view, kernel_table
 from ..receiver.states import STATES
@@ -34,15 +34,12 @@ from ..truth.scenario import Scenario, make_scenario
 from ..truth.sensors import SensorBuffers
 from ..truth.signal_errors import MAPPINGS, mappings_of
 from . import _kernels
-from ._kernels import displace
+from ._kernels import JUDGE, REMEMBER, displace
 from .domain import Choice, Combinations, Domain, worlds_of
-from .frame import SkyData
 from .setup import Run, SequelKernel, Setup, Timeline
-from .simulator import Rngs, Rows, Sequel, Simulator, StepArrays
+from .simulator import FloatArray, Rngs, Rows, Sequel, Simulator, SkyData
 
-FloatArray = NDArray[np.float64]
 DEFAULT_ATTACK = "false-position"
-DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
 RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in TUNINGS}
 """Victims by name: the noise that they assume as the papers print it, or as the world has it."""
 AUGMENTED_NEEDS = frozenset({"transition", "imu_delta", "design", "innovation_cov"})
@@ -52,13 +49,7 @@ AUGMENTED_SHOWS = frozenset({"transition", "design", "predicted_cov"})
 FIRST_FIX = 4  # satellites that a first fix takes
 AXES = ("north", "east", "down")
 AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")  # noise that goes on
-MEASURE, UPDATE, SHOW = (
-    _kernels_of_receiver.MEASURE,
-    _kernels_of_receiver.UPDATE,
-    _kernels_of_receiver.SHOW,
-)
-JUDGE, REMEMBER = _kernels.JUDGE, _kernels.REMEMBER
-ADVANCE = MEASURE + _kernels_of_receiver.PREDICT
+ADVANCE = MEASURE + PREDICT
 OWN_KERNEL = SequelKernel(_kernels.run_epochs, ())
 ATTACK_FORMS: dict[type, int] = {
     FalsePosition: _kernels.FALSE_POSITION,
@@ -88,6 +79,11 @@ class TightlyCoupledSetup(Setup):
     env_id: ClassVar[str] = "spoofgym/TightlyCoupled-v0"
     whose: ClassVar[str] = "a tightly coupled receiver"
     domain_names: ClassVar[frozenset[str]] = frozenset(vars(Domain()))
+    usual_detector: ClassVar[Mapping[str, Any]] = {
+        "name": "ewma",
+        "smoothing": 0.1,
+        "weight_scale": 0.3,
+    }
     threaded: ClassVar[bool] = True
     follows_setpoint: ClassVar[bool] = True
     ratio_is_largest: ClassVar[bool] = False
@@ -116,8 +112,6 @@ class TightlyCoupledSetup(Setup):
         self._aim(target_heading_deg, domain)
         self.receiver = _victim(receiver, self.scenario, self.domain)
         self.attack = make_attack(attack)
-        detector = DEFAULT_DETECTOR if detector is None else detector
-        timeline = build_record("timeline", Timeline, timeline)
         interval_s = self.scenario.epoch_interval_s
         self._phase(detector, timeline, interval_s, decision_interval_s, between)
         worlds = worlds_of(self.scenario, self.domain)
@@ -269,25 +263,14 @@ class TightlyCoupledSimulator(Simulator):
         buffers, sensors = self.buffers, self.sensors
         sizes = padded(6 * world.most_samples), padded(2 * world.channels)
         rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
-        self._work_rows = _kernels_of_receiver.work_rows(world.channels, *sizes)
+        self._work_rows = work_rows(world.channels, *sizes)
         self._spare: list[FloatArray] = []
         attack = self.attack
-        self._table = kernel_table(
-            buffers,
-            sensors,
-            world.run,
-            world.epoch_time,
-            world.epoch_end,
-            world.satellites,
-            np.array(rules, dtype=np.int64),
-            sensors.signals.data,
-            self.setup.mappings,
-            world.position_e,
-            world.velocity_e,
-            attack.mask,
-            attack.slots,
-            attack.kernel_settings,
-        )
+        truth = world.run, world.epoch_time, world.epoch_end, world.satellites
+        signals = sensors.signals.data, self.setup.mappings
+        more = world.position_e, world.velocity_e, attack.mask, attack.slots, attack.kernel_settings
+        settings = np.array(rules, dtype=np.int64)
+        self._table = kernel_table(buffers, sensors, *truth, settings, *signals, *more)
         self._no_axes, self._no_action = np.zeros(0), _kernels.ONE
         self._history = np.zeros((0, self.receivers), dtype=np.bool_)
         self._no_memories = ArrayTable(_kernels.NOTHING_REMEMBERED)
@@ -327,18 +310,11 @@ class TightlyCoupledSimulator(Simulator):
 
     @property
     def commands(self) -> Memory:
-        memory: Memory = self.attack.memory
-        return memory
-
-    def step_arrays(self) -> StepArrays:
-        memory, direction = self.attack.memory, self.memory["direction"]
-        coasting = self.buffers.coasting
-        return self.sensors.epoch, coasting, memory["displacement"], memory["rate"], direction
+        return self.attack.memory
 
     def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
         self.sensors.draw_keys(self._everyone, rngs)
-        keys: NDArray[np.uint64] = self.sensors.words["domain"]
-        return keys
+        return self.sensors.words["domain"]
 
     def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
         self.sensors.put_keys(rows, episodes, AFTER_ONSET)
@@ -357,7 +333,7 @@ class TightlyCoupledSimulator(Simulator):
         position_e, velocity_e, clock = np.empty((b, 3)), np.empty((b, 3)), np.empty((b, 2))
         measured = fields["innovation"].reshape(b, 2, world.channels)
         guess_e, now = world.position_e[first], (measured, world.satellites, first)
-        _kernels_of_receiver.first_fix(*now, guess_e, position_e, velocity_e, clock)
+        first_fix(*now, guess_e, position_e, velocity_e, clock)
         fields["position_e"], fields["velocity_e"], fields["clock"] = position_e, velocity_e, clock
         fields["C_eb"] = combinations.first_C_eb(choice.grade, first)
         fields["accel_bias_b"] = fields["gyro_bias_b"] = 0.0
@@ -430,51 +406,35 @@ class TightlyCoupledSimulator(Simulator):
                 sensors.authentic[spared] = 1.0
 
     def _measure(self, command: FloatArray | None) -> None:
-        self.predict(command)
+        self._first_half(ADVANCE + SHOW, command, True, self._compiled_attack())
+        self._augment()
 
     def _form_epoch(self) -> Epoch:
         return self.epoch
 
     def _augment(self) -> None:
-        """Take what the augmented filter knows out of the innovations that a kernel has formed."""
         if self.augmented is None:
             return
         buffers, setup, n = self.buffers, self.setup, self.setup.world.channels
         seen, assumed = buffers.seen, buffers.assumed
         mapping = setup.mappings[self.epochs] if setup.mappings.size else np.zeros((1, n, MAPPINGS))
-        predicted = self.augmented.predict(
-            seen["transition"],
-            seen["imu_delta"],
-            assumed["noise_psd"],
-            buffers.interval,
-            seen["design"],
-            mapping,
-            buffers.visible,
-            seen["innovation"],
-            assumed["noise_variance"],
-            setup.receiver.min_satellites,
-        )
+        inertial = seen["transition"], seen["imu_delta"], assumed["noise_psd"], buffers.interval
+        model = seen["design"], mapping, buffers.visible
+        measured = seen["innovation"], assumed["noise_variance"], setup.receiver.min_satellites
+        predicted = self.augmented.predict(*inertial, *model, *measured)
         self._predicted = predicted
         seen["innovation"][:] = predicted.innovation
         seen["innovation_cov"][:] = predicted.S
         seen["innovation_variance"][:] = np.einsum("bii->bi", predicted.S)
 
     def _correct_augmented(self, weights: FloatArray | None) -> None:
-        """Update by the augmented filter, and feed the errors of the 17 states back."""
         if self.augmented is None or self._predicted is None:
             raise RuntimeError("an augmented filter is updated after it has predicted")
         predicted, fields = self._predicted, self.buffers.fields
         dx = self.augmented.update(predicted, weights)
         C, x = fields["C_eb"], dx[:, :3, None]
-        turned = np.stack(
-            [
-                x[:, 1] * C[:, 2] - x[:, 2] * C[:, 1],
-                x[:, 2] * C[:, 0] - x[:, 0] * C[:, 2],
-                x[:, 0] * C[:, 1] - x[:, 1] * C[:, 0],
-            ],
-            axis=1,
-        )
-        C = C - turned
+        turned = (x[:, i] * C[:, j] - x[:, j] * C[:, i] for i, j in ((1, 2), (2, 0), (0, 1)))
+        C = C - np.stack(list(turned), axis=1)
         if self.setup.receiver.orthonormalize:  # one step towards the nearest rotation
             C = 0.5 * (C @ (3.0 * np.eye(3) - C.transpose(0, 2, 1) @ C))
         fields["C_eb"] = C
@@ -562,11 +522,6 @@ class TightlyCoupledSimulator(Simulator):
             self._verdicts[detector] = Verdict(np.zeros(shape), threshold, alarm, weights)
         return self._verdicts[detector]
 
-    def predict(self, command: FloatArray | None) -> Epoch:
-        self._first_half(ADVANCE + SHOW, command, True, self._compiled_attack())
-        self._augment()
-        return self.epoch
-
     def advance(self) -> Epoch:
         self._first_half(ADVANCE + SHOW, None, False, _kernels.NO_FORM)
         self._augment()
@@ -622,7 +577,6 @@ class TightlyCoupledSimulator(Simulator):
         sequel: Sequel | None = None,
         count: int = 1,
     ) -> Verdict:
-        """Run whole epochs with a detector that has a compiled form; the last verdict."""
         verdict = self._compiled_verdict(detector)
         self.weights = self.ones if verdict.weights is None else verdict.weights
         what = ADVANCE + SHOW + JUDGE + UPDATE + also
@@ -675,10 +629,8 @@ class TightlyCoupledSimulator(Simulator):
 
     def scored_arrays(self) -> tuple[NDArray[Any], ...]:
         """`step_arrays`, and what `displace` needs to know, for kernels."""
-        setup, moved = self.setup, self.attack.memory
-        now = self.sensors.epoch, self.buffers.coasting, moved["displacement"], moved["rate"]
-        position_e = self.buffers.position_e, setup.true_position
-        return *now, *position_e, setup.C_en, self.memory["direction"]
+        *now, direction = self.step_arrays()
+        return *now, self.buffers.position_e, self.setup.true_position, self.setup.C_en, direction
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
         self.buffers.copy_rows(to, other.buffers, rows)
@@ -689,8 +641,7 @@ class TightlyCoupledSimulator(Simulator):
         super().copy_rows(to, other, rows)
 
     def captured_channels(self) -> NDArray[np.int64]:
-        captured: NDArray[np.int64] = self.attack.memory["captured"].sum(axis=1)
-        return captured
+        return np.asarray(self.attack.memory["captured"].sum(axis=1))
 
     def _sky(self) -> SkyData:
         world, epoch, offsets = self.setup.world, int(self.epochs[0]), self.sensors

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..core.compile import inlined, njit
 from ..core.lanes import first_rows
 from ..core.simd import any_lane, floor, load, select, set_lane, splat, sqrt, store
-from ..earth.wgs84 import range_and_rate
+from ..earth.wgs84 import EARTH_RATE, STILL, gravity, range_and_rate
 from .clock import advance_clock
-from .noise import deviates, exponential
+from .gnss_errors import gauss_markov_step
+from .noise import deviates, exponential, normals
 from .sensors import CONSTANTS, SOURCES, sensor_shapes
 from .signal_errors import MAPPINGS, deviates_of, signal_shapes
 
@@ -47,10 +50,10 @@ def load3(x, row):
 
 
 @inlined
-def store3(x, row, values):
+def store3(x, row, values, step=1):
     store(x, row, values[0])
-    store(x, row + 1, values[1])
-    store(x, row + 2, values[2])
+    store(x, row + step, values[1])
+    store(x, row + 2 * step, values[2])
 
 
 @inlined
@@ -351,3 +354,319 @@ def measure(
         rate -= select(rate_stays < 0.0, rate_error, 0.0)
         store(out, first + s, select(visible, rho, 0.0))
         store(out, first + n + s, select(visible, rate, 0.0))
+
+
+OF_SAMPLES, OF_POSITION, OF_START = range(3)  # keys of a loosely coupled receiver's sources
+
+
+@njit
+def first_errors(keys, initial_sd, position_sd, deviates, initial, error):
+    """Draw what episodes of loosely coupled receivers start with. `keys` (B, 3, 2) of every source;
+    `initial_sd`, `position_sd` (15,) and (3,), of the state and of the GNSS position; `deviates`
+    (64,) scratch memory; `initial` (B, 15), written: errors of the first estimate, then sensor
+    biases; `error` (B, 3), written: GNSS position errors, east, north, up [m]."""
+    for b in range(keys.shape[0]):
+        normals(keys[b, OF_START, 0], keys[b, OF_START, 1], 0, deviates)
+        for i in range(15):
+            initial[b, i] = initial_sd[i] * deviates[i]
+        for i in range(3):
+            error[b, i] = position_sd[i] * deviates[15 + i]
+
+
+@njit
+def measure_loose(
+    keys,
+    epoch,
+    run,
+    position_e,
+    C_el,
+    interval,
+    noise,
+    bias,
+    decay,
+    position_sd,
+    displacement,
+    deviates,
+    error,
+    samples,
+    fix_e,
+):
+    """Move every loosely coupled receiver to its next epoch, and measure on the way.
+
+    `keys` (B, 3, 2) key of every source; `epoch` (B,) that each receiver is at; advanced; `noise`
+    (2,) root PSD of accelerometers and gyros; `bias` (B, 6) of gyros [rad/s] and accelerometers
+    [m/s^2]; `position_sd` (3,) of the position errors [m]; `displacement` (B, 3) what the attack
+    adds to the position, east, north, up [m]; `deviates` (P,) scratch memory, P a multiple of 64
+    and at least 6 times the samples of an epoch; `error` (B, 3) errors of the GNSS position [m];
+    advanced; `samples` (B, S, 6), written: measured specific force and angular rate, body axes;
+    `fix_e` (B, 3), written: GNSS position, ECEF [m].
+    """
+    count = samples.shape[1]
+    root = 1.0 / math.sqrt(interval)
+    for b in range(keys.shape[0]):
+        k = epoch[b] + 1
+        epoch[b] = k
+        normals(keys[b, OF_SAMPLES, 0], keys[b, OF_SAMPLES, 1], k, deviates)
+        first = (k - 1) * count
+        for c in range(6):
+            level = noise[c // 3] * root
+            constant = bias[b, 3 + c if c < 3 else c - 3]
+            for i in range(count):
+                noisy = level * deviates[c * count + i]
+                samples[b, i, c] = run[first + i, c] + (constant + noisy)
+        few = deviates[:64]
+        normals(keys[b, OF_POSITION, 0], keys[b, OF_POSITION, 1], k, few)
+        for c in range(3):
+            error[b, c] = gauss_markov_step(error[b, c], decay, position_sd[c], few[c])
+        e0 = error[b, 0] + displacement[b, 0]
+        e1 = error[b, 1] + displacement[b, 1]
+        e2 = error[b, 2] + displacement[b, 2]
+        C = C_el[k]
+        for i in range(3):
+            fix_e[b, i] = position_e[k, i] + (C[i, 0] * e0 + C[i, 1] * e1 + C[i, 2] * e2)
+
+
+@njit
+def measure_snapshot(
+    epoch,
+    keys,
+    clock,
+    displacement,
+    spoofed,
+    time,
+    position_e,
+    C_en,
+    satellite_position_e,
+    noise_m,
+    deviates,
+    pseudorange,
+    satellites,
+):
+    r"""Pseudoranges of one epoch, authentic or counterfeit.
+
+    .. math:: \tilde\rho_j = |C r_j - r - C_{en} d_j| + c_0 + c_1 t + d_{4j} + w_j
+
+    with the counterfeit displacement d and clock offset d_4, 0 for authentic satellites.  The
+    white noise is that of the satellite, spoofed or not.
+
+    `epoch` (B,) number of the epoch; `keys` (B, 2) key of the noise; `clock` (B, 2) offset and
+    drift of the receiver's clock [m], [m/s]; `displacement` (B, 4) north, east, down and clock [m];
+    `spoofed` (B, n) bool; `deviates` (N,) scratch, N a multiple of `noise.BLOCK` and at least n;
+    `pseudorange` (B, n), written [m]; `satellites` (B, n, 3), written: where the satellites are,
+    ECEF [m].
+    """
+    r = np.empty(3)
+    for b in range(epoch.shape[0]):
+        k = epoch[b]
+        normals(keys[b, 0], keys[b, 1], k, deviates)
+        bias = clock[b, 0] + clock[b, 1] * time[k]
+        for j in range(spoofed.shape[1]):
+            own = bias
+            for i in range(3):
+                r[i] = position_e[k, i]
+                satellites[b, j, i] = satellite_position_e[k, j, i]
+            if spoofed[b, j]:
+                own += displacement[b, 3]
+                for i in range(3):
+                    for c in range(3):
+                        r[i] += C_en[i, c] * displacement[b, c]
+            place = satellites[b, j, 0], satellites[b, j, 1], satellites[b, j, 2]
+            distance, _, _, _, _ = range_and_rate(place, STILL, (r[0], r[1], r[2]), STILL)
+            pseudorange[b, j] = distance + own + noise_m * deviates[j]
+
+
+@njit
+def measure_odometry(
+    keys,
+    epoch,
+    first,
+    left,
+    right,
+    yaw,
+    samples,
+    count_m,
+    hard_iron,
+    yaw_sd,
+    phase,
+    noise,
+    last_yaw,
+    increment,
+):
+    """Dead reckoning since the last epoch.
+
+    `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
+    that at which the episode starts; `left`, `right`, `yaw` (N+1,) way of the wheels [m] and true
+    heading [rad] at every sample; `phase` (B, 2) phases of the encoders; `noise` (`BLOCK`,), work
+    space; `last_yaw` (B,) measured heading of the last sample [rad], overwritten; `increment`
+    (B, 2) north and east [m], written; 0 at the start.
+    """
+    for b in range(epoch.shape[0]):
+        k = epoch[b]
+        normals(keys[b, 0, 0], keys[b, 0, 1], k, noise)
+        north, east = 0.0, 0.0
+        before = last_yaw[b]
+        if k == first[b]:
+            now = yaw[k * samples]
+            before = now - hard_iron * math.sin(now) + yaw_sd * noise[0]
+        else:
+            for s in range(samples):
+                i = (k - 1) * samples + s
+                now = yaw[i + 1] - hard_iron * math.sin(yaw[i + 1]) + yaw_sd * noise[s]
+                counts = math.floor(left[i + 1] / count_m + phase[b, 0])
+                counts -= math.floor(left[i] / count_m + phase[b, 0])
+                counts += math.floor(right[i + 1] / count_m + phase[b, 1])
+                counts -= math.floor(right[i] / count_m + phase[b, 1])
+                way, mid = 0.5 * count_m * counts, 0.5 * (before + now)
+                north += way * math.cos(mid)
+                east += way * math.sin(mid)
+                before = now
+        last_yaw[b] = before
+        increment[b, 0], increment[b, 1] = north, east
+
+
+@njit
+def measure_fix(
+    keys,
+    epoch,
+    first,
+    position_ne,
+    available,
+    correlated_sd,
+    decay,
+    white_sd,
+    offset,
+    noise,
+    correlated,
+    fix,
+):
+    r"""GNSS positions.
+
+    .. math:: g_k = p_k + c_k + w_k + d_k, \qquad
+        c_k = \beta c_{k-1} + \sqrt{1 - \beta^2} \, \sigma_c \, \epsilon_k
+
+    `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
+    that at which the episode starts; `position_ne` (K, 2) true position at every epoch [m];
+    `available` (L,) whether there is a fix at all, from the start on; `offset` (B, 2) what the
+    spoofer adds [m]; `noise` (`BLOCK`,), work space; `correlated` (B, 2) Gauss-Markov error [m],
+    overwritten; `fix` (B, 2) north and east [m], written; NaN where there is none.
+    """
+    drive = math.sqrt(1.0 - decay * decay)
+    for b in range(epoch.shape[0]):
+        k = epoch[b]
+        normals(keys[b, 1, 0], keys[b, 1, 1], k, noise)
+        for axis in range(2):
+            if k == first[b]:
+                correlated[b, axis] = correlated_sd * noise[axis]
+            else:
+                fresh = drive * correlated_sd * noise[axis]
+                correlated[b, axis] = decay * correlated[b, axis] + fresh
+            error = correlated[b, axis] + white_sd * noise[2 + axis]
+            fix[b, axis] = position_ne[k, axis] + error + offset[b, axis]
+            if not available[k - first[b]]:
+                fix[b, axis] = math.nan
+
+
+SMALL_ANGLE = 1e-8  # rotation of a sample [rad] up to which the mechanization takes I + A and I
+SERIES_ANGLE = 0.1  # rotation [rad] up to which (1 - sin(a) / a) / a^2 is taken from its series
+
+
+@njit
+def velocity_coefficients(angle):
+    r"""Coefficients of the specific-force transformation.
+
+    .. math::
+        c = \frac{1 - \cos a}{a^2}, \qquad d = \frac{1 - \sin a / a}{a^2}
+
+    `angle`: a [rad].
+
+    c cancels on purpose: at 1e-6 rad it is off by up to 1e-4 of itself, just as in the forward
+    step of the reference software, and only the same error leads back to the flight (0.3 instead
+    of 3 micrometres over 418 s).  d cancels harmlessly, but has a series.
+    """
+    if angle <= SMALL_ANGLE:
+        return 0.0, 0.0
+    x = angle * angle
+    c = (1.0 - math.cos(angle)) / x
+    if angle <= SERIES_ANGLE:
+        return c, (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0))) / 6.0
+    return c, (1.0 - math.sin(angle) / angle) / x
+
+
+@njit
+def invert_samples(step, position_e, velocity_e, C_eb, specific_force_b, angular_rate_b):
+    r"""Fill the inertial samples between consecutive states.
+
+    With a = omega_ie dt, the rotation of the body over a sample is
+    :math:`M = C^{-\prime} R_z(a)' C^+ = I + \sin|\alpha| / |\alpha|\,A + ...`, whose antisymmetric
+    part holds :math:`\alpha \sin|\alpha| / |\alpha|` without cancellation.
+
+    `step`: interval of the samples [s]; `position_e`, `velocity_e` (N+1, 3) ECEF [m] and [m/s];
+    `C_eb` (N+1, 3, 3), to ECEF from body axes; `specific_force_b`, `angular_rate_b` (N, 3) outputs,
+    body axes [m/s^2] and [rad/s]; returns largest rotation of a sample [rad].
+    """
+    a = EARTH_RATE * step
+    sin_a, cos_a = math.sin(a), math.cos(a)
+    largest = 0.0
+    for i in range(position_e.shape[0] - 1):
+        c00, c01, c02 = C_eb[i, 0, 0], C_eb[i, 0, 1], C_eb[i, 0, 2]
+        c10, c11, c12 = C_eb[i, 1, 0], C_eb[i, 1, 1], C_eb[i, 1, 2]
+        c20, c21, c22 = C_eb[i, 2, 0], C_eb[i, 2, 1], C_eb[i, 2, 2]
+
+        # new attitude with the turn of the Earth taken back: R_z(a)' C+
+        n00 = cos_a * C_eb[i + 1, 0, 0] - sin_a * C_eb[i + 1, 1, 0]
+        n01 = cos_a * C_eb[i + 1, 0, 1] - sin_a * C_eb[i + 1, 1, 1]
+        n02 = cos_a * C_eb[i + 1, 0, 2] - sin_a * C_eb[i + 1, 1, 2]
+        n10 = sin_a * C_eb[i + 1, 0, 0] + cos_a * C_eb[i + 1, 1, 0]
+        n11 = sin_a * C_eb[i + 1, 0, 1] + cos_a * C_eb[i + 1, 1, 1]
+        n12 = sin_a * C_eb[i + 1, 0, 2] + cos_a * C_eb[i + 1, 1, 2]
+        n20, n21, n22 = C_eb[i + 1, 2, 0], C_eb[i + 1, 2, 1], C_eb[i + 1, 2, 2]
+
+        # M = C-' N: twice its antisymmetric part, and its trace
+        px = c02 * n01 + c12 * n11 + c22 * n21 - (c01 * n02 + c11 * n12 + c21 * n22)
+        py = c00 * n02 + c10 * n12 + c20 * n22 - (c02 * n00 + c12 * n10 + c22 * n20)
+        pz = c01 * n00 + c11 * n10 + c21 * n20 - (c00 * n01 + c10 * n11 + c20 * n21)
+        trace = c00 * n00 + c10 * n10 + c20 * n20 + c01 * n01 + c11 * n11 + c21 * n21
+        trace += c02 * n02 + c12 * n12 + c22 * n22
+        sine = 0.5 * math.sqrt(px * px + py * py + pz * pz)
+        angle = math.atan2(sine, 0.5 * (trace - 1.0))
+        scale = 0.5 if sine <= SMALL_ANGLE else 0.5 * angle / sine
+        ax, ay, az = scale * px, scale * py, scale * pz
+        largest = max(largest, angle)
+
+        # specific force in ECEF axes that brings about the change of velocity
+        rx, ry, rz = position_e[i, 0], position_e[i, 1], position_e[i, 2]
+        vx, vy, vz = velocity_e[i, 0], velocity_e[i, 1], velocity_e[i, 2]
+        gx, gy, gz = gravity(rx, ry, rz)
+        ex = (velocity_e[i + 1, 0] - vx) / step - gx - 2.0 * EARTH_RATE * vy
+        ey = (velocity_e[i + 1, 1] - vy) / step - gy + 2.0 * EARTH_RATE * vx
+        ez = (velocity_e[i + 1, 2] - vz) / step - gz
+
+        # average attitude T = C- (I + c A + d A^2) - [(0, 0, a / 2) x] C-
+        c, d = velocity_coefficients(math.sqrt(ax * ax + ay * ay + az * az))
+        xx, yy, zz, xy, xz, yz = ax * ax, ay * ay, az * az, ax * ay, ax * az, ay * az
+        g00, g01, g02 = 1.0 - d * (yy + zz), d * xy - c * az, d * xz + c * ay
+        g10, g11, g12 = d * xy + c * az, 1.0 - d * (xx + zz), d * yz - c * ax
+        g20, g21, g22 = d * xz - c * ay, d * yz + c * ax, 1.0 - d * (xx + yy)
+        half = 0.5 * a
+        t00 = c00 * g00 + c01 * g10 + c02 * g20 + half * c10
+        t01 = c00 * g01 + c01 * g11 + c02 * g21 + half * c11
+        t02 = c00 * g02 + c01 * g12 + c02 * g22 + half * c12
+        t10 = c10 * g00 + c11 * g10 + c12 * g20 - half * c00
+        t11 = c10 * g01 + c11 * g11 + c12 * g21 - half * c01
+        t12 = c10 * g02 + c11 * g12 + c12 * g22 - half * c02
+        t20 = c20 * g00 + c21 * g10 + c22 * g20
+        t21 = c20 * g01 + c21 * g11 + c22 * g21
+        t22 = c20 * g02 + c21 * g12 + c22 * g22
+
+        # T f = e by Cramer's rule; T is a rotation but for 1 + O(angle^2)
+        k00, k01, k02 = t11 * t22 - t12 * t21, t02 * t21 - t01 * t22, t01 * t12 - t02 * t11
+        k10, k11, k12 = t12 * t20 - t10 * t22, t00 * t22 - t02 * t20, t02 * t10 - t00 * t12
+        k20, k21, k22 = t10 * t21 - t11 * t20, t01 * t20 - t00 * t21, t00 * t11 - t01 * t10
+        determinant = t00 * k00 + t01 * k10 + t02 * k20
+        specific_force_b[i, 0] = (k00 * ex + k01 * ey + k02 * ez) / determinant
+        specific_force_b[i, 1] = (k10 * ex + k11 * ey + k12 * ez) / determinant
+        specific_force_b[i, 2] = (k20 * ex + k21 * ey + k22 * ez) / determinant
+        angular_rate_b[i, 0] = ax / step
+        angular_rate_b[i, 1] = ay / step
+        angular_rate_b[i, 2] = az / step
+    return largest

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.registry import is_number
 from ..earth.attitude import dcm_to_euler, euler_to_dcm
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic, geodetic_to_ecef
-from .kinematics import invert_samples
+from ._kernels import invert_samples
 
 DEFAULT_STEP = 0.01  # interval of the inertial samples [s], as in Groves' profiles (`groves2013`)
 CLOSURE_TOLERANCE = 1e-5  # largest distance of a position from the integral of the velocity [m]
@@ -104,8 +104,7 @@ class Flight:
     @cached_property
     def velocity_n(self) -> NDArray[np.float64]:
         """(N+1, 3) velocity with respect to the Earth, north-east-down [m/s]."""
-        rotated: NDArray[np.float64] = np.einsum("nij,nj->ni", self.C_ne, self.velocity_e)
-        return rotated
+        return np.asarray(np.einsum("nij,nj->ni", self.C_ne, self.velocity_e))
 
     @cached_property
     def euler(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

@@ -1,6 +1,4 @@
-"""Flights composed of turns, climbs, accelerations.
-
-Flights made of manoeuvres: straight stretches, turns, climbs, changes of speed.
+"""Flights made of manoeuvres: straight stretches, turns, climbs, changes of speed.
 
 Every manoeuvre is a pulse of one rate (turn rate, climb rate or acceleration) that rises and
 falls as a raised cosine, so that attitude and specific force have no steps and the change of
@@ -14,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,9 +137,8 @@ class Turn:
     ramp_s: float = 5.0
 
     def __post_init__(self) -> None:
-        _check_finite("angle_deg", self.angle_deg)
         _check_between("bank_deg", self.bank_deg, 0.0, STEEPEST_BANK_DEG)
-        _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
+        _check_change(self, "angle_deg", "bank_deg")
 
     def pulse(self, speed: float, start: float) -> Pulse:
         if speed <= 0.0:
@@ -166,9 +163,7 @@ class Steer:
     ramp_s: float = 1.0
 
     def __post_init__(self) -> None:
-        _check_finite("angle_deg", self.angle_deg)
-        _check_between("rate_degps", self.rate_degps, 0.0, math.inf)
-        _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
+        _check_change(self, "angle_deg", "rate_degps")
 
     def pulse(self, speed: float, start: float) -> Pulse:
         peak = math.radians(self.rate_degps)
@@ -192,9 +187,7 @@ class Climb:
     ramp_s: float = 10.0
 
     def __post_init__(self) -> None:
-        _check_finite("height_m", self.height_m)
-        _check_between("rate_mps", self.rate_mps, 0.0, math.inf)
-        _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
+        _check_change(self, "height_m", "rate_mps")
 
     def pulse(self, speed: float, start: float) -> Pulse:
         steepest = speed * math.sin(math.radians(STEEPEST_PATH_DEG))
@@ -222,9 +215,7 @@ class Accelerate:
     ramp_s: float = 2.0
 
     def __post_init__(self) -> None:
-        _check_finite("change_mps", self.change_mps)
-        _check_between("acceleration_mps2", self.acceleration_mps2, 0.0, math.inf)
-        _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
+        _check_change(self, "change_mps", "acceleration_mps2")
 
     def pulse(self, speed: float, start: float) -> Pulse:
         if speed + self.change_mps < -1e-9:
@@ -327,27 +318,34 @@ def _check_between(name: str, value: float, low: float, high: float) -> None:
         raise ValueError(f"`{name}` must lie between {low:g} and {high:g}, got {value:g}")
 
 
+def _check_change(manoeuvre: Any, change: str, rate: str) -> None:
+    """Raise unless the change is finite, and its rate and time to set in are above 0."""
+    _check_finite(change, getattr(manoeuvre, change))
+    for name in (rate, "ramp_s"):
+        _check_between(name, getattr(manoeuvre, name), 0.0, math.inf)
+
+
+_CRUISE: dict[str, float] = {
+    "latitude_deg": 50.425,
+    "longitude_deg": -3.5958,
+    "height_m": 10000.0,
+    "speed_mps": 200.0,
+    "heading_deg": 90.0,
+}
+_TURNS: tuple[Manoeuvre, Manoeuvre] = (
+    Turn(45.0, bank_deg=14.04, ramp_s=4.0),
+    Turn(-45.0, bank_deg=14.04, ramp_s=4.0),
+)
+_CLIMB = Climb(500.0, rate_mps=20.0, ramp_s=11.0)
+
+
 def zhong2025() -> Flight:
     """Flight of zhong2025: 418 s at 200 m/s, two turns of 45 deg and a climb of 500 m. Its own
     equivalent of the aircraft profile of Groves' software: the manoeuvres lie on the same middles
     in time, with smooth edges where the profile's bank has steps."""
-    return fly(
-        [
-            Until(18.0),
-            Turn(45.0, bank_deg=14.04, ramp_s=4.0),
-            Until(112.3),
-            Turn(-45.0, bank_deg=14.04, ramp_s=4.0),
-            Until(207.0),
-            Climb(500.0, rate_mps=20.0, ramp_s=11.0),
-            Until(418.0),
-        ],
-        latitude_deg=50.425,
-        longitude_deg=-3.5958,
-        height_m=10000.0,
-        speed_mps=200.0,
-        heading_deg=90.0,
-        name="zhong2025",
-    )
+    right, left = _TURNS
+    legs: list[Manoeuvre] = [Until(18.0), right, Until(112.3), left, Until(207.0), _CLIMB, Until(418.0)]
+    return fly(legs, **_CRUISE, name="zhong2025")
 
 
 def car() -> Flight:
@@ -379,25 +377,10 @@ def ke2022() -> Flight:
     """Flight of ke2022: 746 s at 200 m/s, two turns of 45 deg and two climbs of 500 m. The paper
     gives the duration, the speed, the two turns and that there are climbs, but not when they come.
     Here one climb lies before the attack at 350 to 550 s and one after it."""
-    return fly(
-        [
-            Until(60.0),
-            Turn(45.0, bank_deg=14.04, ramp_s=4.0),
-            Until(180.0),
-            Turn(-45.0, bank_deg=14.04, ramp_s=4.0),
-            Until(280.0),
-            Climb(500.0, rate_mps=20.0, ramp_s=11.0),
-            Until(600.0),
-            Climb(500.0, rate_mps=20.0, ramp_s=11.0),
-            Until(746.0),
-        ],
-        latitude_deg=50.425,
-        longitude_deg=-3.5958,
-        height_m=10000.0,
-        speed_mps=200.0,
-        heading_deg=90.0,
-        name="ke2022",
-    )
+    right, left = _TURNS
+    turns: list[Manoeuvre] = [Until(60.0), right, Until(180.0), left]
+    legs = [*turns, Until(280.0), _CLIMB, Until(600.0), _CLIMB, Until(746.0)]
+    return fly(legs, **_CRUISE, name="ke2022")
 
 
 def shadmehri2025() -> Flight:
@@ -438,15 +421,7 @@ def airway() -> Flight:
             legs.append(Until(400.0 * k + 260.0))
             legs.append(Climb(climb, rate_mps=7.6, ramp_s=8.0))
     legs.append(Until(2400.0))
-    return fly(
-        legs,
-        latitude_deg=50.425,
-        longitude_deg=-3.5958,
-        height_m=10000.0,
-        speed_mps=200.0,
-        heading_deg=90.0,
-        name="airway",
-    )
+    return fly(legs, **_CRUISE, name="airway")
 
 
 def approach() -> Flight:

@@ -38,13 +38,13 @@ Deviations from `song2021`, sections 2.3 and 4.1:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.compile import njit
-from .noise import BLOCK, normals
+from ..core.registry import check_fields, check_finite
+from .noise import BLOCK
 
 FloatArray = NDArray[np.float64]
 MOST_SPEED = 100.0
@@ -94,13 +94,11 @@ class RobotLoop:
     speed_mps: float = 0.5
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
+        for name, value in vars(self).items():
             if not math.isfinite(value):
-                raise ValueError(f"`{item.name}` must be finite, got {value}")
-        for name in ("length_m", "width_m"):
-            if getattr(self, name) <= 0.0:
-                raise ValueError(f"`{name}` must be > 0, got {getattr(self, name)}")
+                raise ValueError(f"`{name}` must be finite, got {value}")
+            if name in ("length_m", "width_m") and value <= 0.0:
+                raise ValueError(f"`{name}` must be > 0, got {value}")
         most = 0.5 * min(self.length_m, self.width_m)
         if not 0.0 < self.corner_radius_m <= most:
             raise ValueError(
@@ -189,10 +187,7 @@ class Odometer:
     def __post_init__(self) -> None:
         if self.counts_per_turn < 1:
             raise ValueError(f"`counts_per_turn` must be at least 1, got {self.counts_per_turn}")
-        for name in ("wheel_radius_m", "wheel_base_m", "sample_interval_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"`{name}` must be finite and > 0, got {value}")
+        check_fields(self, "> 0", "wheel_radius_m", "wheel_base_m", "sample_interval_s")
         if not abs(self.hard_iron_deg) <= 45.0:
             raise ValueError(f"`hard_iron_deg` must be in [-45, 45], got {self.hard_iron_deg}")
         if not 0.0 <= self.yaw_noise_deg <= 45.0:
@@ -214,12 +209,8 @@ class FixErrors:
     white_sd_m: float = 0.2
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            least = item.name == "correlation_time_s"
-            if not (math.isfinite(value) and value >= 0.0) or (least and value == 0.0):
-                sign = ">" if least else ">="
-                raise ValueError(f"`{item.name}` must be finite and {sign} 0, got {value}")
+        check_fields(self, ">= 0", "correlated_sd_m", "white_sd_m")
+        check_finite("correlation_time_s", self.correlation_time_s, "> 0")
 
     def decay(self, interval_s: float) -> float:
         """What is left of the correlated part after an interval, in (0, 1)."""
@@ -233,94 +224,3 @@ def episode_keys(episode: np.random.SeedSequence) -> tuple[NDArray[np.uint64], F
     state = np.asarray(episode.generate_state(words + 2, np.uint64), dtype=np.uint64)
     phase = np.asarray((state[words:] >> np.uint64(11)) * 2.0**-53, dtype=np.float64)
     return state[:words].reshape(-1, 2), phase
-
-
-@njit
-def measure_odometry(
-    keys: NDArray[np.uint64],
-    epoch: NDArray[np.int64],
-    first: NDArray[np.int64],
-    left: FloatArray,
-    right: FloatArray,
-    yaw: FloatArray,
-    samples: int,
-    count_m: float,
-    hard_iron: float,
-    yaw_sd: float,
-    phase: FloatArray,
-    noise: FloatArray,
-    last_yaw: FloatArray,
-    increment: FloatArray,
-) -> None:
-    """Dead reckoning since the last epoch.
-
-    `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
-    that at which the episode starts; `left`, `right`, `yaw` (N+1,) way of the wheels [m] and true
-    heading [rad] at every sample; `phase` (B, 2) phases of the encoders; `noise` (`BLOCK`,), work
-    space; `last_yaw` (B,) measured heading of the last sample [rad], overwritten; `increment`
-    (B, 2) north and east [m], written; 0 at the start.
-    """
-    for b in range(epoch.shape[0]):
-        k = epoch[b]
-        normals(keys[b, 0, 0], keys[b, 0, 1], k, noise)
-        north, east = 0.0, 0.0
-        before = last_yaw[b]
-        if k == first[b]:
-            now = yaw[k * samples]
-            before = now - hard_iron * math.sin(now) + yaw_sd * noise[0]
-        else:
-            for s in range(samples):
-                i = (k - 1) * samples + s
-                now = yaw[i + 1] - hard_iron * math.sin(yaw[i + 1]) + yaw_sd * noise[s]
-                counts = math.floor(left[i + 1] / count_m + phase[b, 0])
-                counts -= math.floor(left[i] / count_m + phase[b, 0])
-                counts += math.floor(right[i + 1] / count_m + phase[b, 1])
-                counts -= math.floor(right[i] / count_m + phase[b, 1])
-                way, mid = 0.5 * count_m * counts, 0.5 * (before + now)
-                north += way * math.cos(mid)
-                east += way * math.sin(mid)
-                before = now
-        last_yaw[b] = before
-        increment[b, 0], increment[b, 1] = north, east
-
-
-@njit
-def measure_fix(
-    keys: NDArray[np.uint64],
-    epoch: NDArray[np.int64],
-    first: NDArray[np.int64],
-    position_ne: FloatArray,
-    available: NDArray[np.bool_],
-    correlated_sd: float,
-    decay: float,
-    white_sd: float,
-    offset: FloatArray,
-    noise: FloatArray,
-    correlated: FloatArray,
-    fix: FloatArray,
-) -> None:
-    r"""GNSS positions.
-
-    .. math:: g_k = p_k + c_k + w_k + d_k, \qquad
-        c_k = \beta c_{k-1} + \sqrt{1 - \beta^2} \, \sigma_c \, \epsilon_k
-
-    `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
-    that at which the episode starts; `position_ne` (K, 2) true position at every epoch [m];
-    `available` (L,) whether there is a fix at all, from the start on; `offset` (B, 2) what the
-    spoofer adds [m]; `noise` (`BLOCK`,), work space; `correlated` (B, 2) Gauss-Markov error [m],
-    overwritten; `fix` (B, 2) north and east [m], written; NaN where there is none.
-    """
-    drive = math.sqrt(1.0 - decay * decay)
-    for b in range(epoch.shape[0]):
-        k = epoch[b]
-        normals(keys[b, 1, 0], keys[b, 1, 1], k, noise)
-        for axis in range(2):
-            if k == first[b]:
-                correlated[b, axis] = correlated_sd * noise[axis]
-            else:
-                fresh = drive * correlated_sd * noise[axis]
-                correlated[b, axis] = decay * correlated[b, axis] + fresh
-            error = correlated[b, axis] + white_sd * noise[2 + axis]
-            fix[b, axis] = position_ne[k, axis] + error + offset[b, axis]
-            if not available[k - first[b]]:
-                fix[b, axis] = math.nan

@@ -17,13 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..earth.wgs84 import EARTH_RATE, EQUATORIAL_RADIUS, GRAVITATIONAL_CONSTANT
 
-PLANES = 6  # orbital planes of the circular model of the book, 60 degrees apart
-
 
 class SatelliteStates(NamedTuple):
-    """Positions and velocities of n satellites at K times. `position_e` (K, n, 3) position, ECEF
-    [m]; NaN where a satellite has no usable ephemeris; `velocity_e` (K, n, 3) velocity with respect
-    to the rotating Earth, ECEF [m/s]; NaN likewise."""
+    """Positions and velocities of n satellites at K times, (K, n, 3) each, ECEF [m], [m/s]; NaN
+    where a satellite has no usable ephemeris."""
 
     position_e: NDArray[np.float64]
     velocity_e: NDArray[np.float64]
@@ -41,8 +38,7 @@ class Constellation(Protocol):
 
 
 def checked_time(time: ArrayLike) -> NDArray[np.float64]:
-    """Times of the simulation as a (K,) array of finite numbers. `time` (K,) time of the simulation
-    [s]; returns (K,) time of the simulation [s]."""
+    """(K,) times of the simulation [s], finite."""
     times = np.asarray(time, dtype=np.float64)
     if times.ndim != 1:
         raise ValueError(f"`time` must have shape (K,), got {times.shape}")
@@ -68,13 +64,8 @@ def ecef_from_orbit(
         x' \cos\Omega - y' \cos i \sin\Omega\\ x' \sin\Omega + y' \cos i \cos\Omega\\ y' \sin i
         \end{pmatrix}, \qquad x' = r \cos u, \quad y' = r \sin u
 
-    and the velocity is its derivative.
-
-    Returns (S, 3) position and velocity, ECEF [m], [m/s].
-
-    Notes
-    -----
-    IS-GPS-200, table 20-IV; Groves (2013), section 8.5.
+    and the velocity is its derivative; (S, 3) each. IS-GPS-200, table 20-IV; Groves (2013), section
+    8.5.
     """
     su, cu = np.sin(latitude_argument), np.cos(latitude_argument)
     so, co = np.sin(node), np.cos(node)
@@ -122,22 +113,24 @@ class CircularConstellation:
     radius_m: float = 2.656175e7
     inclination_deg: float = 55.0
     time_offset_s: float = 0.0
-    planes: int = PLANES
+    planes: int = 6
     prefix: str = "S"
 
     def __post_init__(self) -> None:
-        if not 1 <= self.planes <= 99:
-            raise ValueError(f"`planes` must be within 1..99, got {self.planes}")
+        for name, low, high in (
+            ("planes", 1, 99),
+            ("satellites", 1, 99),
+            ("inclination_deg", 0, 180),
+        ):
+            if not low <= getattr(self, name) <= high:
+                value = getattr(self, name)
+                raise ValueError(f"`{name}` must be within {low}..{high}, got {value}")
         if not (len(self.prefix) == 1 and "A" <= self.prefix <= "Z"):
             raise ValueError(f"`prefix` must be a capital letter, A to Z, got {self.prefix!r}")
-        if not 1 <= self.satellites <= 99:
-            raise ValueError(f"`satellites` must be within 1..99, got {self.satellites}")
         if not EQUATORIAL_RADIUS < self.radius_m < math.inf:
             raise ValueError(
                 f"`radius_m` must be above {EQUATORIAL_RADIUS:.0f} m, got {self.radius_m}"
             )
-        if not 0.0 <= self.inclination_deg <= 180.0:
-            raise ValueError(f"`inclination_deg` must be within 0..180, got {self.inclination_deg}")
         if not math.isfinite(self.time_offset_s):
             raise ValueError(f"`time_offset_s` must be finite, got {self.time_offset_s}")
 
@@ -150,8 +143,6 @@ class CircularConstellation:
         return math.sqrt(GRAVITATIONAL_CONSTANT / self.radius_m**3)
 
     def states(self, time: ArrayLike) -> SatelliteStates:
-        """Positions and velocities of all satellites. `time` (K,) time of the simulation [s];
-        returns (K, N, 3) position and velocity, ECEF [m], [m/s]."""
         t = checked_time(time)[:, None] + self.time_offset_s
         j = np.arange(1, self.satellites + 1)
         return ecef_from_orbit(
@@ -192,8 +183,6 @@ class CombinedConstellation:
         return tuple(sorted(name for part in self.parts for name in part.satellite_ids))
 
     def states(self, time: ArrayLike) -> SatelliteStates:
-        """Positions and velocities of all satellites. `time` (K,) time of the simulation [s];
-        returns (K, n, 3) position and velocity, ECEF [m], [m/s]."""
         states = [part.states(time) for part in self.parts]
         position, velocity = (np.concatenate(group, axis=1) for group in zip(*states, strict=True))
         return SatelliteStates(position[:, self._order], velocity[:, self._order])
