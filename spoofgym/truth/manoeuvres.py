@@ -344,8 +344,8 @@ def zhong2025() -> Flight:
     equivalent of the aircraft profile of Groves' software: the manoeuvres lie on the same middles
     in time, with smooth edges where the profile's bank has steps."""
     right, left = _TURNS
-    legs: list[Manoeuvre] = [Until(18.0), right, Until(112.3), left, Until(207.0), _CLIMB, Until(418.0)]
-    return fly(legs, **_CRUISE, name="zhong2025")
+    turns: list[Manoeuvre] = [Until(18.0), right, Until(112.3), left]
+    return fly([*turns, Until(207.0), _CLIMB, Until(418.0)], **_CRUISE, name="zhong2025")
 
 
 def car() -> Flight:
