@@ -22,11 +22,11 @@ from .equipment import (
     Capture,
     CounterfeitErrors,
     Equipment,
+    FloatArray,
     SpooferClock,
     TrackingError,
 )
 
-FloatArray = NDArray[np.float64]
 CONTROLS = ("rate", "acceleration")
 ERRORS: dict[str, CounterfeitErrors | None] = {
     "inherited": None,

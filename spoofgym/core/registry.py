@@ -75,19 +75,21 @@ def build(
     if name not in kinds:
         refuse_pickle(name)
         check_choice(word, name, {*kinds, *more} - {name})
-    known = dataclasses.fields(kinds[name])  # type: ignore[arg-type]
-    valid = [field.name for field in known]
-    for setting in settings:
-        if setting not in valid:
-            raise ValueError(
-                f"{word} {name!r} has no setting {setting!r}; valid: {', '.join(valid) or 'none'}"
-            )
-    for field in known:
+    return _constructed(f"{word} {name!r}", kinds[name], settings)
+
+
+def _constructed(what: str, kind: type[T], settings: Mapping[str, Any]) -> T:
+    """Record of a kind, after a check that its settings are known, of the right kind, and there."""
+    known = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for name in settings:
+        if name not in known:
+            raise ValueError(f"{what} has no setting {name!r}; valid: {', '.join(known) or 'none'}")
+    for name, field in known.items():
         missing = dataclasses.MISSING
-        if field.default is field.default_factory is missing and field.name not in settings:
-            raise ValueError(f"{word} {name!r} needs the setting {field.name!r}")
-    check_plain_settings(kinds[name], settings)
-    return kinds[name](**settings)
+        if field.default is field.default_factory is missing and name not in settings:
+            raise ValueError(f"{what} needs the setting {name!r}")
+    check_plain_settings(kind, settings)
+    return kind(**settings)
 
 
 def check_plain_settings(kind: type, settings: Mapping[str, Any]) -> None:
@@ -128,13 +130,7 @@ def build_record(
             f"`{word}` must be a dict of settings or an instance of "
             f"{kind.__module__}.{kind.__qualname__}, got {given!r}"
         )
-    valid = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
-    settings = {**(defaults or {}), **(given or {})}
-    for name in settings:
-        if name not in valid:
-            raise ValueError(f"`{word}` has no setting {name!r}; valid: {', '.join(valid)}")
-    check_plain_settings(kind, settings)
-    return kind(**settings)
+    return _constructed(f"`{word}`", kind, {**(defaults or {}), **(given or {})})
 
 
 def is_number(value: object) -> bool:

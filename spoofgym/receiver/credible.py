@@ -32,19 +32,17 @@ Source: `song2021`; the filter is from `groves2013`, chapter 3.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import njit
 from ..core.memory import Memory
 from ..core.registry import check_finite
-from .epoch import ALWAYS, OPTIONAL, Epoch, frozen_fields
+from .epoch import OPTIONAL, Epoch, EpochMaker, FloatArray, without_channels
 
-FloatArray = NDArray[np.float64]
 AXES = 2
 
 
@@ -192,8 +190,13 @@ class CredibleBatch:
             np.zeros((b, AXES)), np.zeros(square), np.zeros(square), np.zeros((b, 3))
         )
         self.ones = np.ones((b, AXES))
-        self._names = ALWAYS.union(fields)
-        self._fixed = frozen_fields(_empty_fields(b, interval_s), self._names)
+        constant = {
+            "interval": np.full(b, interval_s),
+            "transition": np.tile(np.eye(AXES), (b, 1, 1)),
+            "imu_delta": np.zeros((b, 6)),
+            "predicted_velocity": np.zeros((b, 3)),
+        }
+        self._epoch = EpochMaker(fields, {**constant, **without_channels(b)})
 
     @property
     def state(self) -> CredibleState:
@@ -209,31 +212,16 @@ class CredibleBatch:
         reckoning since the last epoch, GNSS position [m]."""
         state, seen = self.state, self.seen
         predict_positions(self._rules, increment, fix, state, seen)
-        arrays: dict[str, NDArray[Any]] = {
-            "time": time,
-            "innovation_variance": seen.innovation_cov.diagonal(0, 1, 2),
-            "predicted_cov": state.covariance,
-            "predicted_position": state.position,
-            "auxiliary_position": state.odometry,
+        return self._epoch(
+            time=time,
+            innovation_variance=seen.innovation_cov.diagonal(0, 1, 2),
+            predicted_cov=state.covariance,
+            predicted_position=state.position,
+            auxiliary_position=state.odometry,
             **seen._asdict(),
-        }
-        return Epoch(**self._fixed, **frozen_fields(arrays, self._names))
+        )
 
     def update(self, weights: FloatArray | None) -> None:
         """Second half of an epoch.  `weights` (B, 2) of a verdict; None for ones."""
         used = self.ones if weights is None else weights
         update_positions(self._rules, used, self.state, self.seen)
-
-
-def _empty_fields(b: int, interval_s: float) -> Mapping[str, NDArray[Any]]:
-    return {
-        "interval": np.full(b, interval_s),
-        "transition": np.tile(np.eye(AXES), (b, 1, 1)),
-        "imu_delta": np.zeros((b, 6)),
-        "pseudorange": np.zeros((b, 0)),
-        "range_rate": np.zeros((b, 0)),
-        "satellite_position": np.zeros((b, 0, 3)),
-        "satellite_velocity": np.zeros((b, 0, 3)),
-        "visible": np.zeros((b, 0), dtype=np.bool_),
-        "predicted_velocity": np.zeros((b, 3)),
-    }

@@ -317,7 +317,28 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     return np.ndarray(array.shape, array.dtype, array.tobytes())
 
 
-def frozen_fields(
-    arrays: Mapping[str, NDArray[Any]], names: Collection[str]
-) -> dict[str, NDArray[Any]]:
-    return {name: frozen(array) for name, array in arrays.items() if name in names}
+class EpochMaker:
+    """Makes epochs, read-only copies of what is `constant` and of what is given; `fields`: optional
+    ones that they have."""
+
+    def __init__(self, fields: Collection[str], constant: Mapping[str, NDArray[Any]]) -> None:
+        self._names = ALWAYS.union(fields)
+        self._constant = self._frozen(constant)
+
+    def _frozen(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        return {name: frozen(array) for name, array in arrays.items() if name in self._names}
+
+    def __call__(self, **arrays: NDArray[Any]) -> Epoch:
+        return Epoch(**self._constant, **self._frozen(arrays))
+
+
+def without_channels(b: int) -> dict[str, NDArray[Any]]:
+    """What an epoch of B receivers without channels has, but never changes."""
+    nothing, no_vector = np.zeros((b, 0)), np.zeros((b, 0, 3))
+    return {
+        "pseudorange": nothing,
+        "range_rate": nothing,
+        "satellite_position": no_vector,
+        "satellite_velocity": no_vector,
+        "visible": np.zeros((b, 0), dtype=np.bool_),
+    }

@@ -14,17 +14,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.memory import Memory
 from ..core.registry import build_record, check_fields
 from ..earth.wgs84 import STANDARD_GRAVITY
 from ._loose_kernels import LooseState, first_estimate, predict, update
 from .adaptive import PROCESS, SelfTuning
-from .epoch import ALWAYS, OPTIONAL, Epoch, frozen_fields
+from .epoch import OPTIONAL, Epoch, EpochMaker, FloatArray, without_channels
 from .loose_states import POSITION, STATES
 
-FloatArray = NDArray[np.float64]
 _DEG = math.pi / 180.0
 _UG = STANDARD_GRAVITY * 1e-6
 
@@ -152,18 +150,8 @@ class LooseReceivers:
         self._design = np.zeros((b, 3, STATES))
         self._design[:, np.arange(3), POSITION + np.arange(3)] = -1.0
         self._ones = np.ones((b, 3))
-        nothing, no_vector = np.zeros((b, 0)), np.zeros((b, 0, 3))
-        constant: dict[str, NDArray[Any]] = {
-            "interval": np.full(b, samples * imu_interval_s),
-            "design": self._design,
-            "pseudorange": nothing,
-            "range_rate": nothing,
-            "satellite_position": no_vector,
-            "satellite_velocity": no_vector,
-            "visible": np.zeros((b, 0), dtype=np.bool_),
-        }
-        self._names = ALWAYS.union(fields)
-        self._constant = frozen_fields(constant, self._names)
+        constant = {"interval": np.full(b, samples * imu_interval_s), "design": self._design}
+        self._epoch = EpochMaker(fields, {**constant, **without_channels(b)})
 
     @property
     def state(self) -> LooseState:
@@ -173,21 +161,12 @@ class LooseReceivers:
     def begin(
         self, position_e: FloatArray, velocity_e: FloatArray, C_eb: FloatArray, error: FloatArray
     ) -> None:
-        """Begin at a true state, apart from the errors of the alignment. `position_e`,
-        `velocity_e`, `C_eb` (B, 3), (B, 3) and (B, 3, 3) truth; `error` (B, 15) errors, in the
-        order of the states; the biases are not looked at."""
+        """Begin at a true state, apart from the errors (B, 15) of the alignment."""
         first_estimate(self.state, position_e, velocity_e, C_eb, error)
 
     def predict(self) -> None:
-        predict(
-            self.state,
-            self.samples,
-            self.fix_e,
-            self.imu_interval_s,
-            self._psd,
-            self._transition,
-            self._imu_delta,
-        )
+        changed = self._transition, self._imu_delta
+        predict(self.state, self.samples, self.fix_e, self.imu_interval_s, self._psd, *changed)
 
     def update(self, weights: FloatArray | None) -> None:
         """Correct the solution, and tune the noise. `weights` (B, 3) on the columns of the gain;
@@ -198,16 +177,15 @@ class LooseReceivers:
         """What a detector may see, between `predict` and `update`. `time` (B,) of the epoch [s];
         returns read-only copies; n = 0, and m = 3 coordinates, east, north, up."""
         state = self.state
-        arrays = {
-            "time": time,
-            "innovation": state.innovation,
-            "innovation_variance": state.innovation_cov.diagonal(0, 1, 2),
-            "innovation_cov": state.innovation_cov,
-            "predicted_cov": state.covariance,
-            "predicted_position": state.position_e,
-            "predicted_velocity": state.velocity_e,
-            "transition": self._transition,
-            "imu_delta": self._imu_delta,
-            "gnss_position": self.fix_e,
-        }
-        return Epoch(**frozen_fields(arrays, self._names), **self._constant)
+        return self._epoch(
+            time=time,
+            innovation=state.innovation,
+            innovation_variance=state.innovation_cov.diagonal(0, 1, 2),
+            innovation_cov=state.innovation_cov,
+            predicted_cov=state.covariance,
+            predicted_position=state.position_e,
+            predicted_velocity=state.velocity_e,
+            transition=self._transition,
+            imu_delta=self._imu_delta,
+            gnss_position=self.fix_e,
+        )

@@ -81,8 +81,6 @@ class Engine:
         twin: bool = False,
         warm_pool: int | None = None,
     ) -> None:
-        if receivers < 1:
-            raise ValueError(f"`receivers` must be at least 1, got {receivers}")
         if threads is not None and threads < 1:
             raise ValueError(f"`threads` must be at least 1, got {threads}")
         self.receivers, self.setup = receivers, setup

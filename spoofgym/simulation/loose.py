@@ -42,8 +42,31 @@ class RateSimulator(Simulator):
         return domain_keys(episodes)
 
     @abstractmethod
+    def _keys(self, episode: np.random.SeedSequence) -> NDArray[np.uint64]:
+        """Keys of an episode's noise, as ``keys`` of the memory has them."""
+
     def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
         """Draw the keys of a receiver's noise, and what else is drawn once per episode."""
+        self.memory["keys"][row] = self._keys(episode)
+
+    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
+        self.memory["keys"][rows] = [self._keys(episode) for episode in episodes]
+
+    def _start(self, choice: Choice) -> None:
+        self.memory["epoch"][:] = self.memory["first"]
+        self._observe()
+
+    def _measure(self, command: FloatArray | None) -> None:
+        self._move(command)
+        self.memory["epoch"] = self.memory["epoch"] + 1
+        self._observe()
+
+    def _observe(self) -> None:
+        """Measure the epoch, where nothing has to be measured on the way to it."""
+
+    @property
+    def position(self) -> FloatArray:
+        return self.memory["position_e"]
 
     @property
     def epochs(self) -> NDArray[np.int64]:
@@ -183,17 +206,12 @@ class LooselyCoupledSimulator(RateSimulator):
         variance = self.setup.receiver.noise_variance()
         return DetectorContext(self.receivers, 0, INTERVAL_S, variance, ())
 
-    def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
-        state = episode.generate_state(2 * SOURCES, np.uint64)
-        self.memory["keys"][row] = state.reshape(-1, 2)
-
-    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
-        for row, episode in zip(rows.tolist(), episodes, strict=True):
-            self._seed(row, episode)
+    def _keys(self, episode: np.random.SeedSequence) -> NDArray[np.uint64]:
+        return episode.generate_state(2 * SOURCES, np.uint64).reshape(-1, 2)
 
     def _start(self, choice: Choice) -> None:
+        super()._start(choice)
         memory, setup, first = self.memory, self.setup, self.memory["first"]
-        memory["epoch"][:] = first
         written = memory["first_error"], memory["position_error"]
         sizes = setup.inertial.initial_sd, setup.errors.sd
         first_errors(memory["keys"], *sizes, self._deviates, *written)
@@ -218,10 +236,6 @@ class LooselyCoupledSimulator(RateSimulator):
 
     def _correct(self, weights: FloatArray | None) -> None:
         self.victims.update(weights)
-
-    @property
-    def position(self) -> FloatArray:
-        return self.memory["position_e"]
 
     def error_n(self) -> FloatArray:
         epochs = self.epochs

@@ -6,15 +6,13 @@ import copy
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..receiver import NavState, Recording
 from ..truth._kernels import CHUNK, sense
 from ..truth.noise import deviates, padded
-from .simulator import run_serially
+from .simulator import FloatArray, run_serially
 from .tight import TightlyCoupledSetup, TightlyCoupledSimulator
 
-FloatArray = NDArray[np.float64]
 RANGES = "pseudorange", "range_rate"  # fields of an epoch that a recording keeps
 
 

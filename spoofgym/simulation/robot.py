@@ -33,7 +33,7 @@ from ..truth.robot import (
 from .domain import Choice, Domain
 from .loose import RateSimulator
 from .setup import MOST_EPOCHS, RateCommands, Run, Setup, Timeline
-from .simulator import FloatArray, Rows, Written
+from .simulator import FloatArray, Written
 
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "acna", "variant": "production"}
 DEFAULT_TIMELINE = {"warmup_s": 60.0, "live_s": 60.0, "attack_s": 150.0, "time_to_alert_s": 10.0}
@@ -215,15 +215,14 @@ class WheeledRobotSimulator(RateSimulator):
         variance = np.full(AXES, self.setup.receiver.noise_variance)
         return DetectorContext(self.receivers, 0, self.setup.interval_s, variance, ())
 
+    def _keys(self, episode: np.random.SeedSequence) -> NDArray[np.uint64]:
+        return episode_keys(episode)[0]
+
     def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
         self.memory["keys"][row], self.memory["phase"][row] = episode_keys(episode)
 
-    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
-        self.memory["keys"][rows] = [episode_keys(episode)[0] for episode in episodes]
-
     def _start(self, choice: Choice) -> None:
-        self.memory["epoch"][:] = self.memory["first"]
-        self._observe()
+        super()._start(choice)
         self.filters.begin(self.memory["fix"])
 
     def _observe(self) -> None:
@@ -240,9 +239,7 @@ class WheeledRobotSimulator(RateSimulator):
         measure_fix(*drawn, *truth, *sizes, memory["displacement"], self._noise, *written)
 
     def _measure(self, command: FloatArray | None) -> None:
-        self._move(command)
-        self.memory["epoch"] = self.memory["epoch"] + 1
-        self._observe()
+        super()._measure(command)
         self.epoch = self.filters.predict(self.time_s(), self.increment, self.memory["fix"])
 
     def _form_epoch(self) -> Epoch:

@@ -21,7 +21,7 @@ from ..detectors import Detector, detector_in_world
 from ..detectors.calibration_file import Conditions, described
 from ..receiver.epoch import OPTIONAL
 from ._kernels import local_motion
-from .domain import Bounds, Domain
+from .domain import Bounds, Domain, FloatArray
 from .monitors import Monitor
 
 MOST_EPOCHS = 100_000  # longest episode
@@ -92,7 +92,6 @@ def epochs_of_decision(decision_interval_s: float | None, interval_s: float, ste
     return repeat
 
 
-FloatArray = NDArray[np.float64]
 TARGETS = ("random", "worst")  # target directions that are no number
 BETWEEN = ("hold", "linear")  # what is commanded between two decisions
 Run = Callable[[Callable[[int, int], None], int], None]  # calls ``f(lo, hi)`` over slices of B

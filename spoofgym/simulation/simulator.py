@@ -13,7 +13,7 @@ import sys
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +23,10 @@ from ..detectors import DETECTORS, Calibrated, Detector, DetectorContext, Pooled
 from ..detectors.base import YoungMemoryWarning, check_needs, checked_weights, judged
 from ..detectors.calibrated import resolve
 from ..receiver.epoch import Epoch
-from .domain import Choice, draw, given_choice
+from .domain import Choice, FloatArray, draw, given_choice
 from .monitors import Monitor
 from .setup import Run, Setup
 
-if TYPE_CHECKING:
-    from typing import Self
-
-FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Rngs = Sequence[np.random.Generator]
 Given = Mapping[str, Any]  # circumstances that are not to be drawn, by `domain.CHOICES`

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..core.registry import check_finite, is_number
 from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
-from ..receiver.epoch import ALWAYS, Epoch, frozen_fields
+from ..receiver.epoch import Epoch, EpochMaker
 from ..receiver.snapshot import (
     EXPECTED_CLOCK_SD_M,
     EXPECTED_POSITION_SD_M,
@@ -30,7 +30,7 @@ from ..truth.satellites import CircularConstellation
 from .domain import Choice, Domain
 from .loose import RateSimulator
 from .setup import RateCommands, Run, Setup, Timeline
-from .simulator import FloatArray, Rows, SkyData, Written
+from .simulator import FloatArray, SkyData, Written
 
 AXES = ("north", "east", "down", "clock")
 DEFAULT_TIMELINE = {"warmup_s": 10.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 10.0}
@@ -212,8 +212,7 @@ class SnapshotSimulator(RateSimulator):
             "visible": np.ones((b, n), dtype=np.bool_),
             "predicted_velocity": np.zeros((b, 3)),
         }
-        self._names = ALWAYS | self.fields
-        self._constant = frozen_fields(constant, self._names)
+        self._epoch = EpochMaker(self.fields, constant)
 
     def _context(self) -> DetectorContext:
         setup, n = self.setup, len(self.setup.weight_names)
@@ -224,22 +223,21 @@ class SnapshotSimulator(RateSimulator):
 
     def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
         memory, slots = self.memory, self.setup.spoofed
-        memory["keys"][row] = episode.generate_state(2, np.uint64)
+        super()._seed(row, episode)
         rng = np.random.default_rng(episode.spawn(1)[0])
         memory["true_clock"][row] = rng.standard_normal(2) * CLOCK_SD
         if isinstance(slots, int):
             slots = rng.permutation(len(self.setup.weight_names))[:slots].tolist()
         memory["spoofed"][row, slots] = True
 
-    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
-        self.memory["keys"][rows] = [each.generate_state(2, np.uint64) for each in episodes]
+    def _keys(self, episode: np.random.SeedSequence) -> NDArray[np.uint64]:
+        return np.asarray(episode.generate_state(2, np.uint64))
 
     def _start(self, choice: Choice) -> None:
-        self.memory["epoch"][:] = self.memory["first"]
-        self._receive()
+        super()._start(choice)
         self._correct(None)
 
-    def _receive(self) -> None:
+    def _observe(self) -> None:
         sky, memory = self.setup.sky, self.memory
         drawn = memory["epoch"], memory["keys"], memory["true_clock"]
         spoofing = memory["displacement"], memory["spoofed"]
@@ -247,28 +245,22 @@ class SnapshotSimulator(RateSimulator):
         written = self._deviates, self._pseudorange, self._satellites
         measure_snapshot(*drawn, *spoofing, *world, self.setup.noise_m, *written)
 
-    def _measure(self, command: FloatArray | None) -> None:
-        self._move(command)
-        self.memory["epoch"] = self.memory["epoch"] + 1
-        self._receive()
-
     def _form_epoch(self) -> Epoch:
         memory = self.memory
         last, written = (memory["position_e"], memory["clock"]), (self._innovation, self._cov)
         variance = self.setup.noise_m**2
         expect(self._pseudorange, self._satellites, *last, variance, *written, self._design)
-        arrays = {
-            "time": self.time_s(),
-            "innovation": self._innovation,
-            "innovation_variance": self._cov.diagonal(0, 1, 2),
-            "innovation_cov": self._cov,
-            "design": self._design,
-            "pseudorange": self._pseudorange,
-            "satellite_position": self._satellites,
-            "satellite_velocity": self.setup.sky.satellite_velocity_e[memory["epoch"]],
-            "predicted_position": memory["position_e"],
-        }
-        return Epoch(**frozen_fields(arrays, self._names), **self._constant)
+        return self._epoch(
+            time=self.time_s(),
+            innovation=self._innovation,
+            innovation_variance=self._cov.diagonal(0, 1, 2),
+            innovation_cov=self._cov,
+            design=self._design,
+            pseudorange=self._pseudorange,
+            satellite_position=self._satellites,
+            satellite_velocity=self.setup.sky.satellite_velocity_e[memory["epoch"]],
+            predicted_position=memory["position_e"],
+        )
 
     def _correct(self, weights: FloatArray | None) -> None:
         memory = self.memory
@@ -279,10 +271,6 @@ class SnapshotSimulator(RateSimulator):
     @property
     def coasting(self) -> NDArray[np.bool_]:
         return np.asarray(self.memory["status"] != FIXED)
-
-    @property
-    def position(self) -> FloatArray:
-        return self.memory["position_e"]
 
     def error_n(self) -> FloatArray:
         sky = self.setup.sky

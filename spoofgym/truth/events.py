@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .signal_errors import IONOSPHERE_HEIGHT_M, NEVER, SHELL_RADIUS_M
+from .signal_errors import IONOSPHERE_HEIGHT_M, NEVER, SHELL_RADIUS_M, FloatArray
 
-FloatArray = NDArray[np.float64]
 STREAM = 0xBE  # key of the stream of an episode's domain from which its events are drawn
 
 

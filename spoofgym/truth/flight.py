@@ -1,10 +1,8 @@
-"""True motion and the IMU samples of a perfect sensor.
-
-A flight: the true motion of the antenna at the rate of the inertial sensors.
+"""A flight: the true motion of the antenna, and the samples of perfect inertial sensors.
 
 A vehicle is a point with axes: antenna and inertial sensors share one place.  Position is by
 construction the trapezoid integral of velocity, which is how the strapdown mechanization of
-`spoofgym.truth.flight` integrates, so that noise-free inertial samples lead back to the flight.
+the receiver integrates, so that noise-free inertial samples lead back to the flight.
 """
 
 from __future__ import annotations
@@ -119,8 +117,7 @@ def integrate_velocity(
     .. math::
         r_{i+1} = r_i + \tfrac12 \Delta t\,(v_i + v_{i+1})
 
-    `start_e` (3,) first position, ECEF [m]; `velocity_e` (N+1, 3) velocity, ECEF [m/s]; `step`:
-    interval of the samples [s]; returns (N+1, 3) position, ECEF [m].
+    `start_e` (3,) [m], `velocity_e` (N+1, 3) [m/s], ECEF; `step` [s]; returns (N+1, 3) [m].
     """
     position = np.zeros_like(velocity_e)
     np.cumsum(0.5 * step * (velocity_e[:-1] + velocity_e[1:]), axis=0, out=position[1:])
@@ -143,21 +140,14 @@ def turned(flight: Flight, angle: float) -> Flight:
     C_en = dcm_e_from_n(latitude, longitude)
     turn = C_en @ euler_to_dcm(0.0, 0.0, angle) @ C_en.T
     velocity_e = flight.velocity_e @ turn.T
-    return Flight(
-        flight.name,
-        flight.time,
-        integrate_velocity(flight.position_e[0], velocity_e, flight.step),
-        velocity_e,
-        turn @ flight.C_eb,
-    )
+    position_e = integrate_velocity(flight.position_e[0], velocity_e, flight.step)
+    return Flight(flight.name, flight.time, position_e, velocity_e, turn @ flight.C_eb)
 
 
 def check_closure(
     position_e: NDArray[np.float64], closed_e: NDArray[np.float64], step: float, tolerance: float
 ) -> None:
-    """Raise where positions stray from the integral of the velocities. `position_e`, `closed_e`
-    (N+1, 3) given and integrated positions, ECEF [m]; `step`: interval of the samples [s];
-    `tolerance`: largest distance allowed [m]."""
+    """Raise where positions stray from the integral of the velocities, (N+1, 3) each, ECEF [m]."""
     distance = np.linalg.norm(position_e - closed_e, axis=1)
     worst = int(distance.argmax())
     if distance[worst] > tolerance:
@@ -184,10 +174,9 @@ def flight_from_geodetic(
     The positions turn velocity and attitude to ECEF axes; of them, only the first one is kept
     as it is, and the others follow from the velocities.
 
-    `latitude`, `longitude`, `height` (N+1,) geodetic position [rad, rad, m]; `velocity_n` (N+1, 3)
-    velocity with respect to the Earth, north-east-down [m/s]; `roll`, `pitch`, `yaw` (N+1,)
-    attitude [rad]; `step`: interval of the samples [s]; `tolerance`: largest distance between given
-    and integrated position [m].
+    `latitude`, `longitude`, `height` (N+1,) [rad, rad, m]; `velocity_n` (N+1, 3) north-east-down
+    [m/s]; `roll`, `pitch`, `yaw` (N+1,) [rad]; `step` [s]; `tolerance`: largest distance between
+    given and integrated position [m].
     """
     given = geodetic_to_ecef(latitude, longitude, height)
     C_en = dcm_e_from_n(latitude, longitude)
@@ -215,9 +204,7 @@ def flight_from_velocity(
     Solves :math:`\dot r = C_{en}(r)\,v_n` by Picard's iteration, each of whose passes integrates
     by trapezoids.
 
-    `latitude`, `longitude`, `height`: start [rad, rad, m]; `velocity_n` (N+1, 3) velocity with
-    respect to the Earth, north-east-down [m/s]; `roll`, `pitch`, `yaw` (N+1,) attitude [rad];
-    `step`: interval of the samples [s].
+    `latitude`, `longitude`, `height`: start [rad, rad, m]; the others as in `flight_from_geodetic`.
     """
     velocity_n = np.asarray(velocity_n, dtype=np.float64)
     start = geodetic_to_ecef(latitude, longitude, height)
@@ -271,13 +258,9 @@ def trajectory_at(flight: Flight, imu_rate_hz: float | None, epoch_interval_s: f
     if count == 1:
         return inverse_kinematics(flight)
     velocity_e = flight.velocity_e[::count]
-    longer = Flight(
-        flight.name,
-        flight.time[::count],
-        integrate_velocity(flight.position_e[0], velocity_e, count * flight.step),
-        velocity_e,
-        flight.C_eb[::count],
-    )
+    position_e = integrate_velocity(flight.position_e[0], velocity_e, count * flight.step)
+    every = flight.time[::count], position_e, velocity_e, flight.C_eb[::count]
+    longer = Flight(flight.name, *every)
     return inverse_kinematics(longer, decimation=count, largest=LARGEST_DECIMATED)
 
 
@@ -314,34 +297,15 @@ def inverse_kinematics(
     :math:`a = \omega_{ie} \Delta t`, :math:`R_z(a)` the turn of the Earth, and :math:`I + A` and
     :math:`I` in place of the brackets for :math:`|\alpha| \le 10^{-8}`.
 
-    `decimation`: as in `Trajectory`, done already; `largest`: rotation over a sample [rad].
-
-    Notes
-    -----
-    Groves (2013), section 5.5, solved for the samples.
+    `decimation`: as in `Trajectory`, done already; `largest`: rotation over a sample [rad]. Groves
+    (2013), section 5.5, solved for the samples.
     """
-    specific_force_b = np.empty((flight.time.size - 1, 3))
-    angular_rate_b = np.empty_like(specific_force_b)
-    turn = invert_samples(
-        flight.step,
-        flight.position_e,
-        flight.velocity_e,
-        flight.C_eb,
-        specific_force_b,
-        angular_rate_b,
-    )
+    samples = np.empty((2, flight.time.size - 1, 3))
+    motion = flight.position_e, flight.velocity_e, flight.C_eb
+    turn = invert_samples(flight.step, *motion, *samples)
     if turn > largest:
         raise ValueError(
             f"a flight must turn by at most {math.degrees(largest):g} deg in a sample, "
             f"got {math.degrees(turn):.3g} deg"
         )
-    return Trajectory(
-        flight.name,
-        flight.time,
-        flight.position_e,
-        flight.velocity_e,
-        flight.C_eb,
-        specific_force_b,
-        angular_rate_b,
-        decimation,
-    )
+    return Trajectory(flight.name, flight.time, *motion, *samples, decimation)

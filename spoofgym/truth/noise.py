@@ -61,40 +61,34 @@ def _mix(x: np.uint64, y: np.uint64, turn: int) -> tuple[np.uint64, np.uint64]:
 
 
 @inlined
+def _mix_even(x: np.uint64, y: np.uint64) -> tuple[np.uint64, np.uint64]:
+    x, y = _mix(x, y, 16)
+    x, y = _mix(x, y, 42)
+    x, y = _mix(x, y, 12)
+    return _mix(x, y, 31)
+
+
+@inlined
+def _mix_odd(x: np.uint64, y: np.uint64) -> tuple[np.uint64, np.uint64]:
+    x, y = _mix(x, y, 16)
+    x, y = _mix(x, y, 32)
+    x, y = _mix(x, y, 24)
+    return _mix(x, y, 21)
+
+
+@inlined
 def threefry(
     x: np.uint64, y: np.uint64, k0: np.uint64, k1: np.uint64
 ) -> tuple[np.uint64, np.uint64]:
     """Threefry-2x64-20: 128 random bits of a counter under a key. Salmon et al. (2011), section
-    3.3. The rounds are written out, since compilers vectorize only a loop that has no loop in
-    it."""
+    3.3. The rounds are written out, since compilers vectorize only a loop without one in it."""
     k2 = k0 ^ k1 ^ _PARITY
-    x, y = x + k0, y + k1
-    x, y = _mix(x, y, 16)
-    x, y = _mix(x, y, 42)
-    x, y = _mix(x, y, 12)
-    x, y = _mix(x, y, 31)
-    x, y = x + k1, y + k2 + np.uint64(1)
-    x, y = _mix(x, y, 16)
-    x, y = _mix(x, y, 32)
-    x, y = _mix(x, y, 24)
-    x, y = _mix(x, y, 21)
-    x, y = x + k2, y + k0 + np.uint64(2)
-    x, y = _mix(x, y, 16)
-    x, y = _mix(x, y, 42)
-    x, y = _mix(x, y, 12)
-    x, y = _mix(x, y, 31)
-    x, y = x + k0, y + k1 + np.uint64(3)
-    x, y = _mix(x, y, 16)
-    x, y = _mix(x, y, 32)
-    x, y = _mix(x, y, 24)
-    x, y = _mix(x, y, 21)
-    x, y = x + k1, y + k2 + np.uint64(4)
-    x, y = _mix(x, y, 16)
-    x, y = _mix(x, y, 42)
-    x, y = _mix(x, y, 12)
-    x, y = _mix(x, y, 31)
-    x, y = x + k2, y + k0 + np.uint64(5)
-    return x, y
+    x, y = _mix_even(x + k0, y + k1)
+    x, y = _mix_odd(x + k1, y + k2 + np.uint64(1))
+    x, y = _mix_even(x + k2, y + k0 + np.uint64(2))
+    x, y = _mix_odd(x + k0, y + k1 + np.uint64(3))
+    x, y = _mix_even(x + k1, y + k2 + np.uint64(4))
+    return x + k2, y + k0 + np.uint64(5)
 
 
 @inlined

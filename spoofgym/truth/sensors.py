@@ -25,7 +25,7 @@ from ..core.lanes import LaneFields
 from ..earth.wgs84 import STANDARD_GRAVITY
 from .gnss_errors import GnssErrors
 from .noise import BLOCK, normals, padded
-from .signal_errors import SignalErrors, begin_signals, signal_shapes
+from .signal_errors import FloatArray, SignalErrors, begin_signals, signal_shapes
 
 _UG = STANDARD_GRAVITY * 1e-6
 _DEG = math.pi / 180.0
@@ -143,7 +143,6 @@ IMU_GRADES: dict[str, ImuGrade] = {  # sensor errors by grade (`groves2013`, the
 }
 
 
-FloatArray = NDArray[np.float64]
 TURN_ON = 1  # counter, under a satellite bias's key, of the deviates of inertial sensors
 SOURCES = ("imu", "clock", "gnss", "bias", "trajectory", "domain", "spoofer", "correlated")
 """Sources of chance; each has a key of its own in every episode.  New ones come last, which leaves
