@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
-from ..core.registry import build_record, check_choice, check_finite
+from ..core.registry import build_record, check_choice, check_finite, require
 from ..core.settings import kind_of
 from ..truth.run import World
 from ._kernels import Commanded
@@ -114,24 +114,25 @@ class Attack(ABC):
     threat: str = ""
 
     def __post_init__(self) -> None:
-        if self.control not in CONTROLS:
-            raise ValueError(
-                f"`control` must be one of {', '.join(map(repr, CONTROLS))}, got {self.control!r}"
-            )
+        require(
+            self.control in CONTROLS,
+            f"`control` must be one of {', '.join(map(repr, CONTROLS))}, got {self.control!r}",
+        )
         for name in ("acceleration_limit_mps2", "rate_limit_mps"):
             check_finite(name, getattr(self, name), "> 0")
         if isinstance(self.channels, str):
-            if self.channels != "all" and "*" not in self.channels:
-                raise ValueError(
-                    "`channels` must be 'all' or a pattern such as 'E*' or some satellite ids, "
-                    f"got {self.channels!r}"
-                )
+            require(
+                self.channels == "all" or "*" in self.channels,
+                "`channels` must be 'all' or a pattern such as 'E*' or some satellite ids, "
+                f"got {self.channels!r}",
+            )
         else:
             self.channels = tuple(self.channels)
-            if not self.channels:
-                raise ValueError("`channels` must name at least one satellite")
-            if len(set(self.channels)) < len(self.channels):
-                raise ValueError(f"`channels` must name each satellite once, got {self.channels}")
+            require(self.channels, "`channels` must name at least one satellite")
+            require(
+                len(set(self.channels)) >= len(self.channels),
+                f"`channels` must name each satellite once, got {self.channels}",
+            )
         self._check_options()
 
     def _check_options(self) -> None:
@@ -225,11 +226,11 @@ class Attack(ABC):
         wanted = (self.channels,) if isinstance(self.channels, str) else self.channels
         patterns = ["*" if name == "all" else name for name in wanted]
         for pattern in patterns:
-            if not any(fnmatchcase(name, pattern) for name in present):
-                raise ValueError(
-                    f"satellite {pattern!r} is not in view on {world.name!r}; in view: "
-                    f"{', '.join(present)}"
-                )
+            require(
+                any(fnmatchcase(name, pattern) for name in present),
+                f"satellite {pattern!r} is not in view on {world.name!r}; in view: "
+                f"{', '.join(present)}",
+            )
         return np.array(
             [
                 bool(name) and any(fnmatchcase(name, pattern) for pattern in patterns)

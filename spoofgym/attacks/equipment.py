@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
-from ..core.registry import check_fields, check_finite
+from ..core.registry import check_fields, check_finite, require
 from ..truth.noise import padded
 from ..truth.run import World
 from . import _kernels as kernels
@@ -48,11 +48,11 @@ class CounterfeitErrors:
     def __post_init__(self) -> None:
         unset = [item.name for item in fields(self) if getattr(self, item.name) is None]
         check_fields(self, ">= 0", *(item.name for item in fields(self) if item.name not in unset))
-        if self.blend_s > 0.0 and len(unset) < 2:
-            raise ValueError(
-                f"`blend_s` {self.blend_s} takes the receiver's own noise: leave out `code_sd_m` "
-                "and `range_rate_sd_mps`"
-            )
+        require(
+            not (self.blend_s > 0.0 and len(unset) < 2),
+            f"`blend_s` {self.blend_s} takes the receiver's own noise: leave out `code_sd_m` "
+            "and `range_rate_sd_mps`",
+        )
 
 
 REPLACED = CounterfeitErrors()  # a step at the capture, to the noise of the receiver alone
@@ -92,8 +92,10 @@ class TrackingError:
     def __post_init__(self) -> None:
         check_fields(self, ">= 0", "sd_m", "delay_s")
         check_finite("correlation_s", self.correlation_s, "> 0")
-        if self.delay_s > MOST_DELAY_S:
-            raise ValueError(f"`delay_s` must be at most {MOST_DELAY_S:g}, got {self.delay_s}")
+        require(
+            self.delay_s <= MOST_DELAY_S,
+            f"`delay_s` must be at most {MOST_DELAY_S:g}, got {self.delay_s}",
+        )
         object.__setattr__(self, "bias_m", checked_vector("bias_m", self.bias_m))
 
 
@@ -122,8 +124,10 @@ class SpooferClock:
     def __post_init__(self) -> None:
         check_fields(self, ">= 0", "offset_sd_m", "drift_sd_mps", "phase_psd", "frequency_psd")
         for name in ("offset_m", "drift_mps"):
-            if not math.isfinite(getattr(self, name)):
-                raise ValueError(f"`{name}` must be finite, got {getattr(self, name)}")
+            require(
+                math.isfinite(getattr(self, name)),
+                f"`{name}` must be finite, got {getattr(self, name)}",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,8 +164,7 @@ def checked_vector(name: str, value: tuple[float, ...]) -> tuple[float, float, f
         numbers = tuple(float(x) for x in value)
     except (TypeError, ValueError):
         raise ValueError(message) from None
-    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
-        raise ValueError(message)
+    require(len(numbers) == 3 and all(map(math.isfinite, numbers)), message)
     return numbers[0], numbers[1], numbers[2]
 
 

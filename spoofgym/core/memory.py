@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .registry import require
+
 
 class Memory(dict[str, NDArray[Any]]):
     """Arrays by name, one row a receiver, that can be reset, taken out and put back by rows.
@@ -47,11 +49,11 @@ class Memory(dict[str, NDArray[Any]]):
     def declare(self, name: str, initial: NDArray[Any]) -> None:
         """Add an array.  `initial` (B, ...) values at the start of an episode."""
         array = np.array(initial)
-        if array.ndim == 0 or array.shape[0] != self.receivers:
-            raise ValueError(
-                f"memory {name!r} needs a leading axis of {self.receivers} receivers, "
-                f"got shape {array.shape}"
-            )
+        require(
+            array.ndim != 0 and array.shape[0] == self.receivers,
+            f"memory {name!r} needs a leading axis of {self.receivers} receivers, "
+            f"got shape {array.shape}",
+        )
         self._initial[name] = array
         self[name] = array.copy()
 

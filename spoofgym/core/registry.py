@@ -23,6 +23,11 @@ PICKLES = (".zip", ".pkl", ".pickle", ".pt", ".pth", ".ckpt", ".pth.tar", ".jobl
 """Endings of files of models that would have to be unpickled."""
 
 
+def require(good: object, message: str) -> None:
+    if not good:
+        raise ValueError(message)
+
+
 def check_choice(
     word: str, value: str, valid: Iterable[str], renamed: Mapping[str, str] | None = None
 ) -> None:
@@ -82,8 +87,9 @@ def _constructed(what: str, kind: type[T], settings: Mapping[str, Any]) -> T:
     """Record of a kind, after a check that its settings are known, of the right kind, and there."""
     known = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for name in settings:
-        if name not in known:
-            raise ValueError(f"{what} has no setting {name!r}; valid: {', '.join(known) or 'none'}")
+        require(
+            name in known, f"{what} has no setting {name!r}; valid: {', '.join(known) or 'none'}"
+        )
     for name, field in known.items():
         missing = dataclasses.MISSING
         if field.default is field.default_factory is missing and name not in settings:
@@ -113,8 +119,7 @@ def check_plain_settings(kind: type, settings: Mapping[str, Any]) -> None:
             right, must = isinstance(value, numbers.Real) and not truth, "a number"
         else:
             continue
-        if not right:
-            raise ValueError(f"`{field.name}` must be {must}{nothing}, got {value!r}")
+        require(right, f"`{field.name}` must be {must}{nothing}, got {value!r}")
 
 
 def build_record(
@@ -235,8 +240,7 @@ def parse_setting(text: str, where: str = "") -> tuple[str, Any]:
     ('domain', {'start_s': [0, 60]})
     """
     setting, equals, value = text.partition("=")
-    if not equals or not setting.strip():
-        raise ValueError(f"a setting is written `name=value`, got {text!r}{where}")
+    require(equals and setting.strip(), f"a setting is written `name=value`, got {text!r}{where}")
     return setting.strip(), _value(value.strip())
 
 

@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.registry import require
 from ..earth.wgs84 import EQUATORIAL_RADIUS, dcm_e_from_n, geodetic_to_ecef
 from .track_fit import MINIMUM_FIXES, Track
 from .tracks import KNOT, RawTrack
@@ -289,8 +290,10 @@ def clean_track(
     """Clean a recorded track and cut out a stretch that was flown without a gap: from so many
     seconds after the first row of the file, by default the start of the longest stretch, for ten
     minutes, or what the stretch offers."""
-    if interpolated not in {"drop", "keep"}:
-        raise ValueError(f"`interpolated` must be 'drop' or 'keep', got {interpolated!r}")
+    require(
+        interpolated in {"drop", "keep"},
+        f"`interpolated` must be 'drop' or 'keep', got {interpolated!r}",
+    )
     counts: dict[str, int] = {"rows": raw.time.size}
     fixes = _distinct_fixes(raw, counts, interpolated == "drop")
     fixes = _without_outliers(fixes, counts)
@@ -354,11 +357,11 @@ def _distinct_fixes(raw: RawTrack, counts: dict[str, int], drop_interpolated: bo
         raw.track_deg,
     )
     complete = np.isfinite(raw.latitude + raw.longitude + raw.altitude)
-    if complete.sum() < MINIMUM_FIXES:
-        raise ValueError(
-            f"{raw.name!r} must have at least {MINIMUM_FIXES} rows with a position and an "
-            f"altitude, got {complete.sum()}"
-        )
+    require(
+        complete.sum() >= MINIMUM_FIXES,
+        f"{raw.name!r} must have at least {MINIMUM_FIXES} rows with a position and an "
+        f"altitude, got {complete.sum()}",
+    )
     fixes, known = fixes[complete], known[complete]
     again = repeated_positions(fixes.latitude, fixes.longitude, known)
     fixes = fixes[~again]

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.registry import require
 from ..truth.satellites import SatelliteStates, checked_time, ecef_from_orbit
 
 GPS_EPOCH = datetime(1980, 1, 6)  # start of GPS time
@@ -52,8 +53,7 @@ def gps_seconds(moment: datetime) -> float:
     if moment.tzinfo is not None:
         moment = moment.astimezone(UTC).replace(tzinfo=None)
         leap_seconds = sum(moment >= datetime(*date) for date in LEAP_SECOND_DATES)
-    if moment < GPS_EPOCH:
-        raise ValueError(f"`moment` must not be before {GPS_EPOCH}, got {moment}")
+    require(moment >= GPS_EPOCH, f"`moment` must not be before {GPS_EPOCH}, got {moment}")
     return (moment - GPS_EPOCH).total_seconds() + leap_seconds
 
 
@@ -115,14 +115,18 @@ class Ephemerides:
 
     def __post_init__(self) -> None:
         ids = np.array(self.satellite_id, dtype=np.str_)
-        if ids.ndim != 1 or not ids.size:
-            raise ValueError(f"`satellite_id` must have shape (R,), R >= 1, got {ids.shape}")
+        require(
+            ids.ndim == 1 and ids.size,
+            f"`satellite_id` must have shape (R,), R >= 1, got {ids.shape}",
+        )
         ids.setflags(write=False)
         object.__setattr__(self, "satellite_id", ids)
         for field in fields(self)[1:]:
             values = np.array(getattr(self, field.name), dtype=np.float64)
-            if values.shape != ids.shape:
-                raise ValueError(f"`{field.name}` must have shape {ids.shape}, got {values.shape}")
+            require(
+                values.shape == ids.shape,
+                f"`{field.name}` must have shape {ids.shape}, got {values.shape}",
+            )
             if not np.isfinite(values).all():
                 bad = np.flatnonzero(~np.isfinite(values))[0]
                 raise ValueError(
@@ -238,11 +242,9 @@ class BroadcastConstellation:
     start: float
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.start):
-            raise ValueError(f"`start` must be finite, got {self.start}")
+        require(math.isfinite(self.start), f"`start` must be finite, got {self.start}")
         toe = self.ephemerides.time_of_ephemeris[self.ephemerides.healthy]
-        if not toe.size:
-            raise ValueError(f"none of the {len(self.ephemerides)} records is healthy")
+        require(toe.size, f"none of the {len(self.ephemerides)} records is healthy")
         if np.abs(toe - self.start).min() > VALIDITY:
             raise ValueError(
                 f"`start` must be within {VALIDITY / 3600.0:g} h of a healthy record; they are of "

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..core.registry import require
 from .ephemerides import SECONDS_PER_WEEK, Ephemerides, gps_seconds
 from .tracks import FileError, read_file
 
@@ -175,11 +176,13 @@ def _blocks(lines: list[str], path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _parse(block: list[str], layout: _Layout) -> tuple[str, dict[str, float]]:
-    if len(block) != LINES_PER_RECORD:
-        raise ValueError(f"a record has {LINES_PER_RECORD} lines, got {len(block)}")
+    require(
+        len(block) == LINES_PER_RECORD, f"a record has {LINES_PER_RECORD} lines, got {len(block)}"
+    )
     number = int(block[0][layout.satellite])
-    if not 1 <= number <= LAST_SATELLITE:
-        raise ValueError(f"the satellite must be 1 to {LAST_SATELLITE}, got {number}")
+    require(
+        1 <= number <= LAST_SATELLITE, f"the satellite must be 1 to {LAST_SATELLITE}, got {number}"
+    )
     record = {
         name: _number(block[line], layout.first_column + FIELD_WIDTH * column)
         for name, (line, column) in FIELDS.items()
@@ -199,8 +202,7 @@ def _parse(block: list[str], layout: _Layout) -> tuple[str, dict[str, float]]:
 def _number(line: str, column: int) -> float:
     text = line[column : column + FIELD_WIDTH]
     value = float(text.upper().replace("D", "E"))
-    if not math.isfinite(value):
-        raise ValueError(f"a field must be finite, got {text!r}")
+    require(math.isfinite(value), f"a field must be finite, got {text!r}")
     return value
 
 
@@ -210,9 +212,9 @@ def _date(parts: list[str]) -> datetime:
     second = float(parts[5])
     if 0 <= year < 100:
         year += 1900 if year >= 80 else 2000
-    if not (year <= LAST_YEAR and 0 <= hour <= 24 and 0 <= minute <= 60 and 0.0 <= second <= 60.0):
-        raise ValueError(
-            f"the epoch must be a date to {LAST_YEAR} with hours to 24, minutes and seconds to 60, "
-            f"got {' '.join(parts)!r}"
-        )
+    require(
+        year <= LAST_YEAR and 0 <= hour <= 24 and 0 <= minute <= 60 and 0.0 <= second <= 60.0,
+        f"the epoch must be a date to {LAST_YEAR} with hours to 24, minutes and seconds to 60, "
+        f"got {' '.join(parts)!r}",
+    )
     return datetime(year, month, day) + timedelta(hours=hour, minutes=minute, seconds=second)

@@ -33,6 +33,7 @@ from scipy.interpolate import BSpline
 from scipy.sparse import block_diag, csc_array, csr_array, diags_array, hstack, vstack
 from scipy.sparse.linalg import splu
 
+from ..core.registry import require
 from ..earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS, STANDARD_GRAVITY
 from ..truth.flight import Flight, flight_from_geodetic, inverse_kinematics
 
@@ -66,16 +67,21 @@ class Track:
         if self.start_utc.tzinfo is None:
             raise ValueError(f"`start_utc` must have a time zone, got {self.start_utc}")
         count = np.size(self.time)
-        if count < MINIMUM_FIXES:
-            raise ValueError(f"a track must have at least {MINIMUM_FIXES} fixes, got {count}")
+        require(
+            count >= MINIMUM_FIXES, f"a track must have at least {MINIMUM_FIXES} fixes, got {count}"
+        )
         for field in ("time", "latitude", "longitude", "height"):
-            if not np.isfinite(self._settle(field, count)).all():
-                raise ValueError(f"`{field}` must be finite, got NaN or infinity")
+            require(
+                np.isfinite(self._settle(field, count)).all(),
+                f"`{field}` must be finite, got NaN or infinity",
+            )
         for field in ("groundspeed", "track_angle"):
             if np.isinf(self._settle(field, count)).any():
                 raise ValueError(f"`{field}` must be finite or NaN, got infinity")
-        if self.time[0] != 0.0 or not (np.diff(self.time) > 0.0).all():
-            raise ValueError("`time` must start at 0 s and rise from fix to fix")
+        require(
+            self.time[0] == 0.0 and (np.diff(self.time) > 0.0).all(),
+            "`time` must start at 0 s and rise from fix to fix",
+        )
         if (worst := float(np.abs(self.latitude).max())) > STEEPEST_LATITUDE:
             raise ValueError(
                 f"`latitude` must lie within {math.degrees(STEEPEST_LATITUDE):g} deg of the "
@@ -84,8 +90,7 @@ class Track:
 
     def _settle(self, field: str, count: int) -> NDArray[np.float64]:
         value = np.array(getattr(self, field), dtype=np.float64)
-        if value.shape != (count,):
-            raise ValueError(f"`{field}` must have shape ({count},), got {value.shape}")
+        require(value.shape == (count,), f"`{field}` must have shape ({count},), got {value.shape}")
         object.__setattr__(self, field, value)
         return value
 
@@ -362,8 +367,7 @@ def _residual(name: str, value: float, unit: str) -> str:
 
 
 def fit_track(track: Track, *, rate_hz: float = 100.0) -> tuple[Flight, FitReport]:
-    if not 0.0 < rate_hz < math.inf:
-        raise ValueError(f"`rate_hz` must be positive and finite, got {rate_hz:g}")
+    require(0.0 < rate_hz < math.inf, f"`rate_hz` must be positive and finite, got {rate_hz:g}")
     path = smooth_path(track)
     time = np.arange(int(track.duration * rate_hz + 1e-6) + 1) / rate_hz
     latitude, longitude, height = path.position(time)

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.registry import require
+
 GZIP_MAGIC = b"\x1f\x8b"
 LARGEST_SIZE = 64 * 2**20  # of a file, unpacked [bytes]: twice a day of records once a second
 
@@ -123,8 +125,10 @@ def read_track(
     if find_spec("pandas") is None:
         raise ImportError("reading tracks needs pandas and pyarrow: pip install spoofgym[flights]")
     kind = path.name.removesuffix(".gz").rsplit(".", 1)[-1].lower()
-    if kind not in {"csv", "json", "parquet", "pq"}:
-        raise ValueError(f"`path` must end in .csv, .json or .parquet, got {path.name!r}")
+    require(
+        kind in {"csv", "json", "parquet", "pq"},
+        f"`path` must end in .csv, .json or .parquet, got {path.name!r}",
+    )
     content = read_file(path)
     try:
         frame = _frame(content, kind)

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
-from ..core.registry import check_choice, check_finite
+from ..core.registry import check_choice, check_finite, require
 
 FloatArray = NDArray[np.float64]
 FIXED, RAW, SKIP, CLAMPED = 0, 1, 2, 3
@@ -67,8 +67,9 @@ class SelfTuning:
     floor_m: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 2 <= self.window <= 100_000:
-            raise ValueError(f"`window` must be 2 to 100000 epochs, got {self.window}")
+        require(
+            2 <= self.window <= 100_000, f"`window` must be 2 to 100000 epochs, got {self.window}"
+        )
         check_choice("process", self.process, PROCESS)
         check_finite("floor_m", self.floor_m, ">= 0")
 

@@ -40,7 +40,7 @@ import numpy as np
 
 from ..core.compile import njit
 from ..core.memory import Memory
-from ..core.registry import check_finite
+from ..core.registry import check_finite, require
 from .epoch import OPTIONAL, Epoch, EpochMaker, FloatArray, without_channels
 
 AXES = 2
@@ -140,8 +140,10 @@ class CredibleFilter:
     drift_rate_mps: float = 0.04
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.gain < 1.0:
-            raise ValueError(f"`gain` must lie between 0 and 1, both excluded, got {self.gain}")
+        require(
+            0.0 < self.gain < 1.0,
+            f"`gain` must lie between 0 and 1, both excluded, got {self.gain}",
+        )
         check_finite("noise_sd_m", self.noise_sd_m, "> 0")
         check_finite("drift_rate_mps", self.drift_rate_mps, ">= 0")
 
@@ -158,11 +160,11 @@ class CredibleFilter:
         """
         total = self.gain**2 * self.noise_variance / (1.0 - self.gain)
         most = math.sqrt(total) / interval_s
-        if self.drift_rate_mps > most:
-            raise ValueError(
-                f"`drift_rate_mps` must be at most {most:g} for a gain of {self.gain:g} every "
-                f"{interval_s:g} s, got {self.drift_rate_mps}"
-            )
+        require(
+            self.drift_rate_mps <= most,
+            f"`drift_rate_mps` must be at most {most:g} for a gain of {self.gain:g} every "
+            f"{interval_s:g} s, got {self.drift_rate_mps}",
+        )
         return total / interval_s - self.drift_rate_mps**2 * interval_s
 
 

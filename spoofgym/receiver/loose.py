@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..core.memory import Memory
-from ..core.registry import build_record, check_fields
+from ..core.registry import build_record, check_fields, require
 from ..earth.wgs84 import STANDARD_GRAVITY
 from ._loose_kernels import LooseState, first_estimate, predict, update
 from .adaptive import PROCESS, SelfTuning
@@ -68,8 +68,7 @@ class LooselyCoupled:
     def __post_init__(self) -> None:
         check_fields(self, ">= 0", *(name for name in vars(self) if name != "self_tuning"))
         for name in ("horizontal_sd_m", "vertical_sd_m"):
-            if getattr(self, name) <= 0.0:
-                raise ValueError(f"`{name}` must be > 0, got {getattr(self, name)}")
+            require(getattr(self, name) > 0.0, f"`{name}` must be > 0, got {getattr(self, name)}")
         if self.self_tuning is not None:
             tuning = build_record("self_tuning", SelfTuning, self.self_tuning)
             object.__setattr__(self, "self_tuning", tuning)

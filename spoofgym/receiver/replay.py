@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.registry import require
 from ..truth.noise import padded
 from ..truth.sensors import SensorBuffers
 from . import _kernels
@@ -66,21 +67,25 @@ class Recording:
         for field in fields(self):
             array = np.array(getattr(self, field.name), dtype=np.float64)
             letters = _SHAPES[field.name]
-            if array.ndim != len(letters):
-                raise ValueError(
-                    f"`{field.name}` must have shape ({', '.join(letters)}), got {array.shape}"
-                )
+            require(
+                array.ndim == len(letters),
+                f"`{field.name}` must have shape ({', '.join(letters)}), got {array.shape}",
+            )
             for letter, size in zip(letters, array.shape, strict=True):
                 if sizes.setdefault(letter, size) != size:
                     raise ValueError(
                         f"`{field.name}` has shape {array.shape}, but {letter} is {sizes[letter]}"
                     )
-            if field.name not in MAY_BE_NAN and not np.isfinite(array).all():
-                raise ValueError(f"`{field.name}` must be finite")
+            require(
+                field.name in MAY_BE_NAN or np.isfinite(array).all(),
+                f"`{field.name}` must be finite",
+            )
             array.flags.writeable = False
             object.__setattr__(self, field.name, array)
-        if sizes["N"] == 0 or sizes["K"] == 0:
-            raise ValueError("a recording needs at least one sample and one epoch")
+        require(
+            sizes["N"] != 0 and sizes["K"] != 0,
+            "a recording needs at least one sample and one epoch",
+        )
         for name in ("imu_time", "gnss_time"):
             steps = np.diff(getattr(self, name), prepend=0.0)
             if steps.min() <= 0.0:
@@ -234,8 +239,10 @@ def replay(
     position = np.asarray(recording.satellite_position_e)
     velocity = np.asarray(recording.satellite_velocity_e)
     epochs, n = range_.shape
-    if receiver.tuning == "augmented":
-        raise ValueError("a replay knows no world for a receiver with `tuning` 'augmented'")
+    require(
+        receiver.tuning != "augmented",
+        "a replay knows no world for a receiver with `tuning` 'augmented'",
+    )
     if receiver.tuning == "matched" and receiver.noise is None and noise_variance is None:
         raise ValueError(
             "a replay knows no world to match: give `noise` to the receiver or `noise_variance`"
@@ -249,11 +256,11 @@ def replay(
         variance = np.tile(one, (epochs, 1))
     else:
         variance = np.asarray(noise_variance, dtype=np.float64)
-        if variance.shape != (epochs, 2 * n) or not (variance > 0.0).all():
-            raise ValueError(
-                f"`noise_variance` must be positive and of shape {(epochs, 2 * n)}, "
-                f"got shape {variance.shape}"
-            )
+        require(
+            variance.shape == (epochs, 2 * n) and (variance > 0.0).all(),
+            f"`noise_variance` must be positive and of shape {(epochs, 2 * n)}, "
+            f"got shape {variance.shape}",
+        )
     ends = recording.epoch_samples()
     imu_time = np.asarray(recording.imu_time)
     samples = [recording.specific_force_b, recording.angular_rate_b]

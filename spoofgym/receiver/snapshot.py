@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.compile import inlined, njit
+from ..core.registry import require
 from ..earth.wgs84 import STILL, range_and_rate
 
 STATES = 4  # position and clock
@@ -311,24 +312,23 @@ def least_squares_fix(
     pr, rr = np.asarray(pseudorange, dtype=float), np.asarray(range_rate, dtype=float)
     sp = np.asarray(satellite_position_e, dtype=float)
     sv = np.asarray(satellite_velocity_e, dtype=float)
-    if pr.ndim != 1 or rr.shape != pr.shape or not sp.shape == sv.shape == (len(pr), 3):
-        raise ValueError(
-            "`pseudorange` and `range_rate` must be (n,), satellites' positions and velocities "
-            f"(n, 3), got {pr.shape}, {rr.shape}, {sp.shape} and {sv.shape}"
-        )
+    require(
+        pr.ndim == 1 and rr.shape == pr.shape and sp.shape == sv.shape == (len(pr), 3),
+        "`pseudorange` and `range_rate` must be (n,), satellites' positions and velocities "
+        f"(n, 3), got {pr.shape}, {rr.shape}, {sp.shape} and {sv.shape}",
+    )
     use = np.isfinite(pr) & np.isfinite(rr) & np.isfinite(sp).all(-1) & np.isfinite(sv).all(-1)
     pr, rr, sp, sv = pr[use], rr[use], sp[use], sv[use]
     position, clock, drift = np.array([guess_e], dtype=float), np.zeros((1, 1)), np.empty(4)
-    if position.shape != (1, 3) or not np.isfinite(position).all():
-        raise ValueError(f"`guess_e` must be three finite numbers, got {guess_e!r}")
+    require(
+        position.shape == (1, 3) and np.isfinite(position).all(),
+        f"`guess_e` must be three finite numbers, got {guess_e!r}",
+    )
     status = np.empty(1, dtype=np.int64)
     fix_receivers(pr[None], sp[None], np.ones((1, len(pr))), position, clock, status)
-    if status[0] == TOO_FEW:
-        raise ValueError(f"a fix needs at least {STATES} satellites, got {len(pr)}")
-    if status[0] == SINGULAR:
-        raise ValueError("the geometry of the satellites is singular")
-    if status[0] == DIVERGED:
-        raise ValueError(f"no convergence within {ITERATIONS} iterations")
+    require(status[0] != TOO_FEW, f"a fix needs at least {STATES} satellites, got {len(pr)}")
+    require(status[0] != SINGULAR, "the geometry of the satellites is singular")
+    require(status[0] != DIVERGED, f"no convergence within {ITERATIONS} iterations")
     fit_rates(rr, sp, sv, position[0], drift)
     return Fix(position[0], drift[:3], float(clock[0, 0]), float(drift[3]))
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.registry import check_finite
+from ..core.registry import check_finite, require
 from ..earth.wgs84 import STANDARD_GRAVITY
 from .kalman import COVARIANCE_UPDATES
 from .states import (
@@ -108,8 +108,7 @@ class NoiseModel(NamedTuple):
 
 
 def _choice(name: str, value: str, valid: tuple[str, ...]) -> None:
-    if value not in valid:
-        raise ValueError(f"`{name}` must be one of {', '.join(map(repr, valid))}, got {value!r}")
+    require(value in valid, f"`{name}` must be one of {', '.join(map(repr, valid))}, got {value!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,8 +163,10 @@ class TightlyCoupled:
         _choice("conventions", self.conventions, CONVENTIONS)
         if self.tuning == "augmented":
             self._check_augmented()
-        if not 0 <= self.min_satellites <= 32:
-            raise ValueError(f"`min_satellites` must be 0 to 32, got {self.min_satellites}")
+        require(
+            0 <= self.min_satellites <= 32,
+            f"`min_satellites` must be 0 to 32, got {self.min_satellites}",
+        )
         if self.noise is not None:
             values = self.noise._asdict()
             inertial = values.pop("inertial")
@@ -173,17 +174,19 @@ class TightlyCoupled:
                 values |= {f"inertial.{name}": x for name, x in inertial._asdict().items()}
             for name, value in values.items():
                 check_finite(f"noise.{name}", value, ">= 0")
-            if min(self.noise.pseudorange_sd, self.noise.range_rate_sd) <= 0.0:
-                raise ValueError("`noise` standard deviations must be > 0")
+            require(
+                min(self.noise.pseudorange_sd, self.noise.range_rate_sd) > 0.0,
+                "`noise` standard deviations must be > 0",
+            )
 
     def _check_augmented(self) -> None:
         if self.noise is not None:
             raise ValueError('`noise` can\'t be set with `tuning` "augmented", which derives it')
-        if self.covariance_update != "unweighted":
-            raise ValueError(
-                '`covariance_update` must be "unweighted" with `tuning` "augmented", got '
-                f"{self.covariance_update!r}"
-            )
+        require(
+            self.covariance_update == "unweighted",
+            '`covariance_update` must be "unweighted" with `tuning` "augmented", got '
+            f"{self.covariance_update!r}",
+        )
 
     @property
     def matches(self) -> bool:
@@ -254,11 +257,12 @@ class NavState:
     def __post_init__(self) -> None:
         for name, shape in (("position_e", (3,)), ("velocity_e", (3,)), ("C_eb", (3, 3))):
             array = np.array(getattr(self, name), dtype=np.float64)
-            if array.shape != shape or not np.isfinite(array).all():
-                raise ValueError(f"`{name}` must be finite and of shape {shape}, got {array!r}")
+            require(
+                array.shape == shape and np.isfinite(array).all(),
+                f"`{name}` must be finite and of shape {shape}, got {array!r}",
+            )
             object.__setattr__(self, name, array)
         for name in ("clock_bias_m", "clock_drift_mps"):
             value = float(getattr(self, name))
-            if not math.isfinite(value):
-                raise ValueError(f"`{name}` must be finite, got {value}")
+            require(math.isfinite(value), f"`{name}` must be finite, got {value}")
             object.__setattr__(self, name, value)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..core.registry import require
 from ..receiver import NavState, Recording
 from ..truth._kernels import CHUNK, sense
 from ..truth.noise import deviates, padded
@@ -48,8 +49,10 @@ def record_run(
         (K, 3) estimated after every epoch, ECEF [m].
     """
     count = setup.onset + setup.steps if epochs is None else epochs
-    if not 1 <= count < setup.world.epochs:
-        raise ValueError(f"`epochs` must be 1 to {setup.world.epochs - 1}, got {count}")
+    require(
+        1 <= count < setup.world.epochs,
+        f"`epochs` must be 1 to {setup.world.epochs - 1}, got {count}",
+    )
     told = copy.copy(setup)
     told.fields = setup.fields.union(RANGES)
     victim = told.simulator(1, run_serially)

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import build_record, check_finite
+from ..core.registry import build_record, check_finite, require
 from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
@@ -156,11 +156,11 @@ class WheeledRobotSetup(Setup):
             )
         early, late = self.domain.start_s
         late = early + self.loop.lap_s if late is None else late
-        if not late <= MOST_EPOCHS * self.interval_s:
-            raise ValueError(
-                f"`start_s` must be within 0 and {MOST_EPOCHS * self.interval_s:g} s, got "
-                f"{self.domain.start_s}"
-            )
+        require(
+            late <= MOST_EPOCHS * self.interval_s,
+            f"`start_s` must be within 0 and {MOST_EPOCHS * self.interval_s:g} s, got "
+            f"{self.domain.start_s}",
+        )
         self.epochs_each = self.length + math.floor(late / self.interval_s + 1e-6) + 1
         self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, "the course"))
         self.epoch_time = np.arange(self.epochs_each, dtype=np.float64) * self.interval_s
@@ -177,11 +177,11 @@ class WheeledRobotSetup(Setup):
         if pairs.size == 0:
             pairs = np.empty((0, 2))
         right = pairs.ndim == 2 and pairs.shape[1] == 2
-        if not (right and (pairs[:, 0] > 0.0).all() and (pairs[:, 0] < pairs[:, 1]).all()):
-            raise ValueError(
-                "`interruptions_s` must be pairs (start, end) with 0 < start < end, got "
-                f"{interruptions_s}"
-            )
+        require(
+            right and (pairs[:, 0] > 0.0).all() and (pairs[:, 0] < pairs[:, 1]).all(),
+            "`interruptions_s` must be pairs (start, end) with 0 < start < end, got "
+            f"{interruptions_s}",
+        )
         time = np.arange(self.length + 1)[:, None] * self.interval_s
         self.available: NDArray[np.bool_] = np.all(
             (time < pairs[:, 0]) | (time >= pairs[:, 1]), axis=1

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import build_record, check_choice, check_finite, is_number
+from ..core.registry import build_record, check_choice, check_finite, is_number, require
 from ..detectors import Detector, detector_in_world
 from ..detectors.calibration_file import Conditions, described
 from ..receiver.epoch import OPTIONAL
@@ -55,19 +55,19 @@ class Timeline:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             check_finite(name, value, "> 0" if name == "attack_s" else ">= 0")
-        if self.live_s > self.warmup_s:
-            raise ValueError(
-                f"`live_s` must be at most `warmup_s` = {self.warmup_s}, got {self.live_s}"
-            )
+        require(
+            self.live_s <= self.warmup_s,
+            f"`live_s` must be at most `warmup_s` = {self.warmup_s}, got {self.live_s}",
+        )
 
     def epochs(self, interval_s: float) -> tuple[int, int, int, int]:
         """Epochs of the filter-only and the monitored warm-up, the command phase, and the hold."""
         length = self.warmup_s + self.attack_s + self.time_to_alert_s
-        if length > MOST_EPOCHS * interval_s:
-            raise ValueError(
-                f"an episode must have at most {MOST_EPOCHS} epochs; {length:g} s at intervals of "
-                f"{interval_s:g} s are {length / interval_s:.0f}"
-            )
+        require(
+            length <= MOST_EPOCHS * interval_s,
+            f"an episode must have at most {MOST_EPOCHS} epochs; {length:g} s at intervals of "
+            f"{interval_s:g} s are {length / interval_s:.0f}",
+        )
         warmup = round(self.warmup_s / interval_s)
         live = min(round(self.live_s / interval_s), warmup)
         attack = max(round(self.attack_s / interval_s), 1)
@@ -283,13 +283,11 @@ class Setup(ABC):
         self.domain = build_record("domain", Domain, domain)
         nothing = Domain()
         for name in vars(nothing):
-            if getattr(self.domain, name) != getattr(nothing, name) and (
-                name not in self.domain_names
-            ):
-                raise ValueError(
-                    f"`domain` has no {name!r} for {self.whose}; valid: "
-                    f"{', '.join(sorted(self.domain_names)) or 'none'}"
-                )
+            require(
+                getattr(self.domain, name) == getattr(nothing, name) or name in self.domain_names,
+                f"`domain` has no {name!r} for {self.whose}; valid: "
+                f"{', '.join(sorted(self.domain_names)) or 'none'}",
+            )
 
     def _bounds(self, worlds: int, grades: int, errors: int, first: int, last: int) -> Bounds:
         heading, fixed = self.target_heading_deg, None

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
+from ..core.registry import require
 from ..detectors import DETECTORS, Calibrated, Detector, DetectorContext, PooledDetector, Verdict
 from ..detectors.base import YoungMemoryWarning, check_needs, checked_weights, judged
 from ..detectors.calibrated import resolve
@@ -115,8 +116,7 @@ class Simulator(ABC):
     epoch: Epoch
 
     def __init__(self, setup: Setup, receivers: int, run: Run) -> None:
-        if receivers < 1:
-            raise ValueError(f"`receivers` must be at least 1, got {receivers}")
+        require(receivers >= 1, f"`receivers` must be at least 1, got {receivers}")
         self.setup, self.receivers, self._run = setup, receivers, run
         self.memory, b = Memory(receivers), receivers
         self.memory.declare("first", np.zeros(b, dtype=np.int64))
@@ -273,11 +273,11 @@ class Simulator(ABC):
                 stacklevel=2,
             )
         epochs = setup.live + setup.steps + setup.hold
-        if detector.silent_epochs >= epochs:
-            raise ValueError(
-                f"{type(detector).__name__} can't alarm in its first {detector.silent_epochs} "
-                f"epochs, and an episode has {epochs} in which it judges; shorten its windows"
-            )
+        require(
+            detector.silent_epochs < epochs,
+            f"{type(detector).__name__} can't alarm in its first {detector.silent_epochs} "
+            f"epochs, and an episode has {epochs} in which it judges; shorten its windows",
+        )
 
     def _check_has(self, reader: Detector | Monitor) -> None:
         missing = reader.needs - self.setup.has

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_finite, is_number
+from ..core.registry import check_finite, is_number, require
 from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch, EpochMaker
@@ -152,20 +152,20 @@ class SnapshotSetup(Setup):
 
 def _which(spoofed: int | Sequence[int], satellites: int) -> int | list[int]:
     if isinstance(spoofed, int | np.integer):
-        if not 0 <= spoofed <= satellites:
-            raise ValueError(
-                f"`spoofed` must be within 0..{satellites}, the number of satellites, got {spoofed}"
-            )
+        require(
+            0 <= spoofed <= satellites,
+            f"`spoofed` must be within 0..{satellites}, the number of satellites, got {spoofed}",
+        )
         return int(spoofed)
     if isinstance(spoofed, float | str):
         raise ValueError(
             f"`spoofed` must be a whole number of satellites, or a list of slots, got {spoofed!r}"
         )
     slots = [int(j) for j in spoofed]
-    if len(set(slots)) < len(slots) or not all(0 <= j < satellites for j in slots):
-        raise ValueError(
-            f"`spoofed` must name slots within 0..{satellites - 1}, each once, got {slots}"
-        )
+    require(
+        len(set(slots)) >= len(slots) and all(0 <= j < satellites for j in slots),
+        f"`spoofed` must name slots within 0..{satellites - 1}, each once, got {slots}",
+    )
     return slots
 
 
@@ -173,11 +173,11 @@ def _rates(rate_limit_mps: float | Sequence[float]) -> tuple[float, ...]:
     given = np.atleast_1d(np.asarray(rate_limit_mps, dtype=object))
     numbers = all(map(is_number, given.flat))
     limits = np.asarray(rate_limit_mps if numbers else np.nan, dtype=np.float64)
-    if limits.shape not in ((), (4,)) or not (np.isfinite(limits) & (limits > 0.0)).all():
-        raise ValueError(
-            "`rate_limit_mps` must be finite and > 0, one number or one for each of "
-            f"{', '.join(AXES)}, got {rate_limit_mps!r}"
-        )
+    require(
+        limits.shape in ((), (4,)) and (np.isfinite(limits) & (limits > 0.0)).all(),
+        "`rate_limit_mps` must be finite and > 0, one number or one for each of "
+        f"{', '.join(AXES)}, got {rate_limit_mps!r}",
+    )
     return tuple(np.broadcast_to(limits, 4).tolist())
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..attacks import Attack, AttackContext, make_attack
 from ..attacks.commands import FalsePosition, PerChannel
 from ..core.memory import Memory
-from ..core.registry import build_record, check_choice
+from ..core.registry import build_record, check_choice, require
 from ..core.settings import describe
 from ..core.simd import LANES, ArrayTable
 from ..detectors import Calibrated, Detector, DetectorContext, Verdict
@@ -205,11 +205,11 @@ def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
         given = RECEIVERS[given]
     victim = build_record("receiver", TightlyCoupled, given, {"grade": scenario.imu})
     fixed = isinstance(given, Mapping) and "grade" in given
-    if fixed and {victim.grade} < {victim.grade, *domain.imu}:
-        raise ValueError(
-            f"`receiver` has the grade {victim.grade!r}, but is tuned for the grade that it draws "
-            f"from the domain's `imu` {', '.join(domain.imu)}: leave out one"
-        )
+    require(
+        not (fixed and {victim.grade} < {victim.grade, *domain.imu}),
+        f"`receiver` has the grade {victim.grade!r}, but is tuned for the grade that it draws "
+        f"from the domain's `imu` {', '.join(domain.imu)}: leave out one",
+    )
     return victim
 
 

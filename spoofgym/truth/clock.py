@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from ..core.compile import inlined
+from ..core.registry import require
 from ..core.simd import sqrt
 from ..earth.wgs84 import SPEED_OF_LIGHT
 
@@ -31,8 +32,10 @@ class ReceiverClock:
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            if not math.isfinite(value) or (item.name.endswith("psd") and value < 0.0):
-                raise ValueError(f"`{item.name}` must be finite, a PSD also >= 0, got {value}")
+            require(
+                math.isfinite(value) and not (item.name.endswith("psd") and value < 0.0),
+                f"`{item.name}` must be finite, a PSD also >= 0, got {value}",
+            )
 
 
 def clock_of_allan(h0: float, h_2: float) -> ReceiverClock:

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.registry import is_number
+from ..core.registry import is_number, require
 from ..earth.attitude import dcm_to_euler, euler_to_dcm
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic, geodetic_to_ecef
 from ._kernels import invert_samples
@@ -49,8 +49,7 @@ class Flight:
 
     def __post_init__(self) -> None:
         count = np.size(self.time)
-        if count < 2:
-            raise ValueError(f"`time` must have at least 2 samples, got {count}")
+        require(count >= 2, f"`time` must have at least 2 samples, got {count}")
         self._settle("time", (count,))
         self._settle("position_e", (count, 3))
         self._settle("velocity_e", (count, 3))
@@ -67,18 +66,18 @@ class Flight:
 
     def _settle(self, field: str, shape: tuple[int, ...]) -> None:
         value = np.array(getattr(self, field), dtype=np.float64, order="C")
-        if value.shape != shape:
-            raise ValueError(f"`{field}` must have shape {shape}, got {value.shape}")
-        if not np.isfinite(value).all():
-            raise ValueError(f"`{field}` must be finite, got NaN or infinity")
+        require(value.shape == shape, f"`{field}` must have shape {shape}, got {value.shape}")
+        require(np.isfinite(value).all(), f"`{field}` must be finite, got NaN or infinity")
         object.__setattr__(self, field, value)
 
     def _check_time(self) -> None:
         if self.time[0] != 0.0:
             raise ValueError(f"`time` must start at 0 s, got {self.time[0]:g}")
         uneven = np.abs(self.time - np.arange(self.time.size) * self.step)
-        if not (self.step > 0.0 and uneven.max() < 1e-6 * self.step):
-            raise ValueError("`time` must rise with a uniform step, like np.arange(N + 1) * step")
+        require(
+            self.step > 0.0 and uneven.max() < 1e-6 * self.step,
+            "`time` must rise with a uniform step, like np.arange(N + 1) * step",
+        )
 
     @property
     def step(self) -> float:
@@ -303,9 +302,9 @@ def inverse_kinematics(
     samples = np.empty((2, flight.time.size - 1, 3))
     motion = flight.position_e, flight.velocity_e, flight.C_eb
     turn = invert_samples(flight.step, *motion, *samples)
-    if turn > largest:
-        raise ValueError(
-            f"a flight must turn by at most {math.degrees(largest):g} deg in a sample, "
-            f"got {math.degrees(turn):.3g} deg"
-        )
+    require(
+        turn <= largest,
+        f"a flight must turn by at most {math.degrees(largest):g} deg in a sample, "
+        f"got {math.degrees(turn):.3g} deg",
+    )
     return Trajectory(flight.name, flight.time, *motion, *samples, decimation)

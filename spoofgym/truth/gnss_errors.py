@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined
-from ..core.registry import build_record, check_fields, check_finite
+from ..core.registry import build_record, check_fields, check_finite, require
 from ..core.settings import OMITTED
 from .clock import TCXO, ReceiverClock
 from .signal_errors import SIGNAL_ERRORS, SignalErrors
@@ -62,11 +62,11 @@ class GnssErrors:
     def __post_init__(self) -> None:
         if isinstance(self.signals, Mapping):
             object.__setattr__(self, "signals", build_record("signals", SignalErrors, self.signals))
-        if self.carrier_sd_m > 0.0 and self.range_rate_sd_mps > 0.0:
-            raise ValueError(
-                "`range_rate_sd_mps` must be 0 where range rates are differences of carriers, got "
-                f"{self.range_rate_sd_mps}"
-            )
+        require(
+            not (self.carrier_sd_m > 0.0 and self.range_rate_sd_mps > 0.0),
+            "`range_rate_sd_mps` must be 0 where range rates are differences of carriers, got "
+            f"{self.range_rate_sd_mps}",
+        )
         names = [item.name for item in fields(self) if item.name not in ("clock", "signals")]
         check_fields(self, ">= 0", *names)
         check_finite("correlation_s", self.correlation_s, "> 0")
@@ -177,8 +177,7 @@ class PositionErrors:
 
     def __post_init__(self) -> None:
         check_fields(self, ">= 0", "horizontal_sd_m", "vertical_sd_m")
-        if not 0.0 <= self.decay < 1.0:
-            raise ValueError(f"`decay` must be in [0, 1), got {self.decay}")
+        require(0.0 <= self.decay < 1.0, f"`decay` must be in [0, 1), got {self.decay}")
 
     @property
     def sd(self) -> NDArray[np.float64]:

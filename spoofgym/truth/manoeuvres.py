@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.registry import require
 from ..earth.wgs84 import STANDARD_GRAVITY
 from .flight import Flight, flight_from_velocity
 
@@ -104,11 +105,11 @@ class Until:
         _check_between("time_s", self.time_s, 0.0, math.inf)
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        if self.time_s < start:
-            raise ValueError(
-                f"`time_s` must not lie before the end of the previous manoeuvre, {start:g} s, "
-                f"got {self.time_s:g} s"
-            )
+        require(
+            self.time_s >= start,
+            f"`time_s` must not lie before the end of the previous manoeuvre, {start:g} s, "
+            f"got {self.time_s:g} s",
+        )
         return Pulse.idle(self.time_s - start)
 
 
@@ -141,8 +142,7 @@ class Turn:
         _check_change(self, "angle_deg", "bank_deg")
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        if speed <= 0.0:
-            raise ValueError(f"a banked turn needs a speed above 0 m/s, got {speed:g} m/s")
+        require(speed > 0.0, f"a banked turn needs a speed above 0 m/s, got {speed:g} m/s")
         peak = STANDARD_GRAVITY * math.tan(math.radians(self.bank_deg)) / speed
         return Pulse.of_area(math.radians(self.angle_deg), peak, self.ramp_s)
 
@@ -191,11 +191,11 @@ class Climb:
 
     def pulse(self, speed: float, start: float) -> Pulse:
         steepest = speed * math.sin(math.radians(STEEPEST_PATH_DEG))
-        if self.rate_mps > steepest:
-            raise ValueError(
-                f"`rate_mps` must be at most {steepest:.3g} m/s at a speed of {speed:g} m/s "
-                f"({STEEPEST_PATH_DEG:g} deg), got {self.rate_mps:g} m/s"
-            )
+        require(
+            self.rate_mps <= steepest,
+            f"`rate_mps` must be at most {steepest:.3g} m/s at a speed of {speed:g} m/s "
+            f"({STEEPEST_PATH_DEG:g} deg), got {self.rate_mps:g} m/s",
+        )
         return Pulse.of_area(self.height_m, self.rate_mps, self.ramp_s)
 
 
@@ -247,10 +247,8 @@ def fly(
     _check_between("latitude_deg", latitude_deg, -90.0, 90.0)
     _check_finite("longitude_deg", longitude_deg)
     _check_between("rate_hz", rate_hz, 0.0, math.inf)
-    if not speed_mps >= 0.0:
-        raise ValueError(f"`speed_mps` must be at least 0 m/s, got {speed_mps:g} m/s")
-    if not manoeuvres:
-        raise ValueError("`manoeuvres` must have at least one manoeuvre, got none")
+    require(speed_mps >= 0.0, f"`speed_mps` must be at least 0 m/s, got {speed_mps:g} m/s")
+    require(manoeuvres, "`manoeuvres` must have at least one manoeuvre, got none")
     pulses = _chain(manoeuvres, speed_mps)
     last = pulses[-1]
     time = np.arange(int((last.start + last.pulse.duration) * rate_hz + 1e-6) + 1) / rate_hz
@@ -309,13 +307,11 @@ def _sum(
 
 
 def _check_finite(name: str, value: float) -> None:
-    if not math.isfinite(value):
-        raise ValueError(f"`{name}` must be finite, got {value:g}")
+    require(math.isfinite(value), f"`{name}` must be finite, got {value:g}")
 
 
 def _check_between(name: str, value: float, low: float, high: float) -> None:
-    if not low < value < high:
-        raise ValueError(f"`{name}` must lie between {low:g} and {high:g}, got {value:g}")
+    require(low < value < high, f"`{name}` must lie between {low:g} and {high:g}, got {value:g}")
 
 
 def _check_change(manoeuvre: Any, change: str, rate: str) -> None:

@@ -43,7 +43,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_fields, check_finite
+from ..core.registry import check_fields, check_finite, require
 from .noise import BLOCK
 
 FloatArray = NDArray[np.float64]
@@ -95,17 +95,20 @@ class RobotLoop:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not math.isfinite(value):
-                raise ValueError(f"`{name}` must be finite, got {value}")
-            if name in ("length_m", "width_m") and value <= 0.0:
-                raise ValueError(f"`{name}` must be > 0, got {value}")
-        most = 0.5 * min(self.length_m, self.width_m)
-        if not 0.0 < self.corner_radius_m <= most:
-            raise ValueError(
-                f"`corner_radius_m` must be in (0, {most:g}], got {self.corner_radius_m}"
+            require(math.isfinite(value), f"`{name}` must be finite, got {value}")
+            require(
+                value > 0.0 or name not in ("length_m", "width_m"),
+                f"`{name}` must be > 0, got {value}",
             )
-        if not 0.0 <= self.speed_mps <= MOST_SPEED:
-            raise ValueError(f"`speed_mps` must be in [0, {MOST_SPEED:g}], got {self.speed_mps}")
+        most = 0.5 * min(self.length_m, self.width_m)
+        require(
+            0.0 < self.corner_radius_m <= most,
+            f"`corner_radius_m` must be in (0, {most:g}], got {self.corner_radius_m}",
+        )
+        require(
+            0.0 <= self.speed_mps <= MOST_SPEED,
+            f"`speed_mps` must be in [0, {MOST_SPEED:g}], got {self.speed_mps}",
+        )
 
     @property
     def lap_s(self) -> float:
@@ -185,13 +188,19 @@ class Odometer:
     yaw_noise_deg: float = 0.35
 
     def __post_init__(self) -> None:
-        if self.counts_per_turn < 1:
-            raise ValueError(f"`counts_per_turn` must be at least 1, got {self.counts_per_turn}")
+        require(
+            self.counts_per_turn >= 1,
+            f"`counts_per_turn` must be at least 1, got {self.counts_per_turn}",
+        )
         check_fields(self, "> 0", "wheel_radius_m", "wheel_base_m", "sample_interval_s")
-        if not abs(self.hard_iron_deg) <= 45.0:
-            raise ValueError(f"`hard_iron_deg` must be in [-45, 45], got {self.hard_iron_deg}")
-        if not 0.0 <= self.yaw_noise_deg <= 45.0:
-            raise ValueError(f"`yaw_noise_deg` must be in [0, 45], got {self.yaw_noise_deg}")
+        require(
+            abs(self.hard_iron_deg) <= 45.0,
+            f"`hard_iron_deg` must be in [-45, 45], got {self.hard_iron_deg}",
+        )
+        require(
+            0.0 <= self.yaw_noise_deg <= 45.0,
+            f"`yaw_noise_deg` must be in [0, 45], got {self.yaw_noise_deg}",
+        )
 
     @property
     def count_m(self) -> float:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_choice, check_fields
+from ..core.registry import check_choice, check_fields, require
 from ..earth.wgs84 import (
     STANDARD_GRAVITY,
     dcm_e_from_n,
@@ -126,10 +126,8 @@ def build_world(
             f"`epoch_interval_s` must be a multiple of the sample interval {step:g} s, "
             f"got {epoch_interval_s}"
         )
-    if not 4 <= channels <= 32:
-        raise ValueError(f"`channels` must be 4 to 32, got {channels}")
-    if not 0.0 <= mask_deg <= 60.0:
-        raise ValueError(f"`mask_deg` must be 0 to 60, got {mask_deg}")
+    require(4 <= channels <= 32, f"`channels` must be 4 to 32, got {channels}")
+    require(0.0 <= mask_deg <= 60.0, f"`mask_deg` must be 0 to 60, got {mask_deg}")
     epoch_end = np.arange(0, len(time), per_epoch, dtype=np.int64)
     if len(epoch_end) < 2:
         raise ValueError(f"a run of {time[-1]:g} s holds no epoch of {epoch_interval_s:g} s")
@@ -326,11 +324,14 @@ def chain_worlds(worlds: Sequence[World]) -> World:
     if len(worlds) == 1:
         return first
     for world in worlds:
-        if world.channels != first.channels or not (
-            np.array_equal(world.epoch_time, first.epoch_time)
-            and np.array_equal(world.imu_time, first.imu_time)
-        ):
-            raise ValueError("worlds in a chain must have the same times and the same slots")
+        require(
+            world.channels == first.channels
+            and (
+                np.array_equal(world.epoch_time, first.epoch_time)
+                and np.array_equal(world.imu_time, first.imu_time)
+            ),
+            "worlds in a chain must have the same times and the same slots",
+        )
     same = all(world.satellite_ids == first.satellite_ids for world in worlds)
     samples = first.run.shape[1]
     ends = [world.epoch_end + w * samples for w, world in enumerate(worlds)]
@@ -412,11 +413,11 @@ def make_sky(
     up = -(apart @ C_en[:, 2]) / np.linalg.norm(apart, axis=-1)
     least = np.degrees(np.arcsin(up.min(axis=0)))
     seen = int(np.sum(least > SKY_MASK_DEG))  # an unusable satellite has NaN
-    if seen < satellites:
-        raise ValueError(
-            f"`satellites` must be at most {seen}, as many as stay above {SKY_MASK_DEG:g} degrees, "
-            f"got {satellites}"
-        )
+    require(
+        seen >= satellites,
+        f"`satellites` must be at most {seen}, as many as stay above {SKY_MASK_DEG:g} degrees, "
+        f"got {satellites}",
+    )
     chosen = np.sort(np.argsort(-least, kind="stable")[:satellites])
     return Sky(
         time,

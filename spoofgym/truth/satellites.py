@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.registry import require
 from ..earth.wgs84 import EARTH_RATE, EQUATORIAL_RADIUS, GRAVITATIONAL_CONSTANT
 
 
@@ -40,8 +41,7 @@ class Constellation(Protocol):
 def checked_time(time: ArrayLike) -> NDArray[np.float64]:
     """(K,) times of the simulation [s], finite."""
     times = np.asarray(time, dtype=np.float64)
-    if times.ndim != 1:
-        raise ValueError(f"`time` must have shape (K,), got {times.shape}")
+    require(times.ndim == 1, f"`time` must have shape (K,), got {times.shape}")
     if not np.isfinite(times).all():
         raise ValueError(f"`time` must be finite, got {times[~np.isfinite(times)][0]}")
     return times
@@ -125,14 +125,18 @@ class CircularConstellation:
             if not low <= getattr(self, name) <= high:
                 value = getattr(self, name)
                 raise ValueError(f"`{name}` must be within {low}..{high}, got {value}")
-        if not (len(self.prefix) == 1 and "A" <= self.prefix <= "Z"):
-            raise ValueError(f"`prefix` must be a capital letter, A to Z, got {self.prefix!r}")
-        if not EQUATORIAL_RADIUS < self.radius_m < math.inf:
-            raise ValueError(
-                f"`radius_m` must be above {EQUATORIAL_RADIUS:.0f} m, got {self.radius_m}"
-            )
-        if not math.isfinite(self.time_offset_s):
-            raise ValueError(f"`time_offset_s` must be finite, got {self.time_offset_s}")
+        require(
+            len(self.prefix) == 1 and "A" <= self.prefix <= "Z",
+            f"`prefix` must be a capital letter, A to Z, got {self.prefix!r}",
+        )
+        require(
+            EQUATORIAL_RADIUS < self.radius_m < math.inf,
+            f"`radius_m` must be above {EQUATORIAL_RADIUS:.0f} m, got {self.radius_m}",
+        )
+        require(
+            math.isfinite(self.time_offset_s),
+            f"`time_offset_s` must be finite, got {self.time_offset_s}",
+        )
 
     @property
     def satellite_ids(self) -> tuple[str, ...]:
@@ -167,8 +171,7 @@ class CombinedConstellation:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", tuple(self.parts))
-        if not self.parts:
-            raise ValueError("`parts` must hold at least one constellation, got none")
+        require(self.parts, "`parts` must hold at least one constellation, got none")
         ids = [name for part in self.parts for name in part.satellite_ids]
         twice = sorted({name for name in ids if ids.count(name) > 1})
         if twice:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache, partial
 from typing import Any, TypeGuard
 
-from ..core.registry import build_record, check_choice, check_finite
+from ..core.registry import build_record, check_choice, check_finite, require
 from ..core.settings import OMITTED
 from .events import BenignEvents
 from .flight import Flight, trajectory_at, turned
@@ -78,8 +78,9 @@ class Scenario:
         check_choice("turn_on", self.turn_on, TURN_ON)
         if isinstance(self.events, Mapping):
             object.__setattr__(self, "events", build_record("events", BenignEvents, self.events))
-        if not math.isfinite(self.turned_deg):
-            raise ValueError(f"`turned_deg` must be finite, got {self.turned_deg}")
+        require(
+            math.isfinite(self.turned_deg), f"`turned_deg` must be finite, got {self.turned_deg}"
+        )
         if self.imu_rate_hz is not None:
             check_finite("imu_rate_hz", self.imu_rate_hz, "> 0")
 
@@ -221,8 +222,9 @@ def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:
     check_choice("scenario", name, SCENARIOS, _RENAMED)
     valid = [item.name for item in fields(Scenario) if item.name != "name"]
     for setting in settings:
-        if setting not in valid:
-            raise ValueError(f"a scenario has no setting {setting!r}; valid: {', '.join(valid)}")
+        require(
+            setting in valid, f"a scenario has no setting {setting!r}; valid: {', '.join(valid)}"
+        )
     scenario = SCENARIOS[name]()
     named = sorted(settings.keys() - {"imu_rate_hz"})  # which is in the label
     changed = "".join(f" {key}={settings[key]}" for key in named)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined
+from ..core.registry import require
 from .noise import normals, padded
 
 FloatArray = NDArray[np.float64]
@@ -76,15 +77,14 @@ class SignalErrors:
             given = getattr(self, item.name)
             if item.name in ("multipath_sd_m", "noise_sd_m"):
                 given = tuple(given)
-                if len(given) != 2:
-                    raise ValueError(f"`{item.name}` must be two numbers, got {given}")
+                require(len(given) == 2, f"`{item.name}` must be two numbers, got {given}")
                 object.__setattr__(self, item.name, given)
             values = given if isinstance(given, tuple) else (given,)
             above = item.name.endswith("_s")
-            if not all(math.isfinite(x) and (x > 0.0 if above else x >= 0.0) for x in values):
-                raise ValueError(
-                    f"`{item.name}` must be finite and {'>' if above else '>='} 0, got {given}"
-                )
+            require(
+                all(math.isfinite(x) and (x > 0.0 if above else x >= 0.0) for x in values),
+                f"`{item.name}` must be finite and {'>' if above else '>='} 0, got {given}",
+            )
 
     def wandering(self, elevation: FloatArray) -> list[tuple[FloatArray, float, bool]]:
         """Standard deviation [m], time [s] and whether second-order, of what wanders in a code.

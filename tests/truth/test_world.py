@@ -69,7 +69,7 @@ def test_ranges_are_those_of_range_and_rate(world):
             p = world.satellites[k, s]
             want = (0.0, 0.0)
             if world.visible[k, s]:
-                want = range_and_rate(*p[:6], *world.position_e[k], *world.velocity_e[k])[:2]
+                want = range_and_rate(p[:3], p[3:6], world.position_e[k], world.velocity_e[k])[:2]
             np.testing.assert_allclose(p[6:], want, rtol=1e-14, atol=1e-9)
 
 
