@@ -232,7 +232,6 @@ class Equipment:
     def advance(
         self, memory: Memory, world: World, epochs: NDArray[np.int64], lo: int, hi: int
     ) -> None:
-        """Error of the known position, and clock, at the coming epoch."""
         if self.tracking is None and self.clock is None:
             return
         tracking, clock = self.tracking or TrackingError(), self.clock or SpooferClock()

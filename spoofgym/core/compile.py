@@ -1,11 +1,8 @@
-"""Njit and the compile cache.
+"""The one ``njit`` of the project, and the folder in which its compiled code is kept.
 
-How a function is compiled: in full where Python calls it, else as far as its callers need.
-
-What only compiled code calls needs no wrapper for Python, no machine code and no file of the cache:
-its callers take its intermediate code in, and LLVM optimizes that once, as a part of theirs.
-
-The one ``njit`` of the project, and the folder in which its compiled code is kept.
+A function is compiled in full where Python calls it.  What only compiled code calls needs no
+wrapper for Python, no machine code and no file of the cache: its callers take its intermediate code
+in, and LLVM optimizes that once, as a part of theirs.
 
 numba's own cache notices an edit of the file a function is in, not of the files of the
 functions it calls, and then goes on to run the old machine code.  Here the folder is named by a
@@ -154,8 +151,7 @@ CACHE_VARIABLE = "SPOOFGYM_CACHE_DIR"
 PACKAGE = __package__.partition(".")[0]
 COMPILED_LAYERS = ("earth", "truth", "attacks", "receiver", "detectors", "simulation", "envs")
 """Packages with compiled code, each of which calls only those before it (import-linter's order)."""
-FOUNDATION = ("core/compile.py", "core/simd.py", "core/lanes.py")
-"""Modules that the code of every layer may come from."""
+FOUNDATION = ("core/compile.py", "core/simd.py", "core/lanes.py")  # code of any layer may be theirs
 KEPT_DIGESTS = 16
 KEPT_S = 86_400.0  # least age of code that is pruned: what began to use it may still add to it
 CHECKSUM_SIZE = 16

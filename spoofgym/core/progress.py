@@ -20,8 +20,7 @@ class ProgressCallback(Protocol):
         """Add an amount of work; `now` says what is going on."""
 
 
-ProgressBar = Callable[[float], AbstractContextManager[ProgressCallback]]
-"""Opens a bar for a total amount of work, such as `show_progress`."""
+ProgressBar = Callable[[float], AbstractContextManager[ProgressCallback]]  # of a total of work
 
 
 class NullProgress:

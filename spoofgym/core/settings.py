@@ -17,10 +17,8 @@ from typing import Any
 
 import numpy as np
 
-LIBRARIES = {"spoofgym", "numpy", "pandas", *sys.stdlib_module_names}
-"""Packages that versions and digests of their own stand for."""
-OMITTED = {"omitted": True}
-"""Metadata of a field whose default is not written down, since records are older than it."""
+LIBRARIES = {"spoofgym", "numpy", "pandas", *sys.stdlib_module_names}  # they have versions
+OMITTED = {"omitted": True}  # metadata of a default that is not written down: records are older
 DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 INSTALLED = {"site-packages", "dist-packages"}
 

@@ -346,7 +346,6 @@ class _Fixes:
 
 
 def _distinct_fixes(raw: RawTrack, counts: dict[str, int], drop_interpolated: bool) -> _Fixes:
-    """Rows that hold a position of their own, at the true time of it."""
     known = np.isfinite(raw.position_time)
     fixes = _Fixes(
         np.where(known, raw.position_time, raw.time),

@@ -25,11 +25,9 @@ from ..truth.satellites import SatelliteStates, checked_time, ecef_from_orbit
 
 GPS_EPOCH = datetime(1980, 1, 6)  # start of GPS time
 SECONDS_PER_WEEK = 604800.0
-GPS_GRAVITATIONAL_CONSTANT = 3.986005e14
-"""mu of the GPS user, IS-GPS-200 [m^3/s^2]; not the WGS-84 value of today."""
+GPS_GRAVITATIONAL_CONSTANT = 3.986005e14  # mu of IS-GPS-200 [m^3/s^2], not that of WGS-84
 GPS_EARTH_RATE = 7.2921151467e-5  # earth rate of the GPS user, IS-GPS-200 [rad/s]
-VALIDITY = 7200.0
-"""Longest time from the reference time of a record [s]: half the 4 h curve fit interval."""
+VALIDITY = 7200.0  # longest time from that of a record [s]: half the 4 h curve fit interval
 ORBIT_FIELDS = (  # the 16 Keplerian parameters of a record
     *("root_semi_major_axis", "eccentricity", "mean_anomaly", "mean_motion_correction", "perigee"),
     *("node", "node_rate", "inclination", "inclination_rate"),

@@ -99,8 +99,7 @@ class Track:
         return float(self.time[-1])
 
 
-POSITION_SD = 100.0
-"""Standard deviation of a fix, north and east [m]: its time is late by up to a second."""
+POSITION_SD = 100.0  # of a fix, north and east [m]: its time is late by up to a second
 VELOCITY_SD = 2.0  # standard deviation of a reported velocity [m/s]: steps of 1 kt and 1 deg
 HEIGHT_SD = 10.0  # standard deviation of a height [m]: steps of 25 ft, and up to a second of climb
 TURN_JERK_PSD = 0.2  # density of the jerk across the path [m^2/s^5]: 0.3 m/s^3 kept up for 2 s
@@ -243,7 +242,6 @@ class _Plane:
         return csr_array(rows), np.nan_to_num(np.concatenate(values))
 
     def _jerks(self, solution: Floats) -> tuple[csr_array, Floats]:
-        """Rows and values of the jerk along and across the path of the pass before."""
         north, east = (row @ solution for row in self.node_rate)
         speed = np.maximum(np.hypot(north, east), 1.0)
         north_rate, east_rate = (row @ solution for row in self.node_acceleration)

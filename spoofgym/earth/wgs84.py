@@ -24,6 +24,8 @@ POLAR_RATIO = math.sqrt(1.0 - ECCENTRICITY_SQUARED)  # polar over equatorial rad
 GRAVITATIONAL_CONSTANT = 3.986004418e14  # geocentric gravitational constant mu [m^3/s^2]
 J2 = 1.082627e-3  # second zonal harmonic of the geopotential
 STANDARD_GRAVITY = 9.80665  # 1 g [m/s^2]
+MICRO_G = STANDARD_GRAVITY * 1e-6  # [m/s^2]
+DEGREE = math.pi / 180.0  # [rad]
 
 
 @inlined

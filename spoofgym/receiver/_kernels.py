@@ -24,28 +24,8 @@ from ..core.simd import (
     words_at,
 )
 from ..earth.wgs84 import EARTH_RATE, range_and_rate
-from ..truth._kernels import CHANNELS as SENSOR_CHANNELS
-from ..truth._kernels import (
-    CHUNK,
-    CONSTANT_ROWS,
-    CORRELATED_KEY,
-    DISTURBED,
-    IMU_KEY,
-    KEYS,
-    SIGNAL_ROWS,
-    SIGNALS,
-    SKY,
-    disturb,
-    gather_mappings,
-    gather_sky,
-    keep3,
-    load3,
-    measure,
-    recorded,
-    sense,
-    store3,
-)
-from ..truth._kernels import CLOCK as TRUE_CLOCK
+from ..truth import _kernels as world
+from ..truth._kernels import SKY, keep3, load3, store3
 from ..truth.noise import BLOCK, deviates, whole_number
 from ..truth.signal_errors import MAPPINGS, deviates_of
 from . import kalman
@@ -322,7 +302,7 @@ def sample(a, w, group, epoch, measured, base):
     with as many go together. Where `measured`, `run` has what the sensors gave."""
     first, counts, start = w.index[1], w.index[2], w.index[3]
     lanes, size = counts.shape[0], a.rules[3]
-    sensor_base, key_row = group * (SENSOR_CHANNELS + 2 * a.visible.shape[1]), group * KEYS
+    sensor_base, key_row = group * (world.CHANNELS + 2 * a.visible.shape[1]), group * world.KEYS
     sensors = a.sensors, sensor_base, a.constants, constant_row(a, group)
     samples, work = w.rest[:size], w.rest[size:]
     dt, truth, active = work[: size // 6], work[size // 6 :], w.force[3:4]
@@ -337,11 +317,11 @@ def sample(a, w, group, epoch, measured, base):
             set_lane(active, 0, each, 1.0 if together else 0.0)
             start[each] = first[each] if together else first[leader]
         if measured:
-            recorded(a.run, start, count, samples, dt)
+            world.recorded(a.run, start, count, samples, dt)
         else:
-            keys = load(a.keys, key_row + IMU_KEY), load(a.keys, key_row + IMU_KEY + 1)
+            keys = load(a.keys, key_row + world.IMU_KEY), load(a.keys, key_row + world.IMU_KEY + 1)
             deviates(keys[0], keys[1], epoch, size, 6 * count, samples)
-            sense(a.run, start, count, *sensors, samples, dt, truth, active)
+            world.sense(a.run, start, count, *sensors, samples, dt, truth, active)
         mechanize(a.x, base, samples, dt, count, active, w.force)
 
 
@@ -405,7 +385,12 @@ class Scratch(NamedTuple):
 def work_rows(channels: int, imu_size: int, gnss_size: int) -> int:
     """Rows of scratch memory of a thread; S and the samples share theirs."""
     n, fixed = channels, TERMS + PRODUCT_ROWS + kalman.WORK + 6
-    return fixed + gnss_size + (SKY + 6) * n + max(imu_size + imu_size // 6 + 8 * CHUNK, 4 * n * n)
+    return (
+        fixed
+        + gnss_size
+        + (SKY + 6) * n
+        + max(imu_size + imu_size // 6 + 8 * world.CHUNK, 4 * n * n)
+    )
 
 
 @njit
@@ -431,7 +416,7 @@ def assumed_row(a, group):
 
 @inlined
 def constant_row(a, group):
-    return group * CONSTANT_ROWS % a.constants.shape[0]
+    return group * world.CONSTANT_ROWS % a.constants.shape[0]
 
 
 @njit
@@ -443,7 +428,7 @@ def predict_group(a, w, group, what):
     receivers, n = a.visible.shape
     lanes, x = lanes_of(a.x), a.x
     base, c = group * (CHANNELS + ALL * n), group * (CHANNELS + ALL * n) + CHANNELS
-    sensor_base, key_row = group * (SENSOR_CHANNELS + 2 * n), group * KEYS
+    sensor_base, key_row = group * (world.CHANNELS + 2 * n), group * world.KEYS
     b, some = group * lanes, min(lanes, receivers - group * lanes)
     moves = 1 if what & PREDICT else 0
     for each in range(lanes):  # lanes without a receiver follow the last one
@@ -455,7 +440,7 @@ def predict_group(a, w, group, what):
         set_lane(w.tau, 0, each, a.epoch_time[k] - a.epoch_time[k - moves])
     for each in range(some):
         a.epochs[b + each] = w.index[0, each]
-    gather_sky(a.satellites, w.index[0], w.sky)
+    world.gather_sky(a.satellites, w.index[0], w.sky)
     tau, epoch = load(w.tau, 0), whole_number(load(w.epoch, 0))
     if what & MEASURE:
         for each in range(lanes):
@@ -466,14 +451,14 @@ def predict_group(a, w, group, what):
             for s in range(2 * n):
                 stays = a.authentic[follows, s] if a.authentic.shape[0] else 1.0
                 set_lane(w.added, 2 * n + s, each, stays)
-        picked_up = w.rest[: DISTURBED * n if a.signals.shape[0] else 0]
+        picked_up = w.rest[: world.DISTURBED * n if a.signals.shape[0] else 0]
         if a.signals.shape[0]:
             disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up)
         sensors, drawn = (
             (a.sensors, sensor_base, a.constants, constant_row(a, group)),
             (a.keys, key_row),
         )
-        measure(sensors, n, *drawn, epoch, tau, w.sky, w.noise, w.added, picked_up, x, c)
+        world.measure(sensors, n, *drawn, epoch, tau, w.sky, w.noise, w.added, picked_up, x, c)
     if what & SHOW:
         show_measured(a, c + INNOVATION * n, b, some)
     if what & PREDICT:
@@ -488,16 +473,16 @@ def predict_group(a, w, group, what):
 def disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up):
     n, rest = a.visible.shape[1], w.rest[picked_up.shape[0] :]
     mapping, rest = rest[: MAPPINGS * n], rest[MAPPINGS * n :]
-    gather_mappings(a.mappings, w.index[0], mapping)
-    key0 = load(a.keys, key_row + CORRELATED_KEY)
-    key1 = load(a.keys, key_row + CORRELATED_KEY + 1)
+    world.gather_mappings(a.mappings, w.index[0], mapping)
+    key0 = load(a.keys, key_row + world.CORRELATED_KEY)
+    key1 = load(a.keys, key_row + world.CORRELATED_KEY + 1)
     size = -(-deviates_of(n) // BLOCK) * BLOCK
-    base, noise = group * (SIGNALS + SIGNAL_ROWS * n), rest[:size]
+    base, noise = group * (world.SIGNALS + world.SIGNAL_ROWS * n), rest[:size]
     number = load(w.epoch, 0)
-    step = disturb(
+    step = world.disturb(
         a.signals, base, n, key0, key1, number, epoch, tau, mapping, noise, w.sky, picked_up
     )
-    store(a.sensors, sensor_base + TRUE_CLOCK, load(a.sensors, sensor_base + TRUE_CLOCK) + step)
+    store(a.sensors, sensor_base + world.CLOCK, load(a.sensors, sensor_base + world.CLOCK) + step)
 
 
 @njit

@@ -68,8 +68,7 @@ class Innovations(NamedTuple):
     gnss_position: FloatArray
 
 
-Rules = tuple[float, float, float, float]
-"""Time between epochs [s], q [m^2/s], d [m/s] and R [m^2]."""
+Rules = tuple[float, float, float, float]  # tau [s], q [m^2/s], d [m/s], R [m^2]
 
 
 @njit

@@ -296,8 +296,7 @@ class _Seal:
     __array_interface__: dict[str, Any]
 
 
-_OWNERS: WeakKeyDictionary[_Seal, NDArray[Any]] = WeakKeyDictionary()
-"""Arrays that sealed views look at, which keeps them alive as long as the views."""
+_OWNERS: WeakKeyDictionary[_Seal, NDArray[Any]] = WeakKeyDictionary()  # arrays of sealed views
 
 
 def _sealed(array: NDArray[Any]) -> NDArray[Any]:

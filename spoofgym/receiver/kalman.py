@@ -1,6 +1,4 @@
-"""Measurement update, normalized innovation squared.
-
-The measurement update, on the eight sums that hold all the information of a set of satellites.
+"""The measurement update, on the eight sums that hold all the information of a set of satellites.
 
 A pseudorange sees position and clock bias through the row g = (u, 1), a range rate sees velocity
 and clock drift through the same row.  With E the choice of these eight states and D the block

@@ -8,7 +8,6 @@ covariance is Joseph's form, which is right for the weights of a verdict, too.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -17,14 +16,11 @@ import numpy as np
 
 from ..core.memory import Memory
 from ..core.registry import build_record, check_fields, require
-from ..earth.wgs84 import STANDARD_GRAVITY
+from ..earth.wgs84 import DEGREE, MICRO_G
 from ._loose_kernels import LooseState, first_estimate, predict, update
 from .adaptive import PROCESS, SelfTuning
 from .epoch import OPTIONAL, Epoch, EpochMaker, FloatArray, without_channels
 from .loose_states import POSITION, STATES
-
-_DEG = math.pi / 180.0
-_UG = STANDARD_GRAVITY * 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,22 +79,22 @@ class LooselyCoupled:
 
     def initial_sd(self) -> FloatArray:
         """(15,) standard deviations of the state at time zero, SI units and radians."""
-        tilt, heading = self.tilt_arcsec * _DEG / 3600.0, self.heading_arcsec * _DEG / 3600.0
+        tilt, heading = self.tilt_arcsec * DEGREE / 3600.0, self.heading_arcsec * DEGREE / 3600.0
         return self.initial_factor * np.concatenate(
             [
                 [tilt, tilt, heading],
                 np.full(3, self.velocity_mps),
                 np.sqrt(self.noise_variance()),
-                np.full(3, self.gyro_bias_deg_per_h * _DEG / 3600.0),
-                np.full(3, self.accel_bias_ug * _UG),
+                np.full(3, self.gyro_bias_deg_per_h * DEGREE / 3600.0),
+                np.full(3, self.accel_bias_ug * MICRO_G),
             ]
         )
 
     def noise_psd(self) -> FloatArray:
         """(15,) power spectral density of the noise that drives each state."""
         psd = np.zeros(STATES)
-        psd[0:3] = (self.gyro_noise_deg_per_rth * _DEG / 60.0) ** 2
-        psd[3:6] = (self.accel_noise_ug_per_rthz * _UG) ** 2
+        psd[0:3] = (self.gyro_noise_deg_per_rth * DEGREE / 60.0) ** 2
+        psd[3:6] = (self.accel_noise_ug_per_rthz * MICRO_G) ** 2
         psd[6:9] = self.position_noise_m_per_rth**2 / 3600.0
         return psd
 

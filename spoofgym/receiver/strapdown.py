@@ -7,8 +7,7 @@ from ..core.simd import floor, select
 from ..earth.wgs84 import EARTH_RATE, gravity
 
 NO_ROTATION = 1e-16  # squared rotation angle [rad^2] up to which a sample counts as not turning
-ROUNDING_LIMIT = 1e-8
-"""Squared rotation angle [rad^2] up to which ``1 - cos a`` is rounded as in the reference."""
+ROUNDING_LIMIT = 1e-8  # the same, up to which ``1 - cos a`` is rounded as in the reference
 TINY = 1e-300  # keeps 0 / 0 away
 UNITS_PER_TWO = 2.0**52  # half the number of doubles between one half and one
 LARGEST_ROTATION = 1.0  # of one sample [rad]: up to it the series are exact to rounding

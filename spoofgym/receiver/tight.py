@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.registry import check_finite, require
-from ..earth.wgs84 import STANDARD_GRAVITY
+from ..earth.wgs84 import DEGREE, MICRO_G
 from .kalman import COVARIANCE_UPDATES
 from .states import (
     ACCEL_BIAS,
@@ -23,8 +23,6 @@ from .states import (
     VELOCITY,
 )
 
-_DEG = math.pi / 180.0
-_UG = STANDARD_GRAVITY * 1e-6
 CONVENTIONS = ("groves", "orthonormal")
 TUNINGS = ("paper", "matched", "augmented")
 
@@ -52,33 +50,33 @@ class FilterGrade(NamedTuple):
 
 FILTER_GRADES: dict[str, FilterGrade] = {
     "aviation": FilterGrade(
-        0.01 * _DEG,
+        0.01 * DEGREE,
         0.1,
         10.0,
-        30.0 * _UG,
-        0.001 * _DEG / 3600.0,
-        (0.004 * _DEG / 60.0) ** 2,
-        (40.0 * _UG) ** 2,
+        30.0 * MICRO_G,
+        0.001 * DEGREE / 3600.0,
+        (0.004 * DEGREE / 60.0) ** 2,
+        (40.0 * MICRO_G) ** 2,
         3e-9,
         2e-16,
     ),
     "tactical": FilterGrade(
-        1.0 * _DEG,
+        1.0 * DEGREE,
         0.1,
         10.0,
-        1000.0 * _UG,
-        10.0 * _DEG / 3600.0,
-        (0.02 * _DEG / 60.0) ** 2,
-        (200.0 * _UG) ** 2,
+        1000.0 * MICRO_G,
+        10.0 * DEGREE / 3600.0,
+        (0.02 * DEGREE / 60.0) ** 2,
+        (200.0 * MICRO_G) ** 2,
         1e-7,
         2e-12,
     ),
     "consumer": FilterGrade(
-        2.0 * _DEG,
+        2.0 * DEGREE,
         0.1,
         10.0,
-        10000.0 * _UG,
-        200.0 * _DEG / 3600.0,
+        10000.0 * MICRO_G,
+        200.0 * DEGREE / 3600.0,
         0.01**2,
         0.2**2,
         1e-5,

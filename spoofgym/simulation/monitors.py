@@ -1,15 +1,10 @@
-"""Read-only observers: passive detectors, broadcast.
-
-Monitors: what looks at every epoch that is judged, and changes nothing.
+"""Monitors: what looks at every epoch that is judged, and changes nothing; passive detectors.
 
 They live in the simulators, so that they see the warm-up and the time to alert, too, and go with
 their receivers when these are moved from one simulator to another.
 
-The victim's own broadcast of its position: reports that arrive late, in steps.
-
-What is broadcast is the solution that the victim believes, as an aircraft's surveillance reports
-have it.  A report is sent at fixed intervals, arrives after a latency that is drawn for each, and
-gives the position in steps.
+An aircraft's surveillance reports broadcast the position that the victim believes, at fixed
+intervals: each arrives after a latency that is drawn for it.
 """
 
 from __future__ import annotations

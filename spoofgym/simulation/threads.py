@@ -14,8 +14,7 @@ from ..core import threads as _threads
 
 Work = Callable[[int, int], None]
 Job = Callable[[], object]
-Piece = Callable[[], bool]
-"""Does about 0.1 ms of some other work, and never raises; False where there was none to do."""
+Piece = Callable[[], bool]  # 0.1 ms of work, raises nothing; False where there was none
 JOIN_S = 5.0
 """How long threads that have been closed are waited for; they end with the piece that they are at,
 unless a detector holds them up."""

@@ -42,10 +42,9 @@ from .simulator import FloatArray, Rngs, Rows, Sequel, Simulator, SkyData
 DEFAULT_ATTACK = "false-position"
 RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in TUNINGS}
 """Victims by name: the noise that they assume as the papers print it, or as the world has it."""
+# fields of an epoch that an augmented filter works on, and those that it has itself
 AUGMENTED_NEEDS = frozenset({"transition", "imu_delta", "design", "innovation_cov"})
-"""Fields of an epoch that an augmented filter works on."""
-AUGMENTED_SHOWS = frozenset({"transition", "design", "predicted_cov"})
-"""Fields of an epoch that it has with all its states."""
+AUGMENTED_SHOWS = frozenset({"transition", "design", "predicted_cov"})  # with all its states
 FIRST_FIX = 4  # satellites that a first fix takes
 AXES = ("north", "east", "down")
 AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")  # noise that goes on
@@ -258,7 +257,6 @@ class TightlyCoupledSimulator(Simulator):
         return epoch_view(self.buffers, self.augmented.shown if self.augmented else None)
 
     def _hold_arguments(self) -> None:
-        """Collect what the kernel takes: what stays the same, and what stands for nothing."""
         world, receiver = self.setup.world, self.setup.receiver
         buffers, sensors = self.buffers, self.sensors
         sizes = padded(6 * world.most_samples), padded(2 * world.channels)
@@ -487,7 +485,6 @@ class TightlyCoupledSimulator(Simulator):
             return
 
         def work(lo: int, hi: int) -> None:
-            """Attack in Python first, where it has no compiled form."""
             if in_python:
                 self._attack(command, lo, hi)
             self._call(arrays, rest, lo, hi)
@@ -498,7 +495,6 @@ class TightlyCoupledSimulator(Simulator):
             self._run(work, self.receivers)
 
     def _memory_table(self, form: int, detector: int) -> ArrayTable:
-        """What attack and detector remember, where the kernel has them, and the verdict."""
         arrays: list[NDArray[Any]] = list(self._no_memories.arrays)
         if form != _kernels.NO_FORM:
             memory = self.attack.memory

@@ -38,8 +38,7 @@ FRONT, ZENITH, SIGNALS = _SIGNALS["front"], _SIGNALS["zenith"], _SIGNALS["front_
 arrivals of a front, errors of orbit and clock, their rates, multipath, noise, readings."""
 SIGNAL_ROWS = 6
 DISTURBED = 4  # rows of each signal that `disturb` writes
-LATER = 1 << 40
-"""Counter of the first epoch's deviates of signals, under the key of the correlated errors."""
+LATER = 1 << 40  # first counter of deviates of signals, under the key of the correlated errors
 CHUNK = 16  # samples whose truth is gathered at a time, so that it stays in the nearest cache
 SKY = 8  # of a satellite: position, velocity, true range and range rate, 0 if invisible
 

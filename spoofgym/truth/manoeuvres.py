@@ -48,7 +48,6 @@ class Pulse:
         return 2.0 * self.ramp + self.hold
 
     def rate(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Rate at times since the beginning [s]; 0 before and after."""
         inside = np.clip(np.minimum(time, self.duration - time), 0.0, self.ramp)
         return self.peak * 0.5 * (1.0 - np.cos(np.pi * inside / self.ramp))
 

@@ -1,13 +1,8 @@
-r"""Wheeled robot: course, encoders, heading, GNSS fixes.
+r"""A wheeled robot on a closed course: its true motion, encoders, heading and GNSS positions.
 
-True motion of a wheeled robot on a closed course.
-
-The course is a rectangle with rounded corners, driven clockwise at constant speed.  Position and
-heading are closed forms of the distance travelled, so that a lap ends where it began.
-
-Source: `song2021`, section 4.1: the sidelines of a badminton court, 0.5 m/s, first heading 248 deg.
-
-What a wheeled robot measures: encoders, a heading, and GNSS positions.
+The course is a rectangle with rounded corners, driven clockwise at constant speed: the sidelines of
+a badminton court, 0.5 m/s, first heading 248 deg (`song2021`, section 4.1).  Position and heading
+are closed forms of the distance travelled, so that a lap ends where it began.
 
 Dead reckoning adds up, from sample to sample, the mean way of the two wheels in the direction of
 the heading in the middle of the sample,
@@ -68,9 +63,8 @@ class RobotTrack:
     distance: FloatArray
 
     def wheels(self, wheel_base: float) -> tuple[FloatArray, FloatArray]:
-        """Distance that the left and the right wheel have rolled. `wheel_base`: distance between
-        the wheels [m]; returns `left`, `right` (N+1,) [m]; the left wheel is the outer one of a
-        turn to the right."""
+        """(N+1,) distance that the left and the right wheel have rolled [m]; `wheel_base` between
+        them [m]; the left wheel is the outer one of a turn to the right."""
         turned = 0.5 * wheel_base * (self.yaw - self.yaw[0])
         return self.distance + turned, self.distance - turned
 
@@ -222,13 +216,12 @@ class FixErrors:
         check_finite("correlation_time_s", self.correlation_time_s, "> 0")
 
     def decay(self, interval_s: float) -> float:
-        """What is left of the correlated part after an interval, in (0, 1)."""
         return math.exp(-interval_s / self.correlation_time_s)
 
 
 def episode_keys(episode: np.random.SeedSequence) -> tuple[NDArray[np.uint64], FloatArray]:
-    """Keys of all noise of a new episode. Returns `keys` (2, 2) of each of `SOURCES`; `phase` (2,)
-    part of a count at which the left and the right encoder start, in [0, 1)."""
+    """Keys (2, 2) of each of `SOURCES` for a new episode, and parts of a count (2,) at which the
+    left and the right encoder start, in [0, 1)."""
     words = 2 * len(SOURCES)
     state = np.asarray(episode.generate_state(words + 2, np.uint64), dtype=np.uint64)
     phase = np.asarray((state[words:] >> np.uint64(11)) * 2.0**-53, dtype=np.float64)

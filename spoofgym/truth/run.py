@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ..core.registry import check_choice, check_fields, require
 from ..earth.wgs84 import (
-    STANDARD_GRAVITY,
+    DEGREE,
+    MICRO_G,
     dcm_e_from_n,
     ecef_to_geodetic,
     geodetic_to_ecef,
@@ -200,8 +201,6 @@ def _choose(visible: NDArray[np.bool_], channels: int) -> list[int]:
     return sorted(int(i) for i in longest if epochs[i] > 0)
 
 
-_DEG = math.pi / 180.0
-_UG = STANDARD_GRAVITY * 1e-6
 _GRID = 1e-9
 SOURCES = 3  # of chance; each has a key of its own in every episode
 
@@ -240,20 +239,20 @@ class InertialErrors:
     def noise(self) -> FloatArray:
         """(2,) root PSD of accelerometers and gyros [m/s^1.5], [rad/s^0.5]."""
         return np.array(
-            [self.accel_noise_ug_per_rthz * _UG, self.gyro_noise_deg_per_rth * _DEG / 60.0]
+            [self.accel_noise_ug_per_rthz * MICRO_G, self.gyro_noise_deg_per_rth * DEGREE / 60.0]
         )
 
     @cached_property
     def initial_sd(self) -> FloatArray:
         """(15,) of the first state, east-north-up axes: `receiver.loose_states`; SI, radians."""
-        arcsec = _DEG / 3600.0
+        arcsec = DEGREE / 3600.0
         return np.concatenate(
             [
                 np.array([self.tilt_arcsec, self.tilt_arcsec, self.heading_arcsec]) * arcsec,
                 np.full(3, self.velocity_mps),
                 [self.horizontal_m, self.horizontal_m, self.vertical_m],
-                np.full(3, self.gyro_bias_deg_per_h * _DEG / 3600.0),
-                np.full(3, self.accel_bias_ug * _UG),
+                np.full(3, self.gyro_bias_deg_per_h * DEGREE / 3600.0),
+                np.full(3, self.accel_bias_ug * MICRO_G),
             ]
         )
 

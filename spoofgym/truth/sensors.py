@@ -1,20 +1,14 @@
-"""IMU grades, per-batch error arrays.
-
-Inertial sensors: three grades of errors.
+"""Inertial sensors of three grades, and the errors, clocks and keys of a batch's sensors.
 
     f_m = b_a + (I + M_a) f + noise,      w_m = b_g + (I + M_g) w + G_g f + noise,
 
 white noise of a given root power spectral density, then rounded to the quantization level, what
-the rounding left over being carried to the next sample.
-
-The arrays of a batch of receivers' sensors: errors, clocks, keys of the noise.
-
-As with the receivers, what kernels need at every epoch lies in lane arrays, group by group.
+the rounding left over being carried to the next sample.  What kernels need at every epoch lies in
+lane arrays, group by group.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -22,15 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.lanes import LaneFields
-from ..earth.wgs84 import STANDARD_GRAVITY
+from ..earth.wgs84 import DEGREE, MICRO_G, STANDARD_GRAVITY
 from .gnss_errors import GnssErrors
 from .noise import BLOCK, normals, padded
 from .signal_errors import FloatArray, SignalErrors, begin_signals, signal_shapes
 
-_UG = STANDARD_GRAVITY * 1e-6
-_DEG = math.pi / 180.0
-_DEG_PER_HOUR = _DEG / 3600.0
-_DEG_PER_ROOT_HOUR = _DEG / 60.0
+_DEG_PER_HOUR = DEGREE / 3600.0
+_DEG_PER_ROOT_HOUR = DEGREE / 60.0
 
 Rows = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
@@ -58,7 +50,7 @@ class ImuGrade(NamedTuple):
 
     @property
     def accel_bias(self) -> NDArray[np.float64]:
-        return np.array(self.accel_bias_ug) * _UG
+        return np.array(self.accel_bias_ug) * MICRO_G
 
     @property
     def gyro_bias(self) -> NDArray[np.float64]:
@@ -81,7 +73,7 @@ class ImuGrade(NamedTuple):
         """(4,) root PSD of accelerometers and gyros [m/s^1.5], [rad/s^0.5], quantization levels."""
         return np.array(
             [
-                self.accel_noise_ug_per_rthz * _UG,
+                self.accel_noise_ug_per_rthz * MICRO_G,
                 self.gyro_noise_deg_per_rth * _DEG_PER_ROOT_HOUR,
                 self.accel_quantization,
                 self.gyro_quantization,
