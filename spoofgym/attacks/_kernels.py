@@ -9,10 +9,8 @@ moves, the second for what is drawn again.  An attack measures only epochs after
 the first counter of the onset is free for what an episode starts with.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
@@ -23,16 +21,9 @@ from ..truth._kernels import load3
 from ..truth.clock import advance_clock
 from ..truth.noise import exponential, normals
 
-
-class Commanded(NamedTuple):
-    """An action (B, a) in [-1, 1], whether the rate is held instead, `Attack.kernel_settings`, and
-    what is commanded so far, (B, a), overwritten [m], [m/s]."""
-
-    action: Any
-    hold: Any
-    settings: Any
-    displacement: Any
-    rate: Any
+# An action (B, a) in [-1, 1], whether the rate is held instead, `Attack.kernel_settings`, and what
+# is commanded so far, (B, a), overwritten [m], [m/s].
+Commanded = namedtuple("Commanded", "action hold settings displacement rate")
 
 
 @njit

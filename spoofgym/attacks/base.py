@@ -268,10 +268,12 @@ class Attack(ABC):
         self.slots = np.flatnonzero(self.mask)
         self.memory = Memory(context.receivers)
         b = context.receivers
-        self.memory.declare("displacement", np.zeros((b, axes)))
-        self.memory.declare("rate", np.zeros((b, axes)))
-        self.memory.declare("onset", np.zeros(b, dtype=np.int64))
-        self.memory.declare("key", np.zeros((b, 2), dtype=np.uint64))
+        self.memory.declare_all(
+            displacement=np.zeros((b, axes)),
+            rate=np.zeros((b, axes)),
+            onset=np.zeros(b, dtype=np.int64),
+            key=np.zeros((b, 2), dtype=np.uint64),
+        )
         self._equipment = self.equipment
         self.is_perfect = self._equipment.perfect
         self._equipment.declare(self.memory, context.world.channels)

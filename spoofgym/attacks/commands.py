@@ -154,8 +154,8 @@ class Meaconer(Attack):
 
     def bind(self, context: AttackContext) -> None:
         super().bind(context)
-        self.memory.declare("antenna", np.zeros((context.receivers, 3)))
-        self.memory.declare("antenna_rate", np.zeros((context.receivers, 3)))
+        none = np.zeros((context.receivers, 3))
+        self.memory.declare_all(antenna=none, antenna_rate=none)
 
     def begin(
         self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]

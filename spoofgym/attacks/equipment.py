@@ -201,12 +201,14 @@ class Equipment:
         memory.declare("target_error", np.zeros((b, 6)))
         if self.perfect:
             return
-        memory.declare("wander", np.zeros((b, 3, 2)))
-        memory.declare("spoofer_clock", np.zeros((b, 2)))
-        memory.declare("counterfeit_bias", np.zeros((b, channels)))
-        memory.declare("captured", np.zeros((b, channels), dtype=np.bool_))
-        memory.declare("capture_time", np.zeros((b, channels)))
-        memory.declare("authentic", np.ones((b, 2 * channels)))
+        memory.declare_all(
+            wander=np.zeros((b, 3, 2)),
+            spoofer_clock=np.zeros((b, 2)),
+            counterfeit_bias=np.zeros((b, channels)),
+            captured=np.zeros((b, channels), dtype=np.bool_),
+            capture_time=np.zeros((b, channels)),
+            authentic=np.ones((b, 2 * channels)),
+        )
 
     def begin(
         self,

@@ -149,8 +149,8 @@ F = TypeVar("F", bound=Callable[..., object])
 
 CACHE_VARIABLE = "SPOOFGYM_CACHE_DIR"
 PACKAGE = __package__.partition(".")[0]
+# Packages with compiled code, each of which calls only those before it (import-linter's order).
 COMPILED_LAYERS = ("earth", "truth", "attacks", "receiver", "detectors", "simulation", "envs")
-"""Packages with compiled code, each of which calls only those before it (import-linter's order)."""
 FOUNDATION = ("core/compile.py", "core/simd.py", "core/lanes.py")  # code of any layer may be theirs
 KEPT_DIGESTS = 16
 KEPT_S = 86_400.0  # least age of code that is pruned: what began to use it may still add to it

@@ -57,6 +57,10 @@ class Memory(dict[str, NDArray[Any]]):
         self._initial[name] = array
         self[name] = array.copy()
 
+    def declare_all(self, **initial: NDArray[Any]) -> None:
+        for name, array in initial.items():
+            self.declare(name, array)
+
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
         for name, initial in self._initial.items():
             if mask is None:

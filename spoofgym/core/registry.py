@@ -19,8 +19,8 @@ import numpy as np
 from .settings import describe
 
 T = TypeVar("T")
+# Endings of files of models that would have to be unpickled.
 PICKLES = (".zip", ".pkl", ".pickle", ".pt", ".pth", ".ckpt", ".pth.tar", ".joblib")
-"""Endings of files of models that would have to be unpickled."""
 
 
 def require(good: object, message: str) -> None:

@@ -173,13 +173,17 @@ def _binary(
         _define(function, kind_of, emit, 2, of_vectors=True)
 
 
-_binary((operator.add, operator.iadd), {REAL: "fadd", WORD: "add"}, None)
-_binary((operator.sub, operator.isub), {REAL: "fsub", WORD: "sub"}, None)
-_binary((operator.mul, operator.imul), {REAL: "fmul"}, None)
-_binary((operator.truediv, operator.itruediv), {REAL: "fdiv"}, None)
-_binary((operator.xor, operator.ixor), {WORD: "xor", MASK: "xor"}, None)
-_binary((operator.or_, operator.ior), {WORD: "or_", MASK: "or_"}, None)
-_binary((operator.and_, operator.iand), {WORD: "and_", MASK: "and_"}, None)
+for _name, _emits in {
+    "add": {REAL: "fadd", WORD: "add"},
+    "sub": {REAL: "fsub", WORD: "sub"},
+    "mul": {REAL: "fmul"},
+    "truediv": {REAL: "fdiv"},
+    "xor": {WORD: "xor", MASK: "xor"},
+    "or_": {WORD: "or_", MASK: "or_"},
+    "and_": {WORD: "and_", MASK: "and_"},
+}.items():
+    _in_place = getattr(operator, f"i{_name.rstrip('_')}")
+    _binary((getattr(operator, _name), _in_place), _emits, None)
 _binary((operator.lshift,), {WORD: "shl"}, None)
 _binary((operator.rshift,), {WORD: "lshr"}, None)
 for _compare, _sign in (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("eq", "==")):
@@ -228,13 +232,9 @@ def _row_address(
 class _Lanes(np.ndarray):
     """A vector without compilation: like a number, none that ``+=`` changes in place."""
 
-    __iadd__: Any = np.ndarray.__add__
-    __isub__: Any = np.ndarray.__sub__
-    __imul__: Any = np.ndarray.__mul__
-    __itruediv__: Any = np.ndarray.__truediv__
-    __iand__: Any = np.ndarray.__and__
-    __ior__: Any = np.ndarray.__or__
-    __ixor__: Any = np.ndarray.__xor__
+
+for _name in ("add", "sub", "mul", "truediv", "and", "or", "xor"):
+    setattr(_Lanes, f"__i{_name}__", getattr(np.ndarray, f"__{_name}__"))
 
 
 def _python(values: Any) -> Any:
@@ -641,9 +641,12 @@ def _define_reader(function: Callable[..., Any], element: types.Type, arity: int
     _define(function, kind_of, emit, arity)
 
 
-_define_reader(floats_at, types.float64, 2)
-_define_reader(singles_at, types.float32, 2)
-_define_reader(integers_at, types.int64, 2)
-_define_reader(flags_at, types.boolean, 2)
-_define_reader(rows_at, types.float64, 3)
-_define_reader(words_at, types.uint64, 3)
+for _reader, _element, _arity in (
+    (floats_at, types.float64, 2),
+    (singles_at, types.float32, 2),
+    (integers_at, types.int64, 2),
+    (flags_at, types.boolean, 2),
+    (rows_at, types.float64, 3),
+    (words_at, types.uint64, 3),
+):
+    _define_reader(_reader, _element, _arity)

@@ -9,8 +9,9 @@ kept as it is or dropped, and a course or speed is used or not.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -216,11 +217,10 @@ AIRBORNE_SPEED = 60.0 * KNOT  # speed over ground above which a fix counts as ai
 DEFAULT_DURATION_S = 600.0  # duration of a track where none is asked for [s]
 
 
-@dataclass(frozen=True)
-class CleaningReport:
+class CleaningReport(SimpleNamespace):
     """What cleaning found and dropped; counts are rows of the file unless said otherwise.
 
-    - `name`: name of the file or flight;
+    - `name`: name of the file or flight; `rows`: all of them;
     - `incomplete`: rows without latitude, longitude or altitude;
     - `repeated`: rows that repeat the position of the row before;
     - `late`: rows whose position is not newer than the one before;
@@ -239,28 +239,8 @@ class CleaningReport:
     - `fixes`, `angles`: fixes of the track, and those among them with a course.
     """
 
-    name: str
-    rows: int
-    incomplete: int
-    repeated: int
-    late: int
-    interpolated: int
-    position_outliers: int
-    height_outliers: int
-    grounded: int
-    speeds_rejected: int
-    angles_as_given: int
-    angles_unwrapped: int
-    angles_rejected: int
-    stretches: int
-    stretch_s: float
-    start_utc: str
-    duration_s: float
-    fixes: int
-    angles: int
-
     def as_dict(self) -> dict[str, str | int | float]:
-        return asdict(self)
+        return dict(vars(self))
 
     def lines(self) -> list[str]:
         kept = self.angles_as_given + self.angles_unwrapped

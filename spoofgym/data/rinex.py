@@ -49,6 +49,8 @@ def _signed(bits: int, exponent: int, unit: float = 1.0) -> tuple[float, float]:
     return -largest, largest
 
 
+# Valid values of the fields: what the bits of the message hold, or its narrower effective range
+# (IS-GPS-200, tables 20-I and 20-III); angles of one turn either way, since writers differ.
 RANGES = {
     **dict(clock_bias=_signed(22, -31), clock_drift=_signed(16, -43)),
     **dict(clock_drift_rate=_signed(8, -55), group_delay=_signed(8, -31)),
@@ -60,8 +62,6 @@ RANGES = {
     **dict.fromkeys(("cuc", "cus", "cic", "cis"), _signed(16, -29)),
     **dict.fromkeys(("crc", "crs"), _signed(16, -5)),
 }
-"""Valid values of the fields: what the bits of the message hold, or its narrower effective range
-(IS-GPS-200, tables 20-I and 20-III); angles of one turn either way, since writers differ."""
 
 
 class _Layout(NamedTuple):

@@ -24,8 +24,9 @@ an aircraft could have flown, near to the fixes; how near, is in the report.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -308,12 +309,10 @@ SLOWEST = 15.0  # smallest horizontal speed [m/s]; below, the velocity doesn't g
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class FitReport:
+class FitReport(SimpleNamespace):
     """How near a fitted flight is to its track, and how it flies.
 
-    - `start_utc`: time of the first sample, ISO 8601;
-    - `duration_s`: duration [s];
+    - `name` of the track, its `fixes`, `duration_s` [s], and `start_utc` of the first, ISO 8601;
     - `doubted`: fixes, speeds and courses further off than 3 standard deviations, which weigh less;
     - `position_rms_m`, `position_max_m`: horizontal distance of the fixes from the flight [m];
     - `height_rms_m`: difference in height [m];
@@ -326,25 +325,8 @@ class FitReport:
     - `rate_max_degps`: largest body rate about any axis [deg/s].
     """
 
-    name: str
-    start_utc: str
-    duration_s: float
-    fixes: int
-    doubted: int
-    position_rms_m: float
-    position_max_m: float
-    height_rms_m: float
-    speed_rms_mps: float
-    course_rms_deg: float
-    speed_min_mps: float
-    speed_max_mps: float
-    load_min_g: float
-    load_max_g: float
-    bank_max_deg: float
-    rate_max_degps: float
-
     def as_dict(self) -> dict[str, str | int | float | None]:
-        return {key: None if value != value else value for key, value in asdict(self).items()}
+        return {key: None if value != value else value for key, value in vars(self).items()}
 
     def lines(self) -> list[str]:
         return [

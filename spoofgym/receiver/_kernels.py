@@ -1,8 +1,6 @@
 """The compiled halves of a receiver's epoch, group by group of a batch of receivers."""
 
-from __future__ import annotations
-
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
@@ -325,61 +323,28 @@ def sample(a, w, group, epoch, measured, base):
         mechanize(a.x, base, samples, dt, count, active, w.force)
 
 
-class Arrays(NamedTuple):
-    """What a batch of receivers reads and writes at an epoch, as kernels pass it on.
-
-    - `x`, `assumed`, `sensors`, `constants`, `keys`: lane arrays of `receiver_shapes`,
-      `assumed_shapes`, `sensor_shapes`, `CONSTANTS` and `SOURCES`; `assumed` and `constants` may
-      be of one group, for all of them;
-    - `out`, `places`: `seen_floats` and `places` of `ReceiverBuffers`;
-    - `visible`, `coasting`: (B, n) and (B,) bool;
-    - `epochs` (B,) that each receiver is at;
-    - `range_offset`, `rate_offset`, `authentic`: of `SensorBuffers`;
-    - `run` (8, N) true samples, their lengths and root rates, as `World.run`, or measured ones;
-    - `epoch_time`, `epoch_end`, `satellites`: of `World`;
-    - `rules`: covariance update, fewest satellites, whether to re-orthonormalize, deviates of an
-      epoch for inertial sensors and for GNSS;
-    - `signals`, `mappings`: lane array of `signal_shapes`, and (K, n, 6) what is known of the lines
-      of sight; both empty where no signal has such errors.
-    """
-
-    x: Any
-    assumed: Any
-    out: Any
-    places: Any
-    visible: Any
-    coasting: Any
-    sensors: Any
-    constants: Any
-    keys: Any
-    epochs: Any
-    range_offset: Any
-    rate_offset: Any
-    authentic: Any
-    run: Any
-    epoch_time: Any
-    epoch_end: Any
-    satellites: Any
-    rules: Any
-    signals: Any
-    mappings: Any
-
-
-class Scratch(NamedTuple):
-    """Scratch memory of a thread, in lane arrays; `index` (4, lanes) int64."""
-
-    terms: Any
-    product: Any
-    solution: Any
-    force: Any
-    tau: Any
-    epoch: Any
-    noise: Any
-    sky: Any
-    added: Any
-    precision: Any
-    rest: Any
-    index: Any
+# What a batch of receivers reads and writes at an epoch, as kernels pass it on:
+# - `x`, `assumed`, `sensors`, `constants`, `keys`: lane arrays of `receiver_shapes`,
+#   `assumed_shapes`, `sensor_shapes`, `CONSTANTS` and `SOURCES`; `assumed` and `constants` may be
+#   of one group, for all of them;
+# - `out`, `places`: `seen_floats` and `places` of `ReceiverBuffers`;
+# - `visible`, `coasting`: (B, n) and (B,) bool; `epochs` (B,) that each receiver is at;
+# - `range_offset`, `rate_offset`, `authentic`: of `SensorBuffers`;
+# - `run` (8, N) true samples, their lengths and root rates, as `World.run`, or measured ones;
+# - `epoch_time`, `epoch_end`, `satellites`: of `World`;
+# - `rules`: covariance update, fewest satellites, whether to re-orthonormalize, deviates of an
+#   epoch for inertial sensors and for GNSS;
+# - `signals`, `mappings`: lane array of `signal_shapes`, and (K, n, 6) what is known of the lines
+#   of sight; both empty where no signal has such errors.
+Arrays = namedtuple(
+    "Arrays",
+    "x assumed out places visible coasting sensors constants keys epochs range_offset rate_offset "
+    "authentic run epoch_time epoch_end satellites rules signals mappings",
+)
+# Scratch memory of a thread, in lane arrays; `index` (4, lanes) int64.
+Scratch = namedtuple(
+    "Scratch", "terms product solution force tau epoch noise sky added precision rest index"
+)
 
 
 def work_rows(channels: int, imu_size: int, gnss_size: int) -> int:

@@ -1,12 +1,9 @@
 """The compiled halves of a loosely coupled receiver's epoch, over a batch of receivers."""
 
-from __future__ import annotations
-
 import math
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
 from ..earth.wgs84 import EARTH_RATE, gravity, radii_of_curvature
@@ -20,36 +17,20 @@ from .loose_states import (
 )
 from .strapdown import strapdown_step
 
-FloatArray = NDArray[np.float64]
-
-
-class LooseState(NamedTuple):
-    """What the receivers remember.
-
-    - `position_e`, `velocity_e` (B, 3) ECEF [m], [m/s];
-    - `C_eb` (B, 3, 3) attitude;
-    - `bias` (B, 6) of gyros [rad/s] and accelerometers [m/s^2];
-    - `covariance` (B, 15, 15) in the order of `loose_states`;
-    - `innovation`, `innovation_cov` (B, 3) and (B, 3, 3) of the epoch, GNSS minus prediction; east,
-      north, up [m];
-    - `measurement_cov` (B, 3, 3) R of the next update [m^2];
-    - `process_scale` (B,) what Q is multiplied with;
-    - `residuals`, `innovations` (B, w, 3) windows [m]; the second only where Q adapts, else w = 0;
-    - `seen` (B,) int64, updates so far.
-    """
-
-    position_e: FloatArray
-    velocity_e: FloatArray
-    C_eb: FloatArray
-    bias: FloatArray
-    covariance: FloatArray
-    innovation: FloatArray
-    innovation_cov: FloatArray
-    measurement_cov: FloatArray
-    process_scale: FloatArray
-    residuals: FloatArray
-    innovations: FloatArray
-    seen: NDArray[np.int64]
+# What the receivers remember:
+# - `position_e`, `velocity_e` (B, 3) ECEF [m], [m/s]; `C_eb` (B, 3, 3) attitude;
+# - `bias` (B, 6) of gyros [rad/s] and accelerometers [m/s^2];
+# - `covariance` (B, 15, 15) in the order of `loose_states`;
+# - `innovation`, `innovation_cov` (B, 3) and (B, 3, 3) of the epoch, GNSS minus prediction; east,
+#   north, up [m];
+# - `measurement_cov` (B, 3, 3) R of the next update [m^2]; `process_scale` (B,) factor on Q;
+# - `residuals`, `innovations` (B, w, 3) windows [m]; the second only where Q adapts, else w = 0;
+# - `seen` (B,) int64, updates so far.
+LooseState = namedtuple(
+    "LooseState",
+    "position_e velocity_e C_eb bias covariance innovation innovation_cov measurement_cov "
+    "process_scale residuals innovations seen",
+)
 
 
 @inlined

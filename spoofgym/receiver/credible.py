@@ -184,8 +184,7 @@ class CredibleBatch:
         self._rules: Rules = interval_s, *map(float, noise), settings.noise_variance
         covariance = np.tile(settings.noise_variance * np.eye(AXES), (b, 1, 1))
         places = np.zeros((b, 3)), covariance, np.zeros((b, 3)), np.zeros(b), np.zeros(b)
-        for name, initial in zip(CredibleState._fields, places, strict=True):
-            memory.declare(name, initial)
+        memory.declare_all(**CredibleState(*places)._asdict())
         square = (b, AXES, AXES)
         self.seen = Innovations(
             np.zeros((b, AXES)), np.zeros(square), np.zeros(square), np.zeros((b, 3))

@@ -14,8 +14,6 @@ All functions are of lane arrays (`core.simd`), one group of receivers at a time
 of 4 x 4 is stored in ten rows, column by column: 00 10 20 30 11 21 31 22 32 33.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..core.compile import inlined, njit
@@ -27,8 +25,8 @@ OBSERVED = np.array([6, 7, 8, 15, 3, 4, 5, 16])  # E: position, clock bias; velo
 PLAIN, UNWEIGHTED, GENERAL = 0, 1, 2
 COVARIANCE_UPDATES = {"plain": PLAIN, "unweighted": UNWEIGHTED, "general": GENERAL}
 NO_INFORMATION = 1e-12  # part of a pivot that rounding may leave of one without information
+# Rows of scratch memory: y, L, the correction and V Pe y, F and C, F L, Q, V, A1, A2.
 Y, L, X, F, M, Q, V, A1, A2, REST = 0, 8, 28, 60, 124, 188, 324, 388, 408, 428
-"""Rows of scratch memory: y, L, the correction and V Pe y, F and C, F L, Q, V, A1, A2."""
 WORK = REST + 6 * 64 + 8 * 17  # rows of scratch memory that `update` needs
 
 

@@ -92,11 +92,10 @@ class LooselyCoupled:
 
     def noise_psd(self) -> FloatArray:
         """(15,) power spectral density of the noise that drives each state."""
-        psd = np.zeros(STATES)
-        psd[0:3] = (self.gyro_noise_deg_per_rth * DEGREE / 60.0) ** 2
-        psd[3:6] = (self.accel_noise_ug_per_rthz * MICRO_G) ** 2
-        psd[6:9] = self.position_noise_m_per_rth**2 / 3600.0
-        return psd
+        attitude = (self.gyro_noise_deg_per_rth * DEGREE / 60.0) ** 2
+        velocity = (self.accel_noise_ug_per_rthz * MICRO_G) ** 2
+        position = self.position_noise_m_per_rth**2 / 3600.0
+        return np.repeat([attitude, velocity, position, 0.0, 0.0], 3)
 
 
 class LooseReceivers:
@@ -122,22 +121,20 @@ class LooseReceivers:
         window = tuning.window if tuning else 0
         self._rule = PROCESS[tuning.process] if tuning else PROCESS["fixed"]
         self._floor = tuning.floor_m**2 if tuning else 0.0
-        initial = {
-            "position_e": np.zeros((b, 3)),
-            "velocity_e": np.zeros((b, 3)),
-            "C_eb": np.tile(np.eye(3), (b, 1, 1)),
-            "bias": np.zeros((b, 6)),
-            "covariance": np.tile(np.diag(settings.initial_sd() ** 2), (b, 1, 1)),
-            "innovation": np.zeros((b, 3)),
-            "innovation_cov": np.tile(np.eye(3), (b, 1, 1)),
-            "measurement_cov": np.tile(np.diag(settings.noise_variance()), (b, 1, 1)),
-            "process_scale": np.ones(b),
-            "residuals": np.zeros((b, window, 3)),
-            "innovations": np.zeros((b, window if self._rule else 0, 3)),
-            "seen": np.zeros(b, dtype=np.int64),
-        }
-        for name in LooseState._fields:
-            memory.declare(name, initial[name])
+        memory.declare_all(
+            position_e=np.zeros((b, 3)),
+            velocity_e=np.zeros((b, 3)),
+            C_eb=np.tile(np.eye(3), (b, 1, 1)),
+            bias=np.zeros((b, 6)),
+            covariance=np.tile(np.diag(settings.initial_sd() ** 2), (b, 1, 1)),
+            innovation=np.zeros((b, 3)),
+            innovation_cov=np.tile(np.eye(3), (b, 1, 1)),
+            measurement_cov=np.tile(np.diag(settings.noise_variance()), (b, 1, 1)),
+            process_scale=np.ones(b),
+            residuals=np.zeros((b, window, 3)),
+            innovations=np.zeros((b, window if self._rule else 0, 3)),
+            seen=np.zeros(b, dtype=np.int64),
+        )
         self.samples, self.fix_e = np.zeros((b, samples, 6)), np.zeros((b, 3))
         self._psd = settings.noise_psd()
         self._transition = np.tile(np.eye(STATES), (b, 1, 1))

@@ -24,8 +24,6 @@ The blocks are those of the appendix of `shadmehri2025`, with its position colum
    vertical channel is not unstable.
 """
 
-from __future__ import annotations
-
 import math
 
 from ..core.compile import inlined, njit

@@ -235,9 +235,7 @@ def replay(
     >>> bool(replay(recording, TightlyCoupled(), initial=initial).coasting[0])
     True
     """
-    range_, rate = np.asarray(recording.pseudorange), np.asarray(recording.range_rate)
-    position = np.asarray(recording.satellite_position_e)
-    velocity = np.asarray(recording.satellite_velocity_e)
+    range_, rate, position, velocity = (np.asarray(getattr(recording, n)) for n in MAY_BE_NAN)
     epochs, n = range_.shape
     require(
         receiver.tuning != "augmented",
@@ -277,27 +275,12 @@ def replay(
     load_initial(buffers, receiver, initial)
     buffers.assumed["noise_psd"] = receiver.noise_psd()
     sensors = SensorBuffers(1, n)
-    rules = np.array(
-        [
-            receiver.covariance_code,
-            receiver.min_satellites,
-            receiver.orthonormalize,
-            padded(6 * int(np.diff(ends, prepend=0).max())),
-            padded(2 * n),
-        ]
-    )
+    sizes = padded(6 * int(np.diff(ends, prepend=0).max())), padded(2 * n)
+    code, fewest = receiver.covariance_code, receiver.min_satellites
+    rules = np.array([code, fewest, receiver.orthonormalize, *sizes])
     times = np.concatenate([[0.0], np.asarray(recording.gnss_time)])
-    table = kernel_table(
-        buffers,
-        sensors,
-        run,
-        times,
-        np.concatenate([[0], ends]),
-        satellites,
-        rules,
-        sensors.signals.data,
-        np.zeros(0),
-    )
+    truth = run, times, np.concatenate([[0], ends]), satellites
+    table = kernel_table(buffers, sensors, *truth, rules, sensors.signals.data, np.zeros(0))
     work = buffers.fields.scratch(_kernels.work_rows(n, *rules[3:].tolist()))
     given = table.entries, work, np.ones((1, 2 * n))
     kept: list[tuple[NDArray[np.float64], ...]] = []

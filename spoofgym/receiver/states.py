@@ -5,8 +5,6 @@ clock drift.  The state is the error of the estimate: estimate minus truth for a
 and position, truth minus estimate for biases and clock.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +16,7 @@ from ..truth._kernels import load3, store3
 STATES = 17
 ATTITUDE, VELOCITY, POSITION, ACCEL_BIAS, GYRO_BIAS = 0, 3, 6, 9, 12
 CLOCK_BIAS, CLOCK_DRIFT = 15, 16
+SIZES = (3, 3, 3, 3, 3, 1, 1)  # of these, in order
 
 
 PACKED = STATES * (STATES + 1) // 2  # of a symmetric matrix, row by row from its diagonal on

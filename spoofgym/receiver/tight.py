@@ -12,16 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.registry import check_finite, require
 from ..earth.wgs84 import DEGREE, MICRO_G
 from .kalman import COVARIANCE_UPDATES
-from .states import (
-    ACCEL_BIAS,
-    ATTITUDE,
-    CLOCK_BIAS,
-    CLOCK_DRIFT,
-    GYRO_BIAS,
-    POSITION,
-    STATES,
-    VELOCITY,
-)
+from .states import SIZES
 
 CONVENTIONS = ("groves", "orthonormal")
 TUNINGS = ("paper", "matched", "augmented")
@@ -210,26 +201,17 @@ class TightlyCoupled:
     def initial_covariance(self, noise: NoiseModel | None = None) -> NDArray[np.float64]:
         """Covariance of the state at time zero: (17, 17) diagonal."""
         g = self.sensors(noise)
-        sd = np.zeros(STATES)
-        sd[ATTITUDE : ATTITUDE + 3] = g.attitude_sd
-        sd[VELOCITY : VELOCITY + 3] = g.velocity_sd
-        sd[POSITION : POSITION + 3] = g.position_sd
-        sd[ACCEL_BIAS : ACCEL_BIAS + 3] = g.accel_bias_sd
-        sd[GYRO_BIAS : GYRO_BIAS + 3] = g.gyro_bias_sd
-        sd[CLOCK_BIAS], sd[CLOCK_DRIFT] = g.position_sd, g.velocity_sd
-        return np.diag(sd**2)
+        biases = g.accel_bias_sd, g.gyro_bias_sd
+        sds = g.attitude_sd, g.velocity_sd, g.position_sd, *biases, g.position_sd, g.velocity_sd
+        return np.diag(np.repeat(np.array(sds, dtype=np.float64), SIZES) ** 2)
 
     def noise_psd(self, noise: NoiseModel | None = None) -> NDArray[np.float64]:
         """Power spectral density of the noise that drives each state: (17,)."""
         g = self.sensors(noise)
         clock = self.noise_model if noise is None else noise
-        psd = np.zeros(STATES)
-        psd[ATTITUDE : ATTITUDE + 3] = g.gyro_noise_psd
-        psd[VELOCITY : VELOCITY + 3] = g.accel_noise_psd
-        psd[ACCEL_BIAS : ACCEL_BIAS + 3] = g.accel_bias_psd
-        psd[GYRO_BIAS : GYRO_BIAS + 3] = g.gyro_bias_psd
-        psd[CLOCK_BIAS], psd[CLOCK_DRIFT] = clock.clock_phase_psd, clock.clock_frequency_psd
-        return psd
+        inertial = g.gyro_noise_psd, g.accel_noise_psd, 0.0, g.accel_bias_psd, g.gyro_bias_psd
+        psd = *inertial, clock.clock_phase_psd, clock.clock_frequency_psd
+        return np.repeat(np.array(psd, dtype=np.float64), SIZES)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,5 @@
 """Compiled loops of the simulators: displacement, motion of the target, response to an attack."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -25,16 +23,16 @@ from ..receiver._kernels import (
 from ..truth.noise import threefry
 from ..truth.run import EpochTruth
 
+# Places in the table behind `Arrays`: of `World`; channels that are the spoofer's; whether rates
+# are commanded, what an action of 1 commands, the limit of the rate, whether range rates are
+# coherent.
 POSITION_E, VELOCITY_E, CAPTURED, SLOTS, ATTACK_SETTINGS = range(
     len(Arrays._fields), len(Arrays._fields) + 5
 )
-"""Places in the table behind `Arrays`: of `World`; channels that are the spoofer's; whether rates
-are commanded, what an action of 1 commands, the limit of the rate, whether range rates are
-coherent."""
 DISPLACEMENT, RATE, AXES_E, TARGET_ERROR, SETTINGS, AVERAGE, DECAY = range(7)
+# Places in the table of what attack and detector remember, as they take it, and of a verdict; which
+# receivers alarmed at each epoch.
 STATISTIC, THRESHOLD, ALARMS, HISTORY = range(7, 11)
-"""Places in the table of what attack and detector remember, as they take it, and of a verdict;
-which receivers alarmed at each epoch."""
 ATTACK, JUDGE, SCORE, REMEMBER = 16, 32, 64, 128
 NO_FORM, FALSE_POSITION, PER_CHANNEL = range(3)
 EWMA, PASSIVE_EWMA, NEVER = 1, 2, 3
@@ -43,9 +41,9 @@ NOTHING_REMEMBERED = (
     *(ONE, ONE, np.zeros(0), np.zeros(6), np.zeros(4), ONE, ONE),
     *(ONE, ONE, NO_ALARM, NO_ALARM),
 )  # arrays of that table for a kernel without an attack and a detector of its own
+# What a kernel finds in a slice: a verdict that is none; receivers that have to run the time to
+# alert, if it scores them.
 UNSOUND, HOLDS = 1, 2
-"""What a kernel finds in a slice: a verdict that is none; receivers that have to run the time to
-alert, if it scores them."""
 
 
 @njit

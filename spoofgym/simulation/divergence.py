@@ -48,8 +48,8 @@ class Divergence(Monitor):
             "the divergence of an attack knows no filter with augmented states",
         )
         self.memory = Memory(receivers)
-        self.memory.declare("divergence", np.zeros(receivers))
-        self.memory.declare("shift", np.zeros((receivers, STATES)))
+        shift = np.zeros((receivers, STATES))
+        self.memory.declare_all(divergence=np.zeros(receivers), shift=shift)
 
     def update(self, simulator: Monitored) -> None:
         victims = tightly_coupled(simulator, "the divergence of an attack")

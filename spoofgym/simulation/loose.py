@@ -30,9 +30,8 @@ class RateSimulator(Simulator):
 
     def _allocate(self) -> None:
         none = np.zeros((self.receivers, len(self.setup.action_names)))
-        self.memory.declare("epoch", np.zeros(self.receivers, dtype=np.int64))
-        self.memory.declare("displacement", none)
-        self.memory.declare("rate", none)
+        epoch = np.zeros(self.receivers, dtype=np.int64)
+        self.memory.declare_all(epoch=epoch, displacement=none, rate=none)
 
     def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
         self.memory.reset()
@@ -196,9 +195,9 @@ class LooselyCoupledSimulator(RateSimulator):
         self.victims = LooseReceivers(
             self.setup.receiver, memory, world.samples, world.imu_interval_s, self.fields
         )
-        memory.declare("keys", np.zeros((b, SOURCES, 2), dtype=np.uint64))
-        memory.declare("first_error", np.zeros((b, 15)))
-        memory.declare("position_error", np.zeros((b, 3)))
+        keys = np.zeros((b, SOURCES, 2), dtype=np.uint64)
+        errors = {"first_error": np.zeros((b, 15)), "position_error": np.zeros((b, 3))}
+        memory.declare_all(keys=keys, **errors)
         self._offset = np.zeros((b, 3))  # east, north, up
         self._deviates = np.empty(padded(6 * world.samples))
 

@@ -79,8 +79,8 @@ class PassiveDetectors(Monitor):
             simulator.bind_detector(detector)
         receivers, count = simulator.receivers, len(self.detectors)
         self.memory = Memory(receivers)
-        self.memory.declare("alarmed", np.zeros((receivers, count), dtype=np.bool_))
-        self.memory.declare("ratio", np.zeros((receivers, count)))
+        alarmed = np.zeros((receivers, count), dtype=np.bool_)
+        self.memory.declare_all(alarmed=alarmed, ratio=np.zeros((receivers, count)))
 
     def begin(self) -> None:
         super().begin()

@@ -199,14 +199,13 @@ class WheeledRobotSimulator(RateSimulator):
     def _allocate(self) -> None:
         super()._allocate()
         b, memory, setup = self.receivers, self.memory, self.setup
-        memory.declare("keys", np.zeros((b, len(SOURCES), 2), dtype=np.uint64))
-        for name, shape in {
-            "phase": (2,),
-            "yaw": (),
-            "correlated": (AXES,),
-            "fix": (AXES,),
-        }.items():
-            memory.declare(name, np.zeros((b, *shape)))
+        memory.declare_all(
+            keys=np.zeros((b, len(SOURCES), 2), dtype=np.uint64),
+            phase=np.zeros((b, 2)),
+            yaw=np.zeros(b),
+            correlated=np.zeros((b, AXES)),
+            fix=np.zeros((b, AXES)),
+        )
         self.filters = CredibleBatch(setup.receiver, memory, setup.interval_s, self.fields)
         self.increment = np.zeros((b, AXES))
         self._noise = np.empty(BLOCK)

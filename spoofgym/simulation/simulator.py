@@ -119,12 +119,14 @@ class Simulator(ABC):
         require(receivers >= 1, f"`receivers` must be at least 1, got {receivers}")
         self.setup, self.receivers, self._run = setup, receivers, run
         self.memory, b = Memory(receivers), receivers
-        self.memory.declare("first", np.zeros(b, dtype=np.int64))
-        self.memory.declare("onset", np.zeros(b, dtype=np.int64))
-        self.memory.declare("heading", np.zeros(b))
-        self.memory.declare("key", np.zeros((b, 2), dtype=np.uint64))
-        self.memory.declare("direction", np.zeros((b, 2)))
-        self.memory.declare("warmup_alarm", np.zeros(b, dtype=np.bool_))
+        self.memory.declare_all(
+            first=np.zeros(b, dtype=np.int64),
+            onset=np.zeros(b, dtype=np.int64),
+            heading=np.zeros(b),
+            key=np.zeros((b, 2), dtype=np.uint64),
+            direction=np.zeros((b, 2)),
+            warmup_alarm=np.zeros(b, dtype=np.bool_),
+        )
         resolve(setup.detector, setup)
         readers = setup.detector, *setup.monitors
         self.fields = setup.fields.union(*map(check_needs, readers))

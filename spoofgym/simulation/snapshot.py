@@ -189,15 +189,14 @@ class SnapshotSimulator(RateSimulator):
     def _allocate(self) -> None:
         super()._allocate()
         b, n = self.receivers, len(self.setup.weight_names)
-        for name, initial in {
-            "keys": np.zeros((b, 2), dtype=np.uint64),
-            "true_clock": np.zeros((b, 2)),
-            "spoofed": np.zeros((b, n), dtype=np.bool_),
-            "position_e": np.tile(self.setup.sky.position_e[0], (b, 1)),
-            "clock": np.zeros((b, 1)),
-            "status": np.full(b, FIXED, dtype=np.int64),
-        }.items():
-            self.memory.declare(name, initial)
+        self.memory.declare_all(
+            keys=np.zeros((b, 2), dtype=np.uint64),
+            true_clock=np.zeros((b, 2)),
+            spoofed=np.zeros((b, n), dtype=np.bool_),
+            position_e=np.tile(self.setup.sky.position_e[0], (b, 1)),
+            clock=np.zeros((b, 1)),
+            status=np.full(b, FIXED, dtype=np.int64),
+        )
         self._deviates = np.empty(padded(n))
         self._pseudorange, self._satellites = np.empty((b, n)), np.empty((b, n, 3))
         self._innovation, self._cov = np.empty((b, 2 * n)), np.empty((b, 2 * n, 2 * n))

@@ -15,9 +15,9 @@ from ..core import threads as _threads
 Work = Callable[[int, int], None]
 Job = Callable[[], object]
 Piece = Callable[[], bool]  # 0.1 ms of work, raises nothing; False where there was none
+# How long threads that have been closed are waited for; they end with the piece that they are at,
+# unless a detector holds them up.
 JOIN_S = 5.0
-"""How long threads that have been closed are waited for; they end with the piece that they are at,
-unless a detector holds them up."""
 
 
 class Slices:

@@ -40,8 +40,8 @@ from .setup import Run, SequelKernel, Setup, Timeline
 from .simulator import FloatArray, Rngs, Rows, Sequel, Simulator, SkyData
 
 DEFAULT_ATTACK = "false-position"
+# Victims by name: the noise that they assume as the papers print it, or as the world has it.
 RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in TUNINGS}
-"""Victims by name: the noise that they assume as the papers print it, or as the world has it."""
 # fields of an epoch that an augmented filter works on, and those that it has itself
 AUGMENTED_NEEDS = frozenset({"transition", "imu_delta", "design", "innovation_cov"})
 AUGMENTED_SHOWS = frozenset({"transition", "design", "predicted_cov"})  # with all its states

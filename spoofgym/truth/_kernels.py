@@ -1,7 +1,5 @@
 """Compiled loops of the authentic world; those of lane arrays take one group of receivers."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -33,9 +31,9 @@ KEYS = 2 * len(SOURCES)
 _SIGNALS = first_rows(signal_shapes(1))
 PROCESSES, FADING, AMPLITUDES = _SIGNALS["processes"], _SIGNALS["fading"], _SIGNALS["amplitudes"]
 CARRIER, CLOCK_STEP, LOSS = _SIGNALS["carrier"], _SIGNALS["clock_step"], _SIGNALS["loss"]
+# First rows of what there is of every receiver's signals, and from `SIGNALS` on of each of them:
+# arrivals of a front, errors of orbit and clock, their rates, multipath, noise, readings.
 FRONT, ZENITH, SIGNALS = _SIGNALS["front"], _SIGNALS["zenith"], _SIGNALS["front_arrival"]
-"""First rows of what there is of every receiver's signals, and from `SIGNALS` on of each of them:
-arrivals of a front, errors of orbit and clock, their rates, multipath, noise, readings."""
 SIGNAL_ROWS = 6
 DISTURBED = 4  # rows of each signal that `disturb` writes
 LATER = 1 << 40  # first counter of deviates of signals, under the key of the correlated errors

@@ -136,9 +136,9 @@ IMU_GRADES: dict[str, ImuGrade] = {  # sensor errors by grade (`groves2013`, the
 
 
 TURN_ON = 1  # counter, under a satellite bias's key, of the deviates of inertial sensors
+# Sources of chance; each has a key of its own in every episode. New ones come last, which leaves
+# the keys of the others as they are.
 SOURCES = ("imu", "clock", "gnss", "bias", "trajectory", "domain", "spoofer", "correlated")
-"""Sources of chance; each has a key of its own in every episode.  New ones come last, which leaves
-the keys of the others as they are."""
 
 
 def sensor_shapes(channels: int) -> dict[str, tuple[int, ...]]:

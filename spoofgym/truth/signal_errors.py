@@ -23,9 +23,9 @@ FloatArray = NDArray[np.float64]
 IONOSPHERE_HEIGHT_M = 350_000.0  # height of the thin shell (`do-229`, A.4.4.10.4)
 SHELL_RADIUS_M = 6_378_136.3  # radius of the Earth below it, there
 MULTIPATH_DEG, NOISE_DEG = 10.0, 6.9  # fall to 1/e there (`do-229`, J.2.4; `wgc2016`)
+# What is known of a line of sight: obliquity of ionosphere and troposphere, each with its rate
+# [1/s], and the two exponentials of multipath and noise.
 MAPPINGS = 6
-"""What is known of a line of sight: obliquity of ionosphere and troposphere, each with its rate
-[1/s], and the two exponentials of multipath and noise."""
 HALF_LIFE = 2.146193220620583  # of a critically damped process: (1 + x) exp(-x) is 1/e at this x
 DRAWN = 1 << 41  # counter of the deviates with which an episode starts
 NEVER = 1e18  # as an epoch: after all
