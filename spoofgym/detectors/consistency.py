@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 from ..core.compile import njit
-from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic, range_and_rate
+from ..earth.wgs84 import STILL, dcm_e_from_n, ecef_to_geodetic, range_and_rate
 from ..receiver.snapshot import PRODUCTS, STATES, tabulate
 
 FloatArray = NDArray[np.float64]
@@ -149,20 +149,8 @@ def line_up(
     for j in range(visible.shape[0]):
         if not visible[j]:
             continue
-        distance, _, ux, uy, uz = range_and_rate(
-            satellite_position[j, 0],
-            satellite_position[j, 1],
-            satellite_position[j, 2],
-            0.0,
-            0.0,
-            0.0,
-            position[0],
-            position[1],
-            position[2],
-            0.0,
-            0.0,
-            0.0,
-        )
+        place = satellite_position[j, 0], satellite_position[j, 1], satellite_position[j, 2]
+        distance, _, ux, uy, uz = range_and_rate(place, STILL, position, STILL)
         offset = pseudorange[j] - distance
         if not abs(offset + ux + uy + uz) < np.inf:
             continue

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.plots import RED, figure_class
-from ...simulation.frame import EpisodeLayout
+from ...simulation.simulator import EpisodeLayout
 from .history import RenderHistory
 from .panels import ErrorPanel, ErrorPlane, FlightMap, Panel, SkyPlot, StatisticPanel
 

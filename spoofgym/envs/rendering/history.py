@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...simulation.frame import EpisodeLayout, FrameData, SkyData
-from ...simulation.simulator import Simulator, run_serially
+from ...simulation.simulator import EpisodeLayout, FrameData, Simulator, SkyData, run_serially
 from ..core import SpoofCore
 
 FloatArray = NDArray[np.float64]

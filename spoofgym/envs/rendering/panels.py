@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.plots import BLUE, GREEN, GREY, GRID, ORANGE, RED, style
-from ...simulation.frame import EpisodeLayout, FloatArray, SkyData
+from ...simulation.simulator import EpisodeLayout, FloatArray, SkyData
 from .history import RenderHistory
 
 if TYPE_CHECKING:
