@@ -136,7 +136,6 @@ class Actor(torch.nn.Module):
         self.register_buffer("divisor", divisor)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Actions (B, a) of observations (B, o)."""
         seen = observation / self.get_buffer("divisor")
         if self.clip is not None:
             apart = seen.double() - self.get_buffer("center")
@@ -573,7 +572,6 @@ def _card_of(
 
 
 def _named(inner: Any) -> tuple[str, dict[str, Any]]:
-    """Id and settings of an environment, JSON-able."""
     env_id, given = getattr(inner, "env_id", None), getattr(inner, "env_kwargs", None)
     if env_id is None:
         spec = getattr(inner, "spec", None)
@@ -594,7 +592,6 @@ def _named(inner: Any) -> tuple[str, dict[str, Any]]:
 
 
 def _label(env_kwargs: Mapping[str, Any]) -> str:
-    """Short name of the detector that was met."""
     met = env_kwargs.get("detector", "the default detector")
     return str(met["name"]) if isinstance(met, Mapping) else str(met)
 
@@ -623,7 +620,6 @@ def _write_detector(
     content: bytes,
     training: dict[str, Any],
 ) -> Any:
-    """Write a detector policy, once a trial of it acts as the model does."""
     low, high = inner.core.bounds
     with trial_of(path) as trial:
         trial.write_bytes(content)

@@ -53,7 +53,6 @@ class Task:
 
     @property
     def env_id(self) -> str:
-        """Id for `gymnasium.make`."""
         return f"spoofgym/Bench{self.key}-v1"
 
     @property
@@ -68,7 +67,6 @@ class Task:
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
-        """Keyword arguments of the environment; a copy."""
         length = {} if self.alert_limit_m is None else {"length_m": self.alert_limit_m}
         if not self.pooled:
             return {**self.world_kwargs, **length, "detector": self.detector}
@@ -78,7 +76,6 @@ class Task:
 
     @property
     def world_kwargs(self) -> dict[str, Any]:
-        """All settings but whom the spoofer meets; a copy."""
         return copy.deepcopy(self.settings)
 
     @property
@@ -290,7 +287,6 @@ class AttackFamily:
 
     @property
     def overrides(self) -> dict[str, Any]:
-        """Settings of the world that it replaces; a copy."""
         parts = {"attack": self.attack, "timeline": self.timeline}
         return copy.deepcopy({name: x for name, x in parts.items() if x is not None})
 
@@ -310,12 +306,10 @@ class DetectorTask:
 
     @property
     def env_id(self) -> str:
-        """Id for `gymnasium.make`: the detector learns against `pool`."""
         return f"spoofgym/Bench{self.key}-v1"
 
     @property
     def task(self) -> Task:
-        """The task whose world it has."""
         return TASKS[self.world_of]
 
     @property
@@ -327,12 +321,10 @@ class DetectorTask:
 
     @property
     def world_kwargs(self) -> dict[str, Any]:
-        """All settings of the world; a copy."""
         return self.task.world_kwargs
 
     @property
     def public(self) -> tuple[AttackFamily, ...]:
-        """Families that a detector may be trained and tuned on."""
         return tuple(each for each in self.families if not each.held_out)
 
     @property
@@ -340,7 +332,6 @@ class DetectorTask:
         return tuple(each for each in self.families if each.held_out)
 
     def family(self, key: str) -> AttackFamily:
-        """Family by its key; a ValueError with the valid ones where there is none."""
         named = {each.key: each for each in self.families}
         check_choice(f"family of attacks of {self.key}", key, named)
         return named[key]

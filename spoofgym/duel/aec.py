@@ -46,15 +46,12 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
         self.action_spaces = self.rules.action_spaces
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """Space of an agent's observation; the same object at every call."""
         return self.rules.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Space of an agent's action; the same object at every call."""
         return self.rules.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-        """Begin an episode: warm-up, then the onset."""
         with whole_reset(self):
             self.rules.begin(seed, options)
         self.agents = list(AGENTS)
@@ -98,13 +95,11 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
         self._halfway = False
 
     def _arrive(self, given: NDArray[np.float64] | None) -> None:
-        """Begin an epoch, on which the detector is to decide."""
         self.rules.duel.arrive(given)
         self._observations[DETECTOR] = self.rules.duel.observe_detector()[0]
         self.agent_selection = DETECTOR
 
     def _decide(self, given: NDArray[np.float64]) -> None:
-        """End an epoch by the detector's decision."""
         turn = self.rules.duel.decide(given)
         self.rewards = {
             SPOOFER: float(turn.spoofer_reward[0]),
@@ -115,5 +110,4 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
         self._observations = self.rules.observe()
 
     def close(self) -> None:
-        """End the threads."""
         self.rules.duel.close()

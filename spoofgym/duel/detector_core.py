@@ -56,11 +56,9 @@ class DetectorCore:
     def set_pool(
         self, pool: Sequence[SpooferSpec] | SpooferSpec, weights: Sequence[float] | None = None
     ) -> None:
-        """Take other opponents; the running episodes are over."""
         self.pool = SpooferPool(pool, weights, self.duel.setup, self.duel.receivers)
 
     def opponents(self) -> list[str]:
-        """Label of the spoofer of every receiver, in clean episodes too."""
         return [self.pool.labels[k] for k in self.pool.opponent]
 
     def reset(
@@ -77,7 +75,6 @@ class DetectorCore:
             self._arrive(where)
 
     def _arrive(self, rows: NDArray[np.intp]) -> None:
-        """Let the opponents of some receivers move, those that decide now."""
         due = rows[self.duel.deciding[rows]]
         action = self.pool.act(self.duel.snapshot(), due) if len(due) else None
         self.duel.arrive(action, rows)
@@ -107,12 +104,10 @@ class DetectorCore:
         return result, self.observe()
 
     def single(self, action: FloatArray) -> SingleStep:
-        """`step` of the only receiver."""
         result, observation = self.step(action)
         return observation[0], *result.single()
 
     def observe(self) -> NDArray[np.float32]:
-        """Observe all receivers, (B, o), a new array."""
         return self.duel.observe_detector()
 
     def reset_info(self) -> Info:
@@ -120,5 +115,4 @@ class DetectorCore:
         return {"time_s": self.duel.time_s(), "decision_delay": delay}
 
     def close(self) -> None:
-        """End the threads."""
         self.duel.close()

@@ -85,7 +85,6 @@ class DetectorView(CoreEnv[DetectorCore]):
 
     @property
     def opponent(self) -> str:
-        """Label of the spoofer of the running episode, in a clean one too."""
         return self.core.opponents()[0]
 
     def set_pool(self, pool: SpooferPoolSpec, weights: Weights = None) -> None:
@@ -139,7 +138,6 @@ class DetectorVectorView(PooledVectorView[DetectorCore]):
 
     @property
     def opponents(self) -> list[str]:
-        """Label of the spoofer of every receiver, in clean episodes too."""
         return self.core.opponents()
 
     def set_pool(self, pool: SpooferPoolSpec, weights: Weights = None) -> None:

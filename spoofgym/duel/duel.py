@@ -104,12 +104,10 @@ class Duel:
 
     @property
     def agent(self) -> DetectorAgent:
-        """The detector agent, which remembers what it has observed."""
         return cast("DetectorAgent", self.core.engine.simulator.detector)
 
     @property
     def epochs(self) -> int:
-        """Epochs of an episode without an alarm."""
         return self.setup.steps + self.setup.hold
 
     @property
@@ -212,11 +210,9 @@ class Duel:
         return DuelStep(won, paid, terminated, info)
 
     def snapshot(self) -> Snapshot:
-        """The episodes now, as `SpoofCore.snapshot`."""
         return self.core.snapshot()._replace(step=self.score.step_count)
 
     def observe_spoofer(self) -> NDArray[np.float32]:
-        """What the spoofer observes, (B, o), a new array."""
         return self.core.observer.observe(self.snapshot())
 
     def observe_detector(self) -> NDArray[np.float32]:
@@ -224,11 +220,9 @@ class Duel:
         return self.agent.memory["observation"].copy()
 
     def time_s(self) -> FloatArray:
-        """Time of the present epoch, (B,) [s]."""
         return self.core.engine.simulator.time_s()
 
     def close(self) -> None:
-        """End the threads."""
         self.core.close()
 
 

@@ -80,7 +80,6 @@ class LearnersSide(NamedTuple):
     def core(
         self, num_envs: int, threads: int | None, prefetch: bool, whose: str
     ) -> SpoofCore | DetectorCore:
-        """Receivers, not begun yet."""
         if self.side == DETECTOR:
             return DetectorCore(num_envs, self.pool, self.weights, threads=threads, **self.settings)
         further: dict[str, Any] = {"threads": threads, "prefetch": prefetch}
@@ -91,7 +90,6 @@ class LearnersSide(NamedTuple):
 
     @property
     def card_id(self) -> str:
-        """Environment of a spoofer's card: that of the victim."""
         return next(name for name, setup in SETUPS.items() if setup is self.setup)
 
     def card_kwargs(self) -> dict[str, Any]:
@@ -108,7 +106,6 @@ class LearnersSide(NamedTuple):
 
 
 def _task_id(key: str, side: str) -> str:
-    """Id of a task of either kind; one for detectors has no spoofer's side."""
     if key not in DETECTOR_TASKS:
         return task_of(key).env_id
     if side != DETECTOR:

@@ -44,17 +44,14 @@ class DuelParallel(ParallelEnv[str, Observation, Observation]):
         self.action_spaces = self.rules.action_spaces
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """Space of an agent's observation; the same object at every call."""
         return self.rules.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Space of an agent's action; the same object at every call."""
         return self.rules.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Begin an episode: warm-up, then the onset."""
         with whole_reset(self):
             self.rules.begin(seed, options)
         self.agents = list(AGENTS)
@@ -101,5 +98,4 @@ class DuelParallel(ParallelEnv[str, Observation, Observation]):
         )
 
     def close(self) -> None:
-        """End the threads."""
         self.rules.duel.close()

@@ -54,7 +54,6 @@ class NeymanPearson:
     described_as = "NeymanPearson"
 
     def __call__(self, outcome: DuelOutcome) -> tuple[FloatArray, FloatArray]:
-        """Rewards of the spoofer and of the detector."""
         won = np.where(outcome.attacked, outcome.gain + outcome.retraction, 0.0)
         return won, 0.0 - won
 
@@ -146,7 +145,6 @@ class RunningThreshold:
         self.values = np.full(receivers, self.FIRST)
 
     def restart(self, rows: NDArray[np.intp]) -> None:
-        """Forget what has been learned."""
         self.values[rows] = self.FIRST
 
     def learn(self, false_alarm: NDArray[np.bool_], ended: NDArray[np.bool_]) -> None:

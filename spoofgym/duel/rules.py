@@ -53,7 +53,6 @@ FORMS = ("env", "parallel_env")
 
 
 def duel_signature() -> inspect.Signature:
-    """Arguments of a PettingZoo form: all settings, but for the delay that is its own."""
     settings = {**_WORLD, **_AGENT, **_GAME}
     del settings["decision_delay"]
     nothing = inspect.Parameter("render_mode", inspect.Parameter.KEYWORD_ONLY, default=None)
@@ -61,7 +60,6 @@ def duel_signature() -> inspect.Signature:
 
 
 def refuse_to_draw(whose: str, render_mode: object) -> None:
-    """Raise unless nothing is to be rendered."""
     if render_mode is not None:
         raise ValueError(
             f"`render_mode` must be None, there is nothing to render in {whose}: of the duel only "
@@ -109,7 +107,6 @@ class Rules:
         self.duel.reset([self._rng], given=given)
 
     def checked(self, agent: str, action: Any) -> NDArray[np.float64]:
-        """Action of an agent, as the duel takes it: (1, a)."""
         names = self.action_names[agent]
         try:
             return checked_action(action, (len(names),), names)[None]
@@ -117,7 +114,6 @@ class Rules:
             raise ValueError(f"{agent}: {error}") from error
 
     def observe(self) -> dict[str, NDArray[np.float32]]:
-        """What every agent observes now, new arrays."""
         return {
             SPOOFER: self.duel.observe_spoofer()[0],
             DETECTOR: self.duel.observe_detector()[0],
@@ -136,7 +132,6 @@ class Rules:
 
     @property
     def decides(self) -> bool:
-        """Whether a decision of the spoofer is due."""
         return bool(self.duel.deciding[0])
 
     def infos(self, turn: DuelStep) -> dict[str, dict[str, Any]]:

@@ -61,7 +61,6 @@ class SpooferSide:
         return core
 
     def change(self, pool: DetectorPool, weights: Weights) -> SpoofCore:
-        """Core against another pool, of the same spaces."""
         before, labels = self.core, self.labels
         core = self._against(pool, weights)
         if core.observation_names != before.observation_names:
@@ -75,7 +74,6 @@ class SpooferSide:
         return core
 
     def opponents(self) -> list[str]:
-        """Label of the opponent of every receiver."""
         drawn = self.core.engine.simulator.detector.memory["opponent"]
         return [self.labels[k] for k in drawn]
 
@@ -126,7 +124,6 @@ class SpooferView(CoreEnv[SpoofCore]):
 
     @property
     def opponent(self) -> str:
-        """Label of the detector of the running episode."""
         return self._side.opponents()[0]
 
     def set_pool(self, pool: DetectorPool, weights: Weights = None) -> None:
@@ -184,7 +181,6 @@ class SpooferVectorView(PooledVectorView[SpoofCore]):
 
     @property
     def opponents(self) -> list[str]:
-        """Label of the detector of every receiver."""
         return self._side.opponents()
 
     def set_pool(self, pool: DetectorPool, weights: Weights = None) -> None:

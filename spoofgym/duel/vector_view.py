@@ -40,7 +40,6 @@ class PooledVectorView(CoreVectorEnv[C]):
         return begun
 
     def step(self, actions: Any) -> Any:
-        """Run one epoch of every receiver.  `actions` (B, a) in [-1, 1]."""
         if self.pool_changed:
             raise RuntimeError(RESET_FIRST)
         return super().step(actions)

@@ -48,7 +48,6 @@ def follow_rate(action, matrix, rules, rate, out):
 
 @njit
 def within(values, limit):
-    """Whether all values are finite, and at most as large as a limit."""
     good = True
     for value in values.flat:
         good = good and abs(value) <= limit

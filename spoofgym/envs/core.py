@@ -205,7 +205,6 @@ class SpoofCore:
 
     @property
     def info_names(self) -> tuple[str, ...]:
-        """Keys of the information of a step."""
         rewards = [key for key, _ in self._reward_parts]
         passive = self._passive.step_names if self._passive else ()
         captured = () if self.setup.attack.capture is None else ("captured_channels",)
@@ -222,11 +221,9 @@ class SpoofCore:
 
     @property
     def step_count(self) -> NDArray[np.int64]:
-        """(B,) epochs under attack in the running episodes."""
         return self.score.step_count
 
     def set_rewards(self, terms: Sequence[Any]) -> None:
-        """Reward by these terms from the next step on."""
         self._reward_parts = named_terms(terms)
         shares = shares_of(terms)
         self._compiled = shares is not None
@@ -344,7 +341,6 @@ class SpoofCore:
     def _score_apart(
         self, command: FloatArray, result: StepResult, seen: NDArray[np.float32]
     ) -> None:
-        """One epoch and its score, with what has to be asked between them."""
         engine, early = self.engine, self.score.nobody
         verdict = engine.step(command)
         engine.simulator.displacement(self._origin, engine.twin, result.displacement)
@@ -409,7 +405,6 @@ class SpoofCore:
         return early
 
     def reset_info(self) -> Info:
-        """Information of a reset: arrays with a leading axis of receivers."""
         engine = self.engine
         return {
             "time_s": engine.simulator.time_s(),
@@ -441,7 +436,6 @@ class _DoneRows:
         self._put_back(np.flatnonzero(self._kept & (simulator.epochs >= end)))
 
     def restore(self) -> None:
-        """Put back all that have been kept."""
         self._put_back(np.flatnonzero(self._kept))
         self._kept[:] = False
 
@@ -451,7 +445,6 @@ class _DoneRows:
                 simulator.copy_rows(rows, copy, rows)
 
     def drop(self, rows: Rows) -> None:
-        """Forget receivers that start a new episode."""
         self._kept[rows] = False
 
 
@@ -467,7 +460,6 @@ class PassiveInfo:
         self._warmup_alarm = np.zeros((receivers, len(names)), dtype=np.bool_)
 
     def reset(self, rows: Rows, memory: Memory) -> None:
-        """Take the alarms of the warm-up of new episodes."""
         self._warmup_alarm[rows] = memory["alarmed"][rows]
 
     def reset_info(self) -> Info:
@@ -481,7 +473,6 @@ class PassiveInfo:
 
 
 def make_watch(spec: WatchSpec) -> tuple[Detector, ...]:
-    """Passive detectors, new ones, each as `make_detector` takes it."""
     if isinstance(spec, str | Mapping | Detector):
         spec = (spec,)
     if not isinstance(spec, Sequence):

@@ -25,11 +25,9 @@ class Decisions:
         self._before, self._last = np.zeros((receivers, size)), np.zeros((receivers, size))
 
     def due(self, epoch: Any) -> Any:
-        """Whether a decision is due before an epoch of the attack, one or an array of them."""
         return epoch % self.setup.repeat == 0
 
     def take(self, action: FloatArray, rows: Any = EVERYONE) -> None:
-        """Take an action (B, k) as the decision of some receivers."""
         self._before[rows] = self._last[rows]
         self._last[rows] = action[rows]
 
@@ -43,7 +41,6 @@ class Decisions:
         self._before[rows] = self._last[rows] = 0.0
 
     def of(self, rows: NDArray[np.intp]) -> Decisions:
-        """Those of some receivers; a copy."""
         part = Decisions(self.setup, len(rows), self._last.shape[1])
         part._before, part._last = self._before[rows], self._last[rows]
         return part

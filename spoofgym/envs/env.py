@@ -83,7 +83,6 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
 
     @property
     def begun(self) -> bool:
-        """Whether it has been reset."""
         return self._stopped is not NOT_RESET
 
     def reset(
@@ -171,17 +170,14 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
         return self._screen.render()
 
     def close(self) -> None:
-        """End the threads, and close the window."""
         self.core.close()
         if self._screen is not None:
             self._screen.close()
 
     def _recorder(self) -> CoreRecorder | None:
-        """What pictures are made from; None where there is nothing to render."""
         return None
 
     def _draw_with(self, recorder: CoreRecorder | None) -> None:
-        """Say what can be rendered, and prepare it where it is asked for."""
         kept = type(self).metadata
         if recorder is None:
             if self.render_mode is not None:

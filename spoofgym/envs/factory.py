@@ -24,7 +24,6 @@ CORE = {
 
 
 def settings_of(setup_type: type[Setup]) -> dict[str, inspect.Parameter]:
-    """All settings of an environment of this victim, with their defaults."""
     own = inspect.signature(setup_type).parameters
     return {**own, **CORE}
 

@@ -83,7 +83,6 @@ def seeds_of(seed: Any, receivers: int) -> list[int | None]:
 
 
 def checked_seed(seed: Any) -> int | None:
-    """A seed as Python's own int, or None; raises where it is neither."""
     return None if seed is None else whole_number("a seed", seed)
 
 
@@ -93,7 +92,6 @@ def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dic
 
 
 def domain_option(options: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    """Circumstances that a reset is given instead of drawing them, ``options["domain"]``."""
     given = (options or {}).get("domain")
     if given is not None and not isinstance(given, Mapping):
         raise TypeError(f"the option `domain` of a reset must be a dict, got {given!r}")
@@ -101,13 +99,11 @@ def domain_option(options: Mapping[str, Any] | None) -> Mapping[str, Any] | None
 
 
 def observation_space(core: Core) -> spaces.Space[Any]:
-    """Space of one receiver's observation: (o,) float32."""
     low, high = core.bounds
     return spaces.Box(low.copy(), high.copy(), dtype=np.float32)
 
 
 def action_space(core: Core) -> spaces.Space[Any]:
-    """Space of one receiver's action: (a,) float32 in [-1, 1]."""
     return spaces.Box(-1.0, 1.0, (len(core.action_names),), dtype=np.float32)
 
 
@@ -137,7 +133,6 @@ def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
 
 
 def check_vector_settings(num_envs: int, render_mode: object) -> None:
-    """Raise unless there are receivers, and nothing is to be rendered."""
     whole_number("`num_envs`", num_envs, 1)
     if render_mode is not None:
         raise ValueError(
@@ -157,7 +152,6 @@ def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
 
 
 def chosen(info: Mapping[str, Array], keys: frozenset[str] | None) -> Mapping[str, Array]:
-    """Information that is asked for."""
     if keys is None:
         return info
     return {name: array for name, array in info.items() if name in keys}

@@ -52,7 +52,6 @@ class EpochRecorder:
         self._pool: dict[str, int] = {}
 
     def __call__(self, core: SpoofCore, state: EpochState, verdict: Verdict) -> None:
-        """Take down an epoch of all receivers whose episodes are not over."""
         simulator = state.snapshot.simulator
         epoch = simulator.epoch
         self._satellites = getattr(core.setup.world, "satellite_ids", ())

@@ -64,7 +64,6 @@ class DisplacementScore:
         self._name_arrays()
 
     def reset(self, rows: NDArray[np.intp]) -> None:
-        """Start new episodes."""
         self.step_count[rows] = 0
         self.detected[rows] = self.twin_alarmed[rows] = False
         self.undetected[rows] = 0.0
@@ -72,7 +71,6 @@ class DisplacementScore:
         self.ended[rows] = False
 
     def score_hold(self, result: StepResult, hold: Hold) -> None:
-        """Score the alarms in the time to alert, of those that come to it without one."""
         values, marks = result.values, result.marks
         rows = np.flatnonzero(marks[_kernels.FINISHED] & ~self.detected)
         late, of_twin = hold(rows)
@@ -166,7 +164,6 @@ class FusedStep:
         seen: NDArray[np.float32],
         hold: Hold,
     ) -> None:
-        """Run the time to alert of those who have come to it, and finish what is reported."""
         self.score.score_hold(result, hold)
         nobody, written = self.score.nobody, (result.numbers, result.flags, seen)
         # the time to alert has moved the receivers, and with them their arrays
@@ -212,12 +209,10 @@ class ScoredStep:
         return self._table.entries, self.result.numbers, self.result.flags, self.seen
 
     def hold(self, simulator: Simulator, verdict: Verdict) -> None:
-        """Run the time to alert of those who have come to it."""
         given = simulator, verdict.alarm, simulator.memory["warmup_alarm"], self.result, self.seen
         self._fused.hold(*given, self._run_hold)
 
     def __call__(self, simulator: Simulator, verdict: Verdict) -> None:
-        """Do all of it after the epoch."""
         result, nobody = self.result, self._fused.score.nobody
         simulator.displacement(self._origin, None, result.displacement)
         given = simulator, verdict.alarm, nobody, simulator.memory["warmup_alarm"]

@@ -157,7 +157,6 @@ def commands_of(spoofer: Spoofer, setup: Setup) -> CommandMap:
 
 
 def monitors_for(spoofers: Iterable[Spoofer], setup: Setup) -> list[Monitor]:
-    """What has to look at the victim's epochs, for spoofers to observe what they know."""
     known = dict.fromkeys(spoofer.knowledge for spoofer in spoofers)
     return needed_monitors(term for each in known for term in default_terms(setup, each))
 
@@ -185,7 +184,6 @@ def paced(setup: Setup, spoofer: Spoofer) -> Setup:
 
 
 def tuning_range_of(spoofer: Spoofer, setup: Setup) -> tuple[float, float]:
-    """Range of a spoofer's tunable setting here, at its own pace."""
     return type(spoofer).tuning_range(spoofer_context(paced(setup, spoofer)))
 
 
@@ -247,7 +245,6 @@ def spoofer_context(
 
 
 def setup_of_card(card: Card) -> Setup:
-    """World, victim, attack, detector and timeline that a spoofer was made for."""
     if card.env_id not in SETUPS:
         raise ValueError(
             f"card of {card.name!r}: `env_id` must be one of {', '.join(SETUPS)}, got "

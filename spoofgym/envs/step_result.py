@@ -51,7 +51,6 @@ class PlainResult(NamedTuple):
     extra: None = None
 
     def single(self) -> tuple[float, bool, bool, dict[str, Any]]:
-        """The same of a batch of one, as plain numbers."""
         info = {name: array.item() for name, array in self.info.items()}
         return self.reward.item(), self.terminated.item(), self.truncated.item(), info
 
@@ -95,7 +94,6 @@ class StepResult:
 
     @property
     def reward(self) -> FloatArray:
-        """(B,) reward."""
         row: FloatArray = self.values[_kernels.REWARD]
         return row
 
@@ -113,7 +111,6 @@ class StepResult:
 
     @property
     def info(self) -> Info:
-        """Arrays with a leading axis of receivers, by key."""
         rows = [*self.values[: _kernels.GAIN], *self.marks[: len(MARK_NAMES)]]
         info: Info = dict(zip(self._layout.names, rows, strict=True))
         info.update(self.extra)

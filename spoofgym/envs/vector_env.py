@@ -85,7 +85,6 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
 
     @property
     def begun(self) -> bool:
-        """Whether it has been reset."""
         return bool(self._rngs)
 
     def reset(
@@ -131,20 +130,17 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         self._over[rows] = False
 
     def _masked(self, info: dict[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
-        """Arrays that are asked for, with the masks that say which receivers have them."""
         return masked(chosen(info, self._keys), mask)
 
     def _reported(
         self, result: StepResult | PlainResult
     ) -> tuple[Array, Array, Array, dict[str, Any]]:
-        """Rewards, ends and information of a step that every receiver has made."""
         if self._keys is None and isinstance(result, StepResult) and not result.extra:
             return result.masked()
         info = self._masked(result.info, self._all)
         return result.reward, result.terminated, result.truncated, info
 
     def _mark_all(self, info: dict[str, Any]) -> None:
-        """Mark what every receiver has, also one that was just reset."""
         for name in self.core.reset_names:
             if name in info:
                 info[f"_{name}"] = self._all.copy()
@@ -168,7 +164,6 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         return result
 
     def _check_none_over(self) -> None:
-        """Raise where a reset is due that no autoreset makes."""
         if self.autoreset_mode is AutoresetMode.DISABLED and np.count_nonzero(self._over):
             raise RuntimeError(
                 f"the episodes of receivers {', '.join(map(str, np.flatnonzero(self._over)))} are "
@@ -201,7 +196,6 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         return observation, reward, terminated, truncated, info
 
     def _restart_instead(self, fresh: NDArray[np.bool_], info: dict[str, Array]) -> dict[str, Any]:
-        """Start the next episode of receivers that ran one step more than theirs."""
         fresh = fresh.copy()
         self._restart(fresh)
         start = self.core.reset_info()

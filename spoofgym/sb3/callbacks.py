@@ -282,7 +282,6 @@ class ScoreCallback(BaseCallback):
         return False
 
     def _update_average(self) -> None:
-        """Take in the weights, once after every update."""
         if self._average.keeps and self.num_timesteps != self._averaged_at:
             self._average.update(self.model)
             self._averaged_at = self.num_timesteps

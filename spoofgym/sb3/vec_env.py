@@ -232,7 +232,6 @@ class SpoofVecEnv(VecEnv):
         }
 
     def _each(self, result: StepResult | PlainResult) -> list[dict[str, Any]]:
-        """Information of every receiver that is asked for."""
         if self._keys is not None and not self._keys:
             return [{} for _ in range(self.num_envs)]
         wanted = chosen(result.info, self._keys)

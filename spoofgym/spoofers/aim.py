@@ -27,7 +27,6 @@ def axes_of(action_names: tuple[str, ...]) -> list[str]:
 
 
 def has_heading(action_names: tuple[str, ...]) -> bool:
-    """Whether an attack is commanded along axes."""
     return set(axes_of(action_names)) <= set(AXES)
 
 
@@ -50,7 +49,6 @@ def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
 
 
 def check_heading(heading_deg: float | str) -> None:
-    """Raise unless there is such a heading."""
     if isinstance(heading_deg, str):
         right = heading_deg == TARGET
     else:
@@ -102,7 +100,6 @@ class Aim:
 
 
 def _columns(context: SpooferContext) -> list[int]:
-    """Where the target direction is in an observation."""
     seen = context.observation_names
     if not set(TARGET_NAMES) <= set(seen):
         raise ValueError(

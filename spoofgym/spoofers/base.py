@@ -203,7 +203,6 @@ class ScriptedSpoofer(Spoofer):
 
 
 def check_limit(spoofer: Spoofer, name: str, limit_name: str, limit: float) -> None:
-    """Raise where a setting exceeds a limit of the attack."""
     value: Any = getattr(spoofer, name)
     if abs(value) > limit:
         raise ValueError(

@@ -52,7 +52,6 @@ class ByStatistic(ScriptedSpoofer):
         self._column = context.observation_names.index(RATIO)
 
     def ratio(self, observation: NDArray[np.float32]) -> FloatArray:
-        """(B,) largest statistic over its threshold at the last epoch."""
         return observation[:, self._column].astype(np.float64)
 
 
@@ -73,8 +72,6 @@ class AlongCurve(ByStatistic):
         self._curve = sampled(self.rates_mps, context.steps)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate of the curve at the end of the coming epoch. `step`, `rate`, `displacement` (B,) so
-        far; returns (B,) [m/s]."""
         return np.asarray(self._curve[np.minimum(step.astype(np.int64), len(self._curve) - 1)])
 
 
@@ -118,7 +115,6 @@ class HeldBack(ByStatistic):
             raise ValueError(f"`back` must be in [-1, 0], got {self.back:g}")
 
     def wanted_rate(self, observation: NDArray[np.float32]) -> FloatArray:
-        """(B,) rate that is wanted, by the room that the statistic leaves [m/s]."""
         room = (self.zero_ratio - self.ratio(observation)) / (self.zero_ratio - self.full_ratio)
         return super().wanted_rate(observation) * np.clip(room, self.back, 1.0)
 
@@ -160,14 +156,11 @@ class Feedback(HeldBack):
         check_limit(self, "rate_mps", *context.largest_rate)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch while there is room. `step`, `rate`,
-        `displacement` (B,) so far; returns (B,) [m/s]."""
         part = np.minimum(step / self.context.steps, 1.0)
         return np.asarray(self.rate_mps * (1.0 + (self.growth - 1.0) * part))
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """As of a `Ramp`.  Returns `low`, `high` [m/s]."""
         return Ramp.tuning_range(context)
 
 
@@ -251,7 +244,6 @@ class ThresholdRider(AlongCurve):
         self.memory.declare("past", np.zeros((many, h, 2)))
 
     def wanted_rate(self, observation: NDArray[np.float32]) -> FloatArray:
-        """(B,) largest rate that the prediction allows [m/s]."""
         memory, ratio = self.memory, self.ratio(observation)
         self._learn(ratio)
         fastest = super().wanted_rate(observation)

@@ -74,8 +74,6 @@ class OnnxPolicy(Spoofer):
         super().bind(context)
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command the attack for the coming epoch. `observation` (B, o) of all receivers; returns
-        (B, a) in [-1, 1], C-contiguous."""
         return self.model.act(observation)
 
 
@@ -139,7 +137,6 @@ class ModelPolicy(Spoofer):
         super().bind(context)
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command the attack for the coming epoch: (B, a) in [-1, 1]."""
         size = len(self.context.action_names)
         return checked_action(self._function(observation), len(observation), size, str(self.label))
 
@@ -184,7 +181,6 @@ def refuse_state(policy: Any) -> None:
 
 
 def finite(policy: Any) -> bool:
-    """Whether all weights of a network are finite."""
     return all(bool(weight.isfinite().all()) for weight in policy.parameters())
 
 

@@ -70,7 +70,6 @@ class Profile(ScriptedSpoofer):
                 self.memory.declare(name, np.zeros(context.receivers))
 
     def _check_limit(self, limit_name: str, limit: float) -> None:
-        """Raise where a rate is beyond the attack's limit."""
         fastest = {
             "`rates_mps`": np.abs(self.rates_mps).max(),
             "`cross_rates_mps`": np.abs((*self.cross_rates_mps, 0.0)).max(),
@@ -80,17 +79,12 @@ class Profile(ScriptedSpoofer):
             check_fastest(name, rate, limit_name, limit)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate along the heading that is wanted at the end of the coming epoch. `step`, `rate`,
-        `displacement` (B,) so far; returns (B,) of the curve [m/s]; its last value after the end of
-        the window."""
         return self._along[self._row(step)]
 
     def _row(self, step: FloatArray) -> NDArray[np.int64]:
-        """Place of the coming epoch in the sampled curves."""
         return np.minimum(step.astype(np.int64), len(self._along) - 1)
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command the attack for the coming epoch: (B, a) in [-1, 1]."""
         if not self.cross_rates_mps:
             return super().act(observation)
         context, memory = self.context, self.memory
@@ -143,7 +137,6 @@ class BlindOptimum(Profile):
             self.rates_mps = ()
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers; a ValueError where there are no rates."""
         if not self.rates_mps:
             raise ValueError(
                 "the rates of a blind optimum are not known before it has been looked for: "
@@ -153,7 +146,6 @@ class BlindOptimum(Profile):
 
 
 def check_fastest(name: str, rate: float, limit_name: str, limit: float) -> None:
-    """Raise where the fastest rate of a curve is beyond the attack's limit."""
     if rate > limit * (1.0 + 1e-12):
         raise ValueError(
             f"{name} = {rate:g} is more than the attack allows: `{limit_name}` = {limit:g}"
@@ -196,7 +188,6 @@ def _to_the_right(context: SpooferContext, heading_deg: float | str) -> Aim:
 def checked_rates(
     name: str, rates_mps: tuple[float, ...], *, none: bool = False
 ) -> tuple[float, ...]:
-    """Rates as a tuple of as many finite numbers as there may be."""
     if isinstance(rates_mps, str) or not hasattr(rates_mps, "__len__"):
         raise ValueError(f"`{name}` must be a sequence of numbers, got {rates_mps!r}")
     if none and not len(rates_mps):

@@ -68,8 +68,6 @@ class Ramp(ScriptedSpoofer):
         check_limit(self, "rate_mps", *context.largest_rate)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
-        so far; returns (B,) the constant rate [m/s]."""
         return np.full_like(rate, self.rate_mps)
 
     @classmethod
@@ -111,8 +109,6 @@ class AcceleratingRamp(ScriptedSpoofer):
             check_limit(self, "acceleration_mps2", "acceleration_limit_mps2", limit)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
-        so far; returns (B,) the rate so far, and what an epoch's acceleration adds [m/s]."""
         return rate + self.acceleration_mps2 * self.context.interval_s
 
     @classmethod
@@ -163,7 +159,6 @@ class Step(ScriptedSpoofer):
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """From a decimetre to a kilometre.  Returns `low`, `high` [m]."""
         return SMALLEST, LARGEST
 
 
@@ -206,14 +201,11 @@ class Dash(ScriptedSpoofer):
         check_finite("last_s", self.last_s, "> 0")
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
-        so far; returns (B,) 0 before the dash [m/s]."""
         begins = self.context.steps - round(self.last_s / self.context.interval_s)
         return np.where(step >= begins, self.rate_mps, 0.0)
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """As of a ramp.  Returns `low`, `high` [m/s]."""
         return Ramp.tuning_range(context)
 
 
@@ -284,9 +276,6 @@ class Intermittent(ScriptedSpoofer):
         self._is_ramp = np.array([shape == "ramp" for shape in self.shapes])
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
-        so far; returns (B,) of the ramp, or the largest from which the displacement that is wanted
-        is not overshot [m/s]."""
         burst, place = np.divmod(step.astype(np.int64), self._on + self._off)
         is_on = place < self._on
         if self.bursts is not None:
@@ -322,5 +311,4 @@ class NoSpoofer(Spoofer):
     transmits = False
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command nothing: (B, a) zeros."""
         return np.zeros((self.context.receivers, len(self.context.action_names)))

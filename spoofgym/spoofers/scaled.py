@@ -71,7 +71,6 @@ class Scaled(Spoofer):
         self.spoofer.reset(mask)
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command the attack for the coming epoch: (B, a) in [-1, 1]."""
         seen = observation
         if self._own and self.amplitude != 1.0:
             seen = observation.copy()
@@ -81,7 +80,6 @@ class Scaled(Spoofer):
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """From a thousandth of the commands to ten times as much."""
         return SMALLEST, LARGEST
 
 
@@ -94,5 +92,4 @@ def split_amplitude(spec: Any) -> tuple[Any, float | None]:
 
 
 def with_amplitude(spoofer: Spoofer, amplitude: float | None) -> Spoofer:
-    """A spoofer as it is, or scaled."""
     return spoofer if amplitude is None else Scaled(spoofer, amplitude)

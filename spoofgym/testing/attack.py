@@ -88,7 +88,6 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
 
 
 def _perfected(attack: Attack) -> Attack:
-    """The same attack with perfect equipment."""
     return dataclasses.replace(
         attack,
         errors="inherited",
@@ -203,7 +202,6 @@ class _AttackTrial(Trial[Attack]):
         }
 
     def steps(self) -> list[Step]:
-        """What all actions bring about."""
         everyone = np.arange(self.receivers)
         records = self.play(self.bind(everyone), everyone, range(self.turns))
         return [Step(**_filled(record)) for record in records]
@@ -226,7 +224,6 @@ def _fingerprint(world: World) -> tuple[bytes, ...]:
 
 
 def _check_declarations(attack: Attack, world: World) -> int:
-    """Check names, and return the number of elements of an action."""
     require(
         isinstance(attack.label, str) and bool(attack.label),
         f"`label` must name the threat, got {attack.label!r}",

@@ -17,13 +17,11 @@ from ..core.memory import Memory
 
 
 def require(kept: bool | np.bool_, message: str) -> None:
-    """Raise when a contract is broken."""
     if not kept:
         raise AssertionError(message)
 
 
 def same_bits(first: NDArray[Any] | None, second: NDArray[Any] | None) -> bool:
-    """Whether two arrays, or two missing ones, are the same to the last bit."""
     if first is None or second is None:
         return first is None and second is None
     alike = first.shape == second.shape and first.dtype == second.dtype
@@ -62,7 +60,6 @@ def require_fresh(
 
 @contextmanager
 def read_only_given(word: str, given: str) -> Iterator[None]:
-    """Say what it means when NumPy or numba refuses to write to an array in the block."""
     try:
         yield
     except (ValueError, TypeError) as error:
@@ -127,7 +124,6 @@ class Trial(ABC, Generic[T]):
         """
 
     def reset(self, bound: T, mask: NDArray[np.bool_] | None) -> None:
-        """Reset some receivers."""
         bound.memory.reset(mask)
 
     def play(
@@ -177,7 +173,6 @@ def run_trial(trial: Trial[T]) -> list[Record]:
 
 
 def check_memory(subject: Remembering, receivers: int, word: str) -> None:
-    """Check that a subject remembers declared arrays of B rows."""
     memory = getattr(subject, "memory", None)
     if not isinstance(memory, Memory):
         raise AssertionError(

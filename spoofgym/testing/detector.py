@@ -194,7 +194,6 @@ def _check_declarations(detector: Detector) -> None:
 
 
 def _check_bound_again(trial: _DetectorTrial) -> None:
-    """A detector that is bound a second time starts over, with another number of receivers."""
     bound = trial.bind(np.arange(trial.receivers))
     check_memory(bound, trial.receivers, "detector")
     bound.bind(trial.script.context._replace(receivers=1))
@@ -231,7 +230,6 @@ def _check_verdicts(trial: _DetectorTrial) -> None:
 
 
 def _check_arrays(detector: Detector, verdict: Verdict, own: Mapping[str, NDArray[Any]]) -> None:
-    """Raise unless a verdict consists of arrays of its own."""
     owners = {f"`epoch.{name}`": array for name, array in own.items()}
     owners |= {f"`memory[{name!r}]`": array for name, array in detector.memory.items()}
     for name, array in verdict._asdict().items():

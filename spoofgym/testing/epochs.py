@@ -34,7 +34,6 @@ class Script(NamedTuple):
     def epoch(
         self, number: int, rows: NDArray[np.intp], needs: Collection[str]
     ) -> dict[str, NDArray[Any]]:
-        """An epoch of some receivers."""
         return {
             name: np.ascontiguousarray(array[rows])
             for name, array in self.epochs[number]._asdict().items()
@@ -44,7 +43,6 @@ class Script(NamedTuple):
 
 @lru_cache(maxsize=1)
 def engine_script() -> Script:
-    """Epochs of a clean, then attacked run of the default scenario."""
     timeline = Timeline(warmup_s=5.0, live_s=5.0, attack_s=ATTACK_S, time_to_alert_s=0.0)
     setup = TightlyCoupledSetup(
         scenario=Scenario(), attack=FalsePosition(), detector=Never(), timeline=timeline

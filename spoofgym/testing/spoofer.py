@@ -115,7 +115,6 @@ def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) ->
 
 
 def _window_s(spoofer: Spoofer) -> float:
-    """Attack window that holds a whole number of decisions, at least two."""
     every = spoofer.decision_interval_s
     if every is None or not (is_number(every) and 0.0 < every < LONGEST_S):
         return TIMELINE.attack_s  # or a message by whoever takes it
@@ -160,7 +159,6 @@ def _perform(
     context: SpooferContext,
     commands: CommandMap,
 ) -> list[Observation]:
-    """Let the spoofer attack, and note what it sees."""
     engine = Engine(RECEIVERS, setup, threads=1)
     engine.reset([np.random.default_rng(seed) for seed in range(RECEIVERS)])
     commands.aim(engine.simulator.heading)
@@ -181,7 +179,6 @@ def _perform(
 
 
 def _act(spoofer: Spoofer, observation: Observation, number: int) -> FloatArray:
-    """Action on an observation, checked, and copied."""
     seen = observation.view()
     seen.flags.writeable = False
     with read_only_given("spoofer", "observation"):

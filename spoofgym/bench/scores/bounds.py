@@ -96,7 +96,6 @@ def headline(protection: Row | None, share: float, *, skies: bool = False) -> Ro
 
 
 def _reached(cell: Row) -> Row:
-    """Stealthy displacement of an attack, and whether it keeps the budget."""
     tuned = cell["tuned_within_budget"]
     keeps = bool(cell["within_budget"]) and tuned is not False
     return {
@@ -131,14 +130,12 @@ def bound_of(found: Row | None) -> Row:
 
 
 def _below(reached: Row | None, floor: float | None) -> bool:
-    """Whether the whole interval of what was achieved lies below its floor."""
     if reached is None or floor is None or reached["high"] is None:
         return False
     return float(reached["high"]) < floor
 
 
 def _above(reached: Row, bound: Row) -> bool:
-    """Whether a mean lies above a bound by more than some standard errors, and by a part of it."""
     value, ends = bound["value"], (reached["low"], reached["high"])
     if not isinstance(value, float | int) or None in ends:
         return False

@@ -70,10 +70,8 @@ def _per_hour(per_run: Estimate, window_s: float) -> dict[str, float | None]:
 
 
 def number(value: Any) -> float:
-    """Number as it is written down."""
     return round(float(value), 4)
 
 
 def mean_of(x: NDArray[Any]) -> float | None:
-    """Mean as it is written down; None of nothing."""
     return number(x.mean()) if len(x) else None

@@ -35,17 +35,14 @@ class FamilyScore(NamedTuple):
 
     @property
     def counted(self) -> int:
-        """Runs that count."""
         return int(self.found.counts.sum())
 
     @property
     def aim(self) -> Aim:
-        """To exceed the alert limit."""
         return Aim(MEASURES[0], limit_m=self.alert_limit_m)
 
     @property
     def attack(self) -> Winner:
-        """The attack that exceeds the alert limit most often."""
         return self.found.worst(self.aim)
 
     @property
@@ -68,7 +65,6 @@ class FamilyScore(NamedTuple):
             return np.asarray((samples @ hazard) / (samples @ counts))
 
     def as_dict(self) -> dict[str, Any]:
-        """All but the single runs, JSON-able."""
         attack = self.attack
         return {
             "family": self.family,
@@ -118,7 +114,6 @@ class DetectorScore:
 
     @property
     def p_hmi(self) -> Estimate:
-        """P(HMI | attack) at the alert limit by the worst family, with Wilson's 95 % interval."""
         return self.worst.p_hmi
 
     def exceeded(self, share: float) -> Estimate:
@@ -175,7 +170,6 @@ class DetectorScore:
             )
 
     def as_dict(self) -> dict[str, Any]:
-        """All but the single runs, JSON-able."""
         plain = ("task", "detector", "alert_limit_m", "runs", "selection_runs", "entropy")
         rate = self.false_alarm_rate()
         hourly = (hourly_rate(each, self.window_s) for each in rate)
@@ -208,12 +202,10 @@ class DetectorScore:
 
 
 def false_alarms_text(head: dict[str, Any], found: Mapping[str, NDArray[np.bool_]]) -> str:
-    """False alarms of a detector as JSON."""
     alarms = {name: alarmed.tolist() for name, alarmed in found.items()}
     return json.dumps({**head, "false_alarms": alarms}, allow_nan=False) + "\n"
 
 
 def false_alarms_of(text: str) -> dict[str, NDArray[np.bool_]]:
-    """Inverse of `false_alarms_text`, without the head."""
     alarms = json.loads(text)["false_alarms"]
     return {name: np.array(alarmed, dtype=np.bool_) for name, alarmed in alarms.items()}

@@ -89,7 +89,6 @@ def solve(payoff: ArrayLike) -> Equilibrium:
 
 
 def checked_payoff(payoff: ArrayLike) -> FloatArray:
-    """Return a matrix of finite payoffs, or raise a ValueError."""
     a = np.asarray(payoff, dtype=np.float64)
     if a.ndim != 2 or 0 in a.shape:
         raise ValueError(
@@ -245,7 +244,6 @@ class PayoffMatrix:
     seeds: tuple[int, str]
 
     def __repr__(self) -> str:
-        """Who plays whom, and on which runs; not the runs themselves."""
         who, whom = ([each.label for each in side] for side in (self.spoofers, self.detectors))
         return f"PayoffMatrix({who} x {whom}, {len(self.sky)} runs of {self.seeds})"
 
@@ -265,7 +263,6 @@ class PayoffMatrix:
         return np.asarray(np.where(unknown > 0.0, np.nan, mixed))
 
     def samples(self, count: int = RESAMPLES) -> FloatArray:
-        """(S, R) bootstrap samples of the runs, whole skies at a time."""
         return resamples_of(clusters_of(self.sky), count)
 
     def solve(self) -> Equilibrium:
@@ -301,7 +298,6 @@ class PayoffMatrix:
         return values
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-able: strategies, payoffs, and what runs of pure strategies came to."""
         alarms = (self.alarmed & self.counts).sum(axis=2) / np.maximum(self.counts.sum(axis=1), 1)
         return {
             "payoff": {"kind": self.payoff.kind, "limit_m": self.payoff.limit_m},

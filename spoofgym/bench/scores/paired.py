@@ -54,7 +54,6 @@ def compare(
 
 
 def controls(footings: Footings) -> list[str]:
-    """Labels of the negative controls that were played."""
     return [label for label in footings if name_of(label) in CONTROLS]
 
 
@@ -63,7 +62,6 @@ def name_of(label: str) -> str:
 
 
 def comparable(footings: Footings, detector: str, other: str) -> bool:
-    """Whether two detectors were asked for one rate, and are not the same."""
     mine, theirs = footings[detector], footings[other]
     if detector == other or "nominal" in (mine, theirs):
         return False
@@ -92,7 +90,6 @@ def _displacements(cells: Sequence[Cell], detector: str, control: str) -> list[d
 def _protections(
     protections: Sequence[Protection], detector: str, control: str
 ) -> list[dict[str, Any]]:
-    """Displacement that the worst attack exceeds, by share."""
     by_label = {each.detector: each for each in protections}
     mine, theirs = by_label.get(detector), by_label.get(control)
     if mine is None or theirs is None:

@@ -87,12 +87,10 @@ class Stealth(NamedTuple):
 
     @property
     def alarm_rate(self) -> float:
-        """P(alarm | silent twin)."""
         return self.alarms / self.runs if self.runs else math.nan
 
     @property
     def alarm_limit(self) -> float:
-        """Its upper 95 % limit."""
         return alarm_limit(self.alarms, self.runs)
 
     def keeps(self, budget: float) -> bool:

@@ -91,7 +91,6 @@ class Score:
         return percentiles(float(mine.sum()) / base if base else math.nan, drawn)
 
     def as_dict(self) -> dict[str, Any]:
-        """All but the single runs, JSON-able."""
         plain = ("task", "detector", "spoofer", "knowledge", "setting", "value", "runs", "counted")
         return {
             **{name: getattr(self, name) for name in plain},

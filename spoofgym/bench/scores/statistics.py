@@ -192,7 +192,6 @@ def alarm_limit(alarms: int, runs: int) -> float:
 
 
 def keeps(alarms: int, runs: int, budget: float) -> bool:
-    """Whether the limit is within a budget."""
     return alarm_limit(alarms, runs) <= budget + 1e-9
 
 

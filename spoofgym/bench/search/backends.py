@@ -56,7 +56,6 @@ class ReplayPlayer:
         self.runs = len(self._rows)
 
     def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
-        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
         found = self.replay.play(self.number, curves, rows=self._rows[rows])
         error = found.error[: self.replay.setup.steps]
         return found.peak, error.max(axis=0).mean(axis=1)
@@ -72,7 +71,6 @@ class MixedPlayer:
         self._owner = np.searchsorted(ends, np.arange(self.runs), side="right")
 
     def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
-        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
         peak, reach = np.zeros((len(curves), len(rows))), np.zeros(len(curves))
         for k, player in enumerate(self.players):
             mine = self._owner[rows] == k
@@ -93,7 +91,6 @@ class EnginePlayer:
         self.steps, self.limits = setup.steps // setup.repeat, limits_of(setup)
 
     def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
-        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
         setup, runs = self.start.setup, len(rows)
         everyone = np.tile(rows, len(curves))
         engine, (limit, most) = self.start.take(everyone).engine(), self.limits

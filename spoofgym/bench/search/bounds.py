@@ -30,7 +30,6 @@ HEADING = "unknown"
 
 
 def purposes(p_fa: float, budget: float) -> dict[str, float]:
-    """Probability of detection that each figure of a campaign asks of a perfect detector."""
     return {
         "stealthy": 1.0 - (1.0 - p_fa) * (1.0 - budget),
         "half": 0.5,
@@ -95,12 +94,10 @@ class Brackets:
 
     @property
     def setup(self) -> TightlyCoupledSetup | None:
-        """The world, where limits are known for its victim."""
         setup = self.world.setup
         return setup if isinstance(setup, TightlyCoupledSetup) else None
 
     def floor(self) -> dict[str, Any]:
-        """Floors of the world at the campaign's rate of false alarms; why there is none."""
         if self.setup is None:
             return {"why": f"no limit is known for {self.world.setup.whose}"}
         try:
@@ -111,7 +108,6 @@ class Brackets:
 
     @property
     def p_fa(self) -> float:
-        """Probability of a false alarm in a run of the first detector with a rate."""
         return self.rates[0]
 
     @property
@@ -133,7 +129,6 @@ class Brackets:
         return self._bounds[detector.label]
 
     def cases(self, tick: Tick | None = None) -> list[Case]:
-        """Drawn worlds, the same for all detectors."""
         if self._cases is None:
             setup = check_linear_victim(self.world.setup)
             self._cases = cases_of(setup, self.worlds, self.entropy, tick)

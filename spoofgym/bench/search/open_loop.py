@@ -159,7 +159,6 @@ class BlindOptimizer:
         return found._replace(rates_mps=np.clip(found.rates_mps, -limit, limit))
 
     def _search(self, others: Mapping[str, FloatArray], advance: Tick) -> BlindOptimum:
-        """Search; what is found may be beyond the attack's limit."""
         t = np.linspace(0.0, 1.0, self.settings.knots)
         if self.player.runs < FEWEST:
             slowest = np.full(len(t), LADDER[0] * self.player.limits[0])
@@ -408,7 +407,6 @@ class Optima:
         return judge
 
     def _recorded(self, setup: TightlyCoupledSetup) -> tuple[Replay, dict[str, int]]:
-        """The replay of all passive detectors, and their numbers."""
         if self._replay is None or self._numbers is None:
             judges = {}
             for entry in self.brackets.detectors:

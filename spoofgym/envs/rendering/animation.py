@@ -64,7 +64,6 @@ def animation_writer(path: Path, fps: float) -> Callable[..., None]:
 
 
 def _write_gif(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps: float) -> None:
-    """Write a GIF; its clock counts hundredths of a second."""
     try:
         from PIL import Image
     except ImportError as error:

@@ -82,7 +82,6 @@ class Headline:
             x = (corner[0] + (WIDTH + 3) * self._tiles.width) / width
 
     def fit(self, history: RenderHistory) -> bool:
-        """Show the first alarm."""
         first = history.first_alarm
         if first is None or self._alarm.get_text():
             return False

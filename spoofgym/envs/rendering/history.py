@@ -47,7 +47,6 @@ class RenderHistory:
         self._alarm = np.zeros(size, dtype=np.bool_)
 
     def add(self, attacked: FrameData, twin: FrameData, info: Mapping[str, Any]) -> None:
-        """Append an instant."""
         k, self.count = self.count, self.count + 1
         since = info["time_s"] - self.layout.onset_s
         times = since, min(since, k * self._decision_s)
@@ -73,12 +72,10 @@ class RenderHistory:
 
     @property
     def alarm(self) -> NDArray[np.bool_]:
-        """(K,) bool, a view."""
         return self._alarm[: self.count]
 
     @property
     def first_alarm(self) -> int | None:
-        """Index of the first alarm."""
         return int(self.alarm.argmax()) if self.alarm.any() else None
 
 
@@ -103,12 +100,10 @@ class CoreRecorder:
 
     @property
     def interval_s(self) -> float:
-        """Time between two frames [s]."""
         setup = self._core.setup
         return setup.repeat * setup.interval_s
 
     def begin(self) -> EpisodeLayout:
-        """Take the twin; called at the onset of every episode."""
         simulator = self._core.engine.simulator
         if self._twin is None:
             self._twin = self._core.setup.simulator(1, run_serially)

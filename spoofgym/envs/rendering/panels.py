@@ -56,7 +56,6 @@ class Panel(Protocol):
 
 
 def moving_line(ax: Axes, look: str, **settings: Any) -> Line2D:
-    """Line without points yet, which is drawn apart from what stays."""
     (line,) = ax.plot([], [], look, animated=True, **settings)
     return line
 
@@ -76,7 +75,6 @@ class Way:
 
 
 def head(ax: Axes, title: str, columns: int = 4, unit: str = "") -> None:
-    """Title of a panel, its key between title and panel, and the unit of east and north."""
     if unit:
         ax.set_xlabel(f"east [{unit}]", fontsize=SMALL, labelpad=2)
         ax.set_ylabel(f"north [{unit}]", fontsize=SMALL, labelpad=2)
@@ -152,7 +150,6 @@ class FlightMap:
         )
 
     def fit(self, history: RenderHistory) -> bool:
-        """Magnify less where errors have grown."""
         largest = max(float(history.number("error_m").max()), LEAST_M)
         factor = max(round_down(MAGNIFIED * self._extent / largest), 1.0)
         if factor >= self._factor:
@@ -161,7 +158,6 @@ class FlightMap:
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the way so far."""
         truth = history.pair("position_ne")
         errors = history.pair("twin_error_ne"), history.pair("error_ne"), np.zeros_like(truth)
         for way, error in zip(self._ways, errors, strict=True):
@@ -187,7 +183,6 @@ class ErrorPlane:
         head(ax, "Estimate minus truth", unit="m")
 
     def fit(self, history: RenderHistory) -> bool:
-        """Widen the plane where errors have grown."""
         from matplotlib.patches import Circle
 
         largest = max(_largest(np.abs(history.pair(name))) for name in self._ways)
@@ -205,7 +200,6 @@ class ErrorPlane:
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the errors so far."""
         for name, way in self._ways.items():
             way.follow(history.pair(name))
         first = history.first_alarm
@@ -266,7 +260,6 @@ class SkyPlot:
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the present sky."""
         sky = history.sky
         if sky is None:
             return
@@ -331,7 +324,6 @@ class TimePanel:
         self.artists: list[Artist] = [self._first]
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the time of the first alarm."""
         first = history.first_alarm
         if first is not None:
             time = history.number("time_s")[first]
@@ -352,7 +344,6 @@ class StatisticPanel(TimePanel):
         head(ax, "Statistic over threshold")
 
     def fit(self, history: RenderHistory) -> bool:
-        """Raise the axis where the statistic has grown."""
         largest = max(_largest(history.number(name)) for name in ("ratio", "twin_ratio"))
         top = 2.0 if largest < 1.8 else round_up(1.15 * largest)
         if top <= self._top:
@@ -392,7 +383,6 @@ class ErrorPanel(TimePanel):
         head(ax, "Displacement of the victim [m]")
 
     def fit(self, history: RenderHistory) -> bool:
-        """Raise the axis where errors have grown."""
         sizes = [history.number(name) for name, _ in self._lines]
         if self._commanded is not None:
             sizes.append(_size(history.pair("displacement_ne")))

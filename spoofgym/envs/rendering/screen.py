@@ -38,13 +38,11 @@ class Screen:
         return {**self.__dict__, "_painter": None, "_window": None}
 
     def begin(self, info: Mapping[str, Any]) -> None:
-        """Start an episode, at its onset."""
         self._history = RenderHistory(self._recorder.begin(), self._recorder.interval_s)
         self._painter = None
         self.add(info)
 
     def add(self, info: Mapping[str, Any]) -> None:
-        """Record a step; in mode ``human`` show it."""
         history = self._begun("add")
         history.add(*self._recorder.frames(), info)
         if self.mode == "human":
@@ -73,7 +71,6 @@ class Screen:
         return self._painter.paint(history)
 
     def close(self) -> None:
-        """Close the window; once more does nothing."""
         if self._window is not None:
             self._window.close()
         self._window = self._painter = None
@@ -117,7 +114,6 @@ class Window:
         self._figure.canvas.flush_events()
 
     def close(self) -> None:
-        """Close it; once more does nothing."""
         from matplotlib import pyplot
 
         pyplot.close(self._figure)

@@ -32,7 +32,6 @@ class ActionTerm(Protocol):
 
 
 def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:
-    """Which elements of the command belong to some axes or satellites."""
     stems = [name.rsplit("_", 1)[0] for name in setup.action_names]
     for stem in wanted:
         if stem not in stems:
@@ -43,7 +42,6 @@ def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:
 
 
 def _horizontal_limit(setup: Setup, whose: str) -> float:
-    """Limit of the rate north and east, which must be the same [m/s]."""
     north, east = _columns(setup, ("north", "east"), "axis")
     limits = np.broadcast_to(setup.attack.rate_limit_mps, len(setup.action_names))
     if limits[north] != limits[east]:
@@ -61,11 +59,9 @@ class FullCommand:
     described_as = "FullCommand"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """Those of the attack."""
         return setup.action_names
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """The identity."""
         axes = len(setup.action_names)
         return np.tile(np.eye(axes), (len(heading_rad), 1, 1))
 
@@ -81,7 +77,6 @@ class AlongTarget:
     along_target: ClassVar[bool] = True
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``along_target_acceleration`` or ``along_target_rate``."""
         if setup.target_heading_deg == "worst":
             raise ValueError(
                 "an element along the target direction needs one; `target_heading_deg` is 'worst'"
@@ -90,7 +85,6 @@ class AlongTarget:
         return (f"along_target_{setup.attack.control}",)
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """Cosine and sine of the heading."""
         north, east = _columns(setup, ("north", "east"), "axis")
         result = np.zeros((len(heading_rad), len(setup.action_names), 1))
         result[:, north, 0], result[:, east, 0] = np.cos(heading_rad), np.sin(heading_rad)
@@ -107,12 +101,10 @@ class AcrossTarget:
     described_as = "AcrossTarget"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``across_target_acceleration`` or ``across_target_rate``."""
         AlongTarget().names(setup)
         return (f"across_target_{setup.attack.control}",)
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """Minus sine and cosine of the heading."""
         return AlongTarget().matrix(setup, heading_rad + np.pi / 2.0)
 
 
@@ -137,12 +129,10 @@ class Channels:
         object.__setattr__(self, "ids", ids)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """Those of the attack."""
         names = setup.action_names
         return tuple(names[i] for i in _columns(setup, self.ids, "channel"))
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """Columns of the identity."""
         columns = _columns(setup, self.ids, "channel")
         return FullCommand().matrix(setup, heading_rad)[:, :, columns]
 
@@ -157,7 +147,6 @@ class CommonOffset:
     described_as = "CommonOffset"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``common_acceleration`` or ``common_rate``."""
         if setup.attack.kind != "per-channel":
             raise ValueError(
                 "a common offset needs an attack per channel, 'per-channel', got "
@@ -166,7 +155,6 @@ class CommonOffset:
         return (f"common_{setup.attack.control}",)
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """A column of 1."""
         return np.ones((len(heading_rad), len(setup.action_names), 1))
 
 
@@ -204,11 +192,9 @@ class RateSetpoint:
 
     @property
     def along_target(self) -> bool:
-        """Whether everything is commanded along the target direction."""
         return self.dimensions == 1
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``along_target_setpoint``, or ``north_setpoint`` and ``east_setpoint``."""
         if self.along_target:
             AlongTarget().names(setup)
             return ("along_target_setpoint",)
@@ -216,7 +202,6 @@ class RateSetpoint:
         return ("north_setpoint", "east_setpoint")
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """Parts of the full scale along every axis."""
         if self.along_target:
             return AlongTarget().matrix(setup, heading_rad)
         return Channels(("north", "east")).matrix(setup, heading_rad)

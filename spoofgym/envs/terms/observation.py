@@ -89,7 +89,6 @@ class _Term:
             check_finite(name, value, ">= 0" if name in self.may_be_0 else "> 0")
 
     def bounds(self, setup: Setup) -> tuple[float, float]:
-        """Least and largest value of all elements."""
         return self.limits
 
 
@@ -114,7 +113,6 @@ class OwnCommand(_Term):
     limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``own_displacement_*`` and ``own_rate_*`` for every axis, or along the target."""
         axes = self._axes(setup)
         if self.along_target:
             lacking = [axis for axis in ("north", "east") if axis not in axes]
@@ -127,7 +125,6 @@ class OwnCommand(_Term):
         return (*(f"own_displacement_{a}" for a in axes), *(f"own_rate_{a}" for a in axes))
 
     def units(self, setup: Setup) -> Units:
-        """Metres, then metres per second."""
         count = len(self.names(setup)) // 2
         return (("m", self.scale_m),) * count + (("m/s", self.rate_scale_mps),) * count
 
@@ -146,7 +143,6 @@ class OwnCommand(_Term):
         return 1.0 / self.scale_m, np.full(len(axes), 1.0 / self.rate_scale_mps), *columns
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write displacement and rate over their scales."""
         _, _, displacement, rate, direction = snapshot.simulator.step_arrays()
         per_displacement, per_rate, north, east = self.factors(snapshot.setup)
         columns = north, east
@@ -162,7 +158,6 @@ class Time(_Term):
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``time_since_onset`` and ``time_left``."""
         return ("time_since_onset", "time_left")
 
     def units(self, setup: Setup) -> Units:
@@ -170,7 +165,6 @@ class Time(_Term):
         return (("s", setup.steps * setup.interval_s),) * 2
 
     def table(self, setup: Setup) -> NDArray[np.float32] | None:
-        """The two fractions, where every epoch belongs to one onset."""
         onsets = setup.onsets
         if onsets is None:
             return None
@@ -180,7 +174,6 @@ class Time(_Term):
         return table
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write the two fractions."""
         simulator = snapshot.simulator
         time_fractions(simulator.epochs, simulator.onset, snapshot.setup.steps, out)
 
@@ -214,7 +207,6 @@ class TargetMotion(_Term):
     may_be_0: ClassVar[tuple[str, ...]] = ("least_change",)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``target_position_*`` and ``target_velocity_*``, as far as the victim has them."""
         names = tuple(f"target_{name}" for name in setup.motion_names)
         table = self._table(setup)
         if table is None:
@@ -222,7 +214,6 @@ class TargetMotion(_Term):
         return tuple(names[k] for k in _varying(setup, table, self.least_change))
 
     def units(self, setup: Setup) -> Units:
-        """Metres of positions, metres per second of velocities."""
         scales = {"position": ("m", self.position_scale_m)}
         velocity = "m/s", self.velocity_scale_mps
         return tuple(scales.get(name.split("_")[1], velocity) for name in self.names(setup))
@@ -231,12 +222,10 @@ class TargetMotion(_Term):
         return setup.motion_table(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps)
 
     def table(self, setup: Setup) -> NDArray[np.float32] | None:
-        """Position and velocity over their scales, where every epoch belongs to one onset."""
         table = self._table(setup)
         return None if table is None else table[:, _varying(setup, table, self.least_change)]
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write position and velocity over their scales."""
         snapshot.simulator.motion(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps, out)
 
 
@@ -249,11 +238,9 @@ class TargetDirection(_Term):
     limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``target_direction_north`` and ``target_direction_east``."""
         return ("target_direction_north", "target_direction_east")
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write cosine and sine of the heading."""
         for i, heading in enumerate(snapshot.simulator.heading.tolist()):
             out[i, 0], out[i, 1] = math.cos(heading), math.sin(heading)
 
@@ -276,7 +263,6 @@ class SatelliteGeometry(_Term):
     may_be_0: ClassVar[tuple[str, ...]] = ("least_change",)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``sight_*_SLOT``, and ``visible_SLOT`` or ``spoofed_SLOT``."""
         if not setup.geometry_names:
             raise ValueError(f"{setup.whose} has no satellites to observe")
         table = setup.geometry_table()
@@ -290,7 +276,6 @@ class SatelliteGeometry(_Term):
         return None if table is None else table[:, _varying(setup, table, self.least_change)]
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write what is no table."""
         snapshot.simulator.geometry(out)
 
 
@@ -310,7 +295,6 @@ class StatisticRatio(_Term):
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``statistic_ratio_SLOT``, or ``statistic_ratio`` for one of the whole receiver."""
         if self.largest or setup.detector.scope == "receiver":
             return ("statistic_ratio",)
         if not setup.weight_names:
@@ -318,7 +302,6 @@ class StatisticRatio(_Term):
         return tuple(f"statistic_ratio_{name}" for name in setup.weight_names)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write the ratios of the last verdict; 0 before the first."""
         verdict = snapshot.simulator.verdict
         if verdict is None:
             out[:] = 0.0
@@ -337,11 +320,9 @@ class GainWeight(_Term):
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``weight_SLOT`` or ``weight_AXIS``."""
         return tuple(f"weight_{name}" for name in setup.weight_names)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write the weights of the last update."""
         out[:] = snapshot.simulator.observed_weights()
 
 
@@ -360,14 +341,12 @@ class EstimateError(_Term):
     knowledge: ClassVar[str] = "oracle"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``error_north``, ``error_east``, and ``error_down`` of some victims."""
         return tuple(f"error_{name}" for name in setup.error_names)
 
     def units(self, setup: Setup) -> Units:
         return (("m", self.scale_m),) * len(setup.error_names)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write estimate minus truth."""
         out[:] = snapshot.simulator.error_n() * (1.0 / self.scale_m)
 
 
@@ -388,14 +367,12 @@ class DivergenceSpent(_Term):
     needs: ClassVar[tuple[type[Divergence], ...]] = (Divergence,)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``divergence_spent``."""
         return ("divergence_spent",)
 
     def units(self, setup: Setup) -> Units:
         return (("nat", self.budget_nats),)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write the part of the budget that is spent."""
         spent = snapshot.simulator.monitor(Divergence).memory["divergence"]
         out[:, 0] = spent / self.budget_nats
 
@@ -429,7 +406,6 @@ class ReportedPosition(_Term):
     word: ClassVar[str] = "position"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``reported_position_north``, ``reported_position_east`` and ``report_age``."""
         every, latency = self._epochs(setup)
         if every + latency > KEPT - 2:
             most = (KEPT - 2) * setup.interval_s
@@ -441,16 +417,13 @@ class ReportedPosition(_Term):
         return (*(f"reported_{self.word}_{axis}" for axis in ("north", "east")), "report_age")
 
     def units(self, setup: Setup) -> Units:
-        """Metres, and seconds."""
         return ("m", self.scale_m), ("m", self.scale_m), ("s", 1.0)
 
     def _epochs(self, setup: Setup) -> tuple[int, float]:
-        """Epochs between reports, and of the largest latency."""
         interval = setup.interval_s
         return max(1, round(self.interval_s / interval)), self.latency_s / interval
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write position and age of the newest report."""
         simulator, setup = snapshot.simulator, snapshot.setup
         position, of = reports(simulator, *self._epochs(setup))
         onset, known = simulator.onset, of >= 0
@@ -487,7 +460,6 @@ class ReportedDeviation(ReportedPosition):
     word: ClassVar[str] = "deviation"
 
     def _less(self, snapshot: Snapshot, of: NDArray[np.int64], ground: FloatArray) -> None:
-        """Take off the true position; (B, 2), overwritten."""
         setup, onset = snapshot.setup, snapshot.simulator.onset
         flown = setup.true_position[np.maximum(of, 0)] - setup.true_position[onset]
         ground -= (flown[:, :, None] * setup.C_en[onset]).sum(axis=1)[:, :2]
@@ -601,7 +573,6 @@ def observation_table(terms: Sequence[ObservationTerm], setup: Setup) -> list[Ob
 
 
 def _runs(members: Sequence[tuple[int, str]]) -> list[list[tuple[int, str]]]:
-    """Elements of slots by the quantity that they are of: the word before the first underscore."""
     runs: dict[str, list[tuple[int, str]]] = {}
     for index, word in members:
         runs.setdefault(word.split("_")[0], []).append((index, word))

@@ -159,7 +159,6 @@ def written(kind: str, terms: Any) -> list[dict[str, Any]]:
 
 
 def term_table(kind: str) -> str:
-    """Markdown table of the terms of a kind."""
     check_choice("kind of terms", kind, TERMS)
     seen = kind == "observation"
     rows = [["name", "settings", *(["knowledge"] if seen else []), "what it is"]]

@@ -83,7 +83,6 @@ class _Shared:
 
     @property
     def share(self) -> Share:
-        """Field, of `SHARED`, and factor."""
         return self.field, self.sign * float(next(iter(vars(self).values())))
 
     def __call__(self, outcome: Outcome) -> FloatArray:
@@ -176,7 +175,6 @@ class EffortPenalty:
         check_finite("at_full_m", self.at_full_m, ">= 0")
 
     def __call__(self, outcome: Outcome) -> FloatArray:
-        """The price of the command."""
         action = outcome.action
         result: FloatArray = -self.at_full_m * (action * action).mean(axis=1)
         return result
@@ -200,7 +198,6 @@ class TerminalDisplacement:
         check_finite("per_m", self.per_m)
 
     def __call__(self, outcome: Outcome) -> FloatArray:
-        """The displacement, where the episode is over."""
         return np.where(outcome.over, self.per_m * outcome.undetected, 0.0)
 
 
@@ -221,7 +218,6 @@ def default_rewards(alarm_penalty_m: float) -> tuple[RewardTerm, ...]:
 
 
 def named_terms(terms: Sequence[RewardTerm]) -> list[tuple[str, RewardTerm]]:
-    """Terms by their keys in ``info``."""
     names = [term.name for term in terms]
     if len(set(names)) < len(names):
         raise ValueError(f"two reward terms have the same name, got {', '.join(names)}")

@@ -64,7 +64,6 @@ class AtAlarm:
     truncates: ClassVar[bool] = False
 
     def __call__(self, state: EpochState) -> Mask:
-        """Whether any channel alarms."""
         simulator = state.snapshot.simulator
         if simulator.verdict is None:
             return np.zeros(simulator.receivers, dtype=np.bool_)
@@ -81,7 +80,6 @@ class AtWindowEnd:
     truncates: ClassVar[bool] = False
 
     def __call__(self, state: EpochState) -> Mask:
-        """Whether this was the last command."""
         return state.snapshot.step >= state.snapshot.setup.steps
 
 
@@ -104,7 +102,6 @@ class AtDisplacement:
         check_finite("limit_m", self.limit_m, "> 0")
 
     def __call__(self, state: EpochState) -> Mask:
-        """Whether the victim is as far off."""
         return state.displacement >= self.limit_m
 
 
@@ -128,7 +125,6 @@ class AtStealthBudget:
         check_finite("budget_nats", self.budget_nats, "> 0")
 
     def __call__(self, state: EpochState) -> Mask:
-        """Whether more is spent."""
         spent = state.snapshot.simulator.monitor(Divergence).memory["divergence"]
         return spent > self.budget_nats
 
@@ -152,7 +148,6 @@ class AtSteps:
         whole_number("`steps`", self.steps, 1)
 
     def __call__(self, state: EpochState) -> Mask:
-        """Whether there were as many."""
         snapshot = state.snapshot
         return snapshot.step >= self.steps * snapshot.setup.repeat
 
