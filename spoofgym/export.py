@@ -34,7 +34,7 @@ from .core.settings import describe
 from .detectors.learned import DetectorAgent, action_names, detector_card
 from .detectors.learned_card import DetectorCard, OnnxDetector, card_path
 from .detectors.observation import DetectorObserver
-from .duel.card import write_card
+from .duel.views import write_card
 from .envs.spoofer_binding import spoofer_context
 from .policies.card import State, seeds_in, text_of
 from .policies.contract import NotFinite

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ..envs.core import SingleStep
 from ..envs.step_result import Info, PlainResult
 from ..simulation.monitors import PastPositions
+from .duel import make_duel
 from .opponents import SpooferPool, SpooferSpec
-from .rules import make_duel
 
 FloatArray = NDArray[np.float64]
 
@@ -47,16 +47,18 @@ class DetectorCore:
         # for spoofers of the pool that know what the victim reports
         duel = make_duel(receivers, threads=threads, monitors=[PastPositions()], **given)
         self.duel = duel
-        self.set_pool(pool, weights)
+        self.change(pool, weights)
         observer, self.action_names = duel.agent.observer, duel.agent.action_names
         self.observation_names, self.bounds = observer.names, (observer.low, observer.high)
         self.receivers, self.episode_steps = duel.receivers, duel.epochs
         self._everyone = np.arange(duel.receivers)
 
-    def set_pool(
+    def change(
         self, pool: Sequence[SpooferSpec] | SpooferSpec, weights: Sequence[float] | None = None
-    ) -> None:
+    ) -> Self:
+        """Take other opponents; the running episodes are over."""
         self.pool = SpooferPool(pool, weights, self.duel.setup, self.duel.receivers)
+        return self
 
     def opponents(self) -> list[str]:
         return [self.pool.labels[k] for k in self.pool.opponent]

@@ -1,14 +1,15 @@
-"""The duel of B receivers: spoofer and detector agent, by the engine's two halves."""
+"""The duel of B receivers: spoofer and detector agent, by the engine's two halves; its world."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import is_number
+from ..core.registry import check_keywords, is_number
 from ..detectors.base import checked
 from ..detectors.learned import EXCLUSION_S, DetectorAgent, check_delay
 from ..detectors.pool import NATURE, uniforms
@@ -20,13 +21,34 @@ from ..envs.scoring import DisplacementScore, FusedStep
 from ..envs.step_result import StepResult
 from ..envs.terms.base import Snapshot
 from ..envs.terms.registry import ActionSpec
+from ..simulation.monitors import Monitor
 from ..simulation.simulator import Simulator
 from ..simulation.tight import TightlyCoupledSetup
+from ..tasks import task_of
 from .calibration import Calibration
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
-from .world import with_world
 
 FloatArray = NDArray[np.float64]
+GAME = "T3"
+"""Task in whose world a duel is played by default: the best detector that is known there still
+concedes part of the alert limit (docs/game.md)."""
+OPPONENT, ELSEWHERE = "solution-separation", "ewma"
+"""Detector that a spoofer meets by default there, the best of `GAME`, and in any other scenario."""
+
+
+def own_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings without a scenario of None, which is as if it were not there."""
+    return {k: x for k, x in settings.items() if k != "scenario" or x is not None}
+
+
+def default_opponent(settings: Mapping[str, Any]) -> str:
+    return ELSEWHERE if "scenario" in own_settings(settings) else OPPONENT
+
+
+def with_world(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with the world of `GAME` below them, unless they have a scenario of their own."""
+    own = own_settings(settings)
+    return own if "scenario" in own else {**task_of(GAME).world_kwargs, **own}
 
 
 class DuelStep(NamedTuple):
@@ -236,3 +258,50 @@ def duel_setup(
     """What all receivers of a duel share; `settings` of `TightlyCoupledSetup` and `with_world`."""
     agent = DetectorAgent(statistic, weighs, exclusion_s)
     return make_setup(TightlyCoupledSetup, {**with_world(settings), "detector": agent})
+
+
+def _parameters(subject: Any, *without: str) -> dict[str, inspect.Parameter]:
+    return {k: p for k, p in inspect.signature(subject).parameters.items() if k not in without}
+
+
+_OF_SETUP = {
+    **_parameters(TightlyCoupledSetup, "detector"),
+    **_parameters(duel_setup, "settings"),
+}
+_OF_DUEL = _parameters(Duel, "receivers", "setup", "threads")
+SETTINGS = (*_OF_SETUP, *_OF_DUEL)
+"""All settings of a duel."""
+
+
+def duel_signature() -> inspect.Signature:
+    """Arguments of a PettingZoo form: all settings, but for the delay that is its own."""
+    default = with_world({})
+    settings = [
+        parameter.replace(default=default.get(name, parameter.default))
+        for name, parameter in {**_OF_SETUP, **_OF_DUEL}.items()
+        if name != "decision_delay"
+    ]
+    nothing = inspect.Parameter("render_mode", inspect.Parameter.KEYWORD_ONLY, default=None)
+    return inspect.Signature([*settings, nothing])
+
+
+def refuse_to_draw(whose: str, render_mode: object) -> None:
+    if render_mode is not None:
+        raise ValueError(
+            f"`render_mode` must be None, there is nothing to render in {whose}: of the duel only "
+            f"SpooferView draws its episodes; got {render_mode!r}"
+        )
+
+
+def make_duel(
+    receivers: int,
+    *,
+    threads: int | None = None,
+    monitors: Sequence[Monitor] = (),
+    **settings: Any,
+) -> Duel:
+    """Duel from settings that fit into JSON; `monitors` look at its epochs besides."""
+    check_keywords("the duel", settings, SETTINGS)
+    shared = {name: settings.pop(name) for name in _OF_SETUP if name in settings}
+    setup: Any = duel_setup(**shared).altered(monitors=monitors)
+    return Duel(receivers, setup, threads=threads, **settings)

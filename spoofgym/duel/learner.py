@@ -18,9 +18,8 @@ from ..simulation.setup import Setup
 from ..simulation.tight import TightlyCoupledSetup
 from ..tasks import DETECTOR_TASKS, detector_task_of, task_of
 from .detector_core import DetectorCore
-from .rules import SETTINGS
-from .spoofer_view import SpooferSide, SpooferView, check_settings
-from .world import default_opponent, given, with_world
+from .duel import SETTINGS, default_opponent, own_settings, with_world
+from .views import SpooferSide, SpooferView, check_settings
 
 SPOOFER, DETECTOR = "spoofer", "detector"
 VIEWS, RAMP = ("SpooferView", "DetectorView"), "ramp"
@@ -65,7 +64,7 @@ class LearnersSide(NamedTuple):
         if pool is None and side == DETECTOR:
             pool = RAMP
         elif pool is None and view == "SpooferView":
-            pool = default_opponent({**merged, **given(settings)})
+            pool = default_opponent({**merged, **own_settings(settings)})
         _check_opponents(name, side, setup, pool, weights, settings.get("detector"))
         if pool is None:
             return cls(name, side, setup, pool, weights, {**merged, **settings})
@@ -74,7 +73,7 @@ class LearnersSide(NamedTuple):
             merged = {name: x for name, x in merged.items() if name not in SPOOFERS_OWN}
         if env_id is not None and view not in VIEWS:
             merged.setdefault("scenario", SCENARIO)
-        all_ = with_world({**merged, **given(settings)})
+        all_ = with_world({**merged, **own_settings(settings)})
         return cls(name, side, setup, pool, weights, all_)
 
     def core(

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from .core import Core
+from .core import Core, SpoofCore
 from .options import (
     HALFWAY,
     action_space,
@@ -73,7 +73,7 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
         if self._screen is not None:
             self._screen.close()
         self.core = core
-        self._draw_with(self._recorder())
+        self._prepare_screen()
         self.observation_names, self.action_names = core.observation_names, core.action_names
         self._action_shape = (len(self.action_names),)
         self.observation_space = observation_space(core)
@@ -174,19 +174,17 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
         if self._screen is not None:
             self._screen.close()
 
-    def _recorder(self) -> CoreRecorder | None:
-        return None
-
-    def _draw_with(self, recorder: CoreRecorder | None) -> None:
-        kept = type(self).metadata
-        if recorder is None:
+    def _prepare_screen(self) -> None:
+        """Declare what can be rendered, only an episode of the spoofer's side, and prepare it."""
+        if not isinstance(self.core, SpoofCore):
             if self.render_mode is not None:
                 raise ValueError(
                     "`render_mode` must be None, there is nothing to render; got "
                     f"{self.render_mode!r}"
                 )
-            self.metadata = {**kept, "render_modes": []}
+            self.metadata = {**type(self).metadata, "render_modes": []}
             return
-        self.metadata = {**kept, "render_fps": 1.0 / recorder.interval_s}
+        recorder = CoreRecorder(self.core)
+        self.metadata = {**type(self).metadata, "render_fps": 1.0 / recorder.interval_s}
         if self.render_mode is not None:
             self._screen = Screen(self.render_mode, recorder)

@@ -18,6 +18,7 @@ from .options import (
     Array,
     InfoSpec,
     action_space,
+    autoreset_mode_of,
     checked_action,
     chosen,
     domain_option,
@@ -51,7 +52,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
     def __init__(
         self,
         core: C,
-        autoreset_mode: AutoresetMode,
+        autoreset_mode: str | AutoresetMode,
         infos: InfoSpec = "all",
         max_episode_steps: int | None = None,
     ) -> None:
@@ -61,8 +62,8 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
                 f"{LIMIT} must be more than the {core.episode_steps} steps that an "
                 f"episode has, got {limit}; the end term 'at-steps' cuts it short"
             )
-        self.autoreset_mode = autoreset_mode
-        self.metadata = {**type(self).metadata, "autoreset_mode": autoreset_mode}
+        self.autoreset_mode = autoreset_mode_of(autoreset_mode)
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = None
         self._infos = infos
         self.adopt(core)
