@@ -556,7 +556,9 @@ def _card_of(
         )
     env_id, env_kwargs = _named(inner)
     context = spoofer_context(core.setup, 1, core.observer, core.commands)
-    met = designed_on or f"{_label(env_kwargs)} and its world, by training"
+    detector = env_kwargs.get("detector", "the default detector")
+    name = detector["name"] if isinstance(detector, Mapping) else detector
+    met = designed_on or f"{name} and its world, by training"
     with one_line(f"card of {path}"):
         return Card(
             name=path.stem,
@@ -589,11 +591,6 @@ def _named(inner: Any) -> tuple[str, dict[str, Any]]:
             f"the settings of the environment can't be written into a card ({error}): give its "
             "parts by name and settings"
         ) from error
-
-
-def _label(env_kwargs: Mapping[str, Any]) -> str:
-    met = env_kwargs.get("detector", "the default detector")
-    return str(met["name"]) if isinstance(met, Mapping) else str(met)
 
 
 def _normalization_around(model: Any, env: Any) -> Normalization | None:

@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..envs.core import SingleStep
-from ..envs.step_result import Info, PlainResult
-from ..simulation.monitors import PastPositions
+from ..envs.scoring import Info, PlainResult
+from ..simulation.monitors import FloatArray, PastPositions
 from .duel import make_duel
 from .opponents import SpooferPool, SpooferSpec
-
-FloatArray = NDArray[np.float64]
 
 
 class DetectorCore:

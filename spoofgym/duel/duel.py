@@ -15,20 +15,18 @@ from ..detectors.learned import EXCLUSION_S, DetectorAgent, check_delay
 from ..detectors.pool import NATURE, uniforms
 from ..envs import _kernels
 from ..envs.core import NOTHING_SEEN, SpoofCore
-from ..envs.decisions import Decisions
 from ..envs.factory import make_setup
-from ..envs.scoring import DisplacementScore, FusedStep
-from ..envs.step_result import StepResult
+from ..envs.scoring import DisplacementScore, FusedStep, StepResult
+from ..envs.terms.action import Decisions
 from ..envs.terms.base import Snapshot
 from ..envs.terms.registry import ActionSpec
 from ..simulation.monitors import Monitor
-from ..simulation.simulator import Simulator
+from ..simulation.simulator import FloatArray, Simulator
 from ..simulation.tight import TightlyCoupledSetup
 from ..tasks import task_of
 from .calibration import Calibration
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
 
-FloatArray = NDArray[np.float64]
 GAME = "T3"
 """Task in whose world a duel is played by default: the best detector that is known there still
 concedes part of the alert limit (docs/game.md)."""

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.registry import build, is_number
-from .calibration import Calibration
+from .calibration import Calibration, FloatArray
 
-FloatArray = NDArray[np.float64]
 LEAST_THRESHOLD = 1e-3
 RUNNING = "running"
 

@@ -13,22 +13,29 @@ from ..core.registry import check_choice, check_finite, check_truth
 from ..detectors import Detector, Verdict, detector_in_world
 from ..simulation.engine import Engine
 from ..simulation.monitors import PassiveDetectors, needed_monitors
-from ..simulation.setup import Setup
+from ..simulation.setup import FloatArray, Setup
 from ..simulation.simulator import Given, Rngs, Rows, run_serially
 from ._kernels import ALARM, COST, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
-from .decisions import Decisions
 from .observer import Observer
-from .scoring import PLAY, DisplacementScore, FusedStep, ScoredStep
-from .step_result import MARK_NAMES, VALUE_NAMES, Info, PlainResult, StepResult
-from .terms.action import CommandMap, default_action
+from .scoring import (
+    MARK_NAMES,
+    PLAY,
+    VALUE_NAMES,
+    DisplacementScore,
+    FusedStep,
+    Info,
+    Mask,
+    PlainResult,
+    ScoredStep,
+    StepResult,
+)
+from .terms.action import CommandMap, Decisions, default_action
 from .terms.base import Snapshot
 from .terms.observation import KNOWLEDGE, default_terms
 from .terms.registry import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
 from .terms.reward import Outcome, default_rewards, named_terms, reward_of, shares_of
 from .terms.termination import AtAlarm, Ends, EpochState
 
-FloatArray = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Listener = Callable[["SpoofCore", EpochState, Verdict], None]
 """Called after every epoch of a command, before the time to alert, if it was the last."""
 WatchSpec = str | Mapping[str, Any] | Detector | Sequence[str | Mapping[str, Any] | Detector]

@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..simulation.engine import Engine
-from ..simulation.setup import Setup
+from ..simulation.setup import FloatArray, Setup
 from ._kernels import COMMAND_COLUMN, clip_columns, observe
 from .terms.base import Snapshot, holds_for_call
 from .terms.observation import LEVELS, REPORTED, DynamicTerm, ObservationTerm, split_knowledge
-
-FloatArray = NDArray[np.float64]
 
 
 class Observer:

@@ -24,7 +24,7 @@ from ..spoofers import (
     make_spoofer,
     shipped,
 )
-from ..spoofers.aim import TARGET, has_heading
+from ..spoofers.base import TARGET, has_heading
 from .core import SpoofCore
 from .factory import composable, make_setup, settings_of
 from .observer import Observer

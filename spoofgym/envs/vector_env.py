@@ -31,7 +31,7 @@ from .options import (
     warn_unknown,
     whole_reset,
 )
-from .step_result import PlainResult, StepResult
+from .scoring import PlainResult, StepResult
 
 LIMIT = "`max_episode_steps`"
 NEXT_STEP, SAME_STEP = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from ..core.registry import whole_number
@@ -17,6 +16,7 @@ from ..duel.learner import LearnersSide
 from ..envs.factory import signature_of
 from ..envs.options import (
     HALFWAY,
+    Array,
     InfoSpec,
     action_space,
     check_vector_settings,
@@ -28,11 +28,10 @@ from ..envs.options import (
     warn_unknown,
     whole_reset,
 )
-from ..envs.step_result import PlainResult, StepResult
+from ..envs.scoring import PlainResult, StepResult
 from ..envs.terms.registry import RewardSpec, make_terms
 from ..simulation.tight import TightlyCoupledSetup
 
-Array = NDArray[Any]
 AT_THE_END = (
     "undetected_displacement_m",
     "detected",
@@ -145,7 +144,7 @@ class SpoofVecEnv(VecEnv):
             self.seed(seed)
 
     def reset(self) -> Array:
-        """Start a new episode in every receiver.
+        """Start a new episode in every receiver: (B, o) float32.
 
         Receivers are seeded where `seed` has been called since the last reset, and go on to their
         next episodes otherwise.
@@ -172,13 +171,7 @@ class SpoofVecEnv(VecEnv):
         return np.asarray(self.core.observe())
 
     def step_async(self, actions: Array) -> None:
-        """Take the commands of the next step.
-
-        Parameters
-        ----------
-        actions : ndarray
-            (B, a) in [-1, 1].
-        """
+        """Take the commands (B, a) in [-1, 1] of the next step."""
         if not self._rngs:
             raise RuntimeError("call reset() before step()")
         if self._halfway:
@@ -252,13 +245,7 @@ class SpoofVecEnv(VecEnv):
         return {name: [each[name] for each in given] for name in given[0]} or None
 
     def set_rewards(self, terms: RewardSpec) -> None:
-        """Reward otherwise from the next step on, such as with another alarm penalty.
-
-        Parameters
-        ----------
-        terms : str, mapping, path, RewardTerm or sequence of them
-            As ``reward=`` of `SpoofEnv`.
-        """
+        """Reward by other `terms` from the next step on, as ``reward=`` of `SpoofEnv` takes them."""
         if self.side == "detector":
             raise ValueError("a detector is paid by the rules of the duel: see its settings")
         self.core.set_rewards(make_terms("reward", terms))
@@ -268,34 +255,11 @@ class SpoofVecEnv(VecEnv):
         self.core.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Attribute of the environment, once for every receiver.
-
-        Parameters
-        ----------
-        attr_name : str
-            Its name.
-        indices : int or sequence of int, optional
-            Which receivers.
-
-        Returns
-        -------
-        list
-            The same value for all, since they share it.
-        """
+        """Attribute of the environment, the same once for every receiver."""
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of all receivers.
-
-        Parameters
-        ----------
-        attr_name : str
-            Its name.
-        value : object
-            For all of them.
-        indices : None
-            Some of them can't have a value of their own.
-        """
+        """Set an attribute of all receivers, which share it."""
         if indices is not None:
             raise ValueError(f"`indices` must be None, receivers share attributes; got {indices!r}")
         setattr(self, attr_name, value)
@@ -303,44 +267,14 @@ class SpoofVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of the environment, once for all receivers.
-
-        Parameters
-        ----------
-        method_name : str
-            Its name.
-        *method_args
-            Its arguments.
-        indices : None
-            There is one environment for all of them.
-        **method_kwargs
-            Its named arguments.
-
-        Returns
-        -------
-        list
-            The result, once for every receiver.
-        """
+        """Call a method of the environment once; its result once for every receiver."""
         if indices is not None:
             raise ValueError(f"`indices` must be None, receivers are one batch; got {indices!r}")
         result = getattr(self, method_name)(*method_args, **method_kwargs)
         return [result] * self.num_envs
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Whether receivers are wrapped.
-
-        Parameters
-        ----------
-        wrapper_class : type
-            Any.
-        indices : int or sequence of int, optional
-            Which receivers.
-
-        Returns
-        -------
-        list of bool
-            False: a batch can't be wrapped one by one.
-        """
+        """False for every receiver: a batch can't be wrapped one by one."""
         return [False for _ in self._get_indices(indices)]
 
 

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.registry import check_finite
-from .aim import Aim, has_heading
-from .base import FloatArray, ScriptedSpoofer, SpooferContext
+from .base import Aim, FloatArray, ScriptedSpoofer, SpooferContext, has_heading
 
 FEWEST_KNOTS, MOST_KNOTS = 2, 64
 
@@ -87,20 +86,10 @@ class Profile(ScriptedSpoofer):
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
         if not self.cross_rates_mps:
             return super().act(observation)
-        context, memory = self.context, self.memory
-        row, tau = self._row(memory["step"]), context.interval_s
-        before = np.stack([memory["rate"], memory["cross_rate"]])
-        _, limit = context.largest_rate
-        after = shortened(np.stack([self._along[row], self._across[row]]), limit)
-        if context.control == "rate":
-            size, mean = after / limit, after
-        else:
-            most = context.acceleration_limit_mps2 * tau
-            asked, size = after, shortened((after - before) / most, 1.0)
-            after = before + size * most
-            mean = 0.5 * (before + after)
-            if context.setpoint_mps is not None:
-                size = asked / context.setpoint_mps
+        memory, tau, row = self.memory, self.context.interval_s, self._row(self.memory["step"])
+        rates = np.stack([memory["rate"], memory["cross_rate"]])
+        wanted = np.stack([self._along[row], self._across[row]])
+        size, after, mean = self._follow(rates, wanted, shortened)
         memory["rate"], memory["cross_rate"] = after[0].copy(), after[1].copy()
         memory["displacement"] = memory["displacement"] + mean[0] * tau
         memory["cross_displacement"] = memory["cross_displacement"] + mean[1] * tau

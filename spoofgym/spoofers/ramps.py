@@ -58,10 +58,7 @@ class Ramp(ScriptedSpoofer):
     rate_mps: float = 0.5
 
     tunable: ClassVar[str | None] = "rate_mps"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_finite("rate_mps", self.rate_mps)
+    checks: ClassVar = {"rate_mps": ""}
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
@@ -97,10 +94,7 @@ class AcceleratingRamp(ScriptedSpoofer):
     acceleration_mps2: float = 0.005
 
     tunable: ClassVar[str | None] = "acceleration_mps2"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_finite("acceleration_mps2", self.acceleration_mps2)
+    checks: ClassVar = {"acceleration_mps2": ""}
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
@@ -141,10 +135,7 @@ class Step(ScriptedSpoofer):
     size_m: float = 100.0
 
     tunable: ClassVar[str | None] = "size_m"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_finite("size_m", self.size_m)
+    checks: ClassVar = {"size_m": ""}
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
@@ -194,11 +185,7 @@ class Dash(ScriptedSpoofer):
     last_s: float = 30.0
 
     tunable: ClassVar[str | None] = "rate_mps"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_finite("rate_mps", self.rate_mps)
-        check_finite("last_s", self.last_s, "> 0")
+    checks: ClassVar = {"rate_mps": "", "last_s": "> 0"}
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         begins = self.context.steps - round(self.last_s / self.context.interval_s)

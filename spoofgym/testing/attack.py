@@ -67,13 +67,15 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     truth = _fingerprint(world)
     perfect = unbound.equipment.perfect
     if not perfect:
-        check_attack(_perfected(unbound))
+        own = ("tracking", "spoofer_clock", "capture")
+        ideal = {**dict.fromkeys(own), "errors": "inherited", "threat": ""}
+        check_attack(dataclasses.replace(unbound, **ideal))
     axes = _check_declarations(unbound, world)
     _check_begin(unbound, world, axes)
     if unbound.idle_is_clean:
         _check_idle(unbound, world, axes)
     trial = _AttackTrial(unbound, world, _actions(axes))
-    steps = [Step(**_filled(record)) for record in run_trial(trial)]
+    steps = [_step(record) for record in run_trial(trial)]
     _check_motion(unbound, steps, trial.actions)
     _check_channels(unbound, world, steps)
     _check_slices(trial, steps)
@@ -87,31 +89,9 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     )
 
 
-def _perfected(attack: Attack) -> Attack:
-    return dataclasses.replace(
-        attack,
-        errors="inherited",
-        tracking=None,
-        spoofer_clock=None,
-        capture=None,
-        threat="",
-    )
-
-
 class Step(NamedTuple):
-    """What one command brought about.
-
-    Attributes
-    ----------
-    d_range, d_rate : ndarray
-        (B, n) offsets [m], [m/s].
-    displacement, rate : ndarray
-        (B, a) of the memory [m], [m/s].
-    interval : ndarray
-        (B,) length of the epoch [s].
-    visible : ndarray
-        (B, n) bool.
-    """
+    """What one command brought about: `d_range`, `d_rate` (B, n) offsets [m], [m/s];
+    `displacement`, `rate` (B, a) of the memory; `interval` (B,) of the epoch [s]; `visible`."""
 
     d_range: FloatArray
     d_rate: FloatArray
@@ -121,8 +101,8 @@ class Step(NamedTuple):
     visible: NDArray[np.bool_]
 
 
-def _filled(record: Record) -> dict[str, NDArray[Any]]:
-    return {name: array for name, array in record.items() if array is not None}
+def _step(record: Mapping[str, Any]) -> Step:
+    return Step(**record)
 
 
 def _begin(bound: Attack, whose: NDArray[np.intp], rows: NDArray[np.intp] | None = None) -> None:
@@ -204,7 +184,7 @@ class _AttackTrial(Trial[Attack]):
     def steps(self) -> list[Step]:
         everyone = np.arange(self.receivers)
         records = self.play(self.bind(everyone), everyone, range(self.turns))
-        return [Step(**_filled(record)) for record in records]
+        return [_step(record) for record in records]
 
 
 def _actions(axes: int) -> list[FloatArray | None]:

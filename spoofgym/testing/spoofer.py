@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from ..attacks import Attack
 from ..core.registry import is_number
-from ..envs.decisions import Decisions
 from ..envs.observer import Observer
 from ..envs.spoofer_binding import bound_spoofer, paced, setup_of_card
-from ..envs.terms.action import CommandMap
+from ..envs.terms.action import CommandMap, Decisions
 from ..simulation import Engine, Setup, TightlyCoupledSetup, Timeline
 from ..spoofers import KNOWLEDGE, Spoofer, SpooferContext, make_spoofer
-from ..spoofers.aim import TARGET
+from ..spoofers.base import TARGET, FloatArray
 from .contract import (
     Record,
     Trial,
@@ -32,7 +31,6 @@ from .contract import (
     run_trial,
 )
 
-FloatArray = NDArray[np.float64]
 Observation = NDArray[np.float32]
 RECEIVERS = 5
 TIMELINE = Timeline(warmup_s=3.0, live_s=1.0, attack_s=12.0, time_to_alert_s=0.0)

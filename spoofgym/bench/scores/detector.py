@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from ...detectors.calibration_file import hourly_rate
 from ..runs.record import MEASURES, Aim, Protection, Winner
 from .scores import SHARES, bootstrap_exceeded, clusters_of
-from .statistics import Estimate, clopper_pearson, exceedance, percentiles, resamples_of
+from .statistics import Estimate, FloatArray, clopper_pearson, exceedance, percentiles, resamples_of
 
-FloatArray = NDArray[np.float64]
 WINDOW, CLEAN = "clean, judged window", "clean"
 """Names of false alarms without an event: in the judged window alone, and in all monitored time."""
 

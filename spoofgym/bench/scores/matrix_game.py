@@ -24,9 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.registry import check_choice, check_finite
 from ..experiments.members import Member, Mixture, Strategy, mixture
 from .scores import clusters_of
-from .statistics import Estimate, percentiles, resamples_of
+from .statistics import Estimate, FloatArray, percentiles, resamples_of
 
-FloatArray = NDArray[np.float64]
 GAP = 1e-7
 """Largest part of the range of the payoffs by which both sides' guarantees may differ."""
 

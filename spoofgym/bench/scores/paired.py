@@ -12,22 +12,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ...spoofers.base import sees_statistics
 from ..runs.record import MEASURES, Aim, Cell, Protection
 from .scores import ALIKE, SHARES, clusters_of, exceeded
 from .statistics import (
     NOTHING,
     Estimate,
+    FloatArray,
     bootstrap_mean,
     largest_of_share,
     percentiles,
     resamples_of,
 )
 
-FloatArray = NDArray[np.float64]
 CONTROLS = ("never", "lottery")
 """Names of the detectors that chance must not be told from."""
 FREE = "any"

@@ -32,9 +32,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from ...envs import _kernels
-from .statistics import CONFIDENCE, NOTHING, Estimate, alarm_limit, largest_of_share, percentiles
+from .statistics import (
+    CONFIDENCE,
+    NOTHING,
+    Estimate,
+    FloatArray,
+    alarm_limit,
+    largest_of_share,
+    percentiles,
+)
 
-FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 SHARES = (0.5, 0.05)
 """Shares of the runs in which the headlines' displacements are exceeded."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...limits.response import Replay
 from ...simulation.setup import Setup
-from ...spoofers.aim import axes_of, direction, has_heading
+from ...spoofers.base import axes_of, direction, has_heading
 from ..runs.play import Runs, WarmStart, induced_error
 from ..scores.scores import counted
 

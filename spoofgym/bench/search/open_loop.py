@@ -34,7 +34,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from ...calibration.clean_runs import weighs
@@ -48,12 +47,10 @@ from ...spoofers.profile import MOST_KNOTS, sampled
 from ..runs.play import Runs, WarmStart, induced_error, play
 from ..runs.players import Entry
 from ..scores.statistics import aim
-from .backends import EnginePlayer, ReplayPlayer, limits_of
+from .backends import EnginePlayer, FloatArray, ReplayPlayer, Rows, limits_of
 from .bounds import Brackets
 from .settings import Tuning
 
-FloatArray = NDArray[np.float64]
-Rows = NDArray[np.intp]
 Tick = Callable[[float], None]
 LADDER = np.geomspace(1e-3, 1.0, 13)
 """Parts of the largest rate at which the first curves are tried."""

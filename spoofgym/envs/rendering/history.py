@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...simulation.frame import EpisodeLayout, FrameData, SkyData
+from ...simulation.frame import EpisodeLayout, FloatArray, FrameData, SkyData
 from ...simulation.simulator import Simulator, run_serially
 from ..core import SpoofCore
 
-FloatArray = NDArray[np.float64]
 NUMBERS = ("time_s", "counted_s", "ratio", "twin_ratio", "induced_m", "error_m", "undetected_m")
 """Time since the onset, and that of the last command; statistic over threshold; errors from the
 clean twin and from the truth; the undetected displacement."""

@@ -2,5 +2,4 @@
 
 from .registry import TERMS as TERMS
 from .registry import make_terms as make_terms
-from .registry import term_table as term_table
 from .registry import written as written

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.registry import check_finite
-from ...simulation.setup import Setup
+from ...simulation.setup import FloatArray, Setup
+from ...spoofers.base import axes_of
 from .._kernels import follow_rate
-
-FloatArray = NDArray[np.float64]
 
 
 class ActionTerm(Protocol):
@@ -32,7 +31,7 @@ class ActionTerm(Protocol):
 
 
 def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:
-    stems = [name.rsplit("_", 1)[0] for name in setup.action_names]
+    stems = axes_of(setup.action_names)
     for stem in wanted:
         if stem not in stems:
             raise ValueError(
@@ -225,8 +224,7 @@ def default_action(setup: Setup) -> tuple[ActionTerm, ...]:
     commanded: along the target direction, in two dimensions where that is ``"worst"``.  Everything
     else takes every element of the attack, as it is.
     """
-    axes = {name.rsplit("_", 1)[0] for name in setup.action_names}
-    if not (setup.follows_setpoint and {"north", "east"} <= axes):
+    if not (setup.follows_setpoint and {"north", "east"} <= {*axes_of(setup.action_names)}):
         return (FullCommand(),)
     return (RateSetpoint(2 if setup.target_heading_deg == "worst" else 1),)
 
@@ -297,3 +295,36 @@ def _following(setup: Setup, setpoint_mps: float) -> FloatArray:
         return np.array([setpoint_mps / limit, 0.0, 1.0])
     most = attack.acceleration_limit_mps2 * setup.interval_s
     return np.array([setpoint_mps / most, 1.0 / most, 1.0])
+
+
+class Decisions:
+    """The last two decisions of B receivers.
+
+    - `setup`: says how often a decision is due, and what is commanded on the way;
+    - `size`: elements of an action.
+    """
+
+    def __init__(self, setup: Setup, receivers: int, size: int) -> None:
+        self.setup = setup
+        self._before, self._last = np.zeros((receivers, size)), np.zeros((receivers, size))
+
+    def due(self, epoch: Any) -> Any:
+        return epoch % self.setup.repeat == 0
+
+    def take(self, action: FloatArray, rows: Any = slice(None)) -> None:
+        self._before[rows] = self._last[rows]
+        self._last[rows] = action[rows]
+
+    def action(self, epoch: int | NDArray[np.int64]) -> FloatArray:
+        """Action (B, k) of an epoch, one or (B,) of them."""
+        since = np.asarray(epoch)[..., None] % self.setup.repeat
+        return self.setup.command(self._before, self._last, since)
+
+    def forget(self, rows: Any) -> None:
+        """Start new episodes of some receivers: nothing has been commanded yet."""
+        self._before[rows] = self._last[rows] = 0.0
+
+    def of(self, rows: NDArray[np.intp]) -> Decisions:
+        part = Decisions(self.setup, len(rows), self._last.shape[1])
+        part._before, part._last = self._before[rows], self._last[rows]
+        return part

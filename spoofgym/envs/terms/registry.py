@@ -156,26 +156,3 @@ def written(kind: str, terms: Any) -> list[dict[str, Any]]:
         settings = {f.name: describe(getattr(term, f.name)) for f in dataclasses.fields(term)}
         result.append({"name": names[type(term)], **settings})
     return result
-
-
-def term_table(kind: str) -> str:
-    check_choice("kind of terms", kind, TERMS)
-    seen = kind == "observation"
-    rows = [["name", "settings", *(["knowledge"] if seen else []), "what it is"]]
-    rows.append(["---"] * len(rows[0]))
-    for name, made in TERMS[kind].items():
-        rows.append(
-            [
-                f"`{name}`",
-                ", ".join(_setting(field) for field in dataclasses.fields(made)) or "none",
-                *([made.knowledge] if seen else []),
-                " ".join((made.__doc__ or "").split("\n\n")[0].split()),
-            ]
-        )
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
-
-
-def _setting(field: dataclasses.Field[Any]) -> str:
-    if field.default is dataclasses.MISSING:
-        return f"`{field.name}`"
-    return f"`{field.name}={field.default!r}`"
