@@ -191,10 +191,8 @@ def _mean_of(model: Any) -> torch.nn.Module:
     )
 
 
-TOLERANCE = 1e-5
-"""Largest difference of an action between the model and its file."""
-TRIED = 1024
-"""Random observations on which they are compared."""
+TOLERANCE = 1e-5  # largest difference of an action between the model and its file
+TRIED = 1024  # random observations on which they are compared
 
 
 @contextmanager
@@ -270,10 +268,8 @@ def library_versions() -> dict[str, str]:
     return found
 
 
-EPOCHS = 4
-"""Epochs in a row on which a recurrent one is compared."""
-CHANNELS = 12
-"""Slots of a receiver by default."""
+EPOCHS = 4  # epochs in a row on which a recurrent one is compared
+CHANNELS = 12  # slots of a receiver by default
 
 
 def detector(

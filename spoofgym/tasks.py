@@ -23,12 +23,10 @@ from typing import Any
 
 from .core.registry import check_choice
 
-SUITE = "spoofgym-bench-v1"
-"""Name of the tasks together; a change of any of them makes another one."""
+SUITE = "spoofgym-bench-v1"  # name of the tasks together; a change of any of them makes another one
 ALARM_PRICE = 1.5
 """What an alarm costs in the reward of the environments, as by default elsewhere, in lengths."""
-BUDGET = 0.05
-"""Largest P(alarm | silent twin) of a spoofer that scores."""
+BUDGET = 0.05  # largest P(alarm | silent twin) of a spoofer that scores
 
 
 @dataclass(frozen=True)
@@ -87,8 +85,7 @@ class Task:
 
 RATE = {"false_alarms_per_hour": 0.2}
 """Of every detector of the tasks, but for the hidden ones of T6."""
-NOMINAL = {"thresholds": "nominal"}
-"""Thresholds of the papers, as their own environments have them."""
+NOMINAL = {"thresholds": "nominal"}  # thresholds of the papers, as their own environments have them
 EWMA = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
 DRAWN = {
     "start_s": [0.0, None],
@@ -243,14 +240,11 @@ PAPERS: dict[str, tuple[str, dict[str, Any]]] = {
 """Environments of the papers' scenarios: id and keyword arguments, by the keys of the papers."""
 
 
-TURNING_DEGPS = 0.3
-"""A flight turns where its track turns faster than this."""
-SWITCH_WITHIN_S = 10.0
-"""Time before or after the onset at which a satellite rises or sets."""
+TURNING_DEGPS = 0.3  # A flight turns where its track turns faster than this
+SWITCH_WITHIN_S = 10.0  # time before or after the onset at which a satellite rises or sets
 NEAR_ALARM_S = 60.0
 """Last part of the monitored warm-up, in which a detector came closest to an alarm."""
-CANDIDATES = 4
-"""Of so many runs, those closest to an alarm are one: the closest quarter."""
+CANDIDATES = 4  # of so many runs, those closest to an alarm are one: the closest quarter
 ONSETS = ("turn", "satellite-switch", "chance-alarm")
 """Conditions on the onset of an attack; runs are chosen by them, and nothing else is changed."""
 ANTENNA_PARTS = (0.25, 4.0)
@@ -261,8 +255,7 @@ EVENTS = ("clock_step", "satellite_loss", "front")
 """What looks like spoofing and is none, as `spoofgym.truth.events` has it."""
 MEAN_GROWTH = 2.375
 """Mean rate of feedback over a window, in parts of its first one, while there is room."""
-RATE_LIMIT_MPS = 5.0
-"""Of the tasks' attacks."""
+RATE_LIMIT_MPS = 5.0  # of the tasks' attacks
 
 
 @dataclass(frozen=True)

@@ -268,7 +268,6 @@ _OF_SETUP = {
 }
 _OF_DUEL = _parameters(Duel, "receivers", "setup", "threads")
 SETTINGS = (*_OF_SETUP, *_OF_DUEL)
-"""All settings of a duel."""
 
 
 def duel_signature() -> inspect.Signature:

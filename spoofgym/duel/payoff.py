@@ -93,7 +93,6 @@ class Weighted:
 
 
 PAYOFFS: dict[str, type[Any]] = {"neyman-pearson": NeymanPearson, "weighted": Weighted}
-"""Payoffs by name."""
 
 
 def make_payoff(spec: str | Mapping[str, Any]) -> Payoff:

@@ -27,8 +27,7 @@ from .duel import SETTINGS, DuelStep, make_duel, refuse_to_draw
 Observation = NDArray[np.float32]
 SPOOFER, DETECTOR = "spoofer_0", "detector_0"
 AGENTS = (SPOOFER, DETECTOR)
-FORMS = ("env", "parallel_env")
-"""Forms of the duel, by their `decision_delay`."""
+FORMS = ("env", "parallel_env")  # forms of the duel, by their `decision_delay`
 SEEN = ("time_s", "alarm", "statistic", "threshold", "decision_delay")
 """Information of a step that the detector gets: nothing that it can't see itself."""
 

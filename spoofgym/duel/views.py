@@ -28,8 +28,7 @@ DetectorPool = Sequence[DetectorSpec] | DetectorSpec
 SpooferPoolSpec = Sequence[SpooferSpec] | SpooferSpec
 Weights = Sequence[float] | None
 WORLD = tuple(n for n in inspect.signature(TightlyCoupledSetup).parameters if n != "detector")
-RULES = (*CORE, "prefetch")
-"""Settings of the core beside those of its world."""
+RULES = (*CORE, "prefetch")  # settings of the core beside those of its world
 OF_DETECTOR = tuple(name for name in SETTINGS if name not in ("knowledge", "action"))
 """Settings of a view of the detector's side: each spoofer has knowledge and actions of its own."""
 POOL_CHANGED = "the pool has changed"

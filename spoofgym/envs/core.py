@@ -43,7 +43,6 @@ WatchSpec = str | Mapping[str, Any] | Detector | Sequence[str | Mapping[str, Any
 SingleStep = tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]
 """Observation, reward, terminated, truncated, and information, of a batch of one."""
 RESET_NAMES: tuple[str, ...] = ("time_s", "warmup_alarm", "coasting")
-"""Keys of the information of a reset."""
 ALARM_PRICE = 1.5
 """Price of an alarm, in lengths; that of `tasks`, which is no source of what is compiled."""
 NOTHING_SEEN = np.empty(0, dtype=np.float32)

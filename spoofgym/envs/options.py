@@ -21,8 +21,7 @@ Array = NDArray[Any]
 RESET_MASK = "reset_mask"
 InfoSpec = str | Sequence[str]
 WORDS = ("all", "none")
-TOLERANCE = 1e-6
-"""How far an action may lie outside of [-1, 1], by rounding."""
+TOLERANCE = 1e-6  # how far an action may lie outside of [-1, 1], by rounding
 HALFWAY = (
     "an interrupt or error has left the last step or reset halfway: call reset() before step()"
 )

@@ -22,9 +22,7 @@ VALUE_NAMES = ("time_s", "displacement_m", "undetected_displacement_m", "cost")
 MARK_NAMES = ("alarm", "detected", "warmup_alarm", "coasting")
 """Flags in the information of every step, in the order of the rows."""
 REWARD_KEY = "reward_"
-"""Prefix of the keys of the parts of the reward."""
-MARKS = 8
-"""Rows of flags that the kernels know of."""
+MARKS = 8  # rows of flags that the kernels know of
 
 
 class InfoLayout:

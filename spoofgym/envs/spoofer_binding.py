@@ -33,8 +33,7 @@ from .terms.action import ActionTerm, CommandMap, default_action
 from .terms.observation import REPORTED, default_terms
 from .terms.registry import make_terms
 
-ENV_ID = "spoofgym/TightlyCoupled-v0"
-"""Environment of the headlines."""
+ENV_ID = "spoofgym/TightlyCoupled-v0"  # environment of the headlines
 SETUPS: dict[str, type[Setup]] = {
     ENV_ID: TightlyCoupledSetup,
     "spoofgym/LooselyCoupled-v0": LooselyCoupledSetup,

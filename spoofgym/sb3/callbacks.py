@@ -60,7 +60,7 @@ class RecordEpochs(VecEnvWrapper):
         inner.core.listeners.append(self.recorder)
 
     def reset(self) -> Any:
-        """Start episodes, (B, o) of the environment; those that are not over are written as they are."""
+        """Start episodes; those that are not over are written as they are."""
         self.recorder.finish(np.arange(self.num_envs), complete=False)
         return self.venv.reset()
 

@@ -245,7 +245,7 @@ class SpoofVecEnv(VecEnv):
         return {name: [each[name] for each in given] for name in given[0]} or None
 
     def set_rewards(self, terms: RewardSpec) -> None:
-        """Reward by other `terms` from the next step on, as ``reward=`` of `SpoofEnv` takes them."""
+        """Reward by other terms from the next step on, as ``reward=`` of `SpoofEnv` takes them."""
         if self.side == "detector":
             raise ValueError("a detector is paid by the rules of the duel: see its settings")
         self.core.set_rewards(make_terms("reward", terms))

@@ -25,12 +25,10 @@ KNOWLEDGE = (
 )
 AXES = ("north", "east", "down", "clock")
 """Axes by which the actions of a false position are named; a heading leaves the last two alone."""
-TARGET = "target"
-"""Heading that follows the target direction."""
+TARGET = "target"  # heading that follows the target direction
 TARGET_NAMES = ("target_direction_north", "target_direction_east")
 """Elements of an observation that give the target direction."""
-UNIT = 1e-3
-"""How much the length of an observed direction may differ from 1."""
+UNIT = 1e-3  # how much the length of an observed direction may differ from 1
 
 
 class SpooferContext(NamedTuple):

@@ -18,8 +18,7 @@ from ..core.settings import unlike
 from ..policies.card import PolicyCard, PolicyFile, Record, Space, spaces_of, unlike_spaces
 from .base import SpooferContext
 
-NAME = r"[A-Za-z0-9][A-Za-z0-9._-]*"
-"""What a spoofer with a card may be called."""
+NAME = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # what a spoofer with a card may be called
 
 
 class Conditions(Record):

@@ -178,14 +178,10 @@ class FeedbackProfile(HeldBack, AlongCurve):
     described_as = "FeedbackProfile"
 
 
-UNKNOWN = (0.1, 0.3, 1.0)
-"""Prior standard deviations of c, rho and b [s/m]."""
-DEVIATION = 0.1
-"""Standard deviation of the prediction at first."""
-MEAN_OF = 50
-"""Epochs over which the variance of the prediction is averaged."""
-LEAST, MOST = 0.1, 2.0
-"""Range of a search for the margin."""
+UNKNOWN = (0.1, 0.3, 1.0)  # prior standard deviations of c, rho and b [s/m]
+DEVIATION = 0.1  # standard deviation of the prediction at first
+MEAN_OF = 50  # epochs over which the variance of the prediction is averaged
+LEAST, MOST = 0.1, 2.0  # range of a search for the margin
 
 
 @dataclass(kw_only=True)

@@ -88,8 +88,7 @@ def path_of(file: str) -> Path:
     return ZOO_FOLDER / f"{file}{SUFFIX}"
 
 
-Function = Callable[[NDArray[np.float32]], Any]
-"""(B, o) observations in, (B, a) actions out."""
+Function = Callable[[NDArray[np.float32]], Any]  # (B, o) observations in, (B, a) actions out
 FORMS = (
     "a model of stable-baselines3, a torch module, a function of (B, o) observations that returns "
     "(B, a) actions, a Spoofer, its name, or the path of an .onnx file"

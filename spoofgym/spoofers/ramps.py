@@ -38,8 +38,7 @@ from numpy.typing import NDArray
 from ..core.registry import check_finite
 from .base import FloatArray, ScriptedSpoofer, Spoofer, SpooferContext, check_limit
 
-SLOWEST = 1e-3
-"""Slowest rate of a search, as a part of the attack's limit."""
+SLOWEST = 1e-3  # slowest rate of a search, as a part of the attack's limit
 
 
 @dataclass(kw_only=True)
@@ -115,8 +114,7 @@ class AcceleratingRamp(ScriptedSpoofer):
         return SLOWEST * high, high
 
 
-SMALLEST, LARGEST = 0.1, 1000.0
-"""Range of a search [m]."""
+SMALLEST, LARGEST = 0.1, 1000.0  # range of a search [m]
 
 
 @dataclass(kw_only=True)

@@ -13,15 +13,13 @@ from .base import FloatArray, Spoofer, SpooferContext
 
 AMPLITUDE = "amplitude"
 """Key of a spoofer's spec that is no setting of its class: the factor on its commands."""
-SMALLEST, LARGEST = 1e-3, 10.0
-"""Range of a search for an amplitude."""
+SMALLEST, LARGEST = 1e-3, 10.0  # range of a search for an amplitude
 TAKEN_OVER = (
     *("knowledge", "action_terms", "decision_interval_s", "between"),
     *("label", "designed_on", "transmits"),
 )
 """What a scaled spoofer shares with the one inside."""
-OWN = ("own_displacement", "own_rate")
-"""First words of what a spoofer observes of its own commands."""
+OWN = ("own_displacement", "own_rate")  # first words of what a spoofer observes of its own commands
 
 
 def own_columns(names: tuple[str, ...]) -> list[int]:

@@ -84,8 +84,7 @@ def _numpy_state() -> tuple[Any, ...]:
 
 Record = dict[str, NDArray[Any] | None]
 """What one turn brought about: arrays with a leading axis of receivers."""
-MANY = 33
-"""Receivers of a large batch: whole vectors of the processor, and a remainder."""
+MANY = 33  # receivers of a large batch: whole vectors of the processor, and a remainder
 KEEP = "keep everything in arrays declared by `self.memory.declare` in `bind`"
 
 

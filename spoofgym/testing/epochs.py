@@ -84,8 +84,7 @@ def with_optional_fields(epoch: Epoch, rng: np.random.Generator) -> Epoch:
 
 CHANNELS = 7
 COUNT = 60
-INTERVALS = (0.5, 0.5, 1.0, 0.1, 0.5, 5.0)
-"""Times between made-up epochs, over and over [s]."""
+INTERVALS = (0.5, 0.5, 1.0, 0.1, 0.5, 5.0)  # times between made-up epochs, over and over [s]
 _EMPTY = CHANNELS - 1
 ALL_MISSING = (24, 25)
 ZERO = 14
@@ -195,13 +194,11 @@ def _made_up(
     )
 
 
-COORDINATES = (2, 3)
-"""Of a robot on a plane, and of a position in space."""
+COORDINATES = (2, 3)  # of a robot on a plane, and of a position in space
 STATES = {2: 4, 3: 15}
 """Position and velocity in the plane; attitude, velocity, position and sensor biases in space."""
 POSITION_COUNT = 80
-RETURNED = (44, 50)
-"""Epochs, ends excluded, in which a jump of some metres comes and goes."""
+RETURNED = (44, 50)  # epochs, ends excluded, in which a jump of some metres comes and goes
 POSITION_ATTACKED_FROM = 55
 
 

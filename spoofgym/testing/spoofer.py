@@ -34,10 +34,8 @@ from .contract import (
 Observation = NDArray[np.float32]
 RECEIVERS = 5
 TIMELINE = Timeline(warmup_s=3.0, live_s=1.0, attack_s=12.0, time_to_alert_s=0.0)
-COMMANDS = 24
-"""As many are tried of an episode."""
-LONGEST_S = 60.0
-"""Of decisions; the default scenario has no room for longer ones."""
+COMMANDS = 24  # as many are tried of an episode
+LONGEST_S = 60.0  # of decisions; the default scenario has no room for longer ones
 
 
 def check_spoofer(

@@ -12,8 +12,7 @@ from ..runs.record import Cell
 from .paired import FREE
 from .statistics import Estimate, clopper_pearson, clustered_proportion
 
-NOMINAL = "nominal"
-"""Footing of detectors that were asked for no rate."""
+NOMINAL = "nominal"  # footing of detectors that were asked for no rate
 
 
 def operating_point(config: dict[str, Any], detector: str) -> dict[str, Any]:

@@ -26,8 +26,7 @@ from ..experiments.members import Member, Mixture, Strategy, mixture
 from .scores import clusters_of
 from .statistics import Estimate, FloatArray, percentiles, resamples_of
 
-GAP = 1e-7
-"""Largest part of the range of the payoffs by which both sides' guarantees may differ."""
+GAP = 1e-7  # largest part of the range of the payoffs by which both sides' guarantees may differ
 
 
 class Equilibrium(NamedTuple):

@@ -25,10 +25,8 @@ from .statistics import (
     resamples_of,
 )
 
-CONTROLS = ("never", "lottery")
-"""Names of the detectors that chance must not be told from."""
-FREE = "any"
-"""Footing of a detector that never alarms: it has none, and goes with any rate."""
+CONTROLS = ("never", "lottery")  # names of the detectors that chance must not be told from
+FREE = "any"  # footing of a detector that never alarms: it has none, and goes with any rate
 Footings = Mapping[str, str]
 
 

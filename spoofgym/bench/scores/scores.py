@@ -43,12 +43,9 @@ from .statistics import (
 )
 
 Mask = NDArray[np.bool_]
-SHARES = (0.5, 0.05)
-"""Shares of the runs in which the headlines' displacements are exceeded."""
-WORST_SKIES = 0.1
-"""Part of the skies from which an attacker picks the day."""
-FEWEST_SKIES = 10
-"""With fewer of them there is no worst tenth."""
+SHARES = (0.5, 0.05)  # shares of the runs in which the headlines' displacements are exceeded
+WORST_SKIES = 0.1  # part of the skies from which an attacker picks the day
+FEWEST_SKIES = 10  # with fewer of them there is no worst tenth
 ALIKE = 1e-3
 """Part of a displacement by which another one has to differ from it: what attacks that come as far
 differ by is nobody's merit."""

@@ -180,8 +180,7 @@ def exceedance(
 
 BUDGET = 0.05
 """Default: an alarm in at most five of a hundred runs that are silent without the spoofer."""
-LEVEL = 0.05
-"""Probability with which the limit of an alarm rate is too low."""
+LEVEL = 0.05  # probability with which the limit of an alarm rate is too low
 
 
 def alarm_limit(alarms: int, runs: int) -> float:

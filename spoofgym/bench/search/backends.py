@@ -17,8 +17,7 @@ from ..scores.scores import counted
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]
-EAST_DEG = 90.0
-"""Heading of scripted spoofers by default."""
+EAST_DEG = 90.0  # heading of scripted spoofers by default
 
 
 def limits_of(setup: Setup) -> tuple[float, float]:

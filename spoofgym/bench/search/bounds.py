@@ -23,10 +23,8 @@ from ..runs.players import Entry
 from ..runs.world import World
 from ..scores.statistics import BUDGET
 
-WORLDS = 4
-"""Drawn worlds over which floors and bounds are taken."""
-HEADING = "unknown"
-"""What a perfect detector knows of the attack's heading; it knows the rest."""
+WORLDS = 4  # drawn worlds over which floors and bounds are taken
+HEADING = "unknown"  # what a perfect detector knows of the attack's heading; it knows the rest
 
 
 def purposes(p_fa: float, budget: float) -> dict[str, float]:

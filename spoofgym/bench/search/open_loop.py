@@ -54,19 +54,15 @@ from .settings import Tuning
 Tick = Callable[[float], None]
 LADDER = np.geomspace(1e-3, 1.0, 13)
 """Parts of the largest rate at which the first curves are tried."""
-PAIR = (0.93, 1.075)
-"""Amplitudes at which a candidate is judged, around that of the best so far."""
+PAIR = (0.93, 1.075)  # amplitudes at which a candidate is judged, around that of the best so far
 STEEPEST, FLATTEST = 4.0, 0.1
 """Largest and smallest power of the amplitude by which a largest ratio is taken to grow."""
-FEWEST = 2
-"""Runs that a search takes."""
-AT_ONCE = 24
-"""Attacks that are judged together."""
+FEWEST = 2  # runs that a search takes
+AT_ONCE = 24  # attacks that are judged together
 SPREAD, SMOOTH_LENGTH, SMOOTH = 0.035, 0.2, 0.98
 """Standard deviation of the first candidates, in units of the largest rate; part of the window over
 which neighbouring knots vary together, and for how much of the variance."""
-LOWER_PART = 0.3
-"""Part of the runs above the share whose amplitudes decide on the quantile, too."""
+LOWER_PART = 0.3  # part of the runs above the share whose amplitudes decide on the quantile, too
 FREE = 0.95
 """Part of the farthest reach of the attack from which on a search is over before it begins."""
 SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
@@ -303,8 +299,7 @@ LINEAR_ERROR = 0.02
 """How far the displacement on the engine may be from that of the replay, as a part of it."""
 SPLIT = "search"
 """Runs that are searched on: an amplitude that is fitted on the same ones would be too large."""
-IDLE = 1e-9
-"""Part of its rates at which an attack is commanded nothing."""
+IDLE = 1e-9  # part of its rates at which an attack is commanded nothing
 REPLAY, ENGINE = "response replay", "engine"
 FOUND, PLAIN = "found", ("constant", "linear")
 """Curves whose amplitude is fitted: the one that was found, and shapes of the rate."""

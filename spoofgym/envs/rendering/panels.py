@@ -23,20 +23,13 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from matplotlib.text import Text
 
-SMALL = 8.5
-"""Size of the type of labels."""
-LEAST_M = 2.0
-"""Smallest range of errors that is shown."""
-NAME_DRIFT = 0.02
-"""How far a satellite goes on a sky plot of radius 1 before its name follows."""
-NAME_SIZE = (0.2, 0.1)
-"""Width and height of a satellite's name on such a plot."""
-Box = tuple[float, float, float, float]
-"""Left, bottom, width and height."""
-MAGNIFIED = 0.2
-"""Largest error on the map, as a part of the map."""
-MOST_LINEAR = 5.0
-"""Ratio of statistic and threshold from which on the axis is logarithmic."""
+SMALL = 8.5  # size of the type of labels
+LEAST_M = 2.0  # smallest range of errors that is shown
+NAME_DRIFT = 0.02  # how far a satellite goes on a sky plot of radius 1 before its name follows
+NAME_SIZE = (0.2, 0.1)  # width and height of a satellite's name on such a plot
+Box = tuple[float, float, float, float]  # left, bottom, width and height
+MAGNIFIED = 0.2  # largest error on the map, as a part of the map
+MOST_LINEAR = 5.0  # ratio of statistic and threshold from which on the axis is logarithmic
 
 
 STEPS = (1.0, 2.0, 5.0, 10.0)

@@ -35,8 +35,7 @@ NUMBERS = (
 CHARACTERS = "0123456789.-+einfa "
 SIZE_PT = 10.0
 LEFT, BELOW_TOP = 0.015, 0.912
-WIDTH = 8
-"""Where the numbers start, as parts of the picture, and how many characters each may have."""
+WIDTH = 8  # where the numbers start, as parts of the picture, and how many characters each may have
 
 
 class Tiles:

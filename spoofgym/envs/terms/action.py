@@ -214,7 +214,6 @@ ACTION_TERMS: dict[str, type[ActionTerm]] = {
     "channels": Channels,
     "common-offset": CommonOffset,
 }
-"""Terms by name; one's own may be added."""
 
 
 def default_action(setup: Setup) -> tuple[ActionTerm, ...]:

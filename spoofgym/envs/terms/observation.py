@@ -438,7 +438,6 @@ OBSERVATION_TERMS: dict[str, type[ObservationTerm]] = {
     "reported-position": ReportedPosition,
     "reported-deviation": ReportedDeviation,
 }
-"""Terms by name; one's own may be added."""
 
 
 def default_terms(

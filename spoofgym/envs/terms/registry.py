@@ -22,7 +22,7 @@ TERMS: dict[str, dict[str, type[Any]]] = {
     "reward": REWARD_TERMS,
     "end": END_TERMS,
 }
-"""Terms by kind and name."""
+"""Terms by kind and name; one's own may be added."""
 _MEMBERS = {
     "observation": ("knowledge", "names", "bounds"),
     "action": ("names", "matrix"),

@@ -209,7 +209,6 @@ REWARD_TERMS: dict[str, type[RewardTerm]] = {
     "effort-penalty": EffortPenalty,
     "terminal-displacement": TerminalDisplacement,
 }
-"""Terms by name; one's own may be added."""
 
 
 def default_rewards(alarm_penalty_m: float) -> tuple[RewardTerm, ...]:

@@ -159,7 +159,6 @@ END_TERMS: dict[str, type[EndTerm]] = {
     "at-stealth-budget": AtStealthBudget,
     "at-steps": AtSteps,
 }
-"""Terms by name; one's own may be added."""
 
 
 class Ends:

@@ -12,7 +12,6 @@ from ...core.registry import check_choice
 from ..card import Card
 
 ZOO_FOLDER = Path(__file__).parent
-"""Where they are."""
 
 
 def shipped() -> tuple[str, ...]:
