@@ -332,8 +332,27 @@ class DetectorTask:
     @property
     def pool(self) -> list[dict[str, Any]]:
         """Spoofers of the public families for a learner, with their settings; a new list."""
-        timeline = self.world_kwargs.get("timeline", {})
-        return learners_pool(self.alert_limit_m, float(timeline.get("attack_s", 150.0)))
+        attack_s = float(self.world_kwargs.get("timeline", {}).get("attack_s", 150.0))
+        found: list[dict[str, Any]] = []
+        for part in PARTS:  # of the alert limit, by which each would displace; each once
+            mean = part * self.alert_limit_m / attack_s
+            several: list[dict[str, Any]] = [
+                {"name": "ramp", "rate_mps": _rate(mean)},
+                {"name": "accelerating-ramp", "acceleration_mps2": _rounded(2.0 * mean / attack_s)},
+                {
+                    "name": "profile",
+                    "rates_mps": [_rate(3.0 * mean * (k / 12) ** 2) for k in range(13)],
+                    "label": f"quadratic-{part:g}",
+                },
+                *(
+                    {"name": "dash", "rate_mps": _rate(mean / x), "last_s": _rounded(x * attack_s)}
+                    for x in (0.4, 0.15)
+                ),
+                # which reads the learner's statistic, and gets so far where it had room throughout
+                {"name": "feedback", "rate_mps": _rounded(mean / MEAN_GROWTH)},
+            ]
+            found += [spec for spec in several if spec not in found]
+        return found
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
@@ -341,35 +360,12 @@ class DetectorTask:
         return {**self.world_kwargs, "pool": self.pool}
 
 
-def learners_pool(alert_limit_m: float, attack_s: float) -> list[dict[str, Any]]:
-    """Spoofers of the public families that would displace by `PARTS` of an alert limit, each once.
-    Feedback reads the statistic of the learner, and would come so far where it had room
-    throughout."""
-    found: list[dict[str, Any]] = []
-    for part in PARTS:
-        mean = part * alert_limit_m / attack_s
-        several: list[dict[str, Any]] = [
-            {"name": "ramp", "rate_mps": _rate(mean)},
-            {"name": "accelerating-ramp", "acceleration_mps2": _rounded(2.0 * mean / attack_s)},
-            {
-                "name": "profile",
-                "rates_mps": [_rate(3.0 * mean * (k / 12) ** 2) for k in range(13)],
-                "label": f"quadratic-{part:g}",
-            },
-            {"name": "dash", "rate_mps": _rate(mean / 0.4), "last_s": _rounded(0.4 * attack_s)},
-            {"name": "dash", "rate_mps": _rate(mean / 0.15), "last_s": _rounded(0.15 * attack_s)},
-            {"name": "feedback", "rate_mps": _rounded(mean / MEAN_GROWTH)},
-        ]
-        found += [spec for spec in several if spec not in found]
-    return found
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
 def _rate(value: float) -> float:
     return _rounded(min(value, RATE_LIMIT_MPS))
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.4g}")
 
 
 PUBLIC = (

@@ -18,7 +18,7 @@ from ..envs.core import NOTHING_SEEN, SpoofCore
 from ..envs.factory import make_setup
 from ..envs.scoring import DisplacementScore, FusedStep, StepResult
 from ..envs.terms.action import Decisions
-from ..envs.terms.base import Snapshot
+from ..envs.terms.observation import Snapshot
 from ..envs.terms.registry import ActionSpec
 from ..simulation.monitors import Monitor
 from ..simulation.simulator import FloatArray, Simulator
@@ -231,9 +231,6 @@ class Duel:
 
     def snapshot(self) -> Snapshot:
         return self.core.snapshot()._replace(step=self.score.step_count)
-
-    def observe_spoofer(self) -> NDArray[np.float32]:
-        return self.core.observer.observe(self.snapshot())
 
     def observe_detector(self) -> NDArray[np.float32]:
         """What the detector observes of the last epoch that has arrived, (B, o), a new array."""

@@ -17,9 +17,8 @@ from ..envs.spoofer_binding import ENV_ID, SETUPS
 from ..simulation.setup import Setup
 from ..simulation.tight import TightlyCoupledSetup
 from ..tasks import DETECTOR_TASKS, detector_task_of, task_of
-from .detector_core import DetectorCore
 from .duel import SETTINGS, default_opponent, own_settings, with_world
-from .views import SpooferSide, SpooferView, check_settings
+from .views import DetectorCore, SpooferSide, SpooferView, check_settings
 
 SPOOFER, DETECTOR = "spoofer", "detector"
 VIEWS, RAMP = ("SpooferView", "DetectorView"), "ramp"

@@ -15,7 +15,7 @@ from ..envs.observer import Observer
 from ..envs.options import checked_action
 from ..envs.spoofer_binding import bound_spoofer, card_behind, paced, warn_of_headings
 from ..envs.terms.action import CommandMap, Decisions
-from ..envs.terms.base import Snapshot
+from ..envs.terms.observation import Snapshot
 from ..simulation.setup import Setup
 from ..spoofers import Spoofer, make_spoofer
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,17 +34,11 @@ class DuelOutcome(NamedTuple):
     interval_s: float
 
 
-class Payoff(Protocol):
-    """Rewards of both agents."""
-
-    def __call__(self, outcome: DuelOutcome) -> tuple[FloatArray, FloatArray]:
-        """Rewards of the spoofer and of the detector, (B,) each; that of the spoofer is 0 in clean
-        episodes."""
-
-
 @dataclass(frozen=True)
 class NeymanPearson:
     """Undetected displacement, to the spoofer from the detector; clean episodes pay nothing.
+
+    A payoff returns the rewards (B,) of the spoofer, 0 in clean episodes, and of the detector.
 
     The undiscounted returns are D_u and -D_u in attacked episodes.  False alarms have no price:
     their rate is fixed by the threshold, which is calibrated on clean episodes.
@@ -95,10 +89,10 @@ class Weighted:
 PAYOFFS: dict[str, type[Any]] = {"neyman-pearson": NeymanPearson, "weighted": Weighted}
 
 
-def make_payoff(spec: str | Mapping[str, Any]) -> Payoff:
+def make_payoff(spec: str | Mapping[str, Any]) -> NeymanPearson | Weighted:
     if isinstance(spec, NeymanPearson | Weighted):
         return spec
-    payoff: Payoff = build("payoff", PAYOFFS, Weighted, spec)
+    payoff: NeymanPearson | Weighted = build("payoff", PAYOFFS, Weighted, spec)
     return payoff
 
 

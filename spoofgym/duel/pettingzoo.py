@@ -100,8 +100,8 @@ class _Form:
             raise ValueError(f"{agent}: {error}") from error
 
     def _observed(self) -> dict[str, Observation]:
-        detector = self.duel.observe_detector()[0]
-        return {SPOOFER: self.duel.observe_spoofer()[0], DETECTOR: detector}
+        spoofer = self.duel.core.observer.observe(self.duel.snapshot())
+        return {SPOOFER: spoofer[0], DETECTOR: self.duel.observe_detector()[0]}
 
     def _due(self) -> dict[str, bool]:
         """Whether the spoofer's next action is a decision, where it acts without one, too."""

@@ -30,8 +30,7 @@ from .scoring import (
     StepResult,
 )
 from .terms.action import CommandMap, Decisions, default_action
-from .terms.base import Snapshot
-from .terms.observation import KNOWLEDGE, default_terms
+from .terms.observation import KNOWLEDGE, Snapshot, default_terms
 from .terms.registry import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
 from .terms.reward import Outcome, default_rewards, named_terms, reward_of, shares_of
 from .terms.termination import AtAlarm, Ends, EpochState
@@ -42,7 +41,6 @@ WatchSpec = str | Mapping[str, Any] | Detector | Sequence[str | Mapping[str, Any
 """Passive detectors: they judge the same epochs as the one in the loop, and change nothing."""
 SingleStep = tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]
 """Observation, reward, terminated, truncated, and information, of a batch of one."""
-RESET_NAMES: tuple[str, ...] = ("time_s", "warmup_alarm", "coasting")
 ALARM_PRICE = 1.5
 """Price of an alarm, in lengths; that of `tasks`, which is no source of what is compiled."""
 NOTHING_SEEN = np.empty(0, dtype=np.float32)
@@ -175,7 +173,7 @@ class SpoofCore:
         monitors = needed_monitors([*seen, *self._ends.terms])
         passive = self.settings["watch"]
         self._passive = PassiveInfo(PassiveDetectors(passive), receivers) if passive else None
-        self.reset_names = RESET_NAMES
+        self.reset_names: tuple[str, ...] = ("time_s", "warmup_alarm", "coasting")
         if self._passive is not None:
             monitors.append(self._passive.monitor)
             self.reset_names += self._passive.reset_names
@@ -225,10 +223,6 @@ class SpoofCore:
             *passive,
         )
 
-    @property
-    def step_count(self) -> NDArray[np.int64]:
-        return self.score.step_count
-
     def set_rewards(self, terms: Sequence[Any]) -> None:
         self._reward_parts = named_terms(terms)
         shares = shares_of(terms)
@@ -268,11 +262,9 @@ class SpoofCore:
         return Snapshot(self.setup, engine.simulator, self.score.step_count, engine.twin)
 
     def observe(self) -> NDArray[np.float32]:
-        """Observe all receivers, (B, o), a new array."""
         return self.observer.observe(self.snapshot())
 
     def reset(self, rngs: Rngs, rows: Rows | None = None, given: Given | None = None) -> None:
-        """Start new episodes, and run their warm-up up to the onset; as `Engine.reset`."""
         where = self._everyone if rows is None else rows
         self.engine.reset(rngs, rows, given)
         self.score.reset(where)
@@ -310,11 +302,13 @@ class SpoofCore:
             result = StepResult(self._fused.layout)
             observation = self._epoch(action, result)
         if self._reports_more:
-            self._report_more(result)
+            if self.setup.attack.capture is not None:
+                result.extra["captured_channels"] = self.engine.simulator.captured_channels()
+            if self._passive is not None:
+                result.extra.update(self._passive.step_info(self._passive_memory))
         return result, observation
 
     def single(self, action: FloatArray) -> SingleStep:
-        """`step` of the only receiver, as an environment returns it."""
         if self._needs_arrays or self.listeners:
             result, observation = self.step(action)
             return observation[0], *result.single()
@@ -384,12 +378,6 @@ class SpoofCore:
         self._done.restore()
         return result
 
-    def _report_more(self, result: StepResult) -> None:
-        if self.setup.attack.capture is not None:
-            result.extra["captured_channels"] = self.engine.simulator.captured_channels()
-        if self._passive is not None:
-            result.extra.update(self._passive.step_info(self._passive_memory))
-
     def _reward(self, result: StepResult, action: FloatArray) -> None:
         values, marks = result.values, result.marks
         moved = values[GAIN], values[RETRACTION]
@@ -400,7 +388,7 @@ class SpoofCore:
 
     def _judge_ends(self, result: StepResult, verdict: Verdict) -> Mask:
         """(B,) who has given the last command before the end of the window; calls the listeners."""
-        snapshot = self.snapshot()._replace(step=self.step_count + 1)
+        snapshot = self.snapshot()._replace(step=self.score.step_count + 1)
         state = EpochState(snapshot, result.values[DISPLACEMENT])
         for listener in self.listeners:
             listener(self, state, verdict)

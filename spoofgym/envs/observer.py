@@ -11,8 +11,15 @@ from numpy.typing import NDArray
 from ..simulation.engine import Engine
 from ..simulation.setup import FloatArray, Setup
 from ._kernels import COMMAND_COLUMN, clip_columns, observe
-from .terms.base import Snapshot, holds_for_call
-from .terms.observation import LEVELS, REPORTED, DynamicTerm, ObservationTerm, split_knowledge
+from .terms.observation import (
+    LEVELS,
+    REPORTED,
+    DynamicTerm,
+    ObservationTerm,
+    Snapshot,
+    holds_for_call,
+    split_knowledge,
+)
 
 
 class Observer:

@@ -21,7 +21,6 @@ VALUE_NAMES = ("time_s", "displacement_m", "undetected_displacement_m", "cost")
 """Numbers in the information of every step, in the order of the rows."""
 MARK_NAMES = ("alarm", "detected", "warmup_alarm", "coasting")
 """Flags in the information of every step, in the order of the rows."""
-REWARD_KEY = "reward_"
 MARKS = 8  # rows of flags that the kernels know of
 
 
@@ -101,13 +100,11 @@ class StepResult:
 
     @property
     def terminated(self) -> Mask:
-        """(B,) bool, whose episode has come to its end."""
         row: Mask = self.marks[_kernels.TERMINATED]
         return row
 
     @property
     def truncated(self) -> Mask:
-        """(B,) bool, whose episode a limit from outside has ended."""
         row: Mask = self.marks[_kernels.TRUNCATED]
         return row
 
@@ -155,17 +152,14 @@ class StepResult:
             before = earlier.extra[name]
             both = array | before if array.dtype == np.bool_ else before + array
             self.extra[name] = np.where(over, before, both)
-        self.values[_kernels.REWARD] = self._sum_of_parts(parts)
-        self.values[:, over] = earlier.values[:, over]
-        self.marks[:, over] = earlier.marks[:, over]
-
-    def _sum_of_parts(self, parts: slice) -> FloatArray:
-        """(B,) parts of the reward, added in the order of the information."""
-        own = [part for name, part in self.extra.items() if name.startswith(REWARD_KEY)]
-        reward = np.zeros(self.marks.shape[1])
+        # the sum of the parts of the reward, in the order of the information
+        own = [part for name, part in self.extra.items() if name.startswith("reward_")]
+        reward = np.zeros(len(over))
         for part in (*self.values[parts], *own):
             reward += part
-        return reward
+        self.values[_kernels.REWARD] = reward
+        self.values[:, over] = earlier.values[:, over]
+        self.marks[:, over] = earlier.marks[:, over]
 
 
 Hold = Callable[[NDArray[np.intp]], tuple[Mask, Mask | None]]

@@ -90,7 +90,10 @@ def attach(
     if card is not None:
         found = _wrapped(env, core, card) + card.differences(context)
         if not transfer:
-            found += unlike(_settings(_made_for(card)), _settings(core.setup))
+            made_for = setup_of_card(card)
+            with suppress(ValueError):  # without a calibration there is no such environment, either
+                resolve(made_for.detector, made_for)  # which looks its thresholds up by a rate
+            found += unlike(_settings(made_for), _settings(core.setup))
         if found:
             hint = "" if transfer else " (`transfer=True` allows for other settings alone)"
             raise ValueError(
@@ -261,14 +264,6 @@ def setup_of_card(card: Card) -> Setup:
         return make_setup(kind, card.env_kwargs)
     except (TypeError, ValueError) as error:
         raise ValueError(f"card of {card.name!r}: `env_kwargs`: {error}") from error
-
-
-def _made_for(card: Card) -> Setup:
-    """`setup_of_card`, with thresholds as an environment looks them up by a rate."""
-    made = setup_of_card(card)
-    with suppress(ValueError):  # without a calibration there is no such environment, either
-        resolve(made.detector, made)
-    return made
 
 
 def card_behind(spec: Spoofer | Mapping[str, Any] | str, made: Spoofer) -> Card | None:

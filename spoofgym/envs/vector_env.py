@@ -27,6 +27,7 @@ from .options import (
     masked,
     observation_space,
     of_rows,
+    reseeded,
     seeds_of,
     warn_unknown,
     whole_reset,
@@ -70,7 +71,6 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         self.closed = False
 
     def adopt(self, core: C) -> None:
-        """Take a core that has not begun, instead of the present one."""
         self.core, self.num_envs = core, core.receivers
         self.observation_names, self.action_names = core.observation_names, core.action_names
         self._action_shape = (self.num_envs, len(self.action_names))
@@ -108,13 +108,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
             raise ValueError("the reset after an interrupted step must be that of all receivers")
         seeds = seeds_of(seed, self.num_envs)
         super().reset(seed=seeds[0] if isinstance(seed, int | np.integer) else None)
-        if not self._rngs:
-            self._rngs = [np.random.default_rng(s) for s in seeds]
-        else:
-            self._rngs = [
-                rng if s is None or not fresh else np.random.default_rng(s)
-                for rng, s, fresh in zip(self._rngs, seeds, mask, strict=True)
-            ]
+        self._rngs = reseeded(self._rngs, seeds, mask)
         given = domain_option(options)
         with whole_reset(self):
             if mask.all():
@@ -154,7 +148,11 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         if self._halfway:
             raise RuntimeError(HALFWAY)
         given = checked_action(actions, self._action_shape, self.action_names)
-        self._check_none_over()
+        if self.autoreset_mode is AutoresetMode.DISABLED and np.count_nonzero(self._over):
+            raise RuntimeError(
+                f"the episodes of receivers {', '.join(map(str, np.flatnonzero(self._over)))} are "
+                f"over: call reset(options={{'{RESET_MASK}': ...}}) before step()"
+            )
         self._halfway = True
         mode = self.autoreset_mode
         if mode is NEXT_STEP:
@@ -163,13 +161,6 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
             result = self._same_step(given) if mode is SAME_STEP else self._plain_step(given)
         self._halfway = False
         return result
-
-    def _check_none_over(self) -> None:
-        if self.autoreset_mode is AutoresetMode.DISABLED and np.count_nonzero(self._over):
-            raise RuntimeError(
-                f"the episodes of receivers {', '.join(map(str, np.flatnonzero(self._over)))} are "
-                f"over: call reset(options={{'{RESET_MASK}': ...}}) before step()"
-            )
 
     def _plain_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         result, observation = self.core.step(given)

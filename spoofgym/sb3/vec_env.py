@@ -25,6 +25,7 @@ from ..envs.options import (
     domain_option,
     info_keys,
     observation_space,
+    reseeded,
     warn_unknown,
     whole_reset,
 )
@@ -154,13 +155,7 @@ class SpoofVecEnv(VecEnv):
         ndarray
             (B, o) float32.
         """
-        if not self._rngs:
-            self._rngs = [np.random.default_rng(seed) for seed in self._seeds]
-        else:
-            self._rngs = [
-                rng if seed is None else np.random.default_rng(seed)
-                for rng, seed in zip(self._rngs, self._seeds, strict=True)
-            ]
+        self._rngs = reseeded(self._rngs, self._seeds, np.ones(self.num_envs, dtype=np.bool_))
         given = self._given()
         self._reset_seeds()
         self._reset_options()

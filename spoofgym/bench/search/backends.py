@@ -1,4 +1,9 @@
-"""Who plays the candidates of a blind optimum: response replay, or the engine itself."""
+"""What plays the candidates of a blind optimum: response replay, or the engine itself.
+
+A player has `runs` N that count, silent without an attack, `steps` of a sampled curve, and `limits`
+of its rate.  ``play(curves, rows)`` returns the largest ratios (P, n) of curves (P, steps) on n of
+the runs, and the farthest error (P,) in their mean [m].
+"""
 
 from __future__ import annotations
 

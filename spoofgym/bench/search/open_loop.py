@@ -31,7 +31,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import special
@@ -47,7 +47,7 @@ from ...spoofers.profile import MOST_KNOTS, sampled
 from ..runs.play import Runs, WarmStart, induced_error, play
 from ..runs.players import Entry
 from ..scores.statistics import aim
-from .backends import EnginePlayer, FloatArray, ReplayPlayer, Rows, limits_of
+from .backends import EnginePlayer, FloatArray, MixedPlayer, ReplayPlayer, Rows, limits_of
 from .bounds import Brackets
 from .settings import Tuning
 
@@ -99,25 +99,6 @@ class BlindSearch:
             raise ValueError(f"`blind_search.knots` must be at most {MOST_KNOTS}, got {self.knots}")
 
 
-class Player(Protocol):
-    """Plays sampled curves on runs that count, which are silent without an attack."""
-
-    @property
-    def runs(self) -> int:
-        """N."""
-
-    @property
-    def steps(self) -> int:
-        """Values of a sampled curve."""
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Largest rate, and its largest change between two values, which may be infinite [m/s]."""
-
-    def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
-        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
-
-
 class BlindOptimum(NamedTuple):
     """A curve that a search has found.
 
@@ -137,7 +118,9 @@ class BlindOptimum(NamedTuple):
 class BlindOptimizer:
     """Search for the curve that gets farthest while some share of the runs may alarm."""
 
-    def __init__(self, player: Player, share: float, settings: BlindSearch) -> None:
+    def __init__(
+        self, player: ReplayPlayer | MixedPlayer | EnginePlayer, share: float, settings: BlindSearch
+    ) -> None:
         self.player, self.share, self.settings = player, share, settings
         self.everyone = np.arange(player.runs)
 

@@ -78,9 +78,6 @@ class RenderHistory:
         return int(self.alarm.argmax()) if self.alarm.any() else None
 
 
-FIRST = np.zeros(1, dtype=np.intp)
-
-
 class CoreRecorder:
     """Looks at the first receiver of a core of the spoofer's side, and at its clean twin.
 
@@ -106,7 +103,8 @@ class CoreRecorder:
         simulator = self._core.engine.simulator
         if self._twin is None:
             self._twin = self._core.setup.simulator(1, run_serially)
-        self._twin.copy_rows(FIRST, simulator, FIRST)
+        first = np.zeros(1, dtype=np.intp)
+        self._twin.copy_rows(first, simulator, first)
         return simulator.layout()
 
     def frames(self) -> tuple[FrameData, FrameData]:

@@ -61,7 +61,6 @@ class Way:
         self.end = moving_line(ax, "o", color=color, ms=5.5, mec="white", mew=0.8)
 
     def follow(self, way_ne: FloatArray) -> None:
-        """Draw a way (K, 2), north and east."""
         north, east = way_ne.T
         self.line.set_data(east, north)
         self.end.set_data(east[-1:], north[-1:])
@@ -230,7 +229,6 @@ class SkyPlot:
         head(ax, "Satellites", 3)
 
     def fit(self, history: RenderHistory) -> bool:
-        """Write the names again where satellites have moved, risen or set."""
         sky = history.sky
         if sky is None:
             return False
@@ -315,6 +313,23 @@ class TimePanel:
         self._first = moving_line(ax, "-", color=RED, lw=1.1)
         self._first.set_transform(ax.get_xaxis_transform())
         self.artists: list[Artist] = [self._first]
+        self._top = 0.0
+
+    def _needed(self, history: RenderHistory) -> float:
+        """Where the axis has to end."""
+        raise NotImplementedError
+
+    def fit(self, history: RenderHistory) -> bool:
+        """Raise the axis where something has grown."""
+        top = self._needed(history)
+        if top <= self._top:
+            return False
+        self._top = self._raised(top)
+        self._ax.set_ylim(0.0, self._top)
+        return True
+
+    def _raised(self, top: float) -> float:
+        return top
 
     def follow(self, history: RenderHistory) -> None:
         first = history.first_alarm
@@ -333,21 +348,18 @@ class StatisticPanel(TimePanel):
         self._attacked = moving_line(ax, "-", color=ORANGE, lw=1.6, label="attacked")
         self._alarms = moving_line(ax, "o", color=RED, ms=3.5, ls="none", label="alarm")
         self.artists += [self._twin, self._attacked, self._alarms]
-        self._top = 0.0
         head(ax, "Statistic over threshold")
 
-    def fit(self, history: RenderHistory) -> bool:
+    def _needed(self, history: RenderHistory) -> float:
         largest = max(_largest(history.number(name)) for name in ("ratio", "twin_ratio"))
-        top = 2.0 if largest < 1.8 else round_up(1.15 * largest)
-        if top <= self._top:
-            return False
-        self._top = top
-        if top > MOST_LINEAR:
-            self._ax.set_yscale("symlog", linthresh=1.0)
-            self._ax.yaxis.set_major_formatter("{x:g}")
-            self._top = top = 10.0 ** np.ceil(np.log10(top))
-        self._ax.set_ylim(0.0, top)
-        return True
+        return 2.0 if largest < 1.8 else round_up(1.15 * largest)
+
+    def _raised(self, top: float) -> float:
+        if top <= MOST_LINEAR:
+            return top
+        self._ax.set_yscale("symlog", linthresh=1.0)
+        self._ax.yaxis.set_major_formatter("{x:g}")
+        return float(10.0 ** np.ceil(np.log10(top)))
 
     def follow(self, history: RenderHistory) -> None:
         super().follow(history)
@@ -372,19 +384,13 @@ class ErrorPanel(TimePanel):
             self._commanded = moving_line(ax, "--", color=GREEN, lw=1.3, label="commanded")
             self.artists.append(self._commanded)
         self.artists += [line for _, line in self._lines]
-        self._top = 0.0
         head(ax, "Displacement of the victim [m]")
 
-    def fit(self, history: RenderHistory) -> bool:
+    def _needed(self, history: RenderHistory) -> float:
         sizes = [history.number(name) for name, _ in self._lines]
         if self._commanded is not None:
             sizes.append(_size(history.pair("displacement_ne")))
-        top = round_up(max(1.08 * max(map(_largest, sizes)), LEAST_M))
-        if top <= self._top:
-            return False
-        self._top = top
-        self._ax.set_ylim(0.0, top)
-        return True
+        return round_up(max(1.08 * max(map(_largest, sizes)), LEAST_M))
 
     def follow(self, history: RenderHistory) -> None:
         super().follow(history)

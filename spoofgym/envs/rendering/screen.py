@@ -34,8 +34,8 @@ NUMBERS = (
 """Numbers of a history: name, text, format."""
 CHARACTERS = "0123456789.-+einfa "
 SIZE_PT = 10.0
-LEFT, BELOW_TOP = 0.015, 0.912
-WIDTH = 8  # where the numbers start, as parts of the picture, and how many characters each may have
+LEFT, BELOW_TOP = 0.015, 0.912  # where the numbers start, as parts of the picture
+WIDTH = 8  # characters that each of them may have
 
 
 class Tiles:
@@ -90,7 +90,6 @@ class Headline:
         return True
 
     def write(self, history: RenderHistory, frame: NDArray[np.uint8]) -> None:
-        """Write the present numbers into a frame, (H, W, 3)."""
         for (x, y), (name, _, form) in zip(self._corners, NUMBERS, strict=True):
             number = form.format(history.number(name)[-1]).rjust(WIDTH)
             self._tiles.write(frame, x, y, number)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +19,44 @@ from ...core.registry import check_choice, check_finite
 from ...simulation.divergence import Divergence
 from ...simulation.monitors import KEPT, PastPositions, reports
 from ...simulation.setup import FloatArray, Setup
+from ...simulation.simulator import Simulator
 from ...spoofers.base import axes_of
 from .._kernels import own_command, time_fractions
-from .base import Snapshot
 
 LEVELS = ("blind", "tracking", "oracle")
 REPORTED = "reported"
 KNOWLEDGE = (*LEVELS, *(f"{level}+{REPORTED}" for level in LEVELS))
 """What a spoofer may know at run time."""
+
+
+class Snapshot(NamedTuple):
+    """The episodes after a step; all truth is here, and terms choose what an agent may see.
+
+    Attributes
+    ----------
+    setup : Setup
+        World, victim, attack, detector, timeline.
+    simulator : Simulator
+        State of the receivers.
+    step : ndarray
+        (B,) int64 epochs since the attack started.
+    twin : Simulator or None
+        Clean twins of the receivers, where there are any.
+    """
+
+    setup: Setup
+    simulator: Simulator
+    step: NDArray[np.int64]
+    twin: Simulator | None = None
+
+
+def holds_for_call(term: object, name: str) -> bool:
+    """Whether an attribute, which kernels use in place of `__call__`, is of the same class as it.
+
+    A subclass with another `__call__` inherits the attribute, which is not true of it any more.
+    """
+    first = next((cls for cls in type(term).__mro__ if {name, "__call__"} & vars(cls).keys()), None)
+    return first is not None and {name, "__call__"} <= vars(first).keys()
 
 
 class ObservationTerm(Protocol):

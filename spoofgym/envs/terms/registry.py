@@ -80,7 +80,9 @@ def make_terms(kind: str, spec: Any) -> tuple[Any, ...]:
 
 def _make(kind: str, spec: Any) -> Any:
     if isinstance(spec, str) or (isinstance(spec, Mapping) and isinstance(spec.get("name"), str)):
-        return build(f"{kind} term", TERMS[kind], _Nothing, _with_tuples(spec))
+        if isinstance(spec, Mapping):  # terms are frozen
+            spec = {key: tuple(x) if isinstance(x, list) else x for key, x in spec.items()}
+        return build(f"{kind} term", TERMS[kind], _Nothing, spec)
     lacking = [name for name in _MEMBERS[kind] if not hasattr(spec, name)]
     if isinstance(spec, type | Mapping) or lacking:
         why = "it is a class" if isinstance(spec, type) else f"it has no {', '.join(lacking)}"
@@ -90,13 +92,6 @@ def _make(kind: str, spec: Any) -> Any:
             f"`name`, or an object; got {spec!r}: {why}"
         )
     return spec
-
-
-def _with_tuples(spec: Any) -> Any:
-    """Settings with tuples for lists, since terms are frozen."""
-    if not isinstance(spec, Mapping):
-        return spec
-    return {key: tuple(v) if isinstance(v, list) else v for key, v in spec.items()}
 
 
 def _read(kind: str, path: Path) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.registry import check_finite
-from .base import holds_for_call
+from .observation import holds_for_call
 
 FloatArray = NDArray[np.float64]
 
@@ -48,7 +48,6 @@ class Outcome(NamedTuple):
     over: NDArray[np.bool_]
 
 
-Share = tuple[str, float]
 SHARED = ("gain", "retraction", "excess", "alarm")
 """Fields of `Outcome` of which a term can be a share."""
 
@@ -82,7 +81,7 @@ class _Shared:
             check_finite(name, value, ">= 0" if self.sign < 0.0 else "")
 
     @property
-    def share(self) -> Share:
+    def share(self) -> tuple[str, float]:
         return self.field, self.sign * float(next(iter(vars(self).values())))
 
     def __call__(self, outcome: Outcome) -> FloatArray:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...core.registry import check_finite, whole_number
 from ...simulation.divergence import Divergence
-from .base import Snapshot
+from .observation import Snapshot
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
