@@ -59,7 +59,6 @@ OWN_NAMES = ("observation", "action")
 
 
 def check_training(training: Any, name: str) -> None:
-    """Raise unless `training` is a mapping, and names runs that there are."""
     if training is None:
         return
     if not isinstance(training, Mapping):
@@ -69,7 +68,6 @@ def check_training(training: Any, name: str) -> None:
 
 
 def checked_states(state: Any) -> dict[str, int]:
-    """Size of each state by its name; a ValueError where one can't be."""
     if state is None:
         return {}
     if not isinstance(state, Mapping):
@@ -363,10 +361,9 @@ def detector(
                     threshold=threshold,
                     training={"versions": library_versions(), **(training or {})},
                 )
-            card.save(card_path(trial))
+            _write(trial, content, card)
             _compare_sequences(judge, OnnxDetector(trial), observer)
-    write_file(path, content)
-    card.save(card_path(path))
+    _write(path, content, card)
     return card
 
 
@@ -385,7 +382,6 @@ class _Judge(torch.nn.Module):
 
 
 def _check_states(judge: _Judge, observed: int, decided: int, states: Mapping[str, int]) -> None:
-    """Raise unless a module takes observations and states, and returns actions and states."""
     given = [torch.zeros(2, size) for size in (observed, *states.values())]
     form = ", ".join(f"(B, {size})" for size in (observed, *states.values()))
     wanted = ", ".join(f"(B, {size})" for size in (decided, *states.values()))
@@ -407,7 +403,6 @@ def _check_states(judge: _Judge, observed: int, decided: int, states: Mapping[st
 
 
 def _compare_sequences(judge: _Judge, policy: OnnxDetector, observer: DetectorObserver) -> None:
-    """Raise unless a file acts as its module over some epochs in a row."""
     rng = np.random.default_rng(0)
     states = [np.zeros((TRIED, each.size), np.float32) for each in policy.card.state]
     for k in range(EPOCHS):
@@ -507,18 +502,22 @@ def onnx(
         _check_sizes(actor, len(low), len(inner.core.action_names))
         content = traced(actor, len(low))
     details = {**_training_of(model), "amplitude": amplitude, **(training or {})}
-    if judges:
-        return _write_detector(model, normalization, inner, path, content, details)
-    card = _card_of(inner, path, content, details, designed_on)
     with trial_of(path) as trial:
-        _write(trial, content, card)
-        _compare(model, normalization, OnnxPolicy(str(trial)).model.act, low, high, amplitude, own)
+        card: Card | DetectorCard
+        if judges:
+            trial.write_bytes(content)
+            card = write_card(trial, inner, name=path.stem, training=details)
+            act = OnnxDetector(trial).model.act
+        else:
+            card = _card_of(inner, path, content, details, designed_on)
+            _write(trial, content, card)
+            act = OnnxPolicy(str(trial)).model.act
+        _compare(model, normalization, act, low, high, amplitude, own)
     _write(path, content, card)
     return card
 
 
 def _check_sizes(actor: torch.nn.Module, observed: int, commanded: int) -> None:
-    """Raise unless a network takes the observations of an environment and returns its actions."""
     try:
         with torch.no_grad():
             found = actor(torch.zeros(2, observed))
@@ -605,24 +604,6 @@ def _normalization_around(model: Any, env: Any) -> Normalization | None:
     return None
 
 
-def _write_detector(
-    model: Any,
-    normalization: Normalization | None,
-    inner: Any,
-    path: Path,
-    content: bytes,
-    training: dict[str, Any],
-) -> Any:
-    low, high = inner.core.bounds
-    with trial_of(path) as trial:
-        trial.write_bytes(content)
-        write_card(trial, inner, name=path.stem, training=training)
-        _compare(model, normalization, OnnxDetector(trial).model.act, low, high, 1.0, [])
-    write_file(path, content)
-    card_path(path).unlink(missing_ok=True)
-    return write_card(path, inner, name=path.stem, training=training)
-
-
 def _compare(
     model: Any,
     normalization: Normalization | None,
@@ -649,7 +630,7 @@ def _compare(
         )
 
 
-def _write(path: Path, content: bytes, card: Card) -> None:
+def _write(path: Path, content: bytes, card: Card | DetectorCard) -> None:
     """File first: what is interrupted in between does not fit its card, and is refused."""
     write_file(path, content)
-    card.save(path.with_suffix(".json"))
+    card.save(card_path(path))

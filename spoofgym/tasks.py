@@ -78,7 +78,6 @@ class Task:
 
     @property
     def suite_kwargs(self) -> dict[str, Any]:
-        """Keyword arguments of a benchmark's `Suite`; a copy."""
         limit = {} if self.alert_limit_m is None else {"alert_limit_m": self.alert_limit_m}
         return {**self.world_kwargs, "detectors": (self.detector,), **limit}
 
@@ -307,7 +306,6 @@ class DetectorTask:
 
     @property
     def alert_limit_m(self) -> float:
-        """Error that must not be exceeded unnoticed [m]."""
         limit = self.task.alert_limit_m
         assert limit is not None  # as all tasks that are not historical have one
         return limit
@@ -356,7 +354,6 @@ class DetectorTask:
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
-        """Keyword arguments of the detector's side of the duel; a new dict."""
         return {**self.world_kwargs, "pool": self.pool}
 
 

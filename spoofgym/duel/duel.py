@@ -138,8 +138,7 @@ class Duel:
     @property
     def deciding(self) -> NDArray[np.bool_]:
         """(B,) bool, whose spoofer decides before the coming epoch."""
-        now: NDArray[np.bool_] = self._decisions.due(self.score.step_count)
-        return now
+        return np.asarray(self._decisions.due(self.score.step_count))
 
     def reset(
         self,

@@ -126,7 +126,6 @@ def _registered(env_id: str) -> tuple[type[Setup], str, dict[str, Any]]:
 def _check_opponents(
     env_id: str, side: str, setup: type[Setup], pool: Any, weights: Any, detector: Any
 ) -> None:
-    """Raise where opponents contradict each other, or the victim has no duel."""
     if side == DETECTOR and detector is not None:
         raise ValueError("the detector is the learner: `detector` can't be given as well")
     if weights is not None and pool is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,8 +92,7 @@ PAYOFFS: dict[str, type[Any]] = {"neyman-pearson": NeymanPearson, "weighted": We
 def make_payoff(spec: str | Mapping[str, Any]) -> NeymanPearson | Weighted:
     if isinstance(spec, NeymanPearson | Weighted):
         return spec
-    payoff: NeymanPearson | Weighted = build("payoff", PAYOFFS, Weighted, spec)
-    return payoff
+    return cast("NeymanPearson | Weighted", build("payoff", PAYOFFS, Weighted, spec))
 
 
 class FixedThreshold:

@@ -73,7 +73,6 @@ class _Form:
 
     @property
     def decides(self) -> bool:
-        """Whether a decision of the spoofer is due."""
         return bool(self.duel.deciding[0])
 
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> None:

@@ -38,7 +38,6 @@ POOL_CHANGED = "the pool has changed"
 
 
 def check_settings(kind: type, settings: Mapping[str, Any], pool: DetectorPool) -> None:
-    """Raise unless all settings of a view of the spoofer's side are known."""
     if settings.get("detector") is not None:
         labels = ", ".join(label_of(spec) for spec in members_of(pool, Detector))
         raise ValueError(
@@ -127,7 +126,6 @@ class DetectorCore:
     def change(
         self, pool: Sequence[SpooferSpec] | SpooferSpec, weights: Sequence[float] | None = None
     ) -> Self:
-        """Take other opponents; the running episodes are over."""
         self.pool = SpooferPool(pool, weights, self.duel.setup, self.duel.receivers)
         return self
 
@@ -197,8 +195,7 @@ class PooledView(CoreEnv[C]):
     @property
     def opponent(self) -> str:
         """Label of the opponent of the running episode, in a clean one too."""
-        label: str = self._side.opponents()[0]
-        return label
+        return str(self._side.opponents()[0])
 
     def set_pool(self, pool: Any, weights: Weights = None) -> None:
         """Take other opponents; the running episode is over, and `reset` has to follow."""
@@ -218,8 +215,7 @@ class PooledVectorView(CoreVectorEnv[C]):
     @property
     def opponents(self) -> list[str]:
         """Label of the opponent of every receiver, in clean episodes too."""
-        labels: list[str] = self._side.opponents()
-        return labels
+        return list(self._side.opponents())
 
     def set_pool(self, pool: Any, weights: Weights = None) -> None:
         """Take other opponents; the running episodes are over, and `reset` has to follow."""

@@ -253,7 +253,6 @@ class SpoofCore:
         return SpoofCore(self.receivers, chosen, **{**self.settings, **changes})
 
     def close(self) -> None:
-        """End the threads; they are started again when they are needed."""
         self.engine.close()
 
     def snapshot(self) -> Snapshot:
@@ -460,7 +459,6 @@ class PassiveInfo:
         return {name: self._warmup_alarm[:, k].copy() for k, name in enumerate(self.reset_names)}
 
     def step_info(self, memory: Memory) -> Info:
-        """Information of a step, the time to alert included."""
         alarms = {name: memory["alarmed"][:, k].copy() for k, name in enumerate(self._alarm_names)}
         ratios = {name: memory["ratio"][:, k].copy() for k, name in enumerate(self._ratio_names)}
         return {**self.reset_info(), **alarms, **ratios}
@@ -481,7 +479,6 @@ def _check_overruled(
     end_at_alarm: bool,
     end: Sequence[Any] | None,
 ) -> None:
-    """Raise where lists of terms leave a setting without an effect."""
     if reward is not None and not (length_m is None and alarm_price == ALARM_PRICE):
         raise ValueError(
             "`alarm_price` and `length_m` make the default reward, and `reward` is given: list "

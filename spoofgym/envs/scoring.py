@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,18 +95,15 @@ class StepResult:
 
     @property
     def reward(self) -> FloatArray:
-        row: FloatArray = self.values[_kernels.REWARD]
-        return row
+        return cast("FloatArray", self.values[_kernels.REWARD])
 
     @property
     def terminated(self) -> Mask:
-        row: Mask = self.marks[_kernels.TERMINATED]
-        return row
+        return cast("Mask", self.marks[_kernels.TERMINATED])
 
     @property
     def truncated(self) -> Mask:
-        row: Mask = self.marks[_kernels.TRUNCATED]
-        return row
+        return cast("Mask", self.marks[_kernels.TRUNCATED])
 
     @property
     def info(self) -> Info:

@@ -114,7 +114,6 @@ def attach(
 
 
 def _check_heading(spoofer: Spoofer, core: SpoofCore) -> None:
-    """Raise where a spoofer has a heading that actions along the target direction can't have."""
     if not (core.commands.along_target and isinstance(spoofer, ScriptedSpoofer)):
         return
     target, own = core.setup.target_heading_deg, spoofer.heading_deg
@@ -130,7 +129,6 @@ def _check_heading(spoofer: Spoofer, core: SpoofCore) -> None:
 
 
 def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
-    """Warn of spoofers that push along a fixed heading where the target direction is drawn."""
     commands = setup.action_names
     if setup.target_heading_deg != "random" or not has_heading(commands):
         return
@@ -286,7 +284,6 @@ def _wrapped(env: Any, core: SpoofCore, card: Card) -> list[str]:
 
 
 def _settings(setup: Setup) -> dict[str, Any]:
-    """Everything that decides what a spoofer meets, JSON-able."""
     found = {}
     for name, parameter in inspect.signature(type(setup)).parameters.items():
         # not every victim keeps a setting as it was given

@@ -162,7 +162,6 @@ class Card(PolicyCard):
         return self
 
     def differences(self, context: SpooferContext) -> list[str]:
-        """What an attack is like here, and not on the card."""
         on_card, of_attack = self.conditions.model_dump(), _conditions_of(context)
         if self.conditions.control == of_attack["control"] == "rate":
             del on_card["acceleration_limit_mps2"], of_attack["acceleration_limit_mps2"]

@@ -200,13 +200,11 @@ class Normalization(NamedTuple):
         return cls(mean, scale, float(envs.clip_obs))
 
     def __call__(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Observations (B, o) as a policy sees them."""
         scaled = (seen - self.mean) / self.scale
         return np.asarray(np.clip(scaled, -self.clip, self.clip), dtype=np.float32)
 
 
 def normalization_of(model: Any) -> Normalization | None:
-    """Normalization of the observations of a model of stable-baselines3, if it has one."""
     found = model.get_vec_normalize_env() if hasattr(model, "get_vec_normalize_env") else None
     return Normalization.of(found)
 

@@ -6,7 +6,8 @@ import copy
 import dataclasses
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +76,7 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     if unbound.idle_is_clean:
         _check_idle(unbound, world, axes)
     trial = _AttackTrial(unbound, world, _actions(axes))
-    steps = [_step(record) for record in run_trial(trial)]
+    steps = [SimpleNamespace(**record) for record in run_trial(trial)]
     _check_motion(unbound, steps, trial.actions)
     _check_channels(unbound, world, steps)
     _check_slices(trial, steps)
@@ -87,22 +88,6 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
         _fingerprint(world) == truth,
         "the attack has changed the arrays of the `World`, which all receivers share; copy them",
     )
-
-
-class Step(NamedTuple):
-    """What one command brought about: `d_range`, `d_rate` (B, n) offsets [m], [m/s];
-    `displacement`, `rate` (B, a) of the memory; `interval` (B,) of the epoch [s]; `visible`."""
-
-    d_range: FloatArray
-    d_rate: FloatArray
-    displacement: FloatArray
-    rate: FloatArray
-    interval: FloatArray
-    visible: NDArray[np.bool_]
-
-
-def _step(record: Mapping[str, Any]) -> Step:
-    return Step(**record)
 
 
 def _begin(bound: Attack, whose: NDArray[np.intp], rows: NDArray[np.intp] | None = None) -> None:
@@ -162,6 +147,8 @@ class _AttackTrial(Trial[Attack]):
         return d_range, d_rate, action
 
     def turn(self, bound: Attack, number: int, rows: NDArray[np.intp], spoil: bool) -> Record:
+        """Offsets (B, n) [m], [m/s]; displacement and rate (B, a) of the memory; the epoch's length
+        (B,) [s]; and what is visible (B, n)."""
         d_range, d_rate, action = self.command(bound, number, rows, [(0, len(rows))])
         for name, array in (("d_range", d_range), ("d_rate", d_rate)):
             require(
@@ -181,14 +168,13 @@ class _AttackTrial(Trial[Attack]):
             "visible": self.world.visible[after],
         }
 
-    def steps(self) -> list[Step]:
+    def steps(self) -> list[SimpleNamespace]:
         everyone = np.arange(self.receivers)
         records = self.play(self.bind(everyone), everyone, range(self.turns))
-        return [_step(record) for record in records]
+        return [SimpleNamespace(**record) for record in records]
 
 
 def _actions(axes: int) -> list[FloatArray | None]:
-    """Commands, also outside of [-1, 1], with a hold amid them."""
     rng = np.random.default_rng(3)
     actions: list[FloatArray | None] = [
         rng.uniform(-1.5, 1.5, (len(STARTS), axes)) for _ in range(COMMANDS)
@@ -260,7 +246,7 @@ def _check_idle(attack: Attack, world: World, axes: int) -> None:
 
 
 def _check_motion(
-    attack: Attack, steps: Sequence[Step], actions: Sequence[FloatArray | None]
+    attack: Attack, steps: Sequence[SimpleNamespace], actions: Sequence[FloatArray | None]
 ) -> None:
     displacement = np.zeros_like(steps[0].displacement)
     rate = np.zeros_like(displacement)
@@ -328,7 +314,7 @@ def _check_limits(attack: Attack, world: World, axes: int) -> None:
     )
 
 
-def _check_channels(attack: Attack, world: World, steps: Sequence[Step]) -> None:
+def _check_channels(attack: Attack, world: World, steps: Sequence[SimpleNamespace]) -> None:
     captured = attack.captured(world)
     for step in steps:
         require(
@@ -364,7 +350,7 @@ def _check_rates(attack: Attack, world: World, axes: int) -> None:
         )
 
 
-def _check_slices(trial: _AttackTrial, steps: Sequence[Step]) -> None:
+def _check_slices(trial: _AttackTrial, steps: Sequence[SimpleNamespace]) -> None:
     everyone = np.arange(trial.receivers)
     bound = trial.bind(everyone)
     for number, step in enumerate(steps):

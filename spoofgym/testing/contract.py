@@ -67,7 +67,6 @@ def read_only_given(word: str, given: str) -> Iterator[None]:
 
 @contextmanager
 def no_global_chance(word: str) -> Iterator[None]:
-    """Raise when the block draws from, or seeds, the global generators."""
     before = random.getstate(), _numpy_state()
     yield
     require(

@@ -60,7 +60,6 @@ def score_detector(clean: Cell) -> dict[str, Any]:
 
 
 def _per_hour(per_run: Estimate, window_s: float) -> dict[str, float | None]:
-    """Rate of a probability for a run; None where every run alarms, and nothing is known."""
     rates = (hourly_rate(each, window_s) for each in per_run)
     return {
         name: round(rate, 6) if np.isfinite(rate) else None

@@ -121,7 +121,6 @@ class DetectorScore:
         return max(found, key=lambda each: -math.inf if math.isnan(each.value) else each.value)
 
     def family(self, key: str) -> FamilyScore:
-        """Score of one family; a ValueError where it has not been played."""
         for each in self.families:
             if each.family == key:
                 return each

@@ -78,7 +78,6 @@ def _write_gif(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps:
 
 
 def ffmpeg_program() -> str:
-    """FFmpeg of this machine, or that of the package ``imageio-ffmpeg``."""
     if (found := shutil.which("ffmpeg")) is not None:
         return found
     try:
@@ -91,7 +90,6 @@ def ffmpeg_program() -> str:
 
 
 def _write_mp4(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps: float) -> None:
-    """Pipe frames into FFmpeg, which makes H.264 with even width and height of them."""
     height, width = shape
     given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}"]
     wanted = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2", "-c:v", "libx264", "-preset", "veryfast"]

@@ -320,7 +320,6 @@ class Decisions:
         return self.setup.command(self._before, self._last, since)
 
     def forget(self, rows: Any) -> None:
-        """Start new episodes of some receivers: nothing has been commanded yet."""
         self._before[rows] = self._last[rows] = 0.0
 
     def of(self, rows: NDArray[np.intp]) -> Decisions:

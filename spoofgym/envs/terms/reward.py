@@ -175,8 +175,7 @@ class EffortPenalty:
 
     def __call__(self, outcome: Outcome) -> FloatArray:
         action = outcome.action
-        result: FloatArray = -self.at_full_m * (action * action).mean(axis=1)
-        return result
+        return np.asarray(-self.at_full_m * (action * action).mean(axis=1))
 
 
 @dataclass(frozen=True)

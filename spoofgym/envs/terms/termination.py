@@ -67,8 +67,7 @@ class AtAlarm:
         simulator = state.snapshot.simulator
         if simulator.verdict is None:
             return np.zeros(simulator.receivers, dtype=np.bool_)
-        alarm: Mask = np.logical_or.reduce(simulator.verdict.alarm, axis=1)
-        return alarm
+        return simulator.verdict.alarm.any(axis=1)
 
 
 @dataclass(frozen=True)
