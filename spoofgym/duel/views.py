@@ -16,11 +16,10 @@ from ..detectors import Detector
 from ..detectors.learned import detector_card
 from ..detectors.learned_card import DetectorCard, card_path
 from ..envs.core import SingleStep, SpoofCore
-from ..envs.env import C, CoreEnv
+from ..envs.env import C, CoreEnv, CoreVectorEnv
 from ..envs.factory import CORE, make_setup
 from ..envs.options import Array, InfoSpec, check_vector_settings, mask_of
 from ..envs.scoring import Info, PlainResult
-from ..envs.vector_env import CoreVectorEnv
 from ..simulation.monitors import FloatArray, PastPositions
 from ..simulation.tight import TightlyCoupledSetup
 from .calibration import Calibration

@@ -17,7 +17,7 @@ from ..bench.experiments.evaluate import FIT_RUNS, Evaluator
 from ..bench.search.amplitude import TuningResult
 from ..core.progress import ProgressCallback
 from ..core.registry import check_finite, refuse_given, whole_number
-from ..envs.recorder import EpochRecorder
+from ..envs.wrappers import EpochRecorder
 from ..policies.card import DECIDED_ON
 from ..policies.contract import NotFinite
 from ..policies.onnx_file import checked_path

@@ -17,8 +17,8 @@ from ...detectors import Detector
 from ..core import WatchSpec
 from ..factory import composable, compose
 from ..options import Array, mask_of
-from ..recorder import EpochRecorder
 from ..terms.termination import AtStealthBudget
+from . import EpochRecorder
 
 Envs = VectorEnv[Array, Array, Array]
 if TYPE_CHECKING:
