@@ -54,10 +54,6 @@ from .spoofers.scaled import own_columns
 __all__ = ["detector", "onnx", "traced"]
 
 
-OWN_NAMES = ("observation", "action")
-"""Names of the first input and output of a file, which no state may have."""
-
-
 def check_training(training: Any, name: str) -> None:
     if training is None:
         return
@@ -75,7 +71,7 @@ def checked_states(state: Any) -> dict[str, int]:
     for name, size in state.items():
         with one_line(f"state {name!r} of size {size!r}"):
             State(name=name, size=size)
-        if name in OWN_NAMES:
+        if name in ("observation", "action"):  # the first input and output of a file
             raise ValueError(f"a state can't have the name {name!r}, which the file has already")
     return {str(name): int(size) for name, size in state.items()}
 

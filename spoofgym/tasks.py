@@ -430,10 +430,7 @@ DETECTOR_TASKS: dict[str, DetectorTask] = {
     task.key: task
     for task in (
         DetectorTask(
-            "D1",
-            "drawn worlds, alert limit 20 m",
-            "T3",
-            (*PUBLIC, *_held_out(False, EARLY)),
+            "D1", "drawn worlds, alert limit 20 m", "T3", (*PUBLIC, *_held_out(False, EARLY))
         ),
         DetectorTask(
             "D2",
@@ -448,10 +445,7 @@ DETECTOR_TASKS: dict[str, DetectorTask] = {
             (*PUBLIC, *_held_out(True, EARLY)),
         ),
         DetectorTask(
-            "D4",
-            "drawn worlds, alert limit 40 m",
-            "T6",
-            (*PUBLIC, *_held_out(False, EARLY)),
+            "D4", "drawn worlds, alert limit 40 m", "T6", (*PUBLIC, *_held_out(False, EARLY))
         ),
     )
 }

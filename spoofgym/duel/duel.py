@@ -258,10 +258,7 @@ def _parameters(subject: Any, *without: str) -> dict[str, inspect.Parameter]:
     return {k: p for k, p in inspect.signature(subject).parameters.items() if k not in without}
 
 
-_OF_SETUP = {
-    **_parameters(TightlyCoupledSetup, "detector"),
-    **_parameters(duel_setup, "settings"),
-}
+_OF_SETUP = {**_parameters(TightlyCoupledSetup, "detector"), **_parameters(duel_setup, "settings")}
 _OF_DUEL = _parameters(Duel, "receivers", "setup", "threads")
 SETTINGS = (*_OF_SETUP, *_OF_DUEL)
 
@@ -287,11 +284,7 @@ def refuse_to_draw(whose: str, render_mode: object) -> None:
 
 
 def make_duel(
-    receivers: int,
-    *,
-    threads: int | None = None,
-    monitors: Sequence[Monitor] = (),
-    **settings: Any,
+    receivers: int, *, threads: int | None = None, monitors: Sequence[Monitor] = (), **settings: Any
 ) -> Duel:
     """Duel from settings that fit into JSON; `monitors` look at its epochs besides."""
     check_keywords("the duel", settings, SETTINGS)

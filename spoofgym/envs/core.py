@@ -82,7 +82,7 @@ class Core(Protocol):
 
 
 class SpoofCore:
-    r"""Episodes of B receivers in which the learner is the spoofer.
+    """Episodes of B receivers in which the learner is the spoofer.
 
     The displacement of a step is the position error of the victim along the target direction, less
     what it was at the onset, or, with twins, the distance from the clean twin along it.  What of it
@@ -103,18 +103,12 @@ class SpoofCore:
     ----------
     observation_names, action_names, reset_names, bounds, episode_steps
         As in `Core`.
-    engine : Engine
-        The receivers.
-    commands : CommandMap
-        What actions command.
-    score : DisplacementScore
-        What counts of the running episodes.
-    end_at_alarm : bool
-        Whether an alarm ends the episode.
+    engine, commands, score : Engine, CommandMap, DisplacementScore
+        The receivers, what actions command, and what counts of the running episodes.
     settings : dict
         Arguments as they were given, for `altered`.
-    listeners : list of callable
-        Each a `Listener`.
+    listeners : list of Listener
+        Called at every epoch.
     """
 
     def __init__(

@@ -216,7 +216,11 @@ class SpoofVecEnv(VecEnv):
                 "l": int(self._lengths[row]),
                 "t": round(time.perf_counter() - self._began, 6),
             },
-            **{name: info[name][row].item() for name in info if _is_of_the_end(name)},
+            **{
+                name: info[name][row].item()
+                for name in info
+                if name in AT_THE_END or name.startswith("watch_")
+            },
         }
 
     def _each(self, result: StepResult | PlainResult) -> list[dict[str, Any]]:
@@ -276,7 +280,3 @@ class SpoofVecEnv(VecEnv):
 SpoofVecEnv.__signature__ = signature_of(
     TightlyCoupledSetup, inspect.signature(SpoofVecEnv.__init__)
 )
-
-
-def _is_of_the_end(name: str) -> bool:
-    return name in AT_THE_END or name.startswith("watch_")

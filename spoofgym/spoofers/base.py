@@ -125,44 +125,16 @@ class Spoofer(Policy[SpooferContext]):
 
     @abstractmethod
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command the attack for the coming epoch.
-
-        Parameters
-        ----------
-        observation : ndarray
-            (B, o) of all receivers.
-
-        Returns
-        -------
-        ndarray
-            (B, a) in [-1, 1], C-contiguous.
-        """
+        """Command the coming epoch: (B, a) in [-1, 1], C-contiguous, of observations (B, o)."""
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """Range of the tunable setting that is worth a search.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Limits of the attack.
-
-        Returns
-        -------
-        low, high : float
-            Both above 0.
-
-        Raises
-        ------
-        ValueError
-            When the spoofer has nothing to tune.
-        """
+        """Range of the tunable setting that is worth a search, both above 0."""
         raise ValueError(f"{cls.__name__} has no setting to tune")
 
 
 def axes_of(action_names: tuple[str, ...]) -> list[str]:
-    """What an action's elements are of: axes, or channels. Returns (a,) names without their
-    unit."""
+    """Axes or channels of an action, (a,): its names without their unit."""
     return [name.rsplit("_", 1)[0] for name in action_names]
 
 
@@ -219,8 +191,7 @@ class Aim:
             self._fixed = direction(names, fixed + turned_deg)
 
     def __call__(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Unit command. `observation` (B, o); looked at for the target direction alone; returns
-        (a,) the same for all receivers, or (B, a)."""
+        """Unit command (B, a), or (a,) where no observation (B, o) gives the target direction."""
         if not self._columns:
             return self._fixed
         north, east = (observation[:, k].astype(np.float64) for k in self._columns)
@@ -293,13 +264,7 @@ class ScriptedSpoofer(Spoofer):
             check_finite(name, getattr(self, name), bound)
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Sizes, limits and names.
-        """
+        """Prepare for a batch of receivers, by its sizes, limits and names."""
         super().bind(context)
         self._aim = Aim(context, self.heading_deg)
         for name in ("step", "rate", "displacement"):
@@ -307,20 +272,7 @@ class ScriptedSpoofer(Spoofer):
 
     @abstractmethod
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch.
-
-        Parameters
-        ----------
-        step : ndarray
-            (B,) commands given so far.
-        rate, displacement : ndarray
-            (B,) commanded so far [m/s], [m].
-
-        Returns
-        -------
-        ndarray
-            (B,) [m/s]; cut to what the attack's limits allow.
-        """
+        """Rate (B,) that is wanted at the end of the coming epoch [m/s], of those so far (B,)."""
 
     def wanted_rate(self, observation: NDArray[np.float32]) -> FloatArray:
         """(B,) `next_rate` of all receivers [m/s]; a spoofer that is not blind looks here."""
@@ -328,18 +280,7 @@ class ScriptedSpoofer(Spoofer):
         return self.next_rate(memory["step"], memory["rate"], memory["displacement"])
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command the attack for the coming epoch.
-
-        Parameters
-        ----------
-        observation : ndarray
-            (B, o); a blind one looks at the target direction alone, where that is the heading.
-
-        Returns
-        -------
-        ndarray
-            (B, a) in [-1, 1].
-        """
+        """Command the coming epoch: (B, a) in [-1, 1], within the limits of the attack."""
         memory, wanted = self.memory, self.wanted_rate(observation)
         size, rate, mean = self._follow(memory["rate"], wanted, lambda v, most: v.clip(-most, most))
         memory["displacement"] = memory["displacement"] + mean * self.context.interval_s

@@ -40,12 +40,7 @@ class Knowledge(Record):
     was optimised on before: detector, receiver, scenario."""
 
     run_time: Literal[
-        "blind",
-        "tracking",
-        "oracle",
-        "blind+reported",
-        "tracking+reported",
-        "oracle+reported",
+        "blind", "tracking", "oracle", "blind+reported", "tracking+reported", "oracle+reported"
     ]
     design_time: str = Field(min_length=1)
 

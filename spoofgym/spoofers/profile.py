@@ -62,20 +62,17 @@ class Profile(ScriptedSpoofer):
         super().bind(context)
         self._along = sampled(self.rates_mps, context.steps)
         self._across = sampled(self.cross_rates_mps or (0.0, 0.0), context.steps)
-        self._check_limit(*context.largest_rate)
-        if self.cross_rates_mps:
-            self._right = _to_the_right(context, self.heading_deg)
-            for name in ("cross_rate", "cross_displacement"):
-                self.memory.declare(name, np.zeros(context.receivers))
-
-    def _check_limit(self, limit_name: str, limit: float) -> None:
         fastest = {
             "`rates_mps`": np.abs(self.rates_mps).max(),
             "`cross_rates_mps`": np.abs((*self.cross_rates_mps, 0.0)).max(),
             "`rates_mps` and `cross_rates_mps` together": np.hypot(self._along, self._across).max(),
         }
         for name, rate in fastest.items():
-            check_fastest(name, rate, limit_name, limit)
+            check_fastest(name, rate, *context.largest_rate)
+        if self.cross_rates_mps:
+            self._right = _to_the_right(context, self.heading_deg)
+            for name in ("cross_rate", "cross_displacement"):
+                self.memory.declare(name, np.zeros(context.receivers))
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         return self._along[self._row(step)]

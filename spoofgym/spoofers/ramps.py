@@ -68,8 +68,7 @@ class Ramp(ScriptedSpoofer):
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """Up to the limit of the rate, or what the episode allows to reach. Returns `low`, `high`
-        [m/s]."""
+        """Up to the limit of the rate, or what the episode allows to reach [m/s]."""
         _, high = context.largest_rate
         if context.control != "rate":
             reached = context.acceleration_limit_mps2 * context.steps * context.interval_s
@@ -106,8 +105,7 @@ class AcceleratingRamp(ScriptedSpoofer):
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """Up to the limit of the acceleration; by rate, to its limit within ten epochs. Returns
-        `low`, `high` [m/s^2]."""
+        """Up to the limit of the acceleration; by rate, to its limit within ten epochs."""
         high = context.acceleration_limit_mps2
         if context.control == "rate":
             high = context.rate_limit_mps / (10.0 * context.interval_s)
@@ -136,8 +134,7 @@ class Step(ScriptedSpoofer):
     checks: ClassVar = {"size_m": ""}
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
-        so far; returns (B,) the largest from which the displacement is not overshot [m/s]."""
+        """The largest rate from which the displacement is not overshot."""
         interval = self.context.interval_s
         rest = self.size_m - displacement
         if self.context.control == "rate":
@@ -152,10 +149,9 @@ class Step(ScriptedSpoofer):
 
 
 def fastest(rest: FloatArray, rate: FloatArray, gain: float, interval: float) -> FloatArray:
-    """Largest rate at the end of an epoch from which the rest of a way suffices to brake. `rest`:
-    way left [m]; what rounding made negative counts as 0; `rate`: rate at the start of the epoch
-    [m/s], of the same shape; `gain`: largest change of the rate in an epoch [m/s]; `interval`:
-    length of an epoch [s]; returns [m/s]."""
+    """Largest rate at the end of an epoch from which the rest of a way suffices to brake [m/s], by
+    the way left [m], below 0 by rounding counts as 0; the rate at the start [m/s]; gain, the
+    largest change of the rate in an epoch [m/s]; and interval, its length [s]."""
     # way beyond the first half of the present epoch, in units of a tau^2
     way = np.maximum(rest - 0.5 * rate * interval, 0.0) / (gain * interval)
     full = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * way) - 1.0))

@@ -124,11 +124,7 @@ class _AttackTrial(Trial[Attack]):
         _begin(bound, rows, rows if mask is None else rows[mask])
 
     def command(
-        self,
-        bound: Attack,
-        number: int,
-        rows: NDArray[np.intp],
-        slices: Sequence[tuple[int, int]],
+        self, bound: Attack, number: int, rows: NDArray[np.intp], slices: Sequence[tuple[int, int]]
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         """Offsets of ranges and range rates, NaN where nothing was written, and the action."""
         given = self.actions[number]
@@ -205,10 +201,7 @@ def _check_declarations(attack: Attack, world: World) -> int:
         captured.shape == (world.channels,) and captured.dtype == np.bool_,
         f"`captured` must return ({world.channels},) bool, got {captured.shape} {captured.dtype}",
     )
-    require(
-        not (captured & ~named).any(),
-        "`captured` must not name an empty slot, whose id is ''",
-    )
+    require(not (captured & ~named).any(), "`captured` must not name an empty slot, whose id is ''")
     names = attack.action_names(world)
     require(
         isinstance(names, tuple)

@@ -116,12 +116,7 @@ class Trial(ABC, Generic[T]):
         bound.memory.reset(mask)
 
     def play(
-        self,
-        bound: T,
-        rows: NDArray[np.intp],
-        turns: range,
-        *,
-        spoil: bool = False,
+        self, bound: T, rows: NDArray[np.intp], turns: range, *, spoil: bool = False
     ) -> list[Record]:
         records = []
         for number in turns:

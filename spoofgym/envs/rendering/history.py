@@ -19,7 +19,7 @@ PAIRS = ("position_ne", "error_ne", "twin_error_ne", "displacement_ne")
 
 
 class RenderHistory:
-    """An episode from its onset to now; K instants of it.
+    """An episode from its onset to now; `count` K instants of it.
 
     Parameters
     ----------
@@ -27,13 +27,6 @@ class RenderHistory:
         What does not change in it.
     decision_s : float
         Time between two instants, but for the last one, which comes after the time to alert.
-
-    Attributes
-    ----------
-    count : int
-        Instants so far, K.
-    sky : SkyData or None
-        The present one.
     """
 
     def __init__(self, layout: EpisodeLayout, decision_s: float) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,18 +34,6 @@ MOST_LINEAR = 5.0  # ratio of statistic and threshold from which on the axis is 
 
 STEPS = (1.0, 2.0, 5.0, 10.0)
 """Round numbers, times powers of ten; axes that end there seldom change, and are seldom drawn."""
-
-
-class Panel(Protocol):
-    """One panel."""
-
-    artists: list[Artist]
-
-    def fit(self, history: RenderHistory) -> bool:
-        """Make room for the history; whether that changed what stays."""
-
-    def follow(self, history: RenderHistory) -> None:
-        """Let what moves follow the history."""
 
 
 def moving_line(ax: Axes, look: str, **settings: Any) -> Line2D:
@@ -411,3 +399,6 @@ def _size(pair: FloatArray) -> FloatArray:
 def _largest(values: FloatArray) -> float:
     finite = values[np.isfinite(values)]
     return float(finite.max()) if len(finite) else 0.0
+
+
+Panel = FlightMap | ErrorPlane | SkyPlot | StatisticPanel | ErrorPanel

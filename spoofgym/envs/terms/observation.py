@@ -32,16 +32,7 @@ KNOWLEDGE = (*LEVELS, *(f"{level}+{REPORTED}" for level in LEVELS))
 class Snapshot(NamedTuple):
     """The episodes after a step; all truth is here, and terms choose what an agent may see.
 
-    Attributes
-    ----------
-    setup : Setup
-        World, victim, attack, detector, timeline.
-    simulator : Simulator
-        State of the receivers.
-    step : ndarray
-        (B,) int64 epochs since the attack started.
-    twin : Simulator or None
-        Clean twins of the receivers, where there are any.
+    `step` (B,) int64 epochs since the attack started; `twin`: clean twins of the receivers, if any.
     """
 
     setup: Setup
@@ -51,10 +42,8 @@ class Snapshot(NamedTuple):
 
 
 def holds_for_call(term: object, name: str) -> bool:
-    """Whether an attribute, which kernels use in place of `__call__`, is of the same class as it.
-
-    A subclass with another `__call__` inherits the attribute, which is not true of it any more.
-    """
+    """Whether an attribute, which kernels use in place of `__call__`, is of the same class as it: a
+    subclass with another `__call__` inherits the attribute, which is not true of it any more."""
     first = next((cls for cls in type(term).__mro__ if {name, "__call__"} & vars(cls).keys()), None)
     return first is not None and {name, "__call__"} <= vars(first).keys()
 
@@ -63,13 +52,8 @@ class ObservationTerm(Protocol):
     """One part of the observation: a `DynamicTerm`, or one with a `table`.
 
     ``table(setup)`` gives the (K, k) values at every epoch of the run, or None where they depend on
-    more than the epoch.
-
-    Attributes
-    ----------
-    knowledge : str
-        Least level of knowledge that it takes, and whether it takes ``reported``: one of
-        `KNOWLEDGE`, or ``"reported"`` at any level.
+    more than the epoch.  `knowledge` is the least level of knowledge that it takes, and whether it
+    takes ``reported``: one of `KNOWLEDGE`, or ``"reported"`` at any level.
     """
 
     knowledge: ClassVar[str]

@@ -35,7 +35,6 @@ ActionSpec = _Name | PurePath | ActionTerm | Sequence[_Name | ActionTerm]
 RewardSpec = _Name | PurePath | RewardTerm | Sequence[_Name | RewardTerm]
 EndSpec = _Name | PurePath | EndTerm | Sequence[_Name | EndTerm]
 SUFFIXES = (".json", ".toml")
-WRITTEN = "`spoofgym.envs.terms.written` gives the settings of an object with its name"
 
 
 class _Nothing:
@@ -86,7 +85,11 @@ def _make(kind: str, spec: Any) -> Any:
     lacking = [name for name in _MEMBERS[kind] if not hasattr(spec, name)]
     if isinstance(spec, type | Mapping) or lacking:
         why = "it is a class" if isinstance(spec, type) else f"it has no {', '.join(lacking)}"
-        why = f"it has no `name`; {WRITTEN}" if isinstance(spec, Mapping) else why
+        if isinstance(spec, Mapping):
+            written_by = (
+                "`spoofgym.envs.terms.written` gives the settings of an object with its name"
+            )
+            why = f"it has no `name`; {written_by}"
         raise TypeError(
             f"a term of kind {kind!r} is a name ({', '.join(sorted(TERMS[kind]))}), a dict with a "
             f"`name`, or an object; got {spec!r}: {why}"

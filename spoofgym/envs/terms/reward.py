@@ -18,24 +18,13 @@ FloatArray = NDArray[np.float64]
 class Outcome(NamedTuple):
     """What an epoch has brought; the reward of a decision over several is the sum of theirs.
 
-    Attributes
-    ----------
-    gain : ndarray
-        (B,) increase of the displacement that would count if no alarm followed [m], >= 0.
-    retraction : ndarray
-        (B,) what an alarm takes back of it [m], <= 0.
-    detected : ndarray
-        (B,) bool, whether it brought the first alarm.
-    excess : ndarray
-        (B,) bool, the same, unless a clean twin has alarmed by then.
-    alarm : ndarray
-        (B,) bool, whether there is an alarm now.
-    action : ndarray
-        (B, k) as the spoofer gave it, in [-1, 1].
-    undetected : ndarray
-        (B,) undetected displacement of the episode so far [m].
-    over : ndarray
-        (B,) bool, whether the episode has come to its end.
+    - `gain` (B,) increase of the displacement that would count if no alarm followed [m], >= 0;
+    - `retraction` (B,) what an alarm takes back of it [m], <= 0;
+    - `detected` (B,) bool, whether it brought the first alarm; `excess`, the same, unless a clean
+      twin has alarmed by then; `alarm`, whether there is one now;
+    - `action` (B, k) as the spoofer gave it, in [-1, 1];
+    - `undetected` (B,) undetected displacement of the episode so far [m];
+    - `over` (B,) bool, whether the episode has come to its end.
     """
 
     gain: FloatArray
@@ -53,13 +42,7 @@ SHARED = ("gain", "retraction", "excess", "alarm")
 
 
 class RewardTerm(Protocol):
-    """One part of the reward.
-
-    Attributes
-    ----------
-    name : str
-        The part is ``info["reward_<name>"]``.
-    """
+    """One part of the reward, ``info["reward_<name>"]``."""
 
     name: ClassVar[str]
 

@@ -23,14 +23,9 @@ Mask = NDArray[np.bool_]
 
 
 class EpochState(NamedTuple):
-    """The episodes after the epoch of a command.
+    """The episodes after the epoch of a command, which `snapshot.step` counts.
 
-    Attributes
-    ----------
-    snapshot : Snapshot
-        The game; its `step` counts this command.
-    displacement : ndarray
-        (B,) of the victim along the target direction [m].
+    `displacement` (B,) of the victim along the target direction [m].
     """
 
     snapshot: Snapshot
@@ -40,12 +35,7 @@ class EpochState(NamedTuple):
 class EndTerm(Protocol):
     """One reason to end an episode.
 
-    Attributes
-    ----------
-    name : str
-        ``info["end_<name>"]`` says where it holds.
-    truncates : bool
-        Whether it is a limit from outside the game.
+    ``info["end_<name>"]`` says where it holds; `truncates`: it is a limit from outside the game.
     """
 
     name: ClassVar[str]
