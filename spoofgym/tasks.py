@@ -35,11 +35,10 @@ class Task:
 
     - `title`: what it asks for, in a line;
     - `settings`: keyword arguments of `SpoofEnv`, JSON-able, but for the detector;
-    - `detectors`: whom the spoofer meets, as `make_detector` takes them; more than one are a pool,
-      from which every episode draws, and the spoofer does not know which it is;
-    - `alert_limit_m`: error that the navigation must not exceed unnoticed, where the task names
-      one;
-    - `historical`: whether it is kept for what was published on its world, and is solved there.
+    - `detectors`: those that the spoofer meets, as `make_detector` takes them; of more than one
+      every episode draws one, which the spoofer does not know;
+    - `alert_limit_m`: error that the navigation must not exceed unnoticed, where there is one;
+    - `historical`: kept for what was published on its world, and solved there.
     """
 
     key: str
@@ -453,28 +452,6 @@ DETECTOR_TASKS: dict[str, DetectorTask] = {
 
 
 def detector_task_of(key: str) -> DetectorTask:
-    """Task for detectors by its key.
-
-    Parameters
-    ----------
-    key : str
-        ``"D1"`` to ``"D4"``.
-
-    Returns
-    -------
-    DetectorTask
-        The task.
-
-    Raises
-    ------
-    ValueError
-        When there is none; the valid ones are listed.
-
-    Examples
-    --------
-    >>> from spoofgym.tasks import detector_task_of
-    >>> [family.key for family in detector_task_of("D3").held_out][:2]
-    ['inherited', 'subset']
-    """
+    """Task for detectors by its key, ``"D1"`` to ``"D4"``; a ValueError lists the valid ones."""
     check_choice("task for detectors", key, DETECTOR_TASKS)
     return DETECTOR_TASKS[key]

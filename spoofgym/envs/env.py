@@ -106,22 +106,10 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode: warm-up, then the onset.
+        """Start an episode: warm-up, then the onset; without a `seed` the next one of the same stream.
 
-        Parameters
-        ----------
-        seed : int, optional
-            Seeds the receiver; without it the next episode of the same stream starts.
-        options : dict, optional
-            ``"domain"``: circumstances that are not to be drawn, such as ``{"start_s": 10.0}``; see
-            `spoofgym.simulation.domain.CHOICES`.  Others are warned of.
-
-        Returns
-        -------
-        observation : ndarray
-            (o,) float32.
-        info : dict
-            Whether the warm-up alarmed, and the time.
+        ``options["domain"]``: circumstances that are not to be drawn, such as ``{"start_s": 10.0}``;
+        see `spoofgym.simulation.domain.CHOICES`.
         """
         warn_unknown(options, ("domain",))
         super().reset(seed=checked_seed(seed))
@@ -134,23 +122,10 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
         return self.core.observe()[0], info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Give one command, and run until the next is due.
+        """Give one command (a,) in [-1, 1], and run until the next is due.
 
-        Parameters
-        ----------
-        action : array_like
-            (a,) in [-1, 1].
-
-        Returns
-        -------
-        observation : ndarray
-            (o,) float32.
-        reward : float
-            Sum of ``info["reward_*"]``.
-        terminated, truncated : bool
-            The second is False, unless an end term truncates.
-        info : dict
-            Parts of the reward, alarm, displacement, time.
+        The reward is the sum of ``info["reward_*"]``; `truncated` is False, unless an end term
+        truncates; the information has also the alarm, the displacement and the time.
         """
         if self._stopped is not None:
             raise RuntimeError(f"{self._stopped}: call reset() before step()")
@@ -166,19 +141,8 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
         return result
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the episode from its onset until now.
-
-        Returns
-        -------
-        ndarray or None
-            (H, W, 3) uint8 in mode ``rgb_array``; None in mode ``human``, which also draws at
-            every reset and step.
-
-        Raises
-        ------
-        RuntimeError
-            Before the first reset, and in mode ``human`` without a display.
-        """
+        """Draw the episode from its onset until now: (H, W, 3) uint8 in mode ``rgb_array``; None in
+        mode ``human``, which also draws at every reset and step."""
         if self._screen is None:
             gym.logger.warn(
                 "render() needs a render mode: make the environment with "

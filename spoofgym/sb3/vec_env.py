@@ -145,16 +145,7 @@ class SpoofVecEnv(VecEnv):
             self.seed(seed)
 
     def reset(self) -> Array:
-        """Start a new episode in every receiver: (B, o) float32.
-
-        Receivers are seeded where `seed` has been called since the last reset, and go on to their
-        next episodes otherwise.
-
-        Returns
-        -------
-        ndarray
-            (B, o) float32.
-        """
+        """Start a new episode in every receiver, seeded as `seed` said since the last: (B, o)."""
         self._rngs = reseeded(self._rngs, self._seeds, np.ones(self.num_envs, dtype=np.bool_))
         given = self._given()
         self._reset_seeds()
@@ -175,19 +166,7 @@ class SpoofVecEnv(VecEnv):
         self._actions = checked_action(actions, shape, self.action_names)
 
     def step_wait(self) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
-        """Run one epoch.
-
-        Returns
-        -------
-        observations : ndarray
-            (B, o) float32; the first of the next episode where one has ended.
-        rewards : ndarray
-            (B,) float32.
-        dones : ndarray
-            (B,) bool.
-        infos : list of dict
-            One per receiver.
-        """
+        """Run one epoch; where an episode has ended, the next one is observed."""
         if self._actions is None:
             raise RuntimeError("call step_async() before step_wait()")
         self._halfway = True

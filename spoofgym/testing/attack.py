@@ -69,7 +69,7 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     perfect = unbound.equipment.perfect
     if not perfect:
         own = ("tracking", "spoofer_clock", "capture")
-        ideal = {**dict.fromkeys(own), "errors": "inherited", "threat": ""}
+        ideal: dict[str, Any] = {**dict.fromkeys(own), "errors": "inherited", "threat": ""}
         check_attack(dataclasses.replace(unbound, **ideal))
     axes = _check_declarations(unbound, world)
     _check_begin(unbound, world, axes)

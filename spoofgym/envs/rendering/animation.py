@@ -34,13 +34,6 @@ def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0)
     -------
     Path
         The file.
-
-    Raises
-    ------
-    ValueError
-        When the ending or `fps` is not valid, or there is no frame.
-    ImportError
-        When the library that writes the format is not installed.
     """
     path = Path(path)
     write = animation_writer(path, fps)

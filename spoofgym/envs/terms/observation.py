@@ -136,8 +136,8 @@ class OwnCommand(_Term):
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         _, _, displacement, rate, direction = snapshot.simulator.step_arrays()
-        per_displacement, per_rate, *columns = self.factors(snapshot.setup)
-        own_command(displacement, rate, direction, *columns, per_displacement, per_rate, out)
+        per_displacement, per_rate, north, east = self.factors(snapshot.setup)
+        own_command(displacement, rate, direction, north, east, per_displacement, per_rate, out)
 
 
 @dataclass(frozen=True)
@@ -459,17 +459,14 @@ def default_terms(
 ) -> tuple[ObservationTerm, ...]:
     """Terms that a level of knowledge allows, with the scales of the victim.
 
-    The target direction is among them where it differs from episode to episode.
-
     Parameters
     ----------
     setup : Setup
-        Of any victim.
+        Of any victim; the target direction is observed where it differs between episodes.
     knowledge : str
         One of `KNOWLEDGE`: the level, and ``+reported`` for what the victim broadcasts.
     along_target : bool
-        Whether all commands are along the target direction, so that there is nothing else of the
-        own ones to observe.
+        Whether all commands are along the target direction, so that only that of them is observed.
 
     Returns
     -------

@@ -59,10 +59,8 @@ def make_terms(kind: str, spec: Any) -> tuple[Any, ...]:
 
     Raises
     ------
-    ValueError
-        When a kind, a name or a setting is unknown; the valid ones are listed.
-    TypeError
-        When something is no term of this kind.
+    ValueError, TypeError
+        When a kind, a name or a setting is unknown, or something is no term of this kind.
 
     Examples
     --------
@@ -119,24 +117,19 @@ def _read(kind: str, path: Path) -> Any:
 
 
 def written(kind: str, terms: Any) -> list[dict[str, Any]]:
-    """Terms as `make_terms` takes them, JSON-able.
+    """Terms as `make_terms` takes them, JSON-able: a name and all settings of each.
 
     Parameters
     ----------
     kind : {"observation", "action", "reward", "end"}
         The kind.
     terms : str, mapping, term, path or sequence of them
-        As `make_terms` takes them.
+        As `make_terms` takes them; a TypeError where one is not in `TERMS`.
 
     Returns
     -------
     list of dict
-        A name and all settings of each.
-
-    Raises
-    ------
-    TypeError
-        When a term is not in `TERMS`.
+        In the order given.
 
     Examples
     --------

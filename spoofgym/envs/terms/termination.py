@@ -57,7 +57,7 @@ class AtAlarm:
         simulator = state.snapshot.simulator
         if simulator.verdict is None:
             return np.zeros(simulator.receivers, dtype=np.bool_)
-        return simulator.verdict.alarm.any(axis=1)
+        return np.asarray(simulator.verdict.alarm.any(axis=1))
 
 
 @dataclass(frozen=True)
