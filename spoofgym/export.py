@@ -108,11 +108,8 @@ GAUSSIANS = (
 
 
 class Actor(torch.nn.Module):
-    """Deterministic action of a model, of observations that nothing has normalized.
-
-    Scaled by an amplitude as `spoofgym.spoofers.Scaled` does it; `own`: elements of the `size`
-    observations that are the spoofer's own commands.
-    """
+    """Deterministic action of a model, of observations that nothing has normalized, scaled as
+    `Scaled` does it; `own`: elements of the `size` that are the spoofer's own commands."""
 
     def __init__(
         self, model: Any, found: Normalization | None, amplitude: float, size: int, own: list[int]

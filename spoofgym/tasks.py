@@ -260,12 +260,10 @@ RATE_LIMIT_MPS = 5.0  # of the tasks' attacks
 class AttackFamily:
     """Attacks that have something in common, of which the worst one counts.
 
-    - `key`, `title`: its name, and what it does, in a line;
-    - `letters`: which attacks of the suite it has (`FAMILIES`); ``"c"``
-      are the shipped profiles, ``"m"`` is a meaconer, whose antenna's distance is looked for;
+    - `letters`: attacks of the suite; ``"c"`` are the shipped profiles, ``"m"`` is a meaconer, whose
+      antenna's distance is looked for;
     - `held_out`: whether no detector may be trained or tuned on it;
-    - `attack`, `timeline`: in place of those of the task's world; None to leave them;
-    - `onset`: condition on it, one of `ONSETS`, or None.
+    - `attack`, `timeline`: in place of those of the task's world; `onset`: one of `ONSETS`.
     """
 
     key: str
@@ -284,11 +282,8 @@ class AttackFamily:
 
 @dataclass(frozen=True)
 class DetectorTask:
-    """A task for detectors.
-
-    - `world_of`: the task of `spoofgym.tasks` whose world it has, and whose alert limit;
-    - `families`: whom a detector meets.
-    """
+    """A task for detectors: the world and the alert limit of another task, and families of
+    attacks."""
 
     key: str
     title: str

@@ -50,12 +50,8 @@ def with_world(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class DuelStep(NamedTuple):
-    """What an epoch returns.
-
-    - `spoofer_reward`, `detector_reward` (B,) float64;
-    - `terminated` (B,) bool, the same for both;
-    - `info`: arrays with a leading axis of receivers; not for the detector.
-    """
+    """What an epoch returns: rewards (B,); `terminated` (B,), the same for both; information by
+    key, which is not for the detector."""
 
     spoofer_reward: FloatArray
     detector_reward: FloatArray

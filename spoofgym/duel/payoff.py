@@ -17,14 +17,8 @@ RUNNING = "running"
 
 
 class DuelOutcome(NamedTuple):
-    """What a step has brought.
-
-    - `gain` (B,) increase of the displacement that would count if no alarm followed [m], >= 0;
-    - `retraction` (B,) what an alarm takes back of it [m], <= 0;
-    - `first` (B,) bool, whether this step brought the first alarm;
-    - `attacked` (B,) bool, what nature has drawn;
-    - `undetected` (B,) bool, whether there has been no alarm yet, this step included.
-    """
+    """What a step has brought, (B,) each: gain and retraction as in `reward.Outcome`; whether it
+    brought the `first` alarm; whether nature drew an attack; and whether none has alarmed yet."""
 
     gain: FloatArray
     retraction: FloatArray
@@ -36,12 +30,11 @@ class DuelOutcome(NamedTuple):
 
 @dataclass(frozen=True)
 class NeymanPearson:
-    """Undetected displacement, to the spoofer from the detector; clean episodes pay nothing.
+    """Undetected displacement D_u, to the spoofer from the detector; clean episodes pay nothing.
 
-    A payoff returns the rewards (B,) of the spoofer, 0 in clean episodes, and of the detector.
-
-    The undiscounted returns are D_u and -D_u in attacked episodes.  False alarms have no price:
-    their rate is fixed by the threshold, which is calibrated on clean episodes.
+    False alarms have no price: their rate is fixed by the threshold, which is calibrated on clean
+    episodes.  A payoff returns the rewards (B,) of the spoofer, 0 in clean episodes, and of the
+    detector.
     """
 
     described_as = "NeymanPearson"

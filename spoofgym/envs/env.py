@@ -106,10 +106,10 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode: warm-up, then the onset; without a `seed` the next one of the same stream.
+        """Start an episode: warm-up, then the onset; without a `seed` the next of the same stream.
 
-        ``options["domain"]``: circumstances that are not to be drawn, such as ``{"start_s": 10.0}``;
-        see `spoofgym.simulation.domain.CHOICES`.
+        ``options["domain"]``: circumstances that are not to be drawn, as ``{"start_s": 10.0}``; see
+        `spoofgym.simulation.domain.CHOICES`.
         """
         warn_unknown(options, ("domain",))
         super().reset(seed=checked_seed(seed))

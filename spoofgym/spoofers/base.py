@@ -171,12 +171,8 @@ def check_heading(heading_deg: float | str) -> None:
 
 
 class Aim:
-    """Unit command along a heading, or the same command for every channel.
-
-    - `context`: names of actions and observations;
-    - `heading_deg`: clockwise from north, or that of every observation;
-    - `turned_deg`: to be added to it.
-    """
+    """Unit command along a heading, clockwise from north, or that of every observation, turned by
+    `turned_deg`; or the same command for every channel."""
 
     def __init__(
         self, context: SpooferContext, heading_deg: float | str, turned_deg: float = 0.0

@@ -99,12 +99,8 @@ class ModelPolicy(Spoofer):
     """Acts as a model does, by its deterministic action.
 
     The model is neither copied nor changed, but for the mode in which a network is evaluated.
-
-    `model`: as `function_of` takes it; `knowledge`: what it observes, one of `KNOWLEDGE`; `action`:
-    how its actions command the attack, as ``action=`` of `SpoofEnv`; `observation`: what it has
-    been trained to observe; anything else is refused then; `decision_interval_s`, `between`: how
-    often it decides, and what it commands in between, as in environments; `label`: short name in
-    results; by default that of its class.
+    Settings are as in `Spoofer`; `observation`: what it was trained to observe, anything else is
+    refused then.
     """
 
     def __init__(

@@ -20,12 +20,7 @@ RECEIVERS = 5
 
 
 class Script(NamedTuple):
-    """What a detector gets to see, in order.
-
-    - `name`: of the script, for messages;
-    - `context`: what the detector is bound with;
-    - `epochs`: all optional fields are filled in.
-    """
+    """Epochs that a detector sees, in order, with all optional fields."""
 
     name: str
     context: DetectorContext
@@ -204,12 +199,10 @@ POSITION_ATTACKED_FROM = 55
 
 @lru_cache(maxsize=len(COORDINATES))
 def position_script(coordinates: int) -> Script:
-    """Made-up epochs of a receiver whose measurement is a position.
+    """Made-up epochs of a receiver whose measurement is a position: no channels, m innovations.
 
-    There are no channels, n = 0, and m innovations, one a coordinate.  Intervals differ; once all
-    innovations are zero, once there is an outlier of a thousand standard deviations; a jump comes
-    and goes, and in the end the position drifts away.  Innovations are drawn from the covariance
-    that they are said to have; they are the GNSS position minus the predicted one.
+    As in `trying_script`; a jump comes and goes, and in the end the position drifts away.  The
+    innovations are the GNSS position minus the predicted one.
     """
     rng = np.random.default_rng(2 + coordinates)
     noise = np.array([1.0, 1.5, 4.0])[:coordinates]

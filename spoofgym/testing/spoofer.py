@@ -85,10 +85,8 @@ def check_spoofer(
 
 
 def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) -> Setup:
-    """Where a spoofer is tried: at the time on its card, or else after a short warm-up.
-
-    When the attack window is decides which elements of the target's motion are observed.
-    """
+    """Where a spoofer is tried: at the time on its card, or else after a short warm-up; the window
+    decides which elements of the target's motion are observed."""
     card = getattr(spoofer, "card", None)
     if card is None:
         attack = "false-position" if attack is None else attack

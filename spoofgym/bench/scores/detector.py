@@ -21,11 +21,8 @@ WINDOW, CLEAN = "clean, judged window", "clean"
 
 
 class FamilyScore(NamedTuple):
-    """One family of attacks against one detector.
-
-    - `family`, `held_out`: which one, and whether no detector may have met it;
-    - `found`: its worst attacks, and how far each came in every evaluation run.
-    """
+    """One family of attacks against one detector; `found`: the worst, and how far each came in each
+    run."""
 
     family: str
     held_out: bool

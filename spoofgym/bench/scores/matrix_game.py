@@ -30,12 +30,8 @@ GAP = 1e-7  # largest part of the range of the payoffs by which both sides' guar
 
 
 class Equilibrium(NamedTuple):
-    """Mixes of both sides from which neither gains by leaving.
-
-    - `spoofer` (m,) probability of every row, `detector` (n,) of every column;
-    - `value`: expected payoff;
-    - `pure`: whether one row and one column solve the game.
-    """
+    """Mixes (m,) of rows and (n,) of columns from which neither gains by leaving; `pure`: of one
+    each."""
 
     spoofer: FloatArray
     detector: FloatArray
@@ -108,12 +104,8 @@ def gains(payoff: ArrayLike, spoofer: ArrayLike, detector: ArrayLike) -> tuple[f
 
 
 class Spread(NamedTuple):
-    """An equilibrium with intervals over bootstrap samples.
-
-    - `value`, and `spoofer` and `detector`, one estimate for each probability;
-    - `pure`: part of the samples that a pure pair solves;
-    - `samples`: how many were solved.
-    """
+    """An equilibrium with intervals over bootstrap samples; `pure`: part of them with a pure
+    one."""
 
     value: Estimate
     spoofer: tuple[Estimate, ...]
@@ -187,10 +179,8 @@ RESAMPLES = 400
 
 
 class Played(NamedTuple):
-    """R runs of a spoofer against a detector.
-
-    - `displacement` undetected [m], `alarmed` in the judged window, `counts` whether the run does.
-    """
+    """R runs of a pair: displacement undetected [m], alarm in the judged window, whether it
+    counts."""
 
     displacement: FloatArray
     alarmed: NDArray[np.bool_]

@@ -79,11 +79,7 @@ def counted(warmup_alarm: ArrayLike, twin_alarm: ArrayLike) -> Mask:
 
 
 class Stealth(NamedTuple):
-    """A spoofer on the runs that count.
-
-    - `runs`, `alarms`: how many count, and those among them with an alarm;
-    - `displacement_m`: mean undetected displacement; NaN where no run counts.
-    """
+    """A spoofer on the `runs` that count; mean undetected displacement, NaN where none does."""
 
     runs: int
     alarms: int

@@ -217,12 +217,9 @@ ACTION_TERMS: dict[str, type[ActionTerm]] = {
 
 
 def default_action(setup: Setup) -> tuple[ActionTerm, ...]:
-    """Action of an environment that is given none.
-
-    A victim with `Setup.follows_setpoint` takes the rate set-point where north and east are
-    commanded: along the target direction, in two dimensions where that is ``"worst"``.  Everything
-    else takes every element of the attack, as it is.
-    """
+    """Action of an environment that is given none: the rate set-point of a victim that follows one,
+    along the target direction or, where that is ``"worst"``, north and east; else what the attack
+    takes."""
     if not (setup.follows_setpoint and {"north", "east"} <= {*axes_of(setup.action_names)}):
         return (FullCommand(),)
     return (RateSetpoint(2 if setup.target_heading_deg == "worst" else 1),)
@@ -231,10 +228,8 @@ def default_action(setup: Setup) -> tuple[ActionTerm, ...]:
 class CommandMap:
     """Commands of a list of terms, in the order of the action: `names` (k,) of its elements.
 
-    - `terms`: the list;
-    - `is_plain`: whether an action is the command;
-    - `along_target`: whether all that can be commanded is along the target direction;
-    - `setpoint_mps`: rate that an action of 1 asks for; None without a set-point.
+    `is_plain`: an action is the command; `along_target`: all of it is along the target direction;
+    `setpoint_mps`: rate that an action of 1 asks for, None without a set-point.
     """
 
     def __init__(self, terms: Sequence[ActionTerm], setup: Setup) -> None:
@@ -270,11 +265,8 @@ class CommandMap:
             self._out = np.empty(self._matrix.shape[:2])
 
     def command(self, action: FloatArray, rate: FloatArray) -> FloatArray:
-        """Command (B, a), C-contiguous, of an action (B, k) in [-1, 1]; the attack limits it.
-
-        `rate` (B, a) is what has been commanded so far [m/s].  The array is overwritten by the next
-        call.
-        """
+        """Command (B, a), C-contiguous, of an action (B, k), and the rate (B, a) so far [m/s]; the
+        attack limits it. The array is overwritten by the next call."""
         if self.is_plain:
             return action
         follow_rate(action, self._matrix, self._rules, rate, self._out)
@@ -297,11 +289,7 @@ def _following(setup: Setup, setpoint_mps: float) -> FloatArray:
 
 
 class Decisions:
-    """The last two decisions of B receivers.
-
-    - `setup`: says how often a decision is due, and what is commanded on the way;
-    - `size`: elements of an action.
-    """
+    """The last two decisions (B, k) of B receivers; the setup says how often one is due."""
 
     def __init__(self, setup: Setup, receivers: int, size: int) -> None:
         self.setup = setup

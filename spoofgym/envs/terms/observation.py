@@ -30,10 +30,8 @@ KNOWLEDGE = (*LEVELS, *(f"{level}+{REPORTED}" for level in LEVELS))
 
 
 class Snapshot(NamedTuple):
-    """The episodes after a step; all truth is here, and terms choose what an agent may see.
-
-    `step` (B,) int64 epochs since the attack started; `twin`: clean twins of the receivers, if any.
-    """
+    """The episodes after a step, `step` (B,) epochs after the attack started, with all truth: terms
+    choose what an agent may see.  `twin`: clean twins, if any."""
 
     setup: Setup
     simulator: Simulator
@@ -66,11 +64,8 @@ class ObservationTerm(Protocol):
 
 
 class DynamicTerm(ObservationTerm, Protocol):
-    """A term that depends on what has happened.
-
-    One of the commanded displacement and rate, each times a factor, may have ``factors(setup)``:
-    a float [1/m], and (a,) [s/m] for the rate of every axis.  A kernel then writes it.
-    """
+    """A term that depends on what has happened. One of the commanded displacement and rate may have
+    ``factors(setup)``, by which a kernel writes it."""
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the values into `out` (B, k); clipping follows."""

@@ -51,10 +51,8 @@ class RewardTerm(Protocol):
 
 
 class _Shared:
-    """A term that is a factor, its first setting, times one field of the outcome.
-
-    Where all terms are such shares, the reward is computed in kernels, to the same bits.
-    """
+    """A term that is a factor, its first setting, times one field of the outcome.  Where all terms
+    are, kernels compute the reward, to the same bits."""
 
     field: ClassVar[str]
     sign: ClassVar[float] = 1.0
@@ -205,11 +203,8 @@ def named_terms(terms: Sequence[RewardTerm]) -> list[tuple[str, RewardTerm]]:
 
 
 def shares_of(terms: Sequence[RewardTerm]) -> FloatArray | None:
-    """Terms as shares of what a step has brought, for compiled code.
-
-    Returns (r, 4) factor of every term on the fields of `SHARED`; None where a term has no share,
-    or one that its own `__call__` may belie.
-    """
+    """(r, 4) factor of every term on the fields of `SHARED`, for compiled code; None where a term
+    has no share, or one that its own `__call__` may belie."""
     shares = np.zeros((len(terms), len(SHARED)))
     for row, term in zip(shares, terms, strict=True):
         if not holds_for_call(term, "share"):

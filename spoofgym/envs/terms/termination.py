@@ -23,20 +23,14 @@ Mask = NDArray[np.bool_]
 
 
 class EpochState(NamedTuple):
-    """The episodes after the epoch of a command, which `snapshot.step` counts.
-
-    `displacement` (B,) of the victim along the target direction [m].
-    """
+    """The episodes after the epoch of a command; `displacement` (B,) along the target [m]."""
 
     snapshot: Snapshot
     displacement: FloatArray
 
 
 class EndTerm(Protocol):
-    """One reason to end an episode.
-
-    ``info["end_<name>"]`` says where it holds; `truncates`: it is a limit from outside the game.
-    """
+    """One reason to end an episode, ``info["end_<name>"]``; `truncates`: from outside the game."""
 
     name: ClassVar[str]
     truncates: ClassVar[bool]
@@ -151,10 +145,7 @@ END_TERMS: dict[str, type[EndTerm]] = {
 
 
 class Ends:
-    """Ends of a list of terms, each with a name of its own; `judge` writes the keys `info_names`.
-
-    The core itself knows of the alarm and of the last command; `judge` is for all others.
-    """
+    """Ends of a list of terms; the core itself knows of the alarm and of the last command."""
 
     def __init__(self, terms: Sequence[EndTerm]) -> None:
         names = [term.name for term in terms]
