@@ -260,8 +260,8 @@ RATE_LIMIT_MPS = 5.0  # of the tasks' attacks
 class AttackFamily:
     """Attacks that have something in common, of which the worst one counts.
 
-    - `letters`: attacks of the suite; ``"c"`` are the shipped profiles, ``"m"`` is a meaconer, whose
-      antenna's distance is looked for;
+    - `letters`: attacks of the suite; ``"c"`` are the shipped profiles, ``"m"`` is a meaconer at
+      the worst distance of its antenna;
     - `held_out`: whether no detector may be trained or tuned on it;
     - `attack`, `timeline`: in place of those of the task's world; `onset`: one of `ONSETS`.
     """

@@ -17,9 +17,9 @@ from ..envs import _kernels
 from ..envs.core import NOTHING_SEEN, SpoofCore
 from ..envs.factory import make_setup
 from ..envs.scoring import DisplacementScore, FusedStep, StepResult
+from ..envs.terms import ActionSpec
 from ..envs.terms.action import Decisions
 from ..envs.terms.observation import Snapshot
-from ..envs.terms.registry import ActionSpec
 from ..simulation.monitors import Monitor
 from ..simulation.simulator import FloatArray, Simulator
 from ..simulation.tight import TightlyCoupledSetup

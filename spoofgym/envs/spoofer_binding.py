@@ -29,9 +29,9 @@ from .core import SpoofCore
 from .factory import composable, make_setup, settings_of
 from .observer import Observer
 from .options import action_space, observation_space
+from .terms import make_terms
 from .terms.action import ActionTerm, CommandMap, default_action
 from .terms.observation import REPORTED, default_terms
-from .terms.registry import make_terms
 
 ENV_ID = "spoofgym/TightlyCoupled-v0"  # environment of the headlines
 SETUPS: dict[str, type[Setup]] = {

@@ -30,7 +30,7 @@ from ..envs.options import (
     whole_reset,
 )
 from ..envs.scoring import PlainResult, StepResult
-from ..envs.terms.registry import RewardSpec, make_terms
+from ..envs.terms import RewardSpec, make_terms
 from ..simulation.tight import TightlyCoupledSetup
 
 AT_THE_END = (

@@ -12,7 +12,7 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 
-from spoofgym.envs.terms.registry import TERMS
+from spoofgym.envs.terms import TERMS
 
 from .pages import blocks_of
 

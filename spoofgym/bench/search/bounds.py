@@ -105,10 +105,6 @@ class Brackets:
         return floors_at(frontier, self.rates, self.budget)
 
     @property
-    def p_fa(self) -> float:
-        return self.rates[0]
-
-    @property
     def rates(self) -> list[float]:
         """Probabilities of a false alarm in a run of the detectors, the standard one for none."""
         points = map(self.world.points, self.detectors)

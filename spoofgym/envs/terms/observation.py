@@ -20,13 +20,11 @@ from ...simulation.divergence import Divergence
 from ...simulation.monitors import KEPT, PastPositions, reports
 from ...simulation.setup import FloatArray, Setup
 from ...simulation.simulator import Simulator
-from ...spoofers.base import axes_of
+from ...spoofers.base import KNOWLEDGE, axes_of
 from .._kernels import own_command, time_fractions
 
 LEVELS = ("blind", "tracking", "oracle")
 REPORTED = "reported"
-KNOWLEDGE = (*LEVELS, *(f"{level}+{REPORTED}" for level in LEVELS))
-"""What a spoofer may know at run time."""
 
 
 class Snapshot(NamedTuple):

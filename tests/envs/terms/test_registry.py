@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from spoofgym.envs import make_terms
+from spoofgym.envs.terms import TERMS, written
 from spoofgym.envs.terms.action import AlongTarget, FullCommand
 from spoofgym.envs.terms.observation import OwnCommand, Time
-from spoofgym.envs.terms.registry import TERMS, written
 from spoofgym.envs.terms.reward import AlarmPenalty, DisplacementGain
 from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement
 
