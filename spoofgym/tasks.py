@@ -1,6 +1,4 @@
-"""T1-T6 and D1-D4, frozen settings.
-
-The tasks of `spoofgym-bench-v1`: environments whose settings never change.
+"""T1-T6 and D1-D4 of `spoofgym-bench-v1`: environments whose settings never change.
 
 A task is an environment, whose detectors have a stated rate of false alarms, and an alarm budget.
 What a spoofer scores is its stealthy displacement by the rules of the benchmark; it is read
@@ -8,11 +6,9 @@ together with what ramps and the blind optimum get there, and with the task's fl
 bound.  T1 and T2 are historical: the world of the papers.  T3 to T6 had to pass the admission test
 of `docs/tasks.md`.
 
-Tasks for detectors, D1 to D4: the worlds of T3 to T6, and whom a detector meets in each.
-
-Detectors may be trained and tuned on the public families of attacks.  They are scored by the worst
-of all families, most of which they have never met, and by their false alarms, also where something
-happens that looks like spoofing.
+D1 to D4 are for detectors, in the worlds of T3 to T6.  They may be trained and tuned on the public
+families of attacks, and are scored by the worst of all families, most of which they have never met,
+and by their false alarms, also where something happens that looks like spoofing.
 """
 
 from __future__ import annotations

@@ -281,7 +281,7 @@ def inner_env(env: Any) -> Any:
 
 
 def trained_in(model: Any) -> Mapping[str, Any]:
-    """What a model's own environment says of it: arguments of `ModelPolicy`. Warns of a model of
+    """Arguments of `ModelPolicy` by a model's own environment; warns of a model of
     stable-baselines3 whose environment can't be read."""
     if not hasattr(model, "get_env"):
         return {}
@@ -298,8 +298,8 @@ def trained_in(model: Any) -> Mapping[str, Any]:
 
 
 def describe_env(env: Any) -> Mapping[str, Any]:
-    """What a spoofer knows and commands in an environment: arguments of `ModelPolicy`. `env`: any
-    that has a core of the spoofer's side, in wrappers of stable-baselines3 or Gymnasium."""
+    """Arguments of `ModelPolicy` by an environment with a core of the spoofer's side, in
+    wrappers."""
     inner = inner_env(env)
     settings = None if inner is None else getattr(inner.core, "settings", None)
     if inner is None or settings is None:

@@ -139,8 +139,8 @@ def check_fastest(name: str, rate: float, limit_name: str, limit: float) -> None
 
 
 def sampled(rates_mps: tuple[float, ...], steps: int) -> FloatArray:
-    """Curve through equally spaced knots at the ends of the epochs. `rates_mps` (n,) at the knots,
-    the first one at the onset, the last one at the end of the window; returns (steps,) [m/s]."""
+    """Curve (steps,) [m/s] through equally spaced knots (n,), from the onset to the end of the
+    window, at the ends of the epochs."""
     from scipy.interpolate import PchipInterpolator  # half of the start of an environment
 
     knots = np.linspace(0.0, 1.0, len(rates_mps))

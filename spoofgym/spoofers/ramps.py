@@ -1,9 +1,6 @@
 r"""None, step, ramp, accelerating ramp, dash, intermittent.
 
-A step: to a fixed displacement as quickly as the attack's limits allow, and there it stays.
-
-Commanded by rate, it moves at the limit.  Commanded by acceleration, it accelerates and brakes at
-the limit.  In epochs of length :math:`\tau`, with the limit a, a rate
+A step accelerates and brakes at the attack's limit a.  In epochs of length :math:`\tau` a rate
 
 .. math:: v = (m + r) \, a \tau, \qquad m = 0, 1, \dots, \quad 0 \le r < 1
 
@@ -14,17 +11,6 @@ is braked to zero, by m full epochs and a part of one, over at least
 so that the largest rate from which the rest R of the way still suffices follows from
 :math:`\tfrac12 (v_0 + v) \tau + b(v) = R`, in which the braking distance is linear in v within
 each m.
-
-A dash: nothing for most of the window, then as fast as allowed, to be away before the alert.
-
-It has no alarm budget in mind.  What it gains lies between the alarm and the time to alert before
-it: against a detector that needs long to be sure, that is far.
-
-Bursts with pauses: an offset that comes and goes, so that a detector has to see ends, too.
-
-In a burst of length :math:`t_{on}` the offset grows at the rate :math:`s / t_{on}`, a ramp, or is
-set to s as quickly as the attack's limits allow, a step.  In the pause after it, it goes back to
-zero as quickly as the limits allow, and stays there.
 """
 
 from __future__ import annotations

@@ -38,15 +38,12 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     - offsets are the commanded motion, within the limits of rate and acceleration, and without a
       command they keep their rate;
     - range rates are the derivative of the ranges where they are coherent, and untouched else;
-    - a receiver's offsets don't depend on the batch or the slice that it is in, bit for bit;
-    - there is no chance, and all that it remembers is in its `memory`, so that some receivers can
-      be reset, moved, copied and pickled.
+    - it keeps receivers and slices apart, has no chance, and remembers in its `memory` alone, as in
+      `check_detector`.
 
     An attack with imperfect equipment has to show all of this with perfect equipment, and the rest
-    with its own, where two rules cannot hold: it changes measurements without a command, where its
-    errors, its clock or its idea of the target's position do (`idle_is_clean` says so); and its
-    range rates are the derivatives of ranges that noise moves between the epochs, which no
-    trapezoid follows.
+    with its own: errors, a clock or a wrong target position change measurements without a command
+    (`idle_is_clean` says so), and no trapezoid follows ranges that noise moves between the epochs.
 
     Parameters
     ----------

@@ -50,11 +50,9 @@ def check_spoofer(
 
     - it states its knowledge, and its tunable setting, if any, has a range;
     - actions have the right shape and type, are finite, and lie within -1 and 1;
-    - it neither writes to an observation nor keeps it, nor hands out an array that it goes on
-      using;
-    - a receiver's actions don't depend on the batch that it is in, bit for bit;
-    - there is no chance, and all that it remembers is in its `memory`, so that some receivers can
-      be reset, moved, copied and pickled.
+    - observations are neither written to nor kept, and what it hands out is not used again;
+    - it keeps receivers apart, has no chance, and remembers in its `memory` alone, as in
+      `check_detector`.
 
     Parameters
     ----------

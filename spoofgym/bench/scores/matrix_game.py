@@ -1,13 +1,7 @@
-"""Payoff matrix and equilibrium.
+"""Zero-sum matrix games of spoofers and detectors: payoffs, equilibria, and how sure they are.
 
-Zero-sum matrix games: equilibria by linear programming, and how sure they are.
-
-Rows are spoofers, who want a large payoff, columns detectors, who want a small one.  Payoffs that
-are estimated from runs are noisy, and so are the equilibrium and its value: the runs are drawn
-again, and the game is solved in each of the samples (`efron1979`).
-
-Matrices of payoffs: what every spoofer gets against every detector, on the same runs.
-
+Rows are spoofers, which want a large payoff, columns detectors, which want a small one, all on the
+same runs.  The runs are drawn again, and the game is solved in each of the samples (`efron1979`).
 The payoff needs no alarm budget, which would depend on the detectors that are met: so it is a
 number for every pair, and a mix is worth what its members are on average.
 """

@@ -1,29 +1,18 @@
-r"""CMA-ES over rate profiles.
+"""The blind optimum: the best open-loop attack found against a detector, by CMA-ES over curves.
 
-The blind optimum: the best open-loop attack found against a detector.
-
-A curve of the rate through knots is looked for by CMA-ES (`hansen2006`).  Its candidates are played
-on response replay, which adds an attack to recorded clean runs and asks the detector itself; on the
-engine where a detector de-weights, so that replay does not hold.
-
-Every generation is played on another part of the runs, so that the mean of the search does not
-learn the noise of a few of them by heart.  Every candidate is scored at the amplitude that its
+Candidates (`hansen2006`) are played on response replay, which adds an attack to recorded clean runs
+and asks the detector itself; on the engine where a detector de-weights, so that replay does not
+hold.  Every generation is played on another part of the runs, so that the mean of the search does
+not learn the noise of a few of them by heart.  Every candidate is scored at the amplitude that its
 share of alarms allows.  For each run the amplitude at which its largest ratio of statistic to
 threshold comes to 1 is interpolated between two that are judged; the score is the displacement at
 the quantile of these, by a line through the smaller ones against normal scores, which a single run
 moves less than the quantile itself.
 
-What comes out is a curve.  Its amplitude is fitted on the engine, as that of every spoofer.
-
-Blind optima of a campaign: the curves that are found against each detector.
-
-Passive detectors share one response replay of runs that play nothing else.  A detector that
-de-weights, or a victim or an attack that has no replay, is searched against on the engine, and the
-result says so.  A curve found by replay is played on the engine, too, and where its displacement is
-another one there, the search is done again on the engine.
-
-The amplitude is fitted on training runs, where a few alarms decide.  So the plain curves and the
-campaign's own profiles are fitted like the one that was found, and the best of them is played.
+In a campaign passive detectors share one response replay.  A curve found by replay is played on the
+engine, too, and where its displacement is another one there, the search is done again on the
+engine.  The amplitude is fitted on training runs, where a few alarms decide: so the plain curves
+and the campaign's own profiles are fitted like the one that was found, and the best one is played.
 """
 
 from __future__ import annotations
