@@ -278,7 +278,9 @@ class ScriptedSpoofer(Spoofer):
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
         """Command the coming epoch: (B, a) in [-1, 1], within the limits of the attack."""
         memory, wanted = self.memory, self.wanted_rate(observation)
-        size, rate, mean = self._follow(memory["rate"], wanted, lambda v, most: v.clip(-most, most))
+        size, rate, mean = self._follow(
+            memory["rate"], wanted, lambda vector, most: np.clip(vector, -most, most)
+        )
         memory["displacement"] = memory["displacement"] + mean * self.context.interval_s
         memory["rate"] = rate
         memory["step"] = memory["step"] + 1.0
