@@ -17,7 +17,7 @@ from ..detectors.learned import DetectorAgent, PolicyDetector
 from ..policies.detector_policy import DetectorPolicy, as_policy
 from ..simulation.setup import Setup
 from .calibration import Calibration, quantile_of
-from .rules import make_duel
+from .duel import make_duel
 
 
 def calibrate(

@@ -9,8 +9,8 @@ from spoofgym.detectors import DetectorContext
 from spoofgym.detectors.calibration_file import fewest_runs
 from spoofgym.detectors.learned import PolicyDetector, policy_context
 from spoofgym.duel.calibration import quantile_of
+from spoofgym.duel.duel import make_duel
 from spoofgym.duel.payoff import FixedThreshold, RunningThreshold
-from spoofgym.duel.rules import make_duel
 from spoofgym.simulation.setup import generators_of, seeds_of_runs
 
 from .support import ALARM, BRIEF, parallel, wary
@@ -109,7 +109,7 @@ def test_alarming_at_once_does_not_pay():
         assert not infos["detector_0"]["alarm"]
         total += rewards["detector_0"]
     assert total <= 0.0
-    assert env.rules.duel.score.step_count[0] == env.rules.duel.epochs
+    assert env.duel.score.step_count[0] == env.duel.epochs
 
 
 @pytest.mark.parametrize("habit", ["always", "never", "half", "turning"])

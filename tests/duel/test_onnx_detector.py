@@ -10,8 +10,8 @@ import pytest
 from spoofgym import duel_v0
 from spoofgym.calibration import calibrate, check
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, run_probability
+from spoofgym.duel.duel import with_world
 from spoofgym.duel.opponents import make_opponent
-from spoofgym.duel.world import with_world
 from spoofgym.simulation import TightlyCoupledSetup
 
 from ..spoofers.policies import network, write_policy

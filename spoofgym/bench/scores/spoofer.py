@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from ...spoofers.base import sees_statistics
 from ..report.table import interval
 from .scores import clusters_of
-from .statistics import Estimate, percentiles, resamples_of
-
-FloatArray = NDArray[np.float64]
+from .statistics import Estimate, FloatArray, percentiles, resamples_of
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,6 @@ class Score:
         return percentiles(float(mine.sum()) / base if base else math.nan, drawn)
 
     def as_dict(self) -> dict[str, Any]:
-        """All but the single runs, JSON-able."""
         plain = ("task", "detector", "spoofer", "knowledge", "setting", "value", "runs", "counted")
         return {
             **{name: getattr(self, name) for name in plain},
