@@ -8,19 +8,16 @@ import pytest
 
 pytest.importorskip("tyro")
 
-from rich.console import Console
-
 from spoofgym.bench.experiments.evaluate import Evaluator
 from tools.refits import RESULTS, Settings, play, table
 
-QUIET = Console(quiet=True)
 QUICK = {"task": ("T1",), "entropies": (3, 4), "fit_runs": 80, "runs": 10, "threads": 1}
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     settings = Settings(tmp_path_factory.mktemp("refits"), spoofer=("dash",), **QUICK)
-    return settings, play(settings, QUIET)
+    return settings, play(settings)
 
 
 def test_every_set_is_fitted_and_scored_by_itself(results):
@@ -43,7 +40,7 @@ def test_what_is_finished_is_not_played_again(results, monkeypatch):
         raise AssertionError("it is finished")
 
     monkeypatch.setattr("tools.refits.scored", never)
-    assert play(settings, QUIET) == found
+    assert play(settings) == found
 
 
 def test_the_table_has_median_range_and_who_is_over_the_budget():
