@@ -23,10 +23,8 @@ stable-baselines3, with gamma 1."""
 def learn_against(
     mix: Mixture, task: str, limit_m: float, steps: int, file: Path, seed: int, threads: int
 ) -> bool:
-    """Let PPO learn against a mix, and write what it has learned, as an ONNX file with its card.
-    `mix`: of detectors; every episode meets one of them; `limit_m`: alert limit in place of the
-    task's [m]; 0 for that.  Returns whether there is such a policy: none is written whose weights
-    are not finite."""
+    """Let PPO learn against a mix of detectors, of which every episode meets one, and write an ONNX
+    file with its card; whether there is one: none is written whose weights are not finite."""
     pool, world = mix.pool(), task_of(task)
     length = limit_m or world.alert_limit_m
     settings: dict[str, Any] = {
