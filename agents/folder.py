@@ -14,13 +14,9 @@ from typing import Any, NamedTuple
 
 from spoofgym.bench.experiments import Cell, Context, Experiment, Reader, Result, Store, run
 from spoofgym.bench.experiments.evaluate import Evaluator
-from spoofgym.bench.experiments.versions import versions
 from spoofgym.core.files import write_file
 from spoofgym.core.progress import ProgressBar
 from spoofgym.core.settings import describe, digest_of, outside_sources
-
-LEARNING = ("torch", "stable-baselines3", "onnx")
-"""Packages that a training depends on, too."""
 
 
 class Part(NamedTuple):
@@ -91,14 +87,9 @@ def identity_of(judge: Evaluator, *specs: Any) -> dict[str, Any]:
     }
 
 
-def used_versions() -> dict[str, str]:
-    """What a training was made with."""
-    return versions() | learning_versions()
-
-
 def learning_versions() -> dict[str, str]:
     """What a training depends on besides the library."""
-    return {name: version(name) for name in LEARNING}
+    return {name: version(name) for name in ("torch", "stable-baselines3", "onnx")}
 
 
 def json_object(name: str, text: str) -> dict[str, Any]:

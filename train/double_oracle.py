@@ -62,10 +62,13 @@ from spoofgym.core.registry import check_choice, parse_spec, whole_number
 from spoofgym.detectors import detector_in_world
 from spoofgym.detectors.build import ASKED
 from spoofgym.detectors.calibrated import STANDARD_RATE
-from spoofgym.tasks import task_of
+from spoofgym.tasks import ALARM_PRICE, task_of
 
 RESULTS, PAGE = "results.json", "game.md"
 RESPONSES = ("none", "learned")
+NUM_ENVS, LOG_STD = 32, -1.5
+"""Of PPO, which decides as seldom as in `train.ppo_spoofer`; the rest are the defaults of
+stable-baselines3, with gamma 1."""
 AMPLITUDES = (0.5, 0.7, 1.0)
 """Factors on the commands of a learned policy that are tried."""
 
@@ -299,20 +302,54 @@ class DoubleOracle:
         """What PPO has learned against a mix, at some amplitudes."""
         if not self.args.ppo_steps:
             return []
-        from agents.policy_response import learn_against  # torch, which other games do not need
-
         name = "".join(c if c.isalnum() else "-" for c in mix.label)
         file = self.args.out / f"ppo-{turn}-{name}.onnx"
-        args = self.args
-        if not file.with_suffix(".json").is_file() and not learn_against(
-            mix, args.task, args.limit_m, args.ppo_steps, file, args.entropy + turn, args.threads
-        ):
+        if not file.with_suffix(".json").is_file() and not self._learn(mix, turn, file):
             print(f"PPO has diverged against {mix.label}, and takes no part in response {turn}")
             return []
         return [
             member_of({"name": str(file), "amplitude": x}, SPOOFER, label=f"PPO {turn}, {x:g}")
             for x in AMPLITUDES
         ]
+
+    def _learn(self, mix: Mixture, turn: int, file: Path) -> bool:
+        """Let PPO learn against a mix of detectors, of which every episode meets one, and write an
+        ONNX file with its card; whether there is one, since weights may be not finite."""
+        from stable_baselines3 import PPO  # and torch, which other games do not need
+
+        from agents.learning import for_learning, learn
+        from spoofgym.export import onnx
+        from spoofgym.sb3 import SpoofVecEnv
+        from spoofgym.spoofers.learned import finite
+
+        args, pool, world = self.args, mix.pool(), task_of(self.args.task)
+        length = args.limit_m or world.alert_limit_m
+        settings: dict[str, Any] = {
+            **world.world_kwargs,
+            **({} if length is None else {"length_m": length}),
+            "pool": pool["members"],
+            "weights": pool["weights"],
+            "threads": args.threads,
+            "alarm_price": ALARM_PRICE,
+        }
+        env = SpoofVecEnv(NUM_ENVS, seed=args.entropy + turn, **for_learning(settings))
+        n_steps = env.core.episode_steps
+        model = PPO(
+            "MlpPolicy",
+            env,
+            n_steps=n_steps,
+            batch_size=n_steps * NUM_ENVS // 2,
+            gamma=1.0,
+            policy_kwargs={"log_std_init": LOG_STD},
+            seed=args.entropy + turn,
+            device="cpu",
+        )
+        learn(model, args.ppo_steps)
+        sound = finite(model.policy)
+        if sound:
+            onnx(model, env, file)
+        env.close()
+        return sound
 
     def _learned(self, mix: Mixture, turn: int) -> list[Member]:
         """Detector that a command has learned against a mix, at the rate of all others."""

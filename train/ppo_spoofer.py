@@ -57,7 +57,6 @@ from agents.folder import (
     error_lines,
     json_object,
     learning_versions,
-    used_versions,
     write_json,
 )
 from agents.learning import LEAST, MOST, Steps, for_learning, learn, next_price, set_price
@@ -65,6 +64,7 @@ from agents.record import read_record, write_record
 from agents.seeds import LOUDEST, comparable, copy_policy, table_of, value_of
 from agents.spoofer_table import RIVALS
 from spoofgym.bench.experiments.evaluate import FITTED, Evaluator, entry_of
+from spoofgym.bench.experiments.versions import versions
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.cli.output import print_table
 from spoofgym.core.progress import ProgressBar, show_progress
@@ -361,11 +361,10 @@ def train(args: Arguments, progress: ProgressBar | None = None) -> dict[str, Any
     levels = {name: value_of(found["rivals"][name]) for name in comparable(known, args.knowledge)}
     draw_curves(curves, args.out / PICTURE, levels)
     rows = [{**found[key], **found[score]} for key, score in zip(seeds, scores, strict=True)]
-    for row in rows:
-        del row["training_m"]
+    rows = [{name: x for name, x in row.items() if name != "training_m"} for row in rows]
     return {
         "command": args.command(),
-        "versions": used_versions(),
+        "versions": versions() | learning_versions(),
         "detector": judge.detector.label,
         "kept": best,
         "seeds": rows,
