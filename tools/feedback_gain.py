@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from pathlib import Path
 from typing import Any
 
 from agents.folder import Part, Records, error_lines
@@ -112,10 +111,10 @@ def case_of(label: str, case: dict[str, Any], given: argparse.Namespace) -> dict
     if not case["room"]:
         return case
     if given.task is not None:
-        judge = Evaluator(given.task, **sizes_of(given))
+        judge = Evaluator(given.task, **sizes_of(given, given.seed))
     else:
         world = task_of("T3").world_kwargs
-        judge = Evaluator(detector=spec_of(label), **sizes_of(given), **world)
+        judge = Evaluator(detector=spec_of(label), **sizes_of(given, given.seed), **world)
     rates = case.get("rates_mps")
     if rates is None:
         searched = judge.fit(BLIND).found
@@ -157,11 +156,17 @@ def _ratio(own: dict[str, Any]) -> str:
 
 @error_lines()
 def main(arguments: list[str]) -> None:
-    parser = parser_of(__doc__, Path("results/feedback"), seed=1)
+    parser = parser_of(__doc__, "results/feedback")
+    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("detectors", nargs="*", help="parts of their names; by default all")
     parser.add_argument("--task", help="the detector of a task instead, T1 to T6")
     given = parser.parse_args(arguments)
-    fixed = {**sizes_of(given), "threads": None, "task": given.task, "tried": [TRIED, OFF]}
+    fixed = {
+        **sizes_of(given, given.seed),
+        "threads": None,
+        "task": given.task,
+        "tried": [TRIED, OFF],
+    }
     parts = {
         label: Part({**fixed, "case": case}, lambda *_, x=(label, case): case_of(*x, given))
         for label, case in cases(given.detectors, given.task).items()

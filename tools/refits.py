@@ -10,16 +10,15 @@ apart has the fit in it, too.  `tools.learned_page` makes a table of `refits.jso
 
 from __future__ import annotations
 
+import argparse
 import json
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from pathlib import Path
 from statistics import median
 from typing import Any
 
-import tyro
 from rich.console import Console
 from rich.markdown import Markdown
 
@@ -29,10 +28,12 @@ from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.versions import versions
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.report.table import titled
-from spoofgym.bench.runs.players import Entry, check_labels, fitted, spoofer_entry
+from spoofgym.bench.runs.players import check_labels, fitted, spoofer_entry
 from spoofgym.core.progress import ProgressBar, show_progress
-from spoofgym.core.registry import parse_spec, whole_number
+from spoofgym.core.registry import parse_spec
 from spoofgym.tasks import task_of
+
+from .scored import parser_of, sizes_of
 
 RESULTS = "refits.json"
 RAMP = "ramp"
@@ -51,39 +52,29 @@ HEAD = (
 )
 
 
-@dataclass(frozen=True)
-class Settings:
+def options(arguments: list[str]) -> argparse.Namespace:
     """What is scored."""
+    parser = parser_of(__doc__, "runs/refits", fit_runs=256)
+    parser.add_argument("--task", nargs="+", default=[*LEARNED])
+    parser.add_argument("--spoofer", nargs="+", default=[], help="by default what is shipped")
+    parser.add_argument("--entropies", nargs="+", type=int, default=[1, 2, 3, 4, 5])
+    given = parser.parse_args(arguments)
+    for name in given.task:
+        task_of(name)
+        if not given.spoofer and name not in LEARNED:
+            raise ValueError(f"no learned spoofer is shipped for {name}: give `spoofer`")
+    if len(set(given.entropies)) < len(given.entropies):
+        raise ValueError(f"`entropies` must be different numbers, got {given.entropies}")
+    return given
 
-    out: Path  # Folder of the results.
-    task: tuple[str, ...] = tuple(LEARNED)  # Tasks.
-    spoofer: tuple[str, ...] = ()  # As name:key=value; by default a ramp and what is shipped.
-    entropies: tuple[int, ...] = (1, 2, 3, 4, 5)  # Seeds of the sets; tables of the tasks have 0.
-    fit_runs: int = 256  # Training runs of a set.
-    runs: int = 400  # Evaluation runs of a set.
-    threads: int | None = None  # Of the engine.
-    json: bool = False  # Print the results as JSON, and nothing else.
 
-    def __post_init__(self) -> None:
-        for name in self.task:
-            task_of(name)
-            if not self.spoofer and name not in LEARNED:
-                raise ValueError(f"no learned spoofer is shipped for {name}: give `spoofer`")
-        if not self.entropies or len(set(self.entropies)) < len(self.entropies):
-            raise ValueError(f"`entropies` must be different numbers, got {self.entropies}")
-        whole_number("`runs`", self.runs, 1)
-
-    def whom(self, task: str) -> list[Entry]:
-        """Spoofers of a task, the ramp first."""
-        given = self.spoofer or ("accelerating-ramp", LEARNED[task])
-        names = [RAMP, *(name for name in given if name != RAMP)]
-        entries = tuple(spoofer_entry(fitted(parse_spec(name))) for name in names)
-        check_labels(entries)
-        return list(entries)
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        return {"runs": self.runs, "fit_runs": self.fit_runs}
+def specs_of(task: str, given: Sequence[str]) -> list[Any]:
+    """Spoofers of a task, the ramp first."""
+    names = given or ("accelerating-ramp", LEARNED[task])
+    names = [RAMP, *(name for name in names if name != RAMP)]
+    entries = tuple(spoofer_entry(fitted(parse_spec(name))) for name in names)
+    check_labels(entries)
+    return [entry.spec for entry in entries]
 
 
 def scored(judge: Evaluator, specs: Sequence[Any]) -> list[dict[str, Any]]:
@@ -96,27 +87,27 @@ def scored(judge: Evaluator, specs: Sequence[Any]) -> list[dict[str, Any]]:
     ]
 
 
-def play(settings: Settings, progress: ProgressBar | None = None) -> dict[str, Any]:
+def play(given: argparse.Namespace, progress: ProgressBar | None = None) -> dict[str, Any]:
     """Score what is missing; results by task and training runs, for each spoofer a list of sets."""
     parts: dict[str, Part] = {}
-    for task, entropy in product(settings.task, settings.entropies):
-        sizes = {**settings.sizes, "entropy": entropy, "threads": settings.threads}
-        judge = partial(Evaluator, task, **sizes)
-        specs = [entry.spec for entry in settings.whom(task)]
+    for task, entropy in product(given.task, given.entropies):
+        judge = partial(Evaluator, task, **sizes_of(given, entropy))
+        specs = specs_of(task, given.spoofer)
         make = lambda *_, judge=judge, specs=specs: scored(judge(), specs)  # noqa: E731
         parts[f"{task} {entropy}"] = Part(identity_of(judge(), *specs), make)
-    found = Records("refits", {}, parts).play(settings.out, progress)
+    found = Records("refits", {}, parts).play(given.out, progress)
     results = {}
-    for task in settings.task:
-        sets = [found[f"{task} {entropy}"] for entropy in settings.entropies]
-        results[f"{task}/{settings.fit_runs}"] = {
+    for task in given.task:
+        sets = [found[f"{task} {entropy}"] for entropy in given.entropies]
+        results[f"{task}/{given.fit_runs}"] = {
             "task": task,
-            **settings.sizes,
+            "runs": given.runs,
+            "fit_runs": given.fit_runs,
             "versions": versions(),
-            "entropies": list(settings.entropies),
+            "entropies": given.entropies,
             "spoofers": {each[0]["spoofer"]: list(each) for each in zip(*sets, strict=True)},
         }
-    write_json(settings.out / RESULTS, results)
+    write_json(given.out / RESULTS, results)
     return results
 
 
@@ -144,14 +135,14 @@ def _cells(scores: Sequence[Mapping[str, Any]]) -> tuple[str, str, str]:
 
 
 @error_lines()
-def main() -> None:
-    settings = tyro.cli(Settings, description=__doc__)
-    results = play(settings, show_progress)
-    if settings.json:
+def main(arguments: list[str]) -> None:
+    given = options(arguments)
+    results = play(given, show_progress)
+    if given.json:
         print(json.dumps(results, indent=1, allow_nan=False))
     else:
         Console().print(Markdown(table(results)))
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -8,16 +8,15 @@ the one in the file: it was fitted on training runs, and nothing is chosen here.
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
 from agents.folder import error_lines
 from agents.seeds import copy_policy, on_card
-from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.evaluate import RUNS, Evaluator
 from spoofgym.cli.output import progress
 from spoofgym.spoofers.zoo import ZOO_FOLDER
-
-from .scored import parser_of
 
 
 def ship(policy: Path, name: str, judge: Evaluator, folder: Path = ZOO_FOLDER) -> Path:
@@ -33,10 +32,12 @@ def ship(policy: Path, name: str, judge: Evaluator, folder: Path = ZOO_FOLDER) -
 
 @error_lines()
 def main(arguments: list[str]) -> None:
-    parser = parser_of(__doc__, seed=1)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("policy", type=Path, help="an .onnx file with its card")
     parser.add_argument("--name", required=True, help="of the shipped spoofer")
     parser.add_argument("--task", required=True, help="whose detector it has learned against")
+    parser.add_argument("--runs", type=int, default=RUNS, help="evaluation runs")
+    parser.add_argument("--seed", type=int, default=1, help="of these runs; trainings have 0")
     given = parser.parse_args(arguments)
     with progress(3.0 * given.runs) as bar:
         judge = Evaluator(given.task, runs=given.runs, entropy=given.seed, progress=bar)

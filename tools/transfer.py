@@ -144,14 +144,15 @@ def _spoofer(text: str, worlds: Mapping[str, Any]) -> tuple[Row, str | None]:
 
 @error_lines()
 def main(arguments: list[str]) -> None:
-    parser = parser_of(__doc__, Path("results/transfer"), seed=0)
+    parser = parser_of(__doc__, "results/transfer")
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--task", choices=TASKS, default="T3")
     parser.add_argument("--spoofer", action="append", required=True, help="NAME[@WORLD]")
     parser.add_argument("--world", action="append", default=[], help="NAME=JSON")
     given = parser.parse_args(arguments)
     changes = {HOME: {}, **dict(map(_world, given.world))}
     spoofers = [_spoofer(text, changes) for text in given.spoofer]
-    worlds = evaluators(given.task, changes, **sizes_of(given))
+    worlds = evaluators(given.task, changes, **sizes_of(given, given.seed))
     rows = table(worlds, spoofers, given.out, progress)
     if given.json:
         print_json(rows)
