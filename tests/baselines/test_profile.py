@@ -99,7 +99,7 @@ def test_nothing_within_the_budget_is_said(found) -> None:
 
 TINY = shlex.split(
     "--detector ewma:false_alarm=0.001 --attack false-position:acceleration_limit_mps2=0.5 "
-    "--population 4 --knots 8 --runs 8 --batch 4 --select-runs 60 --score-runs 8 --generations 1 "
+    "--population 4 --knots 8 --runs 8 --batch 4 --select-runs 80 --score-runs 8 --generations 1 "
     "--warmup-s 20 --live-s 10 --attack-s 20 --time-to-alert-s 5 --threads 1"
 )
 
