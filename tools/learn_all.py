@@ -14,6 +14,7 @@ and cards of the pages in docs/ and spoofgym/.
 
 from __future__ import annotations
 
+import argparse
 import multiprocessing
 import os
 import re
@@ -21,13 +22,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import tyro
 
 from agents.folder import Part, Records, error_lines, write_json
 from spoofgym.bench.experiments import Context
@@ -126,23 +124,6 @@ def steps_of(out: Path) -> dict[str, Step]:
     return {name: Step(words[name], after.get(name, ())) for name in found}
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What is run."""
-
-    out: Path  # Folder of all results.
-    only: tuple[str, ...] = ()  # Names of some steps, as `--list` has them; all by default.
-    workers: int = min(MOST_WORKERS, processors())
-    """Steps at a time; each has its part of the processors."""
-    list: bool = False  # Print the steps, and run none.
-
-    def __post_init__(self) -> None:
-        for name in self.only:
-            check_choice("step", name, [*steps_of(self.out)])
-        if self.workers < 1:
-            raise ValueError(f"`workers` must be at least 1, got {self.workers}")
-
-
 def run(
     out: Path, steps: Steps, workers: int = 1, progress: ProgressBar | None = None
 ) -> dict[str, Any]:
@@ -170,18 +151,26 @@ def _run_step(words: list[str], log: Path, workers: int, _: Any, context: Contex
 
 
 @error_lines()
-def main() -> None:
-    given = tyro.cli(Settings, description=__doc__)
+def main(arguments: list[str]) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder of all results")
+    parser.add_argument("--only", nargs="+", default=(), help="names of some steps")
+    most = min(MOST_WORKERS, processors())
+    parser.add_argument("--workers", type=int, default=most, help="steps at a time")
+    parser.add_argument("--list", action="store_true", help="print the steps, and run none")
+    given = parser.parse_args(arguments)
     steps = steps_of(given.out)
+    for name in given.only:
+        check_choice("step", name, steps)
+    chosen = {name: step for name, step in steps.items() if name in (given.only or steps)}
     if given.list:
-        for name, step in steps.items():
+        for name, step in chosen.items():
             print(f"{name}: python {' '.join(step.words)}")
         return
-    chosen = {name: step for name, step in steps.items() if name in (given.only or steps)}
     done = run(given.out, chosen, given.workers, show_progress)
     hours = sum(each["seconds"] for each in done.values()) / 3600.0
     print(f"{len(done)} of {len(steps)} steps have ended, in {hours:.2f} h of work")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -12,11 +12,11 @@ from itertools import pairwise
 import pytest
 
 # ruff: noqa: E402 - the packages of the laboratory may be missing
-for name in ("torch", "tyro"):
+for name in ("torch", "tyro"):  # of what the steps run
     pytest.importorskip(name)
 
 from spoofgym.tasks import DETECTOR_TASKS, TASKS
-from tools.learn_all import MARKS, Settings, Step, run, steps_of
+from tools.learn_all import MARKS, Step, main, run, steps_of
 
 
 def writing(path):
@@ -130,8 +130,16 @@ def test_workers_share_the_processors(tmp_path):
 
 
 def test_names_of_steps_are_checked(tmp_path):
-    with pytest.raises(ValueError, match="unknown step 'ppo-T9'"):
-        Settings(out=tmp_path, only=("ppo-T9",))
+    with pytest.raises(SystemExit, match="^error: unknown step 'ppo-T9'"):
+        main(["--out", str(tmp_path), "--only", "ppo-T9"])
+
+
+def test_steps_can_be_listed(tmp_path, capsys):
+    main(["--out", str(tmp_path), "--only", "game-page", "ppo-T6", "--list"])
+    assert capsys.readouterr().out.splitlines() == [
+        f"ppo-T6: python -m train.ppo_spoofer --task T6 --warm-pool 512 --out {tmp_path}/ppo-T6",
+        f"game-page: python -m tools.game_page {tmp_path}/game",
+    ]
 
 
 def test_a_folder_of_somebody_else_is_refused(tmp_path):
@@ -141,5 +149,5 @@ def test_a_folder_of_somebody_else_is_refused(tmp_path):
 
 
 def test_there_is_a_worker_at_least(tmp_path):
-    with pytest.raises(ValueError, match="`workers` must be at least 1, got 0"):
-        Settings(out=tmp_path, workers=0)
+    with pytest.raises(ValueError, match="`jobs` must be a whole number of at least 1, got 0"):
+        run(tmp_path, {}, workers=0)
