@@ -130,7 +130,7 @@ def test_workers_share_the_processors(tmp_path):
 
 
 def test_names_of_steps_are_checked(tmp_path):
-    with pytest.raises(SystemExit, match="^error: unknown step 'ppo-T9'"):
+    with pytest.raises(SystemExit, match=r"^error: unknown step 'ppo-T9'"):
         main(["--out", str(tmp_path), "--only", "ppo-T9"])
 
 
