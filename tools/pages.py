@@ -6,9 +6,11 @@ from pathlib import Path
 
 from spoofgym.core.files import write_file
 
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+
 
 def marks(name: str) -> tuple[str, str]:
-    """Begin and end of what a program makes of a page."""
     return f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
 
 
