@@ -21,7 +21,8 @@ from typing import Annotated, Any
 import typer
 
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.report.table import ALARMS_HEAD, alarm_texts
+from spoofgym.bench.report.campaign import ALARMS
+from spoofgym.bench.report.table import Table
 from spoofgym.bench.scores.statistics import BUDGET
 from spoofgym.bench.search.settings import Tuning
 from spoofgym.cli import INTERRUPTED, clear_errors
@@ -219,29 +220,19 @@ def _teller(bar: ProgressCallback) -> Tell:
 
 def _print_table(run: ProfileRun, choice: Choice) -> None:
     """The profile beside the ramps, on the runs of the choice."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=120)
     title = (
         f"{run.settings.select_runs} training runs against {run.detector.label}, of which "
         f"{choice.fit.counted} are silent without attack; of these at most {100 * run.budget:g} % "
         "may alarm, by the upper 95 % limit"
     )
-    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD)
-    for name in ("spoofer", *ALARMS_HEAD, "stealthy displacement [m]"):
-        table.add_column(Text(name))
-    for row in rivals(run, choice):
-        table.add_row(
-            str(row["spoofer"]) + ("" if row["within_budget"] else " (beyond the budget)"),
-            *alarm_texts(row),
-            f"{row['stealthy_displacement_m']:.2f}",
-        )
-    console.print(table)
+    Table(
+        (
+            "spoofer",
+            lambda row: f"{row['spoofer']}{'' if row['within_budget'] else ' (beyond the budget)'}",
+        ),
+        *ALARMS,
+        ("stealthy displacement [m]", "stealthy_displacement_m", "{:.2f}".format),
+    ).print(title, rivals(run, choice), names=0, width=120)
 
 
 if __name__ == "__main__":

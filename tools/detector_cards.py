@@ -19,14 +19,14 @@ import numpy as np
 from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
 from spoofgym.bench.experiments.protect import DetectorEvaluator
 from spoofgym.bench.experiments.task_worlds import entries_of
-from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.report.tasks import (
-    CARD_HEAD,
+    CARDS,
     card_rows,
     classics_of,
-    family_rows,
+    family_table,
     learned_of,
     missing,
+    ranked,
     unplayed,
 )
 from spoofgym.bench.report.tasks import DETECTOR_FILE as FILE
@@ -38,10 +38,9 @@ from spoofgym.core.files import write_file
 from spoofgym.core.registry import check_choice, label_of
 from spoofgym.detectors import zoo
 from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
-from tools.pages import put_between
+from tools.pages import DOCS, ROOT, put_between, rendered
 
-ROOT = Path(__file__).resolve().parents[1]
-KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, ROOT / "docs" / "tasks.md"
+KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, DOCS / "tasks.md"
 BEGIN, END = "<!-- detector-cards:begin -->", "<!-- detector-cards:end -->"
 RUNS, SELECTION_RUNS = 200, 64
 
@@ -108,24 +107,19 @@ def with_others(card: dict[str, Any], stored: dict[str, Any] | None) -> dict[str
 
 def shown() -> str:
     """Tables of the page."""
-    cards = stored_cards()
-    lines = [*markdown_table(CARD_HEAD, card_rows(cards)), ""]
-    waiting: dict[str, list[str]] = {}
+    cards, waiting = stored_cards(), {}
     for key, card in cards.items():
-        head, rows = family_rows(card)
-        lines += [f"{key}: P(HMI) by family [%], {card['runs']} evaluation runs of each, attacks "]
-        lines[-1] += f"chosen on {card['selection_runs']} others."
-        lines += ["", *markdown_table(head, rows), ""]
-        for name, why in card["left_out"].items():
-            lines += [f"{name} has no score in {key}: {why.partition(', so that')[0]}.", ""]
         if left := unplayed(DETECTOR_TASKS[key], card):
             waiting.setdefault(", ".join(left), []).append(key)
-    for labels, keys in waiting.items():
-        lines += [f"Not played in {', '.join(keys)} as yet: {labels}.", ""]
-    absent = [f"{key}: `{command}`" for key, command in missing().items()]
-    if absent:
-        lines += [f"Not played yet, and how to: {'; '.join(absent)}.", ""]
-    return "\n".join(lines)
+    return rendered(
+        "detector_tasks.md.j2",
+        scores=CARDS.markdown(card_rows(cards)),
+        cards=cards,
+        waiting=waiting,
+        missing=missing(),
+        family_table=family_table,
+        ranked=ranked,
+    )
 
 
 def main(arguments: list[str]) -> None:

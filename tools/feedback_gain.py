@@ -26,11 +26,12 @@ from agents.folder import error_lines
 from agents.seeds import marked
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.versions import versions
-from spoofgym.bench.report.table import interval, number, titled
+from spoofgym.bench.report.campaign import bound_text, titled
+from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.runs.players import detector_entry
 from spoofgym.bench.scores.bounds import bound_of
 from spoofgym.bench.scores.spoofer import Score
-from spoofgym.cli.output import print_json, print_table, progress
+from spoofgym.cli.output import print_json, progress
 from spoofgym.core.files import write_file
 from spoofgym.core.settings import digest_of
 from spoofgym.tasks import task_of
@@ -151,8 +152,7 @@ def spec_of(label: str) -> dict[str, Any]:
 
 def rows(label: str, found: dict[str, Any]) -> list[tuple[str, ...]]:
     """Rows of the table for one detector; `*` marks what is over the budget."""
-    value = found["bound"]["value"]
-    bound = "none" if value is None else number(value)
+    bound = bound_text(found["bound"])
     if not found["room"]:
         return [(label, interval(found["blind_m"]), "-", "-", "-", "no room", bound)]
     blind = marked(found[BLIND])
@@ -197,7 +197,7 @@ def run(arguments: list[str]) -> None:
         print_json(found)
     else:
         lines = [row for label, each in found.items() for row in rows(label, each)]
-        print_table(f"feedback, seed {given.seed}, {given.runs} runs", HEAD, lines)
+        Table.of_texts(*HEAD).print(f"feedback, seed {given.seed}, {given.runs} runs", lines)
 
 
 def main(arguments: list[str]) -> None:

@@ -27,8 +27,8 @@ from agents.folder import error_lines
 from agents.seeds import keeps_budget, spread, value_of
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.versions import versions
-from spoofgym.bench.report.campaign import markdown_table
-from spoofgym.bench.report.table import titled
+from spoofgym.bench.report.campaign import titled
+from spoofgym.bench.report.table import Table
 from spoofgym.bench.runs.players import Entry, check_labels, fitted, spoofer_entry
 from spoofgym.core.files import write_file
 from spoofgym.core.registry import parse_spec, whole_number
@@ -141,7 +141,7 @@ def table(results: Mapping[str, Any]) -> str:
         for found in results.values()
         for name, scores in found["spoofers"].items()
     ]
-    return "\n".join(markdown_table(HEAD, rows)) + "\n"
+    return Table.of_texts(*HEAD).markdown(rows) + "\n"
 
 
 def _cells(scores: Sequence[Mapping[str, Any]]) -> tuple[str, str, str]:

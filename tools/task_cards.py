@@ -36,14 +36,13 @@ from spoofgym.bench.experiments.remaining import expected_work
 from spoofgym.bench.experiments.results_folder import ResultsFolder
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.experiments.summary import summarize
-from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.report.tasks import (
-    ADMISSION_HEAD,
+    ADMISSION,
     FILE,
-    HEAD,
+    TASK_SCORES,
     admission_rows,
-    score_rows,
     stored_cards,
+    task_rows,
 )
 from spoofgym.bench.runs.players import detector_entry, fitted
 from spoofgym.bench.search.settings import Selection, Tuning
@@ -52,10 +51,9 @@ from spoofgym.core.files import write_file
 from spoofgym.core.settings import describe
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.tasks import SUITE, TASKS, Task, task_of
-from tools.pages import put_between
+from tools.pages import DOCS, ROOT, put_between, rendered
 
-ROOT = Path(__file__).resolve().parents[1]
-KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, ROOT / "docs" / "tasks.md"
+KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, DOCS / "tasks.md"
 BEGIN, END = "<!-- cards:begin -->", "<!-- cards:end -->"
 RATE = {"false_alarms_per_hour": STANDARD_RATE}
 TRIVIAL = {"name": "shewhart", "signals": "range_rate", **RATE}
@@ -226,17 +224,12 @@ def _at_least(value: float, least: float) -> tuple[float, bool]:
 
 def shown() -> str:
     """Tables of the page."""
-    runs = {key: card["runs"] for key, card in stored_cards().items()}
-    named = ", ".join(f"{key} {count}" for key, count in runs.items())
-    lines = [
-        *markdown_table(HEAD, score_rows()),
-        "",
-        f"Evaluation runs: {named}.",
-        "",
-        *markdown_table(ADMISSION_HEAD, admission_rows()),
-        "",
-    ]
-    return "\n".join(lines)
+    return rendered(
+        "tasks.md.j2",
+        scores=TASK_SCORES.markdown(task_rows()),
+        admission=ADMISSION.markdown(admission_rows()),
+        cards=stored_cards(),
+    )
 
 
 def main(arguments: list[str]) -> None:

@@ -31,10 +31,10 @@ from agents.folder import error_lines
 from spoofgym.bench.experiments.campaign import with_rates
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.versions import versions
-from spoofgym.bench.report.table import interval
+from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.runs.players import fitted, spoofer_entry
 from spoofgym.bench.scores.spoofer import Score
-from spoofgym.cli.output import print_json, print_table, progress
+from spoofgym.cli.output import print_json, progress
 from spoofgym.core.files import write_file
 from spoofgym.core.progress import ProgressCallback
 from spoofgym.core.registry import check_choice, parse_spec
@@ -211,7 +211,7 @@ def run(arguments: list[str]) -> None:
     if given.json:
         print_json(rows)
     else:
-        print_table(f"transfer in the world of {given.task}", HEAD, [line(row) for row in rows])
+        Table.of_texts(*HEAD).print(f"transfer in the world of {given.task}", map(line, rows))
 
 
 def main(arguments: list[str]) -> None:

@@ -15,7 +15,7 @@ import typer
 from . import options as opt
 from .app import INTERRUPTED
 from .options import ENV, SCENARIO_OPTIONS, SUITE_OPTIONS, TASK_OPTIONS, TIMES, World, with_world
-from .output import print_json, print_lines, print_table, progress
+from .output import print_json, print_lines, progress
 
 if TYPE_CHECKING:
     from datetime import date
@@ -346,9 +346,6 @@ def _settings(texts: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-NO_BOUND = "No zero-alarm bound of {}."
-
-
 @with_world
 def tune(
     *,
@@ -371,7 +368,7 @@ def tune(
     """Find the strongest ramp that keeps to an alarm budget, on training runs."""
     from ..bench.experiments.campaign import search, training_start
     from ..bench.experiments.remaining import search_work
-    from ..bench.report.table import tuning_head, tuning_rows
+    from ..bench.report.campaign import tuning_table
     from ..bench.runs.players import TUNED, build_spoofer
     from ..spoofers.scaled import AMPLITUDE
 
@@ -403,12 +400,11 @@ def tune(
         return
     for result in results:
         table = result.as_dict()
-        print_table(
+        tuning_table(table).print(
             f"{result.spoofer} against {result.detector}: P(alarm | silent twin) at most "
             f"{100 * budget:g} %, by its upper limit on the {result.counted} of {result.runs} "
             "training runs that count; fewer only sift, by the rate itself",
-            tuning_head(table),
-            tuning_rows(table),
+            table["trials"],
         )
         if not result.within_budget:
             typer.echo(f"nothing is within the budget; the smallest value is {result.value:g}")
@@ -568,9 +564,7 @@ def _report(folder: Any, as_json: bool, reports: Any) -> None:
     """Write table, scores and picture, and print the tables."""
     from ..bench.experiments.results_folder import SUMMARY, TABLE
     from ..bench.experiments.summary import summarize
-    from ..bench.report import table as tables
-    from ..bench.report.bounds import bound_notes, floor_notes
-    from ..bench.report.campaign import markdown
+    from ..bench.report.campaign import markdown, print_campaign
     from ..bench.report.figures import draw_campaign
 
     summary = summarize(folder)
@@ -587,15 +581,5 @@ def _report(folder: Any, as_json: bool, reports: Any) -> None:
     if as_json:
         print_json({**summary, "folder": str(folder.path), "input": reports})
         return
-    notes = (*floor_notes(summary), *map(NO_BOUND.format, bound_notes(summary)), "")
-    for number, group in enumerate(tables.groups(summary)):
-        name = f"{summary['scenario']}, {group.title}"
-        rows = tables.detector_rows(summary, group)
-        print_table(f"{name}: detectors", tables.DETECTORS_HEAD, rows)
-        print_lines(() if number else notes)
-        if rows := tables.attack_rows(summary, group):
-            print_table(f"{name}: stealthy attacks", tables.ATTACKS_HEAD, rows, names=2)
-        print_table(f"{name}: price", tables.CLEAN_HEAD, tables.clean_rows(summary, group))
-    if summary["missing"]:
-        typer.echo(f"not finished: {', '.join(summary['missing'])}")
+    print_campaign(summary)
     typer.echo(f"written: {', '.join(str(path) for path in written)}")

@@ -10,12 +10,10 @@ import typer
 from . import options as opt
 from .bench import calibrate_with_progress, specs_of, world_of
 from .options import World, with_world
-from .output import print_json, print_table, progress
+from .output import print_json, progress
 
 if TYPE_CHECKING:
     from ..bench.experiments.dataset import Plan
-
-HEAD = ("split", "runs", "episodes", "clean", "attacks by family", "shards", "MB")
 
 
 @with_world
@@ -75,6 +73,7 @@ def dataset(
 ) -> None:
     """Write labelled episodes to train a detector on; killed, it goes on from there."""
     from ..bench.experiments.dataset import make_room, write
+    from ..bench.report.table import Table
 
     chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": shard, "task": task}
     chosen["runs"] = {"train": train, "validation": validation, "test": test}
@@ -89,13 +88,16 @@ def dataset(
     if as_json:
         print_json(summary)
         return
-    rows = []
-    for part, found in summary["splits"].items():
-        attacks = ", ".join(f"{name} {count}" for name, count in found["families"].items())
-        counts = (found[name] for name in ("runs", "episodes", "clean"))
-        size = f"{found['bytes'] / 1e6:.1f}"
-        rows.append((part, *map(str, counts), attacks, str(found["shards"]), size))
-    print_table(f"{out}: {plan.setup.name}, digest {manifest['digest']}", HEAD, rows)
+    parts = [{"split": part, **found} for part, found in summary["splits"].items()]
+    Table(
+        *((name, name) for name in ("split", "runs", "episodes", "clean")),
+        (
+            "attacks by family",
+            lambda row: ", ".join(f"{name} {count}" for name, count in row["families"].items()),
+        ),
+        ("shards", "shards"),
+        ("MB", lambda row: f"{row['bytes'] / 1e6:.1f}"),
+    ).print(f"{out}: {plan.setup.name}, digest {manifest['digest']}", parts)
 
 
 def _plan(

@@ -10,7 +10,7 @@ import typer
 from . import options as opt
 from .bench import at_rate, calibrated, specs_of, tuning_of, uncalibrated
 from .options import World, with_world
-from .output import print_json, print_lines, print_table, progress
+from .output import print_json, print_lines, progress
 
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
@@ -86,7 +86,7 @@ def limits(
     `spoofgym limits --detector snapshot-chi2 --detector aime` with the bounds of two detectors;
     `spoofgym limits --task T3 --figure floor.png` for a task, with a picture.
     """
-    from ..bench.report.limits import sensors_known
+    from ..bench.report.limits import draw_floors, print_limits, sensors_known
     from ..core.plots import check_picture
     from ..detectors.calibrated import STANDARD_RATE
 
@@ -117,13 +117,14 @@ def limits(
         notes.append("detectors have their thresholds as published, not the floor's rate")
     record |= {"notes": notes, "input": reports}
     if picture is not None:
-        from ..bench.report.limits import draw_floors
-
         record["figure"] = str(draw_floors(record, picture))
     if as_json:
         print_json(record)
         return
-    _print(record)
+    print_lines(record["notes"])
+    print_limits(record)
+    if "figure" in record:
+        typer.echo(f"written: {record['figure']}")
 
 
 def _floors(
@@ -173,24 +174,3 @@ def _add_bounds(suite: Suite, record: dict[str, Any]) -> None:
     bounds = zero_alarm_record(found, points)
     record["zero_alarm"] = bounds["zero_alarm"]
     record["assumptions"] |= bounds["assumptions"]
-
-
-def _print(record: dict[str, Any]) -> None:
-    from ..bench.report import limits as tables
-
-    print_lines(record["notes"])
-    head, rows = tables.floor_head(record), tables.floor_rows(record)
-    print_table(tables.floor_title(record), head, rows)
-    print_lines([tables.check_line(record)])
-    if "zero_alarm" in record:
-        rows = tables.zero_alarm_rows(record)
-        print_table(tables.zero_alarm_title(record), tables.ZERO_ALARM_HEAD, rows)
-    if "divergence" in record:
-        if record["divergence"]["holds"]:
-            head, rows = tables.divergence_head(record), tables.divergence_rows(record)
-            print_table(tables.divergence_title(record), head, rows)
-        else:
-            print_lines([f"{record['divergence']['spoofer']}: {record['divergence']['why']}"])
-    print_lines(tables.assumption_lines(record))
-    if "figure" in record:
-        typer.echo(f"written: {record['figure']}")

@@ -11,7 +11,7 @@ import typer
 from . import options as opt
 from .bench import Reports, at_rate, specs_of, suite_of, untuned
 from .options import World, with_world
-from .output import print_json, print_lines, print_table, progress
+from .output import print_json, print_lines, progress
 
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
@@ -34,6 +34,7 @@ def run(
     false_alarms_per_hour: opt.Rate = None,
 ) -> None:
     """Play one run of the benchmark and its clean twin: a summary, and a picture."""
+    from ..bench.report.table import FIELDS
     from ..bench.runs.episode import draw_episode, play_episode
     from ..core.plots import check_picture
 
@@ -51,7 +52,7 @@ def run(
         print_json({**summary, "input": reports})
         return
     rows = [(key, "-" if value is None else str(value)) for key, value in summary.items()]
-    print_table(f"{player.label} against {judge.label}", ("", ""), rows)
+    FIELDS.print(f"{player.label} against {judge.label}", rows)
 
 
 @with_world

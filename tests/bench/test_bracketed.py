@@ -9,14 +9,23 @@ from typing import Any
 import pytest
 
 from spoofgym.bench import ResultsFolder, run_campaign, summarize
-from spoofgym.bench.report.bounds import EXCEEDED, bound_cell, bracket_section, floor_notes
-from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.report.campaign import (
+    ATTACKS,
+    DETECTORS,
+    attack_rows,
+    bound_cell,
+    detector_rows,
+    floor_notes,
+    groups,
+    mark_of,
+    markdown,
+)
 from spoofgym.bench.report.figures import draw_campaign
-from spoofgym.bench.report.table import DETECTORS_HEAD, attack_rows, detector_rows, groups, mark_of
 from spoofgym.bench.scores.bounds import HALF, STEALTHY, bracket_of
 
 from .support import small_suite
 
+EXCEEDED = "*Above the zero-alarm bound*: a mean that exceeds it"
 POINT = {"detector": "one", "claimed": {"per_run": 0.01}, "footing": "0.2"}
 
 
@@ -164,8 +173,8 @@ def test_a_weak_attack_is_a_failed_search_in_a_real_campaign(weak: Any) -> None:
     for assumption in summary["limits"]["floor"]["assumptions"]:
         assert assumption in text
     (group,) = groups(summary)
-    for row in detector_rows(summary, group):
-        assert len(row) == len(DETECTORS_HEAD)
+    for row in DETECTORS.texts(detector_rows(summary, group)):
+        assert len(row) == len(DETECTORS.titles)
     assert EXCEEDED not in text
     assert draw_campaign(folder, summary).stat().st_size > 10_000
 
@@ -175,20 +184,21 @@ def test_the_json_has_what_the_tables_have(weak: Any) -> None:
     again = json.loads(json.dumps(summary, allow_nan=False))
     assert again == summary
     (group,) = groups(summary)
-    assert detector_rows(again, group) == detector_rows(summary, group)
+    rows = [DETECTORS.texts(detector_rows(each, group)) for each in (again, summary)]
+    assert rows[0] == rows[1]
 
 
 def test_a_mean_above_its_bound_is_explained_in_the_report(weak: Any) -> None:
-    _, summary = weak
+    folder, summary = weak
     never, shewhart = summary["detectors"]
     attack = {"spoofer": "ramp(rate_mps=0.0001)", "value": 5.0, "low": 4.0, "high": 6.0}
     bracket = {**shewhart["bracket"], "above_zero_alarm": [attack]}
     changed = {**summary, "detectors": [never, {**shewhart, "bracket": bracket}]}
-    assert EXCEEDED in bracket_section(changed)
+    assert EXCEEDED in markdown(folder.config(), changed)
     (label,) = {each["spoofer"] for each in summary["cells"]} - {"none"}
     attack["spoofer"] = label
     (group,) = groups(changed)
-    rows = {row[0]: row[5] for row in attack_rows(changed, group)}
+    rows = {row[0]: row[5] for row in ATTACKS.texts(attack_rows(changed, group))}
     assert rows["shewhart"].endswith("above the zero-alarm bound")
     assert "above" not in rows["never"]
 

@@ -13,8 +13,15 @@ import pytest
 from spoofgym.bench import ResultsFolder, run_campaign, summarize
 from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.summary import times_of
-from spoofgym.bench.report.campaign import markdown
-from spoofgym.bench.report.table import DETECTORS_HEAD, attack_rows, detector_rows, groups, mark_of
+from spoofgym.bench.report.campaign import (
+    ATTACKS,
+    DETECTORS as TABLE,
+    attack_rows,
+    detector_rows,
+    groups,
+    mark_of,
+    markdown,
+)
 from spoofgym.bench.runs.record import MEASURES
 from spoofgym.bench.scores.paired import compare
 from spoofgym.bench.search.settings import Selection, Tuning
@@ -145,7 +152,7 @@ def test_skies_that_are_not_the_worst_ones_have_no_figure(played: Any) -> None:
     _, _, summary = played
     label = f"toy({LABEL})"
     (group,) = (each for each in groups(summary) if each.rate == f"{RATE:g}")
-    place = DETECTORS_HEAD.index("worst skies, in 50 % [m]")
+    column = TABLE["worst skies, in 50 % [m]"]
 
     def cell(*values: float | None) -> str:
         found = [
@@ -153,7 +160,7 @@ def test_skies_that_are_not_the_worst_ones_have_no_figure(played: Any) -> None:
             for each in summary["protection"]
         ]
         rows = detector_rows({**summary, "protection": found}, group)
-        return next(row[place] for row in rows if row[0] == label)
+        return next(column.text(row) for row in rows if row["detector"] == label)
 
     def skies(found: dict[str, Any], value: float | None) -> dict[str, Any]:
         half = next(row for row in found["exceeded"] if row["share"] == 0.5)
@@ -207,17 +214,19 @@ def test_every_table_has_one_rate(played: Any) -> None:
     (group,) = groups(summary)
     assert (group.rate, len(group.detectors)) == ("20", 4)
     assert len(detector_rows(summary, group)) == 4
-    rows = attack_rows(summary, group)
-    assert len(rows) == 8
-    assert not any("oracle" in row[1] for row in rows)
+    column = ATTACKS["spoofer"]
+    names = [column.text(row) for row in attack_rows(summary, group)]
+    assert len(names) == 8
+    assert not any("oracle" in name for name in names)
     for cell in (told := copy.deepcopy(summary))["cells"]:
         cell["knowledge"]["run_time"] = "oracle+reported"
-    assert [row[1] for row in attack_rows(told, group)] == [f"{row[1]} (oracle)" for row in rows]
+    told_names = [column.text(row) for row in attack_rows(told, group)]
+    assert told_names == [f"{name} (oracle)" for name in names]
     for protection in told["protection"]:
         for row in protection["exceeded"]:
             row["letter"] = "e"
-    worst = DETECTORS_HEAD.index("worst attack")
-    marked = [row[worst] for row in detector_rows(told, group) if row[worst] != "-"]
+    worst = TABLE["worst attack"]
+    marked = [text for row in detector_rows(told, group) if (text := worst.text(row)) != "-"]
     assert marked
     assert all(row.startswith("(e) ") and " (oracle), " in row for row in marked)
     text = markdown(folder.config(), summary)

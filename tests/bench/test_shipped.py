@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from spoofgym.bench import ResultsFolder, Suite, run_campaign, summarize
-from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.report.campaign import made_for, markdown
 from spoofgym.bench.report.figures import draw_campaign
-from spoofgym.bench.report.table import made_for
 from spoofgym.bench.runs.players import (
     DEFAULT_SPOOFERS,
     build_spoofer,

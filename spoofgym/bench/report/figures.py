@@ -26,6 +26,7 @@ from .table import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
 
 PROFILE, SCRIPTED = "profile", ("none", "step", "accelerating-ramp", "ramp")
 """Kinds of spoofers with a marker of their own."""
@@ -246,10 +247,6 @@ def draw_course(ax: Axes, cells: dict[str, Cell], look: dict[str, Look]) -> None
     _log_metres(ax)
     ax.set_xlabel("time since the onset [s] (X: half of the runs have alarmed)")
 
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.lines import Line2D
 
 COLUMNS = 4
 """Detectors side by side; more of them start another block."""
