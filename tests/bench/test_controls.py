@@ -15,12 +15,14 @@ from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.summary import times_of
 from spoofgym.bench.report.campaign import (
     ATTACKS,
-    DETECTORS as TABLE,
     attack_rows,
     detector_rows,
     groups,
     mark_of,
     markdown,
+)
+from spoofgym.bench.report.campaign import (
+    DETECTORS as TABLE,
 )
 from spoofgym.bench.runs.record import MEASURES
 from spoofgym.bench.scores.paired import compare
