@@ -26,8 +26,8 @@ from spoofgym.bench.report.table import Table
 from spoofgym.bench.scores.statistics import BUDGET
 from spoofgym.bench.search.settings import Tuning
 from spoofgym.cli import INTERRUPTED, clear_errors
-from spoofgym.cli.bench import calibrate_with_progress
 from spoofgym.cli.options import given_options
+from spoofgym.cli.suites import calibrate_with_progress
 from spoofgym.core.progress import ProgressCallback, show_progress
 from spoofgym.core.registry import parse_spec, refuse_given
 from spoofgym.simulation import Timeline

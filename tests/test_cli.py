@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from spoofgym import __version__
 from spoofgym.bench.experiments.results_folder import ResultsFolder
 from spoofgym.cli import app
-from spoofgym.cli.options import ENV, World, with_world
+from spoofgym.cli.options import ENV, WorldOptions, with_options
 from spoofgym.detectors import DETECTORS
 from spoofgym.detectors.zoo import shipped as learned
 from spoofgym.spoofers import SPOOFERS, shipped
@@ -57,11 +57,11 @@ def test_help_of_every_command() -> None:
 
 def test_the_options_of_the_world_are_those_of_every_command_that_plays() -> None:
     """And the world that a command gets holds what is on its command line."""
-    worlds: list[World] = []
+    worlds: list[WorldOptions] = []
 
-    @with_world
-    def play(*, first: int = 1, world: World, last: int = 2) -> None:
-        worlds.append(world)
+    @with_options
+    def play(*, first: int = 1, options: WorldOptions, last: int = 2) -> None:
+        worlds.append(options)
         assert (first, last) == (1, 3)
 
     small = typer.Typer()
@@ -77,7 +77,7 @@ def test_the_options_of_the_world_are_those_of_every_command_that_plays() -> Non
         "last": "--last",
     }
     group = typer.main.get_group(app)
-    names = [field.name for field in dataclasses.fields(World) if field.name != "context"]
+    names = [field.name for field in dataclasses.fields(WorldOptions) if field.name != "context"]
     for command in ("run", "render", "tune", "bench", "limits", "dataset"):
         options = [option.name for option in group.commands[command].params]
         start = options.index("env")

@@ -143,7 +143,7 @@ def case_of(label: str, case: dict[str, Any], given: argparse.Namespace) -> dict
 
 def spec_of(label: str) -> dict[str, Any]:
     """Settings of a detector of the standard suite."""
-    from spoofgym.cli.bench import standard_suite
+    from spoofgym.cli.suites import standard_suite
 
     suite = standard_suite(None, {"spoofers": []})
     (found,) = (entry.spec for entry in suite.detector_entries if entry.label == label)

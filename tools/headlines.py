@@ -22,7 +22,7 @@ from typing import Any
 from spoofgym.bench.report import campaign as report
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.scores.bounds import bracket_of
-from spoofgym.cli.bench import LEFT_OUT, standard_suite
+from spoofgym.cli.suites import LEFT_OUT, standard_suite
 from spoofgym.core.files import write_file
 from spoofgym.core.settings import digest_of
 from spoofgym.spoofers.base import sees_statistics

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
-from .bench import specs_of, world_of
-from .options import World, with_world
+from .options import WorldOptions, with_options
 from .output import print_json, print_lines, progress
+from .suites import specs_of, world_of
 
 if TYPE_CHECKING:
-    from ..bench.runs.world import World as Played
+    from ..bench.runs.world import World
     from ..calibration.holdouts import HoldOut
     from ..detectors import Calibration, Detector
 
 
-@with_world
+@with_options
 def calibrate(
     *,
     detector: Annotated[
@@ -66,7 +66,7 @@ def calibrate(
     ] = False,
     task: Annotated[str | None, typer.Option(help="World of a task, T1 to T6.")] = None,
     as_json: opt.Json = False,
-    world: World,
+    options: WorldOptions,
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
 ) -> None:
@@ -76,7 +76,7 @@ def calibrate(
     from ..calibration import thresholds as calibration
     from ..detectors.calibration_file import TOLERANCE
 
-    played = world_of(world, task)
+    played = world_of(options, task)
     setup, rate = played.setup, false_alarms_per_hour
     judges, named = _judges(detector, played, rescaled)
     others = {text: _other(played, text) for text in transfer or ()}
@@ -129,7 +129,7 @@ def calibrate(
 
 
 def _judges(
-    texts: Sequence[str] | None, world: Played, rescaled: bool
+    texts: Sequence[str] | None, world: World, rescaled: bool
 ) -> tuple[list[Detector], set[int]]:
     """Detectors, and which of them were named; they may not ask for thresholds. Those that never
     alarm are left out, and of `all` those that can't be rescaled."""
@@ -161,7 +161,7 @@ def _judges(
     return judges, {k for k, each in enumerate(judges) if repr(identity_of(each)) in words}
 
 
-def _other(world: Played, text: str) -> Any:
+def _other(world: World, text: str) -> Any:
     """Another world: settings of this one that differ."""
     from ..bench.runs.world import VICTIMS
     from ..core.registry import check_keywords

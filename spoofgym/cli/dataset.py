@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
-from .bench import calibrate_with_progress, specs_of, world_of
-from .options import World, with_world
+from .options import WorldOptions, with_options
 from .output import print_json, progress
+from .suites import calibrate_with_progress, specs_of, world_of
 
 if TYPE_CHECKING:
     from ..bench.experiments.dataset import Plan
 
 
-@with_world
+@with_options
 def dataset(
     out: Annotated[Path, typer.Argument(help="Folder of the data set.")],
     *,
@@ -67,7 +67,7 @@ def dataset(
         bool, typer.Option("--overwrite", help="Replace another data set in the folder.")
     ] = False,
     as_json: opt.Json = False,
-    world: World,
+    options: WorldOptions,
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
 ) -> None:
@@ -80,7 +80,7 @@ def dataset(
     chosen["spoofers"] = specs_of(spoofer or ())
     if term:
         chosen["terms"] = specs_of(term)
-    plan = _plan(world, detector, alert_limit_m, chosen, threads)
+    plan = _plan(options, detector, alert_limit_m, chosen, threads)
     make_room(out, plan, overwrite=overwrite)
     with progress(sum(plan.runs.values())) as bar:
         manifest = write(out, plan, threads=threads, progress=bar)
@@ -101,7 +101,7 @@ def dataset(
 
 
 def _plan(
-    world: World,
+    options: WorldOptions,
     detector: str | None,
     alert_limit_m: float | None,
     chosen: dict[str, Any],
@@ -116,7 +116,7 @@ def _plan(
     from ..tasks import task_of
 
     task = chosen["task"]
-    played, guard, limit = world_of(world, task), None, None
+    played, guard, limit = world_of(options, task), None, None
     if task is not None:
         guard, limit = task_of(task).detector, task_of(task).alert_limit_m
     if detector is not None:

@@ -8,8 +8,8 @@ from typing import Annotated
 from typer import Option
 
 from . import options as opt
-from .bench import specs_of
 from .output import print_json
+from .suites import specs_of
 
 
 def game(

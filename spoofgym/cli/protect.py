@@ -9,8 +9,8 @@ import typer
 
 from . import options as opt
 from .app import INTERRUPTED
-from .bench import calibrate_with_progress, specs_of
 from .output import print_json, progress
+from .suites import calibrate_with_progress, specs_of
 
 
 def protect(
