@@ -14,10 +14,9 @@ from .options import SuiteOptions, with_options
 from .output import print_json, print_lines, progress
 from .suites import (
     calibrated,
-    headline_thresholds,
+    refuse_decided,
     selection_of,
     specs_of,
-    standard_sizes,
     standard_suite,
     suite_of,
     tuning_of,
@@ -102,16 +101,19 @@ def bench(
     given, in a world whose sky, heading, onset and turn-on constants of the sensors are drawn for
     every run, unless --set domain=... says otherwise.
     """
-    from ..bench.experiments.campaign import SPOOFERS, run_campaign
+    from ..bench.experiments.campaign import SIZES, SPOOFERS, SUITES, run_campaign
     from ..bench.experiments.remaining import expected_work
     from ..bench.experiments.results_folder import ResultsFolder
     from ..bench.runs.players import fitted
+    from ..core.registry import check_choice
     from ..simulation.engine import processors
 
     sizes = {"seeds": seeds, "training_seeds": training_seeds, "selection_seeds": selection_seeds}
     if suite_name is not None:
-        sizes, spoofer = standard_sizes(options, suite_name, sizes), [*SPOOFERS]
-    thresholds, _ = headline_thresholds(options, nominal)
+        check_choice("suite", suite_name, SUITES)
+        refuse_decided(options, "--suite", opt.SUITE_OPTIONS)
+        sizes = {**SIZES, **{key: sizes[key] for key in options.given(SIZES)}}
+        spoofer = [*SPOOFERS]
     settings: dict[str, Any] = {
         "spoofers": list(map(fitted, specs_of(spoofer))) if spoofer else None,
         "runs": sizes["seeds"],
@@ -122,8 +124,8 @@ def bench(
         settings |= {"entropy": options.seed, "allow_oracles": options.allow_oracles}
         suite, reports = standard_suite(detector, settings), None
     else:
-        asked: dict[str, Any] = {"thresholds": thresholds, "headline": task is None}
-        suite, reports = suite_of(options, detector, task=task, **asked, **settings)
+        settings |= {"task": task, "nominal": nominal, "headline": True}
+        suite, reports = suite_of(options, detector, **settings)
     suite = calibrated(suite, detector, threads)
     folder = ResultsFolder(out)
     folder.open(suite, overwrite=overwrite)

@@ -10,7 +10,7 @@ import typer
 from . import options as opt
 from .options import SuiteOptions, with_options
 from .output import print_json, print_lines, progress
-from .suites import calibrated, headline_thresholds, specs_of, suite_of, tuning_of
+from .suites import calibrated, specs_of, suite_of, tuning_of
 
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
@@ -83,17 +83,19 @@ def limits(
     """
     from ..bench.report import limits as report
     from ..core.plots import check_picture
+    from ..detectors.calibrated import STANDARD_RATE
     from ..limits.floor import check_linear_victim, frontier_of
 
-    thresholds, rate = headline_thresholds(options, nominal)
+    rate = options.false_alarms_per_hour
+    rate = STANDARD_RATE if rate is None else rate
     known = report.sensors_known(sensors)
     picture = None if figure is None else check_picture(figure)
     suite, reports = suite_of(
         options,
         detector or ["never"],
         task=task,
-        thresholds=thresholds,
-        headline=task is None,
+        nominal=nominal,
+        headline=True,
         spoofers=specs_of([spoofer] if spoofer else []),
         tuning=tuning_of(opt.LARGEST_RUNS, budget),
     )

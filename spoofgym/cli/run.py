@@ -12,7 +12,7 @@ import typer
 from . import options as opt
 from .options import SuiteOptions, with_options
 from .output import print_json, print_lines, progress
-from .suites import Reports, calibrated, own_thresholds, specs_of, suite_of
+from .suites import Reports, calibrated, specs_of, suite_of
 
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
@@ -93,12 +93,7 @@ def _suite(options: RunOptions) -> tuple[Suite, Entry, Entry, Reports]:
     """The suite of one pair, its detector, its spoofer, which has to know all its settings, and
     the reports of real input."""
     detectors = [options.detector] if options.detector else None
-    suite, reports = suite_of(
-        options,
-        detectors,
-        thresholds=own_thresholds(options),
-        spoofers=specs_of([options.spoofer]),
-    )
+    suite, reports = suite_of(options, detectors, spoofers=specs_of([options.spoofer]))
     suite = calibrated(suite, detectors, None)
     player = suite.spoofer_entries[-1]
     if player.tuned:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from .options import (
     ENV,
     SCENARIO_OPTIONS,
-    SUITE_OPTIONS,
     TASK_OPTIONS,
     TIMES,
     WORLD_OPTIONS,
@@ -67,26 +66,34 @@ def suite_of(
     detectors: Sequence[str] | None,
     *,
     task: str | None = None,
-    thresholds: Spec | None = None,
+    nominal: bool = False,
     headline: bool = False,
     **settings: Any,
 ) -> tuple[Suite, Reports]:
     """The suite of the options or of a task, and the reports of real input; nothing is looked up.
 
-    `thresholds`: of detectors that ask for none of their own, by default nothing; `headline`:
-    whether there are negative controls, and a drawn world, where nothing else is asked for;
-    `settings`: those of a suite that no task decides.
+    `nominal`: whether detectors that ask for no thresholds have them as published; `headline`:
+    whether they have one rate of false alarms, in a drawn world, and controls, unless a task or an
+    option decides otherwise; `settings`: those of a suite that no task decides.
     """
     from ..bench.experiments.suite import Suite
     from ..bench.runs.world import HEADLINE_DOMAIN
+    from ..detectors.calibrated import STANDARD_RATE
     from ..tasks import SUITE, task_of
 
+    rate = options.false_alarms_per_hour
+    if nominal and rate is not None:
+        raise ValueError("--nominal and --false-alarms-per-hour can't both be given")
     settings |= {"entropy": options.seed, "allow_oracles": options.allow_oracles}
     if task is not None:
         refuse_decided(options, "--task", TASK_OPTIONS)
         chosen = task_of(task)
         notes = (f"task {chosen.key} of {SUITE}: {chosen.title}",)
         return Suite(**chosen.suite_kwargs, notes=notes, **settings), None
+    if rate is None and headline:
+        rate = STANDARD_RATE
+    asked = {} if rate is None else {"false_alarms_per_hour": rate}
+    thresholds = {"thresholds": "nominal"} if nominal else asked
     decided, reports = _victim(options)
     specs = _detectors(options, decided, detectors, thresholds, headline)
     drawn = options.env == ENV and options.track is None and "domain" not in decided["settings"]
@@ -99,7 +106,7 @@ def _detectors(
     options: WorldOptions,
     decided: Mapping[str, Any],
     texts: Sequence[str] | None,
-    thresholds: Spec | None,
+    thresholds: Spec,
     headline: bool,
 ) -> list[dict[str, Any]] | None:
     """Detectors with the thresholds that are asked for; of a headline the usual ones and the
@@ -117,9 +124,9 @@ def _detectors(
         named = [spec for spec in specs or () if spec["name"] != "all"]
         names = {spec["name"] for spec in named}
         world = World.of(**{name: x for name, x in decided.items() if name != "notes"})
-        found = everyone_in(world.setup, "false_alarms_per_hour" in (thresholds or {}))
+        found = everyone_in(world.setup, "false_alarms_per_hour" in thresholds)
         specs = [*named, *(spec for spec in found if spec["name"] not in names)]
-    if thresholds is None:
+    if not thresholds:
         return specs
     return [
         spec if asks(spec) and spec.get("thresholds") != "rescaled" else {**thresholds, **spec}
@@ -143,39 +150,11 @@ def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) ->
     return Suite(**standard_kwargs(), detectors=specs, **settings)
 
 
-def standard_sizes(options: WorldOptions, name: str, sizes: Mapping[str, int]) -> dict[str, int]:
-    """Sizes of a suite by its name, but for those that are given; an error where there is no such
-    suite, or where an option is given that it decides."""
-    from ..bench.experiments.campaign import SIZES, SUITES
-    from ..core.registry import check_choice
-
-    check_choice("suite", name, SUITES)
-    refuse_decided(options, "--suite", SUITE_OPTIONS)
-    return {**SIZES, **{key: sizes[key] for key in options.given(SIZES)}}
-
-
 def refuse_decided(options: WorldOptions, decider: str, names: Collection[str]) -> None:
     """Raise where an option is given that another one decides."""
     from ..core.registry import refuse_given
 
     refuse_given(decider, options.given(names).values())
-
-
-def headline_thresholds(options: SuiteOptions, nominal: bool) -> tuple[Spec, float]:
-    """What a headline asks of the thresholds, and the rate of false alarms that it is about."""
-    from ..detectors.calibrated import STANDARD_RATE
-
-    rate = options.false_alarms_per_hour
-    if nominal and rate is not None:
-        raise ValueError("--nominal and --false-alarms-per-hour can't both be given")
-    rate = STANDARD_RATE if rate is None else rate
-    return {"thresholds": "nominal"} if nominal else {"false_alarms_per_hour": rate}, rate
-
-
-def own_thresholds(options: SuiteOptions) -> Spec | None:
-    """What is asked of the thresholds by an option; None for nothing."""
-    rate = options.false_alarms_per_hour
-    return None if rate is None else {"false_alarms_per_hour": rate}
 
 
 def calibrated(suite: Suite, detectors: Sequence[str] | None, threads: int | None) -> Suite:

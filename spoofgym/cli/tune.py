@@ -9,7 +9,7 @@ import typer
 from . import options as opt
 from .options import SuiteOptions, with_options
 from .output import print_json, print_lines, progress
-from .suites import calibrated, own_thresholds, specs_of, suite_of, tuning_of
+from .suites import calibrated, specs_of, suite_of, tuning_of
 
 
 @with_options
@@ -39,13 +39,8 @@ def tune(
     for spec in specs:
         untuned = {key: value for key, value in spec.items() if value != TUNED}
         spec[build_spoofer(untuned).tunable or AMPLITUDE] = TUNED
-    suite, _ = suite_of(
-        options,
-        detector,
-        thresholds=own_thresholds(options),
-        spoofers=specs,
-        tuning=tuning_of(training_seeds, budget),
-    )
+    tuning = tuning_of(training_seeds, budget)
+    suite, _ = suite_of(options, detector, spoofers=specs, tuning=tuning)
     suite = calibrated(suite, detector, threads)
     if not as_json:
         print_lines((*suite.notes, *suite.captions))
