@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.folder import error_lines
-from spoofgym.bench.experiments.campaign import with_rates
+from spoofgym.bench.search.amplitude import with_rates
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.versions import versions
 from spoofgym.bench.report.table import Table, interval

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from . import options as opt
-from .app import INTERRUPTED
 from .options import SuiteOptions, with_options
-from .output import print_json, print_lines, progress
+from .output import print_json, print_lines
 from .suites import (
+    Reports,
     calibrated,
     refuse_decided,
     selection_of,
@@ -21,6 +21,9 @@ from .suites import (
     suite_of,
     tuning_of,
 )
+
+if TYPE_CHECKING:
+    from ..bench.experiments.summary import CampaignResults
 
 
 @with_options
@@ -94,6 +97,8 @@ def bench(
     ] = 192,
     threads: opt.Threads = None,
     jobs: opt.Jobs = None,
+    backend: opt.Backend = "local",
+    shard: opt.Shard = None,
 ) -> None:
     """Play detectors against spoofers on the same runs; interrupted, it goes on when run again.
 
@@ -101,9 +106,8 @@ def bench(
     given, in a world whose sky, heading, onset and turn-on constants of the sensors are drawn for
     every run, unless --set domain=... says otherwise.
     """
-    from ..bench.experiments.campaign import SIZES, SPOOFERS, SUITES, run_campaign
-    from ..bench.experiments.remaining import expected_work
-    from ..bench.experiments.results_folder import ResultsFolder
+    from ..bench.experiments import Store
+    from ..bench.experiments.campaign import SIZES, SPOOFERS, SUITES, Campaign
     from ..bench.runs.players import fitted
     from ..core.registry import check_choice
     from ..simulation.engine import processors
@@ -127,28 +131,15 @@ def bench(
         settings |= {"task": task, "nominal": nominal, "headline": True}
         suite, reports = suite_of(options, detector, **settings)
     suite = calibrated(suite, detector, threads)
-    folder = ResultsFolder(out)
-    folder.open(suite, overwrite=overwrite)
+    campaign = Campaign(suite)
+    campaign.open(Store(out), overwrite=overwrite)
     at_once = jobs or (processors() if suite_name else 1)
     if not as_json:
         print_lines((*(() if task else suite.notes), *suite.captions, *suite.left_out))
-    try:
-        with progress(expected_work(suite, folder)) as bar:
-            run_campaign(suite, folder, threads=threads, jobs=at_once, progress=bar)
-    except KeyboardInterrupt:
-        done = sum(
-            folder.has_cell(judge.label, player.label)
-            for judge in suite.detector_entries
-            for player in suite.spoofer_entries
-        )
-        total = len(suite.detector_entries) * len(suite.spoofer_entries)
-        typer.echo(
-            f"interrupted: {done} of {total} cells are finished and kept in {out}; the same "
-            "command goes on from there",
-            err=True,
-        )
-        raise typer.Exit(INTERRUPTED) from None
-    _report(folder, as_json, reports)
+    results = opt.finished(
+        campaign, out, jobs=at_once, backend=backend, shard=shard, threads=threads
+    )
+    _report(campaign.results(results), as_json, reports)
 
 
 def report(
@@ -156,31 +147,31 @@ def report(
     as_json: opt.Json = False,
 ) -> None:
     """Score the finished cells of a folder again, with table and picture."""
-    from ..bench.experiments.results_folder import ResultsFolder
+    from ..bench.experiments.summary import CampaignResults
 
-    _report(ResultsFolder(folder), as_json, None)
+    _report(CampaignResults.load(folder), as_json, None)
 
 
-def _report(folder: Any, as_json: bool, reports: Any) -> None:
+def _report(results: CampaignResults, as_json: bool, reports: Reports) -> None:
     """Write table, scores and picture, and print the tables."""
-    from ..bench.experiments.results_folder import SUMMARY, TABLE
-    from ..bench.experiments.summary import summarize
+    from ..bench.experiments.summary import SUMMARY, TABLE, summarize
     from ..bench.report.campaign import markdown, print_campaign
     from ..bench.report.figures import draw_campaign
 
-    summary = summarize(folder)
+    summary, store = summarize(results), results.store
     if not summary["cells"]:
-        raise ValueError(f"{folder.path} holds no finished cell yet")
+        raise ValueError(f"{results.path} holds no finished cell yet")
+    text = markdown(results, summary)
     written = [
-        folder.put_text(SUMMARY, json.dumps(summary, indent=1, allow_nan=False) + "\n"),
-        folder.put_text(TABLE, markdown(folder.config(), summary)),
+        store.write(SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode()),
+        store.write(TABLE, text.encode()),
     ]
     try:
-        written.append(draw_campaign(folder, summary))
+        written.append(draw_campaign(results, summary))
     except ImportError as error:
         typer.echo(f"no picture: {error}", err=True)
     if as_json:
-        print_json({**summary, "folder": str(folder.path), "input": reports})
+        print_json({**summary, "folder": str(results.path), "input": reports})
         return
     print_campaign(summary)
-    typer.echo(f"written: {', '.join(str(path) for path in written)}")
+    typer.echo(f"written: {', '.join(map(str, written))}")

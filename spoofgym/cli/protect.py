@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from . import options as opt
-from .app import INTERRUPTED
-from .output import print_json, progress
+from .output import print_json
 from .suites import calibrate_with_progress, specs_of
 
 
@@ -38,6 +37,9 @@ def protect(
     ),
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
+    jobs: opt.Processes = 1,
+    backend: opt.Backend = "local",
+    shard: opt.Shard = None,
     as_json: opt.Json = False,
 ) -> None:
     """Score detectors by the worst family of attacks of a task, most of which none has met."""
@@ -52,22 +54,9 @@ def protect(
         selection_runs=selection_seeds,
         families=family or None,
         entropy=seed,
-        threads=threads,
-        folder=out,
     )
     calibrate_with_progress(evaluator.worlds.world, entries_of(specs), threads)
-    try:
-        with progress(evaluator.expected_work(specs)) as bar:
-            evaluator.progress = bar
-            scores = evaluator.scores(specs)
-    except KeyboardInterrupt:
-        typer.echo(
-            f"interrupted: finished parts are kept in {out}; the same command goes on from there",
-            err=True,
-        )
-        raise typer.Exit(INTERRUPTED) from None
-    paired = [score.difference_to(scores[0]).as_json() for score in scores]
-    if as_json:
-        print_json([{**s.as_dict(), "less_first": p} for s, p in zip(scores, paired, strict=True)])
-        return
-    print_scores(scores, paired)
+    found, where = evaluator.protections(specs), out / evaluator.task.key
+    results = opt.finished(found, where, jobs=jobs, backend=backend, shard=shard, threads=threads)
+    rows = found.report(results)["detectors"]
+    (print_json if as_json else print_scores)(rows)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import functools
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,6 +11,9 @@ from . import options as opt
 from .options import SuiteOptions, with_options
 from .output import print_json, print_lines, progress
 from .suites import calibrated, specs_of, suite_of, tuning_of
+
+if TYPE_CHECKING:
+    from ..core.progress import ProgressCallback
 
 
 @with_options
@@ -29,10 +33,11 @@ def tune(
     threads: opt.Threads = None,
 ) -> None:
     """Find the strongest ramp that keeps to an alarm budget, on training runs."""
-    from ..bench.experiments.campaign import search, training_start
-    from ..bench.experiments.remaining import search_work
     from ..bench.report.campaign import tuning_table
+    from ..bench.runs.panel import Panel
     from ..bench.runs.players import TUNED, build_spoofer
+    from ..bench.search.amplitude import fit, search_work
+    from ..detectors import detector_in_world
     from ..spoofers.scaled import AMPLITUDE
 
     specs = specs_of(spoofer or ["ramp", "accelerating-ramp"])
@@ -46,11 +51,15 @@ def tune(
         print_lines((*suite.notes, *suite.captions))
     entries = [entry for entry in suite.spoofer_entries if entry.tuned]
     each = 2.0 * suite.tuning.runs + len(entries) * search_work(suite.tuning)
-    results, optima = [], suite.optima()
+    results, optima, watched = [], suite.optima(), suite.world.watched_for(entries)
+    rngs = functools.partial(suite.generators, "training", suite.tuning.runs)
     with progress(each * len(suite.detector_entries)) as bar:
         for judge in suite.detector_entries:
-            start, clean = training_start(suite, judge, threads, bar)
-            results += [search(judge, entry, start, clean, bar, optima) for entry in entries]
+            judges = [detector_in_world(judge.spec)]
+            panel = Panel(suite.world.setup, judges, rngs, threads, watched)
+            for entry in entries:
+                tick = functools.partial(_advance, bar, f"{judge.label}: tuning {entry.label}")
+                results += fit(panel, {0: judge}, entry, optima, tick)
     if as_json:
         print_json([result.as_dict() for result in results])
         return
@@ -64,3 +73,7 @@ def tune(
         )
         if not result.within_budget:
             typer.echo(f"nothing is within the budget; the smallest value is {result.value:g}")
+
+
+def _advance(bar: ProgressCallback, now: str, work: float) -> None:
+    bar.advance(work, now)

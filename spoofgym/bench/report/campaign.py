@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from ...detectors.calibrated import NOISY_WARMUP
 from ...spoofers.base import sees_statistics
+from ..experiments.summary import CampaignResults
 from ..scores.bounds import HALF, STEALTHY, headline
 from ..scores.clean import NOMINAL
 from ..scores.paired import CONTROLS, FREE, name_of
@@ -315,7 +316,7 @@ def _optima(summary: Row) -> dict[str, list[str]]:
     return labels
 
 
-def markdown(config: Row, summary: Row) -> str:
+def markdown(results: CampaignResults, summary: Row) -> str:
     """Report of a campaign."""
     known = {cell["spoofer"]: cell["knowledge"] for cell in summary["cells"]}
     tables = []
@@ -327,7 +328,8 @@ def markdown(config: Row, summary: Row) -> str:
     return (
         page("campaign.md.j2")
         .render(
-            config=config,
+            config=results.config,
+            code=results.store.config["code"],
             summary=summary,
             tables=tables,
             floor_notes=floor_notes(summary),

@@ -14,7 +14,6 @@ from ...detectors.learned_card import DetectorCard, card_path
 from ...tasks import DETECTOR_TASKS, SUITE, TASKS, DetectorTask, task_of
 from ..experiments.campaign import everyone_in, in_order
 from ..runs.world import World
-from ..scores.detector import DetectorScore
 from .campaign import OVER, attack_of_suite, bound_text, titled
 from .table import Table, interval, metres, number, percent, share
 
@@ -278,17 +277,18 @@ def print_tasks() -> None:
         print(f"{key} has no reference scores yet: {command}")
 
 
-def print_scores(scores: list[DetectorScore], paired: list[Card]) -> None:
+def print_scores(scores: list[Card]) -> None:
     """Print scores of a task, those by family, and the paired differences to the first detector."""
-    first, card = scores[0], {"detectors": [score.as_dict() for score in scores]}
+    first, card = scores[0], {"detectors": scores}
+    task, limit, runs = (first[name] for name in ("task", "alert_limit_m", "runs"))
     DETECTOR_SCORES.print(
-        f"{first.task}: P(HMI) at {first.alert_limit_m:g} m, {first.runs} runs of every family",
-        ranked(card),
+        f"{task}: P(HMI) at {limit:g} m, {runs} runs of every family", ranked(card)
     )
-    family_table(card).print(f"{first.task}: P(HMI) by family [%]", ranked(card))
-    for score, each in list(zip(scores, paired, strict=True))[1:]:
-        value, low, high = (100.0 * (each[name] or 0.0) for name in ("value", "low", "high"))
+    family_table(card).print(f"{task}: P(HMI) by family [%]", ranked(card))
+    for score in scores[1:]:
+        ends = (score["less_first"][name] for name in ("value", "low", "high"))
+        value, low, high = (100.0 * (end or 0.0) for end in ends)
         print(
-            f"{score.detector} less {first.detector}, paired: {value:+.1f} % of runs "
+            f"{score['detector']} less {first['detector']}, paired: {value:+.1f} % of runs "
             f"({low:+.1f} to {high:+.1f})"
         )
