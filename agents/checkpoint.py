@@ -1,12 +1,14 @@
-"""Checkpoint of a model of stable-baselines3 and its `VecNormalize`: one file, no pickle."""
+"""Checkpoint of a training: tensors, a JSON state, and files, in one file without pickle."""
 
 from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
@@ -19,57 +21,74 @@ from spoofgym.core.files import write_file
 WEIGHTS, STATE = "parameters.pt", "state.json"
 RUNNING = {"obs_rms": ("mean", "var", "count"), "ret_rms": ("mean", "var", "count")}
 """Running statistics of a `VecNormalize`."""
+DAMAGED = (
+    *(zipfile.BadZipFile, KeyError, ValueError, TypeError, RuntimeError, OSError),
+    *(EOFError, UnpicklingError),
+)
 
 
-def save_checkpoint(
-    path: Path,
-    model: BaseAlgorithm,
-    envs: VecNormalize,
-    state: dict[str, Any],
-    files: Sequence[Path] = (),
+def write_checkpoint(
+    path: Path, tensors: Mapping[str, Any], state: Mapping[str, Any], files: Sequence[Path] = ()
 ) -> None:
-    """Write a checkpoint, whole or not at all. `model`: its weights and optimizers are kept, and
-    how many steps it has taken; `files`: files that belong to this state of the training, such as
-    the best policy; those that are there are kept."""
-    running = {
-        # in double precision, also what is a number of Python by itself
-        name: {key: torch.tensor(np.float64(getattr(getattr(envs, name), key))) for key in keys}
-        for name, keys in RUNNING.items()
-    }
+    """Write a checkpoint, whole or not at all. `files`: what belongs to this state of the training,
+    such as the best policy; those that are there are kept."""
     weights, content = BytesIO(), BytesIO()
-    torch.save({**model.get_parameters(), **running}, weights)
+    torch.save(dict(tensors), weights)
     with zipfile.ZipFile(content, "w") as archive:
         archive.writestr(WEIGHTS, weights.getvalue())
-        archive.writestr(STATE, json.dumps({**state, "steps": model.num_timesteps}))
+        archive.writestr(STATE, json.dumps(state))
         for file in files:
             if file.is_file():
                 archive.writestr(file.name, file.read_bytes())
     write_file(path, content.getvalue())
 
 
-def load_checkpoint(
-    path: Path, model: BaseAlgorithm, envs: VecNormalize, folder: Path
-) -> dict[str, Any]:
-    """Take over a checkpoint; its state."""
+@contextmanager
+def open_checkpoint(path: Path) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Tensors and state of a checkpoint, whose files are written beside it when the block has taken
+    them over; a ValueError where they are damaged, or fit nothing there."""
     try:
         with zipfile.ZipFile(path) as archive:
             state = dict(json.loads(archive.read(STATE)))
-            found = torch.load(BytesIO(archive.read(WEIGHTS)), weights_only=True)
-            files = {
-                name: archive.read(name)
-                for name in archive.namelist()
-                if name not in (WEIGHTS, STATE) and Path(name).name == name
-            }
-        for name, keys in RUNNING.items():
-            running = getattr(envs, name)
-            for key in keys:
-                value = found[name][key]
-                setattr(running, key, value.numpy() if value.ndim else value.item())
-            del found[name]
-        model.set_parameters(found, device="cpu")
-        model.num_timesteps = state["steps"]
-    except (zipfile.BadZipFile, KeyError, ValueError, RuntimeError, OSError) as error:
-        raise ValueError(f"{path} is damaged, or of another model: {error}") from error
+            tensors = torch.load(BytesIO(archive.read(WEIGHTS)), weights_only=True)
+            names = [each for each in archive.namelist() if each not in (WEIGHTS, STATE)]
+            files = {name: archive.read(name) for name in names if Path(name).name == name}
+        yield tensors, state
+    except DAMAGED as error:
+        first = str(error).strip().partition("\n")[0]
+        raise ValueError(
+            f"{path} is damaged, or of another model ({first}): remove it, and the training begins "
+            "anew"
+        ) from error
     for name, content in files.items():
-        write_file(folder / name, content)
+        write_file(path.parent / name, content)
+
+
+def save_checkpoint(
+    path: Path,
+    model: BaseAlgorithm,
+    envs: VecNormalize,
+    state: Mapping[str, Any],
+    files: Sequence[Path] = (),
+) -> None:
+    """Write a model of stable-baselines3: weights, optimizers, and how many steps it has taken."""
+    running = {
+        # in double precision, also what is a number of Python by itself
+        name: {key: torch.tensor(np.float64(getattr(getattr(envs, name), key))) for key in keys}
+        for name, keys in RUNNING.items()
+    }
+    tensors = {**model.get_parameters(), **running}
+    write_checkpoint(path, tensors, {**state, "steps": model.num_timesteps}, files)
+
+
+def load_checkpoint(path: Path, model: BaseAlgorithm, envs: VecNormalize) -> dict[str, Any]:
+    """Take over a checkpoint; its state."""
+    with open_checkpoint(path) as (tensors, state):
+        for name, keys in RUNNING.items():
+            found = tensors.pop(name)
+            for key in keys:
+                value = found[key]
+                setattr(getattr(envs, name), key, value.numpy() if value.ndim else value.item())
+        model.set_parameters(tensors, device="cpu")
+        model.num_timesteps = state["steps"]
     return state

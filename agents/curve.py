@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from spoofgym.cli import clear_errors
 from spoofgym.core.plots import COLOURS, GREY, figure_class, save_figure, style
 
 from .record import Point, read_record
@@ -27,8 +28,7 @@ def draw_curves(
     records: dict[str, list[Point]], path: Path, levels: Mapping[str, float] | None = None
 ) -> None:
     """Draw what trainings reached over their steps, a line for each, and the median of all.
-    `records`: points of every record by its name, as `read_record` returns them; `levels`:
-    displacements to compare with, by the names of who reached them [m]."""
+    `levels`: displacements to compare with, by the names of who reached them [m]."""
     for name, points in records.items():
         _check(name, points)
     figure = figure_class()(figsize=(7.0, 4.2), layout="constrained")
@@ -78,7 +78,6 @@ def _grouped(levels: Mapping[str, float], near: float) -> list[tuple[str, float]
 
 
 def _check(name: str, points: list[Point]) -> None:
-    """Raise where there is nothing to draw."""
     if not points:
         raise ValueError(f"the record of {name} has no points")
     for point in points:
@@ -88,9 +87,8 @@ def _check(name: str, points: list[Point]) -> None:
 
 
 def names_of(paths: list[Path]) -> list[str]:
-    """Short name of every record. `paths`: files; those of training runs are called
-    ``record.jsonl``, in a folder with the name. Returns all different: the whole path where a short
-    name would stand for two."""
+    """Short name of every record, of the folder where it is called ``record.jsonl``; the whole path
+    where that would stand for two."""
     if len(set(paths)) < len(paths):
         twice = next(path for path in paths if paths.count(path) > 1)
         raise ValueError(f"{twice} is given twice")
@@ -102,17 +100,14 @@ def names_of(paths: list[Path]) -> list[str]:
 
 
 @app.command()
+@clear_errors
 def main(
     records: Annotated[list[Path], typer.Argument(help="Training records, .jsonl files.")],
     out: Annotated[Path, typer.Option(help="The picture, a .png file.")],
 ) -> None:
     """Draw what training reached over time."""
-    try:
-        read = zip(names_of(records), records, strict=True)
-        draw_curves({name: read_record(path) for name, path in read}, out)
-    except (OSError, ValueError) as error:
-        typer.echo(f"error: {error}", err=True)
-        raise typer.Exit(2) from error
+    read = zip(names_of(records), records, strict=True)
+    draw_curves({name: read_record(path) for name, path in read}, out)
     typer.echo(f"written: {out}")
 
 

@@ -216,5 +216,4 @@ def statistic_of(log_odds: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def parameters_of(network: nn.Module) -> int:
-    """How many weights are learned."""
     return sum(math.prod(each.shape) for each in network.parameters())

@@ -18,7 +18,6 @@ HEAD = (
 
 
 def page_of(results: dict[str, Any]) -> str:
-    """Results as a page of their own."""
     found = taken(results)
     pure = found["final"]["pure"]
     answer = "A single detector solves this game" if pure else "No single detector solves it"

@@ -1,8 +1,8 @@
-"""What PPO learns with: the action, the price of an alarm, a bar, and an end where it diverges."""
+"""What PPO learns with: the action, the price of an alarm, and an end where it diverges."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
-from spoofgym.core.progress import ProgressCallback
 from spoofgym.envs.core import SpoofCore
 from spoofgym.envs.terms.reward import default_rewards
 from spoofgym.sb3 import SpoofVecEnv
@@ -41,9 +40,8 @@ def for_learning(
 
 
 def seldom(setup: Setup, decision_interval_s: float | None) -> dict[str, Any]:
-    """Settings of an environment like this one in which decisions are seldom, and linear between.
-    `decision_interval_s`: time between them [s]; 0 for one at every epoch, None for some ten
-    seconds.  {} where the world has decisions of its own."""
+    """Settings in which decisions are seldom, and linear between: after some ten seconds where no
+    interval [s] is given, at every epoch where it is 0, or as the world has them."""
     if decision_interval_s == 0.0 or setup.decision_interval_s is not None:
         return {}
     if decision_interval_s is None:
@@ -54,9 +52,8 @@ def seldom(setup: Setup, decision_interval_s: float | None) -> dict[str, Any]:
 
 
 def setpoint_action(core: SpoofCore, full_scale_mps: float | None) -> dict[str, Any]:
-    """Setting `action` for an environment like this one; {} where it commands no wanted rate.  By
-    default the full scale is that of `LENGTHS`, or the attack's limit where that is less.  A
-    ValueError where one is asked for that nothing can be done with."""
+    """Setting `action`; {} where no rate is commanded.  By default the full scale is that of
+    `LENGTHS`, or the attack's limit where that is less."""
     commands, setup = core.commands, core.setup
     if commands.setpoint_mps is None:
         if full_scale_mps is not None:
@@ -70,15 +67,12 @@ def setpoint_action(core: SpoofCore, full_scale_mps: float | None) -> dict[str, 
         most = float(np.min(setup.attack.rate_limit_mps))
         full_scale_mps = min(LENGTHS * core.length_m / window_s, most)
     dimensions = {} if commands.along_target else {"dimensions": 2}
-    return {
-        "action": {"name": "rate-setpoint", "full_scale_mps": full_scale_mps, **dimensions},
-    }
+    return {"action": {"name": "rate-setpoint", "full_scale_mps": full_scale_mps, **dimensions}}
 
 
 def next_price(price: float, amplitude: float, gain: float) -> float:
-    """Price in lengths after a fit of the amplitude: more where it had to be scaled down. It is
-    divided by the amplitude to the power of `gain`, within a factor of two and from `LEAST` to
-    `MOST`."""
+    """Price in lengths after a fit of the amplitude: divided by it to the power of `gain`, within a
+    factor of two and from `LEAST` to `MOST`."""
     if gain == 0.0:
         return price
     factor = min(max(max(amplitude, 1e-3) ** -gain, 0.5), 2.0)
@@ -93,10 +87,8 @@ def set_price(envs: SpoofVecEnv, price: float) -> None:
 
 
 def learn(model: BaseAlgorithm, steps: int, **how: Any) -> str | None:
-    """Let a model learn; any other error than that of a diverged policy is raised as it is.
-    `**how`: as its own ``learn`` takes it.  Returns what torch said where a distribution had no
-    number for its mean, in an update or in the next rollout; the weights of the model are not
-    finite then.  They may also be so where nothing was said, after the last minibatch."""
+    """Let a model learn; what torch says where a distribution has no number for its mean.  Weights
+    may be not finite without that, too, after the last minibatch."""
     try:
         model.learn(steps, **how)
     except ValueError as error:
@@ -106,16 +98,16 @@ def learn(model: BaseAlgorithm, steps: int, **how: Any) -> str | None:
     return None
 
 
-class Bar(BaseCallback):
-    """Tells a bar how many steps of a training have been taken."""
+class Steps(BaseCallback):
+    """Tells how many steps of a training have been taken."""
 
-    def __init__(self, bar: ProgressCallback, name: str) -> None:
+    def __init__(self, tick: Callable[[float], None]) -> None:
         super().__init__()
-        self.bar, self.name, self.told = bar, name, 0
+        self.tick, self.told = tick, 0
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_end(self) -> None:
-        self.bar.advance(self.num_timesteps - self.told, self.name)
+        self.tick(self.num_timesteps - self.told)
         self.told = self.num_timesteps

@@ -5,36 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
-from rich.table import Table
-
+from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import interval
+from spoofgym.bench.scores.spoofer import Score
 from spoofgym.core.files import write_file
 from spoofgym.spoofers.base import sees_statistics
-from spoofgym.spoofers.card import Card, Score
+from spoofgym.spoofers.card import Card
+from spoofgym.spoofers.card import Score as CardScore
 
 LOUDEST = 1e5
 """Largest amplitude that is tried of a network that has not learned, which hardly answers."""
 
 
-class Known(Protocol):
-    """What says what it observes."""
-
-    @property
-    def knowledge(self) -> str:
-        """As in `Score`."""
-
-
-Who = TypeVar("Who", bound=Known)
-
-
-def comparable(rivals: Mapping[str, Who], knowledge: str) -> dict[str, Who]:
-    """Rivals that a spoofer of some knowledge is compared with: oracles only where it is one."""
+def comparable(rivals: Mapping[str, str], knowledge: str) -> list[str]:
+    """Names of those, by what they observe, that a spoofer of some knowledge is compared with:
+    oracles only where it is one."""
     oracle = sees_statistics(knowledge)
-    return {
-        name: who for name, who in rivals.items() if oracle or not sees_statistics(who.knowledge)
-    }
+    return [name for name, known in rivals.items() if oracle or not sees_statistics(known)]
 
 
 def value_of(score: Mapping[str, Any] | None) -> float:
@@ -53,7 +42,6 @@ def marked(score: Mapping[str, Any]) -> str:
 
 
 def spread(values: Sequence[float]) -> str:
-    """Median of the seeds, and the least and largest of them."""
     return f"{median(values):.1f} [{min(values):.1f}, {max(values):.1f}]"
 
 
@@ -94,24 +82,24 @@ def kind_cells(
     )
 
 
-def table_of(results: Mapping[str, Any]) -> Table:
-    """Scores of all seeds, with what the network got before it learned, and of the rivals."""
-    scores = [row["score"] for row in results["seeds"] if row["score"]]
-    reached = [value_of(score) for score in scores]
+TABLE_HEAD = (
+    *("spoofer", "observes", "stealthy displacement [m]", "alarms [%]"),
+    *("untrained [m]", "minutes"),
+)
+
+
+def table_of(results: Mapping[str, Any]) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
+    """Title, head and rows: scores of all seeds, with what the network got before it learned, and
+    of the rivals."""
+    reached = [value_of(row["score"]) for row in results["seeds"] if row["score"]]
     middle = f"; median of {len(reached)} seeds {median(reached):.2f} m" if reached else ""
-    table = Table(title=f"against {results['detector']}, evaluation runs{middle}")
-    for head in ("spoofer", "observes"):
-        table.add_column(head)
-    for head in ("stealthy displacement [m]", "alarms [%]", "untrained [m]", "minutes"):
-        table.add_column(head, justify="right")
-    for name, score in results["rivals"].items():
-        table.add_row(name, score["knowledge"], *_cells(score))
+    rows = [(name, x["knowledge"], *_cells(x), "", "") for name, x in results["rivals"].items()]
     for row in results["seeds"]:
         cells = _cells(row["score"]) if row["score"] else ("none within the budget", "")
         untrained = row["untrained"]
         further = f"{value_of(untrained):.2f}", f"{row['wall_s'] / 60.0:.1f}"
-        table.add_row(f"PPO, seed {row['seed']}", untrained["knowledge"], *cells, *further)
-    return table
+        rows.append((f"PPO, seed {row['seed']}", untrained["knowledge"], *cells, *further))
+    return f"against {results['detector']}, evaluation runs{middle}", TABLE_HEAD, rows
 
 
 def _cells(score: Mapping[str, Any]) -> tuple[str, str]:
@@ -119,11 +107,29 @@ def _cells(score: Mapping[str, Any]) -> tuple[str, str]:
     return marked(score), f"{100.0 * score['alarm_rate']['value']:.1f}"
 
 
+def on_card(score: Score, judge: Evaluator) -> CardScore:
+    """A score as a card has it."""
+    moved = score.stealthy_displacement_m
+    return CardScore(
+        detector=score.detector,
+        split="evaluation",
+        entropy=judge.entropy,
+        runs=score.runs,
+        counted=score.counted,
+        undetected_displacement_m=moved.value,
+        low=moved.low,
+        high=moved.high,
+        alarm_rate=score.alarm_rate.value,
+        clean_alarm_rate=score.clean_alarm_rate,
+        budget=score.budget,
+    )
+
+
 def copy_policy(
     source: Path,
     target: Path,
     training: Mapping[str, Any] | None = None,
-    scores: Sequence[Score] = (),
+    scores: Sequence[CardScore] = (),
 ) -> None:
     """Write a policy and its card under another name, with more on its training and scores."""
     content = source.read_bytes()

@@ -51,7 +51,6 @@ def _score(score: Mapping[str, Any] | None) -> str:
 
 
 def _seeds(results: Mapping[str, Any] | None) -> str:
-    """What the seeds have reached; "-" where there are none."""
     return "-" if results is None else reached_by(results["seeds"])
 
 

@@ -1,54 +1,80 @@
 """Optimised open-loop profiles: ``python -m baselines.profile --detector ewma --out ewma.json``.
 
-A blind spoofer that plans one curve of the rate for all runs, tuned by CMA-ES.  A learned blind
-policy that does not reach it has not learned anything.
+A blind spoofer that plans one curve of the rate for all runs.  A learned blind policy that does not
+reach it has not learned anything.
 
-1. The ramps are tuned on the runs of the choice, by `spoofgym.bench.search.amplitude`.
-2. The search begins between the two ramps, or at a given card, on runs of its own.
-3. The shapes that it offers are scaled to the alarm budget on the runs of the choice.
+1. A curve is looked for by CMA-ES under the alarm budget (`spoofgym.bench.search.open_loop`).
+2. Its amplitude is fitted on training runs, like those of plain curves and of both ramps.
+3. The best of them is written as a card, with its score on evaluation runs, which decide nothing.
 
-All runs are of the training split, so that evaluation runs share no noise with them.  After every
-generation the record of the search is written beside the card; the same command goes on from there.
+What is finished stays in the folder ``NAME.search`` beside the card until that is written; after a
+kill the same command goes on from there.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import shlex
+import shutil
+from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
+from spoofgym.bench.experiments.versions import versions
 
-from spoofgym.bench.experiments.suite import Suite
+from agents.folder import Part, Records, Ticks, identity_of
+from agents.seeds import on_card
+from spoofgym.bench.experiments import Context, Store
+from spoofgym.bench.experiments.evaluate import RUNS, Evaluator
 from spoofgym.bench.report.campaign import ALARMS
 from spoofgym.bench.report.table import Table
-from spoofgym.bench.scores.statistics import BUDGET
-from spoofgym.bench.search.settings import Tuning
-from spoofgym.cli import INTERRUPTED, clear_errors
+from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.runs.world import World
+from spoofgym.bench.search.amplitude import TuningResult, search_work
+from spoofgym.bench.search.backends import limits_of
+from spoofgym.bench.search.open_loop import SPLIT, BlindSearch
+from spoofgym.cli import clear_errors
 from spoofgym.cli.options import given_options
+from spoofgym.cli.output import progress
 from spoofgym.cli.suites import calibrate_with_progress
-from spoofgym.core.progress import ProgressCallback, show_progress
 from spoofgym.core.registry import parse_spec, refuse_given
+from spoofgym.core.settings import describe
+from spoofgym.envs.spoofer_binding import ENV_ID, spoofer_context
+from spoofgym.policies.card import DECIDED_ON
 from spoofgym.simulation import Timeline
+from spoofgym.spoofers import Card
+from spoofgym.spoofers.card import NAME, fields_of
 from spoofgym.tasks import task_of
 
-from .profile_card import profile_card, rivals
-from .profile_choice import Choice
-from .profile_run import Bounds, ProfileRun, RunSettings, Tell
-from .profile_settings import SearchSettings
-
+RIVALS = Table(
+    (
+        "spoofer",
+        lambda row: row["spoofer"] + ("" if row["within_budget"] else " (beyond the budget)"),
+    ),
+    *ALARMS,
+    ("stealthy displacement [m]", "stealthy_displacement_m", "{:.2f}".format),
+)
 app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-
+SEARCHED = "blind-optimum"
+FITTED = {
+    "ramp": "rate_mps",
+    "accelerating-ramp": "acceleration_mps2",
+    SEARCHED: "amplitude",
+}
+"""Spoofers, and the setting of each that is fitted."""
 UNTOLD = {"threads", "resume", "as_json"}
 """Options that change nothing in the card."""
-FILES = {"out", "start"}
-"""Options of which the card tells the name of the file only, not where it lay."""
+DECIDED = {"detector", "scenario", "attack", "warmup_s", "live_s", "attack_s", "time_to_alert_s"}
+"""Options that a task decides."""
+DEFAULT = BlindSearch()
 
 
 @app.command()
@@ -59,7 +85,7 @@ def main(
     task: Annotated[
         str | None,
         typer.Option(
-            help="Task of spoofgym-bench-v1, T1 to T5, which decides detector, scenario, attack "
+            help="Task of spoofgym-bench-v1, T1 to T6, which decides detector, scenario, attack "
             "and times."
         ),
     ] = None,
@@ -71,41 +97,20 @@ def main(
     heading: Annotated[
         float, typer.Option(help="Direction of the profile, in degrees clockwise from north.")
     ] = 90.0,
-    knots: Annotated[int, typer.Option(help="Knots of the curve, 8 to 16.")] = 12,
-    cross: Annotated[
-        bool, typer.Option("--cross/--no-cross", help="Search for a curve across the heading too.")
-    ] = False,
-    seconds: Annotated[
-        float | None,
-        typer.Option(
-            help="Time of the search, interruptions not counted. Default: 120, or no limit where "
-            "--generations is given."
-        ),
-    ] = None,
-    generations: Annotated[
-        int | None, typer.Option(min=1, help="Stop after so many generations.")
-    ] = None,
-    population: Annotated[int, typer.Option(help="Candidates of a generation.")] = 12,
-    runs: Annotated[int, typer.Option(help="Training runs of the search.")] = 128,
+    knots: Annotated[int, typer.Option(help="Knots of the curve, 2 to 64.")] = DEFAULT.knots,
+    generations: Annotated[int, typer.Option(help="Of the search.")] = DEFAULT.generations,
+    population: Annotated[
+        int, typer.Option(help="Candidates of a generation.")
+    ] = DEFAULT.population,
+    runs: Annotated[int, typer.Option(help="Runs of the search.")] = DEFAULT.runs,
     batch: Annotated[
         int, typer.Option(help="Runs that a generation plays, in turn; all of them at most.")
-    ] = 32,
+    ] = DEFAULT.batch,
     select_runs: Annotated[
-        int, typer.Option(help="Training runs of the choice, which the search does not see.")
+        int, typer.Option(help="Training runs, on which amplitudes are fitted; at least 59.")
     ] = 512,
-    budget: Annotated[
-        float,
-        typer.Option(
-            help="Largest P(alarm | silent without attack), which its upper 95 % limit keeps."
-        ),
-    ] = BUDGET,
-    restarts: Annotated[
-        int, typer.Option(help="How often a search that has converged begins again.")
-    ] = 0,
+    score_runs: Annotated[int, typer.Option(help="Evaluation runs.")] = RUNS,
     seed: Annotated[int, typer.Option(help="All chance follows from this number.")] = 0,
-    start: Annotated[
-        Path | None, typer.Option(help="Card of a profile to begin at, instead of the ramps.")
-    ] = None,
     warmup_s: Annotated[float, typer.Option(help="Clean run before the attack, in seconds.")] = 200,
     live_s: Annotated[float, typer.Option(help="Its last part, with the detector live.")] = 180.0,
     attack_s: Annotated[float, typer.Option(help="Command phase, in seconds.")] = 150.0,
@@ -120,119 +125,156 @@ def main(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else.")] = False,
 ) -> None:
     """Search for the open-loop profile that gets farthest within an alarm budget."""
-    settings = RunSettings(
-        search=SearchSettings(
-            knots=knots,
-            cross=cross,
-            heading_deg=heading,
-            population=population,
-            batch=batch,
-            restarts=restarts,
-            budget=budget,
-            seed=seed,
-        ),
+    _check_out(out, resume)
+    settings = BlindSearch(
         runs=runs,
-        select_runs=select_runs,
+        batch=batch,
+        knots=knots,
+        population=population,
+        generations=generations,
+        seed=seed,
     )
     if task is None:
-        world: dict[str, Any] = {
-            "scenario": parse_spec(scenario),
-            "attack": parse_spec(attack),
-            "detectors": [parse_spec(detector)],
-            "timeline": Timeline(
-                warmup_s=warmup_s,
-                live_s=live_s,
-                attack_s=attack_s,
-                time_to_alert_s=time_to_alert_s,
-            ),
-        }
-    else:
-        world = _world_of_task(context, task)
-    suite = Suite(
-        **world,
-        spoofers=[
-            {"name": "ramp", "rate_mps": "tuned", "heading_deg": heading},
-            {"name": "accelerating-ramp", "acceleration_mps2": "tuned", "heading_deg": heading},
-        ],
-        entropy=seed,
-        tuning=Tuning(runs=select_runs, sift_runs=max(select_runs // 16, 1), budget=budget),
-    )
-    calibrate_with_progress(suite.world, suite.detector_entries, threads)
-    bounds = Bounds.of(seconds, generations)
-    run = ProfileRun(suite, settings, out, start=start, threads=threads, resume=resume)
-    try:
-        with show_progress(1.0) as bar:
-            choice = run.play(bounds, _teller(bar))
-    except KeyboardInterrupt:
-        typer.echo(
-            f"interrupted: what is finished is kept in {run.path}; the same command goes on from "
-            "there",
-            err=True,
+        times = Timeline(
+            warmup_s=warmup_s, live_s=live_s, attack_s=attack_s, time_to_alert_s=time_to_alert_s
         )
-        raise typer.Exit(INTERRUPTED) from None
-    card = profile_card(run, choice, _command(context))
+        world = {"scenario": parse_spec(scenario), "attack": parse_spec(attack), "timeline": times}
+        guard = parse_spec(detector)
+    else:
+        refuse_given("--task", given_options(context, DECIDED).values())
+        world, guard = task_of(task).world_kwargs, task_of(task).detector
+    calibrate_with_progress(World.of(**world), [detector_entry(guard)], threads)
+    sizes = {"runs": score_runs, "fit_runs": select_runs, "entropy": seed, "threads": threads}
+    judge = Evaluator(detector=guard, **sizes, **world)
+    judge.optima.settings = settings
+    config = {**identity_of(judge), "search": asdict(settings), "heading_deg": heading}
+    folder = out.with_suffix(".search")
+    if not resume:
+        Store(folder).open("profile", config, overwrite=True)
+    fits = {
+        name: TuningResult.from_dict(each)
+        for name, each in experiment_of(judge, heading, config).play(folder, progress).items()
+    }
+    card = card_of(judge, fits, heading, out.stem, _command(context))
     card.save(out)
-    run.path.unlink()
+    shutil.rmtree(folder)
     if as_json:
         typer.echo(json.dumps(card.model_dump(), indent=1, allow_nan=False))
         return
-    _print_table(run, choice)
+    title = (
+        f"{select_runs} training runs against {judge.detector.label}; of those that are silent "
+        f"without attack at most {100 * judge.optima.tuning.budget:g} % may alarm, by the upper "
+        "95 % limit"
+    )
+    RIVALS.print(title, card.rivals)
     typer.echo(f"written: {out}")
 
 
-DECIDED = {"detector", "scenario", "attack", "warmup_s", "live_s", "attack_s", "time_to_alert_s"}
-"""Options that a task decides."""
+def experiment_of(judge: Evaluator, heading: float, config: dict[str, Any]) -> Records:
+    """A cell for every spoofer that is fitted; the search is in that of the blind optimum."""
+
+    def fitted(name: str, setting: str) -> Part:
+        def make(_: Any, context: Context) -> dict[str, Any]:
+            judge.progress = Ticks(context.tick)
+            return judge.fit({"name": name, setting: "tuned", "heading_deg": heading}).as_dict()
+
+        return Part({}, make, work=search_work(judge.optima.tuning))
+
+    return Records("profile", config, {each[0]: fitted(*each) for each in FITTED.items()})
 
 
-def _world_of_task(context: typer.Context, task: str) -> dict[str, Any]:
-    """What a task tells a `Suite`."""
-    refuse_given("--task", given_options(context, DECIDED).values())
-    return task_of(task).suite_kwargs
+def card_of(
+    judge: Evaluator, fits: dict[str, TuningResult], heading: float, name: str, command: str
+) -> Card:
+    """Card of what a search found, with its score."""
+    best, setup = fits[SEARCHED], judge.world.setup
+    if not best.within_budget or best.found is None:
+        raise ValueError(
+            f"no profile is within the alarm budget: the slowest one alarms in "
+            f"{100 * best.chosen.alarm_rate:.1f} % of the {best.counted} runs that are silent "
+            f"without attack, which may be {100 * best.chosen.alarm_limit:.1f} %; choose more runs"
+        )
+    limit, _ = limits_of(setup)
+    rates = np.clip(best.value * np.array(best.found["played"]["rates_mps"]), -limit, limit)
+    designed_on = (
+        f"{judge.detector.label}, {setup.attack.label}, scenario {setup.name}, "
+        f"receiver tuning {setup.receiver.tuning}"
+    )
+    profile = {
+        "heading_deg": heading,
+        "rates_mps": rates.tolist(),
+        "cross_rates_mps": [],
+        "label": name,
+        "designed_on": designed_on,
+    }
+    fields, search = fields_of(spoofer_context(setup)), judge.optima.settings
+    kwargs = {
+        "receiver": {},
+        **describe(judge.world.given),
+        "detector": judge.detector.spec,
+        "attack": dict(judge.world.config["attack"]),
+        "action": {"name": "full-command"},  # of any rate that the attack allows
+        "timeline": {k: v for k, v in judge.world.config["timeline"].items() if k != "kind"},
+        "knowledge": "blind",
+        "target_heading_deg": heading,
+    }
+    training = {
+        "algorithm": "CMA-ES",
+        "command": command,
+        "seed": judge.entropy,
+        "arguments": {**asdict(search), "select_runs": best.runs},
+        DECIDED_ON: [[judge.entropy, "training"], [judge.entropy, SPLIT]],
+        "choice": {**asdict(best.chosen), "found": best.found},
+    }
+    return Card.model_validate(
+        {
+            "name": name,
+            "kind": "profile",
+            "env_id": ENV_ID,
+            "env_kwargs": kwargs,
+            "observation": None,
+            "action": fields["action"],
+            "conditions": fields["conditions"],
+            "knowledge": {"run_time": "blind", "design_time": designed_on},
+            "training": training,
+            "versions": {**versions(), "cmaes": version("cmaes")},
+            "scores": [on_card(judge.score({"name": "profile", **profile}, amplitude=None), judge)],
+            "rivals": [_rival(fit) for fit in fits.values()],
+            "settings": profile,
+            "file": None,
+        }
+    )
+
+
+def _rival(fit: TuningResult) -> dict[str, Any]:
+    numbers = asdict(fit.chosen)
+    own = ("alarm_rate", "alarm_limit", "stealthy_displacement_m", "within_budget")
+    name = f"{fit.spoofer}: {fit.setting} = {fit.value:g}"
+    return {"spoofer": name, **{key: numbers[key] for key in own}, "tuning": fit.as_dict()}
+
+
+def _check_out(out: Path, resume: bool) -> None:
+    if out.suffix != ".json":
+        raise ValueError(f"`out` must be a .json file, got {out}")
+    if not re.fullmatch(NAME, out.stem):
+        raise ValueError(
+            "`out` names the profile, so that it must begin with a letter or a digit, and have "
+            f"only letters, digits, '.', '_' and '-', got {out.name!r}"
+        )
+    if resume and out.exists():
+        raise ValueError(f"{out} exists; --overwrite replaces it, or choose another --out")
 
 
 def _command(context: typer.Context) -> str:
-    """Command line that makes the card again, in the folder of its files."""
+    """Command line that makes the card again, in the folder of its file."""
     words = ["python", "-m", "baselines.profile"]
     for option in context.command.params:
         name = str(option.name)
         source = context.get_parameter_source(name)
-        if name in UNTOLD or source is None or source.name != "COMMANDLINE":
-            continue
-        value = context.params[name]
-        if isinstance(value, bool):
-            words.append((option.opts if value else option.secondary_opts)[0])
-        else:
-            words += [option.opts[0], Path(value).name if name in FILES else str(value)]
+        if name not in UNTOLD and source is not None and source.name == "COMMANDLINE":
+            value = context.params[name]
+            words += [option.opts[0], value.name if name == "out" else str(value)]
     return shlex.join(words)
-
-
-def _teller(bar: ProgressCallback) -> Tell:
-    """What is told which part of the search is done, and what is going on."""
-    done = 0.0
-
-    def tell(part: float, now: str) -> None:
-        nonlocal done
-        bar.advance(part - done, now)
-        done = part
-
-    return tell
-
-
-def _print_table(run: ProfileRun, choice: Choice) -> None:
-    """The profile beside the ramps, on the runs of the choice."""
-    title = (
-        f"{run.settings.select_runs} training runs against {run.detector.label}, of which "
-        f"{choice.fit.counted} are silent without attack; of these at most {100 * run.budget:g} % "
-        "may alarm, by the upper 95 % limit"
-    )
-    Table(
-        (
-            "spoofer",
-            lambda row: f"{row['spoofer']}{'' if row['within_budget'] else ' (beyond the budget)'}",
-        ),
-        *ALARMS,
-        ("stealthy displacement [m]", "stealthy_displacement_m", "{:.2f}".format),
-    ).print(title, rivals(run, choice), names=0, width=120)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from typing import Any
 
 from spoofgym.bench.report.tasks import classics_of
@@ -21,9 +20,11 @@ from spoofgym.calibration.clean_runs import weighs
 from spoofgym.calibration.thresholds import (
     WEIGHING_RUNS,
     calibrate,
+    expected_runs,
     inner_detectors,
     suitable_detectors,
 )
+from spoofgym.core.progress import show_progress
 from spoofgym.core.registry import check_choice
 from spoofgym.detectors import Detector
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER
@@ -55,20 +56,6 @@ WORLDS = {
 """Environments and their settings, by the names of the worlds."""
 
 
-class Lines:
-    """Says once a minute how far it is."""
-
-    def __init__(self) -> None:
-        self.runs, self.said = 0.0, time.monotonic()
-
-    def advance(self, amount: float, now: str) -> None:
-        """Count runs."""
-        self.runs += amount
-        if time.monotonic() - self.said > 60.0:
-            print(f"  {self.runs:.0f} runs, {now}", flush=True)
-            self.said = time.monotonic()
-
-
 def setup_of(name: str) -> Setup:
     """The world of a name, without a defence."""
     env_id, settings = WORLDS[name]
@@ -87,7 +74,6 @@ def detectors_of(name: str, setup: Setup) -> list[Detector]:
 
 
 def main(arguments: list[str]) -> None:
-    """Calibrate all detectors that suit each world."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("worlds", nargs="*", help=f"of {', '.join(WORLDS)}; by default all")
     parser.add_argument("--runs", type=int, default=20_000, help="of passive detectors")
@@ -104,22 +90,20 @@ def main(arguments: list[str]) -> None:
         for each in detectors_of(name, setup):
             (heavy if weighs(setup, each) else light).append(each)
         fewer = given.weighing_runs or max(WEIGHING_RUNS, given.runs // 5)
-        drifting = [each for each in light if each.drifts]
-        groups = (light, given.runs, False), (drifting, given.runs, True), (heavy, fewer, False)
-        for group, runs, rescaled in groups:
-            found = calibrate(
-                setup,
-                group,
-                runs=runs,
-                rescaled=rescaled,
-                threads=given.threads,
-                progress=Lines(),
-                folder=SHIPPED_FOLDER,
-                overwrite=given.overwrite,
-                strict=False,
-            )
-            for made in found:
-                print(name, made.detector["name"], made.runs, made.path, flush=True)
+        parts: list[tuple[list[Detector], dict[str, Any]]] = [
+            (light, {"runs": given.runs}),
+            ([each for each in light if each.drifts], {"runs": given.runs, "rescaled": True}),
+            (heavy, {"runs": fewer}),
+        ]
+        to: dict[str, Any] = {"folder": SHIPPED_FOLDER, "overwrite": given.overwrite}
+        total = sum(expected_runs(setup, group, **how, **to) for group, how in parts)
+        with show_progress(total, start=name) as bar:
+            further = {**to, "threads": given.threads, "progress": bar, "strict": False}
+            found = [
+                made for group, how in parts for made in calibrate(setup, group, **how, **further)
+            ]
+        for made in found:
+            print(name, made.detector["name"], made.runs, made.path)
 
 
 if __name__ == "__main__":

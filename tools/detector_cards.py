@@ -9,13 +9,13 @@ Killed, it goes on where it was.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from agents.folder import write_json
 from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
 from spoofgym.bench.experiments.protect import DetectorEvaluator
 from spoofgym.bench.experiments.task_worlds import entries_of
@@ -34,7 +34,6 @@ from spoofgym.bench.report.tasks import stored_detector_cards as stored_cards
 from spoofgym.bench.scores.detector import DetectorScore
 from spoofgym.bench.scores.paired import CONTROLS, name_of
 from spoofgym.cli.output import progress
-from spoofgym.core.files import write_file
 from spoofgym.core.registry import check_choice, label_of
 from spoofgym.detectors import zoo
 from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
@@ -104,7 +103,6 @@ def with_others(card: dict[str, Any], stored: dict[str, Any] | None) -> dict[str
 
 
 def shown() -> str:
-    """Tables of the page."""
     cards, waiting = stored_cards(), {}
     for key, card in cards.items():
         if left := unplayed(DETECTOR_TASKS[key], card):
@@ -121,7 +119,6 @@ def shown() -> str:
 
 
 def main(arguments: list[str]) -> None:
-    """Play tasks, keep their cards, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("tasks", nargs="*", help=f"of {', '.join(DETECTOR_TASKS)}; default: all")
     parser.add_argument("--out", type=Path, default=Path("results/detectors"))
@@ -136,7 +133,7 @@ def main(arguments: list[str]) -> None:
         card = with_others(card, stored_cards().get(key))
         kept = {**stored_cards(), key: card}
         kept = {name: kept[name] for name in DETECTOR_TASKS if name in kept}
-        write_file(KEPT, (json.dumps(kept, indent=1, allow_nan=False) + "\n").encode())
+        write_json(KEPT, kept)
         for score in card["detectors"]:
             print(key, score["detector"], score["p_hmi"], score["worst_family"], flush=True)
     put_between(PAGE, BEGIN, END, shown())

@@ -6,12 +6,9 @@
 
 The curve of the blind optimum is that of docs/headlines.json, or is searched for in a task.  On the
 same training runs the amplitude is fitted of that curve, played blind, and of `feedback-profile`
-and `threshold-rider` along it, each with a few settings, one of which is feedback switched off.
-The best of each kind there plays the evaluation runs, once.  All runs are fresh ones, of another
-seed than those of the headlines, and the gain is paired, run by run.  The zero-alarm bound says how
-much room there is above the blind optimum: none where no attack gets farther.
-
-Killed, it goes on where it was.
+and `threshold-rider` along it, each with a few settings.  The best of each kind plays the
+evaluation runs, fresh ones of another seed than those of the headlines; the gain is paired, run by
+run.  The zero-alarm bound says how much room there is above the blind optimum.
 """
 
 from __future__ import annotations
@@ -19,12 +16,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from pathlib import Path
 from typing import Any
 
-from spoofgym.bench.experiments.versions import versions
-
-from agents.folder import error_lines
+from agents.folder import Part, Records, error_lines
 from agents.seeds import marked
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.campaign import bound_text, titled
@@ -32,63 +26,55 @@ from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.runs.players import detector_entry
 from spoofgym.bench.scores.bounds import bound_of
 from spoofgym.bench.scores.spoofer import Score
+from spoofgym.bench.search.amplitude import TuningResult
 from spoofgym.cli.output import print_json, progress
-from spoofgym.core.files import write_file
-from spoofgym.core.settings import digest_of
 from spoofgym.tasks import task_of
-from tools.headlines import KEPT
+
+from .headlines import KEPT
+from .scored import parser_of, sizes_of
 
 BLIND, WORLD = "blind-optimum", "trolley"
 FEEDBACK, RIDER = "feedback-profile", "threshold-rider"
-RATIOS = ((0.3, 1.0), (0.7, 1.15), (0.7, 2.0))
-"""`full_ratio` and `zero_ratio` that are tried."""
+TRIED: dict[str, list[dict[str, float]]] = {
+    BLIND: [{}],
+    FEEDBACK: [
+        {"full_ratio": full, "zero_ratio": zero, "back": 0.0}
+        for full, zero in ((0.3, 1.0), (0.7, 1.15), (0.7, 2.0))
+    ],
+    RIDER: [{"margin": 1.15, "horizon_s": 20.0}],
+}
+"""Settings along the curve that are tried."""
 OFF = {"full_ratio": 1.0, "zero_ratio": 1.01, "back": 0.0}
 """Nothing is held back: the curve as it is, up to the first alarm."""
-RIDES = ((1.15, 20.0),)
-"""`margin` and `horizon_s` that are tried."""
 REACHED = 0.98
 """Part of the farthest reach of the attack from which on there is no room."""
 HEAD = ("detector", "blind optimum [m]", "spoofer", "settings", "[m]", "times as far", "bound [m]")
 
 
-def candidates(rates_mps: list[float]) -> dict[str, list[dict[str, Any]]]:
-    """Spoofers along a curve, by their kind, with all settings that are tried."""
-    curve = {"rates_mps": rates_mps}
-    ratios = [{"full_ratio": full, "zero_ratio": zero, "back": 0.0} for full, zero in RATIOS]
-    rides = [{"margin": margin, "horizon_s": horizon} for margin, horizon in RIDES]
-    return {
-        BLIND: [{"name": BLIND, **curve}],
-        FEEDBACK: [{"name": FEEDBACK, **curve, **each} for each in ratios],
-        RIDER: [{"name": RIDER, **curve, **each} for each in rides],
-    }
-
-
 def played(judge: Evaluator, rates_mps: list[float]) -> dict[str, Any]:
     """Gain of each kind over the blind optimum; feedback may be switched off."""
     found: dict[str, Any] = {"rates_mps": rates_mps}
-    fits = {
-        kind: [(judge.fit(spec), spec) for spec in specs]
-        for kind, specs in candidates(rates_mps).items()
-    }
-    blind, _ = fits[BLIND][0]
-    fits[FEEDBACK].append((blind, {"name": FEEDBACK, "rates_mps": rates_mps, **OFF}))
     scores: dict[str, Score] = {}
-    for kind, tried in fits.items():
-        fit, spec = max(tried, key=lambda each: each[0].score)
-        scores[kind] = judge.score(spec, amplitude=fit.value)
+    fits: dict[str, list[tuple[TuningResult, dict[str, float]]]] = {}
+    for kind, settings in TRIED.items():
+        curve = {"name": kind, "rates_mps": rates_mps}
+        fits[kind] = [(judge.fit({**curve, **own}), own) for own in settings]
+        if kind == FEEDBACK:
+            fits[kind].append((fits[BLIND][0][0], OFF))
+        fit, own = max(fits[kind], key=lambda each: each[0].score)
+        scores[kind] = judge.score({**curve, **own}, amplitude=fit.value)
         found[kind] = {
             **scores[kind].as_dict(),
-            "settings": {key: x for key, x in spec.items() if key not in ("name", "rates_mps")},
+            "settings": own,
             "amplitude": fit.value,
-            "training_m": {_words(each): one.score for one, each in tried},
+            "training_m": {_words(each): one.score for one, each in fits[kind]},
             "ratio": scores[kind].ratio_to(scores[BLIND], oracles=True).as_json(),
         }
     return found
 
 
-def _words(spec: dict[str, Any]) -> str:
-    """Settings along a curve."""
-    return ", ".join(f"{key} {x:g}" for key, x in spec.items() if key not in ("name", "rates_mps"))
+def _words(settings: dict[str, float]) -> str:
+    return ", ".join(f"{key} {x:g}" for key, x in settings.items())
 
 
 def headline(text: str) -> dict[str, dict[str, Any]]:
@@ -123,15 +109,13 @@ def cases(names: list[str], task: str | None) -> dict[str, dict[str, Any]]:
 
 
 def case_of(label: str, case: dict[str, Any], given: argparse.Namespace) -> dict[str, Any]:
-    """Play one detector."""
     if not case["room"]:
         return case
-    sizes = {"runs": given.runs, "fit_runs": given.fit_runs, "entropy": given.seed}
     if given.task is not None:
-        judge = Evaluator(given.task, threads=given.threads, **sizes)
+        judge = Evaluator(given.task, **sizes_of(given, given.seed))
     else:
         world = task_of("T3").world_kwargs
-        judge = Evaluator(detector=spec_of(label), threads=given.threads, **sizes, **world)
+        judge = Evaluator(detector=spec_of(label), **sizes_of(given, given.seed), **world)
     rates = case.get("rates_mps")
     if rates is None:
         searched = judge.fit(BLIND).found
@@ -170,41 +154,29 @@ def _ratio(own: dict[str, Any]) -> str:
     return "{value:.2f} ({low:.2f} to {high:.2f})".format(**own["ratio"])
 
 
-def run(arguments: list[str]) -> None:
-    """Play what is missing, and print it."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+@error_lines()
+def main(arguments: list[str]) -> None:
+    parser = parser_of(__doc__, "results/feedback")
+    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("detectors", nargs="*", help="parts of their names; by default all")
     parser.add_argument("--task", help="the detector of a task instead, T1 to T6")
-    parser.add_argument("--out", type=Path, default=Path("results/feedback"))
-    parser.add_argument("--runs", type=int, default=400, help="evaluation runs")
-    parser.add_argument("--fit-runs", type=int, default=128, help="training runs")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--threads", type=int)
-    parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)
-    whom = cases(given.detectors, given.task)
-    found, fixed = {}, [RATIOS, RIDES, OFF, versions()]
-    with progress(len(whom)) as bar:
-        for label, case in whom.items():
-            asked = [label, case, given.task, given.runs, given.fit_runs, given.seed]
-            path = given.out / f"{digest_of([*asked, *fixed])}.json"
-            if not path.exists():
-                path.parent.mkdir(parents=True, exist_ok=True)
-                kept = case_of(label, case, given)
-                write_file(path, (json.dumps(kept, allow_nan=False) + "\n").encode())
-            found[label] = json.loads(path.read_text())
-            bar.advance(1.0, label)
+    fixed = {
+        **sizes_of(given, given.seed),
+        "threads": None,
+        "task": given.task,
+        "tried": [TRIED, OFF],
+    }
+    parts = {
+        label: Part({**fixed, "case": case}, lambda *_, x=(label, case): case_of(*x, given))
+        for label, case in cases(given.detectors, given.task).items()
+    }
+    found = Records("feedback", {}, parts).play(given.out, progress)
     if given.json:
         print_json(found)
     else:
         lines = [row for label, each in found.items() for row in rows(label, each)]
         Table.of_texts(*HEAD).print(f"feedback, seed {given.seed}, {given.runs} runs", lines)
-
-
-def main(arguments: list[str]) -> None:
-    """Command line."""
-    with error_lines():
-        run(arguments)
 
 
 if __name__ == "__main__":

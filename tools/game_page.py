@@ -12,24 +12,20 @@ import json
 import sys
 from pathlib import Path
 
-from agents.folder import error_lines
+from agents.folder import error_lines, write_json
 from agents.game_page import shown, taken
-from spoofgym.core.files import write_file
 
-from .pages import put_between
+from .pages import DOCS, put_between
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE, KEPT = DOCS / "game.md", DOCS / "game.json"
 BEGIN, END = "<!-- game:begin -->", "<!-- game:end -->"
 
 
+@error_lines()
 def main() -> None:
-    """Take the results of a folder, if one is given, and write the page."""
-    with error_lines():
-        for folder in sys.argv[1:2]:
-            results = json.loads((Path(folder) / "results.json").read_text(encoding="utf-8"))
-            write_file(KEPT, (json.dumps(taken(results), indent=1) + "\n").encode())
-        put_between(PAGE, BEGIN, END, shown(json.loads(KEPT.read_text(encoding="utf-8"))))
+    for folder in sys.argv[1:2]:
+        write_json(KEPT, taken(json.loads((Path(folder) / "results.json").read_text())))
+    put_between(PAGE, BEGIN, END, shown(json.loads(KEPT.read_text())))
 
 
 if __name__ == "__main__":

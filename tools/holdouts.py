@@ -16,15 +16,16 @@ import sys
 from collections.abc import Collection
 from typing import Any, NamedTuple
 
+from agents.folder import write_json
 from spoofgym.bench.report.table import Table
 from spoofgym.calibration.clean_runs import weighs
 from spoofgym.calibration.holdouts import HOLDOUT_WEIGHING, hold_out, transfer
-from spoofgym.core.files import write_file
+from spoofgym.core.progress import show_progress
 from spoofgym.detectors import Calibration, Detector
 from spoofgym.detectors.calibrated import STANDARD_RATE, identity_of
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, hourly_rate, stored
 from spoofgym.simulation.setup import Setup
-from tools.calibrations import HEADLINES, Lines, detectors_of, setup_of
+from tools.calibrations import HEADLINES, detectors_of, setup_of
 from tools.pages import DOCS, put_between, rendered
 
 KEPT, PAGE = DOCS / "holdouts.json", DOCS / "calibration.md"
@@ -87,16 +88,15 @@ def counted(world: World, others: list[World], runs: int, cells: int) -> dict[st
         passive = group is not world.weighing
         count = runs if passive else min(runs, 10 * HOLDOUT_WEIGHING)
         made, detectors = zip(*group, strict=True)
-        asked: dict[str, Any] = {"false_alarms_per_hour": STANDARD_RATE, "progress": Lines()}
         rare_too = passive and all(each.runs >= RARE_RUNS for each in made)
         rates = [STANDARD_RATE, RARE_RATE] if rare_too else [STANDARD_RATE]
-        both = {**asked, "false_alarms_per_hour": rates}
-        counts = hold_out(world.setup, made, detectors, runs=count, cells=cells, **both)
+        passes = 1 if passive else len(group)
+        with show_progress(passes * (count + TRANSFERRED * len(others)), start=world.name) as bar:
+            asked: dict[str, Any] = {"false_alarms_per_hour": rates, "progress": bar}
+            counts = hold_out(world.setup, made, detectors, runs=count, cells=cells, **asked)
+            asked |= {"false_alarms_per_hour": STANDARD_RATE, "runs": TRANSFERRED}
+            there = {x.name: transfer(x.setup, made, detectors, **asked) for x in others}
         held, rare = counts[: len(made)], counts[len(made) :]
-        there = {
-            other.name: transfer(other.setup, made, detectors, runs=TRANSFERRED, **asked)
-            for other in others
-        }
         for k, one in enumerate(held):
             elsewhere = {name: each[k].as_dict()["per_hour"] for name, each in there.items()}
             kind = {"name": _name(made[k]), "calibrated": made[k].runs, "passive": passive}
@@ -130,7 +130,6 @@ def joined(before: dict[str, Any], later: dict[str, Any]) -> dict[str, Any]:
 
 
 def shown(kept: dict[str, Any]) -> str:
-    """Tables of all worlds, for the page."""
     return rendered("holdouts.md.j2", worlds=kept["worlds"], table=_table)
 
 
@@ -168,7 +167,6 @@ def _rate(per_hour: float | None) -> str:
 
 
 def main(arguments: list[str]) -> None:
-    """Count in all worlds of the headlines."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=int, default=100_000, help="of passive detectors")
     parser.add_argument("--only", nargs="*", default=(), help="detectors to add to what is kept")
@@ -191,8 +189,7 @@ def main(arguments: list[str]) -> None:
             found = [joined(*pair) for pair in zip(before["worlds"], found, strict=True)]
         cells = sum(1 + ("rare" in row) for world in found for row in world["detectors"])
         kept = {"rate": STANDARD_RATE, "split": "holdout", "cells": cells, "worlds": found}
-        text = json.dumps(kept, indent=1, allow_nan=False) + "\n"
-        write_file(KEPT, text.encode())
+        write_json(KEPT, kept)
     put_between(PAGE, BEGIN, END, shown(json.loads(KEPT.read_text())))
 
 

@@ -6,48 +6,42 @@
     python -m tools.learn_all --out runs/all --list          # what there is, and what it runs
 
 Each step is a command of its own in a folder of its own, which goes on where it was, and begins
-when the steps that it needs have ended.  Several at a time share the processors, and write what
-they have to say to `NAME.log` in the folder.  A step that has ended is not run again, unless its
-command is another one now; `steps.json` in the folder has the command of each of them, and the
-seconds that it took.  Some steps write tables and cards of the pages in docs/ and spoofgym/.
+when the steps that it needs have ended.  What they have to say is in `NAME.log`.  A step that has
+ended is not run again, unless its command is another one now; where one fails, the others end, too.
+`steps.json` has the command of each of them, and the seconds that it took.  Some steps write tables
+and cards of the pages in docs/ and spoofgym/.
 """
 
 from __future__ import annotations
 
-import json
+import argparse
+import multiprocessing
 import os
+import re
 import subprocess
 import sys
 import time
 from collections.abc import Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack
-from dataclasses import dataclass
-from graphlib import TopologicalSorter
-from itertools import pairwise
+from functools import partial
+from itertools import pairwise, product
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any, NamedTuple
 
-import tyro
-from rich.console import Console
-
-from agents.folder import error_lines, json_object
-from spoofgym.core.files import write_file
+from agents.folder import Part, Records, error_lines, write_json
+from spoofgym.bench.experiments import Context
+from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice
 from spoofgym.simulation.engine import processors
 from spoofgym.tasks import DETECTOR_TASKS, TASKS
-from train.spoofers import DETECTORS, WORLDS
 
 MARKS = "steps.json"
 MOST_WORKERS = 4
 """By default: each of them takes up to two gigabytes."""
 GAME = (
-    *("--iterations", "3", "--runs", "200", "--selection-runs", "64", "--sift-runs", "24"),
-    *("--values", "6", "--search-runs", "48", "--generations", "4", "--ppo-steps", "60000"),
+    "--iterations 3 --runs 200 --selection-runs 64 --sift-runs 24 --values 6 --search-runs 48 "
+    "--generations 4 --ppo-steps 60000"
 )
 """Settings of the game on docs/game.md."""
-
 OWN = {
     "T4": "--warm-pool 512 --length-m 100 --log-std-init -3 --steps 40000 --stages 4",
     "T6": "--warm-pool 512",
@@ -71,61 +65,50 @@ Steps = Mapping[str, Step]
 
 def steps_of(out: Path) -> dict[str, Step]:
     """Every step by its name, in the order in which they would run one by one."""
-    recipes = {
-        f"ppo-{key}": ["train.ppo_spoofer", "--task", key, *OWN.get(key, "").split()]
-        for key in TASKS
+    from train.spoofers import DETECTORS, WORLDS  # torch, which workers do not need
+
+    fresh, plain = "--entropy 1 --seeds 5 6 7 8 9", ("T2", "T3")
+    learners = {
+        **{f"ppo-{key}": f"train.ppo_spoofer --task {key} {OWN.get(key, '')}" for key in TASKS},
+        **{f"fresh-{key}": f"train.ppo_spoofer --task {key} {fresh}" for key in FRESH},
+        **{f"plain-{key}": f"train.plain_ppo --task {key}" for key in plain},
+        **{
+            f"plain-fresh-{key}": f"train.plain_ppo --task {key} --kinds plain {fresh}"
+            for key in plain
+        },
+        **{
+            f"spoofers-{world}-{detector}": f"train.spoofers --only {world} {detector}"
+            for world, detector in product(WORLDS, DETECTORS)
+        },
     }
-    fresh = ("--entropy", "1", "--seeds", "5", "6", "7", "8", "9")
-    recipes |= {f"fresh-{key}": ["train.ppo_spoofer", "--task", key, *fresh] for key in FRESH}
-    plain = {f"plain-{key}": ["train.plain_ppo", "--task", key] for key in ("T2", "T3")}
-    plain |= {
-        f"plain-fresh-{key}": ["train.plain_ppo", "--task", key, "--kinds", "plain", *fresh]
-        for key in ("T2", "T3")
-    }
-    sweep = {
-        f"spoofers-{world}-{detector}": ["train.spoofers", "--only", world, detector]
-        for world in WORLDS
-        for detector in DETECTORS
-    }
-    learners = recipes | plain | sweep
-    folders = (*learners, "refits", "refits-more")
-    guard = str(out / "guard" / "guard.onnx")
+    folders, cards = (
+        (*learners, "refits", "refits-more"),
+        [f"cards-{key}" for key in DETECTOR_TASKS],
+    )
     found = {
         **{
-            f"cards-{key}": [
-                *("tools.detector_cards", key, "--out", str(out / f"cards-{key}")),
-                *("--runs", "200", "--selection-runs", "48"),
-            ]
+            f"cards-{key}": f"tools.detector_cards {key} --out OUT/cards-{key} --runs 200 "
+            "--selection-runs 48"
             for key in DETECTOR_TASKS
         },
-        **{name: [*words, "--out", str(out / name)] for name, words in learners.items()},
-        "refits": ["tools.refits", "--out", str(out / "refits"), "--task", "T1", "T2"],
-        "refits-more": [
-            *("tools.refits", "--out", str(out / "refits-more"), "--task", "T2"),
-            *("--fit-runs", "1024", "--entropies", "1", "2", "3"),
-        ],
-        "data": [
-            *("spoofgym", "dataset", str(out / "data"), "--task", "T3"),
-            *("--spoofer", "solution-separation-ppo", "--spoofer", "hidden-pool-ppo"),
-        ],
+        **{name: f"{words} --out OUT/{name}" for name, words in learners.items()},
+        "refits": "tools.refits --out OUT/refits --task T1 T2",
+        "refits-more": "tools.refits --out OUT/refits-more --task T2 --fit-runs 1024 "
+        "--entropies 1 2 3",
+        "data": "spoofgym dataset OUT/data --task T3 --spoofer solution-separation-ppo "
+        "--spoofer hidden-pool-ppo",
         **{
-            name: [
-                *("train.detector", "--data", str(out / "data"), "--out", str(out / name)),
-                *("--seed", str(seed)),
-            ]
+            name: f"train.detector --data OUT/data --out OUT/{name} --seed {seed}"
             for name, seed in GUARDS.items()
         },
-        "threshold": [
-            *("spoofgym", "calibrate", "--task", "T3", "--detector", guard, "--runs", "2000"),
-            *("--hold-out", "400", "--transfer", "zhong2025", "--transfer", "trolley-tactical"),
-        ],
-        "feedback": ["tools.feedback_gain", "--out", str(out / "feedback")],
-        "feedback-T2": ["tools.feedback_gain", "--task", "T2", "--out", str(out / "feedback")],
-        "game": ["train.double_oracle", "--task", "T3", "--out", str(out / "game"), *GAME],
-        "game-page": ["tools.game_page", str(out / "game")],
-        "page": ["tools.learned_page", *(str(out / name) for name in folders)],
+        "threshold": "spoofgym calibrate --task T3 --detector OUT/guard/guard.onnx --runs 2000 "
+        "--hold-out 400 --transfer zhong2025 --transfer trolley-tactical",
+        "feedback": "tools.feedback_gain --out OUT/feedback",
+        "feedback-T2": "tools.feedback_gain --task T2 --out OUT/feedback",
+        "game": f"train.double_oracle --task T3 --out OUT/game {GAME}",
+        "game-page": "tools.game_page OUT/game",
+        "page": " ".join(["tools.learned_page", *(f"OUT/{name}" for name in folders)]),
     }
-    cards = [f"cards-{key}" for key in DETECTOR_TASKS]
     after: dict[str, tuple[str, ...]] = {
         **dict.fromkeys(GUARDS, ("data",)),
         "threshold": ("guard",),
@@ -134,105 +117,60 @@ def steps_of(out: Path) -> dict[str, Step]:
         "page": folders,
         **{later: (sooner,) for sooner, later in pairwise(cards)},  # all write to one page
     }
-    return {name: Step(["-m", *words], after.get(name, ())) for name, words in found.items()}
+    words = {
+        name: ["-m", *(word.replace("OUT", str(out)) for word in text.split())]
+        for name, text in found.items()
+    }
+    return {name: Step(words[name], after.get(name, ())) for name in found}
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What is run."""
-
-    out: Path  # Folder of all results.
-    only: tuple[str, ...] = ()  # Names of some steps, as `--list` has them; all by default.
-    workers: int = min(MOST_WORKERS, processors())
-    """Steps at a time; each has its part of the processors."""
-    list: bool = False  # Print the steps, and run none.
-
-    def __post_init__(self) -> None:
-        """Check names and number."""
-        for name in self.only:
-            check_choice("step", name, [*steps_of(self.out)])
-        if self.workers < 1:
-            raise ValueError(f"`workers` must be at least 1, got {self.workers}")
-
-
-def run(out: Path, steps: Steps, console: Console, workers: int = 1) -> dict[str, Any]:
-    """Run what has not ended yet; seconds and command of every step that has, by its name.  Raises
-    `subprocess.CalledProcessError` when a command fails.  Then no other one is begun, and those
-    that run go on to their end."""
-    path = out / MARKS
-    done = json_object(str(path), path.read_text("utf-8") if path.is_file() else "{}")
-    order = TopologicalSorter({name: {*step.after} & {*steps} for name, step in steps.items()})
-    order.prepare()
-    ready: list[str] = []
-    running: dict[Future[float], str] = {}
-    parts = _parts_of_processors(workers)
-    out.mkdir(parents=True, exist_ok=True)
-    with ThreadPoolExecutor(workers, initializer=_take_part, initargs=(parts,)) as pool:
-        while order.is_active():
-            ready += order.get_ready()
-            while ready and len(running) < workers:
-                name, words = ready[0], steps[ready.pop(0)].words
-                if name in done and done[name]["command"] == words:
-                    order.done(name)
-                    ready += order.get_ready()
-                else:
-                    log = None if workers == 1 else out / f"{name}.log"
-                    running[pool.submit(_run_step, name, words, log, console)] = name
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                name = running.pop(future)
-                done[name] = {"seconds": future.result(), "command": steps[name].words}
-                write_file(path, (json.dumps(done, indent=1) + "\n").encode())
-                order.done(name)
+def run(
+    out: Path, steps: Steps, workers: int = 1, progress: ProgressBar | None = None
+) -> dict[str, Any]:
+    """Run what has not ended yet; seconds and command of every step, by its name."""
+    parts = {}
+    for name, step in steps.items():
+        make = partial(_run_step, step.words, out / f"{name}.log", workers)
+        after = tuple(each for each in step.after if each in steps)
+        parts[name] = Part({"command": step.words}, make, after)
+    done = Records("learn-all", {}, parts).play(out, progress, jobs=workers)
+    write_json(out / MARKS, done)
     return done
 
 
-def _take_part(parts: SimpleQueue[set[int]]) -> None:
-    """Leave this thread, and what it starts, a part of the processors, where the system can."""
-    if sys.platform == "linux":
-        os.sched_setaffinity(0, parts.get())
-
-
-def _parts_of_processors(workers: int) -> SimpleQueue[set[int]]:
-    """Processors of every worker, as equal in number as can be; shared where there are too few."""
-    parts: SimpleQueue[set[int]] = SimpleQueue()
-    if sys.platform == "linux":
-        own = sorted(os.sched_getaffinity(0))
-        for k in range(workers):
-            parts.put({*own[k::workers]} or {own[k % len(own)]})
-    return parts
-
-
-def _run_step(name: str, words: list[str], log: Path | None, console: Console) -> float:
-    """Run a command to its end; seconds that it took. `log`: file for what it says, or None."""
+def _run_step(words: list[str], log: Path, workers: int, _: Any, context: Context) -> Any:
+    """Run a command to its end, on a part of the processors where there are several workers."""
+    if sys.platform == "linux" and workers > 1 and "processors" not in context.cache:
+        own = context.cache["processors"] = sorted(os.sched_getaffinity(0))
+        k = int(re.split(r"\D", multiprocessing.current_process().name)[-1]) % workers
+        os.sched_setaffinity(0, own[k::workers] or own)
     began = time.perf_counter()
-    console.print(f"{name} begins" + ("" if log is None else f", see {log}"), highlight=False)
-    with ExitStack() as stack:
-        file = None if log is None else stack.enter_context(log.open("w", encoding="utf-8"))
-        ended = subprocess.run([sys.executable, *words], stdout=file, stderr=file, check=False)
-    if ended.returncode != 0:
-        console.print(f"{name} has failed; what still runs goes on to its end", highlight=False)
-        ended.check_returncode()
-    spent_s = round(time.perf_counter() - began, 1)
-    console.print(f"{name} has ended after {spent_s / 60.0:.0f} min", highlight=False)
-    return spent_s
+    with log.open("w", encoding="utf-8") as file:
+        subprocess.run([sys.executable, *words], stdout=file, stderr=file, check=True)
+    return {"seconds": round(time.perf_counter() - began, 1), "command": words}
 
 
-def main() -> None:
-    """Command line."""
-    console = Console()
-    with error_lines():
-        given = tyro.cli(Settings, description=__doc__)
-        steps = steps_of(given.out)
-        if given.list:
-            for name, step in steps.items():
-                command = f"{name}: python {' '.join(step.words)}"
-                console.print(command, soft_wrap=True, highlight=False)
-            return
-        chosen = {name: step for name, step in steps.items() if name in (given.only or steps)}
-        done = run(given.out, chosen, console, given.workers)
-        hours = sum(each["seconds"] for each in done.values()) / 3600.0
-        console.print(f"{len(done)} of {len(steps)} steps have ended, in {hours:.2f} h of work")
+@error_lines()
+def main(arguments: list[str]) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder of all results")
+    parser.add_argument("--only", nargs="+", default=(), help="names of some steps")
+    most = min(MOST_WORKERS, processors())
+    parser.add_argument("--workers", type=int, default=most, help="steps at a time")
+    parser.add_argument("--list", action="store_true", help="print the steps, and run none")
+    given = parser.parse_args(arguments)
+    steps = steps_of(given.out)
+    for name in given.only:
+        check_choice("step", name, steps)
+    chosen = {name: step for name, step in steps.items() if name in (given.only or steps)}
+    if given.list:
+        for name, step in chosen.items():
+            print(f"{name}: python {' '.join(step.words)}")
+        return
+    done = run(given.out, chosen, given.workers, show_progress)
+    hours = sum(each["seconds"] for each in done.values()) / 3600.0
+    print(f"{len(done)} of {len(steps)} steps have ended, in {hours:.2f} h of work")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

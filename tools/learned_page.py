@@ -2,23 +2,21 @@
 
     python -m tools.learned_page runs/ppo-T3 runs/ppo-T5 runs/plain-T3 runs/spoofers runs/refits
 
-takes the results of these folders into `docs/learned_spoofers.json`, those of `train.ppo_spoofer`
-with their pictures, those of `train.plain_ppo`, `train.spoofers` and `tools.refits`, and what
-`tools.transfer --json` has written to a file, such as runs/transfer.json, and writes the tables of
-the page; without a folder it writes the tables again.  Trainings with an `--entropy` of
-their own, on other runs, have a table apart.  Cells of `train.spoofers` and
-tasks of `tools.refits` that a folder lacks stay as they are.
+takes the results of these folders, and what `tools.transfer --json` has written to a file, such as
+runs/transfer.json, into `docs/learned_spoofers.json`; what they lack stays as it is.  Trainings on
+other runs, with an `--entropy`, have a table apart.  Without a folder it writes the tables again.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+from agents.folder import write_json
 from agents.seeds import (
     KIND_HEAD,
     keeps_budget,
@@ -32,11 +30,10 @@ from agents.spoofer_table import RIVALS, page
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.core.files import write_file
 
-from .pages import marks, put_between
+from .pages import DOCS, marks, put_between
 from .refits import RESULTS as REFITS
 from .refits import table as table_of_refits
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE, KEPT = DOCS / "learned_spoofers.md", DOCS / "learned_spoofers.json"
 MANY = "spoofers.json"
 """Results of `train.spoofers` in their folder."""
@@ -49,38 +46,6 @@ TRANSFERRED = ("as fitted at home", "refitted")
 KINDS = {"plain": "five arguments", "defaults": "those of the library alone"}
 
 
-def taken(
-    results: dict[str, Any], whom: Iterable[str] = RIVALS, *, alone: bool = True
-) -> dict[str, Any]:
-    """What the page needs of the results of `train.ppo_spoofer`. `whom`: of which rivals; `alone`:
-    whether it is one of the recipe, and no cell of many."""
-    plain = ("command", "versions", "detector", "kept")
-    further = ("wall_s", "untrained") if alone else ("wall_s",)
-    seeds = [
-        {
-            **{name: row[name] for name in ("seed", "steps", "chosen_at", "diverged")},
-            **{name: row[name] for name in further if name in row},  # older ones have none
-            "score": row["score"],
-            "ratios": row.get("ratios", {}),
-        }
-        for row in results["seeds"]
-    ]
-    rivals = {name: results["rivals"][name] for name in whom}
-    return {**{name: results[name] for name in plain}, "rivals": rivals, "seeds": seeds}
-
-
-def taken_of_plain(results: dict[str, Any]) -> dict[str, Any]:
-    """What the page needs of the results of `train.plain_ppo`."""
-    kinds = {
-        kind: [
-            {name: row[name] for name in ("seed", "curve", "score", "ratios", "untrained")}
-            for row in rows
-        ]
-        for kind, rows in results["kinds"].items()
-    }
-    return {"steps": results["steps"], "ramps": results["ramps"], "kinds": kinds}
-
-
 def bar_of(found: dict[str, Any]) -> str:
     """The rival that gets farthest on the evaluation runs."""
     rivals = found["rivals"]
@@ -88,7 +53,6 @@ def bar_of(found: dict[str, Any]) -> str:
 
 
 def shown_of_tasks(kept: dict[str, Any]) -> str:
-    """Table of the recipe: a line for each task."""
     tasks = [_task_cells(task, found) for task, found in kept.items()]
     return Table.of_texts(*TASK_HEAD).markdown(tasks) + "\n"
 
@@ -106,7 +70,6 @@ def shown(kept: dict[str, Any]) -> str:
 
 
 def _task_cells(task: str, found: dict[str, Any]) -> tuple[str, ...]:
-    """A task, in the order of `TASK_HEAD`."""
     bar = bar_of(found)
     middle = middle_of(found["seeds"], bar)
     ratio = interval(middle["ratios"][bar], 2) if middle["score"] else "0"
@@ -193,42 +156,36 @@ TABLES: dict[str, tuple[str, Callable[[dict[str, Any]], str]]] = {
 """What the page has between its marks: which results, and how they are shown."""
 
 
+def take(folder: Path, kept: dict[str, Any]) -> None:
+    """Put the results of a folder, or of a file of transfer, among those that are kept."""
+    if folder.suffix == ".json":
+        kept["transfer"] = taken_of_transfer(_read(folder))
+    elif (folder / MANY).is_file():
+        kept["spoofers"] |= _read(folder / MANY)
+    elif (folder / REFITS).is_file():
+        kept["refits"] |= _read(folder / REFITS)
+    elif "kinds" in (results := _read(folder / "results.json")):
+        part = kept["plain_fresh" if results.get("entropy") else "plain"]
+        before = part.get(results["task"], results)["kinds"]  # played in several parts
+        part[results["task"]] = {**results, "kinds": {**before, **results["kinds"]}}
+    else:
+        given = _read(folder / "config.json")["config"]["arguments"]
+        kept["fresh" if given["entropy"] else "recipe"][given["task"]] = results
+        if not given["entropy"]:
+            picture = (folder / "curve.png").read_bytes()
+            write_file(DOCS / f"learning_{given['task'].lower()}.png", picture)
+
+
+def _read(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
 def main() -> None:
-    """Take the results of the folders that are given, and write the page."""
-    further = [part for part, _ in TABLES.values() if part not in ("recipe", "plain")]
-    kept = {part: {} for part in further} | json.loads(KEPT.read_text(encoding="utf-8"))
-    for folder in map(Path, sys.argv[1:]):
-        if folder.suffix == ".json":
-            rows = json.loads(folder.read_text(encoding="utf-8"))
-            kept["transfer"] = taken_of_transfer(rows)
-            continue
-        if (folder / MANY).is_file():
-            cells = json.loads((folder / MANY).read_text(encoding="utf-8"))
-            kept["spoofers"] |= {
-                cell: taken(found, found["rivals"], alone=False) for cell, found in cells.items()
-            }
-            continue
-        if (folder / REFITS).is_file():
-            kept["refits"] |= json.loads((folder / REFITS).read_text(encoding="utf-8"))
-            continue
-        results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-        if "kinds" in results:
-            found = taken_of_plain(results)
-            part = kept["plain_fresh" if results.get("entropy") else "plain"]
-            before = part.get(results["task"], found)
-            found["kinds"] = {**before["kinds"], **found["kinds"]}  # played in several parts
-            part[results["task"]] = found
-            continue
-        config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
-        task = config["arguments"]["task"]
-        if config["arguments"]["entropy"]:
-            kept["fresh"][task] = taken(results)
-            continue
-        kept["recipe"][task] = taken(results)
-        picture = (folder / "curve.png").read_bytes()
-        write_file(DOCS / f"learning_{task.lower()}.png", picture)
+    kept = _read(KEPT)
+    for folder in sys.argv[1:]:
+        take(Path(folder), kept)
     kept = {part: dict(sorted(found.items())) for part, found in kept.items()}
-    write_file(KEPT, (json.dumps(kept, indent=1) + "\n").encode())
+    write_json(KEPT, kept)
     for mark, (part, show) in TABLES.items():
         put_between(PAGE, *marks(mark), show(kept[part]))
 

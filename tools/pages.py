@@ -14,7 +14,6 @@ TEMPLATES = Path(__file__).with_name("templates")
 
 
 def marks(name: str) -> tuple[str, str]:
-    """Begin and end of what a program makes of a page."""
     return f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
 
 

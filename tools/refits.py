@@ -3,39 +3,37 @@
     python -m tools.refits --out runs/refits                       # what is shipped, in its tasks
     python -m tools.refits --out runs/refits --task T2 --spoofer dash runs/mine.onnx
 
-Every set of runs, by its entropy, has training runs, on which amplitudes are fitted to the alarm
-budget, and evaluation runs.  The interval of a score is that of its evaluation runs; how far scores
-of several sets lie apart has the fit in it, too.  The folder gets `refits.json`, from which
-`tools.learned_page` makes a table; killed, the same command goes on where it was.
+Every set has training runs, on which amplitudes are fitted to the alarm budget, and evaluation
+runs.  The interval of a score is that of its evaluation runs; how far scores of several sets lie
+apart has the fit in it, too.  `tools.learned_page` makes a table of `refits.json`.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
+from itertools import product
 from statistics import median
 from typing import Any
 
-import tyro
 from rich.console import Console
 from rich.markdown import Markdown
 from spoofgym.bench.experiments.versions import versions
 
-from agents.folder import error_lines
+from agents.folder import Part, Records, error_lines, identity_of, write_json
 from agents.seeds import keeps_budget, spread, value_of
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.campaign import titled
 from spoofgym.bench.report.table import Table
-from spoofgym.bench.runs.players import Entry, check_labels, fitted, spoofer_entry
-from spoofgym.core.files import write_file
-from spoofgym.core.registry import parse_spec, whole_number
-from spoofgym.core.settings import digest_of
+from spoofgym.bench.runs.players import check_labels, fitted, spoofer_entry
+from spoofgym.core.progress import ProgressBar, show_progress
+from spoofgym.core.registry import parse_spec
 from spoofgym.tasks import task_of
 
-from .transfer import Kept
+from .scored import parser_of, sizes_of
 
 RESULTS = "refits.json"
 RAMP = "ramp"
@@ -54,48 +52,34 @@ HEAD = (
 )
 
 
-@dataclass(frozen=True)
-class Settings:
+def options(arguments: list[str]) -> argparse.Namespace:
     """What is scored."""
-
-    out: Path  # Folder of the results.
-    task: tuple[str, ...] = tuple(LEARNED)  # Tasks.
-    spoofer: tuple[str, ...] = ()
-    """Names, files, or name:key=value; by default an accelerating ramp and what is shipped for the
-    task. A ramp is always among them."""
-    entropies: tuple[int, ...] = (1, 2, 3, 4, 5)  # Seeds of the sets; tables of the tasks have 0.
-    fit_runs: int = 256  # Training runs of a set.
-    runs: int = 400  # Evaluation runs of a set.
-    threads: int | None = None  # Of the engine.
-    json: bool = False  # Print the results as JSON, and nothing else.
-
-    def __post_init__(self) -> None:
-        """Check the names."""
-        for name in self.task:
-            task_of(name)
-            if not self.spoofer and name not in LEARNED:
-                raise ValueError(f"no learned spoofer is shipped for {name}: give `spoofer`")
-        if not self.entropies or len(set(self.entropies)) < len(self.entropies):
-            raise ValueError(f"`entropies` must be different numbers, got {self.entropies}")
-        whole_number("`runs`", self.runs, 1)
-
-    def whom(self, task: str) -> list[Entry]:
-        """Spoofers of a task, the ramp first."""
-        given = self.spoofer or ("accelerating-ramp", LEARNED[task])
-        names = [RAMP, *(name for name in given if name != RAMP)]
-        entries = tuple(spoofer_entry(fitted(parse_spec(name))) for name in names)
-        check_labels(entries)
-        return list(entries)
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        """Of every set of runs."""
-        return {"runs": self.runs, "fit_runs": self.fit_runs}
+    parser = parser_of(__doc__, "runs/refits", fit_runs=256)
+    parser.add_argument("--task", nargs="+", default=[*LEARNED])
+    parser.add_argument("--spoofer", nargs="+", default=[], help="by default what is shipped")
+    parser.add_argument("--entropies", nargs="+", type=int, default=[1, 2, 3, 4, 5])
+    given = parser.parse_args(arguments)
+    for name in given.task:
+        task_of(name)
+        if not given.spoofer and name not in LEARNED:
+            raise ValueError(f"no learned spoofer is shipped for {name}: give `spoofer`")
+    if len(set(given.entropies)) < len(given.entropies):
+        raise ValueError(f"`entropies` must be different numbers, got {given.entropies}")
+    return given
 
 
-def scored(judge: Evaluator, whom: Sequence[Entry]) -> list[dict[str, Any]]:
+def specs_of(task: str, given: Sequence[str]) -> list[Any]:
+    """Spoofers of a task, the ramp first."""
+    names = given or ("accelerating-ramp", LEARNED[task])
+    names = [RAMP, *(name for name in names if name != RAMP)]
+    entries = tuple(spoofer_entry(fitted(parse_spec(name))) for name in names)
+    check_labels(entries)
+    return [entry.spec for entry in entries]
+
+
+def scored(judge: Evaluator, specs: Sequence[Any]) -> list[dict[str, Any]]:
     """Scores on one set of runs, with ratios to the first one, JSON-able."""
-    scores = [judge.score(entry.spec) for entry in whom]
+    scores = [judge.score(spec) for spec in specs]
     ramp = scores[0]
     return [
         {**score.as_dict(), "of_ramp": score.ratio_to(ramp, oracles=True).as_json()}
@@ -103,27 +87,27 @@ def scored(judge: Evaluator, whom: Sequence[Entry]) -> list[dict[str, Any]]:
     ]
 
 
-def play(settings: Settings, console: Console) -> dict[str, Any]:
+def play(given: argparse.Namespace, progress: ProgressBar | None = None) -> dict[str, Any]:
     """Score what is missing; results by task and training runs, for each spoofer a list of sets."""
-    kept, made = Kept(settings.out), versions()
-    results: dict[str, Any] = {}
-    for task in settings.task:
-        whom, sizes, sets = settings.whom(task), settings.sizes, []
-        specs = [entry.spec for entry in whom]
-        for entropy in settings.entropies:
-            judge = Evaluator(task, entropy=entropy, threads=settings.threads, **sizes)
-            points = [each._asdict() for each in judge.world.points(judge.detector)]
-            digest = digest_of([made, judge.world.config, points, sizes, entropy, specs])
-            with console.status(f"{task}, entropy {entropy}"):
-                sets.append(kept(digest, partial(scored, judge, whom)))
-        results[f"{task}/{settings.fit_runs}"] = {
+    parts: dict[str, Part] = {}
+    for task, entropy in product(given.task, given.entropies):
+        judge = partial(Evaluator, task, **sizes_of(given, entropy))
+        specs = specs_of(task, given.spoofer)
+        make = lambda *_, judge=judge, specs=specs: scored(judge(), specs)  # noqa: E731
+        parts[f"{task} {entropy}"] = Part(identity_of(judge(), *specs), make)
+    found = Records("refits", {}, parts).play(given.out, progress)
+    results = {}
+    for task in given.task:
+        sets = [found[f"{task} {entropy}"] for entropy in given.entropies]
+        results[f"{task}/{given.fit_runs}"] = {
             "task": task,
-            **sizes,
-            "versions": made,
-            "entropies": list(settings.entropies),
+            "runs": given.runs,
+            "fit_runs": given.fit_runs,
+            "versions": versions(),
+            "entropies": given.entropies,
             "spoofers": {each[0]["spoofer"]: list(each) for each in zip(*sets, strict=True)},
         }
-        write_file(settings.out / RESULTS, (json.dumps(results, indent=1) + "\n").encode())
+    write_json(given.out / RESULTS, results)
     return results
 
 
@@ -131,11 +115,8 @@ def table(results: Mapping[str, Any]) -> str:
     """A line for each spoofer of each task and number of training runs."""
     rows = [
         (
-            *(
-                found["task"],
-                str(found["fit_runs"]),
-                titled(f"`{name.removesuffix('(tuned)')}`", scores[0]["knowledge"]),
-            ),
+            *(found["task"], str(found["fit_runs"])),
+            titled(f"`{name.removesuffix('(tuned)')}`", scores[0]["knowledge"]),
             *(str(len(scores)), *_cells(scores)),
         )
         for found in results.values()
@@ -145,29 +126,23 @@ def table(results: Mapping[str, Any]) -> str:
 
 
 def _cells(scores: Sequence[Mapping[str, Any]]) -> tuple[str, str, str]:
-    """Scores of one spoofer, their ratios to the ramp, and how many are over the budget."""
     ratios = [score["of_ramp"]["value"] for score in scores]
     times = "-"  # where the ramp gets nowhere
     if None not in ratios:
         times = f"{median(ratios):.2f} [{min(ratios):.2f}, {max(ratios):.2f}]"
     over = sum(not keeps_budget(score) for score in scores)
-    return (
-        spread([value_of(score) for score in scores]),
-        times,
-        str(over) if over else "",
-    )
+    return spread([value_of(score) for score in scores]), times, str(over or "")
 
 
-def main() -> None:
-    """Command line."""
-    with error_lines():
-        settings = tyro.cli(Settings, description=__doc__)
-        console = Console(quiet=settings.json)
-        results = play(settings, console)
-    if settings.json:
+@error_lines()
+def main(arguments: list[str]) -> None:
+    given = options(arguments)
+    results = play(given, show_progress)
+    if given.json:
         print(json.dumps(results, indent=1, allow_nan=False))
-    console.print(Markdown(table(results)))
+    else:
+        Console().print(Markdown(table(results)))
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -13,30 +13,10 @@ import sys
 from pathlib import Path
 
 from agents.folder import error_lines
-from agents.seeds import copy_policy
+from agents.seeds import copy_policy, on_card
 from spoofgym.bench.experiments.evaluate import RUNS, Evaluator
-from spoofgym.bench.scores.spoofer import Score
 from spoofgym.cli.output import progress
-from spoofgym.spoofers.card import Score as CardScore
 from spoofgym.spoofers.zoo import ZOO_FOLDER
-
-
-def on_card(score: Score, entropy: int) -> CardScore:
-    """A score as a card has it."""
-    moved = score.stealthy_displacement_m
-    return CardScore(
-        detector=score.detector,
-        split="evaluation",
-        entropy=entropy,
-        runs=score.runs,
-        counted=score.counted,
-        undetected_displacement_m=moved.value,
-        low=moved.low,
-        high=moved.high,
-        alarm_rate=score.alarm_rate.value,
-        clean_alarm_rate=score.clean_alarm_rate,
-        budget=score.budget,
-    )
 
 
 def ship(policy: Path, name: str, judge: Evaluator, folder: Path = ZOO_FOLDER) -> Path:
@@ -45,13 +25,13 @@ def ship(policy: Path, name: str, judge: Evaluator, folder: Path = ZOO_FOLDER) -
     if not score.within_budget:
         raise ValueError(f"{policy} is not shipped: {score}")
     target = folder / f"{name}.onnx"
-    copy_policy(policy, target, scores=[on_card(score, judge.entropy)])
+    copy_policy(policy, target, scores=[on_card(score, judge)])
     print(score)
     return target
 
 
+@error_lines()
 def main(arguments: list[str]) -> None:
-    """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("policy", type=Path, help="an .onnx file with its card")
     parser.add_argument("--name", required=True, help="of the shipped spoofer")
@@ -59,7 +39,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--runs", type=int, default=RUNS, help="evaluation runs")
     parser.add_argument("--seed", type=int, default=1, help="of these runs; trainings have 0")
     given = parser.parse_args(arguments)
-    with error_lines(), progress(3.0 * given.runs) as bar:
+    with progress(3.0 * given.runs) as bar:
         judge = Evaluator(given.task, runs=given.runs, entropy=given.seed, progress=bar)
         ship(given.policy, given.name, judge)
 

@@ -4,25 +4,16 @@
     python -m tools.task_cards T4 --seeds 500   # one of them
     python -m tools.task_cards --tables-only    # docs/tasks.md again from the cards
 
-The admission test, on evaluation runs: with the best classic, the detector against which the worst
-attack of the suite gets the least far in half of the runs,
-
-1. that attack gets at least twice as far as the floor (heading unknown, P_D 50 %);
-2. the blind optimum gets at least 1.2 times as far as the best ramp of a constant rate;
-3. P(HMI | attack) at the alert limit is between 10 and 90 %;
-4. the 10th and the 90th percentile of the skies differ by at most a factor of 3, by their mean
-   undetected displacement, where each sky has the attack of those found that gets farthest there;
-   what the same runs give with their skies dealt out by chance is kept with it;
-5. a test that needs no filter's memory, each satellite's range rate against a threshold, allows
-   at least 1.1 times as much.
-
-Killed, it goes on where it was.
+The admission test has five figures on evaluation runs (docs/tasks.md), with the best classic, the
+detector against which the worst attack of the suite gets the least far in half of the runs.  What
+single skies allow is kept beside what the same runs give with their skies dealt out by chance.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -30,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.folder import write_json
 from spoofgym.bench.experiments import Store, run
 from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
 from spoofgym.bench.experiments.campaign import Campaign
@@ -46,7 +38,6 @@ from spoofgym.bench.report.tasks import (
 from spoofgym.bench.runs.players import detector_entry, fitted
 from spoofgym.bench.search.settings import Selection, Tuning
 from spoofgym.cli.output import progress
-from spoofgym.core.files import write_file
 from spoofgym.core.settings import describe
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.tasks import SUITE, TASKS, Task, task_of
@@ -93,7 +84,6 @@ def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
 
 
 def played(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
-    """Play a task, and return its card."""
     suite = suite_of(task, sizes)
     world, whom = suite.world, suite.detector_entries
     with progress(max(missing_runs(world, whom), 1)) as bar:
@@ -105,7 +95,6 @@ def played(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
 
 
 def card_of(task: Task, results: CampaignResults) -> dict[str, Any]:
-    """What is kept of a task's campaign."""
     summary = summarize(results)
     own = detector_entry(task.detector).label
     detectors = {row["detector"]: row for row in summary["detectors"]}
@@ -151,7 +140,6 @@ def name_of(cell: dict[str, Any]) -> str:
 
 
 def score_of(cell: dict[str, Any]) -> dict[str, Any]:
-    """Score of a spoofer."""
     keeps = bool(cell["within_budget"]) and cell["tuned_within_budget"] is not False
     score = cell["stealthy_displacement_m"]
     return {**score, "alarm_rate": cell["alarm_rate"]["value"], "within_budget": keeps}
@@ -183,12 +171,12 @@ def admission(
     moved = [winner.displacement[MEASURE][found.counts] for winner in found.winners]
     hazard = max(float((x > limit).mean()) for x in moved)
     skies, by_chance = spread(moved, sky), dealt(moved, sky)
-    figures: dict[str, tuple[float, bool]] = {
-        "over_floor": _at_least(half / floor["half"]["value"], TWICE),
-        "optimum_over_ramp": _at_least(cells["blind-optimum"] / cells["ramp"], OPTIMISED),
-        "p_hmi": (hazard, HAZARDOUS[0] <= hazard <= HAZARDOUS[1]),
-        "skies": (skies, skies <= ALIKE),
-        "trivial_over_best": _at_least(half_of(card, trivial) / half, TRIVIALLY),
+    figures = {
+        "over_floor": (half / floor["half"]["value"], TWICE, math.inf),
+        "optimum_over_ramp": (cells["blind-optimum"] / cells["ramp"], OPTIMISED, math.inf),
+        "p_hmi": (hazard, *HAZARDOUS),
+        "skies": (skies, 0.0, ALIKE),
+        "trivial_over_best": (half_of(card, trivial) / half, TRIVIALLY, math.inf),
     }
     return {
         "best_classic": best,
@@ -197,7 +185,10 @@ def admission(
         "limit_over_floor": limit / floor["certain"]["value"],
         "skies_by_chance": by_chance,
         "optimum_over_accelerating": cells["blind-optimum"] / cells["accelerating-ramp"],
-        "figures": {name: {"value": x, "passes": ok} for name, (x, ok) in figures.items()},
+        "figures": {
+            name: {"value": x, "passes": low <= x <= high}
+            for name, (x, low, high) in figures.items()
+        },
     }
 
 
@@ -215,12 +206,7 @@ def dealt(moved: list[FloatArray], sky: IntArray) -> float:
     return float(np.median([spread(moved, generator.permutation(sky)) for _ in range(DEALS)]))
 
 
-def _at_least(value: float, least: float) -> tuple[float, bool]:
-    return value, value >= least
-
-
 def shown() -> str:
-    """Tables of the page."""
     return rendered(
         "tasks.md.j2",
         scores=TASK_SCORES.markdown(task_rows()),
@@ -230,7 +216,6 @@ def shown() -> str:
 
 
 def main(arguments: list[str]) -> None:
-    """Play tasks, keep their cards, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("tasks", nargs="*", help=f"of {', '.join(TASKS)}; by default all")
     parser.add_argument("--out", type=Path, default=Path("results/tasks"))
@@ -244,8 +229,7 @@ def main(arguments: list[str]) -> None:
         card = played(task_of(key), given.out, {**sizes, "seeds": given.seeds})
         kept = {**stored_cards(), key: card}
         kept = {name: kept[name] for name in TASKS if name in kept}
-        text = json.dumps(kept, indent=1, allow_nan=False) + "\n"
-        write_file(KEPT, text.encode())
+        write_json(KEPT, kept)
         print(key, json.dumps(card.get("admission"), indent=1), flush=True)
     put_between(PAGE, BEGIN, END, shown())
 

@@ -3,20 +3,12 @@
     spoofgym dataset runs/data --task T3
     python -m train.detector --data runs/data --out runs/guard
 
-What happens:
-
-1. A recurrent network (`agents.detector_network`) learns by two losses (`agents.detector_loss`).
-   The logistic loss of every epoch makes of its output the logarithm of a likelihood ratio, the
-   best statistic of an epoch at any rate of false alarms (Neyman and Pearson).  An attacked epoch
-   weighs as much as it has displaced, up to the alert limit AL: the first metres can't be seen, and
-   do no harm.  But alarms come from the largest of hundreds of epochs, and rare ones decide: so the
-   mean of min(D, AL) / AL, with D the displacement that goes undetected, is a second loss, made
-   smooth, with a threshold from the largest clean maxima of the minibatch.
-2. After every pass through the data the network plays the validation runs by the rule of the
-   benchmark: its threshold is the quantile of the clean runs' maxima that `--false-alarms-per-hour`
-   asks for, and its score is that mean.  The best network is kept, and training stops when none has
-   been better for `--patience` passes.  The area under a ROC curve is printed, but chooses nothing:
-   most of it is about rates of false alarms that nobody could afford.
+1. A recurrent network (`agents.detector_network`) learns by two losses (`agents.detector_loss`):
+   the logistic loss of every epoch, the best statistic of an epoch at any rate of false alarms
+   (Neyman and Pearson); and what is scored, made smooth, since alarms come from the largest of
+   hundreds of epochs, and rare ones decide.
+2. After every pass it plays the validation runs by the rule of the benchmark.  The best network is
+   kept, and training stops when none has been better for `--patience` passes.
 3. The best one is written as `NAME.onnx`, recurrent, with its card, and plays the test runs, once.
 
 A threshold that can be trusted comes from many more clean runs: `spoofgym calibrate`.  The folder
@@ -30,9 +22,7 @@ import math
 import re
 import time
 from dataclasses import asdict, dataclass
-from io import BytesIO
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
@@ -40,15 +30,17 @@ import torch
 import tyro
 from rich.console import Console
 
+from agents.checkpoint import open_checkpoint, write_checkpoint
 from agents.detector_loss import logistic, undetected
 from agents.detector_network import DetectorNetwork, parameters_of, statistic_of
 from agents.detector_score import Scored, classics_of, scored, window_s
-from agents.folder import error_lines, open_folder
-from agents.record import TrainingRecord
+from agents.folder import error_lines, learning_versions
+from agents.record import read_record, write_record
 from spoofgym import export
+from spoofgym.bench.experiments import Store
 from spoofgym.bench.experiments.dataset import Dataset, Episodes, load
-from spoofgym.core.files import write_file
 from spoofgym.core.progress import show_progress
+from spoofgym.core.registry import check_finite, whole_number
 from spoofgym.detectors.calibration_file import check_runs
 from spoofgym.policies.card import DECIDED_ON
 
@@ -76,18 +68,12 @@ class Arguments:
     threads: int = 1  # Threads of torch; on a busy machine two are slower than one.
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         for name in ("passes", "patience", "batch_size", "width", "projections", "threads"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}")
+            whole_number(f"`{name}`", getattr(self, name), 1)
         for name in ("learning_rate", "clip_norm", "false_alarms_per_hour", "least_live_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"`{name}` must be finite and > 0, got {value}")
+            check_finite(name, getattr(self, name), "> 0")
         for name in ("emphasis", "weight_decay", "seed"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
+            check_finite(name, getattr(self, name), ">= 0")
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", self.out.name):
             raise ValueError(f"the last part of `out` names the detector, got {str(self.out)!r}")
 
@@ -145,7 +131,6 @@ class Trainer:
 
     @property
     def latest(self) -> int:
-        """Latest epoch at which a minibatch may begin."""
         least = math.ceil(self.given.least_live_s / self.config["interval_s"])
         return max(int(self.config["epochs"]["live"]) - least, 0)
 
@@ -177,34 +162,25 @@ class Trainer:
         return found if np.isfinite(raw).all() else found._replace(loss=math.inf)
 
     def keep(self, loss: float) -> None:
-        """Keep the network if it is the best so far."""
         if loss < self.best:
             self.best, self.best_pass = loss, self.done
             self.kept = {key: x.clone() for key, x in self.network.state_dict().items()}
 
     def save(self, path: Path) -> None:
-        """Write a checkpoint."""
-        buffer = BytesIO()
-        parts = {name: getattr(self, name).state_dict() for name in PARTS}
-        torch.save({**parts, **{name: getattr(self, name) for name in COUNTS}}, buffer)
-        write_file(path, buffer.getvalue())
+        tensors = {name: getattr(self, name).state_dict() for name in PARTS}
+        state = {name: getattr(self, name) for name in COUNTS}
+        write_checkpoint(path, {**tensors, "kept": self.kept}, state)
 
     def restore(self, path: Path) -> None:
-        """Go on from a checkpoint; nothing but tensors and numbers is read."""
-        try:
-            found = torch.load(path, weights_only=True)
+        with open_checkpoint(path) as (tensors, state):
             for name in PARTS:
-                getattr(self, name).load_state_dict(found[name])
+                getattr(self, name).load_state_dict(tensors[name])
+            self.kept = tensors["kept"]
             for name in COUNTS:
-                setattr(self, name, found[name])
-        except (EOFError, KeyError, RuntimeError, TypeError, UnpicklingError) as error:
-            first = str(error).strip().partition("\n")[0]
-            raise ValueError(
-                f"{path} is damaged ({first}): remove it, and the training begins anew"
-            ) from error
+                setattr(self, name, state[name])
 
 
-PARTS, COUNTS = ("network", "optimizer", "schedule"), ("done", "best", "best_pass", "kept")
+PARTS, COUNTS = ("network", "optimizer", "schedule"), ("done", "best", "best_pass")
 
 
 def train(given: Arguments, console: Console) -> Path:
@@ -216,7 +192,7 @@ def train(given: Arguments, console: Console) -> Path:
     clean = int(validation.clean.sum())
     check_runs(given.false_alarms_per_hour, clean, window_s(data.config), tail=False)
     trainer, started = Trainer(given, data), time.monotonic()
-    open_folder(given.out, config)
+    Store(given.out).open("detector", {**config, "versions": learning_versions()})
     checkpoint = given.out / CHECKPOINT
     if checkpoint.is_file():
         trainer.restore(checkpoint)
@@ -226,25 +202,29 @@ def train(given: Arguments, console: Console) -> Path:
         f"{len(episodes.clean)} episodes, {parameters_of(trainer.network)} weights; validation on "
         f"{clean} runs, at {given.false_alarms_per_hour:g} false alarms an hour"
     )
-    with TrainingRecord(given.out / RECORD, last_step=trainer.done) as record:
-        while trainer.done < given.passes and trainer.done - trainer.best_pass < given.patience:
-            loss = trainer.learn(episodes)
-            if not math.isfinite(loss):
-                console.print(
-                    f"[red]pass {trainer.done} diverged (loss {loss}): the best before it is kept; "
-                    f"a smaller --learning-rate than {given.learning_rate:g} may help"
-                )
-                break
-            found = trainer.score(validation)
-            trainer.keep(found.loss)
-            values = {name: x for name, x in found._asdict().items() if math.isfinite(x)}
-            record.append(trainer.done, time.monotonic() - started, train_loss=loss, **values)
-            trainer.save(checkpoint)
+    path = given.out / RECORD
+    points = read_record(path) if path.is_file() else []
+    points = [point for point in points if point["step"] <= trainer.done]
+    while trainer.done < given.passes and trainer.done - trainer.best_pass < given.patience:
+        loss = trainer.learn(episodes)
+        if not math.isfinite(loss):
             console.print(
-                f"pass {trainer.done}: loss {loss:.4f}; undetected {found.mean_m:.2f} m, "
-                f"scored {found.loss:.4f}{' (best)' if trainer.best_pass == trainer.done else ''}, "
-                f"area {found.area:.4f}"
+                f"[red]pass {trainer.done} diverged (loss {loss}): the best before it is kept; "
+                f"a smaller --learning-rate than {given.learning_rate:g} may help"
             )
+            break
+        found = trainer.score(validation)
+        trainer.keep(found.loss)
+        values = {name: x for name, x in found._asdict().items() if math.isfinite(x)}
+        told = {"step": trainer.done, "wall_s": time.monotonic() - started, "train_loss": loss}
+        points.append({**told, **values})
+        write_record(path, points)
+        trainer.save(checkpoint)
+        console.print(
+            f"pass {trainer.done}: loss {loss:.4f}; undetected {found.mean_m:.2f} m, "
+            f"scored {found.loss:.4f}{' (best)' if trainer.best_pass == trainer.done else ''}, "
+            f"area {found.area:.4f}"
+        )
     return _export(trainer, console)
 
 
@@ -292,10 +272,9 @@ def _export(trainer: Trainer, console: Console) -> Path:
 RECORD, CHECKPOINT = "record.jsonl", "checkpoint.pt"
 
 
+@error_lines()
 def main() -> None:
-    """Command line."""
-    with error_lines():
-        train(tyro.cli(Arguments, description=__doc__), Console())
+    train(tyro.cli(Arguments, description=__doc__), Console())
 
 
 if __name__ == "__main__":

@@ -5,21 +5,18 @@
 What happens (`mcmahan2003`, `lanctot2017`):
 
 1. The game starts with all detectors that are calibrated in the world of the task, at one rate of
-   false alarms, and with the best attack of every scripted family against an even mix of them:
-   ramps, accelerating ramps, profiles, dashes, feedback and blind optima.  Nobody is ever removed.
+   false alarms, and with the best attack of every scripted family against an even mix of them.
 2. In every iteration all pairs play the runs of the split `game`, the matrix is solved, and both
-   sides look for a best response to the mix of the other: a spoofer among all families, blind
-   optima and, with `--ppo-steps`, a policy that PPO of stable-baselines3 learns; a detector among
-   those that are there and, with `--detector-response learned`, one that `--detector-command`
-   makes, calibrated to the same rate before it enters.
+   sides look for a best response to the mix of the other, with the same budget each time: among
+   all families and detectors, and what `--ppo-steps` and `--detector-command` let learn.  Nobody
+   is ever removed.
 3. Both responses are scored against the mixes on the split `evaluation`, which decides nothing:
-   that is the exploitability from below.  From above it is known where all detectors of the mix
-   have a zero-alarm bound.  The budget of the search is the same in all iterations.
+   that is the exploitability from below.
 4. At the end the mix of detectors and the best single one each meet the best response to them, on
    the same fresh runs.  That a single detector solves the game is a valid result.
 
-The folder holds `config.json`, `entries/` with a file for every pair, a file for every iteration,
-`results.json` and the page `game.md`.  After a kill the same command goes on, to the same result.
+The folder gets `results.json` and the page `game.md`, and has the pairs in `entries/`.  After a
+kill the same command goes on, to the same result.
 """
 
 from __future__ import annotations
@@ -35,9 +32,8 @@ from typing import Any
 
 import numpy as np
 import tyro
-from rich.console import Console
 
-from agents.folder import error_lines, open_folder
+from agents.folder import Part, Records, error_lines, learning_versions, write_json
 from agents.game_page import page_of
 from spoofgym.bench.experiments.campaign import everyone_in, in_order
 from spoofgym.bench.experiments.game import Game
@@ -61,14 +57,18 @@ from spoofgym.bench.search.best_response import (
 from spoofgym.bench.search.open_loop import BlindSearch
 from spoofgym.calibration.thresholds import calibrate
 from spoofgym.core.files import write_file
+from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice, parse_spec, whole_number
 from spoofgym.detectors import detector_in_world
 from spoofgym.detectors.build import ASKED
 from spoofgym.detectors.calibrated import STANDARD_RATE
-from spoofgym.tasks import task_of
+from spoofgym.tasks import ALARM_PRICE, task_of
 
 RESULTS, PAGE = "results.json", "game.md"
 RESPONSES = ("none", "learned")
+NUM_ENVS, LOG_STD = 32, -1.5
+"""Of PPO, which decides as seldom as in `train.ppo_spoofer`; the rest are the defaults of
+stable-baselines3, with gamma 1."""
 AMPLITUDES = (0.5, 0.7, 1.0)
 """Factors on the commands of a learned policy that are tried."""
 
@@ -80,8 +80,7 @@ class Arguments:
     out: Path  # Folder of the game.
     task: str = "T3"  # Task whose world and alert limit are taken, T1 to T6.
     iterations: int = 3  # Matrices that are solved; the first one is that of the start.
-    detectors: tuple[str, ...] = ()
-    """Detectors as name:key=value or JSON; by default all that are calibrated in this world."""
+    detectors: tuple[str, ...] = ()  # As name:key=value or JSON; default: all with a calibration.
     false_alarms_per_hour: float = STANDARD_RATE  # Rate of all detectors.
     payoff: str = "stealth"  # What a run is worth: stealth or hmi.
     limit_m: float = 0.0  # Alert limit in place of the task's; 0 for that.
@@ -93,13 +92,11 @@ class Arguments:
     generations: int = 6  # Of that search.
     ppo_steps: int = 0  # Decisions of a PPO best response in every iteration; 0 for none.
     detector_response: str = "none"  # none, or learned by `detector_command`.
-    detector_command: str = ""
-    """Command that writes a detector to {out}, against the spoofers of the JSON file {pool}."""
+    detector_command: str = ""  # Writes a detector to {out}, against the spoofers of {pool}.
     entropy: int = 0  # Seed of everything.
     threads: int = 1  # Threads of the engine.
 
     def __post_init__(self) -> None:
-        """Check them."""
         task_of(self.task)
         check_choice("payoff", self.payoff, PAYOFFS)
         check_choice("detector_response", self.detector_response, RESPONSES)
@@ -118,7 +115,6 @@ class Arguments:
 
     @property
     def budget(self) -> AttackBudget:
-        """Of every best response."""
         blind = None
         if self.search_runs:
             blind = BlindSearch(
@@ -136,70 +132,52 @@ class Arguments:
         )
 
 
-class Shown:
-    """Prints what is being done, but for single attacks."""
-
-    def __init__(self, console: Console) -> None:
-        self.console, self.last = console, ""
-
-    def advance(self, amount: float, now: str) -> None:
-        """Print what has begun."""
-        if amount == 0.0 and now != self.last and " against " not in now:
-            self.console.print(f"  {now}", style="dim", highlight=False)
-            self.last = now
-
-
 class DoubleOracle:
     """A game that grows; what has been found is read from its folder."""
 
-    def __init__(self, args: Arguments, console: Console) -> None:
-        self.args, self.console, self.budget = args, console, args.budget
-        settings: dict[str, Any] = {
-            "payoff": args.payoff,
-            "limit_m": args.limit_m or None,
-            "runs": args.runs,
-            "entropy": args.entropy,
-            "threads": args.threads,
-            "progress": Shown(console),
-        }
-        self.game = Game(args.task, **settings)  # without a folder it writes nothing
+    def __init__(self, args: Arguments) -> None:
+        self.args, self.budget = args, args.budget
+        self.game = Game(
+            args.task,
+            payoff=args.payoff,
+            limit_m=args.limit_m or None,
+            runs=args.runs,
+            entropy=args.entropy,
+            threads=args.threads,
+            folder=args.out / "entries",
+        )
         self.classics, self.left_out = self._classics()
-        open_folder(args.out, args.config)
-        self.game = Game(args.task, folder=args.out / "entries", **settings)
         self.fresh = self.game.on("evaluation")
         self.spoofers: list[Member] = []
         self.detectors: list[Member] = []
 
-    def play(self) -> dict[str, Any]:
+    def play(self, progress: ProgressBar | None = None) -> dict[str, Any]:
         """Play all iterations that are missing; the results, JSON-able."""
-        begun = self._kept("start", self._start)
-        self._enter(begun)
-        iterations = []
-        for k in range(self.args.iterations):
-            self.console.print(f"iteration {k}: {len(self.spoofers)} x {len(self.detectors)}")
-            found = self._kept(f"iteration-{k}", lambda k=k: self._iterate(k))
-            iterations.append(found)
-            if k + 1 < self.args.iterations:
-                self._enter(found["entered"])
-        self.console.print("final mix against the best single detector")
-        final = self._kept("final", self._final)
+        turns = [f"iteration-{k}" for k in range(self.args.iterations)]
+        parts = {"start": Part({}, lambda *_: self._start())}
+        for k, turn in enumerate(turns):
+            make = lambda before, _, k=k: self._after(before)._iterate(k)  # noqa: E731
+            parts[turn] = Part({}, make, ("start", *turns[:k]))
+        make = lambda before, _: self._after(before)._final()  # noqa: E731
+        parts["final"] = Part({}, make, ("start", *turns[:-1]))
+        config = {**self.args.config, "versions": learning_versions()}
+        found = Records("double-oracle", config, parts).play(self.args.out, progress)
         return {
             "config": self.args.config,
             "budget": self.budget.as_json(),
-            "left_out": begun["left_out"],
-            "iterations": iterations,
-            "final": final,
+            "left_out": found["start"]["left_out"],
+            "iterations": [found[turn] for turn in turns],
+            "final": found["final"],
         }
 
-    def _kept(self, name: str, work: Any) -> Any:
-        """What a step has found, now or before a kill."""
-        file = self.args.out / f"{name}.json"
-        if not file.is_file():
-            write_file(file, (json.dumps(work(), indent=1, allow_nan=False) + "\n").encode())
-        return json.loads(file.read_text(encoding="utf-8"))
+    def _after(self, before: dict[str, Any]) -> DoubleOracle:
+        """Let all enter that have done so before; the game."""
+        self.spoofers, self.detectors = [], []
+        for found in before.values():
+            self._enter(found.get("entered", found))
+        return self
 
     def _enter(self, found: dict[str, Any]) -> None:
-        """Add members that are not there yet."""
         for side, own in ((SPOOFER, self.spoofers), (DETECTOR, self.detectors)):
             for data in found[f"{side}s"]:
                 member = Member.from_json(side, data)
@@ -324,20 +302,54 @@ class DoubleOracle:
         """What PPO has learned against a mix, at some amplitudes."""
         if not self.args.ppo_steps:
             return []
-        from agents.policy_response import learn_against  # torch, which other games do not need
-
         name = "".join(c if c.isalnum() else "-" for c in mix.label)
         file = self.args.out / f"ppo-{turn}-{name}.onnx"
-        args = self.args
-        if not file.with_suffix(".json").is_file() and not learn_against(
-            mix, args.task, args.limit_m, args.ppo_steps, file, args.entropy + turn, args.threads
-        ):
+        if not file.with_suffix(".json").is_file() and not self._learn(mix, turn, file):
             print(f"PPO has diverged against {mix.label}, and takes no part in response {turn}")
             return []
         return [
             member_of({"name": str(file), "amplitude": x}, SPOOFER, label=f"PPO {turn}, {x:g}")
             for x in AMPLITUDES
         ]
+
+    def _learn(self, mix: Mixture, turn: int, file: Path) -> bool:
+        """Let PPO learn against a mix of detectors, of which every episode meets one, and write an
+        ONNX file with its card; whether there is one, since weights may be not finite."""
+        from stable_baselines3 import PPO  # and torch, which other games do not need
+
+        from agents.learning import for_learning, learn
+        from spoofgym.export import onnx
+        from spoofgym.sb3 import SpoofVecEnv
+        from spoofgym.spoofers.learned import finite
+
+        args, pool, world = self.args, mix.pool(), task_of(self.args.task)
+        length = args.limit_m or world.alert_limit_m
+        settings: dict[str, Any] = {
+            **world.world_kwargs,
+            **({} if length is None else {"length_m": length}),
+            "pool": pool["members"],
+            "weights": pool["weights"],
+            "threads": args.threads,
+            "alarm_price": ALARM_PRICE,
+        }
+        env = SpoofVecEnv(NUM_ENVS, seed=args.entropy + turn, **for_learning(settings))
+        n_steps = env.core.episode_steps
+        model = PPO(
+            "MlpPolicy",
+            env,
+            n_steps=n_steps,
+            batch_size=n_steps * NUM_ENVS // 2,
+            gamma=1.0,
+            policy_kwargs={"log_std_init": LOG_STD},
+            seed=args.entropy + turn,
+            device="cpu",
+        )
+        learn(model, args.ppo_steps)
+        sound = finite(model.policy)
+        if sound:
+            onnx(model, env, file)
+        env.close()
+        return sound
 
     def _learned(self, mix: Mixture, turn: int) -> list[Member]:
         """Detector that a command has learned against a mix, at the rate of all others."""
@@ -356,19 +368,16 @@ class DoubleOracle:
         return [member_of(spec, DETECTOR, label=f"learned {turn}")]
 
 
-def run(args: Arguments, console: Console) -> dict[str, Any]:
-    """Play a game, and write its results and its page."""
-    results = DoubleOracle(args, console).play()
-    text = json.dumps(results, indent=1, allow_nan=False) + "\n"
-    write_file(args.out / RESULTS, text.encode())
+def run(args: Arguments, progress: ProgressBar | None = None) -> dict[str, Any]:
+    results = DoubleOracle(args).play(progress)
+    write_json(args.out / RESULTS, results)
     write_file(args.out / PAGE, page_of(results).encode())
     return results
 
 
+@error_lines()
 def main() -> None:
-    """Command line."""
-    with error_lines():
-        run(tyro.cli(Arguments, description=__doc__), Console())
+    run(tyro.cli(Arguments, description=__doc__), show_progress)
 
 
 if __name__ == "__main__":

@@ -4,16 +4,15 @@
 
 `plain` has the five arguments of `PLAIN`, `defaults` those of the library alone.  Both are scored
 while they learn, and at the end on evaluation runs, beside the tuned ramps of the same runs and
-beside the same network before it learned; every amplitude is fitted to the alarm budget on training
-runs.  Each seed is kept as soon as it is finished, so that the same command goes on after a kill;
-what is lost is the seed that was learning, up to a quarter of an hour.
+the same network before it learned.  After a kill the same command goes on; what is lost is the seed
+that was learning, up to a quarter of an hour.
 """
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +22,13 @@ from rich.console import Console
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.folder import error_lines, open_folder
+from agents.folder import Part, Records, error_lines, learning_versions, write_json
 from agents.learning import learn
 from agents.seeds import KIND_HEAD, LOUDEST, kind_cells
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import Table
 from spoofgym.bench.scores.spoofer import Score
-from spoofgym.core.files import write_file
+from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice, whole_number
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 
@@ -55,12 +54,10 @@ class Settings:
     scores: int = 4  # How often it is scored while it learns.
     fit_runs: int = 128  # Training runs, on which amplitudes are fitted.
     runs: int = 400  # Evaluation runs.
-    entropy: int = 0
-    """Seed of training and evaluation runs; trials of recipes have played those of 0."""
+    entropy: int = 0  # Seed of training and evaluation runs; trials of recipes have 0.
     num_envs: int | None = None  # Receivers side by side; 64, and 8 for the defaults, unless given.
 
     def __post_init__(self) -> None:
-        """Check names and numbers."""
         for kind in self.kinds:
             check_choice("kind", kind, NUM_ENVS)
         for name in ("steps", "scores", "fit_runs", "runs", "entropy"):
@@ -76,7 +73,9 @@ class Settings:
         return told | ({"entropy": self.entropy} if self.entropy else {})  # older folders have 0
 
 
-def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[Score | None, Any]:
+def train(
+    settings: Settings, kind: str, seed: int, judge: Evaluator, ramps: dict[str, Score]
+) -> dict[str, Any]:
     """One training: its score on evaluation runs, and what it was on training runs meanwhile. A
     training that has diverged has no score."""
     num_envs = settings.num_envs or NUM_ENVS[kind]
@@ -92,36 +91,32 @@ def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[S
     if why is not None:
         watch.give_up(why)
     wall_s = time.perf_counter() - began
-    score = judge.score(model, label=kind) if watch.diverged is None else None
+    row: dict[str, Any] = {"seed": seed, "score": None, "ratios": {}}
+    if watch.diverged is None:
+        score = judge.score(model, label=kind)
+        row["score"] = score.as_dict()
+        row["ratios"] = {k: score.ratio_to(ramp).as_json() for k, ramp in ramps.items()}
     envs.close()
     curve = [[step, round(found.score, 3)] for step, found in watch.history]
     told = {"curve": curve, "wall_s": round(wall_s, 1), "diverged": watch.diverged}
-    return score, {"untrained": untrained.as_dict(), **told}
+    return {**row, "untrained": untrained.as_dict(), **told}
 
 
-def play(settings: Settings, console: Console) -> dict[str, Any]:
+def play(settings: Settings, progress: ProgressBar | None = None) -> dict[str, Any]:
     """Train what is missing; the results, JSON-able."""
     played = {name: getattr(settings, name) for name in ("runs", "fit_runs", "entropy")}
     judge = Evaluator(settings.task, **played)
-    open_folder(settings.out, settings.identity)
-    ramps = {name: judge.score(name) for name in ("ramp", "accelerating-ramp")}
-    rows: dict[str, list[Any]] = {}
+    ramps = cache(lambda: {name: judge.score(name) for name in ("ramp", "accelerating-ramp")})
+    parts = {"ramps": Part({}, lambda *_: {name: x.as_dict() for name, x in ramps().items()})}
     for kind in settings.kinds:
         for seed in settings.seeds:
-            path = settings.out / f"{kind}-{seed}.json"
-            if not path.is_file():
-                with console.status(f"{kind}, seed {seed}"):
-                    score, more = train(settings, kind, seed, judge)
-                row: dict[str, Any] = {"seed": seed, "score": None, "ratios": {}}
-                if score is not None:
-                    row["score"] = score.as_dict()
-                    row["ratios"] = {k: score.ratio_to(ramp).as_json() for k, ramp in ramps.items()}
-                write_file(path, (json.dumps({**row, **more}, indent=1) + "\n").encode())
-                console.print(f"{kind}, seed {seed}: {score or more['diverged']}", soft_wrap=True)
-            rows.setdefault(kind, []).append(json.loads(path.read_text(encoding="utf-8")))
-    rivals = {name: ramp.as_dict() for name, ramp in ramps.items()}
+            make = lambda *_, x=(kind, seed): train(settings, *x, judge, ramps())  # noqa: E731
+            parts[f"{kind}-{seed}"] = Part({}, make, work=settings.steps)
+    config = {**settings.identity, "versions": learning_versions()}
+    found = Records("plain-ppo", config, parts).play(settings.out, progress)
     told = {name: getattr(settings, name) for name in ("task", "steps", "entropy")}
-    return {**told, "ramps": rivals, "kinds": rows}
+    rows = {kind: [found[f"{kind}-{seed}"] for seed in settings.seeds] for kind in settings.kinds}
+    return {**told, "ramps": found["ramps"], "kinds": rows}
 
 
 def table_of(results: dict[str, Any]) -> str:
@@ -131,16 +126,13 @@ def table_of(results: dict[str, Any]) -> str:
     return Table.of_texts(*KIND_HEAD).markdown(rows)
 
 
+@error_lines()
 def main() -> None:
-    """Command line."""
-    console = Console()
-    with error_lines():
-        settings = tyro.cli(Settings, description=__doc__)
-        torch.set_num_threads(1)
-        results = play(settings, console)
-    text = json.dumps(results, indent=1) + "\n"
-    write_file(settings.out / "results.json", text.encode())
-    console.print(table_of(results), soft_wrap=True, markup=False)
+    settings = tyro.cli(Settings, description=__doc__)
+    torch.set_num_threads(1)
+    results = play(settings, show_progress)
+    write_json(settings.out / "results.json", results)
+    Console().print(table_of(results), soft_wrap=True, markup=False)
 
 
 if __name__ == "__main__":

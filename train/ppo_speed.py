@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 import tyro
-from rich.console import Console
-from rich.table import Table
 from stable_baselines3.common.vec_env import VecNormalize
 
+from agents.folder import error_lines
+from spoofgym.cli.output import print_table
+from spoofgym.core.registry import whole_number
 from spoofgym.sb3 import SpoofVecEnv
 from train.ppo_spoofer import Arguments, make_model
 
@@ -28,18 +29,15 @@ class Settings:
     """What is measured."""
 
     rounds: int = 3  # How often both are measured, in turn.
-    rollouts: int = 6
-    """Rollouts, with learning, of each measurement; one more comes before and does not count."""
+    rollouts: int = 6  # Of each measurement, after one that does not count.
     num_envs: int = 128  # Receivers side by side.
     detector: str = "ewma:thresholds=nominal"  # Detector, as in train.ppo_spoofer.
     knowledge: str = "blind"  # What the spoofer observes: blind, tracking or oracle.
     json: bool = False  # Print JSON, and nothing else.
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         for name in ("rounds", "rollouts", "num_envs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}")
+            whole_number(f"`{name}`", getattr(self, name), 1)
 
 
 class Nothing(SpoofVecEnv):
@@ -81,7 +79,6 @@ def steps_per_s(kind: type[SpoofVecEnv], args: Arguments, rollouts: int) -> floa
 
 
 def measure(settings: Settings) -> dict[str, Any]:
-    """Both speeds in turn, and their ratio."""
     args = Arguments(
         out=Path("unused"),
         task="T1",
@@ -107,26 +104,18 @@ def measure(settings: Settings) -> dict[str, Any]:
     }
 
 
+@error_lines()
 def main() -> None:
-    """Command line."""
-    try:
-        settings = tyro.cli(Settings, description=__doc__)
-        console = Console(quiet=settings.json)
-        with console.status(f"{2 * settings.rounds} measurements"):
-            found = measure(settings)
-    except ValueError as error:
-        raise SystemExit(f"error: {error}") from error
+    settings = tyro.cli(Settings, description=__doc__)
+    found = measure(settings)
     if settings.json:
         print(json.dumps(found))
         return
-    table = Table(title="PPO, learning included")
-    for head in ("environment", "steps/s"):
-        table.add_column(head, justify="right")
-    table.add_row("engine", f"{found['engine_steps_per_s']:,.0f}")
-    table.add_row("without physics", f"{found['without_physics_steps_per_s']:,.0f}")
-    console.print(table)
+    names = {"engine": "engine", "without_physics": "without physics"}
+    rows = [(name, f"{found[f'{key}_steps_per_s']:,.0f}") for key, name in names.items()]
+    print_table("PPO, learning included", ("environment", "steps/s"), rows)
     each = ", ".join(f"{ratio:.2f}" for ratio in found["ratios"])
-    console.print(f"ratio {found['ratio']:.2f} (median of {each})")
+    print(f"ratio {found['ratio']:.2f} (median of {each})")
 
 
 if __name__ == "__main__":

@@ -5,14 +5,12 @@
 For every seed PPO learns on `SpoofVecEnv`, from nothing.  Now and then the amplitude of the policy
 is fitted to the alarm budget on training runs (`ScoreCallback`), and the best one is kept as an
 ONNX file with its card.  At the end all of them play evaluation runs, which decided nothing, beside
-the tuned ramps and the blind optimum of the same runs, and beside the network as it was before it
-learned, its amplitude fitted, too.
-
-After a kill the same command goes on from the last checkpoint, to the same result: each stage of
-learning starts new episodes with random numbers of its own.
+rivals and beside the network as it was before it learned, all fitted.
 
 The folder gets `results.json`, `curve.png`, the policy of the seed that was best on training runs,
-`NAME.onnx` with `NAME.json`, and a folder for each seed with learning curve, checkpoint and policy.
+`NAME.onnx` with `NAME.json`, and a folder for each seed.  After a kill the same command goes on
+from the last checkpoint, to the same result: each stage of learning starts new episodes with random
+numbers of its own.
 
 What is not a default of PPO or of the environment, and why:
 
@@ -37,32 +35,41 @@ import json
 import math
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 import tyro
-from rich.console import Console
+from spoofgym.bench.experiments.versions import versions
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.curve import draw_curves
-from agents.folder import command_of, error_lines, json_object, open_folder, used_versions
-from agents.learning import LEAST, MOST, Bar, for_learning, learn, next_price, set_price
-from agents.record import TrainingRecord, read_record
-from agents.seeds import LOUDEST, comparable, copy_policy, table_of
+from agents.folder import (
+    Part,
+    Records,
+    command_of,
+    error_lines,
+    json_object,
+    learning_versions,
+    write_json,
+)
+from agents.learning import LEAST, MOST, Steps, for_learning, learn, next_price, set_price
+from agents.record import read_record, write_record
+from agents.seeds import LOUDEST, comparable, copy_policy, table_of, value_of
 from agents.spoofer_table import RIVALS
 from spoofgym.bench.experiments.evaluate import FITTED, Evaluator, entry_of
 from spoofgym.bench.scores.spoofer import Score
-from spoofgym.core.files import write_file
-from spoofgym.core.progress import show_progress
+from spoofgym.cli.output import print_table
+from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice, parse_spec
+from spoofgym.core.settings import outside_sources
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE
 from spoofgym.tasks import ALARM_PRICE, task_of
@@ -77,45 +84,32 @@ class Arguments:
     """Settings of a training; all but those of `FREE` are its identity, which a folder keeps."""
 
     out: Path  # Folder of the run; its last part is the name of the spoofer.
-    task: str = "T3"
-    """Task of spoofgym-bench-v1, T1 to T6, whose world and detector it learns against."""
-    detector: str = ""
-    """Another detector in that world: a name, with settings as name:key=value or JSON."""
-    knowledge: str = "blind"
-    """What it observes: blind, tracking or oracle, each also with +reported."""
+    task: str = "T3"  # Task, T1 to T6, whose world and detector it learns against.
+    detector: str = ""  # Another detector in that world: name:key=value or JSON.
+    knowledge: str = "blind"  # What it observes: blind, tracking or oracle, also with +reported.
     settings: str = "{}"  # Further settings of that world, as JSON, such as '{"attack": "quiet"}'.
     alarm_price: float = ALARM_PRICE  # What an alarm costs at first, in lengths.
-    price_gain: float = 1.5
-    """After a score the price is divided by this power of the amplitude; 0 for a fixed price."""
-    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
-    """One training each; they seed the network, the exploration and the episodes."""
+    price_gain: float = 1.5  # The price is divided by this power of the amplitude; 0: it is fixed.
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)  # One training each: network, exploration, episodes.
     steps: int = 150_000  # Decisions of all receivers together, for each seed.
     num_envs: int = 32  # Receivers side by side.
     batch_size: int = 240  # Decisions of a minibatch.
     n_epochs: int = 10  # How often each rollout is learned from.
     learning_rate: float = 1e-3  # At first; it falls linearly to a tenth.
-    gae_lambda: float = 0.98
-    """Of generalised advantage estimation; nearer to 1 than by default, as `gamma` is."""
-    log_std_init: float = -1.5
-    """Logarithm of the exploration's standard deviation at first, in parts of the full scale."""
-    full_scale_mps: float | None = None
-    """Rate that an action of 1 asks for; by default that of four lengths within the attack."""
-    decision_interval_s: float | None = None
-    """Time between decisions; 0 for one at every epoch, by default some ten seconds."""
+    gae_lambda: float = 0.98  # Of generalised advantage estimation; near to 1, as `gamma` is.
+    log_std_init: float = -1.5  # Logarithm of the exploration at first, in parts of the full scale.
+    full_scale_mps: float | None = None  # Rate of an action of 1; default: four lengths an attack.
+    decision_interval_s: float | None = None  # 0: every epoch; by default some ten seconds.
     warm_pool: int | None = None
-    """Receivers that are warmed up once, and the same for all seeds: each episode that is learned
-    from starts as a copy of one.  None for warm-ups of their own; scores always have those."""
-    length_m: float | None = None
-    """Unit of rewards and prices; by default the alert limit, or 40 m."""
-    average: float = 0.9
-    """How much of the averaged weights stays at every update; 0 for the policy as it is."""
+    """Receivers that are warmed up once: each episode that is learned from starts as a copy of one.
+    None for warm-ups of their own, which scores always have."""
+    length_m: float | None = None  # Unit of rewards and prices; by default the alert limit.
+    average: float = 0.9  # How much of the averaged weights stays at every update; 0: none.
     stages: int = 12  # How often a policy is scored, and a checkpoint is written.
-    fit_runs: int = 256
-    """Training runs, on which amplitudes are fitted and the best policy is chosen."""
+    fit_runs: int = 256  # Training runs, which fit amplitudes and choose the best policy.
     runs: int = 400  # Evaluation runs, which decide nothing.
     entropy: int = 0  # Seed of training and evaluation runs.
-    rivals: tuple[str, ...] = RIVALS
-    """Spoofers to compare with on the same runs; `--rivals` alone for no comparison."""
+    rivals: tuple[str, ...] = RIVALS  # Spoofers to compare with; `--rivals` alone for none.
     threads: int | None = None  # Of the engine; all useful cores by default.
     tensorboard: bool = False  # Log for TensorBoard.
     json: bool = False  # Print the results as JSON, and nothing else.
@@ -158,6 +152,18 @@ class Arguments:
         return dict(json.loads(json.dumps({"name": self.out.name, **own})))
 
     @property
+    def config(self) -> dict[str, Any]:
+        """What a folder is of, besides the library."""
+        return {"arguments": self.identity, "versions": learning_versions()}
+
+    def folder(self, seed: int) -> Path:
+        return self.out / f"seed-{seed}"
+
+    def policy(self, seed: int) -> Path:
+        """File of a seed's best policy."""
+        return self.folder(seed) / f"{self.out.name}-{seed}.onnx"
+
+    @property
     def world(self) -> dict[str, Any]:
         """World and detector, as `Evaluator` takes them: by the task, or by settings of their own.
         With a detector or settings of its own it is no longer the task."""
@@ -169,7 +175,6 @@ class Arguments:
         return {**task.world_kwargs, "detector": met, **given}
 
     def make_envs(self) -> SpoofVecEnv:
-        """Receivers of the training."""
         own: dict[str, Any] = {
             name: getattr(self, name) for name in ("knowledge", "threads", "warm_pool")
         }
@@ -181,7 +186,6 @@ class Arguments:
         return SpoofVecEnv(self.num_envs, **own)
 
     def command(self) -> str:
-        """What trains the same again."""
         return command_of("train.ppo_spoofer", self, FREE, ["--seeds", *map(str, self.seeds)])
 
 
@@ -227,7 +231,7 @@ class Training:
         self.watch = ScoreCallback(
             judge=self.judge,
             every=args.steps,
-            path=self.policy,
+            path=self.args.policy(self.seed),
             average=args.average,
             verbose=0,
         )
@@ -240,21 +244,15 @@ class Training:
 
     @property
     def folder(self) -> Path:
-        """Folder of this seed."""
-        return self.args.out / f"seed-{self.seed}"
-
-    @property
-    def policy(self) -> Path:
-        """File of the best policy."""
-        return self.folder / f"{self.args.out.name}-{self.seed}.onnx"
+        return self.args.folder(self.seed)
 
     def _learning_rate(self, _: float) -> float:
         """It falls over all stages, where the library knows of one."""
         taken = self.model.num_timesteps if hasattr(self, "model") else 0
         return self.args.learning_rate * (1.0 - 0.9 * min(taken / self.args.steps, 1.0))
 
-    def run(self, tick: BaseCallback) -> None:
-        """Learn from where it is to the end, a checkpoint after every stage."""
+    def run(self, tick: Callable[[float], None]) -> dict[str, Any]:
+        """Learn from where it is to the end, a checkpoint after every stage; what came of it."""
         args = self.args
         if self.untrained is None:
             score = self.judge.score(self.model, label="untrained", largest_amplitude=LOUDEST)
@@ -269,7 +267,7 @@ class Training:
             why = learn(
                 self.model,
                 until - self.model.num_timesteps,
-                callback=[self.watch, tick],
+                callback=[self.watch, Steps(tick)],
                 reset_num_timesteps=False,
             )
             if why is not None:
@@ -280,100 +278,111 @@ class Training:
                 self.price = next_price(self.price, amplitude, args.price_gain)
             self.spent_s += time.perf_counter() - began
             self.save()
+        self.envs.close()
+        found = self.watch.best_step >= 0
+        return {
+            "seed": self.seed,
+            "steps": self.model.num_timesteps,
+            "wall_s": round(self.spent_s, 1),
+            "diverged": self.watch.diverged,
+            "chosen_at": self.watch.best_step if found else None,
+            "training_m": self.watch.best_m if found else None,
+            "untrained": self.untrained,
+        }
 
     def save(self) -> None:
         """Write the learning curve and a checkpoint, whole or not at all."""
-        with TrainingRecord(self.folder / RECORD, last_step=-1) as record:
-            for step, found in self.watch.history:
-                record.append(
-                    step,
-                    round(self.spent_s * step / max(self.model.num_timesteps, 1), 1),
-                    stealthy_m=found.score,
-                    alarm_rate=found.chosen.alarm_rate,
-                    amplitude=found.value,
-                    within_budget=found.within_budget,
-                )
+        points = [
+            {
+                "step": step,
+                "wall_s": round(self.spent_s * step / max(self.model.num_timesteps, 1), 1),
+                "stealthy_m": found.score,
+                "alarm_rate": found.chosen.alarm_rate,
+                "amplitude": found.value,
+                "within_budget": found.within_budget,
+            }
+            for step, found in self.watch.history
+        ]
+        write_record(self.folder / RECORD, points)
         state = {name: getattr(self, name) for name in STATE} | {"watch": self.watch.state()}
-        files = (self.policy, self.policy.with_suffix(".json"))
+        policy = self.args.policy(self.seed)
+        files = (policy, policy.with_suffix(".json"))
         save_checkpoint(self.folder / CHECKPOINT, self.model, self.envs, state, files)
 
     def restore(self) -> None:
         """Take over the checkpoint, and the best policy of its time."""
-        state = load_checkpoint(self.folder / CHECKPOINT, self.model, self.envs, self.folder)
+        state = load_checkpoint(self.folder / CHECKPOINT, self.model, self.envs)
         self.watch.restore(state["watch"])
         for name in STATE:
             setattr(self, name, state[name])
 
-    def scored(self, rivals: dict[str, Score]) -> dict[str, Any]:
-        """What it has reached on evaluation runs, JSON-able."""
-        watch = self.watch
-        row: dict[str, Any] = {
-            "seed": self.seed,
-            "steps": self.model.num_timesteps,
-            "wall_s": round(self.spent_s, 1),
-            "diverged": watch.diverged,
-            "chosen_at": watch.best_step if watch.best_step >= 0 else None,
-            "untrained": self.untrained,
-            "score": None,
-        }
-        if watch.best_step >= 0:
-            score = self.judge.score(str(self.policy), amplitude=None)
-            ratios = {
-                name: score.ratio_to(rival, oracles=True).as_json()
-                for name, rival in comparable(rivals, score.knowledge).items()
-            }
-            row |= {"score": score.as_dict(), "ratios": ratios}
-        return row
+
+def scored(
+    args: Arguments, judge: Evaluator, found: Mapping[str, Any], rivals: Mapping[str, Score]
+) -> dict[str, Any]:
+    """What a seed has reached on evaluation runs, JSON-able."""
+    if found["chosen_at"] is None:
+        return {"score": None}
+    score = judge.score(str(args.policy(found["seed"])), amplitude=None)
+    known = {name: rival.knowledge for name, rival in rivals.items()}
+    ratios = {
+        name: score.ratio_to(rivals[name], oracles=True).as_json()
+        for name in comparable(known, score.knowledge)
+    }
+    return {"score": score.as_dict(), "ratios": ratios}
 
 
-def train(args: Arguments, console: Console) -> dict[str, Any]:
+def train(args: Arguments, progress: ProgressBar | None = None) -> dict[str, Any]:
     """Train all seeds that are not finished, score and compare them; the results, JSON-able."""
     played = {name: getattr(args, name) for name in ("runs", "fit_runs", "entropy", "threads")}
     judge = Evaluator(**played, **args.world)
     args.make_envs().close()  # or what is wrong with them, before there is a folder
     for name in args.rivals:
         judge.check(name)
-    open_folder(args.out, args.identity)
-    trainings = []
-    for seed in args.seeds:
-        training, name = Training(args, seed, judge), f"seed {seed}"
-        with show_progress(args.steps, start=name) as bar:
-            training.run(Bar(bar, name))
-        training.envs.close()
-        trainings.append(training)
-    with console.status("the rivals play"):
-        rivals = {name: judge.score(name) for name in args.rivals}
-    found = [t for t in trainings if t.watch.best_step >= 0]
-    best = max(found, key=lambda t: t.watch.best_m, default=None)
+    whom = {"rivals": args.rivals, "outside": outside_sources(*args.rivals)}
+    parts: dict[str, Part] = {}
+    seeds, scores = ([f"{what}-{seed}" for seed in args.seeds] for what in ("seed", "score"))
+    for seed, key in zip(args.seeds, seeds, strict=True):
+        make = lambda _, context, k=seed: Training(args, k, judge).run(context.tick)  # noqa: E731
+        parts[key] = Part({}, make, work=args.steps)
+    met = cache(lambda: {name: judge.score(name) for name in args.rivals})
+    parts["rivals"] = Part(whom, lambda *_: {name: x.as_dict() for name, x in met().items()})
+    for key, seed in zip(scores, seeds, strict=True):
+        make = lambda before, _, k=seed: scored(args, judge, before[k], met())  # noqa: E731
+        parts[key] = Part(whom, make, (seed,))
+    found = Records("ppo-spoofer", args.config, parts).play(args.out, progress)
+    kept = [found[key] for key in seeds if found[key]["chosen_at"] is not None]
+    best = max(kept, key=lambda row: row["training_m"], default={"seed": None})["seed"]
     if best is not None:
         told = {"command": args.command(), "arguments": args.identity}
-        copy_policy(best.policy, args.out / f"{args.out.name}.onnx", told)
-    curves = {f"seed {t.seed}": read_record(t.folder / RECORD) for t in trainings}
-    alike = comparable(rivals, args.knowledge)
-    levels = {name: score.stealthy_displacement_m.value for name, score in alike.items()}
+        copy_policy(args.policy(best), args.out / f"{args.out.name}.onnx", told)
+    curves = {f"seed {seed}": read_record(args.folder(seed) / RECORD) for seed in args.seeds}
+    known = {name: each["knowledge"] for name, each in found["rivals"].items()}
+    levels = {name: value_of(found["rivals"][name]) for name in comparable(known, args.knowledge)}
     draw_curves(curves, args.out / PICTURE, levels)
+    rows = [{**found[key], **found[score]} for key, score in zip(seeds, scores, strict=True)]
+    rows = [{name: x for name, x in row.items() if name != "training_m"} for row in rows]
     return {
         "command": args.command(),
-        "versions": used_versions(),
+        "versions": versions() | learning_versions(),
         "detector": judge.detector.label,
-        "kept": None if best is None else best.seed,
-        "seeds": [training.scored(rivals) for training in trainings],
-        "rivals": {name: score.as_dict() for name, score in rivals.items()},
+        "kept": best,
+        "seeds": rows,
+        "rivals": found["rivals"],
     }
 
 
+@error_lines()
 def main() -> None:
-    """Command line."""
-    with error_lines():
-        args = tyro.cli(Arguments, description=__doc__)
-        console = Console(quiet=args.json)
-        torch.set_num_threads(1)  # more of them fight with those of the engine
-        results = train(args, console)
-    text = json.dumps(results, indent=1, allow_nan=False)
-    write_file(args.out / RESULTS, f"{text}\n".encode())
+    args = tyro.cli(Arguments, description=__doc__)
+    torch.set_num_threads(1)  # more of them fight with those of the engine
+    results = train(args, show_progress)
+    write_json(args.out / RESULTS, results)
     if args.json:
-        print(text)
-    console.print(table_of(results), f"written: {args.out}")
+        print(json.dumps(results, indent=1, allow_nan=False))
+    else:
+        print_table(*table_of(results))
+        print(f"written: {args.out}")
 
 
 if __name__ == "__main__":

@@ -14,15 +14,21 @@ from matplotlib.image import imread
 from typer.testing import CliRunner, Result
 
 from agents.curve import _grouped, app, draw_curves, names_of
-from agents.record import TrainingRecord, read_record
+from agents.record import read_record, write_record
 
 
 def written(path: Path, points: int = 3) -> Path:
-    with TrainingRecord(path) as record:
-        for step in range(points):
-            record.append(
-                step, 60.0 * step, stealthy_m=10.0 + step, within_budget=step != 1, amplitude=0.5
-            )
+    record = [
+        {
+            "step": step,
+            "wall_s": 60.0 * step,
+            "stealthy_m": 10.0 + step,
+            "within_budget": step != 1,
+            "amplitude": 0.5,
+        }
+        for step in range(points)
+    ]
+    write_record(path, record)
     return path
 
 

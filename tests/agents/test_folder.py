@@ -1,43 +1,42 @@
-"""Folder of a command that goes on: the same settings, and nobody else's files."""
-
-import json
+"""Experiments of the laboratory: functions that return JSON; and errors of one line."""
 
 import pytest
 
-from agents import folder as module
-from agents.folder import CONFIG, error_lines, open_folder
+from agents.folder import Part, Records, error_lines
 
 
-@pytest.fixture(autouse=True)
-def versions(monkeypatch):
-    monkeypatch.setattr(module, "used_versions", lambda: {"numpy": "2.0"})
+def counted(calls, config=None, **identities):
+    """Numbers, and their sum."""
+
+    def number(name):
+        calls.append(name)
+        return identities[name]
+
+    parts = {name: Part({"is": x}, lambda *_, n=name: number(n)) for name, x in identities.items()}
+    parts["sum"] = Part(identities, lambda before, _: sum(before.values()), tuple(identities))
+    return Records("numbers", config or {}, parts)
 
 
-def test_the_same_settings_go_on_and_others_are_named(tmp_path, monkeypatch):
-    open_folder(tmp_path, {"width": 8, "names": ("a", "b")})
-    before = (tmp_path / CONFIG).read_bytes()
-    open_folder(tmp_path, {"width": 8, "names": ("a", "b")})
-    with pytest.raises(ValueError, match=r"width: 8 there, 9 here; choose another --out"):
-        open_folder(tmp_path, {"width": 9, "names": ("a", "b")})
-    monkeypatch.setattr(module, "used_versions", lambda: {"numpy": "3.0"})
-    with pytest.raises(ValueError, match=r"versions.numpy: '2.0' there, '3.0' here"):
-        open_folder(tmp_path, {"width": 8, "names": ("a", "b")})
-    assert (tmp_path / CONFIG).read_bytes() == before
+def test_what_is_made_is_not_made_again_and_reads_what_came_before(tmp_path):
+    calls = []
+    found = counted(calls, a=1, b=2).play(tmp_path)
+    assert found == {"a": 1, "b": 2, "sum": 3}
+    assert counted(calls, a=1, b=2).play(tmp_path) == found
+    assert calls == ["a", "b"]
 
 
-def test_a_folder_of_somebody_else_is_refused_and_an_empty_one_is_not(tmp_path):
-    open_folder(tmp_path / "new", {})
-    (tmp_path / "empty").mkdir()
-    open_folder(tmp_path / "empty", {})
-    assert json.loads((tmp_path / "empty" / CONFIG).read_text())["arguments"] == {}
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.txt").write_text("keep")
-    with pytest.raises(ValueError, match=r"not empty and holds no config\.json"):
-        open_folder(tmp_path / "mine", {})
-    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.txt"]
-    (tmp_path / "new" / CONFIG).write_text("{")
-    with pytest.raises(ValueError, match="is damaged"):
-        open_folder(tmp_path / "new", {})
+def test_what_depends_on_something_else_stands_beside_it(tmp_path):
+    calls = []
+    counted(calls, a=1).play(tmp_path)
+    assert counted(calls, a=2).play(tmp_path)["a"] == 2
+    counted(calls, a=1).play(tmp_path)
+    assert calls == ["a", "a"]
+
+
+def test_another_experiment_is_refused_in_one_line(tmp_path):
+    counted([], {"width": 8}, a=1).play(tmp_path)
+    with pytest.raises(ValueError, match=r"holds other results \(config\.width: 8, not 9\)"):
+        counted([], {"width": 9}, a=1).play(tmp_path)
 
 
 def test_a_mistake_is_one_line_and_a_fault_of_ours_is_not(tmp_path):
@@ -47,5 +46,7 @@ def test_a_mistake_is_one_line_and_a_fault_of_ours_is_not(tmp_path):
         (tmp_path / "nowhere").read_text()
     with pytest.raises(SystemExit, match="the same command goes on"), error_lines():
         raise KeyboardInterrupt
+    with pytest.raises(SystemExit, match=r"^1 of 2 cells$"), error_lines():
+        raise KeyboardInterrupt("1 of 2 cells")
     with pytest.raises(AssertionError), error_lines():
         raise AssertionError

@@ -6,7 +6,7 @@ import pytest
 
 from spoofgym.bench.experiments.evaluate import Evaluator
 from tools import feedback_gain
-from tools.feedback_gain import BLIND, FEEDBACK, OFF, RATIOS, RIDER, cases, headline, played, rows
+from tools.feedback_gain import BLIND, FEEDBACK, OFF, RIDER, TRIED, cases, headline, played, rows
 
 WORLD = {
     "timeline": {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0},
@@ -24,14 +24,14 @@ def found():
 
 def test_feedback_is_fitted_no_worse_than_the_curve_that_it_follows(found):
     training = found[FEEDBACK]["training_m"]
-    assert len(training) == len(RATIOS) + 1
+    assert len(training) == len(TRIED[FEEDBACK]) + 1
     assert max(training.values()) >= found[BLIND]["training_m"][""] > 0.0
-    chosen = feedback_gain._words({"name": FEEDBACK, **found[FEEDBACK]["settings"]})
+    chosen = feedback_gain._words(found[FEEDBACK]["settings"])
     assert training[chosen] == max(training.values())
 
 
 def test_switched_off_it_is_the_curve(monkeypatch):
-    monkeypatch.setattr(feedback_gain, "RATIOS", ())
+    monkeypatch.setitem(TRIED, FEEDBACK, [])
     off = played(Evaluator(runs=24, fit_runs=80, entropy=3, **WORLD), CURVE)
     assert off[FEEDBACK]["settings"] == OFF
     assert off[FEEDBACK]["ratio"] == {"value": 1.0, "low": 1.0, "high": 1.0}
@@ -81,5 +81,5 @@ def test_a_mistake_and_an_interrupt_are_one_line(tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(feedback_gain, "case_of", interrupted)
-    with pytest.raises(SystemExit, match="interrupted; the same command goes on"):
-        feedback_gain.main(["never", "--out", str(tmp_path)])
+    with pytest.raises(SystemExit, match=r"^interrupted: 0 of 1 cells .*the same command goes on"):
+        feedback_gain.main(["never", "--out", str(tmp_path / "out")])

@@ -12,15 +12,11 @@ from itertools import pairwise
 import pytest
 
 # ruff: noqa: E402 - the packages of the laboratory may be missing
-for name in ("torch", "tyro"):
+for name in ("torch", "tyro"):  # of what the steps run
     pytest.importorskip(name)
 
-from rich.console import Console
-
 from spoofgym.tasks import DETECTOR_TASKS, TASKS
-from tools.learn_all import MARKS, Settings, Step, run, steps_of
-
-QUIET = Console(quiet=True)
+from tools.learn_all import MARKS, Step, main, run, steps_of
 
 
 def writing(path):
@@ -36,14 +32,15 @@ def test_a_killed_run_goes_on_with_the_step_that_was_not_finished(tmp_path):
         "three": writing(last),
     }
     with pytest.raises(subprocess.CalledProcessError, match="status 3"):
-        run(tmp_path, fails, QUIET)
+        run(tmp_path / "out", fails)
     assert not last.exists()
-    done = run(tmp_path, {**fails, "two": writing(last)}, QUIET)
+    done = run(tmp_path / "out", {**fails, "two": writing(last)})
     assert list(done) == ["one", "two", "three"]
+    assert all(step["seconds"] >= 0.0 for step in done.values())
     assert first.read_text() == "x"
     assert last.read_text() == "xx"
-    assert json.loads((tmp_path / MARKS).read_text()) == done
-    run(tmp_path, {"one": writing(last), "three": writing(last)}, QUIET)
+    assert json.loads((tmp_path / "out" / MARKS).read_text()) == done
+    run(tmp_path / "out", {"one": writing(last), "three": writing(last)})
     assert first.read_text() == "x"
     assert last.read_text() == "xxx"  # "one" has another command now
 
@@ -97,50 +94,60 @@ def test_workers_run_at_once_and_what_is_needed_ends_before(tmp_path):
         "second": Step(["-c", MEET, str(two), str(one)]),
     }
     out = tmp_path / "out"
-    assert {*run(out, steps, QUIET, workers=2)} == {*steps}
+    assert {*run(out, steps, workers=2)} == {*steps}
     assert seen.read_text() == "True"
-    assert {path.name for path in out.iterdir()} == {MARKS, *(f"{name}.log" for name in steps)}
+    logs = {f"{name}.log" for name in steps}
+    assert {path.name for path in out.iterdir()} == {MARKS, "config.json", "cells", *logs}
 
 
-def test_what_runs_beside_a_failure_goes_on_and_nothing_else_begins(tmp_path):
-    never, beside = tmp_path / "never", tmp_path / "beside"
-    slow = f"import time; time.sleep(1.0); open({str(beside)!r}, 'w').write('x')"
+def test_after_a_failure_nothing_begins_and_the_log_has_the_cause(tmp_path):
+    never = tmp_path / "never"
     said = "print('out'); import sys; sys.exit('the cause')"
     steps = {
         "fails": Step(["-c", said]),
-        "slow": Step(["-c", slow]),
+        "slow": Step(["-c", "import time; time.sleep(60.0)"]),
         "never": writing(never),
     }
     with pytest.raises(subprocess.CalledProcessError):
-        run(tmp_path, steps, QUIET, workers=2)
-    assert beside.exists()
+        run(tmp_path / "out", steps, workers=2)
     assert not never.exists()
-    assert sorted((tmp_path / "fails.log").read_text().split("\n")) == ["", "out", "the cause"]
+    log = (tmp_path / "out" / "fails.log").read_text()
+    assert sorted(log.split("\n")) == ["", "out", "the cause"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the system shares the processors itself")
 def test_workers_share_the_processors(tmp_path):
     own, told = sorted(os.sched_getaffinity(0)), tmp_path / "told"
     line = f"import os; open({str(told)!r}, 'a').write(repr(sorted(os.sched_getaffinity(0))))"
-    run(tmp_path, {"it": Step(["-c", line])}, QUIET)
+    run(tmp_path / "one", {"it": Step(["-c", line])})
     assert told.read_text() == repr(own)
     told.unlink()
-    run(tmp_path, {"that": Step(["-c", line])}, QUIET, workers=len(own))
-    assert told.read_text() == repr(own[:1])
+    wait = "import time; time.sleep(1.0)"
+    steps = {f"step {k}": Step(["-c", f"{line}; {wait}"]) for k in range(len(own))}
+    run(tmp_path / "all", steps, workers=len(own))
+    assert sorted(told.read_text()) == sorted("".join(repr([each]) for each in own))
     assert sorted(os.sched_getaffinity(0)) == own
 
 
 def test_names_of_steps_are_checked(tmp_path):
-    with pytest.raises(ValueError, match="unknown step 'ppo-T9'"):
-        Settings(out=tmp_path, only=("ppo-T9",))
+    with pytest.raises(SystemExit, match=r"^error: unknown step 'ppo-T9'"):
+        main(["--out", str(tmp_path), "--only", "ppo-T9"])
 
 
-def test_damaged_marks_are_named(tmp_path):
-    (tmp_path / MARKS).write_text("{")
-    with pytest.raises(ValueError, match=r"steps\.json` is not JSON"):
-        run(tmp_path, {}, QUIET)
+def test_steps_can_be_listed(tmp_path, capsys):
+    main(["--out", str(tmp_path), "--only", "game-page", "ppo-T6", "--list"])
+    assert capsys.readouterr().out.splitlines() == [
+        f"ppo-T6: python -m train.ppo_spoofer --task T6 --warm-pool 512 --out {tmp_path}/ppo-T6",
+        f"game-page: python -m tools.game_page {tmp_path}/game",
+    ]
+
+
+def test_a_folder_of_somebody_else_is_refused(tmp_path):
+    (tmp_path / MARKS).write_text("{}")
+    with pytest.raises(ValueError, match=r"is not empty and holds no config\.json"):
+        run(tmp_path, {})
 
 
 def test_there_is_a_worker_at_least(tmp_path):
-    with pytest.raises(ValueError, match="`workers` must be at least 1, got 0"):
-        Settings(out=tmp_path, workers=0)
+    with pytest.raises(ValueError, match="`jobs` must be a whole number of at least 1, got 0"):
+        run(tmp_path, {}, workers=0)

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import json
+import shlex
 
 import pytest
 
-pytest.importorskip("tyro")
-
-from rich.console import Console
-
 from spoofgym.bench.experiments.evaluate import Evaluator
-from tools.refits import RESULTS, Settings, play, table
+from tools.refits import RESULTS, options, play, specs_of, table
 
-QUIET = Console(quiet=True)
-QUICK = {"task": ("T1",), "entropies": (3, 4), "fit_runs": 80, "runs": 10, "threads": 1}
+QUICK = shlex.split("--task T1 --entropies 3 4 --fit-runs 80 --runs 10 --threads 1 --spoofer dash")
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    settings = Settings(tmp_path_factory.mktemp("refits"), spoofer=("dash",), **QUICK)
-    return settings, play(settings, QUIET)
+    settings = options([*QUICK, "--out", str(tmp_path_factory.mktemp("refits"))])
+    return settings, play(settings)
 
 
 def test_every_set_is_fitted_and_scored_by_itself(results):
@@ -43,7 +39,7 @@ def test_what_is_finished_is_not_played_again(results, monkeypatch):
         raise AssertionError("it is finished")
 
     monkeypatch.setattr("tools.refits.scored", never)
-    assert play(settings, QUIET) == found
+    assert play(settings) == found
 
 
 def test_the_table_has_median_range_and_who_is_over_the_budget():
@@ -63,12 +59,12 @@ def test_the_table_has_median_range_and_who_is_over_the_budget():
     assert "| `it` (oracle) |" in text
 
 
-def test_bad_settings_are_refused(tmp_path):
+def test_bad_options_are_refused():
     with pytest.raises(ValueError, match="`entropies` must be different"):
-        Settings(tmp_path, entropies=(1, 1))
+        options(["--entropies", "1", "1"])
     with pytest.raises(ValueError, match="no learned spoofer is shipped for T4: give `spoofer`"):
-        Settings(tmp_path, task=("T4",))
+        options(["--task", "T4"])
     with pytest.raises(ValueError, match="unknown task 'T9'"):
-        Settings(tmp_path, task=("T9",))
+        options(["--task", "T9"])
     with pytest.raises(ValueError, match="listed twice: dash"):
-        Settings(tmp_path, task=("T1",), spoofer=("dash", "dash")).whom("T1")
+        specs_of("T1", ["dash", "dash"])

@@ -8,7 +8,7 @@ import pytest
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.tasks import task_of
 from tools import transfer
-from tools.transfer import Kept, Worlds, line, table
+from tools.transfer import evaluators, line, table
 
 TIMES = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 SHARP = {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"}
@@ -24,17 +24,6 @@ SHORT = replace(
 SIZES = {"runs": 24, "fit_runs": 80, "entropy": 3}
 
 
-class Bar:
-    """How far it is."""
-
-    def __init__(self):
-        self.done = 0.0
-
-    def advance(self, amount, now):
-        """One case more."""
-        self.done += amount
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("transfer")
@@ -42,9 +31,8 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rows(folder):
-    bar = Bar()
-    found = table(Worlds("T1", CHANGES, **SIZES), [({"name": "ramp"}, None)], Kept(folder), bar)
-    assert bar.done == len(found) == 4
+    found = table(evaluators("T1", CHANGES, **SIZES), [({"name": "ramp"}, None)], folder)
+    assert len(found) == 4
     return {(row["home"], row["world"]): row for row in found}
 
 
@@ -76,8 +64,8 @@ def test_a_budget_that_is_broken_elsewhere_is_marked(rows):
 def test_what_is_kept_is_not_played_again(folder, rows, monkeypatch):
     monkeypatch.setattr(Evaluator, "score", None)
     monkeypatch.setattr(Evaluator, "fit", None)
-    worlds = Worlds("T1", CHANGES, **SIZES, threads=1)
-    again = table(worlds, [({"name": "ramp"}, None)], Kept(folder), Bar())
+    worlds = evaluators("T1", CHANGES, **SIZES, threads=1)
+    again = table(worlds, [({"name": "ramp"}, None)], folder)
     assert again == list(rows.values())
 
 

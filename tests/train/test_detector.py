@@ -235,7 +235,7 @@ def test_a_damaged_test_split_and_a_damaged_checkpoint_are_told_at_once(
 def test_a_folder_of_another_training_is_refused(data: Path, tmp_path: Path) -> None:
     given = arguments(data, tmp_path / "guard", passes=1)
     train(given, quiet())
-    with pytest.raises(ValueError, match=r"other settings.*width: 8 there, 9 here"):
+    with pytest.raises(ValueError, match=r"other results.*width: 8, not 9"):
         train(replace(given, width=9), quiet())
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.txt").write_text("keep")
@@ -269,7 +269,7 @@ def test_a_mistake_and_an_interrupt_are_one_line(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"passes": 0}, "`passes` must be at least 1"),
+        ({"passes": 0}, "`passes` must be a whole number of at least 1"),
         ({"learning_rate": 0.0}, "`learning_rate` must be finite and > 0"),
         ({"out": Path("a b")}, "the last part of `out`"),
     ],

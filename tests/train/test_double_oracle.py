@@ -12,11 +12,10 @@ import pytest
 for name in ("stable_baselines3", "onnxscript", "tyro"):
     pytest.importorskip(name)
 
-from rich.console import Console
-
 import spoofgym.tasks
-from agents.folder import open_folder
+from agents.folder import learning_versions
 from spoofgym import duel_v0
+from spoofgym.bench.experiments import Store
 from spoofgym.calibration import calibrate
 from spoofgym.detectors import make_detector
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
@@ -49,12 +48,8 @@ def short_task(monkeypatch):
     monkeypatch.setitem(spoofgym.tasks.TASKS, "T3", task)
 
 
-def quiet():
-    return Console(quiet=True)
-
-
 def play(out, **changes):
-    return run(Arguments(out=out, **{**QUICK, **changes}), quiet())
+    return run(Arguments(out=out, **{**QUICK, **changes}))
 
 
 @pytest.fixture
@@ -84,8 +79,8 @@ def test_a_killed_game_goes_on_to_the_same_result(tmp_path, whole, monkeypatch):
         patch.setattr(double_oracle, "exploitability", lambda *args: sys.exit(1))
         with pytest.raises(SystemExit):
             play(tmp_path / "killed")
-    assert (tmp_path / "killed" / "start.json").is_file()
-    assert not (tmp_path / "killed" / "iteration-0.json").exists()
+    cells = tmp_path / "killed" / "cells"
+    assert [path.stem for path in cells.iterdir()] == ["start"]
     assert play(tmp_path / "killed") == whole
     monkeypatch.setattr(DoubleOracle, "_iterate", None)  # what is finished is not played again
     monkeypatch.setattr(DoubleOracle, "_final", None)
@@ -93,8 +88,9 @@ def test_a_killed_game_goes_on_to_the_same_result(tmp_path, whole, monkeypatch):
 
 
 def test_another_game_does_not_go_on_in_the_same_folder(tmp_path):
-    open_folder(tmp_path, {**Arguments(out=tmp_path, **QUICK).config, "runs": 7})
-    with pytest.raises(ValueError, match=r"other settings.*runs: 7 there, 6 here"):
+    config = {**Arguments(out=tmp_path, **QUICK).config, "runs": 7}
+    Store(tmp_path).open("double-oracle", {**config, "versions": learning_versions()})
+    with pytest.raises(ValueError, match=r"other results \(config\.runs: 7, not 6\)"):
         play(tmp_path)
 
 
@@ -108,7 +104,7 @@ def test_a_misspelt_detector_does_not_occupy_the_folder(tmp_path, monkeypatch):
     assert not out.exists()
     monkeypatch.setattr(DoubleOracle, "_classics", lambda self: ([], []))
 
-    def interrupted(self):
+    def interrupted(self, progress):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(DoubleOracle, "play", interrupted)

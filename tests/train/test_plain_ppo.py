@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
 # ruff: noqa: E402 - the packages of the laboratory may be missing
@@ -13,10 +11,10 @@ for name in ("stable_baselines3", "tyro"):
 
 from dataclasses import replace
 
-from rich.console import Console
 from stable_baselines3 import PPO
 
-from tools.learned_page import shown_of_plain, taken_of_plain
+from spoofgym.bench.experiments.evaluate import Evaluator
+from tools.learned_page import shown_of_plain
 from train import plain_ppo
 from train.plain_ppo import Settings, play, table_of
 
@@ -32,7 +30,7 @@ def settings(tmp_path, monkeypatch):
 
 def test_a_seed_is_trained_once_and_compared_on_the_same_runs(settings, monkeypatch):
     before = torch.get_num_threads()
-    results = play(settings, Console(quiet=True))
+    results = play(settings)
     torch.set_num_threads(before)
     (row,) = results["kinds"]["plain"]
     assert [step for step, _ in row["curve"]] == [0, 40]
@@ -46,8 +44,10 @@ def test_a_seed_is_trained_once_and_compared_on_the_same_runs(settings, monkeypa
         raise AssertionError("it is finished")
 
     monkeypatch.setattr(plain_ppo, "train", never)
-    assert play(settings, Console(quiet=True)) == results
-    assert json.loads((settings.out / "plain-3.json").read_text()) == row
+    monkeypatch.setattr(Evaluator, "score", never)
+    assert play(settings) == results
+    with pytest.raises(ValueError, match=r"other results \(config\.steps: 40, not 80\)"):
+        play(replace(settings, steps=80))
 
 
 def test_bad_input_is_refused(tmp_path):
@@ -78,7 +78,7 @@ def test_a_seed_that_diverges_has_no_score_and_stops_no_other(settings, monkeypa
     monkeypatch.setattr(PPO, "train", diverge)
     before = torch.get_num_threads()
     with pytest.warns(UserWarning, match="training has diverged after 40 steps"):
-        results = play(replace(settings, seeds=(3, 4, 5)), Console(quiet=True))
+        results = play(replace(settings, seeds=(3, 4, 5)))
     torch.set_num_threads(before)
     assert broken == [3, 4]
     rows = results["kinds"]["plain"]
@@ -88,7 +88,7 @@ def test_a_seed_that_diverges_has_no_score_and_stops_no_other(settings, monkeypa
     assert rows[2]["diverged"] is None
     assert rows[2]["score"]["counted"] == rows[2]["untrained"]["counted"]
     assert "| T1 | plain | 3, 2 diverged | 0.0 [" in table_of(results)
-    page = shown_of_plain({"T1": taken_of_plain(results)})
+    page = shown_of_plain({"T1": results})
     assert "| 0: " in page
 
 

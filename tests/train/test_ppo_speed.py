@@ -83,14 +83,14 @@ def test_the_environment_without_physics_looks_like_the_engine():
 
 @pytest.mark.parametrize("name", ["rounds", "rollouts", "num_envs"])
 def test_settings_are_checked(name):
-    with pytest.raises(ValueError, match=f"`{name}` must be at least 1, got 0"):
+    with pytest.raises(ValueError, match=f"`{name}` must be a whole number of at least 1, got 0"):
         Settings(**{name: 0})
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (("--rounds", "0"), "`rounds` must be at least 1, got 0"),
+        (("--rounds", "0"), "`rounds` must be a whole number of at least 1, got 0"),
         (("--detector", "ewna"), "did you mean 'ewma'"),
         (("--knowledge", "clairvoyant"), "unknown knowledge 'clairvoyant'"),
     ],
