@@ -28,7 +28,7 @@ from .duel.detector_view import DetectorVectorView, DetectorView
 from .duel.payoff import NeymanPearson, Weighted
 from .duel.rules import duel_signature
 from .duel.spoofer_view import SpooferVectorView, SpooferView
-from .policies.detector_policy import DetectorPolicy, FunctionPolicy
+from .policies.contract import DetectorPolicy, FunctionPolicy
 
 __all__ = [
     "AttackBudget",

@@ -15,7 +15,7 @@ from spoofgym.bench import ResultsFolder
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.core.settings import outside_sources
 from spoofgym.detectors import Ewma
-from spoofgym.policies.detector_policy import DetectorPolicy
+from spoofgym.policies.contract import DetectorPolicy
 
 from .support import small_suite, write_policy
 
@@ -27,7 +27,7 @@ from helper_a34 import SCALE
 import helper_a34
 from spoofgym.attacks import make_attack
 from spoofgym.detectors import Ewma
-from spoofgym.policies.detector_policy import DetectorPolicy
+from spoofgym.policies.contract import DetectorPolicy
 from spoofgym.spoofers import Ramp
 
 @dataclass
