@@ -26,7 +26,7 @@ from .duel.calibration import Calibration
 from .duel.duel import duel_signature
 from .duel.payoff import NeymanPearson, Weighted
 from .duel.views import DetectorVectorView, DetectorView, SpooferVectorView, SpooferView, write_card
-from .policies.detector_policy import DetectorPolicy, FunctionPolicy
+from .policies.contract import DetectorPolicy, FunctionPolicy
 
 __all__ = [
     "AttackBudget",

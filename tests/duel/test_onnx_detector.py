@@ -59,7 +59,7 @@ def test_the_policy_is_the_same_in_any_batch_and_in_copies(file):
 
 
 def _context(receivers, fields):
-    from spoofgym.policies.detector_policy import PolicyContext
+    from spoofgym.policies.contract import PolicyContext
 
     return PolicyContext(receivers=receivers, **fields)
 
