@@ -121,6 +121,11 @@ class Detector(ABC):
     drifts : bool
         Whether its statistic has a drift term, so that it is 0 on most innovations that are smaller
         than the filter believes; these innovations can be rescaled (`Calibrated`).
+    alarm_is_state : bool
+        Whether an alarm is more than statistic above threshold, such as a flag that stays up.  Such
+        a detector is a dataclass with a setting `alarm_scale`, 1 by default: the factor on the
+        thresholds of its alarm, and of nothing else, so that up to the first alarm nothing depends
+        on it.
     calibrates : bool
         Whether thresholds scale its alarms at all; not that of a detector that never alarms.
     has_nominal : bool
@@ -152,6 +157,7 @@ class Detector(ABC):
     calibrates: ClassVar[bool] = True
     draws: ClassVar[bool] = False
     label: ClassVar[str | None] = None
+    alarm_is_state: bool = False
     has_nominal: bool = True
     silent_epochs: int = 0
     memory_epochs: int = 0
@@ -166,12 +172,6 @@ class Detector(ABC):
         ----------
         context : DetectorContext
             Sizes, interval, noise and satellites.
-
-        Raises
-        ------
-        ValueError
-            When the receiver does not measure what the detector does, or `needs` has what is no
-            optional field of `Epoch`.
         """
         check_needs(self)
         measured = "satellites" if context.channels else "position"
@@ -186,21 +186,6 @@ class Detector(ABC):
         """Declare arrays of the memory, as `bind` does, by name."""
         for name, array in initial.items():
             self.memory.declare(name, array)
-
-    @property
-    def alarm_is_state(self) -> bool:
-        """Whether an alarm is more than statistic above threshold, such as a flag that stays up.
-
-        Such a detector is a dataclass with a setting `alarm_scale`, 1 by default: the factor on the
-        thresholds of its alarm, and of nothing else, so that up to the first alarm nothing depends
-        on it.
-
-        Returns
-        -------
-        bool
-            False, unless a subclass says otherwise.
-        """
-        return False
 
     def armed(self, epoch: Epoch) -> NDArray[np.bool_] | None:
         """Whose alarms are on at an epoch.

@@ -29,6 +29,7 @@ import numpy as np
 
 from ..core.compile import njit
 from ..core.registry import is_number
+from ..core.settings import outside_sources
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict
 from .calibration_file import (
@@ -38,7 +39,6 @@ from .calibration_file import (
     check_rate,
     described,
     nearest,
-    sources_of,
     stored,
 )
 from .pool import PooledDetector
@@ -85,13 +85,6 @@ class Calibrated(Detector):
     ----------
     point : OperatingPoint or None
         What it was looked up with.
-
-    Raises
-    ------
-    ValueError
-        When there is neither a scale nor a rate, or one is out of range.
-    TypeError
-        When `detector` is none, or is calibrated already.
 
     Examples
     --------
@@ -321,8 +314,9 @@ def identity_of(detector: Detector) -> dict[str, Any]:
             f"no {', '.join(map(repr, missing))}"
         )
     found = {"name": name, **{key: described(getattr(detector, key)) for key in sorted(settings)}}
-    sources = {} if kind in names else sources_of(detector)
-    return {**found, "sources": sources} if sources else found
+    sources = {} if kind in names else outside_sources(detector)
+    readable = {name: digest for name, digest in sources.items() if digest is not None}
+    return {**found, "sources": readable} if readable else found
 
 
 def _calibrated_in(detector: Detector) -> list[Calibrated]:

@@ -37,7 +37,6 @@ from .observation import (
 )
 from .pool import JointMemory
 
-STATISTICS = ("receiver", "channel")
 EXCLUSION_S = 30.0
 """Allowance of exclusion; without one the best answer to any attack is not to look at GNSS."""
 
@@ -75,7 +74,7 @@ class DetectorAgent(Detector):
     paper: ClassVar[str] = "groves2013"
 
     def __post_init__(self) -> None:
-        check_choice("statistic", self.statistic, STATISTICS)
+        check_choice("statistic", self.statistic, ("receiver", "channel"))
         if not isinstance(self.weighs, bool | np.bool_):
             raise ValueError(f"`weighs` must be True or False, got {self.weighs!r}")
         limit_s = self.exclusion_s
@@ -240,8 +239,7 @@ class PolicyDetector(DetectorAgent):
         return self.verdict(action, threshold, epoch.visible, epoch.interval)
 
 
-OWN = ("quiet_epochs", "sha256")
-"""Settings of a detector in a file besides its name and thresholds."""
+FILE_SETTINGS = ("quiet_epochs", "sha256")
 
 
 @dataclass
@@ -264,11 +262,6 @@ class LearnedDetector(Detector):
         What it observes and decides, its state and the threshold that it was given.
     label : str
         Name on the card.
-
-    Raises
-    ------
-    ValueError
-        When file or card are missing, damaged, or don't fit each other.
     """
 
     described_as = "LearnedDetector"
@@ -328,14 +321,14 @@ def unscaled(spec: Any) -> LearnedDetector:
     """Detector of an ONNX file, by its name or a dict, without what is asked of its thresholds."""
     settings: dict[str, Any] = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
     name = settings.pop("name")
-    valid = ("threshold", *OWN, *ASKED)
+    valid = ("threshold", *FILE_SETTINGS, *ASKED)
     unknown = [key for key in settings if key not in valid]
     if unknown:
         raise ValueError(
             f"the learned detector {name} has no setting {', '.join(map(repr, unknown))}; valid: "
             f"{', '.join(valid)}"
         )
-    return LearnedDetector(name, **{key: settings[key] for key in OWN if key in settings})
+    return LearnedDetector(name, **{key: settings[key] for key in FILE_SETTINGS if key in settings})
 
 
 def of_file(plain: Mapping[str, Any], asked: Asked) -> Detector:

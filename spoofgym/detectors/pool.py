@@ -115,14 +115,6 @@ class PooledDetector(Detector):
     weights : sequence of float, optional
         Probability of each; all alike by default.
 
-    Raises
-    ------
-    ValueError
-        When there is no detector, a name or a setting is unknown, the weights do not fit, one is
-        a pool itself, or some of the detectors measure satellites and others positions.
-    TypeError
-        When `members` is no sequence of detectors.
-
     Notes
     -----
     Training against a mixture of frozen opponents is what `lanctot2017` calls an oracle's response.

@@ -78,11 +78,8 @@ from .consistency import (
 )
 from .innovation import check_probability
 
-MAX_SATELLITES = 63
-"""As many fit into a mask."""
-FRAMES = ("ecef", "ned")
-LARGEST_GROUP = 6
-"""Half of 12 satellites."""
+MAX_SATELLITES = 63  # as many fit into a mask
+LARGEST_GROUP = 6  # half of 12 satellites
 
 
 class ConsistencyTest(Detector):
@@ -213,8 +210,7 @@ class Raim(ConsistencyTest):
         blame_all(data, self._limit)
 
 
-SEED = 5
-"""Satellites of a seed: the least number that can disagree."""
+SEED = 5  # satellites, the least number that can disagree
 
 
 def search_vectors() -> FloatArray:
@@ -392,7 +388,7 @@ class SrvRaim(ConsistencyTest):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_choice("frame", self.frame, FRAMES)
+        check_choice("frame", self.frame, ("ecef", "ned"))
 
     def search(self, data: SearchData) -> None:
         search_all(data, self._limit, SEARCH_VECTORS)

@@ -64,8 +64,7 @@ from ._solution_separation_kernels import advance_bank, judge_bank, whiten_bank
 from .base import Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import check_length, check_probability, epochs_of
 
-MOST = 100
-"""Solutions in a bank, but for one."""
+MOST_SOLUTIONS = 100
 
 
 @dataclass
@@ -98,10 +97,10 @@ class SolutionSeparation(Detector):
         check_probability("false_alarm", self.false_alarm)
         for name in ("longest_s", "spacing_s"):
             check_length(name, getattr(self, name), least=1e-3)
-        if self.longest_s > MOST * self.spacing_s:
+        if self.longest_s > MOST_SOLUTIONS * self.spacing_s:
             raise ValueError(
-                f"`longest_s` must be at most {MOST} times `spacing_s`, got {self.longest_s} and "
-                f"{self.spacing_s}"
+                f"`longest_s` must be at most {MOST_SOLUTIONS} times `spacing_s`, got "
+                f"{self.longest_s} and {self.spacing_s}"
             )
 
     def bind(self, context: DetectorContext) -> None:

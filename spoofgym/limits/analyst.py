@@ -33,8 +33,7 @@ from ..simulation.tight import TightlyCoupledSetup, TightlyCoupledSimulator
 from ..truth.events import BenignEvents
 from .linear import PLACE, LinearRun, as_it_happens, observer, record_from
 
-CONSTANTS = np.r_[ACCEL_BIAS : STATES - 2, STATES:FIRST]
-"""States that are the inertial sensors' constants."""
+SENSOR_CONSTANTS = np.r_[ACCEL_BIAS : STATES - 2, STATES:FIRST]
 
 
 class AnalystRun(NamedTuple):
@@ -94,8 +93,8 @@ class Analyst:
         simulator.begin(rngs, given)
         if self.sensors_known:
             P = simulator.memory["augmented_covariance"]
-            P[:, CONSTANTS] = 0.0
-            P[:, :, CONSTANTS] = 0.0
+            P[:, SENSOR_CONSTANTS] = 0.0
+            P[:, :, SENSOR_CONSTANTS] = 0.0
         return simulator
 
     def record(

@@ -8,7 +8,7 @@ victim's displacement at the end of the command phase, the detectability frontie
 
 by the triangular factor of R, without a ridge, since a ridge makes a larger feasible set score
 less.  It has no end where n leaves the range of :math:`R^T R`: such commands move the victim and
-leave no trace.  Where limits of rate or acceleration bind, it is a second-order cone program.
+leave no trace.
 
 Where every channel can be commanded freely there is a closed form: the shift per d is
 :math:`\sigma_{ss}`, the spread of solution separation, :math:`\sigma_{ss}^2 = c^T (P_{coast} -
@@ -17,18 +17,10 @@ P) c`; a restricted attack stays below it.
 The floor is the frontier over drawn worlds, in metres at a stated probability of a false alarm and
 of detection.  A task whose floor lies above its alert limit cannot be defended, and a best attack
 that stays below the floor says that the search for it has failed.
-
-What given commands show to a perfect detector, as time goes on, is their `deflection`,
-
-.. math:: d_t^2 = \sum_{k \le t} |R_k u|^2
-
-which bounds the delay of any detection from below, and with it the curve of what is still
-undetected.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -41,16 +33,13 @@ from ..detectors.base import FloatArray
 from ..simulation.setup import generators_of, seeds_of_runs
 from ..simulation.tight import TightlyCoupledSetup
 from .analyst import Analyst
-from .convex import Program
 from .linear import Commands, LinearRun, Response, record, respond, unit_commands, white
 from .power import deflection_for
-from .restricted import Attacker, hold_motion, lead_to
 
 Tick = Callable[[float], None]
 HATS = 60
 """Hat functions of the rate, by axis; as many decisions lose 0.1 to 1 % of the frontier."""
-HEADINGS = 24
-"""Headings of a target direction that is drawn."""
+HEADINGS = 24  # of a target direction that is drawn
 QUANTILES = (0.1, 0.5, 0.9)
 ASSUMPTIONS = (
     "the detector sees pseudoranges, range rates and the inertial sensors: no signal strength, "
@@ -93,11 +82,6 @@ class WorldFrontier:
     last: int
     coasting: FloatArray
 
-    def factor(self, epochs: int | None = None) -> FloatArray:
-        """(J, J) triangular factor of R over some first epochs, all by default."""
-        rows = self.whitened[:epochs].reshape(-1, self.whitened.shape[2])
-        return np.asarray(np.linalg.qr(rows, mode="r"))
-
     def per_deflection(self, last: int | None = None, hold: int | None = None) -> FloatArray:
         """(2, 2) matrix M whose c' M c is the square of the frontier at d = 1 along c [m^2],
         infinite where it has no end. `last`, `hold`: epoch at which the displacement counts,
@@ -120,46 +104,6 @@ class WorldFrontier:
             R, done = np.asarray(np.linalg.qr(np.vstack([R, rows]), mode="r")), until
             found[e] = reachable(R, self.victim.position[last, :2])
         return found
-
-    def best(self, direction: FloatArray, deflection: float) -> FloatArray:
-        """(J,) commands that reach the frontier along a direction, (2,) north and east [m/s]."""
-        n = direction @ self.victim.position[self.last, :2]
-        _, sizes, axes = np.linalg.svd(self.factor())
-        seen = sizes > SINGULAR * sizes[0]  # the others do nothing, where there is an end
-        y = (axes[seen] @ n) / sizes[seen]
-        return np.asarray(axes[seen].T @ (y / sizes[seen]) * deflection / np.linalg.norm(y))
-
-    def within_limits(self, commands: FloatArray) -> bool:
-        limits, rates = self.commands, self.commands.rates @ commands
-        change = np.diff(rates, axis=0, prepend=0.0)
-        size = np.linalg.norm if limits.together else np.max
-        slack = 1.0 + 1e-6
-        return bool(
-            size(np.abs(rates), axis=1).max() <= slack * limits.rate_limit_mps
-            and size(np.abs(change), axis=1).max() <= slack * limits.change_limit_mps
-        )
-
-    def limited(self, direction: FloatArray, deflection: float) -> tuple[float, FloatArray]:
-        """Frontier within the attack's limits of rate and acceleration [m], and its commands: by
-        the closed form where that keeps them, by a second-order cone program elsewhere."""
-        n = direction @ self.victim.position[self.last, :2]
-        if np.isfinite(self.per_deflection()).all():
-            u = self.best(direction, deflection)
-            if self.within_limits(u):
-                return float(n @ u), u
-        limits, program = self.commands, Program()
-        ids = program.variables(np.ones(len(n), dtype=np.bool_))
-        program.maximize(ids, n)
-        motion = limits.rate_limit_mps, limits.change_limit_mps, limits.together
-        hold_motion(program, ids, Attacker(self.victim, limits.rates, *motion))
-        seen = program.variables(np.ones(len(n), dtype=np.bool_))
-        lead_to(program, ids, self.factor(), seen)
-        program.ball(seen, deflection)
-        found = program.solve()
-        if found.x is None:
-            return math.inf, np.full(len(n), np.nan)
-        u = found.x[ids]
-        return float(n @ u), u
 
 
 def world_frontier(
@@ -189,47 +133,6 @@ def reachable(rows: FloatArray, n: FloatArray) -> FloatArray:
         if np.abs(left).max() > SINGULAR * np.abs(n).max():
             return np.full((2, 2), np.inf)
     return np.asarray(y.T @ y)
-
-
-def deflection(world: WorldFrontier, commands: FloatArray) -> FloatArray:
-    """Deflection of open-loop commands up to every epoch.
-
-    Parameters
-    ----------
-    world : WorldFrontier
-        Of the attack.
-    commands : ndarray
-        (J,) rates [m/s].
-
-    Returns
-    -------
-    ndarray
-        (K,) d.
-    """
-    return _accumulated(world.whitened @ commands)
-
-
-def deflection_of_offsets(analyst: LinearRun, offsets: FloatArray) -> FloatArray:
-    """Deflection of what an attack has added to the measurements, whatever commanded it.
-
-    Parameters
-    ----------
-    analyst : LinearRun
-        The analyst's filter of the same sky and flight.
-    offsets : ndarray
-        (K, m) what was added to pseudoranges and range rates [m], [m/s]; 0 where not visible.
-
-    Returns
-    -------
-    ndarray
-        (K,) d.
-    """
-    seen = respond(analyst, offsets[:, :, None]).innovation
-    return _accumulated(white(analyst.innovation_cov, seen)[:, :, 0])
-
-
-def _accumulated(y: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.cumsum((y * y).sum(axis=1))))
 
 
 @dataclass(frozen=True)

@@ -312,11 +312,6 @@ def unit_commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
     -------
     Commands
         Of every decision by itself.
-
-    Raises
-    ------
-    ValueError
-        When the offsets are not linear in the commands.
     """
     repeat, decision_s = setup.repeat, setup.repeat * setup.interval_s
     attack, by_rate = bare(setup.attack, decision_s), setup.attack.control == "rate"

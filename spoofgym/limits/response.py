@@ -35,11 +35,9 @@ from .linear import hat_functions, observer, record, respond, unit_commands, unu
 HATS = 40
 """Hat functions of the rate by which the response is known, over the attack window."""
 UNKNOWN = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
-"""Fields whose response is not known."""
-AT_ONCE = 32
-"""Runs whose matrices are held in memory together."""
+"""Fields of an epoch whose response to an attack is not known."""
+RUNS_AT_ONCE = 32  # whose matrices are held in memory together
 BANKS_AT_ONCE = 4
-"""Runs whose banks of solutions are held in memory together."""
 
 
 class Replayed(NamedTuple):
@@ -189,8 +187,8 @@ class Replay:
         ones = [int(np.flatnonzero(self.group == g)[0]) for g in range(len(views))]
         self.hats = hat_functions(self.setup.steps // self.setup.repeat, HATS)
         self._units: list[dict[str, FloatArray]] = []
-        for at in range(0, len(ones), AT_ONCE):
-            part = ones[at : at + AT_ONCE]
+        for at in range(0, len(ones), RUNS_AT_ONCE):
+            part = ones[at : at + RUNS_AT_ONCE]
             again = generators_of([unused_seed(seeds[b]) for b in part])
             for b, run in zip(part, record(self.setup, again), strict=True):
                 offsets = self._offsets(int(self.onset[b])) * np.tile(run.visible, 2)[:, :, None]

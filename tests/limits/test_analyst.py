@@ -11,6 +11,8 @@ from spoofgym.limits.linear import observer
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.setup import generators_of, seeds_of_runs
 
+from .toy import best_commands
+
 DRAWN = {"turn_on": "drawn"}
 EAST = np.array([0.0, 1.0])
 
@@ -133,7 +135,7 @@ def test_best_commands_shift_the_statistic_by_d_and_the_victim_to_the_frontier()
         detector="never", domain=DRAWN, attack={"name": "false-position", "control": "rate"}
     )
     found = frontier_of(setup).one
-    u = found.best(EAST, d)
+    u = best_commands(found, EAST, d)
     rates = found.commands.rates @ u
     actions = rates / setup.attack.rate_limit_mps
     shift = found.whitened @ u
@@ -172,7 +174,7 @@ def test_a_shift_of_the_analyst_is_that_of_its_filter_on_the_simulator(scenario)
         timeline=line,
     )
     found, d = frontier_of(setup).one, 2.0
-    u = found.best(EAST, d)
+    u = best_commands(found, EAST, d)
     actions = found.commands.rates @ u / setup.attack.rate_limit_mps
     both = []
     for each in (actions, np.zeros_like(actions)):

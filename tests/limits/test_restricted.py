@@ -29,9 +29,9 @@ from spoofgym.detectors import (
     WindowedChi2,
 )
 from spoofgym.limits import convex
+from spoofgym.limits.bounds import zero_alarm_of
 from spoofgym.limits.linear import white
 from spoofgym.limits.no_alarm import SETS, Timing, judge_run, judged_by
-from spoofgym.limits.restricted import zero_alarm_of
 from spoofgym.limits.zero_alarm import sensitivity
 
 from .toy import EAST, TIMING, false_position, toy_run
@@ -284,7 +284,7 @@ def test_limits_of_two_axes_are_of_the_size_of_the_vector(detector):
     attacker = false_position(RUN, axes=2, rate=0.5, change=0.02)
     aim = {"epoch": 45, "direction": (0.6, 0.8)}
     bound = zero_alarm_of(detector, RUN, TIMING, **aim, attacker=attacker)
-    rates = attacker.profile(bound.commands)
+    rates = attacker.rates @ bound.commands
     assert np.linalg.norm(rates, axis=1).max() <= 0.5 * (1.0 + 1e-6)
 
     u = cp.Variable(2 * EPOCHS)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from spoofgym.limits.bounds import Attacker
 from spoofgym.limits.linear import LinearRun, respond
 from spoofgym.limits.no_alarm import Timing
-from spoofgym.limits.restricted import Attacker
 
 EAST = (0.0, 1.0)
 TIMING = Timing(0.5, live=30, onset_s=15.0)
@@ -53,3 +53,19 @@ def false_position(run, axes=1, stop=None, rate=1.0, change=0.05):
         sight = run.design[k, :n, 6:9][:, columns]
         offsets[k, :n], offsets[k, n:] = -sight @ displacement[k], -sight @ rates[k]
     return Attacker(respond(run, offsets), rates, rate, change)
+
+
+def best_commands(world, direction, deflection):
+    """(J,) commands that reach the frontier of a world along a direction, north and east [m/s]."""
+    n = direction @ world.victim.position[world.last, :2]
+    rows = world.whitened.reshape(-1, world.whitened.shape[2])
+    _, sizes, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"))
+    seen = sizes > 1e-9 * sizes[0]  # the others do nothing, where there is an end
+    y = (axes[seen] @ n) / sizes[seen]
+    return axes[seen].T @ (y / sizes[seen]) * deflection / np.linalg.norm(y)
+
+
+def deflection_of(world, commands):
+    """(K,) d up to every epoch."""
+    shift = world.whitened @ commands
+    return np.sqrt(np.cumsum((shift * shift).sum(axis=1)))
