@@ -269,7 +269,6 @@ class UndeclaredFieldError(TypeError):
 
 
 def undeclared(detector: Detector, epoch: TracedEpoch) -> str:
-    """Say which fields were read that are None, since they are not declared; "" for none."""
     absent = {name for name, array in epoch._asdict().items() if array is None}
     read = sorted(epoch.read & absent)
     if not read:
@@ -314,7 +313,6 @@ def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
 
 
 def checked_weights(weights: FloatArray, epoch: Epoch) -> FloatArray:
-    """Check weights that come without a verdict; errors are those of `checked`."""
     _examine_part("an update", epoch, "weights", weights, epoch.innovation.shape, "")
     return weights
 

@@ -229,7 +229,6 @@ class Calibration:
     path: Path | None = field(default=None, compare=False)
 
     def point(self, false_alarms_per_hour: float) -> OperatingPoint:
-        """Where the detector works at a rate; a ValueError where the runs are too few."""
         rate, n = check_rate(false_alarms_per_hour), self.runs
         p = run_probability(rate, self.window_s)
         check_runs(rate, n, self.window_s, tail=not self.bisected)
@@ -281,7 +280,6 @@ class Calibration:
         )
 
     def differences(self, world: Mapping[str, Any], detector: Mapping[str, Any]) -> list[str]:
-        """Where it was made for something else, a line each."""
         found = [("world", *each) for each in differences(self.world, world)]
         found += [("detector", *each) for each in differences(self.detector, detector)]
         return [f"{what} {name}: {a!r} there, {b!r} here" for what, name, a, b in found]
@@ -324,9 +322,8 @@ def _load(path: str, modified: int) -> Calibration:
 
 def user_folder() -> Path:
     """Folder of one's own calibrations: ``SPOOFGYM_CALIBRATIONS``, or in the user's cache."""
-    if wanted := os.environ.get(FOLDER_VARIABLE):
-        return Path(wanted)
-    return Path(platformdirs.user_cache_dir("spoofgym")) / "calibrations"
+    cache = Path(platformdirs.user_cache_dir("spoofgym")) / "calibrations"
+    return Path(os.environ.get(FOLDER_VARIABLE) or cache)
 
 
 def folders() -> tuple[Path, ...]:

@@ -105,7 +105,6 @@ def rows_of(signals: str, channels: int) -> tuple[int, int]:
 
 
 def two_sided_quantile(false_alarm: float) -> float:
-    """Quantile that a standard normal deviate exceeds in size with a probability in (0, 1)."""
     return float(-special.ndtri(0.5 * false_alarm))
 
 

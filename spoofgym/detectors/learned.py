@@ -138,18 +138,14 @@ class DetectorAgent(Detector):
         weights = None
         if self.weighs:
             weight = np.where(visible, share[:, self._columns :], 1.0)
-            weight = self._allowed(weight, visible, interval)
+            lacking = (1.0 - weight).sum(axis=1) / np.maximum(visible.sum(axis=1), 1)
+            excluded_s = self.memory["excluded_s"]
+            used = excluded_s + interval * lacking
+            within = used <= (np.inf if self.exclusion_s is None else self.exclusion_s)
+            self.memory["excluded_s"] = np.where(within, used, excluded_s)
+            weight = np.where(within[:, None], weight, 1.0)
             weights = np.concatenate([weight, weight], axis=1)
         return Verdict(statistic, limit, statistic > limit, weights)
-
-    def _allowed(self, weight: FloatArray, visible: BoolArray, interval: FloatArray) -> FloatArray:
-        """Weights within the allowance, which they use up."""
-        lacking = (1.0 - weight).sum(axis=1) / np.maximum(visible.sum(axis=1), 1)
-        used = self.memory["excluded_s"] + interval * lacking
-        limit = np.inf if self.exclusion_s is None else self.exclusion_s
-        within = used <= limit
-        self.memory["excluded_s"] = np.where(within, used, self.memory["excluded_s"])
-        return np.where(within[:, None], weight, 1.0)
 
 
 @dataclass
@@ -187,11 +183,6 @@ class PolicyDetector(DetectorAgent):
             raise ValueError(f"`threshold` must be a number in (0, 1], got {self.threshold!r}")
         if self.quiet_epochs is not None:
             self.quiet_epochs = whole_number("`quiet_epochs`", self.quiet_epochs)
-
-    @property
-    def file(self) -> str | None:
-        """File that the policy was read from."""
-        return getattr(self.policy, "file", None)
 
     def identity(self) -> dict[str, Any]:
         """Settings to which its calibration belongs: all but the threshold."""

@@ -8,9 +8,8 @@
 
 from __future__ import annotations
 
-from .analyst import Analyst
 from .bounds import Attacker, zero_alarm_of
-from .floor import ASSUMPTIONS, Frontier, WorldFrontier, frontier_of
+from .floor import ASSUMPTIONS, Analyst, Frontier, WorldFrontier, frontier_of
 from .linear import Commands, LinearRun, Response, record, respond, unit_commands
 from .power import deflection_for, power
 from .response import NotReplayable, Replay

@@ -112,7 +112,6 @@ class Program:
             self.below(ids[ids >= 0][:, None], np.array([[sign]]), far)
 
     def solve(self) -> Optimum:
-        """Largest value; a RuntimeError where the solver finds none."""
         for _ in range(MOST_ROUNDS):
             found = self._by_cones() if self._second_order else self._linearly()
             if found.x is None:
@@ -215,7 +214,6 @@ def _rows(columns: IntArray, values: FloatArray | float, rhs: FloatArray | float
 
 
 def _matrix(pieces: list[Rows], size: int) -> tuple[Any, FloatArray]:
-    """Sparse matrix and right-hand side of all rows; no matrix where there is none."""
     pieces = [each for each in pieces if len(each.columns)]
     if not pieces:
         return None, np.zeros(0)

@@ -116,7 +116,6 @@ def record(
 
 
 def as_it_happens(run: LinearRun, world: World) -> LinearRun:
-    """A filter's run with shifts that propagate and are measured as they really are."""
     return run._replace(transition=mechanized(run.transition), design=measured(run, world))
 
 
@@ -238,12 +237,10 @@ class Commands(NamedTuple):
     heading : ndarray or None
         (axes, 2) north and east of each axis, where it moves a position.
     rate_limit_mps : float
-        Of a command, as the size of the vector where `together`.
+        Of a command, as the size of the vector where it moves a position.
     change_limit_mps : float
         Of the difference between the commands of neighbouring decisions; infinite for an attack
         that is commanded by rate.
-    together : bool
-        Whether the limits hold for the vector of a decision, not for each of its elements.
     hats : ndarray or None
         (decisions, Q) hat functions that the commands are of, or None for single decisions.
     """
@@ -254,7 +251,6 @@ class Commands(NamedTuple):
     heading: FloatArray | None
     rate_limit_mps: float
     change_limit_mps: float
-    together: bool
     hats: FloatArray | None = None
 
     @property
@@ -334,7 +330,6 @@ def unit_commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
         heading,
         attack.rate_limit_mps,
         math.inf if by_rate else setup.attack.acceleration_limit_mps2 * decision_s,
-        heading is not None,
     )
 
 

@@ -135,7 +135,6 @@ class Replay:
         self._respond(seeds)
 
     def _record(self, seeds: Sequence[np.random.SeedSequence]) -> None:
-        """Run the warm-up with the detectors live, and record the epochs after it."""
         simulator = observer(self.setup, self.runs, self.needs)
         world = simulator.setup
         simulator.begin(generators_of(seeds))
@@ -360,7 +359,6 @@ class Replay:
         return out
 
     def _ready(self, number: int, rows: NDArray[np.intp], attacks: int) -> Detector:
-        """A detector at the onset, with all runs for every attack."""
         detector = copy.deepcopy(self.detectors[number])
         detector.bind(self._context._replace(receivers=attacks * len(rows)))
         everyone = np.arange(attacks * len(rows))

@@ -104,7 +104,6 @@ class Sensitivity(NamedTuple):
 
 
 def sensitivity(run: LinearRun, epoch: int, direction: ArrayLike) -> Sensitivity:
-    """Go backwards from a displacement at an epoch, T, to the innovations that lead to it."""
     epochs = len(run.gain)
     if not 0 <= epoch < epochs:
         raise ValueError(f"`epoch` must be 0 to {epochs - 1}, got {epoch}")

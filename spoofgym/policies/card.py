@@ -73,7 +73,6 @@ PAIRS = TypeAdapter(list[tuple[Annotated[int, Field(strict=True, ge=0)], str]])
 
 
 def seeds_in(training: Mapping[str, Any], name: str) -> frozenset[tuple[int, str]]:
-    """Runs that `training` of a policy says it was decided on, by entropy and split."""
     found = training.get(DECIDED_ON, [])
     try:
         return frozenset(PAIRS.validate_python(found))
@@ -94,7 +93,6 @@ class PolicyCard(Record):
 
     @property
     def decided_on(self) -> frozenset[tuple[int, str]]:
-        """Entropy and split of the runs that decided on the policy, as far as the card says."""
         return seeds_in(getattr(self, "training", {}), self.name)
 
     @classmethod
@@ -179,7 +177,6 @@ def _kind_of(text: str) -> str:
 
 
 def text_of(error: ValidationError) -> str:
-    """What is wrong with which fields, in one line."""
     parts = []
     for item in error.errors():
         where = ".".join(map(str, item["loc"]))

@@ -294,7 +294,6 @@ def _check_value(value: ValueInfoProto, size: int, what: str, wanted: str) -> No
 
 
 def _form(value: ValueInfoProto) -> tuple[str, list[int | str]]:
-    """Type of an input or output, and its dimensions, those of any size by name."""
     from onnx import helper
 
     tensor = value.type.tensor_type

@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 
-from spoofgym.limits import Analyst, Commands, analyst, frontier_of
+from spoofgym.limits import Analyst, Commands, floor, frontier_of
 from spoofgym.limits.floor import world_frontier
 from spoofgym.limits.linear import observer
 from spoofgym.simulation import TightlyCoupledSetup
@@ -34,7 +34,7 @@ def every_channel(run):
     offsets = np.zeros((epochs, m, int(seen.sum())))
     for column, (k, i) in enumerate(np.argwhere(seen)):
         offsets[k, i, column] = 1.0
-    return Commands(offsets, np.zeros((epochs, m)), 1, None, 1.0, 1.0, False)
+    return Commands(offsets, np.zeros((epochs, m)), 1, None, 1.0, 1.0)
 
 
 @pytest.mark.parametrize("sensors_known", [False, True])
@@ -55,7 +55,7 @@ def test_where_every_channel_is_free_the_frontier_is_the_spread_of_a_coasting_tw
     really, coasting = found()
     assert np.abs(really - coasting).max() < 0.01 * np.trace(coasting)
     # in a world that is the filter's own they are the same to all digits
-    monkeypatch.setattr(analyst, "as_it_happens", lambda run, world: run)
+    monkeypatch.setattr(floor, "as_it_happens", lambda run, world: run)
     np.testing.assert_allclose(*found(), rtol=1e-6)
 
 

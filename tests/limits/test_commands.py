@@ -106,7 +106,6 @@ def test_a_meaconer_moves_the_victim_when_it_is_idle_and_only_the_clock_when_com
     setup = setup_of(ATTACKS["meaconer"])
     commands = unit_commands(setup, at_onset(setup).onset[0])
     assert commands.heading is None
-    assert not commands.together
     world, n = setup.world, setup.world.channels
     for k in (0, 30):
         at = at_onset(setup).onset[0] + k + 1

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.limits import WorldFrontier, frontier_of, unit_commands
-from spoofgym.limits.analyst import Analyst
-from spoofgym.limits.floor import reachable, world_frontier
+from spoofgym.limits.floor import Analyst, reachable, world_frontier
 from spoofgym.limits.linear import Commands, record
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.setup import generators_of, seeds_of_runs
@@ -50,7 +49,7 @@ def toy_frontier(traces):
     epochs, m = run.design.shape[:2]
     offsets = np.zeros((epochs, m, 3))
     offsets[:, : m // 2, :2] = -run.design[:, : m // 2, 6:8]
-    commands = Commands(offsets, np.zeros((epochs, m)), 3, None, 1.0, 1.0, False)
+    commands = Commands(offsets, np.zeros((epochs, m)), 3, None, 1.0, 1.0)
     found = world_frontier(commands, run, run, np.zeros((epochs, 3, 3)), epochs - 1)
     return WorldFrontier(
         commands, found.whitened * np.array(traces), found.victim, found.last, found.coasting
