@@ -74,7 +74,6 @@ def check_length(name: str, value: float, least: float = 0.0) -> None:
 
 
 def check_all(detector: Detector, bound: str, *names: str) -> None:
-    """Raise unless settings are finite and within a bound, as of `check_finite`."""
     for name in names:
         check_finite(name, getattr(detector, name), bound)
 

@@ -109,7 +109,6 @@ class DetectorAgent(Detector):
         self.observer.declare(self.memory)
 
     def _bound_parts(self, context: DetectorContext) -> list[Memory]:
-        """Bind the parts, and return their memories."""
         return self.observer.bind(context)
 
     def look(self, epoch: Epoch) -> None:
@@ -283,7 +282,6 @@ class LearnedDetector(Detector):
         self.has_nominal = self.card.threshold is not None
 
     def identity(self) -> dict[str, Any]:
-        """Settings to which its calibration belongs: with the content of the file, not its path."""
         return self.judge_by.identity()
 
     @property

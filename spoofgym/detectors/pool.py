@@ -165,7 +165,6 @@ class PooledDetector(Detector):
         self.memory["opponent"] = drawn(keys, self._chances)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Verdicts (B, c) of each receiver's own detector, and weights where any gives some."""
         merged: Verdict | None = None
         opponent = self.memory["opponent"]
         for k in np.unique(opponent):

@@ -6,9 +6,9 @@ is largest where the test raises no alarm, and
 
 .. math:: |\dot D_i| \le r, \qquad |\dot D_i - \dot D_{i-1}| \le a \tau, \qquad \dot D_{-1} = 0
 
-for the rates of its false position at every epoch, which are linear in u, too.  That is a linear
-program for tests of single channels, and a second-order cone program for chi-square tests or
-commands of two axes.  The commands that attain it can be played.
+for the rates of its false position along one heading, which are linear in u, too.  That is a linear
+program for tests of single channels, and a second-order cone program for chi-square tests.  The
+commands that attain it can be played.
 
 Over worlds the attack is restricted to the limits of the setup's own, a false position along one
 heading.  Both bounds are means, as what they bound is a mean: the displacement of any spoofer,
@@ -68,20 +68,17 @@ class Attacker(NamedTuple):
     response : Response
         What each of J unit commands does to the filter, over K epochs.
     rates : ndarray
-        (E, a, J) rate of the false position at each epoch along each axis, per unit command [m/s].
+        (E, J) rate of the false position at each epoch, per unit command [m/s].
     rate_limit_mps : float
         r, limit of the size of the rate [m/s]; infinite for none.
     change_limit_mps : float
         a tau, limit of its change from one epoch to the next [m/s]; infinite for none.
-    together : bool
-        Whether the limits hold for the vector of all axes, not for each of them.
     """
 
     response: Response
     rates: FloatArray
     rate_limit_mps: float = math.inf
     change_limit_mps: float = math.inf
-    together: bool = True
 
 
 def zero_alarm_of(
@@ -188,24 +185,14 @@ def hold_motion(program: Program, commands: IntArray, attacker: Attacker) -> Non
     for name in ("rate_limit_mps", "change_limit_mps"):
         if not getattr(attacker, name) > 0.0:
             raise ValueError(f"`{name}` must be > 0, got {getattr(attacker, name)}")
-    epochs, axes, _ = attacker.rates.shape
-    single = axes == 1 or not attacker.together
-    top = attacker.rate_limit_mps if single else math.inf
-    rate = program.variables(np.ones((epochs, axes), dtype=np.bool_), -top, top)
-    lead_to(program, commands, attacker.rates.reshape(epochs * axes, -1), rate.ravel())
-    if not single:
-        for row in rate:
-            program.ball(row, attacker.rate_limit_mps)
+    every, top = np.ones(len(attacker.rates), dtype=np.bool_), attacker.rate_limit_mps
+    rate = program.variables(every, -top, top)
+    lead_to(program, commands, attacker.rates, rate)
     if math.isinf(attacker.change_limit_mps):
         return
-    before = np.vstack([np.full((1, axes), -1), rate[:-1]])
-    top = attacker.change_limit_mps if single else math.inf
-    change = program.variables(np.ones((epochs, axes), dtype=np.bool_), -top, top)
-    columns = np.column_stack([each.ravel() for each in (rate, before, change)])
+    change = program.variables(every, -attacker.change_limit_mps, attacker.change_limit_mps)
+    columns = np.column_stack([rate, np.append(-1, rate[:-1]), change])
     program.equal(columns, np.array([[1.0, -1.0, -1.0]]))
-    if not single:
-        for row in change:
-            program.ball(row, attacker.change_limit_mps)
 
 
 class Case(NamedTuple):
@@ -270,7 +257,7 @@ def along(commands: Commands, run: LinearRun, heading: float) -> Attacker | None
     each = commands.offsets.reshape(*commands.offsets.shape[:2], -1, commands.axes)
     hats = np.eye(commands.decisions) if commands.hats is None else commands.hats
     limits = commands.rate_limit_mps, commands.change_limit_mps
-    return Attacker(respond(run, each @ aim), hats[:, None, :], *limits)
+    return Attacker(respond(run, each @ aim), hats, *limits)
 
 
 def zero_alarm_bounds(

@@ -257,13 +257,6 @@ class Commands(NamedTuple):
     def decisions(self) -> int:
         return int(self.offsets.shape[2]) // self.axes if self.hats is None else len(self.hats)
 
-    @property
-    def rates(self) -> FloatArray:
-        """(decisions, axes, J) rate of each axis by unit command."""
-        hats = np.eye(self.decisions) if self.hats is None else self.hats
-        each = np.einsum("dq,ab->daqb", hats, np.eye(self.axes))
-        return np.asarray(each.reshape(len(hats), self.axes, -1))
-
     def in_hats(self, count: int) -> Commands:
         """Commands whose rates are sums of hat functions, where there are more decisions."""
         if self.hats is not None or self.decisions <= count:

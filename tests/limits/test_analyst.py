@@ -11,7 +11,7 @@ from spoofgym.limits.linear import observer
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.setup import generators_of, seeds_of_runs
 
-from .toy import best_commands
+from .toy import best_commands, rates_of
 
 DRAWN = {"turn_on": "drawn"}
 EAST = np.array([0.0, 1.0])
@@ -136,7 +136,7 @@ def test_best_commands_shift_the_statistic_by_d_and_the_victim_to_the_frontier()
     )
     found = frontier_of(setup).one
     u = best_commands(found, EAST, d)
-    rates = found.commands.rates @ u
+    rates = rates_of(found.commands) @ u
     actions = rates / setup.attack.rate_limit_mps
     shift = found.whitened @ u
     assert np.linalg.norm(shift) == pytest.approx(d)
@@ -175,7 +175,7 @@ def test_a_shift_of_the_analyst_is_that_of_its_filter_on_the_simulator(scenario)
     )
     found, d = frontier_of(setup).one, 2.0
     u = best_commands(found, EAST, d)
-    actions = found.commands.rates @ u / setup.attack.rate_limit_mps
+    actions = rates_of(found.commands) @ u / setup.attack.rate_limit_mps
     both = []
     for each in (actions, np.zeros_like(actions)):
         analyst = Analyst(setup).begun(rngs_of(setup, 1))
