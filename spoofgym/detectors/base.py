@@ -90,13 +90,6 @@ class DetectorContext(NamedTuple):
     states: int = STATES
     min_satellites: int = 4
 
-    @property
-    def epoch_sd(self) -> FloatArray:
-        """(m,) standard deviation of the errors of one epoch alone [m], [m/s]."""
-        if self.single_epoch_sd is None:
-            return np.sqrt(self.noise_variance)
-        return self.single_epoch_sd
-
 
 class Detector(ABC):
     """A detector with memory of B receivers; it knows no truth, no clock time and no chance.

@@ -40,8 +40,7 @@ STANDARD_RATES = (0.2, 0.002)
 """False alarms an hour that a file always has exactly: of research, and of aviation's order."""
 WITNESSES = 16
 """Run maxima that a file keeps with their seeds, to be replayed."""
-TOLERANCE = 1e-6
-"""Largest relative difference of a replayed maximum."""
+TOLERANCE = 1e-6  # of a replayed maximum, relative
 EXACT_RANKS, RANK_RATIO = 200, 1.01
 """Uppermost order statistics that a file has one by one; below, their ranks grow by a ratio."""
 EXTRAPOLATION = 10.0
@@ -321,7 +320,6 @@ def _load(path: str, modified: int) -> Calibration:
 
 
 def user_folder() -> Path:
-    """Folder of one's own calibrations: ``SPOOFGYM_CALIBRATIONS``, or in the user's cache."""
     cache = Path(platformdirs.user_cache_dir("spoofgym")) / "calibrations"
     return Path(os.environ.get(FOLDER_VARIABLE) or cache)
 

@@ -77,7 +77,6 @@ from ..core.settings import OMITTED
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import (
-    NEVER,
     InnovationTest,
     check_all,
     check_limits,
@@ -112,7 +111,8 @@ class WeighingChart(Detector):
 
     def _declare_exclusions(self, context: DetectorContext) -> None:
         limit_s, interval_s = self.max_exclusion_s, context.epoch_interval_s
-        self._longest = int(NEVER) if limit_s is None else max(1, round(limit_s / interval_s))
+        never = int(np.iinfo(np.int64).max)
+        self._longest = never if limit_s is None else max(1, round(limit_s / interval_s))
         shape = (context.receivers, context.channels)
         self.memory.declare("excluded", np.zeros(shape, dtype=np.int64))
 

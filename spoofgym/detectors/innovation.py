@@ -39,8 +39,6 @@ from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray
 
 SIGNALS = ("pseudorange", "range_rate", "both")
-NEVER = np.iinfo(np.int64).max
-"""Longest exclusion in epochs, where there is no limit."""
 
 
 def check_probability(name: str, value: float) -> None:

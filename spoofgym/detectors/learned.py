@@ -286,7 +286,6 @@ class LearnedDetector(Detector):
 
     @property
     def spec(self) -> dict[str, Any]:
-        """Name and settings, from which `make_detector` makes an equal one."""
         quiet = self.judge_by.quiet_epochs
         further = {} if quiet == self.card.quiet_epochs else {"quiet_epochs": quiet}
         return {"name": self.file, **further}

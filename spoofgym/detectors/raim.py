@@ -107,7 +107,8 @@ class ConsistencyTest(Detector):
             raise ValueError(f"at most {MAX_SATELLITES} channels can be searched, got {n}")
         sigma_m, most = self.sigma_m, max(n, MIN_SATELLITES)
         if sigma_m is None:
-            sigma_m = float(context.epoch_sd[:n].max())
+            sd, variance = context.single_epoch_sd, context.noise_variance
+            sigma_m = float((np.sqrt(variance) if sd is None else sd)[:n].max())
         self._limit = fit_thresholds(sigma_m, 1.0 - self.confidence, most)
         self._alarm_limit = fit_thresholds(sigma_m, self.false_alarm, most)
         self._data = search_data(b, n)  # overwritten at every epoch

@@ -106,7 +106,6 @@ class SolutionSeparation(Detector):
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         b, kept = context.receivers, min(context.states, FIRST)
-        self._everyone = np.arange(b)
         self._interval_s, self._fewest = context.epoch_interval_s, context.min_satellites
         self._spacing = epochs_of(self.spacing_s, context)
         longest = math.ceil(self.longest_s / context.epoch_interval_s - 1e-9)
@@ -122,7 +121,7 @@ class SolutionSeparation(Detector):
 
     def judge(self, epoch: Epoch) -> Verdict:
         memory = self.memory
-        rows = self._everyone if self.judged_rows is None else self.judged_rows
+        rows = np.arange(len(epoch.time)) if self.judged_rows is None else self.judged_rows
         advance_bank(
             rows,
             cast(FloatArray, epoch.transition),

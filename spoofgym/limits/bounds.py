@@ -55,7 +55,6 @@ ASSUMPTIONS = (
     "a free attack may do anything to the measurements; a restricted one is a false position along "
     "one heading, within the limits of the world's own attack",
 )
-"""Under which a zero-alarm bound holds, printed with every figure."""
 UNSEEN = 1e-9
 """Part of a sensitivity outside the rows that are judged from which on it counts."""
 
@@ -230,7 +229,6 @@ class ZeroAlarm(NamedTuple):
 def cases_of(
     setup: TightlyCoupledSetup, worlds: int, entropy: int = 0, tick: Tick | None = None
 ) -> list[Case]:
-    """Worlds of a setup, drawn as by `frontier_of`."""
     check_linear_victim(setup)
     advance = tick or (lambda part: None)
     seeds = seeds_of_runs(entropy, "selection", setup.name, range(worlds))

@@ -80,7 +80,6 @@ ASSUMPTIONS = (
     "the attack is open-loop, tracks its target perfectly and leaves the authentic errors in "
     "place; anything else is seen more easily",
 )
-"""Under which a floor holds, printed with every figure."""
 SENSORS = {
     False: "the constants of the inertial sensors are drawn by their data sheet, and not known",
     True: "the constants of the inertial sensors are known",
@@ -414,7 +413,8 @@ def frontier_of(
     """
     check_linear_victim(setup)
     count = whole_number("`worlds`", worlds, 1)
-    lasts = _epochs(setup.steps, whole_number("`times`", times, 0))
+    times, steps = whole_number("`times`", times, 0), setup.steps
+    lasts = sorted({round(steps * (k + 1) / times) - 1 for k in range(times)} - {-1})
     if setup.bounds._replace(heading=0.0).single:
         count = 1
     advance = tick or (lambda part: None)
@@ -426,7 +426,12 @@ def frontier_of(
         victim = record(setup, generators_of(seeds))[0]
         again = seeds_of_runs(entropy, "selection", setup.name, [run])
         its_analyst = analyst.record(generators_of(again))[0]
-        commands = _commands(setup, victim.onset)
+        commands = unit_commands(setup, victim.onset).in_hats(HATS)
+        if np.any(commands.idle):
+            raise ValueError(
+                f"no floor is known for {setup.attack.label!r}: it changes the measurements when "
+                "it is commanded nothing, and the frontier is of what commands do"
+            )
         last = setup.steps - 1
         each = world_frontier(commands, victim, its_analyst.linear, its_analyst.coasting, last)
         found = found or [each]
@@ -446,20 +451,6 @@ def frontier_of(
         (np.array(lasts, dtype=np.float64) + 1.0) * setup.interval_s,
         np.array(course),
     )
-
-
-def _commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
-    commands = unit_commands(setup, onset).in_hats(HATS)
-    if np.any(commands.idle):
-        raise ValueError(
-            f"no floor is known for {setup.attack.label!r}: it changes the measurements when it is "
-            "commanded nothing, and the frontier is of what commands do"
-        )
-    return commands
-
-
-def _epochs(steps: int, times: int) -> list[int]:
-    return sorted({round(steps * (k + 1) / times) - 1 for k in range(times)} - {-1})
 
 
 def check_linear_victim(setup: Any) -> TightlyCoupledSetup:

@@ -37,7 +37,6 @@ from ..simulation.tight import TightlyCoupledSetup, TightlyCoupledSimulator
 from ..truth.run import World
 
 PLACE = slice(POSITION, POSITION + 3)
-"""States of the position error."""
 NEEDED = frozenset({"transition", "design", "predicted_cov", "innovation_cov"})
 
 

@@ -34,8 +34,7 @@ from .linear import hat_functions, observer, record, respond, unit_commands, unu
 
 HATS = 40
 """Hat functions of the rate by which the response is known, over the attack window."""
-UNKNOWN = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
-"""Fields of an epoch whose response to an attack is not known."""
+UNKNOWN_RESPONSES = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
 RUNS_AT_ONCE = 32  # whose matrices are held in memory together
 BANKS_AT_ONCE = 4
 
@@ -77,7 +76,7 @@ def check_replayable(detector: Detector) -> None:
     if isinstance(inner, PooledDetector):
         for member in inner.judges:
             check_replayable(member)
-    unknown = sorted(UNKNOWN & check_needs(detector))
+    unknown = sorted(UNKNOWN_RESPONSES & check_needs(detector))
     if unknown:
         raise NotReplayable(
             f"{type(inner).__name__} looks at {', '.join(unknown)}, whose response to an attack is "
@@ -103,8 +102,8 @@ class Replay:
 
     Attributes
     ----------
-    runs : int
-        N.
+    runs, epochs : int
+        N, and K, from the onset to the end of the time to alert.
     warmup_alarm, twin_alarm : ndarray
         (D, N) bool, alarms before the onset, and epoch of the first alarm after it, without attack.
 
@@ -160,7 +159,7 @@ class Replay:
                 if array is not None:
                     kept.setdefault(name, []).append(np.array(array))
             simulator.update(None)
-        self._epochs = kept
+        self._epochs, self.epochs = kept, len(kept["time"])
 
     def _judged(self, detector: Detector, epoch: Epoch) -> Any:
         verdict = judged(detector, epoch)
@@ -170,11 +169,6 @@ class Replay:
                 "the gains of the filter: play it on the engine"
             )
         return verdict
-
-    @property
-    def epochs(self) -> int:
-        """K, from the onset to the end of the time to alert."""
-        return len(self._epochs["time"])
 
     def _respond(self, seeds: Sequence[np.random.SeedSequence]) -> None:
         """Responses to hat functions of the rate, once for all runs of a sky, start and view."""
