@@ -91,8 +91,7 @@ def _constructed(what: str, kind: type[T], settings: Mapping[str, Any]) -> T:
             name in known, f"{what} has no setting {name!r}; valid: {', '.join(known) or 'none'}"
         )
     for name, field in known.items():
-        missing = dataclasses.MISSING
-        if field.default is field.default_factory is missing and name not in settings:
+        if field.default is field.default_factory is dataclasses.MISSING and name not in settings:
             raise ValueError(f"{what} needs the setting {name!r}")
     check_plain_settings(kind, settings)
     return kind(**settings)

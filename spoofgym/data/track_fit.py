@@ -155,8 +155,7 @@ class SmoothPath:
 
 
 def smooth_path(track: Track) -> SmoothPath:
-    intervals = max(2, round(track.duration / KNOT_INTERVAL))
-    edges = np.linspace(0.0, track.duration, intervals + 1)
+    edges = np.linspace(0.0, track.duration, max(2, round(track.duration / KNOT_INTERVAL)) + 1)
     knots = np.concatenate([np.zeros(DEGREE), edges, np.full(DEGREE, track.duration)])
     node, weight = _quadrature(edges)
     jerk = _scaled(_design(node, knots, 3), np.sqrt(weight / CLIMB_JERK_PSD))
@@ -203,8 +202,7 @@ class _Plane:
         self.fixes = np.concatenate([north, (unwrapped - unwrapped[0]) * per_east])
 
     def fit(self) -> tuple[Floats, Floats, int]:
-        count = self.place.shape[0] + 2 * self.track.time.size
-        trust = np.ones(count)
+        trust = np.ones(self.place.shape[0] + 2 * self.track.time.size)
         solution = self._first_pass()
         for _ in range(PASSES):
             before = solution
@@ -216,8 +214,7 @@ class _Plane:
             if np.abs(self.place @ (solution - before)).max() < PASS_STOP:
                 break
         north, east = np.split(solution, 2)
-        half = self.track.time.size
-        return north, east, int((trust[half:] < 1.0).sum())
+        return north, east, int((trust[self.track.time.size :] < 1.0).sum())
 
     def _first_pass(self) -> Floats:
         scale = np.tile(np.sqrt(self.weight / TURN_JERK_PSD), 2)

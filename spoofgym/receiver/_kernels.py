@@ -131,8 +131,7 @@ def innovate(x, base, n, tau, sky):
         rho, rate, ux, uy, uz = range_and_rate(load3(sky, SKY * s), load3(sky, SKY * s + 3), r, v)
         store(x, z, select(visible, load(x, z) - (rho + clock), 0.0))
         store(x, z + n, select(visible, load(x, z + n) - (rate + drift), 0.0))
-        sight = select(visible, ux, 0.0), select(visible, uy, 0.0), select(visible, uz, 0.0)
-        store3(x, u, sight)
+        store3(x, u, (select(visible, ux, 0.0), select(visible, uy, 0.0), select(visible, uz, 0.0)))
 
 
 @njit

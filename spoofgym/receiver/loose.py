@@ -147,8 +147,7 @@ class LooseReceivers:
 
     @property
     def state(self) -> LooseState:
-        memory = self.memory
-        return LooseState(*[memory[name] for name in LooseState._fields])
+        return LooseState(*[self.memory[name] for name in LooseState._fields])
 
     def begin(
         self, position_e: FloatArray, velocity_e: FloatArray, C_eb: FloatArray, error: FloatArray

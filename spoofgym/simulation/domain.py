@@ -109,13 +109,11 @@ class Domain:
         if self.turn_on is not None:
             check_choice("turn_on", self.turn_on, TURN_ON)
         if self.events is not None:
-            events = build_record("events", BenignEvents, self.events)
-            object.__setattr__(self, "events", events)
+            object.__setattr__(self, "events", build_record("events", BenignEvents, self.events))
 
     @property
     def varies(self) -> bool:
-        pairs = (self.turned_deg, self.constellation_time_s)
-        return any(high > low for low, high in pairs)
+        return any(high > low for low, high in (self.turned_deg, self.constellation_time_s))
 
     def pairs(self) -> list[tuple[float, float]]:
         """Turn [deg] and time of the constellation [s] of every world."""
@@ -178,8 +176,7 @@ def draw(bounds: Bounds, keys: NDArray[np.uint64]) -> Choice:
     heading = np.full(count, 0.0 if bounds.heading is None else bounds.heading)
     if not bounds.single:
         for i, key in enumerate(keys.tolist()):
-            rng = np.random.default_rng(key)
-            u = rng.random(5)
+            u = np.random.default_rng(key).random(5)
             # all are drawn, so that one does not depend on whether another has a range
             sizes = (bounds.worlds, bounds.grades, bounds.errors, bounds.last - bounds.first + 1)
             whole[:, i] = [int(x * size) for x, size in zip(u[:4], sizes, strict=True)]

@@ -135,38 +135,21 @@ class Setup(ABC):
 
     A subclass is one victim.  It calls `_phase` and `_aim`, and sets the attributes named here.
 
-    Attributes
-    ----------
-    kind : str
-        Of the victim, such as ``"snapshot"``.
-    name : str
-        Of the scenario, for results.
-    attack : Attack or RateCommands
-        What a spoofer commands.
-    detector : Detector
-        In the loop; copied for every simulator.
-    kernel : SequelKernel or None
-        What a simulator whose step is one kernel runs instead of its own.
-    monitors : tuple of Monitor
-        What looks at every epoch and changes nothing; copied for every simulator.
-    interval_s : float
-        Time between epochs.
-    epoch_time : ndarray
-        (K,) time of every epoch that an episode can come to [s].
-    true_position, C_en : ndarray
-        (K, d) where the target is at every epoch [m], and (K, d, d) to those axes from local north,
-        east (and down).
-    quiet, live, steps, hold : int
-        Epochs of the filter-only warm-up, the monitored warm-up, the command phase, and
-        the time to alert; `onset` is the sum of the first two, `repeat` epochs make a decision.
-    bounds : Bounds
-        What an episode chooses from.
-    motion_names, error_names, weight_names, geometry_names : tuple of str
-        Elements of what a simulator of this victim writes as motion of the target, error of the
-        estimate, weights and geometry.
-    scales : dict
-        What the default observation takes for 1: ``"length_m"`` of displacements and errors, by
-        what goes unnoticed of this victim; ``"position_m"`` and ``"velocity_mps"`` of the target.
+    - `kind` of the victim, such as ``"snapshot"``; `name` of the scenario, for results;
+    - `attack`: what a spoofer commands; `detector` in the loop, copied for every simulator;
+    - `kernel`: what a simulator whose step is one kernel runs instead of its own, or None;
+    - `monitors`: what looks at every epoch and changes nothing; copied for every simulator;
+    - `interval_s` between epochs; `epoch_time` (K,) of every epoch that an episode can come to [s];
+    - `true_position`, `C_en` (K, d) where the target is at every epoch [m], and (K, d, d) to those
+      axes from local north, east (and down);
+    - `quiet`, `live`, `steps`, `hold`: epochs of the filter-only warm-up, the monitored warm-up,
+      the command phase, and the time to alert; `onset` is the sum of the first two, `repeat` epochs
+      make a decision;
+    - `bounds`: what an episode chooses from;
+    - `motion_names`, `error_names`, `weight_names`, `geometry_names`: elements of what a simulator
+      of this victim writes as motion of the target, error of the estimate, weights and geometry;
+    - `scales`: what the default observation takes for 1: ``"length_m"`` of displacements and
+      errors, by what goes unnoticed of this victim; ``"position_m"`` and ``"velocity_mps"``.
     """
 
     kind: ClassVar[str]

@@ -128,8 +128,7 @@ class Simulator(ABC):
             warmup_alarm=np.zeros(b, dtype=np.bool_),
         )
         resolve(setup.detector, setup)
-        readers = setup.detector, *setup.monitors
-        self.fields = setup.fields.union(*map(check_needs, readers))
+        self.fields = setup.fields.union(*map(check_needs, (setup.detector, *setup.monitors)))
         self._allocate()
         self.ones = np.ones((receivers, len(self._context().noise_variance)))
         self.weights, self.verdict = self.ones, None
