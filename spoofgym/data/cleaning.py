@@ -76,7 +76,6 @@ def off_line(time: Floats, value: Floats) -> Floats:
 
 
 def _excess(time: Floats, value: Floats, allowance: float, acceleration: float) -> Floats:
-    """Distance from the line between the neighbours over the largest one believed."""
     believed = np.full(time.size, allowance)
     believed[1:-1] += 0.5 * acceleration * np.diff(time)[:-1] * np.diff(time)[1:]
     return np.asarray(off_line(time, value) / believed)
@@ -306,8 +305,6 @@ def clean_track(
 
 @dataclass(eq=False)
 class _Fixes:
-    """Fixes still in the running, with the times of their positions."""
-
     time: Floats
     latitude: Floats
     longitude: Floats

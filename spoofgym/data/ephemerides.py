@@ -132,15 +132,15 @@ class Ephemerides:
                 )
             values.setflags(write=False)
             object.__setattr__(self, field.name, values)
-        if not ((self.eccentricity >= 0.0) & (self.eccentricity < 1.0)).all():
-            raise ValueError(
-                "`eccentricity` must be within 0 <= e < 1, "
-                f"got {self.eccentricity.min()} to {self.eccentricity.max()}"
-            )
-        if not (self.root_semi_major_axis > 0.0).all():
-            raise ValueError(
-                f"`root_semi_major_axis` must be positive, got {self.root_semi_major_axis.min()}"
-            )
+        require(
+            ((self.eccentricity >= 0.0) & (self.eccentricity < 1.0)).all(),
+            "`eccentricity` must be within 0 <= e < 1, "
+            f"got {self.eccentricity.min()} to {self.eccentricity.max()}",
+        )
+        require(
+            (self.root_semi_major_axis > 0.0).all(),
+            f"`root_semi_major_axis` must be positive, got {self.root_semi_major_axis.min()}",
+        )
 
     def __len__(self) -> int:
         return self.satellite_id.size

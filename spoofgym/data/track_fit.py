@@ -65,8 +65,10 @@ class Track:
     track_angle: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        if self.start_utc.tzinfo is None:
-            raise ValueError(f"`start_utc` must have a time zone, got {self.start_utc}")
+        require(
+            self.start_utc.tzinfo is not None,
+            f"`start_utc` must have a time zone, got {self.start_utc}",
+        )
         count = np.size(self.time)
         require(
             count >= MINIMUM_FIXES, f"a track must have at least {MINIMUM_FIXES} fixes, got {count}"
@@ -77,8 +79,10 @@ class Track:
                 f"`{field}` must be finite, got NaN or infinity",
             )
         for field in ("groundspeed", "track_angle"):
-            if np.isinf(self._settle(field, count)).any():
-                raise ValueError(f"`{field}` must be finite or NaN, got infinity")
+            require(
+                not np.isinf(self._settle(field, count)).any(),
+                f"`{field}` must be finite or NaN, got infinity",
+            )
         require(
             self.time[0] == 0.0 and (np.diff(self.time) > 0.0).all(),
             "`time` must start at 0 s and rise from fix to fix",

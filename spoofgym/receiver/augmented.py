@@ -254,7 +254,6 @@ class AugmentedFilter:
                 shown[name][:] = array
 
     def update(self, predicted: Predicted, weights: FloatArray | None) -> FloatArray:
-        """Update with weights (B, m) on the columns of the gain; (B, 17) errors to feed back."""
         gain, S, z, drift, enough = predicted
         P, a = self.memory["augmented_covariance"], self.memory["augmented"]
         used = z if weights is None else weights * z

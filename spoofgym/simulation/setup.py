@@ -74,24 +74,6 @@ class Timeline:
         return warmup - live, live, attack, round(self.time_to_alert_s / interval_s)
 
 
-def epochs_of_decision(decision_interval_s: float | None, interval_s: float, steps: int) -> int:
-    if decision_interval_s is None:
-        return 1
-    check_finite("decision_interval_s", decision_interval_s, "> 0")
-    repeat = round(decision_interval_s / interval_s)
-    if repeat < 1 or abs(repeat * interval_s - decision_interval_s) > 1e-6 * interval_s:
-        raise ValueError(
-            f"`decision_interval_s` must be a multiple of the interval between epochs, "
-            f"{interval_s:g} s, got {decision_interval_s}"
-        )
-    if steps % repeat:
-        raise ValueError(
-            f"the attack window of {steps * interval_s:g} s must hold a whole number of decisions, "
-            f"got `decision_interval_s` {decision_interval_s}"
-        )
-    return repeat
-
-
 TARGETS = ("random", "worst")  # target directions that are no number
 BETWEEN = ("hold", "linear")  # what is commanded between two decisions
 Run = Callable[[Callable[[int, int], None], int], None]  # calls ``f(lo, hi)`` over slices of B
@@ -219,13 +201,27 @@ class Setup(ABC):
 
     def _decide_every(self, decision_interval_s: float | None, between: str) -> None:
         check_choice("between", between, BETWEEN)
-        if between != "hold" and decision_interval_s is None:
-            raise ValueError(
-                f"`between` {between!r} needs a `decision_interval_s`: without one there is no "
-                "epoch between two decisions"
-            )
+        require(
+            between == "hold" or decision_interval_s is not None,
+            f"`between` {between!r} needs a `decision_interval_s`: without one there is no "
+            "epoch between two decisions",
+        )
         self.decision_interval_s, self.between = decision_interval_s, between
-        self.repeat = epochs_of_decision(decision_interval_s, self.interval_s, self.steps)
+        self.repeat, interval_s = 1, self.interval_s
+        if decision_interval_s is None:
+            return
+        check_finite("decision_interval_s", decision_interval_s, "> 0")
+        self.repeat = repeat = round(decision_interval_s / interval_s)
+        require(
+            repeat >= 1 and abs(repeat * interval_s - decision_interval_s) <= 1e-6 * interval_s,
+            f"`decision_interval_s` must be a multiple of the interval between epochs, "
+            f"{interval_s:g} s, got {decision_interval_s}",
+        )
+        require(
+            self.steps % repeat == 0,
+            f"the attack window of {self.steps * interval_s:g} s must hold a whole number of "
+            f"decisions, got `decision_interval_s` {decision_interval_s}",
+        )
 
     @abstractmethod
     def world_settings(self) -> Mapping[str, Any]:
@@ -262,7 +258,14 @@ class Setup(ABC):
     def _aim(
         self, target_heading_deg: float | str, domain: Mapping[str, Any] | Domain | None
     ) -> None:
-        self.target_heading_deg = checked_target(target_heading_deg)
+        if isinstance(target_heading_deg, str):
+            check_choice("target_heading_deg", target_heading_deg, TARGETS)
+        elif not (is_number(target_heading_deg) and math.isfinite(target_heading_deg)):
+            raise ValueError(
+                f"`target_heading_deg` must be a finite number, 'random' or 'worst', got "
+                f"{target_heading_deg!r}"
+            )
+        self.target_heading_deg = target_heading_deg
         self.domain = build_record("domain", Domain, domain)
         nothing = Domain()
         for name in vars(nothing):
@@ -373,17 +376,6 @@ class Setup(ABC):
         if kernel is not None:
             other.kernel = kernel
         return other
-
-
-def checked_target(target_heading_deg: float | str) -> float | str:
-    if isinstance(target_heading_deg, str):
-        check_choice("target_heading_deg", target_heading_deg, TARGETS)
-    elif not (is_number(target_heading_deg) and math.isfinite(target_heading_deg)):
-        raise ValueError(
-            f"`target_heading_deg` must be a finite number, 'random' or 'worst', got "
-            f"{target_heading_deg!r}"
-        )
-    return target_heading_deg
 
 
 SPLITS = {  # first element of the spawn keys; 3 was once another split's

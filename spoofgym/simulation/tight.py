@@ -39,7 +39,6 @@ from .domain import Choice, Combinations, Domain, worlds_of
 from .setup import Run, SequelKernel, Setup, Timeline
 from .simulator import FloatArray, Rngs, Rows, Sequel, Simulator, SkyData
 
-DEFAULT_ATTACK = "false-position"
 # Victims by name: the noise that they assume as the papers print it, or as the world has it.
 RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in TUNINGS}
 # fields of an epoch that an augmented filter works on, and those that it has itself
@@ -84,7 +83,7 @@ class TightlyCoupledSetup(Setup):
         *,
         scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
         detector: str | Mapping[str, Any] | Detector | None = None,
-        attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
+        attack: str | Mapping[str, Any] | Attack = "false-position",
         receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         domain: Mapping[str, Any] | Domain | None = None,
@@ -146,7 +145,6 @@ class TightlyCoupledSetup(Setup):
 
     @property
     def onsets(self) -> NDArray[np.int64] | None:
-        """(K,) onset of the episodes that each epoch is part of; None where the start is drawn."""
         if self.bounds.first != self.bounds.last:
             return None
         epochs = np.arange(self.world.epochs)
@@ -162,7 +160,6 @@ class TightlyCoupledSetup(Setup):
         return table
 
     def geometry_table(self) -> FloatArray:
-        """(K, 4n) unit vectors to the satellites in local axes, then 1 or 0 for visible or not."""
         world = self.world
         sight = world.satellites[:, :, :3] - world.position_e[:, None, :]
         sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)

@@ -640,7 +640,6 @@ def invert_samples(step, position_e, velocity_e, C_eb, specific_force_b, angular
         specific_force_b[i, 0] = (k00 * ex + k01 * ey + k02 * ez) / determinant
         specific_force_b[i, 1] = (k10 * ex + k11 * ey + k12 * ez) / determinant
         specific_force_b[i, 2] = (k20 * ex + k21 * ey + k22 * ez) / determinant
-        angular_rate_b[i, 0] = ax / step
-        angular_rate_b[i, 1] = ay / step
-        angular_rate_b[i, 2] = az / step
+        rate = angular_rate_b[i]
+        rate[0], rate[1], rate[2] = ax / step, ay / step, az / step
     return largest
