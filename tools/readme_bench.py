@@ -60,7 +60,6 @@ def chosen(world: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def shown(world: dict[str, Any]) -> str:
-    """The table, and what was played."""
     claims = (row["claimed"] for row in world["detectors"])
     (per_run,) = {claimed["per_run"] for claimed in claims if claimed is not None}
     cells = {(cell["detector"], cell["spoofer"].partition("(")[0]): cell for cell in world["cells"]}
@@ -117,7 +116,6 @@ def shared_rows(world: dict[str, Any]) -> dict[str, Any]:
 
 
 def main(arguments: list[str]) -> None:
-    """Keep what `make bench` has played, and write the README's table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("folder", type=Path, nargs="?", help="results of `make bench`")
     given = parser.parse_args(arguments).folder

@@ -28,7 +28,6 @@ ROOT = Path(spoofgym.__file__).parent
 
 
 def import_all() -> None:
-    """Import every module of the package whose libraries are installed."""
     for module in pkgutil.walk_packages([str(ROOT)], "spoofgym."):
         if not module.name.endswith("__main__"):
             with contextlib.suppress(ImportError):
@@ -60,7 +59,6 @@ def called_files() -> Iterator[dict[str, None]]:
 
 
 def walk(work: Callable[[], object], packages: list[str]) -> dict[str, list[str]]:
-    """Files of each package that take part in some work."""
     with called_files() as found:
         work()
     return {name: [file for file in found if file.startswith(f"{name}/")] for name in packages}

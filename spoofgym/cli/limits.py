@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -11,9 +11,6 @@ from . import options as opt
 from .options import SuiteOptions, with_options
 from .output import print_json, print_lines, progress
 from .suites import calibrated, specs_of, suite_of, tuning_of
-
-if TYPE_CHECKING:
-    from ..bench.experiments.suite import Suite
 
 MOST_WORLDS = 1024
 
@@ -120,7 +117,7 @@ def limits(
         )
     if detector or task:
         suite = calibrated(suite, detector, threads)
-        _add_bounds(suite, record)
+        report.add_bounds(record, suite, progress)
     notes = [*suite.notes, *suite.captions]
     if "zero_alarm" in record and nominal:
         notes.append("detectors have their thresholds as published, not the floor's rate")
@@ -134,21 +131,3 @@ def limits(
     report.print_limits(record)
     if picture is not None:
         typer.echo(f"written: {record['figure']}")
-
-
-def _add_bounds(suite: Suite, record: dict[str, Any]) -> None:
-    """Add the zero-alarm bounds of all detectors."""
-    from ..bench.report.limits import zero_alarm_record
-
-    brackets, entries = suite.brackets(worlds=record["worlds"]), suite.detector_entries
-    with progress(1.0 + len(entries)) as bar:
-
-        def ticking(text: str) -> Any:
-            return lambda part: bar.advance(part, text)
-
-        brackets.cases(ticking("worlds"))
-        found = {each.label: brackets.zero_alarm(each, ticking(each.label)) for each in entries}
-    points = {each.label: suite.world.points(each) for each in entries}
-    bounds = zero_alarm_record(found, points)
-    record["zero_alarm"] = bounds["zero_alarm"]
-    record["assumptions"] |= bounds["assumptions"]

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.plots import BLUE, ORANGE, figure_class, save_figure, style
+from ...core.progress import ProgressBar
 from ...core.registry import check_choice
 from ...detectors.calibration_file import hourly_rate, run_probability
 from ...envs.observer import Observer
@@ -30,6 +32,7 @@ from ...limits.floor import QUANTILES
 from ...limits.power import check_no_latent, kl_of
 from ...simulation.setup import Setup
 from ...simulation.tight import TightlyCoupledSetup
+from ..experiments.suite import Suite
 from ..runs.players import Entry, build_spoofer
 from ..search.bounds import floors_m, purposes
 from .table import Table, metres, texts
@@ -110,20 +113,22 @@ def floor_record(
     return record
 
 
-def zero_alarm_record(
-    found: Mapping[str, ZeroAlarm], points: Mapping[str, Sequence[Any]]
-) -> Record:
-    """Zero-alarm bounds by detector, and where these work, to be added to a record."""
-    rows = [
+def add_bounds(record: Record, suite: Suite, show: ProgressBar) -> None:
+    """Add the zero-alarm bounds of all detectors of a suite, and where these work."""
+    brackets, entries = suite.brackets(worlds=record["worlds"]), suite.detector_entries
+    with show(1.0 + len(entries)) as bar:
+        brackets.cases(partial(bar.advance, now="worlds"))
+        bounds = [brackets.zero_alarm(x, partial(bar.advance, now=x.label)) for x in entries]
+    record["zero_alarm"] = [
         {
-            "detector": label,
-            "points": [point._asdict() for point in points[label]],
+            "detector": each.label,
+            "points": [point._asdict() for point in suite.world.points(each)],
             **bound.as_json(),
             **({"why": COMMANDS_NO_POSITION} if _only_free(bound) else {}),
         }
-        for label, bound in found.items()
+        for each, bound in zip(entries, bounds, strict=True)
     ]
-    return {"zero_alarm": rows, "assumptions": {"zero_alarm": list(ASSUMPTIONS)}}
+    record["assumptions"]["zero_alarm"] = list(ASSUMPTIONS)
 
 
 def _only_free(bound: ZeroAlarm) -> bool:
