@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from spoofgym.bench.report.table import page
+from spoofgym.bench.report import table
 from spoofgym.core.files import write_file
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -32,6 +32,6 @@ def put_between(page: Path, begin: str, end: str, text: str) -> None:
     write_file(page, made.encode())
 
 
-def rendered(template: str, **values: Any) -> str:
-    """A template of the folder beside, with the end of its last line."""
-    return page(template, TEMPLATES).render(**values).rstrip() + "\n"
+def rendered(name: str, **values: Any) -> str:
+    """A template of the folder beside."""
+    return table.rendered(name, values, TEMPLATES)
