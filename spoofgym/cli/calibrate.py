@@ -71,7 +71,7 @@ def calibrate(
     threads: opt.Threads = None,
 ) -> None:
     """Find thresholds for a rate of false alarms on clean runs; killed, it goes on from there."""
-    from ..bench.report.calibration import CALIBRATIONS, print_hold_outs
+    from ..bench.report.results import CALIBRATIONS, print_hold_outs
     from ..calibration import holdouts
     from ..calibration import thresholds as calibration
     from ..detectors.calibration_file import TOLERANCE

@@ -73,7 +73,7 @@ def dataset(
 ) -> None:
     """Write labelled episodes to train a detector on; killed, it goes on from there."""
     from ..bench.experiments.dataset import make_room, write
-    from ..bench.report.table import Table
+    from ..bench.report.results import DATASET
 
     chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": shard, "task": task}
     chosen["runs"] = {"train": train, "validation": validation, "test": test}
@@ -89,15 +89,7 @@ def dataset(
         print_json(summary)
         return
     parts = [{"split": part, **found} for part, found in summary["splits"].items()]
-    Table(
-        *((name, name) for name in ("split", "runs", "episodes", "clean")),
-        (
-            "attacks by family",
-            lambda row: ", ".join(f"{name} {count}" for name, count in row["families"].items()),
-        ),
-        ("shards", "shards"),
-        ("MB", lambda row: f"{row['bytes'] / 1e6:.1f}"),
-    ).print(f"{out}: {plan.setup.name}, digest {manifest['digest']}", parts)
+    DATASET.print(f"{out}: {plan.setup.name}, digest {manifest['digest']}", parts)
 
 
 def _plan(
