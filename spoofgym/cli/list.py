@@ -61,6 +61,6 @@ def tasks(as_json: opt.Json = False) -> None:
     from ..bench.report import tasks as stored
 
     if as_json:
-        print_json([*stored.listed(), *stored.listed_detectors()])
+        print_json(stored.listed())
     else:
         stored.print_tasks()

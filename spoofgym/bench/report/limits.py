@@ -27,7 +27,7 @@ from ...detectors.calibration_file import hourly_rate, run_probability
 from ...envs.observer import Observer
 from ...envs.terms.observation import default_terms
 from ...limits import Frontier, deflection_for
-from ...limits.bounds import ASSUMPTIONS, ZeroAlarm, heading_of
+from ...limits.bounds import ASSUMPTIONS, heading_of
 from ...limits.floor import QUANTILES
 from ...limits.power import check_no_latent, kl_of
 from ...simulation.setup import Setup
@@ -46,10 +46,13 @@ SENSORS = {"unknown": False, "known": True}
 HEADINGS = ("known", "unknown")
 TIMES = 12
 """Times of the command phase at which a picture has the floor."""
-DRAWN = ("half", "certain")
-"""Purposes whose floors are drawn over time."""
+DRAWN = {
+    "half": (BLUE, "found in half of the runs"),
+    "certain": (ORANGE, "missed in one of a thousand"),
+}
+"""Purposes whose floors are drawn over time, in which colour, and as what."""
 UNBOUNDED = "unbounded"
-COMMANDS_NO_POSITION = "the restricted attack is a false position, which this one does not command"
+NO_POSITION = "the restricted attack is a false position, which this one does not command"
 
 
 def sensors_known(word: str) -> bool:
@@ -105,7 +108,10 @@ def floor_record(
         },
         "per_deflection_m": _spread(frontier.sizes()),
         "every_channel_free_m": _spread(frontier.sizes(free=True)),
-        "below_every_channel_free": _below(frontier),
+        # whether it stays below that of an attack on every channel, as it has to
+        "below_every_channel_free": bool(
+            (frontier.sizes() <= frontier.sizes(free=True) * (1.0 + 1e-6)).all()
+        ),
         "assumptions": {"floor": list(frontier.assumptions)},
     }
     if len(frontier.times_s):
@@ -124,15 +130,11 @@ def add_bounds(record: Record, suite: Suite, show: ProgressBar) -> None:
             "detector": each.label,
             "points": [point._asdict() for point in suite.world.points(each)],
             **bound.as_json(),
-            **({"why": COMMANDS_NO_POSITION} if _only_free(bound) else {}),
+            **({} if bound.why or bound.restricted_m is not None else {"why": NO_POSITION}),
         }
         for each, bound in zip(entries, bounds, strict=True)
     ]
     record["assumptions"]["zero_alarm"] = list(ASSUMPTIONS)
-
-
-def _only_free(bound: ZeroAlarm) -> bool:
-    return bound.restricted_m is None and not bound.why
 
 
 def divergence_record(
@@ -166,12 +168,6 @@ def _spread(sizes: np.ndarray[Any, np.dtype[np.float64]]) -> Record:
     """Median over worlds and headings, 10th and 90th percentile."""
     low, middle, high = (float(np.quantile(sizes, q, method="nearest")) for q in QUANTILES)
     return {"value": _json(middle), "low": _json(low), "high": _json(high)}
-
-
-def _below(frontier: Frontier) -> bool:
-    """Whether the frontier stays below that of an attack on every channel, as it has to."""
-    free = frontier.sizes(free=True)
-    return bool((frontier.sizes() <= free * (1.0 + 1e-6)).all())
 
 
 def _course(frontier: Frontier, p_fa: float, budget: float) -> Record:
@@ -246,11 +242,6 @@ def print_limits(record: Record) -> None:
     print(say.assumptions(record).rstrip())
 
 
-COLOURS = {"half": BLUE, "certain": ORANGE}
-LABELS = {
-    "half": "found in half of the runs",
-    "certain": "missed in one of a thousand",
-}
 WIDTH = 140
 """Characters of a line of the caption."""
 
@@ -279,8 +270,8 @@ def draw_floors(record: Record, path: Path) -> Path:
 def _draw_floor(ax: Axes, time: NDArray[np.float64], purpose: str, cells: dict[str, Any]) -> bool:
     """Median, from 0 at the onset, and its range; whether there is any that is finite."""
     low, middle, high = (_finite(cells[name]) for name in ("low", "value", "high"))
-    since, colour = np.append(0.0, time), COLOURS[purpose]
-    label = f"P_D {100 * cells['p_d']:.3g} %: {LABELS[purpose]} (d = {cells['deflection']:.2f})"
+    since, (colour, name) = np.append(0.0, time), DRAWN[purpose]
+    label = f"P_D {100 * cells['p_d']:.3g} %: {name} (d = {cells['deflection']:.2f})"
     ax.plot(since, np.append(0.0, middle), "o-", color=colour, ms=4, label=label)
     if not np.array_equal(low, high, equal_nan=True):
         bounds = np.append(0.0, low), np.append(0.0, high)
