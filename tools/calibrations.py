@@ -85,10 +85,9 @@ def main(arguments: list[str]) -> None:
         check_choice("world", name, WORLDS)
     for name in given.worlds or WORLDS:
         setup = setup_of(name)
-        light: list[Detector] = []
-        heavy: list[Detector] = []
-        for each in detectors_of(name, setup):
-            (heavy if weighs(setup, each) else light).append(each)
+        everyone = detectors_of(name, setup)
+        light = [each for each in everyone if not weighs(setup, each)]
+        heavy = [each for each in everyone if weighs(setup, each)]
         fewer = given.weighing_runs or max(WEIGHING_RUNS, given.runs // 5)
         parts: list[tuple[list[Detector], dict[str, Any]]] = [
             (light, {"runs": given.runs}),

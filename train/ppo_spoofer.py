@@ -44,7 +44,6 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
-from spoofgym.bench.experiments.versions import versions
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
@@ -65,8 +64,9 @@ from agents.record import read_record, write_record
 from agents.seeds import LOUDEST, comparable, copy_policy, table_of, value_of
 from agents.spoofer_table import RIVALS
 from spoofgym.bench.experiments.evaluate import FITTED, Evaluator, entry_of
+from spoofgym.bench.experiments.identity import code_identity
+from spoofgym.bench.report.table import Table
 from spoofgym.bench.scores.spoofer import Score
-from spoofgym.cli.output import print_table
 from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice, parse_spec
 from spoofgym.core.settings import outside_sources
@@ -364,7 +364,7 @@ def train(args: Arguments, progress: ProgressBar | None = None) -> dict[str, Any
     rows = [{name: x for name, x in row.items() if name != "training_m"} for row in rows]
     return {
         "command": args.command(),
-        "versions": versions() | learning_versions(),
+        "versions": {**code_identity(), **learning_versions()},
         "detector": judge.detector.label,
         "kept": best,
         "seeds": rows,
@@ -381,7 +381,8 @@ def main() -> None:
     if args.json:
         print(json.dumps(results, indent=1, allow_nan=False))
     else:
-        print_table(*table_of(results))
+        title, head, rows = table_of(results)
+        Table.of_texts(*head).print(title, rows)
         print(f"written: {args.out}")
 
 

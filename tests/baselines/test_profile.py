@@ -24,7 +24,7 @@ WORLD = {
     "timeline": {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0},
     # fast enough to be noticed within the short window
     "attack": {"name": "false-position", "acceleration_limit_mps2": 0.5},
-    "detector": {"name": "ewma", "false_alarm": 1e-3, "thresholds": "nominal"},
+    "detector": {"name": "ewma", "false_alarm": 1e-4, "thresholds": "nominal"},
 }
 SEARCH = BlindSearch(runs=12, batch=6, knots=8, population=4, generations=2)
 
@@ -98,7 +98,7 @@ def test_nothing_within_the_budget_is_said(found) -> None:
 
 
 TINY = shlex.split(
-    "--detector ewma:false_alarm=0.001 --attack false-position:acceleration_limit_mps2=0.5 "
+    "--detector ewma:false_alarm=0.0001 --attack false-position:acceleration_limit_mps2=0.5 "
     "--population 4 --knots 8 --runs 8 --batch 4 --select-runs 80 --score-runs 8 --generations 1 "
     "--warmup-s 20 --live-s 10 --attack-s 20 --time-to-alert-s 5 --threads 1"
 )
