@@ -57,7 +57,6 @@ WORLDS = {
 
 
 def setup_of(name: str) -> Setup:
-    """The world of a name, without a defence."""
     env_id, settings = WORLDS[name]
     return make_setup(VICTIMS[env_id].setup, {**settings, "detector": "never"})
 

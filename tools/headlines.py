@@ -64,7 +64,6 @@ def options(name: str, sizes: list[str]) -> list[str]:
 
 
 def played(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
-    """Play a world, and return what is kept of it."""
     given = options(name, sizes)
     command = [sys.executable, "-W", "ignore", "-m", "spoofgym", *given]
     done = subprocess.run(
@@ -102,7 +101,6 @@ def with_limits(world: dict[str, Any]) -> dict[str, Any]:
 
 
 def _bracketed(world: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
-    """A world with limits, and the brackets of its detectors."""
     found = []
     for row in world["detectors"]:
         own = {

@@ -117,7 +117,6 @@ def counted(world: World, others: list[World], runs: int, cells: int) -> dict[st
 
 
 def joined(before: dict[str, Any], later: dict[str, Any]) -> dict[str, Any]:
-    """A world with detectors that were counted later."""
     if before["settings"] != later["settings"]:
         raise SystemExit(f"{before['world']} has changed: count all of its detectors again")
     names = {row["name"] for row in later["detectors"]}
@@ -154,7 +153,6 @@ def _table(world: dict[str, Any]) -> Table:
 
 
 def _rare(row: dict[str, Any]) -> dict[str, Any] | None:
-    """Counts at the other rate, where there are any."""
     return row.get("rare")
 
 

@@ -25,7 +25,6 @@ def part_between(text: str, begin: str, end: str) -> str:
 
 
 def put_between(page: Path, begin: str, end: str, text: str) -> None:
-    """Put a text between two marks of a page, in place of what is there."""
     whole = page.read_text()
     before = part_between(whole, begin, end)
     made = whole.replace(f"{begin}{before}{end}", f"{begin}\n{text}{end}")

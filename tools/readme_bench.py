@@ -49,7 +49,6 @@ def label(detector: str) -> str:
 
 
 def chosen(world: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rows of the detectors that the README shows, in the order of the suite."""
     rows = []
     for row in world["detectors"]:
         name = label(row["detector"])
@@ -90,7 +89,6 @@ def _reached(cell: dict[str, Any]) -> str:
 
 
 def _bracket(found: dict[str, Any]) -> str:
-    """Lower limit, optimized open-loop attack and zero-alarm bound of a detector."""
     floor, best = metres(found["floor_m"][STEALTHY]), metres(_value(found["blind_optimum"]))
     return f"[{floor}, {best}, {bound_text(found['zero_alarm'])}]"
 

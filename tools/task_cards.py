@@ -63,7 +63,6 @@ FloatArray, IntArray = NDArray[np.float64], NDArray[np.int64]
 
 
 def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
-    """The campaign of a task: its detector, and the classics where it has to be admitted."""
     whom: tuple[dict[str, Any], ...] = (task.detector,)
     if not task.historical:
         own = {detector_entry(spec).label for spec in whom}
@@ -135,7 +134,6 @@ def optima_of(summary: dict[str, Any]) -> dict[str, list[float]]:
 
 
 def name_of(cell: dict[str, Any]) -> str:
-    """Name of a cell's spoofer, without what is fitted."""
     return str(cell["spoofer"].partition("(")[0])
 
 
@@ -146,7 +144,6 @@ def score_of(cell: dict[str, Any]) -> dict[str, Any]:
 
 
 def half_of(card: dict[str, Any], detector: str) -> float:
-    """What the worst attack exceeds in half of the runs [m]."""
     return float(card["protection_m"][detector]["0.5"]["value"])
 
 

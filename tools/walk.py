@@ -65,7 +65,6 @@ def walk(work: Callable[[], object], packages: list[str]) -> dict[str, list[str]
 
 
 def run_command(words: list[str]) -> None:
-    """Run a command of spoofgym in this process; raises where it fails."""
     code = importlib.import_module("spoofgym.cli").app(words, standalone_mode=False)
     if code:
         raise typer.Exit(code)
