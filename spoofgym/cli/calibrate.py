@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 from . import options as opt
 from .options import WorldOptions, with_options
@@ -25,7 +26,7 @@ def calibrate(
     *,
     detector: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Detector, may be repeated; an .onnx file, too; `all` for all that suit the "
             f"victim. Default: those of the benchmark. {opt.SPEC_HELP} The exit status is 1 where "
             "one that is named can have no threshold."
@@ -33,7 +34,7 @@ def calibrate(
     ] = None,
     runs: Annotated[
         int | None,
-        typer.Option(
+        Option(
             min=1,
             max=opt.LARGEST_RUNS,
             help="Clean runs. Default: 20000, which passive detectors share, and 2000 of each one "
@@ -41,30 +42,30 @@ def calibrate(
         ),
     ] = None,
     false_alarms_per_hour: Annotated[
-        float, typer.Option(help="Rate of false alarms that is to be had and shown.")
+        float, Option(help="Rate of false alarms that is to be had and shown.")
     ] = 0.2,
     rescaled: Annotated[
         bool,
-        typer.Option("--rescaled", help="Rescale innovations, for tests with a drift term."),
+        Option("--rescaled", help="Rescale innovations, for tests with a drift term."),
     ] = False,
     hold_out: Annotated[
         int | None,
-        typer.Option(min=1, max=opt.LARGEST_RUNS, help="Count alarms on so many fresh runs."),
+        Option(min=1, max=opt.LARGEST_RUNS, help="Count alarms on so many fresh runs."),
     ] = None,
     transfer: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Another world to count alarms in, may be repeated: a scenario, or settings of "
             "the victim that differ, as a JSON object. On as many runs as --hold-out, or 1000."
         ),
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Replay the first runs of every calibration.")
+        bool, Option("--check", help="Replay the first runs of every calibration.")
     ] = False,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Play again what has been calibrated.")
+        bool, Option("--overwrite", help="Play again what has been calibrated.")
     ] = False,
-    task: Annotated[str | None, typer.Option(help="World of a task, T1 to T6.")] = None,
+    task: Annotated[str | None, Option(help="World of a task, T1 to T6.")] = None,
     as_json: opt.Json = False,
     options: WorldOptions,
     seed: opt.Seed = 0,

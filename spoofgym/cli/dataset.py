@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from . import options as opt
 from .options import WorldOptions, with_options
@@ -18,53 +18,51 @@ if TYPE_CHECKING:
 
 @with_options
 def dataset(
-    out: Annotated[Path, typer.Argument(help="Folder of the data set.")],
+    out: Annotated[Path, Argument(help="Folder of the data set.")],
     *,
-    task: Annotated[
-        str | None, typer.Option(help="World of a task, T1 to T6, and its detector.")
-    ] = None,
+    task: Annotated[str | None, Option(help="World of a task, T1 to T6, and its detector.")] = None,
     detector: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Passive detector whose statistic attacks by feedback see; the task's by default, "
             f"without one there are no such attacks. {opt.SPEC_HELP}"
         ),
     ] = None,
     term: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Observation term of a learned detector, may be repeated; by default all. "
             f"{opt.SPEC_HELP}"
         ),
     ] = None,
     family: Annotated[
         list[str] | None,
-        typer.Option(help="Family of attacks, may be repeated; by default all that can be made."),
+        Option(help="Family of attacks, may be repeated; by default all that can be made."),
     ] = None,
     spoofer: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Further spoofer, such as an .onnx file, may be repeated; its amplitude is drawn. "
             f"{opt.SPEC_HELP}"
         ),
     ] = None,
     train: Annotated[
         int,
-        typer.Option(min=1, max=opt.LARGEST_RUNS, help="Runs to train on, each attacked and not."),
+        Option(min=1, max=opt.LARGEST_RUNS, help="Runs to train on, each attacked and not."),
     ] = 768,
     validation: Annotated[
-        int, typer.Option(min=1, max=opt.LARGEST_RUNS, help="Runs to choose on.")
+        int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs to choose on.")
     ] = 256,
     test: Annotated[
-        int, typer.Option(min=1, max=opt.LARGEST_RUNS, help="Runs to look at in the end.")
+        int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs to look at in the end.")
     ] = 256,
-    shard: Annotated[int, typer.Option(min=1, max=4096, help="Runs of a file.")] = 64,
+    shard: Annotated[int, Option(min=1, max=4096, help="Runs of a file.")] = 64,
     alert_limit_m: Annotated[
         float | None,
-        typer.Option(help="Alert limit, around which attacks are drawn; 40 m, or the task's."),
+        Option(help="Alert limit, around which attacks are drawn; 40 m, or the task's."),
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace another data set in the folder.")
+        bool, Option("--overwrite", help="Replace another data set in the folder.")
     ] = False,
     as_json: opt.Json = False,
     options: WorldOptions,

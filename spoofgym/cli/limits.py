@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from . import options as opt
 from .options import SuiteOptions, with_options
@@ -20,51 +21,51 @@ def limits(
     *,
     task: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Task of spoofgym-bench-v1, T1 to T6, which sets scenario, receiver, attack, "
             "times and detectors; see `spoofgym tasks`."
         ),
     ] = None,
     detector: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Detector whose zero-alarm bound is wanted, may be repeated; `all` for all that "
             f"suit the victim. Default: none. {opt.SPEC_HELP}"
         ),
     ] = None,
     spoofer: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Spoofer of which to say whether the bound by divergence holds for it, and what "
             f"it is. Default: none. {opt.SPEC_HELP}"
         ),
     ] = None,
     worlds: Annotated[
         int,
-        typer.Option(
+        Option(
             min=1, max=MOST_WORLDS, help="Worlds to draw; one is enough where nothing is drawn."
         ),
     ] = 8,
     sensors: Annotated[
         str,
-        typer.Option(
+        Option(
             help="Whether the perfect detector knows the constants of the inertial sensors: known "
             "or unknown."
         ),
     ] = "unknown",
     figure: Annotated[
         Path | None,
-        typer.Option(help="File of a picture of the floor over time, .png, .svg or .pdf."),
+        Option(help="File of a picture of the floor over time, .png, .svg or .pdf."),
     ] = None,
     as_json: opt.Json = False,
     options: SuiteOptions,
     budget: Annotated[
         float,
-        typer.Option(help="Alarm budget of a stealthy attack, on top of the false alarms."),
+        Option(help="Alarm budget of a stealthy attack, on top of the false alarms."),
     ] = 0.05,
     nominal: Annotated[
         bool,
-        typer.Option("--nominal", help="Bounds of detectors with thresholds as published."),
+        Option("--nominal", help="Bounds of detectors with thresholds as published."),
     ] = False,
     threads: opt.Threads = None,
 ) -> None:

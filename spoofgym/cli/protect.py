@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from . import options as opt
 from .output import print_json
@@ -14,27 +14,25 @@ from .suites import calibrate_with_progress, specs_of
 
 def protect(
     *,
-    task: Annotated[str, typer.Option(help="Task for detectors, D1 to D4; see `spoofgym tasks`.")],
+    task: Annotated[str, Option(help="Task for detectors, D1 to D4; see `spoofgym tasks`.")],
     detector: Annotated[
         list[str],
-        typer.Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}"),
+        Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}"),
     ],
     family: Annotated[
         list[str] | None,
-        typer.Option(help="Family of attacks, may be repeated. Default: all of the task."),
+        Option(help="Family of attacks, may be repeated. Default: all of the task."),
     ] = None,
     seeds: Annotated[
-        int, typer.Option(min=2, max=opt.LARGEST_RUNS, help="Evaluation runs of every family.")
+        int, Option(min=2, max=opt.LARGEST_RUNS, help="Evaluation runs of every family.")
     ] = 400,
     selection_seeds: Annotated[
         int,
-        typer.Option(
+        Option(
             min=4, max=opt.LARGEST_RUNS, help="Runs that the attacks of a family are chosen on."
         ),
     ] = 96,
-    out: Annotated[Path, typer.Option(help="Folder of finished parts.")] = Path(
-        "results/detectors"
-    ),
+    out: Annotated[Path, Option(help="Folder of finished parts.")] = Path("results/detectors"),
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
     jobs: opt.Processes = 1,
