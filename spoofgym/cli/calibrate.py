@@ -45,12 +45,10 @@ def calibrate(
         float, Option(help="Rate of false alarms that is to be had and shown.")
     ] = 0.2,
     rescaled: Annotated[
-        bool,
-        Option("--rescaled", help="Rescale innovations, for tests with a drift term."),
+        bool, Option("--rescaled", help="Rescale innovations, for tests with a drift term.")
     ] = False,
     hold_out: Annotated[
-        int | None,
-        Option(min=1, max=opt.LARGEST_RUNS, help="Count alarms on so many fresh runs."),
+        int | None, Option(min=1, max=opt.LARGEST_RUNS, help="Count alarms on so many fresh runs.")
     ] = None,
     transfer: Annotated[
         list[str] | None,

@@ -47,8 +47,7 @@ def dataset(
         ),
     ] = None,
     train: Annotated[
-        int,
-        Option(min=1, max=opt.LARGEST_RUNS, help="Runs to train on, each attacked and not."),
+        int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs to train on, each attacked and not.")
     ] = 768,
     validation: Annotated[
         int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs to choose on.")

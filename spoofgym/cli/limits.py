@@ -54,18 +54,15 @@ def limits(
         ),
     ] = "unknown",
     figure: Annotated[
-        Path | None,
-        Option(help="File of a picture of the floor over time, .png, .svg or .pdf."),
+        Path | None, Option(help="File of a picture of the floor over time, .png, .svg or .pdf.")
     ] = None,
     as_json: opt.Json = False,
     options: SuiteOptions,
     budget: Annotated[
-        float,
-        Option(help="Alarm budget of a stealthy attack, on top of the false alarms."),
+        float, Option(help="Alarm budget of a stealthy attack, on top of the false alarms.")
     ] = 0.05,
     nominal: Annotated[
-        bool,
-        Option("--nominal", help="Bounds of detectors with thresholds as published."),
+        bool, Option("--nominal", help="Bounds of detectors with thresholds as published.")
     ] = False,
     threads: opt.Threads = None,
 ) -> None:

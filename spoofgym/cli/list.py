@@ -33,8 +33,7 @@ def list_(
 
 def card(
     name: Annotated[
-        str,
-        Argument(help="A shipped spoofer or detector, or a card or an ONNX file that has one."),
+        str, Argument(help="A shipped spoofer or detector, or a card or an ONNX file that has one.")
     ],
     as_json: opt.Json = False,
 ) -> None:

@@ -15,10 +15,7 @@ from .suites import calibrate_with_progress, specs_of
 def protect(
     *,
     task: Annotated[str, Option(help="Task for detectors, D1 to D4; see `spoofgym tasks`.")],
-    detector: Annotated[
-        list[str],
-        Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}"),
-    ],
+    detector: Annotated[list[str], Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")],
     family: Annotated[
         list[str] | None,
         Option(help="Family of attacks, may be repeated. Default: all of the task."),
@@ -47,14 +44,13 @@ def protect(
 
     specs = specs_of(detector)
     evaluator = DetectorEvaluator(
-        task,
-        runs=seeds,
-        selection_runs=selection_seeds,
-        families=family or None,
-        entropy=seed,
+        task, runs=seeds, selection_runs=selection_seeds, families=family or None, entropy=seed
     )
     calibrate_with_progress(evaluator.worlds.world, entries_of(specs), threads)
     found, where = evaluator.protections(specs), out / evaluator.task.key
     results = opt.finished(found, where, jobs=jobs, backend=backend, shard=shard, threads=threads)
     rows = found.report(results)["detectors"]
-    (print_json if as_json else print_scores)(rows)
+    if as_json:
+        print_json(rows)
+    else:
+        print_scores(rows)

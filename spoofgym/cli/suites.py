@@ -92,8 +92,9 @@ def suite_of(
         return Suite(**chosen.suite_kwargs, notes=notes, **settings), None
     if rate is None and headline:
         rate = STANDARD_RATE
-    asked = {} if rate is None else {"false_alarms_per_hour": rate}
-    thresholds = {"thresholds": "nominal"} if nominal else asked
+    thresholds: dict[str, Any] = {} if rate is None else {"false_alarms_per_hour": rate}
+    if nominal:
+        thresholds = {"thresholds": "nominal"}
     decided, reports = _victim(options)
     specs = _detectors(options, decided, detectors, thresholds, headline)
     drawn = options.env == ENV and options.track is None and "domain" not in decided["settings"]

@@ -246,19 +246,13 @@ def ranked(card: Card) -> list[Card]:
 TASK_LIST = Table(
     ("task", itemgetter(0)),
     ("environment", lambda row: row[1].env_id),
-    (
-        "what it asks for",
-        lambda row: row[1].title + (", historical" if row[1].historical else ""),
-    ),
+    ("what it asks for", lambda row: row[1].title + (", historical" if row[1].historical else "")),
 )
 DETECTOR_TASK_LIST = Table(
     ("task", itemgetter(0)),
     ("environment of a learner", lambda row: row[1].env_id),
     ("world", lambda row: row[1].title),
-    (
-        "families that are held out",
-        lambda row: ", ".join(family.key for family in row[1].held_out),
-    ),
+    ("families that are held out", lambda row: ", ".join(family.key for family in row[1].held_out)),
 )
 
 
