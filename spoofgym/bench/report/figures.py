@@ -289,8 +289,8 @@ def _draw_column(
 
 
 def _key(ax: Axes, label: str, look: Look) -> Line2D:
-    size, line = 11.0 if look.marker == "*" else 8.0, (look.dashes + look.marker)
-    return ax.plot([], [], line, color=look.colour, lw=2.0, ms=size, mec="white", label=label)[0]
+    kind, size = look.dashes + look.marker, 11.0 if look.marker == "*" else 8.0
+    return ax.plot([], [], kind, color=look.colour, lw=2.0, ms=size, mec="white", label=label)[0]
 
 
 def play_frames(
