@@ -12,18 +12,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from typing import Any
 
+from spoofgym.bench.experiments.calibration import calibrate
 from spoofgym.bench.report.tasks import classics_of
 from spoofgym.bench.runs.world import HEADLINE_DOMAIN, VICTIMS
 from spoofgym.calibration.clean_runs import weighs
-from spoofgym.calibration.thresholds import (
-    WEIGHING_RUNS,
-    calibrate,
-    inner_detectors,
-    suitable_detectors,
-)
+from spoofgym.calibration.thresholds import WEIGHING_RUNS, inner_detectors, suitable_detectors
+from spoofgym.core.progress import show_progress
 from spoofgym.core.registry import check_choice
 from spoofgym.detectors import Detector
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER
@@ -53,20 +49,6 @@ WORLDS = {
     **{key: (ENV_ID, TASKS[key].world_kwargs) for key in OWN_WORLDS},
 }
 """Environments and their settings, by the names of the worlds."""
-
-
-class Lines:
-    """Says once a minute how far it is."""
-
-    def __init__(self) -> None:
-        self.runs, self.said = 0.0, time.monotonic()
-
-    def advance(self, amount: float, now: str) -> None:
-        """Count runs."""
-        self.runs += amount
-        if time.monotonic() - self.said > 60.0:
-            print(f"  {self.runs:.0f} runs, {now}", flush=True)
-            self.said = time.monotonic()
 
 
 def setup_of(name: str) -> Setup:
@@ -113,7 +95,7 @@ def main(arguments: list[str]) -> None:
                 runs=runs,
                 rescaled=rescaled,
                 threads=given.threads,
-                progress=Lines(),
+                progress=show_progress,
                 folder=SHIPPED_FOLDER,
                 overwrite=given.overwrite,
                 strict=False,

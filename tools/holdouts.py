@@ -17,15 +17,17 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from spoofgym.bench.experiments.calibration import hold_out, transfer
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.calibration.clean_runs import weighs
-from spoofgym.calibration.holdouts import HOLDOUT_WEIGHING, hold_out, transfer
+from spoofgym.calibration.holdouts import HOLDOUT_WEIGHING
 from spoofgym.core.files import write_file
+from spoofgym.core.progress import show_progress
 from spoofgym.detectors import Calibration, Detector
 from spoofgym.detectors.calibrated import STANDARD_RATE, identity_of
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, hourly_rate, stored
 from spoofgym.simulation.setup import Setup
-from tools.calibrations import HEADLINES, Lines, detectors_of, setup_of
+from tools.calibrations import HEADLINES, detectors_of, setup_of
 from tools.pages import put_between
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -89,7 +91,7 @@ def counted(world: World, others: list[World], runs: int, cells: int) -> dict[st
         passive = group is not world.weighing
         count = runs if passive else min(runs, 10 * HOLDOUT_WEIGHING)
         made, detectors = zip(*group, strict=True)
-        asked: dict[str, Any] = {"false_alarms_per_hour": STANDARD_RATE, "progress": Lines()}
+        asked: dict[str, Any] = {"false_alarms_per_hour": STANDARD_RATE, "progress": show_progress}
         rare_too = passive and all(each.runs >= RARE_RUNS for each in made)
         rates = [STANDARD_RATE, RARE_RATE] if rare_too else [STANDARD_RATE]
         both = {**asked, "false_alarms_per_hour": rates}

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
+from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.campaign import run_campaign
 from spoofgym.bench.experiments.remaining import expected_work
 from spoofgym.bench.experiments.results_folder import ResultsFolder
@@ -99,8 +99,7 @@ def played(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
     """Play a task, and return its card."""
     suite = suite_of(task, sizes)
     world, whom = suite.world, suite.detector_entries
-    with progress(max(missing_runs(world, whom), 1)) as bar:
-        calibrate_entries(world, whom, progress=bar)
+    calibrate_entries(world, whom, progress=progress)
     suite.check_fit()
     folder = ResultsFolder(out / task.key)
     folder.open(suite)

@@ -39,6 +39,7 @@ from rich.console import Console
 
 from agents.folder import error_lines, open_folder
 from agents.game_page import page_of
+from spoofgym.bench.experiments.calibration import calibrate
 from spoofgym.bench.experiments.campaign import everyone_in, in_order
 from spoofgym.bench.experiments.game import Game
 from spoofgym.bench.experiments.members import (
@@ -59,7 +60,6 @@ from spoofgym.bench.search.best_response import (
     exploitability,
 )
 from spoofgym.bench.search.open_loop import BlindSearch
-from spoofgym.calibration.thresholds import calibrate
 from spoofgym.core.files import write_file
 from spoofgym.core.registry import check_choice, parse_spec, whole_number
 from spoofgym.detectors import detector_in_world

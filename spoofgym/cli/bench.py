@@ -227,13 +227,9 @@ def calibrate_with_progress(
 
     `optional`: labels of those that may have no calibration; returns why, by their labels.
     """
-    from ..bench.experiments.calibration import calibrate_entries, missing_runs
+    from ..bench.experiments.calibration import calibrate_entries
 
-    settings: dict[str, Any] = {"threads": threads, "optional": optional}
-    if left := missing_runs(world, entries):
-        with progress(left) as bar:
-            return calibrate_entries(world, entries, progress=bar, **settings)
-    return calibrate_entries(world, entries, **settings)
+    return calibrate_entries(world, entries, threads=threads, progress=progress, optional=optional)
 
 
 def tuning_of(runs: int, budget: float) -> Tuning:

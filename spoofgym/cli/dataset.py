@@ -10,7 +10,7 @@ import typer
 from . import options as opt
 from .bench import calibrate_with_progress, specs_of, world_of
 from .options import World, with_world
-from .output import print_json, print_table, progress
+from .output import print_json, print_table
 
 if TYPE_CHECKING:
     from ..bench.experiments.dataset import Plan
@@ -60,7 +60,7 @@ def dataset(
     test: Annotated[
         int, typer.Option(min=1, max=opt.LARGEST_RUNS, help="Runs to look at in the end.")
     ] = 256,
-    shard: Annotated[int, typer.Option(min=1, max=4096, help="Runs of a file.")] = 64,
+    file_runs: Annotated[int, typer.Option(min=1, max=4096, help="Runs of a file.")] = 64,
     alert_limit_m: Annotated[
         float | None,
         typer.Option(help="Alert limit, around which attacks are drawn; 40 m, or the task's."),
@@ -72,20 +72,23 @@ def dataset(
     world: World,
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
+    jobs: opt.Processes = 1,
+    backend: opt.Backend = "local",
+    shard: opt.Shard = None,
 ) -> None:
     """Write labelled episodes to train a detector on; killed, it goes on from there."""
-    from ..bench.experiments.dataset import make_room, write
+    from ..bench.experiments import Store
 
-    chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": shard, "task": task}
+    chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": file_runs, "task": task}
     chosen["runs"] = {"train": train, "validation": validation, "test": test}
     chosen["spoofers"] = specs_of(spoofer or ())
     if term:
         chosen["terms"] = specs_of(term)
     plan = _plan(world, detector, alert_limit_m, chosen, threads)
-    make_room(out, plan, overwrite=overwrite)
-    with progress(sum(plan.runs.values())) as bar:
-        manifest = write(out, plan, threads=threads, progress=bar)
-    summary = _summary(out, manifest)
+    if overwrite:
+        Store(out).open(plan.name, plan.config, overwrite=True)
+    results = opt.finished(plan, out, jobs=jobs, backend=backend, shard=shard, threads=threads)
+    summary = {"folder": str(out), **plan.report(results)}
     if as_json:
         print_json(summary)
         return
@@ -95,7 +98,7 @@ def dataset(
         counts = (found[name] for name in ("runs", "episodes", "clean"))
         size = f"{found['bytes'] / 1e6:.1f}"
         rows.append((part, *map(str, counts), attacks, str(found["shards"]), size))
-    print_table(f"{out}: {plan.setup.name}, digest {manifest['digest']}", HEAD, rows)
+    print_table(f"{out}: {plan.setup.name}, digest {summary['digest']}", HEAD, rows)
 
 
 def _plan(
@@ -127,24 +130,3 @@ def _plan(
     if guard is not None:
         calibrate_with_progress(played, entries_of([guard]), threads)
     return plan
-
-
-def _summary(out: Path, manifest: dict[str, Any]) -> dict[str, Any]:
-    """What was written, JSON-able."""
-    config, splits = manifest["config"], {}
-    for part, shards in manifest["shards"].items():
-        attacks = [sum(each) for each in zip(*(x["families"] for x in shards), strict=True)]
-        splits[part] = {
-            "runs": config["runs"][part],
-            **{name: sum(x[name] for x in shards) for name in ("episodes", "clean", "bytes")},
-            "families": dict(zip(config["families"], attacks, strict=True)),
-            "shards": len(shards),
-        }
-    return {
-        "folder": str(out),
-        "digest": manifest["digest"],
-        "task": config["task"],
-        "observations": len(config["observation"]["names"]),
-        "epochs": config["epochs"],
-        "splits": splits,
-    }

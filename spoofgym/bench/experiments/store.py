@@ -107,6 +107,14 @@ class Store:
             self._check_config(mine)
         self._config = mine
 
+    def reopen(self, experiment: str) -> dict[str, Any]:
+        """Read what is there, whatever code has made it; returns the config of the experiment."""
+        if not (self.path / CONFIG).is_file():
+            raise ValueError(f"{self.path} holds no {CONFIG} of an experiment")
+        self._config = self._found()
+        self._check_config({**self._config, "experiment": experiment})
+        return dict(self._config["config"])
+
     def _content(self) -> list[str]:
         items = self.path.iterdir() if self.path.is_dir() else ()
         return sorted(item.name for item in items if not item.name.endswith(".part"))
