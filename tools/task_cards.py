@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from agents.folder import write_json
 from spoofgym.bench.experiments import Store, run
-from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
+from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.campaign import Campaign
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.experiments.summary import CampaignResults, summarize
@@ -85,8 +85,7 @@ def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
 def played(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
     suite = suite_of(task, sizes)
     world, whom = suite.world, suite.detector_entries
-    with progress(max(missing_runs(world, whom), 1)) as bar:
-        calibrate_entries(world, whom, progress=bar)
+    calibrate_entries(world, whom, progress=progress)
     suite.check_fit()
     campaign = Campaign(suite)
     reader = run(campaign, Store(out / task.key), progress=progress)

@@ -70,9 +70,10 @@ def calibrate(
     threads: opt.Threads = None,
 ) -> None:
     """Find thresholds for a rate of false alarms on clean runs; killed, it goes on from there."""
+    from ..bench.experiments import calibration
     from ..bench.report.results import CALIBRATIONS, print_hold_outs
-    from ..calibration import holdouts
-    from ..calibration import thresholds as calibration
+    from ..calibration.holdouts import HOLDOUT_WEIGHING
+    from ..calibration.holdouts import check as replay
     from ..detectors.calibration_file import TOLERANCE
 
     played = world_of(options, task)
@@ -80,34 +81,22 @@ def calibrate(
     judges, named = _judges(detector, played, rescaled)
     others = {text: _other(played, text) for text in transfer or ()}
     asked: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
-    left = calibration.expected_runs(setup, judges, **asked, overwrite=overwrite)
-    with progress(left) as bar:
-        found = calibration.calibrate(
-            setup,
-            judges,
-            **asked,
-            entropy=seed,
-            threads=threads,
-            progress=bar,
-            overwrite=overwrite,
-            strict=False,
-        )
+    settings: dict[str, Any] = {"threads": threads, "progress": progress}
+    found = calibration.calibrate(
+        setup, judges, **asked, **settings, entropy=seed, overwrite=overwrite, strict=False
+    )
     made, lines, sound = _points(found, judges, rate)
     if check:
-        holdouts.check(setup, found, judges, threads=threads)
+        replay(setup, found, judges, threads=threads)
         lines.append(f"replayed: {len(found)} calibrations hold, to {TOLERANCE:g} of every maximum")
     kept = [found[k] for k in sound], [judges[k] for k in sound]
     counted: dict[str, list[HoldOut]] = {}
-    settings: dict[str, Any] = {"false_alarms_per_hour": rate, "threads": threads}
+    settings["false_alarms_per_hour"] = rate
     if hold_out is not None and sound:
-        with progress(len(sound) * hold_out) as bar:
-            held = holdouts.hold_out(setup, *kept, runs=hold_out, progress=bar, **settings)
-            counted["hold-out"] = held
+        counted["hold-out"] = calibration.hold_out(setup, *kept, runs=hold_out, **settings)
     for text, other in others.items() if sound else ():
-        count = hold_out or holdouts.HOLDOUT_WEIGHING
-        with progress(len(sound) * count) as bar:
-            there = holdouts.transfer(other, *kept, runs=count, progress=bar, **settings)
-            counted[f"in {text}"] = there
+        count = hold_out or HOLDOUT_WEIGHING
+        counted[f"in {text}"] = calibration.transfer(other, *kept, runs=count, **settings)
     if as_json:
         print_json(
             {

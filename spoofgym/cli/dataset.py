@@ -10,7 +10,7 @@ from typer import Argument, Option
 from . import options as opt
 from .options import WorldOptions, with_options
 from .output import print_json, progress
-from .suites import calibrate_with_progress, specs_of, world_of
+from .suites import specs_of, world_of
 
 if TYPE_CHECKING:
     from ..bench.experiments.dataset import Plan
@@ -55,7 +55,7 @@ def dataset(
     test: Annotated[
         int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs to look at in the end.")
     ] = 256,
-    shard: Annotated[int, Option(min=1, max=4096, help="Runs of a file.")] = 64,
+    file_runs: Annotated[int, Option(min=1, max=4096, help="Runs of a file.")] = 64,
     alert_limit_m: Annotated[
         float | None,
         Option(help="Alert limit, around which attacks are drawn; 40 m, or the task's."),
@@ -67,26 +67,29 @@ def dataset(
     options: WorldOptions,
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
+    jobs: opt.Processes = 1,
+    backend: opt.Backend = "local",
+    shard: opt.Shard = None,
 ) -> None:
     """Write labelled episodes to train a detector on; killed, it goes on from there."""
-    from ..bench.experiments.dataset import make_room, write
+    from ..bench.experiments import Store
     from ..bench.report.results import DATASET
 
-    chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": shard, "task": task}
+    chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": file_runs, "task": task}
     chosen["runs"] = {"train": train, "validation": validation, "test": test}
     chosen["spoofers"] = specs_of(spoofer or ())
     if term:
         chosen["terms"] = specs_of(term)
     plan = _plan(options, detector, alert_limit_m, chosen, threads)
-    make_room(out, plan, overwrite=overwrite)
-    with progress(sum(plan.runs.values())) as bar:
-        manifest = write(out, plan, threads=threads, progress=bar)
-    summary = _summary(out, manifest)
+    if overwrite:
+        Store(out).open(plan.name, plan.config, overwrite=True)
+    results = opt.finished(plan, out, jobs=jobs, backend=backend, shard=shard, threads=threads)
+    summary = {"folder": str(out), **plan.report(results)}
     if as_json:
         print_json(summary)
         return
     parts = [{"split": part, **found} for part, found in summary["splits"].items()]
-    DATASET.print(f"{out}: {plan.setup.name}, digest {manifest['digest']}", parts)
+    DATASET.print(f"{out}: {plan.setup.name}, digest {summary['digest']}", parts)
 
 
 def _plan(
@@ -97,6 +100,7 @@ def _plan(
     threads: int | None,
 ) -> Plan:
     """The plan of the options, its detector calibrated; `chosen`: what it takes as it is."""
+    from ..bench.experiments.calibration import calibrate_entries
     from ..bench.experiments.dataset import Plan
     from ..bench.experiments.suite import ALERT_LIMIT_M
     from ..bench.experiments.task_worlds import entries_of
@@ -116,26 +120,5 @@ def _plan(
     optima = optima_of(task) if task else ()
     plan = Plan(played.setup, limit, detector=guard, optima=optima, **chosen)
     if guard is not None:
-        calibrate_with_progress(played, entries_of([guard]), threads)
+        calibrate_entries(played, entries_of([guard]), threads=threads, progress=progress)
     return plan
-
-
-def _summary(out: Path, manifest: dict[str, Any]) -> dict[str, Any]:
-    """What was written, JSON-able."""
-    config, splits = manifest["config"], {}
-    for part, shards in manifest["shards"].items():
-        attacks = [sum(each) for each in zip(*(x["families"] for x in shards), strict=True)]
-        splits[part] = {
-            "runs": config["runs"][part],
-            **{name: sum(x[name] for x in shards) for name in ("episodes", "clean", "bytes")},
-            "families": dict(zip(config["families"], attacks, strict=True)),
-            "shards": len(shards),
-        }
-    return {
-        "folder": str(out),
-        "digest": manifest["digest"],
-        "task": config["task"],
-        "observations": len(config["observation"]["names"]),
-        "epochs": config["epochs"],
-        "splits": splits,
-    }

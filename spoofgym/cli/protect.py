@@ -8,8 +8,8 @@ from typing import Annotated
 from typer import Option
 
 from . import options as opt
-from .output import print_json
-from .suites import calibrate_with_progress, specs_of
+from .output import print_json, progress
+from .suites import specs_of
 
 
 def protect(
@@ -38,6 +38,7 @@ def protect(
     as_json: opt.Json = False,
 ) -> None:
     """Score detectors by the worst family of attacks of a task, most of which none has met."""
+    from ..bench.experiments.calibration import calibrate_entries
     from ..bench.experiments.protect import DetectorEvaluator
     from ..bench.experiments.task_worlds import entries_of
     from ..bench.report.tasks import print_scores
@@ -46,7 +47,8 @@ def protect(
     evaluator = DetectorEvaluator(
         task, runs=seeds, selection_runs=selection_seeds, families=family or None, entropy=seed
     )
-    calibrate_with_progress(evaluator.worlds.world, entries_of(specs), threads)
+    world, entries = evaluator.worlds.world, entries_of(specs)
+    calibrate_entries(world, entries, threads=threads, progress=progress)
     found, where = evaluator.protections(specs), out / evaluator.task.key
     results = opt.finished(found, where, jobs=jobs, backend=backend, shard=shard, threads=threads)
     rows = found.report(results)["detectors"]
