@@ -96,7 +96,6 @@ def headline(text: str) -> dict[str, dict[str, Any]]:
 
 
 def cases(names: list[str], task: str | None) -> dict[str, dict[str, Any]]:
-    """What is to be played, by the detector's label."""
     if task is not None:
         return {detector_entry(task_of(task).detector).label: {"room": True}}
     found: dict[str, dict[str, Any]] = {}
@@ -127,7 +126,6 @@ def case_of(label: str, case: dict[str, Any], given: argparse.Namespace) -> dict
 
 
 def spec_of(label: str) -> dict[str, Any]:
-    """Settings of a detector of the standard suite."""
     from spoofgym.cli.suites import standard_suite
 
     suite = standard_suite(None, {"spoofers": []})

@@ -57,7 +57,6 @@ NO_LIMITS: dict[str, Any] = {"floor": None, "zero_alarm": {}}
 
 
 def options(name: str, sizes: list[str]) -> list[str]:
-    """Of the command line, for a world."""
     if "--suite" in WORLDS[name]:
         return ["bench", *WORLDS[name]]
     players = [word for spoofer in SPOOFERS for word in ("--spoofer", spoofer)]
@@ -65,7 +64,6 @@ def options(name: str, sizes: list[str]) -> list[str]:
 
 
 def played(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
-    """Play a world, and return what is kept of it."""
     given = options(name, sizes)
     command = [sys.executable, "-W", "ignore", "-m", "spoofgym", *given]
     done = subprocess.run(
@@ -103,7 +101,6 @@ def with_limits(world: dict[str, Any]) -> dict[str, Any]:
 
 
 def _bracketed(world: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
-    """A world with limits, and the brackets of its detectors."""
     found = []
     for row in world["detectors"]:
         own = {
@@ -122,7 +119,6 @@ def write_kept(worlds: dict[str, Any]) -> None:
 
 
 def shown(kept: dict[str, Any]) -> str:
-    """Tables of all worlds, for the page."""
     worlds = []
     for world in kept["worlds"].values():
         world = _bracketed(world, world.get("limits", NO_LIMITS))
@@ -159,7 +155,6 @@ def _tables(world: dict[str, Any]) -> str:
 
 
 def _plain(cell: dict[str, Any]) -> str:
-    """Name of a cell's spoofer."""
     return str(cell["spoofer"]).partition("(")[0]
 
 
@@ -170,7 +165,6 @@ def _displacement(cell: dict[str, Any]) -> str:
 
 
 def main(arguments: list[str]) -> None:
-    """Play the three worlds, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("results/headlines"))
     parser.add_argument("--world", choices=WORLDS, action="append", help="by default all")

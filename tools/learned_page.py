@@ -58,7 +58,6 @@ def shown_of_tasks(kept: dict[str, Any]) -> str:
 
 
 def shown(kept: dict[str, Any]) -> str:
-    """Tables of the recipe: a line for each task, and all seeds."""
     seeds = sorted({row["seed"] for found in kept.values() for row in found["seeds"]})
     every = [_seed_cells(task, found, seeds) for task, found in kept.items()]
     lines = [
@@ -83,7 +82,6 @@ def _task_cells(task: str, found: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _seed_cells(task: str, found: dict[str, Any], seeds: list[int]) -> tuple[str, ...]:
-    """Every seed of a task: displacement, times the ramp, and alarms."""
     rows = {row["seed"]: row for row in found["seeds"]}
     return (task, *(_seed(rows[seed]) if seed in rows else "-" for seed in seeds))
 
@@ -131,7 +129,6 @@ def taken_of_transfer(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def shown_of_transfer(kept: dict[str, Any]) -> str:
-    """Table of transfer: a line for each spoofer and its home, a column for each world."""
     worlds = list(next(iter(kept.values()), {}))
     rows = [
         (
@@ -157,7 +154,6 @@ TABLES: dict[str, tuple[str, Callable[[dict[str, Any]], str]]] = {
 
 
 def take(folder: Path, kept: dict[str, Any]) -> None:
-    """Put the results of a folder, or of a file of transfer, among those that are kept."""
     if folder.suffix == ".json":
         kept["transfer"] = taken_of_transfer(_read(folder))
     elif (folder / MANY).is_file():

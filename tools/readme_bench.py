@@ -49,7 +49,6 @@ def label(detector: str) -> str:
 
 
 def chosen(world: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rows of the detectors that the README shows, in the order of the suite."""
     rows = []
     for row in world["detectors"]:
         name = label(row["detector"])
@@ -60,7 +59,6 @@ def chosen(world: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def shown(world: dict[str, Any]) -> str:
-    """The table, and what was played."""
     claims = (row["claimed"] for row in world["detectors"])
     (per_run,) = {claimed["per_run"] for claimed in claims if claimed is not None}
     cells = {(cell["detector"], cell["spoofer"].partition("(")[0]): cell for cell in world["cells"]}
@@ -91,7 +89,6 @@ def _reached(cell: dict[str, Any]) -> str:
 
 
 def _bracket(found: dict[str, Any]) -> str:
-    """Lower limit, optimized open-loop attack and zero-alarm bound of a detector."""
     floor, best = metres(found["floor_m"][STEALTHY]), metres(_value(found["blind_optimum"]))
     return f"[{floor}, {best}, {bound_text(found['zero_alarm'])}]"
 
@@ -117,7 +114,6 @@ def shared_rows(world: dict[str, Any]) -> dict[str, Any]:
 
 
 def main(arguments: list[str]) -> None:
-    """Keep what `make bench` has played, and write the README's table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("folder", type=Path, nargs="?", help="results of `make bench`")
     given = parser.parse_args(arguments).folder

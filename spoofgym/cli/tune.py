@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from typer import Option
 
 from . import options as opt
 from .options import SuiteOptions, with_options
 from .output import print_json, print_lines, progress
 from .suites import calibrated, specs_of, suite_of, tuning_of
 
-if TYPE_CHECKING:
-    from ..core.progress import ProgressCallback
-
 
 @with_options
 def tune(
     *,
     detector: Annotated[
-        list[str] | None, typer.Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")
+        list[str] | None, Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")
     ] = None,
     spoofer: Annotated[
         list[str] | None,
-        typer.Option(help="Spoofer, may be repeated: ramp, accelerating-ramp, step, or your own."),
+        Option(help="Spoofer, may be repeated: ramp, accelerating-ramp, step, or your own."),
     ] = None,
     budget: opt.Budget = 0.05,
     training_seeds: opt.Training = 1024,
@@ -58,7 +56,8 @@ def tune(
             judges = [detector_in_world(judge.spec)]
             panel = Panel(suite.world.setup, judges, rngs, threads, watched)
             for entry in entries:
-                tick = functools.partial(_advance, bar, f"{judge.label}: tuning {entry.label}")
+                now = f"{judge.label}: tuning {entry.label}"
+                tick = functools.partial(bar.advance, now=now)
                 results += fit(panel, {0: judge}, entry, optima, tick)
     if as_json:
         print_json([result.as_dict() for result in results])
@@ -73,7 +72,3 @@ def tune(
         )
         if not result.within_budget:
             typer.echo(f"nothing is within the budget; the smallest value is {result.value:g}")
-
-
-def _advance(bar: ProgressCallback, now: str, work: float) -> None:
-    bar.advance(work, now)

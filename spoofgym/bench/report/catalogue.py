@@ -13,7 +13,7 @@ from ...detectors import DETECTORS, LearnedDetector
 from ...detectors.zoo import shipped as shipped_detectors
 from ...spoofers import SPOOFERS
 from ...spoofers.zoo import card_of, shipped
-from ...truth.scenario import SCENARIOS
+from ...truth.scenario import SCENARIOS, Scenario
 from .cards import find_card, score_text
 from .table import Table
 
@@ -46,26 +46,22 @@ def _defaults(kind: Callable[..., Any]) -> dict[str, Any]:
 
 
 def _scenarios() -> list[dict[str, Any]]:
-    rows = []
-    for name, build in SCENARIOS.items():
-        made = build()
-        flight = made.flight if isinstance(made.flight, str) else made.flight.name
-        errors = made.errors if isinstance(made.errors, str) else type(made.errors).__name__
-        rows.append(
-            {
-                "name": name,
-                "summary": f"flight {flight}, errors {errors}, {made.imu} inertial sensors",
-                "settings": {
-                    "flight": flight,
-                    "errors": errors,
-                    "imu": made.imu,
-                    "epoch_interval_s": made.epoch_interval_s,
-                    "channels": made.channels,
-                    "mask_deg": made.mask_deg,
-                },
-            }
-        )
-    return rows
+    return [_scenario(name, build()) for name, build in SCENARIOS.items()]
+
+
+def _scenario(name: str, made: Scenario) -> dict[str, Any]:
+    flight = made.flight if isinstance(made.flight, str) else made.flight.name
+    errors = made.errors if isinstance(made.errors, str) else type(made.errors).__name__
+    plain = ("imu", "epoch_interval_s", "channels", "mask_deg")
+    return {
+        "name": name,
+        "summary": f"flight {flight}, errors {errors}, {made.imu} inertial sensors",
+        "settings": {
+            "flight": flight,
+            "errors": errors,
+            **{key: getattr(made, key) for key in plain},
+        },
+    }
 
 
 def _envs() -> list[dict[str, Any]]:
