@@ -286,8 +286,8 @@ class SpooferView(PooledView[SpoofCore]):
 class SpooferVectorView(PooledVectorView[SpoofCore]):
     """Vector environment of `SpooferView`; receiver i is the single one seeded with ``seed + i``.
 
-    Each receiver has an opponent of its own.  Arguments are as in `SpooferView`, and the others as
-    in `SpoofVectorEnv`.
+    Each receiver has an opponent of its own.  Arguments are as in `SpooferView`, all others
+    as in `SpoofVectorEnv`.
     """
 
     def __init__(
@@ -377,8 +377,8 @@ class DetectorView(PooledView[DetectorCore]):
 class DetectorVectorView(PooledVectorView[DetectorCore]):
     """Vector environment of `DetectorView`; receiver i is the single one seeded with ``seed + i``.
 
-    Each receiver has an opponent of its own.  Arguments are as in `DetectorView`, and the others as
-    in `SpoofVectorEnv`.
+    Each receiver has an opponent of its own.  Arguments are as in `DetectorView`, all others
+    as in `SpoofVectorEnv`.
     """
 
     def __init__(
