@@ -173,6 +173,7 @@ class Attack(ABC):
 
     @property
     def equipment(self) -> Equipment:
+        """Options as records."""
         records: dict[str, Any] = {
             "errors": None if self.errors == "inherited" else self.errors,
             "tracking": self.tracking,
@@ -183,6 +184,7 @@ class Attack(ABC):
 
     @property
     def replaces_errors(self) -> bool:
+        """Whether ``memory["authentic"]`` says which authentic errors stay."""
         return self.errors != "inherited"
 
     @property
