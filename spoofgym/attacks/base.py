@@ -322,10 +322,8 @@ class Attack(ABC):
         """
         memory, world, offsets = self.memory, self.world, (d_range, d_rate, lo, hi)
         self._equipment.advance(memory, world, epochs, lo, hi)
-        given, moved = (
-            self.idle if action is None else action,
-            (memory["displacement"], memory["rate"]),
-        )
+        given = self.idle if action is None else action
+        moved = memory["displacement"], memory["rate"]
         commanded = Commanded(given, action is None, self.kernel_settings, *moved)
         self._displace(commanded, (epochs, world.epoch_truth, self.mask, *offsets))
         self._equipment.transmit(memory, world, self.mask, self.coherent, epochs, *offsets)
