@@ -55,13 +55,8 @@ def kinematic_step(action, hold, tau, vector, by_rate, unit_scale, rate_limit, d
 
 @inlined
 def move(commanded, b, tau, vector):
-    by_rate, scale, limit = (
-        commanded.settings[0] > 0.0,
-        commanded.settings[1],
-        commanded.settings[2],
-    )
-    moved = commanded.displacement[b], commanded.rate[b]
-    kinematic_step(commanded.action[b], commanded.hold, tau, vector, by_rate, scale, limit, *moved)
+    s, moved = commanded.settings, (commanded.displacement[b], commanded.rate[b])
+    kinematic_step(commanded.action[b], commanded.hold, tau, vector, s[0] > 0.0, s[1], s[2], *moved)
 
 
 @njit

@@ -173,6 +173,7 @@ class Attack(ABC):
 
     @property
     def equipment(self) -> Equipment:
+        """Options as records."""
         records: dict[str, Any] = {
             "errors": None if self.errors == "inherited" else self.errors,
             "tracking": self.tracking,
@@ -183,6 +184,7 @@ class Attack(ABC):
 
     @property
     def replaces_errors(self) -> bool:
+        """Whether ``memory["authentic"]`` says which authentic errors stay."""
         return self.errors != "inherited"
 
     @property
@@ -320,10 +322,8 @@ class Attack(ABC):
         """
         memory, world, offsets = self.memory, self.world, (d_range, d_rate, lo, hi)
         self._equipment.advance(memory, world, epochs, lo, hi)
-        given, moved = (
-            self.idle if action is None else action,
-            (memory["displacement"], memory["rate"]),
-        )
+        given = self.idle if action is None else action
+        moved = memory["displacement"], memory["rate"]
         commanded = Commanded(given, action is None, self.kernel_settings, *moved)
         self._displace(commanded, (epochs, world.epoch_truth, self.mask, *offsets))
         self._equipment.transmit(memory, world, self.mask, self.coherent, epochs, *offsets)

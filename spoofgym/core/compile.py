@@ -168,7 +168,6 @@ class _Notice(event.Listener):  # type: ignore[misc]
         self._depth, self._spent, self._since = 0, 0.0, math.inf
 
     def on_start(self, happened: event.Event) -> None:
-        """Count from the outermost function, where it is one of the package."""
         of = happened.data["dispatcher"].py_func.__module__
         if self._depth == 0 and of.partition(".")[0] == PACKAGE:
             self._since = time.monotonic()

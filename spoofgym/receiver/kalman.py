@@ -125,7 +125,6 @@ def factor_block(work, first):
 
 @inlined
 def _times_factor(work, half, q):
-    """Four rows of L' times a column."""
     b, (q0, q1, q2, q3) = L + 10 * half, q
     return (
         load(work, b) * q0

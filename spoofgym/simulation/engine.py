@@ -102,7 +102,6 @@ class Engine:
 
     @property
     def warmup_alarm(self) -> NDArray[np.bool_]:
-        """(B,) bool, whether the detector alarmed before the attack: a false alarm."""
         return self.simulator.memory["warmup_alarm"]
 
     def close(self) -> None:

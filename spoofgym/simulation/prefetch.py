@@ -159,7 +159,6 @@ class NextEpisodes:
             del self._asked[slot]
 
     def prepared(self, rows: NDArray[np.intp], rngs: Rngs, least: int = 1) -> NDArray[np.bool_]:
-        """Whether the next episodes of these generators have been asked for."""
         pairs = zip(rows.tolist(), rngs, strict=True)
         same = np.array([self._sources[row] is rng for row, rng in pairs], dtype=np.bool_)
         return same & (self._stock[rows] >= least)

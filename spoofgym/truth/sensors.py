@@ -213,7 +213,6 @@ class SensorBuffers:
 
     @property
     def keys(self) -> NDArray[np.uint64]:
-        """(S, B, 2) key of the noise of each of `SOURCES`, a copy."""
         return np.array([self.words[source] for source in SOURCES])
 
     def copy_rows(self, to: NDArray[np.intp], other: SensorBuffers, rows: NDArray[np.intp]) -> None:
