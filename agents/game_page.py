@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from spoofgym.bench.report.campaign import markdown_table
-from spoofgym.bench.report.table import interval
+from spoofgym.bench.report.table import Table, interval
 from spoofgym.core.registry import settings_of
 from spoofgym.core.settings import describe
 from spoofgym.detectors import DETECTORS
@@ -101,9 +100,9 @@ def shown(kept: dict[str, Any]) -> str:
     titles = tuple(each.format(runs=kept["config"]["runs"]) for each in HEAD)
     final = kept["final"]
     lines = [
-        *markdown_table(head, rows),
+        Table.of_texts(*head).markdown(rows),
         "",
-        *markdown_table(titles, ends),
+        Table.of_texts(*titles).markdown(ends),
         "",
         f"On fresh runs the response that a last search chose to the last mix of detectors gets "
         f"{interval(final['mix'], 3)}, and that to {final['single']} alone "

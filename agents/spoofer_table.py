@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from spoofgym.bench.report.campaign import markdown_table
-from spoofgym.bench.report.table import interval
+from spoofgym.bench.report.table import Table, interval
 
 from .seeds import marked, middle_of, reached_by
 
@@ -36,7 +35,7 @@ def page(table: Mapping[str, Any]) -> str:
                 *(_score(rivals.get(FEEDBACK)), _seeds(oracle)),
             )
         )
-    return "\n".join(markdown_table(heads, rows)) + "\n"
+    return Table.of_texts(*heads).markdown(rows) + "\n"
 
 
 def _head(table: Mapping[str, Any], name: str) -> str:

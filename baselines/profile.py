@@ -24,23 +24,23 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from spoofgym.bench.experiments.versions import versions
 
 from agents.folder import Part, Records, Ticks, identity_of
 from agents.seeds import on_card
 from spoofgym.bench.experiments import Context, Store
 from spoofgym.bench.experiments.evaluate import RUNS, Evaluator
-from spoofgym.bench.experiments.remaining import search_work
-from spoofgym.bench.experiments.versions import versions
-from spoofgym.bench.report.table import ALARMS_HEAD, alarm_texts
+from spoofgym.bench.report.campaign import ALARMS
+from spoofgym.bench.report.table import Table
 from spoofgym.bench.runs.players import detector_entry
 from spoofgym.bench.runs.world import World
-from spoofgym.bench.search.amplitude import TuningResult
+from spoofgym.bench.search.amplitude import TuningResult, search_work
 from spoofgym.bench.search.backends import limits_of
 from spoofgym.bench.search.open_loop import SPLIT, BlindSearch
 from spoofgym.cli import clear_errors
-from spoofgym.cli.bench import calibrate_with_progress
 from spoofgym.cli.options import given_options
-from spoofgym.cli.output import print_table, progress
+from spoofgym.cli.output import progress
+from spoofgym.cli.suites import calibrate_with_progress
 from spoofgym.core.registry import parse_spec, refuse_given
 from spoofgym.core.settings import describe
 from spoofgym.envs.spoofer_binding import ENV_ID, spoofer_context
@@ -50,6 +50,14 @@ from spoofgym.spoofers import Card
 from spoofgym.spoofers.card import NAME, fields_of
 from spoofgym.tasks import task_of
 
+RIVALS = Table(
+    (
+        "spoofer",
+        lambda row: row["spoofer"] + ("" if row["within_budget"] else " (beyond the budget)"),
+    ),
+    *ALARMS,
+    ("stealthy displacement [m]", "stealthy_displacement_m", "{:.2f}".format),
+)
 app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -158,15 +166,7 @@ def main(
         f"without attack at most {100 * judge.optima.tuning.budget:g} % may alarm, by the upper "
         "95 % limit"
     )
-    rows = [
-        (
-            row["spoofer"] + ("" if row["within_budget"] else " (beyond the budget)"),
-            *alarm_texts(row),
-            f"{row['stealthy_displacement_m']:.2f}",
-        )
-        for row in card.rivals
-    ]
-    print_table(title, ("spoofer", *ALARMS_HEAD, "stealthy displacement [m]"), rows)
+    RIVALS.print(title, card.rivals)
     typer.echo(f"written: {out}")
 
 

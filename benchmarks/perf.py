@@ -24,10 +24,10 @@ import typer
 from llvmlite import binding
 
 from spoofgym import __version__
-from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.report.table import Table
 from spoofgym.cli import clear_errors
 from spoofgym.cli.options import Json
-from spoofgym.cli.output import print_json, print_lines, print_table, progress
+from spoofgym.cli.output import print_json, print_lines, progress
 from spoofgym.core.lanes import LaneFields
 from spoofgym.core.progress import NullProgress, ProgressCallback
 from spoofgym.core.simd import LANES
@@ -36,7 +36,7 @@ from spoofgym.truth.noise import padded
 
 from . import _perf_kernels as kernels
 
-Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
+Titled = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 ENV = "spoofgym/TightlyCoupled-v0"
 SETTINGS: dict[str, Any] = {
     "scenario": {"name": "zhong2025", "epoch_interval_s": 1.0},
@@ -312,7 +312,7 @@ def machine() -> dict[str, Any]:
     }
 
 
-def tables(found: Mapping[str, Any]) -> Iterator[Table]:
+def tables(found: Mapping[str, Any]) -> Iterator[Titled]:
     """What was measured, as tables: title, head and rows."""
     for threads in sorted({run["threads"] for run in found["runs"]}):
         runs = [run for run in found["runs"] if run["threads"] == threads]
@@ -360,10 +360,11 @@ def main(
         return
     print_lines([", ".join(f"{name} {value}" for name, value in found["machine"].items())])
     for title, head, rows in tables(found):
+        table = Table.of_texts(*head)
         if markdown:
-            print_lines(["", f"{title}:", "", *markdown_table(head, rows)])
+            print_lines(["", f"{title}:", "", table.markdown(rows)])
         else:
-            print_table(title, head, rows)
+            table.print(title, rows)
 
 
 if __name__ == "__main__":

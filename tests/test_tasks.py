@@ -137,7 +137,7 @@ def test_a_figure_passes_by_its_limit(key):
     limits = {"over_floor": (2.0, None), "optimum_over_ramp": (1.2, None), "p_hmi": (0.1, 0.9)}
     limits |= {"skies": (None, 3.0), "trivial_over_best": (1.1, None)}
     figures = task_cards.stored_cards()[key]["admission"]["figures"]
-    assert list(figures) == list(task_cards.FIGURES)
+    assert list(figures) == [*task_cards.FIGURES]
     for name, (low, high) in limits.items():
         value = figures[name]["value"]
         inside = (low is None or value >= low) and (high is None or value <= high)

@@ -19,14 +19,14 @@ from agents.folder import write_json
 from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
 from spoofgym.bench.experiments.protect import DetectorEvaluator
 from spoofgym.bench.experiments.task_worlds import entries_of
-from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.report.tasks import (
-    CARD_HEAD,
+    CARDS,
     card_rows,
     classics_of,
-    family_rows,
+    family_table,
     learned_of,
     missing,
+    ranked,
     unplayed,
 )
 from spoofgym.bench.report.tasks import DETECTOR_FILE as FILE
@@ -37,7 +37,7 @@ from spoofgym.cli.output import progress
 from spoofgym.core.registry import check_choice, label_of
 from spoofgym.detectors import zoo
 from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
-from tools.pages import DOCS, ROOT, put_between
+from tools.pages import DOCS, ROOT, put_between, rendered
 
 KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, DOCS / "tasks.md"
 BEGIN, END = "<!-- detector-cards:begin -->", "<!-- detector-cards:end -->"
@@ -61,9 +61,7 @@ def played(
     with progress(missing_runs(world, entries)) as bar:
         refused = calibrate_entries(world, entries, progress=bar, optional=labels)
     whom = [spec for label, spec in zip(labels, chosen, strict=True) if label not in refused]
-    with progress(evaluator.expected_work(whom)) as bar:
-        evaluator.progress = bar
-        scores = evaluator.scores(whom)
+    scores = evaluator.scores(whom, show=progress)
     return {**card_of(scores), "left_out": refused}
 
 
@@ -105,24 +103,19 @@ def with_others(card: dict[str, Any], stored: dict[str, Any] | None) -> dict[str
 
 
 def shown() -> str:
-    cards = stored_cards()
-    lines = [*markdown_table(CARD_HEAD, card_rows(cards)), ""]
-    waiting: dict[str, list[str]] = {}
+    cards, waiting = stored_cards(), {}
     for key, card in cards.items():
-        head, rows = family_rows(card)
-        lines += [f"{key}: P(HMI) by family [%], {card['runs']} evaluation runs of each, attacks "]
-        lines[-1] += f"chosen on {card['selection_runs']} others."
-        lines += ["", *markdown_table(head, rows), ""]
-        for name, why in card["left_out"].items():
-            lines += [f"{name} has no score in {key}: {why.partition(', so that')[0]}.", ""]
         if left := unplayed(DETECTOR_TASKS[key], card):
             waiting.setdefault(", ".join(left), []).append(key)
-    for labels, keys in waiting.items():
-        lines += [f"Not played in {', '.join(keys)} as yet: {labels}.", ""]
-    absent = [f"{key}: `{command}`" for key, command in missing().items()]
-    if absent:
-        lines += [f"Not played yet, and how to: {'; '.join(absent)}.", ""]
-    return "\n".join(lines)
+    return rendered(
+        "detector_tasks.md.j2",
+        scores=CARDS.markdown(card_rows(cards)),
+        cards=cards,
+        waiting=waiting,
+        missing=missing(),
+        family_table=family_table,
+        ranked=ranked,
+    )
 
 
 def main(arguments: list[str]) -> None:

@@ -21,12 +21,13 @@ from typing import Any
 from agents.folder import Part, Records, error_lines
 from agents.seeds import marked
 from spoofgym.bench.experiments.evaluate import Evaluator
-from spoofgym.bench.report.table import interval, number, titled
+from spoofgym.bench.report.campaign import bound_text, titled
+from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.runs.players import detector_entry
 from spoofgym.bench.scores.bounds import bound_of
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.bench.search.amplitude import TuningResult
-from spoofgym.cli.output import print_json, print_table, progress
+from spoofgym.cli.output import print_json, progress
 from spoofgym.tasks import task_of
 
 from .headlines import KEPT
@@ -127,7 +128,7 @@ def case_of(label: str, case: dict[str, Any], given: argparse.Namespace) -> dict
 
 def spec_of(label: str) -> dict[str, Any]:
     """Settings of a detector of the standard suite."""
-    from spoofgym.cli.bench import standard_suite
+    from spoofgym.cli.suites import standard_suite
 
     suite = standard_suite(None, {"spoofers": []})
     (found,) = (entry.spec for entry in suite.detector_entries if entry.label == label)
@@ -136,8 +137,7 @@ def spec_of(label: str) -> dict[str, Any]:
 
 def rows(label: str, found: dict[str, Any]) -> list[tuple[str, ...]]:
     """Rows of the table for one detector; `*` marks what is over the budget."""
-    value = found["bound"]["value"]
-    bound = "none" if value is None else number(value)
+    bound = bound_text(found["bound"])
     if not found["room"]:
         return [(label, interval(found["blind_m"]), "-", "-", "-", "no room", bound)]
     blind = marked(found[BLIND])
@@ -176,7 +176,7 @@ def main(arguments: list[str]) -> None:
         print_json(found)
     else:
         lines = [row for label, each in found.items() for row in rows(label, each)]
-        print_table(f"feedback, seed {given.seed}, {given.runs} runs", HEAD, lines)
+        Table.of_texts(*HEAD).print(f"feedback, seed {given.seed}, {given.runs} runs", lines)
 
 
 if __name__ == "__main__":

@@ -62,9 +62,6 @@ Array = np.ndarray[Any, Any]
 Columns = dict[tuple[str, ...], "Column"]
 
 
-# --- names -----------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Names:
     """The name map."""
@@ -77,7 +74,6 @@ class Names:
 
     @classmethod
     def load(cls, file: Path) -> Names:
-        """Read the map from a file."""
         with file.open("rb") as stream:
             given = tomllib.load(stream)
         valid = cls.__dataclass_fields__
@@ -94,18 +90,12 @@ class Names:
         return cls(**given)
 
     def of(self, id_: str) -> Scope:
-        """What holds for one id."""
         base = id_.partition("+")[0]
-        tables = [
-            {
-                key: value
-                for scope, keys in table.items()
-                if fnmatch.fnmatchcase(base, scope)
-                for key, value in keys.items()
-            }
+        found = [
+            [keys for scope, keys in table.items() if fnmatch.fnmatchcase(base, scope)]
             for table in (self.renamed, self.added, self.dropped, self.volatile)
         ]
-        return Scope(*tables)
+        return Scope(*({key: x for keys in table for key, x in keys.items()} for table in found))
 
 
 @dataclass(frozen=True)
@@ -118,7 +108,6 @@ class Scope:
     volatile: dict[str, str] = field(default_factory=dict)
 
     def rename(self, path: tuple[str, ...]) -> tuple[str, ...]:
-        """Path in the new tree."""
         whole = PARTS.join(path)
         for old, new in self.renamed.items():
             whole = re.sub(_pattern(old), rf"\1\2{new}", whole)
@@ -148,9 +137,6 @@ def _pattern(key: str) -> str:
     return rf"(^|{PARTS})(_?){several}(?=$|{PARTS}|\s)"
 
 
-# --- comparison ------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Column:
     """Values of one key over steps."""
@@ -174,7 +160,6 @@ class Difference:
     places: int = 1
 
     def __str__(self) -> str:
-        """One line."""
         where = [self.id, self.form, "" if self.batch is None else f"B={self.batch}"]
         where += ["" if self.step is None else f"step {self.step}", self.key]
         more = f" ({self.places} places)" if self.places > 1 else ""
@@ -247,7 +232,6 @@ class Tolerance:
         return np.asarray(~((old == new) | near | nan))
 
     def note(self, case: Case, key: str, old: Array, new: Array, *, within: bool) -> None:
-        """Keep the largest deviation of a column."""
         off = np.abs(_difference(old, new))
         off = off[np.isfinite(off)]
         if off.size and off.max() > 0.0:
@@ -309,7 +293,6 @@ def _brief(column: Column) -> str:
 
 
 def _compare_names(key: str, old: Column, new: Column, scope: Scope, differs: Any) -> None:
-    """Compare names of elements and their order."""
     expected = [
         "/".join(scope.rename((name,))) for name in old.values[0] if not scope.is_dropped((name,))
     ]
@@ -321,7 +304,6 @@ def _compare_names(key: str, old: Column, new: Column, scope: Scope, differs: An
 def _compare_column(
     case: Case, key: str, old: Column, new: Column, tolerance: Tolerance, differs: Any
 ) -> None:
-    """Compare types, steps and values of a column that both have."""
     kinds = [
         (*c.types, c.values.dtype.kind if c.values.dtype.kind == "U" else str(c.values.dtype))
         for c in (old, new)
@@ -348,11 +330,7 @@ def _compare_column(
             differs(int(old.steps[at[0]]), key + place, *pair, len(wrong))
 
 
-# --- trees -----------------------------------------------------------------------------------
-
-
 def git(*words: str) -> str:
-    """Output of git in this repository."""
     done = subprocess.run(
         ["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=False
     )
@@ -362,7 +340,6 @@ def git(*words: str) -> str:
 
 
 def cache_folder() -> Path:
-    """Folder of old results and of trees that are kept."""
     return Path(platformdirs.user_cache_dir("spoofgym")) / "frozen"
 
 
@@ -406,28 +383,26 @@ class Child:
             cwd=self._folder.name,
             env={**os.environ, **own, "PYTHONPATH": str(tree)},
         )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._in, self._out = self._process.stdin, self._process.stdout
 
     def ask(self, **request: Any) -> dict[str, Any]:
-        """Answer to a request."""
         self.send(**request)
         return self.receive()
 
     def send(self, **request: Any) -> None:
         """Make a request, whose answer has to be received."""
-        assert self._process.stdin is not None
         self._request = request
         with contextlib.suppress(BrokenPipeError):  # seen when the answer is missing
-            self._process.stdin.write(json.dumps({**request, "imports": self.imports}) + "\n")
-            self._process.stdin.flush()
+            self._in.write(json.dumps({**request, "imports": self.imports}) + "\n")
+            self._in.flush()
 
     def signal(self, number: int) -> None:
-        """Send a signal to the process, such as one that lets it wait."""
         self._process.send_signal(number)
 
     def receive(self) -> dict[str, Any]:
-        """Answer to what has been sent."""
-        assert self._process.stdout is not None
-        line = self._process.stdout.readline()
+        line = self._out.readline()
         if not line:
             status = self._process.wait()
             raise RuntimeError(f"the probe of {self.tree} ended with {status} at {self._request}")
@@ -435,7 +410,6 @@ class Child:
         return reply
 
     def cases(self) -> list[Case]:
-        """What can be played in the tree."""
         reply = self.ask(do="cases")
         if "error" in reply:
             raise RuntimeError(f"{self.tree} can't be probed:\n{reply['traceback']}")
@@ -445,10 +419,8 @@ class Child:
         return [Case(*each) for each in reply["cases"]]
 
     def close(self) -> None:
-        """End the process."""
-        if self._process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):
-                self._process.stdin.close()
+        with contextlib.suppress(BrokenPipeError):
+            self._in.close()
         try:
             self._process.wait(10)
         except subprocess.TimeoutExpired:
@@ -476,12 +448,10 @@ def results_folder(commit: str) -> Path:
 
 
 def file_of(folder: Path, case: Case) -> Path:
-    """File of a case's record."""
     return folder / f"{case.name.replace('/', '--')}.npz"
 
 
 def is_wanted(case: Case, quick: bool, only: Sequence[str] = ()) -> bool:
-    """Whether a case is asked for."""
     if only:
         return any(fnmatch.fnmatchcase(case.name, each) for each in only)
     return (
@@ -490,9 +460,6 @@ def is_wanted(case: Case, quick: bool, only: Sequence[str] = ()) -> bool:
         or (case.id == MAIN and case.batch in (None, 3))
         or not (case.id.startswith("spoofgym/") or "+" in case.id)
     )
-
-
-# --- the whole -------------------------------------------------------------------------------
 
 
 @dataclass
@@ -689,7 +656,6 @@ def main(
 
 
 def show(report: Report) -> None:
-    """Print a report."""
     console = Console(soft_wrap=True, highlight=False)
     if not console.is_terminal:
         console.width = 180

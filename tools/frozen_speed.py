@@ -29,11 +29,9 @@ class Probe(Protocol):
 
     tree: Any
 
-    def ask(self, **request: Any) -> dict[str, Any]:
-        """Answer to a request."""
+    def ask(self, **request: Any) -> dict[str, Any]: ...
 
-    def signal(self, number: int) -> None:
-        """Send a signal."""
+    def signal(self, number: int) -> None: ...
 
 
 @contextlib.contextmanager

@@ -16,23 +16,20 @@ import argparse
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from spoofgym.bench.report import table as tables
-from spoofgym.bench.report.bounds import floor_notes
-from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.report import campaign as report
+from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.scores.bounds import bracket_of
-from spoofgym.cli.bench import LEFT_OUT, standard_suite
+from spoofgym.cli.suites import LEFT_OUT, standard_suite
 from spoofgym.core.files import write_file
 from spoofgym.core.settings import digest_of
 from spoofgym.spoofers.base import sees_statistics
-from tools.pages import put_between
+from tools.pages import DOCS, marks, put_between, rendered
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
 KEPT, PAGE = DOCS / "headlines.json", DOCS / "scores.md"
-BEGIN, END = "<!-- headlines:begin -->", "<!-- headlines:end -->"
+BEGIN, END = marks("headlines")
 WORLDS = {
     "trolley": ["--suite", "standard"],
     "zhong2025": ["--scenario", "zhong2025"],
@@ -84,7 +81,10 @@ def played(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
         "notes": config["notes"],
         "calibrations": config["calibrations"],
         **{key: summary[key] for key in (*wanted, *parts)},
-        "cells": [shortened(cell) for cell in summary["cells"]],
+        "cells": [
+            {key: value for key, value in cell.items() if key not in CURVES}
+            for cell in summary["cells"]
+        ],
     }
 
 
@@ -99,67 +99,11 @@ def with_limits(world: dict[str, Any]) -> dict[str, Any]:
             bounds[entry.label] = brackets.zero_alarm(entry).as_json()
     limits = {"floor": brackets.floor(), "zero_alarm": bounds}
     bare = [{key: x for key, x in row.items() if key != "bracket"} for row in world["detectors"]]
-    return {
-        **world,
-        "limits": limits,
-        "detectors": _bracketed({**world, "detectors": bare}, limits),
-    }
+    return _bracketed({**world, "detectors": bare}, limits)
 
 
-def shortened(cell: dict[str, Any]) -> dict[str, Any]:
-    """A cell without its curves."""
-    return {key: value for key, value in cell.items() if key not in CURVES}
-
-
-def write_kept(worlds: dict[str, Any]) -> None:
-    """Write what is kept."""
-    kept = {"digest": digest_of(worlds), "worlds": worlds}
-    write_file(KEPT, (json.dumps(kept, allow_nan=False) + "\n").encode())
-
-
-def shown(kept: dict[str, Any]) -> str:
-    """Tables of all worlds, for the page."""
-    return "\n".join(line for world in kept["worlds"].values() for line in _lines(world))
-
-
-def _lines(world: dict[str, Any]) -> Iterator[str]:
-    """Heading, table and caption of a world."""
-    yield f"### {world['scenario']}"
-    yield ""
-    limits = world.get("limits", NO_LIMITS)
-    world = {**world, "limits": limits, "detectors": _bracketed(world, limits)}
-    columns = [name for name in COLUMNS if limits["floor"] or " bound" not in name]
-    columns = [name for name in columns if limits["floor"] or "floor" not in name]
-    met = {_plain(cell): cell["knowledge"]["run_time"] for cell in world["cells"]}
-    spoofers = [name for name in SPOOFERS if name in met]
-    spoofers.sort(key=lambda name: sees_statistics(met[name]))  # oracles come last
-    head = [*columns, *(f"{tables.titled(name, met[name])} [m]" for name in spoofers), "mark"]
-    for group in tables.groups(world):
-        yield from markdown_table(head, list(_rows(world, group, columns, spoofers)))
-    yield ""
-    if limits["floor"]:
-        yield from floor_notes(world)
-        yield ""
-    rates = {point["per_run"] for points in world["calibrations"].values() for point in points}
-    (per_run,) = rates
-    notes = (note.partition(LEFT_OUT) for note in world["notes"])
-    left_out = [label for label, found, _ in notes if found]
-    yield (
-        f"At 0.2 false alarms an hour, {100 * per_run:.3g} % of runs; {world['runs']} runs, "
-        f"`{world['command']}`; attack suite {_suite(world)}; campaign {world['campaign']}."
-        + "".join(f" Left out: {label}." for label in left_out)
-    )
-    yield ""
-
-
-def _suite(world: dict[str, Any]) -> str:
-    """Name and version of the attack suite that was played."""
-    found = world["attack_suite"]
-    return f"`{found['name']}` {found['version']}"
-
-
-def _bracketed(world: dict[str, Any], limits: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rows of the detectors with their brackets."""
+def _bracketed(world: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
+    """A world with limits, and the brackets of its detectors."""
     found = []
     for row in world["detectors"]:
         own = {
@@ -168,29 +112,61 @@ def _bracketed(world: dict[str, Any], limits: dict[str, Any]) -> list[dict[str, 
         }
         worst = next(iter(own["protection"]), None)
         found.append({"bracket": bracket_of(row, limits, own["cells"], worst, ()), **row})
-    return found
+    return {**world, "limits": limits, "detectors": found}
+
+
+def write_kept(worlds: dict[str, Any]) -> None:
+    worlds = {name: worlds[name] for name in WORLDS}
+    kept = {"digest": digest_of(worlds), "worlds": worlds}
+    write_file(KEPT, (json.dumps(kept, allow_nan=False) + "\n").encode())
+
+
+def shown(kept: dict[str, Any]) -> str:
+    """Tables of all worlds, for the page."""
+    worlds = []
+    for world in kept["worlds"].values():
+        world = _bracketed(world, world.get("limits", NO_LIMITS))
+        points = (point for points in world["calibrations"].values() for point in points)
+        (per_run,) = {point["per_run"] for point in points}
+        notes = (note.partition(LEFT_OUT) for note in world["notes"])
+        left_out = [label for label, found, _ in notes if found]
+        worlds.append({**world, "tables": _tables(world), "per_run": per_run, "left_out": left_out})
+    return rendered("headlines.md.j2", worlds=worlds, floor_notes=report.floor_notes)
+
+
+def _tables(world: dict[str, Any]) -> str:
+    """A row for each detector; of an attack its stealthy displacement."""
+    columns = [
+        report.DETECTORS[name]._replace(title=title)
+        for title, name in COLUMNS.items()
+        if world["limits"]["floor"] or not ("floor" in title or " bound" in title)
+    ]
+    cells = {(cell["detector"], _plain(cell)): cell for cell in world["cells"]}
+    met = {_plain(cell): cell["knowledge"]["run_time"] for cell in world["cells"]}
+    spoofers = [name for name in SPOOFERS if name in met]
+    spoofers.sort(key=lambda name: sees_statistics(met[name]))  # oracles come last
+    attacks = (
+        (
+            f"{report.titled(name, met[name])} [m]",
+            lambda row, name=name: cells.get((row["detector"], name)),
+            _displacement,
+        )
+        for name in spoofers
+    )
+    table = Table(*columns, *attacks, report.DETECTORS["mark"])
+    found = report.groups(world)
+    return "\n".join(table.markdown(report.detector_rows(world, group)) for group in found)
 
 
 def _plain(cell: dict[str, Any]) -> str:
     """Name of a cell's spoofer."""
-    return str(cell["spoofer"]).split("(")[0]
-
-
-def _rows(
-    world: dict[str, Any], group: tables.Group, columns: list[str], spoofers: list[str]
-) -> Iterator[tuple[str, ...]]:
-    """A row for each detector; of an attack its stealthy displacement."""
-    cells = {(cell["detector"], _plain(cell)): cell for cell in world["cells"]}
-    places = [tables.DETECTORS_HEAD.index(COLUMNS[name]) for name in columns]
-    for row in tables.detector_rows(world, group):
-        attacks = (cells.get((row[0], name)) for name in spoofers)
-        found = ("-" if cell is None else _displacement(cell) for cell in attacks)
-        yield (*(row[k] for k in places), *found, row[-1])
+    return str(cell["spoofer"]).partition("(")[0]
 
 
 def _displacement(cell: dict[str, Any]) -> str:
-    over = "" if cell["within_budget"] else tables.OVER
-    return tables.interval(cell["stealthy_displacement_m"]) + over
+    return interval(cell["stealthy_displacement_m"]) + (
+        "" if cell["within_budget"] else report.OVER
+    )
 
 
 def main(arguments: list[str]) -> None:
@@ -204,18 +180,13 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     parser.add_argument("--limits-only", action="store_true", help="of a standard suite")
     given = parser.parse_args(arguments)
-    if given.limits_only:
-        worlds = json.loads(KEPT.read_text())["worlds"]
-        for name in given.world or []:
-            worlds[name] = with_limits(worlds[name])
-            write_kept({name: worlds[name] for name in WORLDS})
-    elif not given.tables_only:
-        sizes = ["--seeds", given.seeds, "--training-seeds", given.training_seeds]
-        sizes += ["--selection-seeds", given.selection_seeds]
-        worlds = json.loads(KEPT.read_text())["worlds"]
-        for name in given.world or WORLDS:
-            worlds[name] = played(name, given.out, sizes)
-            write_kept({name: worlds[name] for name in WORLDS})
+    sizes = ["--seeds", given.seeds, "--training-seeds", given.training_seeds]
+    sizes += ["--selection-seeds", given.selection_seeds]
+    worlds = json.loads(KEPT.read_text())["worlds"]
+    for name in () if given.tables_only else given.world or (() if given.limits_only else WORLDS):
+        again = given.limits_only
+        worlds[name] = with_limits(worlds[name]) if again else played(name, given.out, sizes)
+        write_kept(worlds)
     put_between(PAGE, BEGIN, END, shown(json.loads(KEPT.read_text())))
 
 

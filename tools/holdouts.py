@@ -13,11 +13,11 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 from agents.folder import write_json
-from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.report.table import Table
 from spoofgym.calibration.clean_runs import weighs
 from spoofgym.calibration.holdouts import HOLDOUT_WEIGHING, hold_out, transfer
 from spoofgym.core.progress import show_progress
@@ -26,7 +26,7 @@ from spoofgym.detectors.calibrated import STANDARD_RATE, identity_of
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, hourly_rate, stored
 from spoofgym.simulation.setup import Setup
 from tools.calibrations import HEADLINES, detectors_of, setup_of
-from tools.pages import DOCS, put_between
+from tools.pages import DOCS, put_between, rendered
 
 KEPT, PAGE = DOCS / "holdouts.json", DOCS / "calibration.md"
 BEGIN, END = "<!-- holdouts:begin -->", "<!-- holdouts:end -->"
@@ -130,38 +130,36 @@ def joined(before: dict[str, Any], later: dict[str, Any]) -> dict[str, Any]:
 
 
 def shown(kept: dict[str, Any]) -> str:
-    return "\n".join(line for world in kept["worlds"] for line in _lines(world))
+    return rendered("holdouts.md.j2", worlds=kept["worlds"], table=_table)
 
 
-def _lines(world: dict[str, Any]) -> Iterator[str]:
-    others = list(world["detectors"][0]["in"])
-    short = [name.removeprefix("headline-") for name in others]
-    head = ["detector", "calibrated on", "fresh runs", "with an alarm", "predicted", "per hour"]
-    head += ["in the worst sky (by chance)", f"with an alarm at {RARE_RATE:g} an hour", "predicted"]
-    head += ["alarm before it [%]", *(f"per hour in {name}" for name in short)]
-    yield f"**{world['world'].removeprefix('headline-')}**"
-    yield ""
-    rows = []
-    for row in world["detectors"]:
-        there = [_rate(row["in"][name]) for name in others]
-        counts = (f"{row['calibrated']:,}", f"{row['runs']:,}", *_count(row))
-        worst = [_rate(row[f"worst_world_{which}"]) for which in ("per_hour", "by_chance")]
-        rates = _rate(row["per_hour"]), f"{worst[0]} ({worst[1]})"
-        rare = _count(row["rare"]) if "rare" in row else ("-", "-")
-        early = f"{100 * row['early'] / row['runs']:.2g}"
-        rows.append((row["name"], *counts, *rates, *rare, early, *there))
-    yield from markdown_table(head, rows)
-    yield ""
-    text = f"Mean over the passive detectors: {world['mean_passive_per_hour']:.3g} an hour."
-    if world["degenerate"]:
-        text += f" Without a calibration, since degenerate: {', '.join(world['degenerate'])}."
-    yield text
-    yield ""
+def _table(world: dict[str, Any]) -> Table:
+    others = ((name.removeprefix("headline-"), name) for name in world["detectors"][0]["in"])
+    return Table(
+        ("detector", "name"),
+        ("calibrated on", "calibrated", "{:,}".format),
+        ("fresh runs", "runs", "{:,}".format),
+        ("with an alarm", "alarms", "{:,}".format),
+        ("predicted", _predicted),
+        ("per hour", lambda row: _rate(row["per_hour"])),
+        (
+            "in the worst sky (by chance)",
+            lambda x: f"{_rate(x['worst_world_per_hour'])} ({_rate(x['worst_world_by_chance'])})",
+        ),
+        (f"with an alarm at {RARE_RATE:g} an hour", _rare, lambda rare: f"{rare['alarms']:,}"),
+        ("predicted", _rare, _predicted),
+        ("alarm before it [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),
+        *((f"per hour in {short}", lambda x, n=name: _rate(x["in"][n])) for short, name in others),
+    )
 
 
-def _count(row: dict[str, Any]) -> tuple[str, str]:
-    predicted = f"{row['low']} to {row['high']}" + ("" if row["holds"] else ", outside")
-    return f"{row['alarms']:,}", predicted
+def _rare(row: dict[str, Any]) -> dict[str, Any] | None:
+    """Counts at the other rate, where there are any."""
+    return row.get("rare")
+
+
+def _predicted(row: dict[str, Any]) -> str:
+    return f"{row['low']} to {row['high']}" + ("" if row["holds"] else ", outside")
 
 
 def _rate(per_hour: float | None) -> str:

@@ -27,8 +27,7 @@ from agents.seeds import (
     value_of,
 )
 from agents.spoofer_table import RIVALS, page
-from spoofgym.bench.report.campaign import markdown_table
-from spoofgym.bench.report.table import interval
+from spoofgym.bench.report.table import Table, interval
 from spoofgym.core.files import write_file
 
 from .pages import DOCS, marks, put_between
@@ -55,7 +54,7 @@ def bar_of(found: dict[str, Any]) -> str:
 
 def shown_of_tasks(kept: dict[str, Any]) -> str:
     tasks = [_task_cells(task, found) for task, found in kept.items()]
-    return "\n".join(markdown_table(TASK_HEAD, tasks)) + "\n"
+    return Table.of_texts(*TASK_HEAD).markdown(tasks) + "\n"
 
 
 def shown(kept: dict[str, Any]) -> str:
@@ -65,7 +64,7 @@ def shown(kept: dict[str, Any]) -> str:
     lines = [
         shown_of_tasks(kept).rstrip(),
         "",
-        *markdown_table(("task", *(f"seed {seed}" for seed in seeds)), every),
+        Table.of_texts("task", *(f"seed {seed}" for seed in seeds)).markdown(every),
     ]
     return "\n".join(lines) + "\n"
 
@@ -104,9 +103,9 @@ def shown_of_plain(kept: dict[str, Any]) -> str:
         for kind, rows in found["kinds"].items()
     ]
     lines = [
-        *markdown_table(KIND_HEAD, [kind_cells(*each) for each in kinds]),
+        Table.of_texts(*KIND_HEAD).markdown(kind_cells(*each) for each in kinds),
         *("", "Medians of the learning curves, on training runs [m]:", ""),
-        *markdown_table(CURVE_HEAD, [(task, kind, _curve(rows)) for task, kind, rows, _ in kinds]),
+        Table.of_texts(*CURVE_HEAD).markdown((task, kind, _curve(x)) for task, kind, x, _ in kinds),
     ]
     return "\n".join(lines) + "\n"
 
@@ -142,7 +141,7 @@ def shown_of_transfer(kept: dict[str, Any]) -> str:
         for name, cells in kept.items()
     ]
     head = ("spoofer", "trained on", *(f"`{world}` [m]" for world in worlds))
-    return "\n".join(markdown_table(head, rows)) + "\n"
+    return Table.of_texts(*head).markdown(rows) + "\n"
 
 
 TABLES: dict[str, tuple[str, Callable[[dict[str, Any]], str]]] = {

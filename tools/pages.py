@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+from spoofgym.bench.report.table import page
 from spoofgym.core.files import write_file
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+TEMPLATES = Path(__file__).with_name("templates")
 
 
 def marks(name: str) -> tuple[str, str]:
@@ -27,3 +30,8 @@ def put_between(page: Path, begin: str, end: str, text: str) -> None:
     before = part_between(whole, begin, end)
     made = whole.replace(f"{begin}{before}{end}", f"{begin}\n{text}{end}")
     write_file(page, made.encode())
+
+
+def rendered(template: str, **values: Any) -> str:
+    """A template of the folder beside, with the end of its last line."""
+    return page(template, TEMPLATES).render(**values).rstrip() + "\n"

@@ -16,18 +16,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from spoofgym.bench.experiments.results_folder import PICTURE, ResultsFolder
-from spoofgym.bench.experiments.summary import summarize
-from spoofgym.bench.report import table as tables
-from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.experiments.summary import PICTURE, CampaignResults, summarize
+from spoofgym.bench.report.campaign import bound_text
+from spoofgym.bench.report.table import Table, metres, number
 from spoofgym.bench.scores.bounds import HALF, STEALTHY, headline
 from spoofgym.core.files import write_file
 from tools.headlines import KEPT as FULL
-from tools.pages import put_between
+from tools.pages import DOCS, ROOT, put_between, rendered
 
-ROOT = Path(__file__).resolve().parents[1]
-README, SHARED = ROOT / "README.md", ROOT / "docs" / "bench.json"
-DRAWN = ROOT / "docs" / "campaign.png"
+README, SHARED, DRAWN = ROOT / "README.md", DOCS / "bench.json", DOCS / "campaign.png"
 BEGIN, END = "<!-- bench:start -->", "<!-- bench:end -->"
 WORLD = "trolley"
 """World of the full run that the README shows: that of task T3."""
@@ -40,9 +37,8 @@ SPOOFERS = {
 """Whose stealthy displacements are shown, and their headings."""
 DEFAULTS = ("snapshot-chi2", "windowed-chi2", "ewma", "joint-chart", "innovation-rate", "raim")
 """Detectors with their own settings that the README shows, besides the first ones."""
-HEAD = ("detector", "in 50 % of runs", "in 5 %", *SPOOFERS.values(), "bounds")
 OVER = "*"
-SHARES = (0.5, 0.05)
+SHARES = {"in 50 % of runs": 0.5, "in 5 %": 0.05}
 
 
 def label(detector: str) -> str:
@@ -65,66 +61,39 @@ def chosen(world: dict[str, Any]) -> list[dict[str, Any]]:
 
 def shown(world: dict[str, Any]) -> str:
     """The table, and what was played."""
-    (per_run,) = {
-        row["claimed"]["per_run"] for row in world["detectors"] if row["claimed"] is not None
-    }
-    floor = world["limits"]["floor"]["floor_m"]
-    return "\n".join(
-        [
-            "Displacement in metres that the worst attack of the suite exceeds undetected, "
-            "and what spoofers reach undetected with alarms in at most 5 % of the runs",
-            f"(`{OVER}`: in more). All detectors have 0.2 false alarms an hour, "
-            f"{100 * per_run:.3g} % of runs. World of task T3, `{world['scenario']}`: "
-            f"{world['runs']} runs, sky, heading,",
-            "onset and sensors drawn for each; "
-            f"`{world['command']}`, campaign {world['campaign']}. An ideal detector would allow "
-            f"{tables.number(floor['half']['value'])} m in half of the runs. The bounds are the",
-            "lower limit of a stealthy attack (ideal detector), the optimized open-loop attack "
-            "(`blind-optimum`), and the zero-alarm bound ([assumptions](docs/limits.md)).",
-            "",
-            *markdown_table(HEAD, [_row(world, row) for row in chosen(world)]),
-            "",
-        ]
+    claims = (row["claimed"] for row in world["detectors"])
+    (per_run,) = {claimed["per_run"] for claimed in claims if claimed is not None}
+    cells = {(cell["detector"], cell["spoofer"].partition("(")[0]): cell for cell in world["cells"]}
+    protections = {row["detector"]: row for row in world["protection"]}
+    table = Table(
+        ("detector", lambda row: label(row["detector"])),
+        *(
+            (title, lambda row, x=x: _value(headline(protections[row["detector"]], x)), number)
+            for title, x in SHARES.items()
+        ),
+        *(
+            (title, lambda row, name=name: cells[row["detector"], name], _reached)
+            for name, title in SPOOFERS.items()
+        ),
+        ("bounds", "bracket", _bracket),
     )
+    shown_table = table.markdown(chosen(world))
+    return rendered("bench.md.j2", world=world, per_run=per_run, table=shown_table, OVER=OVER)
 
 
-def _row(world: dict[str, Any], row: dict[str, Any]) -> tuple[str, ...]:
-    name = row["detector"]
-    cells = {
-        cell["spoofer"].partition("(")[0]: cell
-        for cell in world["cells"]
-        if cell["detector"] == name
-    }
-    protection = next(each for each in world["protection"] if each["detector"] == name)
-    worst = (headline(protection, share) for share in SHARES)
-    reached = (_reached(cells[spoofer]) for spoofer in SPOOFERS)
-    return (label(name), *(_number(each) for each in worst), *reached, _bracket(row["bracket"]))
-
-
-def _number(estimate: dict[str, Any] | None) -> str:
-    if estimate is None or estimate["value"] is None:
-        return "-"
-    return tables.number(estimate["value"])
+def _value(estimate: dict[str, Any] | None) -> float | None:
+    return None if estimate is None else estimate["value"]
 
 
 def _reached(cell: dict[str, Any]) -> str:
     keeps = cell["within_budget"] and cell["tuned_within_budget"] is not False
-    return _number(cell["stealthy_displacement_m"]) + ("" if keeps else OVER)
+    return metres(_value(cell["stealthy_displacement_m"])) + ("" if keeps else OVER)
 
 
 def _bracket(found: dict[str, Any]) -> str:
     """Lower limit, optimized open-loop attack and zero-alarm bound of a detector."""
-    floor, best = found["floor_m"][STEALTHY], found["blind_optimum"]
-    bound = found["zero_alarm"]
-    sign = "<= " if bound["kind"] == "upper" else ""
-    last = "none" if bound["value"] is None else sign + _metres(bound["value"])
-    return f"[{_metres(floor)}, {'-' if best is None else _metres(best['value'])}, {last}]"
-
-
-def _metres(value: float | str | None) -> str:
-    if value is None:
-        return "-"
-    return value if isinstance(value, str) else tables.number(value)
+    floor, best = metres(found["floor_m"][STEALTHY]), metres(_value(found["blind_optimum"]))
+    return f"[{floor}, {best}, {bound_text(found['zero_alarm'])}]"
 
 
 def shared_rows(world: dict[str, Any]) -> dict[str, Any]:
@@ -153,11 +122,10 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("folder", type=Path, nargs="?", help="results of `make bench`")
     given = parser.parse_args(arguments).folder
     if given is not None:
-        folder = ResultsFolder(given)
-        summary = summarize(folder)
+        summary = summarize(CampaignResults.load(given))
         kept = {"campaign": summary["campaign"], "rows": shared_rows(summary)}
         write_file(SHARED, (json.dumps(kept, indent=1, allow_nan=False) + "\n").encode())
-        shutil.copyfile(folder.path / PICTURE, DRAWN)
+        shutil.copyfile(given / PICTURE, DRAWN)
     world = json.loads(FULL.read_text())["worlds"][WORLD]
     picture = "\n![The campaign](docs/campaign.png)\n"
     put_between(README, BEGIN, END, shown(world) + picture)

@@ -21,13 +21,13 @@ from typing import Any
 
 from rich.console import Console
 from rich.markdown import Markdown
+from spoofgym.bench.experiments.versions import versions
 
 from agents.folder import Part, Records, error_lines, identity_of, write_json
 from agents.seeds import keeps_budget, spread, value_of
 from spoofgym.bench.experiments.evaluate import Evaluator
-from spoofgym.bench.experiments.versions import versions
-from spoofgym.bench.report.campaign import markdown_table
-from spoofgym.bench.report.table import titled
+from spoofgym.bench.report.campaign import titled
+from spoofgym.bench.report.table import Table
 from spoofgym.bench.runs.players import check_labels, fitted, spoofer_entry
 from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import parse_spec
@@ -122,7 +122,7 @@ def table(results: Mapping[str, Any]) -> str:
         for found in results.values()
         for name, scores in found["spoofers"].items()
     ]
-    return "\n".join(markdown_table(HEAD, rows)) + "\n"
+    return Table.of_texts(*HEAD).markdown(rows) + "\n"
 
 
 def _cells(scores: Sequence[Mapping[str, Any]]) -> tuple[str, str, str]:

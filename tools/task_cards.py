@@ -22,20 +22,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.folder import write_json
+from spoofgym.bench.experiments import Store, run
 from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
-from spoofgym.bench.experiments.campaign import run_campaign
-from spoofgym.bench.experiments.remaining import expected_work
-from spoofgym.bench.experiments.results_folder import ResultsFolder
+from spoofgym.bench.experiments.campaign import Campaign
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.experiments.summary import summarize
-from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.experiments.summary import CampaignResults, summarize
 from spoofgym.bench.report.tasks import (
-    ADMISSION_HEAD,
+    ADMISSION,
     FILE,
-    HEAD,
+    TASK_SCORES,
     admission_rows,
-    score_rows,
     stored_cards,
+    task_rows,
 )
 from spoofgym.bench.runs.players import detector_entry, fitted
 from spoofgym.bench.search.settings import Selection, Tuning
@@ -43,7 +41,7 @@ from spoofgym.cli.output import progress
 from spoofgym.core.settings import describe
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.tasks import SUITE, TASKS, Task, task_of
-from tools.pages import DOCS, ROOT, put_between
+from tools.pages import DOCS, ROOT, put_between, rendered
 
 KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, DOCS / "tasks.md"
 BEGIN, END = "<!-- cards:begin -->", "<!-- cards:end -->"
@@ -91,15 +89,13 @@ def played(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
     with progress(max(missing_runs(world, whom), 1)) as bar:
         calibrate_entries(world, whom, progress=bar)
     suite.check_fit()
-    folder = ResultsFolder(out / task.key)
-    folder.open(suite)
-    with progress(expected_work(suite, folder)) as bar:
-        run_campaign(suite, folder, progress=bar)
-    return card_of(task, suite, folder)
+    campaign = Campaign(suite)
+    reader = run(campaign, Store(out / task.key), progress=progress)
+    return card_of(task, campaign.results(reader))
 
 
-def card_of(task: Task, suite: Suite, folder: ResultsFolder) -> dict[str, Any]:
-    summary = summarize(folder)
+def card_of(task: Task, results: CampaignResults) -> dict[str, Any]:
+    summary = summarize(results)
     own = detector_entry(task.detector).label
     detectors = {row["detector"]: row for row in summary["detectors"]}
     scores = {name_of(cell): score_of(cell) for cell in summary["cells"] if cell["detector"] == own}
@@ -124,7 +120,7 @@ def card_of(task: Task, suite: Suite, folder: ResultsFolder) -> dict[str, Any]:
         "optima_mps": optima_of(summary),
     }
     if not task.historical:
-        card["admission"] = admission(task, summary, folder, card)
+        card["admission"] = admission(task, summary, results, card)
     return describe(card)
 
 
@@ -155,7 +151,7 @@ def half_of(card: dict[str, Any], detector: str) -> float:
 
 
 def admission(
-    task: Task, summary: dict[str, Any], folder: ResultsFolder, card: dict[str, Any]
+    task: Task, summary: dict[str, Any], results: CampaignResults, card: dict[str, Any]
 ) -> dict[str, Any]:
     """The five figures of a task, and whether each is as it has to be."""
     trivial = detector_entry(TRIVIAL).label
@@ -169,7 +165,7 @@ def admission(
     }
     limit = task.alert_limit_m
     assert limit is not None  # as all that are not historical
-    found = folder.protection(best)
+    found = results.protection(best)
     assert found is not None  # every detector of the campaign has met the suite
     sky = found.sky[found.counts]
     moved = [winner.displacement[MEASURE][found.counts] for winner in found.winners]
@@ -211,17 +207,12 @@ def dealt(moved: list[FloatArray], sky: IntArray) -> float:
 
 
 def shown() -> str:
-    runs = {key: card["runs"] for key, card in stored_cards().items()}
-    named = ", ".join(f"{key} {count}" for key, count in runs.items())
-    lines = [
-        *markdown_table(HEAD, score_rows()),
-        "",
-        f"Evaluation runs: {named}.",
-        "",
-        *markdown_table(ADMISSION_HEAD, admission_rows()),
-        "",
-    ]
-    return "\n".join(lines)
+    return rendered(
+        "tasks.md.j2",
+        scores=TASK_SCORES.markdown(task_rows()),
+        admission=ADMISSION.markdown(admission_rows()),
+        cards=stored_cards(),
+    )
 
 
 def main(arguments: list[str]) -> None:

@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any
 
 from agents.folder import Part, Records, error_lines, identity_of
-from spoofgym.bench.experiments.campaign import with_rates
 from spoofgym.bench.experiments.evaluate import Evaluator
-from spoofgym.bench.report.table import interval
+from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.runs.players import fitted, spoofer_entry
-from spoofgym.cli.output import print_json, print_table, progress
+from spoofgym.bench.search.amplitude import with_rates
+from spoofgym.cli.output import print_json, progress
 from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice, parse_spec
 from spoofgym.tasks import TASKS, task_of
@@ -157,7 +157,7 @@ def main(arguments: list[str]) -> None:
     if given.json:
         print_json(rows)
     else:
-        print_table(f"transfer in the world of {given.task}", HEAD, [line(row) for row in rows])
+        Table.of_texts(*HEAD).print(f"transfer in the world of {given.task}", map(line, rows))
 
 
 if __name__ == "__main__":

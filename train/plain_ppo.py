@@ -26,7 +26,7 @@ from agents.folder import Part, Records, error_lines, learning_versions, write_j
 from agents.learning import learn
 from agents.seeds import KIND_HEAD, LOUDEST, kind_cells
 from spoofgym.bench.experiments.evaluate import Evaluator
-from spoofgym.bench.report.campaign import markdown_table
+from spoofgym.bench.report.table import Table
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice, whole_number
@@ -123,7 +123,7 @@ def table_of(results: dict[str, Any]) -> str:
     """A line of Markdown for each kind: the median over its seeds, and the range."""
     ramp = results["ramps"]["ramp"]
     rows = [kind_cells(results["task"], kind, of, ramp) for kind, of in results["kinds"].items()]
-    return "\n".join(markdown_table(KIND_HEAD, rows))
+    return Table.of_texts(*KIND_HEAD).markdown(rows)
 
 
 @error_lines()

@@ -7,7 +7,7 @@ from .app import INTERRUPTED as INTERRUPTED
 from .app import app as app
 from .app import clear_errors as clear_errors
 from .app import main as main
-from .bench import bench, report, tune
+from .bench import bench, report
 from .calibrate import calibrate
 from .dataset import dataset
 from .game import game
@@ -15,6 +15,7 @@ from .limits import limits
 from .list import card, list_, tasks
 from .protect import protect
 from .run import render, run
+from .tune import tune
 from .warmup import warmup
 
 # in the order of the help page

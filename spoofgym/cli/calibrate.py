@@ -4,28 +4,23 @@ from __future__ import annotations
 
 import inspect
 import json
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from . import options as opt
-from .bench import specs_of, world_of
-from .options import World, with_world
-from .output import print_json, print_lines, print_table, progress
+from .options import WorldOptions, with_options
+from .output import print_json, print_lines, progress
+from .suites import specs_of, world_of
 
 if TYPE_CHECKING:
-    from ..bench.runs.world import World as Played
+    from ..bench.runs.world import World
     from ..calibration.holdouts import HoldOut
     from ..detectors import Calibration, Detector
 
-HEAD = ("detector", "runs", "scale", "per hour", "per run", "warm-up alarms", "file")
-HELD_HEAD = ("detector", "runs", "alarms", "predicted", "holds", "per hour", "promised")
-WORST_HEAD = "worst world per hour (by chance)"
 
-
-@with_world
+@with_options
 def calibrate(
     *,
     detector: Annotated[
@@ -71,16 +66,17 @@ def calibrate(
     ] = False,
     task: Annotated[str | None, typer.Option(help="World of a task, T1 to T6.")] = None,
     as_json: opt.Json = False,
-    world: World,
+    options: WorldOptions,
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
 ) -> None:
     """Find thresholds for a rate of false alarms on clean runs; killed, it goes on from there."""
+    from ..bench.report.calibration import CALIBRATIONS, print_hold_outs
     from ..calibration import holdouts
     from ..calibration import thresholds as calibration
     from ..detectors.calibration_file import TOLERANCE
 
-    played = world_of(world, task)
+    played = world_of(options, task)
     setup, rate = played.setup, false_alarms_per_hour
     judges, named = _judges(detector, played, rescaled)
     others = {text: _other(played, text) for text in transfer or ()}
@@ -97,7 +93,7 @@ def calibrate(
             overwrite=overwrite,
             strict=False,
         )
-    made, rows, lines, sound = _rows(found, judges, rate)
+    made, lines, sound = _points(found, judges, rate)
     if check:
         holdouts.check(setup, found, judges, threads=threads)
         lines.append(f"replayed: {len(found)} calibrations hold, to {TOLERANCE:g} of every maximum")
@@ -124,18 +120,16 @@ def calibrate(
             }
         )
     else:
-        print_table(f"{setup.name}: thresholds for {rate:g} false alarms an hour", HEAD, rows)
+        CALIBRATIONS.print(f"{setup.name}: thresholds for {rate:g} false alarms an hour", made)
         print_lines(lines)
         for title, each in counted.items():
-            several = any(one.worst_world for one in each)
-            head = (*HELD_HEAD, WORST_HEAD) if several else HELD_HEAD
-            print_table(f"{setup.name}: {title}", head, [_held_row(one) for one in each])
+            print_hold_outs(f"{setup.name}: {title}", each)
     if not named <= set(sound):
         raise typer.Exit(1)
 
 
 def _judges(
-    texts: Sequence[str] | None, world: Played, rescaled: bool
+    texts: Sequence[str] | None, world: World, rescaled: bool
 ) -> tuple[list[Detector], set[int]]:
     """Detectors, and which of them were named; they may not ask for thresholds. Those that never
     alarm are left out, and of `all` those that can't be rescaled."""
@@ -167,7 +161,7 @@ def _judges(
     return judges, {k for k, each in enumerate(judges) if repr(identity_of(each)) in words}
 
 
-def _other(world: Played, text: str) -> Any:
+def _other(world: World, text: str) -> Any:
     """Another world: settings of this one that differ."""
     from ..bench.runs.world import VICTIMS
     from ..core.registry import check_keywords
@@ -188,14 +182,13 @@ def _other(world: Played, text: str) -> Any:
     return found
 
 
-def _rows(
+def _points(
     found: Sequence[Calibration], judges: Sequence[Detector], rate: float
-) -> tuple[list[dict[str, Any]], list[tuple[str, ...]], list[str], list[int]]:
-    """Operating points, a row for each, notes, and which detectors have one."""
+) -> tuple[list[dict[str, Any]], list[str], list[int]]:
+    """Operating points, notes, and which detectors have one."""
     from ..detectors.calibrated import NOISY_WARMUP, noisy_warmup
 
     points: list[dict[str, Any]] = []
-    rows: list[tuple[str, ...]] = []
     lines: list[str] = []
     sound: list[int] = []
     for k, (each, judge) in enumerate(zip(found, judges, strict=True)):
@@ -205,36 +198,9 @@ def _rows(
             point = each.point(rate)
         except ValueError as error:
             lines.append(str(error))
-            rows.append((name, str(each.runs), "-", "-", "-", "-", str(each.path)))
             continue
         sound.append(k)
         points[-1] |= point._asdict()
-        scale = f"{point.scale:.6g}{' (fitted tail)' if point.extrapolated else ''}"
-        shares = f"{100 * point.per_run:.3g} %", f"{100 * point.warmup_alarms:.2g} %"
-        rows.append((name, str(each.runs), scale, f"{rate:g}", *shares, str(each.path)))
         if point.warmup_alarms > NOISY_WARMUP:
             lines.append(noisy_warmup(name, point))
-    return points, rows, lines, sound
-
-
-def _held_row(one: HoldOut) -> tuple[str, ...]:
-    predicted = "-" if one.holds is None else f"{one.low} to {one.high}"
-    holds = {None: "-", True: "yes", False: "NO"}[one.holds]
-    promised = f"{100 * one.promised:.3g} % of runs"
-    row = (
-        one.name,
-        str(one.runs),
-        str(one.alarms),
-        predicted,
-        holds,
-        _rate(one.per_hour),
-        promised,
-    )
-    if one.worst_world is None:
-        return row
-    largest, by_chance = one.worst_world
-    return *row, f"{_rate(largest)} ({_rate(by_chance)})"
-
-
-def _rate(per_hour: float) -> str:
-    return f"{per_hour:.3g}" if math.isfinite(per_hour) else "every run"
+    return points, lines, sound

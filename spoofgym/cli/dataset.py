@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
-from .bench import calibrate_with_progress, specs_of, world_of
-from .options import World, with_world
-from .output import print_json, print_table, progress
+from .options import WorldOptions, with_options
+from .output import print_json, progress
+from .suites import calibrate_with_progress, specs_of, world_of
 
 if TYPE_CHECKING:
     from ..bench.experiments.dataset import Plan
 
-HEAD = ("split", "runs", "episodes", "clean", "attacks by family", "shards", "MB")
 
-
-@with_world
+@with_options
 def dataset(
     out: Annotated[Path, typer.Argument(help="Folder of the data set.")],
     *,
@@ -69,19 +67,20 @@ def dataset(
         bool, typer.Option("--overwrite", help="Replace another data set in the folder.")
     ] = False,
     as_json: opt.Json = False,
-    world: World,
+    options: WorldOptions,
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
 ) -> None:
     """Write labelled episodes to train a detector on; killed, it goes on from there."""
     from ..bench.experiments.dataset import make_room, write
+    from ..bench.report.table import Table
 
     chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": shard, "task": task}
     chosen["runs"] = {"train": train, "validation": validation, "test": test}
     chosen["spoofers"] = specs_of(spoofer or ())
     if term:
         chosen["terms"] = specs_of(term)
-    plan = _plan(world, detector, alert_limit_m, chosen, threads)
+    plan = _plan(options, detector, alert_limit_m, chosen, threads)
     make_room(out, plan, overwrite=overwrite)
     with progress(sum(plan.runs.values())) as bar:
         manifest = write(out, plan, threads=threads, progress=bar)
@@ -89,17 +88,20 @@ def dataset(
     if as_json:
         print_json(summary)
         return
-    rows = []
-    for part, found in summary["splits"].items():
-        attacks = ", ".join(f"{name} {count}" for name, count in found["families"].items())
-        counts = (found[name] for name in ("runs", "episodes", "clean"))
-        size = f"{found['bytes'] / 1e6:.1f}"
-        rows.append((part, *map(str, counts), attacks, str(found["shards"]), size))
-    print_table(f"{out}: {plan.setup.name}, digest {manifest['digest']}", HEAD, rows)
+    parts = [{"split": part, **found} for part, found in summary["splits"].items()]
+    Table(
+        *((name, name) for name in ("split", "runs", "episodes", "clean")),
+        (
+            "attacks by family",
+            lambda row: ", ".join(f"{name} {count}" for name, count in row["families"].items()),
+        ),
+        ("shards", "shards"),
+        ("MB", lambda row: f"{row['bytes'] / 1e6:.1f}"),
+    ).print(f"{out}: {plan.setup.name}, digest {manifest['digest']}", parts)
 
 
 def _plan(
-    world: World,
+    options: WorldOptions,
     detector: str | None,
     alert_limit_m: float | None,
     chosen: dict[str, Any],
@@ -114,7 +116,7 @@ def _plan(
     from ..tasks import task_of
 
     task = chosen["task"]
-    played, guard, limit = world_of(world, task), None, None
+    played, guard, limit = world_of(options, task), None, None
     if task is not None:
         guard, limit = task_of(task).detector, task_of(task).alert_limit_m
     if detector is not None:

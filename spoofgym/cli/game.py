@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from typer import Option
 
 from . import options as opt
-from .bench import specs_of
-from .output import print_json, print_table
-
-if TYPE_CHECKING:
-    from ..bench.scores.matrix_game import PayoffMatrix
+from .output import print_json
+from .suites import specs_of
 
 
 def game(
@@ -45,6 +41,7 @@ def game(
 ) -> None:
     """Solve the game of spoofers against detectors: payoffs on paired runs, mixes of both sides."""
     from ..bench.experiments.game import Game
+    from ..bench.report.game import print_game
 
     pairs = Game(task, payoff=payoff, limit_m=limit_m, runs=runs, entropy=seed).pairs(
         specs_of(spoofer), specs_of(detector), oracles=oracles
@@ -53,28 +50,4 @@ def game(
     if as_json:
         print_json(pairs.report(results))
         return
-    matrix = pairs.matrix(results)
-    spread = matrix.spread()
-    shown = _figures([spread.value])[0]
-    solved = "a pure pair solves it" if matrix.solve().pure else "no pure pair solves it"
-    rows = _rows(matrix, _figures(spread.spoofer), _figures(spread.detector))
-    print_table(
-        f"{task}: value {shown}, {solved}; {payoff} by {matrix.payoff.limit_m:g} m, {runs} runs",
-        ("spoofer", "observes", "mix", *(each.label for each in matrix.detectors)),
-        rows,
-    )
-
-
-def _figures(estimates: Sequence[Any]) -> list[str]:
-    from ..bench.report.table import interval
-
-    return [interval(each.as_json(), 2) for each in estimates]
-
-
-def _rows(matrix: PayoffMatrix, who: list[str], whom: list[str]) -> list[tuple[str, ...]]:
-    """Rows of the table: the mix of the detectors, and every spoofer with its payoffs."""
-    rows = [("mix", "", "", *whom)]
-    for spoofer, part, values in zip(matrix.spoofers, who, matrix.values, strict=True):
-        cells = (f"{value:.3f}" for value in values)
-        rows.append((spoofer.label, spoofer.knowledge, part, *cells))
-    return rows
+    print_game(task, pairs.matrix(results), payoff, runs)

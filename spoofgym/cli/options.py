@@ -1,15 +1,15 @@
 """Options of several commands, each written once."""
 
-# ruff: noqa: RUF009 - the defaults of `World` are for typer, which fills in every field
+# ruff: noqa: RUF009 - the defaults of the records are for typer, which fills in every field
 
 from __future__ import annotations
 
 import functools
 import inspect
 from collections.abc import Callable, Container
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 from typer import Option
@@ -47,7 +47,7 @@ Jobs = Annotated[
     int | None,
     Option(
         min=1,
-        help="Processes that play one detector each at a time. Default: 1; of a suite by its "
+        help="Processes of this machine that compute at a time. Default: 1; of a suite by its "
         "name, the processors.",
     ),
 ]
@@ -135,7 +135,7 @@ def finished(
 
 
 @dataclass(frozen=True, kw_only=True)
-class World:
+class WorldOptions:
     """Options of the victim and of what it meets, and the command line that they are on."""
 
     context: typer.Context
@@ -211,26 +211,42 @@ def given_options(context: typer.Context, names: Container[str | None]) -> dict[
     return found
 
 
+@dataclass(frozen=True, kw_only=True)
+class SuiteOptions(WorldOptions):
+    """Options of the runs of detectors and spoofers in a world."""
+
+    seed: Seed = 0
+    allow_oracles: Oracles = False
+    false_alarms_per_hour: Rate = None
+
+
 TIMES = ("warmup_s", "live_s", "attack_s", "time_to_alert_s")
-SCENARIO_OPTIONS = World.__dataclass_fields__.keys() - {"context", "env", "settings", *TIMES}
+WORLD_OPTIONS = WorldOptions.__dataclass_fields__.keys()
+SCENARIO_OPTIONS = WORLD_OPTIONS - {"context", "env", "settings", *TIMES}
 """Options of the tightly coupled receiver alone."""
-TASK_OPTIONS = {*World.__dataclass_fields__, "detector", "false_alarms_per_hour"}
+TASK_OPTIONS = {*WORLD_OPTIONS, "detector", "false_alarms_per_hour"}
 """Options that a task decides."""
 SUITE_OPTIONS = {*TASK_OPTIONS, "task", "spoofer", "budget", "nominal"} - {"detector"}
 """Options that a suite by name decides."""
 
 
-def with_world(command: Callable[..., None]) -> Callable[..., None]:
-    """Write the options of `World` into a command's signature, in place of its argument `world`."""
+def with_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Write the fields of a command's record of options into its signature, in its place."""
     signature = inspect.signature(command, eval_str=True)
-    options = inspect.signature(World, eval_str=True).parameters
     parameters: list[inspect.Parameter] = []
     for parameter in signature.parameters.values():
-        parameters += options.values() if parameter.name == "world" else [parameter]
+        if is_dataclass(parameter.annotation):
+            record = parameter
+            hints = get_type_hints(record.annotation, include_extras=True)
+            fields = inspect.signature(record.annotation).parameters
+            parameters += [x.replace(annotation=hints[name]) for name, x in fields.items()]
+        else:
+            parameters.append(parameter)
 
     @functools.wraps(command)
     def expanded(**arguments: Any) -> None:
-        command(world=World(**{name: arguments.pop(name) for name in options}), **arguments)
+        options = record.annotation(**{name: arguments.pop(name) for name in fields})
+        command(**{record.name: options}, **arguments)
 
     expanded.__annotations__ = {each.name: each.annotation for each in parameters}
     vars(expanded)["__signature__"] = signature.replace(parameters=parameters)

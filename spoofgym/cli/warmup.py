@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from . import options as opt
-from .output import print_json, print_lines, print_table, progress
+from .output import print_json, print_lines, progress
 
 PREFIX = "spoofgym/"
 FORMS: dict[str, int | None] = {"single": None, "batch": 8}
@@ -29,6 +29,7 @@ def warmup(
     """
     import gymnasium as gym
 
+    from ..bench.report.table import Table
     from ..core import compile as compiling
     from ..core.registry import check_choice
 
@@ -38,6 +39,12 @@ def warmup(
     wanted = [name if name.startswith(PREFIX) else PREFIX + name for name in ids or known]
     for name in wanted:
         check_choice("environment", name, known)
+    table = Table(
+        ("environment", "id"),
+        ("", "form"),
+        ("seconds", "seconds"),
+        ("functions compiled", "compiled", lambda count: str(count or "cached")),
+    )
     rows = []
     with progress(len(wanted) * len(FORMS)) as shown:
         for name in wanted:
@@ -53,13 +60,9 @@ def warmup(
                 shown.advance(1.0, f"{name} {form}")
     cache = str(compiling.cache_parent())
     if as_json:
-        print_json({"cache": cache, "environments": rows})
+        print_json({"cache": cache, "environments": table.json(rows)})
         return
-    heads = ("environment", "", "seconds", "functions compiled")
-    cells = [(*map(str, row.values()),) for row in rows]
-    print_table(
-        "first episodes", heads, [(*c[:3], c[3] if c[3] != "0" else "cached") for c in cells]
-    )
+    table.print("first episodes", rows)
     print_lines([f"compiled code is in {cache}"])
 
 

@@ -8,15 +8,24 @@ from typing import Any
 
 import pytest
 
-from spoofgym.bench import ResultsFolder, run_campaign, summarize
-from spoofgym.bench.report.bounds import EXCEEDED, bound_cell, bracket_section, floor_notes
-from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench import run_campaign, summarize
+from spoofgym.bench.report.campaign import (
+    ATTACKS,
+    DETECTORS,
+    attack_rows,
+    bound_cell,
+    detector_rows,
+    floor_notes,
+    groups,
+    mark_of,
+    markdown,
+)
 from spoofgym.bench.report.figures import draw_campaign
-from spoofgym.bench.report.table import DETECTORS_HEAD, attack_rows, detector_rows, groups, mark_of
 from spoofgym.bench.scores.bounds import HALF, STEALTHY, bracket_of
 
 from .support import small_suite
 
+EXCEEDED = "*Above the zero-alarm bound*: a mean that exceeds it"
 POINT = {"detector": "one", "claimed": {"per_run": 0.01}, "footing": "0.2"}
 
 
@@ -138,9 +147,7 @@ def weak(tmp_path_factory: pytest.TempPathFactory) -> Any:
     suite = small_suite(
         detectors=("never", "shewhart"), spoofers=({"name": "ramp", "rate_mps": 1e-4},)
     )
-    folder = ResultsFolder(tmp_path_factory.mktemp("weak") / "results")
-    folder.open(suite)
-    run_campaign(suite, folder, threads=1)
+    folder = run_campaign(suite, tmp_path_factory.mktemp("weak") / "results", threads=1)
     return folder, summarize(folder)
 
 
@@ -158,14 +165,14 @@ def test_a_weak_attack_is_a_failed_search_in_a_real_campaign(weak: Any) -> None:
         shewhart["bracket"]["zero_alarm"]["value"]
         == (summary["limits"]["zero_alarm"]["shewhart"]["restricted_m"])
     )
-    text = markdown(folder.config(), summary)
+    text = markdown(folder, summary)
     assert "## The bracket" in text
     assert f"search failed: {STEALTHY}" in text
     for assumption in summary["limits"]["floor"]["assumptions"]:
         assert assumption in text
     (group,) = groups(summary)
-    for row in detector_rows(summary, group):
-        assert len(row) == len(DETECTORS_HEAD)
+    for row in DETECTORS.texts(detector_rows(summary, group)):
+        assert len(row) == len(DETECTORS.titles)
     assert EXCEEDED not in text
     assert draw_campaign(folder, summary).stat().st_size > 10_000
 
@@ -175,20 +182,21 @@ def test_the_json_has_what_the_tables_have(weak: Any) -> None:
     again = json.loads(json.dumps(summary, allow_nan=False))
     assert again == summary
     (group,) = groups(summary)
-    assert detector_rows(again, group) == detector_rows(summary, group)
+    rows = [DETECTORS.texts(detector_rows(each, group)) for each in (again, summary)]
+    assert rows[0] == rows[1]
 
 
 def test_a_mean_above_its_bound_is_explained_in_the_report(weak: Any) -> None:
-    _, summary = weak
+    folder, summary = weak
     never, shewhart = summary["detectors"]
     attack = {"spoofer": "ramp(rate_mps=0.0001)", "value": 5.0, "low": 4.0, "high": 6.0}
     bracket = {**shewhart["bracket"], "above_zero_alarm": [attack]}
     changed = {**summary, "detectors": [never, {**shewhart, "bracket": bracket}]}
-    assert EXCEEDED in bracket_section(changed)
+    assert EXCEEDED in markdown(folder, changed)
     (label,) = {each["spoofer"] for each in summary["cells"]} - {"none"}
     attack["spoofer"] = label
     (group,) = groups(changed)
-    rows = {row[0]: row[5] for row in attack_rows(changed, group)}
+    rows = {row[0]: row[5] for row in ATTACKS.texts(attack_rows(changed, group))}
     assert rows["shewhart"].endswith("above the zero-alarm bound")
     assert "above" not in rows["never"]
 
@@ -200,13 +208,11 @@ def test_a_victim_without_limits_says_why(tmp_path: Path) -> None:
         spoofers=({"name": "ramp", "rate_mps": 0.1},),
         timeline=None,
     )
-    folder = ResultsFolder(tmp_path / "results")
-    folder.open(suite)
-    run_campaign(suite, folder, threads=1)
+    folder = run_campaign(suite, tmp_path / "results", threads=1)
     summary = summarize(folder)
     (notes,) = floor_notes(summary)
     assert notes.startswith("Floor: none, since no limit is known for ")
     (row,) = summary["detectors"]
     assert row["bracket"]["floor_m"] == {STEALTHY: None, HALF: None}
     assert "no limit is known for" in row["bracket"]["zero_alarm"]["why"]
-    assert "- No zero-alarm bound of raim: no limit is known" in markdown(folder.config(), summary)
+    assert "- No zero-alarm bound of raim: no limit is known" in markdown(folder, summary)

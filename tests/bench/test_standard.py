@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from spoofgym.bench.experiments import campaign as standard
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.cli import app
-from spoofgym.cli.bench import standard_suite
+from spoofgym.cli.suites import standard_suite
 from spoofgym.detectors import Shewhart
 from spoofgym.tasks import RANGE_RATE_TESTS, task_of
 
@@ -69,10 +69,10 @@ class Seen(Exception):
 
 
 def asked_for(*options: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    def seen(world: Any, detectors: Any, **settings: Any) -> Any:
+    def seen(detectors: Any, settings: Any) -> Any:
         raise Seen(settings)
 
-    monkeypatch.setattr(import_module("spoofgym.cli.bench"), "suite_of", seen)
+    monkeypatch.setattr(import_module("spoofgym.cli.bench"), "standard_suite", seen)
     result = CliRunner().invoke(app, ["bench", "--suite", "standard", *options])
     assert isinstance(result.exception, Seen)
     return dict(result.exception.args[0])

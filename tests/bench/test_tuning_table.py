@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from spoofgym.bench.report.table import tuning_head, tuning_rows
+from spoofgym.bench.report.campaign import tuning_table
 from spoofgym.bench.search.amplitude import Trial, TuningResult
 
 
@@ -13,11 +13,13 @@ def test_why_a_value_is_over_the_budget_can_be_read() -> None:
     found = TuningResult(
         "ewma", "ramp", "rate_mps", 0.2, True, 0.05, 400, 390, 0.02, 2, (kept, sifted, over)
     )
-    head = tuning_head(found.as_dict())
+    search = found.as_dict()
+    table = tuning_table(search)
+    head = table.titles
     assert head[:3] == ("rate_mps", "runs", "counted")
     names = ("P(alarm | silent twin) [%]", "its upper limit [%]", "within budget")
     columns = [head.index(name) for name in names]
-    rows = tuning_rows(found.as_dict())
+    rows = table.texts(search["trials"])
     assert [len(row) for row in rows] == [len(head)] * 3
     assert [tuple(row[i] for i in columns) for row in rows] == [
         ("2.0", "4.0", "yes"),
@@ -25,4 +27,4 @@ def test_why_a_value_is_over_the_budget_can_be_read() -> None:
         ("3.5", "5.5", "no"),
     ]
     assert [row[0] for row in rows] == ["0.2 (chosen)", "0.3", "0.3"]
-    assert TuningResult.from_dict(found.as_dict()) == found
+    assert TuningResult.from_dict(search) == found

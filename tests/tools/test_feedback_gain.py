@@ -14,7 +14,7 @@ WORLD = {
     "detector": {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"},
 }
 CURVE = [0.1, 0.5]
-BOUND = {"value": 5.0}
+BOUND = {"value": 5.0, "kind": "exact"}
 
 
 @pytest.fixture(scope="module")

@@ -1,163 +1,362 @@
-"""The report of a campaign, for people, in Markdown."""
+"""Tables and report of a campaign.
+
+A table never compares detectors at different rates of false alarms: there is one for each rate, and
+what is played with nominal thresholds comes by name, without a comparison.
+"""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
-from typing import Any
+import re
+from functools import partial
+from operator import itemgetter
+from typing import Any, NamedTuple
 
-from ..search.attack_suite import FAMILIES
-from . import table as tables
-from .bounds import bracket_section
-from .table import tuning_head, tuning_rows
+from ...detectors.calibrated import NOISY_WARMUP
+from ...spoofers.base import sees_statistics
+from ..experiments.summary import CampaignResults
+from ..scores.bounds import HALF, STEALTHY, headline
+from ..scores.clean import NOMINAL
+from ..scores.paired import CONTROLS, FREE, name_of
+from ..search.attack_suite import FAMILIES, ORACLES
+from ..search.open_loop import FOUND
+from .table import Table, interval, metres, number, page, percent, share, texts, yes_no
+
+Row = dict[str, Any]
+ORACLE = " (oracle)"
+"""Behind the name of a spoofer that sees the detector's statistics, as nobody can in practice."""
+HIDDEN_SETTINGS = {"name", "heading_deg", "label", "designed_on", "file"}
+"""Settings that a table leaves out: they are in other columns, or in the results only."""
+OVER, NONE_WITHIN = ", over budget", " (none within the budget)"
+ABOVE_BOUND = ", above the zero-alarm bound"
 
 
-def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    return lines + ["| " + " | ".join(map(_cell, row)) + " |" for row in rows]
+class Group(NamedTuple):
+    """Detectors at one rate of false alarms an hour; ``""`` for nominal thresholds."""
+
+    rate: str
+    detectors: list[str]
+
+    @property
+    def title(self) -> str:
+        if not self.rate:
+            return "with nominal thresholds, whose rates of false alarms differ"
+        return f"at {self.rate} false alarms an hour"
+
+    def rows(self, rows: list[Row]) -> list[Row]:
+        """Rows of these detectors, in their order."""
+        order = {label: k for k, label in enumerate(self.detectors)}
+        own = (row for row in rows if row["detector"] in order)
+        return sorted(own, key=lambda row: order[row["detector"]])
 
 
-def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|")
-
-
-def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
-    lines = [f"# Campaign: {summary['scenario']}", "", *_setting(config, summary), ""]
-    if summary["missing"]:
-        lines += [f"**Not finished**: {', '.join(summary['missing'])}.", ""]
-    for group in tables.groups(summary):
-        detectors = tables.detector_rows(summary, group)
-        attacks, clean = tables.attack_rows(summary, group), tables.clean_rows(summary, group)
-        lines += [f"## Detectors {group.title}", ""]
-        lines += [*markdown_table(tables.DETECTORS_HEAD, detectors), ""]
-        if attacks:
-            lines += ["### Stealthy attacks", ""]
-            lines += [*markdown_table(tables.ATTACKS_HEAD, attacks), ""]
-        lines += ["### Price", "", *markdown_table(tables.CLEAN_HEAD, clean), ""]
-    lines += ["## The bracket", "", *bracket_section(summary)]
-    lines += ["## How to read it", "", *_reading(config, summary), ""]
-    if summary["comparisons"]:
-        lines += ["## Compared with the controls, run by run", "", *_comparisons(summary), ""]
-    lines += [
-        "## What the spoofers know",
-        "",
-        *markdown_table(tables.KNOWLEDGE_HEAD, tables.knowledge_rows(summary)),
-        "",
+def groups(summary: Row) -> list[Group]:
+    """Detectors that may share a table; one that never alarms is in all of them."""
+    footing = {row["detector"]: row["footing"] for row in summary["detectors"]}
+    rates = sorted({rate for rate in footing.values() if rate not in (NOMINAL, FREE)}, key=float)
+    free = [label for label, rate in footing.items() if rate == FREE]
+    found = [
+        Group(rate, [label for label, own in footing.items() if own in (rate, FREE)])
+        for rate in rates
     ]
-    if summary["tuning"]:
-        lines += ["## Tuning", "", *_tunings(summary["tuning"])]
-    return "\n".join(lines).rstrip() + "\n"
+    nominal = [label for label, rate in footing.items() if rate == NOMINAL]
+    if nominal or not found:
+        found.append(Group("", sorted([*nominal, *([] if found else free)])))
+    return [group for group in found if group.detectors]
 
 
-def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
-    line, attack = config["timeline"], config["attack"]
-    by = attack["control"]
-    kinds = sorted({cell["attack"] for cell in summary["cells"]})
-    knowledge = sorted({cell["knowledge"]["run_time"] for cell in summary["cells"]})
-    notes = config["notes"]
+def _claimed(claimed: Row) -> str:
+    tail = ", fitted tail" if claimed["extrapolated"] else ""
+    return f"{100 * claimed['per_run']:.3g}, {claimed['false_alarms_per_hour']:g}{tail}"
+
+
+def _exceeded(share: float, skies: bool = False) -> Any:
+    return lambda row: headline(row["protection"], share, skies=skies)
+
+
+def attack_of_suite(row: Row) -> str:
+    """Letter and spoofer of an attack of the suite, marked where it is an oracle."""
+    return f"({row['letter']}) {row['spoofer']}{ORACLE if row['letter'] in ORACLES else ''}"
+
+
+def _optimum(reached: Row) -> str:
+    if reached["tuned_within_budget"] is False:
+        return interval(reached) + NONE_WITHIN
+    return interval(reached) + ("" if reached["within_budget"] else OVER)
+
+
+def bound_text(bound: Row, unknown: str = "none") -> str:
+    """Zero-alarm bound, ``<=`` before an upper one; `unknown` where there is none."""
+    sign = "<= " if bound["kind"] == "upper" else ""
+    return unknown if bound["value"] is None else sign + metres(bound["value"])
+
+
+def bound_cell(bracket: Row) -> str:
+    """Zero-alarm bound; ``none`` where it is known that there is none."""
+    bound = bracket["zero_alarm"]
+    return bound_text(bound, "none" if bound["why"] else "-")
+
+
+DETECTORS = Table(
+    ("detector", "detector"),
+    ("claimed: % of runs, per hour", "claimed", _claimed),
+    ("measured: % of runs", "false_alarm_per_run", percent),
+    ("measured: per hour", "false_alarms_per_hour", interval),
+    ("floor of 50 % [m]", lambda row: row["bracket"]["floor_m"][HALF], number),
+    ("exceeded in 50 % [m]", _exceeded(0.5), interval),
+    ("in 5 % [m]", _exceeded(0.05), interval),
+    ("worst skies, in 50 % [m]", _exceeded(0.5, skies=True), interval),
+    (
+        "worst attack",
+        _exceeded(0.5),
+        lambda row: f"{attack_of_suite(row)}, {row['setting']}={row['at']:g}",
+    ),
+    ("floor, stealthy [m]", lambda row: row["bracket"]["floor_m"][STEALTHY], number),
+    ("blind optimum [m]", lambda row: row["bracket"]["blind_optimum"], _optimum),
+    ("zero-alarm bound [m]", "bracket", bound_cell),
+    ("mark", "mark"),
+)
+
+
+def detector_rows(summary: Row, group: Group) -> list[Row]:
+    """Rows of `DETECTORS`: those of the summary, with protection and mark."""
+    protections = {row["detector"]: row for row in summary["protection"]}
     return [
-        *_victim(config, [f"- {note}" for note in notes]),
-        f"- Attack: {', '.join(kinds)}, commanded by {by}, limits "
-        + (f"{attack['acceleration_limit_mps2']:g} m/s^2 and " if by == "acceleration" else "")
-        + f"{attack['rate_limit_mps']:g} m/s",
-        f"- Timeline: warm-up {line['warmup_s']:g} s with detectors live in its last "
-        f"{line['live_s']:g} s, attack {line['attack_s']:g} s, then "
-        f"{line['time_to_alert_s']:g} s in which the offsets hold their rate and alarms count",
-        f"- {config['runs']} evaluation runs, the same for all cells (entropy "
-        f"{config['entropy']}); knowledge of the spoofers at run time: {', '.join(knowledge)}",
-        f"- spoofgym {config['versions']['spoofgym']}, numpy {config['versions']['numpy']}, numba "
-        f"{config['versions']['numba']}; campaign {summary['campaign']}",
+        {
+            **row,
+            "protection": protections.get(row["detector"]),
+            "mark": mark_of(summary, row["detector"])
+            if group.rate
+            else "; ".join(bracket_marks(row["bracket"])) or "-",
+        }
+        for row in group.rows(summary["detectors"])
     ]
 
 
-def _victim(config: dict[str, Any], notes: list[str]) -> list[str]:
-    if "settings" in config:
-        given = {k: json.dumps(x) for k, x in config["settings"].items() if x is not None}
-        own = ", ".join(f"{k}={text}" for k, text in given.items())
-        return [f"- Environment: {config['env']}, {own}", *notes]
-    scenario, receiver = config["scenario"], config["receiver"]
-    errors, rate = scenario["errors"], scenario.get("imu_rate_hz")
+def bracket_marks(bracket: Row) -> list[str]:
+    """What the bracket says of a detector's row."""
+    marks = []
+    if bracket["search_failed"]:
+        marks.append(f"search failed: {', '.join(bracket['search_failed'])}")
+    if bracket["above_zero_alarm"]:
+        names = ", ".join(each["spoofer"] for each in bracket["above_zero_alarm"])
+        marks.append(f"above the zero-alarm bound: {names}")
+    return marks
+
+
+def mark_of(summary: Row, detector: str) -> str:
+    """What is to be known of a detector. Whether and where it is worse than one that never alarms,
+    or by chance; whether the worst attack comes as far as against one that never alarms; whether it
+    alarms before the onset in more runs than a calibration can stand for; whether the search for
+    attacks has failed, and which attacks are above its zero-alarm bound."""
+    (row,) = (row for row in summary["detectors"] if row["detector"] == detector)
+    if name_of(detector) in CONTROLS:
+        return "; ".join(["control", *bracket_marks(row["bracket"])])
+    compared = [each for each in summary["comparisons"] if each["detector"] == detector]
+    where = dict.fromkeys(_compared(each) for each in compared if each["above"])
+    marks = [f"worse than chance: {'; '.join(where)}"] if where else []
+    own = (each for each in compared if each["spoofer"] is None)
+    worst = [each["below"] for each in own if each["control"] == "never"]
+    if worst and not any(worst):
+        marks.append("no better than never")
+    early = (row["claimed"] or {}).get("warmup_alarms", 0.0)
+    if early > NOISY_WARMUP:
+        marks.append(f"alarms before the onset in {100 * early:.0f} % of clean runs")
+    return "; ".join([*marks, *bracket_marks(row["bracket"])])
+
+
+def _compared(row: Row) -> str:
+    """What a comparison is of."""
+    return row["score"] if row["spoofer"] is None else f"{row['score']}, {row['spoofer']}"
+
+
+def titled(spoofer: str, knowledge: str) -> str:
+    """Name of a spoofer in a table of several, marked where it is an oracle."""
+    return spoofer + (ORACLE if sees_statistics(knowledge) else "")
+
+
+def made_for(cell: Row) -> str:
+    """Which detector a spoofer was made for. Returns its label, marked where this is another
+    detector, receiver, scenario, timeline or attack; what the spoofer says of itself where that is
+    all there is; ``-`` for none."""
+    knowledge = cell["knowledge"]
+    if knowledge["detector"] is None:
+        return "-" if knowledge["design_time"] == "nothing" else str(knowledge["design_time"])
+    transfer = knowledge["transfer"]
+    mark = "" if not transfer else " (transfer)"
+    if set(transfer) - {"detector"}:
+        mark = f" (transfer: {', '.join(transfer)})"
+    return f"{knowledge['detector']}{mark}"
+
+
+def _settings(cell: Row) -> str:
+    parts = [
+        _setting(key, value)
+        for key, value in cell["spoofer_settings"].items()
+        if key not in HIDDEN_SETTINGS and value not in (None, [])
+    ]
+    mark = "" if cell["tuned_within_budget"] in {None, True} else NONE_WITHIN
+    return (", ".join(parts) or "-") + mark
+
+
+def _setting(key: str, value: Any) -> str:
+    """One setting, short: of a list its length and range, of a digest its first letters."""
+    if isinstance(value, float):
+        return f"{key}={value:g}"
+    if isinstance(value, list) and all(isinstance(item, int | float) for item in value):
+        return f"{key}: {len(value)} from {min(value):.3g} to {max(value):.3g}"
+    return f"{key}={str(value)[:8]}" if key == "sha256" else f"{key}={value}"
+
+
+ATTACKS = Table(
+    ("detector", "detector"),
+    ("spoofer", lambda cell: titled(cell["spoofer"], cell["knowledge"]["run_time"])),
+    ("made for", made_for),
+    ("setting", _settings),
+    (
+        "P(alarm | silent twin) [%]",
+        lambda cell: percent(cell["alarm_rate"]) + ("" if cell["within_budget"] else OVER),
+    ),
+    (
+        "stealthy displacement [m]",
+        lambda cell: interval(cell["stealthy_displacement_m"]) + cell["above"],
+    ),
+    ("median [m]", "median_m", number),
+    ("alarmed as 0 [m]", "alarmed_as_0_m", interval),
+    ("missed [%]", "missed", percent),
+    ("delay [s]", "delay_s", interval),
+)
+
+
+def attack_rows(summary: Row, group: Group) -> list[Row]:
+    """Rows of `ATTACKS`: cells, with a mark above the zero-alarm bound."""
+    above = {
+        (row["detector"], each["spoofer"])
+        for row in summary["detectors"]
+        for each in row["bracket"]["above_zero_alarm"]
+    }
     return [
-        f"- Scenario: errors {errors if isinstance(errors, str) else errors['kind']}, "
-        f"{scenario['imu']} inertial sensors{'' if rate is None else f' at {rate:g} Hz'}, "
-        f"epochs of {scenario['epoch_interval_s']:g} s",
-        *notes,
-        f"- Receiver: tightly coupled, tuning {receiver['tuning']}, covariance update "
-        f"{receiver['covariance_update']}",
+        {**cell, "above": ABOVE_BOUND if (cell["detector"], cell["spoofer"]) in above else ""}
+        for cell in group.rows(summary["cells"])
+        if cell["spoofer"] != "none"
     ]
 
 
-def _reading(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
-    alert, budget = config["timeline"]["time_to_alert_s"], 100 * summary["budget"]
-    lines = [
-        "In brackets: 95 % intervals. A run *counts* where nothing but the attack can have raised "
-        "an alarm: it is silent before the onset, and so is its clean twin (same seed, same "
-        "detector, no attack) in the judged window. *Undetected displacement* of a run: largest "
-        f"horizontal distance from the twin with no alarm up to {alert:g} s after it. *Stealthy "
-        "displacement*: its mean over the runs that count (bootstrap of whole skies, where there "
-        "are ten or more), of a spoofer whose P(alarm "
-        f"| silent twin) is at most {budget:g} %, which the upper 95 % limit (Clopper-Pearson, "
-        "one-sided) keeps on the training runs; every spoofer has an amplitude that is fitted to "
-        "that. *Over budget*: the rate is above it on these runs. *Alarmed as 0*: the same mean, "
-        "runs with an alarm counted 0. *Missed*: of the runs that count whose error crosses "
-        f"{summary['alert_limit_m']:g} m, those without an alarm up to {alert:g} s after. "
-        "*Delay*: median from the onset to an alarm that the attack raised, not to one by chance, "
-        "which the twin has by then, too. *Made for*: the detector that a spoofer was tuned, "
-        "optimised or trained against; with another detector, receiver, scenario, timeline or "
-        "attack it is a transfer.",
-        "",
-        "False alarms are counted in the window of the attack, by the same runs without attack "
-        "(exact intervals, Clopper-Pearson); *availability lost*: epochs with an alarm.",
-    ]
-    suite = summary["attack_suite"]
-    if suite is None:
-        return lines
-    letters = ", ".join(f"({letter}) {what}" for letter, what in FAMILIES.items())
-    return [
-        *lines,
-        "",
-        f"*Exceeded*: the displacement that the worst attack of the suite {suite['name']} "
-        f"{suite['version']} ({letters}) exceeds in that share of the runs that count, without an "
-        f"alarm budget. The worst one was chosen on {suite['runs']} runs of its own. It is a "
-        "floor: another attack may come farther. *Worst skies*: of the tenth of the skies in "
-        "which most was displaced on those runs.",
-    ]
+CLEAN = Table(
+    ("detector", "detector"),
+    ("availability lost [%]", "false_alarm_per_epoch", partial(percent, digits=2)),
+    ("runs with an alarm before the onset [%]", "warmup_alarm_per_run", percent),
+    ("innocent satellites blamed [s an hour]", "blamed_s_per_hour", number),
+    ("navigation error, RMS [m]", "navigation_rms_m", "{:.2f}".format),
+    ("largest while coasting [m]", "coasting_error_m", number),
+)
+KNOWLEDGE = Table(
+    ("spoofer", itemgetter(0)),
+    ("knows at run time", lambda row: row[1]["run_time"]),
+    ("was designed on", lambda row: row[1]["design_time"]),
+)
+COMPARISONS = Table(
+    ("score", _compared),
+    ("detectors", lambda row: f"{row['detector']} less {row['control']}"),
+    (
+        "difference [m]",
+        lambda row: interval(row["difference_m"]) + (", above" if row["above"] else ""),
+    ),
+)
+ALARMS = (
+    ("P(alarm | silent twin) [%]", "alarm_rate", share(1)),
+    ("its upper limit [%]", "alarm_limit", share(1)),
+)
+"""Alarm rate of the runs that count, and the limit that is compared with the budget."""
 
 
-def _comparisons(summary: dict[str, Any]) -> list[str]:
-    """Detectors less controls."""
-    rows = [
-        (
-            row["score"] if row["spoofer"] is None else f"{row['score']}, {row['spoofer']}",
-            f"{row['detector']} less {row['control']}",
-            tables.interval(row["difference_m"]) + (", above" if row["above"] else ""),
+def tuning_table(search: Row) -> Table:
+    """Table of the trials of a search; a value that was tried on a few runs only is sifted."""
+
+    def value(trial: Row) -> str:
+        chosen = (trial["runs"], trial["value"]) == (search["runs"], search["value"])
+        return f"{trial['value']:g}" + (" (chosen)" if chosen else "")
+
+    return Table(
+        (search["setting"], value),
+        ("runs", "runs"),
+        ("counted", "counted"),
+        *ALARMS,
+        ("stealthy displacement [m]", "stealthy_displacement_m", "{:.2f}".format),
+        ("within budget", "within_budget", yes_no),
+    )
+
+
+def floor_notes(summary: Row) -> list[str]:
+    """What the floors are, and under which assumptions they hold; why there are none."""
+    names = {"HALF": HALF, "STEALTHY": STEALTHY}
+    return str(texts("floor.md.j2").notes(summary, names)).splitlines()
+
+
+def bound_notes(summary: Row) -> list[str]:
+    """Which detectors have no zero-alarm bound, and why; one line for each reason."""
+    labels: dict[str, list[str]] = {}
+    for row in summary["detectors"]:
+        bound = row["bracket"]["zero_alarm"]
+        if bound["value"] is None and bound["why"]:
+            why = re.sub(r"^no zero-alarm bound for \w+: ", "", bound["why"])
+            labels.setdefault(why, []).append(row["detector"])
+    return [f"{', '.join(names)}: {why}" for why, names in labels.items()]
+
+
+def _optima(summary: Row) -> dict[str, list[str]]:
+    """Detectors by what their blind optima were found by; a shape where another curve got farther
+    once fitted."""
+    labels: dict[str, list[str]] = {}
+    for row in summary["detectors"]:
+        optimum = row["bracket"]["blind_optimum"]
+        if optimum is not None and optimum["by"] is not None:
+            shape = optimum["curve"] not in (None, FOUND)
+            name = row["detector"] + (f" ({optimum['curve']})" if shape else "")
+            labels.setdefault(optimum["by"], []).append(name)
+    return labels
+
+
+def markdown(results: CampaignResults, summary: Row) -> str:
+    """Report of a campaign."""
+    known = {cell["spoofer"]: cell["knowledge"] for cell in summary["cells"]}
+    tables = []
+    for group in groups(summary):
+        attacks, clean = attack_rows(summary, group), group.rows(summary["detectors"])
+        detectors = DETECTORS.markdown(detector_rows(summary, group))
+        shown = (detectors, ATTACKS.markdown(attacks) if attacks else "", CLEAN.markdown(clean))
+        tables.append((group.title, *shown))
+    return (
+        page("campaign.md.j2")
+        .render(
+            config=results.config,
+            code=results.store.config["code"],
+            summary=summary,
+            tables=tables,
+            floor_notes=floor_notes(summary),
+            bound_notes=bound_notes(summary),
+            optima=_optima(summary),
+            comparisons=COMPARISONS.markdown(summary["comparisons"]),
+            knowledge=KNOWLEDGE.markdown(known.items()),
+            tuning_table=tuning_table,
+            FAMILIES=FAMILIES,
+            HALF=HALF,
+            STEALTHY=STEALTHY,
         )
-        for row in summary["comparisons"]
-    ]
-    return [
-        *markdown_table(("score", "detectors", "difference [m]"), rows),
-        "",
-        "`never` does not alarm, and `lottery` does by chance. A detector whose interval lies "
-        "above 0 is worse than they are, and is marked. A tuned spoofer is set for every detector "
-        "by itself.",
-    ]
+        .rstrip()
+        + "\n"
+    )
 
 
-def _tunings(searches: list[dict[str, Any]]) -> list[str]:
-    lines = []
-    for search in searches:
-        runs, name = search["runs"], search["setting"]
-        chosen = f"{name} = {search['value']:g}"
-        if not search["within_budget"]:
-            chosen = f"nothing is within the budget; the smallest one is taken, {chosen}"
-        lines += [
-            f"### {search['detector']} / {search['spoofer']}",
-            "",
-            f"Chosen: {chosen}. Budget: P(alarm | silent twin) at most "
-            f"{100 * search['budget']:g} %, by its upper 95 % limit on the {search['counted']} of "
-            f"{runs} training runs that count; fewer runs only sift, by the rate itself.",
-            "",
-            *markdown_table(tuning_head(search), tuning_rows(search)),
-            "",
-        ]
-    return lines
+def print_campaign(summary: Row) -> None:
+    """Print the tables of a campaign."""
+    notes = [*floor_notes(summary), *(f"No zero-alarm bound of {x}." for x in bound_notes(summary))]
+    for k, group in enumerate(groups(summary)):
+        name = f"{summary['scenario']}, {group.title}"
+        DETECTORS.print(f"{name}: detectors", detector_rows(summary, group))
+        if k == 0:
+            print(*notes, "", sep="\n")
+        if rows := attack_rows(summary, group):
+            ATTACKS.print(f"{name}: stealthy attacks", rows, names=2)
+        CLEAN.print(f"{name}: price", group.rows(summary["detectors"]))
+    if summary["missing"]:
+        print(f"not finished: {', '.join(summary['missing'])}")

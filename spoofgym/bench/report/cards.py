@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 import json
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from ...core.registry import check_choice
 from ...detectors import zoo
 from ...detectors.learned_card import DetectorCard, OnnxDetector, card_path
-from ...policies.card import PolicyFile, kind_at
+from ...policies.card import kind_at
 from ...policies.onnx_file import SUFFIX
 from ...spoofers.card import Card
 from ...spoofers.learned import OnnxPolicy
 from ...spoofers.zoo import card_of, shipped
+from .table import Table, share, yes_no
 
-SCORES_HEAD = (
-    "detector",
-    "runs, counted",
-    "split, entropy",
-    "undetected displacement [m]",
-    "alarm rate [%]",
-    "without attack [%]",
-    "budget [%]",
+SCORES = Table(
+    ("detector", attrgetter("detector")),
+    ("runs, counted", lambda x: str(x.runs) if x.counted is None else f"{x.runs}, {x.counted}"),
+    ("split, entropy", lambda x: f"{x.split}, {x.entropy}"),
+    (
+        "undetected displacement [m]",
+        lambda x: f"{x.undetected_displacement_m:.1f} ({x.low:.1f} to {x.high:.1f})",
+    ),
+    ("alarm rate [%]", attrgetter("alarm_rate"), share(1)),
+    ("without attack [%]", attrgetter("clean_alarm_rate"), share(1)),
+    ("budget [%]", lambda x: f"{100 * x.budget:g}"),
 )
 SHOWN = 60
 """Letters of a long list or text that are shown."""
@@ -53,62 +58,44 @@ def score_text(score: dict[str, Any]) -> str:
     )
 
 
-def score_rows(card: Card) -> list[tuple[str, ...]]:
-    """Rows of the table of scores, in the order of `SCORES_HEAD`."""
-    return [
-        (
-            score.detector,
-            str(score.runs) if score.counted is None else f"{score.runs}, {score.counted}",
-            f"{score.split}, {score.entropy}",
-            f"{score.undetected_displacement_m:.1f} ({score.low:.1f} to {score.high:.1f})",
-            f"{100 * score.alarm_rate:.1f}",
-            f"{100 * score.clean_alarm_rate:.1f}",
-            f"{100 * score.budget:g}",
-        )
-        for score in card.scores
-    ]
+def card_rows(card: Card | DetectorCard) -> list[tuple[str, str]]:
+    """What is on a card but its scores, field by field."""
+    rows = _spoofer_rows(card) if isinstance(card, Card) else _detector_rows(card)
+    if card.file is None:
+        return rows
+    file = card.file
+    about = f"{file.name}, {file.bytes} bytes, opset {file.opset}"
+    return [*rows, ("file", about), ("sha256", file.sha256)]
 
 
-def detector_card_rows(card: DetectorCard) -> list[tuple[str, str]]:
+def _detector_rows(card: DetectorCard) -> list[tuple[str, str]]:
     each = {"receiver": "one for the receiver", "channel": "one for every slot"}
     terms = "those of the duel"
     if card.terms is not None:
         terms = _cut(", ".join(str(term["name"]) for term in card.terms))
     memory = ", ".join(f"{state.name} ({state.size})" for state in card.state)
+    interval = "any length" if card.interval_s is None else f"{card.interval_s:g} s"
     threshold = "none on the card: `spoofgym calibrate` finds one in a world"
     return [
         ("kind", card.kind),
         ("observes", _names(card.observation.names)),
         ("terms", terms),
         ("statistic", each[card.statistic]),
-        ("weighs satellites", "yes" if card.weighs else "no"),
+        ("weighs satellites", yes_no(card.weighs)),
         ("remembers", memory or "nothing"),
-        ("made for", f"{card.channels or 'any number of'} slots, epochs of {_interval(card)}"),
+        ("made for", f"{card.channels or 'any number of'} slots, epochs of {interval}"),
         ("threshold", threshold if card.threshold is None else f"{card.threshold:g}"),
         *_settings("calibration", card.calibration),
         *_settings("training", card.training),
-        *_file_rows(card.file),
     ]
 
 
-def _interval(card: DetectorCard) -> str:
-    return "any length" if card.interval_s is None else f"{card.interval_s:g} s"
-
-
-def _file_rows(file: PolicyFile) -> list[tuple[str, str]]:
-    return [
-        ("file", f"{file.name}, {file.bytes} bytes, opset {file.opset}"),
-        ("sha256", file.sha256),
-    ]
-
-
-def card_rows(card: Card) -> list[tuple[str, str]]:
-    """What else is on a card, field by field."""
+def _spoofer_rows(card: Card) -> list[tuple[str, str]]:
     conditions = card.conditions
     limits = f"{conditions.rate_limit_mps:g} m/s"
     if conditions.control != "rate":
         limits = f"{conditions.acceleration_limit_mps2:g} m/s^2 and {limits}"
-    rows = [
+    return [
         ("kind", card.kind),
         ("knows at run time", card.knowledge.run_time),
         ("was designed on", card.knowledge.design_time),
@@ -126,7 +113,6 @@ def card_rows(card: Card) -> list[tuple[str, str]]:
         *_settings("version", card.versions),
         ("compared with", f"{len(card.rivals)} rivals, whose tuning `--json` shows"),
     ]
-    return rows if card.file is None else [*rows, *_file_rows(card.file)]
 
 
 def _names(names: tuple[str, ...]) -> str:

@@ -13,8 +13,9 @@ from ...detectors import DETECTORS, LearnedDetector
 from ...detectors.zoo import shipped as shipped_detectors
 from ...spoofers import SPOOFERS
 from ...spoofers.zoo import card_of, shipped
-from ...truth.scenario import SCENARIOS
+from ...truth.scenario import SCENARIOS, Scenario
 from .cards import find_card, score_text
+from .table import Table
 
 
 def summary_of(thing: Any) -> str:
@@ -45,26 +46,22 @@ def _defaults(kind: Callable[..., Any]) -> dict[str, Any]:
 
 
 def _scenarios() -> list[dict[str, Any]]:
-    rows = []
-    for name, build in SCENARIOS.items():
-        made = build()
-        flight = made.flight if isinstance(made.flight, str) else made.flight.name
-        errors = made.errors if isinstance(made.errors, str) else type(made.errors).__name__
-        rows.append(
-            {
-                "name": name,
-                "summary": f"flight {flight}, errors {errors}, {made.imu} inertial sensors",
-                "settings": {
-                    "flight": flight,
-                    "errors": errors,
-                    "imu": made.imu,
-                    "epoch_interval_s": made.epoch_interval_s,
-                    "channels": made.channels,
-                    "mask_deg": made.mask_deg,
-                },
-            }
-        )
-    return rows
+    return [_scenario(name, build()) for name, build in SCENARIOS.items()]
+
+
+def _scenario(name: str, made: Scenario) -> dict[str, Any]:
+    flight = made.flight if isinstance(made.flight, str) else made.flight.name
+    errors = made.errors if isinstance(made.errors, str) else type(made.errors).__name__
+    plain = ("imu", "epoch_interval_s", "channels", "mask_deg")
+    return {
+        "name": name,
+        "summary": f"flight {flight}, errors {errors}, {made.imu} inertial sensors",
+        "settings": {
+            "flight": flight,
+            "errors": errors,
+            **{key: getattr(made, key) for key in plain},
+        },
+    }
 
 
 def _envs() -> list[dict[str, Any]]:
@@ -88,71 +85,61 @@ def _envs() -> list[dict[str, Any]]:
     return rows
 
 
-def _shipped_detectors() -> list[dict[str, Any]]:
-    """Learned detectors that have names; what is a setting of others, is on their cards."""
+def _detectors() -> list[dict[str, Any]]:
+    """Registered detectors, and learned ones that have names, whose settings are on their cards."""
     keys = ("paper", "scope", "measures", "oracle")
-    rows = []
-    for name in shipped_detectors():
-        made = LearnedDetector(name)
-        known = {key: getattr(made, key) for key in keys}
-        rows.append({"name": name, "summary": summary_of(made), "settings": {}, **known})
-    return rows
+    learned = {name: LearnedDetector(name) for name in shipped_detectors()}
+    return [
+        *_classes(DETECTORS, *keys),
+        *(
+            {
+                "name": name,
+                "summary": summary_of(detector),
+                "settings": {},
+                **{key: getattr(detector, key) for key in keys},
+            }
+            for name, detector in learned.items()
+        ),
+    ]
 
 
 def _shipped() -> list[dict[str, Any]]:
-    rows = []
-    for name in shipped():
-        card = card_of(name)
-        rows.append(
-            {
-                "name": name,
-                "summary": "learned policy" if card.kind == "onnx-policy" else "optimised profile",
-                "kind": card.kind,
-                "knowledge": card.knowledge.run_time,
-                "designed_on": card.knowledge.design_time,
-                "scores": [score.model_dump() for score in card.scores],
-            }
-        )
-    detector: dict[str, Any] = {
-        "summary": "learned detector",
-        "kind": "detector-policy",
-        "scores": [],
-    }
-    for name in shipped_detectors():
-        known = {"knowledge": "innovations of its receiver"}
-        learned_on = f"attacks in {find_card(name).training.get('task', 'a world of its own')}"
-        rows.append({"name": name, **detector, **known, "designed_on": learned_on})
-    return rows
+    spoofers = [
+        {
+            "name": card.name,
+            "summary": "learned policy" if card.kind == "onnx-policy" else "optimised profile",
+            "kind": card.kind,
+            "knowledge": card.knowledge.run_time,
+            "designed_on": card.knowledge.design_time,
+            "scores": [score.model_dump() for score in card.scores],
+        }
+        for card in map(card_of, shipped())
+    ]
+    detectors = [
+        {
+            "name": name,
+            "summary": "learned detector",
+            "kind": "detector-policy",
+            "scores": [],
+            "knowledge": "innovations of its receiver",
+            "designed_on": "attacks in "
+            + find_card(name).training.get("task", "a world of its own"),
+        }
+        for name in shipped_detectors()
+    ]
+    return [*spoofers, *detectors]
 
 
 KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "envs": _envs,
     "scenarios": _scenarios,
     "attacks": lambda: _classes(ATTACKS),
-    "detectors": lambda: [
-        *_classes(DETECTORS, "paper", "scope", "measures", "oracle"),
-        *_shipped_detectors(),
-    ],
+    "detectors": _detectors,
     "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
     "shipped": _shipped,
 }
 """Lists by kind; each row has a name, a summary, and settings with their defaults or what its
 card says."""
-
-
-def table_of(kind: str, rows: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[list[str]]]:
-    """Table of one of `KINDS`."""
-    if kind == "shipped":
-        head = ("name", "what it is", "knows at run time", "was designed on", "reached")
-        keys = ("name", "summary", "knowledge", "designed_on")
-        return head, [
-            [*(row[key] for key in keys), "; ".join(map(score_text, row["scores"])) or "-"]
-            for row in rows
-        ]
-    return ("name", "what it is", "settings and their defaults"), [
-        [row["name"], _marked(row), ", ".join(f"{k}={v}" for k, v in row["settings"].items())]
-        for row in rows
-    ]
 
 
 def _marked(row: Mapping[str, Any]) -> str:
@@ -163,3 +150,25 @@ def _marked(row: Mapping[str, Any]) -> str:
     if row.get("measures", "satellites") != "satellites":
         marks.append("for positions" if row["measures"] == "position" else "for any measurement")
     return f"{row['summary']} [{'; '.join(marks)}]" if marks else str(row["summary"])
+
+
+NAMED = Table(
+    ("name", "name"),
+    ("what it is", _marked),
+    (
+        "settings and their defaults",
+        lambda row: ", ".join(f"{key}={value}" for key, value in row["settings"].items()),
+    ),
+)
+SHIPPED = Table(
+    ("name", "name"),
+    ("what it is", "summary"),
+    ("knows at run time", "knowledge"),
+    ("was designed on", "designed_on"),
+    ("reached", lambda row: "; ".join(map(score_text, row["scores"])) or "-"),
+)
+
+
+def table_of(kind: str) -> Table:
+    """Table of one of `KINDS`."""
+    return SHIPPED if kind == "shipped" else NAMED

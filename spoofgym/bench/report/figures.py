@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,25 +15,28 @@ from ...core.registry import whole_number
 from ...envs.core import SpoofCore
 from ...envs.rendering import CoreRecorder, Screen
 from ...envs.spoofer_binding import commands_of
-from ..experiments.results_folder import PICTURE, ResultsFolder
 from ..experiments.suite import Suite
+from ..experiments.summary import PICTURE, CampaignResults
 from ..runs.play import Attacker
 from ..runs.players import Entry, build_spoofer
-from ..runs.record import Cell
+from ..runs.record import RunRecord
 from ..scores.bounds import STEALTHY
 from .table import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
 
-PROFILE, SCRIPTED = "profile", ("none", "step", "accelerating-ramp", "ramp")
-"""Kinds of spoofers with a marker of their own."""
+MARKERS = {
+    **dict.fromkeys(("none", "step", "accelerating-ramp", "ramp"), ("o", "-")),
+    "profile": ("s", "-."),
+}
+"""Marker and dashes of spoofers by name; those of all others are a star and dashes."""
 SMALLEST_M = 0.05
 """Displacements below it lie on the edge of the picture."""
 
 
-@dataclass(frozen=True)
-class Look:
+class Look(NamedTuple):
     """How one spoofer is drawn: what it is by marker and dashes, which one by colour. `width`: of
     lines; thinner for later ones, so that earlier ones show beneath them."""
 
@@ -47,15 +49,14 @@ class Look:
 def looks(spoofers: list[dict[str, Any]]) -> dict[str, Look]:
     """How the spoofers of a campaign are drawn."""
     played = [entry for entry in spoofers if entry["label"] != "none"]
-    found = {}
-    for i, entry in enumerate(played):
-        kind = entry["spec"]["name"]
-        marker, dashes = ("o", "-") if kind in SCRIPTED else ("*", "--")
-        if kind == PROFILE:
-            marker, dashes = "s", "-."
-        width = max(3.2 - 0.7 * i, 1.5)
-        found[entry["label"]] = Look(COLOURS[i % len(COLOURS)], marker, dashes, width)
-    return found
+    return {
+        entry["label"]: Look(
+            COLOURS[i % len(COLOURS)],
+            *MARKERS.get(entry["spec"]["name"], ("*", "--")),
+            max(3.2 - 0.7 * i, 1.5),
+        )
+        for i, entry in enumerate(played)
+    }
 
 
 def _log_metres(ax: Axes) -> None:
@@ -67,26 +68,10 @@ def _log_metres(ax: Axes) -> None:
     ax.yaxis.set_minor_formatter(NullFormatter())
 
 
-def start_at_edge(row: Iterable[Axes]) -> None:
-    """Let the shared axis of displacements begin at the edge, once all of its panels are drawn. An
-    axis whose end is set no longer follows what is drawn later."""
-    for ax in row:
-        ax.set_ylim(bottom=SMALLEST_M)
-
-
-def _note(ax: Axes, text: str, x: float, apart: tuple[int, int], *, top: bool = False) -> None:
-    """Write at a vertical line, upwards from its foot, or at its top."""
-    ax.annotate(
-        text,
-        (x, 1.0 if top else 0.02),
-        xycoords=("data", "axes fraction"),
-        xytext=apart,
-        textcoords="offset points",
-        color=GREY,
-        fontsize=8,
-        rotation=0 if top else 90,
-        va="baseline" if top else "bottom",
-    )
+def _note(ax: Axes, text: str, xy: tuple[float, float], apart: tuple[int, int], **how: Any) -> None:
+    """Write a small text at a point, by default at a place of the data and a height of the axes."""
+    small = {"textcoords": "offset points", "xycoords": ("data", "axes fraction"), "fontsize": 8}
+    ax.annotate(text, xy, xytext=apart, **{**small, "color": GREY, **how})
 
 
 def draw_means(
@@ -101,14 +86,8 @@ def draw_means(
         mean = scores[name]["stealthy_displacement_m"]
         spread = [[mean["value"] - mean["low"]], [mean["high"] - mean["value"]]]
         ax.errorbar(mean["value"], row, xerr=spread, capsize=2, **_point(look[name], scores[name]))
-        ax.annotate(
-            number(mean["value"]),
-            (mean["high"], row),
-            xytext=(5, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8,
-        )
+        text, place = number(mean["value"]), (mean["high"], row)
+        _note(ax, text, place, (5, 0), xycoords="data", va="center", color="black")
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.4, -0.6)
     highs = (score["stealthy_displacement_m"]["high"] for score in scores.values())
@@ -133,15 +112,7 @@ def _draw_bracket(ax: Axes, bracket: dict[str, Any], end: float) -> None:
         for name, x in numbers.items()
     ]
     if texts:
-        ax.annotate(
-            "   ".join(texts),
-            (0.0, 1.0),
-            xycoords="axes fraction",
-            xytext=(0, 3),
-            textcoords="offset points",
-            color=GREY,
-            fontsize=8,
-        )
+        _note(ax, "   ".join(texts), (0.0, 1.0), (0, 3), xycoords="axes fraction")
 
 
 def _point(look: Look, score: dict[str, Any]) -> dict[str, Any]:
@@ -168,7 +139,7 @@ def draw_trade(
     """Mean displacement against the alarm rate: points of the cells, lines of the searches."""
     style(ax)
     ax.axvline(100 * budget, color=GREY, lw=1, ls=":")
-    _note(ax, "budget", 100 * budget, (4, 0))
+    _note(ax, "budget", (100 * budget, 0.02), (4, 0), rotation=90, va="bottom")
     for search in searches:
         trials = [trial for trial in search["trials"] if trial["runs"] == search["runs"]]
         trials += [
@@ -199,20 +170,20 @@ def draw_trade(
 
 
 def draw_exceedance(
-    ax: Axes, cells: dict[str, Cell], look: dict[str, Look], limit_m: float
+    ax: Axes, cells: dict[str, RunRecord], look: dict[str, Look], limit_m: float
 ) -> None:
     """Probability that the undetected displacement exceeds a limit."""
     style(ax)
     ax.axvline(limit_m, color=GREY, lw=1, ls=":")
-    _note(ax, f"{limit_m:g} m", limit_m, (3, -10), top=True)
+    _note(ax, f"{limit_m:g} m", (limit_m, 1.0), (3, -10))
     far = [float(cell.displacement_m.max()) for cell in cells.values()]
     decades = max(math.ceil(math.log10(max(*far, 1000.0))), 3) if far else 3
     limits = np.geomspace(1.0, 10.0**decades, 400)
     for label, cell in cells.items():
         x = cell.displacement_m[cell.counts]
         part = (x[None, :] > limits[:, None]).sum(axis=1) / max(len(x), 1)
-        drawn = look[label]
-        ax.plot(limits, part, drawn.dashes, color=drawn.colour, lw=drawn.width)
+        colour, _, dashes, width = look[label]
+        ax.plot(limits, part, dashes, color=colour, lw=width)
     ax.set_xscale("log")
     ax.set_xlim(1.0, 10.0**decades)
     marks = [10**k for k in range(decades + 1)]
@@ -221,12 +192,12 @@ def draw_exceedance(
     ax.set_xlabel("alert limit [m]")
 
 
-def draw_course(ax: Axes, cells: dict[str, Cell], look: dict[str, Look]) -> None:
+def draw_course(ax: Axes, cells: dict[str, RunRecord], look: dict[str, Look]) -> None:
     """Induced error over time, and when most runs have alarmed."""
     style(ax)
     alpha = 0.15 if len(cells) <= 4 else 0.07
     for label, cell in cells.items():
-        colour, dashes, width = look[label].colour, look[label].dashes, look[label].width
+        colour, _, dashes, width = look[label]
         time = np.array(cell.series["time_s"])
         low, middle, high = (
             np.maximum(cell.series["error_m"][key], SMALLEST_M) for key in ("p05", "p50", "p95")
@@ -241,15 +212,11 @@ def draw_course(ax: Axes, cells: dict[str, Cell], look: dict[str, Look]) -> None
         end = cell.head["steps"] * cell.interval_s
     if cells:
         ax.axvspan(end, time[-1], color=GREY, alpha=0.12, lw=0)
-        _note(ax, "hold", end, (2, 0))
+        _note(ax, "hold", (end, 0.02), (2, 0), rotation=90, va="bottom")
         ax.set_xlim(0.0, time[-1])
     _log_metres(ax)
     ax.set_xlabel("time since the onset [s] (X: half of the runs have alarmed)")
 
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.lines import Line2D
 
 COLUMNS = 4
 """Detectors side by side; more of them start another block."""
@@ -263,8 +230,8 @@ LABELS = (
 """Their vertical axes."""
 
 
-def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:
-    look = looks(folder.config()["spoofers"])
+def draw_campaign(results: CampaignResults, summary: dict[str, Any]) -> Path:
+    look = looks(results.config["spoofers"])
     detectors = [row["detector"] for row in summary["detectors"]]
     columns = max(min(len(detectors), COLUMNS), 1)
     blocks = [detectors[i : i + COLUMNS] for i in range(0, len(detectors), COLUMNS)]
@@ -284,14 +251,14 @@ def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:
         for ax in rows[:, len(block) :].flat:
             ax.set_visible(False)
         for c, detector in enumerate(block):
-            _draw_column(rows[:, c], detector, folder, summary, look)
+            _draw_column(rows[:, c], detector, results, summary, look)
         for row in (rows[1], rows[3]):
-            start_at_edge(row[:1])
+            row[0].set_ylim(bottom=SMALLEST_M)  # of all, now that none is drawn any more
         for ax, text in zip(rows[1:, 0], LABELS, strict=True):
             ax.set_ylabel(text)
-    runs, name = summary["runs"], summary["scenario"]
     kinds = ", ".join(sorted({cell["attack"] for cell in summary["cells"]}))
-    figure.suptitle(f"{name}: {kinds} attacks, {runs} runs each", fontsize=13)
+    title = f"{summary['scenario']}: {kinds} attacks, {summary['runs']} runs each"
+    figure.suptitle(title, fontsize=13)
     if look:
         figure.legend(
             handles=[_key(axes[0, 0], label, drawn) for label, drawn in look.items()],
@@ -300,17 +267,17 @@ def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:
             frameon=False,
             handlelength=3.5,
         )
-    return save_figure(figure, folder.path / PICTURE, dpi=130)
+    return save_figure(figure, results.path / PICTURE, dpi=130)
 
 
 def _draw_column(
     column: NDArray[np.object_],
     detector: str,
-    folder: ResultsFolder,
+    results: CampaignResults,
     summary: dict[str, Any],
     look: dict[str, Look],
 ) -> None:
-    cells = {name: folder.cell(detector, name) for name in look if folder.has_cell(detector, name)}
+    cells = {name: found for name in look if (found := results.runs(detector, name)) is not None}
     scores = {cell["spoofer"]: cell for cell in summary["cells"] if cell["detector"] == detector}
     searches = [search for search in summary["tuning"] if search["detector"] == detector]
     (bracket,) = (row["bracket"] for row in summary["detectors"] if row["detector"] == detector)
@@ -322,11 +289,8 @@ def _draw_column(
 
 
 def _key(ax: Axes, label: str, look: Look) -> Line2D:
-    (line,) = ax.plot(
-        [], [], look.dashes, marker=look.marker, color=look.colour, lw=2.0, mec="white", label=label
-    )
-    line.set_markersize(11.0 if look.marker == "*" else 8.0)
-    return line
+    star = {"marker": look.marker, "ms": 11.0 if look.marker == "*" else 8.0, "mec": "white"}
+    return ax.plot([], [], look.dashes, color=look.colour, lw=2.0, label=label, **star)[0]
 
 
 def play_frames(
@@ -340,7 +304,7 @@ def play_frames(
     core = SpoofCore(1, setup, action=action, end_at_alarm=False, threads=1)
     screen = Screen("rgb_array", CoreRecorder(core))
     core.reset(suite.generators("evaluation", run + 1, run))
-    attacker = Attacker(spoofer.spec, core.engine)
+    attacker = Attacker([spoofer.spec], core.engine)
     # where the world has decisions, the environment makes epochs of them
     action_of = attacker.action if setup.repeat == 1 else attacker.decide
     screen.begin({name: array[0] for name, array in core.reset_info().items()})

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,10 @@ from ...simulation.setup import Setup
 from ...simulation.tight import TightlyCoupledSetup
 from ..runs.players import Entry, build_spoofer
 from ..search.bounds import floors_m, purposes
-from .table import number
+from .table import Table, metres, texts
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Record = dict[str, Any]
 SENSORS = {"unknown": False, "known": True}
@@ -43,13 +47,6 @@ DRAWN = ("half", "certain")
 """Purposes whose floors are drawn over time."""
 UNBOUNDED = "unbounded"
 COMMANDS_NO_POSITION = "the restricted attack is a false position, which this one does not command"
-ZERO_ALARM_HEAD = (
-    "detector",
-    "free attack [m]",
-    "restricted attack [m]",
-    "kind",
-    "why there is none, or an upper one; what holds instead",
-)
 
 
 def sensors_known(word: str) -> bool:
@@ -185,135 +182,64 @@ def _course(frontier: Frontier, p_fa: float, budget: float) -> Record:
     return {"times_s": frontier.times_s.tolist(), "heading": "unknown", "floors_m": found}
 
 
-def percent(part: float) -> str:
-    """Probability in per cent, with digits enough to differ from 0 and 1."""
-    return f"{100 * part:.3g} %"
-
-
-def metres(cell: Mapping[str, Any]) -> str:
+def spread_text(cell: Mapping[str, Any]) -> str:
     """Median with its range, where there is one."""
-    low, middle, high = (_metres(cell[name]) for name in ("low", "value", "high"))
+    low, middle, high = (metres(cell[name]) for name in ("low", "value", "high"))
     return middle if low == high else f"{middle} ({low} to {high})"
 
 
-def _metres(value: float | str | None) -> str:
-    if value is None:
-        return "-"
-    return value if isinstance(value, str) else number(value)
+def _heads(record: Record, cells: Mapping[str, Any]) -> dict[str, str]:
+    """What is asked of a perfect detector, by purpose."""
+    said = {"stealthy": f" (budget {100 * record['budget']:.3g} %)", "certain": " (P_MD 1e-3)"}
+    return {
+        name: f"P_D {100 * cell['p_d']:.3g} %{said.get(name, '')}" for name, cell in cells.items()
+    }
 
 
-def worlds_text(record: Record) -> str:
-    """Over how many worlds, and what is in brackets."""
-    if record["worlds"] == 1:
-        return "one world"
-    return f"median over {record['worlds']} drawn worlds (10 to 90 %)"
+def _floor(cell: Record) -> str:
+    return f"{spread_text(cell)}; d = {cell['deflection']:.2f}"
 
 
-def rate_text(record: Record) -> str:
-    """Rate of false alarms of the perfect detector."""
-    return (
-        f"P_FA {percent(record['p_fa'])} of runs of {record['window_s']:g} s, "
-        f"{record['false_alarms_per_hour']:g} false alarms an hour"
+ZERO_ALARM = Table(
+    ("detector", "detector"),
+    ("free attack [m]", "free_m", metres),
+    ("restricted attack [m]", "restricted_m", metres),
+    ("kind", lambda row: row["kind"] or "none"),
+    ("why there is none, or an upper one; what holds instead", lambda row: row["why"] or "-"),
+)
+DIVERGENCE: dict[str, Callable[[Record], str]] = {
+    "divergence [nats]": lambda cell: f"{cell['divergence']:.3g}",
+    "displacement [m]": spread_text,
+}
+"""What is shown of each bound."""
+
+
+def print_limits(record: Record) -> None:
+    """Print all that a record has, but its notes."""
+    say, heads = texts("limits.txt.j2"), _heads(record, record["floors_m"][HEADINGS[0]])
+    floors = Table(
+        ("heading of the attack", lambda row: f"{row[0]} to the detector"),
+        *((head, lambda row, name=name: row[1][name], _floor) for name, head in heads.items()),
     )
-
-
-def floor_title(record: Record) -> str:
-    return (
-        f"{record['scenario']}, {record['attack']['name']}: floor, displacement that even a "
-        f"perfect detector allows [m]; {worlds_text(record)}; {rate_text(record)}"
-    )
-
-
-def floor_head(record: Record) -> tuple[str, ...]:
-    return ("heading of the attack", *_heads(record, record["floors_m"][HEADINGS[0]]))
-
-
-def _heads(record: Record, cells: Mapping[str, Any]) -> list[str]:
-    """What is asked of a perfect detector, by column."""
-    said = {"stealthy": f" (budget {percent(record['budget'])})", "certain": " (P_MD 1e-3)"}
-    return [f"P_D {percent(cell['p_d'])}{said.get(name, '')}" for name, cell in cells.items()]
-
-
-def floor_rows(record: Record) -> list[tuple[str, ...]]:
-    return [
-        (
-            f"{heading} to the detector",
-            *(f"{metres(cell)}; d = {cell['deflection']:.2f}" for cell in cells.values()),
+    floors.print(say.floor_title(record), record["floors_m"].items())
+    print(say.check(record))
+    if "zero_alarm" in record:
+        ZERO_ALARM.print(say.zero_alarm_title(record), record["zero_alarm"])
+    found = record.get("divergence")
+    if found is not None and found["holds"]:
+        cells = found["bounds"]
+        bounds = Table(
+            ("", itemgetter(0)),
+            *(
+                (head, lambda row, cell=cells[name]: row[1](cell))
+                for name, head in _heads(record, cells).items()
+            ),
         )
-        for heading, cells in record["floors_m"].items()
-    ]
+        bounds.print(say.divergence_title(record), DIVERGENCE.items())
+    elif found is not None:
+        print(f"{found['spoofer']}: {found['why']}")
+    print(say.assumptions(record).rstrip())
 
-
-def check_line(record: Record) -> str:
-    """What the frontier is per unit of d, and its check by the closed form."""
-    own, free = record["per_deflection_m"]["value"], record["every_channel_free_m"]["value"]
-    if isinstance(own, str) or isinstance(free, str):
-        return (
-            f"per unit of the deflection d: {_metres(own)}; with every channel free {_metres(free)}"
-        )
-    verdict = "below it in every world" if record["below_every_channel_free"] else "ABOVE IT"
-    return (
-        f"per unit of the deflection d: {own:.3g} m; check: with every channel free, in closed "
-        f"form by solution separation, {free:.3g} m; the floor has to be below it, and is {verdict}"
-    )
-
-
-def zero_alarm_title(record: Record) -> str:
-    attack, count = record["attack"], record["worlds"]
-    limits = f"{attack['rate_limit_mps']:g} m/s"
-    if attack["control"] != "rate":
-        limits += f" and {attack['acceleration_limit_mps2']:g} m/s^2"
-    return (
-        f"{record['scenario']}: zero-alarm bound, mean displacement that no attack exceeds without "
-        f"an alarm of its own doing, {'one world' if count == 1 else f'mean over {count} worlds'}; "
-        f"restricted: {attack['name']} towards {attack['heading_deg']:g} deg, at most {limits}"
-    )
-
-
-def zero_alarm_rows(record: Record) -> list[tuple[str, ...]]:
-    return [
-        (
-            row["detector"],
-            _metres(row["free_m"]),
-            _metres(row["restricted_m"]),
-            row["kind"] or "none",
-            row["why"] or "-",
-        )
-        for row in record["zero_alarm"]
-    ]
-
-
-def divergence_title(record: Record) -> str:
-    found = record["divergence"]
-    return (
-        f"{found['spoofer']} ({found['knowledge']}): with a divergence D no test finds it more "
-        f"often than P_D, and its mean displacement is at most [m]; {worlds_text(record)}"
-    )
-
-
-def divergence_head(record: Record) -> tuple[str, ...]:
-    return ("", *_heads(record, record["divergence"]["bounds"]))
-
-
-def divergence_rows(record: Record) -> list[tuple[str, ...]]:
-    cells = record["divergence"]["bounds"].values()
-    return [
-        ("divergence [nats]", *(f"{cell['divergence']:.3g}" for cell in cells)),
-        ("displacement [m]", *(metres(cell) for cell in cells)),
-    ]
-
-
-def assumption_lines(record: Record) -> list[str]:
-    titles = {"floor": "Assumptions of a floor:", "zero_alarm": "Of a zero-alarm bound:"}
-    return [
-        line
-        for kind, lines in record["assumptions"].items()
-        for line in (titles[kind], *(f"- {text}" for text in lines))
-    ]
-
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 COLOURS = {"half": BLUE, "certain": ORANGE}
 LABELS = {
@@ -325,7 +251,7 @@ WIDTH = 140
 
 
 def draw_floors(record: Record, path: Path) -> Path:
-    lines = _caption(record)
+    lines = textwrap.wrap(texts("limits.txt.j2").caption(record), WIDTH)
     figure = figure_class()(figsize=(8.0, 4.8 + 0.16 * len(lines)), layout="constrained")
     ax = figure.subplots()
     style(ax)
@@ -349,7 +275,7 @@ def _draw_floor(ax: Axes, time: NDArray[np.float64], purpose: str, cells: dict[s
     """Median, from 0 at the onset, and its range; whether there is any that is finite."""
     low, middle, high = (_finite(cells[name]) for name in ("low", "value", "high"))
     since, colour = np.append(0.0, time), COLOURS[purpose]
-    label = f"P_D {percent(cells['p_d'])}: {LABELS[purpose]} (d = {cells['deflection']:.2f})"
+    label = f"P_D {100 * cells['p_d']:.3g} %: {LABELS[purpose]} (d = {cells['deflection']:.2f})"
     ax.plot(since, np.append(0.0, middle), "o-", color=colour, ms=4, label=label)
     if not np.array_equal(low, high, equal_nan=True):
         bounds = np.append(0.0, low), np.append(0.0, high)
@@ -360,12 +286,3 @@ def _draw_floor(ax: Axes, time: NDArray[np.float64], purpose: str, cells: dict[s
 def _finite(values: list[float | str]) -> NDArray[np.float64]:
     """Values, NaN where there is no bound."""
     return np.array([np.nan if isinstance(x, str) else x for x in values])
-
-
-def _caption(record: Record) -> list[str]:
-    text = (
-        f"{worlds_text(record).capitalize()}. {rate_text(record)}. The detector does not know "
-        "the heading of the attack. "
-        f"Assumptions: {'; '.join(record['assumptions']['floor'])}."
-    )
-    return textwrap.wrap(text, WIDTH)

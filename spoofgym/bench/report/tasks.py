@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from importlib.resources import files
+from operator import itemgetter
 from typing import Any
 
 from ...core.registry import label_of
@@ -12,8 +14,10 @@ from ...detectors.learned_card import DetectorCard, card_path
 from ...tasks import DETECTOR_TASKS, SUITE, TASKS, DetectorTask, task_of
 from ..experiments.campaign import everyone_in, in_order
 from ..runs.world import World
-from .table import attack_of_suite, interval, number, titled
+from .campaign import OVER, attack_of_suite, bound_text, titled
+from .table import Table, interval, metres, number, percent, share
 
+Card = dict[str, Any]
 FILE = "task_cards_v1.json"
 """Stored with this module; made by `tools.task_cards`."""
 SCORES = {
@@ -24,32 +28,19 @@ SCORES = {
     "feedback": "oracle",
 }
 """Spoofers whose scores are known, each fitted to the alarm budget, and what they observe."""
-HEAD = (
-    "task",
-    "detector",
-    "floor, blind optimum, zero-alarm bound [m]",
-    *(f"{titled(name, known)} [m]" for name, known in SCORES.items()),
-    "in 50 % of runs, the worst attack [m]",
-)
-ADMISSION_HEAD = (
-    "task",
-    "best classic",
-    "alert limit [m]",
-    "(i) over the floor",
-    "(ii) optimum over ramp",
-    "(iii) P(HMI) [%]",
-    "(iv) skies, and by chance",
-    "(v) trivial test",
-    "optimum over accelerating ramp",
-)
-FIGURES = ("over_floor", "optimum_over_ramp", "p_hmi", "skies", "trivial_over_best")
-"""Of the admission test, in its order."""
-FAILED = " (fails)"
+FIGURES = {
+    "over_floor": "(i) over the floor",
+    "optimum_over_ramp": "(ii) optimum over ramp",
+    "p_hmi": "(iii) P(HMI) [%]",
+    "skies": "(iv) skies, and by chance",
+    "trivial_over_best": "(v) trivial test",
+}
+"""Of the admission test, and how they are titled."""
 
 
-def stored_cards() -> dict[str, dict[str, Any]]:
-    text = files("spoofgym.bench").joinpath(FILE).read_text(encoding="utf-8")
-    found: dict[str, dict[str, Any]] = json.loads(text)
+def stored_cards(file: str = FILE) -> dict[str, Card]:
+    """Cards by the keys of the tasks; those that have not been played are absent."""
+    found: dict[str, Card] = json.loads(files("spoofgym.bench").joinpath(file).read_bytes())
     return found
 
 
@@ -75,77 +66,68 @@ def listed() -> list[dict[str, Any]]:
     ]
 
 
-def score_rows() -> list[tuple[str, ...]]:
-    """Rows of the table of scores, in the order of `HEAD`."""
-    rows: list[tuple[str, ...]] = []
-    for key, card in stored_cards().items():
-        reached = (card["scores_m"].get(name) for name in SCORES)
-        worst = card["protection_m"][card["detector"]]["0.5"]
-        named = f"{interval(worst)}, {attack_of_suite(worst)}"
-        rows.append((key, card["detector"], bracket_text(card), *map(_score, reached), named))
-    return rows
+def task_rows() -> list[Card]:
+    """Cards of all tasks, each with its key."""
+    return [{"task": key, **card} for key, card in stored_cards().items()]
 
 
-def bracket_text(card: dict[str, Any]) -> str:
+def bracket_text(card: Card) -> str:
     """Floor for an attack that keeps the budget, blind optimum, zero-alarm bound."""
-    floor, best = card["floor_m"]["stealthy"], card["bracket"]["blind_optimum"]
-    bound = card["bracket"]["zero_alarm"]
-    parts = [_metres(floor["value"])]
-    parts.append("-" if best is None else _metres(best["value"]))
-    sign = "<= " if bound["kind"] == "upper" else ""
-    parts.append("none" if bound["value"] is None else sign + _metres(bound["value"]))
-    return f"[{', '.join(parts)}]"
+    floor, best = card["floor_m"]["stealthy"]["value"], card["bracket"]["blind_optimum"]
+    reached = "-" if best is None else metres(best["value"], "unbounded")
+    bound = bound_text(card["bracket"]["zero_alarm"])
+    return f"[{metres(floor, 'unbounded')}, {reached}, {bound}]"
 
 
-def _metres(value: float | str | None) -> str:
-    if value is None:
-        return "unbounded"
-    return value if isinstance(value, str) else number(value)
+def _score(reached: Card) -> str:
+    return interval(reached) + ("" if reached["within_budget"] else OVER)
 
 
-def _score(reached: dict[str, Any] | None) -> str:
-    if reached is None:
-        return "-"
-    return interval(reached) + ("" if reached["within_budget"] else ", over budget")
+def _worst(card: Card) -> str:
+    worst = card["protection_m"][card["detector"]]["0.5"]
+    return f"{interval(worst)}, {attack_of_suite(worst)}"
 
 
-def admission_rows() -> list[tuple[str, ...]]:
-    """Rows of the table of the admission test, in the order of `ADMISSION_HEAD`."""
-    rows: list[tuple[str, ...]] = []
-    for key, card in stored_cards().items():
-        found = card.get("admission")
-        if found is None:
-            continue
-        limit = f"{number(found['alert_limit_m'])}, {found['limit_over_floor']:.2f} x the floor"
-        chance = {"skies": f", {found['skies_by_chance']:.2f}"}
-        figures = (_figure(found["figures"][name], name, chance.get(name, "")) for name in FIGURES)
-        other = f"{found['optimum_over_accelerating']:.2f}"
-        rows.append((key, found["best_classic"], limit, *figures, other))
-    return rows
+TASK_SCORES = Table(
+    ("task", "task"),
+    ("detector", "detector"),
+    ("floor, blind optimum, zero-alarm bound [m]", bracket_text),
+    *(
+        (f"{titled(name, known)} [m]", lambda card, name=name: card["scores_m"].get(name), _score)
+        for name, known in SCORES.items()
+    ),
+    ("in 50 % of runs, the worst attack [m]", _worst),
+)
 
 
-def _figure(found: dict[str, Any], name: str, more: str) -> str:
-    value = f"{100 * found['value']:.0f}" if name == "p_hmi" else f"{found['value']:.2f}"
-    return value + more + ("" if found["passes"] else FAILED)
+def admission_rows() -> list[Card]:
+    """Results of the admission test, each with the key of its task."""
+    rows = task_rows()
+    return [{"task": row["task"], **row["admission"]} for row in rows if "admission" in row]
+
+
+def _figure(row: Card, name: str) -> str:
+    figure = row["figures"][name]
+    text = share(0)(figure["value"]) if name == "p_hmi" else f"{figure['value']:.2f}"
+    chance = f", {row['skies_by_chance']:.2f}" if name == "skies" else ""
+    return text + chance + ("" if figure["passes"] else " (fails)")
+
+
+ADMISSION = Table(
+    ("task", "task"),
+    ("best classic", "best_classic"),
+    (
+        "alert limit [m]",
+        lambda row: f"{number(row['alert_limit_m'])}, {row['limit_over_floor']:.2f} x the floor",
+    ),
+    *((title, partial(_figure, name=name)) for name, title in FIGURES.items()),
+    ("optimum over accelerating ramp", "optimum_over_accelerating", "{:.2f}".format),
+)
 
 
 DETECTOR_FILE = "detector_cards_v1.json"
 """Stored with this module; made by `tools.detector_cards`."""
 COMMAND = "python -m tools.detector_cards {}"
-DETECTOR_HEAD = (
-    "task",
-    "detector",
-    "P(HMI) [%], worst family",
-    "worst family",
-    "worst public family [%]",
-    "exceeded in 50 % [m]",
-    "in 5 % [m]",
-    "false alarms [% of runs]",
-    "clock step, lost satellite, front [%]",
-)
-
-
-CARD_HEAD = (*DETECTOR_HEAD, "less the best classic, paired [% of runs]")
 
 
 def classics_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
@@ -177,11 +159,8 @@ def _learned_in(name: str, task: DetectorTask) -> bool:
     return task_of(card.training["task"]).settings == task.task.settings
 
 
-def stored_detector_cards() -> dict[str, dict[str, Any]]:
-    """Cards by the keys of the tasks; those that have not been played are absent."""
-    text = files("spoofgym.bench").joinpath(DETECTOR_FILE).read_text(encoding="utf-8")
-    found: dict[str, dict[str, Any]] = json.loads(text)
-    return found
+def stored_detector_cards() -> dict[str, Card]:
+    return stored_cards(DETECTOR_FILE)
 
 
 def missing() -> dict[str, str]:
@@ -209,63 +188,107 @@ def listed_detectors() -> list[dict[str, Any]]:
     ]
 
 
-def detector_score_rows(cards: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
-    """Rows of the table of scores, in the order of `HEAD`, the best detector of a task first."""
-    return [(key, *_row(score)) for key, card in cards.items() for score in _ranked(card)]
+def _rounded(estimate: Card) -> str:
+    """Proportion in per cent, without its interval."""
+    return "-" if estimate["value"] is None else share(0)(estimate["value"])
 
 
-def card_rows(cards: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
-    """Rows of `score_rows`, each with its paired difference to the best classic of the task."""
-    return [
-        (key, *_row(score), _percent(score["less_best"], bounds=True))
-        for key, card in cards.items()
-        for score in _ranked(card)
-    ]
-
-
-def family_rows(card: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Head and rows of P(HMI) by family [%], the best detector first."""
-    scores = _ranked(card)
-    names = [each["family"] for each in scores[0]["families"]]
-    rows = [
-        (score["detector"], *(_percent(each["p_hmi"]) for each in score["families"]))
-        for score in scores
-    ]
-    return ("detector", *names), rows
-
-
-def _ranked(card: dict[str, Any]) -> list[dict[str, Any]]:
-    """Scores of a card, the best detector first."""
-    return sorted(card["detectors"], key=_hazard)
-
-
-def _hazard(score: dict[str, Any]) -> float:
-    """P(HMI) of a score; above 1 where no run counts, so that it comes last."""
-    value = score["p_hmi"]["value"]
-    return 2.0 if value is None else float(value)
-
-
-def _row(score: dict[str, Any]) -> tuple[str, ...]:
+def _public(score: Card) -> Card | None:
     public = [each["p_hmi"] for each in score["families"] if not each["held_out"]]
-    worst = max(public, key=lambda each: each["value"] or 0.0, default=None)
-    alarms = score["false_alarms"]
-    events = ("clock_step", "satellite_loss", "front")
-    return (
-        score["detector"],
-        _percent(score["p_hmi"], bounds=True),
-        score["worst_family"],
-        "-" if worst is None else _percent(worst),
-        interval(score["exceeded_m"]["0.5"]),
-        interval(score["exceeded_m"]["0.05"]),
-        _percent(alarms["clean, judged window"], bounds=True),
-        ", ".join(_percent(alarms[event]) for event in events),
+    return max(public, key=lambda each: each["value"] or 0.0, default=None)
+
+
+EVENTS = ("clock_step", "satellite_loss", "front")
+DETECTOR_SCORES = Table(
+    ("detector", "detector"),
+    ("P(HMI) [%], worst family", "p_hmi", percent),
+    ("worst family", "worst_family"),
+    ("worst public family [%]", _public, _rounded),
+    ("exceeded in 50 % [m]", lambda score: score["exceeded_m"]["0.5"], interval),
+    ("in 5 % [m]", lambda score: score["exceeded_m"]["0.05"], interval),
+    (
+        "false alarms [% of runs]",
+        lambda score: score["false_alarms"]["clean, judged window"],
+        percent,
+    ),
+    (
+        "clock step, lost satellite, front [%]",
+        lambda score: ", ".join(_rounded(score["false_alarms"][event]) for event in EVENTS),
+    ),
+)
+CARDS = Table(
+    ("task", "task"),
+    *DETECTOR_SCORES.columns,
+    ("less the best classic, paired [% of runs]", "less_best", percent),
+)
+
+
+def card_rows(cards: dict[str, Card]) -> list[Card]:
+    """Scores of all detectors with the keys of their tasks, the best detector of a task first."""
+    return [{"task": key, **score} for key, card in cards.items() for score in ranked(card)]
+
+
+def family_table(card: Card) -> Table:
+    """Table of P(HMI) by family [%]."""
+    columns = (
+        (each["family"], lambda score, k=k: score["families"][k]["p_hmi"], _rounded)
+        for k, each in enumerate(card["detectors"][0]["families"])
     )
+    return Table(("detector", "detector"), *columns)
 
 
-def _percent(estimate: dict[str, float | None], *, bounds: bool = False) -> str:
-    if estimate["value"] is None:
-        return "-"
-    if not bounds:
-        return f"{100.0 * estimate['value']:.0f}"
-    low, high = (100.0 * (estimate[name] or 0.0) for name in ("low", "high"))
-    return f"{100.0 * estimate['value']:.1f} ({low:.1f} to {high:.1f})"
+def ranked(card: Card) -> list[Card]:
+    """Scores of a card, the best detector first; one without a run that counts comes last."""
+
+    def hazard(score: Card) -> float:
+        value = score["p_hmi"]["value"]
+        return 2.0 if value is None else float(value)
+
+    return sorted(card["detectors"], key=hazard)
+
+
+TASK_LIST = Table(
+    ("task", itemgetter(0)),
+    ("environment", lambda row: row[1].env_id),
+    (
+        "what it asks for",
+        lambda row: row[1].title + (", historical" if row[1].historical else ""),
+    ),
+)
+DETECTOR_TASK_LIST = Table(
+    ("task", itemgetter(0)),
+    ("environment of a learner", lambda row: row[1].env_id),
+    ("world", lambda row: row[1].title),
+    (
+        "families that are held out",
+        lambda row: ", ".join(family.key for family in row[1].held_out),
+    ),
+)
+
+
+def print_tasks() -> None:
+    """Print all tasks, with the scores that are known."""
+    TASK_LIST.print(SUITE, TASKS.items())
+    TASK_SCORES.print("stealthy displacement", task_rows())
+    ADMISSION.print("admission", admission_rows())
+    DETECTOR_TASK_LIST.print(f"{SUITE}, for detectors", DETECTOR_TASKS.items())
+    CARDS.print("protection", card_rows(stored_detector_cards()))
+    for key, command in missing().items():
+        print(f"{key} has no reference scores yet: {command}")
+
+
+def print_scores(scores: list[Card]) -> None:
+    """Print scores of a task, those by family, and the paired differences to the first detector."""
+    first, card = scores[0], {"detectors": scores}
+    task, limit, runs = (first[name] for name in ("task", "alert_limit_m", "runs"))
+    DETECTOR_SCORES.print(
+        f"{task}: P(HMI) at {limit:g} m, {runs} runs of every family", ranked(card)
+    )
+    family_table(card).print(f"{task}: P(HMI) by family [%]", ranked(card))
+    for score in scores[1:]:
+        ends = (score["less_first"][name] for name in ("value", "low", "high"))
+        value, low, high = (100.0 * (end or 0.0) for end in ends)
+        print(
+            f"{score['detector']} less {first['detector']}, paired: {value:+.1f} % of runs "
+            f"({low:+.1f} to {high:+.1f})"
+        )

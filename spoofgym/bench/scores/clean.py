@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...detectors.calibration_file import hourly_rate
-from ..runs.record import Cell
+from ..runs.record import RunRecord
 from .paired import FREE
 from .statistics import Estimate, clopper_pearson, clustered_proportion
 
@@ -34,7 +34,7 @@ def operating_point(config: dict[str, Any], detector: str) -> dict[str, Any]:
     return {"claimed": claimed, "footing": footing}
 
 
-def score_detector(clean: Cell) -> dict[str, Any]:
+def score_detector(clean: RunRecord) -> dict[str, Any]:
     """False alarms of a detector and their price, from its runs without attack. Per run, per hour,
     and per epoch of the window, which is the availability that is lost; in the warm-up; satellites
     that are blamed though nobody attacks, in satellite seconds an hour, None where channels are not

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...spoofers.base import sees_statistics
-from ..report.table import interval
 from .scores import clusters_of
-from .statistics import Estimate, percentiles, resamples_of
+from .statistics import Estimate, interval, percentiles, resamples_of
 
 FloatArray = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ a quantile of the beta distribution, and who is chosen on these runs keeps the b
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -50,6 +50,27 @@ class Estimate(NamedTuple):
 
 
 NOTHING = Estimate(math.nan, math.nan, math.nan)
+
+
+def number(value: float) -> str:
+    """Number as text, with as many digits as suit its size."""
+    return f"{value:.{_digits(abs(value))}f}"
+
+
+def interval(estimate: Mapping[str, float | None], digits: int | None = None) -> str:
+    """Number with its interval as text, from ``value``, ``low`` and ``high``, None where unknown.
+    `digits`: after the point; as many as suit the size by default."""
+    value, *ends = (estimate[key] for key in ("value", "low", "high"))
+    if value is None:
+        return "-"
+    if digits is None:
+        digits = _digits(max((abs(end) for end in ends if end is not None), default=abs(value)))
+    low, high = ("?" if end is None else f"{end:.{digits}f}" for end in ends)
+    return f"{value:.{digits}f} ({low} to {high})"
+
+
+def _digits(size: float) -> int:
+    return 0 if size >= 100.0 else 1 if size >= 1.0 else 2
 
 
 def wilson(events: int, trials: int, confidence: float = CONFIDENCE) -> Estimate:

@@ -1,0 +1,56 @@
+"""Thresholds of detectors, and how often they raise false alarms on other runs, as tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from operator import attrgetter
+from typing import Any
+
+from ...calibration.holdouts import HoldOut
+from .table import Table
+
+
+def _scale(point: dict[str, Any]) -> str | None:
+    if point["scale"] is None:
+        return None
+    return f"{point['scale']:.6g}{' (fitted tail)' if point['extrapolated'] else ''}"
+
+
+CALIBRATIONS = Table(
+    ("detector", "detector"),
+    ("runs", "runs"),
+    ("scale", _scale),
+    ("per hour", lambda point: point.get("false_alarms_per_hour"), "{:g}".format),
+    ("per run", lambda point: point.get("per_run"), lambda x: f"{100 * x:.3g} %"),
+    ("warm-up alarms", lambda point: point.get("warmup_alarms"), lambda x: f"{100 * x:.2g} %"),
+    ("file", "file"),
+)
+"""Rows: operating points with ``detector`` and ``file``; without one ``scale`` is None."""
+
+
+def _rate(per_hour: float) -> str:
+    return f"{per_hour:.3g}" if math.isfinite(per_hour) else "every run"
+
+
+HOLD_OUTS = Table(
+    ("detector", attrgetter("name")),
+    ("runs", attrgetter("runs")),
+    ("alarms", attrgetter("alarms")),
+    ("predicted", lambda one: None if one.holds is None else f"{one.low} to {one.high}"),
+    ("holds", attrgetter("holds"), lambda holds: "yes" if holds else "NO"),
+    ("per hour", attrgetter("per_hour"), _rate),
+    ("promised", attrgetter("promised"), lambda x: f"{100 * x:.3g} % of runs"),
+)
+WORST_WORLD = (
+    "worst world per hour (by chance)",
+    attrgetter("worst_world"),
+    lambda rates: f"{_rate(rates[0])} ({_rate(rates[1])})",
+)
+
+
+def print_hold_outs(title: str, found: Sequence[HoldOut]) -> None:
+    """Print counted alarms; the worst world too where several were drawn."""
+    several = any(one.worst_world for one in found)
+    table = Table(*HOLD_OUTS.columns, WORST_WORLD) if several else HOLD_OUTS
+    table.print(title, found)

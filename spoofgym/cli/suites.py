@@ -1,0 +1,276 @@
+"""Worlds and suites of the options."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from .options import (
+    ENV,
+    SCENARIO_OPTIONS,
+    TASK_OPTIONS,
+    TIMES,
+    WORLD_OPTIONS,
+    SuiteOptions,
+    WorldOptions,
+)
+from .output import progress
+
+if TYPE_CHECKING:
+    from ..bench.experiments.suite import Suite
+    from ..bench.runs.players import Entry
+    from ..bench.runs.world import World
+    from ..bench.search.settings import Selection, Tuning
+    from ..core.registry import Spec
+    from ..truth.scenario import Scenario
+
+OPTIONS_OF = {
+    "scenario": ("scenario", "errors", "imu", "track", "ephemeris"),
+    "receiver": ("tuning",),
+    "timeline": TIMES,
+}
+"""Options that make settings of the victim, which `--set` may give in their place."""
+LEFT_OUT = " is left out: "
+"""In a note, between the label of a detector and the reason."""
+Reports = dict[str, Any] | None
+"""Of real input, as `RealInput` has them."""
+
+
+def specs_of(texts: Sequence[str]) -> list[dict[str, Any]]:
+    """Names and settings; a class of the user's may lie in the working directory."""
+    from ..core.registry import parse_spec
+
+    specs = [parse_spec(text) for text in texts]
+    if any(":" in spec["name"] for spec in specs) and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    return specs
+
+
+def world_of(options: WorldOptions, task: str | None = None) -> World:
+    """The world of the options, or of a task."""
+    from ..bench.runs.world import World
+
+    if task is not None:
+        refuse_decided(options, "--task", WORLD_OPTIONS)
+        return World.of(task)
+    decided = _victim(options)[0]
+    decided.pop("notes", None)
+    return World.of(**decided)
+
+
+def suite_of(
+    options: SuiteOptions,
+    detectors: Sequence[str] | None,
+    *,
+    task: str | None = None,
+    nominal: bool = False,
+    headline: bool = False,
+    **settings: Any,
+) -> tuple[Suite, Reports]:
+    """The suite of the options or of a task, and the reports of real input; nothing is looked up.
+
+    `nominal`: whether detectors that ask for no thresholds have them as published; `headline`:
+    whether they have one rate of false alarms, in a drawn world, and controls, unless a task or an
+    option decides otherwise; `settings`: those of a suite that no task decides.
+    """
+    from ..bench.experiments.suite import Suite
+    from ..bench.runs.world import HEADLINE_DOMAIN
+    from ..detectors.calibrated import STANDARD_RATE
+    from ..tasks import SUITE, task_of
+
+    rate = options.false_alarms_per_hour
+    if nominal and rate is not None:
+        raise ValueError("--nominal and --false-alarms-per-hour can't both be given")
+    settings |= {"entropy": options.seed, "allow_oracles": options.allow_oracles}
+    if task is not None:
+        refuse_decided(options, "--task", TASK_OPTIONS)
+        chosen = task_of(task)
+        notes = (f"task {chosen.key} of {SUITE}: {chosen.title}",)
+        return Suite(**chosen.suite_kwargs, notes=notes, **settings), None
+    if rate is None and headline:
+        rate = STANDARD_RATE
+    asked = {} if rate is None else {"false_alarms_per_hour": rate}
+    thresholds = {"thresholds": "nominal"} if nominal else asked
+    decided, reports = _victim(options)
+    specs = _detectors(options, decided, detectors, thresholds, headline)
+    drawn = options.env == ENV and options.track is None and "domain" not in decided["settings"]
+    if headline and drawn:
+        decided["domain"] = HEADLINE_DOMAIN
+    return Suite(**decided, detectors=specs, **settings), reports
+
+
+def _detectors(
+    options: WorldOptions,
+    decided: Mapping[str, Any],
+    texts: Sequence[str] | None,
+    thresholds: Spec,
+    headline: bool,
+) -> list[dict[str, Any]] | None:
+    """Detectors with the thresholds that are asked for; of a headline the usual ones and the
+    controls by default, and `all` for all, tests with a drift term a second time, rescaled."""
+    from ..bench.experiments.campaign import everyone_in
+    from ..bench.runs.world import CONTROLS, VICTIMS, World
+    from ..core.registry import check_choice
+    from ..detectors.build import asks
+
+    check_choice("environment of the benchmark", options.env, VICTIMS)
+    usual, specs = VICTIMS[options.env].detectors, specs_of(texts) if texts else None
+    if headline and specs is None:
+        specs = [*CONTROLS, *usual]
+    elif headline and any(spec["name"] == "all" for spec in specs or ()):
+        named = [spec for spec in specs or () if spec["name"] != "all"]
+        names = {spec["name"] for spec in named}
+        world = World.of(**{name: x for name, x in decided.items() if name != "notes"})
+        found = everyone_in(world.setup, "false_alarms_per_hour" in thresholds)
+        specs = [*named, *(spec for spec in found if spec["name"] not in names)]
+    if not thresholds:
+        return specs
+    return [
+        spec if asks(spec) and spec.get("thresholds") != "rescaled" else {**thresholds, **spec}
+        for spec in (usual if specs is None else specs)
+    ]
+
+
+def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) -> Suite:
+    """The standard suite, with all detectors, or with those that are given and the controls."""
+    from ..bench.experiments.campaign import RATE, TASK, everyone_in, in_order, standard_kwargs
+    from ..bench.experiments.suite import Suite
+    from ..bench.runs.world import CONTROLS, World
+
+    if detectors is None:
+        chosen = in_order(everyone_in(World.of(TASK).setup, rescaled=True))
+    else:
+        given = specs_of(detectors)
+        names = {spec["name"] for spec in given}
+        chosen = [*(dict(spec) for spec in CONTROLS if spec["name"] not in names), *given]
+    specs = [{"false_alarms_per_hour": RATE, **spec} for spec in chosen]
+    return Suite(**standard_kwargs(), detectors=specs, **settings)
+
+
+def refuse_decided(options: WorldOptions, decider: str, names: Collection[str]) -> None:
+    """Raise where an option is given that another one decides."""
+    from ..core.registry import refuse_given
+
+    refuse_given(decider, options.given(names).values())
+
+
+def calibrated(suite: Suite, detectors: Sequence[str] | None, threads: int | None) -> Suite:
+    """A suite whose detectors all have thresholds; of `all`, those that can't are left out."""
+    given = {spec["name"] for spec in specs_of(detectors or ("all",))}
+    labels = [entry.label for entry in suite.detector_entries if entry.spec["name"] not in given]
+    optional = labels if "all" in given else ()
+    refused = calibrate_with_progress(suite.world, suite.detector_entries, threads, optional)
+    if refused:
+        kept = [e.spec for e in suite.detector_entries if e.label not in refused]
+        notes = (*suite.notes, *(f"{label}{LEFT_OUT}{why}" for label, why in refused.items()))
+        suite = replace(suite, detectors=kept, notes=notes)
+    suite.check_fit()
+    return suite
+
+
+def calibrate_with_progress(
+    world: World, entries: Sequence[Entry], threads: int | None, optional: Collection[str] = ()
+) -> dict[str, str]:
+    """Calibrate the detectors that ask for a rate of false alarms, and show how far that is.
+
+    `optional`: labels of those that may have no calibration; returns why, by their labels.
+    """
+    from ..bench.experiments.calibration import calibrate_entries, missing_runs
+
+    settings: dict[str, Any] = {"threads": threads, "optional": optional}
+    if left := missing_runs(world, entries):
+        with progress(left) as bar:
+            return calibrate_entries(world, entries, progress=bar, **settings)
+    return calibrate_entries(world, entries, **settings)
+
+
+def tuning_of(runs: int, budget: float) -> Tuning:
+    """A search on so many training runs, of which a sixteenth sifts."""
+    from ..bench.search.settings import Tuning
+
+    try:
+        return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget)
+    except ValueError as error:  # it knows its fields, not the options
+        text = str(error).replace("`tuning.runs`", "--training-seeds")
+        raise ValueError(text.replace("`tuning.budget`", "--budget")) from error
+
+
+def selection_of(runs: int) -> Selection | None:
+    """A search for the worst attack on so many runs, of which a quarter sifts; None for none."""
+    from ..bench.search.settings import Selection
+
+    return Selection(runs=runs, sift_runs=max(runs // 4, 1)) if runs else None
+
+
+def _victim(options: WorldOptions) -> tuple[dict[str, Any], Reports]:
+    """Environment, settings of the victim and notes, and the reports of real input."""
+    from ..core.registry import parse_setting
+
+    decided, reports = _own_options(options)
+    own: dict[str, Any] = {}
+    for name, value in map(parse_setting, options.settings or ()):
+        if name in own:
+            raise ValueError(f"--set {name} is given twice: {own[name]!r} and {value!r}")
+        own[name] = value
+    for name in {*own} & {*decided}:
+        if not options.given(OPTIONS_OF.get(name, (name,))):
+            del decided[name]  # its option has its default
+    return {**decided, "settings": own}, reports
+
+
+def _own_options(options: WorldOptions) -> tuple[dict[str, Any], Reports]:
+    """Environment and settings that have options of their own, and the reports of real input."""
+    if options.env != ENV:
+        for option in options.given(SCENARIO_OPTIONS).values():
+            raise ValueError(
+                f"{option} is an option of {ENV}, not of {options.env}, whose settings are "
+                "given with --set"
+            )
+        times = {name: getattr(options, name) for name in options.given(TIMES)}
+        return {"env": options.env, **({"timeline": times} if times else {})}, None
+    scenario, lines, reports = _scenario(options)
+    (attack,) = specs_of([options.attack])
+    return {
+        "env": options.env,
+        "scenario": scenario,
+        "receiver": {"tuning": options.tuning},
+        "attack": attack,
+        "timeline": {name: getattr(options, name) for name in TIMES},
+        "notes": lines,
+    }, reports
+
+
+def _scenario(options: WorldOptions) -> tuple[Scenario, tuple[str, ...], Reports]:
+    """The scenario, and the lines and reports of real input."""
+    from ..truth.scenario import make_scenario
+
+    (spec,) = specs_of([options.scenario])
+    own = {"errors": options.errors, "imu": options.imu}
+    usual = make_scenario({**spec, **{key: x for key, x in own.items() if x is not None}})
+    if options.track is None and options.ephemeris is None:
+        for option in options.given(("from_s", "duration", "day")).values():
+            raise ValueError(f"{option} cuts a recorded track; there is no --track")
+        return usual, (), None
+    if options.track is None or options.ephemeris is None:
+        raise ValueError("--track and --ephemeris belong together: a flight needs its satellites")
+    from datetime import date
+
+    from ..data.recorded import real_scenario
+
+    try:
+        day = None if options.day is None else date.fromisoformat(options.day)
+    except ValueError as error:
+        raise ValueError(f"--date must be YYYY-MM-DD, got {options.day!r}") from error
+    kept = ("errors", "imu", "epoch_interval_s", "channels", "mask_deg", "imu_rate_hz")
+    real = real_scenario(
+        options.track,
+        options.ephemeris,
+        from_s=options.from_s,
+        duration_s=options.duration,
+        day=day,
+        **{name: getattr(usual, name) for name in kept},
+    )
+    return real.scenario, real.lines, real.reports

@@ -1,0 +1,73 @@
+"""Spoofgym tune."""
+
+from __future__ import annotations
+
+import functools
+from typing import Annotated
+
+import typer
+
+from . import options as opt
+from .options import SuiteOptions, with_options
+from .output import print_json, print_lines, progress
+from .suites import calibrated, specs_of, suite_of, tuning_of
+
+
+@with_options
+def tune(
+    *,
+    detector: Annotated[
+        list[str] | None, typer.Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")
+    ] = None,
+    spoofer: Annotated[
+        list[str] | None,
+        typer.Option(help="Spoofer, may be repeated: ramp, accelerating-ramp, step, or your own."),
+    ] = None,
+    budget: opt.Budget = 0.05,
+    training_seeds: opt.Training = 1024,
+    as_json: opt.Json = False,
+    options: SuiteOptions,
+    threads: opt.Threads = None,
+) -> None:
+    """Find the strongest ramp that keeps to an alarm budget, on training runs."""
+    from ..bench.report.campaign import tuning_table
+    from ..bench.runs.panel import Panel
+    from ..bench.runs.players import TUNED, build_spoofer
+    from ..bench.search.amplitude import fit, search_work
+    from ..detectors import detector_in_world
+    from ..spoofers.scaled import AMPLITUDE
+
+    specs = specs_of(spoofer or ["ramp", "accelerating-ramp"])
+    for spec in specs:
+        untuned = {key: value for key, value in spec.items() if value != TUNED}
+        spec[build_spoofer(untuned).tunable or AMPLITUDE] = TUNED
+    tuning = tuning_of(training_seeds, budget)
+    suite, _ = suite_of(options, detector, spoofers=specs, tuning=tuning)
+    suite = calibrated(suite, detector, threads)
+    if not as_json:
+        print_lines((*suite.notes, *suite.captions))
+    entries = [entry for entry in suite.spoofer_entries if entry.tuned]
+    each = 2.0 * suite.tuning.runs + len(entries) * search_work(suite.tuning)
+    results, optima, watched = [], suite.optima(), suite.world.watched_for(entries)
+    rngs = functools.partial(suite.generators, "training", suite.tuning.runs)
+    with progress(each * len(suite.detector_entries)) as bar:
+        for judge in suite.detector_entries:
+            judges = [detector_in_world(judge.spec)]
+            panel = Panel(suite.world.setup, judges, rngs, threads, watched)
+            for entry in entries:
+                now = f"{judge.label}: tuning {entry.label}"
+                tick = functools.partial(bar.advance, now=now)
+                results += fit(panel, {0: judge}, entry, optima, tick)
+    if as_json:
+        print_json([result.as_dict() for result in results])
+        return
+    for result in results:
+        table = result.as_dict()
+        tuning_table(table).print(
+            f"{result.spoofer} against {result.detector}: P(alarm | silent twin) at most "
+            f"{100 * budget:g} %, by its upper limit on the {result.counted} of {result.runs} "
+            "training runs that count; fewer only sift, by the rate itself",
+            table["trials"],
+        )
+        if not result.within_budget:
+            typer.echo(f"nothing is within the budget; the smallest value is {result.value:g}")
