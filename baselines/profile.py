@@ -18,18 +18,18 @@ import re
 import shlex
 import shutil
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-from spoofgym.bench.experiments.versions import versions
 
 from agents.folder import Part, Records, Ticks, identity_of
 from agents.seeds import on_card
+from spoofgym import __version__
 from spoofgym.bench.experiments import Context, Store
 from spoofgym.bench.experiments.evaluate import RUNS, Evaluator
+from spoofgym.bench.experiments.identity import code_identity
 from spoofgym.bench.report.campaign import ALARMS
 from spoofgym.bench.report.table import Table
 from spoofgym.bench.runs.players import detector_entry
@@ -237,7 +237,7 @@ def card_of(
             "conditions": fields["conditions"],
             "knowledge": {"run_time": "blind", "design_time": designed_on},
             "training": training,
-            "versions": {**versions(), "cmaes": version("cmaes")},
+            "versions": {"spoofgym": __version__, **code_identity(("cmaes",))},
             "scores": [on_card(judge.score({"name": "profile", **profile}, amplitude=None), judge)],
             "rivals": [_rival(fit) for fit in fits.values()],
             "settings": profile,

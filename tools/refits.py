@@ -21,11 +21,11 @@ from typing import Any
 
 from rich.console import Console
 from rich.markdown import Markdown
-from spoofgym.bench.experiments.versions import versions
 
 from agents.folder import Part, Records, error_lines, identity_of, write_json
 from agents.seeds import keeps_budget, spread, value_of
 from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.identity import code_identity
 from spoofgym.bench.report.campaign import titled
 from spoofgym.bench.report.table import Table
 from spoofgym.bench.runs.players import check_labels, fitted, spoofer_entry
@@ -103,7 +103,7 @@ def play(given: argparse.Namespace, progress: ProgressBar | None = None) -> dict
             "task": task,
             "runs": given.runs,
             "fit_runs": given.fit_runs,
-            "versions": versions(),
+            "versions": code_identity(),
             "entropies": given.entropies,
             "spoofers": {each[0]["spoofer"]: list(each) for each in zip(*sets, strict=True)},
         }

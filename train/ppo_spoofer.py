@@ -44,7 +44,6 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
-from spoofgym.bench.experiments.versions import versions
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
@@ -65,6 +64,7 @@ from agents.record import read_record, write_record
 from agents.seeds import LOUDEST, comparable, copy_policy, table_of, value_of
 from agents.spoofer_table import RIVALS
 from spoofgym.bench.experiments.evaluate import FITTED, Evaluator, entry_of
+from spoofgym.bench.experiments.identity import code_identity
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.cli.output import print_table
 from spoofgym.core.progress import ProgressBar, show_progress
@@ -364,7 +364,7 @@ def train(args: Arguments, progress: ProgressBar | None = None) -> dict[str, Any
     rows = [{name: x for name, x in row.items() if name != "training_m"} for row in rows]
     return {
         "command": args.command(),
-        "versions": versions() | learning_versions(),
+        "versions": {**code_identity(), **learning_versions()},
         "detector": judge.detector.label,
         "kept": best,
         "seeds": rows,
