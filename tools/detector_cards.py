@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from agents.folder import write_json
 from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
 from spoofgym.bench.experiments.protect import DetectorEvaluator
 from spoofgym.bench.experiments.task_worlds import entries_of
@@ -37,7 +36,7 @@ from spoofgym.cli.output import progress
 from spoofgym.core.registry import check_choice, label_of
 from spoofgym.detectors import zoo
 from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
-from tools.pages import DOCS, ROOT, put_between, rendered
+from tools.pages import DOCS, ROOT, keep_cards, put_between, rendered
 
 KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, DOCS / "tasks.md"
 BEGIN, END = "<!-- detector-cards:begin -->", "<!-- detector-cards:end -->"
@@ -131,9 +130,7 @@ def main(arguments: list[str]) -> None:
         sizes = given.runs, given.selection_runs
         card = played(detector_task_of(key), given.out, *sizes, given.only)
         card = with_others(card, stored_cards().get(key))
-        kept = {**stored_cards(), key: card}
-        kept = {name: kept[name] for name in DETECTOR_TASKS if name in kept}
-        write_json(KEPT, kept)
+        keep_cards(KEPT, {**stored_cards(), key: card}, DETECTOR_TASKS)
         for score in card["detectors"]:
             print(key, score["detector"], score["p_hmi"], score["worst_family"], flush=True)
     put_between(PAGE, BEGIN, END, shown())

@@ -2,12 +2,10 @@
 
     python -m tools.headlines                  # plays what is missing, into results/headlines
     python -m tools.headlines --world trolley  # one of them; the others stay as they are kept
-    python -m tools.headlines --limits-only    # floors and zero-alarm bounds again, of a --world
     python -m tools.headlines --tables-only    # docs/scores.md again from docs/headlines.json
 
 All detectors work at 0.2 false alarms an hour; ramps, profiles, blind optima and feedback meet each
 of them.  Their bracket is shown with what was achieved.
-Killed, it goes on where it was.
 """
 
 from __future__ import annotations
@@ -19,11 +17,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from agents.folder import write_json
 from spoofgym.bench.report import campaign as report
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.scores.bounds import bracket_of
-from spoofgym.cli.suites import LEFT_OUT, standard_suite
-from spoofgym.core.files import write_file
+from spoofgym.cli.suites import LEFT_OUT
 from spoofgym.core.settings import digest_of
 from spoofgym.spoofers.base import sees_statistics
 from tools.pages import DOCS, marks, put_between, rendered
@@ -57,7 +55,6 @@ NO_LIMITS: dict[str, Any] = {"floor": None, "zero_alarm": {}}
 
 
 def options(name: str, sizes: list[str]) -> list[str]:
-    """Of the command line, for a world."""
     if "--suite" in WORLDS[name]:
         return ["bench", *WORLDS[name]]
     players = [word for spoofer in SPOOFERS for word in ("--spoofer", spoofer)]
@@ -65,41 +62,26 @@ def options(name: str, sizes: list[str]) -> list[str]:
 
 
 def played(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
-    """Play a world, and return what is kept of it."""
     given = options(name, sizes)
     command = [sys.executable, "-W", "ignore", "-m", "spoofgym", *given]
     done = subprocess.run(
         [*command, "--out", str(out / name), "--json"], check=True, stdout=subprocess.PIPE
     )
     summary = json.loads(done.stdout)
-    config = json.loads((out / name / "config.json").read_text())
+    found = json.loads((out / name / "config.json").read_text())
+    config = found["config"]
     wanted = ("campaign", "scenario", "runs", "entropy", "budget", "alert_limit_m", "attack_suite")
     parts = ("detectors", "cells", "protection", "comparisons", "limits")
     return {
         "command": " ".join(["spoofgym", *given]),
-        "versions": config["versions"],
-        "notes": config["notes"],
-        "calibrations": config["calibrations"],
+        "versions": found["code"],
+        **{key: config[key] for key in ("notes", "calibrations")},
         **{key: summary[key] for key in (*wanted, *parts)},
         "cells": [
             {key: value for key, value in cell.items() if key not in CURVES}
             for cell in summary["cells"]
         ],
     }
-
-
-def with_limits(world: dict[str, Any]) -> dict[str, Any]:
-    """A standard suite that is kept, with its limits computed again: they need no run."""
-    suite = standard_suite(None, {"spoofers": []})
-    brackets = suite.brackets()
-    bounds = {}
-    for entry in suite.detector_entries:
-        if entry.label in {row["detector"] for row in world["detectors"]}:
-            print(entry.label, flush=True)
-            bounds[entry.label] = brackets.zero_alarm(entry).as_json()
-    limits = {"floor": brackets.floor(), "zero_alarm": bounds}
-    bare = [{key: x for key, x in row.items() if key != "bracket"} for row in world["detectors"]]
-    return _bracketed({**world, "detectors": bare}, limits)
 
 
 def _bracketed(world: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
@@ -115,14 +97,7 @@ def _bracketed(world: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
     return {**world, "limits": limits, "detectors": found}
 
 
-def write_kept(worlds: dict[str, Any]) -> None:
-    worlds = {name: worlds[name] for name in WORLDS}
-    kept = {"digest": digest_of(worlds), "worlds": worlds}
-    write_file(KEPT, (json.dumps(kept, allow_nan=False) + "\n").encode())
-
-
 def shown(kept: dict[str, Any]) -> str:
-    """Tables of all worlds, for the page."""
     worlds = []
     for world in kept["worlds"].values():
         world = _bracketed(world, world.get("limits", NO_LIMITS))
@@ -159,7 +134,6 @@ def _tables(world: dict[str, Any]) -> str:
 
 
 def _plain(cell: dict[str, Any]) -> str:
-    """Name of a cell's spoofer."""
     return str(cell["spoofer"]).partition("(")[0]
 
 
@@ -170,7 +144,6 @@ def _displacement(cell: dict[str, Any]) -> str:
 
 
 def main(arguments: list[str]) -> None:
-    """Play the three worlds, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("results/headlines"))
     parser.add_argument("--world", choices=WORLDS, action="append", help="by default all")
@@ -178,15 +151,14 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--training-seeds", default="256")
     parser.add_argument("--selection-seeds", default="192")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
-    parser.add_argument("--limits-only", action="store_true", help="of a standard suite")
     given = parser.parse_args(arguments)
     sizes = ["--seeds", given.seeds, "--training-seeds", given.training_seeds]
     sizes += ["--selection-seeds", given.selection_seeds]
     worlds = json.loads(KEPT.read_text())["worlds"]
-    for name in () if given.tables_only else given.world or (() if given.limits_only else WORLDS):
-        again = given.limits_only
-        worlds[name] = with_limits(worlds[name]) if again else played(name, given.out, sizes)
-        write_kept(worlds)
+    for name in () if given.tables_only else given.world or WORLDS:
+        worlds[name] = played(name, given.out, sizes)
+        kept = {each: worlds[each] for each in WORLDS}
+        write_json(KEPT, {"digest": digest_of(kept), "worlds": kept}, None)
     put_between(PAGE, BEGIN, END, shown(json.loads(KEPT.read_text())))
 
 

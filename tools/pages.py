@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from agents.folder import write_json
 from spoofgym.bench.report.table import page
 from spoofgym.core.files import write_file
 
@@ -35,3 +37,7 @@ def put_between(page: Path, begin: str, end: str, text: str) -> None:
 def rendered(template: str, **values: Any) -> str:
     """A template of the folder beside, with the end of its last line."""
     return page(template, TEMPLATES).render(**values).rstrip() + "\n"
+
+
+def keep_cards(file: Path, cards: Mapping[str, Any], order: Iterable[str]) -> None:
+    write_json(file, {name: cards[name] for name in order if name in cards})

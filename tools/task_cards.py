@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.folder import write_json
 from spoofgym.bench.experiments import Store, run
 from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
 from spoofgym.bench.experiments.campaign import Campaign
@@ -41,7 +40,7 @@ from spoofgym.cli.output import progress
 from spoofgym.core.settings import describe
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.tasks import SUITE, TASKS, Task, task_of
-from tools.pages import DOCS, ROOT, put_between, rendered
+from tools.pages import DOCS, ROOT, keep_cards, put_between, rendered
 
 KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, DOCS / "tasks.md"
 BEGIN, END = "<!-- cards:begin -->", "<!-- cards:end -->"
@@ -227,9 +226,7 @@ def main(arguments: list[str]) -> None:
     sizes = {name: getattr(given, f"{name}_seeds") for name in ("training", "selection")}
     for key in () if given.tables_only else given.tasks or TASKS:
         card = played(task_of(key), given.out, {**sizes, "seeds": given.seeds})
-        kept = {**stored_cards(), key: card}
-        kept = {name: kept[name] for name in TASKS if name in kept}
-        write_json(KEPT, kept)
+        keep_cards(KEPT, {**stored_cards(), key: card}, TASKS)
         print(key, json.dumps(card.get("admission"), indent=1), flush=True)
     put_between(PAGE, BEGIN, END, shown())
 
