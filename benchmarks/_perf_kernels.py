@@ -103,7 +103,7 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
             if part == MEASURE:
                 world.gather_sky(satellites, now, sky)
             if part in (MEASURE, FLOOR):
-                world.measure(*of_sensors, n, keys, key, k, tau, sky, noise, added, added[:0], x, c)
+                world.measure(of_sensors, n, keys, key, k, tau, sky, noise, added, added[:0], x, c)
             if part in (PROPAGATE, FLOOR):
                 filters.propagate(x, base, assumed, believed, force, tau, terms, product)
             if part in (INNOVATE, FLOOR):

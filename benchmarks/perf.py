@@ -24,6 +24,7 @@ import typer
 from llvmlite import binding
 
 from spoofgym import __version__
+from spoofgym.attacks._kernels import Commanded
 from spoofgym.bench.report.table import Table
 from spoofgym.cli import clear_errors
 from spoofgym.cli.options import Json
@@ -118,13 +119,11 @@ class Rig:
         """What `false_position` takes, as in the attack of that name."""
         simulator, world = self.engine.simulator, self.core.setup.world
         attack, sensors = simulator.attack, simulator.sensors
-        by_rate, scale = attack.control == "rate", attack.unit_scale
-        settings = self.command, False, by_rate, scale, attack.rate_limit_mps
-        memory = attack.memory["displacement"], attack.memory["rate"], attack.axes_e
-        truth = sensors.epoch, world.epoch_time, world.satellites, world.position_e
-        offsets = world.velocity_e, attack.mask, sensors.range_offset, sensors.rate_offset
-        wrong = attack.memory["target_error"], attack.coherent
-        return *settings, *memory, *wrong, *truth, *offsets
+        moved = attack.memory["displacement"], attack.memory["rate"]
+        commanded = Commanded(self.command, False, attack.kernel_settings, *moved)
+        truth = sensors.epoch, world.epoch_truth, attack.mask
+        offsets = sensors.range_offset, sensors.rate_offset
+        return commanded, attack.axes_e, attack.memory["target_error"], *truth, *offsets
 
     def _judge_arguments(self) -> tuple[tuple[Any, ...], ...]:
         """What `judge_channels` takes, as in the detector ``ewma``."""

@@ -126,10 +126,8 @@ register(
 for _task in _TASKS.values():
     register(
         id=_task.env_id,
-        entry_point="spoofgym.duel.spoofer_view:SpooferView"
-        if _task.pooled
-        else "spoofgym.envs:SpoofEnv",
-        vector_entry_point="spoofgym.duel.spoofer_view:SpooferVectorView"
+        entry_point="spoofgym.duel.views:SpooferView" if _task.pooled else "spoofgym.envs:SpoofEnv",
+        vector_entry_point="spoofgym.duel.views:SpooferVectorView"
         if _task.pooled
         else "spoofgym.envs:SpoofVectorEnv",
         kwargs=_task.env_kwargs,

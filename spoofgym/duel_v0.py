@@ -23,12 +23,10 @@ from .detectors.learned import PolicyDetector
 from .detectors.learned_card import DetectorCard, OnnxDetector
 from .duel.calibrate import calibrate
 from .duel.calibration import Calibration
-from .duel.card import write_card
-from .duel.detector_view import DetectorVectorView, DetectorView
+from .duel.duel import duel_signature
 from .duel.payoff import NeymanPearson, Weighted
-from .duel.rules import duel_signature
-from .duel.spoofer_view import SpooferVectorView, SpooferView
-from .policies.detector_policy import DetectorPolicy, FunctionPolicy
+from .duel.views import DetectorVectorView, DetectorView, SpooferVectorView, SpooferView, write_card
+from .policies.contract import DetectorPolicy, FunctionPolicy
 
 __all__ = [
     "AttackBudget",
@@ -125,7 +123,7 @@ def raw_env(**settings: Any) -> Any:
     AECEnv
         Of its own class.
     """
-    from .duel.aec import DuelAEC
+    from .duel.pettingzoo import DuelAEC
 
     return DuelAEC(**settings)
 
@@ -152,6 +150,6 @@ def parallel_env(**settings: Any) -> Any:
     (1, False)
     >>> duel.close()
     """
-    from .duel.parallel import DuelParallel
+    from .duel.pettingzoo import DuelParallel
 
     return DuelParallel(**settings)

@@ -22,6 +22,7 @@ from spoofgym.duel.learner import LearnersSide
 from spoofgym.spoofers import make_spoofer
 from spoofgym.tasks import DETECTOR_TASKS, ONSETS, PUBLIC, TASKS, detector_task_of
 from tests.bench.detector_support import small_task
+from tests.nightly import heavy
 from tools.detector_cards import BEGIN, END, PAGE, shown, with_others
 from tools.pages import part_between
 
@@ -136,7 +137,7 @@ def test_copies_are_handed_out():
     assert task.env_kwargs["domain"]
 
 
-@each_task
+@pytest.mark.parametrize("key", heavy(DETECTOR_TASKS, "D2"))
 def test_classics_have_the_tasks_own_bank_and_both_controls(key):
     specs = detector_cards.classics_of(DETECTOR_TASKS[key])
     assert {"never", "lottery", "solution-separation"} <= {spec["name"] for spec in specs}

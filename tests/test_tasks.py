@@ -18,13 +18,14 @@ from spoofgym.cli import app
 from spoofgym.detectors import make_detector
 from spoofgym.envs import core
 from spoofgym.tasks import ALARM_PRICE, DETECTOR_TASKS, PAPERS, TASKS, task_of
+from tests.nightly import heavy
 from tools.pages import part_between
 from tools.task_cards import BEGIN, END, PAGE, dealt, shown, spread
 
 RUNNER = CliRunner()
 
 
-@pytest.mark.parametrize("key", TASKS)
+@pytest.mark.parametrize("key", heavy(TASKS, "T4"))
 def test_a_task_is_an_environment_whose_spec_survives_json(key):
     spec = gym.spec(TASKS[key].env_id)
     again = gym.envs.registration.EnvSpec.from_json(spec.to_json())

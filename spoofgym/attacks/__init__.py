@@ -7,9 +7,8 @@ from typing import Any
 
 from ..core.registry import build, check_choice
 from .base import Attack, AttackContext
-from .commands import FalsePosition, PerChannel
+from .commands import FalsePosition, Meaconer, PerChannel
 from .equipment import Capture, CounterfeitErrors, SpooferClock, TrackingError
-from .meaconer import Meaconer
 from .threats import THREATS
 
 __all__ = [

@@ -1,23 +1,29 @@
-"""Compiled loops of attacks and equipment.
+"""Compiled loops of attacks and of a spoofer's equipment, over receivers lo to hi.
 
-Compiled loops of a spoofer's equipment.
+What they share: `commanded` as in `Commanded`; `epochs` (B,) that each receiver is at, the next one
+being measured; `truth`: `World.epoch_truth`; `captured` (n,) bool, which channels are the
+spoofer's; `d_range`, `d_rate` (B, n), written: offsets [m], [m/s].
 
 The noise of epoch k belongs to the counters 2 k and 2 k + 1 of the attack's key: the first for what
 moves, the second for what is drawn again.  An attack measures only epochs after its onset, so that
 the first counter of the onset is free for what an episode starts with.
 """
 
-from __future__ import annotations
-
 import math
+from collections import namedtuple
 
 import numpy as np
 
-from ..core.compile import njit
-from ..core.simd import LANES, load, store
+from ..core.compile import inlined, njit
+from ..core.simd import LANES, store
 from ..earth.wgs84 import range_and_rate
+from ..truth._kernels import load3
 from ..truth.clock import advance_clock
 from ..truth.noise import exponential, normals
+
+# An action (B, a) in [-1, 1], whether the rate is held instead, `Attack.kernel_settings`, and what
+# is commanded so far, (B, a), overwritten [m], [m/s].
+Commanded = namedtuple("Commanded", "action hold settings displacement rate")
 
 
 @njit
@@ -47,6 +53,17 @@ def kinematic_step(action, hold, tau, vector, by_rate, unit_scale, rate_limit, d
         rate[i] = new
 
 
+@inlined
+def move(commanded, b, tau, vector):
+    by_rate, scale, limit = (
+        commanded.settings[0] > 0.0,
+        commanded.settings[1],
+        commanded.settings[2],
+    )
+    moved = commanded.displacement[b], commanded.rate[b]
+    kinematic_step(commanded.action[b], commanded.hold, tau, vector, by_rate, scale, limit, *moved)
+
+
 @njit
 def shrink(first, factor, second, limit):
     """Factor that shortens ``first + factor * second`` to a limit of its length."""
@@ -59,36 +76,30 @@ def shrink(first, factor, second, limit):
 
 
 @njit
-def add_displaced(
-    shift, satellites, position_e, velocity_e, captured, coherent, d_range, d_rate, work
-):
-    """Add the offsets that make captured ranges those of a displaced antenna.
+def add_displaced(shift, truth, k, captured, coherent, d_range, d_rate, work):
+    """Add the offsets that make captured ranges those of an antenna displaced at epoch k.
 
-    The true ranges in `satellites` come from the same operations; without displacement and rate
-    the offset is exactly zero.  Eight satellites are computed side by side.
+    The true ranges come from the same operations; without displacement and rate the offset is
+    exactly zero.  Eight satellites are computed side by side.
 
-    `shift` (6,) displacement and its rate, ECEF [m], [m/s]; `satellites` (n, 8) truth of the epoch;
-    `position_e`, `velocity_e` (3,) true antenna; `captured` (n,) bool, which channels are the
-    spoofer's; `d_range`, `d_rate` (n,), added to [m], [m/s]; `work` (8, 8) scratch memory.
+    `shift` (6,) displacement and its rate, ECEF [m], [m/s]; `d_range`, `d_rate` (n,), added to;
+    `work` (8, 8) scratch memory.
     """
     still = True
     for i in range(6):
         still = still and shift[i] == 0.0
     if still:
         return
-    rx, ry, rz = position_e[0] + shift[0], position_e[1] + shift[1], position_e[2] + shift[2]
-    vx, vy, vz = velocity_e[0] + shift[3], velocity_e[1] + shift[4], velocity_e[2] + shift[5]
+    satellites, p, v = truth.satellites[k], truth.position_e[k], truth.velocity_e[k]
+    position = p[0] + shift[0], p[1] + shift[1], p[2] + shift[2]
+    velocity = v[0] + shift[3], v[1] + shift[4], v[2] + shift[5]
     n = captured.shape[0]
     for first in range(0, n, LANES):
         for lane in range(LANES):
             s = min(first + lane, n - 1)
             for i in range(6):
                 work[i, lane] = satellites[s, i]
-        p = load(work, 0), load(work, 1), load(work, 2)
-        v = load(work, 3), load(work, 4), load(work, 5)
-        rho, change, _, _, _ = range_and_rate(
-            p[0], p[1], p[2], v[0], v[1], v[2], rx, ry, rz, vx, vy, vz
-        )
+        rho, change, _, _, _ = range_and_rate(load3(work, 0), load3(work, 3), position, velocity)
         store(work, 6, rho)
         store(work, 7, change)
         for s in range(first, min(first + LANES, n)):
@@ -100,136 +111,55 @@ def add_displaced(
 
 @njit
 def false_position(
-    action,
-    hold,
-    by_rate,
-    unit_scale,
-    rate_limit,
-    displacement,
-    rate,
-    axes_e,
-    target_error,
-    coherent,
-    epochs,
-    epoch_time,
-    satellites,
-    position_e,
-    velocity_e,
-    captured,
-    d_range,
-    d_rate,
-    lo,
-    hi,
+    commanded, axes_e, target_error, epochs, truth, captured, d_range, d_rate, lo, hi
 ):
     """Command a displaced antenna, and write the offsets that make captured ranges its ranges.
-
     `axes_e` (K, a, 6) commanded axes at every epoch in ECEF axes, and their rates of change [1/s];
-    `target_error` (B, 6) what the spoofer's idea of the true antenna is wrong by, ECEF [m], [m/s];
-    `epochs` (B,) epoch that each receiver is at; the next one is measured; `captured` (n,) bool,
-    which channels are the spoofer's; `d_range`, `d_rate` (B, n), written: offsets [m], [m/s].
+    `target_error` (B, 6) what the spoofer's idea of the true antenna is wrong by, ECEF [m], [m/s].
     """
     shift, work = np.empty(6), np.empty((8, LANES))
     for b in range(lo, hi):
         k = epochs[b] + 1
-        tau = epoch_time[k] - epoch_time[k - 1]
-        kinematic_step(
-            action[b], hold, tau, True, by_rate, unit_scale, rate_limit, displacement[b], rate[b]
-        )
+        move(commanded, b, truth.epoch_time[k] - truth.epoch_time[k - 1], True)
+        moved, rate = commanded.displacement[b], commanded.rate[b]
         for i in range(3):
             shift[i], shift[3 + i] = target_error[b, i], target_error[b, 3 + i]
-            for axis in range(displacement.shape[1]):
-                shift[i] += displacement[b, axis] * axes_e[k, axis, i]
-                shift[3 + i] += rate[b, axis] * axes_e[k, axis, i]
-                shift[3 + i] += displacement[b, axis] * axes_e[k, axis, 3 + i]
-        for s in range(captured.shape[0]):
-            d_range[b, s] = 0.0
-            d_rate[b, s] = 0.0
-        add_displaced(
-            shift,
-            satellites[k],
-            position_e[k],
-            velocity_e[k],
-            captured,
-            coherent,
-            d_range[b],
-            d_rate[b],
-            work,
-        )
+            for axis in range(moved.shape[0]):
+                shift[i] += moved[axis] * axes_e[k, axis, i]
+                shift[3 + i] += rate[axis] * axes_e[k, axis, i]
+                shift[3 + i] += moved[axis] * axes_e[k, axis, 3 + i]
+        d_range[b], d_rate[b] = 0.0, 0.0
+        coherent = commanded.settings[3] > 0.0
+        add_displaced(shift, truth, k, captured, coherent, d_range[b], d_rate[b], work)
 
 
 @njit
-def per_channel(
-    action,
-    hold,
-    by_rate,
-    unit_scale,
-    rate_limit,
-    displacement,
-    rate,
-    slots,
-    coherent,
-    epochs,
-    epoch_time,
-    d_range,
-    d_rate,
-    lo,
-    hi,
-):
-    """Command the offset of every captured channel for itself. `slots` (a,) slot of each commanded
-    channel; `epochs`, `epoch_time` (B,) epoch that each receiver is at, and (K,) times of the
-    epochs [s]; `d_range`, `d_rate` (B, n), written: offsets [m], [m/s]."""
+def per_channel(commanded, slots, epochs, truth, captured, d_range, d_rate, lo, hi):
+    """Command the offset of every captured channel for itself; `slots` (a,) slot of each."""
     for b in range(lo, hi):
         k = epochs[b] + 1
-        tau = epoch_time[k] - epoch_time[k - 1]
-        kinematic_step(
-            action[b], hold, tau, False, by_rate, unit_scale, rate_limit, displacement[b], rate[b]
-        )
-        for s in range(d_range.shape[1]):
-            d_range[b, s] = 0.0
-            d_rate[b, s] = 0.0
+        move(commanded, b, truth.epoch_time[k] - truth.epoch_time[k - 1], False)
+        d_range[b], d_rate[b] = 0.0, 0.0
         for i in range(slots.shape[0]):
-            d_range[b, slots[i]] = displacement[b, i]
-            if coherent:
-                d_rate[b, slots[i]] = rate[b, i]
+            d_range[b, slots[i]] = commanded.displacement[b, i]
+            if commanded.settings[3] > 0.0:
+                d_rate[b, slots[i]] = commanded.rate[b, i]
 
 
 @njit
-def displaced_ranges(
-    shift,
-    coherent,
-    epochs,
-    satellites,
-    position_e,
-    velocity_e,
-    captured,
-    d_range,
-    d_rate,
-    lo,
-    hi,
-):
+def displaced_ranges(shift, coherent, epochs, truth, captured, d_range, d_rate, lo, hi):
     """Add to all receivers' offsets those of antennas that are displaced from the true ones.
-    `shift` (B, 6) displacement and its rate, ECEF [m], [m/s]; `epochs` (B,) epoch that each
-    receiver is at; the next one is measured; `captured` (n,) bool, which channels are the
-    spoofer's; `d_range`, `d_rate` (B, n), added to [m], [m/s]."""
+    `shift` (B, 6) displacement and its rate, ECEF [m], [m/s]; the offsets are added to."""
     work = np.empty((8, LANES))
     for b in range(lo, hi):
         k = epochs[b] + 1
-        add_displaced(
-            shift[b],
-            satellites[k],
-            position_e[k],
-            velocity_e[k],
-            captured,
-            coherent,
-            d_range[b],
-            d_rate[b],
-            work,
-        )
+        add_displaced(shift[b], truth, k, captured, coherent, d_range[b], d_rate[b], work)
 
 
 @njit
-def one_sided_step(action, hold, tau, by_rate, unit_scale, rate_limit, displacement, rate):
-    r"""Move one commanded offset that cannot fall below zero to the end of an interval, in place.
+def one_sided_step(commanded, b, tau):
+    r"""Move the one commanded offset of receiver b that cannot fall below zero to the end of an
+    interval, in place.
 
     As `kinematic_step`, but the rate stays above :math:`-w`, with which the offset can still come
     to rest at zero within the limit of acceleration a,
@@ -238,9 +168,11 @@ def one_sided_step(action, hold, tau, by_rate, unit_scale, rate_limit, displacem
 
     or, where rates are commanded, :math:`w = D / \tau`.
     """
-    offset, old = displacement[0], rate[0]
-    u = min(max(action[0], -1.0), 1.0)
-    if by_rate:
+    hold, settings = commanded.hold, commanded.settings
+    unit_scale, rate_limit = settings[1], settings[2]
+    offset, old = commanded.displacement[b, 0], commanded.rate[b, 0]
+    u = min(max(commanded.action[b, 0], -1.0), 1.0)
+    if settings[0] > 0.0:
         new = old if hold else unit_scale * u
         new = max(new, -offset / tau)
         old = new
@@ -249,79 +181,40 @@ def one_sided_step(action, hold, tau, by_rate, unit_scale, rate_limit, displacem
         new = old if hold else min(max(old + step * u, -rate_limit), rate_limit)
         ahead = max(offset + 0.5 * old * tau, 0.0)
         new = max(new, step - math.sqrt(step * step + 2.0 * unit_scale * ahead))
-    displacement[0] = max(offset + 0.5 * (old + new) * tau, 0.0)
-    rate[0] = new
+    commanded.displacement[b, 0] = max(offset + 0.5 * (old + new) * tau, 0.0)
+    commanded.rate[b, 0] = new
 
 
 @njit
-def meaconer(
-    action,
-    hold,
-    by_rate,
-    unit_scale,
-    rate_limit,
-    displacement,
-    rate,
-    antenna,
-    antenna_rate,
-    follows,
-    coherent,
-    onsets,
-    epochs,
-    epoch_time,
-    satellites,
-    position_e,
-    velocity_e,
-    captured,
-    d_range,
-    d_rate,
-    lo,
-    hi,
-):
+def meaconer(commanded, antenna, follows, onsets, epochs, truth, captured, d_range, d_rate, lo, hi):
     """Command the delay of a replay, and write the offsets of the meaconer's antenna and its delay.
-
-    `antenna`, `antenna_rate` (B, 3) from the target's to the meaconer's antenna, ECEF [m], and its
-    rate [m/s], where it follows; where it was at the onset, and 0, where not; `onsets`, `epochs`
-    (B,) epoch of the onset, and epoch that each receiver is at; the next one is measured;
-    `captured` (n,) bool, which channels are the spoofer's; `d_range`, `d_rate` (B, n), written:
-    offsets [m], [m/s].
+    `antenna` (2, B, 3): from the target's to the meaconer's antenna, ECEF [m], and its rate [m/s],
+    where it follows; where it was at the onset, and 0, where not; `onsets` (B,) epochs of the
+    onset.
     """
     shift, work = np.zeros(6), np.empty((8, LANES))
     for b in range(lo, hi):
         k = epochs[b] + 1
-        tau = epoch_time[k] - epoch_time[k - 1]
-        one_sided_step(
-            action[b], hold, tau, by_rate, unit_scale, rate_limit, displacement[b], rate[b]
-        )
+        one_sided_step(commanded, b, truth.epoch_time[k] - truth.epoch_time[k - 1])
         square, closing = 0.0, 0.0
         for i in range(3):
-            shift[i], shift[3 + i] = antenna[b, i], antenna_rate[b, i]
+            shift[i], shift[3 + i] = antenna[0][b, i], antenna[1][b, i]
             if not follows:
-                shift[i] += position_e[onsets[b], i] - position_e[k, i]
-                shift[3 + i] = -velocity_e[k, i]
+                shift[i] += truth.position_e[onsets[b], i] - truth.position_e[k, i]
+                shift[3 + i] = -truth.velocity_e[k, i]
             square += shift[i] * shift[i]
             closing += shift[i] * shift[3 + i]
         way = math.sqrt(square)
-        delay = displacement[b, 0] + way
-        change = rate[b, 0] + (closing / way if way > 0.0 else 0.0)
+        delay = commanded.displacement[b, 0] + way
+        change = commanded.rate[b, 0] + (closing / way if way > 0.0 else 0.0)
+        coherent = commanded.settings[3] > 0.0
         for s in range(captured.shape[0]):
             d_range[b, s] = delay if captured[s] else 0.0
             d_rate[b, s] = change if captured[s] and coherent else 0.0
-        add_displaced(
-            shift,
-            satellites[k],
-            position_e[k],
-            velocity_e[k],
-            captured,
-            coherent,
-            d_range[b],
-            d_rate[b],
-            work,
-        )
+        add_displaced(shift, truth, k, captured, coherent, d_range[b], d_rate[b], work)
 
 
-MOVING = 64
-"""Deviates of an epoch for what moves: three axes of two, and two of the clock."""
+MOVING = 64  # deviates of an epoch for what moves: three axes of two, and two of the clock
 
 
 @njit
@@ -388,42 +281,24 @@ def delayed(k, delay, epoch_time, position_e, velocity_e, out):
 
 
 @njit
-def advance(
-    keys,
-    epochs,
-    epoch_time,
-    position_e,
-    velocity_e,
-    sd,
-    beta,
-    delay,
-    phase_psd,
-    frequency_psd,
-    bias,
-    C_en,
-    axes_turning,
-    wander,
-    clock,
-    target_error,
-    lo,
-    hi,
-):
+def advance(keys, epochs, truth, tracking, psd, bias, axes, wander, clock, target_error, lo, hi):
     """Error of the known position and clock of every spoofer at the coming epoch.
 
-    `keys` (B, 2) of the attack's noise; `epochs` (B,) epoch that each receiver is at; `sd`, `beta`,
-    `delay`: of the tracking error [m], [1/s], [s]; `bias` (3,) constant error in the local axes
-    [m], which are `C_en`, `axes_turning` (K, 3, 3) at all epochs, with their rate of change;
-    `wander` (B, 3, 2) wandering error and its rate, ECEF; advanced; `clock` (B, 2) offset [m] and
-    drift [m/s]; advanced; `target_error` (B, 6), written: position [m] and velocity [m/s], ECEF.
+    `keys` (B, 2) of the attack's noise; `tracking`: sd [m], beta [1/s] and delay [s] of the error;
+    `psd`: of the clock's phase and frequency; `bias` (3,) constant error in the local axes [m],
+    which are `axes`, (K, 3, 3) `C_en` and its rate of change; `wander` (B, 3, 2) wandering error
+    and its rate, ECEF; advanced; `clock` (B, 2) offset [m] and drift [m/s]; advanced;
+    `target_error` (B, 6), written: position [m] and velocity [m/s], ECEF.
     """
+    (sd, beta, delay), (C_en, axes_turning) = tracking, axes
     noise = np.empty(MOVING)
     for b in range(lo, hi):
         k = epochs[b] + 1
-        tau = epoch_time[k] - epoch_time[k - 1]
+        tau = truth.epoch_time[k] - truth.epoch_time[k - 1]
         normals(keys[b, 0], keys[b, 1], 2 * k, noise)
         error = target_error[b]
         if delay > 0.0:
-            delayed(k, delay, epoch_time, position_e, velocity_e, error)
+            delayed(k, delay, truth.epoch_time, truth.position_e, truth.velocity_e, error)
         else:
             error[:] = 0.0
         for i in range(3):
@@ -434,46 +309,27 @@ def advance(
                 turning += axes_turning[k, i, j] * bias[j]
             error[i] += constant + wander[b, i, 0]
             error[3 + i] += turning + wander[b, i, 1]
-        clock[b, 0], clock[b, 1] = advance_clock(
-            clock[b, 0], clock[b, 1], tau, phase_psd, frequency_psd, noise[6], noise[7]
-        )
+        driven = tau, psd[0], psd[1], noise[6], noise[7]
+        clock[b, 0], clock[b, 1] = advance_clock(clock[b, 0], clock[b, 1], *driven)
 
 
 @njit
-def transmit(
-    keys,
-    onsets,
-    epochs,
-    epoch_time,
-    satellites,
-    chosen,
-    coherent,
-    delay,
-    alignment,
-    clock,
-    replaced,
-    sds,
-    blend,
-    bias,
-    size,
-    captured,
-    capture_time,
-    authentic,
-    d_range,
-    d_rate,
-    lo,
-    hi,
-):
+def transmit(keys, onsets, epochs, truth, chosen, rules, errors, memory, d_range, d_rate, lo, hi):
     """Make of perfect offsets what the receivers get: captured or not, with clock and errors.
 
-    `keys`, `onsets`, `epochs` (B, 2) of the attack's noise, (B,) epochs of the onset, (B,) of the
-    receivers; `chosen` (n,) bool, channels that are counterfeited; `clock` (B, 2) of the spoofer;
-    `sds` (2,) of noise of pseudoranges and range rates, below 0 for the receiver's own; `blend`:
-    time in which the authentic errors fade [s]; `bias` (B, n) their constants [m]; `captured`,
-    `capture_time` (B, n) bool, which channels follow the counterfeit signal, and since when [s];
+    `keys` (B, 2) of the attack's noise; `onsets` (B,) epochs; `chosen` (n,) bool, channels that are
+    counterfeited; `rules`: whether rates are coherent and errors replaced, deviates of an epoch,
+    delay [s] and alignment [m] of the capture; `errors`: (2,) of noise of pseudoranges and range
+    rates, below 0 for the receiver's own, and time in which the authentic errors fade [s];
+    `memory`: `clock` (B, 2) of the spoofer; `bias` (B, n) its constants [m]; `captured`,
+    `capture_time` (B, n) which channels follow the counterfeit signal, and since when [s];
     advanced; `authentic` (B, 2n), written: part of the authentic errors that stays, -1 where the
-    receiver's own noise goes, too; `d_range`, `d_rate` (B, n), overwritten.
+    receiver's own noise goes, too.
     """
+    coherent, replaced, size, delay, alignment = rules
+    sds, blend = errors
+    clock, bias, captured, capture_time, authentic = memory
+    epoch_time, satellites = truth.epoch_time, truth.satellites
     noise = np.zeros(size)
     n = chosen.shape[0]
     for b in range(lo, hi):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,20 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
-from ..core.registry import build_record, check_choice
+from ..core.registry import build_record, check_choice, check_finite, require
 from ..core.settings import kind_of
 from ..truth.run import World
+from ._kernels import Commanded
 from .equipment import (
     QUIET,
     REPLACED,
     Capture,
     CounterfeitErrors,
     Equipment,
+    FloatArray,
     SpooferClock,
     TrackingError,
 )
 
-FloatArray = NDArray[np.float64]
 CONTROLS = ("rate", "acceleration")
 ERRORS: dict[str, CounterfeitErrors | None] = {
     "inherited": None,
@@ -51,7 +51,6 @@ class AttackContext(NamedTuple):
 
 
 def _record(name: str, kind: type[Any], given: Any) -> Any:
-    """Record of an option, also from what results write of it, with its kind."""
     if isinstance(given, Mapping) and given.get("kind") == kind_of(kind):
         given = {key: value for key, value in given.items() if key != "kind"}
     return build_record(name, kind, given)
@@ -115,26 +114,25 @@ class Attack(ABC):
     threat: str = ""
 
     def __post_init__(self) -> None:
-        if self.control not in CONTROLS:
-            raise ValueError(
-                f"`control` must be one of {', '.join(map(repr, CONTROLS))}, got {self.control!r}"
-            )
+        require(
+            self.control in CONTROLS,
+            f"`control` must be one of {', '.join(map(repr, CONTROLS))}, got {self.control!r}",
+        )
         for name in ("acceleration_limit_mps2", "rate_limit_mps"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"`{name}` must be finite and > 0, got {value}")
+            check_finite(name, getattr(self, name), "> 0")
         if isinstance(self.channels, str):
-            if self.channels != "all" and "*" not in self.channels:
-                raise ValueError(
-                    "`channels` must be 'all' or a pattern such as 'E*' or some satellite ids, "
-                    f"got {self.channels!r}"
-                )
+            require(
+                self.channels == "all" or "*" in self.channels,
+                "`channels` must be 'all' or a pattern such as 'E*' or some satellite ids, "
+                f"got {self.channels!r}",
+            )
         else:
             self.channels = tuple(self.channels)
-            if not self.channels:
-                raise ValueError("`channels` must name at least one satellite")
-            if len(set(self.channels)) < len(self.channels):
-                raise ValueError(f"`channels` must name each satellite once, got {self.channels}")
+            require(self.channels, "`channels` must name at least one satellite")
+            require(
+                len(set(self.channels)) >= len(self.channels),
+                f"`channels` must name each satellite once, got {self.channels}",
+            )
         self._check_options()
 
     def _check_options(self) -> None:
@@ -175,7 +173,6 @@ class Attack(ABC):
 
     @property
     def equipment(self) -> Equipment:
-        """Options as records."""
         records: dict[str, Any] = {
             "errors": None if self.errors == "inherited" else self.errors,
             "tracking": self.tracking,
@@ -186,7 +183,6 @@ class Attack(ABC):
 
     @property
     def replaces_errors(self) -> bool:
-        """Whether ``memory["authentic"]`` says which authentic errors stay."""
         return self.errors != "inherited"
 
     @property
@@ -201,6 +197,12 @@ class Attack(ABC):
         if self.control == "acceleration":
             return self.acceleration_limit_mps2
         return self.rate_limit_mps
+
+    @property
+    def kernel_settings(self) -> FloatArray:
+        """(4,) whether rates are commanded, scale of an action, limit of the rate, coherence."""
+        rules = (self.control == "rate", self.unit_scale, self.rate_limit_mps, self.coherent)
+        return np.array(rules, dtype=np.float64)
 
     def captured(self, world: World) -> NDArray[np.bool_]:
         """Which channels are counterfeited.
@@ -224,11 +226,11 @@ class Attack(ABC):
         wanted = (self.channels,) if isinstance(self.channels, str) else self.channels
         patterns = ["*" if name == "all" else name for name in wanted]
         for pattern in patterns:
-            if not any(fnmatchcase(name, pattern) for name in present):
-                raise ValueError(
-                    f"satellite {pattern!r} is not in view on {world.name!r}; in view: "
-                    f"{', '.join(present)}"
-                )
+            require(
+                any(fnmatchcase(name, pattern) for name in present),
+                f"satellite {pattern!r} is not in view on {world.name!r}; in view: "
+                f"{', '.join(present)}",
+            )
         return np.array(
             [
                 bool(name) and any(fnmatchcase(name, pattern) for pattern in patterns)
@@ -264,13 +266,14 @@ class Attack(ABC):
         axes = len(self.action_names(context.world))
         self.idle = np.zeros((context.receivers, axes))
         self.slots = np.flatnonzero(self.mask)
-        rules = (self.control == "rate", self.unit_scale, self.rate_limit_mps, self.coherent)
-        self.kernel_settings = np.array(rules, dtype=np.float64)
         self.memory = Memory(context.receivers)
-        self.memory.declare("displacement", np.zeros((context.receivers, axes)))
-        self.memory.declare("rate", np.zeros((context.receivers, axes)))
-        self.memory.declare("onset", np.zeros(context.receivers, dtype=np.int64))
-        self.memory.declare("key", np.zeros((context.receivers, 2), dtype=np.uint64))
+        b = context.receivers
+        self.memory.declare_all(
+            displacement=np.zeros((b, axes)),
+            rate=np.zeros((b, axes)),
+            onset=np.zeros(b, dtype=np.int64),
+            key=np.zeros((b, 2), dtype=np.uint64),
+        )
         self._equipment = self.equipment
         self.is_perfect = self._equipment.perfect
         self._equipment.declare(self.memory, context.world.channels)
@@ -293,24 +296,6 @@ class Attack(ABC):
         self.memory["key"][rows] = keys
         self._equipment.begin(self.memory, self.world, rows, keys, onsets)
 
-    def _prepare(self, epochs: NDArray[np.int64], lo: int, hi: int) -> None:
-        """Let what the spoofer knows, and its clock, come to the coming epoch."""
-        self._equipment.advance(self.memory, self.world, epochs, lo, hi)
-
-    def _transmit(
-        self,
-        epochs: NDArray[np.int64],
-        d_range: FloatArray,
-        d_rate: FloatArray,
-        lo: int,
-        hi: int,
-    ) -> None:
-        """Make of perfect offsets what the receivers get."""
-        self._equipment.transmit(
-            self.memory, self.world, self.mask, self.coherent, epochs, d_range, d_rate, lo, hi
-        )
-
-    @abstractmethod
     def command(
         self,
         action: FloatArray | None,
@@ -333,3 +318,17 @@ class Attack(ABC):
         lo, hi : int
             Slice of receivers to work on.
         """
+        memory, world, offsets = self.memory, self.world, (d_range, d_rate, lo, hi)
+        self._equipment.advance(memory, world, epochs, lo, hi)
+        given, moved = (
+            self.idle if action is None else action,
+            (memory["displacement"], memory["rate"]),
+        )
+        commanded = Commanded(given, action is None, self.kernel_settings, *moved)
+        self._displace(commanded, (epochs, world.epoch_truth, self.mask, *offsets))
+        self._equipment.transmit(memory, world, self.mask, self.coherent, epochs, *offsets)
+
+    def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:
+        """What a command adds with perfect equipment; `rest`: of the arguments of the kernels, from
+        `epochs` on. An attack has this or a `command` of its own."""
+        raise NotImplementedError(f"{type(self).__name__} has no command")

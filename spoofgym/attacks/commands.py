@@ -1,15 +1,17 @@
-"""False position and per-channel offsets."""
+"""False position, per-channel offsets, and meaconing: signals recorded and replayed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..truth.run import World
-from ._kernels import displaced_ranges, false_position, per_channel
-from .base import Attack, AttackContext, FloatArray
+from ._kernels import Commanded, displaced_ranges, false_position, meaconer, per_channel
+from .base import Attack, AttackContext
+from .equipment import checked_vector
 
 AXES = {"n": "north", "e": "east", "d": "down"}
 
@@ -63,43 +65,8 @@ class FalsePosition(Attack):
         self.axes_e = np.concatenate([each[:, :, columns] for each in axes], axis=1)
         self.axes_e = np.ascontiguousarray(self.axes_e.transpose(0, 2, 1))
 
-    def command(
-        self,
-        action: FloatArray | None,
-        epochs: NDArray[np.int64],
-        d_range: FloatArray,
-        d_rate: FloatArray,
-        lo: int,
-        hi: int,
-    ) -> None:
-        """Take one command, and write what it adds to the measurements of the coming epoch.
-        `action` (B, a) in [-1, 1]; None holds the rate; `epochs` (B,) the epoch that each receiver
-        is at; `d_range`, `d_rate` (B, n), written [m], [m/s]."""
-        world = self.world
-        self._prepare(epochs, lo, hi)
-        false_position(
-            self.idle if action is None else action,
-            action is None,
-            self.control == "rate",
-            self.unit_scale,
-            self.rate_limit_mps,
-            self.memory["displacement"],
-            self.memory["rate"],
-            self.axes_e,
-            self.memory["target_error"],
-            self.coherent,
-            epochs,
-            world.epoch_time,
-            world.satellites,
-            world.position_e,
-            world.velocity_e,
-            self.mask,
-            d_range,
-            d_rate,
-            lo,
-            hi,
-        )
-        self._transmit(epochs, d_range, d_rate, lo, hi)
+    def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:
+        false_position(commanded, self.axes_e, self.memory["target_error"], *rest)
 
 
 @dataclass(kw_only=True)
@@ -125,55 +92,82 @@ class PerChannel(Attack):
         return "per-channel"
 
     def action_names(self, world: World) -> tuple[str, ...]:
-        """Name of every element of an action. Returns for example ``("S05_acceleration", ...)``, in
-        the order of the slots."""
         mask = self.captured(world)
         ids = [name for name, taken in zip(world.satellite_ids, mask, strict=True) if taken]
         return tuple(f"{name}_{self.control}" for name in ids)
 
-    def command(
-        self,
-        action: FloatArray | None,
-        epochs: NDArray[np.int64],
-        d_range: FloatArray,
-        d_rate: FloatArray,
-        lo: int,
-        hi: int,
-    ) -> None:
-        """Take one command, and write what it adds to the measurements of the coming epoch.
-        `action` (B, a) in [-1, 1]; None holds the rate; `epochs` (B,) the epoch that each receiver
-        is at; `d_range`, `d_rate` (B, n), written [m], [m/s]."""
-        world = self.world
-        self._prepare(epochs, lo, hi)
-        per_channel(
-            self.idle if action is None else action,
-            action is None,
-            self.control == "rate",
-            self.unit_scale,
-            self.rate_limit_mps,
-            self.memory["displacement"],
-            self.memory["rate"],
-            self.slots,
-            self.coherent,
-            epochs,
-            world.epoch_time,
-            d_range,
-            d_rate,
-            lo,
-            hi,
-        )
+    def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:
+        per_channel(commanded, self.slots, *rest)
         if self.tracking is not None:
-            displaced_ranges(
-                self.memory["target_error"],
-                self.coherent,
-                epochs,
-                world.satellites,
-                world.position_e,
-                world.velocity_e,
-                self.mask,
-                d_range,
-                d_rate,
-                lo,
-                hi,
+            displaced_ranges(self.memory["target_error"], self.coherent, *rest)
+
+
+@dataclass(kw_only=True)
+class Meaconer(Attack):
+    r"""Record and replay: the ranges of the meaconer's antenna, and one delay.
+
+    .. math:: \Delta\rho_j = \rho_j(r_m) - \rho_j(r) + |r_m - r| + D, \qquad D \ge 0
+
+    and the range rates are the derivatives.  The victim's position becomes that of the antenna at
+    :math:`r_m`; the way from there to the victim and the delay D, the one command, are common to
+    all channels and go into its clock.  There is no freedom per axis or per satellite.  Within a
+    delay of D the satellites move by less than 4 mm per kilometre of D, which is left out.
+
+    Parameters
+    ----------
+    control, acceleration_limit_mps2, rate_limit_mps, coherent, channels, errors
+        As in `Attack`, for the delay in metres.
+    tracking : None
+        A meaconer needs no position; anything else is refused.
+    spoofer_clock, capture, threat
+        As in `Attack`.
+    antenna_m : tuple of float
+        (3,) north, east, down from the target's to the meaconer's antenna at the onset.
+    follows : bool
+        Whether the antenna stays there, in the axes at the target's true position; if not, it stays
+        where it was on the Earth.
+    """
+
+    described_as = "Meaconer"
+    one_sided: ClassVar[bool] = True
+    antenna_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    follows: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.antenna_m = checked_vector("antenna_m", self.antenna_m)
+        if self.tracking is not None:
+            raise ValueError(
+                f"`tracking` must be None, since a meaconer needs no position; got {self.tracking}"
             )
-        self._transmit(epochs, d_range, d_rate, lo, hi)
+
+    @property
+    def kind(self) -> str:
+        return "meaconer"
+
+    @property
+    def idle_is_clean(self) -> bool:
+        return super().idle_is_clean and self.follows and self.antenna_m == (0.0, 0.0, 0.0)
+
+    def action_names(self, world: World) -> tuple[str, ...]:
+        return (f"delay_{self.control}",)
+
+    def bind(self, context: AttackContext) -> None:
+        super().bind(context)
+        none = np.zeros((context.receivers, 3))
+        self.memory.declare_all(antenna=none, antenna_rate=none)
+
+    def begin(
+        self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
+    ) -> None:
+        super().begin(rows, keys, onsets)
+        self.memory["antenna"][rows] = (self.world.C_en[onsets] * self.antenna_m).sum(axis=2)
+
+    def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:
+        world, memory, (epochs, *_, lo, hi) = self.world, self.memory, rest
+        if self.follows:
+            coming, here = epochs[lo:hi] + 1, slice(lo, hi)
+            memory["antenna"][here] = (world.C_en[coming] * self.antenna_m).sum(axis=2)
+            memory["antenna_rate"][here] = (world.axes_turning[coming] * self.antenna_m).sum(axis=2)
+        antenna = memory["antenna"], memory["antenna_rate"]
+        meaconer(commanded, antenna, self.follows, memory["onset"], *rest)

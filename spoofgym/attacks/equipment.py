@@ -9,20 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
+from ..core.registry import check_fields, check_finite, require
 from ..truth.noise import padded
 from ..truth.run import World
 from . import _kernels as kernels
 
-CHIP_M = 293.05
-"""Length of a chip of the GPS C/A code [m], c / 1.023 MHz (`is-gps-200`)."""
+CHIP_M = 293.05  # length of a chip of the GPS C/A code [m], c / 1.023 MHz (`is-gps-200`)
 MOST_DELAY_S = 10.0
-
-
-def _check_not_negative(record: object, *skip: str) -> None:
-    for item in fields(record):  # type: ignore[arg-type]
-        value = getattr(record, item.name)
-        if item.name not in skip and not (math.isfinite(value) and value >= 0.0):
-            raise ValueError(f"`{item.name}` must be finite and >= 0, got {value}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,18 +47,16 @@ class CounterfeitErrors:
 
     def __post_init__(self) -> None:
         unset = [item.name for item in fields(self) if getattr(self, item.name) is None]
-        _check_not_negative(self, *unset)
-        if self.blend_s > 0.0 and len(unset) < 2:
-            raise ValueError(
-                f"`blend_s` {self.blend_s} takes the receiver's own noise: leave out `code_sd_m` "
-                "and `range_rate_sd_mps`"
-            )
+        check_fields(self, ">= 0", *(item.name for item in fields(self) if item.name not in unset))
+        require(
+            not (self.blend_s > 0.0 and len(unset) < 2),
+            f"`blend_s` {self.blend_s} takes the receiver's own noise: leave out `code_sd_m` "
+            "and `range_rate_sd_mps`",
+        )
 
 
-REPLACED = CounterfeitErrors()
-"""A step at the capture, to the noise of the receiver alone."""
-QUIET = CounterfeitErrors(blend_s=30.0)
-"""The same, blended in: no step, and measurements that are better than authentic ones."""
+REPLACED = CounterfeitErrors()  # a step at the capture, to the noise of the receiver alone
+QUIET = CounterfeitErrors(blend_s=30.0)  # blended in: no step, and better than authentic
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,11 +90,12 @@ class TrackingError:
     bias_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        _check_not_negative(self, "bias_m")
-        if self.correlation_s == 0.0:
-            raise ValueError("`correlation_s` must be finite and > 0, got 0")
-        if self.delay_s > MOST_DELAY_S:
-            raise ValueError(f"`delay_s` must be at most {MOST_DELAY_S:g}, got {self.delay_s}")
+        check_fields(self, ">= 0", "sd_m", "delay_s")
+        check_finite("correlation_s", self.correlation_s, "> 0")
+        require(
+            self.delay_s <= MOST_DELAY_S,
+            f"`delay_s` must be at most {MOST_DELAY_S:g}, got {self.delay_s}",
+        )
         object.__setattr__(self, "bias_m", checked_vector("bias_m", self.bias_m))
 
 
@@ -130,10 +122,12 @@ class SpooferClock:
     frequency_psd: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_not_negative(self, "offset_m", "drift_mps")
+        check_fields(self, ">= 0", "offset_sd_m", "drift_sd_mps", "phase_psd", "frequency_psd")
         for name in ("offset_m", "drift_mps"):
-            if not math.isfinite(getattr(self, name)):
-                raise ValueError(f"`{name}` must be finite, got {getattr(self, name)}")
+            require(
+                math.isfinite(getattr(self, name)),
+                f"`{name}` must be finite, got {getattr(self, name)}",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,27 +152,24 @@ class Capture:
     alignment_m: float | None = 0.5 * CHIP_M
 
     def __post_init__(self) -> None:
-        _check_not_negative(self, "alignment_m")
+        check_finite("delay_s", self.delay_s, ">= 0")
         limit = self.alignment_m
         if limit is not None and not (math.isfinite(limit) and limit > 0.0):
             raise ValueError(f"`alignment_m` must be finite and > 0, or None, got {limit}")
 
 
 def checked_vector(name: str, value: tuple[float, ...]) -> tuple[float, float, float]:
-    """Three finite numbers: (3,)."""
     message = f"`{name}` must be three finite numbers: north, east, down; got {value!r}"
     try:
         numbers = tuple(float(x) for x in value)
     except (TypeError, ValueError):
         raise ValueError(message) from None
-    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
-        raise ValueError(message)
+    require(len(numbers) == 3 and all(map(math.isfinite, numbers)), message)
     return numbers[0], numbers[1], numbers[2]
 
 
 FloatArray = NDArray[np.float64]
-_OWN = -1.0
-"""As a standard deviation: noise of the receiver itself."""
+_OWN = -1.0  # as a standard deviation: noise of the receiver itself
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,12 +201,14 @@ class Equipment:
         memory.declare("target_error", np.zeros((b, 6)))
         if self.perfect:
             return
-        memory.declare("wander", np.zeros((b, 3, 2)))
-        memory.declare("spoofer_clock", np.zeros((b, 2)))
-        memory.declare("counterfeit_bias", np.zeros((b, channels)))
-        memory.declare("captured", np.zeros((b, channels), dtype=np.bool_))
-        memory.declare("capture_time", np.zeros((b, channels)))
-        memory.declare("authentic", np.ones((b, 2 * channels)))
+        memory.declare_all(
+            wander=np.zeros((b, 3, 2)),
+            spoofer_clock=np.zeros((b, 2)),
+            counterfeit_bias=np.zeros((b, channels)),
+            captured=np.zeros((b, channels), dtype=np.bool_),
+            capture_time=np.zeros((b, channels)),
+            authentic=np.ones((b, 2 * channels)),
+        )
 
     def begin(
         self,
@@ -225,12 +218,10 @@ class Equipment:
         keys: NDArray[np.uint64],
         onsets: NDArray[np.int64],
     ) -> None:
-        """Draw what an episode starts with."""
         if self.perfect:
             return
-        tracking = self.tracking if self.tracking is not None else TrackingError()
-        clock = self.clock if self.clock is not None else SpooferClock()
-        errors = self.errors if self.errors is not None else CounterfeitErrors()
+        tracking, clock = self.tracking or TrackingError(), self.clock or SpooferClock()
+        errors = self.errors or CounterfeitErrors()
         sds = (tracking.sd_m, tracking.sd_m / tracking.correlation_s)
         drawn = np.empty((len(rows), 8 + world.channels))
         kernels.first_deviates(keys, onsets, padded(drawn.shape[1]), drawn)
@@ -243,32 +234,14 @@ class Equipment:
     def advance(
         self, memory: Memory, world: World, epochs: NDArray[np.int64], lo: int, hi: int
     ) -> None:
-        """Error of the known position, and clock, at the coming epoch. `epochs` (B,) the epoch that
-        each receiver is at."""
         if self.tracking is None and self.clock is None:
             return
-        tracking = self.tracking if self.tracking is not None else TrackingError()
-        clock = self.clock if self.clock is not None else SpooferClock()
-        kernels.advance(
-            memory["key"],
-            epochs,
-            world.epoch_time,
-            world.position_e,
-            world.velocity_e,
-            tracking.sd_m,
-            1.0 / tracking.correlation_s,
-            tracking.delay_s,
-            clock.phase_psd,
-            clock.frequency_psd,
-            np.array(tracking.bias_m),
-            world.C_en,
-            world.axes_turning,
-            memory["wander"],
-            memory["spoofer_clock"],
-            memory["target_error"],
-            lo,
-            hi,
-        )
+        tracking, clock = self.tracking or TrackingError(), self.clock or SpooferClock()
+        error = float(tracking.sd_m), 1.0 / tracking.correlation_s, float(tracking.delay_s)
+        psd, bias = (float(clock.phase_psd), float(clock.frequency_psd)), np.array(tracking.bias_m)
+        axes, moved = (world.C_en, world.axes_turning), (memory["wander"], memory["spoofer_clock"])
+        truth, written = (epochs, world.epoch_truth), (*moved, memory["target_error"])
+        kernels.advance(memory["key"], *truth, error, psd, bias, axes, *written, lo, hi)
 
     def transmit(
         self,
@@ -282,35 +255,16 @@ class Equipment:
         lo: int,
         hi: int,
     ) -> None:
-        """Add clock and errors to the perfect offsets, where channels are captured. `chosen` (n,)
-        bool, channels that are counterfeited; `epochs` (B,) the epoch that each receiver is at;
-        `d_range`, `d_rate` (B, n), overwritten [m], [m/s]."""
         if self.perfect:
             return
-        capture = self.capture if self.capture is not None else Capture(alignment_m=None)
-        errors = self.errors if self.errors is not None else CounterfeitErrors()
-        sds = errors.code_sd_m, errors.range_rate_sd_mps
+        capture, errors = self.capture or Capture(alignment_m=None), self.errors or REPLACED
+        sds = [_OWN if sd is None else sd for sd in (errors.code_sd_m, errors.range_rate_sd_mps)]
+        limit = math.inf if capture.alignment_m is None else float(capture.alignment_m)
+        size = padded(2 * world.channels)
+        rules = coherent, self.errors is not None, size, float(capture.delay_s), limit
+        names = "spoofer_clock", "counterfeit_bias", "captured", "capture_time", "authentic"
         kernels.transmit(
-            memory["key"],
-            memory["onset"],
-            epochs,
-            world.epoch_time,
-            world.satellites,
-            chosen,
-            coherent,
-            capture.delay_s,
-            math.inf if capture.alignment_m is None else capture.alignment_m,
-            memory["spoofer_clock"],
-            self.errors is not None,
-            np.array([_OWN if sd is None else sd for sd in sds]),
-            errors.blend_s,
-            memory["counterfeit_bias"],
-            padded(2 * world.channels),
-            memory["captured"],
-            memory["capture_time"],
-            memory["authentic"],
-            d_range,
-            d_rate,
-            lo,
-            hi,
+            *(memory["key"], memory["onset"], epochs, world.epoch_truth, chosen, rules),
+            *((np.array(sds), float(errors.blend_s)), tuple(memory[name] for name in names)),
+            *(d_range, d_rate, lo, hi),
         )

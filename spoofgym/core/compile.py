@@ -1,11 +1,8 @@
-"""Njit and the compile cache.
+"""The one ``njit`` of the project, and the folder in which its compiled code is kept.
 
-How a function is compiled: in full where Python calls it, else as far as its callers need.
-
-What only compiled code calls needs no wrapper for Python, no machine code and no file of the cache:
-its callers take its intermediate code in, and LLVM optimizes that once, as a part of theirs.
-
-The one ``njit`` of the project, and the folder in which its compiled code is kept.
+A function is compiled in full where Python calls it.  What only compiled code calls needs no
+wrapper for Python, no machine code and no file of the cache: its callers take its intermediate code
+in, and LLVM optimizes that once, as a part of theirs.
 
 numba's own cache notices an edit of the file a function is in, not of the files of the
 functions it calls, and then goes on to run the old machine code.  Here the folder is named by a
@@ -134,7 +131,6 @@ class Function(CPUDispatcher):  # type: ignore[misc]
                 self._compiler.as_part = False
 
     def compile(self, sig: Any) -> Any:
-        """Compile for some types of arguments, if that has not been done."""
         with global_compiler_lock:
             args, _ = sigutils.normalize_signature(sig)
             found = self.overloads.get(tuple(args))
@@ -143,7 +139,6 @@ class Function(CPUDispatcher):  # type: ignore[misc]
             return super().compile(sig)
 
     def add_overload(self, cres: CompileResult) -> None:
-        """Keep what has been compiled; Python finds only what it can call."""
         if is_part(cres):
             self.overloads[tuple(cres.signature.args)] = cres
         else:
@@ -154,13 +149,11 @@ F = TypeVar("F", bound=Callable[..., object])
 
 CACHE_VARIABLE = "SPOOFGYM_CACHE_DIR"
 PACKAGE = __package__.partition(".")[0]
+# Packages with compiled code, each of which calls only those before it (import-linter's order).
 COMPILED_LAYERS = ("earth", "truth", "attacks", "receiver", "detectors", "simulation", "envs")
-"""Packages with compiled code, each of which calls only those before it (import-linter's order)."""
-FOUNDATION = ("core/compile.py", "core/simd.py", "core/lanes.py")
-"""Modules that the code of every layer may come from."""
+FOUNDATION = ("core/compile.py", "core/simd.py", "core/lanes.py")  # code of any layer may be theirs
 KEPT_DIGESTS = 16
-KEPT_S = 86_400.0
-"""How long code is kept at least since a process has begun to use it: it may still add to it."""
+KEPT_S = 86_400.0  # least age of code that is pruned: what began to use it may still add to it
 CHECKSUM_SIZE = 16
 NOTICE_S = 2.0
 NOTICE = "spoofgym: compiling for this machine, once; takes about a minute"
@@ -183,7 +176,6 @@ class _Notice(event.Listener):  # type: ignore[misc]
         self._look()
 
     def on_end(self, happened: event.Event) -> None:
-        """Keep what the outermost function took."""
         self._look()
         self._depth -= 1
         if self._depth == 0:
@@ -201,7 +193,6 @@ event.register("numba:compile", _Notice())
 
 
 def is_disabled() -> bool:
-    """Whether nothing is compiled, as ``NUMBA_DISABLE_JIT=1`` has it."""
     return bool(numba.config.DISABLE_JIT)
 
 
@@ -215,7 +206,6 @@ def compiled_functions() -> Iterator[list[Any]]:
 
 
 def layer_of(module: str) -> int:
-    """Place of a module in `COMPILED_LAYERS`."""
     parts = module.split(".")
     package = parts[1] if len(parts) > 1 else ""
     last = len(COMPILED_LAYERS) - 1
@@ -300,7 +290,6 @@ def cache_parent() -> Path:
 
 @lru_cache(maxsize=len(COMPILED_LAYERS))
 def cache_folder(layer: int) -> Path:
-    """Folder of one layer's compiled code."""
     folder = cache_parent() / f"{COMPILED_LAYERS[layer]}-{source_digest(layer)}"
     if fault := _fault(folder):  # left from when others could write to its parent
         _say(f"{folder} {fault}; it is removed, and its code compiled again")
@@ -312,7 +301,6 @@ def cache_folder(layer: int) -> Path:
 
 @cache
 def _say(line: str) -> None:
-    """Say it once in this process."""
     print(f"spoofgym: {line}", file=sys.stderr)
 
 
@@ -362,7 +350,6 @@ class _CheckedCache(FunctionCache):  # type: ignore[misc]
         self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Save what Python can call; its parts are in it."""
         if not is_part(data):
             super().save_overload(sig, data)
 

@@ -13,12 +13,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _PART = re.compile(r"spoofgym-([0-9a-f]{8})-(\d+)-[0-9a-f]{32}\.part")
-STALE_S = 7 * 86_400.0
-"""Age at which a temporary file counts as left behind, also by another machine."""
+STALE_S = 7 * 86_400.0  # age at which a temporary file, of any machine, counts as left behind
 
 
 def write_file(path: Path, content: bytes, *, exclusive: bool = False) -> None:
-    """Write all of a file, as `whole_file` does."""
     with whole_file(path, exclusive=exclusive) as part:
         part.write_bytes(content)
 

@@ -45,7 +45,6 @@ class LaneFields:
 
     @property
     def _grouped(self) -> NDArray[Any]:
-        """(groups, rows, lanes) view of the data."""
         return self.data.reshape(self.groups, self.rows, self.lanes)
 
     def _rows_of(self, name: str) -> slice:
@@ -92,7 +91,6 @@ class LaneFields:
         self.put(name, slice(None), values)
 
     def copy_rows(self, to: NDArray[np.intp], other: LaneFields, rows: NDArray[np.intp]) -> None:
-        """Take over receivers `rows` of other fields, which have the same quantities."""
         groups = 0 * rows if other.shared else rows // other.lanes
         taken = other._grouped[groups, :, rows % other.lanes]
         if self.shared:
@@ -109,7 +107,6 @@ class LaneFields:
             group[:, last + 1 :] = group[:, last : last + 1]
 
     def scratch(self, rows: int) -> NDArray[Any]:
-        """New lane array of so many rows, as wide as these fields."""
         memory = _aligned(rows * self.lanes, np.float64)
         return memory if self.lanes == 1 else memory.reshape(rows, self.lanes)
 
@@ -121,7 +118,6 @@ class LaneFields:
 
 
 def _aligned(size: int, dtype: type) -> NDArray[Any]:
-    """Zeros that start where a vector may."""
     memory: NDArray[Any] = np.zeros(size + ALIGNMENT // 8, dtype=dtype)
     first = (ALIGNMENT - memory.ctypes.data % ALIGNMENT) % ALIGNMENT // 8
     return memory[first : first + size]

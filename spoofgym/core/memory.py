@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .registry import require
+
 
 class Memory(dict[str, NDArray[Any]]):
     """Arrays by name, one row a receiver, that can be reset, taken out and put back by rows.
@@ -42,22 +44,24 @@ class Memory(dict[str, NDArray[Any]]):
 
     @property
     def declared(self) -> Mapping[str, NDArray[Any]]:
-        """Values at the start of an episode, by name."""
         return self._initial
 
     def declare(self, name: str, initial: NDArray[Any]) -> None:
         """Add an array.  `initial` (B, ...) values at the start of an episode."""
         array = np.array(initial)
-        if array.ndim == 0 or array.shape[0] != self.receivers:
-            raise ValueError(
-                f"memory {name!r} needs a leading axis of {self.receivers} receivers, "
-                f"got shape {array.shape}"
-            )
+        require(
+            array.ndim != 0 and array.shape[0] == self.receivers,
+            f"memory {name!r} needs a leading axis of {self.receivers} receivers, "
+            f"got shape {array.shape}",
+        )
         self._initial[name] = array
         self[name] = array.copy()
 
+    def declare_all(self, **initial: NDArray[Any]) -> None:
+        for name, array in initial.items():
+            self.declare(name, array)
+
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Restore the initial values."""
         for name, initial in self._initial.items():
             if mask is None:
                 self[name] = initial.copy()

@@ -24,10 +24,8 @@ COLOURS = (
     "#882255",
     "#999933",
 )
-BLUE, ORANGE, GREEN = COLOURS[:3]
-"""The clean twin, what is attacked, what is commanded."""
-RED = "#B2182B"
-"""Alarms."""
+BLUE, ORANGE, GREEN = COLOURS[:3]  # the clean twin, what is attacked, what is commanded
+RED = "#B2182B"  # alarms
 GREY = "#777777"
 GRID = "#dddddd"
 
@@ -49,7 +47,6 @@ def check_picture(path: Path) -> Path:
 
 
 def save_figure(figure: Figure, path: Path, dpi: float | Literal["figure"] = "figure") -> Path:
-    """Write a picture whole or not at all; its ending gives the format, PNG where it has none."""
     path = check_picture(path)
     with whole_file(path) as part:
         figure.savefig(part, format=path.suffix[1:], dpi=dpi)
@@ -57,7 +54,6 @@ def save_figure(figure: Figure, path: Path, dpi: float | Literal["figure"] = "fi
 
 
 def style(ax: Axes) -> None:
-    """Leave out what frames a panel, and lay a grid beneath it."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(True, color=GRID, lw=0.6)
     ax.set_axisbelow(True)

@@ -10,8 +10,7 @@ from typing import Protocol
 
 from . import threads as _threads
 
-REFRESH_S = 0.1
-"""How often the time in a bar is drawn."""
+REFRESH_S = 0.1  # how often the time in a bar is drawn
 
 
 class ProgressCallback(Protocol):
@@ -21,8 +20,7 @@ class ProgressCallback(Protocol):
         """Add an amount of work; `now` says what is going on."""
 
 
-ProgressBar = Callable[[float], AbstractContextManager[ProgressCallback]]
-"""Opens a bar for a total amount of work, such as `show_progress`."""
+ProgressBar = Callable[[float], AbstractContextManager[ProgressCallback]]  # of a total of work
 
 
 class NullProgress:
@@ -39,13 +37,11 @@ class RemainingWork:
         self._progress, self._left, self._now = progress, expected, now
 
     def tick(self, amount: float) -> None:
-        """Report an amount."""
         amount = min(amount, self._left)
         self._left -= amount
         self._progress.advance(amount, self._now)
 
     def end(self) -> None:
-        """Report what is left."""
         self.tick(self._left)
 
 

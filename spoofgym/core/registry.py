@@ -19,8 +19,13 @@ import numpy as np
 from .settings import describe
 
 T = TypeVar("T")
+# Endings of files of models that would have to be unpickled.
 PICKLES = (".zip", ".pkl", ".pickle", ".pt", ".pth", ".ckpt", ".pth.tar", ".joblib")
-"""Endings of files of models that would have to be unpickled."""
+
+
+def require(good: object, message: str) -> None:
+    if not good:
+        raise ValueError(message)
 
 
 def check_choice(
@@ -37,7 +42,6 @@ def check_choice(
 
 
 def refuse_pickle(name: Any) -> None:
-    """Raise where what is named is a file that would have to be unpickled."""
     if str(name).lower().endswith(PICKLES):
         raise ValueError(
             f"{name} is a pickled file, which is never opened, since it can run any code: export "
@@ -76,19 +80,22 @@ def build(
     if name not in kinds:
         refuse_pickle(name)
         check_choice(word, name, {*kinds, *more} - {name})
-    known = dataclasses.fields(kinds[name])  # type: ignore[arg-type]
-    valid = [field.name for field in known]
-    for setting in settings:
-        if setting not in valid:
-            raise ValueError(
-                f"{word} {name!r} has no setting {setting!r}; valid: {', '.join(valid) or 'none'}"
-            )
-    for field in known:
+    return _constructed(f"{word} {name!r}", kinds[name], settings)
+
+
+def _constructed(what: str, kind: type[T], settings: Mapping[str, Any]) -> T:
+    """Record of a kind, after a check that its settings are known, of the right kind, and there."""
+    known = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for name in settings:
+        require(
+            name in known, f"{what} has no setting {name!r}; valid: {', '.join(known) or 'none'}"
+        )
+    for name, field in known.items():
         missing = dataclasses.MISSING
-        if field.default is field.default_factory is missing and field.name not in settings:
-            raise ValueError(f"{word} {name!r} needs the setting {field.name!r}")
-    check_plain_settings(kinds[name], settings)
-    return kinds[name](**settings)
+        if field.default is field.default_factory is missing and name not in settings:
+            raise ValueError(f"{what} needs the setting {name!r}")
+    check_plain_settings(kind, settings)
+    return kind(**settings)
 
 
 def check_plain_settings(kind: type, settings: Mapping[str, Any]) -> None:
@@ -112,8 +119,7 @@ def check_plain_settings(kind: type, settings: Mapping[str, Any]) -> None:
             right, must = isinstance(value, numbers.Real) and not truth, "a number"
         else:
             continue
-        if not right:
-            raise ValueError(f"`{field.name}` must be {must}{nothing}, got {value!r}")
+        require(right, f"`{field.name}` must be {must}{nothing}, got {value!r}")
 
 
 def build_record(
@@ -129,13 +135,7 @@ def build_record(
             f"`{word}` must be a dict of settings or an instance of "
             f"{kind.__module__}.{kind.__qualname__}, got {given!r}"
         )
-    valid = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
-    settings = {**(defaults or {}), **(given or {})}
-    for name in settings:
-        if name not in valid:
-            raise ValueError(f"`{word}` has no setting {name!r}; valid: {', '.join(valid)}")
-    check_plain_settings(kind, settings)
-    return kind(**settings)
+    return _constructed(f"`{word}`", kind, {**(defaults or {}), **(given or {})})
 
 
 def is_number(value: object) -> bool:
@@ -154,8 +154,13 @@ def check_finite(name: str, value: Any, bound: str = "") -> None:
         raise ValueError(f"`{name}` must be {must}, got {value!r}")
 
 
+def check_fields(record: object, bound: str, *names: str) -> None:
+    """`check_finite` for the fields of a record with these names, all of them by default."""
+    for name in names or tuple(field.name for field in dataclasses.fields(record)):  # type: ignore[arg-type]
+        check_finite(name, getattr(record, name), bound)
+
+
 def check_truth(name: str, value: Any) -> None:
-    """Raise unless a setting is True or False."""
     if value is not True and value is not False:
         raise ValueError(f"`{name}` must be True or False, got {value!r}")
 
@@ -170,7 +175,6 @@ def whole_number(name: str, value: Any, least: int = 0) -> int:
 
 
 def refuse_given(decider: str, names: Iterable[str]) -> None:
-    """Raise where something is given that something else decides."""
     if given := ", ".join(names):
         raise ValueError(f"{given} can't be given with {decider}, which decides it")
 
@@ -195,8 +199,7 @@ def check_keywords(
 
 Spec = dict[str, Any]
 _WORDS = {"None": None, "True": True, "False": False}
-_COMMAS = r",(?![^\[\]]*\])"
-"""Commas between settings, not those within the brackets of a list."""
+_COMMAS = r",(?![^\[\]]*\])"  # commas between settings, not those within the brackets of a list
 
 
 def parse_spec(text: str) -> Spec:
@@ -237,8 +240,7 @@ def parse_setting(text: str, where: str = "") -> tuple[str, Any]:
     ('domain', {'start_s': [0, 60]})
     """
     setting, equals, value = text.partition("=")
-    if not equals or not setting.strip():
-        raise ValueError(f"a setting is written `name=value`, got {text!r}{where}")
+    require(equals and setting.strip(), f"a setting is written `name=value`, got {text!r}{where}")
     return setting.strip(), _value(value.strip())
 
 
@@ -256,7 +258,6 @@ def _value(text: str) -> Any:
 
 
 def load_class(path: str, base: Callable[..., T]) -> type[T]:
-    """Class of a module that is not part of spoofgym.  `base`: what it must be derived from."""
     kind = cast("type[T]", base)  # abstract, which type[T] does not allow for
     module_name, _, name = path.partition(":")
     try:
@@ -296,7 +297,6 @@ def make(
 
 
 def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
-    """Name and all settings of an object, from which `make` makes an equal one."""
     kind = type(thing)
     registered = {cls: name for name, cls in kinds.items()}
     name = registered.get(kind, f"{kind.__module__}:{kind.__qualname__}")
@@ -318,7 +318,6 @@ def settings_of(kind: Callable[..., Any]) -> dict[str, Any]:
 
 
 def label_of(spec: Spec, default: Spec | None) -> str:
-    """Short name: what differs from the default settings is in brackets."""
     settings = {key: value for key, value in spec.items() if key != "name"}
     if default is not None:
         settings = {key: v for key, v in settings.items() if default.get(key, v) != v}

@@ -17,10 +17,8 @@ from typing import Any
 
 import numpy as np
 
-LIBRARIES = {"spoofgym", "numpy", "pandas", *sys.stdlib_module_names}
-"""Packages that versions and digests of their own stand for."""
-OMITTED = {"omitted": True}
-"""Metadata of a field whose default is not written down, since records are older than it."""
+LIBRARIES = {"spoofgym", "numpy", "pandas", *sys.stdlib_module_names}  # they have versions
+OMITTED = {"omitted": True}  # metadata of a default that is not written down: records are older
 DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 INSTALLED = {"site-packages", "dist-packages"}
 
@@ -45,7 +43,6 @@ def describe(value: Any) -> Any:
 
 
 def _describe_parts(value: Any) -> Any:
-    """A record, mapping or sequence as JSON."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         named = {
             f.name: describe(getattr(value, f.name))
@@ -79,7 +76,6 @@ def kind_of(record: type) -> str:
 
 
 def digest_of(config: Any) -> str:
-    """Digest of a configuration, whatever the order of its keys."""
     text = json.dumps(config, sort_keys=True, allow_nan=False, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -133,7 +129,6 @@ def _digest_of_file(path: Path) -> str:
 
 
 def digest_of_bytes(content: bytes) -> str:
-    """Digest of the content of a file."""
     return hashlib.sha256(content).hexdigest()[:16]
 
 
@@ -156,7 +151,6 @@ def _is_outside(module: str, kind: type) -> bool:
 
 
 def _sources(kind: type) -> dict[str, str]:
-    """Digests of the module of a class and of the user's modules that it imports, by name."""
     found: dict[str, str] = {}
     waiting = [kind.__module__]
     while waiting:
@@ -177,7 +171,6 @@ def _sources(kind: type) -> dict[str, str]:
 
 
 def differences(one: Any, other: Any, where: str = "") -> list[tuple[str, Any, Any]]:
-    """Dotted names of JSON-able settings that differ, with both values."""
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         found = []
         for name in [*one, *(name for name in other if name not in one)]:
@@ -190,7 +183,6 @@ def differences(one: Any, other: Any, where: str = "") -> list[tuple[str, Any, A
 
 
 def unlike(card: Any, here: Any, where: str = "") -> list[str]:
-    """Where settings differ from those on a card, a line each."""
     return [
         f"{name}: {a!r} on the card, {b!r} here" for name, a, b in differences(card, here, where)
     ]

@@ -34,8 +34,7 @@ from numba.extending import lower_builtin, models, register_model
 from numba.np.arrayobj import populate_array
 
 LANES = 8
-ALIGNMENT = 64
-"""Bytes of a vector; a lane array starts at a multiple, so that no vector lies in two lines."""
+ALIGNMENT = 64  # bytes of a vector; lane arrays start at a multiple, so that none lies in two lines
 
 
 # --- types -----------------------------------------------------------------------------------
@@ -49,7 +48,6 @@ class _Vector(types.Type):  # type: ignore[misc]
         super().__init__(name=f"Vector({element} x {lanes})")
 
     def of(self, element: types.Type) -> _Vector:
-        """Vector of as many others."""
         return _KINDS[element, self.lanes]
 
 
@@ -72,7 +70,6 @@ class _VectorModel(models.PrimitiveModel):  # type: ignore[misc]
 
 
 def _splat(builder: Any, value: Any, kind: _Vector) -> Any:
-    """Vector whose lanes all hold a number."""
     nothing = ir.Constant(_LLVM[kind], ir.Undefined)
     first = builder.insert_element(nothing, value, ir.Constant(_INDEX, 0))
     return builder.shuffle_vector(first, nothing, _indices([0] * kind.lanes))
@@ -83,7 +80,6 @@ def _indices(lanes: Sequence[int]) -> Any:
 
 
 def _cast(context: Any, builder: Any, value: Any, given: types.Type, wanted: types.Type) -> Any:
-    """Make a number, or a vector, one of a wanted type."""
     if given == wanted:
         return value
     if not isinstance(wanted, _Vector):
@@ -102,10 +98,12 @@ def _define(
     result: Callable[..., types.Type | None],
     emit: Callable[..., Any],
     arity: int,
+    *,
+    of_vectors: bool = False,
 ) -> None:
     """Compile calls of a function by `emit`, where `result` knows the type that comes out.
     ``result(*types)`` gives it, or None for arguments that are not for it; ``emit(context, builder,
-    types, values)`` the LLVM value."""
+    types, values)`` the LLVM value. Operators are defined `of_vectors` alone."""
 
     @infer_global(function)
     class _Template(AbstractTemplate):  # type: ignore[misc]
@@ -118,8 +116,7 @@ def _define(
     def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         return emit(context, builder, sig.args, args)
 
-    vectors = function in _OPERATORS
-    if not vectors:
+    if not of_vectors:
         lower_builtin(function, *[types.Any] * arity)(lower)
         return
     kinds = list(_KINDS.values())
@@ -173,22 +170,20 @@ def _binary(
         return method(predicate, *operands) if predicate else method(*operands)
 
     for function in functions:
-        _define(function, kind_of, emit, 2)
+        _define(function, kind_of, emit, 2, of_vectors=True)
 
 
-_OPERATORS = {
-    operator.add, operator.iadd, operator.sub, operator.isub, operator.mul, operator.imul,
-    operator.truediv, operator.itruediv, operator.neg, operator.xor, operator.ixor, operator.or_,
-    operator.ior, operator.and_, operator.iand, operator.lshift, operator.rshift, operator.gt,
-    operator.ge, operator.lt, operator.le, operator.eq, operator.ne,
-}  # fmt: skip
-_binary((operator.add, operator.iadd), {REAL: "fadd", WORD: "add"}, None)
-_binary((operator.sub, operator.isub), {REAL: "fsub", WORD: "sub"}, None)
-_binary((operator.mul, operator.imul), {REAL: "fmul"}, None)
-_binary((operator.truediv, operator.itruediv), {REAL: "fdiv"}, None)
-_binary((operator.xor, operator.ixor), {WORD: "xor", MASK: "xor"}, None)
-_binary((operator.or_, operator.ior), {WORD: "or_", MASK: "or_"}, None)
-_binary((operator.and_, operator.iand), {WORD: "and_", MASK: "and_"}, None)
+for _name, _emits in {
+    "add": {REAL: "fadd", WORD: "add"},
+    "sub": {REAL: "fsub", WORD: "sub"},
+    "mul": {REAL: "fmul"},
+    "truediv": {REAL: "fdiv"},
+    "xor": {WORD: "xor", MASK: "xor"},
+    "or_": {WORD: "or_", MASK: "or_"},
+    "and_": {WORD: "and_", MASK: "and_"},
+}.items():
+    _in_place = getattr(operator, f"i{_name.rstrip('_')}")
+    _binary((getattr(operator, _name), _in_place), _emits, None)
 _binary((operator.lshift,), {WORD: "shl"}, None)
 _binary((operator.rshift,), {WORD: "lshr"}, None)
 for _compare, _sign in (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("eq", "==")):
@@ -200,6 +195,7 @@ _define(
     lambda x: x if isinstance(x, _Vector) and x.element is REAL else None,
     lambda context, builder, given, values: builder.fneg(values[0]),
     1,
+    of_vectors=True,
 )
 
 
@@ -236,17 +232,12 @@ def _row_address(
 class _Lanes(np.ndarray):
     """A vector without compilation: like a number, none that ``+=`` changes in place."""
 
-    __iadd__: Any = np.ndarray.__add__
-    __isub__: Any = np.ndarray.__sub__
-    __imul__: Any = np.ndarray.__mul__
-    __itruediv__: Any = np.ndarray.__truediv__
-    __iand__: Any = np.ndarray.__and__
-    __ior__: Any = np.ndarray.__or__
-    __ixor__: Any = np.ndarray.__xor__
+
+for _name in ("add", "sub", "mul", "truediv", "and", "or", "xor"):
+    setattr(_Lanes, f"__i{_name}__", getattr(np.ndarray, f"__{_name}__"))
 
 
 def _python(values: Any) -> Any:
-    """A number, or a vector without compilation."""
     return values[()] if values.ndim == 0 else values.view(_Lanes)
 
 
@@ -264,7 +255,6 @@ def store(array: Any, row: int, value: Any) -> None:
 
 
 def load_pair(array: Any, row: int) -> Any:
-    """Two rows of a lane array of eight receivers, as a pair."""
     return _python(array[row : row + 2].reshape(-1).copy())
 
 
@@ -281,14 +271,10 @@ def _pair_kind(array: types.Type, row: types.Type) -> types.Type | None:
     return _KINDS[kind.element, 2 * LANES] if isinstance(kind, _Vector) else None
 
 
-def _emit_load_pair(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    loaded = builder.load(_row_address(context, builder, given, values, _pair_kind(*given)))
-    loaded.align = 8
-    return loaded
-
-
-def _emit_load(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    loaded = builder.load(_row_address(context, builder, given, values))
+def _emit_load(
+    context: Any, builder: Any, given: Any, values: Any, kind: types.Type | None = None
+) -> Any:
+    loaded = builder.load(_row_address(context, builder, given, values, kind))
     loaded.align = 8
     return loaded
 
@@ -320,7 +306,7 @@ _define(
 )
 
 
-_define(load_pair, _pair_kind, _emit_load_pair, 2)
+_define(load_pair, _pair_kind, lambda *lowering: _emit_load(*lowering, _pair_kind(*lowering[2])), 2)
 _define(
     pair_of,
     lambda vector: _KINDS[vector.element, 2 * LANES] if isinstance(vector, _Vector) else None,
@@ -366,7 +352,6 @@ def _unary(
     given_kinds: dict[types.Type, types.Type],
     emit: Callable[[Any, Any, types.Type, types.Type], Any],
 ) -> None:
-    """Define a function of one argument; `given_kinds` has the result for each type."""
 
     def lower(context: Any, builder: Any, given: Any, values: Any) -> Any:
         return emit(builder, values[0], given[0], given_kinds[given[0]])
@@ -375,7 +360,6 @@ def _unary(
 
 
 def _intrinsic(name: str) -> Callable[[Any, Any, types.Type, types.Type], Any]:
-    """LLVM's intrinsic function of one number, or of all lanes."""
 
     def emit(builder: Any, value: Any, given: types.Type, result: types.Type) -> Any:
         suffix = f"v{given.lanes}f64" if isinstance(given, _Vector) else "f64"
@@ -387,12 +371,10 @@ def _intrinsic(name: str) -> Callable[[Any, Any, types.Type, types.Type], Any]:
 
 
 def sqrt(x: Any) -> Any:
-    """Square root; NaN below 0."""
     return np.sqrt(x)
 
 
 def floor(x: Any) -> Any:
-    """Largest whole number that is not above x."""
     return np.floor(x)
 
 
@@ -407,12 +389,10 @@ _unary(absolute, _REALS, _intrinsic("fabs"))
 
 
 def to_float(x: Any) -> Any:
-    """Nearest double of an unsigned integer."""
     return x.astype(np.float64) if isinstance(x, np.ndarray) else np.float64(x)
 
 
 def bits_of(x: Any) -> Any:
-    """The 64 bits of a double, as an unsigned integer."""
     return _python(np.asarray(x, dtype=np.float64).view(np.uint64))
 
 
@@ -494,7 +474,6 @@ _define(
 
 
 def rotate_left(x: Any, turn: int) -> Any:
-    """Bits of an unsigned integer, turned to the left by 1 to 63."""
     left, right = np.uint64(turn), np.uint64(64 - turn)
     return (x << left) | (x >> right)
 
@@ -527,26 +506,20 @@ def lanes_of(array: Any) -> int:
 
 
 def lane(array: Any, row: int, index: int) -> Any:
-    """One receiver's value in a row of a lane array."""
     return array[row] if array.ndim == 1 else array[row, index]
 
 
 def set_lane(array: Any, row: int, index: int, value: Any) -> None:
-    """Write one receiver's value in a row of a lane array."""
     if array.ndim == 1:
         array[row] = value
     else:
         array[row, index] = value
 
 
-def _lane_count(array: types.Type) -> int:
-    return 1 if array.ndim == 1 else LANES
-
-
 def _lane_address(context: Any, builder: Any, given: Any, values: Any) -> Any:
     data = _data(context, builder, given[0], values[0])
     row, index = (context.cast(builder, values[k], given[k], types.intp) for k in (1, 2))
-    first = builder.mul(row, ir.Constant(ir.IntType(64), _lane_count(given[0])))
+    first = builder.mul(row, ir.Constant(ir.IntType(64), lanes_of(given[0])))
     return builder.gep(data, [builder.add(first, index)])
 
 
@@ -559,7 +532,7 @@ def _emit_set_lane(context: Any, builder: Any, given: Any, values: Any) -> Any:
 _define(
     lanes_of,
     lambda array: types.intp if isinstance(array, types.Array) else None,
-    lambda context, builder, given, values: ir.Constant(ir.IntType(64), _lane_count(given[0])),
+    lambda context, builder, given, values: ir.Constant(ir.IntType(64), lanes_of(given[0])),
     1,
 )
 _define(
@@ -579,17 +552,16 @@ _define(
 # --- many arrays as one argument -------------------------------------------------------------
 
 
-_READ = tuple(
+_READ = tuple(  # types of elements that the functions below read
     np.dtype(each).str for each in (np.float64, np.float32, np.int64, np.uint64, np.bool_)
 )
-"""Types of elements that the functions below read."""
 
 
 class ArrayTable:
     """Addresses and sizes of C-contiguous arrays, which a kernel takes as one argument. To hand an
-    array to compiled code costs as much as some hundred operations; `floats_at` and the others make
-    it of its address there. The table keeps the arrays alive; each has to stay where it is.
-    `entries` (2 k,) int64, address and number of elements of each."""
+    array to compiled code costs as much as some hundred operations; `floats_at` and the others,
+    each for one type of elements, make it of its address there. The table keeps the arrays alive;
+    each has to stay where it is. `entries` (2 k,) int64, address and number of elements of each."""
 
     def __init__(self, arrays: Sequence[np.ndarray[Any, Any]]) -> None:
         for array in arrays:
@@ -610,22 +582,18 @@ def _array(entries: Any, index: int, dtype: type, many: bool = False) -> Any:
 
 
 def floats_at(entries: Any, index: int) -> Any:
-    """Array of a table, (N,) float64."""
     return _array(entries, index, np.float64)
 
 
 def singles_at(entries: Any, index: int) -> Any:
-    """Array of a table, (N,) float32."""
     return _array(entries, index, np.float32)
 
 
 def integers_at(entries: Any, index: int) -> Any:
-    """Array of a table, (N,) int64."""
     return _array(entries, index, np.int64)
 
 
 def flags_at(entries: Any, index: int) -> Any:
-    """Array of a table, (N,) bool."""
     return _array(entries, index, np.bool_)
 
 
@@ -673,9 +641,12 @@ def _define_reader(function: Callable[..., Any], element: types.Type, arity: int
     _define(function, kind_of, emit, arity)
 
 
-_define_reader(floats_at, types.float64, 2)
-_define_reader(singles_at, types.float32, 2)
-_define_reader(integers_at, types.int64, 2)
-_define_reader(flags_at, types.boolean, 2)
-_define_reader(rows_at, types.float64, 3)
-_define_reader(words_at, types.uint64, 3)
+for _reader, _element, _arity in (
+    (floats_at, types.float64, 2),
+    (singles_at, types.float32, 2),
+    (integers_at, types.int64, 2),
+    (flags_at, types.boolean, 2),
+    (rows_at, types.float64, 3),
+    (words_at, types.uint64, 3),
+):
+    _define_reader(_reader, _element, _arity)

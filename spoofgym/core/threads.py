@@ -8,10 +8,8 @@ import threading
 import time
 from collections.abc import Callable
 
-END_S = 5.0
-"""How long they are waited for when the interpreter ends."""
-LOOK_S = 1e-3
-"""How often it is looked whether they have ended."""
+END_S = 5.0  # how long they are waited for when the interpreter ends
+LOOK_S = 1e-3  # how often it is looked whether they have ended
 _known: dict[_Thread, Callable[[], None]] = {}
 _generation = object()
 

@@ -1,45 +1,34 @@
-"""Rules and report of track cleaning.
-
-Rules by which recorded tracks are cleaned: arrays in, True where a row doesn't count.
+"""Cleaning of recorded tracks: rules, arrays in, True where a row doesn't count; and a report.
 
 Rules and limits follow from what recorded tracks look like: rows at a fixed rate that repeat or
 interpolate sparser fixes, fixes with about 100 m of error since their times are late by up to a
-second, courses stored in a signed byte, fields that went stale.
-
-Cleaning of recorded tracks, with a report of what was dropped and why.
-
-Nothing is smoothed over here: a fix is kept as it is or dropped, and a course or speed is used
-or not.  The rules are in `spoofgym.data.cleaning`.
+second, courses stored in a signed byte, fields that went stale.  Nothing is smoothed over: a fix is
+kept as it is or dropped, and a course or speed is used or not.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.registry import require
 from ..earth.wgs84 import EQUATORIAL_RADIUS, dcm_e_from_n, geodetic_to_ecef
 from .track_fit import MINIMUM_FIXES, Track
 from .tracks import KNOT, RawTrack
 
-POSITION_SD = 100.0
-"""Standard deviation of a fix, mostly the lateness of its time [m]."""
-LARGEST_GAP_S = 30.0
-"""Longest time between distinct fixes of a stretch [s]."""
-COURSE_TOLERANCE = math.radians(20.0)
-"""Largest difference between a reported course and the course made good [rad]."""
-INTERPOLATION_TOLERANCE = 0.5
-"""Distance from the line between its neighbours up to which a fix is interpolated [m]."""
-STALE_SHARE = 0.1
-"""Rejected share of a run of one value above which the whole run counts as stale."""
-CHORD_S = 4.0
-"""Time to either side over which course and speed made good are taken, at least [s]."""
-HIGHEST_SPEED = 350.0
-"""Highest speed believed between two fixes [m/s]."""
+POSITION_SD = 100.0  # standard deviation of a fix, mostly the lateness of its time [m]
+LARGEST_GAP_S = 30.0  # longest time between distinct fixes of a stretch [s]
+COURSE_TOLERANCE = math.radians(20.0)  # between a reported course and the course made good [rad]
+INTERPOLATION_TOLERANCE = 0.5  # from the line between its neighbours, of an interpolated fix [m]
+STALE_SHARE = 0.1  # rejected share of a run of one value above which the whole run counts as stale
+CHORD_S = 4.0  # time to either side over which course and speed made good are taken, at least [s]
+HIGHEST_SPEED = 350.0  # highest speed believed between two fixes [m/s]
 
 
 def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask:
@@ -49,8 +38,7 @@ def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask
     there is nothing to repeat: there, rows without a known time of their position are filled
     backwards, and the last of them counts.
 
-    `latitude`, `longitude` (n,) geodetic [rad]; `known` (n,) whether the file gives the time of the
-    position; returns (n,) True where the row doesn't count.
+    `known` (n,) whether the file gives the time of the position.
     """
     same = (np.diff(latitude) == 0.0) & (np.diff(longitude) == 0.0)
     again = np.concatenate([[False], same])[: latitude.size]
@@ -62,17 +50,14 @@ def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask
 
 
 def late_positions(time: Floats) -> Mask:
-    """Rows whose position isn't newer than all before; a time counts once. `time` (n,) time of the
-    positions [s]; returns (n,) True where the row doesn't count."""
+    """Rows whose position isn't newer than all before; a time counts once."""
     latest = np.maximum.accumulate(time)
     return np.concatenate([[False], time[1:] <= latest[:-1]])[: time.size]
 
 
 def interpolated_positions(time: Floats, latitude: Floats, longitude: Floats) -> Mask:
-    """Rows on the line between their neighbours, at the time that interpolation gives. Of a run of
-    equal displacements, only the fix at each end was ever observed. `time` (n,) time of the
-    positions [s], rising; `latitude`, `longitude` (n,) geodetic [rad]; returns (n,) True where a
-    position is interpolated."""
+    """Rows on the line between their neighbours, at the time that interpolation gives: of a run of
+    equal displacements, only the fix at each end was ever observed. Geodetic [rad]."""
     north = EQUATORIAL_RADIUS * off_line(time, latitude[:, None])
     east = EQUATORIAL_RADIUS * np.cos(latitude) * off_line(time, np.unwrap(longitude)[:, None])
     between = np.hypot(north, east) < INTERPOLATION_TOLERANCE
@@ -81,8 +66,8 @@ def interpolated_positions(time: Floats, latitude: Floats, longitude: Floats) ->
 
 
 def off_line(time: Floats, value: Floats) -> Floats:
-    """Distance of each row from the line between its neighbours; 0 at both ends. `time` (n,) rising
-    [s]; `value` (n, k) coordinates; returns (n,) in the unit of the coordinates."""
+    """(n,) distance of each row of `value` (n, k) from the line between its neighbours; 0 at both
+    ends."""
     distance = np.zeros(time.size)
     if time.size > 2:
         weight = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
@@ -106,8 +91,7 @@ def isolated_outliers(time: Floats, value: Floats, allowance: float, acceleratio
     one, worst of their surroundings first, and only if that heals the surroundings: a jump that
     lasts is none, and breaks the track instead.
 
-    `time` (n,) rising [s]; `value` (n, k) coordinates [m]; `allowance`: distance believed [m];
-    `acceleration`: acceleration believed [m/s^2]; returns (n,) True where a row is an outlier.
+    `value` (n, k) coordinates [m]; `allowance`, `acceleration`: believed [m], [m/s^2].
     """
     kept = np.arange(time.size)
     while True:
@@ -128,8 +112,7 @@ def isolated_outliers(time: Floats, value: Floats, allowance: float, acceleratio
 
 
 def broken_links(time: Floats, position_e: Floats) -> Mask:
-    """Which fixes don't lead on to the next: gaps, and jumps that last. `time` (n,) rising [s];
-    `position_e` (n, 3) ECEF [m]; returns (n-1,) True where a stretch ends."""
+    """(n-1,) which fixes don't lead on to the next: gaps, and jumps that last."""
     interval = np.diff(time)
     distance = np.linalg.norm(np.diff(position_e, axis=0), axis=1)
     broken = interval > LARGEST_GAP_S
@@ -156,9 +139,8 @@ class MadeGood(NamedTuple):
 
 
 def made_good(time: Floats, latitude: Floats, longitude: Floats) -> MadeGood:
-    """Speeds and courses from positions, over chords of at least `CHORD_S` to either side. `time`
-    (n,) rising [s]; `latitude`, `longitude` (n,) geodetic [rad]; returns NaN where there is no
-    other fix within `LARGEST_GAP_S`."""
+    """Speeds and courses from positions [rad], over chords of at least `CHORD_S` to either side;
+    NaN where there is no other fix within `LARGEST_GAP_S`."""
     position = geodetic_to_ecef(latitude, longitude, 0.0)
     here = np.arange(time.size)
     a = np.maximum(np.searchsorted(time, time - CHORD_S, side="right") - 1, 0)
@@ -175,9 +157,8 @@ def made_good(time: Floats, latitude: Floats, longitude: Floats) -> MadeGood:
 
 
 def contradicting_speeds(groundspeed: Floats, made: MadeGood) -> Mask:
-    """Groundspeeds outside chord and path speed by a tenth and three standard deviations.
-    `groundspeed` (n,) as reported [m/s]; returns (n,) True where the reported speed can't be true,
-    a stale one for instance."""
+    """Reported speeds [m/s] that can't be true, a stale one for instance: outside chord and path
+    speed by a tenth and three standard deviations."""
     margin = 3.0 * math.sqrt(2.0) * POSITION_SD / made.span
     too_low = groundspeed < 0.9 * made.speed - margin
     too_high = groundspeed > 1.1 * made.path_speed + margin
@@ -185,13 +166,11 @@ def contradicting_speeds(groundspeed: Floats, made: MadeGood) -> Mask:
 
 
 def stale_runs(value: Floats, wrong: Mask) -> Mask:
-    """Runs of one and the same value, too much of which is wrong for the rest to be right. `value`
-    (n,) as reported, NaN where missing; `wrong` (n,) whether a value was rejected; returns (n,)
-    True in runs of which more than `STALE_SHARE` was rejected."""
+    """Runs of one and the same value of which more than `STALE_SHARE` was rejected as `wrong`, too
+    much for the rest to be right; NaN where missing."""
     run = np.cumsum(np.diff(value, prepend=value[:1]) != 0.0)
     share = np.bincount(run, wrong) / np.maximum(np.bincount(run), 1)
-    stale: Mask = np.isfinite(value) & (share[run] > STALE_SHARE)
-    return stale
+    return np.asarray(np.isfinite(value) & (share[run] > STALE_SHARE))
 
 
 def resolved_courses(track_deg: Floats, course: Floats) -> tuple[Floats, Mask]:
@@ -220,13 +199,11 @@ def resolved_courses(track_deg: Floats, course: Floats) -> tuple[Floats, Mask]:
 
 
 def _wrapped(angle: Floats) -> Floats:
-    """Angle in (-pi, pi]."""
     return np.asarray(np.pi - (np.pi - angle) % (2.0 * np.pi))
 
 
 def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int]]:
-    """Airborne stretches without a broken link. `time` (n,) rising [s]; `broken` (n-1,) whether a
-    fix doesn't lead on to the next; `airborne` (n,) whether a fix is in the air."""
+    """Airborne stretches without a broken link, (n-1,), longest first."""
     linked = np.concatenate([[False], ~broken & airborne[1:] & airborne[:-1], [False]])
     edges = np.flatnonzero(np.diff(linked.astype(np.int8)))
     found = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
@@ -236,17 +213,14 @@ def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-AIRBORNE_SPEED = 60.0 * KNOT
-"""Speed over ground above which a fix counts as airborne [m/s]."""
-DEFAULT_DURATION_S = 600.0
-"""Duration of a track where none is asked for [s]."""
+AIRBORNE_SPEED = 60.0 * KNOT  # speed over ground above which a fix counts as airborne [m/s]
+DEFAULT_DURATION_S = 600.0  # duration of a track where none is asked for [s]
 
 
-@dataclass(frozen=True)
-class CleaningReport:
+class CleaningReport(SimpleNamespace):
     """What cleaning found and dropped; counts are rows of the file unless said otherwise.
 
-    - `name`: name of the file or flight;
+    - `name`: name of the file or flight; `rows`: all of them;
     - `incomplete`: rows without latitude, longitude or altitude;
     - `repeated`: rows that repeat the position of the row before;
     - `late`: rows whose position is not newer than the one before;
@@ -265,31 +239,10 @@ class CleaningReport:
     - `fixes`, `angles`: fixes of the track, and those among them with a course.
     """
 
-    name: str
-    rows: int
-    incomplete: int
-    repeated: int
-    late: int
-    interpolated: int
-    position_outliers: int
-    height_outliers: int
-    grounded: int
-    speeds_rejected: int
-    angles_as_given: int
-    angles_unwrapped: int
-    angles_rejected: int
-    stretches: int
-    stretch_s: float
-    start_utc: str
-    duration_s: float
-    fixes: int
-    angles: int
-
     def as_dict(self) -> dict[str, str | int | float]:
-        return asdict(self)
+        return dict(vars(self))
 
     def lines(self) -> list[str]:
-        """Sentences for people."""
         kept = self.angles_as_given + self.angles_unwrapped
         return [
             f"{self.name}: {self.rows} rows, {self.incomplete} without a position or altitude",
@@ -314,11 +267,13 @@ def clean_track(
     duration_s: float | None = None,
     interpolated: Literal["drop", "keep"] = "drop",
 ) -> tuple[Track, CleaningReport]:
-    """Clean a recorded track and cut out a stretch that was flown without a gap. `from_s`: start of
-    the cut [s] since the first row of the file; by default the start of the longest stretch;
-    `duration_s`: duration of the cut [s]; by default ten minutes, or what the stretch offers."""
-    if interpolated not in {"drop", "keep"}:
-        raise ValueError(f"`interpolated` must be 'drop' or 'keep', got {interpolated!r}")
+    """Clean a recorded track and cut out a stretch that was flown without a gap: from so many
+    seconds after the first row of the file, by default the start of the longest stretch, for ten
+    minutes, or what the stretch offers."""
+    require(
+        interpolated in {"drop", "keep"},
+        f"`interpolated` must be 'drop' or 'keep', got {interpolated!r}",
+    )
     counts: dict[str, int] = {"rows": raw.time.size}
     fixes = _distinct_fixes(raw, counts, interpolated == "drop")
     fixes = _without_outliers(fixes, counts)
@@ -367,12 +322,10 @@ class _Fixes:
 
     @property
     def position_e(self) -> Floats:
-        """(n, 3) positions on the ellipsoid, ECEF [m]."""
         return geodetic_to_ecef(self.latitude, self.longitude, 0.0)
 
 
 def _distinct_fixes(raw: RawTrack, counts: dict[str, int], drop_interpolated: bool) -> _Fixes:
-    """Rows that hold a position of their own, at the true time of it."""
     known = np.isfinite(raw.position_time)
     fixes = _Fixes(
         np.where(known, raw.position_time, raw.time),
@@ -383,11 +336,11 @@ def _distinct_fixes(raw: RawTrack, counts: dict[str, int], drop_interpolated: bo
         raw.track_deg,
     )
     complete = np.isfinite(raw.latitude + raw.longitude + raw.altitude)
-    if complete.sum() < MINIMUM_FIXES:
-        raise ValueError(
-            f"{raw.name!r} must have at least {MINIMUM_FIXES} rows with a position and an "
-            f"altitude, got {complete.sum()}"
-        )
+    require(
+        complete.sum() >= MINIMUM_FIXES,
+        f"{raw.name!r} must have at least {MINIMUM_FIXES} rows with a position and an "
+        f"altitude, got {complete.sum()}",
+    )
     fixes, known = fixes[complete], known[complete]
     again = repeated_positions(fixes.latitude, fixes.longitude, known)
     fixes = fixes[~again]
@@ -403,7 +356,6 @@ def _distinct_fixes(raw: RawTrack, counts: dict[str, int], drop_interpolated: bo
 
 
 def _without_outliers(fixes: _Fixes, counts: dict[str, int]) -> _Fixes:
-    """Fixes without single ones that are off in altitude or position."""
     off = isolated_outliers(fixes.time, fixes.altitude[:, None], 300.0, 10.0)
     counts["height_outliers"] = int(off.sum())
     fixes = fixes[~off]
@@ -452,7 +404,6 @@ def _airborne_stretches(
 def _chosen_stretch(
     elapsed: Floats, found: list[tuple[int, int]], from_s: float | None
 ) -> tuple[int, int]:
-    """Longest stretch, or the one that a time lies in."""
     if from_s is None:
         return found[0]
     for a, b in found:
@@ -465,7 +416,6 @@ def _chosen_stretch(
 def _cut(
     elapsed: Floats, stretch: tuple[int, int], from_s: float | None, duration_s: float | None
 ) -> Mask:
-    """Fixes of the stretch between two times."""
     start = elapsed[stretch[0]] if from_s is None else from_s
     rest = float(elapsed[stretch[1]] - start)
     if duration_s is not None and not 0.0 < duration_s <= rest + 1e-6:

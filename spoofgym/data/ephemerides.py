@@ -1,16 +1,12 @@
-"""Broadcast orbits, screened.
-
-Broadcast ephemerides: GPS satellites where they really were on a day of the past.
+"""Broadcast ephemerides: GPS satellites where they really were on a day of the past.
 
 Orbits follow IS-GPS-200, "NAVSTAR GPS Space Segment/Navigation User Interfaces", table 20-IV;
 velocities are their exact derivatives (Thompson et al. 2019, "Computing GPS satellite velocity and
 acceleration from the broadcast navigation message", NAVIGATION 66(4)).  All times are GPS seconds:
 seconds since 1980-01-06 00:00 in the GPS time scale, counted through every week.
 
-Screening of broadcast ephemerides: copies, and records that their neighbours contradict.
-
-A navigation file holds what receivers around the world have heard, now and then wrongly.  A record
-has no check of its own, but its neighbours in time describe the same orbit.
+A navigation file holds what receivers around the world have heard, now and then wrongly: `screen`
+drops copies, and records that their neighbours in time, which describe the same orbit, contradict.
 """
 
 from __future__ import annotations
@@ -24,23 +20,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.registry import require
 from ..truth.satellites import SatelliteStates, checked_time, ecef_from_orbit
 
-GPS_EPOCH = datetime(1980, 1, 6)
-"""Start of GPS time."""
+GPS_EPOCH = datetime(1980, 1, 6)  # start of GPS time
 SECONDS_PER_WEEK = 604800.0
-GPS_GRAVITATIONAL_CONSTANT = 3.986005e14
-"""mu of the GPS user, IS-GPS-200 [m^3/s^2]; not the WGS-84 value of today."""
-GPS_EARTH_RATE = 7.2921151467e-5
-"""Earth rate of the GPS user, IS-GPS-200 [rad/s]."""
-VALIDITY = 7200.0
-"""Longest time from the reference time of a record [s]: half the 4 h curve fit interval."""
-ORBIT_FIELDS = (
+GPS_GRAVITATIONAL_CONSTANT = 3.986005e14  # mu of IS-GPS-200 [m^3/s^2], not that of WGS-84
+GPS_EARTH_RATE = 7.2921151467e-5  # earth rate of the GPS user, IS-GPS-200 [rad/s]
+VALIDITY = 7200.0  # longest time from that of a record [s]: half the 4 h curve fit interval
+ORBIT_FIELDS = (  # the 16 Keplerian parameters of a record
     *("root_semi_major_axis", "eccentricity", "mean_anomaly", "mean_motion_correction", "perigee"),
     *("node", "node_rate", "inclination", "inclination_rate"),
     *("cuc", "cus", "cic", "cis", "crc", "crs", "time_of_ephemeris"),
 )
-"""The 16 Keplerian parameters of a record."""
 KEPLER_ITERATIONS = 6
 
 LEAP_SECOND_DATES = (
@@ -49,25 +41,21 @@ LEAP_SECOND_DATES = (
     *((year, 7, 1) for year in (1992, 1993, 1994)),
     *((1996, 1, 1), (1997, 7, 1), (1999, 1, 1), (2006, 1, 1), (2009, 1, 1)),
     *((2012, 7, 1), (2015, 7, 1), (2017, 1, 1)),
-)
-"""UTC dates at whose start GPS time gained one second on UTC (IERS Bulletin C, to 2017)."""
+)  # UTC dates at whose start GPS time gained one second on UTC (IERS Bulletin C, to 2017)
 
 
 def gps_seconds(moment: datetime) -> float:
-    """GPS seconds of a calendar date. `moment`: without a time zone, the date is in the GPS time
-    scale, like the dates in a RINEX navigation file; with one, it is civil time, and leap seconds
-    are added; returns seconds since 1980-01-06 00:00 GPS time [s]."""
+    """GPS seconds of a date [s]: without a time zone it is in the GPS time scale, like those of a
+    RINEX file; with one, it is civil time, and leap seconds are added."""
     leap_seconds = 0
     if moment.tzinfo is not None:
         moment = moment.astimezone(UTC).replace(tzinfo=None)
         leap_seconds = sum(moment >= datetime(*date) for date in LEAP_SECOND_DATES)
-    if moment < GPS_EPOCH:
-        raise ValueError(f"`moment` must not be before {GPS_EPOCH}, got {moment}")
+    require(moment >= GPS_EPOCH, f"`moment` must not be before {GPS_EPOCH}, got {moment}")
     return (moment - GPS_EPOCH).total_seconds() + leap_seconds
 
 
 def _calendar(seconds: float) -> str:
-    """The date of GPS seconds, for messages."""
     return f"{GPS_EPOCH + timedelta(seconds=round(seconds)):%Y-%m-%d %H:%M:%S} GPS time"
 
 
@@ -125,14 +113,18 @@ class Ephemerides:
 
     def __post_init__(self) -> None:
         ids = np.array(self.satellite_id, dtype=np.str_)
-        if ids.ndim != 1 or not ids.size:
-            raise ValueError(f"`satellite_id` must have shape (R,), R >= 1, got {ids.shape}")
+        require(
+            ids.ndim == 1 and ids.size,
+            f"`satellite_id` must have shape (R,), R >= 1, got {ids.shape}",
+        )
         ids.setflags(write=False)
         object.__setattr__(self, "satellite_id", ids)
         for field in fields(self)[1:]:
             values = np.array(getattr(self, field.name), dtype=np.float64)
-            if values.shape != ids.shape:
-                raise ValueError(f"`{field.name}` must have shape {ids.shape}, got {values.shape}")
+            require(
+                values.shape == ids.shape,
+                f"`{field.name}` must have shape {ids.shape}, got {values.shape}",
+            )
             if not np.isfinite(values).all():
                 bad = np.flatnonzero(~np.isfinite(values))[0]
                 raise ValueError(
@@ -151,22 +143,18 @@ class Ephemerides:
             )
 
     def __len__(self) -> int:
-        """Number of records R."""
         return self.satellite_id.size
 
     @property
     def satellite_ids(self) -> tuple[str, ...]:
-        """The satellites that have a record, each once, sorted."""
         return tuple(np.unique(self.satellite_id).tolist())
 
     @property
     def healthy(self) -> NDArray[np.bool_]:
-        """(R,) whether the record says that its satellite is healthy."""
         return np.asarray(self.health == 0.0)
 
     def take(self, records: ArrayLike) -> Ephemerides:
-        """Some of the records. `records` (S,) indices, or (R,) booleans; returns the S records, in
-        the order of the indices."""
+        """Some of the records, by indices (S,) in their order, or booleans (R,)."""
         index = np.asarray(records)
         return Ephemerides(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
@@ -180,8 +168,8 @@ def solve_kepler(mean_anomaly: ArrayLike, eccentricity: ArrayLike) -> NDArray[np
     Newton's method from :math:`E = M + e \sin M`, always `KEPLER_ITERATIONS` steps, so that a
     value does not depend on which others are solved along with it.
 
-    `mean_anomaly`: M [rad], any shape S; `eccentricity`: e, broadcast against it; exact to rounding
-    up to 0.5, GPS orbits stay below 0.03; returns (S,) E [rad], within a revolution of zero.
+    `mean_anomaly`: M [rad]; `eccentricity`: e; exact to rounding up to e = 0.5, GPS orbits stay
+    below 0.03; returns E [rad], within a revolution of zero.
     """
     e = np.asarray(eccentricity, dtype=np.float64)
     M = np.remainder(np.asarray(mean_anomaly, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
@@ -200,11 +188,7 @@ def propagate(ephemerides: Ephemerides, record: ArrayLike, elapsed: ArrayLike) -
         i = i_0 + \dot\imath\,t_k + C_{is}\sin 2\phi + C_{ic}\cos 2\phi, \qquad
         \Omega = \Omega_0 + (\dot\Omega - \dot\Omega_e)\,t_k - \dot\Omega_e t_{oe}
 
-    `elapsed`: time since its `time_of_ephemeris`, t_k [s], broadcast against it; NaN gives NaN;
-    returns (S, 3) position and velocity, ECEF [m], [m/s].
-
-    Notes
-    -----
+    `elapsed`: time since its `time_of_ephemeris`, t_k [s]; NaN gives NaN; returns (S, 3) each.
     IS-GPS-200, table 20-IV; Thompson et al. (2019) for the derivatives.
     """
     index = np.asarray(record, dtype=np.intp)
@@ -256,11 +240,9 @@ class BroadcastConstellation:
     start: float
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.start):
-            raise ValueError(f"`start` must be finite, got {self.start}")
+        require(math.isfinite(self.start), f"`start` must be finite, got {self.start}")
         toe = self.ephemerides.time_of_ephemeris[self.ephemerides.healthy]
-        if not toe.size:
-            raise ValueError(f"none of the {len(self.ephemerides)} records is healthy")
+        require(toe.size, f"none of the {len(self.ephemerides)} records is healthy")
         if np.abs(toe - self.start).min() > VALIDITY:
             raise ValueError(
                 f"`start` must be within {VALIDITY / 3600.0:g} h of a healthy record; they are of "
@@ -270,7 +252,6 @@ class BroadcastConstellation:
 
     @cached_property
     def satellite_ids(self) -> tuple[str, ...]:
-        """The satellites that have a record, healthy or not, sorted."""
         return self.ephemerides.satellite_ids
 
     @cached_property
@@ -292,9 +273,7 @@ class BroadcastConstellation:
         return _Schedule(record, np.where(e.healthy[record], epoch, np.nan), switch)
 
     def states(self, time: ArrayLike) -> SatelliteStates:
-        """Positions and velocities of all satellites. `time` (K,) time of the simulation [s];
-        returns (K, n, 3) position and velocity, ECEF [m], [m/s]; NaN while the nearest record is
-        unhealthy or more than 2 h away."""
+        """Positions and velocities; NaN while the nearest record is unhealthy or 2 h away."""
         t = checked_time(time)
         schedule = self._schedule
         column = (t[:, None, None] >= schedule.switch).sum(axis=-1)
@@ -304,15 +283,13 @@ class BroadcastConstellation:
         return propagate(self.ephemerides, schedule.record[satellite, column], elapsed)
 
 
-DISAGREEMENT_TOLERANCE = 100.0
-"""Distance between two records' positions from which one of them is wrong [m]."""
-DUPLICATE_RTOL = 1e-10
-"""Relative difference that rounding to 12 decimals may leave between copies of a record."""
+DISAGREEMENT_TOLERANCE = 100.0  # distance of two records from which one of them is wrong [m]
+DUPLICATE_RTOL = 1e-10  # what rounding to 12 decimals may leave between copies of a record
 
 
 class Rejection(NamedTuple):
-    """A record that its neighbours contradict. `time_of_ephemeris`: its reference time, GPS seconds
-    [s]; `disagreement`: distance to the position by the neighbour that it contradicts least [m]."""
+    """A record that its neighbours contradict, its GPS seconds, and the distance to the position by
+    the neighbour that it contradicts least [m]."""
 
     satellite_id: str
     time_of_ephemeris: float
@@ -339,7 +316,6 @@ class ScreeningReport:
 
     @property
     def rejected(self) -> int:
-        """Number of records rejected."""
         return len(self.rejections)
 
 
@@ -385,7 +361,6 @@ def screen(ephemerides: Ephemerides) -> tuple[Ephemerides, ScreeningReport]:
 
 
 def _without_copies(ephemerides: Ephemerides) -> Ephemerides:
-    """The records by satellite, time and issue; of copies the unhealthiest."""
     e = ephemerides
     e = e.take(np.lexsort((-e.health, e.issue, e.time_of_ephemeris, e.satellite_id)))
     same = e.satellite_id[1:] == e.satellite_id[:-1]

@@ -104,7 +104,6 @@ def ephemeris_day(ephemerides: Ephemerides) -> date:
 
 
 def screening_lines(name: str, report: ScreeningReport) -> list[str]:
-    """Sentences on a navigation file."""
     lines = [
         f"{name}: {report.records} GPS records, {report.duplicates} copies dropped, "
         f"{report.unhealthy} marked unhealthy and not used, {report.rejected} rejected for "

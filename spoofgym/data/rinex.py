@@ -22,14 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .ephemerides import (
-    SECONDS_PER_WEEK,
-    BroadcastConstellation,
-    Ephemerides,
-    ScreeningReport,
-    gps_seconds,
-    screen,
-)
+from ..core.registry import require
+from .ephemerides import SECONDS_PER_WEEK, Ephemerides, gps_seconds
 from .tracks import FileError, read_file
 
 _LOGGER = logging.getLogger(__name__)
@@ -37,8 +31,7 @@ _LOGGER = logging.getLogger(__name__)
 COMPRESS_MAGIC = b"\x1f\x9d"
 FIELD_WIDTH = 19
 LINES_PER_RECORD = 8
-LAST_SATELLITE = 63
-"""Largest number of a GPS satellite, IS-GPS-200 table 3-I."""
+LAST_SATELLITE = 63  # largest number of a GPS satellite, IS-GPS-200 table 3-I
 LAST_YEAR = 2099
 FIELDS = {
     **dict(clock_bias=(0, 1), clock_drift=(0, 2), clock_drift_rate=(0, 3)),
@@ -47,8 +40,7 @@ FIELDS = {
     **dict(second_of_week=(3, 0), cic=(3, 1), node=(3, 2), cis=(3, 3)),
     **dict(inclination=(4, 0), crc=(4, 1), perigee=(4, 2), node_rate=(4, 3)),
     **dict(inclination_rate=(5, 0), health=(6, 1), group_delay=(6, 2)),
-}
-"""Line and column of the fields of a record; in line 0 the satellite and epoch are column 0."""
+}  # line and column of the fields of a record; in line 0 the satellite and epoch are column 0
 
 
 def _signed(bits: int, exponent: int, unit: float = 1.0) -> tuple[float, float]:
@@ -57,6 +49,8 @@ def _signed(bits: int, exponent: int, unit: float = 1.0) -> tuple[float, float]:
     return -largest, largest
 
 
+# Valid values of the fields: what the bits of the message hold, or its narrower effective range
+# (IS-GPS-200, tables 20-I and 20-III); angles of one turn either way, since writers differ.
 RANGES = {
     **dict(clock_bias=_signed(22, -31), clock_drift=_signed(16, -43)),
     **dict(clock_drift_rate=_signed(8, -55), group_delay=_signed(8, -31)),
@@ -68,8 +62,6 @@ RANGES = {
     **dict.fromkeys(("cuc", "cus", "cic", "cis"), _signed(16, -29)),
     **dict.fromkeys(("crc", "crs"), _signed(16, -5)),
 }
-"""Valid values of the fields: what the bits of the message hold, or its narrower effective range
-(IS-GPS-200, tables 20-I and 20-III); angles of one turn either way, since writers differ."""
 
 
 class _Layout(NamedTuple):
@@ -140,17 +132,6 @@ def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
     return Ephemerides(satellite_id=np.array(satellites), **columns)
 
 
-def load_broadcast(
-    path: str | os.PathLike[str], start: float | datetime
-) -> tuple[BroadcastConstellation, ScreeningReport]:
-    """The constellation of a RINEX navigation file, its records screened. `start`: time 0 of the
-    simulation: GPS seconds [s], or a date as `gps_seconds` takes it."""
-    kept, report = screen(read_navigation(path))
-    if isinstance(start, datetime):
-        start = gps_seconds(start)
-    return BroadcastConstellation(kept, start), report
-
-
 def _read_lines(path: Path) -> list[str]:
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
@@ -161,7 +142,6 @@ def _read_lines(path: Path) -> list[str]:
 
 
 def _checked_version(line: str, path: Path) -> int:
-    """The version of a navigation file by its first line, 2 or 3."""
     if line[60:80].rstrip() != "RINEX VERSION / TYPE":
         raise FileError(f"{path} is not a RINEX file: it begins with {line[:80]!r}")
     kind = line[20:40].strip()
@@ -196,12 +176,13 @@ def _blocks(lines: list[str], path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _parse(block: list[str], layout: _Layout) -> tuple[str, dict[str, float]]:
-    """Satellite and fields of a record; ValueError says what is wrong with it."""
-    if len(block) != LINES_PER_RECORD:
-        raise ValueError(f"a record has {LINES_PER_RECORD} lines, got {len(block)}")
+    require(
+        len(block) == LINES_PER_RECORD, f"a record has {LINES_PER_RECORD} lines, got {len(block)}"
+    )
     number = int(block[0][layout.satellite])
-    if not 1 <= number <= LAST_SATELLITE:
-        raise ValueError(f"the satellite must be 1 to {LAST_SATELLITE}, got {number}")
+    require(
+        1 <= number <= LAST_SATELLITE, f"the satellite must be 1 to {LAST_SATELLITE}, got {number}"
+    )
     record = {
         name: _number(block[line], layout.first_column + FIELD_WIDTH * column)
         for name, (line, column) in FIELDS.items()
@@ -221,8 +202,7 @@ def _parse(block: list[str], layout: _Layout) -> tuple[str, dict[str, float]]:
 def _number(line: str, column: int) -> float:
     text = line[column : column + FIELD_WIDTH]
     value = float(text.upper().replace("D", "E"))
-    if not math.isfinite(value):
-        raise ValueError(f"a field must be finite, got {text!r}")
+    require(math.isfinite(value), f"a field must be finite, got {text!r}")
     return value
 
 
@@ -232,9 +212,9 @@ def _date(parts: list[str]) -> datetime:
     second = float(parts[5])
     if 0 <= year < 100:
         year += 1900 if year >= 80 else 2000
-    if not (year <= LAST_YEAR and 0 <= hour <= 24 and 0 <= minute <= 60 and 0.0 <= second <= 60.0):
-        raise ValueError(
-            f"the epoch must be a date to {LAST_YEAR} with hours to 24, minutes and seconds to 60, "
-            f"got {' '.join(parts)!r}"
-        )
+    require(
+        year <= LAST_YEAR and 0 <= hour <= 24 and 0 <= minute <= 60 and 0.0 <= second <= 60.0,
+        f"the epoch must be a date to {LAST_YEAR} with hours to 24, minutes and seconds to 60, "
+        f"got {' '.join(parts)!r}",
+    )
     return datetime(year, month, day) + timedelta(hours=hour, minutes=minute, seconds=second)

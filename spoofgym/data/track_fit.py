@@ -1,11 +1,10 @@
-r"""Smoothing spline and coordinated turns: track to flight.
+r"""From a recorded track to a flight: a smoothing spline and coordinated turns.
 
-Smooth paths through tracks: penalised least squares with quintic splines.
-
-Latitude and longitude, scaled to metres near the first fix, and height are splines.  The misfit
-is weighed with the standard deviations of fixes and reported velocities, the shape with
-densities of the jerk: changes of the turn rate are cheap, changes of the acceleration along the
-path dear, since aircraft turn much faster than they change speed.
+The path is a penalised least squares with quintic splines.  Latitude and longitude, scaled to
+metres near the first fix, and height are splines.  The misfit is weighed with the standard
+deviations of fixes and reported velocities, the shape with densities of the jerk: changes of the
+turn rate are cheap, changes of the acceleration along the path dear, since aircraft turn much
+faster than they change speed.
 
 .. math::
     \sum \rho\!\left(\frac{r - r_k}{\sigma_r}\right)
@@ -16,8 +15,6 @@ path dear, since aircraft turn much faster than they change speed.
 with e and n along and across the course and :math:`\ddot v = e \cdot \dddot r + a_n^2 / v`, a_n
 being the acceleration across.  The loss is Huber's: quadratic up to 3, linear beyond.
 
-From a recorded track to a flight: a smoothing spline and coordinated turns.
-
 Fixes of recorded tracks are sparse and late by up to a second, so they weigh little, and the
 velocity reported with them much.  Body axes follow from the path: yaw along the velocity, pitch
 is the flight-path angle, and the bank leaves no lateral specific force.  The flight is one that
@@ -27,8 +24,9 @@ an aircraft could have flown, near to the fixes; how near, is in the report.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,13 +34,12 @@ from scipy.interpolate import BSpline
 from scipy.sparse import block_diag, csc_array, csr_array, diags_array, hstack, vstack
 from scipy.sparse.linalg import splu
 
+from ..core.registry import require
 from ..earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS, STANDARD_GRAVITY
 from ..truth.flight import Flight, flight_from_geodetic, inverse_kinematics
 
-MINIMUM_FIXES = 6
-"""Fewest fixes of a track; a quintic polynomial has as many coefficients."""
-STEEPEST_LATITUDE = math.radians(89.0)
-"""Largest latitude north or south [rad]; closer to a pole, courses change too fast."""
+MINIMUM_FIXES = 6  # fewest fixes of a track; a quintic polynomial has as many coefficients
+STEEPEST_LATITUDE = math.radians(89.0)  # closer to a pole, courses change too fast [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,16 +68,21 @@ class Track:
         if self.start_utc.tzinfo is None:
             raise ValueError(f"`start_utc` must have a time zone, got {self.start_utc}")
         count = np.size(self.time)
-        if count < MINIMUM_FIXES:
-            raise ValueError(f"a track must have at least {MINIMUM_FIXES} fixes, got {count}")
+        require(
+            count >= MINIMUM_FIXES, f"a track must have at least {MINIMUM_FIXES} fixes, got {count}"
+        )
         for field in ("time", "latitude", "longitude", "height"):
-            if not np.isfinite(self._settle(field, count)).all():
-                raise ValueError(f"`{field}` must be finite, got NaN or infinity")
+            require(
+                np.isfinite(self._settle(field, count)).all(),
+                f"`{field}` must be finite, got NaN or infinity",
+            )
         for field in ("groundspeed", "track_angle"):
             if np.isinf(self._settle(field, count)).any():
                 raise ValueError(f"`{field}` must be finite or NaN, got infinity")
-        if self.time[0] != 0.0 or not (np.diff(self.time) > 0.0).all():
-            raise ValueError("`time` must start at 0 s and rise from fix to fix")
+        require(
+            self.time[0] == 0.0 and (np.diff(self.time) > 0.0).all(),
+            "`time` must start at 0 s and rise from fix to fix",
+        )
         if (worst := float(np.abs(self.latitude).max())) > STEEPEST_LATITUDE:
             raise ValueError(
                 f"`latitude` must lie within {math.degrees(STEEPEST_LATITUDE):g} deg of the "
@@ -88,41 +90,27 @@ class Track:
             )
 
     def _settle(self, field: str, count: int) -> NDArray[np.float64]:
-        """Replace a field by a checked float64 copy."""
         value = np.array(getattr(self, field), dtype=np.float64)
-        if value.shape != (count,):
-            raise ValueError(f"`{field}` must have shape ({count},), got {value.shape}")
+        require(value.shape == (count,), f"`{field}` must have shape ({count},), got {value.shape}")
         object.__setattr__(self, field, value)
         return value
 
     @property
     def duration(self) -> float:
-        """Time of the last fix [s]."""
         return float(self.time[-1])
 
 
-POSITION_SD = 100.0
-"""Standard deviation of a fix, north and east [m]: its time is late by up to a second."""
-VELOCITY_SD = 2.0
-"""Standard deviation of a reported velocity [m/s]: steps of 1 kt and 1 deg."""
-HEIGHT_SD = 10.0
-"""Standard deviation of a height [m]: steps of 25 ft, and up to a second of climb."""
-TURN_JERK_PSD = 0.2
-"""Spectral density of the jerk across the path [m^2/s^5]: 0.3 m/s^3 kept up for 2 s."""
-SPEED_JERK_PSD = 0.005
-"""Spectral density of the jerk along the path [m^2/s^5]: 0.05 m/s^3 kept up for 2 s."""
-CLIMB_JERK_PSD = 0.005
-"""Spectral density of the vertical jerk [m^2/s^5]."""
-HUBER_LIMIT = 3.0
-"""Misfit in standard deviations beyond which a measurement is doubted."""
-KNOT_INTERVAL = 3.0
-"""Interval of the knots of the splines [s]."""
-DEGREE = 5
-"""Degree of the splines; from 4 upwards the body rates are continuous."""
-PASSES = 30
-"""Most passes of the least squares, whose directions and weights follow from the last one."""
-PASS_STOP = 0.1
-"""Change of the path between passes at which it is done [m]."""
+POSITION_SD = 100.0  # of a fix, north and east [m]: its time is late by up to a second
+VELOCITY_SD = 2.0  # standard deviation of a reported velocity [m/s]: steps of 1 kt and 1 deg
+HEIGHT_SD = 10.0  # standard deviation of a height [m]: steps of 25 ft, and up to a second of climb
+TURN_JERK_PSD = 0.2  # density of the jerk across the path [m^2/s^5]: 0.3 m/s^3 kept up for 2 s
+SPEED_JERK_PSD = 0.005  # density of the jerk along the path [m^2/s^5]: 0.05 m/s^3 kept up for 2 s
+CLIMB_JERK_PSD = 0.005  # spectral density of the vertical jerk [m^2/s^5]
+HUBER_LIMIT = 3.0  # misfit in standard deviations beyond which a measurement is doubted
+KNOT_INTERVAL = 3.0  # interval of the knots of the splines [s]
+DEGREE = 5  # degree of the splines; from 4 upwards the body rates are continuous
+PASSES = 30  # most passes of the least squares; directions and weights follow from the last one
+PASS_STOP = 0.1  # change of the path between passes at which it is done [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +203,6 @@ class _Plane:
         self.fixes = np.concatenate([north, (unwrapped - unwrapped[0]) * per_east])
 
     def fit(self) -> tuple[Floats, Floats, int]:
-        """Coefficients north and east, and the number of measurements doubted."""
         count = self.place.shape[0] + 2 * self.track.time.size
         trust = np.ones(count)
         solution = self._first_pass()
@@ -233,7 +220,6 @@ class _Plane:
         return north, east, int((trust[half:] < 1.0).sum())
 
     def _first_pass(self) -> Floats:
-        """Fit to the fixes alone, without a difference between along and across."""
         scale = np.tile(np.sqrt(self.weight / TURN_JERK_PSD), 2)
         jerks = _scaled(vstack(self.node_jerk), scale)
         rows = [self.place / POSITION_SD, jerks]
@@ -257,7 +243,6 @@ class _Plane:
         return csr_array(rows), np.nan_to_num(np.concatenate(values))
 
     def _jerks(self, solution: Floats) -> tuple[csr_array, Floats]:
-        """Rows and values of the jerk along and across the path of the pass before."""
         north, east = (row @ solution for row in self.node_rate)
         speed = np.maximum(np.hypot(north, east), 1.0)
         north_rate, east_rate = (row @ solution for row in self.node_acceleration)
@@ -276,14 +261,12 @@ class _Plane:
 
 
 def _pair(rows: csr_array, stretch: tuple[Floats, ...]) -> tuple[csr_array, csr_array]:
-    """Rows north and east, acting on the coefficients of both splines."""
     nothing = csr_array(rows.shape)
     north, east = (_scaled(rows, factor) for factor in stretch)
     return csr_array(hstack([north, nothing])), csr_array(hstack([nothing, east]))
 
 
 def _turned(pair: tuple[csr_array, csr_array], course: Floats) -> tuple[csr_array, csr_array]:
-    """Rows along and across a course, from rows north and east."""
     cosine, sine = np.cos(course), np.sin(course)
     along = _scaled(pair[0], cosine) + _scaled(pair[1], sine)
     return along, _scaled(pair[1], cosine) - _scaled(pair[0], sine)
@@ -314,29 +297,22 @@ def _quadrature(edges: Floats) -> tuple[Floats, Floats]:
 
 
 def _solve(rows: list[csr_array], values: list[Floats]) -> Floats:
-    """Least squares by the normal equations."""
     stacked = csr_array(vstack(rows))
     normal = csc_array(stacked.T @ stacked)
-    solution: Floats = splu(normal).solve(stacked.T @ np.concatenate(values))
-    return solution
+    return np.asarray(splu(normal).solve(stacked.T @ np.concatenate(values)))
 
 
-LOAD_LIMITS = (0.3, 2.5)
-"""Normal load factors of a flight [g], the larger one of EASA CS-25.337."""
-RATE_LIMIT = math.radians(20.0)
-"""Largest body rate of a flight [rad/s]."""
-SLOWEST = 15.0
-"""Smallest horizontal speed [m/s]; below, the velocity doesn't give the heading."""
+LOAD_LIMITS = (0.3, 2.5)  # normal load factors of a flight [g], the larger one of EASA CS-25.337
+RATE_LIMIT = math.radians(20.0)  # largest body rate of a flight [rad/s]
+SLOWEST = 15.0  # smallest horizontal speed [m/s]; below, the velocity doesn't give the heading
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class FitReport:
+class FitReport(SimpleNamespace):
     """How near a fitted flight is to its track, and how it flies.
 
-    - `start_utc`: time of the first sample, ISO 8601;
-    - `duration_s`: duration [s];
+    - `name` of the track, its `fixes`, `duration_s` [s], and `start_utc` of the first, ISO 8601;
     - `doubted`: fixes, speeds and courses further off than 3 standard deviations, which weigh less;
     - `position_rms_m`, `position_max_m`: horizontal distance of the fixes from the flight [m];
     - `height_rms_m`: difference in height [m];
@@ -349,29 +325,10 @@ class FitReport:
     - `rate_max_degps`: largest body rate about any axis [deg/s].
     """
 
-    name: str
-    start_utc: str
-    duration_s: float
-    fixes: int
-    doubted: int
-    position_rms_m: float
-    position_max_m: float
-    height_rms_m: float
-    speed_rms_mps: float
-    course_rms_deg: float
-    speed_min_mps: float
-    speed_max_mps: float
-    load_min_g: float
-    load_max_g: float
-    bank_max_deg: float
-    rate_max_degps: float
-
     def as_dict(self) -> dict[str, str | int | float | None]:
-        """All fields by name, for JSON; None where there is nothing to compare."""
-        return {key: None if value != value else value for key, value in asdict(self).items()}
+        return {key: None if value != value else value for key, value in vars(self).items()}
 
     def lines(self) -> list[str]:
-        """Sentences for people."""
         return [
             f"{self.name}: {self.duration_s:.0f} s from {self.start_utc}, {self.fixes} fixes, "
             f"{self.doubted} measurements doubted",
@@ -386,14 +343,11 @@ class FitReport:
 
 
 def _residual(name: str, value: float, unit: str) -> str:
-    """A residual in words; NaN where the track has no such column."""
     return f"{name} not reported" if math.isnan(value) else f"{name} RMS {value:.1f} {unit}"
 
 
 def fit_track(track: Track, *, rate_hz: float = 100.0) -> tuple[Flight, FitReport]:
-    """Fit a flight to a track.  `rate_hz`: samples a second of the flight [Hz]."""
-    if not 0.0 < rate_hz < math.inf:
-        raise ValueError(f"`rate_hz` must be positive and finite, got {rate_hz:g}")
+    require(0.0 < rate_hz < math.inf, f"`rate_hz` must be positive and finite, got {rate_hz:g}")
     path = smooth_path(track)
     time = np.arange(int(track.duration * rate_hz + 1e-6) + 1) / rate_hz
     latitude, longitude, height = path.position(time)
@@ -436,7 +390,6 @@ def coordinated_attitude(
 
 
 def _report(track: Track, path: SmoothPath, flight: Flight) -> FitReport:
-    """Distances from the track, and a check of what the flight asks of an aircraft."""
     trajectory = inverse_kinematics(flight)
     load = -trajectory.specific_force_b[:, 2] / STANDARD_GRAVITY
     rate = np.abs(trajectory.angular_rate_b).max(axis=1)
@@ -483,11 +436,9 @@ def _report(track: Track, path: SmoothPath, flight: Flight) -> FitReport:
 
 
 def _half_turn(angle: Floats) -> Floats:
-    """Angle in [-pi, pi)."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def _rms(value: Floats) -> float:
-    """Root mean square of the finite values, NaN without any."""
     finite = value[np.isfinite(value)]
     return math.sqrt(float(np.mean(finite**2))) if finite.size else math.nan

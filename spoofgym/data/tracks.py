@@ -1,9 +1,5 @@
-"""ADS-B tracks from CSV, Parquet, JSON.
-
-Recorded tracks as they are: CSV, Parquet and JSON files of ADS-B records.
-
-`spoofgym.data.cleaning` makes clean tracks of them.
-"""
+"""Recorded tracks as they are: CSV, Parquet and JSON files of ADS-B records; `cleaning` comes
+next."""
 
 from __future__ import annotations
 
@@ -21,9 +17,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.registry import require
+
 GZIP_MAGIC = b"\x1f\x8b"
-LARGEST_SIZE = 64 * 2**20
-"""Of a file, unpacked [bytes]; a day of records once a second, twenty quantities each, is half."""
+LARGEST_SIZE = 64 * 2**20  # of a file, unpacked [bytes]: twice a day of records once a second
 
 
 class FileError(ValueError):
@@ -49,12 +46,9 @@ def read_file(path: Path) -> bytes:
 if TYPE_CHECKING:
     import pandas
 
-FOOT = 0.3048
-"""International foot [m]."""
-KNOT = 1852.0 / 3600.0
-"""Knot [m/s]."""
-MINUTE = 60.0
-"""Minute [s]."""
+FOOT = 0.3048  # international foot [m]
+KNOT = 1852.0 / 3600.0  # knot [m/s]
+MINUTE = 60.0  # minute [s]
 
 TIME = ("timestamp", "time", "datetime", "utc")
 POSITION_TIME = ("last_position", "lastposupdate", "position_time")
@@ -82,9 +76,8 @@ QUANTITIES: dict[str, dict[str, float]] = {
         "vertical_rate_ftpmin": FOOT / MINUTE,
         "baro_rate": FOOT / MINUTE,
     },
-}
-"""Column names by quantity, each with what turns its unit into m, m/s or deg."""
-RANGES = {
+}  # column names by quantity, each with what turns its unit into m, m/s or deg
+RANGES = {  # valid values by quantity; beyond what ADS-B can say where that is bounded
     "latitude": (-90.0, 90.0, "deg"),
     "longitude": (-180.0, 360.0, "deg"),
     "altitude": (-2_000.0, 50_000.0, "m"),
@@ -92,9 +85,7 @@ RANGES = {
     "track": (-360.0, 360.0, "deg"),
     "vertical_rate": (-500.0, 500.0, "m/s"),
 }
-"""Valid values by quantity; beyond what ADS-B can say where that is bounded."""
-TIMES = (0.0, 4_102_444_800.0)
-"""Valid times since 1970-01-01 UTC [s]: to the year 2100."""
+TIMES = (0.0, 4_102_444_800.0)  # valid times since 1970-01-01 UTC [s]: to the year 2100
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +125,10 @@ def read_track(
     if find_spec("pandas") is None:
         raise ImportError("reading tracks needs pandas and pyarrow: pip install spoofgym[flights]")
     kind = path.name.removesuffix(".gz").rsplit(".", 1)[-1].lower()
-    if kind not in {"csv", "json", "parquet", "pq"}:
-        raise ValueError(f"`path` must end in .csv, .json or .parquet, got {path.name!r}")
+    require(
+        kind in {"csv", "json", "parquet", "pq"},
+        f"`path` must end in .csv, .json or .parquet, got {path.name!r}",
+    )
     content = read_file(path)
     try:
         frame = _frame(content, kind)
@@ -151,7 +144,6 @@ def read_track(
 
 
 def _frame(content: bytes, kind: str) -> pandas.DataFrame:
-    """The table of a file by the ending of its name."""
     import pandas
 
     if kind == "csv":
@@ -211,7 +203,6 @@ def track_from_frame(
 
 
 def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None) -> pandas.DataFrame:
-    """Rows of one aircraft; all of them when the file doesn't name aircraft."""
     column = next((name for name in AIRCRAFT if name in frame), None)
     if column is None:
         return frame
@@ -241,7 +232,6 @@ def _check_columns(frame: pandas.DataFrame, required: Mapping[str, tuple[str, ..
 
 
 def _numbers(frame: pandas.DataFrame, factors: Mapping[str, float]) -> NDArray[np.float64]:
-    """First column found of some names, times its factor; NaN without one."""
     for name, factor in factors.items():
         if name in frame:
             return _as_numbers(frame, name) * factor
@@ -283,8 +273,7 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
     except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"`{name}` must hold numbers or ISO 8601 times: {error}") from error
     epoch = pandas.Timestamp(0, tz="UTC")
-    seconds: NDArray[np.float64] = (moments - epoch).dt.total_seconds().to_numpy(np.float64)
-    return seconds
+    return np.asarray((moments - epoch).dt.total_seconds().to_numpy(np.float64))
 
 
 def _check_times(time: NDArray[np.float64]) -> None:

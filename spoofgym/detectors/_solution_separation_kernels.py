@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
 from ..earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS
 from ..receiver.states import POSITION
+from .base import BoolArray, FloatArray, IntArray
 from .innovation import cholesky_of_rows
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 SINGULAR = 1e-9
 """Determinant of a covariance over the square of its trace, below which nothing is judged."""
 
@@ -31,7 +29,7 @@ def whitened_response(
     design: FloatArray,
     innovation: FloatArray,
     innovation_cov: FloatArray,
-    visible: NDArray[np.bool_],
+    visible: BoolArray,
     rows: IntArray,
     factor: FloatArray,
     response: FloatArray,
@@ -73,9 +71,9 @@ def whitened_response(
 def changed_rows(
     transition: FloatArray, kept: int, rows: IntArray, ends: IntArray, at: IntArray, of: FloatArray
 ) -> int:
-    """Find the rows of the first `kept` states of a transition that are not the identity's. `rows`,
-    `ends` (d,) written: their numbers, and where each ends in `at`, `of` (d * d,): places and
-    values of what is not 0; returns how many rows."""
+    """Find the rows of the first `kept` states of a transition that are not the identity's: numbers
+    in `rows`, where each ends in `ends` (d,), and places and values of what is not 0 in `at`, `of`
+    (d * d,), all written; returns how many rows."""
     count, size = 0, 0
     for i in range(kept):
         before, same = size, transition[i, i] == 1.0
@@ -158,17 +156,16 @@ def advance_bank(
     design: FloatArray,
     innovation: FloatArray,
     innovation_cov: FloatArray,
-    visible: NDArray[np.bool_],
+    visible: BoolArray,
     fewest: int,
     spacing: int,
     epochs: IntArray,
     separation: FloatArray,
     covariance: FloatArray,
 ) -> None:
-    """Move all solutions of some receivers on by one epoch. `receivers` (r,): which ones; `fewest`:
-    satellites for an update; `spacing`: D; `epochs` (B,), `separation` (B, d, J), `covariance` (B,
-    d, d, J) memory, overwritten: epochs so far, s and V. Where S is not positive definite, s is
-    infinite."""
+    """Move all solutions of some receivers on by one epoch. `fewest`: satellites for an update;
+    `spacing`: D; `epochs` (B,), `separation` (B, d, J), `covariance` (B, d, d, J) memory: epochs so
+    far, s and V. Where S is not positive definite, s is infinite."""
     m, (kept, bank) = innovation.shape[1], separation.shape[1:]
     scratch, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
     A, y = np.empty((m, kept)), np.empty(m)
@@ -240,6 +237,19 @@ def along(V: FloatArray, j: int, u: FloatArray, w: FloatArray) -> float:
 
 
 @njit
+def horizontal_part(
+    separation: FloatArray, V: FloatArray, j: int, north: FloatArray, east: FloatArray
+) -> tuple[float, float, float, float, float]:
+    """North and east of the separation (d, J) of solution j, and their covariance: nn, ne, ee."""
+    s = separation[POSITION:, j]
+    nn, ee = along(V, j, north, north), along(V, j, east, east)
+    ne = along(V, j, north, east)
+    n = north[0] * s[0] + north[1] * s[1] + north[2] * s[2]
+    e = east[0] * s[0] + east[1] * s[1] + east[2] * s[2]
+    return n, e, nn, ne, ee
+
+
+@njit
 def judge_bank(
     receivers: IntArray,
     separation: FloatArray,
@@ -251,9 +261,8 @@ def judge_bank(
     statistic: FloatArray,
 ) -> None:
     """Compare the horizontal part of all solutions of some receivers with its covariance.
-    `receivers` (r,): which ones; `largest_sd` (B, J) memory, overwritten: root of the largest
-    eigenvalue of V_h [m], infinite where a solution is not judged; `statistic` (B,) written:
-    largest q."""
+    `largest_sd` (B, J) written: root of the largest eigenvalue of V_h [m], infinite where a
+    solution is not judged; `statistic` (B,) written: largest q."""
     bank = separation.shape[2]
     for b in receivers:
         north, east = horizontal_axes(position_e[b])
@@ -262,16 +271,12 @@ def judge_bank(
             largest_sd[b, j] = np.inf
             if age_of(epochs[b] - 1, j, spacing, bank) == 0:
                 continue
-            s, V = separation[b, POSITION:, j], covariance[b]
-            nn, ee = along(V, j, north, north), along(V, j, east, east)
-            ne = along(V, j, north, east)
+            n, e, nn, ne, ee = horizontal_part(separation[b], covariance[b], j, north, east)
             half, det = 0.5 * (nn + ee), nn * ee - ne * ne
             if det <= SINGULAR * 4.0 * half * half:
                 if half == 0.0:  # no update since it began, so that nothing can have moved
                     largest_sd[b, j] = 0.0
                 continue
-            n = north[0] * s[0] + north[1] * s[1] + north[2] * s[2]
-            e = east[0] * s[0] + east[1] * s[1] + east[2] * s[2]
             q = (ee * n * n - 2.0 * ne * n * e + nn * e * e) / det
             statistic[b] = max(statistic[b], q)
             largest_sd[b, j] = math.sqrt(half + math.sqrt(max(half * half - det, 0.0)))
@@ -295,13 +300,9 @@ def whiten_bank(
             whitened[b, j, :] = 0.0
             if age_of(epochs[b] - 1, j, spacing, bank) == 0:
                 continue
-            s, V = separation[b, POSITION:, j], covariance[b]
-            nn, ee = along(V, j, north, north), along(V, j, east, east)
-            ne = along(V, j, north, east)
+            n, e, nn, ne, ee = horizontal_part(separation[b], covariance[b], j, north, east)
             half, det = 0.5 * (nn + ee), nn * ee - ne * ne
             if det <= SINGULAR * 4.0 * half * half:
                 continue
-            n = north[0] * s[0] + north[1] * s[1] + north[2] * s[2]
-            e = east[0] * s[0] + east[1] * s[1] + east[2] * s[2]
             whitened[b, j, 0] = n / math.sqrt(nn)
             whitened[b, j, 1] = (e - ne / nn * n) / math.sqrt(det / nn)

@@ -1,96 +1,59 @@
-r"""AIME, cumulative bank, finite moving average.
+r"""Averages and sums of innovations over windows: AIME, cumulative bank, finite moving average.
 
-AIME: averages of the innovations over several windows, tested by chi-square.
-
-A slow drift that no single innovation shows is visible in their average.  Innovations are whitened
-by the covariance of their own epoch, and the average over a window of W epochs is normalized,
-
-.. math:: q_W = \sum_j \frac{1}{N_j} \Big(\sum_{i=k-W+1}^{k} y_{i,j}\Big)^2 \sim \chi^2(d),
-    \qquad y_i = L_i^{-1} z_i, \quad S_i = L_i L_i^T
-
-for windows of several lengths, each with its share of the false-alarm probability.  Other than the
-sum of squares of a sequential test the average keeps the sign, and its degrees of freedom do not
-grow with the window.
-
-Symbols: z innovation, S innovation covariance, j row of the innovation, :math:`N_j` epochs of the
-window in which row j was judged, d rows that are judged now.
+Symbols: z innovation, S its covariance, whitened :math:`y = L^{-1} z` with :math:`S = L L^T`, W
+epochs of a window, :math:`\alpha` false-alarm probability of one epoch.
 
 Assumptions: innovations are white, normal and of the covariance that the filter believes in.  A
-constant satellite bias is averaged as an attack is, so that the long windows alarm in a receiver
-with such biases: `bias_window_s`.
+constant satellite bias is averaged as an attack is, so that long windows alarm in a receiver with
+such biases: `bias_window_s`.  A window that is not full yet takes what there is.
 
-Deviations from `diesel1995`:
+**AIME** (`diesel1995`; against spoofing `zhong2025`, section 1): a slow drift that no single
+innovation shows is visible in their average, normalized,
 
-1. The average is that of the whitened innovations.  Where S stays the same it is the original's
+.. math:: q_W = \sum_j \frac{1}{N_j} \Big(\sum_{i=k-W+1}^{k} y_{i,j}\Big)^2 \sim \chi^2(d)
+
+with :math:`N_j` epochs of the window in which row j was judged, and d rows that are judged now.  It
+keeps the sign, which a sum of squares does not, and its degrees of freedom do not grow with W.
+Deviations:
+
+1. The average is that of whitened innovations.  Where S stays the same it is the original's
    :math:`\bar z^T (\sum S^{-1}) \bar z`; where S changes, this form has the same distribution
    and needs no inverse matrices of past epochs.
-2. The windows are those of the comparisons in the literature on spoofing, not 150 s to 30 min.
+2. The windows are those of comparisons in the literature on spoofing, not 150 s to 30 min.
 3. The statistic is the largest of the windows', at :math:`\alpha` divided by their number.
 
-Source: `diesel1995`; as a baseline against spoofing `zhong2025`, section 1.
-
-A bank of cumulative innovation monitors of finite lengths.
-
-The normalized innovations squared of a window are added up, and compared with chi-square of as many
-degrees of freedom as were measured in it.  A long sum finds a slow fault, but reacts late, and what
-is wrong with the filter's model adds up in it, too; a short one is quick, but sees only large
-faults.  The bank has a window of every length, each with an equal share of the false-alarm
-probability, and its statistic is the largest ratio of a sum to its threshold,
+**Cumulative bank** (`quartararo2022`, of which the abstract alone was at hand; against faults
+`joerger2013`): a long sum of squares finds a slow fault, but reacts late, and adds up what is wrong
+with the filter's model; a short one is quick, but sees only large faults.  The bank has L windows,
+each with an equal share of :math:`\alpha`, and the largest ratio to a threshold counts,
 
 .. math:: R_k = \max_l \frac{q_l}{T_l} > 1, \qquad
     q_l = \sum_{i=k-W_l+1}^{k} z_i^T S_i^{-1} z_i \sim \chi^2(d_l), \qquad
     T_l = F^{-1}_{\chi^2}\!\left(1 - \alpha / L; \, d_l\right)
 
-Symbols: z innovation, S its covariance, :math:`W_l` epochs of a window, L number of windows,
-:math:`d_l` rows measured in a window, :math:`\alpha` false-alarm probability of one epoch.
+with :math:`d_l` rows measured in a window.  The sums hang together, so that :math:`\alpha` is a
+bound, not a rate.  The lengths, 5 s to 150 s, Bonferroni's shares and the common statistic are
+ours, and thresholds have no margin for an error model that is uncertain; a calibration sets the
+rate.
 
-Assumptions: innovations are white, normal and of the covariance that the filter believes in.  The
-sums of an epoch hang together, so that :math:`\alpha` is a bound, not a rate.
-
-Deviations from `quartararo2022`, after which it is, with its abstract alone at hand:
-
-1. The lengths are ours, 5 s to 150 s.
-2. All sums slide with the epochs.  A window that is not full yet takes what there is, as
-   `sequential-chi2` does, so that young windows of several lengths have the same sum.
-3. The share of each window, Bonferroni's, and the common statistic are ours.
-4. The thresholds are those of the filter's belief, with no margin for an error model that is
-   uncertain; a calibration sets the rate.
-
-Source: `quartararo2022`; a cumulative test of innovations against faults is from `joerger2013`.
-
-Finite moving average: a sum of the innovations over one short window, satellite by satellite.
-
-An attack has to be found within a time to alert, or it is too late.  Where the probability of
-missing it for so long is what counts, and not the mean delay, a sum over just that time is nearly
-the best test.  The statistic is the normalized sum, a matched filter of what an attack of this
-length would look like,
+**Finite moving average** (`egearoca2018`): an attack has to be found within a time to alert.  Where
+the probability of missing it for so long counts, and not the mean delay, a sum over just that time
+is nearly the best test: a matched filter of what such an attack would look like, per satellite,
 
 .. math:: F_{k,j} = \frac{\left|\sum_{i=1}^{W} c_i \, u_{k-W+i,\,j}\right|}
     {\sqrt{\sum_{i=1}^{W} c_i^2}} > z_{\alpha/2}, \qquad u_{k,j} = z_{k,j} / \sqrt{S_{k,jj}}
 
-with :math:`c_i = 1` for a step of the innovation at the start of the window, and
-:math:`c_i = i / W` for a ramp that starts there.  Epochs in which a satellite was not judged count
-in neither sum.
+with :math:`c_i = 1` for a step of the innovation at the start of the window, :math:`c_i = i / W`
+for a ramp, i = 1 the oldest epoch; epochs in which a satellite was not judged count in neither sum.
+The innovation of a filter that follows an offset has these shapes in the first seconds only.
+Deviations:
 
-Symbols: z innovation, S innovation covariance, W epochs of the window, i epoch in it, 1 the oldest,
-:math:`\alpha` false-alarm probability of one satellite in one epoch.
-
-Assumptions: innovations are white, normal and of the variance that the filter believes in; a
-constant satellite bias is summed up as an attack is: `bias_window_s`.  The innovation of a filter
-that follows an offset is neither a step nor a ramp for long; the shapes are those of the first
-seconds.
-
-Deviations from `egearoca2018`, after which it is:
-
-1. The paper sums log-likelihood ratios of a known change.  Here the size of the change and its sign
-   are unknown, so that the sum of normal samples is tested on both sides.
+1. The paper sums log-likelihood ratios of a known change.  Here its size and sign are unknown, so
+   that the sum of normal samples is tested on both sides.
 2. The threshold is that of one epoch, not one of a bound on the probability of false alarms in any
    stretch of a given length; a calibration sets the rate.
-3. A window that is not full yet takes what there is.
-4. Each satellite has its own test.  With ``signals="both"`` a satellite's statistic is the larger
-   of its two, and each is tested at :math:`\alpha/2`.
-
-Source: `egearoca2018`.  Unlike `aime` it does not average over the receiver.
+3. With ``signals="both"`` a satellite's statistic is the larger of its two, and each is tested at
+   :math:`\alpha/2`.
 """
 
 from __future__ import annotations
@@ -100,12 +63,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import njit
 from ..core.registry import check_choice
 from ..receiver.epoch import Epoch
-from .base import DetectorContext, Verdict
+from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import (
     InnovationTest,
     check_length,
@@ -116,27 +78,47 @@ from .innovation import (
     two_sided_quantile,
 )
 
-FloatArray = NDArray[np.float64]
+SHAPES = ("step", "ramp")
+
+
+class WindowsTest(InnovationTest):
+    """Base of tests over windows of several lengths, each with its share of false alarms."""
+
+    false_alarm: float
+    windows_s: tuple[float, ...]
+
+    needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
+
+    def __post_init__(self) -> None:
+        self.windows_s = checked_windows(self.windows_s)
+        super().__post_init__()
+
+    def bind(self, context: DetectorContext) -> None:
+        super().bind(context)
+        self._windows = np.array([epochs_of(w, context) for w in self.windows_s], dtype=np.int64)
+        self._longest = int(self._windows[-1])
+        self.memory_epochs = self._bias_window + self._longest
+
+    def thresholds_to(self, most: int) -> FloatArray:
+        """(most + 1,) thresholds of one window by degrees of freedom."""
+        return chi2_thresholds(self.false_alarm / len(self.windows_s), most)
 
 
 @njit
 def largest_average(
     white: FloatArray,
-    judged: NDArray[np.bool_],
+    judged: BoolArray,
     first: int,
-    windows: NDArray[np.int64],
+    windows: IntArray,
     sums: FloatArray,
-    counts: NDArray[np.int64],
-    place: NDArray[np.int64],
+    counts: IntArray,
+    place: IntArray,
     statistic: FloatArray,
 ) -> None:
-    """Remember an epoch, and average over all windows.
-
-    `white` (B, r) whitened innovations; `judged` (B, n) bool; `sums`, `counts` (B, W + 1, r)
-    memory, overwritten: running sums of the whitened innovations and of the epochs that were
-    judged, as they stood after each of the last W + 1 epochs; `place` (B,) memory, overwritten:
-    that of the last epoch; `statistic` (B,) written: largest q of the windows.
-    """
+    """Remember an epoch of whitened innovations (B, r), and average over all windows. `sums`,
+    `counts` (B, W + 1, r) memory: running sums of the innovations, and of the epochs that were
+    judged, after each of the last W + 1 epochs; `place` (B,) memory: that of the last epoch;
+    `statistic` (B,) written: largest q of the windows."""
     receivers, size = white.shape
     n, length = judged.shape[1], sums.shape[1]
     for b in range(receivers):
@@ -157,7 +139,7 @@ def largest_average(
 
 
 @dataclass
-class Aime(InnovationTest):
+class Aime(WindowsTest):
     """Chi-square of the average innovation over several windows, for the whole receiver.
 
     Parameters
@@ -168,11 +150,8 @@ class Aime(InnovationTest):
     windows_s : tuple of float
         Lengths of the windows, increasing.  While a run is younger than a window the test takes
         what there is.
-    signals : {"pseudorange", "range_rate", "both"}
-        Innovations to test.
-    bias_window_s : float
-        Length of the first window whose mean innovation is taken away from every channel, which is
-        not judged before; 0 for none.
+    signals, bias_window_s
+        As in `SnapshotChi2`.
     """
 
     described_as = "Aime"
@@ -182,51 +161,41 @@ class Aime(InnovationTest):
     bias_window_s: float = 0.0
 
     paper: ClassVar[str] = "diesel1995"
-    needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
-
-    def __post_init__(self) -> None:
-        self.windows_s = checked_windows(self.windows_s)
-        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         first, last = self._rows
-        self._windows = np.array([epochs_of(w, context) for w in self.windows_s], dtype=np.int64)
-        self.memory_epochs = self._bias_window + int(self._windows[-1])
-        shape = (context.receivers, int(self._windows[-1]) + 1, last - first)
-        self.memory.declare("sums", np.zeros(shape))
-        self.memory.declare("counts", np.zeros(shape, dtype=np.int64))
-        self.memory.declare("place", np.zeros(context.receivers, dtype=np.int64))
-        share = self.false_alarm / len(self._windows)
-        self._thresholds = chi2_thresholds(share, last - first)[:: self._per_satellite]
+        shape = (context.receivers, self._longest + 1, last - first)
+        self._declare(
+            sums=np.zeros(shape),
+            counts=np.zeros(shape, dtype=np.int64),
+            place=np.zeros(context.receivers, dtype=np.int64),
+        )
+        self._thresholds = self.thresholds_to(last - first)[:: self._per_satellite]
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
         white, judged = self._whitened(epoch)
-        first = self._rows[0]
         statistic = np.empty((len(judged), 1))
         ring = (self.memory["sums"], self.memory["counts"], self.memory["place"])
-        largest_average(white, judged, first, self._windows, *ring, statistic[:, 0])
-        threshold = self._thresholds[judged.sum(axis=1)][:, None]
-        return Verdict(statistic, threshold, statistic > threshold)
+        largest_average(white, judged, self._rows[0], self._windows, *ring, statistic[:, 0])
+        return compare(statistic, self._thresholds[judged.sum(axis=1)][:, None])
 
 
 @njit
 def largest_ratio(
     white: FloatArray,
-    judged: NDArray[np.bool_],
+    judged: BoolArray,
     each: int,
-    windows: NDArray[np.int64],
+    windows: IntArray,
     thresholds: FloatArray,
     squares: FloatArray,
     counts: FloatArray,
-    place: NDArray[np.int64],
+    place: IntArray,
     statistic: FloatArray,
 ) -> None:
-    """Remember an epoch, and compare the sums of all windows with their thresholds. `white` (B, r)
-    whitened innovations; `judged` (B, n) bool; `windows` (L,) epochs, increasing; `thresholds` by
-    degrees of freedom; `squares`, `counts` (B, W), `place` (B,) memory of `remember_squares`;
-    `statistic` (B,) written: largest ratio, 0 where nothing was measured."""
+    """Remember an epoch of whitened innovations (B, r), and compare the sums of all windows with
+    their thresholds. `windows` (L,) epochs, increasing; `thresholds` by degrees of freedom; memory
+    of `remember_squares`; `statistic` (B,) written: largest ratio, 0 where nothing was measured."""
     length = squares.shape[1]
     remember_squares(white, judged, each, squares, counts, place)
     for b in range(white.shape[0]):
@@ -243,22 +212,13 @@ def largest_ratio(
 
 
 @dataclass
-class CumulativeBank(InnovationTest):
+class CumulativeBank(WindowsTest):
     """Chi-square of the innovations of windows of several lengths, for the whole receiver.
 
     Parameters
     ----------
-    false_alarm : float
-        Probability of an alarm in one epoch where the filter's belief is right, in (0, 1); shared
-        out to the windows, so that the true one is somewhat smaller.
-    windows_s : tuple of float
-        Lengths of the windows, increasing.  While a run is younger than a window the test takes
-        what there is.
-    signals : {"pseudorange", "range_rate", "both"}
-        Innovations to test.
-    bias_window_s : float
-        Length of the first window whose mean innovation is taken away from every channel, which is
-        not judged before; 0 for none.
+    false_alarm, windows_s, signals, bias_window_s
+        As in `Aime`.
     """
 
     described_as = "CumulativeBank"
@@ -268,62 +228,39 @@ class CumulativeBank(InnovationTest):
     bias_window_s: float = 0.0
 
     paper: ClassVar[str] = "quartararo2022"
-    needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
-
-    def __post_init__(self) -> None:
-        self.windows_s = checked_windows(self.windows_s)
-        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the windows, and the thresholds for every number of rows in one."""
         super().bind(context)
         first, last = self._rows
-        self._windows = np.array([epochs_of(w, context) for w in self.windows_s], dtype=np.int64)
-        longest = int(self._windows[-1])
-        self.memory_epochs = self._bias_window + longest
-        self._thresholds = self.thresholds_to(longest * (last - first))
-        self.memory.declare("squares", np.zeros((context.receivers, longest)))
-        self.memory.declare("counts", np.zeros((context.receivers, longest)))
-        self.memory.declare("place", np.zeros(context.receivers, dtype=np.int64))
-
-    def thresholds_to(self, most: int) -> FloatArray:
-        """(most + 1,) thresholds of one window by degrees of freedom."""
-        return chi2_thresholds(self.false_alarm / len(self.windows_s), most)
+        self._thresholds = self.thresholds_to(self._longest * (last - first))
+        self._declare_squares(context.receivers, self._longest)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Test one epoch: (B, 1) largest ratio, threshold 1 and alarm; no weights."""
         white, judged = self._whitened(epoch)
         statistic = np.empty((len(judged), 1))
-        ring = (self.memory["squares"], self.memory["counts"], self.memory["place"])
         sums = (self._per_satellite, self._windows, self._thresholds)
-        largest_ratio(white, judged, *sums, *ring, statistic[:, 0])
-        return Verdict(statistic, np.ones_like(statistic), statistic > 1.0)
-
-
-SHAPES = ("step", "ramp")
+        largest_ratio(white, judged, *sums, *self._squares, statistic[:, 0])
+        return compare(statistic, 1.0)
 
 
 @njit
 def largest_moving_sum(
     innovation: FloatArray,
     innovation_variance: FloatArray,
-    judged: NDArray[np.bool_],
+    judged: BoolArray,
     first: int,
     last: int,
     shape: FloatArray,
     values: FloatArray,
-    present: NDArray[np.bool_],
-    place: NDArray[np.int64],
+    present: BoolArray,
+    place: IntArray,
     statistic: FloatArray,
 ) -> None:
-    """Remember an epoch, and sum every satellite's window up.
-
-    `innovation`, `innovation_variance` (B, 2n); `judged` (B, n) bool; `shape` (W,) weights, the
-    newest epoch first; `values` (B, last - first, W), `present` (B, n, W) memory, overwritten:
-    normalized innovations of the last W epochs, and whether they were judged; `place` (B,) memory,
-    overwritten: where the next epoch goes; `statistic` (B, n) written: largest normalized sum of a
-    satellite's rows, 0 where it is not judged.
-    """
+    """Remember an epoch, and sum every satellite's window up. `shape` (W,) weights, the newest
+    epoch first; `values` (B, last - first, W), `present` (B, n, W) memory: normalized innovations
+    of the last W epochs, and whether they were judged; `place` (B,) memory: where the next epoch
+    goes; `statistic` (B, n) written: largest sum of a satellite's rows, 0 where it is not
+    judged."""
     receivers, n = judged.shape
     window = shape.shape[0]
     for b in range(receivers):
@@ -360,11 +297,8 @@ class FiniteMovingAverage(InnovationTest):
         Length of the window, > 0: the time within which an attack is to be found.
     shape : {"step", "ramp"}
         What of the innovation the window is matched to.
-    signals : {"pseudorange", "range_rate", "both"}
-        Innovations to test.
-    bias_window_s : float
-        Length of the first window whose mean innovation is taken away from every channel, which is
-        not judged before; 0 for none.
+    signals, bias_window_s
+        As in `SnapshotChi2`.
     """
 
     described_as = "FiniteMovingAverage"
@@ -384,27 +318,25 @@ class FiniteMovingAverage(InnovationTest):
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
-        first, last = self._rows
+        b, n, (first, last) = context.receivers, context.channels, self._rows
         window = epochs_of(self.window_s, context)
         self.memory_epochs = self._bias_window + window
         self._shape = self.weights_of(window)
         self._quantile = two_sided_quantile(self.false_alarm / self._per_satellite)
-        b, n = context.receivers, context.channels
-        self.memory.declare("values", np.zeros((b, last - first, window)))
-        self.memory.declare("present", np.zeros((b, n, window), dtype=np.bool_))
-        self.memory.declare("place", np.zeros(b, dtype=np.int64))
+        self._declare(
+            values=np.zeros((b, last - first, window)),
+            present=np.zeros((b, n, window), dtype=np.bool_),
+            place=np.zeros(b, dtype=np.int64),
+        )
 
     def weights_of(self, window: int) -> FloatArray:
         """(W,) weights of the epochs of a window, the newest first."""
-        steps = np.arange(window, 0, -1) / window
-        return steps if self.shape == "ramp" else np.ones(window)
+        return np.arange(window, 0, -1) / window if self.shape == "ramp" else np.ones(window)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Judge one epoch: (B, n) normalized sums, thresholds and alarms; no weights."""
         innovation, judged = self._without_bias(epoch)
         statistic = np.empty(judged.shape)
         ring = (self.memory["values"], self.memory["present"], self.memory["place"])
         rows = (*self._rows, self._shape)
         largest_moving_sum(innovation, epoch.innovation_variance, judged, *rows, *ring, statistic)
-        threshold = np.full(statistic.shape, self._quantile)
-        return Verdict(statistic, threshold, statistic > threshold)
+        return compare(statistic, self._quantile)

@@ -1,9 +1,7 @@
-"""Detector, Verdict, and the check of a verdict.
+"""Detector, Verdict, and the check of a verdict where it enters a simulation.
 
-The one check of a verdict, where it enters a simulation.
-
-The filter multiplies its gain with the weights in compiled code that looks at no bounds, so that
-nothing but what `Verdict` promises may come as far as that.
+The filter multiplies its gain with the weights in compiled code that checks no bounds, so that
+nothing may reach it but what `Verdict` promises.
 """
 
 from __future__ import annotations
@@ -21,6 +19,8 @@ from ..receiver.epoch import OPTIONAL, Epoch, TracedEpoch
 from ..receiver.states import STATES
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 
 class Verdict(NamedTuple):
@@ -41,8 +41,16 @@ class Verdict(NamedTuple):
 
     statistic: FloatArray
     threshold: FloatArray
-    alarm: NDArray[np.bool_]
+    alarm: BoolArray
     weights: FloatArray | None = None
+
+
+def compare(
+    statistic: FloatArray, threshold: FloatArray | float, weights: FloatArray | None = None
+) -> Verdict:
+    """Verdict with an alarm where a statistic (B, c) exceeds its threshold, (B, c) or a number."""
+    limit = np.full(statistic.shape, threshold, dtype=np.float64)
+    return Verdict(statistic, limit, statistic > limit, weights)
 
 
 class YoungMemoryWarning(UserWarning):
@@ -55,24 +63,22 @@ class DetectorContext(NamedTuple):
     Attributes
     ----------
     receivers, channels : int
-        B and n.
+        B and n; a receiver whose measurement is a position has no channels, n = 0.
     epoch_interval_s : float
         Time between epochs.
     noise_variance : ndarray
-        (m,) R that the filter assumes, pseudoranges first [m^2], [m^2/s^2].
+        (m,) R that the filter assumes, pseudoranges first [m^2], [m^2/s^2]; or of the coordinates
+        of a position.
     satellite_ids : tuple of str
         (n,) id of each slot, ``""`` for an empty one.
     single_epoch_sd : ndarray or None
         (m,) what the filter assumes of the errors of one epoch alone [m], [m/s]; None for the root
-        of `noise_variance`.  A filter that has no states for errors that stay takes them for more
-        noise than an epoch has, and a test of single epochs must not.
+        of `noise_variance`.  A filter without states for lasting errors takes them for more noise
+        than an epoch has, which a test of single epochs must not.
     states : int
         Error states of a tightly coupled filter, s of the fields of an epoch.
     min_satellites : int
         Fewest satellites with which a tightly coupled filter updates; with fewer it coasts.
-
-    A receiver whose measurement is a position has no channels: n = 0, and `noise_variance` is (m,)
-    for its m coordinates.
     """
 
     receivers: int
@@ -96,8 +102,8 @@ class Detector(ABC):
     """A detector with memory of B receivers; it knows no truth, no clock time and no chance.
 
     A subclass declares its arrays in `bind` (``self.memory.declare(name, initial)``, with a leading
-    axis of receivers) and keeps nothing else from one epoch to the next: then reset, batches
-    and unfinished episodes that are moved from one batch to another need no further code.
+    axis of receivers) and keeps nothing else from one epoch to the next: then reset, batches, and
+    episodes that move from one batch to another need no further code.
 
     Attributes
     ----------
@@ -113,28 +119,28 @@ class Detector(ABC):
     oracle : bool
         Whether it is given what no receiver can know; never part of a comparison by default.
     drifts : bool
-        Whether its statistic has a drift term, which is 0 on most innovations that are smaller than
-        the filter believes; the innovations of such a test can be rescaled (`Calibrated`).
+        Whether its statistic has a drift term, so that it is 0 on most innovations that are smaller
+        than the filter believes; these innovations can be rescaled (`Calibrated`).
     calibrates : bool
         Whether thresholds scale its alarms at all; not that of a detector that never alarms.
     has_nominal : bool
         Whether it has thresholds of its own, as published or on its card.
     draws : bool
-        Whether the last bits of its innovations decide its statistic, which is another one then, as
-        good, on another kind of processor: runs of its calibrations are not replayed.
+        Whether the last bits of its innovations decide its statistic, which then differs from one
+        kind of processor to another: runs of its calibrations are not replayed.
     label : str or None
         What it is called in tables; None for its registered name, or that of its class.
     silent_epochs : int
         Epochs after a reset in which it can't alarm, since a window is not full; set by `bind`.
     memory_epochs : int
-        Epochs of its longest window or memory, after which it no longer matters when it went live;
-        set by `bind`, 0 where there is no such time.
+        Epochs after which it no longer matters when it went live, as of its longest window; set by
+        `bind`, 0 where there is no such time.
     memory : Memory
         What it remembers of every receiver.
     judged_rows : ndarray or None
-        (r,) the receivers whose verdicts are looked at, while a pool asks that lets other detectors
-        judge the rest of the batch; None for all.  A costly detector can leave the rest out: what
-        it says of them may be any finite statistic, with a threshold above 0 and no alarm.
+        (r,) the receivers whose verdicts count, while other detectors of a pool judge the rest of
+        the batch; None for all.  A costly detector can leave the rest out: any finite statistic,
+        a threshold above 0 and no alarm.
     """
 
     paper: ClassVar[str]
@@ -175,6 +181,11 @@ class Detector(ABC):
                 f"{measured}"
             )
         self.memory, self.judged_rows = Memory(context.receivers), None
+
+    def _declare(self, **initial: NDArray[Any]) -> None:
+        """Declare arrays of the memory, as `bind` does, by name."""
+        for name, array in initial.items():
+            self.memory.declare(name, array)
 
     @property
     def alarm_is_state(self) -> bool:
@@ -248,10 +259,9 @@ FLOAT, BOOL = np.dtype(np.float64), np.dtype(np.bool_)
 
 
 def judged(detector: Detector, epoch: Epoch, rows: NDArray[np.intp] | None = None) -> Verdict:
-    """Let a bound detector judge an epoch, and check its verdict as `checked` does. `rows`:
-    `Detector.judged_rows`. A new victim asks its detector through this function alone. Where the
-    detector fails, and reads a field that is None since it isn't declared, an
-    `UndeclaredFieldError` says so."""
+    """Let a bound detector judge an epoch, and check its verdict. `rows`: `Detector.judged_rows`.
+    A new victim calls its detector through this function alone. Where it fails on a field that is
+    None since it isn't declared, an `UndeclaredFieldError` says so."""
     detector.judged_rows = rows
     try:
         return checked(detector.judge(epoch), detector, epoch)
@@ -288,10 +298,8 @@ def undeclared(detector: Detector, epoch: TracedEpoch) -> str:
 
 
 def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
-    """Check the verdict of a bound detector. A `TypeError` (no `Verdict`, a part that is no array
-    of the right type) or `ValueError` (a wrong shape, a value not finite, a weight not within 0 and
-    1) names the detector, the time of the epoch, the receiver, what came and what is valid."""
-    # one compiled pass over what has the usual form; words are only looked for where it fails
+    """Check the verdict of a bound detector; errors name detector, time, receiver, and value."""
+    # one compiled pass over what has the usual form; `_examine` finds the words where it fails
     if type(verdict) is Verdict:
         statistic, threshold, alarm, weights = verdict
         b, m = epoch.innovation.shape
@@ -328,21 +336,18 @@ def checked_weights(weights: FloatArray, epoch: Epoch) -> FloatArray:
 
 @njit
 def is_sound(statistic: FloatArray, threshold: FloatArray, weights: FloatArray | None) -> bool:
-    """Whether statistics and thresholds are finite, and weights, if any, within 0 and 1."""
-    rows, columns = statistic.shape
     sound = True
-    for b in range(rows):
-        for c in range(columns):
+    for b in range(statistic.shape[0]):
+        for c in range(statistic.shape[1]):
             sound &= np.isfinite(statistic[b, c]) and np.isfinite(threshold[b, c])
     if weights is not None:
-        for b in range(rows):
+        for b in range(weights.shape[0]):
             for c in range(weights.shape[1]):
                 sound &= 0.0 <= weights[b, c] <= 1.0
     return sound
 
 
 def _examine(verdict: Verdict, detector: Detector, epoch: Epoch) -> None:
-    """Raise unless a verdict is sound."""
     kind = type(detector).__name__
     if not isinstance(verdict, Verdict):
         raise TypeError(
@@ -362,7 +367,6 @@ def _examine(verdict: Verdict, detector: Detector, epoch: Epoch) -> None:
 def _examine_part(
     kind: str, epoch: Epoch, name: str, part: Any, shape: tuple[int, ...], sizes: str
 ) -> None:
-    """Raise unless one array of a verdict is sound."""
     where = f"{_at(kind, epoch, 0)} `{name}`"
     if type(part) is not np.ndarray:
         raise TypeError(f"{where} must be an array, got {type(part).__name__}")

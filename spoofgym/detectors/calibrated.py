@@ -1,7 +1,7 @@
 r"""A detector at a stated rate of false alarms: the thresholds are scaled, the weights are not.
 
 ``{"name": "ewma", "false_alarms_per_hour": 0.2}`` is a detector whose thresholds are multiplied by
-the factor that clean runs of its world say (`calibration`).  Its alarm is
+the factor that clean runs of its world give (`calibration_file`).  Its alarm is
 
 .. math:: \text{statistic} > \text{scale} \times \text{threshold}
 
@@ -9,8 +9,8 @@ and its weights stay as published: a factor on them would be another detector.  
 state that outlasts its cause, the detector itself takes the factor, `Detector.alarm_scale`.  A pool
 calibrates its members one by one, so that each keeps the rate, and with them any mixture.
 
-With ``"thresholds": "rescaled"`` the innovations are scaled before they are judged, their common
-mode and its complement by a factor each, so that their variance in clean runs is what the filter
+With ``"thresholds": "rescaled"`` common mode and complement of the innovations are scaled by a
+factor each before they are judged, so that their variance in clean runs is what the filter
 believes.  That is for tests with a drift term, whose sums a factor on the threshold can't mend.
 """
 
@@ -26,12 +26,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import njit
 from ..core.registry import is_number
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict
+from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict
 from .calibration_file import (
     Calibration,
     Conditions,
@@ -44,22 +43,19 @@ from .calibration_file import (
 )
 from .pool import PooledDetector
 
-FloatArray = NDArray[np.float64]
 STANDARD_RATE = 0.2
 """False alarms an hour where calibrated thresholds are asked for without a rate."""
 DEFAULT_RATE: float | None = STANDARD_RATE
-"""False alarms an hour of a detector that is named in a world without a word on its thresholds;
-None for its nominal thresholds."""
+"""False alarms an hour of a detector in a world whose spec has no thresholds; None for nominal."""
 NOISY_WARMUP = 0.2
-"""Share of clean runs that alarm before the attack from which on it is said."""
+"""Share of clean runs with an alarm before the attack above which there is a warning."""
 
 
 class World(Protocol):
     """What a calibration is looked up by: a `Setup`."""
 
     @property
-    def conditions(self) -> Conditions:
-        """What a clean run depends on."""
+    def conditions(self) -> Conditions: ...
 
     def check_fit(self, detector: Detector) -> None:
         """Raise a ValueError where a detector, with any thresholds, can't judge here."""
@@ -142,11 +138,9 @@ class Calibrated(Detector):
 
     @property
     def resolved(self) -> bool:
-        """Whether its factors are known."""
         return self.scale is not None and (self.rescale is not None or not self.rescaled)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the detector; a ValueError where its factors are not known yet."""
         if not self.resolved:
             raise ValueError(
                 f"{type(self.detector).__name__} is asked for {self.false_alarms_per_hour:g} false "
@@ -160,10 +154,10 @@ class Calibrated(Detector):
         inner.bind(context)
         self.memory, self.silent_epochs = inner.memory, inner.silent_epochs
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+    def reset(self, mask: BoolArray | None = None) -> None:
         self._judge.reset(mask)
 
-    def armed(self, epoch: Epoch) -> NDArray[np.bool_] | None:
+    def armed(self, epoch: Epoch) -> BoolArray | None:
         return self.detector.armed(epoch)
 
     def judge(self, epoch: Epoch) -> Verdict:
@@ -179,16 +173,9 @@ class Calibrated(Detector):
         return verdict if self.detector.alarm_is_state else self.scaled(verdict)
 
     def scaled(self, verdict: Verdict) -> Verdict:
-        """The same verdict with scaled thresholds."""
         assert self.scale is not None  # as `bind` has made sure of
         threshold = self.scale * verdict.threshold
         return verdict._replace(threshold=threshold, alarm=verdict.statistic > threshold)
-
-    def is_unknown_in(self, world: World) -> bool:
-        """Whether its factors are to be looked up, or are those of another world."""
-        if not self.resolved:
-            return True
-        return self.found_for not in (None, world.conditions.digest)
 
     def look_up(self, world: World) -> None:
         """Take the factors from the calibration for a world; a ValueError where there is none."""
@@ -205,7 +192,6 @@ class Calibrated(Detector):
         raise failure or ValueError(self._missing(conditions, identity))
 
     def take(self, calibration: Calibration, rate: float) -> None:
-        """Take the factors of a calibration at a rate."""
         point = calibration.point(rate)
         self.scale, self.point = point.scale, point  # type: ignore[misc]
         self.rescale = calibration.rescale if self.rescaled else None
@@ -268,7 +254,6 @@ class Calibrated(Detector):
 
 
 def check_drifts(detector: Detector) -> None:
-    """Raise unless a detector has a drift term, for which innovations are rescaled."""
     if not detector.drifts:
         raise ValueError(
             f"`thresholds` 'rescaled' is for detectors with a drift term, which "
@@ -277,7 +262,6 @@ def check_drifts(detector: Detector) -> None:
 
 
 def noisy_warmup(name: str, point: OperatingPoint) -> str:
-    """Line on a detector that alarms before the attack in many clean runs."""
     return (
         f"{name} alarms before the attack in {100.0 * point.warmup_alarms:.0f} % of the clean runs "
         f"at {point.false_alarms_per_hour:g} false alarms an hour: its memory is not settled when "
@@ -288,7 +272,7 @@ def noisy_warmup(name: str, point: OperatingPoint) -> str:
 @njit
 def rescale_innovations(
     innovation: FloatArray,
-    visible: NDArray[np.bool_],
+    visible: BoolArray,
     factors: FloatArray,
     out: FloatArray,
 ) -> None:
@@ -296,8 +280,8 @@ def rescale_innovations(
 
     .. math:: z' = a \bar z + b (z - \bar z)
 
-    `innovation`, `out` (B, 2n), written; `factors` (4,) a and b of the pseudoranges, then of the
-    range rates; the mean is over the visible channels.
+    `out` (B, 2n) is written; `factors` (4,) a and b of the pseudoranges, then of the range rates;
+    the mean is over the visible channels.
     """
     receivers, n = visible.shape
     for b in range(receivers):
@@ -317,7 +301,7 @@ def rescale_innovations(
 
 
 def identity_of(detector: Detector) -> dict[str, Any]:
-    """Resolved settings of a detector, JSON-able: what its calibration belongs to. Settings that
+    """Resolved settings of a detector, JSON-able, to which its calibration belongs. Settings that
     are not its own, such as those of a policy, a class gives by a method `identity`."""
     from . import DETECTORS
 
@@ -341,14 +325,17 @@ def identity_of(detector: Detector) -> dict[str, Any]:
     return {**found, "sources": sources} if sources else found
 
 
-def resolve(detector: Detector, world: World) -> None:
-    """Look up the factors of a detector, or of the members of a pool, that are not known yet.
-
-    Where there are none, that it can't judge here at all is the first thing to be said.
-    """
+def _calibrated_in(detector: Detector) -> list[Calibrated]:
+    """Calibrated detectors: this one, or members of a pool."""
     parts = detector.judges if isinstance(detector, PooledDetector) else (detector,)
-    for part in parts:
-        if isinstance(part, Calibrated) and part.is_unknown_in(world):
+    return [each for each in parts if isinstance(each, Calibrated)]
+
+
+def resolve(detector: Detector, world: World) -> None:
+    """Look up the factors of a detector, or of the members of a pool, that are not known in a
+    world. Where there are none, a detector that does not fit the world at all is refused first."""
+    for part in _calibrated_in(detector):
+        if not part.resolved or part.found_for not in (None, world.conditions.digest):
             try:
                 part.look_up(world)
             except ValueError:
@@ -357,6 +344,4 @@ def resolve(detector: Detector, world: World) -> None:
 
 
 def factors_of(detector: Detector) -> list[tuple[float | None, tuple[float, ...] | None]]:
-    """Factors on thresholds and innovations that a detector, or each of a pool, has been given."""
-    parts = detector.judges if isinstance(detector, PooledDetector) else (detector,)
-    return [(each.scale, each.rescale) for each in parts if isinstance(each, Calibrated)]
+    return [(each.scale, each.rescale) for each in _calibrated_in(detector)]

@@ -1,4 +1,4 @@
-r"""What clean runs say of a detector's thresholds: order statistics of run maxima, in a small file.
+r"""Thresholds from clean runs: order statistics of the run maxima, in a small file.
 
 A clean run is one number: the largest ratio of statistic to threshold over all channels and the
 epochs of the judged window, which lasts from the start of an attack to its end plus the time to
@@ -8,10 +8,9 @@ alert.  A rate of r false alarms an hour is a probability for a run, and that a 
 
 With the n maxima in order, :math:`x_{(k)}` is the factor on the thresholds that a new run exceeds
 with probability p at most, whatever the distribution.  Ranks are counted from the top here, as
-:math:`n + 1 - k`, 1 being the largest.
-
-Beyond the largest maximum a generalised Pareto distribution goes on, fitted to the uppermost maxima
-as in `coles2001`, and only down to :math:`p = 1 / (10 n)`.
+:math:`n + 1 - k`, 1 being the largest.  Beyond the largest maximum a generalised Pareto
+distribution goes on, fitted to the uppermost maxima as in `coles2001`, and only down to
+:math:`p = 1 / (10 n)`.
 """
 
 from __future__ import annotations
@@ -28,21 +27,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import platformdirs
-from numpy.typing import NDArray
 
 from ..core.files import write_file
 from ..core.registry import is_number
 from ..core.settings import describe, differences, digest_of, outside_sources
+from .base import FloatArray
 
-FloatArray = NDArray[np.float64]
 FORMAT = 1
-"""Of the files; those of another one are not read."""
+"""Of the files that are read."""
 SHIPPED_FOLDER = Path(__file__).parents[1] / "calibrations"
-"""Calibrations that come with the package."""
 FOLDER_VARIABLE = "SPOOFGYM_CALIBRATIONS"
 STANDARD_RATES = (0.2, 0.002)
-"""False alarms an hour whose order statistics a file always has exactly: of research, and of the
-order that aviation asks for."""
+"""False alarms an hour that a file always has exactly: of research, and of aviation's order."""
 WITNESSES = 16
 """Run maxima that a file keeps with their seeds, to be replayed."""
 TOLERANCE = 1e-6
@@ -59,13 +55,8 @@ DIGITS = 12
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a calibration belongs to besides its detector.
-
-    - `settings`: resolved settings of the world that a clean run depends on, JSON-able;
-    - `window_s`: judged window, from the start of an attack to its end plus the time to alert [s];
-    - `label`: name of the world, for messages and seeds;
-    - `options`: how a command line names it; "" where none can.
-    """
+    """World of a calibration: its resolved `settings` that a clean run depends on, JSON-able;
+    judged window [s]; name, for messages and seeds; `options` of a command line, or ""."""
 
     settings: dict[str, Any]
     window_s: float
@@ -116,7 +107,6 @@ class OperatingPoint(NamedTuple):
 
 
 def check_rate(rate: Any) -> float:
-    """A rate of false alarms, or a ValueError."""
     if not (is_number(rate) and math.isfinite(rate) and rate > 0.0):
         raise ValueError(
             f"`false_alarms_per_hour` must be a finite number > 0, got {rate!r}; thresholds as "
@@ -130,28 +120,25 @@ def run_probability(false_alarms_per_hour: float, window_s: float) -> float:
 
 
 def hourly_rate(per_run: float, window_s: float) -> float:
-    """False alarms an hour of a probability for a run; infinite for 1."""
     return math.inf if per_run >= 1.0 else -math.log1p(-per_run) * 3600.0 / window_s
 
 
 def fewest_runs(per_run: float) -> int:
-    """Clean runs that an order statistic takes."""
     return max(math.ceil(1.0 / per_run - 1e-9) - 1, 1)
 
 
 def rank_of(per_run: float, runs: int) -> int:
-    """Rank from the top of the order statistic that a new run exceeds with this probability. At
-    most `runs`; 0 where even the largest is exceeded more often."""
+    """Rank from the top of the order statistic that a new run exceeds with a probability; 0 where
+    even the largest is exceeded more often."""
     return runs + 1 - math.ceil((1.0 - per_run) * (runs + 1) - 1e-9)
 
 
 def tail_exceedances(runs: int) -> int:
-    """How many of the uppermost maxima a tail is fitted to."""
     return min(EXACT_RANKS - 1, runs // 10)
 
 
 def check_runs(rate: float, runs: int, window_s: float, *, tail: bool) -> None:
-    """Raise unless so many runs tell a rate; `tail`: whether one may be fitted to them."""
+    """Raise unless so many runs are enough for a rate; `tail`: whether one may be fitted."""
     p = run_probability(rate, window_s)
     if p > (runs + 1e-9) / (runs + 1.0):
         most = hourly_rate(runs / (runs + 1.0), window_s)
@@ -174,8 +161,8 @@ def check_runs(rate: float, runs: int, window_s: float, *, tail: bool) -> None:
 
 
 def kept_ranks(runs: int, window_s: float, rates: Sequence[float] = STANDARD_RATES) -> list[int]:
-    """Ranks from the top that a file keeps: the uppermost ones, thinned below, and those of rates.
-    A rank between two of them is taken for the next smaller one, so that no rate is exceeded."""
+    """Ranks from the top that a file stores: the uppermost ones, thinned below, and those of rates.
+    A rank between two of them counts as the next smaller one, so that no rate is exceeded."""
     ranks = {*range(1, min(EXACT_RANKS, runs) + 1), runs}
     rank = float(EXACT_RANKS)
     while (rank := rank * RANK_RATIO) < runs:
@@ -185,12 +172,11 @@ def kept_ranks(runs: int, window_s: float, rates: Sequence[float] = STANDARD_RAT
 
 
 def rounded(value: float) -> float:
-    """Value with `DIGITS` digits."""
     return float(f"{value:.{DIGITS}g}")
 
 
 def rounded_up(values: FloatArray) -> FloatArray:
-    """Values with `DIGITS` digits that are never below what they were, so that none alarms."""
+    """Values with `DIGITS` digits, never below what they were, so that none alarms."""
     sizes = np.floor(np.log10(np.maximum(np.abs(values), np.finfo(np.float64).tiny)))
     unit = 10.0 ** (sizes - (DIGITS - 1))
     up = np.ceil(values / unit * (1.0 + 1e-15)) * unit
@@ -246,7 +232,7 @@ class Calibration:
     path: Path | None = field(default=None, compare=False)
 
     def point(self, false_alarms_per_hour: float) -> OperatingPoint:
-        """Where the detector works at a rate; a ValueError where the runs can't tell."""
+        """Where the detector works at a rate; a ValueError where the runs are too few."""
         rate, n = check_rate(false_alarms_per_hour), self.runs
         p = run_probability(rate, self.window_s)
         check_runs(rate, n, self.window_s, tail=not self.bisected)
@@ -259,7 +245,7 @@ class Calibration:
         return OperatingPoint(rate, p, scale, n, rank, self.window_s, rank == 0, early)
 
     def has(self, false_alarms_per_hour: float) -> bool:
-        """Whether its runs tell a rate, if only that the statistic is degenerate."""
+        """Whether its runs are enough for a rate, if only to find the statistic degenerate."""
         try:
             check_runs(false_alarms_per_hour, self.runs, self.window_s, tail=not self.bisected)
         except ValueError:
@@ -277,7 +263,6 @@ class Calibration:
         return max(each for each in self.ranks if each <= exact)
 
     def _tail(self, p: float, rate: float) -> float:
-        """Scale of a generalised Pareto tail."""
         n, count = self.runs, tail_exceedances(self.runs)
         from scipy.stats import genpareto
 
@@ -313,7 +298,6 @@ class Calibration:
         return [f"{what} {name}: {a!r} there, {b!r} here" for what, name, a, b in found]
 
     def save(self, path: Path) -> Calibration:
-        """Write it to a JSON file, whole or not at all."""
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         del fields["path"]
         text = json.dumps({"format": FORMAT, **fields}, separators=(",", ":"), allow_nan=False)
@@ -322,7 +306,6 @@ class Calibration:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Calibration:
-        """Read it from a JSON file; a ValueError where it is none."""
         return _load(os.fspath(path), os.stat(path).st_mtime_ns)
 
 
@@ -352,22 +335,23 @@ def _load(path: str, modified: int) -> Calibration:
 
 def user_folder() -> Path:
     """Folder of one's own calibrations: ``SPOOFGYM_CALIBRATIONS``, or in the user's cache."""
-    wanted = os.environ.get(FOLDER_VARIABLE)
-    return (
-        Path(wanted) if wanted else Path(platformdirs.user_cache_dir("spoofgym")) / "calibrations"
-    )
+    if wanted := os.environ.get(FOLDER_VARIABLE):
+        return Path(wanted)
+    return Path(platformdirs.user_cache_dir("spoofgym")) / "calibrations"
 
 
 def folders() -> tuple[Path, ...]:
-    """Where calibrations are looked for, in this order."""
     return SHIPPED_FOLDER, user_folder()
 
 
 def file_name(world: str, detector: Mapping[str, Any], rescaled: bool) -> Path:
     """Path of a calibration within a folder.  `world`: digest of its conditions."""
-    kind = str(detector["name"]).rpartition(":")[2]
     word = "-rescaled" if rescaled else ""
-    return Path(world) / f"{kind}-{digest_of(detector)}{word}.json"
+    return Path(world) / f"{_kind(detector)}-{digest_of(detector)}{word}.json"
+
+
+def _kind(detector: Mapping[str, Any]) -> str:
+    return str(detector["name"]).rpartition(":")[2]
 
 
 def stored(
@@ -387,16 +371,13 @@ def nearest(
     conditions: Conditions, detector: Mapping[str, Any], rescaled: bool
 ) -> tuple[Path, list[str]] | None:
     """The stored calibration with the fewest differences, and these; None where there is none."""
-    best: tuple[Path, list[str]] | None = None
-    kind = str(detector["name"]).rpartition(":")[2]
-    for folder in folders():
-        for path in sorted(folder.glob(f"*/{kind}-*.json")):
-            if path.stem.endswith("-rescaled") != rescaled:
-                continue
-            found = Calibration.load(path).differences(conditions.settings, detector)
-            if best is None or len(found) < len(best[1]):
-                best = path, found
-    return best
+    paths = [p for each in folders() for p in sorted(each.glob(f"*/{_kind(detector)}-*.json"))]
+    found = [
+        (path, Calibration.load(path).differences(conditions.settings, detector))
+        for path in paths
+        if path.stem.endswith("-rescaled") == rescaled
+    ]
+    return min(found, key=lambda each: len(each[1]), default=None)
 
 
 def described(thing: Any) -> Any:
@@ -415,5 +396,4 @@ def _plain(value: Any) -> Any:
 
 
 def sources_of(thing: Any) -> dict[str, str]:
-    """Digests of a user's own sources that can be read."""
     return {name: digest for name, digest in outside_sources(thing).items() if digest is not None}

@@ -4,7 +4,7 @@ A spoofer whose own clock differs in offset or rate from the authentic system's 
 pseudoranges, or all range rates, by the same amount, and geometry can't separate that from the
 receiver's clock.  A known oscillator can: its states are predicted, and the correction that an
 epoch asks for has to stay within the predicted spread.  The common part of the innovations is that
-correction, estimated with the weights of their covariance and normalized,
+correction, the generalized least-squares estimate (`barshalom2001`), normalized,
 
 .. math:: n_k = M^{-1} A^T S_k^{-1} z_k \sim N(0, I), \qquad M M^T = A^T S_k^{-1} A
 
@@ -14,14 +14,12 @@ Symbols: z innovation, S innovation covariance, A (m, s) a column of ones for th
 signal, so that the first element of n is the clock offset's and the second one what the clock drift
 shows beyond that; s signals.
 
-Assumptions: the filter believes in the clock that the receiver has.  The filter of the papers'
-tables takes a clock that is far worse (``tuning="paper"``), so that hardly any drift is out of the
-ordinary; the monitor is meant for ``tuning="matched"``.
+Assumptions: the filter believes in the clock that the receiver has, ``tuning="matched"``.  The
+filter of the papers' tables (``tuning="paper"``) takes one that is far worse, so that hardly any
+drift is out of the ordinary.
 
 Deviations from `hwang2014`, which monitors the clock states over longer times by their Allan
 variance: the monitor tests the filter's innovations, and needs no solution of its own.
-
-Source: `hwang2014`; the common part is the generalized least-squares estimate (`barshalom2001`).
 """
 
 from __future__ import annotations
@@ -31,19 +29,17 @@ from dataclasses import dataclass
 from typing import ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import njit
+from ..core.registry import check_finite
 from ..receiver.epoch import Epoch
-from .base import DetectorContext, Verdict
+from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import InnovationTest, chi2_thresholds, cholesky_of_rows, epochs_of
-
-FloatArray = NDArray[np.float64]
 
 
 @njit
 def normalized_projection(white: FloatArray, count: int, out: FloatArray) -> None:
-    r"""Coordinates of a whitened innovation along orthonormal directions of its common parts.
+    """Coordinates of a whitened innovation along orthonormal directions of its common parts.
     `white` (r, 1 + s) whitened innovation, then the whitened columns of A; `out` (s,) written."""
     projected, norm, other, cross, far = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(count):
@@ -63,19 +59,14 @@ def normalized_projection(white: FloatArray, count: int, out: FloatArray) -> Non
 def common_part(
     innovation: FloatArray,
     innovation_cov: FloatArray,
-    judged: NDArray[np.bool_],
+    judged: BoolArray,
     first: int,
     last: int,
     out: FloatArray,
 ) -> None:
-    r"""Normalized common part of the innovations of every signal.
-
-    .. math:: n = M^{-1} A^T S^{-1} z, \qquad M M^T = A^T S^{-1} A
-
-    `innovation`, `innovation_cov` (B, 2n), (B, 2n, 2n); `judged` (B, n) bool, satellites that take
-    part; `out` (B, s) written; 0 where nothing is judged, infinite where S is not positive
-    definite.
-    """
+    """Normalized common part n of the innovations of every signal. `judged` (B, n) satellites that
+    take part; `out` (B, s) written; 0 where nothing is judged, infinite where S is not positive
+    definite."""
     receivers, n = judged.shape
     size = last - first
     signals = size // n
@@ -103,21 +94,15 @@ def common_part(
 @njit
 def window_average(
     part: FloatArray,
-    judged: NDArray[np.bool_],
+    judged: BoolArray,
     past: FloatArray,
-    taken: NDArray[np.bool_],
-    place: NDArray[np.int64],
+    taken: BoolArray,
+    place: IntArray,
     statistic: FloatArray,
 ) -> None:
-    r"""Remember an epoch, and test the average over the window.
-
-    .. math:: q = \frac{1}{W} \Big|\sum_i n_i\Big|^2
-
-    `part` (B, s) normalized common part; `judged` (B, n) bool; `past` (B, W, s) memory,
-    overwritten; `taken` (B, W) bool, memory, overwritten: epochs in which anything was judged;
-    `place` (B,) memory, overwritten: where the next epoch goes; `statistic` (B,) written; 0 where
-    nothing is judged now.
-    """
+    """Remember an epoch, and test the average over the window. `part` (B, s) n; `past` (B, W, s),
+    `taken` (B, W) memory: n, and epochs in which anything was judged; `place` (B,) memory: where
+    the next epoch goes; `statistic` (B,) written; 0 where nothing is judged now."""
     window = taken.shape[1]
     for b in range(part.shape[0]):
         k = place[b]
@@ -143,16 +128,13 @@ class ClockDrift(InnovationTest):
 
     Parameters
     ----------
-    false_alarm : float
-        Probability of an alarm in one epoch where the filter's belief is right, in (0, 1).
     window_s : float
         Length that the common part is averaged over, above 0.  While a run is younger the test
         takes what there is.
     signals : {"both", "pseudorange", "range_rate"}
         Innovations to test: pseudoranges show the clock's offset, range rates its drift.
-    bias_window_s : float
-        Length of the first window whose mean innovation is taken away from every channel, which is
-        not judged before; 0 for none.
+    false_alarm, bias_window_s
+        As in `SnapshotChi2`.
     """
 
     described_as = "ClockDrift"
@@ -165,8 +147,7 @@ class ClockDrift(InnovationTest):
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.window_s) and self.window_s > 0.0):
-            raise ValueError(f"`window_s` must be finite and > 0, got {self.window_s}")
+        check_finite("window_s", self.window_s, "> 0")
         super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
@@ -175,12 +156,13 @@ class ClockDrift(InnovationTest):
         self._threshold = float(chi2_thresholds(self.false_alarm, 2)[signals])
         b, window = context.receivers, epochs_of(self.window_s, context)
         self.memory_epochs = self._bias_window + window
-        self.memory.declare("past", np.zeros((b, window, signals)))
-        self.memory.declare("taken", np.zeros((b, window), dtype=np.bool_))
-        self.memory.declare("place", np.zeros(b, dtype=np.int64))
+        self._declare(
+            past=np.zeros((b, window, signals)),
+            taken=np.zeros((b, window), dtype=np.bool_),
+            place=np.zeros(b, dtype=np.int64),
+        )
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
         innovation, judged = self._without_bias(epoch)
         part = np.empty((len(judged), self._per_satellite))
         belief = cast(FloatArray, epoch.innovation_cov)
@@ -188,5 +170,4 @@ class ClockDrift(InnovationTest):
         statistic = np.empty((len(judged), 1))
         ring = (self.memory["past"], self.memory["taken"], self.memory["place"])
         window_average(part, judged, *ring, statistic[:, 0])
-        threshold = np.full(statistic.shape, self._threshold)
-        return Verdict(statistic, threshold, statistic > threshold)
+        return compare(statistic, self._threshold)

@@ -1,23 +1,18 @@
-r"""No detector, random alarms.
+r"""The detector without a defence, and the one that alarms by chance: the ends of any comparison.
 
-The detector that never alarms: the victim without a defence.
+`Never` is the baseline: what a spoofer induces where nothing watches.
 
-It is the baseline of every comparison: what a spoofer induces where nobody looks.
-
-A detector that alarms by chance: what a score must not reward.
-
-It looks at the innovations of its first epoch alone, before there is an attack, and makes a number
-of their bits that is uniform for all practical purposes: no random number, the same in any batch.
-From it follows a waiting time w, exponential with mean 1, and with t the time since that epoch
+`Lottery` is a negative control (`lipsitch2010`).  It looks at the innovations of its first epoch
+alone, before there is an attack, and makes a uniform number of their bits: no random number, the
+same in any batch.  From it follows a waiting time w, exponential with mean 1, and with t the time
+since that epoch
 
 .. math:: \text{statistic} = t / w, \qquad \text{threshold} = T
 
 so that the alarm comes at the time :math:`T w`, and its hazard is 1/T at any time, with an attack
-or without.  At one rate of false alarms it is worth as much as `Never`, and a score by which it is
-worth more counts alarms that have nothing to do with an attack (a negative control,
-`lipsitch2010`).
-
-It must be live for an epoch before the attack; otherwise the attack has a say in the draw.
+or without.  At one rate of false alarms it is worth as much as `Never`; a score by which it is
+worth more counts alarms that have nothing to do with an attack.  It must be live for an epoch
+before the attack; otherwise the attack has a say in the draw.
 """
 
 from __future__ import annotations
@@ -31,7 +26,7 @@ from numpy.typing import NDArray
 
 from ..core.registry import check_finite
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, FloatArray, Verdict
+from .base import Detector, DetectorContext, FloatArray, Verdict, compare
 
 
 @dataclass
@@ -47,9 +42,7 @@ class Never(Detector):
         super().bind(context)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """No alarm: (B, 1) zeros, ones and no alarm."""
-        shape = (len(epoch.time), 1)
-        return Verdict(np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=np.bool_))
+        return compare(np.zeros((len(epoch.time), 1)), 1.0)
 
 
 UNIT = 2.0**-53
@@ -78,11 +71,9 @@ class Lottery(Detector):
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
-        self.memory.declare("since", np.zeros(context.receivers))
-        self.memory.declare("wait", np.zeros(context.receivers))
+        self._declare(since=np.zeros(context.receivers), wait=np.zeros(context.receivers))
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Time since the first epoch over the waiting time drawn there; (B, 1)."""
         since, wait = self.memory["since"], self.memory["wait"]
         new = wait == 0.0
         since = np.where(new, 0.0, since + epoch.interval)
@@ -90,14 +81,11 @@ class Lottery(Detector):
             wait = wait.copy()
             wait[new] = unit_exponential(hashed(epoch.innovation[new]))
         self.memory["since"], self.memory["wait"] = since, wait
-        statistic = (since / wait)[:, None]
-        threshold = np.full_like(statistic, self.mean_wait_s)
-        return Verdict(statistic, threshold, statistic > threshold)
+        return compare((since / wait)[:, None], self.mean_wait_s)
 
 
 def hashed(values: FloatArray) -> NDArray[np.uint64]:
-    """64 bits of each row, of which none can be told from the values without computing them.
-    `values` (B, m); the mixing is that of a common generator (SplitMix64), element by element."""
+    """64 bits of each row of values (B, m), mixed element by element as SplitMix64 does."""
     bits = (np.ascontiguousarray(values, dtype=np.float64) + 0.0).view(np.uint64)
     state = np.zeros(len(bits), dtype=np.uint64)
     for column in bits.T:
@@ -109,6 +97,5 @@ def hashed(values: FloatArray) -> NDArray[np.uint64]:
 
 
 def unit_exponential(bits: NDArray[np.uint64]) -> FloatArray:
-    """Exponential numbers of mean 1, above 0, from 64 uniform bits each."""
     uniform = ((bits >> np.uint64(11)).astype(np.float64) + 0.5) * UNIT
     return np.array([-math.log1p(-each) for each in uniform.tolist()])

@@ -1,10 +1,11 @@
-r"""ACNA and RIO position checks.
+r"""Position checks of `song2021`: credible verification (ACNA), and a distance constraint (RIO).
 
-Credible verification of a position by dead reckoning, with two windows and two thresholds.
+Symbols: g GNSS position, :math:`\hat p^-` prediction of the filter, :math:`p^{DR}` dead reckoning
+alone since the start of the run [m].  A missing fix has statistic 0 and changes no window.
 
-The drift of GNSS is the distance of its position from the one that dead reckoning gives since the
-last fix that was believed.  A jump is a drift above one threshold for some fixes in a row, a slow
-change a mean drift above another threshold,
+**Acna** (section 3, eqs. 11, 26 and 27): the drift of GNSS is the distance of its position from the
+one that dead reckoning gives since the last fix that was believed.  A jump is a drift above one
+threshold for some fixes in a row, a slow change a mean drift above another threshold,
 
 .. math:: \Delta\rho_k = |g_k - \hat p_k^-|, \qquad
     \min_{i < n_j} \Delta\rho_{k - i} > Th_j \quad\text{or}\quad
@@ -13,16 +14,12 @@ change a mean drift above another threshold,
 and while either holds the fix is rejected and dead reckoning goes on alone.  The statistic is the
 larger one of the two left sides, each over its threshold; the threshold is 1.
 
-Symbols: g GNSS position, :math:`\hat p^-` prediction of the filter [m].
-
 Assumptions: the prediction is the last estimate moved on by dead reckoning.  The errors of GNSS
 change slowly: with white noise of 0.9 m an axis the printed thresholds alarm all the time.  Nothing
 promises a false-alarm rate; on 1000 clean runs of 300 s on the course of `song2021`, with a heading
 that is off by 4 deg, 0.15 % of the fixes alarm in ``literal``, in 2.5 % of the runs and once for
-good, and 0.13 % in ``production``, in 5 % of the runs.
-
-A drift slower than gain times :math:`Th_s` (0.2 m/s) is never seen for long, since the prediction
-follows it: that needs a second test.
+good, and 0.13 % in ``production``, in 5 % of the runs.  A drift slower than gain times
+:math:`Th_s` (0.2 m/s) is never seen for long, since the prediction follows it.
 
 Variants:
 
@@ -38,7 +35,7 @@ Variants:
     reckoning drifts as well.  Then the windows start again.  After a longest exclusion a fix is
     believed in any case.
 
-Deviations from `song2021`:
+Deviations:
 
 1. Its :math:`\rho^{DI}` would run free from the start, and 90 % of the clean fixes alarm then; it
    is anchored on the estimate here.
@@ -48,34 +45,20 @@ Deviations from `song2021`:
    their constants were chosen on the runs that they are scored on.
 4. In ``production``, both thresholds widen by :math:`\min(c \, t, c_{max})` after an interruption,
    too.  An attack that drifts more slowly than c during an outage is let in again.
-5. A missing fix has statistic 0 and leaves the windows as they are.
 
-Source: `song2021`, section 3, eqs. 11, 26 and 27.
-
-Distance constraint: GNSS must stay near to dead reckoning.
-
-A fix is rejected where it is farther than D from the position that dead reckoning alone gives since
-the start of the run, and so are all fixes after it, until one comes within a small distance of the
-receiver's own estimate:
+**Rio** (section 5, which names `melendez2017` as the origin of its comparison): a fix is rejected
+where it is farther than D from dead reckoning, and so are all fixes after it, until one comes
+within a small distance of the receiver's own estimate:
 
 .. math:: |g_k - p_k^{DR}| > D, \qquad\text{and then until}\quad |g_k - \hat p_k^-| \le D_r
 
-It knows jumps at once, and a drift once it amounts to D.
-
-Symbols: g GNSS position, :math:`p^{DR}` dead reckoning alone, :math:`\hat p^-` prediction [m].
-
-Assumptions: dead reckoning drifts by much less than D during the run.  Nothing promises a
-false-alarm rate.
-
-Deviations from `song2021`, which compares with it:
+It knows jumps at once, and a drift once it amounts to D, provided that dead reckoning drifts by
+much less than D during the run.  Nothing promises a false-alarm rate.  Deviations:
 
 1. The paper gives neither the test nor D.  16.5 m is chosen by its latency of 26 s after a ramp of
    0.7 m/s.
 2. The latch and D_r = 5 m are ours: after a slow attack the estimate is some 15 m off, so that no
    fix is believed any more, as the equal rows of the paper's data sets 3 and 4 show.
-3. A missing fix has statistic 0 and changes nothing.
-
-Source: `song2021`, section 5, which names `melendez2017` as the origin of its comparison.
 """
 
 from __future__ import annotations
@@ -85,40 +68,38 @@ from dataclasses import dataclass
 from typing import ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict
-from .innovation import check_epochs
+from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
+from .innovation import check_all, check_epochs, check_one_of
 
-FloatArray = NDArray[np.float64]
 VARIANTS = ("literal", "held", "production")
 NO_RULE = 1e12
 """Threshold of a rule that is switched off [m]."""
-MOST_EPOCHS = 1000
 
 
-@njit
-def _push(window: FloatArray, value: float) -> None:
-    """Shift a window by one, and put the newest value at its end."""
-    for i in range(window.shape[0] - 1):
-        window[i] = window[i + 1]
-    window[window.shape[0] - 1] = value
+@inlined
+def distance(a: FloatArray, b: FloatArray) -> float:
+    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return math.sqrt(x * x + y * y + z * z)
 
 
-@njit
-def drift_of(position: FloatArray, prediction: FloatArray, design: FloatArray) -> float:
-    """Drift of a fix. `position`, `prediction` (3,) g and the filter's prediction [m]; `design` (m,
-    s) H, all 0 where there is no fix; returns [m], or -1 where there is none."""
+@inlined
+def has_fix(design: FloatArray) -> bool:
+    """Whether there is a fix: H (m, s) is not all 0."""
     present = False
     for i in range(design.shape[0]):
         for j in range(design.shape[1]):
             present = present or design[i, j] != 0.0
-    x = position[0] - prediction[0]
-    y = position[1] - prediction[1]
-    z = position[2] - prediction[2]
-    return math.sqrt(x * x + y * y + z * z) if present else -1.0
+    return present
+
+
+@njit
+def _push(window: FloatArray, value: float) -> None:
+    for i in range(window.shape[0] - 1):
+        window[i] = window[i + 1]
+    window[window.shape[0] - 1] = value
 
 
 @njit
@@ -126,8 +107,8 @@ def drift_ratio(
     run: FloatArray, window: FloatArray, widened: float, slow_threshold: float
 ) -> float:
     """Statistic of a receiver that believes GNSS: the larger one of two ratios. `run` (n_j,) last
-    drifts over the jump threshold; 0 before the first; `window` (n_s,) last drifts [m]; 0 before
-    the first; `widened`: what is added to the slow threshold [m]; `slow_threshold`: Th_s [m]."""
+    drifts over the jump threshold, `window` (n_s,) last drifts [m]; 0 before the first; `widened`:
+    what is added to the slow threshold [m]."""
     least, total = run[0], 0.0
     for i in range(1, run.shape[0]):
         least = min(least, run[i])
@@ -161,18 +142,18 @@ def judge_fixes(
     statistic: FloatArray,
     weights: FloatArray,
 ) -> None:
-    """Judge one fix of every receiver. `run`, `window`, `passes` (B, n_j), (B, n_s), (B, n_r)
-    memory, overwritten; `outage`, `missing`, `excluded` (B,) time without a believed fix, time
-    without any, and time of the present exclusion (-1 for none) [s], overwritten; `statistic` (B,
-    1), written; `weights` (B, m), written: 0 or 1."""
+    """Judge one fix of every receiver. Memory: `run`, `window`, `passes` (B, n_j), (B, n_s), (B,
+    n_r); `outage`, `missing`, `excluded` (B,) time without a believed fix, time without any, and
+    time of the present exclusion (-1 for none) [s]. `statistic` (B, 1), `weights` (B, m), 0 or 1,
+    are written."""
     for b in range(statistic.shape[0]):
-        drift = drift_of(gnss_position[b], predicted_position[b], design[b])
         statistic[b, 0] = 0.0
         weights[b, :] = 1.0
-        if drift < 0.0:
+        if not has_fix(design[b]):
             outage[b] += interval[b]
             missing[b] += interval[b]
             continue
+        drift = distance(gnss_position[b], predicted_position[b])
         widened = min(readmission_rate * outage[b], readmission_cap)
         believed = False
         if excluded[b] >= 0.0:
@@ -251,37 +232,29 @@ class Acna(Detector):
     measures: ClassVar[str] = "position"
 
     def __post_init__(self) -> None:
-        if self.variant not in VARIANTS:
-            raise ValueError(
-                f"`variant` must be one of {', '.join(map(repr, VARIANTS))}, got {self.variant!r}"
-            )
-        for name in ("jump_window", "slow_window", "readmission_fixes"):
-            check_epochs(name, getattr(self, name), MOST_EPOCHS)
+        check_one_of("variant", self.variant, VARIANTS)
+        check_epochs(self, "jump_window", "slow_window", "readmission_fixes", most=1000)
         for name in ("jump_threshold_m", "slow_threshold_m", "drift_cap_m", "max_exclusion_s"):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"`{name}` must be finite and > 0, got {value}")
-        for name in ("readmission_rate_mps", "readmission_cap_m"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
+            if getattr(self, name) is not None:
+                check_all(self, "> 0", name)
+        check_all(self, ">= 0", "readmission_rate_mps", "readmission_cap_m")
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         b = context.receivers
-        self.memory.declare("run", np.zeros((b, self.jump_window)))
-        self.memory.declare("window", np.zeros((b, self.slow_window)))
-        self.memory.declare("passes", np.zeros((b, self.readmission_fixes)))
-        self.memory.declare("outage", np.zeros(b))
-        self.memory.declare("missing", np.zeros(b))
-        self.memory.declare("excluded", np.full(b, -1.0))
+        self._declare(
+            run=np.zeros((b, self.jump_window)),
+            window=np.zeros((b, self.slow_window)),
+            passes=np.zeros((b, self.readmission_fixes)),
+            outage=np.zeros(b),
+            missing=np.zeros(b),
+            excluded=np.full(b, -1.0),
+        )
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Judge one fix. Returns (B, 1) larger ratio, 1, alarm; (B, m) weights, 0 where the fix is
-        rejected."""
         statistic = np.empty((len(epoch.time), 1))
         weights = np.empty(epoch.innovation.shape)
-        production = self.variant == "production"
+        literal, production = self.variant == "literal", self.variant == "production"
         judge_fixes(
             cast(FloatArray, epoch.gnss_position),
             epoch.predicted_position,
@@ -289,29 +262,18 @@ class Acna(Detector):
             epoch.interval,
             NO_RULE if self.jump_threshold_m is None else self.jump_threshold_m,
             NO_RULE if self.slow_threshold_m is None else self.slow_threshold_m,
-            self.variant != "literal",
+            not literal,
             production,
-            NO_RULE if self.variant == "literal" else self.drift_cap_m,
+            NO_RULE if literal else self.drift_cap_m,
             self.readmission_rate_mps if production else 0.0,
             self.readmission_cap_m,
             np.inf if self.max_exclusion_s is None else self.max_exclusion_s,
-            self.memory["run"],
-            self.memory["window"],
-            self.memory["passes"],
-            self.memory["outage"],
-            self.memory["missing"],
-            self.memory["excluded"],
+            *(self.memory[name] for name in ("run", "window", "passes")),
+            *(self.memory[name] for name in ("outage", "missing", "excluded")),
             statistic,
             weights,
         )
-        return Verdict(statistic, np.ones_like(statistic), statistic > 1.0, weights)
-
-
-@inlined
-def distance(a: FloatArray, b: FloatArray) -> float:
-    """Distance of two positions.  `a`, `b` (3,) [m]; returns [m]."""
-    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-    return math.sqrt(x * x + y * y + z * z)
+        return compare(statistic, 1.0, weights)
 
 
 @njit
@@ -322,23 +284,19 @@ def constrain_fixes(
     design: FloatArray,
     limit: float,
     readmission: float,
-    rejecting: NDArray[np.bool_],
+    rejecting: BoolArray,
     statistic: FloatArray,
     threshold: FloatArray,
     weights: FloatArray,
 ) -> None:
     """Judge one fix of every receiver. `limit`, `readmission`: D and D_r [m]; `rejecting` (B,)
-    memory, overwritten; `statistic`, `threshold` (B, 1), written: the distance that counts at
-    present, and its limit [m]; `weights` (B, m), written: 0 or 1."""
+    memory; written: `statistic`, `threshold` (B, 1), the distance that counts at present, and its
+    limit [m]; `weights` (B, m), 0 or 1."""
     for b in range(statistic.shape[0]):
-        present = False
-        for i in range(design.shape[1]):
-            for j in range(design.shape[2]):
-                present = present or design[b, i, j] != 0.0
         threshold[b, 0] = readmission if rejecting[b] else limit
         statistic[b, 0] = 0.0
         weights[b, :] = 1.0
-        if not present:
+        if not has_fix(design[b]):
             continue
         anchor = predicted_position[b] if rejecting[b] else auxiliary_position[b]
         statistic[b, 0] = distance(gnss_position[b], anchor)
@@ -368,21 +326,15 @@ class Rio(Detector):
     measures: ClassVar[str] = "position"
 
     def __post_init__(self) -> None:
-        for name in ("limit_m", "readmission_m"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"`{name}` must be finite and > 0, got {value}")
+        check_all(self, "> 0", "limit_m", "readmission_m")
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         self.memory.declare("rejecting", np.zeros(context.receivers, dtype=np.bool_))
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Judge one fix. Returns (B, 1) distance, limit, alarm; (B, m) weights, 0 where the fix is
-        rejected."""
         statistic = np.empty((len(epoch.time), 1))
-        threshold = np.empty_like(statistic)
-        weights = np.empty(epoch.innovation.shape)
+        threshold, weights = np.empty_like(statistic), np.empty(epoch.innovation.shape)
         constrain_fixes(
             cast(FloatArray, epoch.gnss_position),
             cast(FloatArray, epoch.auxiliary_position),

@@ -1,8 +1,8 @@
 r"""Generalized likelihood-ratio tests for a change of every satellite's innovation.
 
 The normalized innovations of a satellite are split at every possible onset of the last W epochs
-into a baseline before it, whose mean nobody knows, and the n epochs since.  For each split the
-evidence of a change is, for a step and for a ramp of unknown size,
+into a baseline before it, of unknown mean, and the n epochs since.  For each split the evidence of
+a change is, for a step and for a ramp of unknown size,
 
 .. math::
     q_n = \frac{(\bar y - \bar x)^2}{1/n + 1/m}, \qquad
@@ -16,18 +16,16 @@ over n.  An alarm is raised above the quantile of probability
 Symbols: x the m baseline epochs, at most `baseline`; y the n epochs since the onset; z all of them;
 W `window`; series: visible satellites times signals.
 
-The baseline takes out what a satellite's constant bias leaves in its innovations, for which a CUSUM
-or an average of the innovations alarms.  The ramp test takes epochs for equally spaced.
+The baseline takes out a satellite's constant bias, for which a CUSUM or an average alarms.
 
-Assumptions: normalized innovations are independent and of variance 1 about their mean.  The W
-values of an epoch hang together, so that `false_alarm` is a bound, not a rate: for 5 % steps alarm
-in 1.1 % of the epochs and ramps in 0.3 % where the receiver assumes the noise of its world; and in
-the papers' receiver, which overstates its noise, alarms are rarer still.
+Assumptions: normalized innovations are independent and of variance 1 about their mean, and epochs
+equally spaced.  The W values of an epoch hang together, so that `false_alarm` is a bound, not a
+rate: for 5 % steps alarm in 1.1 % of the epochs and ramps in 0.3 % where the receiver assumes the
+noise of its world; in the papers' receiver, which overstates its noise, alarms are rarer still.
 
-Deviations: `willsky1976` knows how a filter answers to a jump, and tests for this answer.  Here the
-change is taken to stay in the innovation as it is, which a filter that follows an offset slowly, or
-not at all, comes near to.  A satellite that sets and rises starts again.  Every onset of the window
-is tried, at every epoch.
+Deviations: `willsky1976` tests for the filter's answer to a jump.  Here the change is taken to stay
+in the innovation as it is, as in a filter that follows an offset slowly, or not at all.  A
+satellite that sets and rises starts again.  Every onset of the window is tried, at every epoch.
 
 Source: `willsky1976`; the use as what `ke2022` lacks, a test that is not given the attack, is ours.
 """
@@ -39,14 +37,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict
-from .innovation import check_epochs, check_probability, check_signals, two_sided_quantile
-
-FloatArray = NDArray[np.float64]
+from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict
+from .innovation import InnovationTest, check_epochs, two_sided_quantile
 
 
 @njit
@@ -160,7 +155,7 @@ def largest_evidence(
 def scan_channels(
     innovation: FloatArray,
     innovation_variance: FloatArray,
-    visible: NDArray[np.bool_],
+    visible: BoolArray,
     first_row: int,
     signals: int,
     ramp: bool,
@@ -169,14 +164,14 @@ def scan_channels(
     scratch: FloatArray,
     sums: FloatArray,
     areas: FloatArray,
-    count: NDArray[np.int64],
+    count: IntArray,
     statistic: FloatArray,
     threshold: FloatArray,
 ) -> None:
-    """Take in one epoch, and look for changes. `window` W; `quantiles` (n+1,) thresholds by the
-    number of visible satellites; `scratch` (5, W), overwritten; `sums` (B, signals * n, 2 L),
-    `areas` (B, signals * n, 2 W + 2) as `largest_evidence` reads them, `count` (B, n) int64,
-    memory, overwritten; `statistic`, `threshold` (B, n), written."""
+    """Take in one epoch, and look for changes. `quantiles` (n + 1,) thresholds by the number of
+    visible satellites; `scratch` (5, W), overwritten; memory: `sums` (B, signals * n, 2 L), `areas`
+    (B, signals * n, 2 W + 2), as of `largest_evidence`, `count` (B, n); `statistic`, `threshold`
+    (B, n), written."""
     channels = visible.shape[1]
     baseline = sums.shape[2] // 2 - window - 1
     factors, scratch = scratch[:3], scratch[3:]
@@ -213,9 +208,7 @@ def scan_channels(
 
 
 @dataclass
-class _Glr(Detector):
-    """What the two tests have in common."""
-
+class _Glr(InnovationTest):
     false_alarm: float = 4e-6
     window: int = 150
     baseline: int = 300
@@ -226,49 +219,37 @@ class _Glr(Detector):
     ramp: ClassVar[bool]
 
     def __post_init__(self) -> None:
-        check_probability("false_alarm", self.false_alarm)
-        for name in ("window", "baseline"):
-            check_epochs(name, getattr(self, name))
-        check_signals(self.signals)
+        super().__post_init__()
+        check_epochs(self, "window", "baseline")
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         receivers, n = context.receivers, context.channels
-        self._first_row = n if self.signals == "range_rate" else 0
-        self._signals = 2 if self.signals == "both" else 1
-        series = (receivers, self._signals * n)
+        series = (receivers, self._per_satellite * n)
         self.memory_epochs = self.window + self.baseline
-        length = self.window + self.baseline + 1
-        self.memory.declare("sums", np.zeros((*series, 2 * length)))
-        self.memory.declare("areas", np.zeros((*series, 2 * (self.window + 1) if self.ramp else 1)))
-        self.memory.declare("count", np.zeros((receivers, n), dtype=np.int64))
-        self._scratch = np.empty((5, self.window))
-        tests = self.window * self._signals
-        self._quantiles = np.array(
-            [
-                two_sided_quantile(self.false_alarm / (tests * max(seen, 1))) ** 2
-                for seen in range(n + 1)
-            ]
+        self._declare(
+            sums=np.zeros((*series, 2 * (self.memory_epochs + 1))),
+            areas=np.zeros((*series, 2 * (self.window + 1) if self.ramp else 1)),
+            count=np.zeros((receivers, n), dtype=np.int64),
         )
+        self._scratch = np.empty((5, self.window))
+        tests = [self.window * self._per_satellite * max(seen, 1) for seen in range(n + 1)]
+        self._quantiles = np.array([two_sided_quantile(self.false_alarm / k) ** 2 for k in tests])
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Look for a change before one epoch. Returns (B, n) largest evidence of each satellite,
-        thresholds, alarms; no weights."""
         shape = epoch.visible.shape
         statistic, threshold = np.empty(shape), np.empty(shape)
         scan_channels(
             epoch.innovation,
             epoch.innovation_variance,
             epoch.visible,
-            self._first_row,
-            self._signals,
+            self._rows[0],
+            self._per_satellite,
             self.ramp,
             self.window,
             self._quantiles,
             self._scratch,
-            self.memory["sums"],
-            self.memory["areas"],
-            self.memory["count"],
+            *(self.memory[name] for name in ("sums", "areas", "count")),
             statistic,
             threshold,
         )
@@ -302,15 +283,8 @@ class GlrRamp(_Glr):
 
     Parameters
     ----------
-    false_alarm : float
-        Bound on the probability of an alarm in one epoch of the receiver, in (0, 1), where the
-        filter's belief is right.
-    window : int
-        W, longest time since the onset, in epochs.
-    baseline : int
-        Most epochs before the onset that give the mean without attack.
-    signals : {"pseudorange", "range_rate", "both"}
-        Innovations to test.
+    false_alarm, window, baseline, signals
+        As in `GlrStep`.
     """
 
     described_as = "GlrRamp"

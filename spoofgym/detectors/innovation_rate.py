@@ -1,25 +1,4 @@
-r"""Innovation-rate test and its rate filter.
-
-The Kalman filter that finds the rate of a normalized innovation.
-
-The state of `ke2022`, eqs. 32 to 34, from `bhatti2012`, is a level :math:`\hat\omega`, its rate v,
-its acceleration a and a constant deviation p,
-
-.. math::
-    \dot{\hat\omega} = v, \quad \dot v = -\alpha v + a + \text{noise}, \quad \dot a = \dot p = 0,
-    \qquad \omega = \hat\omega - p + \text{noise of variance } 1.
-
-Only the difference :math:`s = \hat\omega - p` is ever observed, and it moves as
-:math:`\hat\omega` does, so that the three states (s, v, a) with the first variance
-:math:`P_s = P_{\hat\omega} + P_p` have the same v and the same variance of it at every epoch.
-
-Symbols: :math:`\omega` normalized innovation, :math:`\alpha` correlation [1/s],
-:math:`\varepsilon` density of the noise of v [1/s^3].
-
-The paper prints the matrix of the differential equation as if it led from one epoch to the next;
-read so, the filter has no gain.  Here the equation is integrated over the interval.
-
-Rate of every satellite's innovation, with robust weights in the loop if wanted.
+r"""Rate of every satellite's innovation, with robust weights in the loop if wanted.
 
 A constant offset of an innovation, such as a satellite bias leaves, is no sign of an attack; that
 it changes is.  A small Kalman filter (`advance`) estimates the rate v of the normalized
@@ -28,12 +7,26 @@ pseudorange innovation, and an alarm is raised where
 .. math:: |v_k| > z_{a_0 / 2} \sqrt{P_{v,k}}, \qquad a_0 = 1 - (1 - P_{fa})^{1/n},
     \qquad \omega_k = r_k / \sqrt{S_{k,jj}},
 
-which is the paper's method M1.  With `weight_scale` the same statistic weighs the satellite's
-column of the Kalman gain by IGG-III, its method M2.
+which is the method M1 of `ke2022`, eqs. 14 and 24 to 29.  With `weight_scale` the same statistic
+weighs the satellite's column of the Kalman gain by IGG-III (`yang1999`), its method M2.
 
 Symbols: r innovation of pseudorange j [m], S innovation covariance, :math:`P_v` variance of v,
 :math:`P_{fa}` false-alarm probability of an epoch of the receiver, n visible satellites, m
 `weight_scale`; the weights fall off between m T / 2 and m T, T the threshold.
+
+The state of the filter, eqs. 32 to 34, from `bhatti2012`, is a level :math:`\hat\omega`, its rate
+v, its acceleration a and a constant deviation p,
+
+.. math::
+    \dot{\hat\omega} = v, \quad \dot v = -\alpha v + a + \text{noise}, \quad \dot a = \dot p = 0,
+    \qquad \omega = \hat\omega - p + \text{noise of variance } 1
+
+with correlation :math:`\alpha` [1/s] and density :math:`\varepsilon` of the noise of v [1/s^3].
+Only the difference :math:`s = \hat\omega - p` is ever observed, and it moves as
+:math:`\hat\omega` does, so that the three states (s, v, a) with the first variance
+:math:`P_s = P_{\hat\omega} + P_p` have the same v and the same variance of it at every epoch.  The
+paper prints the matrix of the differential equation as if it led from one epoch to the next; read
+so, the filter has no gain.  Here the equation is integrated over the interval.
 
 Assumptions: normalized innovations are white and of variance 1 about a constant.  In the paper's
 receiver they are smaller, so that alarms are rarer than stated; and so they are in the first
@@ -46,7 +39,7 @@ A filter without a memory span fits one line to all samples since it began: :mat
 `memory_s` forgets the past exponentially; the filter's own variance is then larger than the true
 one, and the test the stricter.
 
-Deviations from `ke2022`:
+Deviations:
 
 1. The threshold follows the filter's own variance.  The printed constant 0.0029517 is this
    threshold for 8 satellites and 4e-6 after about 330 samples; `threshold` takes it.
@@ -55,31 +48,20 @@ Deviations from `ke2022`:
    convergence; with the constant threshold 20 s and 200 s come closest.
 4. A satellite whose weight has been zero for `max_exclusion_s` is let in again and its filter
    starts again, and the `min_satellites` least suspicious ones always have a weight; otherwise
-   errors that persist would lock satellites out for good.  The paper has no such guard; with
-   ``max_exclusion_s=None, min_satellites=0`` there is none.
-5. The range rates keep weight 1.
-6. A satellite that sets and rises starts again.
+   lasting errors would lock satellites out for good.  ``max_exclusion_s=None, min_satellites=0`` is
+   the paper's, which has no such guard.
+5. The range rates keep weight 1.  A satellite that sets and rises starts again.
 
-Source: `ke2022`, eqs. 14 and 24 to 29; the filter is from `bhatti2012`, the weights from
-`yang1999`.
-
-The paper's methods M3 and M4: the innovation-rate test that is given the attack.
-
-The true offset of the true channel is added a second time to its innovation, from the true onset
-on, before the rate filter sees it,
+**Oracles**, the paper's methods M3 and M4 (eqs. 31 and 43), are given the attack: the true offset
+of the true channel is added a second time to its innovation, from the true onset on,
 
 .. math:: \omega^{ST} = \frac{r + B}{\sqrt{S_{jj}}}, \qquad
     \omega^{SG} = \frac{r + a (t - t_{Lock})}{\sqrt{S_{jj}}},
 
-so that a step of B is found as fast as one of 2 B would be.  No receiver knows B, a, the channel or
-the onset; given these without an attack, it alarms all the same, and given those of another
-channel, too.  They are here to reproduce the paper's figures and are part of no comparison; `glr`
-holds the detectors that find channel, size and onset for themselves.
-
-Symbols: r innovation of pseudorange j [m], S innovation covariance, B step [m], a slope [m/s],
-:math:`t_{Lock}` onset [s].
-
-Source: `ke2022`, eqs. 31 and 43.
+so that a step of B [m], or a slope of a [m/s], is found as fast as twice of it.  No receiver knows
+B, a, the channel or the onset; given these without an attack, or those of another channel, they
+alarm all the same.  They reproduce the paper's figures and are part of no comparison; `glr` holds
+the detectors that find channel, size and onset for themselves.
 """
 
 from __future__ import annotations
@@ -90,24 +72,22 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
 from ..core.registry import check_finite
 from ..core.settings import OMITTED
 from ..receiver.epoch import Epoch
 from ..truth.noise import exponential
-from .base import Detector, DetectorContext, Verdict
+from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict
 from .innovation import (
+    check_all,
     check_limits,
     check_probability,
+    check_weight_scale,
     igg3_weight,
     readmit_nearest,
     two_sided_quantile,
 )
-
-__all__ = ["InnovationRate", "OracleRamp", "OracleStep"]
-
 
 FIRST_COVARIANCE = (2.0, 0.0, 0.0, 1.0, 0.0, 1.0)
 """Of (s, v, a) before the first sample, upper triangle: all four states have variance 1."""
@@ -115,7 +95,6 @@ FIRST_COVARIANCE = (2.0, 0.0, 0.0, 1.0, 0.0, 1.0)
 
 @inlined
 def restart(state: FloatArray, covariance: FloatArray) -> None:
-    """Forget all samples.  `state`, `covariance` (3,) and (6,), overwritten."""
     state[0] = state[1] = state[2] = 0.0
     covariance[0], covariance[1], covariance[2] = 2.0, 0.0, 0.0
     covariance[3], covariance[4], covariance[5] = 1.0, 0.0, 1.0
@@ -131,7 +110,7 @@ def advance(
     noise: float,
     growth: float,
 ) -> None:
-    r"""Predict over an interval, and take in a sample.
+    r"""Predict over an interval T [s], and take in a sample.
 
     .. math::
         s &\leftarrow s + g v + r a, \qquad v \leftarrow e v + g a,
@@ -140,9 +119,8 @@ def advance(
 
     then :math:`P \leftarrow \gamma (\Phi P \Phi^T + Q)` and the update with R = 1.
 
-    `state` (3,) s, v, a; overwritten; `covariance` (6,) P_ss, P_sv, P_sa, P_vv, P_va, P_aa;
-    overwritten; `interval`: T [s]; `correlation`, `noise`: alpha [1/s] and epsilon [1/s^3];
-    `growth`: Gamma, at least 1: how much of the past is forgotten.
+    `state` (3,) s, v, a and `covariance` (6,) P_ss, P_sv, P_sa, P_vv, P_va, P_aa are overwritten;
+    `growth`: gamma, at least 1: how much of the past is forgotten.
     """
     e = exponential(-correlation * interval)
     g = (1.0 - e) / correlation
@@ -173,15 +151,12 @@ def advance(
     covariance[5] = aa - sa * sa * inverse
 
 
-FloatArray = NDArray[np.float64]
-
-
 def channel_quantiles(false_alarm: float, channels: int) -> FloatArray:
-    r"""Quantiles of one channel for a false-alarm probability of all, by the number of channels.
+    r"""Quantiles (channels + 1,) of one channel for a false-alarm probability of all, by channels.
 
     .. math:: z_{a_0 / 2}, \qquad a_0 = 1 - (1 - P_{fa})^{1/n}
 
-    `false_alarm`: P_fa, in (0, 1); returns (channels + 1,); the entry of no channel is that of one.
+    The entry of no channel is that of one.
     """
     shares = [-math.expm1(math.log1p(-false_alarm) / max(n, 1)) for n in range(channels + 1)]
     return np.array([two_sided_quantile(share) for share in shares])
@@ -193,7 +168,7 @@ def judge_rates(
     interval: FloatArray,
     innovation: FloatArray,
     innovation_variance: FloatArray,
-    visible: NDArray[np.bool_],
+    visible: BoolArray,
     added: FloatArray,
     quantiles: FloatArray,
     fixed_threshold: float,
@@ -209,16 +184,13 @@ def judge_rates(
     size: FloatArray,
     threshold: FloatArray,
     weights: FloatArray,
-    alarm: NDArray[np.bool_],
+    alarm: BoolArray,
 ) -> None:
-    """Advance all filters by one epoch.
-
-    `added` (B, n) what is added to the pseudorange innovations [m]; `quantiles` (n+1,) z by the
-    number of visible satellites; `state`, `covariance` (B, n, 3), (B, n, 6) memory, overwritten;
-    `size`, `threshold` (B, n), written: statistic and threshold [1/s], without `alarm_scale`, which
-    the alarm's is multiplied by; `weights` (B, 2n), written:
-    IGG-III for pseudoranges, 1 for range rates; `alarm` (B, n), written.
-    """
+    """Advance all filters by one epoch. `added` (B, n) what is added to the pseudorange innovations
+    [m]; `quantiles` (n + 1,) z by the number of visible satellites; `state`, `covariance` (B, n,
+    3), (B, n, 6) memory; written: `size`, `threshold` (B, n), statistic and threshold [1/s],
+    without `alarm_scale`, which the alarm's is multiplied by, `weights` (B, 2n), IGG-III for
+    pseudoranges, 1 for range rates, and `alarm` (B, n)."""
     channels = visible.shape[1]
     for b in range(visible.shape[0]):
         seen = 0
@@ -246,7 +218,7 @@ def judge_rates(
 @njit
 def guard_against_lockout(
     interval: FloatArray,
-    visible: NDArray[np.bool_],
+    visible: BoolArray,
     size: FloatArray,
     threshold: FloatArray,
     max_exclusion_s: float,
@@ -256,13 +228,9 @@ def guard_against_lockout(
     covariance: FloatArray,
     weights: FloatArray,
 ) -> None:
-    """Let satellites in again that were out for too long, or that are needed.
-
-    `size`, `threshold` (B, n) statistic and threshold; `max_exclusion_s`: longest time at weight
-    zero [s]; then the channel starts again; `excluded_s` (B, n) time at weight zero, overwritten;
-    `state`, `covariance` (B, n, 3), (B, n, 6) memory of the filters, overwritten; `weights`
-    (B, 2n), overwritten.
-    """
+    """Let satellites in again that were out for too long, or that are needed. `excluded_s` (B, n)
+    time at weight zero, `state`, `covariance` of the filters, memory; `weights` (B, 2n),
+    overwritten."""
     for b in range(visible.shape[0]):
         used = 0
         for j in range(visible.shape[1]):
@@ -331,51 +299,43 @@ class InnovationRate(Detector):
 
     def __post_init__(self) -> None:
         check_probability("false_alarm", self.false_alarm)
-        if self.weight_scale is not None and not 0.0 < self.weight_scale <= 1.0:
-            raise ValueError(f"`weight_scale` must be in (0, 1] or None, got {self.weight_scale}")
+        check_weight_scale(self.weight_scale)
         for name in ("threshold", "memory_s"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < math.inf:
                 raise ValueError(f"`{name}` must be finite and > 0 or None, got {value}")
-        if not 0.0 < self.correlation_per_s < math.inf:
-            raise ValueError(
-                f"`correlation_per_s` must be finite and > 0, got {self.correlation_per_s}"
-            )
-        for name in ("noise", "start_s", "settled_s"):
-            value = getattr(self, name)
-            if not 0.0 <= value < math.inf:
-                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
+        check_all(self, "> 0", "correlation_per_s", "alarm_scale")
+        check_all(self, ">= 0", "noise", "start_s", "settled_s")
         check_limits(self.max_exclusion_s, self.min_satellites)
-        check_finite("alarm_scale", self.alarm_scale, "> 0")
 
     @property
     def alarm_is_state(self) -> bool:
         """It is off before `settled_s`."""
         return self.settled_s > 0.0
 
-    def armed(self, epoch: Epoch) -> NDArray[np.bool_]:
-        """(B,) bool, whose alarms are on at an epoch."""
-        on: NDArray[np.bool_] = epoch.time >= self.settled_s
-        return on
+    def armed(self, epoch: Epoch) -> BoolArray:
+        return np.asarray(epoch.time >= self.settled_s)
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         shape = (context.receivers, context.channels)
-        self.memory.declare("state", np.zeros((*shape, 3)))
-        self.memory.declare("covariance", np.tile(FIRST_COVARIANCE, (*shape, 1)))
-        self.memory.declare("excluded_s", np.zeros(shape))
+        self._declare(
+            state=np.zeros((*shape, 3)),
+            covariance=np.tile(FIRST_COVARIANCE, (*shape, 1)),
+            excluded_s=np.zeros(shape),
+        )
         self._quantiles = channel_quantiles(self.false_alarm, context.channels)
         self._nothing = np.zeros(shape)
         remembers_s = SETTLING_S if self.memory_s is None else self.memory_s
         self.memory_epochs = round(remembers_s / context.epoch_interval_s)
 
     def added(self, epoch: Epoch) -> FloatArray:
-        """What is added to the innovations: nothing, but in the oracles.  Returns (B, n) [m]."""
+        """(B, n) what is added to the innovations [m]: nothing, but in the oracles."""
         return self._nothing
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Judge one epoch. Returns (B, n) size of the rates [1/s], thresholds, alarms; (B, 2n)
-        weights, 1 for range rates."""
+        """Judge one epoch: (B, n) size of the rates [1/s], thresholds, alarms; (B, 2n) weights, 1
+        for range rates."""
         shape = epoch.visible.shape
         size, threshold = np.empty(shape), np.empty(shape)
         weights, alarm = np.empty(epoch.innovation.shape), np.empty(shape, dtype=np.bool_)
@@ -423,8 +383,6 @@ class InnovationRate(Detector):
 
 @dataclass
 class _Oracle(InnovationRate):
-    """What the two have in common: which channels, and since when."""
-
     weight_scale: float | None = 1.0
     channels: tuple[str, ...] | None = None
     onset_s: float = 350.0
@@ -433,8 +391,7 @@ class _Oracle(InnovationRate):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.0 <= self.onset_s < math.inf:
-            raise ValueError(f"`onset_s` must be finite and >= 0, got {self.onset_s}")
+        check_finite("onset_s", self.onset_s, ">= 0")
         if self.channels is not None:
             self.channels = tuple(self.channels)
 
@@ -450,15 +407,13 @@ class _Oracle(InnovationRate):
         self._mask = np.array([self.channels is None or name in self.channels for name in ids])
 
     def added(self, epoch: Epoch) -> FloatArray:
-        """What is added to the innovations: (B, n) [m]."""
         since = epoch.time - self.onset_s
         offset = np.where(since >= 0.0, self.offset_m(np.maximum(since, 0.0)), 0.0)
-        masked: FloatArray = offset[:, None] * self._mask
-        return masked
+        return np.asarray(offset[:, None] * self._mask)
 
     @abstractmethod
     def offset_m(self, since_s: FloatArray) -> FloatArray:
-        """Offset of the attack.  `since_s` (B,) time since the onset [s]; returns (B,) [m]."""
+        """Offset of the attack (B,) [m] after a time since the onset (B,) [s]."""
 
 
 @dataclass
@@ -488,7 +443,6 @@ class OracleStep(_Oracle):
             raise ValueError(f"`size_m` must be finite, got {self.size_m}")
 
     def offset_m(self, since_s: FloatArray) -> FloatArray:
-        """Offset of the attack.  `since_s` (B,) time since the onset [s]; returns (B,) [m]."""
         return np.full_like(since_s, self.size_m)
 
 
@@ -502,10 +456,8 @@ class OracleRamp(_Oracle):
         As in `InnovationRate`; M4 weighs as M2 does.
     start_s, settled_s, max_exclusion_s, min_satellites, alarm_scale
         As in `InnovationRate`.
-    channels : tuple of str or None
-        Satellites that are attacked; None for all.
-    onset_s : float
-        Time of the run at which the attack starts [s].
+    channels, onset_s
+        As in `OracleStep`.
     rate_mps : float
         a [m/s].
     """
@@ -519,5 +471,4 @@ class OracleRamp(_Oracle):
             raise ValueError(f"`rate_mps` must be finite, got {self.rate_mps}")
 
     def offset_m(self, since_s: FloatArray) -> FloatArray:
-        """Offset of the attack.  `since_s` (B,) time since the onset [s]; returns (B,) [m]."""
         return self.rate_mps * since_s

@@ -1,6 +1,4 @@
-"""Detector from a policy file; the duel's detector agent.
-
-A detector that decides by actions: an agent of the duel, or a policy that is asked.
+"""The detector agent of the duel, which decides by actions; a policy or a file as a detector.
 
 An action has one element for the statistic (or one for every slot), and one for the weight of every
 satellite, all in [-1, 1]; both are mapped to [0, 1] by :math:`(a + 1) / 2`.  An alarm is raised
@@ -16,16 +14,15 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.memory import Memory
 from ..core.registry import check_choice, is_number, whole_number
 from ..core.settings import OMITTED
 from ..policies.card import Space, State
-from ..policies.detector_policy import DetectorPolicy, PolicyContext
+from ..policies.contract import DetectorPolicy, PolicyContext
 from ..policies.onnx_file import check_signature, file_of, read_model
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict
+from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
 from .build import ASKED, Asked, with_thresholds
 from .calibrated import Calibrated
 from .learned_card import DetectorCard, OnnxDetector, card_path
@@ -40,42 +37,31 @@ from .observation import (
 )
 from .pool import JointMemory
 
-FloatArray = NDArray[np.float64]
 STATISTICS = ("receiver", "channel")
-DELAYS = (0, 1)
 EXCLUSION_S = 30.0
 """Allowance of exclusion; without one the best answer to any attack is not to look at GNSS."""
 
 
 def action_names(statistic: str, weighs: bool, channels: int) -> tuple[str, ...]:
-    """Name of every element of a detector agent's action: (a,) names."""
+    """(a,) names of the elements of a detector agent's action."""
     first = ("statistic",) if statistic == "receiver" else slots("statistic", channels)
     return first + (slots("weight", channels) if weighs else ())
 
 
 def check_delay(decision_delay: int) -> None:
-    """Raise unless a delay is one of the two games'."""
-    if isinstance(decision_delay, bool) or decision_delay not in DELAYS:
+    if isinstance(decision_delay, bool) or decision_delay not in (0, 1):
         raise ValueError(f"`decision_delay` must be 0 or 1, got {decision_delay!r}")
-
-
-def check_exclusion(exclusion_s: float | None) -> None:
-    """Raise unless an allowance of exclusion makes sense."""
-    if exclusion_s is None:
-        return
-    if not (is_number(exclusion_s) and np.isfinite(exclusion_s) and exclusion_s >= 0.0):
-        raise ValueError(f"`exclusion_s` must be finite and >= 0, or None, got {exclusion_s!r}")
 
 
 @dataclass
 class DetectorAgent(Detector):
-    """Takes in every epoch, and lets someone else decide; by itself it is quiet, with weights 1.
+    """Observes every epoch; its decisions are actions; by itself it is quiet, with weights 1.
 
     - `statistic`: one statistic, or one for every slot;
-    - `weighs`: whether the agent weighs satellites; if not, it only watches;
-    - `exclusion_s`: allowance of exclusion in an episode: an epoch costs its interval times what
-      the weights of the visible satellites lack, on average, of 1. An epoch that would exceed it is
-      used with all weights 1. None for no limit;
+    - `weighs`: whether the agent weighs satellites;
+    - `exclusion_s`: allowance of exclusion in an episode, None for no limit: an epoch costs its
+      interval times what the weights of the visible satellites lack, on average, of 1. An epoch
+      that would exceed it is used with all weights 1;
     - `terms`: what it observes, as `make_detector_terms` takes it; None for `ALL_TERMS`, and what
       is left of the allowance.
     """
@@ -92,7 +78,9 @@ class DetectorAgent(Detector):
         check_choice("statistic", self.statistic, STATISTICS)
         if not isinstance(self.weighs, bool | np.bool_):
             raise ValueError(f"`weighs` must be True or False, got {self.weighs!r}")
-        check_exclusion(self.exclusion_s)
+        limit_s = self.exclusion_s
+        if limit_s is not None and not (is_number(limit_s) and 0.0 <= limit_s < np.inf):
+            raise ValueError(f"`exclusion_s` must be finite and >= 0, or None, got {limit_s!r}")
         if self.terms is not None:
             self.terms = make_detector_terms(self.terms)
         # these are the object's choice, not the class's
@@ -122,33 +110,27 @@ class DetectorAgent(Detector):
         self.observer.declare(self.memory)
 
     def _bound_parts(self, context: DetectorContext) -> list[Memory]:
-        """Bind what is within, and return what it remembers."""
+        """Bind the parts, and return their memories."""
         return self.observer.bind(context)
 
     def look(self, epoch: Epoch) -> None:
         self.observer.look(epoch, self.memory)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Take in an epoch of the warm-up, where nobody is asked. Returns (B, c) zeros, ones and no
-        alarm; no weights."""
+        """Observe an epoch of the warm-up, without a decision: no alarm, no weights."""
         self.look(epoch)
-        shape = (len(epoch.time), self._columns)
-        return Verdict(np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=np.bool_))
+        return compare(np.zeros((len(epoch.time), self._columns)), 1.0)
 
     def verdict(
         self,
         action: FloatArray,
         threshold: FloatArray,
-        visible: NDArray[np.bool_],
+        visible: BoolArray,
         interval: FloatArray,
     ) -> Verdict:
-        """Verdict of an action; what it excludes is taken off the allowance.
-
-        `action` (B, a) in [-1, 1]; `threshold` (B,) what the statistic is compared with; `visible`
-        (B, n) bool; the statistic of an invisible slot is 0, its weight 1; `interval` (B,) time
-        since the last epoch [s]; returns (B, c), and (B, 2n) weights, the same for pseudorange and
-        range rate of a satellite.
-        """
+        """Verdict of an action (B, a) in [-1, 1]; what it excludes is taken off the allowance.
+        `threshold` (B,); `interval` (B,) since the last epoch [s]. The statistic of an invisible
+        slot is 0, its weight 1; weights are the same for pseudorange and range rate."""
         share = np.clip(0.5 * (action + 1.0), 0.0, 1.0)
         statistic = np.ascontiguousarray(share[:, : self._columns])
         if self.statistic == "channel":
@@ -161,10 +143,8 @@ class DetectorAgent(Detector):
             weights = np.concatenate([weight, weight], axis=1)
         return Verdict(statistic, limit, statistic > limit, weights)
 
-    def _allowed(
-        self, weight: FloatArray, visible: NDArray[np.bool_], interval: FloatArray
-    ) -> FloatArray:
-        """Weights of satellites within the allowance, which they use up."""
+    def _allowed(self, weight: FloatArray, visible: BoolArray, interval: FloatArray) -> FloatArray:
+        """Weights within the allowance, which they use up."""
         lacking = (1.0 - weight).sum(axis=1) / np.maximum(visible.sum(axis=1), 1)
         used = self.memory["excluded_s"] + interval * lacking
         limit = np.inf if self.exclusion_s is None else self.exclusion_s
@@ -182,19 +162,19 @@ class PolicyDetector(DetectorAgent):
     statistic, weighs, exclusion_s
         As in `DetectorAgent`.
     policy : DetectorPolicy
-        Who decides; copied.
+        What decides; copied.
     threshold : float
         What the statistic is compared with, in (0, 1]; of a calibration of this policy.
     decision_delay : {0, 1}
         Whether an epoch is judged by a decision on itself, or by one on the epoch before.
     quiet_epochs : int, optional
-        Epochs after it is switched on in which it is not asked: statistic 0 and all weights 1, as
-        an agent of the duel is in the monitored warm-up.  By default the policy is asked at once;
-        only a pool of the duel then takes its own warm-up.
+        Epochs after it is switched on in which it does not decide: statistic 0 and all weights 1,
+        as an agent of the duel in the monitored warm-up.  By default it decides at once; only a
+        pool of the duel then takes its own warm-up.
     """
 
     described_as = "PolicyDetector"
-    policy: DetectorPolicy | None = None
+    policy: DetectorPolicy = None  # type: ignore[assignment]  # which is refused
     threshold: float = 1.0
     decision_delay: int = 0
     quiet_epochs: int | None = None
@@ -215,8 +195,8 @@ class PolicyDetector(DetectorAgent):
         return getattr(self.policy, "file", None)
 
     def identity(self) -> dict[str, Any]:
-        """What its calibration belongs to: all but the threshold."""
-        digest = self._policy().digest()
+        """Settings to which its calibration belongs: all but the threshold."""
+        digest = self.policy.digest()
         if digest is None:
             raise ValueError(
                 f"{self.policy!r} has no digest to look its calibration up by: give a "
@@ -230,7 +210,6 @@ class PolicyDetector(DetectorAgent):
 
     @property
     def quiet(self) -> int:
-        """Epochs after it is switched on in which it is not asked."""
         return self.quiet_epochs or 0
 
     def bind(self, context: DetectorContext) -> None:
@@ -239,42 +218,26 @@ class PolicyDetector(DetectorAgent):
         self.memory.declare("judged", np.zeros(context.receivers, dtype=np.int64))
 
     def _bound_parts(self, context: DetectorContext) -> list[Memory]:
-        parts, policy = super()._bound_parts(context), self._policy()
-        policy.bind(policy_context(self, context))
-        return [*parts, policy.memory]
-
-    def _policy(self) -> DetectorPolicy:
-        if self.policy is None:
-            raise TypeError("`policy` must be a DetectorPolicy, got None")
-        return self.policy
+        parts, observer = super()._bound_parts(context), self.observer
+        low, high = (tuple(side.tolist()) for side in (observer.low, observer.high))
+        sizes = context.receivers, context.epoch_interval_s
+        self.policy.bind(PolicyContext(*sizes, observer.names, low, high, self.action_names))
+        return [*parts, self.policy.memory]
 
     def judge(self, epoch: Epoch) -> Verdict:
-        policy = self._policy()
         if self.decision_delay:
-            action = policy.decide(self.memory["observation"])
-            self.look(epoch)
-        else:
-            self.look(epoch)
-            action = policy.decide(self.memory["observation"])
+            action = self.policy.decide(self.memory["observation"])
+        self.look(epoch)
+        if not self.decision_delay:
+            action = self.policy.decide(self.memory["observation"])
         quiet = self.memory["judged"] < self.quiet
         self.memory["judged"] = self.memory["judged"] + 1
         if quiet.any():
-            policy.reset(quiet)
+            self.policy.reset(quiet)
             action = np.array(action)
             action[quiet, : self._columns], action[quiet, self._columns :] = -1.0, 1.0
         threshold = np.full(len(quiet), float(self.threshold))
         return self.verdict(action, threshold, epoch.visible, epoch.interval)
-
-
-def policy_context(agent: DetectorAgent, context: DetectorContext) -> PolicyContext:
-    return PolicyContext(
-        receivers=context.receivers,
-        interval_s=context.epoch_interval_s,
-        observation_names=agent.observer.names,
-        observation_low=tuple(agent.observer.low.tolist()),
-        observation_high=tuple(agent.observer.high.tolist()),
-        action_names=agent.action_names,
-    )
 
 
 OWN = ("quiet_epochs", "sha256")
@@ -293,7 +256,7 @@ class LearnedDetector(Detector):
     sha256 : str, optional
         Digest that the file must have; by default the card's.
     quiet_epochs : int, optional
-        Epochs after it is switched on in which it is not asked; by default those of the card.
+        Epochs after it is switched on in which it does not decide; by default those of the card.
 
     Attributes
     ----------
@@ -336,7 +299,7 @@ class LearnedDetector(Detector):
         self.has_nominal = self.card.threshold is not None
 
     def identity(self) -> dict[str, Any]:
-        """What its calibration belongs to: the content of the file, and settings, not its path."""
+        """Settings to which its calibration belongs: with the content of the file, not its path."""
         return self.judge_by.identity()
 
     @property
@@ -376,9 +339,8 @@ def unscaled(spec: Any) -> LearnedDetector:
 
 
 def of_file(plain: Mapping[str, Any], asked: Asked) -> Detector:
-    """Detector of an ONNX file with the thresholds that are asked for. `plain`: its name and
-    settings. Its own threshold is 1, so that a factor on it is a threshold; the nominal one is that
-    of the card."""
+    """Detector of an ONNX file, by its name and settings, with the thresholds that are asked for.
+    Its own threshold is 1, so that a factor on it is a threshold; the nominal one is the card's."""
     made, name, own = unscaled(plain), plain["name"], plain.get("threshold")
     nominal = asked in (Asked(), Asked(thresholds="nominal"))
     if own is not None:
@@ -414,8 +376,8 @@ def detector_card(
     calibration: Mapping[str, Any] | None = None,
     training: Mapping[str, Any] | None = None,
 ) -> DetectorCard:
-    """Card of an ONNX file for what an agent observes and decides; not written yet. `state`: size
-    of each by name."""
+    """Card of an ONNX file for what an agent observes and decides, not written yet. `state`: sizes
+    by name."""
     content, where = Path(file).read_bytes(), os.fspath(file)
     card_path(file)
     observer = DetectorObserver(agent.observed, channels)
@@ -423,16 +385,13 @@ def detector_card(
     states = tuple(State(name=key, size=size) for key, size in (state or {}).items())
     check_signature(read_model(content, where), len(observer.names), len(names), where, states)
     low, high = (tuple(side.tolist()) for side in (observer.low, observer.high))
-    fields: dict[str, Any] = {
-        "statistic": agent.statistic,
-        "weighs": agent.weighs,
-        "exclusion_s": agent.exclusion_s,
-        "decision_delay": decision_delay,
-    }
+    fields: dict[str, Any] = {"statistic": agent.statistic, "decision_delay": decision_delay}
     return DetectorCard(
         name=name,
         observation=Space(names=observer.names, low=low, high=high),
         action=Space(names=names, low=(-1.0,) * len(names), high=(1.0,) * len(names)),
+        weighs=agent.weighs,
+        exclusion_s=agent.exclusion_s,
         terms=written_terms(agent.observed),
         state=states,
         quiet_epochs=quiet_epochs,

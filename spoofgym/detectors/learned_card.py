@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ..policies.card import PolicyCard, PolicyFile, Space, State, unlike_spaces
-from ..policies.contract import FloatArray
-from ..policies.detector_policy import DetectorPolicy, PolicyContext
+from ..policies.contract import DetectorPolicy, PolicyContext
 from ..policies.onnx_file import SUFFIX
 from ..policies.onnx_model import OnnxModel
+from .base import FloatArray
 from .observation import make_detector_terms
 from .zoo import path_of
 
@@ -45,9 +45,9 @@ class DetectorCard(PolicyCard):
     state : tuple of State
         What a recurrent network hands on from one epoch to the next; empty for a plain one.
     quiet_epochs : int or None
-        Epochs after it is switched on in which it is not asked, as in the monitored warm-up of the
-        duel that it was made in; 0 for one that is asked from the start on.  None on older cards:
-        the warm-up of a duel in its pools, 0 elsewhere.
+        Epochs after it is switched on in which it does not decide, as in the monitored warm-up of
+        the duel that it was made in.  None on older cards: the warm-up of a duel in its pools, 0
+        elsewhere.
     channels : int or None
         Slots of the receiver that it was made for; None on older cards.
     interval_s : float or None

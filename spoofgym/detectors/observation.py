@@ -1,8 +1,6 @@
-"""Observation terms of learned detectors.
+"""Terms of what a learned detector observes, each with names and bounds.
 
-Terms of what a learned detector observes, each with names and bounds.
-
-A term holds an `Epoch`, which has no field of truth, and what the detector remembers of earlier
+A term reads an `Epoch`, which has no field of truth, and what the detector remembers of earlier
 ones.  Every value is divided by a stated scale, and clipped to finite bounds.
 """
 
@@ -23,12 +21,13 @@ from ..core.settings import describe
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.epoch import Epoch
 from ..receiver.kalman import normalized_innovation_squared
-from .base import Detector, DetectorContext, judged
+from .base import Detector, DetectorContext, FloatArray, judged
 from .calibrated import Calibrated
+from .innovation import check_smoothing
 from .pool import PooledDetector
 
-FloatArray = NDArray[np.float64]
 Written = NDArray[np.float32]
+LOCAL_AXES, BODY_AXES = ("north", "east", "down"), ("forward", "right", "below")
 
 
 class DetectorTerm(ABC):
@@ -66,35 +65,37 @@ def slots(word: str, channels: int) -> tuple[str, ...]:
     return tuple(f"{word}_slot{s:02d}" for s in range(channels))
 
 
-def innovation_sd(epoch: Epoch) -> FloatArray:
-    """Standard deviation of every innovation, as the filter believes it.
+class _Term(DetectorTerm):
+    """A term of the package: `words` begin the names, one each or one for every slot; `limits` are
+    the least and the largest value."""
 
-    Returns (B, m) root of the diagonal of S [m], [m/s].
-    """
-    return np.sqrt(epoch.innovation_variance)
+    words: ClassVar[tuple[str, ...]]
+    limits: ClassVar[tuple[float, float]]
+    per_slot: ClassVar[bool] = True
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        if not self.per_slot:
+            return self.words
+        return tuple(name for word in self.words for name in slots(word, channels))
+
+    def bounds(self) -> tuple[float, float]:
+        return self.limits
 
 
 @dataclass(frozen=True)
-class Innovation(DetectorTerm):
+class Innovation(_Term):
     """Innovations over their standard deviations; 0 where a slot is invisible."""
 
     described_as = "Innovation"
-
-    def names(self, channels: int) -> tuple[str, ...]:
-        """``range_innovation_*`` and ``rate_innovation_*``."""
-        return slots("range_innovation", channels) + slots("rate_innovation", channels)
-
-    def bounds(self) -> tuple[float, float]:
-        """-10 and 10."""
-        return -10.0, 10.0
+    words: ClassVar[tuple[str, ...]] = ("range_innovation", "rate_innovation")
+    limits: ClassVar[tuple[float, float]] = (-10.0, 10.0)
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
-        """Write z over its standard deviation."""
-        np.divide(epoch.innovation, innovation_sd(epoch), out=out, casting="unsafe")
+        np.divide(epoch.innovation, np.sqrt(epoch.innovation_variance), out=out, casting="unsafe")
 
 
 @dataclass(frozen=True)
-class AverageInnovation(DetectorTerm):
+class AverageInnovation(_Term):
     r"""Exponentially weighted average of the same, over its standard deviation if it were white.
 
     .. math:: \Lambda_k = \lambda z_k / \sigma_k + (1 - \lambda) \Lambda_{k-1}, \qquad
@@ -111,27 +112,19 @@ class AverageInnovation(DetectorTerm):
     """
 
     described_as = "AverageInnovation"
+    words: ClassVar[tuple[str, ...]] = ("range_average", "rate_average")
+    limits: ClassVar[tuple[float, float]] = (-30.0, 30.0)
     smoothing: float = 0.1
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.smoothing <= 1.0:
-            raise ValueError(f"`smoothing` must be in (0, 1], got {self.smoothing}")
-
-    def names(self, channels: int) -> tuple[str, ...]:
-        """``range_average_*`` and ``rate_average_*``."""
-        return slots("range_average", channels) + slots("rate_average", channels)
-
-    def bounds(self) -> tuple[float, float]:
-        """-30 and 30."""
-        return -30.0, 30.0
+        check_smoothing(self.smoothing)
 
     def declare(self, memory: Memory, channels: int) -> None:
-        """The averages, 0 at first."""
         memory.declare("average", np.zeros((memory.receivers, 2 * channels)))
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         present = np.concatenate([epoch.visible, epoch.visible], axis=1)
-        value = epoch.innovation / innovation_sd(epoch)
+        value = epoch.innovation / np.sqrt(epoch.innovation_variance)
         before = memory["average"]
         after = np.where(present, before + self.smoothing * (value - before), 0.0)
         memory["average"] = after
@@ -141,7 +134,7 @@ class AverageInnovation(DetectorTerm):
 
 
 @dataclass(frozen=True)
-class InnovationSd(DetectorTerm):
+class InnovationSd(_Term):
     """Standard deviations of the innovations.
 
     Parameters
@@ -151,41 +144,28 @@ class InnovationSd(DetectorTerm):
     """
 
     described_as = "InnovationSd"
+    words: ClassVar[tuple[str, ...]] = ("range_sd", "rate_sd")
+    limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
     range_scale_m: float = 10.0
     rate_scale_mps: float = 1.0
 
-    def names(self, channels: int) -> tuple[str, ...]:
-        """``range_sd_*`` and ``rate_sd_*``."""
-        return slots("range_sd", channels) + slots("rate_sd", channels)
-
-    def bounds(self) -> tuple[float, float]:
-        """0 and 10."""
-        return 0.0, 10.0
-
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
-        """Write them; 0 where a slot is invisible."""
-        n, sd = epoch.visible.shape[1], innovation_sd(epoch)
+        n, sd = epoch.visible.shape[1], np.sqrt(epoch.innovation_variance)
         out[:, :n] = epoch.visible * sd[:, :n] * (1.0 / self.range_scale_m)
         out[:, n:] = epoch.visible * sd[:, n:] * (1.0 / self.rate_scale_mps)
 
 
 @dataclass(frozen=True)
-class ChiSquare(DetectorTerm):
+class ChiSquare(_Term):
     """Normalized innovations squared, of both kinds together, over the degrees of freedom."""
 
     described_as = "ChiSquare"
+    words: ClassVar[tuple[str, ...]] = ("chi_square_ratio",)
+    limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
+    per_slot: ClassVar[bool] = False
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
-    def names(self, channels: int) -> tuple[str, ...]:
-        """``chi_square_ratio``."""
-        return ("chi_square_ratio",)
-
-    def bounds(self) -> tuple[float, float]:
-        """0 and 10."""
-        return 0.0, 10.0
-
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
-        """Write the ratio; 1 is what the filter expects."""
         m = epoch.innovation.shape[1]
         belief = cast(FloatArray, epoch.innovation_cov)
         statistic = normalized_innovation_squared(epoch.innovation, belief, 0, m)
@@ -195,26 +175,19 @@ class ChiSquare(DetectorTerm):
 
 
 @dataclass(frozen=True)
-class InView(DetectorTerm):
+class InView(_Term):
     """Whether a slot has a visible satellite."""
 
     described_as = "InView"
-
-    def names(self, channels: int) -> tuple[str, ...]:
-        """``visible_*``."""
-        return slots("visible", channels)
-
-    def bounds(self) -> tuple[float, float]:
-        """0 and 1."""
-        return 0.0, 1.0
+    words: ClassVar[tuple[str, ...]] = ("visible",)
+    limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
-        """Write 1 or 0."""
         out[:] = epoch.visible
 
 
 @dataclass(frozen=True)
-class PredictedMotion(DetectorTerm):
+class PredictedMotion(_Term):
     """Velocity that the filter predicts, in local axes, and what the inertial sensors measure.
 
     Parameters
@@ -224,28 +197,20 @@ class PredictedMotion(DetectorTerm):
     """
 
     described_as = "PredictedMotion"
+    words: ClassVar[tuple[str, ...]] = (
+        *(f"predicted_velocity_{axis}" for axis in LOCAL_AXES),
+        *(f"specific_force_{axis}" for axis in BODY_AXES),
+        *(f"angular_rate_{axis}" for axis in BODY_AXES),
+    )
+    limits: ClassVar[tuple[float, float]] = (-10.0, 10.0)
+    per_slot: ClassVar[bool] = False
     velocity_scale_mps: float = 100.0
     force_scale_mps2: float = 10.0
     rate_scale_rps: float = 0.1
 
     needs: ClassVar[frozenset[str]] = frozenset({"imu_delta"})
 
-    def names(self, channels: int) -> tuple[str, ...]:
-        """``predicted_velocity_*``, ``specific_force_*`` and ``angular_rate_*``."""
-        local = tuple(f"predicted_velocity_{a}" for a in ("north", "east", "down"))
-        body = ("forward", "right", "below")
-        return (
-            *local,
-            *(f"specific_force_{a}" for a in body),
-            *(f"angular_rate_{a}" for a in body),
-        )
-
-    def bounds(self) -> tuple[float, float]:
-        """-10 and 10."""
-        return -10.0, 10.0
-
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
-        """Write velocity, mean specific force and mean angular rate of the interval."""
         latitude, longitude, _ = ecef_to_geodetic(epoch.predicted_position)
         C_en = dcm_e_from_n(latitude, longitude)
         velocity_n = (epoch.predicted_velocity[:, :, None] * C_en).sum(axis=1)
@@ -256,7 +221,7 @@ class PredictedMotion(DetectorTerm):
 
 
 @dataclass(frozen=True)
-class Elapsed(DetectorTerm):
+class Elapsed(_Term):
     """Time since the detector was switched on, in the last part of the warm-up.
 
     Parameters
@@ -266,15 +231,10 @@ class Elapsed(DetectorTerm):
     """
 
     described_as = "Elapsed"
+    words: ClassVar[tuple[str, ...]] = ("elapsed",)
+    limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
+    per_slot: ClassVar[bool] = False
     scale_s: float = 600.0
-
-    def names(self, channels: int) -> tuple[str, ...]:
-        """``elapsed``."""
-        return ("elapsed",)
-
-    def bounds(self) -> tuple[float, float]:
-        """0 and 10."""
-        return 0.0, 10.0
 
     def declare(self, memory: Memory, channels: int) -> None:
         memory.declare("elapsed", np.zeros(memory.receivers))
@@ -285,7 +245,7 @@ class Elapsed(DetectorTerm):
 
 
 @dataclass(frozen=True)
-class ExclusionLeft(DetectorTerm):
+class ExclusionLeft(_Term):
     """Part of the allowance of exclusion that is left.
 
     Parameters
@@ -295,15 +255,10 @@ class ExclusionLeft(DetectorTerm):
     """
 
     described_as = "ExclusionLeft"
+    words: ClassVar[tuple[str, ...]] = ("exclusion_left",)
+    limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
+    per_slot: ClassVar[bool] = False
     exclusion_s: float | None = None
-
-    def names(self, channels: int) -> tuple[str, ...]:
-        """``exclusion_left``."""
-        return ("exclusion_left",)
-
-    def bounds(self) -> tuple[float, float]:
-        """0 and 1."""
-        return 0.0, 1.0
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         out[:, 0] = 1.0
@@ -312,23 +267,16 @@ class ExclusionLeft(DetectorTerm):
 
 
 @dataclass(frozen=True)
-class LineOfSight(DetectorTerm):
+class LineOfSight(_Term):
     """Unit vectors from the predicted position to the satellites, in local axes.
 
     0 where a slot is invisible.
     """
 
     described_as = "LineOfSight"
+    words: ClassVar[tuple[str, ...]] = tuple(f"sight_{axis}" for axis in LOCAL_AXES)
+    limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
     needs: ClassVar[frozenset[str]] = frozenset({"satellite_position"})
-
-    def names(self, channels: int) -> tuple[str, ...]:
-        """``sight_north_*``, ``sight_east_*`` and ``sight_down_*``."""
-        axes = ("north", "east", "down")
-        return tuple(name for axis in axes for name in slots(f"sight_{axis}", channels))
-
-    def bounds(self) -> tuple[float, float]:
-        """-1 and 1."""
-        return -1.0, 1.0
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         place = cast(FloatArray, epoch.satellite_position)
@@ -394,12 +342,10 @@ class Classic(DetectorTerm):
             object.__setattr__(self, "label", kinds[type(made)].replace("-", "_"))
 
     def names(self, channels: int) -> tuple[str, ...]:
-        """``classic_`` and the name of the detector."""
         word = f"classic_{self.label}"
         return slots(word, channels) if self._judge.scope == "channel" else (word,)
 
     def bounds(self) -> tuple[float, float]:
-        """-5 and 5."""
         return -LARGEST, LARGEST
 
     def bound(self, context: DetectorContext) -> Self:
@@ -409,7 +355,6 @@ class Classic(DetectorTerm):
 
     @property
     def memory(self) -> Memory:
-        """What its detector remembers."""
         return self._judge.memory
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
@@ -533,13 +478,13 @@ class DetectorObserver:
         self._channels = channels
 
     def bind(self, context: DetectorContext) -> list[Memory]:
-        """Bind the terms to a batch.  Returns what some of them remember by themselves."""
+        """Bind the terms to a batch; returns what some of them remember by themselves."""
         self._parts = [(term.bound(context), part) for term, part in self._parts]
         own = [getattr(term, "memory", None) for term, _ in self._parts]
         return [memory for memory in own if memory is not None]
 
     def declare(self, memory: Memory) -> None:
-        """Declare what the terms remember, and the observation itself, 0 before the first epoch."""
+        """Declare the memory of the terms, and the observation, 0 before the first epoch."""
         memory.declare("observation", np.zeros((memory.receivers, len(self.names)), np.float32))
         for term, _ in self._parts:
             term.declare(memory, self._channels)

@@ -12,16 +12,24 @@ from numpy.typing import NDArray
 
 from ..core.memory import Memory
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict, check_needs, judged
+from .base import (
+    BoolArray,
+    Detector,
+    DetectorContext,
+    FloatArray,
+    IntArray,
+    Verdict,
+    check_needs,
+    judged,
+)
 
-FloatArray = NDArray[np.float64]
 NATURE, OPPONENT = 1, 2
 """What is drawn for an episode: whether it is attacked, and by which opponent."""
 
 
 def uniforms(keys: NDArray[np.uint64], purpose: int) -> FloatArray:
-    """Draw one number for every episode, which depends on its key and on the purpose alone. `keys`
-    (b, 2) keys of the episodes, of the source "domain"; returns (b,) uniform in [0, 1)."""
+    """(b,) numbers, uniform in [0, 1), that depend on the purpose and on the keys (b, 2) of the
+    episodes, of the source "domain", alone."""
     words = [
         np.random.SeedSequence([int(k0), int(k1), purpose]).generate_state(1, np.uint64)[0]
         for k0, k1 in keys
@@ -31,8 +39,7 @@ def uniforms(keys: NDArray[np.uint64], purpose: int) -> FloatArray:
 
 
 def checked_weights(members: int, weights: Sequence[float] | None) -> FloatArray:
-    """Probability of every opponent. `weights`: not negative; all alike by default; returns (K,)
-    sums to 1."""
+    """(K,) probabilities of the opponents; all alike by default."""
     if members < 1:
         raise ValueError("`pool` must have at least one opponent, got none")
     try:
@@ -49,9 +56,8 @@ def checked_weights(members: int, weights: Sequence[float] | None) -> FloatArray
     return chances
 
 
-def drawn(keys: NDArray[np.uint64], weights: FloatArray) -> NDArray[np.int64]:
-    """Opponent of every episode. `keys` (b, 2) keys of the episodes; `weights` (K,) of
-    `checked_weights`; returns (b,) index into the pool."""
+def drawn(keys: NDArray[np.uint64], weights: FloatArray) -> IntArray:
+    """(b,) indices into a pool by the keys (b, 2) of episodes, and weights (K,)."""
     found = np.searchsorted(np.cumsum(weights), uniforms(keys, OPPONENT), side="right")
     # rounding of the sum must not lead beyond the last one that can be drawn
     return np.array(np.minimum(found, np.flatnonzero(weights)[-1]), dtype=np.int64)
@@ -64,14 +70,12 @@ class JointMemory(Memory):
         super().__init__(receivers)
         self.parts = tuple(parts)
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+    def reset(self, mask: BoolArray | None = None) -> None:
         super().reset(mask)
         for part in self.parts:
             part.reset(mask)
 
     def copy_rows(self, to: NDArray[np.intp], other: Memory, rows: NDArray[np.intp]) -> None:
-        """Take over rows of another memory of the same names and parts. `to`: rows of this memory
-        that are overwritten."""
         super().copy_rows(to, other, rows)
         theirs: Any = other
         for mine, part in zip(self.parts, theirs.parts, strict=True):
@@ -101,9 +105,8 @@ class PooledDetector(Detector):
     """A hidden pool: one of its detectors, drawn for every episode, judges it from start to end.
 
     The draw depends on the key of the episode alone, so that paired runs have the same opponent.
-    Every detector that has a receiver at present judges the epoch of all receivers in one call, and
-    each receiver takes the verdict of its own.  Where tests of channels and of whole receivers meet
-    in one pool, the statistic is the largest ratio of statistic and threshold of a receiver.
+    Where tests of channels and of whole receivers meet in one pool, the statistic is the largest
+    ratio of statistic and threshold of a receiver.
 
     Parameters
     ----------
@@ -166,13 +169,11 @@ class PooledDetector(Detector):
         self.memory.declare("opponent", np.zeros(context.receivers, dtype=np.int64))
 
     def draw(self, keys: NDArray[np.uint64]) -> None:
-        """Draw the opponent of every receiver for a new episode. `keys` (B, 2) keys of the
-        episodes."""
+        """Draw the opponent of every receiver for new episodes, by their keys (B, 2)."""
         self.memory["opponent"] = drawn(keys, self._chances)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Let every receiver be judged by its own detector. Returns (B, c), and weights where any
-        detector of the pool gives some."""
+        """Verdicts (B, c) of each receiver's own detector, and weights where any gives some."""
         merged: Verdict | None = None
         opponent = self.memory["opponent"]
         for k in np.unique(opponent):

@@ -1,6 +1,4 @@
-r"""Bank of coasting solutions; its kernels are in `_solution_separation_kernels`.
-
-Solution separation: the filter's solution against those that have taken no GNSS for a while.
+r"""Solution separation: the filter's solution against those that have taken no GNSS for a while.
 
 A coasting solution starts as a copy of the filter at an epoch :math:`k_0`, and follows the inertial
 sensors alone from then on.  By how much the filter has moved away from it needs no second filter,
@@ -9,39 +7,39 @@ sensors alone from then on.  By how much the filter has moved away from it needs
     s_k = \Phi_k s_{k-1} - K_k z_k, \qquad
     V_k = \Phi_k V_{k-1} \Phi_k^T + K_k S_k K_k^T, \qquad s_{k_0} = 0, \; V_{k_0} = 0,
 
-and the statistic is the largest, over a bank of such solutions, of the horizontal
+and the statistic is the largest, over a bank of J such solutions, of the horizontal
 
 .. math:: q = s_h^T V_h^{-1} s_h \sim \chi^2(2)
 
-against the quantile of :math:`\alpha / J`.  A solution that coasts since before an attack began
+against the quantile T of :math:`\alpha / J`.  A solution that coasts since before an attack began
 knows nothing of it.  So **whatever the attack is**, it shifts :math:`s_h` by just the horizontal
 error that it has induced.  While there is no alarm,
 
 .. math:: \lVert s_h \rVert \le \sqrt{T \, \lambda_{\max}(V_h)},
 
-which is known before any attack (`bound_m`).  The clean part of :math:`s_h` has mean zero, so that
-this bounds the mean displacement by an attack that stays below the threshold for certain, and that
-of one run but for the clean part, whose covariance is :math:`V_h`.
+which is known before any attack (`bound_m`).  The clean part of :math:`s_h` has mean zero and
+covariance :math:`V_h`, so that this bounds the mean displacement by an attack that stays below the
+threshold for certain, and that of one run but for the clean part.
 
-The bank has :math:`J` solutions.  One of them restarts every D epochs, so that there is always one
-of each age from D to J D epochs, in steps of D: for an attack of any length up to
-:math:`(J - 1) D` one that is older by at most D.  The claim is made for attacks no longer than
-`covers_s` that began after the detector, and for no other.
+One solution restarts every D epochs, so that there is always one of each age from D to J D epochs,
+in steps of D: for an attack of any length up to :math:`(J - 1) D` one that is older by at most D.
+The claim is made for attacks no longer than `covers_s` that began after the detector, and for no
+other.
 
 Symbols: z innovation, S its covariance, K gain, :math:`\Phi` transition of the error states,
 :math:`s_h` north and east part at the predicted position, :math:`\alpha` false-alarm probability of
-one epoch, T threshold, :math:`\lambda_{\max}` largest eigenvalue.
+one epoch, :math:`\lambda_{\max}` largest eigenvalue.
 
 Assumptions: the filter is linear in its errors, and its gain that of its own belief,
 :math:`K = P H^T S^{-1}`; below the receiver's fewest satellites it coasts.  No other detector takes
 weight off measurements, or the filter moves less than is reckoned here.  The distribution, not the
 shift, needs white innovations of covariance S, and then :math:`V = P_{\mathrm{coast}} - P`.  A
 receiver that is tuned ``augmented`` has them in its own world; others need a calibration, and with
-its factor on T the bound changes, too.
-
-All this is to first order.  An attack that turns the filter's heading by degrees, as one of 35 m in
-a minute does in a straight flight, shifts :math:`s_h` by up to a quarter less than its error; one
-of some metres, which is what the threshold allows there, by 1 or 2 % less.
+its factor on T the bound changes, too.  All this is to first order: an attack that turns the
+filter's heading by degrees, as one of 35 m in a minute does in a straight flight, shifts
+:math:`s_h` by up to a quarter less than its error; one of some metres, which is what the threshold
+allows there, by 1 or 2 % less.  Where the filter has learnt since what a solution could not know,
+such as the heading in the first turn of a flight, :math:`V_h` is large and the bound loose.
 
 Differences to `tanil2018`, after which it is: there the innovations themselves are summed up, and
 the risk is that of the worst attack on this sum.  The separation is a linear combination of the
@@ -49,11 +47,6 @@ same innovations, which are independent of the filter's present error (`joerger2
 bounds any attack follows from the recursion.  Bank and schedule are ours.  States for the errors of
 signals, which move no other state, are left out of s and V.  A solution is not judged while
 :math:`V_h` is nearly singular.
-
-Where the filter has learnt since what a solution could not know, such as the heading in the first
-turn of a flight, :math:`V_h` is large and the bound loose.
-
-Source: `tanil2018`; `joerger2013`.
 """
 
 from __future__ import annotations
@@ -63,19 +56,14 @@ from dataclasses import dataclass
 from typing import ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from ..receiver.augmented import FIRST
 from ..receiver.epoch import Epoch
 from ._solution_separation_kernels import advance_bank, judge_bank, whiten_bank
-from .base import Detector, DetectorContext, Verdict
+from .base import Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import check_length, check_probability, epochs_of
 
-__all__ = ["SolutionSeparation"]
-
-
-FloatArray = NDArray[np.float64]
 MOST = 100
 """Solutions in a bank, but for one."""
 
@@ -126,13 +114,14 @@ class SolutionSeparation(Detector):
         bank = math.ceil(longest / self._spacing) + 1
         self.memory_epochs = bank * self._spacing
         self._threshold = float(special.chdtri(2.0, self.false_alarm / bank))
-        self.memory.declare("epochs", np.zeros(b, dtype=np.int64))
-        self.memory.declare("separation", np.zeros((b, kept, bank)))
-        self.memory.declare("covariance", np.zeros((b, kept, kept, bank)))
-        self.memory.declare("largest_sd", np.full((b, bank), np.inf))
+        self._declare(
+            epochs=np.zeros(b, dtype=np.int64),
+            separation=np.zeros((b, kept, bank)),
+            covariance=np.zeros((b, kept, kept, bank)),
+            largest_sd=np.full((b, bank), np.inf),
+        )
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
         memory = self.memory
         rows = self._everyone if self.judged_rows is None else self.judged_rows
         advance_bank(
@@ -150,44 +139,22 @@ class SolutionSeparation(Detector):
             memory["covariance"],
         )
         statistic = np.zeros((len(epoch.time), 1))
-        judge_bank(
-            rows,
-            memory["separation"],
-            memory["covariance"],
-            memory["epochs"],
-            self._spacing,
-            epoch.predicted_position,
-            memory["largest_sd"],
-            statistic[:, 0],
-        )
-        threshold = np.full(statistic.shape, self._threshold)
-        return Verdict(statistic, threshold, statistic > threshold)
+        place, largest_sd = epoch.predicted_position, memory["largest_sd"]
+        judge_bank(rows, *self._bank, place, largest_sd, statistic[:, 0])
+        return compare(statistic, self._threshold)
+
+    @property
+    def _bank(self) -> tuple[FloatArray, FloatArray, IntArray, int]:
+        """Separations and covariances, epochs so far, and the spacing."""
+        memory = self.memory
+        return memory["separation"], memory["covariance"], memory["epochs"], self._spacing
 
     def whitened(self, position_e: FloatArray) -> FloatArray:
-        r"""Separations that are judged, with the covariance of the identity.
-
-        They are linear in the innovations, and the statistic is the largest of their squares.
-
-        Parameters
-        ----------
-        position_e : ndarray
-            (B, 3) positions whose horizontal plane counts, ECEF [m].
-
-        Returns
-        -------
-        ndarray
-            (B, J, 2) of the last epoch; 0 where a solution is not judged.
-        """
-        memory = self.memory
-        found = np.empty((*memory["largest_sd"].shape, 2))
-        whiten_bank(
-            memory["separation"],
-            memory["covariance"],
-            memory["epochs"],
-            self._spacing,
-            position_e,
-            found,
-        )
+        """(B, J, 2) separations of the last epoch with the covariance of the identity, 0 where a
+        solution is not judged, in the horizontal planes of positions (B, 3), ECEF [m]. They are
+        linear in the innovations, and the statistic is the largest of their squares."""
+        found = np.empty((*self.memory["largest_sd"].shape, 2))
+        whiten_bank(*self._bank, position_e, found)
         return found
 
     @property

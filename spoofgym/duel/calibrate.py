@@ -14,10 +14,10 @@ from ..core.registry import is_number, whole_number
 from ..core.settings import describe, digest_of
 from ..detectors.calibration_file import fewest_runs
 from ..detectors.learned import DetectorAgent, PolicyDetector
-from ..policies.detector_policy import DetectorPolicy, as_policy
+from ..policies.contract import DetectorPolicy, as_policy
 from ..simulation.setup import Setup
 from .calibration import Calibration, quantile_of
-from .rules import make_duel
+from .duel import make_duel
 
 
 def calibrate(

@@ -1,41 +1,57 @@
-"""The duel of B receivers: spoofer and detector agent, by the engine's two halves."""
+"""The duel of B receivers: spoofer and detector agent, by the engine's two halves; its world."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import is_number
+from ..core.registry import check_keywords, is_number
 from ..detectors.base import checked
 from ..detectors.learned import EXCLUSION_S, DetectorAgent, check_delay
 from ..detectors.pool import NATURE, uniforms
 from ..envs import _kernels
 from ..envs.core import NOTHING_SEEN, SpoofCore
-from ..envs.decisions import Decisions
 from ..envs.factory import make_setup
-from ..envs.scoring import DisplacementScore, FusedStep
-from ..envs.step_result import StepResult
-from ..envs.terms.base import Snapshot
-from ..envs.terms.registry import ActionSpec
-from ..simulation.simulator import Simulator
+from ..envs.scoring import DisplacementScore, FusedStep, StepResult
+from ..envs.terms import ActionSpec
+from ..envs.terms.action import Decisions
+from ..envs.terms.observation import Snapshot
+from ..simulation.monitors import Monitor
+from ..simulation.simulator import FloatArray, Simulator
 from ..simulation.tight import TightlyCoupledSetup
+from ..tasks import task_of
 from .calibration import Calibration
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
-from .world import with_world
 
-FloatArray = NDArray[np.float64]
+GAME = "T3"
+"""Task in whose world a duel is played by default: the best detector that is known there still
+concedes part of the alert limit (docs/game.md)."""
+OPPONENT, ELSEWHERE = "solution-separation", "ewma"
+"""Detector that a spoofer meets by default there, the best of `GAME`, and in any other scenario."""
+
+
+def own_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings without a scenario of None, which is as if it were not there."""
+    return {k: x for k, x in settings.items() if k != "scenario" or x is not None}
+
+
+def default_opponent(settings: Mapping[str, Any]) -> str:
+    return ELSEWHERE if "scenario" in own_settings(settings) else OPPONENT
+
+
+def with_world(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with the world of `GAME` below them, unless they have a scenario of their own."""
+    own = own_settings(settings)
+    return own if "scenario" in own else {**task_of(GAME).world_kwargs, **own}
 
 
 class DuelStep(NamedTuple):
-    """What an epoch returns.
-
-    - `spoofer_reward`, `detector_reward` (B,) float64;
-    - `terminated` (B,) bool, the same for both;
-    - `info`: arrays with a leading axis of receivers; not for the detector.
-    """
+    """What an epoch returns: rewards (B,); `terminated` (B,), the same for both; information by
+    key, which is not for the detector."""
 
     spoofer_reward: FloatArray
     detector_reward: FloatArray
@@ -104,12 +120,10 @@ class Duel:
 
     @property
     def agent(self) -> DetectorAgent:
-        """The detector agent, which remembers what it has observed."""
         return cast("DetectorAgent", self.core.engine.simulator.detector)
 
     @property
     def epochs(self) -> int:
-        """Epochs of an episode without an alarm."""
         return self.setup.steps + self.setup.hold
 
     @property
@@ -120,8 +134,7 @@ class Duel:
     @property
     def deciding(self) -> NDArray[np.bool_]:
         """(B,) bool, whose spoofer decides before the coming epoch."""
-        now: NDArray[np.bool_] = self._decisions.due(self.score.step_count)
-        return now
+        return np.asarray(self._decisions.due(self.score.step_count))
 
     def reset(
         self,
@@ -212,23 +225,16 @@ class Duel:
         return DuelStep(won, paid, terminated, info)
 
     def snapshot(self) -> Snapshot:
-        """The episodes now, as `SpoofCore.snapshot`."""
         return self.core.snapshot()._replace(step=self.score.step_count)
-
-    def observe_spoofer(self) -> NDArray[np.float32]:
-        """What the spoofer observes, (B, o), a new array."""
-        return self.core.observer.observe(self.snapshot())
 
     def observe_detector(self) -> NDArray[np.float32]:
         """What the detector observes of the last epoch that has arrived, (B, o), a new array."""
         return self.agent.memory["observation"].copy()
 
     def time_s(self) -> FloatArray:
-        """Time of the present epoch, (B,) [s]."""
         return self.core.engine.simulator.time_s()
 
     def close(self) -> None:
-        """End the threads."""
         self.core.close()
 
 
@@ -242,3 +248,42 @@ def duel_setup(
     """What all receivers of a duel share; `settings` of `TightlyCoupledSetup` and `with_world`."""
     agent = DetectorAgent(statistic, weighs, exclusion_s)
     return make_setup(TightlyCoupledSetup, {**with_world(settings), "detector": agent})
+
+
+def _parameters(subject: Any, *without: str) -> dict[str, inspect.Parameter]:
+    return {k: p for k, p in inspect.signature(subject).parameters.items() if k not in without}
+
+
+_OF_SETUP = {**_parameters(TightlyCoupledSetup, "detector"), **_parameters(duel_setup, "settings")}
+_OF_DUEL = _parameters(Duel, "receivers", "setup", "threads")
+SETTINGS = (*_OF_SETUP, *_OF_DUEL)
+
+
+def duel_signature() -> inspect.Signature:
+    """Arguments of a PettingZoo form: all settings, but for the delay that is its own."""
+    default = with_world({})
+    settings = [
+        parameter.replace(default=default.get(name, parameter.default))
+        for name, parameter in {**_OF_SETUP, **_OF_DUEL}.items()
+        if name != "decision_delay"
+    ]
+    nothing = inspect.Parameter("render_mode", inspect.Parameter.KEYWORD_ONLY, default=None)
+    return inspect.Signature([*settings, nothing])
+
+
+def refuse_to_draw(whose: str, render_mode: object) -> None:
+    if render_mode is not None:
+        raise ValueError(
+            f"`render_mode` must be None, there is nothing to render in {whose}: of the duel only "
+            f"SpooferView draws its episodes; got {render_mode!r}"
+        )
+
+
+def make_duel(
+    receivers: int, *, threads: int | None = None, monitors: Sequence[Monitor] = (), **settings: Any
+) -> Duel:
+    """Duel from settings that fit into JSON; `monitors` look at its epochs besides."""
+    check_keywords("the duel", settings, SETTINGS)
+    shared = {name: settings.pop(name) for name in _OF_SETUP if name in settings}
+    setup: Any = duel_setup(**shared).altered(monitors=monitors)
+    return Duel(receivers, setup, threads=threads, **settings)

@@ -17,10 +17,8 @@ from ..envs.spoofer_binding import ENV_ID, SETUPS
 from ..simulation.setup import Setup
 from ..simulation.tight import TightlyCoupledSetup
 from ..tasks import DETECTOR_TASKS, detector_task_of, task_of
-from .detector_core import DetectorCore
-from .rules import SETTINGS
-from .spoofer_view import SpooferSide, SpooferView, check_settings
-from .world import default_opponent, given, with_world
+from .duel import SETTINGS, default_opponent, own_settings, with_world
+from .views import DetectorCore, SpooferSide, SpooferView, check_settings
 
 SPOOFER, DETECTOR = "spoofer", "detector"
 VIEWS, RAMP = ("SpooferView", "DetectorView"), "ramp"
@@ -65,7 +63,7 @@ class LearnersSide(NamedTuple):
         if pool is None and side == DETECTOR:
             pool = RAMP
         elif pool is None and view == "SpooferView":
-            pool = default_opponent({**merged, **given(settings)})
+            pool = default_opponent({**merged, **own_settings(settings)})
         _check_opponents(name, side, setup, pool, weights, settings.get("detector"))
         if pool is None:
             return cls(name, side, setup, pool, weights, {**merged, **settings})
@@ -74,13 +72,12 @@ class LearnersSide(NamedTuple):
             merged = {name: x for name, x in merged.items() if name not in SPOOFERS_OWN}
         if env_id is not None and view not in VIEWS:
             merged.setdefault("scenario", SCENARIO)
-        all_ = with_world({**merged, **given(settings)})
+        all_ = with_world({**merged, **own_settings(settings)})
         return cls(name, side, setup, pool, weights, all_)
 
     def core(
         self, num_envs: int, threads: int | None, prefetch: bool, whose: str
     ) -> SpoofCore | DetectorCore:
-        """Receivers, not begun yet."""
         if self.side == DETECTOR:
             return DetectorCore(num_envs, self.pool, self.weights, threads=threads, **self.settings)
         further: dict[str, Any] = {"threads": threads, "prefetch": prefetch}
@@ -91,7 +88,6 @@ class LearnersSide(NamedTuple):
 
     @property
     def card_id(self) -> str:
-        """Environment of a spoofer's card: that of the victim."""
         return next(name for name, setup in SETUPS.items() if setup is self.setup)
 
     def card_kwargs(self) -> dict[str, Any]:
@@ -108,7 +104,6 @@ class LearnersSide(NamedTuple):
 
 
 def _task_id(key: str, side: str) -> str:
-    """Id of a task of either kind; one for detectors has no spoofer's side."""
     if key not in DETECTOR_TASKS:
         return task_of(key).env_id
     if side != DETECTOR:
@@ -131,7 +126,6 @@ def _registered(env_id: str) -> tuple[type[Setup], str, dict[str, Any]]:
 def _check_opponents(
     env_id: str, side: str, setup: type[Setup], pool: Any, weights: Any, detector: Any
 ) -> None:
-    """Raise where opponents contradict each other, or the victim has no duel."""
     if side == DETECTOR and detector is not None:
         raise ValueError("the detector is the learner: `detector` can't be given as well")
     if weights is not None and pool is None:

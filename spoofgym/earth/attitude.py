@@ -1,4 +1,4 @@
-"""Attitude: direction cosine matrices, Euler angles, cross-product matrices."""
+"""Attitude: direction cosine matrices and Euler angles."""
 
 from __future__ import annotations
 
@@ -6,19 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def skew(vector: ArrayLike) -> NDArray[np.float64]:
-    """Cross-product matrix: ``skew(a) @ b == cross(a, b)``. `vector` (..., 3); returns (..., 3, 3),
-    antisymmetric."""
-    x, y, z = np.moveaxis(np.asarray(vector, dtype=np.float64), -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
 def euler_to_dcm(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> NDArray[np.float64]:
-    """Direction cosine matrix `C_nb`, to local from body axes, from Euler angles. `roll`, `pitch`,
-    `yaw`: angles [rad], any shape S; yaw first, then pitch, then roll; returns (S, 3, 3). Transpose
-    of Groves (2013), eq. 2.22."""
+    """`C_nb` (S, 3, 3), to local from body axes: yaw first, then pitch, then roll [rad], any shape
+    S. Transpose of Groves (2013), eq. 2.22."""
     roll, pitch, yaw = np.broadcast_arrays(roll, pitch, yaw)
     sr, cr = np.sin(roll), np.cos(roll)
     sp, cp = np.sin(pitch), np.cos(pitch)
@@ -34,9 +24,8 @@ def euler_to_dcm(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> NDArray[n
 def dcm_to_euler(
     C_nb: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Euler angles from the direction cosine matrix `C_nb`. `C_nb` (..., 3, 3), to local from body
-    axes; returns `roll`, `pitch`, `yaw`: angles [rad]; roll and yaw in (-pi, pi], pitch in [-pi/2,
-    pi/2]. Groves (2013), eq. 2.23."""
+    """Roll, pitch and yaw [rad] of `C_nb` (..., 3, 3), to local from body axes; roll and yaw in
+    (-pi, pi], pitch in [-pi/2, pi/2]. Groves (2013), eq. 2.23."""
     C = np.asarray(C_nb, dtype=np.float64)
     roll = np.arctan2(C[..., 2, 1], C[..., 2, 2])
     pitch = -np.arcsin(np.clip(C[..., 2, 0], -1.0, 1.0))

@@ -1,13 +1,7 @@
-"""Ellipsoid, gravity, ECEF and NED frames, line of sight.
+"""The WGS-84 ellipsoid, its gravity, ECEF (e) and north-east-down (n) frames, line of sight.
 
-The WGS-84 ellipsoid: constants, radii of curvature, gravity.
-
-The values are those of Groves, "Principles of GNSS, Inertial, and Multisensor Integrated
-Navigation Systems", 2nd edition, section 2.4 (`groves2013` in references.bib).
-
-Frames: geodetic coordinates, ECEF (e) and the local north-east-down frame (n).
-
-All functions broadcast over leading axes; angles are in radians.
+Values and equations are those of Groves (2013), `groves2013` in references.bib.  NumPy functions
+broadcast over leading axes; angles are in radians.
 """
 
 from __future__ import annotations
@@ -21,23 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.compile import inlined
 from ..core.simd import select, sqrt
 
-SPEED_OF_LIGHT = 299792458.0
-"""Speed of light [m/s]."""
-EARTH_RATE = 7.292115e-5
-"""Rotation rate of the Earth [rad/s]."""
-EQUATORIAL_RADIUS = 6378137.0
-"""Equatorial radius R_0 [m]."""
-ECCENTRICITY = 0.0818191908425
-"""Eccentricity e of the ellipsoid."""
+SPEED_OF_LIGHT = 299792458.0  # speed of light [m/s]
+EARTH_RATE = 7.292115e-5  # rotation rate of the Earth [rad/s]
+EQUATORIAL_RADIUS = 6378137.0  # equatorial radius R_0 [m]
+ECCENTRICITY = 0.0818191908425  # eccentricity e of the ellipsoid
 ECCENTRICITY_SQUARED = ECCENTRICITY * ECCENTRICITY
-POLAR_RATIO = math.sqrt(1.0 - ECCENTRICITY_SQUARED)
-"""Polar over equatorial radius."""
-GRAVITATIONAL_CONSTANT = 3.986004418e14
-"""Geocentric gravitational constant mu [m^3/s^2]."""
-J2 = 1.082627e-3
-"""Second zonal harmonic of the geopotential."""
-STANDARD_GRAVITY = 9.80665
-"""1 g [m/s^2]."""
+POLAR_RATIO = math.sqrt(1.0 - ECCENTRICITY_SQUARED)  # polar over equatorial radius
+GRAVITATIONAL_CONSTANT = 3.986004418e14  # geocentric gravitational constant mu [m^3/s^2]
+J2 = 1.082627e-3  # second zonal harmonic of the geopotential
+STANDARD_GRAVITY = 9.80665  # 1 g [m/s^2]
+MICRO_G = STANDARD_GRAVITY * 1e-6  # [m/s^2]
+DEGREE = math.pi / 180.0  # [rad]
 
 
 @inlined
@@ -48,11 +36,7 @@ def radii_of_curvature(latitude: float) -> tuple[float, float]:
         R_N = \frac{R_0 (1 - e^2)}{(1 - e^2 \sin^2 L)^{3/2}}, \qquad
         R_E = \frac{R_0}{(1 - e^2 \sin^2 L)^{1/2}}
 
-    `latitude`: geodetic latitude L [rad]; returns `meridian`, `transverse`: R_N and R_E [m].
-
-    Notes
-    -----
-    Groves (2013), eqs. 2.105 and 2.106.
+    `latitude`: geodetic L [rad]; returns R_N and R_E [m]. Groves (2013), eqs. 2.105 and 2.106.
     """
     s = math.sin(latitude)
     w = 1.0 - ECCENTRICITY_SQUARED * s * s
@@ -67,12 +51,8 @@ def geocentric_surface_radius(x: Any, y: Any, z: Any) -> Any:
     .. math::
         r_{eS} = R_E(L) \sqrt{\cos^2 L + (1 - e^2)^2 \sin^2 L}
 
-    `x`, `y`, `z`: position, ECEF [m]; returns r_eS at the geodetic latitude of the point [m].
-
-    Notes
-    -----
-    Groves (2013), eq. 2.137.  The latitude is Bowring's closed form, good to 1e-11 rad up to
-    30 km of height.
+    `x`, `y`, `z`: position, ECEF [m]; returns r_eS at the geodetic latitude of the point [m], which
+    is Bowring's closed form, good to 1e-11 rad up to 30 km of height. Groves (2013), eq. 2.137.
     """
     p = sqrt(x * x + y * y)
     polar_radius = EQUATORIAL_RADIUS * POLAR_RATIO
@@ -100,12 +80,8 @@ def gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
         \begin{pmatrix}(1 - 5 z^2/r^2)\,x\\ (1 - 5 z^2/r^2)\,y\\ (3 - 5 z^2/r^2)\,z\end{pmatrix}
         \right) + \omega_{ie}^2 \begin{pmatrix}x\\y\\0\end{pmatrix}
 
-    `x`, `y`, `z`: position, ECEF [m]; returns `gx`, `gy`, `gz`: acceleration, ECEF [m/s^2]; zero at
-    the centre of the Earth.
-
-    Notes
-    -----
-    Groves (2013), eqs. 2.142 and 2.133.
+    `x`, `y`, `z`: position, ECEF [m]; returns the acceleration, ECEF [m/s^2]; zero at the centre of
+    the Earth. Groves (2013), eqs. 2.142 and 2.133.
     """
     r2 = x * x + y * y + z * z
     r2 = select(r2 > 0.0, r2, 1.0)
@@ -127,12 +103,8 @@ def geodetic_to_ecef(
         r = \begin{pmatrix}(R_E + h)\cos L\cos\lambda\\ (R_E + h)\cos L\sin\lambda\\
         ((1 - e^2) R_E + h)\sin L\end{pmatrix}
 
-    `latitude`, `longitude`: geodetic latitude and longitude [rad], any shape S; `height`: height
-    above the ellipsoid [m], broadcast against them; returns (S, 3) position, ECEF [m].
-
-    Notes
-    -----
-    Groves (2013), eq. 2.112.
+    `latitude`, `longitude` [rad], any shape S; `height` above the ellipsoid [m]; returns (S, 3)
+    position, ECEF [m]. Groves (2013), eq. 2.112.
     """
     latitude, longitude, height = np.broadcast_arrays(latitude, longitude, height)
     sin_latitude = np.sin(latitude)
@@ -173,9 +145,8 @@ def ecef_to_geodetic(
 
 
 def dcm_e_from_n(latitude: ArrayLike, longitude: ArrayLike) -> NDArray[np.float64]:
-    """Direction cosine matrix `C_en`, to ECEF from north-east-down axes. `latitude`, `longitude`:
-    geodetic latitude and longitude [rad], any shape S; returns (S, 3, 3); its columns are the
-    north, east and down unit vectors in ECEF axes. Transpose of Groves (2013), eq. 2.150."""
+    """`C_en` (S, 3, 3), to ECEF from north-east-down axes, its columns; `latitude`, `longitude`
+    [rad], any shape S. Transpose of Groves (2013), eq. 2.150."""
     latitude, longitude = np.broadcast_arrays(latitude, longitude)
     sl, cl = np.sin(latitude), np.cos(latitude)
     so, co = np.sin(longitude), np.cos(longitude)
@@ -192,12 +163,8 @@ def turning_of_local_axes(position_e: ArrayLike, velocity_e: ArrayLike) -> NDArr
         \left(\tfrac{v_E}{R_E + h}, -\tfrac{v_N}{R_N + h},
         -\tfrac{v_E \tan L}{R_E + h}\right)
 
-    `position_e`, `velocity_e` (..., 3) ECEF [m], [m/s]; returns (..., 3, 3) [1/s]; its columns are
-    the rates of the north, east and down unit vectors.
-
-    Notes
-    -----
-    Groves (2013), eqs. 5.43 and 5.44.
+    `position_e`, `velocity_e` (..., 3) ECEF [m], [m/s]; returns (..., 3, 3) [1/s]. Groves (2013),
+    eqs. 5.43 and 5.44.
     """
     latitude, longitude, height = ecef_to_geodetic(position_e)
     C_en = dcm_e_from_n(latitude, longitude)
@@ -209,25 +176,15 @@ def turning_of_local_axes(position_e: ArrayLike, velocity_e: ArrayLike) -> NDArr
     x, y = east / (transverse + height), -north / (meridian + height)
     z, none = -x * np.tan(latitude), np.zeros_like(x)
     cross = np.stack([none, -z, y, z, none, -x, -y, x, none], axis=-1)
-    turning: NDArray[np.float64] = C_en @ cross.reshape(*x.shape, 3, 3)
-    return turning
+    return np.asarray(C_en @ cross.reshape(*x.shape, 3, 3))
+
+
+Vector = tuple[Any, Any, Any] | NDArray[np.float64]
+STILL = 0.0, 0.0, 0.0
 
 
 @inlined
-def range_and_rate(
-    sx: float,
-    sy: float,
-    sz: float,
-    svx: float,
-    svy: float,
-    svz: float,
-    rx: float,
-    ry: float,
-    rz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-) -> tuple[float, float, float, float, float]:
+def range_and_rate(s: Vector, vs: Vector, r: Vector, v: Vector) -> tuple[Any, Any, Any, Any, Any]:
     r"""Range, range rate and line of sight, with the Sagnac effect to first order.
 
     .. math::
@@ -235,15 +192,11 @@ def range_and_rate(
         \end{pmatrix}, \qquad a = \omega_{ie} |r_s - r| / c \\
         \dot\rho &= u^T \left(C (v_s + \Omega_{ie} r_s) - (v + \Omega_{ie} r)\right)
 
-    `sx`, `sy`, `sz`, `svx`, `svy`, `svz`: satellite position [m] and velocity [m/s], ECEF; `rx`,
-    `ry`, `rz`, `vx`, `vy`, `vz`: antenna position [m] and velocity [m/s], ECEF; returns `range`,
-    `range_rate` [m] and [m/s], without clocks; `ux`, `uy`, `uz`: unit vector from the antenna to
-    the satellite, ECEF.
-
-    Notes
-    -----
-    Groves (2013), eqs. 8.35, 8.40 and 9.165.
+    `s`, `vs`: satellite's position [m] and velocity [m/s], `r`, `v`: antenna's, ECEF; returns range
+    [m] and range rate [m/s] without clocks, and the unit vector u from the antenna to the
+    satellite, ECEF. Groves (2013), eqs. 8.35, 8.40 and 9.165.
     """
+    (sx, sy, sz), (rx, ry, rz) = (s[0], s[1], s[2]), (r[0], r[1], r[2])
     dx, dy, dz = sx - rx, sy - ry, sz - rz
     a = (EARTH_RATE / SPEED_OF_LIGHT) * sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy = sx + a * sy - rx, sy - a * sx - ry
@@ -251,10 +204,10 @@ def range_and_rate(
     inverse = 1.0 / distance
     ux, uy, uz = dx * inverse, dy * inverse, dz * inverse
     # inertial velocities of the satellite and of the antenna, resolved in ECEF axes
-    ix, iy = svx - EARTH_RATE * sy, svy + EARTH_RATE * sx
+    ix, iy = vs[0] - EARTH_RATE * sy, vs[1] + EARTH_RATE * sx
     rate = (
-        ux * (ix + a * iy - (vx - EARTH_RATE * ry))
-        + uy * (iy - a * ix - (vy + EARTH_RATE * rx))
-        + uz * (svz - vz)
+        ux * (ix + a * iy - (v[0] - EARTH_RATE * ry))
+        + uy * (iy - a * ix - (v[1] + EARTH_RATE * rx))
+        + uz * (vs[2] - v[2])
     )
     return distance, rate, ux, uy, uz

@@ -48,7 +48,6 @@ def follow_rate(action, matrix, rules, rate, out):
 
 @njit
 def within(values, limit):
-    """Whether all values are finite, and at most as large as a limit."""
     good = True
     for value in values.flat:
         good = good and abs(value) <= limit
@@ -368,18 +367,7 @@ def play(
     others as `run_epochs` takes them, which does it all without `SCORE`; returns what it found, or
     `HOLDS` where receivers have to run the time to alert before their step is settled."""
     found = run_epochs(
-        table,
-        memories,
-        action,
-        weights,
-        work,
-        attack,
-        hold,
-        detector,
-        what,
-        count,
-        lo,
-        hi,
+        table, memories, action, weights, work, attack, hold, detector, what, count, lo, hi
     )
     if found or not what & SCORE:
         return found

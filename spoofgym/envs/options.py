@@ -20,9 +20,7 @@ from .core import Core
 Array = NDArray[Any]
 RESET_MASK = "reset_mask"
 InfoSpec = str | Sequence[str]
-WORDS = ("all", "none")
-TOLERANCE = 1e-6
-"""How far an action may lie outside of [-1, 1], by rounding."""
+TOLERANCE = 1e-6  # how far an action may lie outside of [-1, 1], by rounding
 HALFWAY = (
     "an interrupt or error has left the last step or reset halfway: call reset() before step()"
 )
@@ -82,8 +80,19 @@ def seeds_of(seed: Any, receivers: int) -> list[int | None]:
     return seeds
 
 
+def reseeded(
+    rngs: Sequence[np.random.Generator], seeds: Sequence[int | None], mask: NDArray[np.bool_]
+) -> list[np.random.Generator]:
+    """A generator a receiver: new ones at first, and where a receiver of the mask has a seed."""
+    if not rngs:
+        return [np.random.default_rng(seed) for seed in seeds]
+    return [
+        rng if seed is None or not fresh else np.random.default_rng(seed)
+        for rng, seed, fresh in zip(rngs, seeds, mask, strict=True)
+    ]
+
+
 def checked_seed(seed: Any) -> int | None:
-    """A seed as Python's own int, or None; raises where it is neither."""
     return None if seed is None else whole_number("a seed", seed)
 
 
@@ -93,7 +102,6 @@ def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dic
 
 
 def domain_option(options: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    """Circumstances that a reset is given instead of drawing them, ``options["domain"]``."""
     given = (options or {}).get("domain")
     if given is not None and not isinstance(given, Mapping):
         raise TypeError(f"the option `domain` of a reset must be a dict, got {given!r}")
@@ -101,13 +109,11 @@ def domain_option(options: Mapping[str, Any] | None) -> Mapping[str, Any] | None
 
 
 def observation_space(core: Core) -> spaces.Space[Any]:
-    """Space of one receiver's observation: (o,) float32."""
     low, high = core.bounds
     return spaces.Box(low.copy(), high.copy(), dtype=np.float32)
 
 
 def action_space(core: Core) -> spaces.Space[Any]:
-    """Space of one receiver's action: (a,) float32 in [-1, 1]."""
     return spaces.Box(-1.0, 1.0, (len(core.action_names),), dtype=np.float32)
 
 
@@ -137,7 +143,6 @@ def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
 
 
 def check_vector_settings(num_envs: int, render_mode: object) -> None:
-    """Raise unless there are receivers, and nothing is to be rendered."""
     whole_number("`num_envs`", num_envs, 1)
     if render_mode is not None:
         raise ValueError(
@@ -148,7 +153,7 @@ def check_vector_settings(num_envs: int, render_mode: object) -> None:
 
 def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
     if isinstance(spec, str):
-        check_choice("choice of infos", spec, WORDS)
+        check_choice("choice of infos", spec, ("all", "none"))
         return None if spec == "all" else frozenset()
     keys = tuple(spec)
     for key in keys:
@@ -157,7 +162,6 @@ def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
 
 
 def chosen(info: Mapping[str, Array], keys: frozenset[str] | None) -> Mapping[str, Array]:
-    """Information that is asked for."""
     if keys is None:
         return info
     return {name: array for name, array in info.items() if name in keys}

@@ -13,11 +13,9 @@ from ..simulation.setup import Setup
 from ..simulation.snapshot import SnapshotSetup
 from ..simulation.tight import TightlyCoupledSetup
 from .core import SpoofCore
-from .env import CoreEnv
+from .env import CoreEnv, CoreVectorEnv
 from .factory import make_core, signature_of
-from .options import InfoSpec, autoreset_mode_of, check_vector_settings
-from .rendering import CoreRecorder
-from .vector_env import CoreVectorEnv
+from .options import InfoSpec, check_vector_settings
 
 
 class _Victim:
@@ -40,9 +38,6 @@ class VictimEnv(_Victim, CoreEnv[SpoofCore]):
         self.given_detector: Any = settings.get("detector")
         super().__init__(core, render_mode)
 
-    def _recorder(self) -> CoreRecorder:
-        return CoreRecorder(self.core)
-
 
 class VictimVectorEnv(_Victim, CoreVectorEnv[SpoofCore]):
     """Vector environment of a `VictimEnv`; receiver i is the single one of ``seed + i``."""
@@ -59,7 +54,6 @@ class VictimVectorEnv(_Victim, CoreVectorEnv[SpoofCore]):
         max_episode_steps: int | None = None,
         **settings: Any,
     ) -> None:
-        mode = autoreset_mode_of(autoreset_mode)
         check_vector_settings(num_envs, render_mode)
         core = make_core(
             self.setup_type,
@@ -70,7 +64,7 @@ class VictimVectorEnv(_Victim, CoreVectorEnv[SpoofCore]):
             whose=type(self).__name__,
         )
         self.given_detector: Any = settings.get("detector")
-        super().__init__(core, mode, infos, max_episode_steps)
+        super().__init__(core, autoreset_mode, infos, max_episode_steps)
 
 
 class SpoofEnv(VictimEnv):

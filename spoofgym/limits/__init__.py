@@ -9,8 +9,14 @@
 from __future__ import annotations
 
 from .analyst import Analyst
-from .deflection import deflection, deflection_of_offsets
-from .floor import ASSUMPTIONS, Frontier, WorldFrontier, frontier_of
+from .floor import (
+    ASSUMPTIONS,
+    Frontier,
+    WorldFrontier,
+    deflection,
+    deflection_of_offsets,
+    frontier_of,
+)
 from .linear import Commands, LinearRun, Response, record, respond, unit_commands
 from .power import deflection_for, divergence_of, most_power, power
 from .response import NotReplayable, Replay

@@ -1,11 +1,10 @@
 r"""A filter that knows the world: true noise, and states for all that is not white.
 
-The victim's covariance is its belief, and the innovations of a filter that believes in other noise
-than there is are not white, so that a sum of :math:`\rho^T S^{-1} \rho` over epochs says nothing of
-how well an attack can be seen.  The analyst's filter has the noise of the world and states for
-constant and wandering errors of satellites, for the clock, and for the constants of the inertial
-sensors.  Its innovations are white with covariance :math:`S^*`.  With :math:`\rho^*` the shift that
-an attack brings to them,
+The innovations of a filter that believes in other noise than there is are not white, so that a sum
+of :math:`\rho^T S^{-1} \rho` over epochs says nothing of how well an attack can be seen.  The
+analyst's filter has the noise of the world and states for constant and wandering errors of
+satellites, for the clock, and for the constants of the inertial sensors.  Its innovations are white
+with covariance :math:`S^*`.  With :math:`\rho^*` the shift that an attack brings to them,
 
 .. math:: d^2 = \sum_k \rho_k^{*T} S_k^{*-1} \rho_k^*
 
@@ -23,38 +22,27 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..detectors import Never
+from ..detectors.base import FloatArray
 from ..receiver import TightlyCoupled
 from ..receiver.augmented import FIRST
-from ..receiver.epoch import Epoch
 from ..receiver.states import ACCEL_BIAS, STATES
 from ..simulation.simulator import Given
 from ..simulation.tight import TightlyCoupledSetup, TightlyCoupledSimulator
 from ..truth.events import BenignEvents
-from .linear import PLACE, LinearRun, as_it_happens, record_from, unattacked
+from .linear import PLACE, LinearRun, as_it_happens, observer, record_from
 
-FloatArray = NDArray[np.float64]
 CONSTANTS = np.r_[ACCEL_BIAS : STATES - 2, STATES:FIRST]
 """States that are the inertial sensors' constants."""
 
 
-class Whiteness(NamedTuple):
-    """Whether the analyst's innovations are white, over R runs.
-
-    - `nis`: normalized innovation squared over its degrees of freedom, 1 where the model holds;
-    - `lag_1`: correlation of neighbouring whitened innovations, 0 where it holds;
-    - `innovations`: how many innovations that is.
-    """
-
-    nis: float
-    lag_1: float
-    innovations: int
-
-
 class AnalystRun(NamedTuple):
-    """The analyst's filter over one run; `coasting` (K, 3, 3) as of `Analyst.record`."""
+    r"""The analyst's filter over one run, from the onset on.
+
+    `coasting` (K, 3, 3) is :math:`P_{coast} - P`, north, east, down [m^2]: what a filter that takes
+    no measurement since the onset does not know of the position, and this one does.
+    """
 
     linear: LinearRun
     coasting: FloatArray
@@ -102,8 +90,7 @@ class Analyst:
     def begun(
         self, rngs: Sequence[np.random.Generator], given: Given | None = None
     ) -> TightlyCoupledSimulator:
-        """Analyst's filters at the start of runs."""
-        simulator = unattacked(self.setup, len(rngs))
+        simulator = observer(self.setup, len(rngs))
         simulator.begin(rngs, given)
         if self.sensors_known:
             P = simulator.memory["augmented_covariance"]
@@ -114,11 +101,7 @@ class Analyst:
     def record(
         self, rngs: Sequence[np.random.Generator], given: Given | None = None
     ) -> list[AnalystRun]:
-        r"""Record the filter over clean runs, from the onset on.
-
-        ``coasting`` (K, 3, 3) is :math:`P_{coast} - P`, north, east, down [m^2]: what a filter that
-        takes no measurement since the onset does not know of the position, and this one does.
-        """
+        """Record the filter over clean runs, from the onset on."""
         simulator = self.begun(rngs, given)
         blind = np.zeros(0)
         kept: list[FloatArray] = []
@@ -139,31 +122,8 @@ class Analyst:
             for run, own in zip(runs, coasting, strict=True)
         ]
 
-    def whiteness(self, rngs: Sequence[np.random.Generator]) -> Whiteness:
-        """Innovations of clean runs of the simulator, which is not linear, after the onset."""
-        simulator = self.begun(rngs)
-        simulator.quiet_epochs(self.setup.onset)
-        squares = products = 0.0
-        count, pairs, last = 0, 0, None
-        for _ in range(self.setup.steps + self.setup.hold):
-            epoch = simulator.advance()
-            y = whitened(epoch)
-            squares, count = squares + float((y * y).sum()), count + 2 * int(epoch.visible.sum())
-            if last is not None:
-                products, pairs = products + float((y * last).sum()), pairs + int((y != 0.0).sum())
-            last = y
-            simulator.update(None)
-        return Whiteness(squares / count, products / max(pairs, 1), count)
-
-
-def whitened(epoch: Epoch) -> FloatArray:
-    """(B, m) innovations of an epoch with variance 1."""
-    factor = np.linalg.cholesky(np.asarray(epoch.innovation_cov))
-    return np.asarray(np.linalg.solve(factor, epoch.innovation[:, :, None])[:, :, 0])
-
 
 def _grade(setup: TightlyCoupledSetup) -> str:
-    """The one grade of inertial sensors of a domain."""
     (grade, *others) = setup.domain.imu or (setup.scenario.imu,)
     if others:
         raise ValueError(

@@ -14,19 +14,25 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..detectors import Calibrated, Detector, Never, SolutionSeparation
+from ..detectors import Calibrated, Detector, SolutionSeparation
+from ..detectors.base import FloatArray
 from ..simulation.setup import generators_of, seeds_of_runs
-from ..simulation.simulator import run_serially
 from ..simulation.tight import TightlyCoupledSetup
 from .floor import check_linear_victim
-from .linear import Commands, LinearRun, Response, record, respond, unit_commands
+from .linear import (
+    Commands,
+    LinearRun,
+    observer,
+    record,
+    respond,
+    unit_commands,
+    unused_seed,
+)
 from .no_alarm import Timing
 from .restricted import Attacker, zero_alarm_of
 from .zero_alarm import Bound
 
-FloatArray = NDArray[np.float64]
 Tick = Callable[[float], None]
 HATS = 24
 """Hat functions of the rate of a restricted attack."""
@@ -54,10 +60,9 @@ class ZeroAlarm(NamedTuple):
 
     - `free_m`, `restricted_m`: means over the worlds [m]; infinite where there is none; None where
       nothing is known;
-    - `kind`: what the restricted one is, or the free one where there is no other: ``"exact"``,
+    - `kind`: of the restricted one, or of the free one where there is no other: ``"exact"``,
       ``"upper"`` or ``"unbounded"``;
-    - `why`: why nothing is known, and what holds instead, or why it is an upper bound; of which
-      attack, where that is of one alone; "" where there is nothing to say;
+    - `why`: why nothing is known, and what holds instead, or why it is an upper bound; or "";
     - `rates_mps`: (W, Q) rates of the restricted attacks at equally spaced times.
     """
 
@@ -69,37 +74,25 @@ class ZeroAlarm(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """JSON-able; infinities as the word "unbounded"."""
-        return {
-            "free_m": _json(self.free_m),
-            "restricted_m": _json(self.restricted_m),
-            "kind": self.kind,
-            "why": self.why,
-        }
-
-
-def _json(value: float | None) -> float | str | None:
-    return "unbounded" if value is not None and math.isinf(value) else value
+        sizes = {"free_m": self.free_m, "restricted_m": self.restricted_m}
+        words = {key: "unbounded" if value == math.inf else value for key, value in sizes.items()}
+        return {**words, "kind": self.kind, "why": self.why}
 
 
 def cases_of(
     setup: TightlyCoupledSetup, worlds: int, entropy: int = 0, tick: Tick | None = None
 ) -> list[Case]:
-    """Worlds of a setup as `frontier_of` draws them."""
+    """Worlds of a setup, drawn as by `frontier_of`."""
     check_linear_victim(setup)
     advance = tick or (lambda part: None)
     seeds = seeds_of_runs(entropy, "selection", setup.name, range(worlds))
     cases = []
     for seed in seeds:
-        run = record(setup, generators_of([_unused(seed)]))[0]
+        run = record(setup, generators_of([unused_seed(seed)]))[0]
         commands = unit_commands(setup, run.onset).in_hats(HATS)
         cases.append(Case(run, along(commands, run, heading_of(setup)), seed))
         advance(1.0 / worlds)
     return cases
-
-
-def _unused(seed: np.random.SeedSequence) -> np.random.SeedSequence:
-    """The same seed, from which nothing has been spawned."""
-    return np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
 
 
 def heading_of(setup: TightlyCoupledSetup) -> float:
@@ -114,10 +107,9 @@ def along(commands: Commands, run: LinearRun, heading: float) -> Attacker | None
         return None
     aim = commands.heading @ np.array([math.cos(heading), math.sin(heading)])
     each = commands.offsets.reshape(*commands.offsets.shape[:2], -1, commands.axes)
-    found: Response = respond(run, each @ aim)
     hats = np.eye(commands.decisions) if commands.hats is None else commands.hats
     limits = commands.rate_limit_mps, commands.change_limit_mps
-    return Attacker(found, hats[:, None, :], *limits)
+    return Attacker(respond(run, each @ aim), hats[:, None, :], *limits)
 
 
 def zero_alarm_bounds(
@@ -126,7 +118,7 @@ def zero_alarm_bounds(
     cases: Sequence[Case],
     tick: Tick | None = None,
 ) -> ZeroAlarm:
-    """Bounds of a detector, with its factors known; what is wrong with it is in the result."""
+    """Bounds of a detector whose factors are known; why there are none is in the result."""
     advance = tick or (lambda part: None)
     inner = detector.detector if isinstance(detector, Calibrated) else detector
     if isinstance(inner, SolutionSeparation):
@@ -156,7 +148,6 @@ class Bounds(NamedTuple):
     found: list[Bound | str]
 
     def add(self, bound: Callable[[], Bound]) -> None:
-        """Solve for another world."""
         try:
             self.found.append(bound())
         except RuntimeError as error:
@@ -181,9 +172,9 @@ class Bounds(NamedTuple):
 
     @property
     def notes(self) -> list[str]:
-        """What was said of any of the worlds, each once."""
-        said = [each.note if isinstance(each, Bound) else each for each in self.found]
-        return [note for note in dict.fromkeys(said) if note]
+        """Notes on any of the worlds, each once."""
+        every = [each.note if isinstance(each, Bound) else each for each in self.found]
+        return [note for note in dict.fromkeys(every) if note]
 
 
 def _separation(
@@ -192,18 +183,16 @@ def _separation(
     inner: SolutionSeparation,
     cases: Sequence[Case],
 ) -> ZeroAlarm:
-    """Bound of solution separation: its threshold in metres, at the end of the command phase. The
-    separation shifts by the induced error, whatever the attack is, so that the bound is the same
-    for a free one; it is an upper bound, since a bank has other solutions, too."""
+    """Bound of solution separation: its threshold in metres, at the end of the command phase. It
+    shifts by the induced error of any attack, so that the bound is the same for a free one; it is
+    an upper one, since a bank has other solutions, too."""
     scale = detector.scale if isinstance(detector, Calibrated) else 1.0
     if scale is None:
         raise ValueError("the factor on the thresholds is not known yet")
     bounds = []
     for case in cases:
-        told = setup.altered(detector=Never(), monitors=())
-        told.fields = setup.fields | inner.needs
-        simulator = told.simulator(1, run_serially)
-        simulator.begin(generators_of([_unused(case.seed)]))
+        simulator = observer(setup, 1, inner.needs)
+        simulator.begin(generators_of([unused_seed(case.seed)]))
         bank = copy.deepcopy(inner)
         simulator.bind_detector(bank)
         simulator.quiet_epochs(setup.quiet)

@@ -1,4 +1,4 @@
-r"""What each test of innovations allows: its no-alarm set as constraints, a function per statistic.
+"""No-alarm sets of tests of innovations as constraints, a function per statistic.
 
 Every function takes the program and the variables y (K, r), -1 where a row is not judged, and
 writes down the recursion of the detector's own kernel with its memory at the onset, which is 0
@@ -8,13 +8,14 @@ its own constraint.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numpy.typing import NDArray
 
+from ..detectors.base import BoolArray, FloatArray, IntArray
 from ..detectors.innovation_rate import FIRST_COVARIANCE, advance
-from .convex import IntArray, Program, Rows
+from .convex import Program, Rows
 
-FloatArray = NDArray[np.float64]
 FIRST_ONSETS = 8
 """Onsets of a scan whose rows are there from the start, spaced by factors of two."""
 FARTHEST_SD = 1e5
@@ -27,12 +28,7 @@ def hold_size(program: Program, y: IntArray, limits: FloatArray) -> None:
     """Every row by itself below a limit (K, r) or (K, 1), a Shewhart chart."""
     judged = y >= 0
     sizes = program.variables(judged, -limits, limits)
-    equate(program, y[judged], sizes[judged])
-
-
-def equate(program: Program, one: IntArray, other: IntArray) -> None:
-    """Two lists of variables that are equal."""
-    program.equal(np.column_stack([one, other]), np.array([[1.0, -1.0]]))
+    program.equal(np.column_stack([y[judged], sizes[judged]]), np.array([[1.0, -1.0]]))
 
 
 def hold_norm(program: Program, y: IntArray, limits: FloatArray) -> None:
@@ -42,7 +38,7 @@ def hold_norm(program: Program, y: IntArray, limits: FloatArray) -> None:
 
 
 def hold_moving_sum(
-    program: Program, y: IntArray, limits: FloatArray, judged: NDArray[np.bool_], shape: FloatArray
+    program: Program, y: IntArray, limits: FloatArray, judged: BoolArray, shape: FloatArray
 ) -> None:
     """Normalized sum of every row over a window below a limit (K, r), a finite moving average.
     `judged` (L + K, r): epochs that count, with the L before the onset; `shape` (W,): their
@@ -107,8 +103,8 @@ def running_sums(program: Program, y: IntArray, known: IntArray) -> IntArray:
 
 
 def back(ids: IntArray, known: IntArray, by: IntArray) -> IntArray:
-    """Variables (K, r) of some epochs ago, -1 before the row came into view or the run began.
-    `known`, `by` (K, r): values before the present one, and how many to go back."""
+    """Variables (K, r) of `by` (K, r) epochs ago, -1 before the row came into view or the run
+    began; `known` (K, r): values before the present one."""
     k, j = np.indices(ids.shape)
     there = (by <= known) & (by <= k)
     return np.where(there, ids[np.where(there, k - by, 0), j], -1)
@@ -198,7 +194,7 @@ def hold_scan(
     area = running_areas(program, y, total, known) if ramp else total
     root = np.sqrt(limits)
 
-    def row(n: int) -> tuple[IntArray, FloatArray, NDArray[np.bool_]]:
+    def row(n: int) -> tuple[IntArray, FloatArray, BoolArray]:
         """Columns, values (K, r, 5) and whether there is such an onset."""
         m = np.minimum(known + 1 - n, baseline)
         by = np.full_like(known, n)
@@ -253,18 +249,20 @@ def running_areas(program: Program, y: IntArray, total: IntArray, known: IntArra
     return area
 
 
-class RateFilter:
-    """Settings of the filter that finds the rate of an innovation, and when it takes samples."""
+class RateFilter(NamedTuple):
+    """Settings of the filter of the rate of an innovation, as `advance` takes them."""
 
-    def __init__(self, correlation: float, noise: float, growth: float, interval_s: float) -> None:
-        self.settings = interval_s, correlation, noise, growth
+    interval_s: float
+    correlation: float
+    noise: float
+    growth: float
 
     def gains(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(3, 3) and (3,) x' = A x + b sample, by the detector's kernel; moves the covariance."""
         columns = []
         for start, sample in [*((row, 0.0) for row in np.eye(3)), (np.zeros(3), 1.0)]:
             state, P = start.copy(), covariance.copy()
-            advance(state, P, sample, *self.settings)
+            advance(state, P, sample, *self)
             columns.append(state)
         covariance[:] = P
         return np.column_stack(columns[:3]), columns[3]
@@ -274,8 +272,8 @@ def hold_rate(
     program: Program,
     y: IntArray,
     limits: FloatArray,
-    live: NDArray[np.bool_],
-    started: NDArray[np.bool_],
+    live: BoolArray,
+    started: BoolArray,
     filtered: RateFilter,
 ) -> None:
     """Rate of every row below a limit (K, r). `live` (L, r): whether a row gave a sample in each

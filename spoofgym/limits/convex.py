@@ -14,11 +14,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, sparse
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from ..detectors.base import BoolArray, FloatArray, IntArray
+
 LARGEST_PART = 1e-3
 """Part of an upper bound that the infeasibility of its dual may make up."""
 MOST_ROUNDS = 60
@@ -63,7 +62,7 @@ class Program:
 
     def variables(
         self,
-        active: NDArray[np.bool_],
+        active: BoolArray,
         lower: FloatArray | float = -np.inf,
         upper: FloatArray | float = np.inf,
     ) -> IntArray:
@@ -77,36 +76,32 @@ class Program:
         return ids
 
     def maximize(self, ids: IntArray, worth: FloatArray) -> None:
-        """Add to the objective."""
         self._worth.append((ids[ids >= 0], worth[ids >= 0]))
 
     def equal(
         self, columns: IntArray, values: FloatArray | float, rhs: FloatArray | float = 0.0
     ) -> None:
-        """Rows (p, q) that equal a right-hand side (p,)."""
         self._equal.append(_rows(columns, values, rhs))
 
     def below(
         self, columns: IntArray, values: FloatArray | float, rhs: FloatArray | float = 0.0
     ) -> None:
-        """Rows (p, q) that do not exceed a right-hand side (p,)."""
         self._below.append(_rows(columns, values, rhs))
 
     def ball(self, ids: IntArray, radius: float) -> None:
-        """Hold the norm of some variables below a radius."""
         chosen = ids[ids >= 0]
         if len(chosen) and np.isfinite(radius):
             self._balls.append((chosen, radius))
 
     def energy(self, ids: IntArray, energy: int, unit: float = 1.0) -> None:
-        """Hold the squared norm of some variables below another one, in units of `unit` squared.
-        The solver finds an optimum more often where energies are near 1."""
+        """Hold the squared norm of some variables below another one, in units of `unit` squared;
+        the solver finds an optimum more often where energies are near 1."""
         self._energies.append((ids[ids >= 0], energy, unit))
 
     def lazily(self, cuts: Cuts, ids: IntArray, far: float) -> None:
-        """Hold rows of which there are so many that they are added where they are violated. Some
-        variables are held below a size that is far away, so that there is an optimum while rows are
-        missing; where one gets there in the end, there is none."""
+        """Hold rows that are so many that they are added where they are violated. Some variables
+        are held below a size that is far away, so that there is an optimum while rows are missing;
+        where one gets there in the end, there is none."""
         self._cuts.append(cuts)
         self._far.append((ids[ids >= 0], far))
         for sign in (1.0, -1.0):
@@ -223,7 +218,6 @@ def upper_by_dual(
 
 
 def clarabel_module() -> Any:
-    """The solver; an ImportError that says how to get it."""
     try:
         import clarabel
     except ImportError as error:

@@ -1,9 +1,7 @@
-r"""Detectability frontier of a setup.
-
-The detectability frontier: the displacement that even a perfect detector would allow.
+r"""The floor: the displacement that even a perfect detector would allow, over worlds of a setup.
 
 With R the whitened map from the commands u to the analyst's innovations and n that from them to the
-victim's displacement at the end of the command phase,
+victim's displacement at the end of the command phase, the detectability frontier of a world is
 
 .. math:: \max n^T u \quad \text{subject to} \quad |R u| \le d
     \qquad\Rightarrow\qquad d \sqrt{n^T (R^T R)^{-1} n}
@@ -16,11 +14,16 @@ Where every channel can be commanded freely there is a closed form: the shift pe
 :math:`\sigma_{ss}`, the spread of solution separation, :math:`\sigma_{ss}^2 = c^T (P_{coast} -
 P) c`; a restricted attack stays below it.
 
-The floor of a setup: its detectability frontier over the worlds that it draws.
+The floor is the frontier over drawn worlds, in metres at a stated probability of a false alarm and
+of detection.  A task whose floor lies above its alert limit cannot be defended, and a best attack
+that stays below the floor says that the search for it has failed.
 
-It is the displacement that even a perfect detector would allow, in metres at a stated probability
-of a false alarm and of detection.  A task whose floor lies above its alert limit cannot be
-defended, and a best attack that stays below the floor says that the search for it has failed.
+What given commands show to a perfect detector, as time goes on, is their `deflection`,
+
+.. math:: d_t^2 = \sum_{k \le t} |R_k u|^2
+
+which bounds the delay of any detection from below, and with it the curve of what is still
+undetected.
 """
 
 from __future__ import annotations
@@ -31,10 +34,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 
 from ..core.registry import whole_number
+from ..detectors.base import FloatArray
 from ..simulation.setup import generators_of, seeds_of_runs
 from ..simulation.tight import TightlyCoupledSetup
 from .analyst import Analyst
@@ -43,6 +46,25 @@ from .linear import Commands, LinearRun, Response, record, respond, unit_command
 from .power import deflection_for
 from .restricted import Attacker, hold_motion, lead_to
 
+Tick = Callable[[float], None]
+HATS = 60
+"""Hat functions of the rate, by axis; as many decisions lose 0.1 to 1 % of the frontier."""
+HEADINGS = 24
+"""Headings of a target direction that is drawn."""
+QUANTILES = (0.1, 0.5, 0.9)
+ASSUMPTIONS = (
+    "the detector sees pseudoranges, range rates and the inertial sensors: no signal strength, "
+    "barometer or second antenna",
+    "the noise of the world and the parameters of its errors are known to it; no benign event",
+    "first order around a clean run, normal errors",
+    "the attack is open-loop, tracks its target perfectly and leaves the authentic errors in "
+    "place; anything else is seen more easily",
+)
+"""Under which a floor holds, printed with every figure."""
+SENSORS = {
+    False: "the constants of the inertial sensors are drawn by their data sheet, and not known",
+    True: "the constants of the inertial sensors are known",
+}
 SINGULAR = 1e-9
 """Smallest pivot of R, as a part of the largest, that is not taken for 0."""
 
@@ -77,9 +99,9 @@ class WorldFrontier:
         return np.asarray(np.linalg.qr(rows, mode="r"))
 
     def per_deflection(self, last: int | None = None, hold: int | None = None) -> FloatArray:
-        """(2, 2) matrix M whose c' M c is the square of the frontier at d = 1 along c [m^2].
-        Infinite where the frontier has no end. `last`, `hold`: epoch at which the displacement
-        counts, and how many are tested after it; `self.last` and all by default."""
+        """(2, 2) matrix M whose c' M c is the square of the frontier at d = 1 along c [m^2],
+        infinite where it has no end. `last`, `hold`: epoch at which the displacement counts,
+        `self.last` by default, and how many are tested after it, all by default."""
         last = self.last if last is None else last
         epochs = None if hold is None else last + 1 + hold
         n = self.victim.position[last, :2]
@@ -108,7 +130,6 @@ class WorldFrontier:
         return np.asarray(axes[seen].T @ (y / sizes[seen]) * deflection / np.linalg.norm(y))
 
     def within_limits(self, commands: FloatArray) -> bool:
-        """Whether commands keep the attack's limits."""
         limits, rates = self.commands, self.commands.rates @ commands
         change = np.diff(rates, axis=0, prepend=0.0)
         size = np.linalg.norm if limits.together else np.max
@@ -119,8 +140,8 @@ class WorldFrontier:
         )
 
     def limited(self, direction: FloatArray, deflection: float) -> tuple[float, FloatArray]:
-        """Frontier within the attack's limits of rate and acceleration [m], and its commands. It
-        takes the closed form where that keeps them, and a second-order cone program elsewhere."""
+        """Frontier within the attack's limits of rate and acceleration [m], and its commands: by
+        the closed form where that keeps them, by a second-order cone program elsewhere."""
         n = direction @ self.victim.position[self.last, :2]
         if np.isfinite(self.per_deflection()).all():
             u = self.best(direction, deflection)
@@ -144,7 +165,6 @@ class WorldFrontier:
 def world_frontier(
     commands: Commands, victim: LinearRun, analyst: LinearRun, coasting: FloatArray, last: int
 ) -> WorldFrontier:
-    """Frontier of one world from a run of the victim's and of the analyst's filter."""
     seen = respond(analyst, commands.offsets).innovation
     return WorldFrontier(
         commands,
@@ -159,8 +179,8 @@ def reachable(rows: FloatArray, n: FloatArray) -> FloatArray:
     """(2, 2) n (R'R)^-1 n' of rows R (k, J) and n (2, J); infinite where n leaves their range."""
     R, pivots = qr(np.linalg.qr(rows, mode="r"), mode="r", pivoting=True)  # few rows to pivot
     R = R[: rows.shape[1]]
-    sizes_ = np.abs(np.diag(R))
-    rank = int((sizes_ > SINGULAR * sizes_[0]).sum()) if sizes_.size else 0
+    pivot = np.abs(np.diag(R))
+    rank = int((pivot > SINGULAR * pivot[0]).sum()) if pivot.size else 0
     n = n[:, pivots]
     y = solve_triangular(R[:rank, :rank], n[:, :rank].T, trans="T")
     if rank < n.shape[1]:
@@ -171,26 +191,45 @@ def reachable(rows: FloatArray, n: FloatArray) -> FloatArray:
     return np.asarray(y.T @ y)
 
 
-FloatArray = NDArray[np.float64]
-Tick = Callable[[float], None]
-HATS = 60
-"""Hat functions of the rate, by axis; as many decisions lose 0.1 to 1 % of the frontier."""
-HEADINGS = 24
-"""Headings of a target direction that is drawn."""
-QUANTILES = (0.1, 0.5, 0.9)
-ASSUMPTIONS = (
-    "the detector sees pseudoranges, range rates and the inertial sensors: no signal strength, "
-    "barometer or second antenna",
-    "the noise of the world and the parameters of its errors are known to it; no benign event",
-    "first order around a clean run, normal errors",
-    "the attack is open-loop, tracks its target perfectly and leaves the authentic errors in "
-    "place; anything else is seen more easily",
-)
-"""Under which a floor holds, printed with every figure."""
-SENSORS = {
-    False: "the constants of the inertial sensors are drawn by their data sheet, and not known",
-    True: "the constants of the inertial sensors are known",
-}
+def deflection(world: WorldFrontier, commands: FloatArray) -> FloatArray:
+    """Deflection of open-loop commands up to every epoch.
+
+    Parameters
+    ----------
+    world : WorldFrontier
+        Of the attack.
+    commands : ndarray
+        (J,) rates [m/s].
+
+    Returns
+    -------
+    ndarray
+        (K,) d.
+    """
+    return _accumulated(world.whitened @ commands)
+
+
+def deflection_of_offsets(analyst: LinearRun, offsets: FloatArray) -> FloatArray:
+    """Deflection of what an attack has added to the measurements, whatever commanded it.
+
+    Parameters
+    ----------
+    analyst : LinearRun
+        The analyst's filter of the same sky and flight.
+    offsets : ndarray
+        (K, m) what was added to pseudoranges and range rates [m], [m/s]; 0 where not visible.
+
+    Returns
+    -------
+    ndarray
+        (K,) d.
+    """
+    seen = respond(analyst, offsets[:, :, None]).innovation
+    return _accumulated(white(analyst.innovation_cov, seen)[:, :, 0])
+
+
+def _accumulated(y: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.cumsum((y * y).sum(axis=1))))
 
 
 @dataclass(frozen=True)
@@ -233,7 +272,6 @@ class Frontier:
         return self._sizes(self.coasting if free else self.per_deflection)
 
     def _sizes(self, matrices: FloatArray) -> FloatArray:
-        """(N,) frontiers over worlds and headings of (W, 2, 2) matrices [m]."""
         if self.any_direction:
             bad = np.asarray(~np.isfinite(matrices).all(axis=(1, 2)))
             largest = np.linalg.eigvalsh(np.where(bad[:, None, None], 0.0, matrices))[:, -1]
@@ -278,7 +316,6 @@ class Frontier:
 
     @property
     def assumptions(self) -> tuple[str, ...]:
-        """Under which it holds."""
         return (*ASSUMPTIONS, SENSORS[self.sensors_known])
 
 
@@ -364,7 +401,6 @@ def frontier_of(
 
 
 def _commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
-    """Unit commands of an attack that does nothing unless it is commanded to."""
     commands = unit_commands(setup, onset).in_hats(HATS)
     if np.any(commands.idle):
         raise ValueError(
@@ -375,12 +411,10 @@ def _commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
 
 
 def _epochs(steps: int, times: int) -> list[int]:
-    """Epochs, from the onset, of so many equally spaced times of the command phase."""
     return sorted({round(steps * (k + 1) / times) - 1 for k in range(times)} - {-1})
 
 
 def check_linear_victim(setup: Any) -> TightlyCoupledSetup:
-    """The setup of a victim for which limits are known; a ValueError for any other."""
     if not isinstance(setup, TightlyCoupledSetup):
         raise ValueError(
             f"limits are known for tightly coupled receivers alone, not for {setup.whose}"

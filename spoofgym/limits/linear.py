@@ -1,9 +1,7 @@
 r"""Attack to filter response, first order.
 
-What an attack does to a filter, to first order, epoch by epoch.
-
 With e the shift of the filter's error, :math:`\rho` that of its innovation and a the attack on the
-measurements,
+measurements, epoch by epoch,
 
 .. math:: e_k^- = \Phi_k e_{k-1}, \qquad \rho_k = a_k + H_k e_k^-, \qquad
     e_k = e_k^- - K_k \rho_k
@@ -14,13 +12,11 @@ what its mechanization and its measurements do (`mechanized`, `measured`), which
 for less.  It holds for a filter whose gains an attack does not change: not for one whose detector
 takes weight off measurements.
 
-What an attack adds to the measurements, as a linear function of its commands.
-
-The commands are rates of the attack's axes, one vector for every decision; the last one is held
-over the time to alert, as the environment does.  An attack that is commanded by acceleration comes
-to the rate of a decision at the end of it, along a line.  The columns are found by commanding the
-attack itself, one unit at a time, so that any attack has them: its geometry, satellites that rise
-and set, a capture that comes late.
+Commands are rates of the attack's axes, one vector for every decision; the last one is held over
+the time to alert, as the environment does.  An attack that is commanded by acceleration comes to
+the rate of a decision at the end of it, along a line.  What a command adds to the measurements is
+found by commanding the attack itself, one unit at a time, so that any attack has it: its geometry,
+satellites that rise and set, a capture that comes late.
 """
 
 from __future__ import annotations
@@ -31,16 +27,15 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..attacks import Attack, AttackContext
 from ..detectors import Never
+from ..detectors.base import BoolArray, FloatArray
 from ..receiver.states import POSITION, STATES
 from ..simulation.simulator import Given, run_serially
 from ..simulation.tight import TightlyCoupledSetup, TightlyCoupledSimulator
 from ..truth.run import World
 
-FloatArray = NDArray[np.float64]
 PLACE = slice(POSITION, POSITION + 3)
 """States of the position error."""
 NEEDED = frozenset({"transition", "design", "predicted_cov", "innovation_cov"})
@@ -72,7 +67,7 @@ class LinearRun(NamedTuple):
     design: FloatArray
     gain: FloatArray
     innovation_cov: FloatArray
-    visible: NDArray[np.bool_]
+    visible: BoolArray
     axes: FloatArray
     onset: int = 0
 
@@ -114,7 +109,7 @@ def record(
     list of LinearRun
         One for each run.
     """
-    simulator = unattacked(setup, len(rngs))
+    simulator = observer(setup, len(rngs))
     simulator.begin(rngs, given)
     simulator.quiet_epochs(setup.onset)
     return [as_it_happens(run, setup.world) for run in record_from(simulator)]
@@ -126,9 +121,9 @@ def as_it_happens(run: LinearRun, world: World) -> LinearRun:
 
 
 def measured(run: LinearRun, world: World) -> FloatArray:
-    """(K, m, s) design of a run, with what range rates say of the position, too [1/s]. A filter
-    leaves this out, since its own errors of position are too small for it. A victim that is 10 m
-    away finds its range rates changed by a millimetre per second, for as long as it is."""
+    """(K, m, s) design of a run, with what range rates depend on the position, too [1/s]. A filter
+    leaves this out, since its own errors of position are too small; 10 m change range rates by a
+    millimetre per second, for as long as they last."""
     at = run.onset + 1 + np.arange(len(run.design))
     way = world.satellites[at, :, :3] - world.position_e[at, None]
     length = np.where(run.visible, np.linalg.norm(way, axis=2), 1.0)[:, :, None]
@@ -143,9 +138,9 @@ def measured(run: LinearRun, world: World) -> FloatArray:
 def mechanized(transition: FloatArray) -> FloatArray:
     r"""Errors as they really propagate, by (K, s, s) a filter's :math:`I + F \tau`.
 
-    A filter propagates its covariance to first order of the interval.  Its mechanization integrates
-    many times in between: of a tilt it makes a velocity, and of that a position, within one epoch.
-    The term of second order has that.  States after the first 17 have exact transitions.
+    A filter propagates its covariance to first order of the interval.  Within it, mechanization
+    makes of a tilt a velocity, and of that a position: the term of second order.  States after the
+    first 17 have exact transitions.
     """
     by_interval = transition - np.eye(transition.shape[-1])
     found = transition.copy()
@@ -153,12 +148,19 @@ def mechanized(transition: FloatArray) -> FloatArray:
     return found
 
 
-def unattacked(setup: TightlyCoupledSetup, receivers: int) -> TightlyCoupledSimulator:
-    """Receivers that nobody attacks or defends, whose epochs show what is recorded."""
-    told = setup.altered(detector=Never(), monitors=())
-    told.fields = setup.fields | NEEDED
-    simulator: TightlyCoupledSimulator = told.simulator(receivers, run_serially)
+def observer(
+    setup: TightlyCoupledSetup, receivers: int, fields: frozenset[str] = NEEDED
+) -> TightlyCoupledSimulator:
+    """Receivers without a detector, whose epochs have some optional fields."""
+    bare_setup = setup.altered(detector=Never(), monitors=())
+    bare_setup.fields = setup.fields | fields
+    simulator: TightlyCoupledSimulator = bare_setup.simulator(receivers, run_serially)
     return simulator
+
+
+def unused_seed(seed: np.random.SeedSequence) -> np.random.SeedSequence:
+    """The same seed, from which nothing has been spawned."""
+    return np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
 
 
 def record_from(
@@ -166,23 +168,20 @@ def record_from(
 ) -> list[LinearRun]:
     """Filters of receivers at the onset; `look` is given (B, ...) of each epoch, updated."""
     setup = simulator.setup
-    kept: list[LinearRun] = []
+    epochs: list[LinearRun] = []
     for _ in range(setup.steps + setup.hold):
         epoch = simulator.advance()
         P, H, S = (getattr(epoch, name) for name in ("predicted_cov", "design", "innovation_cov"))
         gain = np.linalg.solve(S, H @ P).transpose(0, 2, 1)
-        part = epoch.transition, H, gain, S, epoch.visible, setup.C_en[simulator.epochs]
-        transition, H, gain, S, visible, axes = (np.array(each) for each in part)
-        kept.append(LinearRun(transition, H, gain, S, visible.astype(np.bool_), axes))
+        visible, axes = epoch.visible.astype(np.bool_), setup.C_en[simulator.epochs]
+        parts = epoch.transition, H, gain, S, visible, axes
+        epochs.append(LinearRun(*(np.array(each) for each in parts)))
         simulator.update(None)
         if look is not None:
-            look(kept[-1])
-    arrays = [np.stack(each, axis=1) for each in zip(*(part[:6] for part in kept), strict=True)]
-    runs = []
-    for b, onset in enumerate(simulator.onset.tolist()):
-        transition, design, gain, S, visible, axes = (each[b] for each in arrays)
-        runs.append(LinearRun(transition, design, gain, S, visible.astype(np.bool_), axes, onset))
-    return runs
+            look(epochs[-1])
+    arrays = [np.stack(each, axis=1) for each in zip(*(part[:6] for part in epochs), strict=True)]
+    onsets = simulator.onset.tolist()
+    return [LinearRun(*(each[b] for each in arrays), onset) for b, onset in enumerate(onsets)]
 
 
 def respond(run: LinearRun, offsets: FloatArray) -> Response:
@@ -219,9 +218,9 @@ def white(innovation_cov: FloatArray, rows: FloatArray) -> FloatArray:
 
 
 SMALL = 0.1
-"""Part of the limit of the rate that a unit command is tried with."""
+"""Part of the limit of the rate of a unit command."""
 LINEAR_TO = 0.02
-"""How far the response to commands may be from the sum of those to its parts, as a part of it."""
+"""Largest distance of a response to commands from the sum of its parts, as a part of it."""
 
 
 class Commands(NamedTuple):
@@ -260,7 +259,6 @@ class Commands(NamedTuple):
 
     @property
     def decisions(self) -> int:
-        """Number of decisions."""
         return int(self.offsets.shape[2]) // self.axes if self.hats is None else len(self.hats)
 
     @property
@@ -293,8 +291,8 @@ def hat_functions(decisions: int, count: int) -> FloatArray:
 
 def bare(attack: Attack, decision_s: float) -> Attack:
     """The attack with perfect equipment but for the capture, and any rate by the next decision.
-    Errors of tracking and of the spoofer's clock add divergence from clean measurements, and so do
-    other errors than the authentic ones, whatever the commands are."""
+    Errors of tracking, of the spoofer's clock, and others than the authentic ones only add
+    divergence from clean measurements, whatever the commands are."""
     perfect: Any = {"tracking": None, "spoofer_clock": None, "errors": "inherited"}
     quick = attack.rate_limit_mps / decision_s
     return replace(attack, acceleration_limit_mps2=quick, **perfect)
@@ -385,7 +383,6 @@ def _offsets(
 def _check_linear(
     attack: Attack, offsets: FloatArray, idle: FloatArray, found: FloatArray, tried: FloatArray
 ) -> None:
-    """Compare what commands do with the sum of their parts."""
     commands = tried.reshape(len(tried), -1).T * attack.rate_limit_mps
     expected = offsets @ commands + idle[:, :, None]
     n = offsets.shape[1] // 2

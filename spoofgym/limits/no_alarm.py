@@ -1,37 +1,62 @@
-r"""The innovations at which a detector raises no alarm, as convex constraints.
+"""The innovations at which a detector raises no alarm, as convex constraints.
 
 Every test here compares linear functions y of the innovations, or sums of their squares, with
 limits that the innovations do not change, so that the shifts without an alarm are a convex set that
-is symmetric about 0.  The limits are those of the detector's own verdicts on epochs of zero
-innovations: with its calibration, its warm-up and the satellites in view.  `Judged.hold` writes the
-set down with the memory that the detector has after `Timing.live` epochs without a shift.
+is symmetric about 0 (`SETS`; `REFUSED` says why others have none).  The limits are those of the
+detector's own verdicts on epochs of zero innovations: with its calibration, its warm-up and the
+satellites in view.  `Judged.hold` writes the set down with the memory that the detector has after
+`Timing.live` epochs without a shift.
 """
 
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import detectors
 from ..detectors import Calibrated, Detector, DetectorContext
+from ..detectors.base import BoolArray, FloatArray, IntArray
+from ..detectors.cusum import BASELINE_SDS
+from ..detectors.innovation import rows_of
 from ..receiver.epoch import Epoch
 from ..simulation.setup import Setup
-from .convex import IntArray, Program
+from ..truth.noise import exponential
+from . import charts
+from .convex import Program
 from .linear import LinearRun
-from .zero_alarm import Bound, Sensitivity
+from .zero_alarm import Bound, Sensitivity, ewma_bound, sequential_bound, snapshot_bound
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+EXCLUDES = "it excludes satellites or fixes, and its statistic is none of the filter's innovations"
+BLIND = "the blind optimum on the engine is a lower bound"
+REFUSED: dict[type[Detector], tuple[str, str]] = {
+    detectors.Acna: (EXCLUDES, BLIND),
+    detectors.Lottery: (
+        "its alarm comes by chance, whatever the innovations are",
+        "that of `never` holds",
+    ),
+    detectors.OracleRamp: ("it is given the attack, so that its set is not symmetric", BLIND),
+    detectors.OracleStep: ("it is given the attack, so that its set is not symmetric", BLIND),
+    detectors.PooledDetector: (
+        "another member is drawn for every episode",
+        "that of each member holds for its episodes",
+    ),
+    detectors.Raim: (EXCLUDES, BLIND),
+    detectors.Rio: (EXCLUDES, BLIND),
+    detectors.SrvRaim: (EXCLUDES, BLIND),
+    detectors.TraversalRaim: (EXCLUDES, BLIND),
+}
+"""Why a detector has no zero-alarm bound, and what holds in its place."""
 
 
 class Timing(NamedTuple):
     """When a detector was switched on. `interval_s`: time between epochs [s]; `live`: epochs
-    without attack for which the detector has been live at the first epoch of the run; the
-    satellites in view are taken to be those of that epoch; `onset_s`: time of that first epoch,
-    which tests with a start of their own go by [s]."""
+    without attack, with the satellites in view of the first epoch of the run, for which it has been
+    live then; `onset_s`: time of that first epoch, for tests with a start of their own [s]."""
 
     interval_s: float
     live: int = 0
@@ -39,7 +64,6 @@ class Timing(NamedTuple):
 
     @classmethod
     def of(cls, setup: Setup) -> Timing:
-        """Timing of a world's setup, for a run from the onset on."""
         return cls(setup.interval_s, setup.live, float(setup.epoch_time[setup.onset + 1]))
 
 
@@ -83,9 +107,8 @@ class Judged(NamedTuple):
 def judge_run(
     detector: Detector, run: LinearRun, timing: Timing, innovation: FloatArray | None = None
 ) -> Verdicts:
-    """What a detector says to noise-free epochs with a shift of the innovations. `detector`: a copy
-    is bound and judges; `run`: covariances and satellites of K epochs; `innovation`: (K, m) shift,
-    0 where a slot is not visible; none by default; returns without the epochs before the run."""
+    """Verdicts of a copy of a detector on noise-free epochs with a shift of the innovations (K, m),
+    0 where a slot is not visible; none by default."""
     judge = copy.deepcopy(detector)
     epochs, n = run.visible.shape
     ids = tuple(f"slot {j}" for j in range(n))
@@ -105,7 +128,6 @@ def judge_run(
 def _epoch(
     run: LinearRun, k: int, time: float, timing: Timing, innovation: FloatArray | None
 ) -> Epoch:
-    """Epoch of one receiver with what tests of innovations read."""
     S, visible = run.innovation_cov[k : k + 1], run.visible[k : k + 1]
     shift = np.zeros(S.shape[1]) if innovation is None else innovation
     return Epoch(
@@ -119,12 +141,6 @@ def _epoch(
         innovation_cov=np.ascontiguousarray(S),
         design=np.ascontiguousarray(run.design[k : k + 1]),
     )
-
-
-def limits_of(detector: Detector, run: LinearRun, timing: Timing) -> FloatArray:
-    """(K, c) limits of a detector, infinite where it cannot alarm."""
-    clean = judge_run(detector, run, timing)
-    return np.where(clean.armed[:, None], clean.threshold, np.inf)
 
 
 def counts(visible: BoolArray, live: int) -> IntArray:
@@ -165,7 +181,7 @@ class Rows(NamedTuple):
 
 
 def rows_judged(detector: Detector, run: LinearRun, timing: Timing, bias_window: int = 0) -> Rows:
-    """Satellites that are judged, and what becomes of their innovations before it. With a first
+    """Satellites that are judged, and what is done with their innovations before. With a first
     window whose mean is taken away, a satellite that is not calibrated at the onset learns it from
     attacked epochs; what it has learnt before is 0."""
     epochs, n = run.visible.shape
@@ -202,3 +218,229 @@ def _rescaling(visible: BoolArray, factors: FloatArray) -> FloatArray:
         common, rest = factors[2 * signal : 2 * signal + 2]
         out[part, part] = common * mean + rest * (own - mean)
     return out
+
+
+class Case:
+    """A detector over a run, from which its test is built."""
+
+    def __init__(self, detector: Detector, run: LinearRun, timing: Timing) -> None:
+        self.run, self.timing = run, timing
+        inner = detector.detector if isinstance(detector, Calibrated) else detector
+        self.test: Any = inner
+        clean = judge_run(detector, run, timing)
+        self.limits = np.where(clean.armed[:, None], clean.threshold, np.inf)  # (K, c)
+        self.n = run.visible.shape[1]
+        bias_s = getattr(inner, "bias_window_s", 0.0)
+        self.bias = max(1, self.epochs(bias_s)) if bias_s > 0.0 else 0
+        self.rows: Rows = rows_judged(detector, run, timing, self.bias)
+        self.span = rows_of(getattr(inner, "signals", "pseudorange"), self.n)
+        self.known = counts(run.visible, timing.live)
+
+    def epochs(self, length_s: float) -> int:
+        return max(1, round(length_s / self.timing.interval_s))
+
+    def per_row(self, of_channels: NDArray[Any]) -> NDArray[Any]:
+        """(K, r) of (K, n), for both signals where both are judged."""
+        signals = (self.span[1] - self.span[0]) // self.n
+        return np.hstack([of_channels] * signals)
+
+    @property
+    def inflation(self) -> float:
+        """Factor on the squared innovations that a limit allows, where a mean is taken away."""
+        return 1.0 + 1.0 / self.bias if self.bias else 1.0
+
+    @property
+    def judged_before(self) -> int:
+        """Epochs before the onset in which satellites in view were judged."""
+        return max(self.timing.live - self.bias, 0)
+
+    @property
+    def judged_so_far(self) -> BoolArray:
+        """(L + K, n) satellites judged, with the L epochs before the onset in which any were."""
+        return np.vstack([np.tile(self.run.visible[:1], (self.judged_before, 1)), self.rows.judged])
+
+    def normalized(self, hold: Callable[[Program, IntArray], None]) -> Judged:
+        return Judged(self.rows.normalized(self.run, *self.span), self.rows.learning, hold)
+
+    def white(self, hold: Callable[[Program, IntArray], None], rotates: bool = False) -> Judged:
+        matrix = self.rows.whitened(self.run, *self.span)
+        return Judged(matrix, self.rows.learning, hold, rotates)
+
+
+def judged_by(detector: Detector, run: LinearRun, timing: Timing) -> Judged:
+    """What a detector, with its factors if calibrated, compares over a run, and where it raises no
+    alarm: exactly its own statistic on noise-free epochs."""
+    inner = detector.detector if isinstance(detector, Calibrated) else detector
+    check_convex(inner)
+    return SETS[type(inner)](Case(copy.deepcopy(detector), run, timing))
+
+
+def check_convex(detector: Detector) -> None:
+    name, settings = type(detector).__name__, vars(detector)
+    if type(detector) in REFUSED:
+        why, instead = REFUSED[type(detector)]
+    elif type(detector) not in SETS:
+        why, instead = "nothing is known of its statistic", BLIND
+    elif settings.get("weight_scale") is not None:
+        why, instead = "its weights change the gains", BLIND
+    elif settings.get("two_sided"):
+        why = "it alarms at innovations that are too small, too, so that its set is not convex"
+        instead = (
+            "that with `two_sided` False and each side's false alarms holds for its upper side"
+        )
+    elif settings.get("covariance", "known") != "known":
+        why, instead = "an estimated covariance lets the attack set its own limits", BLIND
+    else:
+        return
+    raise ValueError(f"no zero-alarm bound for {name}: {why}; {instead}")
+
+
+def _never(case: Case) -> Judged:
+    epochs, m = case.run.design.shape[:2]
+    return Judged(np.zeros((epochs, 1, m)), case.rows.learning, lambda program, y: None)
+
+
+def _snapshot(case: Case) -> Judged:
+    limits = case.limits[:, 0]
+    test = case.white(lambda p, y: charts.hold_norm(p, y, limits))
+    return test._replace(closed=lambda of: snapshot_bound(of, limits * case.inflation))
+
+
+def _windowed(case: Case) -> Judged:
+    window, limits = case.test.window, case.limits[:, 0].copy()
+    limits[: max(window - 1 - case.timing.live, 0)] = np.inf  # no verdict before it is full
+    return case.white(lambda p, y: charts.hold_energy(p, y, limits, window), rotates=True)
+
+
+def _sequential(case: Case) -> Judged:
+    length_s, limits = case.test.window_s, case.limits[:, 0]
+    window = len(limits) if length_s is None else case.epochs(length_s)
+    test = case.white(lambda p, y: charts.hold_energy(p, y, limits, window), rotates=True)
+    if length_s is not None:
+        return test
+    return test._replace(closed=lambda of: sequential_bound(of, limits * case.inflation))
+
+
+def _bank(case: Case) -> Judged:
+    windows = np.array([case.epochs(length_s) for length_s in case.test.windows_s])
+    rows = case.per_row(case.judged_so_far).sum(axis=1)
+    ends = slice(case.judged_before, len(rows))
+    degrees = np.column_stack([np.convolve(rows, np.ones(w, np.int64))[ends] for w in windows])
+    thresholds = case.test.thresholds_to(int(degrees.max()))
+    limits = case.limits[:, :1] * thresholds[degrees]
+    hold = charts.hold_energies
+    return case.white(lambda p, y: hold(p, y, limits, windows), rotates=True)
+
+
+def _moving_average(case: Case) -> Judged:
+    shape = case.test.weights_of(case.epochs(case.test.window_s))
+    judged, limits = case.per_row(case.judged_so_far), case.per_row(case.limits)
+    hold = charts.hold_moving_sum
+    return case.normalized(lambda p, y: hold(p, y, limits, judged, shape))
+
+
+def _aime(case: Case) -> Judged:
+    windows = np.array([case.epochs(length_s) for length_s in case.test.windows_s])
+    past = case.judged_before * case.per_row(case.run.visible)[0]
+    hold = charts.hold_averages
+    return case.white(lambda p, y: hold(p, y, case.limits[:, 0], past, windows))
+
+
+def _ewma(case: Case) -> Judged:
+    matrix = case.rows.judged[:, :, None] * case.rows.before[:, : case.n]
+    limits, smoothing = case.limits, case.test.smoothing
+    every = np.hstack([limits * case.run.visible, np.zeros_like(limits)])
+    return Judged(
+        matrix,
+        case.rows.learning,
+        lambda p, y: charts.hold_size(p, y, limits),
+        smoothing=smoothing,
+        closed=lambda of: ewma_bound(of, smoothing, every),
+    )
+
+
+def _shewhart(case: Case) -> Judged:
+    return case.normalized(lambda p, y: charts.hold_size(p, y, case.limits[:, :1]))
+
+
+def _cusum(case: Case) -> Judged:
+    def hold(program: Program, y: IntArray) -> None:
+        charts.hold_cusum(program, y, case.limits[:, :1], np.full(y.shape, case.test.allowance))
+
+    return case.normalized(hold)
+
+
+def _lag_cusum(case: Case) -> Judged:
+    test, known, limits = case.test, case.per_row(case.known), case.limits[:, :1]
+
+    def hold(program: Program, y: IntArray) -> None:
+        settings = test.lag, test.baseline, test.drift, BASELINE_SDS
+        charts.hold_lag_cusum(program, y, limits, known, *settings)
+
+    return case.normalized(hold)
+
+
+def _clock(case: Case) -> Judged:
+    whitened = case.rows.whitened(case.run, *case.span)
+    signals = (case.span[1] - case.span[0]) // case.n
+    ones = np.zeros((2 * case.n, signals))
+    for signal in range(signals):
+        start = case.span[0] + signal * case.n
+        ones[start : start + case.n, signal] = 1.0
+    plain = Rows(case.rows.judged, np.tile(np.eye(2 * case.n), (len(whitened), 1, 1)), ones)
+    common = plain.whitened(case.run, *case.span) @ ones  # the columns of A, whitened
+    directions = np.zeros_like(common)
+    for k in np.flatnonzero(case.rows.judged.any(axis=1)):
+        orthonormal, upper = np.linalg.qr(common[k])
+        directions[k] = orthonormal * np.sign(np.diag(upper))
+    matrix = directions.transpose(0, 2, 1) @ whitened
+    past = case.judged_before if case.run.visible[0].any() else 0
+    window = case.epochs(case.test.window_s)
+    limits = case.limits[:, 0]
+    hold = charts.hold_common
+    return Judged(matrix, case.rows.learning, lambda p, y: hold(p, y, limits, past, window))
+
+
+def _scan(case: Case) -> Judged:
+    test, known, limits = case.test, case.per_row(case.known), case.per_row(case.limits)
+
+    def hold(program: Program, y: IntArray) -> None:
+        charts.hold_scan(program, y, limits, known, test.window, test.baseline, test.ramp)
+
+    return case.normalized(hold)
+
+
+def _rate(case: Case) -> Judged:
+    test, timing = case.test, case.timing
+    memory_s = math.inf if test.memory_s is None else test.memory_s
+    growth = 1.0 / exponential(-timing.interval_s / memory_s)
+    filtered = charts.RateFilter(timing.interval_s, test.correlation_per_s, test.noise, growth)
+    times = timing.onset_s + timing.interval_s * np.arange(-timing.live, len(case.limits))
+    started = times >= test.start_s
+    live = started[: timing.live, None] & case.run.visible[0]
+
+    def hold(program: Program, y: IntArray) -> None:
+        charts.hold_rate(program, y, case.limits, live, started[timing.live :], filtered)
+
+    return case.normalized(hold)
+
+
+SETS: dict[type[Detector], Callable[[Case], Judged]] = {
+    detectors.Aime: _aime,
+    detectors.ClockDrift: _clock,
+    detectors.CumulativeBank: _bank,
+    detectors.Cusum: _cusum,
+    detectors.Ewma: _ewma,
+    detectors.FiniteMovingAverage: _moving_average,
+    detectors.GlrRamp: _scan,
+    detectors.GlrStep: _scan,
+    detectors.InnovationRate: _rate,
+    detectors.JointChart: _ewma,  # up to its first alarm it is the passive EWMA chart
+    detectors.LagCusum: _lag_cusum,
+    detectors.Never: _never,
+    detectors.SequentialChi2: _sequential,
+    detectors.Shewhart: _shewhart,
+    detectors.SnapshotChi2: _snapshot,
+    detectors.WindowedChi2: _windowed,
+}
+"""Tests whose no-alarm sets are convex, where they take no weight off measurements."""

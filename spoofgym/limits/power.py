@@ -25,12 +25,11 @@ from scipy.optimize import brentq
 from ..core.registry import check_finite
 
 LEAST_DEFLECTION = 1e-9
-"""Below it the square is lost in rounding, and SciPy's noncentral chi-square goes wrong where that
-is no normal number."""
+"""Below it the square is lost in rounding, and SciPy's noncentral chi-square fails."""
 
 
 def _check_probability(name: str, value: float) -> None:
-    if not (math.isfinite(value) and 0.0 < value < 1.0):
+    if not 0.0 < value < 1.0:
         raise ValueError(f"`{name}` must be above 0 and below 1, got {value}")
 
 
@@ -139,7 +138,6 @@ def divergence_of(deflection: float) -> float:
 
 
 def kl_of(p_d: float, p_fa: float) -> float:
-    """Binary divergence kl(p_d, p_fa) [nats]."""
     return float(special.rel_entr(p_d, p_fa) + special.rel_entr(1.0 - p_d, 1.0 - p_fa))
 
 
@@ -200,13 +198,9 @@ HARMLESS = (
 
 
 def check_no_latent(knowledge: str, observation_names: Sequence[str] | None = None) -> None:
-    """Raise where the bound by divergence does not hold for what a spoofer observes.
-
-    By its knowledge alone an ``"oracle"`` is refused, since it may see the error of the estimate,
-    as it does by default; with the names of what it observes, only where one of them is no function
-    of the measurements.  The victim's reports are always refused, as what they say of the position
-    less the true one is that error.
-    """
+    """Raise where the bound by divergence does not hold for what a spoofer observes. An "oracle"
+    may see the error of the estimate; with the names of its observation it is refused where one is
+    no function of the measurements. The victim's reports always have that error."""
     if knowledge in MEASURED:
         return
     latent = [name for name in observation_names or () if not name.startswith(HARMLESS)]

@@ -1,16 +1,16 @@
-r"""Response replay: what passive detectors make of an attack, without the engine.
+"""Response replay: verdicts of passive detectors on an attack, without the engine.
 
 The innovations of a passive detector's victim are those of the clean run plus the response of the
 closed loop, :math:`z + A u`, with the gains of the clean run.  So clean runs are recorded once, and
 any open-loop attack is added to them and judged by the detector's own `judge`.  It is exact to
 first order for detectors that leave the filter alone; for one that takes weight off measurements
-the gains would change with what it sees, and it is refused.
+the gains would change, and it is refused.
 
 An attack whose errors are its own, such as a quiet one, has runs in which it is commanded nothing
 in place of clean ones.  Runs of one sky and start share their response: one of them is computed.
 
-Solution separation takes the filter's matrices in, which makes its `judge` slow; its separations
-are linear in the innovations, so that it judges every hat function once, and attacks are sums.
+Solution separation reads the filter's matrices, which makes its `judge` slow; its separations are
+linear in the innovations, so that it judges every hat function once, and attacks are sums.
 """
 
 from __future__ import annotations
@@ -24,26 +24,16 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..detectors import Calibrated, Detector, Never, PooledDetector, SolutionSeparation
-from ..detectors.base import check_needs, judged
+from ..detectors import Calibrated, Detector, PooledDetector, SolutionSeparation
+from ..detectors.base import FloatArray, IntArray, check_needs, judged
 from ..receiver.epoch import ALWAYS, Epoch
 from ..simulation.engine import available_threads
 from ..simulation.setup import generators_of
-from ..simulation.simulator import run_serially
 from ..simulation.tight import TightlyCoupledSetup
-from .linear import Commands, Response, hat_functions, record, respond, unit_commands
+from .linear import hat_functions, observer, record, respond, unit_commands, unused_seed
 
-FloatArray = NDArray[np.float64]
 HATS = 40
 """Hat functions of the rate by which the response is known, over the attack window."""
-CHANGED = {
-    "innovation",
-    "pseudorange",
-    "range_rate",
-    "predicted_position",
-    "predicted_velocity",
-}
-"""Fields of an epoch that an attack changes to first order, as far as a detector can see."""
 UNKNOWN = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
 """Fields whose response is not known."""
 AT_ONCE = 32
@@ -60,7 +50,7 @@ class Replayed(NamedTuple):
     - `error` (K, P, N) induced horizontal error, a distance [m].
     """
 
-    first_alarm: NDArray[np.int64]
+    first_alarm: IntArray
     peak: FloatArray
     error: FloatArray
 
@@ -81,22 +71,19 @@ class NotReplayable(ValueError):
 
 
 def _inner(detector: Detector) -> Detector:
-    """A detector without its calibration."""
     return detector.detector if isinstance(detector, Calibrated) else detector
 
 
 def check_replayable(detector: Detector) -> None:
-    """Raise where a detector can't be judged by replay, and say what holds instead."""
     inner = _inner(detector)
-    name = type(inner).__name__
     if isinstance(inner, PooledDetector):
         for member in inner.judges:
             check_replayable(member)
     unknown = sorted(UNKNOWN & check_needs(detector))
     if unknown:
         raise NotReplayable(
-            f"{name} looks at {', '.join(unknown)}, whose response to an attack is not linear: "
-            "play it on the engine"
+            f"{type(inner).__name__} looks at {', '.join(unknown)}, whose response to an attack is "
+            "not linear: play it on the engine"
         )
 
 
@@ -149,31 +136,28 @@ class Replay:
         self._record(seeds)
         self._respond(seeds)
 
-    # --- recording -----------------------------------------------------------------------------
-
     def _record(self, seeds: Sequence[np.random.SeedSequence]) -> None:
-        """Run the warm-up with the detectors live, and keep the epochs after it."""
-        told = self.setup.altered(detector=Never(), monitors=())
-        told.fields = self.setup.fields | self.needs
-        simulator = told.simulator(self.runs, run_serially)
+        """Run the warm-up with the detectors live, and record the epochs after it."""
+        simulator = observer(self.setup, self.runs, self.needs)
+        world = simulator.setup
         simulator.begin(generators_of(seeds))
         self._context = simulator._context()
         for each in self.detectors:
             simulator.bind_detector(each)
             each.reset()
-        simulator.quiet_epochs(told.quiet)
+        simulator.quiet_epochs(world.quiet)
         self.warmup_alarm = np.zeros((len(self.detectors), self.runs), dtype=np.bool_)
-        for _ in range(told.live):
+        for _ in range(world.live):
             epoch = simulator.advance()
             for k, each in enumerate(self.detectors):
                 self.warmup_alarm[k] |= self._judged(each, epoch).alarm.any(axis=1)
             simulator.update(None)
         self.first, self.onset = simulator.memory["first"].copy(), simulator.onset.copy()
         self.heading = simulator.heading.copy()
-        self.sky = self.onset // told.epochs_each
+        self.sky = self.onset // world.epochs_each
         kept: dict[str, list[NDArray[Any]]] = {}
-        idle = simulator.advance if told.attack.idle_is_clean else lambda: simulator.predict(None)
-        for _ in range(told.steps + told.hold):
+        idle = simulator.advance if world.attack.idle_is_clean else lambda: simulator.predict(None)
+        for _ in range(world.steps + world.hold):
             epoch = idle()
             for name, array in epoch._asdict().items():
                 if array is not None:
@@ -195,39 +179,32 @@ class Replay:
         """K, from the onset to the end of the time to alert."""
         return len(self._epochs["time"])
 
-    # --- responses -----------------------------------------------------------------------------
-
     def _respond(self, seeds: Sequence[np.random.SeedSequence]) -> None:
         """Responses to hat functions of the rate, once for all runs of a sky, start and view."""
         views: dict[bytes, int] = {}
         seen = np.array(self._epochs["visible"]).transpose(1, 0, 2)
-        keys = [
-            first.tobytes() + view.tobytes() for first, view in zip(self.first, seen, strict=True)
-        ]
+        pairs = zip(self.first, seen, strict=True)
+        keys = [first.tobytes() + view.tobytes() for first, view in pairs]
         self.group = np.array([views.setdefault(key, len(views)) for key in keys])
         ones = [int(np.flatnonzero(self.group == g)[0]) for g in range(len(views))]
         self.hats = hat_functions(self.setup.steps // self.setup.repeat, HATS)
         self._units: list[dict[str, FloatArray]] = []
         for at in range(0, len(ones), AT_ONCE):
             part = ones[at : at + AT_ONCE]
-            again = generators_of([_copied(seeds[b]) for b in part])
+            again = generators_of([unused_seed(seeds[b]) for b in part])
             for b, run in zip(part, record(self.setup, again), strict=True):
-                commands = self._commands(int(self.onset[b]))
-                offsets = self._in_hats(commands)
-                seen_b = np.tile(run.visible, 2)
-                offsets = offsets * seen_b[:, :, None]
-                self._units.append(self._kept(respond(run, offsets), offsets))
+                offsets = self._offsets(int(self.onset[b])) * np.tile(run.visible, 2)[:, :, None]
+                found = respond(run, offsets)._asdict()
+                found["position"] = found["position"][:, :2]
+                if self.needs & {"pseudorange", "range_rate"}:
+                    found["offset"] = offsets
+                self._units.append(
+                    {name: array.astype(np.float32) for name, array in found.items()}
+                )
                 self._tick(1.0 / len(ones))
 
-    def _kept(self, found: Response, offsets: FloatArray) -> dict[str, FloatArray]:
-        """Parts of a response that are needed, as 32-bit floats."""
-        parts = {"innovation": found.innovation, "position": found.position[:, :2]}
-        parts["predicted"] = found.predicted
-        if self.needs & {"pseudorange", "range_rate"}:
-            parts["offset"] = offsets
-        return {name: array.astype(np.float32) for name, array in parts.items()}
-
-    def _commands(self, onset: int) -> Commands:
+    def _offsets(self, onset: int) -> FloatArray:
+        """(K, m, 2 Q) offsets of the measurements by hat function, those north first."""
         commands = unit_commands(self.setup, onset)
         if commands.heading is None or not np.array_equal(commands.heading, np.eye(2)):
             raise NotReplayable(
@@ -238,10 +215,6 @@ class Replay:
             raise NotReplayable(
                 f"{self.setup.attack.label!r} changes the measurements without a command"
             )
-        return commands
-
-    def _in_hats(self, commands: Commands) -> FloatArray:
-        """(K, m, 2 Q) offsets by hat function, those north first."""
         each = commands.offsets.reshape(*commands.offsets.shape[:2], commands.decisions, 2)
         parts = [each[:, :, :, axis] @ self.hats for axis in (0, 1)]
         return np.concatenate(parts, axis=2)
@@ -249,8 +222,6 @@ class Replay:
     def _coefficients(self, rates: FloatArray) -> FloatArray:
         """(Q, P) of the hat functions that come nearest to rates."""
         return np.asarray(np.linalg.lstsq(self.hats, rates.T, rcond=None)[0])
-
-    # --- judging -------------------------------------------------------------------------------
 
     def play(
         self,
@@ -278,7 +249,6 @@ class Replay:
         )
 
     def _play(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> Replayed:
-        """Let a detector judge some attacks."""
         moved, error = self.attacked(rates, rows, check_needs(self.detectors[number]))
         detector = self._ready(number, rows, len(rates))
         first = np.zeros(len(rates) * len(rows), dtype=np.int64)
@@ -293,7 +263,6 @@ class Replay:
         return Replayed(first.reshape(shape), peak.reshape(shape), error)
 
     def _play_bank(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> Replayed:
-        """Let solution separation judge some attacks: its separations are linear in them."""
         bank, u = self._bank(number), self._coefficients(rates).astype(np.float32)
         shape = len(rates), len(rows)
         first, peak = np.zeros(shape, dtype=np.int64), np.zeros(shape)
@@ -307,7 +276,6 @@ class Replay:
         return Replayed(first, peak, self.errors(rates, rows))
 
     def _bank(self, number: int) -> LinearBank:
-        """The bank of a detector along the target directions, made when it is first asked for."""
         key = number, self.heading.tobytes()
         if key not in self._banks:
             parts = np.array_split(np.arange(self.runs), math.ceil(self.runs / BANKS_AT_ONCE))
@@ -350,10 +318,18 @@ class Replay:
         some = 1 if alike else len(rows)
         aim = np.stack([np.cos(heading), np.sin(heading)], axis=1)[:some]
         u, count = self._coefficients(rates), self._epochs["visible"][0].shape[1]
-        moved = {}
-        for name in sorted(CHANGED & (ALWAYS | needs)):
-            part, where = place_of(name, count)
-            moved[name] = self._along(part, where, u, group[:some], aim)
+        changed = {  # to first order, as far as a detector can see: part of a response, and rows
+            "innovation": ("innovation", slice(None)),
+            "pseudorange": ("offset", slice(0, count)),
+            "range_rate": ("offset", slice(count, None)),
+            "predicted_position": ("predicted", slice(0, 3)),
+            "predicted_velocity": ("predicted", slice(3, 6)),
+        }
+        moved = {
+            name: self._along(part, where, u, group[:some], aim)
+            for name, (part, where) in sorted(changed.items())
+            if name in ALWAYS | needs
+        }
         return moved, self.errors(rates, rows)
 
     def errors(self, rates: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
@@ -415,19 +391,3 @@ class Replay:
                 out[:] = array
             arrays[name] = out.reshape(-1, *array.shape[1:])
         return Epoch(**arrays)
-
-
-def place_of(name: str, channels: int) -> tuple[str, slice]:
-    """Part of the responses, and its rows, in which a field of an epoch is."""
-    return {
-        "innovation": ("innovation", slice(None)),
-        "pseudorange": ("offset", slice(0, channels)),
-        "range_rate": ("offset", slice(channels, None)),
-        "predicted_position": ("predicted", slice(0, 3)),
-        "predicted_velocity": ("predicted", slice(3, 6)),
-    }[name]
-
-
-def _copied(seed: np.random.SeedSequence) -> np.random.SeedSequence:
-    """The same seed, from which nothing has been spawned."""
-    return np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)

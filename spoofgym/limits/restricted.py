@@ -16,16 +16,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..detectors import Detector
-from .convex import IntArray, Optimum, Program
-from .judged import judged_by
+from ..detectors.base import FloatArray, IntArray
+from .convex import Optimum, Program
 from .linear import LinearRun, Response
-from .no_alarm import Judged, Timing
+from .no_alarm import Judged, Timing, judged_by
 from .zero_alarm import Bound, Kind, Sensitivity, checked_direction, sensitivity
 
-FloatArray = NDArray[np.float64]
 UNSEEN = 1e-9
 """Part of a sensitivity outside the rows that are judged from which on it counts."""
 
@@ -104,7 +103,6 @@ def zero_alarm_of(
 
 
 def _free(test: Judged, of: Sensitivity) -> Bound:
-    """Innovations are free: y is, as far as the test sees the directions that count."""
     worth = np.zeros(test.matrix.shape[:2])
     inverse = np.asarray(np.linalg.pinv(test.matrix))
     for k, g in enumerate(of.rows):
@@ -126,15 +124,10 @@ def _free(test: Judged, of: Sensitivity) -> Bound:
         return not_attained(found, of.epoch, of.direction)
     y = np.append(found.x, 0.0)[ids]
     y = y * along if test.rotates else y
-    return of.bound(found.value, "exact", _applied(inverse, y))
-
-
-def _applied(inverse: FloatArray, y: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("kmr,kr->km", inverse, y))
+    return of.bound(found.value, "exact", np.einsum("kmr,kr->km", inverse, y))
 
 
 def _restricted(test: Judged, epoch: int, direction: ArrayLike, attacker: Attacker) -> Bound:
-    """Commands are free within their limits, and lead to y."""
     north, east = checked_direction(direction)
     n = np.array([north, east]) @ attacker.response.position[epoch, :2]
     program = Program()
@@ -154,7 +147,6 @@ def _restricted(test: Judged, epoch: int, direction: ArrayLike, attacker: Attack
 
 
 def not_attained(found: Optimum, epoch: int, direction: tuple[float, float]) -> Bound:
-    """Bound of a program without an optimum: none, or an upper one."""
     kind: Kind = "upper" if np.isfinite(found.value) else "unbounded"
     return Bound(found.value, kind, epoch, direction, note=found.note)
 
@@ -166,7 +158,6 @@ def lead_to(program: Program, commands: IntArray, matrix: FloatArray, ids: IntAr
 
 
 def hold_motion(program: Program, commands: IntArray, attacker: Attacker) -> None:
-    """Limits of the rate and of its change at every epoch."""
     for name in ("rate_limit_mps", "change_limit_mps"):
         if not getattr(attacker, name) > 0.0:
             raise ValueError(f"`{name}` must be > 0, got {getattr(attacker, name)}")

@@ -51,23 +51,15 @@ class Space(Record):
 
 
 class State(Record):
-    """What a recurrent network hands on to its next decision, 0 at the start of an episode.
-
-    - `name`: of its input in the ONNX file; the output is ``next_NAME``;
-    - `size`: elements of a receiver.
-    """
+    """What a recurrent network hands on to its next decision, 0 at the start of an episode: `size`
+    elements of a receiver; its input in the ONNX file is `name`, the output ``next_NAME``."""
 
     name: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")
     size: int = Field(ge=1, le=4096)
 
 
 class PolicyFile(Record):
-    """The ONNX file of a policy.
-
-    - `name`: file name, without a folder;
-    - `sha256`: digest of its content, 64 hexadecimal digits;
-    - `opset`: version of the ONNX operators.
-    """
+    """The ONNX file of a policy; `name` has no folder, `opset` is the version of the operators."""
 
     name: str = Field(pattern=r"^[^/\\]+\.onnx$")
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
@@ -76,8 +68,7 @@ class PolicyFile(Record):
 
 
 DECIDED_ON = "decided_on"
-"""Key of `training`: entropy and split of the runs that a policy was trained, fitted or chosen on.
-"""
+"""Key of `training`: entropy and split of runs that a policy was trained, fitted or chosen on."""
 PAIRS = TypeAdapter(list[tuple[Annotated[int, Field(strict=True, ge=0)], str]])
 
 
@@ -97,7 +88,7 @@ class PolicyCard(Record):
     """Base of the cards of both sides; a subclass has the fields."""
 
     other_kinds: ClassVar[Mapping[str, str]] = {}
-    """What else a card can be of, by its field ``kind``, and where that belongs."""
+    """Other kinds of cards, by their field ``kind``, and where they belong."""
 
     name: str
 
@@ -133,31 +124,23 @@ class PolicyCard(Record):
 
 
 class Spaces(Protocol):
-    """Names and bounds that a policy is given; no bounds where they are not known."""
+    """Names of the elements of observation (o,) and action (a,), and bounds (o,), empty where they
+    are not known."""
 
     @property
-    def action_names(self) -> tuple[str, ...]:
-        """(a,) of the elements of an action."""
-
+    def action_names(self) -> tuple[str, ...]: ...
     @property
-    def observation_names(self) -> tuple[str, ...]:
-        """(o,) of the elements of an observation."""
-
+    def observation_names(self) -> tuple[str, ...]: ...
     @property
-    def observation_low(self) -> tuple[float, ...]:
-        """(o,) or empty."""
-
+    def observation_low(self) -> tuple[float, ...]: ...
     @property
-    def observation_high(self) -> tuple[float, ...]:
-        """(o,) or empty."""
+    def observation_high(self) -> tuple[float, ...]: ...
 
 
 def spaces_of(given: Spaces) -> dict[str, Any]:
-    """Fields ``observation`` (None without names or bounds) and ``action`` of a card."""
-    names, size = given.observation_names, len(given.action_names)
-    observation = None
-    if names and given.observation_low and given.observation_high:
-        low, high = given.observation_low, given.observation_high
+    size, observation = len(given.action_names), None
+    names, low, high = given.observation_names, given.observation_low, given.observation_high
+    if names and low and high:
         observation = {"names": names, "low": low, "high": high}
     action = {"names": given.action_names, "low": (-1.0,) * size, "high": (1.0,) * size}
     return {"observation": observation, "action": action}
@@ -174,7 +157,6 @@ def unlike_spaces(observation: Space | None, action: Space, given: Spaces) -> li
 
 
 def _order(word: str, card: Space, names: tuple[str, ...]) -> list[str]:
-    """What is missing, added or moved among names."""
     missing = [name for name in card.names if name not in names]
     added = [name for name in names if name not in card.names]
     lines = [
@@ -192,8 +174,7 @@ def _refuse(constant: str) -> NoReturn:
 
 
 def kind_at(path: str | os.PathLike[str]) -> str:
-    """Kind that a card states in its file; empty where it has none, or can't be read. Returns such
-    as ``"detector-policy"``."""
+    """Kind of a card in its file, such as ``"detector-policy"``; empty where it has none."""
     try:
         return _kind_of(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError):
@@ -201,7 +182,6 @@ def kind_at(path: str | os.PathLike[str]) -> str:
 
 
 def _kind_of(text: str) -> str:
-    """Kind of a card that may be damaged; empty where it has none."""
     try:
         card = json.loads(text)
     except (ValueError, RecursionError):

@@ -1,14 +1,17 @@
-"""What policies of both sides have in common: an observation in, an action out."""
+"""What a policy of either side is: an observation in, an action out."""
 
 from __future__ import annotations
 
-from abc import ABC
-from typing import Any, Generic, Protocol, TypeVar
+import hashlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
+from ..core.settings import describe, digest_of, kind_of, outside_sources
 
 FloatArray = NDArray[np.float64]
 
@@ -17,8 +20,7 @@ class Context(Protocol):
     """What a policy is given once, before its first action."""
 
     @property
-    def receivers(self) -> int:
-        """B."""
+    def receivers(self) -> int: ...
 
 
 ContextT = TypeVar("ContextT", bound=Context)
@@ -69,3 +71,100 @@ def checked_action(action: Any, receivers: int, size: int, policy: str) -> Float
         word = "NaN" if np.isnan(array[row, column]) else f"{array[row, column]}"
         raise NotFinite(f"{policy} returned {word} for receiver {row}")
     return np.clip(array, -1.0, 1.0)
+
+
+class PolicyContext(NamedTuple):
+    """What a policy is given once, before the first decision.
+
+    - `observation_names` (o,) name of every element of an observation;
+    - `observation_low`, `observation_high` (o,) bounds;
+    - `action_names` (a,) name of every element of an action.
+    """
+
+    receivers: int
+    interval_s: float
+    observation_names: tuple[str, ...]
+    observation_low: tuple[float, ...]
+    observation_high: tuple[float, ...]
+    action_names: tuple[str, ...]
+
+
+class DetectorPolicy(Policy[PolicyContext]):
+    """Decides for the detector agents of B receivers.
+
+    A subclass declares its arrays in `bind` (``self.memory.declare(name, initial)``, with a leading
+    axis of receivers) and keeps nothing else from one decision to the next.
+
+    Attributes
+    ----------
+    memory : Memory
+        What it remembers of every receiver.
+    """
+
+    @abstractmethod
+    def decide(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Decide on one epoch.
+
+        Parameters
+        ----------
+        observation : ndarray
+            (B, o) of all receivers.
+
+        Returns
+        -------
+        ndarray
+            (B, a) in [-1, 1].
+        """
+
+    def digest(self) -> str | None:
+        """What distinguishes this frozen policy from any other.
+
+        Returns
+        -------
+        str or None
+            16 hexadecimal digits, of the settings of a dataclass and of the source of its class;
+            None where there is no telling, and a calibration can't be stored.
+        """
+        try:
+            settings = describe(self)
+        except TypeError:
+            return None
+        sources = outside_sources(self)
+        if None in sources.values():
+            return None
+        return digest_of({"class": kind_of(type(self)), "settings": settings, "sources": sources})
+
+
+class FunctionPolicy(DetectorPolicy):
+    """A function of the observation alone.
+
+    Parameters
+    ----------
+    function : callable
+        (B, o) to (B, a), in [-1, 1].
+    name : str, optional
+        What distinguishes it from other functions, for the store of calibrations.
+    """
+
+    def __init__(self, function: Callable[[Any], Any], name: str | None = None) -> None:
+        self.function, self.name = function, name
+
+    def decide(self, observation: NDArray[np.float32]) -> FloatArray:
+        receivers, size = self.context.receivers, len(self.context.action_names)
+        return checked_action(self.function(observation), receivers, size, repr(self.function))
+
+    def digest(self) -> str | None:
+        if self.name is None:
+            return None
+        return hashlib.sha256(self.name.encode()).hexdigest()[:16]
+
+
+def as_policy(policy: Any) -> DetectorPolicy:
+    if isinstance(policy, DetectorPolicy):
+        return policy
+    if callable(policy):
+        return FunctionPolicy(policy)
+    raise TypeError(
+        "a detector policy is an instance of spoofgym.duel_v0.DetectorPolicy or a function of "
+        f"(B, o) observations, got {policy!r}"
+    )

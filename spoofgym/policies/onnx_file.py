@@ -1,7 +1,7 @@
-"""An ONNX file of a policy as it lies there: what it may hold, and what is refused unrun.
+"""What the ONNX file of a policy may hold; all else is refused before anything of it is run.
 
-It is parsed before anything of it is run, nothing is unpickled, and nothing outside of it is read.
-``onnx`` takes a third of a second to import, hence inside of functions.
+It is parsed first, nothing is unpickled, and nothing outside of it is read.  ``onnx`` takes a third
+of a second to import, hence inside of functions.
 """
 
 from __future__ import annotations
@@ -117,7 +117,6 @@ def _check_work(model: ModelProto, where: str) -> None:
 
 
 def _with_batch(model: ModelProto) -> ModelProto:
-    """A copy for as many observations as it is tried on."""
     import onnx
 
     fixed = onnx.ModelProto()
@@ -134,7 +133,6 @@ def _with_batch(model: ModelProto) -> ModelProto:
 
 
 def _check_sizes_follow(graph: Any, where: str) -> None:
-    """Raise where the size of a result, or the work for it, is only known when it is run."""
     known = {
         value.name
         for value in (*graph.value_info, *graph.output)
@@ -186,7 +184,6 @@ def _size(shape: Sequence[int]) -> int:
 
 
 def _check_parts(model: ModelProto, where: str) -> None:
-    """Look at every tensor, operator and function, in subgraphs and functions too."""
     from onnx import FunctionProto, NodeProto, TensorProto
 
     branching: set[str] = set()
@@ -236,22 +233,18 @@ def _messages(message: Any, where: str) -> Iterator[Any]:
 
 
 def file_of(name: str, content: bytes) -> PolicyFile:
-    """Field ``file`` of the card of an ONNX file."""
     model = read_model(content, name)
     digest = hashlib.sha256(content).hexdigest()
     return PolicyFile(name=name, sha256=digest, bytes=len(content), opset=opset_of(model))
 
 
 def checked_path(path: str | Path) -> Path:
-    """Path of an ONNX file; a ValueError where it has another ending."""
-    path = Path(path)
-    if path.suffix != SUFFIX:
+    if Path(path).suffix != SUFFIX:
         raise ValueError(f"`path` must end in {SUFFIX}, got {path}")
-    return path
+    return Path(path)
 
 
 def opset_of(model: ModelProto) -> int:
-    """Version of the standard operators."""
     return max(
         (item.version for item in model.opset_import if item.domain in DOMAINS[:2]), default=0
     )
@@ -293,7 +286,6 @@ def check_signature(
 
 
 def _check_value(value: ValueInfoProto, size: int, what: str, wanted: str) -> None:
-    """Raise unless an input or output is a float32 of any batch and a size."""
     kind, dims = _form(value)
     batch, *rest = dims or [0]
     if kind != "float32" or rest != [size] or len(dims) != 2:
@@ -306,7 +298,7 @@ def _check_value(value: ValueInfoProto, size: int, what: str, wanted: str) -> No
 
 
 def _form(value: ValueInfoProto) -> tuple[str, list[int | str]]:
-    """Type and dimensions of an input or output; a dimension of any size by its name."""
+    """Type of an input or output, and its dimensions, those of any size by name."""
     from onnx import helper
 
     tensor = value.type.tensor_type

@@ -32,9 +32,8 @@ _consistent: set[tuple[str, tuple[float, ...], tuple[float, ...]]] = set()
 
 class OnnxModel:
     """The network of one file; it pickles and copies, without the session of onnxruntime. `file`:
-    what the card has of it; `observation`, `action`: the spaces of the card; `sha256`: a digest
-    that the file must have, besides that of the card; `state`: what a recurrent network hands on. A
-    ValueError says what does not fit."""
+    what the card says of it; `observation`, `action`: spaces of the card; `sha256`: a digest that
+    the file must have, besides the card's; `state`: what a recurrent network hands on."""
 
     def __init__(
         self,
@@ -107,7 +106,6 @@ class OnnxModel:
             )
 
     def _tried(self, seen: Float32Array, states: Sequence[Float32Array]) -> FloatArray:
-        """Actions and next states side by side."""
         action, after = self.step(seen, states)
         return np.hstack([action, *after])
 
@@ -119,15 +117,13 @@ class OnnxModel:
         return np.hstack([action, *now])
 
     def act(self, observation: Float32Array) -> FloatArray:
-        """Action of every receiver, of a network without states. `observation` (B, o); returns (B,
-        a) in [-1, 1]."""
+        """Action (B, a) in [-1, 1] of a network without states."""
         return self.step(observation, ())[0]
 
     def step(
         self, observation: Float32Array, states: Sequence[Float32Array]
     ) -> tuple[FloatArray, list[Float32Array]]:
-        """Action of every receiver, and the states of the next decision. `observation` (B, o);
-        `states`: (B, s) of each; returns (B, a) in [-1, 1], and as many."""
+        """Action (B, a) in [-1, 1], and the states (B, s) of the next decision."""
         if self._session is None or self._process != os.getpid():  # or in a forked child
             self._session, self._process = make_session(self.content), os.getpid()
         given = {self._given: np.ascontiguousarray(observation, dtype=np.float32)}
@@ -144,7 +140,6 @@ class OnnxModel:
         return checked_action(action, rows, self.size, self.path), after
 
     def _check_state(self, state: State, array: Float32Array, rows: int) -> None:
-        """Raise unless a state is finite and of the right shape."""
         what = f"{self.path} returned the state {NEXT}{state.name}"
         if array.shape != (rows, state.size):
             raise ValueError(f"{what} of shape {array.shape}, not {(rows, state.size)}")
@@ -158,7 +153,6 @@ class OnnxModel:
 
 
 def make_session(content: bytes) -> Any:
-    """Session of onnxruntime on one thread of the processor."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()

@@ -1,8 +1,6 @@
 """The compiled halves of a receiver's epoch, group by group of a batch of receivers."""
 
-from __future__ import annotations
-
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
@@ -24,25 +22,8 @@ from ..core.simd import (
     words_at,
 )
 from ..earth.wgs84 import EARTH_RATE, range_and_rate
-from ..truth._kernels import CHANNELS as SENSOR_CHANNELS
-from ..truth._kernels import (
-    CHUNK,
-    CONSTANT_ROWS,
-    CORRELATED_KEY,
-    DISTURBED,
-    IMU_KEY,
-    KEYS,
-    SIGNAL_ROWS,
-    SIGNALS,
-    SKY,
-    disturb,
-    gather_mappings,
-    gather_sky,
-    measure,
-    recorded,
-    sense,
-)
-from ..truth._kernels import CLOCK as TRUE_CLOCK
+from ..truth import _kernels as world
+from ..truth._kernels import SKY, keep3, load3, store3
 from ..truth.noise import BLOCK, deviates, whole_number
 from ..truth.signal_errors import MAPPINGS, deviates_of
 from . import kalman
@@ -54,17 +35,15 @@ _ROWS = first_rows(receiver_shapes(1))
 C_EB, VELOCITY, POSITION = _ROWS["C_eb"], _ROWS["velocity_e"], _ROWS["position_e"]
 ACCEL_BIAS, GYRO_BIAS, CLOCK = _ROWS["accel_bias_b"], _ROWS["gyro_bias_b"], _ROWS["clock"]
 IMU_DELTA, COVARIANCE = _ROWS["imu_delta"], _ROWS["packed_covariance"]
-CHANNELS = _ROWS["innovation"]
-"""First row of what there is of every channel: the following numbers of rows for n of them."""
+CHANNELS = _ROWS["innovation"]  # from here n times each of the following numbers of rows
 INNOVATION, SIGHT, VISIBLE, ALL = 0, 2, 5, 6
 _ASSUMED = first_rows(assumed_shapes(1))
 NOISE_PSD, VARIANCE = _ASSUMED["noise_psd"], _ASSUMED["noise_variance"]
-"""First rows of what is assumed; the last 2 n are the variances."""
 MEASURE, PREDICT, UPDATE, SHOW = 1, 2, 4, 8
 PRODUCT_ROWS = 187
 
 
-# places of what is seen of an epoch, as `state.SEEN`
+# places of what is seen of an epoch, as `epoch.SEEN`
 (
     SEEN_INNOVATION,
     SEEN_VARIANCE,
@@ -81,11 +60,10 @@ PRODUCT_ROWS = 187
 
 
 @inlined
-def _put(x, row, now, a, b, c):
-    """Write three rows in some lanes."""
-    store(x, row, select(now, a, load(x, row)))
-    store(x, row + 1, select(now, b, load(x, row + 1)))
-    store(x, row + 2, select(now, c, load(x, row + 2)))
+def load_attitude(x, base):
+    """C, row by row."""
+    first = base + C_EB
+    return load3(x, first) + load3(x, first + 3) + load3(x, first + 6)
 
 
 @njit
@@ -93,37 +71,18 @@ def mechanize(x, base, samples, dt, count, active, force):
     """Run the samples of one interval through the strapdown, in the lanes that are `active`.
     `samples`: rows c count + i for sensor c and sample i; `dt`: lengths [s]; `active`: one row, 1
     or 0; `force`: three rows, written: last bias-corrected specific force, body axes [m/s^2]."""
-    C = (
-        load(x, base + C_EB),
-        load(x, base + C_EB + 1),
-        load(x, base + C_EB + 2),
-        load(x, base + C_EB + 3),
-        load(x, base + C_EB + 4),
-        load(x, base + C_EB + 5),
-        load(x, base + C_EB + 6),
-        load(x, base + C_EB + 7),
-        load(x, base + C_EB + 8),
-    )
-    v = load(x, base + VELOCITY), load(x, base + VELOCITY + 1), load(x, base + VELOCITY + 2)
-    r = load(x, base + POSITION), load(x, base + POSITION + 1), load(x, base + POSITION + 2)
-    a = load(x, base + ACCEL_BIAS), load(x, base + ACCEL_BIAS + 1), load(x, base + ACCEL_BIAS + 2)
-    g = load(x, base + GYRO_BIAS), load(x, base + GYRO_BIAS + 1), load(x, base + GYRO_BIAS + 2)
+    C, v, r = load_attitude(x, base), load3(x, base + VELOCITY), load3(x, base + POSITION)
+    a, g = load3(x, base + ACCEL_BIAS), load3(x, base + GYRO_BIAS)
     zero = splat(0.0, x)
     f = zero, zero, zero
     d0, d1, d2, d3, d4, d5 = zero, zero, zero, zero, zero, zero
     n = count
     for i in range(n):
         h = load(dt, i)
-        f = (
-            load(samples, i) - a[0],
-            load(samples, n + i) - a[1],
-            load(samples, 2 * n + i) - a[2],
-        )
-        w = (
-            load(samples, 3 * n + i) - g[0],
-            load(samples, 4 * n + i) - g[1],
-            load(samples, 5 * n + i) - g[2],
-        )
+        f0, f1 = load(samples, i) - a[0], load(samples, n + i) - a[1]
+        w0, w1 = load(samples, 3 * n + i) - g[0], load(samples, 4 * n + i) - g[1]
+        f = f0, f1, load(samples, 2 * n + i) - a[2]
+        w = w0, w1, load(samples, 5 * n + i) - g[2]
         C, v, r = strapdown_step(C, v, r, f, w, h)
         d0 += f[0] * h
         d1 += f[1] * h
@@ -132,33 +91,21 @@ def mechanize(x, base, samples, dt, count, active, force):
         d4 += w[1] * h
         d5 += w[2] * h
     now = load(active, 0) > 0.0
-    _put(x, base + C_EB, now, C[0], C[1], C[2])
-    _put(x, base + C_EB + 3, now, C[3], C[4], C[5])
-    _put(x, base + C_EB + 6, now, C[6], C[7], C[8])
-    _put(x, base + VELOCITY, now, v[0], v[1], v[2])
-    _put(x, base + POSITION, now, r[0], r[1], r[2])
-    _put(x, base + IMU_DELTA, now, d0, d1, d2)
-    _put(x, base + IMU_DELTA + 3, now, d3, d4, d5)
-    _put(force, 0, now, f[0], f[1], f[2])
+    keep3(x, base + C_EB, now, C[:3])
+    keep3(x, base + C_EB + 3, now, C[3:6])
+    keep3(x, base + C_EB + 6, now, C[6:])
+    keep3(x, base + VELOCITY, now, v)
+    keep3(x, base + POSITION, now, r)
+    keep3(x, base + IMU_DELTA, now, (d0, d1, d2))
+    keep3(x, base + IMU_DELTA + 3, now, (d3, d4, d5))
+    keep3(force, 0, now, f)
 
 
 @njit
 def propagate(x, base, assumed, first, force, tau, terms, product):
     """Propagate a group's covariance over one interval. `assumed`, `first`: lane array and first
     row of what the group assumes."""
-    C = (
-        load(x, base + C_EB),
-        load(x, base + C_EB + 1),
-        load(x, base + C_EB + 2),
-        load(x, base + C_EB + 3),
-        load(x, base + C_EB + 4),
-        load(x, base + C_EB + 5),
-        load(x, base + C_EB + 6),
-        load(x, base + C_EB + 7),
-        load(x, base + C_EB + 8),
-    )
-    r = load(x, base + POSITION), load(x, base + POSITION + 1), load(x, base + POSITION + 2)
-    f = load(force, 0), load(force, 1), load(force, 2)
+    C, r, f = load_attitude(x, base), load3(x, base + POSITION), load3(force, 0)
     transition_terms(C, r, f, tau, terms)
     propagate_covariance(x, base + COVARIANCE, terms, tau, assumed, first + NOISE_PSD, product)
 
@@ -170,16 +117,7 @@ def innovate(x, base, n, tau, sky):
     drift = load(x, base + CLOCK + 1)
     clock = load(x, base + CLOCK) + drift * tau
     store(x, base + CLOCK, clock)
-    rx, ry, rz = (
-        load(x, base + POSITION),
-        load(x, base + POSITION + 1),
-        load(x, base + POSITION + 2),
-    )
-    vx, vy, vz = (
-        load(x, base + VELOCITY),
-        load(x, base + VELOCITY + 1),
-        load(x, base + VELOCITY + 2),
-    )
+    r, v, none = load3(x, base + POSITION), load3(x, base + VELOCITY), (0.0, 0.0, 0.0)
     c = base + CHANNELS
     for s in range(n):
         visible = load(sky, SKY * s + 6) > 0.0
@@ -188,29 +126,13 @@ def innovate(x, base, n, tau, sky):
         if not any_lane(visible):
             store(x, z, 0.0)
             store(x, z + n, 0.0)
-            store(x, u, 0.0)
-            store(x, u + 1, 0.0)
-            store(x, u + 2, 0.0)
+            store3(x, u, none)
             continue
-        rho, rate, ux, uy, uz = range_and_rate(
-            load(sky, SKY * s),
-            load(sky, SKY * s + 1),
-            load(sky, SKY * s + 2),
-            load(sky, SKY * s + 3),
-            load(sky, SKY * s + 4),
-            load(sky, SKY * s + 5),
-            rx,
-            ry,
-            rz,
-            vx,
-            vy,
-            vz,
-        )
+        rho, rate, ux, uy, uz = range_and_rate(load3(sky, SKY * s), load3(sky, SKY * s + 3), r, v)
         store(x, z, select(visible, load(x, z) - (rho + clock), 0.0))
         store(x, z + n, select(visible, load(x, z + n) - (rate + drift), 0.0))
-        store(x, u, select(visible, ux, 0.0))
-        store(x, u + 1, select(visible, uy, 0.0))
-        store(x, u + 2, select(visible, uz, 0.0))
+        sight = select(visible, ux, 0.0), select(visible, uy, 0.0), select(visible, uz, 0.0)
+        store3(x, u, sight)
 
 
 @njit
@@ -233,7 +155,7 @@ def correct(x, base, assumed, first, n, weights, rules, work, precision):
             kalman.information(x, u, z, precision, weights, half, n, power, work)
     kalman.update(x, base + COVARIANCE, rules[0], work)
     dx = kalman.X
-    x0, x1, x2 = load(work, dx), load(work, dx + 1), load(work, dx + 2)
+    x0, x1, x2 = load3(work, dx)
     for j in range(base + C_EB, base + C_EB + 3):
         c0, c1, c2 = load(x, j), load(x, j + 3), load(x, j + 6)
         store(x, j, c0 + x2 * c1 - x1 * c2)
@@ -255,34 +177,20 @@ def correct(x, base, assumed, first, n, weights, rules, work, precision):
 @njit
 def _orthonormalize(x, first, now):
     """One step towards the nearest rotation: C <- C (3 I - C' C) / 2, row by row."""
-    c0, c1, c2 = load(x, first), load(x, first + 1), load(x, first + 2)
-    c3, c4, c5 = load(x, first + 3), load(x, first + 4), load(x, first + 5)
-    c6, c7, c8 = load(x, first + 6), load(x, first + 7), load(x, first + 8)
-    g00, g11, g22 = (
-        c0 * c0 + c3 * c3 + c6 * c6,
-        c1 * c1 + c4 * c4 + c7 * c7,
-        c2 * c2 + c5 * c5 + c8 * c8,
-    )
-    g01, g02, g12 = (
-        c0 * c1 + c3 * c4 + c6 * c7,
-        c0 * c2 + c3 * c5 + c6 * c8,
-        c1 * c2 + c4 * c5 + c7 * c8,
-    )
+    c0, c1, c2 = load3(x, first)
+    c3, c4, c5 = load3(x, first + 3)
+    c6, c7, c8 = load3(x, first + 6)
+    g00, g01 = c0 * c0 + c3 * c3 + c6 * c6, c0 * c1 + c3 * c4 + c6 * c7
+    g11, g02 = c1 * c1 + c4 * c4 + c7 * c7, c0 * c2 + c3 * c5 + c6 * c8
+    g22, g12 = c2 * c2 + c5 * c5 + c8 * c8, c1 * c2 + c4 * c5 + c7 * c8
     for i in range(first, first + 9, 3):
-        a, b, c = load(x, i), load(x, i + 1), load(x, i + 2)
-        _put(
-            x,
-            i,
-            now,
-            0.5 * ((3.0 - g00) * a - g01 * b - g02 * c),
-            0.5 * ((3.0 - g11) * b - g01 * a - g12 * c),
-            0.5 * ((3.0 - g22) * c - g02 * a - g12 * b),
-        )
+        a, b, c = load3(x, i)
+        d, e = (3.0 - g00) * a - g01 * b - g02 * c, (3.0 - g11) * b - g01 * a - g12 * c
+        keep3(x, i, now, (0.5 * d, 0.5 * e, 0.5 * ((3.0 - g22) * c - g02 * a - g12 * b)))
 
 
 @njit
 def spread(x, row, count, out, place, first, lanes):
-    """Copy rows of a group to where its receivers have theirs, one after the other."""
     for index in range(lanes):
         o = place + (first + index) * count
         for i in range(count):
@@ -291,7 +199,6 @@ def spread(x, row, count, out, place, first, lanes):
 
 @njit
 def show_position(a, base, b, some):
-    """Write the estimated position and velocity of a group, receiver by receiver."""
     receivers = a.visible.shape[0]
     spread(a.x, base + POSITION, 3, a.out, 2 * receivers, b, some)
     spread(a.x, base + VELOCITY, 3, a.out, 5 * receivers, b, some)
@@ -299,7 +206,6 @@ def show_position(a, base, b, some):
 
 @njit
 def show_measured(a, row, b, some):
-    """Write the measurements of a group where they are looked at; `row`: their first row."""
     n, places = a.visible.shape[1], a.places
     if places[SEEN_RANGE] >= 0:
         spread(a.x, row, n, a.out, places[SEEN_RANGE], b, some)
@@ -309,7 +215,7 @@ def show_measured(a, row, b, some):
 
 @njit
 def show(a, w, base, b, some):
-    """Write what is looked at of a group's predicted epoch, receiver by receiver (`state.SEEN`)."""
+    """Write what is looked at of a group's predicted epoch, receiver by receiver (`epoch.SEEN`)."""
     (receivers, n), x, out, places = a.visible.shape, a.x, a.out, a.places
     c, m = base + CHANNELS, 2 * n
     P, u, seen = base + COVARIANCE, c + SIGHT * n, c + VISIBLE * n
@@ -353,7 +259,6 @@ def show(a, w, base, b, some):
 
 @njit
 def show_satellites(sky, column, each, n, out, first):
-    """Write three columns of what is known of the satellites, (n, 3)."""
     for s in range(n):
         for i in range(3):
             out[first + 3 * s + i] = lane(sky, SKY * s + column + i, each)
@@ -361,7 +266,6 @@ def show_satellites(sky, column, each, n, out, first):
 
 @njit
 def show_design(x, u, seen, each, n, H):
-    """Write what is not 0 of the design matrix H of one receiver, row by row."""
     for s in range(n):
         for i in range(3):
             H[17 * s + 6 + i] = H[17 * (n + s) + 3 + i] = lane(x, u + 3 * s + i, each)
@@ -370,7 +274,7 @@ def show_design(x, u, seen, each, n, H):
 
 @njit
 def show_transition(terms, tau, index, Phi):
-    """Write the transition matrix of one receiver, row by row (`error_model.transition_terms`)."""
+    """Write the transition matrix of one receiver, row by row (`states.transition_terms`)."""
     w = EARTH_RATE * tau
     for i in range(17):
         Phi[18 * i] = 1.0
@@ -396,7 +300,7 @@ def sample(a, w, group, epoch, measured, base):
     with as many go together. Where `measured`, `run` has what the sensors gave."""
     first, counts, start = w.index[1], w.index[2], w.index[3]
     lanes, size = counts.shape[0], a.rules[3]
-    sensor_base, key_row = group * (SENSOR_CHANNELS + 2 * a.visible.shape[1]), group * KEYS
+    sensor_base, key_row = group * (world.CHANNELS + 2 * a.visible.shape[1]), group * world.KEYS
     sensors = a.sensors, sensor_base, a.constants, constant_row(a, group)
     samples, work = w.rest[:size], w.rest[size:]
     dt, truth, active = work[: size // 6], work[size // 6 :], w.force[3:4]
@@ -411,80 +315,51 @@ def sample(a, w, group, epoch, measured, base):
             set_lane(active, 0, each, 1.0 if together else 0.0)
             start[each] = first[each] if together else first[leader]
         if measured:
-            recorded(a.run, start, count, samples, dt)
+            world.recorded(a.run, start, count, samples, dt)
         else:
-            keys = load(a.keys, key_row + IMU_KEY), load(a.keys, key_row + IMU_KEY + 1)
+            keys = load(a.keys, key_row + world.IMU_KEY), load(a.keys, key_row + world.IMU_KEY + 1)
             deviates(keys[0], keys[1], epoch, size, 6 * count, samples)
-            sense(a.run, start, count, *sensors, samples, dt, truth, active)
+            world.sense(a.run, start, count, *sensors, samples, dt, truth, active)
         mechanize(a.x, base, samples, dt, count, active, w.force)
 
 
-class Arrays(NamedTuple):
-    """What a batch of receivers reads and writes at an epoch, as kernels pass it on.
-
-    - `x`, `assumed`, `sensors`, `constants`, `keys`: lane arrays of `receiver_shapes`,
-      `assumed_shapes`, `sensor_shapes`, `CONSTANTS` and `SOURCES`; `assumed` and `constants` may
-      be of one group, for all of them;
-    - `out`, `places`: `seen_floats` and `places` of `ReceiverBuffers`;
-    - `visible`, `coasting`: (B, n) and (B,) bool;
-    - `epochs` (B,) that each receiver is at;
-    - `range_offset`, `rate_offset`, `authentic`: of `SensorBuffers`;
-    - `run` (8, N) true samples, their lengths and root rates, as `World.run`, or measured ones;
-    - `epoch_time`, `epoch_end`, `satellites`: of `World`;
-    - `rules`: covariance update, fewest satellites, whether to re-orthonormalize, deviates of an
-      epoch for inertial sensors and for GNSS;
-    - `signals`, `mappings`: lane array of `signal_shapes`, and (K, n, 6) what is known of the lines
-      of sight; both empty where no signal has such errors.
-    """
-
-    x: Any
-    assumed: Any
-    out: Any
-    places: Any
-    visible: Any
-    coasting: Any
-    sensors: Any
-    constants: Any
-    keys: Any
-    epochs: Any
-    range_offset: Any
-    rate_offset: Any
-    authentic: Any
-    run: Any
-    epoch_time: Any
-    epoch_end: Any
-    satellites: Any
-    rules: Any
-    signals: Any
-    mappings: Any
-
-
-class Scratch(NamedTuple):
-    """Scratch memory of a thread, in lane arrays; `index` (4, lanes) int64."""
-
-    terms: Any
-    product: Any
-    solution: Any
-    force: Any
-    tau: Any
-    epoch: Any
-    noise: Any
-    sky: Any
-    added: Any
-    precision: Any
-    rest: Any
-    index: Any
+# What a batch of receivers reads and writes at an epoch, as kernels pass it on:
+# - `x`, `assumed`, `sensors`, `constants`, `keys`: lane arrays of `receiver_shapes`,
+#   `assumed_shapes`, `sensor_shapes`, `CONSTANTS` and `SOURCES`; `assumed` and `constants` may be
+#   of one group, for all of them;
+# - `out`, `places`: `seen_floats` and `places` of `ReceiverBuffers`;
+# - `visible`, `coasting`: (B, n) and (B,) bool; `epochs` (B,) that each receiver is at;
+# - `range_offset`, `rate_offset`, `authentic`: of `SensorBuffers`;
+# - `run` (8, N) true samples, their lengths and root rates, as `World.run`, or measured ones;
+# - `epoch_time`, `epoch_end`, `satellites`: of `World`;
+# - `rules`: covariance update, fewest satellites, whether to re-orthonormalize, deviates of an
+#   epoch for inertial sensors and for GNSS;
+# - `signals`, `mappings`: lane array of `signal_shapes`, and (K, n, 6) what is known of the lines
+#   of sight; both empty where no signal has such errors.
+Arrays = namedtuple(
+    "Arrays",
+    "x assumed out places visible coasting sensors constants keys epochs range_offset rate_offset "
+    "authentic run epoch_time epoch_end satellites rules signals mappings",
+)
+# Scratch memory of a thread, in lane arrays; `index` (4, lanes) int64.
+Scratch = namedtuple(
+    "Scratch", "terms product solution force tau epoch noise sky added precision rest index"
+)
 
 
 def work_rows(channels: int, imu_size: int, gnss_size: int) -> int:
     """Rows of scratch memory of a thread; S and the samples share theirs."""
     n, fixed = channels, TERMS + PRODUCT_ROWS + kalman.WORK + 6
-    return fixed + gnss_size + (SKY + 6) * n + max(imu_size + imu_size // 6 + 8 * CHUNK, 4 * n * n)
+    return (
+        fixed
+        + gnss_size
+        + (SKY + 6) * n
+        + max(imu_size + imu_size // 6 + 8 * world.CHUNK, 4 * n * n)
+    )
 
 
 @njit
 def name_scratch(a, work):
-    """Name the parts of a lane array of `work_rows`."""
     n = a.visible.shape[1]
     terms, work = work[:TERMS], work[TERMS:]
     product, work = work[:PRODUCT_ROWS], work[PRODUCT_ROWS:]
@@ -506,7 +381,7 @@ def assumed_row(a, group):
 
 @inlined
 def constant_row(a, group):
-    return group * CONSTANT_ROWS % a.constants.shape[0]
+    return group * world.CONSTANT_ROWS % a.constants.shape[0]
 
 
 @njit
@@ -518,7 +393,7 @@ def predict_group(a, w, group, what):
     receivers, n = a.visible.shape
     lanes, x = lanes_of(a.x), a.x
     base, c = group * (CHANNELS + ALL * n), group * (CHANNELS + ALL * n) + CHANNELS
-    sensor_base, key_row = group * (SENSOR_CHANNELS + 2 * n), group * KEYS
+    sensor_base, key_row = group * (world.CHANNELS + 2 * n), group * world.KEYS
     b, some = group * lanes, min(lanes, receivers - group * lanes)
     moves = 1 if what & PREDICT else 0
     for each in range(lanes):  # lanes without a receiver follow the last one
@@ -530,7 +405,7 @@ def predict_group(a, w, group, what):
         set_lane(w.tau, 0, each, a.epoch_time[k] - a.epoch_time[k - moves])
     for each in range(some):
         a.epochs[b + each] = w.index[0, each]
-    gather_sky(a.satellites, w.index[0], w.sky)
+    world.gather_sky(a.satellites, w.index[0], w.sky)
     tau, epoch = load(w.tau, 0), whole_number(load(w.epoch, 0))
     if what & MEASURE:
         for each in range(lanes):
@@ -541,26 +416,14 @@ def predict_group(a, w, group, what):
             for s in range(2 * n):
                 stays = a.authentic[follows, s] if a.authentic.shape[0] else 1.0
                 set_lane(w.added, 2 * n + s, each, stays)
-        picked_up = w.rest[: DISTURBED * n if a.signals.shape[0] else 0]
+        picked_up = w.rest[: world.DISTURBED * n if a.signals.shape[0] else 0]
         if a.signals.shape[0]:
             disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up)
-        measure(
-            a.sensors,
-            sensor_base,
-            a.constants,
-            constant_row(a, group),
-            n,
-            a.keys,
-            key_row,
-            epoch,
-            tau,
-            w.sky,
-            w.noise,
-            w.added,
-            picked_up,
-            x,
-            c,
+        sensors, drawn = (
+            (a.sensors, sensor_base, a.constants, constant_row(a, group)),
+            (a.keys, key_row),
         )
+        world.measure(sensors, n, *drawn, epoch, tau, w.sky, w.noise, w.added, picked_up, x, c)
     if what & SHOW:
         show_measured(a, c + INNOVATION * n, b, some)
     if what & PREDICT:
@@ -573,19 +436,18 @@ def predict_group(a, w, group, what):
 
 @njit
 def disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up):
-    """Let a group's signals pick up their errors, and its clocks jump (`disturb`)."""
     n, rest = a.visible.shape[1], w.rest[picked_up.shape[0] :]
     mapping, rest = rest[: MAPPINGS * n], rest[MAPPINGS * n :]
-    gather_mappings(a.mappings, w.index[0], mapping)
-    key0 = load(a.keys, key_row + CORRELATED_KEY)
-    key1 = load(a.keys, key_row + CORRELATED_KEY + 1)
+    world.gather_mappings(a.mappings, w.index[0], mapping)
+    key0 = load(a.keys, key_row + world.CORRELATED_KEY)
+    key1 = load(a.keys, key_row + world.CORRELATED_KEY + 1)
     size = -(-deviates_of(n) // BLOCK) * BLOCK
-    base, noise = group * (SIGNALS + SIGNAL_ROWS * n), rest[:size]
+    base, noise = group * (world.SIGNALS + world.SIGNAL_ROWS * n), rest[:size]
     number = load(w.epoch, 0)
-    step = disturb(
+    step = world.disturb(
         a.signals, base, n, key0, key1, number, epoch, tau, mapping, noise, w.sky, picked_up
     )
-    store(a.sensors, sensor_base + TRUE_CLOCK, load(a.sensors, sensor_base + TRUE_CLOCK) + step)
+    store(a.sensors, sensor_base + world.CLOCK, load(a.sensors, sensor_base + world.CLOCK) + step)
 
 
 @njit
@@ -606,7 +468,6 @@ def update_group(a, w, group, weights):
 
 @njit
 def arrays_at(table, work, channels):
-    """Name the arrays of a table that begins with those of `Arrays` (`state.kernel_table`)."""
     n, epochs, epoch_time = channels, integers_at(table, 9), floats_at(table, 14)
     receivers, run = epochs.shape[0], floats_at(table, 13)
     authentic, mappings = floats_at(table, 12), floats_at(table, 19)
@@ -669,9 +530,7 @@ def first_fix(measured, satellites, epochs, guess_e, position_e, velocity_e, clo
                 p = sky[s]
                 if p[6] == 0.0:
                     continue
-                rho, rate, ux, uy, uz = range_and_rate(
-                    p[0], p[1], p[2], p[3], p[4], p[5], r[0], r[1], r[2], v[0], v[1], v[2]
-                )
+                rho, rate, ux, uy, uz = range_and_rate(p[:3], p[3:6], r, v)
                 z = measured[b, 0, s] - rho - clock[b, 0]
                 if rates:
                     z = measured[b, 1, s] - rate

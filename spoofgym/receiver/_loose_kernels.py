@@ -1,12 +1,9 @@
 """The compiled halves of a loosely coupled receiver's epoch, over a batch of receivers."""
 
-from __future__ import annotations
-
 import math
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
 from ..earth.wgs84 import EARTH_RATE, gravity, radii_of_curvature
@@ -20,41 +17,24 @@ from .loose_states import (
 )
 from .strapdown import strapdown_step
 
-FloatArray = NDArray[np.float64]
-
-
-class LooseState(NamedTuple):
-    """What the receivers remember.
-
-    - `position_e`, `velocity_e` (B, 3) ECEF [m], [m/s];
-    - `C_eb` (B, 3, 3) attitude;
-    - `bias` (B, 6) of gyros [rad/s] and accelerometers [m/s^2];
-    - `covariance` (B, 15, 15) in the order of `loose_states`;
-    - `innovation`, `innovation_cov` (B, 3) and (B, 3, 3) of the epoch, GNSS minus prediction; east,
-      north, up [m];
-    - `measurement_cov` (B, 3, 3) R of the next update [m^2];
-    - `process_scale` (B,) what Q is multiplied with;
-    - `residuals`, `innovations` (B, w, 3) windows [m]; the second only where Q adapts, else w = 0;
-    - `seen` (B,) int64, updates so far.
-    """
-
-    position_e: FloatArray
-    velocity_e: FloatArray
-    C_eb: FloatArray
-    bias: FloatArray
-    covariance: FloatArray
-    innovation: FloatArray
-    innovation_cov: FloatArray
-    measurement_cov: FloatArray
-    process_scale: FloatArray
-    residuals: FloatArray
-    innovations: FloatArray
-    seen: NDArray[np.int64]
+# What the receivers remember:
+# - `position_e`, `velocity_e` (B, 3) ECEF [m], [m/s]; `C_eb` (B, 3, 3) attitude;
+# - `bias` (B, 6) of gyros [rad/s] and accelerometers [m/s^2];
+# - `covariance` (B, 15, 15) in the order of `loose_states`;
+# - `innovation`, `innovation_cov` (B, 3) and (B, 3, 3) of the epoch, GNSS minus prediction; east,
+#   north, up [m];
+# - `measurement_cov` (B, 3, 3) R of the next update [m^2]; `process_scale` (B,) factor on Q;
+# - `residuals`, `innovations` (B, w, 3) windows [m]; the second only where Q adapts, else w = 0;
+# - `seen` (B,) int64, updates so far.
+LooseState = namedtuple(
+    "LooseState",
+    "position_e velocity_e C_eb bias covariance innovation innovation_cov measurement_cov "
+    "process_scale residuals innovations seen",
+)
 
 
 @inlined
-def _to_local(C_el: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Turn a vector from ECEF to local axes."""
+def _to_local(C_el, x, y, z):
     return (
         C_el[0, 0] * x + C_el[1, 0] * y + C_el[2, 0] * z,
         C_el[0, 1] * x + C_el[1, 1] * y + C_el[2, 1] * z,
@@ -63,13 +43,7 @@ def _to_local(C_el: FloatArray, x: float, y: float, z: float) -> tuple[float, fl
 
 
 @njit
-def first_estimate(
-    state: LooseState,
-    position_e: FloatArray,
-    velocity_e: FloatArray,
-    C_eb: FloatArray,
-    error: FloatArray,
-) -> None:
+def first_estimate(state, position_e, velocity_e, C_eb, error):
     """Begin at the truth, apart from the errors of the alignment. `state`: position, velocity and
     attitude are written; `position_e`, `velocity_e`, `C_eb` (B, 3), (B, 3) and (B, 3, 3) truth;
     `error` (B, 15) in the order of the states; the biases are not looked at."""
@@ -87,9 +61,7 @@ def first_estimate(
 
 
 @njit
-def propagate(
-    P: FloatArray, Phi: FloatArray, noise_psd: FloatArray, tau: float, work: FloatArray
-) -> None:
+def propagate(P, Phi, noise_psd, tau, work):
     r"""Propagate the covariance over one interval, in place.
 
     .. math:: P \leftarrow \Phi (P + Q/2) \Phi^T + Q/2, \qquad Q = \mathrm{PSD} \, \tau
@@ -122,15 +94,7 @@ def propagate(
 
 
 @njit
-def predict(
-    state: LooseState,
-    samples: FloatArray,
-    fix_e: FloatArray,
-    interval: float,
-    noise_psd: FloatArray,
-    transition: FloatArray,
-    imu_delta: FloatArray,
-) -> None:
+def predict(state, samples, fix_e, interval, noise_psd, transition, imu_delta):
     """Mechanize one block of samples, propagate, and form innovation and covariance.
 
     `samples` (B, S, 6) measured specific force and angular rate, body axes; `fix_e` (B, 3) GNSS
@@ -147,17 +111,7 @@ def predict(
         r0, r1, r2, v0, v1, v2 = r[0], r[1], r[2], v[0], v[1], v[2]
         delta = imu_delta[b]
         delta[:] = 0.0
-        A = (
-            C[0, 0],
-            C[0, 1],
-            C[0, 2],
-            C[1, 0],
-            C[1, 1],
-            C[1, 2],
-            C[2, 0],
-            C[2, 1],
-            C[2, 2],
-        )
+        A = C[0, 0], C[0, 1], C[0, 2], C[1, 0], C[1, 1], C[1, 2], C[2, 0], C[2, 1], C[2, 2]
         V, X = (v0, v1, v2), (r0, r1, r2)
         for i in range(count):
             m = samples[b, i]
@@ -199,7 +153,7 @@ def predict(
 
 
 @njit
-def invert(S: FloatArray, out: FloatArray) -> None:
+def invert(S, out):
     """Inverse of a symmetric positive definite (3, 3) matrix, by cofactors. `S`, `out` (3, 3);
     `out` is written."""
     a = S[1, 1] * S[2, 2] - S[1, 2] * S[1, 2]
@@ -215,7 +169,7 @@ def invert(S: FloatArray, out: FloatArray) -> None:
 
 
 @njit
-def joseph(P: FloatArray, G: FloatArray, R: FloatArray, M: FloatArray, GR: FloatArray) -> None:
+def joseph(P, G, R, M, GR):
     r"""Covariance after an update with any gain, in place.
 
     With :math:`G = -K W`, which acts on position errors, and E the choice of the position,
@@ -240,7 +194,7 @@ def joseph(P: FloatArray, G: FloatArray, R: FloatArray, M: FloatArray, GR: Float
 
 
 @njit
-def feed_back(state: LooseState, b: int, x: FloatArray, C_el: FloatArray) -> None:
+def feed_back(state, b, x, C_el):
     """Take an estimated error out of one receiver's solution. A corrected position has other local
     axes, and the velocity and attitude errors are those in each its own axes: both turn with them.
     `x` (15,) estimated error; `C_el` (3, 3) scratch memory."""
@@ -276,7 +230,7 @@ def feed_back(state: LooseState, b: int, x: FloatArray, C_el: FloatArray) -> Non
 
 
 @njit
-def update(state: LooseState, weights: FloatArray, rule: int, floor: float) -> None:
+def update(state, weights, rule, floor):
     """Correct the predicted state with the weighted gain, feed it back, and tune the noise.
     `state`: after `predict`; corrected in place. Where the window of residuals is empty, R stays;
     `weights` (B, 3) on the columns of the gain; `floor`: least variance of a coordinate [m^2]."""
@@ -288,11 +242,8 @@ def update(state: LooseState, weights: FloatArray, rule: int, floor: float) -> N
         invert(state.innovation_cov[b], S_inverse)
         for i in range(15):
             for j in range(3):
-                G[i, j] = weights[b, j] * (
-                    P[i, 6] * S_inverse[0, j]
-                    + P[i, 7] * S_inverse[1, j]
-                    + P[i, 8] * S_inverse[2, j]
-                )
+                total = P[i, 6] * S_inverse[0, j] + P[i, 7] * S_inverse[1, j]
+                G[i, j] = weights[b, j] * (total + P[i, 8] * S_inverse[2, j])
             x[i] = -(G[i, 0] * z[0] + G[i, 1] * z[1] + G[i, 2] * z[2])
         joseph(P, G, R, M, GR)
         feed_back(state, b, x, C_el)

@@ -34,13 +34,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
-from ..core.registry import check_choice
+from ..core.registry import check_choice, check_finite, require
 
 FloatArray = NDArray[np.float64]
 FIXED, RAW, SKIP, CLAMPED = 0, 1, 2, 3
 PROCESS = {"fixed": FIXED, "raw": RAW, "skip": SKIP, "clamped": CLAMPED}
-LARGEST_SCALE = 1e12
-"""Bound of the scale of Q, so that an unstable run shows and no number overflows."""
+LARGEST_SCALE = 1e12  # bound of the scale of Q, so that an unstable run shows without an overflow
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,11 +67,11 @@ class SelfTuning:
     floor_m: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 2 <= self.window <= 100_000:
-            raise ValueError(f"`window` must be 2 to 100000 epochs, got {self.window}")
+        require(
+            2 <= self.window <= 100_000, f"`window` must be 2 to 100000 epochs, got {self.window}"
+        )
         check_choice("process", self.process, PROCESS)
-        if not (math.isfinite(self.floor_m) and self.floor_m >= 0.0):
-            raise ValueError(f"`floor_m` must be finite and >= 0, got {self.floor_m}")
+        check_finite("floor_m", self.floor_m, ">= 0")
 
 
 @njit
@@ -100,7 +99,6 @@ def windowed_covariance(window: FloatArray, out: FloatArray) -> None:
 
 @inlined
 def process_factor(rule: int, ratio: float) -> float:
-    r"""What an epoch multiplies the process noise by."""
     root = math.sqrt(max(ratio, 0.0))
     if rule == CLAMPED:
         return min(max(root, 0.5), 2.0)

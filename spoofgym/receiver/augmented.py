@@ -37,10 +37,8 @@ from ..truth.signal_errors import HALF_LIFE, SignalErrors, process_coefficients
 from .states import GYRO_BIAS, STATES
 
 FloatArray = NDArray[np.float64]
-MATRICES = 27
-"""Elements of M_f, M_w and G."""
-FIRST = STATES + MATRICES
-"""First state of the signals."""
+MATRICES = 27  # elements of M_f, M_w and G
+FIRST = STATES + MATRICES  # first state of the signals
 
 
 class SignalModel(NamedTuple):
@@ -82,7 +80,6 @@ class SignalModel(NamedTuple):
 
 
 def _kinds(errors: GnssErrors, bias_sd: FloatArray) -> dict[str, int]:
-    """How many states of every kind some errors need."""
     n, signals = len(bias_sd), errors.signals
     wanted = {
         "constant": (bias_sd.any(), n),
@@ -253,7 +250,6 @@ class AugmentedFilter:
         return Predicted(gain, S, innovation - known, drift, enough)
 
     def _show(self, top: FloatArray, H: FloatArray, P: FloatArray) -> None:
-        """Write what is looked at; `top` (B, 17, 44) of the transition."""
         shown = self.shown
         if "transition" in shown:
             shown["transition"][:, :STATES, :FIRST] = top

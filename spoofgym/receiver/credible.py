@@ -32,49 +32,55 @@ Source: `song2021`; the filter is from `groves2013`, chapter 3.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import njit
 from ..core.memory import Memory
-from .epoch import ALWAYS, OPTIONAL, Epoch, frozen_fields
+from ..core.registry import check_finite, require
+from .epoch import OPTIONAL, Epoch, EpochMaker, FloatArray, without_channels
 
-FloatArray = NDArray[np.float64]
 AXES = 2
+
+
+class CredibleState(NamedTuple):
+    """What the filters remember: `position` (B, 3) estimate [m], `covariance` (B, 2, 2) P [m^2],
+    `odometry` (B, 3) dead reckoning alone [m], `outage` (B,) t, and `interrupted` (B,) time since
+    the last fix [s]."""
+
+    position: FloatArray
+    covariance: FloatArray
+    odometry: FloatArray
+    outage: FloatArray
+    interrupted: FloatArray
+
+
+class Innovations(NamedTuple):
+    """Those of an epoch, `innovation` (B, 2), `innovation_cov`, `design` (B, 2, 2), and
+    `gnss_position` (B, 3)."""
+
+    innovation: FloatArray
+    innovation_cov: FloatArray
+    design: FloatArray
+    gnss_position: FloatArray
+
+
+Rules = tuple[float, float, float, float]  # tau [s], q [m^2/s], d [m/s], R [m^2]
 
 
 @njit
 def predict_positions(
-    interval: float,
-    increment: FloatArray,
-    fix: FloatArray,
-    noise: float,
-    drift_rate: float,
-    noise_variance: float,
-    position: FloatArray,
-    covariance: FloatArray,
-    odometry: FloatArray,
-    outage: FloatArray,
-    interrupted: FloatArray,
-    innovation: FloatArray,
-    innovation_cov: FloatArray,
-    design: FloatArray,
-    gnss_position: FloatArray,
+    rules: Rules, increment: FloatArray, fix: FloatArray, state: CredibleState, seen: Innovations
 ) -> None:
-    """First half of an epoch: dead reckoning, interruption check, innovation.
-
-    `increment`, `fix` (B, 2) u and g [m]; a fix that is not finite is none; `position`,
-    `covariance`, `odometry` (B, 3) estimate [m], (B, 2, 2) P [m^2], (B, 3) dead reckoning alone
-    [m], overwritten; `outage`, `interrupted` (B,) t, and time since the last fix [s]; the second
-    overwritten; `innovation`, `innovation_cov`, `design`, `gnss_position` (B, 2), (B, 2, 2),
-    (B, 2, 2), (B, 3), written.
-    """
+    """First half of an epoch: dead reckoning, interruption check, innovation. `increment`, `fix`
+    (B, 2) u and g [m]; a fix that is not finite is none; `state`, `seen` are overwritten."""
+    interval, noise, drift_rate, noise_variance = rules
+    position, covariance, odometry, outage, interrupted = state
+    innovation, innovation_cov, design, gnss_position = seen
     for b in range(increment.shape[0]):
-        # comparisons, since the relaxed rules may fold `isfinite` away (see `fits`)
         valid = abs(fix[b, 0]) < np.inf and abs(fix[b, 1]) < np.inf
         interrupted[b] = 0.0 if valid else interrupted[b] + interval
         grown = noise + drift_rate * drift_rate * (2.0 * outage[b] + interval)
@@ -99,19 +105,13 @@ def predict_positions(
 
 @njit
 def update_positions(
-    interval: float,
-    weights: FloatArray,
-    noise_variance: float,
-    innovation: FloatArray,
-    innovation_cov: FloatArray,
-    design: FloatArray,
-    position: FloatArray,
-    covariance: FloatArray,
-    outage: FloatArray,
+    rules: Rules, weights: FloatArray, state: CredibleState, seen: Innovations
 ) -> None:
-    """Second half of an epoch: the weighted update, in Joseph's form. `interval`: tau [s];
-    `weights` (B, 2) w; `noise_variance`: R [m^2]; `position`, `covariance` (B, 3), (B, 2, 2),
-    overwritten; `outage` (B,) t [s], overwritten: 0 once a fix has been believed at all."""
+    """Second half of an epoch: the weighted update, in Joseph's form. `weights` (B, 2) w; `state`:
+    overwritten; its `outage` is 0 once a fix has been believed at all."""
+    interval, _, _, noise_variance = rules
+    position, covariance, _, outage, _ = state
+    innovation, innovation_cov, design, _ = seen
     for b in range(weights.shape[0]):
         believed = False
         for i in range(2):
@@ -139,16 +139,15 @@ class CredibleFilter:
     drift_rate_mps: float = 0.04
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.gain < 1.0:
-            raise ValueError(f"`gain` must lie between 0 and 1, both excluded, got {self.gain}")
-        if not (math.isfinite(self.noise_sd_m) and self.noise_sd_m > 0.0):
-            raise ValueError(f"`noise_sd_m` must be finite and > 0, got {self.noise_sd_m}")
-        if not (math.isfinite(self.drift_rate_mps) and self.drift_rate_mps >= 0.0):
-            raise ValueError(f"`drift_rate_mps` must be finite and >= 0, got {self.drift_rate_mps}")
+        require(
+            0.0 < self.gain < 1.0,
+            f"`gain` must lie between 0 and 1, both excluded, got {self.gain}",
+        )
+        check_finite("noise_sd_m", self.noise_sd_m, "> 0")
+        check_finite("drift_rate_mps", self.drift_rate_mps, ">= 0")
 
     @property
     def noise_variance(self) -> float:
-        """R [m^2]."""
         return self.noise_sd_m**2
 
     def process_noise(self, interval_s: float) -> float:
@@ -160,18 +159,17 @@ class CredibleFilter:
         """
         total = self.gain**2 * self.noise_variance / (1.0 - self.gain)
         most = math.sqrt(total) / interval_s
-        if self.drift_rate_mps > most:
-            raise ValueError(
-                f"`drift_rate_mps` must be at most {most:g} for a gain of {self.gain:g} every "
-                f"{interval_s:g} s, got {self.drift_rate_mps}"
-            )
+        require(
+            self.drift_rate_mps <= most,
+            f"`drift_rate_mps` must be at most {most:g} for a gain of {self.gain:g} every "
+            f"{interval_s:g} s, got {self.drift_rate_mps}",
+        )
         return total / interval_s - self.drift_rate_mps**2 * interval_s
 
 
 class CredibleBatch:
     """B filters in step; all that they remember lies in a memory that is handed in. `memory`: of B
-    receivers; ``position``, ``covariance``, ``odometry``, ``outage``, ``interrupted`` are declared
-    in it; `fields`: optional ones that its epochs have."""
+    receivers; `CredibleState` is declared in it; `fields`: optional ones that its epochs have."""
 
     def __init__(
         self,
@@ -182,19 +180,27 @@ class CredibleBatch:
     ) -> None:
         b = memory.receivers
         self.settings, self.memory, self.interval_s = settings, memory, interval_s
-        self._noise = settings.process_noise(interval_s)
-        memory.declare("position", np.zeros((b, 3)))
-        memory.declare("covariance", np.tile(settings.noise_variance * np.eye(AXES), (b, 1, 1)))
-        memory.declare("odometry", np.zeros((b, 3)))
-        memory.declare("outage", np.zeros(b))
-        memory.declare("interrupted", np.zeros(b))
-        self.innovation = np.zeros((b, AXES))
-        self.innovation_cov = np.zeros((b, AXES, AXES))
-        self.design = np.zeros((b, AXES, AXES))
-        self.gnss_position = np.zeros((b, 3))
+        noise = settings.process_noise(interval_s), settings.drift_rate_mps
+        self._rules: Rules = interval_s, *map(float, noise), settings.noise_variance
+        covariance = np.tile(settings.noise_variance * np.eye(AXES), (b, 1, 1))
+        places = np.zeros((b, 3)), covariance, np.zeros((b, 3)), np.zeros(b), np.zeros(b)
+        memory.declare_all(**CredibleState(*places)._asdict())
+        square = (b, AXES, AXES)
+        self.seen = Innovations(
+            np.zeros((b, AXES)), np.zeros(square), np.zeros(square), np.zeros((b, 3))
+        )
         self.ones = np.ones((b, AXES))
-        self._names = ALWAYS.union(fields)
-        self._fixed = frozen_fields(_empty_fields(b, interval_s), self._names)
+        constant = {
+            "interval": np.full(b, interval_s),
+            "transition": np.tile(np.eye(AXES), (b, 1, 1)),
+            "imu_delta": np.zeros((b, 6)),
+            "predicted_velocity": np.zeros((b, 3)),
+        }
+        self._epoch = EpochMaker(fields, {**constant, **without_channels(b)})
+
+    @property
+    def state(self) -> CredibleState:
+        return CredibleState(*(self.memory[name] for name in CredibleState._fields))
 
     def begin(self, fix: FloatArray) -> None:
         """Begin at a position.  `fix` (B, 2) the first fix [m], finite."""
@@ -204,63 +210,18 @@ class CredibleBatch:
     def predict(self, time: FloatArray, increment: FloatArray, fix: FloatArray) -> Epoch:
         """First half of an epoch. `time` (B,) of the epoch [s]; `increment`, `fix` (B, 2) dead
         reckoning since the last epoch, GNSS position [m]."""
-        memory, settings = self.memory, self.settings
-        predict_positions(
-            self.interval_s,
-            increment,
-            fix,
-            self._noise,
-            settings.drift_rate_mps,
-            settings.noise_variance,
-            memory["position"],
-            memory["covariance"],
-            memory["odometry"],
-            memory["outage"],
-            memory["interrupted"],
-            self.innovation,
-            self.innovation_cov,
-            self.design,
-            self.gnss_position,
+        state, seen = self.state, self.seen
+        predict_positions(self._rules, increment, fix, state, seen)
+        return self._epoch(
+            time=time,
+            innovation_variance=seen.innovation_cov.diagonal(0, 1, 2),
+            predicted_cov=state.covariance,
+            predicted_position=state.position,
+            auxiliary_position=state.odometry,
+            **seen._asdict(),
         )
-        arrays: dict[str, NDArray[Any]] = {
-            "time": time,
-            "innovation": self.innovation,
-            "innovation_variance": self.innovation_cov.diagonal(0, 1, 2),
-            "innovation_cov": self.innovation_cov,
-            "predicted_cov": memory["covariance"],
-            "design": self.design,
-            "predicted_position": memory["position"],
-            "gnss_position": self.gnss_position,
-            "auxiliary_position": memory["odometry"],
-        }
-        return Epoch(**self._fixed, **frozen_fields(arrays, self._names))
 
     def update(self, weights: FloatArray | None) -> None:
         """Second half of an epoch.  `weights` (B, 2) of a verdict; None for ones."""
-        memory = self.memory
-        update_positions(
-            self.interval_s,
-            self.ones if weights is None else weights,
-            self.settings.noise_variance,
-            self.innovation,
-            self.innovation_cov,
-            self.design,
-            memory["position"],
-            memory["covariance"],
-            memory["outage"],
-        )
-
-
-def _empty_fields(b: int, interval_s: float) -> Mapping[str, NDArray[Any]]:
-    """What an epoch of a receiver without channels has, but never changes."""
-    return {
-        "interval": np.full(b, interval_s),
-        "transition": np.tile(np.eye(AXES), (b, 1, 1)),
-        "imu_delta": np.zeros((b, 6)),
-        "pseudorange": np.zeros((b, 0)),
-        "range_rate": np.zeros((b, 0)),
-        "satellite_position": np.zeros((b, 0, 3)),
-        "satellite_velocity": np.zeros((b, 0, 3)),
-        "visible": np.zeros((b, 0), dtype=np.bool_),
-        "predicted_velocity": np.zeros((b, 3)),
-    }
+        used = self.ones if weights is None else weights
+        update_positions(self._rules, used, self.state, self.seen)

@@ -54,7 +54,7 @@ def assumed_shapes(channels: int) -> dict[str, tuple[int, ...]]:
     return {"noise_psd": (STATES,), "noise_variance": (2 * channels,)}
 
 
-SEEN = (
+SEEN = (  # fields of an epoch that kernels write, in the order in which they get their places
     "innovation",
     "innovation_variance",
     "innovation_cov",
@@ -67,7 +67,6 @@ SEEN = (
     "satellite_position",
     "satellite_velocity",
 )
-"""Fields of an epoch that kernels write, in the order in which they get their places."""
 ALWAYS_SEEN = frozenset({"innovation", "innovation_variance"})
 
 
@@ -145,7 +144,6 @@ class ReceiverBuffers:
     def copy_rows(
         self, to: NDArray[np.intp], other: ReceiverBuffers, rows: NDArray[np.intp]
     ) -> None:
-        """Take over receivers of another batch."""
         self.fields.copy_rows(to, other.fields, rows)
         self.assumed.copy_rows(to, other.assumed, rows)
         for name in ("time", "interval", "position_e", "velocity_e", "visible", "coasting"):
@@ -253,10 +251,8 @@ class Epoch(NamedTuple):
     cn0_dbhz: FloatArray | None = None
 
 
-OPTIONAL = tuple(Epoch._field_defaults)
-"""Fields of an epoch that are None unless somebody's `needs` names them."""
-ALWAYS = frozenset(Epoch._fields).difference(OPTIONAL)
-"""The others."""
+OPTIONAL = tuple(Epoch._field_defaults)  # None unless somebody's `needs` names them
+ALWAYS = frozenset(Epoch._fields).difference(OPTIONAL)  # the others
 
 
 class TracedEpoch(Epoch):
@@ -300,8 +296,7 @@ class _Seal:
     __array_interface__: dict[str, Any]
 
 
-_OWNERS: WeakKeyDictionary[_Seal, NDArray[Any]] = WeakKeyDictionary()
-"""Arrays that sealed views look at, which keeps them alive as long as the views."""
+_OWNERS: WeakKeyDictionary[_Seal, NDArray[Any]] = WeakKeyDictionary()  # arrays of sealed views
 
 
 def _sealed(array: NDArray[Any]) -> NDArray[Any]:
@@ -321,8 +316,28 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     return np.ndarray(array.shape, array.dtype, array.tobytes())
 
 
-def frozen_fields(
-    arrays: Mapping[str, NDArray[Any]], names: Collection[str]
-) -> dict[str, NDArray[Any]]:
-    """`frozen` copies of the arrays with these names."""
-    return {name: frozen(array) for name, array in arrays.items() if name in names}
+class EpochMaker:
+    """Makes epochs, read-only copies of what is `constant` and of what is given; `fields`: optional
+    ones that they have."""
+
+    def __init__(self, fields: Collection[str], constant: Mapping[str, NDArray[Any]]) -> None:
+        self._names = ALWAYS.union(fields)
+        self._constant = self._frozen(constant)
+
+    def _frozen(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        return {name: frozen(array) for name, array in arrays.items() if name in self._names}
+
+    def __call__(self, **arrays: NDArray[Any]) -> Epoch:
+        return Epoch(**self._constant, **self._frozen(arrays))
+
+
+def without_channels(b: int) -> dict[str, NDArray[Any]]:
+    """What an epoch of B receivers without channels has, but never changes."""
+    nothing, no_vector = np.zeros((b, 0)), np.zeros((b, 0, 3))
+    return {
+        "pseudorange": nothing,
+        "range_rate": nothing,
+        "satellite_position": no_vector,
+        "satellite_velocity": no_vector,
+        "visible": np.zeros((b, 0), dtype=np.bool_),
+    }

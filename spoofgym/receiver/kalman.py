@@ -1,6 +1,4 @@
-"""Measurement update, normalized innovation squared.
-
-The measurement update, on the eight sums that hold all the information of a set of satellites.
+"""The measurement update, on the eight sums that hold all the information of a set of satellites.
 
 A pseudorange sees position and clock bias through the row g = (u, 1), a range rate sees velocity
 and clock drift through the same row.  With E the choice of these eight states and D the block
@@ -16,31 +14,24 @@ All functions are of lane arrays (`core.simd`), one group of receivers at a time
 of 4 x 4 is stored in ten rows, column by column: 00 10 20 30 11 21 31 22 32 33.
 """
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
 from ..core.simd import LANES, any_lane, lane, lanes_of, load, select, set_lane, splat, sqrt, store
 from .states import INDEX
 
-OBSERVED = np.array([6, 7, 8, 15, 3, 4, 5, 16])
-"""E: the states of position and clock bias, then of velocity and clock drift."""
+OBSERVED = np.array([6, 7, 8, 15, 3, 4, 5, 16])  # E: position, clock bias; velocity, clock drift
 
 PLAIN, UNWEIGHTED, GENERAL = 0, 1, 2
 COVARIANCE_UPDATES = {"plain": PLAIN, "unweighted": UNWEIGHTED, "general": GENERAL}
-NO_INFORMATION = 1e-12
-"""A pivot that has lost all but this part of its size to rounding has no information."""
+NO_INFORMATION = 1e-12  # part of a pivot that rounding may leave of one without information
+# Rows of scratch memory: y, L, the correction and V Pe y, F and C, F L, Q, V, A1, A2.
 Y, L, X, F, M, Q, V, A1, A2, REST = 0, 8, 28, 60, 124, 188, 324, 388, 408, 428
-"""Rows of scratch memory: y, L, the correction and V Pe y, F and C, F L, Q, V, A1, A2."""
-WORK = REST + 6 * 64 + 8 * 17
-"""Rows of scratch memory that `update` needs."""
+WORK = REST + 6 * 64 + 8 * 17  # rows of scratch memory that `update` needs
 
 
 @inlined
 def _store_triangle(out, first, a):
-    """Write the ten elements of a lower triangle."""
     store(out, first, a[0])
     store(out, first + 1, a[1])
     store(out, first + 2, a[2])
@@ -51,6 +42,24 @@ def _store_triangle(out, first, a):
     store(out, first + 7, a[7])
     store(out, first + 8, a[8])
     store(out, first + 9, a[9])
+
+
+@inlined
+def _store_every(out, first, step, x):
+    """Write four rows, so many apart."""
+    store(out, first, x[0])
+    store(out, first + step, x[1])
+    store(out, first + 2 * step, x[2])
+    store(out, first + 3 * step, x[3])
+
+
+@inlined
+def _observed(P, first, half, column):
+    """A column of a half of the rows E of a packed covariance."""
+    o = 4 * half
+    a, b = INDEX[OBSERVED[o], column], INDEX[OBSERVED[o + 1], column]
+    c, d = INDEX[OBSERVED[o + 2], column], INDEX[OBSERVED[o + 3], column]
+    return load(P, first + a), load(P, first + b), load(P, first + c), load(P, first + d)
 
 
 @njit
@@ -91,11 +100,7 @@ def information(x, u, z, precision, weights, half, n, power, work):
         a32 += pz
         a33 += p
     if power == 0:
-        o = Y + 4 * half
-        store(work, o, y0)
-        store(work, o + 1, y1)
-        store(work, o + 2, y2)
-        store(work, o + 3, y3)
+        _store_every(work, Y + 4 * half, 1, (y0, y1, y2, y3))
     first = (L if power == 0 else (A1 if power == 1 else A2)) + 10 * half
     _store_triangle(work, first, (a00, a10, a20, a30, a11, a21, a31, a22, a32, a33))
 
@@ -110,7 +115,6 @@ def _pivot(value, whole):
 
 @njit
 def factor_block(work, first):
-    """Replace a lower triangle of sums by its Cholesky factor, A = L L'."""
     f = first
     a00, a10, a20, a30 = load(work, f), load(work, f + 1), load(work, f + 2), load(work, f + 3)
     a11, a21, a31 = load(work, f + 4), load(work, f + 5), load(work, f + 6)
@@ -126,9 +130,9 @@ def factor_block(work, first):
 
 
 @inlined
-def _times_factor(work, half, q0, q1, q2, q3):
+def _times_factor(work, half, q):
     """Four rows of L' times a column."""
-    b = L + 10 * half
+    b, (q0, q1, q2, q3) = L + 10 * half, q
     return (
         load(work, b) * q0
         + load(work, b + 1) * q1
@@ -144,33 +148,14 @@ def _times_factor(work, half, q0, q1, q2, q3):
 def _factor(P, first, work):
     r"""Write C with :math:`C C^T = I + L^T P_e L`, lower triangle with inverse diagonal, into F."""
     for half in range(2):
-        o = 4 * half
-        e0, e1, e2, e3 = OBSERVED[o], OBSERVED[o + 1], OBSERVED[o + 2], OBSERVED[o + 3]
         for j in range(8):
-            e = OBSERVED[j]
-            x = _times_factor(
-                work,
-                half,
-                load(P, first + INDEX[e0, e]),
-                load(P, first + INDEX[e1, e]),
-                load(P, first + INDEX[e2, e]),
-                load(P, first + INDEX[e3, e]),
-            )
-            store(work, F + 8 * o + j, x[0])
-            store(work, F + 8 * o + 8 + j, x[1])
-            store(work, F + 8 * o + 16 + j, x[2])
-            store(work, F + 8 * o + 24 + j, x[3])
+            x = _times_factor(work, half, _observed(P, first, half, OBSERVED[j]))
+            _store_every(work, F + 32 * half + j, 8, x)
     for i in range(8):  # F L, row by row, as L' times its columns
         for half in range(2):
             o = F + 8 * i + 4 * half
-            x = _times_factor(
-                work, half, load(work, o), load(work, o + 1), load(work, o + 2), load(work, o + 3)
-            )
-            o += M - F
-            store(work, o, x[0])
-            store(work, o + 1, x[1])
-            store(work, o + 2, x[2])
-            store(work, o + 3, x[3])
+            q = load(work, o), load(work, o + 1), load(work, o + 2), load(work, o + 3)
+            _store_every(work, o + M - F, 1, _times_factor(work, half, q))
     for i in range(8):
         for j in range(i):
             value = load(work, M + 8 * i + j)
@@ -222,22 +207,9 @@ def update(P, first, covariance_update, work):
         factor_block(work, L + 10 * half)
     _factor(P, first, work)
     for half in range(2):  # Q = C^-1 L' Pc'
-        o = 4 * half
-        e0, e1, e2, e3 = OBSERVED[o], OBSERVED[o + 1], OBSERVED[o + 2], OBSERVED[o + 3]
         for j in range(17):
-            x = _times_factor(
-                work,
-                half,
-                load(P, first + INDEX[e0, j]),
-                load(P, first + INDEX[e1, j]),
-                load(P, first + INDEX[e2, j]),
-                load(P, first + INDEX[e3, j]),
-            )
-            q = Q + 17 * o + j
-            store(work, q, x[0])
-            store(work, q + 17, x[1])
-            store(work, q + 34, x[2])
-            store(work, q + 51, x[3])
+            x = _times_factor(work, half, _observed(P, first, half, j))
+            _store_every(work, Q + 68 * half + j, 17, x)
     _substitute(work, Q, 17)
     # dx = Pc (y - V' V Pe y) = Pc y - Q' (V Pe y), where V Pe are columns E of Q
     zero = splat(0.0, P)
@@ -290,7 +262,6 @@ def _lower(work, first, i, j):
 
 @njit
 def _expand(work, first, out):
-    """Write an 8 x 8 matrix that is kept as two lower triangles, row by row."""
     zero = splat(0.0, work)
     for i in range(8):
         for j in range(8):
@@ -302,7 +273,6 @@ def _expand(work, first, out):
 
 @njit
 def _multiply(a, b, c, transposed):
-    """``c = a b``, or ``a b'``, all 8 x 8."""
     zero = splat(0.0, a)
     for i in range(8):
         for j in range(8):
@@ -388,18 +358,14 @@ def innovation_covariance(x, P, u, noise, R, visible, n, S, t):
         for j in range(k, m):
             store(S, k * m + j, 1.0 if j == k else 0.0)
     for k in range(m):
-        s, o = k % n, 4 * (k // n)
+        s, half = k % n, k // n
         seen = load(x, visible + s) > 0.0
         if not any_lane(seen):
             continue
         ux, uy, uz = load(x, u + 3 * s), load(x, u + 3 * s + 1), load(x, u + 3 * s + 2)
-        e0, e1, e2, e3 = OBSERVED[o], OBSERVED[o + 1], OBSERVED[o + 2], OBSERVED[o + 3]
         for i in range(8):  # the row of H P
-            e = OBSERVED[i]
-            value = (ux * load(x, P + INDEX[e0, e]) + uy * load(x, P + INDEX[e1, e])) + (
-                uz * load(x, P + INDEX[e2, e]) + load(x, P + INDEX[e3, e])
-            )
-            store(t, i, value)
+            p = _observed(x, P, half, OBSERVED[i])
+            store(t, i, (ux * p[0] + uy * p[1]) + (uz * p[2] + p[3]))
         for j in range(k, m):
             a, b = u + 3 * (j % n), 4 * (j // n)
             both = seen & (load(x, visible + j % n) > 0.0)
@@ -416,34 +382,23 @@ def innovation_variance(x, P, u, noise, R, visible, n, out):
     """Write the diagonal of S, 2 n rows; the others as in `innovation_covariance`."""
     for half in range(2):
         o = 4 * half
-        e0, e1, e2, e3 = OBSERVED[o], OBSERVED[o + 1], OBSERVED[o + 2], OBSERVED[o + 3]
-        p00, p01 = load(x, P + INDEX[e0, e0]), load(x, P + INDEX[e0, e1])
-        p02, p03 = load(x, P + INDEX[e0, e2]), load(x, P + INDEX[e0, e3])
-        p11, p12 = load(x, P + INDEX[e1, e1]), load(x, P + INDEX[e1, e2])
-        p13, p22 = load(x, P + INDEX[e1, e3]), load(x, P + INDEX[e2, e2])
-        p23, p33 = load(x, P + INDEX[e2, e3]), load(x, P + INDEX[e3, e3])
+        p00, p01, p02, p03 = _observed(x, P, half, OBSERVED[o])
+        _, p11, p12, p13 = _observed(x, P, half, OBSERVED[o + 1])
+        _, _, p22, p23 = _observed(x, P, half, OBSERVED[o + 2])
+        _, _, _, p33 = _observed(x, P, half, OBSERVED[o + 3])
         for s in range(n):
             ux, uy, uz = load(x, u + 3 * s), load(x, u + 3 * s + 1), load(x, u + 3 * s + 2)
-            t0, t1 = (
-                (ux * p00 + uy * p01) + (uz * p02 + p03),
-                (ux * p01 + uy * p11) + (uz * p12 + p13),
-            )
-            t2, t3 = (
-                (ux * p02 + uy * p12) + (uz * p22 + p23),
-                (ux * p03 + uy * p13) + (uz * p23 + p33),
-            )
+            t0 = (ux * p00 + uy * p01) + (uz * p02 + p03)
+            t1 = (ux * p01 + uy * p11) + (uz * p12 + p13)
+            t2 = (ux * p02 + uy * p12) + (uz * p22 + p23)
+            t3 = (ux * p03 + uy * p13) + (uz * p23 + p33)
             k = s + half * n
             value = ((ux * t0 + uy * t1) + (uz * t2 + t3)) + load(noise, R + k)
             store(out, k, select(load(x, visible + s) > 0.0, value, 1.0))
 
 
 @njit
-def normalized_innovation_squared(
-    innovation: NDArray[np.float64],
-    innovation_cov: NDArray[np.float64],
-    first: int,
-    last: int,
-) -> NDArray[np.float64]:
+def normalized_innovation_squared(innovation, innovation_cov, first, last):
     r"""Normalized innovation squared of a range of rows.
 
     .. math:: q = z^T S^{-1} z
@@ -465,12 +420,7 @@ def normalized_innovation_squared(
 
 
 @inlined
-def _square_all(
-    innovation: NDArray[np.float64],
-    innovation_cov: NDArray[np.float64],
-    work: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> None:
+def _square_all(innovation, innovation_cov, work, out):
     """All receivers, as many side by side as the lane array `work` has lanes. Its rows are the
     lower triangle of S, line after line, and z as one more line."""
     receivers, size = innovation.shape
@@ -489,7 +439,7 @@ def _square_all(
 
 
 @inlined
-def _square(work: NDArray[np.float64], size: int) -> None:
+def _square(work, size):
     """Write the squares into row 0; the factor takes the place of S, its diagonal inverted."""
     total = splat(0.0, work)
     for i in range(size + 1):

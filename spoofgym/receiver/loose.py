@@ -8,25 +8,19 @@ covariance is Joseph's form, which is right for the weights of a verdict, too.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.memory import Memory
-from ..core.registry import build_record
-from ..earth.wgs84 import STANDARD_GRAVITY
+from ..core.registry import build_record, check_fields, require
+from ..earth.wgs84 import DEGREE, MICRO_G
 from ._loose_kernels import LooseState, first_estimate, predict, update
 from .adaptive import PROCESS, SelfTuning
-from .epoch import ALWAYS, OPTIONAL, Epoch, frozen_fields
+from .epoch import OPTIONAL, Epoch, EpochMaker, FloatArray, without_channels
 from .loose_states import POSITION, STATES
-
-FloatArray = NDArray[np.float64]
-_DEG = math.pi / 180.0
-_UG = STANDARD_GRAVITY * 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,19 +62,15 @@ class LooselyCoupled:
     self_tuning: SelfTuning | Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name != "self_tuning" and not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
+        check_fields(self, ">= 0", *(name for name in vars(self) if name != "self_tuning"))
         for name in ("horizontal_sd_m", "vertical_sd_m"):
-            if getattr(self, name) <= 0.0:
-                raise ValueError(f"`{name}` must be > 0, got {getattr(self, name)}")
+            require(getattr(self, name) > 0.0, f"`{name}` must be > 0, got {getattr(self, name)}")
         if self.self_tuning is not None:
             tuning = build_record("self_tuning", SelfTuning, self.self_tuning)
             object.__setattr__(self, "self_tuning", tuning)
 
     @property
     def tuning(self) -> SelfTuning | None:
-        """How the noise adapts, if it does."""
         return self.self_tuning if isinstance(self.self_tuning, SelfTuning) else None
 
     def noise_variance(self) -> FloatArray:
@@ -89,24 +79,23 @@ class LooselyCoupled:
 
     def initial_sd(self) -> FloatArray:
         """(15,) standard deviations of the state at time zero, SI units and radians."""
-        tilt, heading = self.tilt_arcsec * _DEG / 3600.0, self.heading_arcsec * _DEG / 3600.0
+        tilt, heading = self.tilt_arcsec * DEGREE / 3600.0, self.heading_arcsec * DEGREE / 3600.0
         return self.initial_factor * np.concatenate(
             [
                 [tilt, tilt, heading],
                 np.full(3, self.velocity_mps),
                 np.sqrt(self.noise_variance()),
-                np.full(3, self.gyro_bias_deg_per_h * _DEG / 3600.0),
-                np.full(3, self.accel_bias_ug * _UG),
+                np.full(3, self.gyro_bias_deg_per_h * DEGREE / 3600.0),
+                np.full(3, self.accel_bias_ug * MICRO_G),
             ]
         )
 
     def noise_psd(self) -> FloatArray:
         """(15,) power spectral density of the noise that drives each state."""
-        psd = np.zeros(STATES)
-        psd[0:3] = (self.gyro_noise_deg_per_rth * _DEG / 60.0) ** 2
-        psd[3:6] = (self.accel_noise_ug_per_rthz * _UG) ** 2
-        psd[6:9] = self.position_noise_m_per_rth**2 / 3600.0
-        return psd
+        attitude = (self.gyro_noise_deg_per_rth * DEGREE / 60.0) ** 2
+        velocity = (self.accel_noise_ug_per_rthz * MICRO_G) ** 2
+        position = self.position_noise_m_per_rth**2 / 3600.0
+        return np.repeat([attitude, velocity, position, 0.0, 0.0], 3)
 
 
 class LooseReceivers:
@@ -132,22 +121,20 @@ class LooseReceivers:
         window = tuning.window if tuning else 0
         self._rule = PROCESS[tuning.process] if tuning else PROCESS["fixed"]
         self._floor = tuning.floor_m**2 if tuning else 0.0
-        initial = {
-            "position_e": np.zeros((b, 3)),
-            "velocity_e": np.zeros((b, 3)),
-            "C_eb": np.tile(np.eye(3), (b, 1, 1)),
-            "bias": np.zeros((b, 6)),
-            "covariance": np.tile(np.diag(settings.initial_sd() ** 2), (b, 1, 1)),
-            "innovation": np.zeros((b, 3)),
-            "innovation_cov": np.tile(np.eye(3), (b, 1, 1)),
-            "measurement_cov": np.tile(np.diag(settings.noise_variance()), (b, 1, 1)),
-            "process_scale": np.ones(b),
-            "residuals": np.zeros((b, window, 3)),
-            "innovations": np.zeros((b, window if self._rule else 0, 3)),
-            "seen": np.zeros(b, dtype=np.int64),
-        }
-        for name in LooseState._fields:
-            memory.declare(name, initial[name])
+        memory.declare_all(
+            position_e=np.zeros((b, 3)),
+            velocity_e=np.zeros((b, 3)),
+            C_eb=np.tile(np.eye(3), (b, 1, 1)),
+            bias=np.zeros((b, 6)),
+            covariance=np.tile(np.diag(settings.initial_sd() ** 2), (b, 1, 1)),
+            innovation=np.zeros((b, 3)),
+            innovation_cov=np.tile(np.eye(3), (b, 1, 1)),
+            measurement_cov=np.tile(np.diag(settings.noise_variance()), (b, 1, 1)),
+            process_scale=np.ones(b),
+            residuals=np.zeros((b, window, 3)),
+            innovations=np.zeros((b, window if self._rule else 0, 3)),
+            seen=np.zeros(b, dtype=np.int64),
+        )
         self.samples, self.fix_e = np.zeros((b, samples, 6)), np.zeros((b, 3))
         self._psd = settings.noise_psd()
         self._transition = np.tile(np.eye(STATES), (b, 1, 1))
@@ -155,44 +142,23 @@ class LooseReceivers:
         self._design = np.zeros((b, 3, STATES))
         self._design[:, np.arange(3), POSITION + np.arange(3)] = -1.0
         self._ones = np.ones((b, 3))
-        nothing, no_vector = np.zeros((b, 0)), np.zeros((b, 0, 3))
-        constant: dict[str, NDArray[Any]] = {
-            "interval": np.full(b, samples * imu_interval_s),
-            "design": self._design,
-            "pseudorange": nothing,
-            "range_rate": nothing,
-            "satellite_position": no_vector,
-            "satellite_velocity": no_vector,
-            "visible": np.zeros((b, 0), dtype=np.bool_),
-        }
-        self._names = ALWAYS.union(fields)
-        self._constant = frozen_fields(constant, self._names)
+        constant = {"interval": np.full(b, samples * imu_interval_s), "design": self._design}
+        self._epoch = EpochMaker(fields, {**constant, **without_channels(b)})
 
     @property
     def state(self) -> LooseState:
-        """What the receivers remember: the arrays of the memory."""
         memory = self.memory
         return LooseState(*[memory[name] for name in LooseState._fields])
 
     def begin(
         self, position_e: FloatArray, velocity_e: FloatArray, C_eb: FloatArray, error: FloatArray
     ) -> None:
-        """Begin at a true state, apart from the errors of the alignment. `position_e`,
-        `velocity_e`, `C_eb` (B, 3), (B, 3) and (B, 3, 3) truth; `error` (B, 15) errors, in the
-        order of the states; the biases are not looked at."""
+        """Begin at a true state, apart from the errors (B, 15) of the alignment."""
         first_estimate(self.state, position_e, velocity_e, C_eb, error)
 
     def predict(self) -> None:
-        """Run the samples through the strapdown, and compare with the GNSS position."""
-        predict(
-            self.state,
-            self.samples,
-            self.fix_e,
-            self.imu_interval_s,
-            self._psd,
-            self._transition,
-            self._imu_delta,
-        )
+        changed = self._transition, self._imu_delta
+        predict(self.state, self.samples, self.fix_e, self.imu_interval_s, self._psd, *changed)
 
     def update(self, weights: FloatArray | None) -> None:
         """Correct the solution, and tune the noise. `weights` (B, 3) on the columns of the gain;
@@ -203,16 +169,15 @@ class LooseReceivers:
         """What a detector may see, between `predict` and `update`. `time` (B,) of the epoch [s];
         returns read-only copies; n = 0, and m = 3 coordinates, east, north, up."""
         state = self.state
-        arrays = {
-            "time": time,
-            "innovation": state.innovation,
-            "innovation_variance": state.innovation_cov.diagonal(0, 1, 2),
-            "innovation_cov": state.innovation_cov,
-            "predicted_cov": state.covariance,
-            "predicted_position": state.position_e,
-            "predicted_velocity": state.velocity_e,
-            "transition": self._transition,
-            "imu_delta": self._imu_delta,
-            "gnss_position": self.fix_e,
-        }
-        return Epoch(**frozen_fields(arrays, self._names), **self._constant)
+        return self._epoch(
+            time=time,
+            innovation=state.innovation,
+            innovation_variance=state.innovation_cov.diagonal(0, 1, 2),
+            innovation_cov=state.innovation_cov,
+            predicted_cov=state.covariance,
+            predicted_position=state.position_e,
+            predicted_velocity=state.velocity_e,
+            transition=self._transition,
+            imu_delta=self._imu_delta,
+            gnss_position=self.fix_e,
+        )

@@ -24,12 +24,7 @@ The blocks are those of the appendix of `shadmehri2025`, with its position colum
    vertical channel is not unstable.
 """
 
-from __future__ import annotations
-
 import math
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
 from ..earth.wgs84 import (
@@ -40,13 +35,12 @@ from ..earth.wgs84 import (
     radii_of_curvature,
 )
 
-FloatArray = NDArray[np.float64]
 STATES = 15
 ATTITUDE, VELOCITY, POSITION, GYRO_BIAS, ACCEL_BIAS = 0, 3, 6, 9, 12
 
 
 @inlined
-def geodetic_point(x: float, y: float, z: float) -> tuple[float, float, float]:
+def geodetic_point(x, y, z):
     r"""Latitude, longitude and height of a position. Bowring's closed form, good to 1e-11 rad up to
     30 km of height. `x`, `y`, `z`: ECEF [m], not at a pole; returns `latitude`, `longitude`,
     `height` [rad], [rad], [m]."""
@@ -66,7 +60,7 @@ def geodetic_point(x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 @njit
-def fill_local_axes(latitude: float, longitude: float, C_el: FloatArray) -> None:
+def fill_local_axes(latitude, longitude, C_el):
     """Write the matrix to ECEF from local east-north-up axes. `latitude`, `longitude`: geodetic
     [rad]; `C_el` (3, 3), written; its columns are east, north and up."""
     sl, cl = math.sin(latitude), math.cos(latitude)
@@ -77,32 +71,21 @@ def fill_local_axes(latitude: float, longitude: float, C_el: FloatArray) -> None
 
 
 @inlined
-def _put_skew(F: FloatArray, row: int, column: int, x: float, y: float, z: float) -> None:
-    """Write a cross-product matrix."""
+def _put_skew(F, row, column, x, y, z):
     F[row, column], F[row, column + 1], F[row, column + 2] = 0.0, -z, y
     F[row + 1, column], F[row + 1, column + 1], F[row + 1, column + 2] = z, 0.0, -x
     F[row + 2, column], F[row + 2, column + 1], F[row + 2, column + 2] = -y, x, 0.0
 
 
 @inlined
-def _add_cross(
-    F: FloatArray, column: int, v: tuple[float, float, float], t: tuple[float, float, float]
-) -> None:
-    """Add v x t to the velocity rows of a column."""
+def _add_cross(F, column, v, t):
     F[3, column] += v[1] * t[2] - v[2] * t[1]
     F[4, column] += v[2] * t[0] - v[0] * t[2]
     F[5, column] += v[0] * t[1] - v[1] * t[0]
 
 
 @njit
-def fill_dynamics(
-    F: FloatArray,
-    v: tuple[float, float, float],
-    f: tuple[float, float, float],
-    latitude: float,
-    height: float,
-    down: float,
-) -> None:
+def fill_dynamics(F, v, f, latitude, height, down):
     """Write the derivative of the first nine states with respect to themselves. `F` (9, 9),
     written; `v`, `f`: velocity with respect to the Earth [m/s] and specific force [m/s^2], east,
     north, up; `latitude`, `height`: geodetic [rad], [m]; `down`: size of gravity [m/s^2]."""
@@ -136,9 +119,7 @@ def fill_dynamics(
 
 
 @njit
-def fill_transition(
-    Phi: FloatArray, F: FloatArray, C: FloatArray, C_el: FloatArray, tau: float
-) -> None:
+def fill_transition(Phi, F, C, C_el, tau):
     r"""Write the transition matrix of one interval, second order in its length.
 
     .. math:: \Phi = I + F \tau + \tfrac12 F^2 \tau^2
@@ -171,7 +152,6 @@ def fill_transition(
 
 
 @inlined
-def gravity_size(x: float, y: float, z: float) -> float:
-    """Size of gravity.  `x`, `y`, `z`: position, ECEF [m]; returns [m/s^2]."""
+def gravity_size(x, y, z):
     gx, gy, gz = gravity(x, y, z)
     return math.sqrt(gx * gx + gy * gy + gz * gz)

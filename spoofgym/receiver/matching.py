@@ -17,13 +17,12 @@ A filter that takes the errors for white of variance R believes in
 .. math:: R = \sigma_w^2 + N \sigma_b^2,
 
 with N the number of epochs of the episode, since a filter that has range rates of 2 cm/s forgets
-hardly anything of its position within minutes.  The first fix has the same biases once more, and
-so must not count: its position and clock offset are taken for unknown to `FIRST_FIX_SD_M`.  The
-belief is right at the end of the episode; after k < N epochs its position variance is too large by
-about N / k.  The price is in the
-innovation covariance, where R is alone: it overstates the innovations of pseudoranges by about
-:math:`\sqrt{N}`, so that tests of them that rely on S have hardly any power.  Only states for the
-biases would do better.  Range rates have no biases, and keep their variance and their power.
+hardly anything of its position within minutes.  The first fix has the same biases once more, and so
+must not count: its position and clock offset are taken for unknown to `FIRST_FIX_SD_M`.  The belief
+is right at the end of the episode; after k < N epochs its position variance is too large by about
+N / k.  The price is in the innovation covariance, where R is alone: it overstates the innovations
+of pseudoranges by about :math:`\sqrt{N}`, so that tests of them have hardly any power.  Only states
+for the biases would do better.  Range rates have no biases, and keep their variance.
 
 **Correlated code errors.**  The mean of N epochs of a first-order Gauss-Markov error of variance
 :math:`\sigma_c^2`, which falls by the factor :math:`\alpha` from one epoch to the next, has the
@@ -76,21 +75,12 @@ from .tight import FILTER_GRADES, FilterGrade, NoiseModel, TightlyCoupled
 
 FloatArray = NDArray[np.float64]
 
+# Whole seconds over which manoeuvres are summed, between a turn and a pull-up in length: half
+# or twice of it changes the normalized error squared of all 17 states by less than a half.
 WINDOW_S = 16
-"""Whole seconds over which manoeuvres are summed, between the length of a turn and of a pull-up.
-
-On the flights of the project, half or twice of it changes the normalized error squared of all 17
-states by less than a half.
-"""
-
-
+# Of position and clock offset [m]; without biases the first epoch's pseudoranges replace it.
 FIRST_FIX_SD_M = 100.0
-"""Initial standard deviation of position and clock offset [m]; without biases the first epoch's
-pseudoranges replace it."""
-
-
-LEAST_SD = 1e-4
-"""Least noise of a measurement whose noise is a state [m], [m/s], so that S can be inverted."""
+LEAST_SD = 1e-4  # least noise of a measurement whose noise is a state [m], [m/s]: S can be inverted
 
 
 class Motion(NamedTuple):
@@ -102,13 +92,8 @@ class Motion(NamedTuple):
 
 
 def motion_of(world: World, epochs: int) -> Motion:
-    r"""Largest manoeuvring of a run.
-
-    .. math:: \max_t \tfrac1W \Big|\int_t^{t+W} \omega\,dt\Big|^2, \qquad
-        \max_t \tfrac1W |f(t + W) - f(t)|^2
-
-    with W = `WINDOW_S`, or less where the run is shorter, and f averaged over a second.
-    """
+    """Largest manoeuvring of a run, over `WINDOW_S` or less where the run is shorter; the specific
+    force is averaged over a second."""
     time = world.imu_time[: world.epoch_end[epochs] + 1]
     samples = world.run[:6, : len(time) - 1] * np.diff(time)
     sums = np.concatenate([np.zeros((6, 1)), np.cumsum(samples, axis=1)], axis=1)
@@ -122,13 +107,11 @@ def motion_of(world: World, epochs: int) -> Motion:
 
 
 def _largest_change(history: FloatArray, window: int) -> float:
-    """Largest squared change over a window, by its length; `history` is (3, seconds)."""
     change = history[:, window:] - history[:, :-window]
     return float(np.max(np.sum(change**2, axis=0))) / window
 
 
 def matched_sensors(grade: str, motion: Motion) -> FilterGrade:
-    """Tuning of the filter by the data sheet of its sensors and the manoeuvres to be expected."""
     sheet = IMU_GRADES[grade]
     accel_noise, gyro_noise = sheet.noise[:2]
     accel_scale = _rms(sheet.accel_matrix - np.eye(3))
@@ -166,13 +149,8 @@ def _augmented_noise(grade: str, errors: GnssErrors, n: int) -> tuple[FloatArray
 
 
 def inflation(alpha: float, epochs: int) -> float:
-    r"""Variance of the mean of a Gauss-Markov error, by that of as many white ones.
-
-    .. math:: s_N = \frac{1 + \alpha}{1 - \alpha}
-        - \frac{2 \alpha (1 - \alpha^N)}{N (1 - \alpha)^2}
-
-    `alpha`: correlation of neighbouring epochs, 0 to below 1.
-    """
+    """s_N: variance of the mean of a Gauss-Markov error, by that of as many white ones. `alpha`:
+    correlation of neighbouring epochs, 0 to below 1."""
     rest = 1.0 - alpha
     return (1.0 + alpha) / rest - 2.0 * alpha * (1.0 - alpha**epochs) / (epochs * rest**2)
 
@@ -185,10 +163,9 @@ def assumed_noise(
     epochs: int,
     flown: int | None = None,
 ) -> tuple[FloatArray, NoiseModel]:
-    r"""Measurement noise variances, clock and inertial sensors that a receiver assumes. `bias_sd`
-    (n,) standard deviation of the constant biases [m]; `flown`: epochs of the world whose
-    manoeuvres it may meet; as many as `epochs` by default; returns `variance` (2n,) R, pseudoranges
-    first [m^2], [m^2/s^2]."""
+    """R (2n,) that a receiver assumes, pseudoranges first [m^2], [m^2/s^2], and its clock and
+    inertial sensors. `bias_sd` (n,) of the constant biases [m]; `flown`: epochs of the world whose
+    manoeuvres it may meet; as many as `epochs` by default."""
     n = len(bias_sd)
     interval_s = float(world.epoch_time[1] - world.epoch_time[0])
     if receiver.tuning == "augmented":

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.registry import require
 from ..truth.noise import padded
 from ..truth.sensors import SensorBuffers
 from . import _kernels
@@ -66,21 +67,25 @@ class Recording:
         for field in fields(self):
             array = np.array(getattr(self, field.name), dtype=np.float64)
             letters = _SHAPES[field.name]
-            if array.ndim != len(letters):
-                raise ValueError(
-                    f"`{field.name}` must have shape ({', '.join(letters)}), got {array.shape}"
-                )
+            require(
+                array.ndim == len(letters),
+                f"`{field.name}` must have shape ({', '.join(letters)}), got {array.shape}",
+            )
             for letter, size in zip(letters, array.shape, strict=True):
                 if sizes.setdefault(letter, size) != size:
                     raise ValueError(
                         f"`{field.name}` has shape {array.shape}, but {letter} is {sizes[letter]}"
                     )
-            if field.name not in MAY_BE_NAN and not np.isfinite(array).all():
-                raise ValueError(f"`{field.name}` must be finite")
+            require(
+                field.name in MAY_BE_NAN or np.isfinite(array).all(),
+                f"`{field.name}` must be finite",
+            )
             array.flags.writeable = False
             object.__setattr__(self, field.name, array)
-        if sizes["N"] == 0 or sizes["K"] == 0:
-            raise ValueError("a recording needs at least one sample and one epoch")
+        require(
+            sizes["N"] != 0 and sizes["K"] != 0,
+            "a recording needs at least one sample and one epoch",
+        )
         for name in ("imu_time", "gnss_time"):
             steps = np.diff(getattr(self, name), prepend=0.0)
             if steps.min() <= 0.0:
@@ -165,7 +170,6 @@ class Solution:
 
 
 def load_initial(buffers: ReceiverBuffers, receiver: TightlyCoupled, initial: NavState) -> None:
-    """Write one navigation solution and the initial covariance into every receiver."""
     fields = buffers.fields
     fields["position_e"], fields["velocity_e"] = initial.position_e, initial.velocity_e
     fields["C_eb"] = initial.C_eb
@@ -231,12 +235,12 @@ def replay(
     >>> bool(replay(recording, TightlyCoupled(), initial=initial).coasting[0])
     True
     """
-    range_, rate = np.asarray(recording.pseudorange), np.asarray(recording.range_rate)
-    position = np.asarray(recording.satellite_position_e)
-    velocity = np.asarray(recording.satellite_velocity_e)
+    range_, rate, position, velocity = (np.asarray(getattr(recording, n)) for n in MAY_BE_NAN)
     epochs, n = range_.shape
-    if receiver.tuning == "augmented":
-        raise ValueError("a replay knows no world for a receiver with `tuning` 'augmented'")
+    require(
+        receiver.tuning != "augmented",
+        "a replay knows no world for a receiver with `tuning` 'augmented'",
+    )
     if receiver.tuning == "matched" and receiver.noise is None and noise_variance is None:
         raise ValueError(
             "a replay knows no world to match: give `noise` to the receiver or `noise_variance`"
@@ -250,11 +254,11 @@ def replay(
         variance = np.tile(one, (epochs, 1))
     else:
         variance = np.asarray(noise_variance, dtype=np.float64)
-        if variance.shape != (epochs, 2 * n) or not (variance > 0.0).all():
-            raise ValueError(
-                f"`noise_variance` must be positive and of shape {(epochs, 2 * n)}, "
-                f"got shape {variance.shape}"
-            )
+        require(
+            variance.shape == (epochs, 2 * n) and (variance > 0.0).all(),
+            f"`noise_variance` must be positive and of shape {(epochs, 2 * n)}, "
+            f"got shape {variance.shape}",
+        )
     ends = recording.epoch_samples()
     imu_time = np.asarray(recording.imu_time)
     samples = [recording.specific_force_b, recording.angular_rate_b]
@@ -271,27 +275,12 @@ def replay(
     load_initial(buffers, receiver, initial)
     buffers.assumed["noise_psd"] = receiver.noise_psd()
     sensors = SensorBuffers(1, n)
-    rules = np.array(
-        [
-            receiver.covariance_code,
-            receiver.min_satellites,
-            receiver.orthonormalize,
-            padded(6 * int(np.diff(ends, prepend=0).max())),
-            padded(2 * n),
-        ]
-    )
+    sizes = padded(6 * int(np.diff(ends, prepend=0).max())), padded(2 * n)
+    code, fewest = receiver.covariance_code, receiver.min_satellites
+    rules = np.array([code, fewest, receiver.orthonormalize, *sizes])
     times = np.concatenate([[0.0], np.asarray(recording.gnss_time)])
-    table = kernel_table(
-        buffers,
-        sensors,
-        run,
-        times,
-        np.concatenate([[0], ends]),
-        satellites,
-        rules,
-        sensors.signals.data,
-        np.zeros(0),
-    )
+    truth = run, times, np.concatenate([[0], ends]), satellites
+    table = kernel_table(buffers, sensors, *truth, rules, sensors.signals.data, np.zeros(0))
     work = buffers.fields.scratch(_kernels.work_rows(n, *rules[3:].tolist()))
     given = table.entries, work, np.ones((1, 2 * n))
     kept: list[tuple[NDArray[np.float64], ...]] = []

@@ -1,24 +1,15 @@
-r"""Fix of one epoch, least squares.
-
-Least squares on the pseudoranges of one epoch: sums, fits of subsets, and the fix.
-
-Every satellite has its products in a row, those of a subset are added up, and the fit takes a 4 x 4
-elimination.  Sums are only ever added to, never subtracted from, so that one wild pseudorange does
-not spoil the sets without it; and offsets are taken from their median, so that the clock costs no
-digits.
-
-What isn't finite is found by comparisons, here and in other kernels: ``math.isfinite`` takes a
-number from itself, which the relaxed floating-point rules turn into 0.
-
-Snapshot receiver: position and clock of one epoch's pseudoranges, with no memory but a guess.
+r"""Snapshot receiver: position and clock of one epoch's pseudoranges, with no memory but a guess.
 
 .. math:: \hat x^+ = \hat x + (G^T W G)^{-1} G^T W (\tilde\rho - \hat\rho(\hat x)), \qquad
     G = (-u, 1)
 
-is iterated from the last fix (`least_squares.fix_receivers`).  Weights W come from a detector in
-the loop; those of excluded satellites are 0.  For tests of innovations, the receiver also has a
-prediction: the last fix, which it trusts so little that hardly anything but the residuals of the
-fit counts.
+is iterated from the last fix (`fix_receivers`).  Weights W come from a detector in the loop; those
+of excluded satellites are 0.  For tests of innovations, the receiver also has a prediction: the
+last fix, which it trusts so little that hardly anything but the residuals of the fit counts.
+
+Every satellite has its products in a row, those of a subset are added up, and the fit takes a 4 x 4
+elimination.  Sums are only ever added to, so that one wild pseudorange does not spoil the sets
+without it; and offsets are taken from their median, so that the clock costs no digits.
 
 Source: `groves2013`, eqs. 9.141 and 9.143.
 """
@@ -31,18 +22,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.compile import inlined, njit
-from ..earth.wgs84 import range_and_rate
+from ..core.registry import require
+from ..earth.wgs84 import STILL, range_and_rate
 
-STATES = 4
-"""Position and clock."""
-SMALLEST_PIVOT = 1e-10
-"""Pivots up to this make a geometry singular."""
-PRODUCTS = 16
-"""Columns of a satellite's row: 1 g y, the products of g, g y, y y, and one for alignment."""
+STATES = 4  # position and clock
+SMALLEST_PIVOT = 1e-10  # pivots up to this make a geometry singular
+PRODUCTS = 16  # columns of a satellite's row: 1 g y, products of g, g y, y y, one for alignment
 ITERATIONS = 20
 TOLERANCE_M = 1e-4
-FIXED, TOO_FEW, SINGULAR, DIVERGED = range(4)
-"""Outcome of a fix."""
+FIXED, TOO_FEW, SINGULAR, DIVERGED = range(4)  # outcome of a fix
 
 
 @inlined
@@ -71,25 +59,10 @@ def add(a: FloatArray, i: int, b: FloatArray, j: int, out: FloatArray, k: int) -
 
 
 @inlined
-def eliminate(
-    n: float,
-    sx: float,
-    sy: float,
-    sz: float,
-    s: float,
-    xx: float,
-    xy: float,
-    xz: float,
-    yy: float,
-    yz: float,
-    zz: float,
-    bx: float,
-    by: float,
-    bz: float,
-    ss: float,
-) -> float:
-    """Sum of the squared residuals of a least-squares fit, by elimination of its unknowns. Returns
-    s^2 [m^2]; infinite where the geometry is singular."""
+def eliminate(sums: tuple[float, ...]) -> float:
+    """Sum of the squared residuals of a fit, s^2 [m^2], by elimination of its unknowns; `sums`: a
+    row of products, without the last; infinite where the geometry is singular."""
+    n, sx, sy, sz, s, xx, xy, xz, yy, yz, zz, bx, by, bz, ss = sums
     inverse = 1.0 / n
     x, y, z, m = sx * inverse, sy * inverse, sz * inverse, s * inverse
     d1 = xx - sx * x
@@ -114,50 +87,27 @@ def eliminate(
 
 
 @inlined
+def _five(a: FloatArray, i: int, c: int) -> tuple[float, ...]:
+    return a[i, c], a[i, c + 1], a[i, c + 2], a[i, c + 3], a[i, c + 4]
+
+
+@inlined
+def _five_of_both(a: FloatArray, i: int, b: FloatArray, j: int, c: int) -> tuple[float, ...]:
+    x, y, z = a[i, c] + b[j, c], a[i, c + 1] + b[j, c + 1], a[i, c + 2] + b[j, c + 2]
+    return x, y, z, a[i, c + 3] + b[j, c + 3], a[i, c + 4] + b[j, c + 4]
+
+
+@inlined
 def squared_residual(a: FloatArray, i: int) -> float:
-    """Sum of the squared residuals of a fit. `a` (N, PRODUCTS), of which row i holds sums over the
-    satellites of the fit; returns s^2 [m^2]; infinite where the geometry is singular."""
-    return eliminate(
-        a[i, 0],
-        a[i, 1],
-        a[i, 2],
-        a[i, 3],
-        a[i, 4],
-        a[i, 5],
-        a[i, 6],
-        a[i, 7],
-        a[i, 8],
-        a[i, 9],
-        a[i, 10],
-        a[i, 11],
-        a[i, 12],
-        a[i, 13],
-        a[i, 14],
-    )
+    """`eliminate` of row i of `a` (N, PRODUCTS), sums over the satellites of the fit."""
+    return eliminate(_five(a, i, 0) + _five(a, i, 5) + _five(a, i, 10))
 
 
 @inlined
 def squared_residual_of_both(a: FloatArray, i: int, b: FloatArray, j: int) -> float:
-    """Sum of the squared residuals of a fit to two sets of satellites together. `a` (N, PRODUCTS),
-    of which row i holds sums over one set; `b` (N, PRODUCTS), of which row j holds sums over the
-    other; returns s^2 [m^2]; infinite where the geometry is singular."""
-    return eliminate(
-        a[i, 0] + b[j, 0],
-        a[i, 1] + b[j, 1],
-        a[i, 2] + b[j, 2],
-        a[i, 3] + b[j, 3],
-        a[i, 4] + b[j, 4],
-        a[i, 5] + b[j, 5],
-        a[i, 6] + b[j, 6],
-        a[i, 7] + b[j, 7],
-        a[i, 8] + b[j, 8],
-        a[i, 9] + b[j, 9],
-        a[i, 10] + b[j, 10],
-        a[i, 11] + b[j, 11],
-        a[i, 12] + b[j, 12],
-        a[i, 13] + b[j, 13],
-        a[i, 14] + b[j, 14],
-    )
+    """`eliminate` of two sets of satellites together: row i of `a` (N, PRODUCTS), and j of `b`."""
+    first, second = _five_of_both(a, i, b, j, 0), _five_of_both(a, i, b, j, 5)
+    return eliminate(first + second + _five_of_both(a, i, b, j, 10))
 
 
 @njit
@@ -213,21 +163,10 @@ def geometry(
 ) -> None:
     """Lines and ranges of one receiver. `satellites` (n, 3) ECEF [m]; `position` (3,) ECEF [m];
     `lines`, `distances` (n, 3), (n,), written: minus the lines of sight, and ranges [m]."""
+    here = position[0], position[1], position[2]
     for j in range(distances.shape[0]):
-        distance, _, ux, uy, uz = range_and_rate(
-            satellites[j, 0],
-            satellites[j, 1],
-            satellites[j, 2],
-            0.0,
-            0.0,
-            0.0,
-            position[0],
-            position[1],
-            position[2],
-            0.0,
-            0.0,
-            0.0,
-        )
+        place = satellites[j, 0], satellites[j, 1], satellites[j, 2]
+        distance, _, ux, uy, uz = range_and_rate(place, STILL, here, STILL)
         lines[j, 0], lines[j, 1], lines[j, 2] = -ux, -uy, -uz
         distances[j] = distance
 
@@ -292,16 +231,8 @@ def fix_receivers(
     lines, distances = np.empty((n, 3)), np.empty(n)
     sums = np.empty((2, PRODUCTS))
     for b in range(pseudorange.shape[0]):
-        status[b] = iterate(
-            pseudorange[b],
-            satellites[b],
-            weights[b],
-            position[b],
-            clock[b],
-            lines,
-            distances,
-            sums,
-        )
+        measured, fix = (pseudorange[b], satellites[b], weights[b]), (position[b], clock[b])
+        status[b] = iterate(*measured, *fix, lines, distances, sums)
 
 
 class Fix(NamedTuple):
@@ -334,9 +265,7 @@ def fit_rates(
     lines, sums = np.empty((1, 3)), np.zeros((2, PRODUCTS))
     for j in range(range_rate.shape[0]):
         s, v = satellites[j], velocities[j]
-        _, rate, ux, uy, uz = range_and_rate(
-            s[0], s[1], s[2], v[0], v[1], v[2], r[0], r[1], r[2], 0.0, 0.0, 0.0
-        )
+        _, rate, ux, uy, uz = range_and_rate(s, v, r, STILL)
         lines[0, 0], lines[0, 1], lines[0, 2] = -ux, -uy, -uz
         write_products(lines, 0, range_rate[j] - rate, 1.0, sums, 1)
         add(sums, 0, sums, 1, sums, 0)
@@ -383,24 +312,23 @@ def least_squares_fix(
     pr, rr = np.asarray(pseudorange, dtype=float), np.asarray(range_rate, dtype=float)
     sp = np.asarray(satellite_position_e, dtype=float)
     sv = np.asarray(satellite_velocity_e, dtype=float)
-    if pr.ndim != 1 or rr.shape != pr.shape or not sp.shape == sv.shape == (len(pr), 3):
-        raise ValueError(
-            "`pseudorange` and `range_rate` must be (n,), satellites' positions and velocities "
-            f"(n, 3), got {pr.shape}, {rr.shape}, {sp.shape} and {sv.shape}"
-        )
+    require(
+        pr.ndim == 1 and rr.shape == pr.shape and sp.shape == sv.shape == (len(pr), 3),
+        "`pseudorange` and `range_rate` must be (n,), satellites' positions and velocities "
+        f"(n, 3), got {pr.shape}, {rr.shape}, {sp.shape} and {sv.shape}",
+    )
     use = np.isfinite(pr) & np.isfinite(rr) & np.isfinite(sp).all(-1) & np.isfinite(sv).all(-1)
     pr, rr, sp, sv = pr[use], rr[use], sp[use], sv[use]
     position, clock, drift = np.array([guess_e], dtype=float), np.zeros((1, 1)), np.empty(4)
-    if position.shape != (1, 3) or not np.isfinite(position).all():
-        raise ValueError(f"`guess_e` must be three finite numbers, got {guess_e!r}")
+    require(
+        position.shape == (1, 3) and np.isfinite(position).all(),
+        f"`guess_e` must be three finite numbers, got {guess_e!r}",
+    )
     status = np.empty(1, dtype=np.int64)
     fix_receivers(pr[None], sp[None], np.ones((1, len(pr))), position, clock, status)
-    if status[0] == TOO_FEW:
-        raise ValueError(f"a fix needs at least {STATES} satellites, got {len(pr)}")
-    if status[0] == SINGULAR:
-        raise ValueError("the geometry of the satellites is singular")
-    if status[0] == DIVERGED:
-        raise ValueError(f"no convergence within {ITERATIONS} iterations")
+    require(status[0] != TOO_FEW, f"a fix needs at least {STATES} satellites, got {len(pr)}")
+    require(status[0] != SINGULAR, "the geometry of the satellites is singular")
+    require(status[0] != DIVERGED, f"no convergence within {ITERATIONS} iterations")
     fit_rates(rr, sp, sv, position[0], drift)
     return Fix(position[0], drift[:3], float(clock[0, 0]), float(drift[3]))
 
@@ -408,8 +336,7 @@ def least_squares_fix(
 FloatArray = NDArray[np.float64]
 
 EXPECTED_POSITION_SD_M = 1e3
-EXPECTED_CLOCK_SD_M = 1e4
-"""How little the last fix is trusted."""
+EXPECTED_CLOCK_SD_M = 1e4  # how little the last fix is trusted
 
 
 @njit

@@ -5,22 +5,21 @@ clock drift.  The state is the error of the estimate: estimate minus truth for a
 and position, truth minus estimate for biases and clock.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
 from ..core.simd import load, sqrt, store
 from ..earth.wgs84 import EARTH_RATE, geocentric_surface_radius, gravity
+from ..truth._kernels import load3, store3
 
 STATES = 17
 ATTITUDE, VELOCITY, POSITION, ACCEL_BIAS, GYRO_BIAS = 0, 3, 6, 9, 12
 CLOCK_BIAS, CLOCK_DRIFT = 15, 16
+SIZES = (3, 3, 3, 3, 3, 1, 1)  # of these, in order
 
 
-PACKED = STATES * (STATES + 1) // 2
-"""Elements of a symmetric matrix on and above its diagonal, row by row."""
+PACKED = STATES * (STATES + 1) // 2  # of a symmetric matrix, row by row from its diagonal on
 
 
 def _packed_index() -> NDArray[np.int64]:
@@ -29,11 +28,9 @@ def _packed_index() -> NDArray[np.int64]:
     return np.maximum(index, index.T)
 
 
-INDEX = _packed_index()
-"""(17, 17) place of every element of a packed symmetric matrix."""
+INDEX = _packed_index()  # (17, 17) place of every element of a packed symmetric matrix
 IN_ORDER = np.arange(STATES)
-TERMS = 21
-"""Elements of the transition matrix that are neither 0 nor 1 nor times: C tau, C f tau, G tau."""
+TERMS = 21  # of the transition matrix, neither 0 nor 1 nor times: C tau, C f tau, G tau
 
 
 @njit
@@ -73,6 +70,13 @@ def transition_terms(C, r, f, tau, terms):
 
 
 @inlined
+def _matrix_times(terms, first, b):
+    x, y, z = load3(terms, first), load3(terms, first + 3), load3(terms, first + 6)
+    c0, c1 = x[0] * b[0] + x[1] * b[1] + x[2] * b[2], y[0] * b[0] + y[1] * b[1] + y[2] * b[2]
+    return c0, c1, z[0] * b[0] + z[1] * b[1] + z[2] * b[2]
+
+
+@inlined
 def transition_product(terms, tau, x, first, index):
     r"""Those elements of :math:`y = \Phi x` that differ from x: y_0 to y_8, and y_15.
 
@@ -85,17 +89,10 @@ def transition_product(terms, tau, x, first, index):
     p0, p1, p2 = load(x, first + index[6]), load(x, first + index[7]), load(x, first + index[8])
     b0, b1, b2 = load(x, first + index[9]), load(x, first + index[10]), load(x, first + index[11])
     g0, g1, g2 = load(x, first + index[12]), load(x, first + index[13]), load(x, first + index[14])
-    ex, ey, ez = load(terms, 9), load(terms, 10), load(terms, 11)
-    # C tau b, C tau g and G tau p
-    c0 = load(terms, 0) * b0 + load(terms, 1) * b1 + load(terms, 2) * b2
-    c1 = load(terms, 3) * b0 + load(terms, 4) * b1 + load(terms, 5) * b2
-    c2 = load(terms, 6) * b0 + load(terms, 7) * b1 + load(terms, 8) * b2
-    d0 = load(terms, 0) * g0 + load(terms, 1) * g1 + load(terms, 2) * g2
-    d1 = load(terms, 3) * g0 + load(terms, 4) * g1 + load(terms, 5) * g2
-    d2 = load(terms, 6) * g0 + load(terms, 7) * g1 + load(terms, 8) * g2
-    e0 = load(terms, 12) * p0 + load(terms, 13) * p1 + load(terms, 14) * p2
-    e1 = load(terms, 15) * p0 + load(terms, 16) * p1 + load(terms, 17) * p2
-    e2 = load(terms, 18) * p0 + load(terms, 19) * p1 + load(terms, 20) * p2
+    ex, ey, ez = load3(terms, 9)
+    c0, c1, c2 = _matrix_times(terms, 0, (b0, b1, b2))  # C tau b, C tau g and G tau p
+    d0, d1, d2 = _matrix_times(terms, 0, (g0, g1, g2))
+    e0, e1, e2 = _matrix_times(terms, 12, (p0, p1, p2))
     return (
         (a0 + w * a1) + d0,
         (a1 - w * a0) + d1,
@@ -108,6 +105,14 @@ def transition_product(terms, tau, x, first, index):
         p2 + tau * v2,
         load(x, first + index[15]) + tau * load(x, first + index[16]),
     )
+
+
+@inlined
+def _store_nine(work, first, step, y):
+    """Write the first nine elements of a product, so many rows apart."""
+    store3(work, first, y[:3], step)
+    store3(work, first + 3 * step, y[3:6], step)
+    store3(work, first + 6 * step, y[6:9], step)
 
 
 @njit
@@ -129,28 +134,12 @@ def propagate_covariance(P, first, terms, tau, noise_psd, first_psd, work):
         store(P, k, load(P, k) + 0.5 * tau * load(noise_psd, first_psd + i))
     for j in range(17):
         y = transition_product(terms, tau, P, first, INDEX[j])
-        store(work, j, y[0])
-        store(work, 17 + j, y[1])
-        store(work, 34 + j, y[2])
-        store(work, 51 + j, y[3])
-        store(work, 68 + j, y[4])
-        store(work, 85 + j, y[5])
-        store(work, 102 + j, y[6])
-        store(work, 119 + j, y[7])
-        store(work, 136 + j, y[8])
+        _store_nine(work, j, 17, y)
         store(work, 153 + j, y[9])
     for i in range(9):  # each row of Phi P as a column, since (Phi P) Phi' is symmetric
         o = 17 * i
         y = transition_product(terms, tau, work, o, IN_ORDER)
-        store(work, 170, y[0])
-        store(work, 171, y[1])
-        store(work, 172, y[2])
-        store(work, 173, y[3])
-        store(work, 174, y[4])
-        store(work, 175, y[5])
-        store(work, 176, y[6])
-        store(work, 177, y[7])
-        store(work, 178, y[8])
+        _store_nine(work, 170, 1, y)
         store(work, o + 15, y[9])
         k = first + INDEX[i, i]
         for j in range(i, 9):

@@ -6,16 +6,11 @@ from ..core.compile import inlined
 from ..core.simd import floor, select
 from ..earth.wgs84 import EARTH_RATE, gravity
 
-NO_ROTATION = 1e-16
-"""Squared rotation angle [rad^2] up to which a sample counts as not turning."""
-ROUNDING_LIMIT = 1e-8
-"""Squared rotation angle [rad^2] up to which ``1 - cos a`` is rounded as in the reference."""
-TINY = 1e-300
-"""Keeps 0 / 0 away."""
-UNITS_PER_TWO = 2.0**52
-"""Half the number of doubles between one half and one."""
-LARGEST_ROTATION = 1.0
-"""Rotation angle of one sample [rad] up to which the series are exact to rounding."""
+NO_ROTATION = 1e-16  # squared rotation angle [rad^2] up to which a sample counts as not turning
+ROUNDING_LIMIT = 1e-8  # the same, up to which ``1 - cos a`` is rounded as in the reference
+TINY = 1e-300  # keeps 0 / 0 away
+UNITS_PER_TWO = 2.0**52  # half the number of doubles between one half and one
+LARGEST_ROTATION = 1.0  # of one sample [rad]: up to it the series are exact to rounding
 
 
 @inlined
@@ -56,19 +51,20 @@ def rotation_coefficients(squared_angle: float) -> tuple[float, float, float]:
     return s, c, select(turns, d * (1 / 6), 0.0)
 
 
+Three = tuple[float, float, float]
+
+
+@inlined
+def _row_times(row: Three, m0: Three, m1: Three, m2: Three) -> Three:
+    x = row[0] * m0[0] + row[1] * m1[0] + row[2] * m2[0]
+    y = row[0] * m0[1] + row[1] * m1[1] + row[2] * m2[1]
+    return x, y, row[0] * m0[2] + row[1] * m1[2] + row[2] * m2[2]
+
+
 @inlined
 def strapdown_step(
-    C: tuple[float, float, float, float, float, float, float, float, float],
-    v: tuple[float, float, float],
-    r: tuple[float, float, float],
-    f: tuple[float, float, float],
-    w: tuple[float, float, float],
-    dt: float,
-) -> tuple[
-    tuple[float, float, float, float, float, float, float, float, float],
-    tuple[float, float, float],
-    tuple[float, float, float],
-]:
+    C: tuple[float, ...], v: Three, r: Three, f: Three, w: Three, dt: float
+) -> tuple[tuple[float, ...], Three, Three]:
     r"""Advance attitude, velocity and position over one sample.
 
     .. math::
@@ -85,11 +81,7 @@ def strapdown_step(
 
     `C`: `C_eb`, to ECEF from body axes, row by row; `v`, `r`: velocity [m/s] and position [m],
     ECEF; `f`, `w`: specific force [m/s^2] and angular rate [rad/s] over the sample, body axes;
-    `dt`: length of the sample [s].
-
-    Notes
-    -----
-    Groves (2013), section 5.5.
+    `dt`: length of the sample [s]. Groves (2013), section 5.5.
     """
     c00, c01, c02, c10, c11, c12, c20, c21, c22 = C
     vx, vy, vz = v
@@ -117,29 +109,14 @@ def strapdown_step(
     position = (rx + half * (vx + nx), ry + half * (vy + ny), rz + half * (vz + nz))
 
     # M = I + s A + c A^2
-    m00, m01, m02 = 1.0 - c * (yy + zz), c * xy - s * az, c * xz + s * ay
-    m10, m11, m12 = c * xy + s * az, 1.0 - c * (xx + zz), c * yz - s * ax
-    m20, m21, m22 = c * xz - s * ay, c * yz + s * ax, 1.0 - c * (xx + yy)
-    b00 = c00 * m00 + c01 * m10 + c02 * m20
-    b01 = c00 * m01 + c01 * m11 + c02 * m21
-    b02 = c00 * m02 + c01 * m12 + c02 * m22
-    b10 = c10 * m00 + c11 * m10 + c12 * m20
-    b11 = c10 * m01 + c11 * m11 + c12 * m21
-    b12 = c10 * m02 + c11 * m12 + c12 * m22
-    b20 = c20 * m00 + c21 * m10 + c22 * m20
-    b21 = c20 * m01 + c21 * m11 + c22 * m21
-    b22 = c20 * m02 + c21 * m12 + c22 * m22
+    m0 = 1.0 - c * (yy + zz), c * xy - s * az, c * xz + s * ay
+    m1 = c * xy + s * az, 1.0 - c * (xx + zz), c * yz - s * ax
+    m2 = c * xz - s * ay, c * yz + s * ax, 1.0 - c * (xx + yy)
+    b0 = _row_times((c00, c01, c02), m0, m1, m2)
+    b1 = _row_times((c10, c11, c12), m0, m1, m2)
+    b2 = _row_times((c20, c21, c22), m0, m1, m2)
     # a is below 1e-4 rad for any sample up to a second: two terms are exact to rounding
     sa, ca = a * (1.0 - a * a * (1.0 / 6.0)), 1.0 - 0.5 * a * a
-    attitude = (
-        ca * b00 + sa * b10,
-        ca * b01 + sa * b11,
-        ca * b02 + sa * b12,
-        ca * b10 - sa * b00,
-        ca * b11 - sa * b01,
-        ca * b12 - sa * b02,
-        b20,
-        b21,
-        b22,
-    )
-    return attitude, (nx, ny, nz), position
+    first = ca * b0[0] + sa * b1[0], ca * b0[1] + sa * b1[1], ca * b0[2] + sa * b1[2]
+    second = ca * b1[0] - sa * b0[0], ca * b1[1] - sa * b0[1], ca * b1[2] - sa * b0[2]
+    return first + second + b2, (nx, ny, nz), position

@@ -9,21 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..earth.wgs84 import STANDARD_GRAVITY
+from ..core.registry import check_finite, require
+from ..earth.wgs84 import DEGREE, MICRO_G
 from .kalman import COVARIANCE_UPDATES
-from .states import (
-    ACCEL_BIAS,
-    ATTITUDE,
-    CLOCK_BIAS,
-    CLOCK_DRIFT,
-    GYRO_BIAS,
-    POSITION,
-    STATES,
-    VELOCITY,
-)
+from .states import SIZES
 
-_DEG = math.pi / 180.0
-_UG = STANDARD_GRAVITY * 1e-6
 CONVENTIONS = ("groves", "orthonormal")
 TUNINGS = ("paper", "matched", "augmented")
 
@@ -51,40 +41,39 @@ class FilterGrade(NamedTuple):
 
 FILTER_GRADES: dict[str, FilterGrade] = {
     "aviation": FilterGrade(
-        0.01 * _DEG,
+        0.01 * DEGREE,
         0.1,
         10.0,
-        30.0 * _UG,
-        0.001 * _DEG / 3600.0,
-        (0.004 * _DEG / 60.0) ** 2,
-        (40.0 * _UG) ** 2,
+        30.0 * MICRO_G,
+        0.001 * DEGREE / 3600.0,
+        (0.004 * DEGREE / 60.0) ** 2,
+        (40.0 * MICRO_G) ** 2,
         3e-9,
         2e-16,
     ),
     "tactical": FilterGrade(
-        1.0 * _DEG,
+        1.0 * DEGREE,
         0.1,
         10.0,
-        1000.0 * _UG,
-        10.0 * _DEG / 3600.0,
-        (0.02 * _DEG / 60.0) ** 2,
-        (200.0 * _UG) ** 2,
+        1000.0 * MICRO_G,
+        10.0 * DEGREE / 3600.0,
+        (0.02 * DEGREE / 60.0) ** 2,
+        (200.0 * MICRO_G) ** 2,
         1e-7,
         2e-12,
     ),
     "consumer": FilterGrade(
-        2.0 * _DEG,
+        2.0 * DEGREE,
         0.1,
         10.0,
-        10000.0 * _UG,
-        200.0 * _DEG / 3600.0,
+        10000.0 * MICRO_G,
+        200.0 * DEGREE / 3600.0,
         0.01**2,
         0.2**2,
         1e-5,
         4e-11,
     ),
-}
-"""Filter tuning by grade of the inertial sensors (`groves2013`, the book's software)."""
+}  # filter tuning by grade of the inertial sensors (`groves2013`, the book's software)
 
 
 class NoiseModel(NamedTuple):
@@ -108,8 +97,7 @@ class NoiseModel(NamedTuple):
 
 
 def _choice(name: str, value: str, valid: tuple[str, ...]) -> None:
-    if value not in valid:
-        raise ValueError(f"`{name}` must be one of {', '.join(map(repr, valid))}, got {value!r}")
+    require(value in valid, f"`{name}` must be one of {', '.join(map(repr, valid))}, got {value!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,32 +152,33 @@ class TightlyCoupled:
         _choice("conventions", self.conventions, CONVENTIONS)
         if self.tuning == "augmented":
             self._check_augmented()
-        if not 0 <= self.min_satellites <= 32:
-            raise ValueError(f"`min_satellites` must be 0 to 32, got {self.min_satellites}")
+        require(
+            0 <= self.min_satellites <= 32,
+            f"`min_satellites` must be 0 to 32, got {self.min_satellites}",
+        )
         if self.noise is not None:
             values = self.noise._asdict()
             inertial = values.pop("inertial")
             if inertial is not None:
                 values |= {f"inertial.{name}": x for name, x in inertial._asdict().items()}
             for name, value in values.items():
-                if not (math.isfinite(value) and value >= 0.0):
-                    raise ValueError(f"`noise.{name}` must be finite and >= 0, got {value}")
-            if min(self.noise.pseudorange_sd, self.noise.range_rate_sd) <= 0.0:
-                raise ValueError("`noise` standard deviations must be > 0")
+                check_finite(f"noise.{name}", value, ">= 0")
+            require(
+                min(self.noise.pseudorange_sd, self.noise.range_rate_sd) > 0.0,
+                "`noise` standard deviations must be > 0",
+            )
 
     def _check_augmented(self) -> None:
-        """Raise where a setting does not go with states for what is not white."""
         if self.noise is not None:
             raise ValueError('`noise` can\'t be set with `tuning` "augmented", which derives it')
-        if self.covariance_update != "unweighted":
-            raise ValueError(
-                '`covariance_update` must be "unweighted" with `tuning` "augmented", got '
-                f"{self.covariance_update!r}"
-            )
+        require(
+            self.covariance_update == "unweighted",
+            '`covariance_update` must be "unweighted" with `tuning` "augmented", got '
+            f"{self.covariance_update!r}",
+        )
 
     @property
     def matches(self) -> bool:
-        """Whether what it assumes is derived from its world."""
         return self.tuning != "paper" and self.noise is None
 
     @property
@@ -198,43 +187,31 @@ class TightlyCoupled:
         return self.noise if self.noise is not None else NoiseModel()
 
     def sensors(self, noise: NoiseModel | None = None) -> FilterGrade:
-        """Tuning for the inertial sensors, and the initial errors."""
         model = self.noise_model if noise is None else noise
         return FILTER_GRADES[self.grade] if model.inertial is None else model.inertial
 
     @property
     def covariance_code(self) -> int:
-        """`covariance_update` as the kernels take it."""
         return COVARIANCE_UPDATES[self.covariance_update]
 
     @property
     def orthonormalize(self) -> bool:
-        """Whether the attitude matrix is re-orthonormalized after each update."""
         return self.conventions == "orthonormal"
 
     def initial_covariance(self, noise: NoiseModel | None = None) -> NDArray[np.float64]:
         """Covariance of the state at time zero: (17, 17) diagonal."""
         g = self.sensors(noise)
-        sd = np.zeros(STATES)
-        sd[ATTITUDE : ATTITUDE + 3] = g.attitude_sd
-        sd[VELOCITY : VELOCITY + 3] = g.velocity_sd
-        sd[POSITION : POSITION + 3] = g.position_sd
-        sd[ACCEL_BIAS : ACCEL_BIAS + 3] = g.accel_bias_sd
-        sd[GYRO_BIAS : GYRO_BIAS + 3] = g.gyro_bias_sd
-        sd[CLOCK_BIAS], sd[CLOCK_DRIFT] = g.position_sd, g.velocity_sd
-        return np.diag(sd**2)
+        biases = g.accel_bias_sd, g.gyro_bias_sd
+        sds = g.attitude_sd, g.velocity_sd, g.position_sd, *biases, g.position_sd, g.velocity_sd
+        return np.diag(np.repeat(np.array(sds, dtype=np.float64), SIZES) ** 2)
 
     def noise_psd(self, noise: NoiseModel | None = None) -> NDArray[np.float64]:
         """Power spectral density of the noise that drives each state: (17,)."""
         g = self.sensors(noise)
         clock = self.noise_model if noise is None else noise
-        psd = np.zeros(STATES)
-        psd[ATTITUDE : ATTITUDE + 3] = g.gyro_noise_psd
-        psd[VELOCITY : VELOCITY + 3] = g.accel_noise_psd
-        psd[ACCEL_BIAS : ACCEL_BIAS + 3] = g.accel_bias_psd
-        psd[GYRO_BIAS : GYRO_BIAS + 3] = g.gyro_bias_psd
-        psd[CLOCK_BIAS], psd[CLOCK_DRIFT] = clock.clock_phase_psd, clock.clock_frequency_psd
-        return psd
+        inertial = g.gyro_noise_psd, g.accel_noise_psd, 0.0, g.accel_bias_psd, g.gyro_bias_psd
+        psd = *inertial, clock.clock_phase_psd, clock.clock_frequency_psd
+        return np.repeat(np.array(psd, dtype=np.float64), SIZES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,11 +237,12 @@ class NavState:
     def __post_init__(self) -> None:
         for name, shape in (("position_e", (3,)), ("velocity_e", (3,)), ("C_eb", (3, 3))):
             array = np.array(getattr(self, name), dtype=np.float64)
-            if array.shape != shape or not np.isfinite(array).all():
-                raise ValueError(f"`{name}` must be finite and of shape {shape}, got {array!r}")
+            require(
+                array.shape == shape and np.isfinite(array).all(),
+                f"`{name}` must be finite and of shape {shape}, got {array!r}",
+            )
             object.__setattr__(self, name, array)
         for name in ("clock_bias_m", "clock_drift_mps"):
             value = float(getattr(self, name))
-            if not math.isfinite(value):
-                raise ValueError(f"`{name}` must be finite, got {value}")
+            require(math.isfinite(value), f"`{name}` must be finite, got {value}")
             object.__setattr__(self, name, value)

@@ -1,12 +1,10 @@
 """Compiled loops of the simulators: displacement, motion of the target, response to an attack."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
-from ..attacks._kernels import false_position, per_channel
+from ..attacks._kernels import Commanded, false_position, per_channel
 from ..core.compile import njit
 from ..core.simd import flags_at, floats_at, integers_at, lanes_of
 from ..detectors.base import is_sound
@@ -23,17 +21,18 @@ from ..receiver._kernels import (
     update_group,
 )
 from ..truth.noise import threefry
+from ..truth.run import EpochTruth
 
+# Places in the table behind `Arrays`: of `World`; channels that are the spoofer's; whether rates
+# are commanded, what an action of 1 commands, the limit of the rate, whether range rates are
+# coherent.
 POSITION_E, VELOCITY_E, CAPTURED, SLOTS, ATTACK_SETTINGS = range(
     len(Arrays._fields), len(Arrays._fields) + 5
 )
-"""Places in the table behind `Arrays`: of `World`; channels that are the spoofer's; whether rates
-are commanded, what an action of 1 commands, the limit of the rate, whether range rates are
-coherent."""
 DISPLACEMENT, RATE, AXES_E, TARGET_ERROR, SETTINGS, AVERAGE, DECAY = range(7)
+# Places in the table of what attack and detector remember, as they take it, and of a verdict; which
+# receivers alarmed at each epoch.
 STATISTIC, THRESHOLD, ALARMS, HISTORY = range(7, 11)
-"""Places in the table of what attack and detector remember, as they take it, and of a verdict;
-which receivers alarmed at each epoch."""
 ATTACK, JUDGE, SCORE, REMEMBER = 16, 32, 64, 128
 NO_FORM, FALSE_POSITION, PER_CHANNEL = range(3)
 EWMA, PASSIVE_EWMA, NEVER = 1, 2, 3
@@ -41,28 +40,14 @@ ONE, NO_ALARM = np.zeros((1, 1)), np.zeros((1, 1), dtype=np.bool_)
 NOTHING_REMEMBERED = (
     *(ONE, ONE, np.zeros(0), np.zeros(6), np.zeros(4), ONE, ONE),
     *(ONE, ONE, NO_ALARM, NO_ALARM),
-)
-"""Arrays of that table for a kernel without an attack and a detector of its own."""
+)  # arrays of that table for a kernel without an attack and a detector of its own
+# What a kernel finds in a slice: a verdict that is none; receivers that have to run the time to
+# alert, if it scores them.
 UNSOUND, HOLDS = 1, 2
-"""What a kernel finds in a slice: a verdict that is none; receivers that have to run the time to
-alert, if it scores them."""
 
 
 @njit
-def run_epochs(
-    table,
-    memories,
-    action,
-    weights,
-    work,
-    attack,
-    hold,
-    detector,
-    what,
-    count,
-    lo,
-    hi,
-):
+def run_epochs(table, memories, action, weights, work, attack, hold, detector, what, count, lo, hi):
     """Do some of what an epoch is made of, for some epochs of receivers lo to hi, group by group.
 
     All that a tightly coupled simulator does between two commands: `ATTACK` moves the counterfeit,
@@ -84,7 +69,6 @@ def run_epochs(
     velocity_e = floats_at(table, VELOCITY_E).reshape((epoch_count, 3))
     captured, slots = flags_at(table, CAPTURED), integers_at(table, SLOTS)
     attack_settings = floats_at(table, ATTACK_SETTINGS)
-    by_rate, coherent = attack_settings[0] > 0.0, attack_settings[3] > 0.0
     displacement = floats_at(memories, DISPLACEMENT).reshape(action.shape)
     rate = floats_at(memories, RATE).reshape(action.shape)
     axes_e = floats_at(memories, AXES_E)
@@ -94,6 +78,8 @@ def run_epochs(
     average, decay = floats_at(memories, AVERAGE), floats_at(memories, DECAY)
     statistic, threshold = floats_at(memories, STATISTIC), floats_at(memories, THRESHOLD)
     alarm, history = flags_at(memories, ALARMS), flags_at(memories, HISTORY)
+    commanded = Commanded(action, hold, attack_settings, displacement, rate)
+    rest = a.epochs, EpochTruth(a.epoch_time, a.satellites, position_e, velocity_e), captured
     w = name_scratch(a, work)
     lanes = lanes_of(work)
     innovation = a.out[a.places[0] : a.places[0] + receivers * m].reshape((receivers, m))
@@ -102,63 +88,19 @@ def run_epochs(
         b, e = group * lanes, min((group + 1) * lanes, receivers)
         for k in range(count):
             if what & ATTACK and attack == FALSE_POSITION:
-                false_position(
-                    action,
-                    hold,
-                    by_rate,
-                    attack_settings[1],
-                    attack_settings[2],
-                    displacement,
-                    rate,
-                    axes_e,
-                    target_error,
-                    coherent,
-                    a.epochs,
-                    a.epoch_time,
-                    a.satellites,
-                    position_e,
-                    velocity_e,
-                    captured,
-                    a.range_offset,
-                    a.rate_offset,
-                    b,
-                    e,
-                )
+                offsets = a.range_offset, a.rate_offset, b, e
+                false_position(commanded, axes_e, target_error, *rest, *offsets)
             elif what & ATTACK and attack == PER_CHANNEL:
-                per_channel(
-                    action,
-                    hold,
-                    by_rate,
-                    attack_settings[1],
-                    attack_settings[2],
-                    displacement,
-                    rate,
-                    slots,
-                    coherent,
-                    a.epochs,
-                    a.epoch_time,
-                    a.range_offset,
-                    a.rate_offset,
-                    b,
-                    e,
-                )
+                per_channel(commanded, slots, *rest, a.range_offset, a.rate_offset, b, e)
             if what & (MEASURE | PREDICT):
                 shown = k == count - 1 or (what & JUDGE and detector != NEVER)
                 predict_group(a, w, group, what if shown else what & ~SHOW)
             if what & JUDGE and detector != NEVER:
                 now = statistic.reshape(shape)[b:e], threshold.reshape(shape)[b:e]
-                judge_channels(
-                    innovation[b:e],
-                    variance[b:e],
-                    a.visible[b:e],
-                    settings[0],
-                    settings[1],
-                    settings[2],
-                    average.reshape(shape)[b:e],
-                    decay.reshape(shape)[b:e],
-                    *now,
-                    weights[b:e],
-                )
+                seen = innovation[b:e], variance[b:e], a.visible[b:e]
+                charts = average.reshape(shape)[b:e], decay.reshape(shape)[b:e]
+                rules = settings[0], settings[1], settings[2]
+                judge_channels(*seen, *rules, *charts, *now, weights[b:e])
                 sound = is_sound(*now, weights[b:e])
                 for i in range(b * shape[1], e * shape[1]):
                     threshold[i] = settings[3] * threshold[i]
@@ -304,8 +246,7 @@ def shift_response(
                 e[i] -= predicted_cov[b, i, j] * before[j]
 
 
-REPORTS = 0xAD5B
-"""Word of the counters from which latencies of reports are drawn."""
+REPORTS = 0xAD5B  # word of the counters from which latencies of reports are drawn
 
 
 @njit

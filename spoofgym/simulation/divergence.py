@@ -27,6 +27,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.memory import Memory
+from ..core.registry import require
 from ..receiver.states import STATES
 from ._kernels import shift_response
 from .monitors import Monitor, Monitored
@@ -42,11 +43,13 @@ class Divergence(Monitor):
     def bind(self, simulator: Monitored) -> None:
         victims = tightly_coupled(simulator, "the divergence of an attack")
         receivers = victims.receivers
-        if victims.setup.receiver.tuning == "augmented":
-            raise ValueError("the divergence of an attack knows no filter with augmented states")
+        require(
+            victims.setup.receiver.tuning != "augmented",
+            "the divergence of an attack knows no filter with augmented states",
+        )
         self.memory = Memory(receivers)
-        self.memory.declare("divergence", np.zeros(receivers))
-        self.memory.declare("shift", np.zeros((receivers, STATES)))
+        shift = np.zeros((receivers, STATES))
+        self.memory.declare_all(divergence=np.zeros(receivers), shift=shift)
 
     def update(self, simulator: Monitored) -> None:
         victims = tightly_coupled(simulator, "the divergence of an attack")

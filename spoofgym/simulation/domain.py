@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import build_record, check_choice
+from ..core.registry import build_record, check_choice, require
 from ..core.settings import OMITTED
 from ..earth.attitude import euler_to_dcm
 from ..receiver import TightlyCoupled
@@ -28,10 +28,8 @@ from ..truth.sensors import IMU_GRADES, ImuGrade
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 MOST_WORLDS = 256
-MOST_TIME_S = 1e8
-"""Three years; beyond them a float's rounding of the time shows in positions of satellites."""
-CHOICES = ("world", "start_s", "imu", "errors", "target_heading_deg")
-"""What a reset may be given for every receiver."""
+MOST_TIME_S = 1e8  # three years; beyond, the rounding of the time shows in positions of satellites
+CHOICES = ("world", "start_s", "imu", "errors", "target_heading_deg")  # what a reset may be given
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +79,9 @@ class Domain:
         self._check_options()
         for name in ("start_s", "turned_deg", "constellation_time_s"):
             object.__setattr__(self, name, _range(name, getattr(self, name), name == "start_s"))
-        if self.start_s[0] < 0.0:
-            raise ValueError(f"`start_s` must not begin before 0 s, got {self.start_s[0]}")
+        require(
+            self.start_s[0] >= 0.0, f"`start_s` must not begin before 0 s, got {self.start_s[0]}"
+        )
         for name, valid in (("imu", IMU_GRADES), ("errors", ERRORS)):
             given = getattr(self, name)
             given = (given,) if isinstance(given, str) else given
@@ -99,13 +98,12 @@ class Domain:
                 f"`worlds` {self.worlds} would all be the same: give `turned_deg` or "
                 "`constellation_time_s` a range"
             )
-        if max(map(abs, self.constellation_time_s)) > MOST_TIME_S:
-            raise ValueError(
-                f"`constellation_time_s` must be -{MOST_TIME_S:g} to {MOST_TIME_S:g}, got "
-                f"{self.constellation_time_s}"
-            )
-        if self.world_seed < 0:
-            raise ValueError(f"`world_seed` must be at least 0, got {self.world_seed}")
+        require(
+            max(map(abs, self.constellation_time_s)) <= MOST_TIME_S,
+            f"`constellation_time_s` must be -{MOST_TIME_S:g} to {MOST_TIME_S:g}, got "
+            f"{self.constellation_time_s}",
+        )
+        require(self.world_seed >= 0, f"`world_seed` must be at least 0, got {self.world_seed}")
 
     def _check_options(self) -> None:
         if self.turn_on is not None:
@@ -116,7 +114,6 @@ class Domain:
 
     @property
     def varies(self) -> bool:
-        """Whether turns or times of the constellation have a range."""
         pairs = (self.turned_deg, self.constellation_time_s)
         return any(high > low for low, high in pairs)
 
@@ -130,7 +127,6 @@ class Domain:
 
 
 def _range(name: str, given: Any, open_end: bool) -> tuple[float, float | None]:
-    """Pair of a least and a largest number."""
     if isinstance(given, str) or not isinstance(given, Sequence) or len(given) != 2:
         raise ValueError(f"`{name}` must be a pair of numbers, least and largest, got {given!r}")
     low, high = given
@@ -139,8 +135,10 @@ def _range(name: str, given: Any, open_end: bool) -> tuple[float, float | None]:
     for value in (low, high):
         if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
             raise ValueError(f"`{name}` must be a pair of numbers, got {given!r}")
-    if not (math.isfinite(low) and low <= high and (open_end or math.isfinite(high))):
-        raise ValueError(f"`{name}` must be finite, the least first, got {given!r}")
+    require(
+        math.isfinite(low) and low <= high and (open_end or math.isfinite(high)),
+        f"`{name}` must be finite, the least first, got {given!r}",
+    )
     return float(low), None if math.isinf(high) else float(high)
 
 
@@ -168,7 +166,6 @@ class Bounds(NamedTuple):
 
     @property
     def single(self) -> bool:
-        """Whether there is nothing to choose."""
         counts = (self.worlds, self.grades, self.errors, self.last - self.first + 1)
         return max(counts) == 1 and self.heading is not None
 
@@ -235,8 +232,9 @@ def each_of(name: str, value: Any, count: int) -> list[Any]:
     if isinstance(value, str) or np.ndim(value) == 0:
         return [value] * count
     values = list(value)
-    if len(values) != count:
-        raise ValueError(f"`{name}` must be one value or {count} of them, got {len(values)}")
+    require(
+        len(values) == count, f"`{name}` must be one value or {count} of them, got {len(values)}"
+    )
     return values
 
 
@@ -247,8 +245,7 @@ def _numbers(name: str, values: Sequence[Any]) -> list[float]:
             number = float(value)
         except (TypeError, ValueError):
             number = math.nan
-        if not math.isfinite(number):
-            raise ValueError(f"`{name}` must be finite numbers, got {value!r}")
+        require(math.isfinite(number), f"`{name}` must be finite numbers, got {value!r}")
         numbers.append(number)
     return numbers
 
@@ -256,8 +253,10 @@ def _numbers(name: str, values: Sequence[Any]) -> list[float]:
 def _whole(name: str, values: Sequence[Any], low: int, high: int) -> IntArray:
     numbers = _numbers(name, values)
     for number in numbers:
-        if not (number.is_integer() and low <= number <= high):
-            raise ValueError(f"`{name}` must be whole numbers, {low} to {high}, got {number:g}")
+        require(
+            number.is_integer() and low <= number <= high,
+            f"`{name}` must be whole numbers, {low} to {high}, got {number:g}",
+        )
     return np.array(numbers, dtype=np.int64)
 
 
@@ -366,11 +365,11 @@ class Combinations:
         first = self._all[0]
         for case in self._all:
             same = case.assumed == first.assumed and case.grade == first.grade
-            if not (same and np.array_equal(case.assumed_bias_sd, first.assumed_bias_sd)):
-                raise ValueError(
-                    "a receiver with `tuning` 'augmented' takes one grade of inertial sensors and "
-                    "one kind of errors, with the same constants in all worlds of the domain"
-                )
+            require(
+                same and np.array_equal(case.assumed_bias_sd, first.assumed_bias_sd),
+                "a receiver with `tuning` 'augmented' takes one grade of inertial sensors and "
+                "one kind of errors, with the same constants in all worlds of the domain",
+            )
         return signal_model(first.assumed, first.assumed_bias_sd, interval_s)
 
     def __getitem__(self, index: int) -> Combination:
@@ -378,7 +377,6 @@ class Combinations:
 
     @property
     def assume_alike(self) -> bool:
-        """Whether victims assume the same noise in all of them."""
         first = self._all[0]
         return all(
             np.array_equal(case.noise_variance, first.noise_variance)
@@ -388,7 +386,6 @@ class Combinations:
 
     @property
     def sense_alike(self) -> bool:
-        """Whether sensors have the same constants in all episodes of all of them."""
         first = self._all[0]
         return not self.drawn and all(
             case.grade is first.grade and case.errors == first.errors for case in self._all
@@ -396,15 +393,11 @@ class Combinations:
 
     @property
     def largest_epoch_variance(self) -> FloatArray:
-        """(2n,) largest variance of one epoch alone of all combinations."""
-        largest: FloatArray = np.max([case.epoch_variance for case in self._all], axis=0)
-        return largest
+        return np.asarray(np.max([case.epoch_variance for case in self._all], axis=0))
 
     @property
     def largest_variance(self) -> FloatArray:
-        """(2n,) largest R of all combinations."""
-        largest: FloatArray = np.max([case.noise_variance for case in self._all], axis=0)
-        return largest
+        return np.asarray(np.max([case.noise_variance for case in self._all], axis=0))
 
     def first_C_eb(self, grade: NDArray[np.int64], epochs: NDArray[np.int64]) -> FloatArray:
         """(b, 3, 3) attitudes, to ECEF from body axes, with which receivers start at `epochs`."""

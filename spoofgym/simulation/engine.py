@@ -17,22 +17,17 @@ from ..receiver.epoch import Epoch
 from .domain import draw, given_choice
 from .prefetch import PIECE, STOCK, NextEpisodes
 from .setup import Setup
-from .simulator import Given, Rngs, Rows, Sequel, Simulator, run_serially
+from .simulator import FloatArray, Given, Rngs, Rows, Sequel, Simulator, run_serially
 from .threads import Workers
 
-FloatArray = NDArray[np.float64]
 T = TypeVar("T")
 RECEIVERS_PER_THREAD = 16
-SLICES_PER_THREAD, LEAST_SLICE = 4, 32
-"""Slices of a step: several a thread, so that none waits long, of no fewer receivers than this."""
-POOL_SEED = 0x9A57
-"""Receiver k of every pool is seeded ``SeedSequence(POOL_SEED, spawn_key=(k,))``."""
-KEPT = 8
-"""Largest size of the simulators that are kept for the time to alert of a few receivers."""
+SLICES_PER_THREAD, LEAST_SLICE = 4, 32  # of a step, so that none waits long; least receivers of one
+POOL_SEED = 0x9A57  # receiver k of every pool is seeded ``SeedSequence(POOL_SEED, spawn_key=(k,))``
+KEPT = 8  # largest size of the simulators that are kept for the time to alert of a few receivers
 
 
 def _warming(setup: Setup, rngs: Rngs) -> Iterator[Simulator]:
-    """Receivers on their way to the onset, in pieces."""
     simulator: Simulator = setup.simulator(len(rngs), run_serially)
     yield simulator
     for _ in simulator.warming(rngs, piece=PIECE):
@@ -86,8 +81,6 @@ class Engine:
         twin: bool = False,
         warm_pool: int | None = None,
     ) -> None:
-        if receivers < 1:
-            raise ValueError(f"`receivers` must be at least 1, got {receivers}")
         if threads is not None and threads < 1:
             raise ValueError(f"`threads` must be at least 1, got {threads}")
         self.receivers, self.setup = receivers, setup
@@ -119,7 +112,6 @@ class Engine:
         self._pool = None
 
     def _run(self, work: Callable[[int, int], None], receivers: int) -> None:
-        """Call ``work(lo, hi)`` over slices of whole lanes."""
         parts = min(SLICES_PER_THREAD * self.threads, receivers // LEAST_SLICE)
         if self.threads == 1 or parts < 2:
             work(0, receivers)
@@ -176,7 +168,6 @@ class Engine:
         self._next.prepare(where, rngs)
 
     def _begin(self, rngs: Rngs, rows: Rows, given: Given | None = None) -> None:
-        """Start new episodes and run their warm-up here and now."""
         if len(rows) == self.receivers:
             self.simulator.warm_up(rngs, given)
             return
@@ -185,33 +176,27 @@ class Engine:
         self.simulator.copy_rows(rows, part, np.arange(len(rows)))
 
     def _warmed_pool(self, receivers: int) -> Simulator:
-        """Receivers at the onset, of whom all episodes are copies."""
         seeds = (np.random.SeedSequence(POOL_SEED, spawn_key=(k,)) for k in range(receivers))
         pool: Simulator = self.setup.simulator(receivers, self._run)
         pool.warm_up([np.random.default_rng(seed) for seed in seeds])
         return pool
 
     def predict(self, command: FloatArray | None) -> Epoch:
-        """First half of a step; `command` (B, a) in [-1, 1], None holds the present rates."""
         return self.simulator.predict(command)
 
     def judge(self) -> Verdict:
-        """Let the detector in the loop judge the epoch."""
         return self.simulator.judge()
 
     def update(self, verdict: Verdict) -> None:
-        """Second half of a step: the update with the verdict's weights."""
         self.simulator.update(verdict.weights)
 
     def step(self, command: FloatArray | None, sequel: Sequel | None = None) -> Verdict:
-        """Both halves with the engine's own detector, and what follows them, before the twins."""
         verdict = self.simulator.step(command, sequel=sequel)
         if self.twin is not None:
             self.step_twin()
         return verdict
 
     def step_twin(self) -> Verdict:
-        """Run the epoch of the clean twins, with their own detector."""
         if self.twin is None:
             raise RuntimeError("this engine has no clean twins; make it with `twin=True`")
         return self.twin.step(attacked=False)
@@ -248,7 +233,6 @@ class Engine:
 
 
 def available_threads(receivers: int) -> int:
-    """Useful threads for so many receivers, at least 1."""
     return max(1, min(processors(), receivers // RECEIVERS_PER_THREAD))
 
 

@@ -14,13 +14,14 @@ from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch
 from ..receiver.loose import LooselyCoupled, LooseReceivers
+from ..truth._kernels import first_errors, measure_loose
 from ..truth.gnss_errors import PositionErrors
 from ..truth.noise import padded
-from ..truth.run import SOURCES, InertialErrors, first_errors, flown_world, measure
+from ..truth.run import SOURCES, InertialErrors, flown_world
 from ..truth.scenario import at_rate
 from .domain import Choice, Domain
 from .setup import RateCommands, Run, Setup, Timeline
-from .simulator import Rngs, Rows, Simulator, domain_keys, episode_seeds
+from .simulator import FloatArray, Rngs, Rows, Simulator, domain_keys, episode_seeds
 
 
 class RateSimulator(Simulator):
@@ -29,9 +30,8 @@ class RateSimulator(Simulator):
 
     def _allocate(self) -> None:
         none = np.zeros((self.receivers, len(self.setup.action_names)))
-        self.memory.declare("epoch", np.zeros(self.receivers, dtype=np.int64))
-        self.memory.declare("displacement", none)
-        self.memory.declare("rate", none)
+        epoch = np.zeros(self.receivers, dtype=np.int64)
+        self.memory.declare_all(epoch=epoch, displacement=none, rate=none)
 
     def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
         self.memory.reset()
@@ -41,16 +41,37 @@ class RateSimulator(Simulator):
         return domain_keys(episodes)
 
     @abstractmethod
+    def _keys(self, episode: np.random.SeedSequence) -> NDArray[np.uint64]:
+        """Keys of an episode's noise, as ``keys`` of the memory has them."""
+
     def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
         """Draw the keys of a receiver's noise, and what else is drawn once per episode."""
+        self.memory["keys"][row] = self._keys(episode)
+
+    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
+        self.memory["keys"][rows] = [self._keys(episode) for episode in episodes]
+
+    def _start(self, choice: Choice) -> None:
+        self.memory["epoch"][:] = self.memory["first"]
+        self._observe()
+
+    def _measure(self, command: FloatArray | None) -> None:
+        self._move(command)
+        self.memory["epoch"] = self.memory["epoch"] + 1
+        self._observe()
+
+    def _observe(self) -> None:
+        """Measure the epoch, where nothing has to be measured on the way to it."""
+
+    @property
+    def position(self) -> FloatArray:
+        return self.memory["position_e"]
 
     @property
     def epochs(self) -> NDArray[np.int64]:
-        """(B,) index of each receiver's epoch."""
         return self.memory["epoch"]
 
     def _move(self, command: FloatArray | None) -> None:
-        """Move the counterfeit over one epoch, by a new rate or by the present one."""
         memory, length = self.memory, self.setup.length
         late = np.flatnonzero(memory["epoch"] - memory["first"] >= length)
         if len(late):
@@ -64,7 +85,6 @@ class RateSimulator(Simulator):
         memory["displacement"] = memory["displacement"] + memory["rate"] * self.setup.interval_s
 
 
-FloatArray = NDArray[np.float64]
 INTERVAL_S = 0.1
 DEFAULT_WINDOW = 100
 DEFAULT_DETECTOR: dict[str, Any] = {
@@ -73,7 +93,6 @@ DEFAULT_DETECTOR: dict[str, Any] = {
     "covariance": "estimated",
     "covariance_window": DEFAULT_WINDOW,
 }
-DEFAULT_RECEIVER: dict[str, Any] = {"self_tuning": {"window": DEFAULT_WINDOW}}
 DEFAULT_TIMELINE = {"warmup_s": 20.0, "live_s": 20.0, "attack_s": 5.0, "time_to_alert_s": 5.0}
 
 
@@ -111,6 +130,8 @@ class LooselyCoupledSetup(Setup):
     whose: ClassVar[str] = "a loosely coupled receiver"
     has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
+    usual_detector = DEFAULT_DETECTOR
+    usual_timeline = DEFAULT_TIMELINE
     motion_names = tuple(
         f"{what}_{axis}" for what in ("position", "velocity") for axis in ("north", "east", "down")
     )
@@ -142,11 +163,11 @@ class LooselyCoupledSetup(Setup):
         self.errors = build_record("errors", PositionErrors, errors)
         self.inertial = build_record("inertial", InertialErrors, inertial)
         self.receiver = build_record(
-            "receiver", LooselyCoupled, DEFAULT_RECEIVER if receiver is None else receiver
+            "receiver",
+            LooselyCoupled,
+            {"self_tuning": {"window": DEFAULT_WINDOW}} if receiver is None else receiver,
         )
         self._aim(target_heading_deg, domain)
-        detector = DEFAULT_DETECTOR if detector is None else detector
-        timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
         self._phase(detector, timeline, INTERVAL_S, decision_interval_s, between)
         self.epochs_each = self.world.epochs
         self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, self.name))
@@ -156,13 +177,10 @@ class LooselyCoupledSetup(Setup):
         self.C_en = np.ascontiguousarray(self.world.C_el[:, :, [1, 0, 2]] * [1.0, 1.0, -1.0])
 
     def world_settings(self) -> dict[str, Any]:
-        """Flight, errors, sensors, receiver and domain."""
-        parts = (self.errors, self.inertial, self.receiver, self.domain)
         names = ("errors", "inertial", "receiver", "domain")
-        return {"flight": self.name, **dict(zip(names, map(describe, parts), strict=True))}
+        return {"flight": self.name} | {name: describe(getattr(self, name)) for name in names}
 
     def simulator(self, receivers: int, run: Run) -> LooselyCoupledSimulator:
-        """B receivers, not begun yet."""
         return LooselyCoupledSimulator(self, receivers, run)
 
 
@@ -177,9 +195,9 @@ class LooselyCoupledSimulator(RateSimulator):
         self.victims = LooseReceivers(
             self.setup.receiver, memory, world.samples, world.imu_interval_s, self.fields
         )
-        memory.declare("keys", np.zeros((b, SOURCES, 2), dtype=np.uint64))
-        memory.declare("first_error", np.zeros((b, 15)))
-        memory.declare("position_error", np.zeros((b, 3)))
+        keys = np.zeros((b, SOURCES, 2), dtype=np.uint64)
+        errors = {"first_error": np.zeros((b, 15)), "position_error": np.zeros((b, 3))}
+        memory.declare_all(keys=keys, **errors)
         self._offset = np.zeros((b, 3))  # east, north, up
         self._deviates = np.empty(padded(6 * world.samples))
 
@@ -187,17 +205,12 @@ class LooselyCoupledSimulator(RateSimulator):
         variance = self.setup.receiver.noise_variance()
         return DetectorContext(self.receivers, 0, INTERVAL_S, variance, ())
 
-    def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
-        state = episode.generate_state(2 * SOURCES, np.uint64)
-        self.memory["keys"][row] = state.reshape(-1, 2)
-
-    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
-        for row, episode in zip(rows.tolist(), episodes, strict=True):
-            self._seed(row, episode)
+    def _keys(self, episode: np.random.SeedSequence) -> NDArray[np.uint64]:
+        return episode.generate_state(2 * SOURCES, np.uint64).reshape(-1, 2)
 
     def _start(self, choice: Choice) -> None:
+        super()._start(choice)
         memory, setup, first = self.memory, self.setup, self.memory["first"]
-        memory["epoch"][:] = first
         written = memory["first_error"], memory["position_error"]
         sizes = setup.inertial.initial_sd, setup.errors.sd
         first_errors(memory["keys"], *sizes, self._deviates, *written)
@@ -214,7 +227,7 @@ class LooselyCoupledSimulator(RateSimulator):
         errors = setup.errors.decay, setup.errors.sd
         written = memory["position_error"], self.victims.samples, self.victims.fix_e
         drawn = memory["keys"], memory["epoch"]
-        measure(*drawn, *flight, *inertial, *errors, self._offset, self._deviates, *written)
+        measure_loose(*drawn, *flight, *inertial, *errors, self._offset, self._deviates, *written)
         self.victims.predict()
 
     def _form_epoch(self) -> Epoch:
@@ -223,14 +236,7 @@ class LooselyCoupledSimulator(RateSimulator):
     def _correct(self, weights: FloatArray | None) -> None:
         self.victims.update(weights)
 
-    @property
-    def position(self) -> FloatArray:
-        """(B, 3) estimated, ECEF [m]."""
-        return self.memory["position_e"]
-
     def error_n(self) -> FloatArray:
-        """(B, 2) error of the estimate in the local axes of the epoch: north, east [m]."""
         epochs = self.epochs
         apart = self.memory["position_e"] - self.setup.world.position_e[epochs]
-        error: FloatArray = (apart[:, :, None] * self.setup.C_en[epochs, :, :2]).sum(axis=1)
-        return error
+        return np.asarray((apart[:, :, None] * self.setup.C_en[epochs, :, :2]).sum(axis=1))

@@ -1,15 +1,10 @@
-"""Read-only observers: passive detectors, broadcast.
-
-Monitors: what looks at every epoch that is judged, and changes nothing.
+"""Monitors: what looks at every epoch that is judged, and changes nothing; passive detectors.
 
 They live in the simulators, so that they see the warm-up and the time to alert, too, and go with
 their receivers when these are moved from one simulator to another.
 
-The victim's own broadcast of its position: reports that arrive late, in steps.
-
-What is broadcast is the solution that the victim believes, as an aircraft's surveillance reports
-have it.  A report is sent at fixed intervals, arrives after a latency that is drawn for each, and
-gives the position in steps.
+An aircraft's surveillance reports broadcast the position that the victim believes, at fixed
+intervals: each arrives after a latency that is drawn for it.
 """
 
 from __future__ import annotations
@@ -61,11 +56,9 @@ class Monitor(ABC):
         """Look at an epoch after the update."""
 
     def begin(self) -> None:
-        """Start new episodes in all receivers."""
         self.memory.reset()
 
     def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
-        """Take over receivers of another simulator."""
         self.memory.copy_rows(to, other.memory, rows)
 
 
@@ -86,8 +79,8 @@ class PassiveDetectors(Monitor):
             simulator.bind_detector(detector)
         receivers, count = simulator.receivers, len(self.detectors)
         self.memory = Memory(receivers)
-        self.memory.declare("alarmed", np.zeros((receivers, count), dtype=np.bool_))
-        self.memory.declare("ratio", np.zeros((receivers, count)))
+        alarmed = np.zeros((receivers, count), dtype=np.bool_)
+        self.memory.declare_all(alarmed=alarmed, ratio=np.zeros((receivers, count)))
 
     def begin(self) -> None:
         super().begin()
@@ -108,7 +101,6 @@ class PassiveDetectors(Monitor):
 
 
 def needed_monitors(terms: Iterable[Any]) -> list[Monitor]:
-    """Monitors that terms rely on: one of each class that their attribute `needs` lists."""
     kinds = dict.fromkeys(kind for term in terms for kind in getattr(term, "needs", ()))
     return [kind() for kind in kinds]
 
@@ -122,8 +114,7 @@ def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:
     return tuple(f"{word}_{count + 1}" if count else word for word, count in before)
 
 
-KEPT = 64
-"""Epochs of which positions are kept."""
+KEPT = 64  # epochs of which positions are kept
 
 
 class PastPositions(Monitor):

@@ -25,12 +25,9 @@ from .simulator import Rngs, Simulator
 from .threads import Workers
 
 WarmUp = Callable[[Sequence[np.random.Generator]], Iterator[Simulator]]
-LEAST_TOGETHER, MOST_TOGETHER = 16, 64
-"""Receivers of a group: enough to be worth it, and not so many that one waits for the others."""
-STOCK = 2
-"""Episodes that wait for every receiver."""
-PIECE = 64
-"""Epochs of single receivers in one piece of a warm-up: some 0.1 ms."""
+LEAST_TOGETHER, MOST_TOGETHER = 16, 64  # receivers of a group: worth it, and none waits long
+STOCK = 2  # episodes that wait for every receiver
+PIECE = 64  # epochs of single receivers in one piece of a warm-up: some 0.1 ms
 
 
 class Group:
@@ -95,7 +92,6 @@ class NextEpisodes:
         self._generation = _threads.generation()
 
     def forget(self) -> None:
-        """Throw away all that has been asked for; the generators go on from where they are."""
         self._ask_again(self._groups)
         self._asked, self._sources = {}, [None] * self._receivers
 
@@ -112,7 +108,6 @@ class NextEpisodes:
         }
 
     def _drop_unwanted(self) -> None:
-        """Stop groups of which no episode is wanted any more."""
         self._groups = [group for group in self._groups if self._open([group])]
         self._workers.pieces[:] = self._groups
 
@@ -170,7 +165,6 @@ class NextEpisodes:
         return same & (self._stock[rows] >= least)
 
     def take(self, rows: NDArray[np.intp], into: Simulator) -> None:
-        """Let some receivers start the episodes that wait for them."""
         slots = self._slots(rows, 0)
         self._finish([slot for slot in slots.tolist() if not self._ready[slot]])
         into.copy_rows(rows, self._waiting, slots)
@@ -178,7 +172,6 @@ class NextEpisodes:
         self._stock[rows] -= 1
 
     def _finish(self, slots: list[int]) -> None:
-        """Warm up what is not ready, together with the threads."""
         if not slots:
             return
         self._check_fork()

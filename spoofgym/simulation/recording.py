@@ -6,17 +6,15 @@ import copy
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.registry import require
 from ..receiver import NavState, Recording
 from ..truth._kernels import CHUNK, sense
 from ..truth.noise import deviates, padded
-from .simulator import run_serially
+from .simulator import FloatArray, run_serially
 from .tight import TightlyCoupledSetup, TightlyCoupledSimulator
 
-FloatArray = NDArray[np.float64]
-RANGES = "pseudorange", "range_rate"
-"""Fields of an epoch that a recording keeps."""
+RANGES = "pseudorange", "range_rate"  # fields of an epoch that a recording keeps
 
 
 def record_run(
@@ -51,8 +49,10 @@ def record_run(
         (K, 3) estimated after every epoch, ECEF [m].
     """
     count = setup.onset + setup.steps if epochs is None else epochs
-    if not 1 <= count < setup.world.epochs:
-        raise ValueError(f"`epochs` must be 1 to {setup.world.epochs - 1}, got {count}")
+    require(
+        1 <= count < setup.world.epochs,
+        f"`epochs` must be 1 to {setup.world.epochs - 1}, got {count}",
+    )
     told = copy.copy(setup)
     told.fields = setup.fields.union(RANGES)
     victim = told.simulator(1, run_serially)

@@ -15,11 +15,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import build_record, check_finite
+from ..core.registry import build_record, check_finite, require
 from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
 from ..receiver.epoch import Epoch
+from ..truth._kernels import measure_fix, measure_odometry
 from ..truth.noise import BLOCK
 from ..truth.robot import (
     MOST_SAMPLES,
@@ -28,15 +29,12 @@ from ..truth.robot import (
     Odometer,
     RobotLoop,
     episode_keys,
-    measure_fix,
-    measure_odometry,
 )
 from .domain import Choice, Domain
 from .loose import RateSimulator
 from .setup import MOST_EPOCHS, RateCommands, Run, Setup, Timeline
-from .simulator import Rows, Written
+from .simulator import FloatArray, Written
 
-FloatArray = NDArray[np.float64]
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "acna", "variant": "production"}
 DEFAULT_TIMELINE = {"warmup_s": 60.0, "live_s": 60.0, "attack_s": 150.0, "time_to_alert_s": 10.0}
 
@@ -89,6 +87,8 @@ class WheeledRobotSetup(Setup):
     whose: ClassVar[str] = "a wheeled robot"
     has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position", "auxiliary_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
+    usual_detector = DEFAULT_DETECTOR
+    usual_timeline = DEFAULT_TIMELINE
     motion_names = ("position_north", "position_east", "velocity_north", "velocity_east")
     weight_names = ("fix",)
 
@@ -112,11 +112,15 @@ class WheeledRobotSetup(Setup):
         decision_interval_s: float | None = None,
         between: str = "hold",
     ) -> None:
-        check_finite("interval_s", interval_s, "> 0")
-        check_finite("rate_limit_mps", rate_limit_mps, "> 0")
-        check_finite("displacement_scale_m", displacement_scale_m, "> 0")
-        check_finite("position_scale_m", position_scale_m, "> 0")
-        check_finite("velocity_scale_mps", velocity_scale_mps, "> 0")
+        positive = {
+            "interval_s": interval_s,
+            "rate_limit_mps": rate_limit_mps,
+            "displacement_scale_m": displacement_scale_m,
+            "position_scale_m": position_scale_m,
+            "velocity_scale_mps": velocity_scale_mps,
+        }
+        for name, value in positive.items():
+            check_finite(name, value, "> 0")
         self.name = self.kind
         self.attack = RateCommands(
             self.kind, ("north_rate", "east_rate"), (float(rate_limit_mps),) * 2
@@ -131,15 +135,12 @@ class WheeledRobotSetup(Setup):
         self.fix_errors = build_record("fix_errors", FixErrors, fix_errors)
         self.receiver = build_record("receiver", CredibleFilter, receiver)
         self._aim(target_heading_deg, domain)
-        detector = DEFAULT_DETECTOR if detector is None else detector
-        timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
         self._phase(detector, timeline, float(interval_s), decision_interval_s, between)
         self._drive()
         self._interruptions_s = interruptions_s
         self._interrupt(interruptions_s)
 
     def world_settings(self) -> dict[str, Any]:
-        """Course, odometer, fixes, receiver and domain."""
         names = ("loop", "odometer", "fix_errors", "receiver", "domain")
         parts = {name: describe(getattr(self, name)) for name in names}
         return {**parts, "interruptions_s": [list(pair) for pair in self._interruptions_s]}
@@ -155,11 +156,11 @@ class WheeledRobotSetup(Setup):
             )
         early, late = self.domain.start_s
         late = early + self.loop.lap_s if late is None else late
-        if not late <= MOST_EPOCHS * self.interval_s:
-            raise ValueError(
-                f"`start_s` must be within 0 and {MOST_EPOCHS * self.interval_s:g} s, got "
-                f"{self.domain.start_s}"
-            )
+        require(
+            late <= MOST_EPOCHS * self.interval_s,
+            f"`start_s` must be within 0 and {MOST_EPOCHS * self.interval_s:g} s, got "
+            f"{self.domain.start_s}",
+        )
         self.epochs_each = self.length + math.floor(late / self.interval_s + 1e-6) + 1
         self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, "the course"))
         self.epoch_time = np.arange(self.epochs_each, dtype=np.float64) * self.interval_s
@@ -176,18 +177,17 @@ class WheeledRobotSetup(Setup):
         if pairs.size == 0:
             pairs = np.empty((0, 2))
         right = pairs.ndim == 2 and pairs.shape[1] == 2
-        if not (right and (pairs[:, 0] > 0.0).all() and (pairs[:, 0] < pairs[:, 1]).all()):
-            raise ValueError(
-                "`interruptions_s` must be pairs (start, end) with 0 < start < end, got "
-                f"{interruptions_s}"
-            )
+        require(
+            right and (pairs[:, 0] > 0.0).all() and (pairs[:, 0] < pairs[:, 1]).all(),
+            "`interruptions_s` must be pairs (start, end) with 0 < start < end, got "
+            f"{interruptions_s}",
+        )
         time = np.arange(self.length + 1)[:, None] * self.interval_s
         self.available: NDArray[np.bool_] = np.all(
             (time < pairs[:, 0]) | (time >= pairs[:, 1]), axis=1
         )
 
     def simulator(self, receivers: int, run: Run) -> WheeledRobotSimulator:
-        """B robots, not begun yet."""
         return WheeledRobotSimulator(self, receivers, run)
 
 
@@ -199,11 +199,13 @@ class WheeledRobotSimulator(RateSimulator):
     def _allocate(self) -> None:
         super()._allocate()
         b, memory, setup = self.receivers, self.memory, self.setup
-        memory.declare("keys", np.zeros((b, len(SOURCES), 2), dtype=np.uint64))
-        memory.declare("phase", np.zeros((b, 2)))
-        memory.declare("yaw", np.zeros(b))
-        memory.declare("correlated", np.zeros((b, AXES)))
-        memory.declare("fix", np.zeros((b, AXES)))
+        memory.declare_all(
+            keys=np.zeros((b, len(SOURCES), 2), dtype=np.uint64),
+            phase=np.zeros((b, 2)),
+            yaw=np.zeros(b),
+            correlated=np.zeros((b, AXES)),
+            fix=np.zeros((b, AXES)),
+        )
         self.filters = CredibleBatch(setup.receiver, memory, setup.interval_s, self.fields)
         self.increment = np.zeros((b, AXES))
         self._noise = np.empty(BLOCK)
@@ -212,19 +214,17 @@ class WheeledRobotSimulator(RateSimulator):
         variance = np.full(AXES, self.setup.receiver.noise_variance)
         return DetectorContext(self.receivers, 0, self.setup.interval_s, variance, ())
 
+    def _keys(self, episode: np.random.SeedSequence) -> NDArray[np.uint64]:
+        return episode_keys(episode)[0]
+
     def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
         self.memory["keys"][row], self.memory["phase"][row] = episode_keys(episode)
 
-    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
-        self.memory["keys"][rows] = [episode_keys(episode)[0] for episode in episodes]
-
     def _start(self, choice: Choice) -> None:
-        self.memory["epoch"][:] = self.memory["first"]
-        self._observe()
+        super()._start(choice)
         self.filters.begin(self.memory["fix"])
 
     def _observe(self) -> None:
-        """Measure dead reckoning and fix of the epoch."""
         memory, setup = self.memory, self.setup
         odometer, errors = setup.odometer, setup.fix_errors
         drawn = memory["keys"], memory["epoch"], memory["first"]
@@ -238,9 +238,7 @@ class WheeledRobotSimulator(RateSimulator):
         measure_fix(*drawn, *truth, *sizes, memory["displacement"], self._noise, *written)
 
     def _measure(self, command: FloatArray | None) -> None:
-        self._move(command)
-        self.memory["epoch"] = self.memory["epoch"] + 1
-        self._observe()
+        super()._measure(command)
         self.epoch = self.filters.predict(self.time_s(), self.increment, self.memory["fix"])
 
     def _form_epoch(self) -> Epoch:
@@ -251,26 +249,19 @@ class WheeledRobotSimulator(RateSimulator):
 
     @property
     def coasting(self) -> NDArray[np.bool_]:
-        """(B,) bool, whether the last epoch had no fix."""
-        missing: NDArray[np.bool_] = ~self.setup.available[self.epochs - self.memory["first"]]
-        return missing
+        return np.asarray(~self.setup.available[self.epochs - self.memory["first"]])
 
     @property
     def position(self) -> FloatArray:
-        """(B, 2) estimated, north and east [m]."""
         return self.memory["position"][:, :AXES]
 
     def error_n(self) -> FloatArray:
-        """(B, 2) error of the estimate: north, east [m]."""
         return self.position - self.setup.true_position[self.epochs]
 
     def observed_weights(self) -> FloatArray:
-        """(B, 1) mean weight of the last fix."""
-        mean: FloatArray = self.weights.mean(axis=1, keepdims=True)
-        return mean
+        return np.asarray(self.weights.mean(axis=1, keepdims=True))
 
     def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
-        """Write true position since the onset and true velocity, scaled."""
         setup, truth = self.setup, self.setup.true_position
         out[:, :AXES] = per_position * (truth[self.epochs] - truth[self.onset])
         out[:, AXES:] = per_velocity * setup.true_velocity_ne[self.epochs]

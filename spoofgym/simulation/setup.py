@@ -16,16 +16,15 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import build_record, check_choice, check_finite, is_number
+from ..core.registry import build_record, check_choice, check_finite, is_number, require
 from ..detectors import Detector, detector_in_world
 from ..detectors.calibration_file import Conditions, described
 from ..receiver.epoch import OPTIONAL
 from ._kernels import local_motion
-from .domain import Bounds, Domain
+from .domain import Bounds, Domain, FloatArray
 from .monitors import Monitor
 
-MOST_EPOCHS = 100_000
-"""Longest episode."""
+MOST_EPOCHS = 100_000  # longest episode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,19 +55,19 @@ class Timeline:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             check_finite(name, value, "> 0" if name == "attack_s" else ">= 0")
-        if self.live_s > self.warmup_s:
-            raise ValueError(
-                f"`live_s` must be at most `warmup_s` = {self.warmup_s}, got {self.live_s}"
-            )
+        require(
+            self.live_s <= self.warmup_s,
+            f"`live_s` must be at most `warmup_s` = {self.warmup_s}, got {self.live_s}",
+        )
 
     def epochs(self, interval_s: float) -> tuple[int, int, int, int]:
         """Epochs of the filter-only and the monitored warm-up, the command phase, and the hold."""
         length = self.warmup_s + self.attack_s + self.time_to_alert_s
-        if length > MOST_EPOCHS * interval_s:
-            raise ValueError(
-                f"an episode must have at most {MOST_EPOCHS} epochs; {length:g} s at intervals of "
-                f"{interval_s:g} s are {length / interval_s:.0f}"
-            )
+        require(
+            length <= MOST_EPOCHS * interval_s,
+            f"an episode must have at most {MOST_EPOCHS} epochs; {length:g} s at intervals of "
+            f"{interval_s:g} s are {length / interval_s:.0f}",
+        )
         warmup = round(self.warmup_s / interval_s)
         live = min(round(self.live_s / interval_s), warmup)
         attack = max(round(self.attack_s / interval_s), 1)
@@ -76,7 +75,6 @@ class Timeline:
 
 
 def epochs_of_decision(decision_interval_s: float | None, interval_s: float, steps: int) -> int:
-    """Epochs of a decision; by default every epoch is one."""
     if decision_interval_s is None:
         return 1
     check_finite("decision_interval_s", decision_interval_s, "> 0")
@@ -94,13 +92,9 @@ def epochs_of_decision(decision_interval_s: float | None, interval_s: float, ste
     return repeat
 
 
-FloatArray = NDArray[np.float64]
-TARGETS = ("random", "worst")
-"""Target directions that are no number."""
-BETWEEN = ("hold", "linear")
-"""What is commanded between two decisions."""
-Run = Callable[[Callable[[int, int], None], int], None]
-"""``run(f, B)`` calls ``f(lo, hi)`` over slices of the receivers, possibly in threads."""
+TARGETS = ("random", "worst")  # target directions that are no number
+BETWEEN = ("hold", "linear")  # what is commanded between two decisions
+Run = Callable[[Callable[[int, int], None], int], None]  # calls ``f(lo, hi)`` over slices of B
 
 
 @dataclass(frozen=True)
@@ -118,12 +112,10 @@ class RateCommands:
 
     @property
     def label(self) -> str:
-        """Threat in a word, for results."""
         return self.kind
 
     @property
     def rate_limit_mps(self) -> float | tuple[float, ...]:
-        """Limit of all axes, or of each where they differ [m/s]."""
         return self.limits[0] if len(set(self.limits)) == 1 else self.limits
 
     def action_names(self, world: object) -> tuple[str, ...]:
@@ -178,35 +170,27 @@ class Setup(ABC):
     """
 
     kind: ClassVar[str]
-    whose: ClassVar[str]
-    """The victim with its article, for messages."""
-    env_id: ClassVar[str] = ""
-    """Environment of this victim; "" for none."""
-    of_attack: ClassVar[frozenset[str]] = frozenset(
+    whose: ClassVar[str]  # the victim with its article, for messages
+    env_id: ClassVar[str] = ""  # environment of this victim; "" for none
+    of_attack: ClassVar[frozenset[str]] = frozenset(  # settings that a clean run does not depend on
         {
             *("detector", "attack", "target_heading_deg", "rate_limit_mps"),
             *("decision_interval_s", "between"),
         }
     )
-    """Settings that a clean run does not depend on."""
-    given: Mapping[str, Any] | None = None
-    """Settings as they were given, where an environment or a benchmark was made from them."""
+    given: Mapping[str, Any] | None = None  # settings as they were given
     has: ClassVar[frozenset[str]] = frozenset(OPTIONAL) - {
         "gnss_position",
         "auxiliary_position",
         "cn0_dbhz",
-    }
-    """Optional fields of `Epoch` that the victim has."""
-    fields: frozenset[str] = frozenset()
-    """Those that are wanted besides the `needs` of detectors and monitors."""
-    domain_names: ClassVar[frozenset[str]] = frozenset()
-    """Settings of `Domain` that the victim has."""
-    threaded: ClassVar[bool] = False
-    """Whether its kernels work on slices of the receivers."""
-    follows_setpoint: ClassVar[bool] = False
-    """Whether a spoofer commands by a wanted rate where nothing else is asked for."""
-    ratio_is_largest: ClassVar[bool] = True
-    """Whether the default observation shows the largest statistic ratio, not one a channel."""
+    }  # optional fields of `Epoch` that the victim has
+    fields: frozenset[str] = frozenset()  # wanted besides the `needs` of detectors and monitors
+    domain_names: ClassVar[frozenset[str]] = frozenset()  # settings of `Domain` that the victim has
+    usual_detector: ClassVar[Mapping[str, Any]] = {}  # in the loop where none is given
+    usual_timeline: ClassVar[Mapping[str, float] | None] = None
+    threaded: ClassVar[bool] = False  # whether its kernels work on slices of the receivers
+    follows_setpoint: ClassVar[bool] = False  # whether spoofers command wanted rates by default
+    ratio_is_largest: ClassVar[bool] = True  # else the default observation has one a channel
     motion_names: tuple[str, ...] = ()
     error_names: tuple[str, ...] = ("north", "east")
     weight_names: tuple[str, ...] = ()
@@ -233,14 +217,15 @@ class Setup(ABC):
 
     def _phase(
         self,
-        detector: str | Mapping[str, Any] | Detector,
-        timeline: Timeline,
+        detector: str | Mapping[str, Any] | Detector | None,
+        timeline: Mapping[str, float] | Timeline | None,
         interval_s: float,
         decision_interval_s: float | None,
         between: str,
     ) -> None:
-        self.detector, self.timeline = detector_in_world(detector), timeline
-        self.interval_s = interval_s
+        self.detector = detector_in_world(self.usual_detector if detector is None else detector)
+        timeline = build_record("timeline", Timeline, timeline, self.usual_timeline)
+        self.timeline, self.interval_s = timeline, interval_s
         self.monitors: tuple[Monitor, ...] = ()
         self.kernel: SequelKernel | None = None
         self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval_s)
@@ -250,7 +235,6 @@ class Setup(ABC):
         self.length = self.onset + self.steps + self.hold + 1
 
     def _decide_every(self, decision_interval_s: float | None, between: str) -> None:
-        """Take how often a spoofer decides, and what is commanded between two decisions."""
         check_choice("between", between, BETWEEN)
         if between != "hold" and decision_interval_s is None:
             raise ValueError(
@@ -266,7 +250,6 @@ class Setup(ABC):
 
     @property
     def window_s(self) -> float:
-        """Judged window: from the start of an attack to its end plus the time to alert [s]."""
         return (self.steps + self.hold) * self.interval_s
 
     @cached_property
@@ -296,18 +279,15 @@ class Setup(ABC):
     def _aim(
         self, target_heading_deg: float | str, domain: Mapping[str, Any] | Domain | None
     ) -> None:
-        """Take target direction and domain, as far as this victim has one."""
         self.target_heading_deg = checked_target(target_heading_deg)
         self.domain = build_record("domain", Domain, domain)
         nothing = Domain()
         for name in vars(nothing):
-            if getattr(self.domain, name) != getattr(nothing, name) and (
-                name not in self.domain_names
-            ):
-                raise ValueError(
-                    f"`domain` has no {name!r} for {self.whose}; valid: "
-                    f"{', '.join(sorted(self.domain_names)) or 'none'}"
-                )
+            require(
+                getattr(self.domain, name) == getattr(nothing, name) or name in self.domain_names,
+                f"`domain` has no {name!r} for {self.whose}; valid: "
+                f"{', '.join(sorted(self.domain_names)) or 'none'}",
+            )
 
     def _bounds(self, worlds: int, grades: int, errors: int, first: int, last: int) -> Bounds:
         heading, fixed = self.target_heading_deg, None
@@ -316,7 +296,6 @@ class Setup(ABC):
         return Bounds(worlds, grades, errors, first, last, fixed)
 
     def _starts(self, epochs: int, name: str) -> tuple[int, int]:
-        """First and last epoch, of a flight of so many, at which an episode may start."""
         interval, length = self.interval_s, self.length
         early, late = self.domain.start_s
         room = epochs - 1 - length
@@ -340,7 +319,6 @@ class Setup(ABC):
 
     @property
     def title(self) -> str:
-        """What a picture says of the victim."""
         return f"{self.kind} receiver"
 
     @property
@@ -350,13 +328,10 @@ class Setup(ABC):
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Name of every element that can be commanded."""
-        names: tuple[str, ...] = self.attack.action_names(self.world)
-        return names
+        return tuple(self.attack.action_names(self.world))
 
     @property
     def combination_names(self) -> Mapping[str, Sequence[str]]:
-        """Names of the grades, ``"imu"``, and of the errors, ``"errors"``, of the domain."""
         return {"imu": ("own",), "errors": ("own",)}
 
     @property
@@ -369,7 +344,6 @@ class Setup(ABC):
         return None
 
     def local_motion(self, *epochs_to_out: Any) -> None:
-        """`_kernels.local_motion` of this target."""
         local_motion(self.true_position, self.world.velocity_e, self.C_en, *epochs_to_out)
 
     def geometry_table(self) -> FloatArray | None:
@@ -381,7 +355,6 @@ class Setup(ABC):
         """`Simulator` of B receivers of this victim, not begun yet."""
 
     def check_fit(self, detector: Detector) -> None:
-        """Raise a ValueError where a detector can't judge this victim."""
         fitted = self.altered(detector=detector, monitors=())
         fitted.simulator(1, lambda work, receivers: work(0, receivers))
 
@@ -430,7 +403,7 @@ def checked_target(target_heading_deg: float | str) -> float | str:
     return target_heading_deg
 
 
-SPLITS = {
+SPLITS = {  # first element of the spawn keys; 3 was once another split's
     "training": 0,
     "calibration": 1,
     "evaluation": 2,
@@ -442,7 +415,6 @@ SPLITS = {
     "dataset-validation": 9,
     "dataset-test": 10,
 }
-"""First element of the spawn keys; 3 was once another split's."""
 
 
 def seed_sequences(

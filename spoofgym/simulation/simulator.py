@@ -13,34 +13,69 @@ import sys
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
+from ..core.registry import require
 from ..detectors import DETECTORS, Calibrated, Detector, DetectorContext, PooledDetector, Verdict
 from ..detectors.base import YoungMemoryWarning, check_needs, checked_weights, judged
 from ..detectors.calibrated import resolve
 from ..receiver.epoch import Epoch
-from .domain import Choice, draw, given_choice
-from .frame import EpisodeLayout, FrameData, SkyData
+from .domain import Choice, FloatArray, draw, given_choice
 from .monitors import Monitor
 from .setup import Run, Setup
 
-if TYPE_CHECKING:
-    from typing import Self
-
-FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Rngs = Sequence[np.random.Generator]
-Given = Mapping[str, Any]
-"""Circumstances that are not to be drawn, by `domain.CHOICES`."""
+Given = Mapping[str, Any]  # circumstances that are not to be drawn, by `domain.CHOICES`
 Written = NDArray[np.floating[Any]]
 StepArrays = tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray, FloatArray]
 M = TypeVar("M", bound=Monitor)
-DOMAIN_STREAM = 0xD0
-"""Key of the stream of an episode's seed from which a domain is drawn."""
+DOMAIN_STREAM = 0xD0  # key of the stream of an episode's seed from which a domain is drawn
+
+
+class SkyData(NamedTuple):
+    """The satellites over one receiver, by slot (n,). Angles in radians; `spoofed` where the
+    spoofer changes the signal; `weight` of the pseudorange in the receiver, 0 where the detector
+    excludes it; `names` is ``""`` for an empty slot."""
+
+    names: tuple[str, ...]
+    azimuth: FloatArray
+    elevation: FloatArray
+    visible: NDArray[np.bool_]
+    spoofed: NDArray[np.bool_]
+    weight: FloatArray
+
+
+class FrameData(NamedTuple):
+    """One receiver at one instant. `position_ne` (2,) true position from that at the onset,
+    `error_ne` (2,) estimate minus truth, `displacement_ne` (2,) commanded, None where the spoofer
+    commands no position [m]; `ratio` the largest statistic over its threshold, NaN before the first
+    verdict; `sky` None where the receiver takes positions."""
+
+    position_ne: FloatArray
+    error_ne: FloatArray
+    displacement_ne: FloatArray | None
+    ratio: float
+    sky: SkyData | None
+
+
+class EpisodeLayout(NamedTuple):
+    """What stays the same in a picture for a whole episode. `track_ne` (K, 2) is the true ground
+    track from the onset to the end of the time to alert [m]; `onset_s` the time of the onset."""
+
+    title: str
+    track_ne: FloatArray
+    interval_s: float
+    steps: int
+    attack_s: float
+    hold_s: float
+    onset_s: float
+    commands_position: bool
+    has_sky: bool
 
 
 class Sequel(Protocol):
@@ -81,16 +116,17 @@ class Simulator(ABC):
     epoch: Epoch
 
     def __init__(self, setup: Setup, receivers: int, run: Run) -> None:
-        if receivers < 1:
-            raise ValueError(f"`receivers` must be at least 1, got {receivers}")
+        require(receivers >= 1, f"`receivers` must be at least 1, got {receivers}")
         self.setup, self.receivers, self._run = setup, receivers, run
-        self.memory = Memory(receivers)
-        self.memory.declare("first", np.zeros(receivers, dtype=np.int64))
-        self.memory.declare("onset", np.zeros(receivers, dtype=np.int64))
-        self.memory.declare("heading", np.zeros(receivers))
-        self.memory.declare("key", np.zeros((receivers, 2), dtype=np.uint64))
-        self.memory.declare("direction", np.zeros((receivers, 2)))
-        self.memory.declare("warmup_alarm", np.zeros(receivers, dtype=np.bool_))
+        self.memory, b = Memory(receivers), receivers
+        self.memory.declare_all(
+            first=np.zeros(b, dtype=np.int64),
+            onset=np.zeros(b, dtype=np.int64),
+            heading=np.zeros(b),
+            key=np.zeros((b, 2), dtype=np.uint64),
+            direction=np.zeros((b, 2)),
+            warmup_alarm=np.zeros(b, dtype=np.bool_),
+        )
         resolve(setup.detector, setup)
         readers = setup.detector, *setup.monitors
         self.fields = setup.fields.union(*map(check_needs, readers))
@@ -165,12 +201,10 @@ class Simulator(ABC):
 
     @property
     def commanded_displacement(self) -> FloatArray:
-        """(B, a) displacement that the spoofer has commanded so far [m]."""
         return self.commands["displacement"]
 
     @property
     def commanded_rate(self) -> FloatArray:
-        """(B, a) its rate [m/s]."""
         return self.commands["rate"]
 
     def step_arrays(self) -> StepArrays:
@@ -183,11 +217,9 @@ class Simulator(ABC):
         self.setup.local_motion(self.epochs, self.onset, per_position, per_velocity, out)
 
     def geometry(self, out: NDArray[np.float32]) -> None:
-        """Write `Setup.geometry_names`; victims without satellites have none."""
         raise TypeError(f"{self.setup.whose} has no satellites")
 
     def captured_channels(self) -> NDArray[np.int64]:
-        """(B,) channels that follow the counterfeit signals."""
         raise TypeError(f"the channels of {self.setup.whose} are not captured one by one")
 
     def observed_weights(self) -> FloatArray:
@@ -201,18 +233,15 @@ class Simulator(ABC):
         return np.asarray(ground_e @ setup.C_en[onset])[:, :2]
 
     def _sky(self) -> SkyData | None:
-        """Satellites over the first receiver."""
         return None
 
     def recorded(self) -> dict[str, NDArray[Any]]:
-        """What a recording of epochs holds besides the epoch itself."""
         return {"commanded_displacement_m": self.commanded_displacement}
 
     # --- the same for all victims --------------------------------------------------------------
 
     @property
     def onset(self) -> NDArray[np.int64]:
-        """(B,) the epoch after which each receiver's attack starts."""
         return self.memory["onset"]
 
     @property
@@ -221,7 +250,6 @@ class Simulator(ABC):
         return self.memory["heading"]
 
     def time_s(self) -> FloatArray:
-        """(B,) time of the present epoch [s], a new array."""
         return self.setup.epoch_time[self.epochs]
 
     def bind_detector(self, detector: Detector) -> None:
@@ -247,11 +275,11 @@ class Simulator(ABC):
                 stacklevel=2,
             )
         epochs = setup.live + setup.steps + setup.hold
-        if detector.silent_epochs >= epochs:
-            raise ValueError(
-                f"{type(detector).__name__} can't alarm in its first {detector.silent_epochs} "
-                f"epochs, and an episode has {epochs} in which it judges; shorten its windows"
-            )
+        require(
+            detector.silent_epochs < epochs,
+            f"{type(detector).__name__} can't alarm in its first {detector.silent_epochs} "
+            f"epochs, and an episode has {epochs} in which it judges; shorten its windows",
+        )
 
     def _check_has(self, reader: Detector | Monitor) -> None:
         missing = reader.needs - self.setup.has
@@ -301,11 +329,9 @@ class Simulator(ABC):
         return self.epoch
 
     def advance(self) -> Epoch:
-        """First half of an epoch without attack."""
         return self.predict(None)
 
     def judge(self) -> Verdict:
-        """Let the detector judge the epoch, and the monitors look at it."""
         self.verdict = judged(self.detector, self.epoch)
         for monitor in self.monitors:
             monitor.update(self)
@@ -336,7 +362,6 @@ class Simulator(ABC):
         return verdict
 
     def quiet_epochs(self, count: int) -> None:
-        """Run clean epochs without a detector."""
         self.weights = self.ones
         for _ in range(count):
             self._measure(None)
@@ -356,7 +381,6 @@ class Simulator(ABC):
         return alarms
 
     def warm_up(self, rngs: Rngs, given: Given | None = None) -> NDArray[np.bool_]:
-        """Start new episodes, and run them to the onset; (B,) bool, who alarmed."""
         for _ in self.warming(rngs, given):
             pass
         return self.memory["warmup_alarm"]
@@ -385,7 +409,6 @@ class Simulator(ABC):
         self._renew(rows, episodes)
 
     def layout(self) -> EpisodeLayout:
-        """What stays the same in a picture of the first receiver's episode."""
         setup, onset = self.setup, int(self.onset[0])
         return EpisodeLayout(
             title=f"{setup.title} against {detector_name(setup.detector)}",
@@ -400,7 +423,6 @@ class Simulator(ABC):
         )
 
     def frame(self) -> FrameData:
-        """The first receiver now, for a picture."""
         epoch = int(self.epochs[0])
         return FrameData(
             position_ne=self._ground_ne(slice(epoch, epoch + 1))[0],
@@ -441,7 +463,6 @@ class Simulator(ABC):
         )
 
     def command_with(self, command: FloatArray | None) -> FloatArray | None:
-        """Command within [-1, 1], 0 for receivers that are left alone."""
         if command is None:
             return None
         within = np.clip(command, -1.0, 1.0)
@@ -469,8 +490,7 @@ class Simulator(ABC):
         """(B,) largest statistic over its threshold of the last verdict; NaN before the first."""
         if self.verdict is None:
             return np.full(self.receivers, np.nan)
-        largest: FloatArray = (self.verdict.statistic / self.verdict.threshold).max(axis=1)
-        return largest
+        return np.asarray((self.verdict.statistic / self.verdict.threshold).max(axis=1))
 
 
 def _merge(mine: Verdict | None, theirs: Verdict, to: Rows, rows: Rows, receivers: int) -> Verdict:
@@ -501,12 +521,10 @@ def domain_keys(episodes: Sequence[np.random.SeedSequence]) -> NDArray[np.uint64
 
 
 def run_serially(work: Callable[[int, int], None], receivers: int) -> None:
-    """Call ``work(lo, hi)`` once over all receivers."""
     work(0, receivers)
 
 
 def detector_name(detector: Detector) -> str:
-    """Registered name of a detector, else that of its class, for titles."""
     detector = detector.detector if isinstance(detector, Calibrated) else detector
     found = (name for name, kind in DETECTORS.items() if kind is type(detector))
     return detector.label or next(found, type(detector).__name__)

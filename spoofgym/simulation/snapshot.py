@@ -12,10 +12,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import build_record, check_finite, is_number
+from ..core.registry import check_finite, is_number, require
 from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
-from ..receiver.epoch import ALWAYS, Epoch, frozen_fields
+from ..receiver.epoch import Epoch, EpochMaker
 from ..receiver.snapshot import (
     EXPECTED_CLOCK_SD_M,
     EXPECTED_POSITION_SD_M,
@@ -23,19 +23,18 @@ from ..receiver.snapshot import (
     expect,
     fix_receivers,
 )
-from ..truth.line_of_sight import chain_skies, make_sky, measure, scratch
+from ..truth._kernels import measure_snapshot
+from ..truth.noise import padded
+from ..truth.run import chain_skies, make_sky
 from ..truth.satellites import CircularConstellation
 from .domain import Choice, Domain
-from .frame import SkyData
 from .loose import RateSimulator
 from .setup import RateCommands, Run, Setup, Timeline
-from .simulator import Rows, Written
+from .simulator import FloatArray, SkyData, Written
 
-FloatArray = NDArray[np.float64]
 AXES = ("north", "east", "down", "clock")
 DEFAULT_TIMELINE = {"warmup_s": 10.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 10.0}
-CLOCK_SD = (1e4, 10.0)
-"""Standard deviation of the receiver's clock offset [m] and drift [m/s]."""
+CLOCK_SD = (1e4, 10.0)  # standard deviation of the receiver's clock offset [m] and drift [m/s]
 
 
 class SnapshotSetup(Setup):
@@ -81,6 +80,7 @@ class SnapshotSetup(Setup):
     domain_names: ClassVar[frozenset[str]] = frozenset(
         {"turned_deg", "constellation_time_s", "worlds", "world_seed"}
     )
+    usual_timeline = DEFAULT_TIMELINE
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"position_{axis}" for axis in AXES[:3])
 
@@ -120,7 +120,6 @@ class SnapshotSetup(Setup):
             self.kind, tuple(f"{axis}_rate" for axis in AXES), _rates(rate_limit_mps)
         )
         self._aim(target_heading_deg, domain)
-        timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
         self._phase(detector, timeline, float(interval_s), decision_interval_s, between)
         self.epochs_each = self.length + 1
         skies = [
@@ -148,26 +147,25 @@ class SnapshotSetup(Setup):
         return {**self._flown, "noise_m": self.noise_m, "domain": describe(self.domain)}
 
     def simulator(self, receivers: int, run: Run) -> SnapshotSimulator:
-        """B receivers, not begun yet."""
         return SnapshotSimulator(self, receivers, run)
 
 
 def _which(spoofed: int | Sequence[int], satellites: int) -> int | list[int]:
     if isinstance(spoofed, int | np.integer):
-        if not 0 <= spoofed <= satellites:
-            raise ValueError(
-                f"`spoofed` must be within 0..{satellites}, the number of satellites, got {spoofed}"
-            )
+        require(
+            0 <= spoofed <= satellites,
+            f"`spoofed` must be within 0..{satellites}, the number of satellites, got {spoofed}",
+        )
         return int(spoofed)
     if isinstance(spoofed, float | str):
         raise ValueError(
             f"`spoofed` must be a whole number of satellites, or a list of slots, got {spoofed!r}"
         )
     slots = [int(j) for j in spoofed]
-    if len(set(slots)) < len(slots) or not all(0 <= j < satellites for j in slots):
-        raise ValueError(
-            f"`spoofed` must name slots within 0..{satellites - 1}, each once, got {slots}"
-        )
+    require(
+        len(set(slots)) >= len(slots) and all(0 <= j < satellites for j in slots),
+        f"`spoofed` must name slots within 0..{satellites - 1}, each once, got {slots}",
+    )
     return slots
 
 
@@ -175,11 +173,11 @@ def _rates(rate_limit_mps: float | Sequence[float]) -> tuple[float, ...]:
     given = np.atleast_1d(np.asarray(rate_limit_mps, dtype=object))
     numbers = all(map(is_number, given.flat))
     limits = np.asarray(rate_limit_mps if numbers else np.nan, dtype=np.float64)
-    if limits.shape not in ((), (4,)) or not (np.isfinite(limits) & (limits > 0.0)).all():
-        raise ValueError(
-            "`rate_limit_mps` must be finite and > 0, one number or one for each of "
-            f"{', '.join(AXES)}, got {rate_limit_mps!r}"
-        )
+    require(
+        limits.shape in ((), (4,)) and (np.isfinite(limits) & (limits > 0.0)).all(),
+        "`rate_limit_mps` must be finite and > 0, one number or one for each of "
+        f"{', '.join(AXES)}, got {rate_limit_mps!r}",
+    )
     return tuple(np.broadcast_to(limits, 4).tolist())
 
 
@@ -191,16 +189,15 @@ class SnapshotSimulator(RateSimulator):
     def _allocate(self) -> None:
         super()._allocate()
         b, n = self.receivers, len(self.setup.weight_names)
-        for name, initial in {
-            "keys": np.zeros((b, 2), dtype=np.uint64),
-            "true_clock": np.zeros((b, 2)),
-            "spoofed": np.zeros((b, n), dtype=np.bool_),
-            "position_e": np.tile(self.setup.sky.position_e[0], (b, 1)),
-            "clock": np.zeros((b, 1)),
-            "status": np.full(b, FIXED, dtype=np.int64),
-        }.items():
-            self.memory.declare(name, initial)
-        self._deviates = scratch(n)
+        self.memory.declare_all(
+            keys=np.zeros((b, 2), dtype=np.uint64),
+            true_clock=np.zeros((b, 2)),
+            spoofed=np.zeros((b, n), dtype=np.bool_),
+            position_e=np.tile(self.setup.sky.position_e[0], (b, 1)),
+            clock=np.zeros((b, 1)),
+            status=np.full(b, FIXED, dtype=np.int64),
+        )
+        self._deviates = np.empty(padded(n))
         self._pseudorange, self._satellites = np.empty((b, n)), np.empty((b, n, 3))
         self._innovation, self._cov = np.empty((b, 2 * n)), np.empty((b, 2 * n, 2 * n))
         self._design = np.empty((b, 2 * n, 4))
@@ -214,8 +211,7 @@ class SnapshotSimulator(RateSimulator):
             "visible": np.ones((b, n), dtype=np.bool_),
             "predicted_velocity": np.zeros((b, 3)),
         }
-        self._names = ALWAYS | self.fields
-        self._constant = frozen_fields(constant, self._names)
+        self._epoch = EpochMaker(self.fields, constant)
 
     def _context(self) -> DetectorContext:
         setup, n = self.setup, len(self.setup.weight_names)
@@ -226,55 +222,46 @@ class SnapshotSimulator(RateSimulator):
 
     def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
         memory, slots = self.memory, self.setup.spoofed
-        memory["keys"][row] = episode.generate_state(2, np.uint64)
+        super()._seed(row, episode)
         rng = np.random.default_rng(episode.spawn(1)[0])
         memory["true_clock"][row] = rng.standard_normal(2) * CLOCK_SD
         if isinstance(slots, int):
             slots = rng.permutation(len(self.setup.weight_names))[:slots].tolist()
         memory["spoofed"][row, slots] = True
 
-    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
-        self.memory["keys"][rows] = [each.generate_state(2, np.uint64) for each in episodes]
+    def _keys(self, episode: np.random.SeedSequence) -> NDArray[np.uint64]:
+        return np.asarray(episode.generate_state(2, np.uint64))
 
     def _start(self, choice: Choice) -> None:
-        self.memory["epoch"][:] = self.memory["first"]
-        self._receive()
+        super()._start(choice)
         self._correct(None)
 
-    def _receive(self) -> None:
-        """Measure the pseudoranges of the epoch."""
+    def _observe(self) -> None:
         sky, memory = self.setup.sky, self.memory
         drawn = memory["epoch"], memory["keys"], memory["true_clock"]
         spoofing = memory["displacement"], memory["spoofed"]
         world = sky.time, sky.position_e, sky.C_en, sky.satellite_position_e
         written = self._deviates, self._pseudorange, self._satellites
-        measure(*drawn, *spoofing, *world, self.setup.noise_m, *written)
-
-    def _measure(self, command: FloatArray | None) -> None:
-        self._move(command)
-        self.memory["epoch"] = self.memory["epoch"] + 1
-        self._receive()
+        measure_snapshot(*drawn, *spoofing, *world, self.setup.noise_m, *written)
 
     def _form_epoch(self) -> Epoch:
         memory = self.memory
         last, written = (memory["position_e"], memory["clock"]), (self._innovation, self._cov)
         variance = self.setup.noise_m**2
         expect(self._pseudorange, self._satellites, *last, variance, *written, self._design)
-        arrays = {
-            "time": self.time_s(),
-            "innovation": self._innovation,
-            "innovation_variance": self._cov.diagonal(0, 1, 2),
-            "innovation_cov": self._cov,
-            "design": self._design,
-            "pseudorange": self._pseudorange,
-            "satellite_position": self._satellites,
-            "satellite_velocity": self.setup.sky.satellite_velocity_e[memory["epoch"]],
-            "predicted_position": memory["position_e"],
-        }
-        return Epoch(**frozen_fields(arrays, self._names), **self._constant)
+        return self._epoch(
+            time=self.time_s(),
+            innovation=self._innovation,
+            innovation_variance=self._cov.diagonal(0, 1, 2),
+            innovation_cov=self._cov,
+            design=self._design,
+            pseudorange=self._pseudorange,
+            satellite_position=self._satellites,
+            satellite_velocity=self.setup.sky.satellite_velocity_e[memory["epoch"]],
+            predicted_position=memory["position_e"],
+        )
 
     def _correct(self, weights: FloatArray | None) -> None:
-        """Make a fix; where there is none, the last one stays."""
         memory = self.memory
         used = self.ones if weights is None else weights
         written = memory["position_e"], memory["clock"], memory["status"]
@@ -282,23 +269,14 @@ class SnapshotSimulator(RateSimulator):
 
     @property
     def coasting(self) -> NDArray[np.bool_]:
-        """(B,) bool, whether the last epoch had no fix."""
-        missing: NDArray[np.bool_] = self.memory["status"] != FIXED
-        return missing
-
-    @property
-    def position(self) -> FloatArray:
-        """(B, 3) last fix, ECEF [m]."""
-        return self.memory["position_e"]
+        return np.asarray(self.memory["status"] != FIXED)
 
     def error_n(self) -> FloatArray:
-        """(B, 2) error of the fix: north, east [m]."""
         sky = self.setup.sky
         error = self.memory["position_e"] - sky.position_e[self.epochs]
         return np.asarray(np.einsum("bi,ij->bj", error, sky.C_en)[:, :2])
 
     def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
-        """Write true position since the onset, scaled."""
         sky = self.setup.sky
         moved = sky.position_e[self.epochs] - sky.position_e[self.onset]
         out[:] = per_position * np.einsum("bi,ij->bj", moved, sky.C_en)

@@ -14,11 +14,10 @@ from ..core import threads as _threads
 
 Work = Callable[[int, int], None]
 Job = Callable[[], object]
-Piece = Callable[[], bool]
-"""Does about 0.1 ms of some other work, and never raises; False where there was none to do."""
+Piece = Callable[[], bool]  # 0.1 ms of work, raises nothing; False where there was none
+# How long threads that have been closed are waited for; they end with the piece that they are at,
+# unless a detector holds them up.
 JOIN_S = 5.0
-"""How long threads that have been closed are waited for; they end with the piece that they are at,
-unless a detector holds them up."""
 
 
 class Slices:
@@ -32,7 +31,6 @@ class Slices:
         self.failure: BaseException | None = None
 
     def __call__(self) -> None:
-        """Run slices until all have been taken."""
         while (number := self._next()) < len(self._bounds):
             try:
                 self._work(*self._bounds[number])
@@ -81,7 +79,6 @@ class Workers:
             raise slices.failure
 
     def wake(self) -> None:
-        """Let the threads look for pieces."""
         self._start()
         for queue in self._jobs:
             queue.put(_nothing)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..attacks import Attack, AttackContext, make_attack
 from ..attacks.commands import FalsePosition, PerChannel
 from ..core.memory import Memory
-from ..core.registry import build_record, check_choice
+from ..core.registry import build_record, check_choice, require
 from ..core.settings import describe
 from ..core.simd import LANES, ArrayTable
 from ..detectors import Calibrated, Detector, DetectorContext, Verdict
@@ -22,7 +22,7 @@ from ..detectors.base import checked
 from ..detectors.charts import Ewma
 from ..detectors.controls import Never
 from ..receiver import TightlyCoupled
-from ..receiver import _kernels as _kernels_of_receiver
+from ..receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE, first_fix, work_rows
 from ..receiver.augmented import AugmentedFilter, Predicted
 from ..receiver.epoch import Epoch, ReceiverBuffers, epoch_view, kernel_table
 from ..receiver.states import STATES
@@ -34,39 +34,26 @@ from ..truth.scenario import Scenario, make_scenario
 from ..truth.sensors import SensorBuffers
 from ..truth.signal_errors import MAPPINGS, mappings_of
 from . import _kernels
-from ._kernels import displace
+from ._kernels import JUDGE, REMEMBER, displace
 from .domain import Choice, Combinations, Domain, worlds_of
-from .frame import SkyData
 from .setup import Run, SequelKernel, Setup, Timeline
-from .simulator import Rngs, Rows, Sequel, Simulator, StepArrays
+from .simulator import FloatArray, Rngs, Rows, Sequel, Simulator, SkyData
 
-FloatArray = NDArray[np.float64]
 DEFAULT_ATTACK = "false-position"
-DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
+# Victims by name: the noise that they assume as the papers print it, or as the world has it.
 RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in TUNINGS}
-"""Victims by name: the noise that they assume as the papers print it, or as the world has it."""
+# fields of an epoch that an augmented filter works on, and those that it has itself
 AUGMENTED_NEEDS = frozenset({"transition", "imu_delta", "design", "innovation_cov"})
-"""Fields of an epoch that an augmented filter works on."""
-AUGMENTED_SHOWS = frozenset({"transition", "design", "predicted_cov"})
-"""Fields of an epoch that it has with all its states."""
-FIRST_FIX = 4
-"""Satellites that a first fix takes."""
+AUGMENTED_SHOWS = frozenset({"transition", "design", "predicted_cov"})  # with all its states
+FIRST_FIX = 4  # satellites that a first fix takes
 AXES = ("north", "east", "down")
-AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")
-"""Sources whose noise goes on after the onset."""
-MEASURE, UPDATE, SHOW = (
-    _kernels_of_receiver.MEASURE,
-    _kernels_of_receiver.UPDATE,
-    _kernels_of_receiver.SHOW,
-)
-JUDGE, REMEMBER = _kernels.JUDGE, _kernels.REMEMBER
-ADVANCE = MEASURE + _kernels_of_receiver.PREDICT
+AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")  # noise that goes on
+ADVANCE = MEASURE + PREDICT
 OWN_KERNEL = SequelKernel(_kernels.run_epochs, ())
 ATTACK_FORMS: dict[type, int] = {
     FalsePosition: _kernels.FALSE_POSITION,
     PerChannel: _kernels.PER_CHANNEL,
-}
-"""Attacks that the kernel makes itself, if their equipment is perfect."""
+}  # attacks that the kernel makes itself, if their equipment is perfect
 
 
 class TightlyCoupledSetup(Setup):
@@ -91,6 +78,11 @@ class TightlyCoupledSetup(Setup):
     env_id: ClassVar[str] = "spoofgym/TightlyCoupled-v0"
     whose: ClassVar[str] = "a tightly coupled receiver"
     domain_names: ClassVar[frozenset[str]] = frozenset(vars(Domain()))
+    usual_detector: ClassVar[Mapping[str, Any]] = {
+        "name": "ewma",
+        "smoothing": 0.1,
+        "weight_scale": 0.3,
+    }
     threaded: ClassVar[bool] = True
     follows_setpoint: ClassVar[bool] = True
     ratio_is_largest: ClassVar[bool] = False
@@ -119,8 +111,6 @@ class TightlyCoupledSetup(Setup):
         self._aim(target_heading_deg, domain)
         self.receiver = _victim(receiver, self.scenario, self.domain)
         self.attack = make_attack(attack)
-        detector = DEFAULT_DETECTOR if detector is None else detector
-        timeline = build_record("timeline", Timeline, timeline)
         interval_s = self.scenario.epoch_interval_s
         self._phase(detector, timeline, interval_s, decision_interval_s, between)
         worlds = worlds_of(self.scenario, self.domain)
@@ -177,7 +167,6 @@ class TightlyCoupledSetup(Setup):
         return starts + self.bounds.first + self.onset
 
     def motion_table(self, per_position: float, per_velocity: float) -> NDArray[np.float32] | None:
-        """(K, 6) motion of the target at every epoch, where each belongs to one onset."""
         if self.onsets is None:
             return None
         table = np.empty((self.world.epochs, 6), dtype=np.float32)
@@ -194,7 +183,6 @@ class TightlyCoupledSetup(Setup):
         return np.hstack([sight.reshape(world.epochs, -1), world.visible])
 
     def simulator(self, receivers: int, run: Run) -> TightlyCoupledSimulator:
-        """B receivers, not begun yet."""
         return TightlyCoupledSimulator(self, receivers, run)
 
     def _check_first_fixes(self) -> None:
@@ -216,16 +204,15 @@ def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
         given = RECEIVERS[given]
     victim = build_record("receiver", TightlyCoupled, given, {"grade": scenario.imu})
     fixed = isinstance(given, Mapping) and "grade" in given
-    if fixed and {victim.grade} < {victim.grade, *domain.imu}:
-        raise ValueError(
-            f"`receiver` has the grade {victim.grade!r}, but is tuned for the grade that it draws "
-            f"from the domain's `imu` {', '.join(domain.imu)}: leave out one"
-        )
+    require(
+        not (fixed and {victim.grade} < {victim.grade, *domain.imu}),
+        f"`receiver` has the grade {victim.grade!r}, but is tuned for the grade that it draws "
+        f"from the domain's `imu` {', '.join(domain.imu)}: leave out one",
+    )
     return victim
 
 
 def _unscaled(detector: Detector) -> tuple[Detector, float]:
-    """A detector, and the factor on its thresholds."""
     if type(detector) is Calibrated and detector.scale is not None and not detector.rescaled:
         return detector.detector, detector.scale
     return detector, 1.0
@@ -267,34 +254,21 @@ class TightlyCoupledSimulator(Simulator):
         self._hold_arguments()
 
     def _view(self) -> Epoch:
-        """The current epoch; its matrices are those of the filter that is updated."""
         return epoch_view(self.buffers, self.augmented.shown if self.augmented else None)
 
     def _hold_arguments(self) -> None:
-        """Collect what the kernel takes: what stays the same, and what stands for nothing."""
         world, receiver = self.setup.world, self.setup.receiver
         buffers, sensors = self.buffers, self.sensors
         sizes = padded(6 * world.most_samples), padded(2 * world.channels)
         rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
-        self._work_rows = _kernels_of_receiver.work_rows(world.channels, *sizes)
+        self._work_rows = work_rows(world.channels, *sizes)
         self._spare: list[FloatArray] = []
         attack = self.attack
-        self._table = kernel_table(
-            buffers,
-            sensors,
-            world.run,
-            world.epoch_time,
-            world.epoch_end,
-            world.satellites,
-            np.array(rules, dtype=np.int64),
-            sensors.signals.data,
-            self.setup.mappings,
-            world.position_e,
-            world.velocity_e,
-            attack.mask,
-            attack.slots,
-            attack.kernel_settings,
-        )
+        truth = world.run, world.epoch_time, world.epoch_end, world.satellites
+        signals = sensors.signals.data, self.setup.mappings
+        more = world.position_e, world.velocity_e, attack.mask, attack.slots, attack.kernel_settings
+        settings = np.array(rules, dtype=np.int64)
+        self._table = kernel_table(buffers, sensors, *truth, settings, *signals, *more)
         self._no_axes, self._no_action = np.zeros(0), _kernels.ONE
         self._history = np.zeros((0, self.receivers), dtype=np.bool_)
         self._no_memories = ArrayTable(_kernels.NOTHING_REMEMBERED)
@@ -322,41 +296,29 @@ class TightlyCoupledSimulator(Simulator):
 
     @property
     def epochs(self) -> NDArray[np.int64]:
-        """(B,) the epoch of the world that each receiver is at."""
         return self.sensors.epoch
 
     @property
     def position(self) -> FloatArray:
-        """(B, 3) estimated antenna, ECEF [m]."""
         return self.buffers.position_e
 
     @property
     def coasting(self) -> NDArray[np.bool_]:
-        """(B,) bool, whether the last epoch had too few satellites for an update."""
         return self.buffers.coasting
 
     @property
     def commands(self) -> Memory:
-        memory: Memory = self.attack.memory
-        return memory
-
-    def step_arrays(self) -> StepArrays:
-        """Epochs, coasting, commanded displacement and rate, target direction, for kernels."""
-        memory, direction = self.attack.memory, self.memory["direction"]
-        coasting = self.buffers.coasting
-        return self.sensors.epoch, coasting, memory["displacement"], memory["rate"], direction
+        return self.attack.memory
 
     def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
         self.sensors.draw_keys(self._everyone, rngs)
-        keys: NDArray[np.uint64] = self.sensors.words["domain"]
-        return keys
+        return self.sensors.words["domain"]
 
     def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
         self.sensors.put_keys(rows, episodes, AFTER_ONSET)
         self.attack.begin(rows, self.sensors.words.get("spoofer", rows), self.onset[rows])
 
     def _start(self, choice: Choice) -> None:
-        """Draw the errors; first fix, attitude, empty memories."""
         setup, b, first = self.setup, self.receivers, self.memory["first"]
         combinations = setup.combinations
         self.sensors.epoch[:] = first
@@ -369,14 +331,13 @@ class TightlyCoupledSimulator(Simulator):
         position_e, velocity_e, clock = np.empty((b, 3)), np.empty((b, 3)), np.empty((b, 2))
         measured = fields["innovation"].reshape(b, 2, world.channels)
         guess_e, now = world.position_e[first], (measured, world.satellites, first)
-        _kernels_of_receiver.first_fix(*now, guess_e, position_e, velocity_e, clock)
+        first_fix(*now, guess_e, position_e, velocity_e, clock)
         fields["position_e"], fields["velocity_e"], fields["clock"] = position_e, velocity_e, clock
         fields["C_eb"] = combinations.first_C_eb(choice.grade, first)
         fields["accel_bias_b"] = fields["gyro_bias_b"] = 0.0
         self.buffers.position_e[:], self.buffers.velocity_e[:] = position_e, velocity_e
 
     def _start_combinations(self) -> None:
-        """Draw the errors, and give the victims what they assume."""
         indices, combinations = self.memory["combination"], self.setup.combinations
         assumed = self.buffers.assumed
         for index in np.unique(indices).tolist():
@@ -394,7 +355,6 @@ class TightlyCoupledSimulator(Simulator):
             self._draw_events(combinations.events)
 
     def _draw_events(self, events: BenignEvents) -> None:
-        """Draw what looks like spoofing and is none, for new episodes."""
         setup, world, signals = self.setup, self.setup.world, self.sensors.signals
         lasts = setup.live + setup.steps + setup.hold
         sky = setup.interval_s, world.visible, world.azimuth, world.elevation
@@ -424,7 +384,6 @@ class TightlyCoupledSimulator(Simulator):
             self._found.add(found)
 
     def _compiled_attack(self) -> int:
-        """Number of the attack's compiled form, if it has one."""
         attack = self.attack
         if self.clean is not None or not attack.is_perfect:
             return _kernels.NO_FORM
@@ -445,51 +404,35 @@ class TightlyCoupledSimulator(Simulator):
                 sensors.authentic[spared] = 1.0
 
     def _measure(self, command: FloatArray | None) -> None:
-        self.predict(command)
+        self._first_half(ADVANCE + SHOW, command, True, self._compiled_attack())
+        self._augment()
 
     def _form_epoch(self) -> Epoch:
         return self.epoch
 
     def _augment(self) -> None:
-        """Take what the augmented filter knows out of the innovations that a kernel has formed."""
         if self.augmented is None:
             return
         buffers, setup, n = self.buffers, self.setup, self.setup.world.channels
         seen, assumed = buffers.seen, buffers.assumed
         mapping = setup.mappings[self.epochs] if setup.mappings.size else np.zeros((1, n, MAPPINGS))
-        predicted = self.augmented.predict(
-            seen["transition"],
-            seen["imu_delta"],
-            assumed["noise_psd"],
-            buffers.interval,
-            seen["design"],
-            mapping,
-            buffers.visible,
-            seen["innovation"],
-            assumed["noise_variance"],
-            setup.receiver.min_satellites,
-        )
+        inertial = seen["transition"], seen["imu_delta"], assumed["noise_psd"], buffers.interval
+        model = seen["design"], mapping, buffers.visible
+        measured = seen["innovation"], assumed["noise_variance"], setup.receiver.min_satellites
+        predicted = self.augmented.predict(*inertial, *model, *measured)
         self._predicted = predicted
         seen["innovation"][:] = predicted.innovation
         seen["innovation_cov"][:] = predicted.S
         seen["innovation_variance"][:] = np.einsum("bii->bi", predicted.S)
 
     def _correct_augmented(self, weights: FloatArray | None) -> None:
-        """Update by the augmented filter, and feed the errors of the 17 states back."""
         if self.augmented is None or self._predicted is None:
             raise RuntimeError("an augmented filter is updated after it has predicted")
         predicted, fields = self._predicted, self.buffers.fields
         dx = self.augmented.update(predicted, weights)
         C, x = fields["C_eb"], dx[:, :3, None]
-        turned = np.stack(
-            [
-                x[:, 1] * C[:, 2] - x[:, 2] * C[:, 1],
-                x[:, 2] * C[:, 0] - x[:, 0] * C[:, 2],
-                x[:, 0] * C[:, 1] - x[:, 1] * C[:, 0],
-            ],
-            axis=1,
-        )
-        C = C - turned
+        turned = (x[:, i] * C[:, j] - x[:, j] * C[:, i] for i, j in ((1, 2), (2, 0), (0, 1)))
+        C = C - np.stack(list(turned), axis=1)
         if self.setup.receiver.orthonormalize:  # one step towards the nearest rotation
             C = 0.5 * (C @ (3.0 * np.eye(3) - C.transpose(0, 2, 1) @ C))
         fields["C_eb"] = C
@@ -542,7 +485,6 @@ class TightlyCoupledSimulator(Simulator):
             return
 
         def work(lo: int, hi: int) -> None:
-            """Attack in Python first, where it has no compiled form."""
             if in_python:
                 self._attack(command, lo, hi)
             self._call(arrays, rest, lo, hi)
@@ -553,7 +495,6 @@ class TightlyCoupledSimulator(Simulator):
             self._run(work, self.receivers)
 
     def _memory_table(self, form: int, detector: int) -> ArrayTable:
-        """What attack and detector remember, where the kernel has them, and the verdict."""
         arrays: list[NDArray[Any]] = list(self._no_memories.arrays)
         if form != _kernels.NO_FORM:
             memory = self.attack.memory
@@ -577,14 +518,7 @@ class TightlyCoupledSimulator(Simulator):
             self._verdicts[detector] = Verdict(np.zeros(shape), threshold, alarm, weights)
         return self._verdicts[detector]
 
-    def predict(self, command: FloatArray | None) -> Epoch:
-        """First half of an epoch under attack; the epoch's arrays follow the buffers."""
-        self._first_half(ADVANCE + SHOW, command, True, self._compiled_attack())
-        self._augment()
-        return self.epoch
-
     def advance(self) -> Epoch:
-        """First half of an epoch without attack: measure, mechanize, predict."""
         self._first_half(ADVANCE + SHOW, None, False, _kernels.NO_FORM)
         self._augment()
         return self.epoch
@@ -617,8 +551,6 @@ class TightlyCoupledSimulator(Simulator):
         return self._compiled_detector() != _kernels.NO_FORM
 
     def live_epochs(self, count: int, *, holding: bool = False) -> NDArray[np.bool_]:
-        """Run epochs with the detector and without commands, in one kernel where that is possible.
-        (`count`, B) bool alarms."""
         detector = self._compiled_detector()
         form = self._compiled_attack() if holding else _kernels.NO_FORM
         in_python = holding and form == _kernels.NO_FORM
@@ -641,7 +573,6 @@ class TightlyCoupledSimulator(Simulator):
         sequel: Sequel | None = None,
         count: int = 1,
     ) -> Verdict:
-        """Run whole epochs with a detector that has a compiled form; the last verdict."""
         verdict = self._compiled_verdict(detector)
         self.weights = self.ones if verdict.weights is None else verdict.weights
         what = ADVANCE + SHOW + JUDGE + UPDATE + also
@@ -653,7 +584,6 @@ class TightlyCoupledSimulator(Simulator):
         return verdict
 
     def _compiled_detector(self) -> int:
-        """Number of the detector's compiled form, if it has one."""
         if self.monitors or self.augmented is not None:
             return _kernels.NO_FORM
         detector, _ = _unscaled(self.detector)
@@ -664,7 +594,6 @@ class TightlyCoupledSimulator(Simulator):
         return _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
 
     def quiet_epochs(self, count: int) -> None:
-        """Run clean epochs without a detector, in one kernel call."""
         self.weights = self.ones
         if self.augmented is not None:
             for _ in range(count):
@@ -675,7 +604,6 @@ class TightlyCoupledSimulator(Simulator):
         self._run(part, self.receivers)
 
     def error_n(self) -> FloatArray:
-        """(B, 3) error of the estimate in the local axes of the epoch: north, east, down [m]."""
         world = self.setup.world
         error_e = self.buffers.position_e - world.position_e[self.epochs]
         axes = world.C_en[self.epochs]
@@ -697,10 +625,8 @@ class TightlyCoupledSimulator(Simulator):
 
     def scored_arrays(self) -> tuple[NDArray[Any], ...]:
         """`step_arrays`, and what `displace` needs to know, for kernels."""
-        setup, moved = self.setup, self.attack.memory
-        now = self.sensors.epoch, self.buffers.coasting, moved["displacement"], moved["rate"]
-        position_e = self.buffers.position_e, setup.true_position
-        return *now, *position_e, setup.C_en, self.memory["direction"]
+        *now, direction = self.step_arrays()
+        return *now, self.buffers.position_e, self.setup.true_position, self.setup.C_en, direction
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
         self.buffers.copy_rows(to, other.buffers, rows)
@@ -711,9 +637,7 @@ class TightlyCoupledSimulator(Simulator):
         super().copy_rows(to, other, rows)
 
     def captured_channels(self) -> NDArray[np.int64]:
-        """(B,) channels that follow the counterfeit signals."""
-        captured: NDArray[np.int64] = self.attack.memory["captured"].sum(axis=1)
-        return captured
+        return np.asarray(self.attack.memory["captured"].sum(axis=1))
 
     def _sky(self) -> SkyData:
         world, epoch, offsets = self.setup.world, int(self.epochs[0]), self.sensors

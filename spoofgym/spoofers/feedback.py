@@ -25,7 +25,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_finite
 from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_limit
 from .profile import check_fastest, checked_rates, sampled
 from .ramps import Ramp
@@ -52,7 +51,6 @@ class ByStatistic(ScriptedSpoofer):
         self._column = context.observation_names.index(RATIO)
 
     def ratio(self, observation: NDArray[np.float32]) -> FloatArray:
-        """(B,) largest statistic over its threshold at the last epoch."""
         return observation[:, self._column].astype(np.float64)
 
 
@@ -73,8 +71,6 @@ class AlongCurve(ByStatistic):
         self._curve = sampled(self.rates_mps, context.steps)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate of the curve at the end of the coming epoch. `step`, `rate`, `displacement` (B,) so
-        far; returns (B,) [m/s]."""
         return np.asarray(self._curve[np.minimum(step.astype(np.int64), len(self._curve) - 1)])
 
 
@@ -104,11 +100,10 @@ class HeldBack(ByStatistic):
     zero_ratio: float = 1.03
     back: float = -0.79
 
+    checks: ClassVar = {"full_ratio": ">= 0", "zero_ratio": "> 0", "back": ""}
+
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_finite("full_ratio", self.full_ratio, ">= 0")
-        check_finite("zero_ratio", self.zero_ratio, "> 0")
-        check_finite("back", self.back)
         if self.zero_ratio <= self.full_ratio:
             raise ValueError(
                 f"`zero_ratio` must be above `full_ratio` = {self.full_ratio:g}, got "
@@ -118,7 +113,6 @@ class HeldBack(ByStatistic):
             raise ValueError(f"`back` must be in [-1, 0], got {self.back:g}")
 
     def wanted_rate(self, observation: NDArray[np.float32]) -> FloatArray:
-        """(B,) rate that is wanted, by the room that the statistic leaves [m/s]."""
         room = (self.zero_ratio - self.ratio(observation)) / (self.zero_ratio - self.full_ratio)
         return super().wanted_rate(observation) * np.clip(room, self.back, 1.0)
 
@@ -149,25 +143,18 @@ class Feedback(HeldBack):
     growth: float = 3.75
 
     tunable: ClassVar[str | None] = "rate_mps"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_finite("rate_mps", self.rate_mps)
-        check_finite("growth", self.growth, ">= 0")
+    checks: ClassVar = {**HeldBack.checks, "rate_mps": "", "growth": ">= 0"}
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
         check_limit(self, "rate_mps", *context.largest_rate)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch while there is room. `step`, `rate`,
-        `displacement` (B,) so far; returns (B,) [m/s]."""
         part = np.minimum(step / self.context.steps, 1.0)
         return np.asarray(self.rate_mps * (1.0 + (self.growth - 1.0) * part))
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """As of a `Ramp`.  Returns `low`, `high` [m/s]."""
         return Ramp.tuning_range(context)
 
 
@@ -191,14 +178,10 @@ class FeedbackProfile(HeldBack, AlongCurve):
     described_as = "FeedbackProfile"
 
 
-UNKNOWN = (0.1, 0.3, 1.0)
-"""Prior standard deviations of c, rho and b [s/m]."""
-DEVIATION = 0.1
-"""Standard deviation of the prediction at first."""
-MEAN_OF = 50
-"""Epochs over which the variance of the prediction is averaged."""
-LEAST, MOST = 0.1, 2.0
-"""Range of a search for the margin."""
+UNKNOWN = (0.1, 0.3, 1.0)  # prior standard deviations of c, rho and b [s/m]
+DEVIATION = 0.1  # standard deviation of the prediction at first
+MEAN_OF = 50  # epochs over which the variance of the prediction is averaged
+LEAST, MOST = 0.1, 2.0  # range of a search for the margin
 
 
 @dataclass(kw_only=True)
@@ -235,12 +218,7 @@ class ThresholdRider(AlongCurve):
     band: float = 0.4
 
     tunable: ClassVar[str | None] = "margin"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("margin", "horizon_s", "band"):
-            check_finite(name, getattr(self, name), "> 0")
-        check_finite("deviations", self.deviations, ">= 0")
+    checks: ClassVar = {"margin": "> 0", "horizon_s": "> 0", "band": "> 0", "deviations": ">= 0"}
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
@@ -251,7 +229,6 @@ class ThresholdRider(AlongCurve):
         self.memory.declare("past", np.zeros((many, h, 2)))
 
     def wanted_rate(self, observation: NDArray[np.float32]) -> FloatArray:
-        """(B,) largest rate that the prediction allows [m/s]."""
         memory, ratio = self.memory, self.ratio(observation)
         self._learn(ratio)
         fastest = super().wanted_rate(observation)

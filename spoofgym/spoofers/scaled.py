@@ -13,15 +13,8 @@ from .base import FloatArray, Spoofer, SpooferContext
 
 AMPLITUDE = "amplitude"
 """Key of a spoofer's spec that is no setting of its class: the factor on its commands."""
-SMALLEST, LARGEST = 1e-3, 10.0
-"""Range of a search for an amplitude."""
-TAKEN_OVER = (
-    *("knowledge", "action_terms", "decision_interval_s", "between"),
-    *("label", "designed_on", "transmits"),
-)
-"""What a scaled spoofer shares with the one inside."""
-OWN = ("own_displacement", "own_rate")
-"""First words of what a spoofer observes of its own commands."""
+SMALLEST, LARGEST = 1e-3, 10.0  # range of a search for an amplitude
+OWN = ("own_displacement", "own_rate")  # first words of what a spoofer observes of its own commands
 
 
 def own_columns(names: tuple[str, ...]) -> list[int]:
@@ -57,7 +50,8 @@ class Scaled(Spoofer):
             raise TypeError(f"`spoofer` must be a Spoofer that is not scaled, got {spoofer!r}")
         check_finite(AMPLITUDE, amplitude, "> 0")
         self.spoofer, self.amplitude = spoofer, float(amplitude)
-        for name in TAKEN_OVER:
+        shared = "knowledge action_terms decision_interval_s between label designed_on transmits"
+        for name in shared.split():
             setattr(self, name, getattr(spoofer, name))
         if hasattr(spoofer, "card"):
             self.card = spoofer.card
@@ -71,7 +65,6 @@ class Scaled(Spoofer):
         self.spoofer.reset(mask)
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command the attack for the coming epoch: (B, a) in [-1, 1]."""
         seen = observation
         if self._own and self.amplitude != 1.0:
             seen = observation.copy()
@@ -81,7 +74,6 @@ class Scaled(Spoofer):
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """From a thousandth of the commands to ten times as much."""
         return SMALLEST, LARGEST
 
 
@@ -94,5 +86,4 @@ def split_amplitude(spec: Any) -> tuple[Any, float | None]:
 
 
 def with_amplitude(spoofer: Spoofer, amplitude: float | None) -> Spoofer:
-    """A spoofer as it is, or scaled."""
     return spoofer if amplitude is None else Scaled(spoofer, amplitude)

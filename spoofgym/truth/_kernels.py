@@ -1,15 +1,16 @@
 """Compiled loops of the authentic world; those of lane arrays take one group of receivers."""
 
-from __future__ import annotations
+import math
 
 import numpy as np
 
 from ..core.compile import inlined, njit
 from ..core.lanes import first_rows
 from ..core.simd import any_lane, floor, load, select, set_lane, splat, sqrt, store
-from ..earth.wgs84 import range_and_rate
+from ..earth.wgs84 import EARTH_RATE, STILL, gravity, range_and_rate
 from .clock import advance_clock
-from .noise import deviates, exponential
+from .gnss_errors import gauss_markov_step
+from .noise import deviates, exponential, normals
 from .sensors import CONSTANTS, SOURCES, sensor_shapes
 from .signal_errors import MAPPINGS, deviates_of, signal_shapes
 
@@ -17,16 +18,12 @@ _ROWS = first_rows(sensor_shapes(1))
 RESIDUAL, CLOCK = _ROWS["residual"], _ROWS["clock"]
 _CONSTANTS = first_rows(CONSTANTS)
 ACCEL_BIAS, ACCEL_MATRIX = _CONSTANTS["accel_bias"], _CONSTANTS["accel_matrix"]
-GYRO_BIAS, GYRO_MATRIX, G_DEPENDENCE = (
-    _CONSTANTS["gyro_bias"],
-    _CONSTANTS["gyro_matrix"],
-    _CONSTANTS["g_dependence"],
-)
+GYRO_BIAS, GYRO_MATRIX = _CONSTANTS["gyro_bias"], _CONSTANTS["gyro_matrix"]
+G_DEPENDENCE = _CONSTANTS["g_dependence"]
 IMU_NOISE, CLOCK_PSD = _CONSTANTS["imu_noise"], _CONSTANTS["clock_psd"]
 GNSS_NOISE, CORRELATED_NOISE = _CONSTANTS["gnss_noise"], _CONSTANTS["correlated_noise"]
 CONSTANT_ROWS = CORRELATED_NOISE + 2
-CHANNELS = _ROWS["satellite_bias"]
-"""First row of the biases; n rows later the correlated errors."""
+CHANNELS = _ROWS["satellite_bias"]  # first row of the biases; n rows later the correlated errors
 IMU_KEY, CLOCK_KEY, GNSS_KEY, CORRELATED_KEY = (
     2 * SOURCES.index(source) for source in ("imu", "clock", "gnss", "correlated")
 )
@@ -34,18 +31,35 @@ KEYS = 2 * len(SOURCES)
 _SIGNALS = first_rows(signal_shapes(1))
 PROCESSES, FADING, AMPLITUDES = _SIGNALS["processes"], _SIGNALS["fading"], _SIGNALS["amplitudes"]
 CARRIER, CLOCK_STEP, LOSS = _SIGNALS["carrier"], _SIGNALS["clock_step"], _SIGNALS["loss"]
+# First rows of what there is of every receiver's signals, and from `SIGNALS` on of each of them:
+# arrivals of a front, errors of orbit and clock, their rates, multipath, noise, readings.
 FRONT, ZENITH, SIGNALS = _SIGNALS["front"], _SIGNALS["zenith"], _SIGNALS["front_arrival"]
-"""First rows of what there is of every receiver's signals, and from `SIGNALS` on of each of them:
-arrivals of a front, errors of orbit and clock, their rates, multipath, noise, readings."""
 SIGNAL_ROWS = 6
-DISTURBED = 4
-"""Rows of each signal that `disturb` writes."""
-LATER = 1 << 40
-"""Counter of the first epoch's deviates of signals, under the key of the correlated errors."""
-CHUNK = 16
-"""Samples whose truth is gathered at a time, so that it stays in the nearest cache."""
-SKY = 8
-"""What is known of a satellite: position, velocity, true range and range rate, 0 if invisible."""
+DISTURBED = 4  # rows of each signal that `disturb` writes
+LATER = 1 << 40  # first counter of deviates of signals, under the key of the correlated errors
+CHUNK = 16  # samples whose truth is gathered at a time, so that it stays in the nearest cache
+SKY = 8  # of a satellite: position, velocity, true range and range rate, 0 if invisible
+
+
+@inlined
+def load3(x, row):
+    return load(x, row), load(x, row + 1), load(x, row + 2)
+
+
+@inlined
+def store3(x, row, values, step=1):
+    store(x, row, values[0])
+    store(x, row + step, values[1])
+    store(x, row + 2 * step, values[2])
+
+
+@inlined
+def keep3(x, row, now, values):
+    """Write three rows in the lanes of `now`."""
+    a, b, c = load3(x, row)
+    store3(
+        x, row, (select(now, values[0], a), select(now, values[1], b), select(now, values[2], c))
+    )
 
 
 @njit
@@ -58,9 +72,7 @@ def fill_ranges(satellites, visible, position_e, velocity_e):
         for s in range(satellites.shape[1]):
             if visible[k, s]:
                 p = satellites[k, s]
-                rho, rate, _, _, _ = range_and_rate(
-                    p[0], p[1], p[2], p[3], p[4], p[5], r[0], r[1], r[2], v[0], v[1], v[2]
-                )
+                rho, rate, _, _, _ = range_and_rate(p[:3], p[3:6], r, v)
                 p[6] = rho
                 p[7] = rate
 
@@ -98,14 +110,9 @@ def _rounded(total, level, inverse):
 
 
 @inlined
-def _row(matrix, row, f0, f1, f2):
-    m = load(matrix, row) * f0 + load(matrix, row + 1) * f1
-    return m + load(matrix, row + 2) * f2
-
-
-@inlined
-def _keep(sensors, row, now, value):
-    store(sensors, row, select(now, value, load(sensors, row)))
+def _row(matrix, row, f):
+    m = load(matrix, row) * f[0] + load(matrix, row + 1) * f[1]
+    return m + load(matrix, row + 2) * f[2]
 
 
 @njit
@@ -130,9 +137,9 @@ def sense(run, first, count, sensors, base, constants, fixed, samples, dt, truth
     level_a, level_g = load(constants, k + IMU_NOISE), load(constants, k + IMU_NOISE + 1)
     qa, qg = load(constants, k + IMU_NOISE + 2), load(constants, k + IMU_NOISE + 3)
     ia, ig = select(qa > 0.0, 1.0 / qa, 0.0), select(qg > 0.0, 1.0 / qg, 0.0)
-    c0, c1 = load(sensors, b + RESIDUAL), load(sensors, b + RESIDUAL + 1)
-    c2, c3 = load(sensors, b + RESIDUAL + 2), load(sensors, b + RESIDUAL + 3)
-    c4, c5 = load(sensors, b + RESIDUAL + 4), load(sensors, b + RESIDUAL + 5)
+    b += RESIDUAL
+    c0, c1, c2 = load3(sensors, b)
+    c3, c4, c5 = load3(sensors, b + 3)
     zero = splat(0.0, sensors)
     p0, p1, p2, p3, p4, p5 = zero, zero, zero, zero, zero, zero
     n = count
@@ -141,35 +148,23 @@ def sense(run, first, count, sensors, base, constants, fixed, samples, dt, truth
         gather_truth(run, first, start, stop, truth)
         for i in range(start, stop):
             t = 8 * (i - start)
-            f0, f1, f2 = load(truth, t), load(truth, t + 1), load(truth, t + 2)
-            w0, w1, w2 = load(truth, t + 3), load(truth, t + 4), load(truth, t + 5)
+            f, w = load3(truth, t), load3(truth, t + 3)
             store(dt, i, load(truth, t + 6))
             rate = load(truth, t + 7)
             a, g, d = k + ACCEL_BIAS, k + GYRO_BIAS, k + G_DEPENDENCE
-            c0 += (load(constants, a) + level_a * load(samples, i) * rate) + _row(
-                constants, k + ACCEL_MATRIX, f0, f1, f2
-            )
-            c1 += (load(constants, a + 1) + level_a * load(samples, n + i) * rate) + _row(
-                constants, k + ACCEL_MATRIX + 3, f0, f1, f2
-            )
-            c2 += (load(constants, a + 2) + level_a * load(samples, 2 * n + i) * rate) + _row(
-                constants, k + ACCEL_MATRIX + 6, f0, f1, f2
-            )
-            c3 += (
-                (load(constants, g) + level_g * load(samples, 3 * n + i) * rate)
-                + _row(constants, d, f0, f1, f2)
-                + _row(constants, k + GYRO_MATRIX, w0, w1, w2)
-            )
-            c4 += (
-                (load(constants, g + 1) + level_g * load(samples, 4 * n + i) * rate)
-                + _row(constants, d + 3, f0, f1, f2)
-                + _row(constants, k + GYRO_MATRIX + 3, w0, w1, w2)
-            )
-            c5 += (
-                (load(constants, g + 2) + level_g * load(samples, 5 * n + i) * rate)
-                + _row(constants, d + 6, f0, f1, f2)
-                + _row(constants, k + GYRO_MATRIX + 6, w0, w1, w2)
-            )
+            force, spin = k + ACCEL_MATRIX, k + GYRO_MATRIX
+            x = load(constants, a) + level_a * load(samples, i) * rate
+            c0 += x + _row(constants, force, f)
+            x = load(constants, a + 1) + level_a * load(samples, n + i) * rate
+            c1 += x + _row(constants, force + 3, f)
+            x = load(constants, a + 2) + level_a * load(samples, 2 * n + i) * rate
+            c2 += x + _row(constants, force + 6, f)
+            x = load(constants, g) + level_g * load(samples, 3 * n + i) * rate
+            c3 += x + _row(constants, d, f) + _row(constants, spin, w)
+            x = load(constants, g + 1) + level_g * load(samples, 4 * n + i) * rate
+            c4 += x + _row(constants, d + 3, f) + _row(constants, spin + 3, w)
+            x = load(constants, g + 2) + level_g * load(samples, 5 * n + i) * rate
+            c5 += x + _row(constants, d + 6, f) + _row(constants, spin + 6, w)
             m0, m1, m2 = _rounded(c0, qa, ia), _rounded(c1, qa, ia), _rounded(c2, qa, ia)
             m3, m4, m5 = _rounded(c3, qg, ig), _rounded(c4, qg, ig), _rounded(c5, qg, ig)
             store(samples, i, m0 - p0)
@@ -180,13 +175,8 @@ def sense(run, first, count, sensors, base, constants, fixed, samples, dt, truth
             store(samples, 5 * n + i, m5 - p5)
             p0, p1, p2, p3, p4, p5 = m0, m1, m2, m3, m4, m5
     now = load(active, 0) > 0.0
-    b += RESIDUAL
-    _keep(sensors, b, now & (qa > 0.0), c0 - p0)
-    _keep(sensors, b + 1, now & (qa > 0.0), c1 - p1)
-    _keep(sensors, b + 2, now & (qa > 0.0), c2 - p2)
-    _keep(sensors, b + 3, now & (qg > 0.0), c3 - p3)
-    _keep(sensors, b + 4, now & (qg > 0.0), c4 - p4)
-    _keep(sensors, b + 5, now & (qg > 0.0), c5 - p5)
+    keep3(sensors, b, now & (qa > 0.0), (c0 - p0, c1 - p1, c2 - p2))
+    keep3(sensors, b + 3, now & (qg > 0.0), (c3 - p3, c4 - p4, c5 - p5))
 
 
 @njit
@@ -220,7 +210,6 @@ def advance_correlated(sensors, base, channels, sd, time, key0, key1, epoch, tau
 
 @inlined
 def _advance_process(x, row, value, rate, moves, first, second):
-    """Value and rate of a critically damped process at the next epoch, where the lane moves."""
     v, w = load(x, value), load(x, rate)
     new = load(x, row) * v + load(x, row + 1) * w + load(x, row + 4) * first
     speed = load(x, row + 2) * v + load(x, row + 3) * w
@@ -233,7 +222,6 @@ def _advance_process(x, row, value, rate, moves, first, second):
 
 @njit
 def gather_mappings(mappings, epochs, out):
-    """Put what is known of the lines of sight at each lane's epoch into rows of `MAPPINGS`."""
     for index in range(epochs.shape[0]):
         for s in range(mappings.shape[1]):
             for i in range(MAPPINGS):
@@ -256,14 +244,9 @@ def disturb(signals, base, n, key0, key1, number, epoch, tau, mapping, noise, sk
     ionosphere, ionosphere_rate = _advance_process(
         signals, b + PROCESSES, b + ZENITH, b + ZENITH + 1, moves, load(noise, 0), load(noise, 1)
     )
+    row, of_zenith = b + PROCESSES + 7, b + ZENITH + 2
     troposphere, troposphere_rate = _advance_process(
-        signals,
-        b + PROCESSES + 7,
-        b + ZENITH + 2,
-        b + ZENITH + 3,
-        moves,
-        load(noise, 2),
-        load(noise, 3),
+        signals, row, of_zenith, of_zenith + 1, moves, load(noise, 2), load(noise, 3)
     )
     alpha, driving = load(signals, b + FADING), load(signals, b + FADING + 1)
     per_time, growth = load(signals, b + CARRIER + 1), load(signals, b + FRONT)
@@ -271,17 +254,11 @@ def disturb(signals, base, n, key0, key1, number, epoch, tau, mapping, noise, sk
     lost = (number >= load(signals, b + LOSS + 1)) & (number < load(signals, b + LOSS + 2))
     each = b + SIGNALS
     for s in range(n):
-        k = 4 + s
+        k, row = 4 + s, each + n + s
         orbit, orbit_rate = _advance_process(
-            signals,
-            b + PROCESSES + 14,
-            each + n + s,
-            each + 2 * n + s,
-            moves,
-            load(noise, k),
-            load(noise, k + n),
+            signals, b + PROCESSES + 14, row, row + n, moves, load(noise, k), load(noise, k + n)
         )
-        row = each + 3 * n + s
+        row += 2 * n
         reflected = load(signals, row)
         fresh = alpha * reflected + driving * load(noise, k + 2 * n)
         reflected = select(moves, fresh, reflected)
@@ -318,54 +295,32 @@ def disturb(signals, base, n, key0, key1, number, epoch, tau, mapping, noise, sk
 
 @njit
 def measure(
-    sensors,
-    base,
-    constants,
-    fixed,
-    channels,
-    keys,
-    key_row,
-    epoch,
-    tau,
-    sky,
-    noise,
-    replaced,
-    picked_up,
-    out,
-    first,
+    of_sensors, channels, keys, key_row, epoch, tau, sky, noise, replaced, picked_up, out, first
 ):
     """Measure a group's pseudoranges and range rates at one epoch.
 
-    `sensors`, `base`, `constants`, `fixed`: as in `sense`; `epoch`, `tau`: of each lane, and time
-    since the epoch before [s]; 0 leaves the clock alone; `sky`: of `gather_sky`; `noise`: scratch
-    memory for the deviates; `replaced`: lane array of 4 n rows, what an attack adds to pseudoranges
-    and range rates, and what stays of their authentic errors (`SensorBuffers`); `picked_up`: lane
-    array of what `disturb` wrote, or of no row; `out`: lane array; its 2 n rows from `first` on are
-    written, 0 where invisible.
+    `of_sensors`: `sensors`, `base`, `constants` and `fixed` of `sense`; `epoch`, `tau`: of each
+    lane, and time since the epoch before [s]; 0 leaves the clock alone; `sky`: of `gather_sky`;
+    `noise`: scratch memory for the deviates; `replaced`: lane array of 4 n rows, what an attack
+    adds to pseudoranges and range rates, and what stays of their authentic errors
+    (`SensorBuffers`); `picked_up`: lane array of what `disturb` wrote, or of no row; `out`: lane
+    array; its 2 n rows from `first` on are written, 0 where invisible.
     """
-    n = channels
-    b, k = base, key_row
+    sensors, b, constants, fixed = of_sensors
+    n, k = channels, key_row
     phase, frequency = load(constants, fixed + CLOCK_PSD), load(constants, fixed + CLOCK_PSD + 1)
     a, w = splat(0.0, sensors), splat(0.0, sensors)
     if any_lane((phase > 0.0) | (frequency > 0.0)):
-        deviates(
-            load(keys, k + CLOCK_KEY),
-            load(keys, k + CLOCK_KEY + 1),
-            epoch,
-            noise.shape[0],
-            2,
-            noise,
-        )
+        key0, key1 = load(keys, k + CLOCK_KEY), load(keys, k + CLOCK_KEY + 1)
+        deviates(key0, key1, epoch, noise.shape[0], 2, noise)
         a, w = load(noise, 0), load(noise, 1)
     bias, drift = advance_clock(
         load(sensors, b + CLOCK), load(sensors, b + CLOCK + 1), tau, phase, frequency, a, w
     )
     store(sensors, b + CLOCK, bias)
     store(sensors, b + CLOCK + 1, drift)
-    sd, time = (
-        load(constants, fixed + CORRELATED_NOISE),
-        load(constants, fixed + CORRELATED_NOISE + 1),
-    )
+    row = fixed + CORRELATED_NOISE
+    sd, time = load(constants, row), load(constants, row + 1)
     if any_lane(sd > 0.0):
         key0, key1 = load(keys, k + CORRELATED_KEY), load(keys, k + CORRELATED_KEY + 1)
         advance_correlated(sensors, b, n, sd, time, key0, key1, epoch, tau, noise)
@@ -396,3 +351,319 @@ def measure(
         rate -= select(rate_stays < 0.0, rate_error, 0.0)
         store(out, first + s, select(visible, rho, 0.0))
         store(out, first + n + s, select(visible, rate, 0.0))
+
+
+OF_SAMPLES, OF_POSITION, OF_START = range(3)  # keys of a loosely coupled receiver's sources
+
+
+@njit
+def first_errors(keys, initial_sd, position_sd, deviates, initial, error):
+    """Draw what episodes of loosely coupled receivers start with. `keys` (B, 3, 2) of every source;
+    `initial_sd`, `position_sd` (15,) and (3,), of the state and of the GNSS position; `deviates`
+    (64,) scratch memory; `initial` (B, 15), written: errors of the first estimate, then sensor
+    biases; `error` (B, 3), written: GNSS position errors, east, north, up [m]."""
+    for b in range(keys.shape[0]):
+        normals(keys[b, OF_START, 0], keys[b, OF_START, 1], 0, deviates)
+        for i in range(15):
+            initial[b, i] = initial_sd[i] * deviates[i]
+        for i in range(3):
+            error[b, i] = position_sd[i] * deviates[15 + i]
+
+
+@njit
+def measure_loose(
+    keys,
+    epoch,
+    run,
+    position_e,
+    C_el,
+    interval,
+    noise,
+    bias,
+    decay,
+    position_sd,
+    displacement,
+    deviates,
+    error,
+    samples,
+    fix_e,
+):
+    """Move every loosely coupled receiver to its next epoch, and measure on the way.
+
+    `keys` (B, 3, 2) key of every source; `epoch` (B,) that each receiver is at; advanced; `noise`
+    (2,) root PSD of accelerometers and gyros; `bias` (B, 6) of gyros [rad/s] and accelerometers
+    [m/s^2]; `position_sd` (3,) of the position errors [m]; `displacement` (B, 3) what the attack
+    adds to the position, east, north, up [m]; `deviates` (P,) scratch memory, P a multiple of 64
+    and at least 6 times the samples of an epoch; `error` (B, 3) errors of the GNSS position [m];
+    advanced; `samples` (B, S, 6), written: measured specific force and angular rate, body axes;
+    `fix_e` (B, 3), written: GNSS position, ECEF [m].
+    """
+    count = samples.shape[1]
+    root = 1.0 / math.sqrt(interval)
+    for b in range(keys.shape[0]):
+        k = epoch[b] + 1
+        epoch[b] = k
+        normals(keys[b, OF_SAMPLES, 0], keys[b, OF_SAMPLES, 1], k, deviates)
+        first = (k - 1) * count
+        for c in range(6):
+            level = noise[c // 3] * root
+            constant = bias[b, 3 + c if c < 3 else c - 3]
+            for i in range(count):
+                noisy = level * deviates[c * count + i]
+                samples[b, i, c] = run[first + i, c] + (constant + noisy)
+        few = deviates[:64]
+        normals(keys[b, OF_POSITION, 0], keys[b, OF_POSITION, 1], k, few)
+        for c in range(3):
+            error[b, c] = gauss_markov_step(error[b, c], decay, position_sd[c], few[c])
+        e0 = error[b, 0] + displacement[b, 0]
+        e1 = error[b, 1] + displacement[b, 1]
+        e2 = error[b, 2] + displacement[b, 2]
+        C = C_el[k]
+        for i in range(3):
+            fix_e[b, i] = position_e[k, i] + (C[i, 0] * e0 + C[i, 1] * e1 + C[i, 2] * e2)
+
+
+@njit
+def measure_snapshot(
+    epoch,
+    keys,
+    clock,
+    displacement,
+    spoofed,
+    time,
+    position_e,
+    C_en,
+    satellite_position_e,
+    noise_m,
+    deviates,
+    pseudorange,
+    satellites,
+):
+    r"""Pseudoranges of one epoch, authentic or counterfeit.
+
+    .. math:: \tilde\rho_j = |C r_j - r - C_{en} d_j| + c_0 + c_1 t + d_{4j} + w_j
+
+    with the counterfeit displacement d and clock offset d_4, 0 for authentic satellites.  The
+    white noise is that of the satellite, spoofed or not.
+
+    `epoch` (B,) number of the epoch; `keys` (B, 2) key of the noise; `clock` (B, 2) offset and
+    drift of the receiver's clock [m], [m/s]; `displacement` (B, 4) north, east, down and clock [m];
+    `spoofed` (B, n) bool; `deviates` (N,) scratch, N a multiple of `noise.BLOCK` and at least n;
+    `pseudorange` (B, n), written [m]; `satellites` (B, n, 3), written: where the satellites are,
+    ECEF [m].
+    """
+    r = np.empty(3)
+    for b in range(epoch.shape[0]):
+        k = epoch[b]
+        normals(keys[b, 0], keys[b, 1], k, deviates)
+        bias = clock[b, 0] + clock[b, 1] * time[k]
+        for j in range(spoofed.shape[1]):
+            own = bias
+            for i in range(3):
+                r[i] = position_e[k, i]
+                satellites[b, j, i] = satellite_position_e[k, j, i]
+            if spoofed[b, j]:
+                own += displacement[b, 3]
+                for i in range(3):
+                    for c in range(3):
+                        r[i] += C_en[i, c] * displacement[b, c]
+            place = satellites[b, j, 0], satellites[b, j, 1], satellites[b, j, 2]
+            distance, _, _, _, _ = range_and_rate(place, STILL, (r[0], r[1], r[2]), STILL)
+            pseudorange[b, j] = distance + own + noise_m * deviates[j]
+
+
+@njit
+def measure_odometry(
+    keys,
+    epoch,
+    first,
+    left,
+    right,
+    yaw,
+    samples,
+    count_m,
+    hard_iron,
+    yaw_sd,
+    phase,
+    noise,
+    last_yaw,
+    increment,
+):
+    """Dead reckoning since the last epoch.
+
+    `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
+    that at which the episode starts; `left`, `right`, `yaw` (N+1,) way of the wheels [m] and true
+    heading [rad] at every sample; `phase` (B, 2) phases of the encoders; `noise` (`BLOCK`,), work
+    space; `last_yaw` (B,) measured heading of the last sample [rad], overwritten; `increment`
+    (B, 2) north and east [m], written; 0 at the start.
+    """
+    for b in range(epoch.shape[0]):
+        k = epoch[b]
+        normals(keys[b, 0, 0], keys[b, 0, 1], k, noise)
+        north, east = 0.0, 0.0
+        before = last_yaw[b]
+        if k == first[b]:
+            now = yaw[k * samples]
+            before = now - hard_iron * math.sin(now) + yaw_sd * noise[0]
+        else:
+            for s in range(samples):
+                i = (k - 1) * samples + s
+                now = yaw[i + 1] - hard_iron * math.sin(yaw[i + 1]) + yaw_sd * noise[s]
+                counts = math.floor(left[i + 1] / count_m + phase[b, 0])
+                counts -= math.floor(left[i] / count_m + phase[b, 0])
+                counts += math.floor(right[i + 1] / count_m + phase[b, 1])
+                counts -= math.floor(right[i] / count_m + phase[b, 1])
+                way, mid = 0.5 * count_m * counts, 0.5 * (before + now)
+                north += way * math.cos(mid)
+                east += way * math.sin(mid)
+                before = now
+        last_yaw[b] = before
+        increment[b, 0], increment[b, 1] = north, east
+
+
+@njit
+def measure_fix(
+    keys,
+    epoch,
+    first,
+    position_ne,
+    available,
+    correlated_sd,
+    decay,
+    white_sd,
+    offset,
+    noise,
+    correlated,
+    fix,
+):
+    r"""GNSS positions.
+
+    .. math:: g_k = p_k + c_k + w_k + d_k, \qquad
+        c_k = \beta c_{k-1} + \sqrt{1 - \beta^2} \, \sigma_c \, \epsilon_k
+
+    `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
+    that at which the episode starts; `position_ne` (K, 2) true position at every epoch [m];
+    `available` (L,) whether there is a fix at all, from the start on; `offset` (B, 2) what the
+    spoofer adds [m]; `noise` (`BLOCK`,), work space; `correlated` (B, 2) Gauss-Markov error [m],
+    overwritten; `fix` (B, 2) north and east [m], written; NaN where there is none.
+    """
+    drive = math.sqrt(1.0 - decay * decay)
+    for b in range(epoch.shape[0]):
+        k = epoch[b]
+        normals(keys[b, 1, 0], keys[b, 1, 1], k, noise)
+        for axis in range(2):
+            if k == first[b]:
+                correlated[b, axis] = correlated_sd * noise[axis]
+            else:
+                fresh = drive * correlated_sd * noise[axis]
+                correlated[b, axis] = decay * correlated[b, axis] + fresh
+            error = correlated[b, axis] + white_sd * noise[2 + axis]
+            fix[b, axis] = position_ne[k, axis] + error + offset[b, axis]
+            if not available[k - first[b]]:
+                fix[b, axis] = math.nan
+
+
+SMALL_ANGLE = 1e-8  # rotation of a sample [rad] up to which the mechanization takes I + A and I
+SERIES_ANGLE = 0.1  # rotation [rad] up to which (1 - sin(a) / a) / a^2 is taken from its series
+
+
+@njit
+def velocity_coefficients(angle):
+    r"""Coefficients of the specific-force transformation.
+
+    .. math::
+        c = \frac{1 - \cos a}{a^2}, \qquad d = \frac{1 - \sin a / a}{a^2}
+
+    `angle`: a [rad].
+
+    c cancels on purpose: at 1e-6 rad it is off by up to 1e-4 of itself, just as in the forward
+    step of the reference software, and only the same error leads back to the flight (0.3 instead
+    of 3 micrometres over 418 s).  d cancels harmlessly, but has a series.
+    """
+    if angle <= SMALL_ANGLE:
+        return 0.0, 0.0
+    x = angle * angle
+    c = (1.0 - math.cos(angle)) / x
+    if angle <= SERIES_ANGLE:
+        return c, (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0))) / 6.0
+    return c, (1.0 - math.sin(angle) / angle) / x
+
+
+@njit
+def invert_samples(step, position_e, velocity_e, C_eb, specific_force_b, angular_rate_b):
+    r"""Fill the inertial samples between consecutive states.
+
+    With a = omega_ie dt, the rotation of the body over a sample is
+    :math:`M = C^{-\prime} R_z(a)' C^+ = I + \sin|\alpha| / |\alpha|\,A + ...`, whose antisymmetric
+    part holds :math:`\alpha \sin|\alpha| / |\alpha|` without cancellation.
+
+    `step`: interval of the samples [s]; `position_e`, `velocity_e` (N+1, 3) ECEF [m] and [m/s];
+    `C_eb` (N+1, 3, 3), to ECEF from body axes; `specific_force_b`, `angular_rate_b` (N, 3) outputs,
+    body axes [m/s^2] and [rad/s]; returns largest rotation of a sample [rad].
+    """
+    a = EARTH_RATE * step
+    sin_a, cos_a = math.sin(a), math.cos(a)
+    largest = 0.0
+    for i in range(position_e.shape[0] - 1):
+        c00, c01, c02 = C_eb[i, 0, 0], C_eb[i, 0, 1], C_eb[i, 0, 2]
+        c10, c11, c12 = C_eb[i, 1, 0], C_eb[i, 1, 1], C_eb[i, 1, 2]
+        c20, c21, c22 = C_eb[i, 2, 0], C_eb[i, 2, 1], C_eb[i, 2, 2]
+
+        # new attitude with the turn of the Earth taken back: R_z(a)' C+
+        n00 = cos_a * C_eb[i + 1, 0, 0] - sin_a * C_eb[i + 1, 1, 0]
+        n01 = cos_a * C_eb[i + 1, 0, 1] - sin_a * C_eb[i + 1, 1, 1]
+        n02 = cos_a * C_eb[i + 1, 0, 2] - sin_a * C_eb[i + 1, 1, 2]
+        n10 = sin_a * C_eb[i + 1, 0, 0] + cos_a * C_eb[i + 1, 1, 0]
+        n11 = sin_a * C_eb[i + 1, 0, 1] + cos_a * C_eb[i + 1, 1, 1]
+        n12 = sin_a * C_eb[i + 1, 0, 2] + cos_a * C_eb[i + 1, 1, 2]
+        n20, n21, n22 = C_eb[i + 1, 2, 0], C_eb[i + 1, 2, 1], C_eb[i + 1, 2, 2]
+
+        # M = C-' N: twice its antisymmetric part, and its trace
+        px = c02 * n01 + c12 * n11 + c22 * n21 - (c01 * n02 + c11 * n12 + c21 * n22)
+        py = c00 * n02 + c10 * n12 + c20 * n22 - (c02 * n00 + c12 * n10 + c22 * n20)
+        pz = c01 * n00 + c11 * n10 + c21 * n20 - (c00 * n01 + c10 * n11 + c20 * n21)
+        trace = c00 * n00 + c10 * n10 + c20 * n20 + c01 * n01 + c11 * n11 + c21 * n21
+        trace += c02 * n02 + c12 * n12 + c22 * n22
+        sine = 0.5 * math.sqrt(px * px + py * py + pz * pz)
+        angle = math.atan2(sine, 0.5 * (trace - 1.0))
+        scale = 0.5 if sine <= SMALL_ANGLE else 0.5 * angle / sine
+        ax, ay, az = scale * px, scale * py, scale * pz
+        largest = max(largest, angle)
+
+        # specific force in ECEF axes that brings about the change of velocity
+        rx, ry, rz = position_e[i, 0], position_e[i, 1], position_e[i, 2]
+        vx, vy, vz = velocity_e[i, 0], velocity_e[i, 1], velocity_e[i, 2]
+        gx, gy, gz = gravity(rx, ry, rz)
+        ex = (velocity_e[i + 1, 0] - vx) / step - gx - 2.0 * EARTH_RATE * vy
+        ey = (velocity_e[i + 1, 1] - vy) / step - gy + 2.0 * EARTH_RATE * vx
+        ez = (velocity_e[i + 1, 2] - vz) / step - gz
+
+        # average attitude T = C- (I + c A + d A^2) - [(0, 0, a / 2) x] C-
+        c, d = velocity_coefficients(math.sqrt(ax * ax + ay * ay + az * az))
+        xx, yy, zz, xy, xz, yz = ax * ax, ay * ay, az * az, ax * ay, ax * az, ay * az
+        g00, g01, g02 = 1.0 - d * (yy + zz), d * xy - c * az, d * xz + c * ay
+        g10, g11, g12 = d * xy + c * az, 1.0 - d * (xx + zz), d * yz - c * ax
+        g20, g21, g22 = d * xz - c * ay, d * yz + c * ax, 1.0 - d * (xx + yy)
+        half = 0.5 * a
+        t00 = c00 * g00 + c01 * g10 + c02 * g20 + half * c10
+        t01 = c00 * g01 + c01 * g11 + c02 * g21 + half * c11
+        t02 = c00 * g02 + c01 * g12 + c02 * g22 + half * c12
+        t10 = c10 * g00 + c11 * g10 + c12 * g20 - half * c00
+        t11 = c10 * g01 + c11 * g11 + c12 * g21 - half * c01
+        t12 = c10 * g02 + c11 * g12 + c12 * g22 - half * c02
+        t20 = c20 * g00 + c21 * g10 + c22 * g20
+        t21 = c20 * g01 + c21 * g11 + c22 * g21
+        t22 = c20 * g02 + c21 * g12 + c22 * g22
+
+        # T f = e by Cramer's rule; T is a rotation but for 1 + O(angle^2)
+        k00, k01, k02 = t11 * t22 - t12 * t21, t02 * t21 - t01 * t22, t01 * t12 - t02 * t11
+        k10, k11, k12 = t12 * t20 - t10 * t22, t00 * t22 - t02 * t20, t02 * t10 - t00 * t12
+        k20, k21, k22 = t10 * t21 - t11 * t20, t01 * t20 - t00 * t21, t00 * t11 - t01 * t10
+        determinant = t00 * k00 + t01 * k10 + t02 * k20
+        specific_force_b[i, 0] = (k00 * ex + k01 * ey + k02 * ez) / determinant
+        specific_force_b[i, 1] = (k10 * ex + k11 * ey + k12 * ez) / determinant
+        specific_force_b[i, 2] = (k20 * ex + k21 * ey + k22 * ez) / determinant
+        angular_rate_b[i, 0] = ax / step
+        angular_rate_b[i, 1] = ay / step
+        angular_rate_b[i, 2] = az / step
+    return largest

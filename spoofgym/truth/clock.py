@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from ..core.compile import inlined
+from ..core.registry import require
 from ..core.simd import sqrt
 from ..earth.wgs84 import SPEED_OF_LIGHT
 
@@ -31,8 +32,10 @@ class ReceiverClock:
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            if not math.isfinite(value) or (item.name.endswith("psd") and value < 0.0):
-                raise ValueError(f"`{item.name}` must be finite, a PSD also >= 0, got {value}")
+            require(
+                math.isfinite(value) and not (item.name.endswith("psd") and value < 0.0),
+                f"`{item.name}` must be finite, a PSD also >= 0, got {value}",
+            )
 
 
 def clock_of_allan(h0: float, h_2: float) -> ReceiverClock:
@@ -50,8 +53,7 @@ def clock_of_allan(h0: float, h_2: float) -> ReceiverClock:
     return ReceiverClock(phase_psd=0.5 * c2 * h0, frequency_psd=2.0 * math.pi**2 * c2 * h_2)
 
 
-TCXO = clock_of_allan(2e-19, 2e-20)
-"""A temperature-compensated crystal oscillator by `brownhwang2012`: 0.0090 m^2/s, 0.035 m^2/s^3."""
+TCXO = clock_of_allan(2e-19, 2e-20)  # `brownhwang2012`: 0.0090 m^2/s, 0.035 m^2/s^3
 
 
 @inlined

@@ -9,11 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .signal_errors import IONOSPHERE_HEIGHT_M, NEVER, SHELL_RADIUS_M
+from ..core.registry import require
+from .signal_errors import IONOSPHERE_HEIGHT_M, NEVER, SHELL_RADIUS_M, FloatArray
 
-FloatArray = NDArray[np.float64]
-STREAM = 0xBE
-"""Key of the stream of an episode's domain from which its events are drawn."""
+STREAM = 0xBE  # key of the stream of an episode's domain from which its events are drawn
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,14 +55,13 @@ class BenignEvents:
         for item in fields(self):
             value = getattr(self, item.name)
             if item.name in ("clock_step", "satellite_loss", "front"):
-                if not 0.0 <= value <= 1.0:
-                    raise ValueError(f"`{item.name}` must be 0 to 1, got {value}")
+                require(0.0 <= value <= 1.0, f"`{item.name}` must be 0 to 1, got {value}")
                 continue
             pair = tuple(float(x) for x in value) if np.shape(value) == (2,) else ()
-            if not (pair and 0.0 < pair[0] <= pair[1] < math.inf):
-                raise ValueError(
-                    f"`{item.name}` must be two numbers above 0, the least first, got {value!r}"
-                )
+            require(
+                pair and 0.0 < pair[0] <= pair[1] < math.inf,
+                f"`{item.name}` must be two numbers above 0, the least first, got {value!r}",
+            )
             object.__setattr__(self, item.name, pair)
 
     @property

@@ -1,10 +1,8 @@
-"""True motion and the IMU samples of a perfect sensor.
-
-A flight: the true motion of the antenna at the rate of the inertial sensors.
+"""A flight: the true motion of the antenna, and the samples of perfect inertial sensors.
 
 A vehicle is a point with axes: antenna and inertial sensors share one place.  Position is by
 construction the trapezoid integral of velocity, which is how the strapdown mechanization of
-`spoofgym.truth.flight` integrates, so that noise-free inertial samples lead back to the flight.
+the receiver integrates, so that noise-free inertial samples lead back to the flight.
 """
 
 from __future__ import annotations
@@ -16,17 +14,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.registry import is_number
+from ..core.registry import is_number, require
 from ..earth.attitude import dcm_to_euler, euler_to_dcm
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic, geodetic_to_ecef
-from .kinematics import invert_samples
+from ._kernels import invert_samples
 
-DEFAULT_STEP = 0.01
-"""Interval of the inertial samples [s], the 100 Hz of Groves' profiles (`groves2013`)."""
-CLOSURE_TOLERANCE = 1e-5
-"""Largest distance of a position from the trapezoid integral of the velocity [m]."""
-ORTHONORMALITY_TOLERANCE = 1e-9
-"""Largest element of C C' - I."""
+DEFAULT_STEP = 0.01  # interval of the inertial samples [s], as in Groves' profiles (`groves2013`)
+CLOSURE_TOLERANCE = 1e-5  # largest distance of a position from the integral of the velocity [m]
+ORTHONORMALITY_TOLERANCE = 1e-9  # largest element of C C' - I
 _PICARD_STOP = 1e-6
 _PICARD_LIMIT = 100
 
@@ -54,8 +49,7 @@ class Flight:
 
     def __post_init__(self) -> None:
         count = np.size(self.time)
-        if count < 2:
-            raise ValueError(f"`time` must have at least 2 samples, got {count}")
+        require(count >= 2, f"`time` must have at least 2 samples, got {count}")
         self._settle("time", (count,))
         self._settle("position_e", (count, 3))
         self._settle("velocity_e", (count, 3))
@@ -71,20 +65,19 @@ class Flight:
         check_closure(self.position_e, closed, self.step, CLOSURE_TOLERANCE)
 
     def _settle(self, field: str, shape: tuple[int, ...]) -> None:
-        """Replace a field by a checked C-contiguous float64 copy."""
         value = np.array(getattr(self, field), dtype=np.float64, order="C")
-        if value.shape != shape:
-            raise ValueError(f"`{field}` must have shape {shape}, got {value.shape}")
-        if not np.isfinite(value).all():
-            raise ValueError(f"`{field}` must be finite, got NaN or infinity")
+        require(value.shape == shape, f"`{field}` must have shape {shape}, got {value.shape}")
+        require(np.isfinite(value).all(), f"`{field}` must be finite, got NaN or infinity")
         object.__setattr__(self, field, value)
 
     def _check_time(self) -> None:
         if self.time[0] != 0.0:
             raise ValueError(f"`time` must start at 0 s, got {self.time[0]:g}")
         uneven = np.abs(self.time - np.arange(self.time.size) * self.step)
-        if not (self.step > 0.0 and uneven.max() < 1e-6 * self.step):
-            raise ValueError("`time` must rise with a uniform step, like np.arange(N + 1) * step")
+        require(
+            self.step > 0.0 and uneven.max() < 1e-6 * self.step,
+            "`time` must rise with a uniform step, like np.arange(N + 1) * step",
+        )
 
     @property
     def step(self) -> float:
@@ -93,12 +86,10 @@ class Flight:
 
     @property
     def duration(self) -> float:
-        """Time of the last sample [s]."""
         return float(self.time[-1])
 
     @cached_property
     def geodetic(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Latitude [rad], longitude [rad] and height above the ellipsoid [m], (N+1,) each."""
         return ecef_to_geodetic(self.position_e)
 
     @cached_property
@@ -110,12 +101,10 @@ class Flight:
     @cached_property
     def velocity_n(self) -> NDArray[np.float64]:
         """(N+1, 3) velocity with respect to the Earth, north-east-down [m/s]."""
-        rotated: NDArray[np.float64] = np.einsum("nij,nj->ni", self.C_ne, self.velocity_e)
-        return rotated
+        return np.asarray(np.einsum("nij,nj->ni", self.C_ne, self.velocity_e))
 
     @cached_property
     def euler(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Roll, pitch and yaw against the local north-east-down axes [rad], (N+1,) each."""
         return dcm_to_euler(self.C_ne @ self.C_eb)
 
 
@@ -127,8 +116,7 @@ def integrate_velocity(
     .. math::
         r_{i+1} = r_i + \tfrac12 \Delta t\,(v_i + v_{i+1})
 
-    `start_e` (3,) first position, ECEF [m]; `velocity_e` (N+1, 3) velocity, ECEF [m/s]; `step`:
-    interval of the samples [s]; returns (N+1, 3) position, ECEF [m].
+    `start_e` (3,) [m], `velocity_e` (N+1, 3) [m/s], ECEF; `step` [s]; returns (N+1, 3) [m].
     """
     position = np.zeros_like(velocity_e)
     np.cumsum(0.5 * step * (velocity_e[:-1] + velocity_e[1:]), axis=0, out=position[1:])
@@ -151,21 +139,14 @@ def turned(flight: Flight, angle: float) -> Flight:
     C_en = dcm_e_from_n(latitude, longitude)
     turn = C_en @ euler_to_dcm(0.0, 0.0, angle) @ C_en.T
     velocity_e = flight.velocity_e @ turn.T
-    return Flight(
-        flight.name,
-        flight.time,
-        integrate_velocity(flight.position_e[0], velocity_e, flight.step),
-        velocity_e,
-        turn @ flight.C_eb,
-    )
+    position_e = integrate_velocity(flight.position_e[0], velocity_e, flight.step)
+    return Flight(flight.name, flight.time, position_e, velocity_e, turn @ flight.C_eb)
 
 
 def check_closure(
     position_e: NDArray[np.float64], closed_e: NDArray[np.float64], step: float, tolerance: float
 ) -> None:
-    """Raise where positions stray from the integral of the velocities. `position_e`, `closed_e`
-    (N+1, 3) given and integrated positions, ECEF [m]; `step`: interval of the samples [s];
-    `tolerance`: largest distance allowed [m]."""
+    """Raise where positions stray from the integral of the velocities, (N+1, 3) each, ECEF [m]."""
     distance = np.linalg.norm(position_e - closed_e, axis=1)
     worst = int(distance.argmax())
     if distance[worst] > tolerance:
@@ -192,10 +173,9 @@ def flight_from_geodetic(
     The positions turn velocity and attitude to ECEF axes; of them, only the first one is kept
     as it is, and the others follow from the velocities.
 
-    `latitude`, `longitude`, `height` (N+1,) geodetic position [rad, rad, m]; `velocity_n` (N+1, 3)
-    velocity with respect to the Earth, north-east-down [m/s]; `roll`, `pitch`, `yaw` (N+1,)
-    attitude [rad]; `step`: interval of the samples [s]; `tolerance`: largest distance between given
-    and integrated position [m].
+    `latitude`, `longitude`, `height` (N+1,) [rad, rad, m]; `velocity_n` (N+1, 3) north-east-down
+    [m/s]; `roll`, `pitch`, `yaw` (N+1,) [rad]; `step` [s]; `tolerance`: largest distance between
+    given and integrated position [m].
     """
     given = geodetic_to_ecef(latitude, longitude, height)
     C_en = dcm_e_from_n(latitude, longitude)
@@ -223,9 +203,7 @@ def flight_from_velocity(
     Solves :math:`\dot r = C_{en}(r)\,v_n` by Picard's iteration, each of whose passes integrates
     by trapezoids.
 
-    `latitude`, `longitude`, `height`: start [rad, rad, m]; `velocity_n` (N+1, 3) velocity with
-    respect to the Earth, north-east-down [m/s]; `roll`, `pitch`, `yaw` (N+1,) attitude [rad];
-    `step`: interval of the samples [s].
+    `latitude`, `longitude`, `height`: start [rad, rad, m]; the others as in `flight_from_geodetic`.
     """
     velocity_n = np.asarray(velocity_n, dtype=np.float64)
     start = geodetic_to_ecef(latitude, longitude, height)
@@ -243,10 +221,8 @@ def flight_from_velocity(
     )
 
 
-LARGEST_ROTATION = math.radians(90.0)
-"""Largest rotation over one sample [rad]; beyond, its direction becomes uncertain."""
-LARGEST_DECIMATED = 1.0
-"""The same over a sample of a lower rate: up to it the series of the receiver are exact."""
+LARGEST_ROTATION = math.radians(90.0)  # over one sample [rad]; beyond, its direction is uncertain
+LARGEST_DECIMATED = 1.0  # of a longer sample [rad]: up to it the series of the receiver are exact
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,13 +257,9 @@ def trajectory_at(flight: Flight, imu_rate_hz: float | None, epoch_interval_s: f
     if count == 1:
         return inverse_kinematics(flight)
     velocity_e = flight.velocity_e[::count]
-    longer = Flight(
-        flight.name,
-        flight.time[::count],
-        integrate_velocity(flight.position_e[0], velocity_e, count * flight.step),
-        velocity_e,
-        flight.C_eb[::count],
-    )
+    position_e = integrate_velocity(flight.position_e[0], velocity_e, count * flight.step)
+    every = flight.time[::count], position_e, velocity_e, flight.C_eb[::count]
+    longer = Flight(flight.name, *every)
     return inverse_kinematics(longer, decimation=count, largest=LARGEST_DECIMATED)
 
 
@@ -324,34 +296,15 @@ def inverse_kinematics(
     :math:`a = \omega_{ie} \Delta t`, :math:`R_z(a)` the turn of the Earth, and :math:`I + A` and
     :math:`I` in place of the brackets for :math:`|\alpha| \le 10^{-8}`.
 
-    `decimation`: as in `Trajectory`, done already; `largest`: rotation over a sample [rad].
-
-    Notes
-    -----
-    Groves (2013), section 5.5, solved for the samples.
+    `decimation`: as in `Trajectory`, done already; `largest`: rotation over a sample [rad]. Groves
+    (2013), section 5.5, solved for the samples.
     """
-    specific_force_b = np.empty((flight.time.size - 1, 3))
-    angular_rate_b = np.empty_like(specific_force_b)
-    turn = invert_samples(
-        flight.step,
-        flight.position_e,
-        flight.velocity_e,
-        flight.C_eb,
-        specific_force_b,
-        angular_rate_b,
+    samples = np.empty((2, flight.time.size - 1, 3))
+    motion = flight.position_e, flight.velocity_e, flight.C_eb
+    turn = invert_samples(flight.step, *motion, *samples)
+    require(
+        turn <= largest,
+        f"a flight must turn by at most {math.degrees(largest):g} deg in a sample, "
+        f"got {math.degrees(turn):.3g} deg",
     )
-    if turn > largest:
-        raise ValueError(
-            f"a flight must turn by at most {math.degrees(largest):g} deg in a sample, "
-            f"got {math.degrees(turn):.3g} deg"
-        )
-    return Trajectory(
-        flight.name,
-        flight.time,
-        flight.position_e,
-        flight.velocity_e,
-        flight.C_eb,
-        specific_force_b,
-        angular_rate_b,
-        decimation,
-    )
+    return Trajectory(flight.name, flight.time, *motion, *samples, decimation)

@@ -1,24 +1,21 @@
-"""Errors of pseudoranges and of GNSS positions.
+"""Errors of pseudoranges, and of GNSS positions: first-order Gauss-Markov along each axis.
 
-GNSS position errors: a first-order Gauss-Markov process for each axis.
-
-A receiver that hands out positions smooths them, and the atmosphere and the satellites' orbits
-change over minutes, so that one error is much like the next.  How much decides what a monitor of
-the innovations can see: white noise of 3.7 m hides an offset of some decimetres, correlated noise
-of the same size does not.
+A receiver that hands out positions smooths them, and atmosphere and orbits change over minutes, so
+that one error is much like the next.  How much decides what a monitor of the innovations can see:
+white noise of 3.7 m hides an offset of some decimetres, correlated noise of that size does not.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined
-from ..core.registry import build_record
+from ..core.registry import build_record, check_fields, check_finite, require
 from ..core.settings import OMITTED
 from .clock import TCXO, ReceiverClock
 from .signal_errors import SIGNAL_ERRORS, SignalErrors
@@ -65,19 +62,14 @@ class GnssErrors:
     def __post_init__(self) -> None:
         if isinstance(self.signals, Mapping):
             object.__setattr__(self, "signals", build_record("signals", SignalErrors, self.signals))
-        if self.carrier_sd_m > 0.0 and self.range_rate_sd_mps > 0.0:
-            raise ValueError(
-                "`range_rate_sd_mps` must be 0 where range rates are differences of carriers, got "
-                f"{self.range_rate_sd_mps}"
-            )
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name not in ("clock", "signals") and not (
-                math.isfinite(value) and value >= 0.0
-            ):
-                raise ValueError(f"`{item.name}` must be finite and >= 0, got {value}")
-        if self.correlation_s == 0.0:
-            raise ValueError("`correlation_s` must be finite and > 0, got 0")
+        require(
+            not (self.carrier_sd_m > 0.0 and self.range_rate_sd_mps > 0.0),
+            "`range_rate_sd_mps` must be 0 where range rates are differences of carriers, got "
+            f"{self.range_rate_sd_mps}",
+        )
+        names = [item.name for item in fields(self) if item.name not in ("clock", "signals")]
+        check_fields(self, ">= 0", *names)
+        check_finite("correlation_s", self.correlation_s, "> 0")
 
     @property
     def carrier_sd_m(self) -> float:
@@ -85,7 +77,6 @@ class GnssErrors:
         return 0.0 if self.signals is None else self.signals.carrier_sd_m
 
     def rate_sd(self, interval_s: float) -> float:
-        """Standard deviation of a range rate's own noise [m/s]."""
         return math.hypot(self.range_rate_sd_mps, math.sqrt(2.0) * self.carrier_sd_m / interval_s)
 
     def epoch_variance(self, elevation: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -104,34 +95,19 @@ class GnssErrors:
         )
 
 
+_GROVES = GnssErrors(
+    code_sd_m=1.0,
+    range_rate_sd_mps=0.02,
+    signal_in_space_sd_m=1.0,
+    zenith_iono_sd_m=2.0,
+    zenith_tropo_sd_m=0.2,
+)
 ERRORS: dict[str, GnssErrors] = {
-    "groves": GnssErrors(
-        code_sd_m=1.0,
-        range_rate_sd_mps=0.02,
-        signal_in_space_sd_m=1.0,
-        zenith_iono_sd_m=2.0,
-        zenith_tropo_sd_m=0.2,
-    ),
-    "ke2022": GnssErrors(
-        code_sd_m=1.0,
-        range_rate_sd_mps=0.02,
-        signal_in_space_sd_m=1.0,
-        zenith_iono_sd_m=2.0,
-        zenith_tropo_sd_m=0.2,
-    ),
-    "zhong2025": GnssErrors(
-        code_sd_m=1.0,
-        range_rate_sd_mps=0.02,
-        signal_in_space_sd_m=1.0,
-        zenith_iono_sd_m=0.0,
-        zenith_tropo_sd_m=0.0,
-    ),
-    "white": GnssErrors(
-        code_sd_m=1.0,
-        range_rate_sd_mps=0.02,
-        signal_in_space_sd_m=0.0,
-        zenith_iono_sd_m=0.0,
-        zenith_tropo_sd_m=0.0,
+    "groves": _GROVES,
+    "ke2022": _GROVES,
+    "zhong2025": replace(_GROVES, zenith_iono_sd_m=0.0, zenith_tropo_sd_m=0.0),
+    "white": replace(
+        _GROVES, signal_in_space_sd_m=0.0, zenith_iono_sd_m=0.0, zenith_tropo_sd_m=0.0
     ),
     "trolley": GnssErrors(
         code_sd_m=0.5,
@@ -173,8 +149,7 @@ ERRORS: dict[str, GnssErrors] = {
   is the carrier's.
 """
 
-RENAMED = {"realistic": "trolley"}
-"""New names of errors, and of what names of scenarios begin with, by the old ones."""
+RENAMED = {"realistic": "trolley"}  # errors, and what scenarios begin with, by their old names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,16 +176,11 @@ class PositionErrors:
     decay: float = 0.999
 
     def __post_init__(self) -> None:
-        for name in ("horizontal_sd_m", "vertical_sd_m"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
-        if not 0.0 <= self.decay < 1.0:
-            raise ValueError(f"`decay` must be in [0, 1), got {self.decay}")
+        check_fields(self, ">= 0", "horizontal_sd_m", "vertical_sd_m")
+        require(0.0 <= self.decay < 1.0, f"`decay` must be in [0, 1), got {self.decay}")
 
     @property
     def sd(self) -> NDArray[np.float64]:
-        """(3,) standard deviations to the east, to the north and upwards [m]."""
         return np.array([self.horizontal_sd_m, self.horizontal_sd_m, self.vertical_sd_m])
 
 

@@ -1,6 +1,4 @@
-"""Flights composed of turns, climbs, accelerations.
-
-Flights made of manoeuvres: straight stretches, turns, climbs, changes of speed.
+"""Flights made of manoeuvres: straight stretches, turns, climbs, changes of speed.
 
 Every manoeuvre is a pulse of one rate (turn rate, climb rate or acceleration) that rises and
 falls as a raised cosine, so that attitude and specific force have no steps and the change of
@@ -14,11 +12,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.registry import require
 from ..earth.wgs84 import STANDARD_GRAVITY
 from .flight import Flight, flight_from_velocity
 
@@ -42,21 +41,17 @@ class Pulse:
 
     @classmethod
     def idle(cls, duration: float) -> Pulse:
-        """No rate at all for a duration [s]."""
         return cls(0.0, 0.0, duration)
 
     @property
     def duration(self) -> float:
-        """Time from the beginning to the end [s]."""
         return 2.0 * self.ramp + self.hold
 
     def rate(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Rate at times since the beginning [s]; 0 before and after."""
         inside = np.clip(np.minimum(time, self.duration - time), 0.0, self.ramp)
         return self.peak * 0.5 * (1.0 - np.cos(np.pi * inside / self.ramp))
 
     def total(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Integral of the rate up to times since the beginning [s]."""
         return self.peak * (self._edge(time) - self._edge(time - self.ramp - self.hold))
 
     def _edge(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -68,10 +63,8 @@ class Pulse:
 
 Axis = Literal["none", "turn", "steer", "climb", "speed"]
 
-STEEPEST_BANK_DEG = 75.0
-"""Largest bank of a turn [deg], 3.9 g."""
-STEEPEST_PATH_DEG = 60.0
-"""Largest flight-path angle of a climb [deg]."""
+STEEPEST_BANK_DEG = 75.0  # largest bank of a turn [deg], 3.9 g
+STEEPEST_PATH_DEG = 60.0  # largest flight-path angle of a climb [deg]
 
 
 class Manoeuvre(Protocol):
@@ -111,12 +104,11 @@ class Until:
         _check_between("time_s", self.time_s, 0.0, math.inf)
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        """No rate at all; the time must not have passed."""
-        if self.time_s < start:
-            raise ValueError(
-                f"`time_s` must not lie before the end of the previous manoeuvre, {start:g} s, "
-                f"got {self.time_s:g} s"
-            )
+        require(
+            self.time_s >= start,
+            f"`time_s` must not lie before the end of the previous manoeuvre, {start:g} s, "
+            f"got {self.time_s:g} s",
+        )
         return Pulse.idle(self.time_s - start)
 
 
@@ -145,14 +137,11 @@ class Turn:
     ramp_s: float = 5.0
 
     def __post_init__(self) -> None:
-        _check_finite("angle_deg", self.angle_deg)
         _check_between("bank_deg", self.bank_deg, 0.0, STEEPEST_BANK_DEG)
-        _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
+        _check_change(self, "angle_deg", "bank_deg")
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        """Turn rate [rad/s]."""
-        if speed <= 0.0:
-            raise ValueError(f"a banked turn needs a speed above 0 m/s, got {speed:g} m/s")
+        require(speed > 0.0, f"a banked turn needs a speed above 0 m/s, got {speed:g} m/s")
         peak = STANDARD_GRAVITY * math.tan(math.radians(self.bank_deg)) / speed
         return Pulse.of_area(math.radians(self.angle_deg), peak, self.ramp_s)
 
@@ -173,12 +162,9 @@ class Steer:
     ramp_s: float = 1.0
 
     def __post_init__(self) -> None:
-        _check_finite("angle_deg", self.angle_deg)
-        _check_between("rate_degps", self.rate_degps, 0.0, math.inf)
-        _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
+        _check_change(self, "angle_deg", "rate_degps")
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        """Turn rate [rad/s]."""
         peak = math.radians(self.rate_degps)
         return Pulse.of_area(math.radians(self.angle_deg), peak, self.ramp_s)
 
@@ -200,18 +186,15 @@ class Climb:
     ramp_s: float = 10.0
 
     def __post_init__(self) -> None:
-        _check_finite("height_m", self.height_m)
-        _check_between("rate_mps", self.rate_mps, 0.0, math.inf)
-        _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
+        _check_change(self, "height_m", "rate_mps")
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        """Vertical speed [m/s], upwards."""
         steepest = speed * math.sin(math.radians(STEEPEST_PATH_DEG))
-        if self.rate_mps > steepest:
-            raise ValueError(
-                f"`rate_mps` must be at most {steepest:.3g} m/s at a speed of {speed:g} m/s "
-                f"({STEEPEST_PATH_DEG:g} deg), got {self.rate_mps:g} m/s"
-            )
+        require(
+            self.rate_mps <= steepest,
+            f"`rate_mps` must be at most {steepest:.3g} m/s at a speed of {speed:g} m/s "
+            f"({STEEPEST_PATH_DEG:g} deg), got {self.rate_mps:g} m/s",
+        )
         return Pulse.of_area(self.height_m, self.rate_mps, self.ramp_s)
 
 
@@ -231,12 +214,9 @@ class Accelerate:
     ramp_s: float = 2.0
 
     def __post_init__(self) -> None:
-        _check_finite("change_mps", self.change_mps)
-        _check_between("acceleration_mps2", self.acceleration_mps2, 0.0, math.inf)
-        _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
+        _check_change(self, "change_mps", "acceleration_mps2")
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        """Acceleration [m/s^2]."""
         if speed + self.change_mps < -1e-9:
             raise ValueError(
                 f"`change_mps` must be at least {-speed:g} m/s at this speed, "
@@ -266,10 +246,8 @@ def fly(
     _check_between("latitude_deg", latitude_deg, -90.0, 90.0)
     _check_finite("longitude_deg", longitude_deg)
     _check_between("rate_hz", rate_hz, 0.0, math.inf)
-    if not speed_mps >= 0.0:
-        raise ValueError(f"`speed_mps` must be at least 0 m/s, got {speed_mps:g} m/s")
-    if not manoeuvres:
-        raise ValueError("`manoeuvres` must have at least one manoeuvre, got none")
+    require(speed_mps >= 0.0, f"`speed_mps` must be at least 0 m/s, got {speed_mps:g} m/s")
+    require(manoeuvres, "`manoeuvres` must have at least one manoeuvre, got none")
     pulses = _chain(manoeuvres, speed_mps)
     last = pulses[-1]
     time = np.arange(int((last.start + last.pulse.duration) * rate_hz + 1e-6) + 1) / rate_hz
@@ -319,7 +297,6 @@ def _chain(manoeuvres: Sequence[Manoeuvre], speed: float) -> list[_Placed]:
 def _sum(
     placed: Sequence[_Placed], axes: Sequence[Axis], time: NDArray[np.float64], total: bool = False
 ) -> NDArray[np.float64]:
-    """Sum of the rates, or of their integrals, of the pulses on some axes."""
     value = np.zeros_like(time)
     for item in placed:
         if item.axis in axes:
@@ -329,36 +306,41 @@ def _sum(
 
 
 def _check_finite(name: str, value: float) -> None:
-    if not math.isfinite(value):
-        raise ValueError(f"`{name}` must be finite, got {value:g}")
+    require(math.isfinite(value), f"`{name}` must be finite, got {value:g}")
 
 
 def _check_between(name: str, value: float, low: float, high: float) -> None:
-    if not low < value < high:
-        raise ValueError(f"`{name}` must lie between {low:g} and {high:g}, got {value:g}")
+    require(low < value < high, f"`{name}` must lie between {low:g} and {high:g}, got {value:g}")
+
+
+def _check_change(manoeuvre: Any, change: str, rate: str) -> None:
+    """Raise unless the change is finite, and its rate and time to set in are above 0."""
+    _check_finite(change, getattr(manoeuvre, change))
+    for name in (rate, "ramp_s"):
+        _check_between(name, getattr(manoeuvre, name), 0.0, math.inf)
+
+
+_CRUISE: dict[str, float] = {
+    "latitude_deg": 50.425,
+    "longitude_deg": -3.5958,
+    "height_m": 10000.0,
+    "speed_mps": 200.0,
+    "heading_deg": 90.0,
+}
+_TURNS: tuple[Manoeuvre, Manoeuvre] = (
+    Turn(45.0, bank_deg=14.04, ramp_s=4.0),
+    Turn(-45.0, bank_deg=14.04, ramp_s=4.0),
+)
+_CLIMB = Climb(500.0, rate_mps=20.0, ramp_s=11.0)
 
 
 def zhong2025() -> Flight:
     """Flight of zhong2025: 418 s at 200 m/s, two turns of 45 deg and a climb of 500 m. Its own
     equivalent of the aircraft profile of Groves' software: the manoeuvres lie on the same middles
     in time, with smooth edges where the profile's bank has steps."""
-    return fly(
-        [
-            Until(18.0),
-            Turn(45.0, bank_deg=14.04, ramp_s=4.0),
-            Until(112.3),
-            Turn(-45.0, bank_deg=14.04, ramp_s=4.0),
-            Until(207.0),
-            Climb(500.0, rate_mps=20.0, ramp_s=11.0),
-            Until(418.0),
-        ],
-        latitude_deg=50.425,
-        longitude_deg=-3.5958,
-        height_m=10000.0,
-        speed_mps=200.0,
-        heading_deg=90.0,
-        name="zhong2025",
-    )
+    right, left = _TURNS
+    turns: list[Manoeuvre] = [Until(18.0), right, Until(112.3), left]
+    return fly([*turns, Until(207.0), _CLIMB, Until(418.0)], **_CRUISE, name="zhong2025")
 
 
 def car() -> Flight:
@@ -390,25 +372,10 @@ def ke2022() -> Flight:
     """Flight of ke2022: 746 s at 200 m/s, two turns of 45 deg and two climbs of 500 m. The paper
     gives the duration, the speed, the two turns and that there are climbs, but not when they come.
     Here one climb lies before the attack at 350 to 550 s and one after it."""
-    return fly(
-        [
-            Until(60.0),
-            Turn(45.0, bank_deg=14.04, ramp_s=4.0),
-            Until(180.0),
-            Turn(-45.0, bank_deg=14.04, ramp_s=4.0),
-            Until(280.0),
-            Climb(500.0, rate_mps=20.0, ramp_s=11.0),
-            Until(600.0),
-            Climb(500.0, rate_mps=20.0, ramp_s=11.0),
-            Until(746.0),
-        ],
-        latitude_deg=50.425,
-        longitude_deg=-3.5958,
-        height_m=10000.0,
-        speed_mps=200.0,
-        heading_deg=90.0,
-        name="ke2022",
-    )
+    right, left = _TURNS
+    turns: list[Manoeuvre] = [Until(60.0), right, Until(180.0), left]
+    legs = [*turns, Until(280.0), _CLIMB, Until(600.0), _CLIMB, Until(746.0)]
+    return fly(legs, **_CRUISE, name="ke2022")
 
 
 def shadmehri2025() -> Flight:
@@ -449,15 +416,7 @@ def airway() -> Flight:
             legs.append(Until(400.0 * k + 260.0))
             legs.append(Climb(climb, rate_mps=7.6, ramp_s=8.0))
     legs.append(Until(2400.0))
-    return fly(
-        legs,
-        latitude_deg=50.425,
-        longitude_deg=-3.5958,
-        height_m=10000.0,
-        speed_mps=200.0,
-        heading_deg=90.0,
-        name="airway",
-    )
+    return fly(legs, **_CRUISE, name="airway")
 
 
 def approach() -> Flight:
@@ -487,7 +446,7 @@ def approach() -> Flight:
     )
 
 
-FLIGHTS: dict[str, Callable[[], Flight]] = {
+FLIGHTS: dict[str, Callable[[], Flight]] = {  # the ready-made flights by name
     "airway": airway,
     "approach": approach,
     "car": car,
@@ -495,4 +454,3 @@ FLIGHTS: dict[str, Callable[[], Flight]] = {
     "shadmehri2025": shadmehri2025,
     "zhong2025": zhong2025,
 }
-"""The ready-made flights by name."""

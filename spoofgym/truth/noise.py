@@ -32,28 +32,20 @@ from ..core.simd import (
     to_float,
 )
 
-_MASK = np.uint64(0xFFFFFFFF)
-_HALF = np.uint64(32)
 _PARITY = np.uint64(0x1BD11BDAA9FC1A22)
 _SQRT2 = math.sqrt(2.0)
 _LN2 = math.log(2.0)
 _LN2_HIGH = 0.6931471803691238
-_LN2_LOW = 1.9082149292705877e-10
-"""ln 2 in two parts, of which the first has so few bits that multiples of it are exact."""
+_LN2_LOW = 1.9082149292705877e-10  # ln 2 in two parts; multiples of the first are exact
 _DIVISORS = tuple(1.0 / k for k in range(11, 0, -1))
 _MANTISSA = np.uint64(0x000FFFFFFFFFFFFF)
-_ONE_BITS = np.uint64(0x3FF0000000000000)
-_EXPONENT = np.uint64(52)
-_QUADRANT = np.uint64(30)
-_QUADRANT_MASK = np.uint64(0x3FFFFFFF)
 _ODD = np.uint64(1)
 _UPPER = np.uint64(2)
 
 COUNTERS_OF_ONE = np.arange(2 * LANES, dtype=np.uint64).reshape(2, LANES)
+# Counters of the two rows of a pair: of a single receiver, and of eight.
 COUNTERS_OF_EIGHT = np.repeat(np.arange(2, dtype=np.uint64), LANES).reshape(2, LANES)
-"""Counters of the two rows of a pair: of a single receiver, and of eight."""
-BLOCK = 64
-"""Deviates come in multiples of this many, so that a vectorized loop has no remainder."""
+BLOCK = 64  # deviates come in multiples of this many, so that a vectorized loop has no remainder
 
 
 @inlined
@@ -63,40 +55,34 @@ def _mix(x: np.uint64, y: np.uint64, turn: int) -> tuple[np.uint64, np.uint64]:
 
 
 @inlined
+def _mix_even(x: np.uint64, y: np.uint64) -> tuple[np.uint64, np.uint64]:
+    x, y = _mix(x, y, 16)
+    x, y = _mix(x, y, 42)
+    x, y = _mix(x, y, 12)
+    return _mix(x, y, 31)
+
+
+@inlined
+def _mix_odd(x: np.uint64, y: np.uint64) -> tuple[np.uint64, np.uint64]:
+    x, y = _mix(x, y, 16)
+    x, y = _mix(x, y, 32)
+    x, y = _mix(x, y, 24)
+    return _mix(x, y, 21)
+
+
+@inlined
 def threefry(
     x: np.uint64, y: np.uint64, k0: np.uint64, k1: np.uint64
 ) -> tuple[np.uint64, np.uint64]:
     """Threefry-2x64-20: 128 random bits of a counter under a key. Salmon et al. (2011), section
-    3.3. The rounds are written out, since compilers vectorize only a loop that has no loop in
-    it."""
+    3.3. The rounds are written out, since compilers vectorize only a loop without one in it."""
     k2 = k0 ^ k1 ^ _PARITY
-    x, y = x + k0, y + k1
-    x, y = _mix(x, y, 16)
-    x, y = _mix(x, y, 42)
-    x, y = _mix(x, y, 12)
-    x, y = _mix(x, y, 31)
-    x, y = x + k1, y + k2 + np.uint64(1)
-    x, y = _mix(x, y, 16)
-    x, y = _mix(x, y, 32)
-    x, y = _mix(x, y, 24)
-    x, y = _mix(x, y, 21)
-    x, y = x + k2, y + k0 + np.uint64(2)
-    x, y = _mix(x, y, 16)
-    x, y = _mix(x, y, 42)
-    x, y = _mix(x, y, 12)
-    x, y = _mix(x, y, 31)
-    x, y = x + k0, y + k1 + np.uint64(3)
-    x, y = _mix(x, y, 16)
-    x, y = _mix(x, y, 32)
-    x, y = _mix(x, y, 24)
-    x, y = _mix(x, y, 21)
-    x, y = x + k1, y + k2 + np.uint64(4)
-    x, y = _mix(x, y, 16)
-    x, y = _mix(x, y, 42)
-    x, y = _mix(x, y, 12)
-    x, y = _mix(x, y, 31)
-    x, y = x + k2, y + k0 + np.uint64(5)
-    return x, y
+    x, y = _mix_even(x + k0, y + k1)
+    x, y = _mix_odd(x + k1, y + k2 + np.uint64(1))
+    x, y = _mix_even(x + k2, y + k0 + np.uint64(2))
+    x, y = _mix_odd(x + k0, y + k1 + np.uint64(3))
+    x, y = _mix_even(x + k1, y + k2 + np.uint64(4))
+    return x + k2, y + k0 + np.uint64(5)
 
 
 @inlined
@@ -108,8 +94,8 @@ def natural_log(x: Any) -> Any:
     .. math:: \ln x = e \ln 2 + 2 \sum_{k=0}^{8} \frac{s^{2k + 1}}{2k + 1}
     """
     bits = bits_of(x)
-    e = to_float(bits >> _EXPONENT) - 1023.0
-    m = from_bits((bits & _MANTISSA) | _ONE_BITS)
+    e = to_float(bits >> np.uint64(52)) - 1023.0
+    m = from_bits((bits & _MANTISSA) | np.uint64(0x3FF0000000000000))
     high = m > _SQRT2
     m = select(high, 0.5 * m, m)
     e = select(high, e + 1.0, e)
@@ -133,11 +119,11 @@ def normal_pair(word: np.uint64) -> tuple[float, float]:
     -----
     Box and Muller (1958).
     """
-    x, y = word & _MASK, word >> _HALF
+    x, y = word & np.uint64(0xFFFFFFFF), word >> np.uint64(32)
     radius = sqrt(-2.0 * natural_log((to_float(x) + 0.5) * 2.0**-32))
     # the upper two bits of y choose the quadrant, the others an angle within +- pi/4 of its middle
-    quadrant = y >> _QUADRANT
-    t = (to_float(y & _QUADRANT_MASK) + 0.5) * (0.5 * math.pi * 2.0**-30) - 0.25 * math.pi
+    quadrant = y >> np.uint64(30)
+    t = (to_float(y & np.uint64(0x3FFFFFFF)) + 0.5) * (0.5 * math.pi * 2.0**-30) - 0.25 * math.pi
     q = t * t
     sine = 1.0 / 5040.0 - q * (1.0 / 362880.0 - q * (1.0 / 39916800.0 - q * (1.0 / 6227020800.0)))
     sine = t * (1.0 - q * (1.0 / 6.0 - q * (1.0 / 120.0 - q * sine)))
@@ -213,10 +199,9 @@ def exponential(x: Any) -> Any:
     p = 1.0 + r * (1.0 / 12.0) * (1.0 + r * (1.0 / 13.0))
     for divisor in _DIVISORS:
         p = 1.0 + r * divisor * p
-    power = from_bits(bits_of(k + (1023.0 + 2.0**52)) << _EXPONENT)
+    power = from_bits(bits_of(k + (1023.0 + 2.0**52)) << np.uint64(52))
     return select(x > -708.0, p * power, 0.0)
 
 
 def padded(count: int) -> int:
-    """Smallest multiple of `BLOCK` that holds `count` deviates."""
     return -(-count // BLOCK) * BLOCK

@@ -1,13 +1,8 @@
-r"""Wheeled robot: course, encoders, heading, GNSS fixes.
+r"""A wheeled robot on a closed course: its true motion, encoders, heading and GNSS positions.
 
-True motion of a wheeled robot on a closed course.
-
-The course is a rectangle with rounded corners, driven clockwise at constant speed.  Position and
-heading are closed forms of the distance travelled, so that a lap ends where it began.
-
-Source: `song2021`, section 4.1: the sidelines of a badminton court, 0.5 m/s, first heading 248 deg.
-
-What a wheeled robot measures: encoders, a heading, and GNSS positions.
+The course is a rectangle with rounded corners, driven clockwise at constant speed: the sidelines of
+a badminton court, 0.5 m/s, first heading 248 deg (`song2021`, section 4.1).  Position and heading
+are closed forms of the distance travelled, so that a lap ends where it began.
 
 Dead reckoning adds up, from sample to sample, the mean way of the two wheels in the direction of
 the heading in the middle of the sample,
@@ -38,13 +33,13 @@ Deviations from `song2021`, sections 2.3 and 4.1:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.compile import njit
-from .noise import BLOCK, normals
+from ..core.registry import check_fields, check_finite, require
+from .noise import BLOCK
 
 FloatArray = NDArray[np.float64]
 MOST_SPEED = 100.0
@@ -68,9 +63,8 @@ class RobotTrack:
     distance: FloatArray
 
     def wheels(self, wheel_base: float) -> tuple[FloatArray, FloatArray]:
-        """Distance that the left and the right wheel have rolled. `wheel_base`: distance between
-        the wheels [m]; returns `left`, `right` (N+1,) [m]; the left wheel is the outer one of a
-        turn to the right."""
+        """(N+1,) distance that the left and the right wheel have rolled [m]; `wheel_base` between
+        them [m]; the left wheel is the outer one of a turn to the right."""
         turned = 0.5 * wheel_base * (self.yaw - self.yaw[0])
         return self.distance + turned, self.distance - turned
 
@@ -94,28 +88,27 @@ class RobotLoop:
     speed_mps: float = 0.5
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not math.isfinite(value):
-                raise ValueError(f"`{item.name}` must be finite, got {value}")
-        for name in ("length_m", "width_m"):
-            if getattr(self, name) <= 0.0:
-                raise ValueError(f"`{name}` must be > 0, got {getattr(self, name)}")
-        most = 0.5 * min(self.length_m, self.width_m)
-        if not 0.0 < self.corner_radius_m <= most:
-            raise ValueError(
-                f"`corner_radius_m` must be in (0, {most:g}], got {self.corner_radius_m}"
+        for name, value in vars(self).items():
+            require(math.isfinite(value), f"`{name}` must be finite, got {value}")
+            require(
+                value > 0.0 or name not in ("length_m", "width_m"),
+                f"`{name}` must be > 0, got {value}",
             )
-        if not 0.0 <= self.speed_mps <= MOST_SPEED:
-            raise ValueError(f"`speed_mps` must be in [0, {MOST_SPEED:g}], got {self.speed_mps}")
+        most = 0.5 * min(self.length_m, self.width_m)
+        require(
+            0.0 < self.corner_radius_m <= most,
+            f"`corner_radius_m` must be in (0, {most:g}], got {self.corner_radius_m}",
+        )
+        require(
+            0.0 <= self.speed_mps <= MOST_SPEED,
+            f"`speed_mps` must be in [0, {MOST_SPEED:g}], got {self.speed_mps}",
+        )
 
     @property
     def lap_s(self) -> float:
-        """Time of a lap; 0 for a robot at rest."""
         return float(self._pieces()[0].sum()) / self.speed_mps if self.speed_mps else 0.0
 
     def _pieces(self) -> tuple[FloatArray, FloatArray]:
-        """(8,) length and turn of the sides and corners of a lap."""
         r = self.corner_radius_m
         corner = 0.5 * math.pi * r
         long, short = self.length_m - 2.0 * r, self.width_m - 2.0 * r
@@ -166,10 +159,8 @@ class RobotLoop:
         return r * np.stack([np.sin(end) - np.sin(heading), np.cos(heading) - np.cos(end)], axis=-1)
 
 
-SOURCES = ("yaw", "fix")
-"""Sources of chance; each has a key of its own in every episode."""
-MOST_SAMPLES = BLOCK
-"""Most encoder samples between two fixes: one block of noise."""
+SOURCES = ("yaw", "fix")  # sources of chance; each has a key of its own in every episode
+MOST_SAMPLES = BLOCK  # most encoder samples between two fixes: one block of noise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,20 +182,22 @@ class Odometer:
     yaw_noise_deg: float = 0.35
 
     def __post_init__(self) -> None:
-        if self.counts_per_turn < 1:
-            raise ValueError(f"`counts_per_turn` must be at least 1, got {self.counts_per_turn}")
-        for name in ("wheel_radius_m", "wheel_base_m", "sample_interval_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"`{name}` must be finite and > 0, got {value}")
-        if not abs(self.hard_iron_deg) <= 45.0:
-            raise ValueError(f"`hard_iron_deg` must be in [-45, 45], got {self.hard_iron_deg}")
-        if not 0.0 <= self.yaw_noise_deg <= 45.0:
-            raise ValueError(f"`yaw_noise_deg` must be in [0, 45], got {self.yaw_noise_deg}")
+        require(
+            self.counts_per_turn >= 1,
+            f"`counts_per_turn` must be at least 1, got {self.counts_per_turn}",
+        )
+        check_fields(self, "> 0", "wheel_radius_m", "wheel_base_m", "sample_interval_s")
+        require(
+            abs(self.hard_iron_deg) <= 45.0,
+            f"`hard_iron_deg` must be in [-45, 45], got {self.hard_iron_deg}",
+        )
+        require(
+            0.0 <= self.yaw_noise_deg <= 45.0,
+            f"`yaw_noise_deg` must be in [0, 45], got {self.yaw_noise_deg}",
+        )
 
     @property
     def count_m(self) -> float:
-        """Way of one count [m]."""
         return 2.0 * math.pi * self.wheel_radius_m / self.counts_per_turn
 
 
@@ -219,113 +212,17 @@ class FixErrors:
     white_sd_m: float = 0.2
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            least = item.name == "correlation_time_s"
-            if not (math.isfinite(value) and value >= 0.0) or (least and value == 0.0):
-                sign = ">" if least else ">="
-                raise ValueError(f"`{item.name}` must be finite and {sign} 0, got {value}")
+        check_fields(self, ">= 0", "correlated_sd_m", "white_sd_m")
+        check_finite("correlation_time_s", self.correlation_time_s, "> 0")
 
     def decay(self, interval_s: float) -> float:
-        """What is left of the correlated part after an interval, in (0, 1)."""
         return math.exp(-interval_s / self.correlation_time_s)
 
 
 def episode_keys(episode: np.random.SeedSequence) -> tuple[NDArray[np.uint64], FloatArray]:
-    """Keys of all noise of a new episode. Returns `keys` (2, 2) of each of `SOURCES`; `phase` (2,)
-    part of a count at which the left and the right encoder start, in [0, 1)."""
+    """Keys (2, 2) of each of `SOURCES` for a new episode, and parts of a count (2,) at which the
+    left and the right encoder start, in [0, 1)."""
     words = 2 * len(SOURCES)
     state = np.asarray(episode.generate_state(words + 2, np.uint64), dtype=np.uint64)
     phase = np.asarray((state[words:] >> np.uint64(11)) * 2.0**-53, dtype=np.float64)
     return state[:words].reshape(-1, 2), phase
-
-
-@njit
-def measure_odometry(
-    keys: NDArray[np.uint64],
-    epoch: NDArray[np.int64],
-    first: NDArray[np.int64],
-    left: FloatArray,
-    right: FloatArray,
-    yaw: FloatArray,
-    samples: int,
-    count_m: float,
-    hard_iron: float,
-    yaw_sd: float,
-    phase: FloatArray,
-    noise: FloatArray,
-    last_yaw: FloatArray,
-    increment: FloatArray,
-) -> None:
-    """Dead reckoning since the last epoch.
-
-    `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
-    that at which the episode starts; `left`, `right`, `yaw` (N+1,) way of the wheels [m] and true
-    heading [rad] at every sample; `phase` (B, 2) phases of the encoders; `noise` (`BLOCK`,), work
-    space; `last_yaw` (B,) measured heading of the last sample [rad], overwritten; `increment`
-    (B, 2) north and east [m], written; 0 at the start.
-    """
-    for b in range(epoch.shape[0]):
-        k = epoch[b]
-        normals(keys[b, 0, 0], keys[b, 0, 1], k, noise)
-        north, east = 0.0, 0.0
-        before = last_yaw[b]
-        if k == first[b]:
-            now = yaw[k * samples]
-            before = now - hard_iron * math.sin(now) + yaw_sd * noise[0]
-        else:
-            for s in range(samples):
-                i = (k - 1) * samples + s
-                now = yaw[i + 1] - hard_iron * math.sin(yaw[i + 1]) + yaw_sd * noise[s]
-                counts = math.floor(left[i + 1] / count_m + phase[b, 0])
-                counts -= math.floor(left[i] / count_m + phase[b, 0])
-                counts += math.floor(right[i + 1] / count_m + phase[b, 1])
-                counts -= math.floor(right[i] / count_m + phase[b, 1])
-                way, mid = 0.5 * count_m * counts, 0.5 * (before + now)
-                north += way * math.cos(mid)
-                east += way * math.sin(mid)
-                before = now
-        last_yaw[b] = before
-        increment[b, 0], increment[b, 1] = north, east
-
-
-@njit
-def measure_fix(
-    keys: NDArray[np.uint64],
-    epoch: NDArray[np.int64],
-    first: NDArray[np.int64],
-    position_ne: FloatArray,
-    available: NDArray[np.bool_],
-    correlated_sd: float,
-    decay: float,
-    white_sd: float,
-    offset: FloatArray,
-    noise: FloatArray,
-    correlated: FloatArray,
-    fix: FloatArray,
-) -> None:
-    r"""GNSS positions.
-
-    .. math:: g_k = p_k + c_k + w_k + d_k, \qquad
-        c_k = \beta c_{k-1} + \sqrt{1 - \beta^2} \, \sigma_c \, \epsilon_k
-
-    `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
-    that at which the episode starts; `position_ne` (K, 2) true position at every epoch [m];
-    `available` (L,) whether there is a fix at all, from the start on; `offset` (B, 2) what the
-    spoofer adds [m]; `noise` (`BLOCK`,), work space; `correlated` (B, 2) Gauss-Markov error [m],
-    overwritten; `fix` (B, 2) north and east [m], written; NaN where there is none.
-    """
-    drive = math.sqrt(1.0 - decay * decay)
-    for b in range(epoch.shape[0]):
-        k = epoch[b]
-        normals(keys[b, 1, 0], keys[b, 1, 1], k, noise)
-        for axis in range(2):
-            if k == first[b]:
-                correlated[b, axis] = correlated_sd * noise[axis]
-            else:
-                fresh = drive * correlated_sd * noise[axis]
-                correlated[b, axis] = decay * correlated[b, axis] + fresh
-            error = correlated[b, axis] + white_sd * noise[2 + axis]
-            fix[b, axis] = position_ne[k, axis] + error + offset[b, axis]
-            if not available[k - first[b]]:
-                fix[b, axis] = math.nan

@@ -1,9 +1,5 @@
-"""All truth of one run, for each victim.
-
-The world of a loosely coupled receiver: a flight, inertial sensors, GNSS positions.
-
-Its measurement is a position, so that there are no satellites; all else is as in `World`.
-"""
+"""All truth of one run: `World` of tightly coupled receivers, `LooseWorld` of loosely coupled ones,
+which measure positions, and `Sky` of snapshot receivers, which have no inertial sensors."""
 
 from __future__ import annotations
 
@@ -11,24 +7,38 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.compile import njit
-from ..core.registry import check_choice
-from ..earth.wgs84 import STANDARD_GRAVITY, dcm_e_from_n, ecef_to_geodetic, turning_of_local_axes
+from ..core.registry import check_choice, check_fields, require
+from ..earth.wgs84 import (
+    DEGREE,
+    MICRO_G,
+    dcm_e_from_n,
+    ecef_to_geodetic,
+    geodetic_to_ecef,
+    turning_of_local_axes,
+)
 from ._kernels import fill_ranges
 from .flight import Trajectory, trajectory_at
-from .gnss_errors import gauss_markov_step
 from .manoeuvres import FLIGHTS
-from .noise import normals
 from .satellites import Constellation
 
 FloatArray = NDArray[np.float64]
 CHANNELS = 12
 MASK_DEG = 10.0
+SKY_MASK_DEG = 5.0  # least elevation of a satellite that a snapshot receiver uses [deg]
+
+
+class EpochTruth(NamedTuple):
+    """Truth of `World` at its epochs, as kernels take it."""
+
+    epoch_time: FloatArray
+    satellites: FloatArray
+    position_e: FloatArray
+    velocity_e: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,17 +82,14 @@ class World:
 
     @property
     def epochs(self) -> int:
-        """Number of epochs, K."""
         return len(self.epoch_time)
 
     @property
     def channels(self) -> int:
-        """Number of slots, n."""
         return len(self.satellite_ids)
 
     @property
     def most_samples(self) -> int:
-        """Most samples between two epochs, S."""
         return int(np.diff(self.epoch_end).max())
 
     @property
@@ -97,11 +104,9 @@ class World:
         """(K, 3, 3) rate of change of `C_en` [1/s], since the axes move with the true position."""
         return np.ascontiguousarray(turning_of_local_axes(self.position_e, self.velocity_e))
 
-    def local_frame(self, epoch: int) -> FloatArray:
-        """North-east-down axes at the true position of an epoch. Returns (3, 3) `C_en`, to ECEF
-        from local axes."""
-        C_en: FloatArray = self.C_en[epoch]
-        return C_en
+    @cached_property
+    def epoch_truth(self) -> EpochTruth:
+        return EpochTruth(*(getattr(self, name) for name in EpochTruth._fields))
 
 
 def build_world(
@@ -122,10 +127,8 @@ def build_world(
             f"`epoch_interval_s` must be a multiple of the sample interval {step:g} s, "
             f"got {epoch_interval_s}"
         )
-    if not 4 <= channels <= 32:
-        raise ValueError(f"`channels` must be 4 to 32, got {channels}")
-    if not 0.0 <= mask_deg <= 60.0:
-        raise ValueError(f"`mask_deg` must be 0 to 60, got {mask_deg}")
+    require(4 <= channels <= 32, f"`channels` must be 4 to 32, got {channels}")
+    require(0.0 <= mask_deg <= 60.0, f"`mask_deg` must be 0 to 60, got {mask_deg}")
     epoch_end = np.arange(0, len(time), per_epoch, dtype=np.int64)
     if len(epoch_end) < 2:
         raise ValueError(f"a run of {time[-1]:g} s holds no epoch of {epoch_interval_s:g} s")
@@ -187,25 +190,19 @@ def _look(satellites: FloatArray, position_e: FloatArray) -> tuple[FloatArray, F
 
 
 def _in_slots(array: NDArray[Any], chosen: list[int], channels: int) -> FloatArray:
-    """Columns of the chosen satellites, then zeros up to the number of channels; NaN become 0."""
     slots = np.zeros((len(array), channels, *array.shape[2:]))
     slots[:, : len(chosen)] = np.nan_to_num(array[:, chosen])
     return slots
 
 
 def _choose(visible: NDArray[np.bool_], channels: int) -> list[int]:
-    """Satellites for the slots, in the order of their ids: those that are visible longest."""
     epochs = visible.sum(axis=0)
     longest = np.argsort(-epochs, kind="stable")[:channels]
     return sorted(int(i) for i in longest if epochs[i] > 0)
 
 
-_DEG = math.pi / 180.0
-_UG = STANDARD_GRAVITY * 1e-6
 _GRID = 1e-9
-IMU, GNSS, INITIAL = 0, 1, 2
-"""Sources of chance; each has a key of its own in every episode."""
-SOURCES = 3
+SOURCES = 3  # of chance; each has a key of its own in every episode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,28 +233,26 @@ class InertialErrors:
     vertical_m: float = 6.0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
+        check_fields(self, ">= 0")
 
     @cached_property
     def noise(self) -> FloatArray:
         """(2,) root PSD of accelerometers and gyros [m/s^1.5], [rad/s^0.5]."""
         return np.array(
-            [self.accel_noise_ug_per_rthz * _UG, self.gyro_noise_deg_per_rth * _DEG / 60.0]
+            [self.accel_noise_ug_per_rthz * MICRO_G, self.gyro_noise_deg_per_rth * DEGREE / 60.0]
         )
 
     @cached_property
     def initial_sd(self) -> FloatArray:
         """(15,) of the first state, east-north-up axes: `receiver.loose_states`; SI, radians."""
-        arcsec = _DEG / 3600.0
+        arcsec = DEGREE / 3600.0
         return np.concatenate(
             [
                 np.array([self.tilt_arcsec, self.tilt_arcsec, self.heading_arcsec]) * arcsec,
                 np.full(3, self.velocity_mps),
                 [self.horizontal_m, self.horizontal_m, self.vertical_m],
-                np.full(3, self.gyro_bias_deg_per_h * _DEG / 3600.0),
-                np.full(3, self.accel_bias_ug * _UG),
+                np.full(3, self.gyro_bias_deg_per_h * DEGREE / 3600.0),
+                np.full(3, self.accel_bias_ug * MICRO_G),
             ]
         )
 
@@ -285,12 +280,10 @@ class LooseWorld:
 
     @property
     def epochs(self) -> int:
-        """Number of epochs, K."""
         return len(self.position_e)
 
     @property
     def samples(self) -> int:
-        """Inertial samples of an epoch."""
         return round(self.interval_s / self.imu_interval_s)
 
 
@@ -318,83 +311,8 @@ def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
 
 @lru_cache(maxsize=4)
 def flown_world(flight: str, interval_s: float, imu_rate_hz: float | None = None) -> LooseWorld:
-    """World of a ready-made flight; `imu_rate_hz` as in `Scenario`."""
     check_choice("flight", flight, FLIGHTS)
     return loose_world(trajectory_at(FLIGHTS[flight](), imu_rate_hz, interval_s), interval_s)
-
-
-@njit
-def first_errors(
-    keys: NDArray[np.uint64],
-    initial_sd: FloatArray,
-    position_sd: FloatArray,
-    deviates: FloatArray,
-    initial: FloatArray,
-    error: FloatArray,
-) -> None:
-    """Draw what an episode starts with. `keys` (B, 3, 2) key of every source; `initial_sd`,
-    `position_sd` (15,) and (3,), of the state and of the GNSS position; `deviates` (64,) scratch
-    memory; `initial` (B, 15), written: errors of the first estimate, then sensor biases; `error`
-    (B, 3), written: GNSS position errors, east, north, up [m]."""
-    for b in range(keys.shape[0]):
-        normals(keys[b, INITIAL, 0], keys[b, INITIAL, 1], 0, deviates)
-        for i in range(15):
-            initial[b, i] = initial_sd[i] * deviates[i]
-        for i in range(3):
-            error[b, i] = position_sd[i] * deviates[15 + i]
-
-
-@njit
-def measure(
-    keys: NDArray[np.uint64],
-    epoch: NDArray[np.int64],
-    run: FloatArray,
-    position_e: FloatArray,
-    C_el: FloatArray,
-    interval: float,
-    noise: FloatArray,
-    bias: FloatArray,
-    decay: float,
-    position_sd: FloatArray,
-    displacement: FloatArray,
-    deviates: FloatArray,
-    error: FloatArray,
-    samples: FloatArray,
-    fix_e: FloatArray,
-) -> None:
-    """Move every receiver to its next epoch and measure everything on the way.
-
-    `keys` (B, 3, 2) key of every source; `epoch` (B,) that each receiver is at; advanced; `noise`
-    (2,) root PSD of accelerometers and gyros; `bias` (B, 6) of gyros [rad/s] and accelerometers
-    [m/s^2]; `position_sd` (3,) of the position errors [m]; `displacement` (B, 3) what the attack
-    adds to the position, east, north, up [m]; `deviates` (P,) scratch memory, P a multiple of 64
-    and at least 6 times the samples of an epoch; `error` (B, 3) errors of the GNSS position [m];
-    advanced; `samples` (B, S, 6), written: measured specific force and angular rate, body axes;
-    `fix_e` (B, 3), written: GNSS position, ECEF [m].
-    """
-    count = samples.shape[1]
-    root = 1.0 / math.sqrt(interval)
-    for b in range(keys.shape[0]):
-        k = epoch[b] + 1
-        epoch[b] = k
-        normals(keys[b, IMU, 0], keys[b, IMU, 1], k, deviates)
-        first = (k - 1) * count
-        for c in range(6):
-            level = noise[c // 3] * root
-            constant = bias[b, 3 + c if c < 3 else c - 3]
-            for i in range(count):
-                noisy = level * deviates[c * count + i]
-                samples[b, i, c] = run[first + i, c] + (constant + noisy)
-        few = deviates[:64]
-        normals(keys[b, GNSS, 0], keys[b, GNSS, 1], k, few)
-        for c in range(3):
-            error[b, c] = gauss_markov_step(error[b, c], decay, position_sd[c], few[c])
-        e0 = error[b, 0] + displacement[b, 0]
-        e1 = error[b, 1] + displacement[b, 1]
-        e2 = error[b, 2] + displacement[b, 2]
-        C = C_el[k]
-        for i in range(3):
-            fix_e[b, i] = position_e[k, i] + (C[i, 0] * e0 + C[i, 1] * e1 + C[i, 2] * e2)
 
 
 def chain_worlds(worlds: Sequence[World]) -> World:
@@ -405,11 +323,14 @@ def chain_worlds(worlds: Sequence[World]) -> World:
     if len(worlds) == 1:
         return first
     for world in worlds:
-        if world.channels != first.channels or not (
-            np.array_equal(world.epoch_time, first.epoch_time)
-            and np.array_equal(world.imu_time, first.imu_time)
-        ):
-            raise ValueError("worlds in a chain must have the same times and the same slots")
+        require(
+            world.channels == first.channels
+            and (
+                np.array_equal(world.epoch_time, first.epoch_time)
+                and np.array_equal(world.imu_time, first.imu_time)
+            ),
+            "worlds in a chain must have the same times and the same slots",
+        )
     same = all(world.satellite_ids == first.satellite_ids for world in worlds)
     samples = first.run.shape[1]
     ends = [world.epoch_end + w * samples for w, world in enumerate(worlds)]
@@ -432,4 +353,96 @@ def chain_worlds(worlds: Sequence[World]) -> World:
         velocity_e=joined("velocity_e"),
         C_eb=joined("C_eb"),
         C_en=joined("C_en"),
+    )
+
+
+class Sky(NamedTuple):
+    """Where vehicle and satellites are. `time`: (K,) [s]; `position_e`, `velocity_e`: (K, 3), (3,)
+    of the vehicle, ECEF [m], [m/s]; `C_en`: (3, 3) to ECEF from north-east-down axes at the start;
+    `satellite_position_e`, `satellite_velocity_e`: (K, n, 3) ECEF [m], [m/s]; `satellite_ids`: (n,)
+    in the order of the slots."""
+
+    time: FloatArray
+    position_e: FloatArray
+    velocity_e: FloatArray
+    C_en: FloatArray
+    satellite_position_e: FloatArray
+    satellite_velocity_e: FloatArray
+    satellite_ids: tuple[str, ...]
+
+
+def straight_line(
+    time: FloatArray,
+    latitude_deg: float,
+    longitude_deg: float,
+    height_m: float,
+    speed_mps: float,
+    heading_deg: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Straight line that begins level. `time` (K,) [s]; returns `position_e`, `velocity_e`, `C_en`
+    (K, 3), (3,), (3, 3), as in `Sky`."""
+    latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
+    start = geodetic_to_ecef(latitude, longitude, height_m)
+    C_en = dcm_e_from_n(latitude, longitude)
+    heading = math.radians(heading_deg)
+    velocity = C_en @ (speed_mps * np.array([math.cos(heading), math.sin(heading), 0.0]))
+    return start + np.outer(time, velocity), velocity, C_en
+
+
+def make_sky(
+    epochs: int,
+    interval_s: float,
+    satellites: int,
+    constellation: Constellation,
+    *,
+    latitude_deg: float = 40.0,
+    longitude_deg: float = 116.0,
+    height_m: float = 500.0,
+    speed_mps: float = 0.0,
+    heading_deg: float = 0.0,
+) -> Sky:
+    """Vehicle and the satellites that are highest over all of its way. Returns slots in the order
+    of the ids."""
+    time = interval_s * np.arange(epochs, dtype=np.float64)
+    position, velocity, C_en = straight_line(
+        time, latitude_deg, longitude_deg, height_m, speed_mps, heading_deg
+    )
+    states = constellation.states(time)
+    apart = states.position_e - position[:, None]
+    up = -(apart @ C_en[:, 2]) / np.linalg.norm(apart, axis=-1)
+    least = np.degrees(np.arcsin(up.min(axis=0)))
+    seen = int(np.sum(least > SKY_MASK_DEG))  # an unusable satellite has NaN
+    require(
+        seen >= satellites,
+        f"`satellites` must be at most {seen}, as many as stay above {SKY_MASK_DEG:g} degrees, "
+        f"got {satellites}",
+    )
+    chosen = np.sort(np.argsort(-least, kind="stable")[:satellites])
+    return Sky(
+        time,
+        position,
+        velocity,
+        C_en,
+        np.ascontiguousarray(states.position_e[:, chosen]),
+        np.ascontiguousarray(states.velocity_e[:, chosen]),
+        tuple(constellation.satellite_ids[j] for j in chosen),
+    )
+
+
+def chain_skies(skies: Sequence[Sky]) -> Sky:
+    """Sky in which the epochs of some skies of one place and length follow one another. Times start
+    again with each; `velocity_e` is that of the first. Satellites are named by their slots where
+    they differ."""
+    first = skies[0]
+    if len(skies) == 1:
+        return first
+    if any(sky.satellite_ids != first.satellite_ids for sky in skies):
+        first = first._replace(
+            satellite_ids=tuple(f"slot{s:02d}" for s in range(len(first.satellite_ids)))
+        )
+    return first._replace(
+        time=np.concatenate([sky.time for sky in skies]),
+        position_e=np.concatenate([sky.position_e for sky in skies]),
+        satellite_position_e=np.concatenate([sky.satellite_position_e for sky in skies]),
+        satellite_velocity_e=np.concatenate([sky.satellite_velocity_e for sky in skies]),
     )

@@ -15,16 +15,13 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.registry import require
 from ..earth.wgs84 import EARTH_RATE, EQUATORIAL_RADIUS, GRAVITATIONAL_CONSTANT
-
-PLANES = 6
-"""Orbital planes of the circular model of the book, 60 degrees apart."""
 
 
 class SatelliteStates(NamedTuple):
-    """Positions and velocities of n satellites at K times. `position_e` (K, n, 3) position, ECEF
-    [m]; NaN where a satellite has no usable ephemeris; `velocity_e` (K, n, 3) velocity with respect
-    to the rotating Earth, ECEF [m/s]; NaN likewise."""
+    """Positions and velocities of n satellites at K times, (K, n, 3) each, ECEF [m], [m/s]; NaN
+    where a satellite has no usable ephemeris."""
 
     position_e: NDArray[np.float64]
     velocity_e: NDArray[np.float64]
@@ -42,11 +39,9 @@ class Constellation(Protocol):
 
 
 def checked_time(time: ArrayLike) -> NDArray[np.float64]:
-    """Times of the simulation as a (K,) array of finite numbers. `time` (K,) time of the simulation
-    [s]; returns (K,) time of the simulation [s]."""
+    """(K,) times of the simulation [s], finite."""
     times = np.asarray(time, dtype=np.float64)
-    if times.ndim != 1:
-        raise ValueError(f"`time` must have shape (K,), got {times.shape}")
+    require(times.ndim == 1, f"`time` must have shape (K,), got {times.shape}")
     if not np.isfinite(times).all():
         raise ValueError(f"`time` must be finite, got {times[~np.isfinite(times)][0]}")
     return times
@@ -69,13 +64,8 @@ def ecef_from_orbit(
         x' \cos\Omega - y' \cos i \sin\Omega\\ x' \sin\Omega + y' \cos i \cos\Omega\\ y' \sin i
         \end{pmatrix}, \qquad x' = r \cos u, \quad y' = r \sin u
 
-    and the velocity is its derivative.
-
-    Returns (S, 3) position and velocity, ECEF [m], [m/s].
-
-    Notes
-    -----
-    IS-GPS-200, table 20-IV; Groves (2013), section 8.5.
+    and the velocity is its derivative; (S, 3) each. IS-GPS-200, table 20-IV; Groves (2013), section
+    8.5.
     """
     su, cu = np.sin(latitude_argument), np.cos(latitude_argument)
     so, co = np.sin(node), np.cos(node)
@@ -123,38 +113,40 @@ class CircularConstellation:
     radius_m: float = 2.656175e7
     inclination_deg: float = 55.0
     time_offset_s: float = 0.0
-    planes: int = PLANES
+    planes: int = 6
     prefix: str = "S"
 
     def __post_init__(self) -> None:
-        if not 1 <= self.planes <= 99:
-            raise ValueError(f"`planes` must be within 1..99, got {self.planes}")
-        if not (len(self.prefix) == 1 and "A" <= self.prefix <= "Z"):
-            raise ValueError(f"`prefix` must be a capital letter, A to Z, got {self.prefix!r}")
-        if not 1 <= self.satellites <= 99:
-            raise ValueError(f"`satellites` must be within 1..99, got {self.satellites}")
-        if not EQUATORIAL_RADIUS < self.radius_m < math.inf:
-            raise ValueError(
-                f"`radius_m` must be above {EQUATORIAL_RADIUS:.0f} m, got {self.radius_m}"
-            )
-        if not 0.0 <= self.inclination_deg <= 180.0:
-            raise ValueError(f"`inclination_deg` must be within 0..180, got {self.inclination_deg}")
-        if not math.isfinite(self.time_offset_s):
-            raise ValueError(f"`time_offset_s` must be finite, got {self.time_offset_s}")
+        for name, low, high in (
+            ("planes", 1, 99),
+            ("satellites", 1, 99),
+            ("inclination_deg", 0, 180),
+        ):
+            if not low <= getattr(self, name) <= high:
+                value = getattr(self, name)
+                raise ValueError(f"`{name}` must be within {low}..{high}, got {value}")
+        require(
+            len(self.prefix) == 1 and "A" <= self.prefix <= "Z",
+            f"`prefix` must be a capital letter, A to Z, got {self.prefix!r}",
+        )
+        require(
+            EQUATORIAL_RADIUS < self.radius_m < math.inf,
+            f"`radius_m` must be above {EQUATORIAL_RADIUS:.0f} m, got {self.radius_m}",
+        )
+        require(
+            math.isfinite(self.time_offset_s),
+            f"`time_offset_s` must be finite, got {self.time_offset_s}",
+        )
 
     @property
     def satellite_ids(self) -> tuple[str, ...]:
-        """Ids "S01", "S02", ... in order."""
         return tuple(f"{self.prefix}{j:02d}" for j in range(1, self.satellites + 1))
 
     @property
     def angular_rate(self) -> float:
-        r"""Orbital rate \omega with respect to inertial space [rad/s]."""
         return math.sqrt(GRAVITATIONAL_CONSTANT / self.radius_m**3)
 
     def states(self, time: ArrayLike) -> SatelliteStates:
-        """Positions and velocities of all satellites. `time` (K,) time of the simulation [s];
-        returns (K, N, 3) position and velocity, ECEF [m], [m/s]."""
         t = checked_time(time)[:, None] + self.time_offset_s
         j = np.arange(1, self.satellites + 1)
         return ecef_from_orbit(
@@ -179,8 +171,7 @@ class CombinedConstellation:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", tuple(self.parts))
-        if not self.parts:
-            raise ValueError("`parts` must hold at least one constellation, got none")
+        require(self.parts, "`parts` must hold at least one constellation, got none")
         ids = [name for part in self.parts for name in part.satellite_ids]
         twice = sorted({name for name in ids if ids.count(name) > 1})
         if twice:
@@ -188,7 +179,6 @@ class CombinedConstellation:
 
     @property
     def _order(self) -> NDArray[np.intp]:
-        """Places of the sorted satellite ids in those of the parts, one after the other."""
         return np.argsort([name for part in self.parts for name in part.satellite_ids])
 
     @property
@@ -196,19 +186,18 @@ class CombinedConstellation:
         return tuple(sorted(name for part in self.parts for name in part.satellite_ids))
 
     def states(self, time: ArrayLike) -> SatelliteStates:
-        """Positions and velocities of all satellites. `time` (K,) time of the simulation [s];
-        returns (K, n, 3) position and velocity, ECEF [m], [m/s]."""
         states = [part.states(time) for part in self.parts]
         position, velocity = (np.concatenate(group, axis=1) for group in zip(*states, strict=True))
         return SatelliteStates(position[:, self._order], velocity[:, self._order])
 
 
-TWO_CONSTELLATIONS = CombinedConstellation(
-    (
-        CircularConstellation(),
-        CircularConstellation(
-            satellites=24, radius_m=2.96e7, inclination_deg=56.0, planes=3, prefix="E"
-        ),
+TWO_CONSTELLATIONS = (
+    CombinedConstellation(  # the book's, and planes as of Galileo (`galileo-os-sis-icd`)
+        (
+            CircularConstellation(),
+            CircularConstellation(
+                satellites=24, radius_m=2.96e7, inclination_deg=56.0, planes=3, prefix="E"
+            ),
+        )
     )
 )
-"""The book's satellites, and as many on three planes as Galileo has (`galileo-os-sis-icd`)."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, TypeGuard
 
-from ..core.registry import build_record, check_choice, check_finite
+from ..core.registry import build_record, check_choice, check_finite, require
 from ..core.settings import OMITTED
 from .events import BenignEvents
 from .flight import Flight, trajectory_at, turned
@@ -23,8 +23,7 @@ from .satellites import (
 )
 from .sensors import IMU_GRADES
 
-TURN_ON = ("specimen", "drawn")
-"""Constants of inertial sensors: those of the data sheet, or others in every episode."""
+TURN_ON = ("specimen", "drawn")  # inertial constants: of the data sheet, or drawn per episode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,8 +78,9 @@ class Scenario:
         check_choice("turn_on", self.turn_on, TURN_ON)
         if isinstance(self.events, Mapping):
             object.__setattr__(self, "events", build_record("events", BenignEvents, self.events))
-        if not math.isfinite(self.turned_deg):
-            raise ValueError(f"`turned_deg` must be finite, got {self.turned_deg}")
+        require(
+            math.isfinite(self.turned_deg), f"`turned_deg` must be finite, got {self.turned_deg}"
+        )
         if self.imu_rate_hz is not None:
             check_finite("imu_rate_hz", self.imu_rate_hz, "> 0")
 
@@ -98,7 +98,6 @@ class Scenario:
 
     @property
     def gnss_errors(self) -> GnssErrors:
-        """Errors of pseudoranges, range rates and clock."""
         return ERRORS[self.errors] if isinstance(self.errors, str) else self.errors
 
     @property
@@ -108,32 +107,15 @@ class Scenario:
         return ERRORS[self.assumed] if isinstance(self.assumed, str) else self.assumed
 
     def world(self) -> World:
-        """Compute the truth; the last few named flights are remembered."""
-        constellation = self.constellation
-        if isinstance(self.flight, str) and _is_analytic(constellation):
-            return _named_world(
-                self.flight,
-                constellation,
-                self.epoch_interval_s,
-                self.channels,
-                self.mask_deg,
-                self.turned_deg,
-                self.imu_rate_hz,
-            )
+        sky = self.epoch_interval_s, self.channels, self.mask_deg
+        recipe = *sky, self.turned_deg, self.imu_rate_hz
+        if isinstance(self.flight, str) and _is_analytic(self.constellation):
+            return _named_world(self.flight, self.constellation, *recipe)
         flight = FLIGHTS[self.flight]() if isinstance(self.flight, str) else self.flight
-        return _world(
-            flight,
-            self.constellation,
-            self.epoch_interval_s,
-            self.channels,
-            self.mask_deg,
-            self.turned_deg,
-            self.imu_rate_hz,
-        )
+        return _world(flight, self.constellation, *recipe)
 
 
 def at_rate(name: str, imu_rate_hz: float | None) -> str:
-    """Name of a world, with the rate of its inertial sensors where one is given."""
     return name if imu_rate_hz is None else f"{name}@{imu_rate_hz:g}Hz"
 
 
@@ -168,63 +150,40 @@ def _is_analytic(
 
 @lru_cache(maxsize=8)
 def _named_world(
-    flight: str,
-    constellation: CircularConstellation | CombinedConstellation,
-    epoch_interval_s: float,
-    channels: int,
-    mask_deg: float,
-    turned_deg: float,
-    imu_rate_hz: float | None,
+    flight: str, constellation: CircularConstellation | CombinedConstellation, *recipe: Any
 ) -> World:
-    return _world(
-        FLIGHTS[flight](),
-        constellation,
-        epoch_interval_s,
-        channels,
-        mask_deg,
-        turned_deg,
-        imu_rate_hz,
-    )
+    return _world(FLIGHTS[flight](), constellation, *recipe)
 
 
-def _preset(name: str, errors: str, imu: str) -> Scenario:
-    return Scenario(name=name, flight="zhong2025", errors=errors, imu=imu)
-
-
-def _aviation(name: str, errors: str) -> Scenario:
-    return Scenario(
-        name=name,
-        flight="approach",
-        errors=errors,
-        assumed="aviation-overbound",
-        imu="tactical",
-        turn_on="drawn",
-        events=BenignEvents(clock_step=0.1, satellite_loss=0.1, front=0.1),
-    )
-
-
-def _ke2022(name: str, errors: str) -> Scenario:
-    return Scenario(name=name, flight="ke2022", errors=errors, epoch_interval_s=1.0)
-
-
+_AVIATION: dict[str, Any] = {
+    "flight": "approach",
+    "assumed": "aviation-overbound",
+    "imu": "tactical",
+    "turn_on": "drawn",
+    "events": BenignEvents(clock_step=0.1, satellite_loss=0.1, front=0.1),
+}
+_KE2022: dict[str, Any] = {"flight": "ke2022", "epoch_interval_s": 1.0}
+_PRESETS: dict[str, dict[str, Any]] = {
+    "zhong2025": {},
+    "zhong2025-white": {"errors": "white"},
+    "zhong2025-tactical": {"imu": "tactical"},
+    "zhong2025-consumer": {"imu": "consumer"},
+    "groves": {"errors": "groves"},
+    "trolley": {"errors": "trolley"},
+    "trolley-tactical": {"errors": "trolley", "imu": "tactical"},
+    "trolley-consumer": {"errors": "trolley", "imu": "consumer"},
+    "trolley-two-constellations": {
+        "errors": "trolley",
+        "constellation": TWO_CONSTELLATIONS,
+        "channels": 24,
+    },
+    "aviation-actual": {"errors": "aviation-actual", **_AVIATION},
+    "aviation-overbound": {"errors": "aviation-overbound", **_AVIATION},
+    "ke2022": {"errors": "ke2022", **_KE2022},
+    "ke2022-white": {"errors": "white", **_KE2022},
+}
 SCENARIOS: dict[str, Callable[[], Scenario]] = {
-    "zhong2025": lambda: _preset("zhong2025", "zhong2025", "aviation"),
-    "zhong2025-white": lambda: _preset("zhong2025-white", "white", "aviation"),
-    "zhong2025-tactical": lambda: _preset("zhong2025-tactical", "zhong2025", "tactical"),
-    "zhong2025-consumer": lambda: _preset("zhong2025-consumer", "zhong2025", "consumer"),
-    "groves": lambda: _preset("groves", "groves", "aviation"),
-    "trolley": lambda: _preset("trolley", "trolley", "aviation"),
-    "trolley-tactical": lambda: _preset("trolley-tactical", "trolley", "tactical"),
-    "trolley-consumer": lambda: _preset("trolley-consumer", "trolley", "consumer"),
-    "trolley-two-constellations": lambda: replace(
-        _preset("trolley-two-constellations", "trolley", "aviation"),
-        constellation=TWO_CONSTELLATIONS,
-        channels=24,
-    ),
-    "aviation-actual": lambda: _aviation("aviation-actual", "aviation-actual"),
-    "aviation-overbound": lambda: _aviation("aviation-overbound", "aviation-overbound"),
-    "ke2022": lambda: _ke2022("ke2022", "ke2022"),
-    "ke2022-white": lambda: _ke2022("ke2022-white", "white"),
+    name: partial(Scenario, name=name, **settings) for name, settings in _PRESETS.items()
 }
 """Scenarios by name: the flight of `zhong2025` under the errors and grades that they name, also
 with a second constellation whose ids begin with E, and that of `ke2022` at 1 Hz, with the satellite
@@ -263,8 +222,9 @@ def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:
     check_choice("scenario", name, SCENARIOS, _RENAMED)
     valid = [item.name for item in fields(Scenario) if item.name != "name"]
     for setting in settings:
-        if setting not in valid:
-            raise ValueError(f"a scenario has no setting {setting!r}; valid: {', '.join(valid)}")
+        require(
+            setting in valid, f"a scenario has no setting {setting!r}; valid: {', '.join(valid)}"
+        )
     scenario = SCENARIOS[name]()
     named = sorted(settings.keys() - {"imu_rate_hz"})  # which is in the label
     changed = "".join(f" {key}={settings[key]}" for key in named)

@@ -1,20 +1,14 @@
-"""IMU grades, per-batch error arrays.
-
-Inertial sensors: three grades of errors.
+"""Inertial sensors of three grades, and the errors, clocks and keys of a batch's sensors.
 
     f_m = b_a + (I + M_a) f + noise,      w_m = b_g + (I + M_g) w + G_g f + noise,
 
 white noise of a given root power spectral density, then rounded to the quantization level, what
-the rounding left over being carried to the next sample.
-
-The arrays of a batch of receivers' sensors: errors, clocks, keys of the noise.
-
-As with the receivers, what kernels need at every epoch lies in lane arrays, group by group.
+the rounding left over being carried to the next sample.  What kernels need at every epoch lies in
+lane arrays, group by group.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -22,15 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.lanes import LaneFields
-from ..earth.wgs84 import STANDARD_GRAVITY
+from ..earth.wgs84 import DEGREE, MICRO_G, STANDARD_GRAVITY
 from .gnss_errors import GnssErrors
 from .noise import BLOCK, normals, padded
-from .signal_errors import SignalErrors, begin_signals, signal_shapes
+from .signal_errors import FloatArray, SignalErrors, begin_signals, signal_shapes
 
-_UG = STANDARD_GRAVITY * 1e-6
-_DEG = math.pi / 180.0
-_DEG_PER_HOUR = _DEG / 3600.0
-_DEG_PER_ROOT_HOUR = _DEG / 60.0
+_DEG_PER_HOUR = DEGREE / 3600.0
+_DEG_PER_ROOT_HOUR = DEGREE / 60.0
 
 Rows = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
@@ -58,27 +50,22 @@ class ImuGrade(NamedTuple):
 
     @property
     def accel_bias(self) -> NDArray[np.float64]:
-        """(3,) accelerometer bias, body axes [m/s^2]."""
-        return np.array(self.accel_bias_ug) * _UG
+        return np.array(self.accel_bias_ug) * MICRO_G
 
     @property
     def gyro_bias(self) -> NDArray[np.float64]:
-        """(3,) gyro bias, body axes [rad/s]."""
         return np.array(self.gyro_bias_deg_per_h) * _DEG_PER_HOUR
 
     @property
     def accel_matrix(self) -> NDArray[np.float64]:
-        """(3, 3) I + M_a."""
         return np.eye(3) + np.array(self.accel_matrix_ppm) * 1e-6
 
     @property
     def gyro_matrix(self) -> NDArray[np.float64]:
-        """(3, 3) I + M_g."""
         return np.eye(3) + np.array(self.gyro_matrix_ppm) * 1e-6
 
     @property
     def g_dependence(self) -> NDArray[np.float64]:
-        """(3, 3) G_g [rad s/m]."""
         return np.array(self.gyro_g_dependence) * _DEG_PER_HOUR / STANDARD_GRAVITY
 
     @property
@@ -86,7 +73,7 @@ class ImuGrade(NamedTuple):
         """(4,) root PSD of accelerometers and gyros [m/s^1.5], [rad/s^0.5], quantization levels."""
         return np.array(
             [
-                self.accel_noise_ug_per_rthz * _UG,
+                self.accel_noise_ug_per_rthz * MICRO_G,
                 self.gyro_noise_deg_per_rth * _DEG_PER_ROOT_HOUR,
                 self.accel_quantization,
                 self.gyro_quantization,
@@ -96,7 +83,7 @@ class ImuGrade(NamedTuple):
 
 _ZERO: Rows = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
-IMU_GRADES: dict[str, ImuGrade] = {
+IMU_GRADES: dict[str, ImuGrade] = {  # sensor errors by grade (`groves2013`, the book's software)
     "aviation": ImuGrade(
         attitude_error_deg=(-0.01, 0.008, 0.01),
         accel_bias_ug=(30.0, -45.0, 26.0),
@@ -146,15 +133,12 @@ IMU_GRADES: dict[str, ImuGrade] = {
         gyro_quantization=2e-3,
     ),
 }
-"""Sensor errors by grade (`groves2013`, the book's software)."""
 
 
-FloatArray = NDArray[np.float64]
-TURN_ON = 1
-"""Counter of the deviates of a satellite bias's key with which inertial sensors are drawn."""
+TURN_ON = 1  # counter, under a satellite bias's key, of the deviates of inertial sensors
+# Sources of chance; each has a key of its own in every episode. New ones come last, which leaves
+# the keys of the others as they are.
 SOURCES = ("imu", "clock", "gnss", "bias", "trajectory", "domain", "spoofer", "correlated")
-"""Sources of chance; each has a key of its own in every episode.  New ones come last, which leaves
-the keys of the others as they are."""
 
 
 def sensor_shapes(channels: int) -> dict[str, tuple[int, ...]]:
@@ -236,7 +220,6 @@ class SensorBuffers:
         return np.array([self.words[source] for source in SOURCES])
 
     def copy_rows(self, to: NDArray[np.intp], other: SensorBuffers, rows: NDArray[np.intp]) -> None:
-        """Take over receivers of another batch."""
         self.fields.copy_rows(to, other.fields, rows)
         self.constants.copy_rows(to, other.constants, rows)
         self.words.copy_rows(to, other.words, rows)

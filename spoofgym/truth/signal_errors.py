@@ -16,24 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined
+from ..core.registry import require
 from .noise import normals, padded
 
 FloatArray = NDArray[np.float64]
-IONOSPHERE_HEIGHT_M = 350_000.0
-"""Height of the thin shell (`do-229`, A.4.4.10.4)."""
-SHELL_RADIUS_M = 6_378_136.3
-"""Radius of the Earth below it, there."""
-MULTIPATH_DEG, NOISE_DEG = 10.0, 6.9
-"""Elevations at which multipath (`do-229`, J.2.4) and noise (`wgc2016`) have fallen to 1/e."""
+IONOSPHERE_HEIGHT_M = 350_000.0  # height of the thin shell (`do-229`, A.4.4.10.4)
+SHELL_RADIUS_M = 6_378_136.3  # radius of the Earth below it, there
+MULTIPATH_DEG, NOISE_DEG = 10.0, 6.9  # fall to 1/e there (`do-229`, J.2.4; `wgc2016`)
+# What is known of a line of sight: obliquity of ionosphere and troposphere, each with its rate
+# [1/s], and the two exponentials of multipath and noise.
 MAPPINGS = 6
-"""What is known of a line of sight: obliquity of ionosphere and troposphere, each with its rate
-[1/s], and the two exponentials of multipath and noise."""
-HALF_LIFE = 2.146193220620583
-"""Of a critically damped process: (1 + x) exp(-x) is 1/e at this x."""
-DRAWN = 1 << 41
-"""Counter of the deviates with which an episode starts."""
-NEVER = 1e18
-"""As an epoch: after all."""
+HALF_LIFE = 2.146193220620583  # of a critically damped process: (1 + x) exp(-x) is 1/e at this x
+DRAWN = 1 << 41  # counter of the deviates with which an episode starts
+NEVER = 1e18  # as an epoch: after all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,20 +72,18 @@ class SignalErrors:
     smoothing_s: float = 100.0
 
     def __post_init__(self) -> None:
-        """Check that the numbers are finite and not negative, times above 0."""
         for item in fields(self):
             given = getattr(self, item.name)
             if item.name in ("multipath_sd_m", "noise_sd_m"):
                 given = tuple(given)
-                if len(given) != 2:
-                    raise ValueError(f"`{item.name}` must be two numbers, got {given}")
+                require(len(given) == 2, f"`{item.name}` must be two numbers, got {given}")
                 object.__setattr__(self, item.name, given)
             values = given if isinstance(given, tuple) else (given,)
             above = item.name.endswith("_s")
-            if not all(math.isfinite(x) and (x > 0.0 if above else x >= 0.0) for x in values):
-                raise ValueError(
-                    f"`{item.name}` must be finite and {'>' if above else '>='} 0, got {given}"
-                )
+            require(
+                all(math.isfinite(x) and (x > 0.0 if above else x >= 0.0) for x in values),
+                f"`{item.name}` must be finite and {'>' if above else '>='} 0, got {given}",
+            )
 
     def wandering(self, elevation: FloatArray) -> list[tuple[FloatArray, float, bool]]:
         """Standard deviation [m], time [s] and whether second-order, of what wanders in a code.
@@ -107,7 +100,6 @@ class SignalErrors:
         ]
 
     def code_variance(self, elevation: FloatArray) -> FloatArray:
-        """Variance of all that wanders in a code [m^2]; `elevation`: any shape [rad]."""
         return np.asarray(sum(sd**2 for sd, _, _ in self.wandering(elevation)))
 
 
@@ -272,5 +264,4 @@ SIGNAL_ERRORS: dict[str, SignalErrors] = {
         multipath_sd_m=(0.13, 0.53),
         noise_sd_m=(0.36, 0.0),
     ),
-}
-"""Errors of airborne signals; docs/worlds.md has the source of every figure."""
+}  # errors of airborne signals; docs/worlds.md has the source of every figure

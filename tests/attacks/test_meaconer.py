@@ -27,8 +27,8 @@ def test_ranges_are_those_of_the_meaconers_antenna(world, follows):
     way = np.linalg.norm(there - r)
     closing = (there - r) @ (speed - v) / way
     for s in np.flatnonzero(world.visible[k]):
-        p = world.satellites[k, s, :6]
-        other, own = range_and_rate(*p, *there, *speed), range_and_rate(*p, *r, *v)
+        p = world.satellites[k, s, :3], world.satellites[k, s, 3:6]
+        other, own = range_and_rate(*p, there, speed), range_and_rate(*p, r, v)
         assert ranges[-1, 0, s] == pytest.approx(other[0] - own[0] + way + delay, abs=3e-8)
         assert rates[-1, 0, s] == pytest.approx(other[1] - own[1] + closing + 2.0, abs=1e-9)
 

@@ -49,9 +49,9 @@ def test_a_false_position_has_the_ranges_of_a_displaced_antenna(world, start):
         r, v, C_en = world.position_e[k], world.velocity_e[k], world.C_en[k]
         speed = v + C_en @ rate + world.axes_turning[k] @ displacement
         for s in np.flatnonzero(world.visible[k]):
-            p = world.satellites[k, s, :6]
-            there = range_and_rate(*p, *(r + C_en @ displacement), *speed)
-            here = range_and_rate(*p, *r, *v)
+            p = world.satellites[k, s, :3], world.satellites[k, s, 3:6]
+            there = range_and_rate(*p, r + C_en @ displacement, speed)
+            here = range_and_rate(*p, r, v)
             assert d_range[s] == pytest.approx(there[0] - here[0], abs=2e-8)
             assert d_rate[s] == pytest.approx(there[1] - here[1], abs=1e-9)
         assert not d_range[~world.visible[k]].any()
@@ -90,7 +90,7 @@ def test_a_push_towards_a_satellite_shortens_its_range(world):
     """Change of range = - u . displacement, and nothing is added to the clock."""
     attack = FalsePosition(axes="e", control="rate", rate_limit_mps=20.0)
     *_, (d_range, d_rate, k) = command(attack, world, [(1.0,)] * 10)
-    east = world.local_frame(k)[:, 1]
+    east = world.C_en[k][:, 1]
     for s in np.flatnonzero(world.visible[k]):
         sight = world.satellites[k, s, :3] - world.position_e[k]
         u = sight / np.linalg.norm(sight)

@@ -84,10 +84,10 @@ def test_a_tracking_error_moves_the_antenna_that_is_counterfeited(world):
     k = ONSET + 4
     displaced = world.position_e[k] + world.C_en[k] @ [3.0 + 10.0, -4.0, 5.0]
     for s in np.flatnonzero(world.visible[k]):
-        p, v = world.satellites[k, s, :6], world.velocity_e[k]
+        p, v = (world.satellites[k, s, :3], world.satellites[k, s, 3:6]), world.velocity_e[k]
         there, here = (
-            range_and_rate(*p, *displaced, *v),
-            range_and_rate(*p, *world.position_e[k], *v),
+            range_and_rate(*p, displaced, v),
+            range_and_rate(*p, world.position_e[k], v),
         )
         assert last[0, s] == pytest.approx(there[0] - here[0], abs=2e-8)
 

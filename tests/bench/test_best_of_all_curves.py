@@ -42,7 +42,7 @@ def displacements(suite: Suite, path: Path) -> dict[str, np.ndarray]:
     return {cell.spoofer: cell.displacement_m[cell.counts] for cell in cells}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("detector", ["snapshot-chi2", "windowed-chi2", "shewhart"])
 def test_no_known_curve_gets_farther(detector: str, tmp_path: Path) -> None:
     bare = suite_of(detector, [])

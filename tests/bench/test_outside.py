@@ -16,7 +16,7 @@ from spoofgym.bench.experiments.campaign import Campaign
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.core.settings import outside_sources
 from spoofgym.detectors import Ewma
-from spoofgym.policies.detector_policy import DetectorPolicy
+from spoofgym.policies.contract import DetectorPolicy
 
 from .support import small_suite, write_policy
 
@@ -28,7 +28,7 @@ from helper_a34 import SCALE
 import helper_a34
 from spoofgym.attacks import make_attack
 from spoofgym.detectors import Ewma
-from spoofgym.policies.detector_policy import DetectorPolicy
+from spoofgym.policies.contract import DetectorPolicy
 from spoofgym.spoofers import Ramp
 
 @dataclass

@@ -25,6 +25,7 @@ from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode
 
 from spoofgym.tasks import TASKS
+from tests.nightly import heavy
 
 from ..duel.support import ONE_SKY
 from ..envs.players import (
@@ -444,7 +445,7 @@ def test_processes_of_async_vector_env_after_threads_in_the_parent() -> None:
 
 
 @pytest.mark.usefixtures("default_rate")
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", heavy(IDS, "spoofgym/BenchD2-v1"))
 def test_it_plays_as_users_have_it(name):
     """With the detector that it has by default, at the rate that is shipped."""
     env = gym.make(name)

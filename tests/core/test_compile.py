@@ -419,7 +419,7 @@ position, velocity = np.array([[6.4e6, 1.0, 2.0]]), np.array([[3.0, 4.0, 5.0]])
 assert forms() == []
 _kernels.fill_ranges(satellites, visible, position, velocity)
 before = forms()
-arguments = [*satellites[0, 0, :6].tolist(), *position[0].tolist(), *velocity[0].tolist()]
+arguments = satellites[0, 0, :3], satellites[0, 0, 3:6], position[0], velocity[0]
 found = wgs84.range_and_rate(*arguments)
 assert found[:2] == tuple(satellites[0, 0, 6:].tolist()), found
 _kernels.fill_ranges(satellites.astype(np.float64), visible, position[::1], velocity)

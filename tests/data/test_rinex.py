@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from spoofgym.data.ephemerides import SECONDS_PER_WEEK, Ephemerides, gps_seconds, screen
-from spoofgym.data.rinex import load_broadcast, read_navigation
+from spoofgym.data.rinex import read_navigation
 
 HEADER_2 = """\
      2.10           N: GPS NAV DATA                         RINEX VERSION / TYPE
@@ -245,18 +245,6 @@ def test_compressed_files(tmp_path: Path, written: Any) -> None:
     packed.write_bytes(b"\x1f\x9d\x90")
     with pytest.raises(ValueError, match="unpack it first"):
         read_navigation(packed)
-
-
-def test_load_broadcast_screens_and_starts(written: Any) -> None:
-    path = written(HEADER_2 + G05 + G12 + G05)
-    start = datetime(2024, 9, 14, 23)
-    constellation, report = load_broadcast(path, start)
-    assert constellation.start == gps_seconds(start)
-    assert report.duplicates == 1
-    known = np.isfinite(constellation.states([0.0]).position_e).all(axis=-1)
-    assert_array_equal(known, [[True, False]])  # G12 is unhealthy
-    again, _ = load_broadcast(path, gps_seconds(start))
-    assert_array_equal(again.states([0.0]), constellation.states([0.0]))
 
 
 GEORINEX_NAMES = {

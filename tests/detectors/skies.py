@@ -3,7 +3,7 @@
 import numpy as np
 
 from spoofgym.detectors import DetectorContext
-from spoofgym.earth.wgs84 import dcm_e_from_n, geodetic_to_ecef, range_and_rate
+from spoofgym.earth.wgs84 import STILL, dcm_e_from_n, geodetic_to_ecef, range_and_rate
 
 from .support import epoch
 
@@ -19,7 +19,7 @@ LINE_OF_SIGHT = UP @ dcm_e_from_n(0.7, 2.0).T
 """(12, 3) unit vectors in ECEF axes; satellites are 22 000 km away along them, but for the Earth's
 turn."""
 SATELLITE_POSITION = HERE + 2.2e7 * LINE_OF_SIGHT
-RANGE = np.array([range_and_rate(*s, 0, 0, 0, *HERE, 0, 0, 0)[0] for s in SATELLITE_POSITION])
+RANGE = np.array([range_and_rate(s, STILL, HERE, STILL)[0] for s in SATELLITE_POSITION])
 
 
 def context(receivers, noise=NOISE):

@@ -1,9 +1,17 @@
 """Epochs for detectors, of innovations and their covariance alone."""
 
+import math
+
 import numpy as np
 
 from spoofgym.detectors import DetectorContext
 from spoofgym.receiver.epoch import Epoch
+
+
+def run_length(drift, threshold):
+    """Mean epochs until a cumulative sum exceeds its threshold without a change, siegmund1985."""
+    exponent = 2.0 * drift * (threshold + 1.166)
+    return (math.exp(exponent) - exponent - 1.0) / (2.0 * drift * drift)
 
 
 def context(receivers, channels):

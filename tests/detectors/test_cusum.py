@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import Cusum
-from spoofgym.detectors.cusum import mean_epochs_between_alarms
 
-from .support import belief, context, drawn, epoch
+from .support import belief, context, drawn, epoch, run_length
 
 B, N = 3, 4
 
@@ -46,13 +45,13 @@ def test_false_alarms_are_as_far_apart_as_stated():
         alarm = detector.judge(epoch(rng.standard_normal((receivers, 2)), S)).alarm[:, 0]
         alarms += alarm.sum()
         detector.reset(alarm)
-    expected = receivers * epochs / mean_epochs_between_alarms(0.5, limit)
+    expected = receivers * epochs / (0.5 * run_length(0.5, limit))
     # four standard deviations of a count, and the 1 % that the formula is good for
     assert alarms == pytest.approx(expected, abs=4.0 * math.sqrt(expected), rel=0.01)
 
 
 def test_the_default_promises_one_false_alarm_in_1e5_epochs_of_eight_satellites():
-    assert mean_epochs_between_alarms(0.5, 12.4) / 8.0 == pytest.approx(1e5, rel=0.05)
+    assert run_length(0.5, 12.4) / 16.0 == pytest.approx(1e5, rel=0.05)
 
 
 def test_settings_are_checked_at_birth():

@@ -104,7 +104,7 @@ def test_it_falls_below_the_threshold_when_it_says_it_will():
     for _ in range(300):
         verdict = chart.judge(epoch(offset, S))
     assert verdict.statistic[0, 0] == pytest.approx(20.0, rel=1e-9)
-    settling = chart.settling_epochs(20.0, verdict.threshold[0, 0])
+    settling = math.log(verdict.threshold[0, 0] / 20.0) / math.log(1.0 - chart.smoothing)
     alarms = 0
     while chart.judge(epoch(0.0 * offset, S)).alarm[0, 0]:
         alarms += 1

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from spoofgym.core.memory import Memory
-from spoofgym.detectors import make_detector
-from spoofgym.detectors.innovation import declare_bias, rows_of, whiten, without_bias
+from spoofgym.detectors import Shewhart, make_detector
+from spoofgym.detectors.innovation import rows_of, whiten
 
 from .support import belief, context, drawn, epoch
 
@@ -40,10 +39,9 @@ def test_a_covariance_that_is_none_is_no_reason_to_be_quiet():
 def test_the_mean_of_the_first_epochs_is_taken_away_and_no_channel_judged_before():
     rng = np.random.default_rng(1)
     S = np.tile(np.eye(2 * N), (B, 1, 1))
-    told = context(B, N)
-    memory = Memory(B)
-    declare_bias(memory, told)
     window = 6
+    detector = Shewhart(bias_window_s=0.5 * window)
+    detector.bind(context(B, N))
     seen = np.ones((B, N), dtype=bool)
     given, found = [], []
     for k in range(20):
@@ -51,7 +49,7 @@ def test_the_mean_of_the_first_epochs_is_taken_away_and_no_channel_judged_before
         visible[:, 1] = k >= 4  # rises, and is calibrated later
         visible[:, 2] = k not in (8, 9)  # keeps its bias while it is away
         z = rng.standard_normal((B, 2 * N)) + 7.0
-        out, judged = without_bias(epoch(z, S, visible), memory, window)
+        out, judged = detector._without_bias(epoch(z, S, visible))
         want = visible & (np.array([k, k - 4, k, k, k]) >= window)
         np.testing.assert_array_equal(judged, want)
         assert not out[:, :N][~judged].any()

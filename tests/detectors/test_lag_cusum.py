@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import LagCusum
-from spoofgym.detectors.innovation import run_length
 
-from .support import belief, context, drawn, epoch
+from .support import belief, context, drawn, epoch, run_length
 
 B, N = 2, 3
 

@@ -8,7 +8,7 @@ import pytest
 
 from spoofgym.detectors import DETECTORS, SolutionSeparation
 from spoofgym.limits import deflection_for
-from spoofgym.limits.judged import check_convex
+from spoofgym.limits.no_alarm import check_convex
 
 from .pages import blocks_of, broken_links, run, text_of
 

@@ -5,12 +5,12 @@ import pytest
 
 from spoofgym import duel_v0
 from spoofgym.calibration.clean_runs import Player
-from spoofgym.detectors import DetectorContext
 from spoofgym.detectors.calibration_file import fewest_runs
-from spoofgym.detectors.learned import PolicyDetector, policy_context
+from spoofgym.detectors.learned import PolicyDetector
 from spoofgym.duel.calibration import quantile_of
+from spoofgym.duel.duel import make_duel
 from spoofgym.duel.payoff import FixedThreshold, RunningThreshold
-from spoofgym.duel.rules import make_duel
+from spoofgym.policies.contract import PolicyContext
 from spoofgym.simulation.setup import generators_of, seeds_of_runs
 
 from .support import ALARM, BRIEF, parallel, wary
@@ -63,7 +63,8 @@ def test_clean_runs_are_those_of_the_duel(delay):
     duel.threshold = FixedThreshold(np.inf, 6)
     policy = duel_v0.FunctionPolicy(wary)
     setup, agent = duel.setup, duel.agent
-    policy.bind(policy_context(agent, DetectorContext(6, 12, 0.5, np.ones(24), ("",) * 12)))
+    names = agent.observer.names
+    policy.bind(PolicyContext(6, 0.5, names, (), (), agent.action_names))
     duel.reset(generators_of(seeds_of_runs(0, "calibration", setup.name, range(6))))
     largest, idle = np.zeros(6), np.zeros((6, 2))
     for _ in range(duel.epochs):
@@ -109,7 +110,7 @@ def test_alarming_at_once_does_not_pay():
         assert not infos["detector_0"]["alarm"]
         total += rewards["detector_0"]
     assert total <= 0.0
-    assert env.rules.duel.score.step_count[0] == env.rules.duel.epochs
+    assert env.duel.score.step_count[0] == env.duel.epochs
 
 
 @pytest.mark.parametrize("habit", ["always", "never", "half", "turning"])

@@ -205,7 +205,7 @@ def test_after_the_last_command_the_rate_is_held():
     attack = {"name": "false-position", "control": "rate"}
     env = parallel(attack=attack, attack_probability=1.0, threshold=1.0)
     env.reset(seed=2)
-    memory, rates = env.rules.duel.core.engine.simulator.commands, []
+    memory, rates = env.duel.core.engine.simulator.commands, []
     while env.agents:
         push = np.array([0.3, 0.5]) if len(rates) < EPOCHS else np.zeros(2)
         env.step({"spoofer_0": push, "detector_0": QUIET})
@@ -216,7 +216,7 @@ def test_after_the_last_command_the_rate_is_held():
 
 
 def test_an_exclusion_that_is_refused_uses_up_nothing():
-    agent = parallel(exclusion_s=0.9).rules.duel.agent
+    agent = parallel(exclusion_s=0.9).duel.agent
     visible, interval = np.ones((1, 12), dtype=bool), np.array([0.5])
     for wanted, given, used in ((0.0, 0.0, 0.5), (0.0, 1.0, 0.5), (0.5, 0.5, 0.75)):
         action = np.r_[-1.0, np.full(12, 2.0 * wanted - 1.0)][None]

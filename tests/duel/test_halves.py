@@ -32,7 +32,7 @@ def reference(detector, push, seed):
 
 
 def played(duel, epoch_of, push, seed):
-    agent = bound(PerSatellite(), duel.unwrapped.rules.duel)
+    agent = bound(PerSatellite(), duel.unwrapped.duel)
     duel.reset(seed=seed)
     displacement, total = [], 0.0
     for name in duel.agent_iter():
@@ -60,13 +60,11 @@ def test_the_aec_form_with_an_agent_of_ewma_is_the_env_with_ewma(push):
         threshold=0.5,
         exclusion_s=None,
     )
-    own, last, total = played(
-        duel, lambda d: d.unwrapped.rules.duel.core.engine.simulator.epoch, push, 4
-    )
+    own, last, total = played(duel, lambda d: d.unwrapped.duel.core.engine.simulator.epoch, push, 4)
     assert info["detected"] == (push == PUSH[1])
     n = len(expected)
     np.testing.assert_array_equal(own[:n], expected)
-    assert len(own) == n + (0 if info["detected"] else duel.unwrapped.rules.duel.setup.hold)
+    assert len(own) == n + (0 if info["detected"] else duel.unwrapped.duel.setup.hold)
     assert last["undetected_displacement_m"] == info["undetected_displacement_m"]
     assert total == pytest.approx(last["undetected_displacement_m"], rel=1e-12)
 
@@ -82,7 +80,7 @@ def test_the_parallel_form_is_the_env_with_ewma_one_epoch_late(push):
         threshold=0.5,
         exclusion_s=None,
     )
-    core = duel.rules.duel
+    core = duel.duel
     agent = bound(PerSatellite(), core)
     duel.reset(seed=4)
     decision, displacement, last = np.r_[-1.0, np.ones(12)], [], {}

@@ -5,10 +5,9 @@ import pytest
 
 from spoofgym import duel_v0
 from spoofgym.detectors.pool import NATURE, OPPONENT, checked_weights, drawn, uniforms
-from spoofgym.duel.world import with_world
+from spoofgym.duel.duel import with_world
 from spoofgym.envs import SpoofEnv
-from spoofgym.envs.scoring import DisplacementScore, FusedStep
-from spoofgym.envs.step_result import StepResult
+from spoofgym.envs.scoring import DisplacementScore, FusedStep, StepResult
 
 from .support import ALARM, BRIEF, QUIET, aec, parallel
 
@@ -83,7 +82,7 @@ def test_the_detector_observes_no_truth():
     env = aec(attack_probability=1.0)
     env.reset(seed=3)
     env.step(PUSH)
-    duel = env.unwrapped.rules.duel
+    duel = env.unwrapped.duel
     seen = duel.observe_detector()
     agent, batch = duel.agent, duel.core.engine.simulator
     remembered = {name: np.array(array) for name, array in agent.memory.items()}

@@ -10,8 +10,8 @@ import pytest
 from spoofgym import duel_v0
 from spoofgym.calibration import calibrate, check
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, run_probability
+from spoofgym.duel.duel import with_world
 from spoofgym.duel.opponents import make_opponent
-from spoofgym.duel.world import with_world
 from spoofgym.simulation import TightlyCoupledSetup
 
 from ..spoofers.policies import network, write_policy
@@ -59,7 +59,7 @@ def test_the_policy_is_the_same_in_any_batch_and_in_copies(file):
 
 
 def _context(receivers, fields):
-    from spoofgym.policies.detector_policy import PolicyContext
+    from spoofgym.policies.contract import PolicyContext
 
     return PolicyContext(receivers=receivers, **fields)
 

@@ -118,7 +118,7 @@ def test_agents_end_together_and_nothing_that_is_returned_is_used_again():
 def test_the_aec_form_keeps_the_exact_order():
     env = aec()
     env.reset(seed=2)
-    batch = env.unwrapped.rules.duel.core.engine.simulator
+    batch = env.unwrapped.duel.core.engine.simulator
     seen = env.observe("detector_0")
     spoofer_seen, covariance = env.observe("spoofer_0"), batch.buffers.covariance
     env.step(np.array([0.0, 1.0]))
@@ -152,7 +152,7 @@ def test_a_pickled_duel_goes_on_identically(make):
         else:
             each.step(np.ones(2))
     for name in ("spoofer_0", "detector_0"):
-        np.testing.assert_array_equal(env.rules.observe()[name], copy.rules.observe()[name])
+        np.testing.assert_array_equal(env._observed()[name], copy._observed()[name])
 
 
 def test_bad_actions_name_the_agent():

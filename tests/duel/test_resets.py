@@ -29,7 +29,7 @@ VECTOR = {
 def batch_of(env):
     """Receivers of an environment of any kind."""
     inner = getattr(env, "unwrapped", env)
-    duel = inner.rules.duel if hasattr(inner, "rules") else getattr(inner.core, "duel", None)
+    duel = inner.duel if hasattr(inner, "duel") else getattr(inner.core, "duel", None)
     return (inner.core if duel is None else duel.core).engine.simulator
 
 

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from spoofgym import duel_v0
-from spoofgym.duel.world import with_world
+from spoofgym.duel.duel import with_world
 from spoofgym.envs import SpoofEnv
 from spoofgym.spoofers import Ramp
 

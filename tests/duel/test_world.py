@@ -6,9 +6,8 @@ import gymnasium as gym
 import pytest
 
 from spoofgym import duel_v0
+from spoofgym.duel.duel import make_duel, with_world
 from spoofgym.duel.learner import LearnersSide
-from spoofgym.duel.rules import make_duel
-from spoofgym.duel.world import with_world
 from spoofgym.envs import SpoofEnv
 from spoofgym.tasks import task_of
 

@@ -8,23 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from spoofgym.earth.attitude import dcm_to_euler, euler_to_dcm, skew
+from spoofgym.earth.attitude import dcm_to_euler, euler_to_dcm
 
 ANGLES = st.floats(-math.pi, math.pi, exclude_min=True)
 PITCHES = st.floats(-math.pi / 2, math.pi / 2)
-VECTORS = st.tuples(*[st.floats(-1e3, 1e3)] * 3)
-
-
-@given(VECTORS, VECTORS)
-def test_the_cross_product_matrix_multiplies_crosswise(a, b):
-    np.testing.assert_allclose(skew(a) @ np.array(b), np.cross(a, b), rtol=1e-12, atol=1e-9)
-    np.testing.assert_array_equal(skew(a).T, -skew(a))
-
-
-def test_the_cross_product_matrix_broadcasts():
-    vectors = np.arange(12.0).reshape(2, 2, 3)
-    assert skew(vectors).shape == (2, 2, 3, 3)
-    np.testing.assert_array_equal(skew(vectors)[1, 0], skew(vectors[1, 0]))
 
 
 def test_quarter_turns():

@@ -11,6 +11,7 @@ from spoofgym.earth.wgs84 import (
     EARTH_RATE,
     EQUATORIAL_RADIUS,
     SPEED_OF_LIGHT,
+    STILL,
     geodetic_to_ecef,
     range_and_rate,
 )
@@ -48,7 +49,7 @@ def light_time_range(satellite_e, antenna_e):
 
 def test_a_satellite_in_the_zenith_of_the_equator():
     antenna = (EQUATORIAL_RADIUS, 0.0, 0.0)
-    rho, rate, ux, uy, uz = range_and_rate(ORBIT, 0.0, 0.0, 0.0, 0.0, 0.0, *antenna, 0.0, 0.0, 0.0)
+    rho, rate, ux, uy, uz = range_and_rate((ORBIT, 0.0, 0.0), STILL, antenna, STILL)
     assert rho == pytest.approx(ORBIT - EQUATORIAL_RADIUS, abs=1e-3)
     assert (ux, uz) == (pytest.approx(1.0, abs=1e-10), 0.0)
     # the signal meets the antenna further east: it comes from the west by the turn of the Earth
@@ -62,7 +63,7 @@ def test_the_sagnac_effect_has_the_size_of_the_enclosed_area():
     antenna = geodetic_to_ecef(0.1, 0.2, 0.0)
     for direction in ((0.0, 1.3), (0.0, -0.9), (0.5, 0.3), (-0.4, 0.2)):
         s = satellite(direction)
-        rho = range_and_rate(*s, 0.0, 0.0, 0.0, *antenna, 0.0, 0.0, 0.0)[0]
+        rho = range_and_rate(s, STILL, antenna, STILL)[0]
         effect = EARTH_RATE / SPEED_OF_LIGHT * (s[0] * antenna[1] - s[1] * antenna[0])
         assert rho - np.linalg.norm(s - antenna) == pytest.approx(effect, abs=1e-3)
         assert abs(effect) < 41.5
@@ -71,14 +72,14 @@ def test_the_sagnac_effect_has_the_size_of_the_enclosed_area():
 @given(DIRECTIONS, ANTENNAS)
 def test_the_first_order_is_right_to_a_millimetre(direction, antenna):
     s, r = satellite(direction), geodetic_to_ecef(*antenna)
-    rho = range_and_rate(*s, 0.0, 0.0, 0.0, *r, 0.0, 0.0, 0.0)[0]
+    rho = range_and_rate(s, STILL, r, STILL)[0]
     assert rho == pytest.approx(light_time_range(s, r), abs=1e-3)
 
 
 @given(DIRECTIONS, ANTENNAS)
 def test_the_line_of_sight_is_a_unit_vector_to_the_satellite(direction, antenna):
     s, r = satellite(direction), geodetic_to_ecef(*antenna)
-    rho, _, *u = range_and_rate(*s, 0.0, 0.0, 0.0, *r, 0.0, 0.0, 0.0)
+    rho, _, *u = range_and_rate(s, STILL, r, STILL)
     assert np.linalg.norm(u) == pytest.approx(1.0, abs=1e-15)
     assert np.linalg.norm(r + rho * np.array(u) - s) < 2.0 * EARTH_RATE * ORBIT * 0.1
 
@@ -88,11 +89,8 @@ def test_the_range_rate_is_the_derivative_of_the_range(direction, antenna, v, sv
     s, r, sv, v = satellite(direction), geodetic_to_ecef(*antenna), np.array(sv), np.array(v)
     sv = 10.0 * sv  # some km/s
     h = 0.5
-    ranges = [
-        range_and_rate(*(s + t * sv), 0.0, 0.0, 0.0, *(r + t * v), 0.0, 0.0, 0.0)[0]
-        for t in (-h, h)
-    ]
-    _, rate, *u = range_and_rate(*s, *sv, *r, *v)
+    ranges = [range_and_rate(s + t * sv, STILL, r + t * v, STILL)[0] for t in (-h, h)]
+    _, rate, *u = range_and_rate(s, sv, r, v)
     difference = (ranges[1] - ranges[0]) / (2.0 * h)
     # the angle that the Earth turns in the travel time is taken for a constant, and is not quite
     travel = EARTH_RATE * rate / SPEED_OF_LIGHT * (u[0] * s[1] - u[1] * s[0])
@@ -105,7 +103,7 @@ def test_the_range_rate_is_that_of_an_observer_who_does_not_turn(direction, ante
     """In inertial axes, with the satellite where it was when the signal left."""
     s, r, v = satellite(direction), geodetic_to_ecef(*antenna), np.array(v)
     sv = np.cross([1e-4, 0.3e-4, 0.8e-4], s)
-    rho, rate, *u = range_and_rate(*s, *sv, *r, *v)
+    rho, rate, *u = range_and_rate(s, sv, r, v)
     a = EARTH_RATE * rho / SPEED_OF_LIGHT
     turn = np.array([[math.cos(a), math.sin(a), 0], [-math.sin(a), math.cos(a), 0], [0, 0, 1]])
     inertial = turn @ (sv + np.cross(SPIN, s)) - (v + np.cross(SPIN, r))
@@ -117,8 +115,7 @@ def test_the_gradient_of_the_range_is_minus_the_line_of_sight():
     h = 10.0
     for i, axis in enumerate(np.eye(3)):
         plus, minus = (
-            range_and_rate(*s, 0.0, 0.0, 0.0, *(r + sign * h * axis), 0.0, 0.0, 0.0)[0]
-            for sign in (1.0, -1.0)
+            range_and_rate(s, STILL, r + sign * h * axis, STILL)[0] for sign in (1.0, -1.0)
         )
-        u = range_and_rate(*s, 0.0, 0.0, 0.0, *r, 0.0, 0.0, 0.0)[2 + i]
+        u = range_and_rate(s, STILL, r, STILL)[2 + i]
         assert (plus - minus) / (2.0 * h) == pytest.approx(-u, abs=3e-6)

@@ -54,7 +54,7 @@ def played(detector):
     return np.array(rows), 1.0 - silent_twin.mean()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("default_rate")
 @pytest.mark.parametrize("detector", ["ewma", "snapshot-chi2"])
 def test_by_default_the_return_ranks_as_the_score_and_its_best_is_stealthy(detector):
@@ -66,7 +66,7 @@ def test_by_default_the_return_ranks_as_the_score_and_its_best_is_stealthy(detec
     assert alarmed[returns.argmax()] <= 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_at_its_nominal_threshold_the_default_ranks_as_the_score():
     """Every fifth clean run alarms: what is best by the score is over the budget there."""
     rows, clean = played("ewma")

@@ -10,6 +10,7 @@ import pytest
 
 from spoofgym.core.settings import digest_of
 from spoofgym.tasks import TASKS
+from tests.nightly import heavy
 
 from .tasks import KEPT, differences, resolved, returns
 
@@ -22,7 +23,7 @@ def kept():
     return json.loads(KEPT.read_text())
 
 
-@pytest.mark.parametrize("key", TASKS)
+@pytest.mark.parametrize("key", heavy(TASKS, "T4"))
 def test_the_settings_of_a_task_never_change(key, kept):
     now = resolved(TASKS[key])
     changed = differences(kept[key]["settings"], now)

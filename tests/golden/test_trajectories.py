@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from tests.nightly import heavy
+
 from . import trajectories
 
 NOISE = "3df5a44369fc0d5bf806c87edbb93246ca6df4d150d2bc92c5d4d999618b9f86"
@@ -17,7 +19,7 @@ def test_the_files_are_small_and_every_id_has_one():
     assert sum(path.stat().st_size for path in files) < 400_000
 
 
-@pytest.mark.parametrize("name", trajectories.cases())
+@pytest.mark.parametrize("name", heavy(trajectories.cases(), "BenchD2-v1"))
 def test_the_trajectory_is_the_stored_one(name):
     mine, stored = trajectories.cases()[name](), trajectories.load(name)
     assert set(mine) >= set(stored)  # more information may be told, none may go

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spoofgym.limits import record, respond, unit_commands
-from spoofgym.limits.linear import mechanized, unattacked, white
+from spoofgym.limits.linear import mechanized, observer, white
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.setup import generators_of, seeds_of_runs
 
@@ -19,7 +19,7 @@ def rngs_of(setup, runs=1):
 
 def played(setup, actions):
     """(K, m) innovations and (K, 3) positions of a receiver under commands."""
-    simulator = unattacked(setup, 1)
+    simulator = observer(setup, 1)
     simulator.begin(rngs_of(setup))
     simulator.quiet_epochs(setup.onset)
     seen, place = [], []

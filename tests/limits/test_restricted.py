@@ -29,9 +29,8 @@ from spoofgym.detectors import (
     WindowedChi2,
 )
 from spoofgym.limits import convex
-from spoofgym.limits.judged import SETS, judged_by
 from spoofgym.limits.linear import white
-from spoofgym.limits.no_alarm import Timing, judge_run
+from spoofgym.limits.no_alarm import SETS, Timing, judge_run, judged_by
 from spoofgym.limits.restricted import zero_alarm_of
 from spoofgym.limits.zero_alarm import sensitivity
 

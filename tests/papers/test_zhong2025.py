@@ -178,7 +178,7 @@ def test_termination_is_the_analytic_one(attack):
     # in it is 0.16 epochs for the smallest, and the count is whole
     found = campaign(attack, 0.3)
     _, settled = chart_of_a_perfect_receiver(attack, found.threshold)
-    epochs = Ewma().settling_epochs(settled, found.threshold)
+    epochs = math.log(found.threshold / settled) / math.log(1.0 - Ewma().smoothing)
     assert np.median(found.termination) == pytest.approx(epochs * EPOCH, abs=EPOCH)
 
 

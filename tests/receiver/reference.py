@@ -20,6 +20,11 @@ def skew(a):
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def cross_matrices(vectors):
+    """(..., 3, 3) of vectors (..., 3)."""
+    return np.cross(np.asarray(vectors)[..., None, :], I3).swapaxes(-1, -2)
+
+
 OMEGA = skew([0.0, 0.0, RATE])
 
 

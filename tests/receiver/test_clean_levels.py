@@ -50,7 +50,7 @@ def clean_run(flight, grade, errors="white", biases=None):
         batch.update(None)
         position.append(position_error(batch))
         velocity.append(velocity_error(batch))
-        attitude.append(attitude_error(batch) @ world.local_frame(epoch_of(batch)))
+        attitude.append(attitude_error(batch) @ world.C_en[epoch_of(batch)])
     axes = np.sqrt((np.array(attitude) ** 2).mean(axis=(0, 1)))
     return Levels(rms(position), rms(velocity), np.degrees(axes))
 

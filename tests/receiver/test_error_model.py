@@ -7,7 +7,6 @@ import pytest
 
 from spoofgym.core.compile import njit
 from spoofgym.core.simd import LANES, load, store
-from spoofgym.earth.attitude import skew
 from spoofgym.earth.wgs84 import EARTH_RATE, geocentric_surface_radius, geodetic_to_ecef, gravity
 from spoofgym.receiver._kernels import show_transition
 from spoofgym.receiver.states import (
@@ -30,6 +29,7 @@ from spoofgym.receiver.states import (
 from spoofgym.receiver.strapdown import strapdown_step
 
 from ..lanes import in_all_lanes, side_by_side
+from .reference import skew
 
 R_E = geodetic_to_ecef(0.7, 0.3, 9000.0)
 FORCE = np.array([0.8, -0.3, -9.7])

@@ -14,7 +14,7 @@ ORBIT = 2.656e7
 
 def measure(r, v, clock, satellites, velocities):
     ranges = np.array(
-        [range_and_rate(*s, *sv, *r, *v)[:2] for s, sv in zip(satellites, velocities, strict=True)]
+        [range_and_rate(s, sv, r, v)[:2] for s, sv in zip(satellites, velocities, strict=True)]
     )
     return ranges[:, 0] + clock[0], ranges[:, 1] + clock[1]
 
@@ -77,7 +77,7 @@ def test_the_fix_is_that_of_least_squares():
     fix = least_squares_fix(*noisy, S, SV)
     predicted, u = [], []
     for s, sv in zip(S, SV, strict=True):
-        rho, rate, *sight = range_and_rate(*s, *sv, *fix.position_e, *fix.velocity_e)
+        rho, rate, *sight = range_and_rate(s, sv, fix.position_e, fix.velocity_e)
         predicted.append((rho + fix.clock_bias_m, rate + fix.clock_drift_mps))
         u.append(sight)
     H = np.column_stack([-np.array(u), np.ones(8)])

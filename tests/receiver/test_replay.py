@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spoofgym.earth.attitude import skew
 from spoofgym.earth.wgs84 import dcm_e_from_n, ecef_to_geodetic, range_and_rate
 from spoofgym.receiver import NavState, NoiseModel, Recording, TightlyCoupled, replay
 from spoofgym.truth.flight import inverse_kinematics
@@ -50,7 +49,7 @@ def truth(flight):
     ranges = np.array(
         [
             [
-                range_and_rate(*s, *sv, *flight.position_e[end], *flight.velocity_e[end])[:2]
+                range_and_rate(s, sv, flight.position_e[end], flight.velocity_e[end])[:2]
                 for s, sv in zip(position[k], velocity[k], strict=True)
             ]
             for k, end in enumerate(ends)
@@ -94,7 +93,7 @@ def initial(flight, error=1.0):
     return NavState(
         position_e=flight.position_e[0] + error * np.array([3.0, -4.0, 5.0]),
         velocity_e=flight.velocity_e[0] + error * np.array([0.05, 0.1, -0.05]),
-        C_eb=(np.eye(3) + error * skew([1e-4, -2e-4, 1e-4])) @ flight.C_eb[0],
+        C_eb=(np.eye(3) + error * reference.skew([1e-4, -2e-4, 1e-4])) @ flight.C_eb[0],
         clock_bias_m=5000.0 + 4.0 * error,
         clock_drift_mps=30.0 + 0.1 * error,
     )

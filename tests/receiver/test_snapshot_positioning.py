@@ -7,7 +7,9 @@ from scipy import optimize
 from spoofgym.earth.wgs84 import EARTH_RATE, SPEED_OF_LIGHT
 from spoofgym.receiver import least_squares_fix
 from spoofgym.receiver.snapshot import expect, fix_receivers
-from spoofgym.truth.line_of_sight import make_sky, measure, scratch
+from spoofgym.truth._kernels import measure_snapshot
+from spoofgym.truth.noise import padded
+from spoofgym.truth.run import make_sky
 from spoofgym.truth.satellites import CircularConstellation
 
 SKY = make_sky(3, 1.0, 12, CircularConstellation(satellites=36), speed_mps=50.0)
@@ -17,7 +19,7 @@ def pseudoranges(noise_m=0.0, receivers=1, spoofed=None, displacement=(0.0, 0.0,
     """(B, 12) pseudoranges at the first epoch, with a clock of 1000 m."""
     b = receivers
     rho, satellites = np.empty((b, 12)), np.empty((b, 12, 3))
-    measure(
+    measure_snapshot(
         np.zeros(b, dtype=np.int64),
         np.arange(2 * b, dtype=np.uint64).reshape(b, 2),
         np.tile([1000.0, 5.0], (b, 1)),
@@ -28,7 +30,7 @@ def pseudoranges(noise_m=0.0, receivers=1, spoofed=None, displacement=(0.0, 0.0,
         SKY.C_en,
         SKY.satellite_position_e,
         noise_m,
-        scratch(12),
+        np.empty(padded(12)),
         rho,
         satellites,
     )

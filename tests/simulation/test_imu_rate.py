@@ -144,7 +144,7 @@ def test_environments_and_duel_take_it():
     duel = duel_v0.env(scenario="zhong2025", **small)
     for env in (one, many, duel):
         env.reset(seed=3)
-    cores = one.unwrapped.core, many.unwrapped.core, duel.unwrapped.rules.duel.core
+    cores = one.unwrapped.core, many.unwrapped.core, duel.unwrapped.duel.core
     for core in cores:
         assert core.setup.name == "zhong2025@20Hz"
         assert core.setup.world.most_samples == 10

@@ -61,6 +61,7 @@ def test_bad_input_is_refused(tmp_path):
         Settings(out=tmp_path, entropy=-1)
 
 
+@pytest.mark.nightly
 def test_a_seed_that_diverges_has_no_score_and_stops_no_other(settings, monkeypatch):
     """Within an update, where torch raises, and after its last minibatch, where nobody does."""
     train = PPO.train

@@ -18,9 +18,10 @@ from spoofgym.data.ephemerides import (
     BroadcastConstellation,
     gps_seconds,
     propagate,
+    screen,
     solve_kepler,
 )
-from spoofgym.data.rinex import load_broadcast, read_navigation
+from spoofgym.data.rinex import read_navigation
 from spoofgym.truth.satellites import CircularConstellation, Constellation
 
 from .records import HOUR, ORBIT, SATURDAY_22, chain, joined, later, one_record
@@ -299,7 +300,8 @@ def read_sp3(path: Path) -> tuple[list[datetime], dict[str, NDArray[np.float64]]
 def test_orbits_of_a_day_agree_with_the_precise_ones(data_folder: Path) -> None:
     folder = data_folder / "gnss_broadcast"
     dates, precise = read_sp3(folder / "igs15904.sp3")
-    constellation, report = load_broadcast(folder / "brdc1820.10n", dates[0])
+    kept, report = screen(read_navigation(folder / "brdc1820.10n"))
+    constellation = BroadcastConstellation(kept, gps_seconds(dates[0]))
     states = constellation.states([gps_seconds(date) - constellation.start for date in dates])
     ids = constellation.satellite_ids
     expected = np.stack([precise[satellite] for satellite in ids], axis=1)
@@ -333,8 +335,8 @@ def test_unscreened_the_bad_record_would_be_flown(data_folder: Path) -> None:
 
 def test_unhealthy_satellites_of_a_day(data_folder: Path) -> None:
     path = data_folder / "gnss_broadcast" / "brdc3050.12n"
-    constellation, report = load_broadcast(path, datetime(2012, 10, 31, 12))
-    kept = constellation.ephemerides
+    kept, report = screen(read_navigation(path))
+    constellation = BroadcastConstellation(kept, gps_seconds(datetime(2012, 10, 31, 12)))
     assert set(kept.satellite_id[~kept.healthy].tolist()) == {"G24", "G27"}
     assert set(kept.satellite_id[kept.healthy].tolist()).isdisjoint({"G24", "G27"})
     assert report.unhealthy == (~kept.healthy).sum()

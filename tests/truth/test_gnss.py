@@ -57,7 +57,7 @@ def measured(sensors, constants, keys, epoch, tau, sky, noise, added, out):
     n = out.shape[0] // 2
     k, dt = load(epoch, 0), load(tau, 0)
     both = sensors, 0, constants, 0
-    measure(*both, n, keys, 0, k, dt, sky, noise, added, added[:0], out, 0)
+    measure(both, n, keys, 0, k, dt, sky, noise, added, added[:0], out, 0)
 
 
 def begun(errors, bias_sd, seeds, grade="aviation"):

@@ -5,14 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from spoofgym.truth._kernels import measure_fix, measure_odometry
 from spoofgym.truth.noise import BLOCK
 from spoofgym.truth.robot import (
     FixErrors,
     Odometer,
     RobotLoop,
     episode_keys,
-    measure_fix,
-    measure_odometry,
 )
 
 SAMPLES = 10

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spoofgym.truth.line_of_sight import make_sky
+from spoofgym.truth.run import make_sky
 from spoofgym.truth.satellites import CircularConstellation
 
 CONSTELLATION = CircularConstellation(satellites=36)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from spoofgym.earth.attitude import euler_to_dcm, skew
+from spoofgym.earth.attitude import euler_to_dcm
 from spoofgym.earth.wgs84 import (
     EARTH_RATE,
     dcm_e_from_n,
@@ -22,6 +22,8 @@ from spoofgym.truth.flight import (
 )
 from spoofgym.truth.manoeuvres import Climb, Steer, Straight, Turn, Until, fly, zhong2025
 
+from ..receiver.reference import cross_matrices
+
 I3 = np.eye(3)
 
 
@@ -31,9 +33,9 @@ def strapdown(position, velocity, C, force, rate, step):
     turn = np.array(
         [[math.cos(a), math.sin(a), 0.0], [-math.sin(a), math.cos(a), 0.0], [0.0, 0.0, 1.0]]
     )
-    half_turn = 0.5 * skew([0.0, 0.0, a])
-    coriolis = 2.0 * skew([0.0, 0.0, EARTH_RATE])
-    A = skew(rate * step)
+    half_turn = 0.5 * cross_matrices([0.0, 0.0, a])
+    coriolis = 2.0 * cross_matrices([0.0, 0.0, EARTH_RATE])
+    A = cross_matrices(rate * step)
     angle = np.linalg.norm(rate * step, axis=1)[:, None, None]
     turning = np.where(angle > 1e-8, angle, 1.0)
     s = np.where(angle > 1e-8, np.sin(turning) / turning, 1.0)

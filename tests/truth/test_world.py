@@ -69,7 +69,7 @@ def test_ranges_are_those_of_range_and_rate(world):
             p = world.satellites[k, s]
             want = (0.0, 0.0)
             if world.visible[k, s]:
-                want = range_and_rate(*p[:6], *world.position_e[k], *world.velocity_e[k])[:2]
+                want = range_and_rate(p[:3], p[3:6], world.position_e[k], world.velocity_e[k])[:2]
             np.testing.assert_allclose(p[6:], want, rtol=1e-14, atol=1e-9)
 
 
@@ -256,7 +256,7 @@ def test_no_satellite_in_view_at_all_is_refused():
 
 
 def test_local_axes_stand_at_the_true_position(world):
-    C_en = world.local_frame(3)
+    C_en = world.C_en[3]
     latitude, longitude, height = ecef_to_geodetic(world.position_e[3])
     higher = geodetic_to_ecef(latitude, longitude, height + 100.0) - world.position_e[3]
     np.testing.assert_allclose(C_en.T @ higher, [0.0, 0.0, -100.0], atol=1e-7)

@@ -168,7 +168,7 @@ def fly(
             records[key].take(k, said.statistic, said.alarm)
         simulator.update(verdict.weights)
         off = simulator.position - world.position_e[k + 1]
-        error[k] = off @ world.local_frame(k + 1)
+        error[k] = off @ world.C_en[k + 1]
     engine.close()
     slots = [world.satellite_ids.index(satellite) for satellite in satellites]
     seen = sum(map(bool, world.satellite_ids))

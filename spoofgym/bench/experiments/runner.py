@@ -26,6 +26,7 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from graphlib import CycleError, TopologicalSorter
+from multiprocessing import resource_tracker
 from typing import Any, ClassVar, NamedTuple
 
 import cloudpickle
@@ -347,10 +348,30 @@ def _loky(work: Send, _: str, jobs: int, threads: int) -> Iterator[_Workers]:
 
     env = dict.fromkeys(ONE_THREAD, "1")
     pool = ProcessPoolExecutor(jobs, initializer=_begin, initargs=(os.getpid(),), env=env)
+
+    def submit(task: _Task, _: RemainingWork) -> Future[None]:
+        with _ctrl_c_blocked():  # this may start workers
+            submitted: Future[None] = pool.submit(work, task)
+        return submitted
+
     try:
-        yield _Workers(lambda task, _: pool.submit(work, task), lambda: jobs, (BrokenProcessPool,))
+        yield _Workers(submit, lambda: jobs, (BrokenProcessPool,))
     finally:
         pool.shutdown(wait=True, kill_workers=True)
+
+
+@contextmanager
+def _ctrl_c_blocked() -> Iterator[None]:
+    """Keep Ctrl-C from processes and threads that start here, from their first instruction on."""
+    if not hasattr(signal, "pthread_sigmask"):  # on Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # whose start unblocks it
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin(parent: int) -> None:

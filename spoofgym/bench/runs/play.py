@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from ...detectors import Detector
 from ...detectors.base import judged
-from ...envs.decisions import Decisions
 from ...envs.observer import Observer
 from ...envs.spoofer_binding import bound_spoofer, paced
-from ...envs.terms.action import CommandMap
+from ...envs.terms.action import CommandMap, Decisions
 from ...simulation.engine import Engine
 from ...simulation.monitors import Monitored, PassiveDetectors
 from ...simulation.setup import Setup

@@ -16,16 +16,12 @@ from typing import Any
 
 STEALTHY, HALF = "stealthy displacement", "exceeded in 50 %"
 """Scores that have a floor, as the marks name them."""
-PURPOSES = {STEALTHY: "stealthy", HALF: "half"}
-"""Which floor is each score's."""
-ERRORS = 2.0
-"""Standard errors by which a mean has to lie above a bound."""
+PURPOSES = {STEALTHY: "stealthy", HALF: "half"}  # which floor is each score's
+ERRORS = 2.0  # standard errors by which a mean has to lie above a bound
 FIRST_ORDER = 0.01
 """Part of a bound by which it has to do so, too: bounds are of first order, at one heading."""
 NORMAL_95 = 1.96
-"""Half width of a 95 % interval, in standard errors."""
-SAME_RATE = 1e-6
-"""Relative difference of two rates of false alarms that are the same one."""
+SAME_RATE = 1e-6  # relative difference of two rates of false alarms that are the same one
 Limits = dict[str, Any]
 Row = dict[str, Any]
 
@@ -96,7 +92,6 @@ def headline(protection: Row | None, share: float, *, skies: bool = False) -> Ro
 
 
 def _reached(cell: Row) -> Row:
-    """Stealthy displacement of an attack, and whether it keeps the budget."""
     tuned = cell["tuned_within_budget"]
     keeps = bool(cell["within_budget"]) and tuned is not False
     return {
@@ -131,14 +126,12 @@ def bound_of(found: Row | None) -> Row:
 
 
 def _below(reached: Row | None, floor: float | None) -> bool:
-    """Whether the whole interval of what was achieved lies below its floor."""
     if reached is None or floor is None or reached["high"] is None:
         return False
     return float(reached["high"]) < floor
 
 
 def _above(reached: Row, bound: Row) -> bool:
-    """Whether a mean lies above a bound by more than some standard errors, and by a part of it."""
     value, ends = bound["value"], (reached["low"], reached["high"])
     if not isinstance(value, float | int) or None in ends:
         return False

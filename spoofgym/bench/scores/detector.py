@@ -13,19 +13,15 @@ from numpy.typing import NDArray
 from ...detectors.calibration_file import hourly_rate
 from ..runs.record import MEASURES, Aim, Protection, Winner
 from .scores import SHARES, bootstrap_exceeded, clusters_of
-from .statistics import Estimate, clopper_pearson, exceedance, percentiles, resamples_of
+from .statistics import Estimate, FloatArray, clopper_pearson, exceedance, percentiles, resamples_of
 
-FloatArray = NDArray[np.float64]
 WINDOW, CLEAN = "clean, judged window", "clean"
 """Names of false alarms without an event: in the judged window alone, and in all monitored time."""
 
 
 class FamilyScore(NamedTuple):
-    """One family of attacks against one detector.
-
-    - `family`, `held_out`: which one, and whether no detector may have met it;
-    - `found`: its worst attacks, and how far each came in every evaluation run.
-    """
+    """One family of attacks against one detector; `found`: the worst, and how far each came in each
+    run."""
 
     family: str
     held_out: bool
@@ -34,17 +30,14 @@ class FamilyScore(NamedTuple):
 
     @property
     def counted(self) -> int:
-        """Runs that count."""
         return int(self.found.counts.sum())
 
     @property
     def aim(self) -> Aim:
-        """To exceed the alert limit."""
         return Aim(MEASURES[0], limit_m=self.alert_limit_m)
 
     @property
     def attack(self) -> Winner:
-        """The attack that exceeds the alert limit most often."""
         return self.found.worst(self.aim)
 
     @property
@@ -67,7 +60,6 @@ class FamilyScore(NamedTuple):
             return np.asarray((samples @ hazard) / (samples @ counts))
 
     def as_dict(self) -> dict[str, Any]:
-        """All but the single runs, JSON-able."""
         attack = self.attack
         return {
             "family": self.family,
@@ -117,7 +109,6 @@ class DetectorScore:
 
     @property
     def p_hmi(self) -> Estimate:
-        """P(HMI | attack) at the alert limit by the worst family, with Wilson's 95 % interval."""
         return self.worst.p_hmi
 
     def exceeded(self, share: float) -> Estimate:
@@ -126,7 +117,6 @@ class DetectorScore:
         return max(found, key=lambda each: -math.inf if math.isnan(each.value) else each.value)
 
     def family(self, key: str) -> FamilyScore:
-        """Score of one family; a ValueError where it has not been played."""
         for each in self.families:
             if each.family == key:
                 return each
@@ -174,7 +164,6 @@ class DetectorScore:
             )
 
     def as_dict(self) -> dict[str, Any]:
-        """All but the single runs, JSON-able."""
         plain = ("task", "detector", "alert_limit_m", "runs", "selection_runs", "entropy")
         rate = self.false_alarm_rate()
         hourly = (hourly_rate(each, self.window_s) for each in rate)

@@ -12,26 +12,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ...spoofers.base import sees_statistics
 from ..runs.record import MEASURES, Aim, Protection, RunRecord
 from .scores import ALIKE, SHARES, clusters_of, exceeded
 from .statistics import (
     NOTHING,
     Estimate,
+    FloatArray,
     bootstrap_mean,
     largest_of_share,
     percentiles,
     resamples_of,
 )
 
-FloatArray = NDArray[np.float64]
-CONTROLS = ("never", "lottery")
-"""Names of the detectors that chance must not be told from."""
-FREE = "any"
-"""Footing of a detector that never alarms: it has none, and goes with any rate."""
+CONTROLS = ("never", "lottery")  # names of the detectors that chance must not be told from
+FREE = "any"  # footing of a detector that never alarms: it has none, and goes with any rate
 Footings = Mapping[str, str]
 
 
@@ -54,7 +49,6 @@ def compare(
 
 
 def controls(footings: Footings) -> list[str]:
-    """Labels of the negative controls that were played."""
     return [label for label in footings if name_of(label) in CONTROLS]
 
 
@@ -63,7 +57,6 @@ def name_of(label: str) -> str:
 
 
 def comparable(footings: Footings, detector: str, other: str) -> bool:
-    """Whether two detectors were asked for one rate, and are not the same."""
     mine, theirs = footings[detector], footings[other]
     if detector == other or "nominal" in (mine, theirs):
         return False
@@ -92,7 +85,6 @@ def _displacements(cells: Sequence[RunRecord], detector: str, control: str) -> l
 def _protections(
     protections: Sequence[Protection], detector: str, control: str
 ) -> list[dict[str, Any]]:
-    """Displacement that the worst attack exceeds, by share."""
     by_label = {each.detector: each for each in protections}
     mine, theirs = by_label.get(detector), by_label.get(control)
     if mine is None or theirs is None:

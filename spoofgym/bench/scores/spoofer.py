@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from ...spoofers.base import sees_statistics
 from .scores import clusters_of
-from .statistics import Estimate, interval, percentiles, resamples_of
-
-FloatArray = NDArray[np.float64]
+from .statistics import Estimate, FloatArray, interval, percentiles, resamples_of
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,6 @@ class Score:
         return percentiles(float(mine.sum()) / base if base else math.nan, drawn)
 
     def as_dict(self) -> dict[str, Any]:
-        """All but the single runs, JSON-able."""
         plain = ("task", "detector", "spoofer", "knowledge", "setting", "value", "runs", "counted")
         return {
             **{name: getattr(self, name) for name in plain},

@@ -1,4 +1,9 @@
-"""Who plays the candidates of a blind optimum: response replay, or the engine itself."""
+"""What plays the candidates of a blind optimum: response replay, or the engine itself.
+
+A player has `runs` N that count, silent without an attack, `steps` of a sampled curve, and `limits`
+of its rate.  ``play(curves, rows)`` returns the largest ratios (P, n) of curves (P, steps) on n of
+the runs, and the farthest error (P,) in their mean [m].
+"""
 
 from __future__ import annotations
 
@@ -11,14 +16,13 @@ from numpy.typing import NDArray
 
 from ...limits.response import Replay
 from ...simulation.setup import Setup
-from ...spoofers.aim import axes_of, direction, has_heading
+from ...spoofers.base import axes_of, direction, has_heading
 from ..runs.play import Runs, WarmStart, induced_error
 from ..scores.scores import counted
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]
-EAST_DEG = 90.0
-"""Heading of scripted spoofers by default."""
+EAST_DEG = 90.0  # heading of scripted spoofers by default
 
 
 def limits_of(setup: Setup) -> tuple[float, float]:
@@ -56,7 +60,6 @@ class ReplayPlayer:
         self.runs = len(self._rows)
 
     def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
-        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
         found = self.replay.play(self.number, curves, rows=self._rows[rows])
         error = found.error[: self.replay.setup.steps]
         return found.peak, error.max(axis=0).mean(axis=1)
@@ -72,7 +75,6 @@ class MixedPlayer:
         self._owner = np.searchsorted(ends, np.arange(self.runs), side="right")
 
     def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
-        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
         peak, reach = np.zeros((len(curves), len(rows))), np.zeros(len(curves))
         for k, player in enumerate(self.players):
             mine = self._owner[rows] == k
@@ -93,7 +95,6 @@ class EnginePlayer:
         self.steps, self.limits = setup.steps // setup.repeat, limits_of(setup)
 
     def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
-        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
         setup, runs = self.start.setup, len(rows)
         everyone = np.tile(rows, len(curves))
         engine, (limit, most) = self.start.take(everyone).engine(), self.limits

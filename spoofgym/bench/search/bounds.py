@@ -23,14 +23,11 @@ from ..runs.players import Entry
 from ..runs.world import World
 from ..scores.statistics import BUDGET
 
-WORLDS = 4
-"""Drawn worlds over which floors and bounds are taken."""
-HEADING = "unknown"
-"""What a perfect detector knows of the attack's heading; it knows the rest."""
+WORLDS = 4  # drawn worlds over which floors and bounds are taken
+HEADING = "unknown"  # what a perfect detector knows of the attack's heading; it knows the rest
 
 
 def purposes(p_fa: float, budget: float) -> dict[str, float]:
-    """Probability of detection that each figure of a campaign asks of a perfect detector."""
     return {
         "stealthy": 1.0 - (1.0 - p_fa) * (1.0 - budget),
         "half": 0.5,
@@ -95,12 +92,10 @@ class Brackets:
 
     @property
     def setup(self) -> TightlyCoupledSetup | None:
-        """The world, where limits are known for its victim."""
         setup = self.world.setup
         return setup if isinstance(setup, TightlyCoupledSetup) else None
 
     def floor(self) -> dict[str, Any]:
-        """Floors of the world at the campaign's rate of false alarms; why there is none."""
         if self.setup is None:
             return {"why": f"no limit is known for {self.world.setup.whose}"}
         try:
@@ -108,11 +103,6 @@ class Brackets:
         except ValueError as error:
             return {"why": str(error)}
         return floors_at(frontier, self.rates, self.budget)
-
-    @property
-    def p_fa(self) -> float:
-        """Probability of a false alarm in a run of the first detector with a rate."""
-        return self.rates[0]
 
     @property
     def rates(self) -> list[float]:
@@ -133,7 +123,6 @@ class Brackets:
         return self._bounds[detector.label]
 
     def cases(self, tick: Tick | None = None) -> list[Case]:
-        """Drawn worlds, the same for all detectors."""
         if self._cases is None:
             setup = check_linear_victim(self.world.setup)
             self._cases = cases_of(setup, self.worlds, self.entropy, tick)

@@ -8,11 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...simulation.frame import EpisodeLayout, FrameData, SkyData
-from ...simulation.simulator import Simulator, run_serially
+from ...simulation.simulator import (
+    EpisodeLayout,
+    FloatArray,
+    FrameData,
+    Simulator,
+    SkyData,
+    run_serially,
+)
 from ..core import SpoofCore
 
-FloatArray = NDArray[np.float64]
 NUMBERS = ("time_s", "counted_s", "ratio", "twin_ratio", "induced_m", "error_m", "undetected_m")
 """Time since the onset, and that of the last command; statistic over threshold; errors from the
 clean twin and from the truth; the undetected displacement."""
@@ -20,7 +25,7 @@ PAIRS = ("position_ne", "error_ne", "twin_error_ne", "displacement_ne")
 
 
 class RenderHistory:
-    """An episode from its onset to now; K instants of it.
+    """An episode from its onset to now; `count` K instants of it.
 
     Parameters
     ----------
@@ -28,13 +33,6 @@ class RenderHistory:
         What does not change in it.
     decision_s : float
         Time between two instants, but for the last one, which comes after the time to alert.
-
-    Attributes
-    ----------
-    count : int
-        Instants so far, K.
-    sky : SkyData or None
-        The present one.
     """
 
     def __init__(self, layout: EpisodeLayout, decision_s: float) -> None:
@@ -47,7 +45,6 @@ class RenderHistory:
         self._alarm = np.zeros(size, dtype=np.bool_)
 
     def add(self, attacked: FrameData, twin: FrameData, info: Mapping[str, Any]) -> None:
-        """Append an instant."""
         k, self.count = self.count, self.count + 1
         since = info["time_s"] - self.layout.onset_s
         times = since, min(since, k * self._decision_s)
@@ -73,16 +70,11 @@ class RenderHistory:
 
     @property
     def alarm(self) -> NDArray[np.bool_]:
-        """(K,) bool, a view."""
         return self._alarm[: self.count]
 
     @property
     def first_alarm(self) -> int | None:
-        """Index of the first alarm."""
         return int(self.alarm.argmax()) if self.alarm.any() else None
-
-
-FIRST = np.zeros(1, dtype=np.intp)
 
 
 class CoreRecorder:
@@ -103,16 +95,15 @@ class CoreRecorder:
 
     @property
     def interval_s(self) -> float:
-        """Time between two frames [s]."""
         setup = self._core.setup
         return setup.repeat * setup.interval_s
 
     def begin(self) -> EpisodeLayout:
-        """Take the twin; called at the onset of every episode."""
         simulator = self._core.engine.simulator
         if self._twin is None:
             self._twin = self._core.setup.simulator(1, run_serially)
-        self._twin.copy_rows(FIRST, simulator, FIRST)
+        first = np.zeros(1, dtype=np.intp)
+        self._twin.copy_rows(first, simulator, first)
         return simulator.layout()
 
     def frames(self) -> tuple[FrameData, FrameData]:

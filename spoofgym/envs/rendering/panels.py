@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.plots import BLUE, GREEN, GREY, GRID, ORANGE, RED, style
-from ...simulation.frame import EpisodeLayout, FloatArray, SkyData
+from ...simulation.simulator import EpisodeLayout, FloatArray, SkyData
 from .history import RenderHistory
 
 if TYPE_CHECKING:
@@ -23,40 +23,20 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from matplotlib.text import Text
 
-SMALL = 8.5
-"""Size of the type of labels."""
-LEAST_M = 2.0
-"""Smallest range of errors that is shown."""
-NAME_DRIFT = 0.02
-"""How far a satellite goes on a sky plot of radius 1 before its name follows."""
-NAME_SIZE = (0.2, 0.1)
-"""Width and height of a satellite's name on such a plot."""
-Box = tuple[float, float, float, float]
-"""Left, bottom, width and height."""
-MAGNIFIED = 0.2
-"""Largest error on the map, as a part of the map."""
-MOST_LINEAR = 5.0
-"""Ratio of statistic and threshold from which on the axis is logarithmic."""
+SMALL = 8.5  # size of the type of labels
+LEAST_M = 2.0  # smallest range of errors that is shown
+NAME_DRIFT = 0.02  # how far a satellite goes on a sky plot of radius 1 before its name follows
+NAME_SIZE = (0.2, 0.1)  # width and height of a satellite's name on such a plot
+Box = tuple[float, float, float, float]  # left, bottom, width and height
+MAGNIFIED = 0.2  # largest error on the map, as a part of the map
+MOST_LINEAR = 5.0  # ratio of statistic and threshold from which on the axis is logarithmic
 
 
 STEPS = (1.0, 2.0, 5.0, 10.0)
 """Round numbers, times powers of ten; axes that end there seldom change, and are seldom drawn."""
 
 
-class Panel(Protocol):
-    """One panel."""
-
-    artists: list[Artist]
-
-    def fit(self, history: RenderHistory) -> bool:
-        """Make room for the history; whether that changed what stays."""
-
-    def follow(self, history: RenderHistory) -> None:
-        """Let what moves follow the history."""
-
-
 def moving_line(ax: Axes, look: str, **settings: Any) -> Line2D:
-    """Line without points yet, which is drawn apart from what stays."""
     (line,) = ax.plot([], [], look, animated=True, **settings)
     return line
 
@@ -69,14 +49,12 @@ class Way:
         self.end = moving_line(ax, "o", color=color, ms=5.5, mec="white", mew=0.8)
 
     def follow(self, way_ne: FloatArray) -> None:
-        """Draw a way (K, 2), north and east."""
         north, east = way_ne.T
         self.line.set_data(east, north)
         self.end.set_data(east[-1:], north[-1:])
 
 
 def head(ax: Axes, title: str, columns: int = 4, unit: str = "") -> None:
-    """Title of a panel, its key between title and panel, and the unit of east and north."""
     if unit:
         ax.set_xlabel(f"east [{unit}]", fontsize=SMALL, labelpad=2)
         ax.set_ylabel(f"north [{unit}]", fontsize=SMALL, labelpad=2)
@@ -152,7 +130,6 @@ class FlightMap:
         )
 
     def fit(self, history: RenderHistory) -> bool:
-        """Magnify less where errors have grown."""
         largest = max(float(history.number("error_m").max()), LEAST_M)
         factor = max(round_down(MAGNIFIED * self._extent / largest), 1.0)
         if factor >= self._factor:
@@ -161,7 +138,6 @@ class FlightMap:
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the way so far."""
         truth = history.pair("position_ne")
         errors = history.pair("twin_error_ne"), history.pair("error_ne"), np.zeros_like(truth)
         for way, error in zip(self._ways, errors, strict=True):
@@ -187,7 +163,6 @@ class ErrorPlane:
         head(ax, "Estimate minus truth", unit="m")
 
     def fit(self, history: RenderHistory) -> bool:
-        """Widen the plane where errors have grown."""
         from matplotlib.patches import Circle
 
         largest = max(_largest(np.abs(history.pair(name))) for name in self._ways)
@@ -205,7 +180,6 @@ class ErrorPlane:
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the errors so far."""
         for name, way in self._ways.items():
             way.follow(history.pair(name))
         first = history.first_alarm
@@ -243,7 +217,6 @@ class SkyPlot:
         head(ax, "Satellites", 3)
 
     def fit(self, history: RenderHistory) -> bool:
-        """Write the names again where satellites have moved, risen or set."""
         sky = history.sky
         if sky is None:
             return False
@@ -266,7 +239,6 @@ class SkyPlot:
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the present sky."""
         sky = history.sky
         if sky is None:
             return
@@ -329,9 +301,25 @@ class TimePanel:
         self._first = moving_line(ax, "-", color=RED, lw=1.1)
         self._first.set_transform(ax.get_xaxis_transform())
         self.artists: list[Artist] = [self._first]
+        self._top = 0.0
+
+    def _needed(self, history: RenderHistory) -> float:
+        """Where the axis has to end."""
+        raise NotImplementedError
+
+    def fit(self, history: RenderHistory) -> bool:
+        """Raise the axis where something has grown."""
+        top = self._needed(history)
+        if top <= self._top:
+            return False
+        self._top = self._raised(top)
+        self._ax.set_ylim(0.0, self._top)
+        return True
+
+    def _raised(self, top: float) -> float:
+        return top
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the time of the first alarm."""
         first = history.first_alarm
         if first is not None:
             time = history.number("time_s")[first]
@@ -348,22 +336,18 @@ class StatisticPanel(TimePanel):
         self._attacked = moving_line(ax, "-", color=ORANGE, lw=1.6, label="attacked")
         self._alarms = moving_line(ax, "o", color=RED, ms=3.5, ls="none", label="alarm")
         self.artists += [self._twin, self._attacked, self._alarms]
-        self._top = 0.0
         head(ax, "Statistic over threshold")
 
-    def fit(self, history: RenderHistory) -> bool:
-        """Raise the axis where the statistic has grown."""
+    def _needed(self, history: RenderHistory) -> float:
         largest = max(_largest(history.number(name)) for name in ("ratio", "twin_ratio"))
-        top = 2.0 if largest < 1.8 else round_up(1.15 * largest)
-        if top <= self._top:
-            return False
-        self._top = top
-        if top > MOST_LINEAR:
-            self._ax.set_yscale("symlog", linthresh=1.0)
-            self._ax.yaxis.set_major_formatter("{x:g}")
-            self._top = top = 10.0 ** np.ceil(np.log10(top))
-        self._ax.set_ylim(0.0, top)
-        return True
+        return 2.0 if largest < 1.8 else round_up(1.15 * largest)
+
+    def _raised(self, top: float) -> float:
+        if top <= MOST_LINEAR:
+            return top
+        self._ax.set_yscale("symlog", linthresh=1.0)
+        self._ax.yaxis.set_major_formatter("{x:g}")
+        return float(10.0 ** np.ceil(np.log10(top)))
 
     def follow(self, history: RenderHistory) -> None:
         super().follow(history)
@@ -388,20 +372,13 @@ class ErrorPanel(TimePanel):
             self._commanded = moving_line(ax, "--", color=GREEN, lw=1.3, label="commanded")
             self.artists.append(self._commanded)
         self.artists += [line for _, line in self._lines]
-        self._top = 0.0
         head(ax, "Displacement of the victim [m]")
 
-    def fit(self, history: RenderHistory) -> bool:
-        """Raise the axis where errors have grown."""
+    def _needed(self, history: RenderHistory) -> float:
         sizes = [history.number(name) for name, _ in self._lines]
         if self._commanded is not None:
             sizes.append(_size(history.pair("displacement_ne")))
-        top = round_up(max(1.08 * max(map(_largest, sizes)), LEAST_M))
-        if top <= self._top:
-            return False
-        self._top = top
-        self._ax.set_ylim(0.0, top)
-        return True
+        return round_up(max(1.08 * max(map(_largest, sizes)), LEAST_M))
 
     def follow(self, history: RenderHistory) -> None:
         super().follow(history)
@@ -422,3 +399,6 @@ def _size(pair: FloatArray) -> FloatArray:
 def _largest(values: FloatArray) -> float:
     finite = values[np.isfinite(values)]
     return float(finite.max()) if len(finite) else 0.0
+
+
+Panel = FlightMap | ErrorPlane | SkyPlot | StatisticPanel | ErrorPanel

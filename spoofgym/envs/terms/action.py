@@ -9,16 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.registry import check_finite
-from ...simulation.setup import Setup
+from ...simulation.setup import FloatArray, Setup
+from ...spoofers.base import axes_of
 from .._kernels import follow_rate
-
-FloatArray = NDArray[np.float64]
 
 
 class ActionTerm(Protocol):
@@ -32,8 +31,7 @@ class ActionTerm(Protocol):
 
 
 def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:
-    """Which elements of the command belong to some axes or satellites."""
-    stems = [name.rsplit("_", 1)[0] for name in setup.action_names]
+    stems = axes_of(setup.action_names)
     for stem in wanted:
         if stem not in stems:
             raise ValueError(
@@ -43,7 +41,6 @@ def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:
 
 
 def _horizontal_limit(setup: Setup, whose: str) -> float:
-    """Limit of the rate north and east, which must be the same [m/s]."""
     north, east = _columns(setup, ("north", "east"), "axis")
     limits = np.broadcast_to(setup.attack.rate_limit_mps, len(setup.action_names))
     if limits[north] != limits[east]:
@@ -61,11 +58,9 @@ class FullCommand:
     described_as = "FullCommand"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """Those of the attack."""
         return setup.action_names
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """The identity."""
         axes = len(setup.action_names)
         return np.tile(np.eye(axes), (len(heading_rad), 1, 1))
 
@@ -81,7 +76,6 @@ class AlongTarget:
     along_target: ClassVar[bool] = True
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``along_target_acceleration`` or ``along_target_rate``."""
         if setup.target_heading_deg == "worst":
             raise ValueError(
                 "an element along the target direction needs one; `target_heading_deg` is 'worst'"
@@ -90,7 +84,6 @@ class AlongTarget:
         return (f"along_target_{setup.attack.control}",)
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """Cosine and sine of the heading."""
         north, east = _columns(setup, ("north", "east"), "axis")
         result = np.zeros((len(heading_rad), len(setup.action_names), 1))
         result[:, north, 0], result[:, east, 0] = np.cos(heading_rad), np.sin(heading_rad)
@@ -107,12 +100,10 @@ class AcrossTarget:
     described_as = "AcrossTarget"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``across_target_acceleration`` or ``across_target_rate``."""
         AlongTarget().names(setup)
         return (f"across_target_{setup.attack.control}",)
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """Minus sine and cosine of the heading."""
         return AlongTarget().matrix(setup, heading_rad + np.pi / 2.0)
 
 
@@ -137,12 +128,10 @@ class Channels:
         object.__setattr__(self, "ids", ids)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """Those of the attack."""
         names = setup.action_names
         return tuple(names[i] for i in _columns(setup, self.ids, "channel"))
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """Columns of the identity."""
         columns = _columns(setup, self.ids, "channel")
         return FullCommand().matrix(setup, heading_rad)[:, :, columns]
 
@@ -157,7 +146,6 @@ class CommonOffset:
     described_as = "CommonOffset"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``common_acceleration`` or ``common_rate``."""
         if setup.attack.kind != "per-channel":
             raise ValueError(
                 "a common offset needs an attack per channel, 'per-channel', got "
@@ -166,7 +154,6 @@ class CommonOffset:
         return (f"common_{setup.attack.control}",)
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """A column of 1."""
         return np.ones((len(heading_rad), len(setup.action_names), 1))
 
 
@@ -204,11 +191,9 @@ class RateSetpoint:
 
     @property
     def along_target(self) -> bool:
-        """Whether everything is commanded along the target direction."""
         return self.dimensions == 1
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``along_target_setpoint``, or ``north_setpoint`` and ``east_setpoint``."""
         if self.along_target:
             AlongTarget().names(setup)
             return ("along_target_setpoint",)
@@ -216,7 +201,6 @@ class RateSetpoint:
         return ("north_setpoint", "east_setpoint")
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """Parts of the full scale along every axis."""
         if self.along_target:
             return AlongTarget().matrix(setup, heading_rad)
         return Channels(("north", "east")).matrix(setup, heading_rad)
@@ -230,18 +214,13 @@ ACTION_TERMS: dict[str, type[ActionTerm]] = {
     "channels": Channels,
     "common-offset": CommonOffset,
 }
-"""Terms by name; one's own may be added."""
 
 
 def default_action(setup: Setup) -> tuple[ActionTerm, ...]:
-    """Action of an environment that is given none.
-
-    A victim with `Setup.follows_setpoint` takes the rate set-point where north and east are
-    commanded: along the target direction, in two dimensions where that is ``"worst"``.  Everything
-    else takes every element of the attack, as it is.
-    """
-    axes = {name.rsplit("_", 1)[0] for name in setup.action_names}
-    if not (setup.follows_setpoint and {"north", "east"} <= axes):
+    """Action of an environment that is given none: the rate set-point of a victim that follows one,
+    along the target direction or, where that is ``"worst"``, north and east; else what the attack
+    takes."""
+    if not (setup.follows_setpoint and {"north", "east"} <= {*axes_of(setup.action_names)}):
         return (FullCommand(),)
     return (RateSetpoint(2 if setup.target_heading_deg == "worst" else 1),)
 
@@ -249,10 +228,8 @@ def default_action(setup: Setup) -> tuple[ActionTerm, ...]:
 class CommandMap:
     """Commands of a list of terms, in the order of the action: `names` (k,) of its elements.
 
-    - `terms`: the list;
-    - `is_plain`: whether an action is the command;
-    - `along_target`: whether all that can be commanded is along the target direction;
-    - `setpoint_mps`: rate that an action of 1 asks for; None without a set-point.
+    `is_plain`: an action is the command; `along_target`: all of it is along the target direction;
+    `setpoint_mps`: rate that an action of 1 asks for, None without a set-point.
     """
 
     def __init__(self, terms: Sequence[ActionTerm], setup: Setup) -> None:
@@ -288,11 +265,8 @@ class CommandMap:
             self._out = np.empty(self._matrix.shape[:2])
 
     def command(self, action: FloatArray, rate: FloatArray) -> FloatArray:
-        """Command (B, a), C-contiguous, of an action (B, k) in [-1, 1]; the attack limits it.
-
-        `rate` (B, a) is what has been commanded so far [m/s].  The array is overwritten by the next
-        call.
-        """
+        """Command (B, a), C-contiguous, of an action (B, k), and the rate (B, a) so far [m/s]; the
+        attack limits it. The array is overwritten by the next call."""
         if self.is_plain:
             return action
         follow_rate(action, self._matrix, self._rules, rate, self._out)
@@ -312,3 +286,31 @@ def _following(setup: Setup, setpoint_mps: float) -> FloatArray:
         return np.array([setpoint_mps / limit, 0.0, 1.0])
     most = attack.acceleration_limit_mps2 * setup.interval_s
     return np.array([setpoint_mps / most, 1.0 / most, 1.0])
+
+
+class Decisions:
+    """The last two decisions (B, k) of B receivers; the setup says how often one is due."""
+
+    def __init__(self, setup: Setup, receivers: int, size: int) -> None:
+        self.setup = setup
+        self._before, self._last = np.zeros((receivers, size)), np.zeros((receivers, size))
+
+    def due(self, epoch: Any) -> Any:
+        return epoch % self.setup.repeat == 0
+
+    def take(self, action: FloatArray, rows: Any = slice(None)) -> None:
+        self._before[rows] = self._last[rows]
+        self._last[rows] = action[rows]
+
+    def action(self, epoch: int | NDArray[np.int64]) -> FloatArray:
+        """Action (B, k) of an epoch, one or (B,) of them."""
+        since = np.asarray(epoch)[..., None] % self.setup.repeat
+        return self.setup.command(self._before, self._last, since)
+
+    def forget(self, rows: Any) -> None:
+        self._before[rows] = self._last[rows] = 0.0
+
+    def of(self, rows: NDArray[np.intp]) -> Decisions:
+        part = Decisions(self.setup, len(rows), self._last.shape[1])
+        part._before, part._last = self._before[rows], self._last[rows]
+        return part

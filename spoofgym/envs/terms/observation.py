@@ -9,8 +9,6 @@ Every value is divided by a stated scale and clipped to finite bounds.
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
@@ -20,30 +18,38 @@ from numpy.typing import NDArray
 from ...core.registry import check_choice, check_finite
 from ...simulation.divergence import Divergence
 from ...simulation.monitors import KEPT, PastPositions, reports
-from ...simulation.setup import Setup
+from ...simulation.setup import FloatArray, Setup
+from ...simulation.simulator import Simulator
+from ...spoofers.base import KNOWLEDGE, axes_of
 from .._kernels import own_command, time_fractions
-from .base import Snapshot
 
-FloatArray = NDArray[np.float64]
-Units = tuple[tuple[str, float], ...]
-"""Unit of every element, and how much of it is observed as 1."""
 LEVELS = ("blind", "tracking", "oracle")
 REPORTED = "reported"
-KNOWLEDGE = (*LEVELS, *(f"{level}+{REPORTED}" for level in LEVELS))
-"""What a spoofer may know at run time."""
+
+
+class Snapshot(NamedTuple):
+    """The episodes after a step, `step` (B,) epochs after the attack started, with all truth: terms
+    choose what an agent may see.  `twin`: clean twins, if any."""
+
+    setup: Setup
+    simulator: Simulator
+    step: NDArray[np.int64]
+    twin: Simulator | None = None
+
+
+def holds_for_call(term: object, name: str) -> bool:
+    """Whether an attribute, which kernels use in place of `__call__`, is of the same class as it: a
+    subclass with another `__call__` inherits the attribute, which is not true of it any more."""
+    first = next((cls for cls in type(term).__mro__ if {name, "__call__"} & vars(cls).keys()), None)
+    return first is not None and {name, "__call__"} <= vars(first).keys()
 
 
 class ObservationTerm(Protocol):
     """One part of the observation: a `DynamicTerm`, or one with a `table`.
 
     ``table(setup)`` gives the (K, k) values at every epoch of the run, or None where they depend on
-    more than the epoch.
-
-    Attributes
-    ----------
-    knowledge : str
-        Least level of knowledge that it takes, and whether it takes ``reported``: one of
-        `KNOWLEDGE`, or ``"reported"`` at any level.
+    more than the epoch.  `knowledge` is the least level of knowledge that it takes, and whether it
+    takes ``reported``: one of `KNOWLEDGE`, or ``"reported"`` at any level.
     """
 
     knowledge: ClassVar[str]
@@ -54,15 +60,10 @@ class ObservationTerm(Protocol):
     def bounds(self, setup: Setup) -> tuple[float, float]:
         """Least and largest value of all elements, finite; the setup is not simulated yet."""
 
-    # optional: ``units(setup)`` gives the `Units` for tables
-
 
 class DynamicTerm(ObservationTerm, Protocol):
-    """A term that depends on what has happened.
-
-    One of the commanded displacement and rate, each times a factor, may have ``factors(setup)``:
-    a float [1/m], and (a,) [s/m] for the rate of every axis.  A kernel then writes it.
-    """
+    """A term that depends on what has happened. One of the commanded displacement and rate may have
+    ``factors(setup)``, by which a kernel writes it."""
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the values into `out` (B, k); clipping follows."""
@@ -72,15 +73,10 @@ class _Term:
     """What the terms below share: fixed bounds, and settings that are scales above 0."""
 
     limits: ClassVar[tuple[float, float]] = (-10.0, 10.0)
-    unit: ClassVar[str] = "1"
     may_be_0: ClassVar[tuple[str, ...]] = ()
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         raise NotImplementedError
-
-    def units(self, setup: Setup) -> Units:
-        """Unit of every element, and how much of it is observed as 1."""
-        return ((self.unit, 1.0),) * len(self.names(setup))
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -89,7 +85,6 @@ class _Term:
             check_finite(name, value, ">= 0" if name in self.may_be_0 else "> 0")
 
     def bounds(self, setup: Setup) -> tuple[float, float]:
-        """Least and largest value of all elements."""
         return self.limits
 
 
@@ -114,8 +109,7 @@ class OwnCommand(_Term):
     limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``own_displacement_*`` and ``own_rate_*`` for every axis, or along the target."""
-        axes = self._axes(setup)
+        axes = axes_of(setup.action_names)
         if self.along_target:
             lacking = [axis for axis in ("north", "east") if axis not in axes]
             if lacking:
@@ -126,31 +120,17 @@ class OwnCommand(_Term):
             axes = ["along_target"]
         return (*(f"own_displacement_{a}" for a in axes), *(f"own_rate_{a}" for a in axes))
 
-    def units(self, setup: Setup) -> Units:
-        """Metres, then metres per second."""
-        count = len(self.names(setup)) // 2
-        return (("m", self.scale_m),) * count + (("m/s", self.rate_scale_mps),) * count
-
-    @staticmethod
-    def _axes(setup: Setup) -> list[str]:
-        return [name.rsplit("_", 1)[0] for name in setup.action_names]
-
     def factors(self, setup: Setup) -> tuple[float, FloatArray, int, int]:
-        """What kernels need that write both.
-
-        Factors on displacement and on the rate of every axis; columns north and east, where only
-        their parts along the target direction are observed, else -1.
-        """
-        axes = self._axes(setup)
+        """Factors on displacement and on the rate of every axis; columns north and east, where only
+        their parts along the target direction are observed, else -1."""
+        axes = axes_of(setup.action_names)
         columns = (axes.index("north"), axes.index("east")) if self.along_target else (-1, -1)
         return 1.0 / self.scale_m, np.full(len(axes), 1.0 / self.rate_scale_mps), *columns
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write displacement and rate over their scales."""
         _, _, displacement, rate, direction = snapshot.simulator.step_arrays()
         per_displacement, per_rate, north, east = self.factors(snapshot.setup)
-        columns = north, east
-        own_command(displacement, rate, direction, *columns, per_displacement, per_rate, out)
+        own_command(displacement, rate, direction, north, east, per_displacement, per_rate, out)
 
 
 @dataclass(frozen=True)
@@ -162,25 +142,17 @@ class Time(_Term):
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``time_since_onset`` and ``time_left``."""
         return ("time_since_onset", "time_left")
 
-    def units(self, setup: Setup) -> Units:
-        """Seconds, the window for 1."""
-        return (("s", setup.steps * setup.interval_s),) * 2
-
     def table(self, setup: Setup) -> NDArray[np.float32] | None:
-        """The two fractions, where every epoch belongs to one onset."""
         onsets = setup.onsets
         if onsets is None:
             return None
-        epochs = len(setup.epoch_time)
-        table = np.empty((epochs, 2), dtype=np.float32)
-        time_fractions(np.arange(epochs), onsets, setup.steps, table)
+        table = np.empty((len(setup.epoch_time), 2), dtype=np.float32)
+        time_fractions(np.arange(len(table)), onsets, setup.steps, table)
         return table
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write the two fractions."""
         simulator = snapshot.simulator
         time_fractions(simulator.epochs, simulator.onset, snapshot.setup.steps, out)
 
@@ -193,8 +165,29 @@ def _varying(setup: Setup, table: NDArray[Any], least: float) -> NDArray[np.intp
     return np.flatnonzero(np.ptp(windows.reshape(-1, table.shape[1]), axis=0) >= least)
 
 
+class _Tabled(_Term):
+    """Terms that leave out what changes by less than `least_change`, where windows are fixed."""
+
+    least_change: float
+    may_be_0: ClassVar[tuple[str, ...]] = ("least_change",)
+
+    def _whole(self, setup: Setup) -> tuple[tuple[str, ...], NDArray[Any] | None]:
+        """All names, and (K, k) their values at every epoch, where each belongs to one onset."""
+        raise NotImplementedError
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        names, table = self._whole(setup)
+        if table is None:
+            return names
+        return tuple(names[k] for k in _varying(setup, table, self.least_change))
+
+    def table(self, setup: Setup) -> NDArray[Any] | None:
+        _, table = self._whole(setup)
+        return None if table is None else table[:, _varying(setup, table, self.least_change)]
+
+
 @dataclass(frozen=True)
-class TargetMotion(_Term):
+class TargetMotion(_Tabled):
     """True position since the onset, and true velocity, in local axes at the onset.
 
     Parameters
@@ -211,32 +204,13 @@ class TargetMotion(_Term):
     velocity_scale_mps: float = 100.0
     least_change: float = 0.05
     knowledge: ClassVar[str] = "tracking"
-    may_be_0: ClassVar[tuple[str, ...]] = ("least_change",)
 
-    def names(self, setup: Setup) -> tuple[str, ...]:
-        """``target_position_*`` and ``target_velocity_*``, as far as the victim has them."""
+    def _whole(self, setup: Setup) -> tuple[tuple[str, ...], NDArray[Any] | None]:
+        scales = 1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps
         names = tuple(f"target_{name}" for name in setup.motion_names)
-        table = self._table(setup)
-        if table is None:
-            return names
-        return tuple(names[k] for k in _varying(setup, table, self.least_change))
-
-    def units(self, setup: Setup) -> Units:
-        """Metres of positions, metres per second of velocities."""
-        scales = {"position": ("m", self.position_scale_m)}
-        velocity = "m/s", self.velocity_scale_mps
-        return tuple(scales.get(name.split("_")[1], velocity) for name in self.names(setup))
-
-    def _table(self, setup: Setup) -> NDArray[np.float32] | None:
-        return setup.motion_table(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps)
-
-    def table(self, setup: Setup) -> NDArray[np.float32] | None:
-        """Position and velocity over their scales, where every epoch belongs to one onset."""
-        table = self._table(setup)
-        return None if table is None else table[:, _varying(setup, table, self.least_change)]
+        return names, setup.motion_table(*scales)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write position and velocity over their scales."""
         snapshot.simulator.motion(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps, out)
 
 
@@ -249,17 +223,15 @@ class TargetDirection(_Term):
     limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``target_direction_north`` and ``target_direction_east``."""
         return ("target_direction_north", "target_direction_east")
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write cosine and sine of the heading."""
         for i, heading in enumerate(snapshot.simulator.heading.tolist()):
             out[i, 0], out[i, 1] = math.cos(heading), math.sin(heading)
 
 
 @dataclass(frozen=True)
-class SatelliteGeometry(_Term):
+class SatelliteGeometry(_Tabled):
     """Line of sight to every slot in local axes, then whether it is visible, or spoofed.
 
     Parameters
@@ -273,24 +245,13 @@ class SatelliteGeometry(_Term):
     least_change: float = 0.05
     knowledge: ClassVar[str] = "tracking"
     limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
-    may_be_0: ClassVar[tuple[str, ...]] = ("least_change",)
 
-    def names(self, setup: Setup) -> tuple[str, ...]:
-        """``sight_*_SLOT``, and ``visible_SLOT`` or ``spoofed_SLOT``."""
+    def _whole(self, setup: Setup) -> tuple[tuple[str, ...], NDArray[Any] | None]:
         if not setup.geometry_names:
             raise ValueError(f"{setup.whose} has no satellites to observe")
-        table = setup.geometry_table()
-        if table is None:
-            return setup.geometry_names
-        return tuple(setup.geometry_names[k] for k in _varying(setup, table, self.least_change))
-
-    def table(self, setup: Setup) -> FloatArray | None:
-        """Unit vectors, 0 where not visible, then 1 or 0."""
-        table = setup.geometry_table()
-        return None if table is None else table[:, _varying(setup, table, self.least_change)]
+        return setup.geometry_names, setup.geometry_table()
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write what is no table."""
         snapshot.simulator.geometry(out)
 
 
@@ -310,7 +271,6 @@ class StatisticRatio(_Term):
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``statistic_ratio_SLOT``, or ``statistic_ratio`` for one of the whole receiver."""
         if self.largest or setup.detector.scope == "receiver":
             return ("statistic_ratio",)
         if not setup.weight_names:
@@ -318,7 +278,6 @@ class StatisticRatio(_Term):
         return tuple(f"statistic_ratio_{name}" for name in setup.weight_names)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write the ratios of the last verdict; 0 before the first."""
         verdict = snapshot.simulator.verdict
         if verdict is None:
             out[:] = 0.0
@@ -337,11 +296,9 @@ class GainWeight(_Term):
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``weight_SLOT`` or ``weight_AXIS``."""
         return tuple(f"weight_{name}" for name in setup.weight_names)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write the weights of the last update."""
         out[:] = snapshot.simulator.observed_weights()
 
 
@@ -360,14 +317,9 @@ class EstimateError(_Term):
     knowledge: ClassVar[str] = "oracle"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``error_north``, ``error_east``, and ``error_down`` of some victims."""
         return tuple(f"error_{name}" for name in setup.error_names)
 
-    def units(self, setup: Setup) -> Units:
-        return (("m", self.scale_m),) * len(setup.error_names)
-
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write estimate minus truth."""
         out[:] = snapshot.simulator.error_n() * (1.0 / self.scale_m)
 
 
@@ -388,14 +340,9 @@ class DivergenceSpent(_Term):
     needs: ClassVar[tuple[type[Divergence], ...]] = (Divergence,)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``divergence_spent``."""
         return ("divergence_spent",)
 
-    def units(self, setup: Setup) -> Units:
-        return (("nat", self.budget_nats),)
-
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write the part of the budget that is spent."""
         spent = snapshot.simulator.monitor(Divergence).memory["divergence"]
         out[:, 0] = spent / self.budget_nats
 
@@ -429,7 +376,6 @@ class ReportedPosition(_Term):
     word: ClassVar[str] = "position"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``reported_position_north``, ``reported_position_east`` and ``report_age``."""
         every, latency = self._epochs(setup)
         if every + latency > KEPT - 2:
             most = (KEPT - 2) * setup.interval_s
@@ -440,17 +386,11 @@ class ReportedPosition(_Term):
             )
         return (*(f"reported_{self.word}_{axis}" for axis in ("north", "east")), "report_age")
 
-    def units(self, setup: Setup) -> Units:
-        """Metres, and seconds."""
-        return ("m", self.scale_m), ("m", self.scale_m), ("s", 1.0)
-
     def _epochs(self, setup: Setup) -> tuple[int, float]:
-        """Epochs between reports, and of the largest latency."""
         interval = setup.interval_s
         return max(1, round(self.interval_s / interval)), self.latency_s / interval
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write position and age of the newest report."""
         simulator, setup = snapshot.simulator, snapshot.setup
         position, of = reports(simulator, *self._epochs(setup))
         onset, known = simulator.onset, of >= 0
@@ -487,7 +427,6 @@ class ReportedDeviation(ReportedPosition):
     word: ClassVar[str] = "deviation"
 
     def _less(self, snapshot: Snapshot, of: NDArray[np.int64], ground: FloatArray) -> None:
-        """Take off the true position; (B, 2), overwritten."""
         setup, onset = snapshot.setup, snapshot.simulator.onset
         flown = setup.true_position[np.maximum(of, 0)] - setup.true_position[onset]
         ground -= (flown[:, :, None] * setup.C_en[onset]).sum(axis=1)[:, :2]
@@ -506,7 +445,6 @@ OBSERVATION_TERMS: dict[str, type[ObservationTerm]] = {
     "reported-position": ReportedPosition,
     "reported-deviation": ReportedDeviation,
 }
-"""Terms by name; one's own may be added."""
 
 
 def default_terms(
@@ -514,17 +452,14 @@ def default_terms(
 ) -> tuple[ObservationTerm, ...]:
     """Terms that a level of knowledge allows, with the scales of the victim.
 
-    The target direction is among them where it differs from episode to episode.
-
     Parameters
     ----------
     setup : Setup
-        Of any victim.
+        Of any victim; the target direction is observed where it differs between episodes.
     knowledge : str
         One of `KNOWLEDGE`: the level, and ``+reported`` for what the victim broadcasts.
     along_target : bool
-        Whether all commands are along the target direction, so that there is nothing else of the
-        own ones to observe.
+        Whether all commands are along the target direction, so that only that of them is observed.
 
     Returns
     -------
@@ -548,64 +483,6 @@ def default_terms(
     ]
     known = [term for term in terms if LEVELS.index(term.knowledge) <= level]
     return (*known, report) if reported else tuple(known)
-
-
-class ObservationRow(NamedTuple):
-    """One line of a table of observations: elements `first` to `last`, which are alike.
-
-    `scale` of the unit is observed as 1; the slots of satellites are written as ``slotJJ``.
-    """
-
-    first: int
-    last: int
-    name: str
-    unit: str
-    scale: float
-    knowledge: str
-
-
-def observation_table(terms: Sequence[ObservationTerm], setup: Setup) -> list[ObservationRow]:
-    """Index, name, unit and scale of all elements that terms observe, those of slots together.
-
-    Parameters
-    ----------
-    terms : sequence of ObservationTerm
-        In the order of the observation.
-    setup : Setup
-        Of any victim.
-
-    Returns
-    -------
-    list of ObservationRow
-        In the order of the observation.
-    """
-    rows: list[ObservationRow] = []
-    start = 0
-    for term in terms:
-        names = term.names(setup)
-        units = term.units(setup) if hasattr(term, "units") else (("?", math.nan),) * len(names)
-        groups: dict[tuple[str, float], list[tuple[int, str]]] = {}
-        for index, (name, unit) in enumerate(zip(names, units, strict=True), start):
-            word = re.sub(r"slot\d+", "slotJJ", name)
-            if word == name:
-                rows.append(ObservationRow(index, index, name, unit[0], unit[1], term.knowledge))
-            else:
-                groups.setdefault(unit, []).append((index, word))
-        for unit, members in groups.items():
-            for words in _runs(members):
-                label = ", ".join(dict.fromkeys(word for _, word in words))
-                first, last = words[0][0], words[-1][0]
-                rows.append(ObservationRow(first, last, label, unit[0], unit[1], term.knowledge))
-        start += len(names)
-    return rows
-
-
-def _runs(members: Sequence[tuple[int, str]]) -> list[list[tuple[int, str]]]:
-    """Elements of slots by the quantity that they are of: the word before the first underscore."""
-    runs: dict[str, list[tuple[int, str]]] = {}
-    for index, word in members:
-        runs.setdefault(word.split("_")[0], []).append((index, word))
-    return list(runs.values())
 
 
 def split_knowledge(knowledge: str) -> tuple[int, bool]:

@@ -12,16 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.vector import VectorEnv, VectorWrapper
-from numpy.typing import NDArray
 
 from ...detectors import Detector
 from ..core import WatchSpec
 from ..factory import composable, compose
-from ..options import mask_of
-from ..recorder import EpochRecorder
+from ..options import Array, mask_of
 from ..terms.termination import AtStealthBudget
+from . import EpochRecorder
 
-Array = NDArray[Any]
 Envs = VectorEnv[Array, Array, Array]
 if TYPE_CHECKING:
     Wrapper = VectorWrapper[Array, Array, Array]
@@ -67,14 +65,12 @@ class RecordEpochs(Wrapper):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin episodes; those that are not over are written as they are."""
         mask = mask_of(options, self.num_envs)
         rows = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
         self.recorder.finish(rows, complete=False)
         return super().reset(seed=seed, options=options)  # type: ignore[arg-type]
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """Give one command to every receiver; write the episodes that are over."""
         result = super().step(actions)
         over = result[2] | result[3]
         if over.any():
@@ -82,6 +78,5 @@ class RecordEpochs(Wrapper):
         return result
 
     def close(self, **kwargs: Any) -> None:
-        """Write episodes that are not over, and close the environment."""
         self.recorder.finish(np.arange(self.num_envs), complete=False)
         super().close(**kwargs)

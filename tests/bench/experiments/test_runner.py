@@ -264,7 +264,7 @@ def test_ctrl_c_keeps_what_is_finished_and_ends_the_workers(
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         process = subprocess.Popen(
-            [*COMMAND, str(tmp_path), "0.2", jobs],
+            [*COMMAND, str(tmp_path), "1.0", jobs],
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
@@ -274,7 +274,7 @@ def test_ctrl_c_keeps_what_is_finished_and_ends_the_workers(
     while not list((tmp_path / "cells").glob("*.npz")) and process.poll() is None:
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    _, said = process.communicate(timeout=20.0)
+    _, said = process.communicate(timeout=120.0)
     assert process.returncode == 1
     (line,) = said.splitlines()
     assert "of 8 cells are finished" in line
@@ -287,13 +287,24 @@ def test_ctrl_c_keeps_what_is_finished_and_ends_the_workers(
 
 
 def wait_for_group(number: int) -> None:
-    for _ in range(100):
+    for _ in range(600):
         os.killpg(number, 0)
-        time.sleep(0.05)
+        time.sleep(0.1)
+
+
+def test_workers_have_ctrl_c_blocked_before_they_begin(tmp_path: Path) -> None:
+    class Masked(Listed):
+        def run(self, cell, results, context):
+            return Result(record=[int(s) for s in signal.pthread_sigmask(signal.SIG_BLOCK, ())])
+
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    results = run(Masked(listed=(Cell("a", {}), Cell("b", {}))), Store(tmp_path), jobs=2)
+    assert all(signal.SIGINT in results[key].record for key in "ab")
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 
 def test_workers_end_with_a_killed_parent(tmp_path: Path, whole: dict[str, bytes]) -> None:
-    command = [*COMMAND, str(tmp_path), "0.2", "2"]
+    command = [*COMMAND, str(tmp_path), "1.0", "2"]
     process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
     while not list((tmp_path / "cells").glob("*.npz")) and process.poll() is None:
         time.sleep(0.01)
@@ -320,6 +331,7 @@ def test_dask_leaves_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> 
 @pytest.mark.parametrize("answers", [True, False])
 def test_an_address_that_does_not_answer(tmp_path, monkeypatch, answers: bool) -> None:
     monkeypatch.setattr(runner, "CONNECT_S", 1.0)
+    importlib.import_module("distributed")  # which takes time of its own
     with socket.socket() as listening:
         listening.bind(("127.0.0.1", 0))
         if answers:
@@ -328,7 +340,7 @@ def test_an_address_that_does_not_answer(tmp_path, monkeypatch, answers: bool) -
         begun = time.monotonic()
         with pytest.raises(ConnectionError, match=f"no dask cluster answers at '{address}'"):
             run(Numbers(), Store(tmp_path), backend=f"dask:{address}")
-    assert time.monotonic() - begun < 5.0
+    assert time.monotonic() - begun < 20.0
 
 
 @pytest.mark.nightly

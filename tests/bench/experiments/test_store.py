@@ -134,7 +134,7 @@ def test_a_killed_process_leaves_whole_files_and_its_leftovers_go(
     tmp_path: Path, whole: dict[str, bytes]
 ) -> None:
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "tests.bench.experiments.support", str(out), "0.3", "1"]
+    command = [sys.executable, "-m", "tests.bench.experiments.support", str(out), "1.0", "1"]
     with subprocess.Popen(command) as process:
         while len(list((out / "cells").glob("*.npz"))) < 2 and process.poll() is None:
             time.sleep(0.01)
