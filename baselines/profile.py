@@ -28,6 +28,7 @@ from agents.folder import Part, Records, Ticks, identity_of
 from agents.seeds import on_card
 from spoofgym import __version__
 from spoofgym.bench.experiments import Context, Store
+from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.evaluate import RUNS, Evaluator
 from spoofgym.bench.experiments.identity import code_identity
 from spoofgym.bench.report.campaign import ALARMS
@@ -40,7 +41,6 @@ from spoofgym.bench.search.open_loop import SPLIT, BlindSearch
 from spoofgym.cli import clear_errors
 from spoofgym.cli.options import given_options
 from spoofgym.cli.output import progress
-from spoofgym.cli.suites import calibrate_with_progress
 from spoofgym.core.registry import parse_spec, refuse_given
 from spoofgym.core.settings import describe
 from spoofgym.envs.spoofer_binding import ENV_ID, spoofer_context
@@ -143,7 +143,8 @@ def main(
     else:
         refuse_given("--task", given_options(context, DECIDED).values())
         world, guard = task_of(task).world_kwargs, task_of(task).detector
-    calibrate_with_progress(World.of(**world), [detector_entry(guard)], threads)
+    entries = [detector_entry(guard)]
+    calibrate_entries(World.of(**world), entries, threads=threads, progress=progress)
     sizes = {"runs": score_runs, "fit_runs": select_runs, "entropy": seed, "threads": threads}
     judge = Evaluator(detector=guard, **sizes, **world)
     judge.optima.settings = settings

@@ -92,7 +92,6 @@ def trial_of(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def one_line(what: str) -> Iterator[None]:
-    """Say in one line what is wrong with a part of a card."""
     try:
         yield
     except ValidationError as error:
@@ -606,7 +605,6 @@ def _compare(
     amplitude: float,
     own: list[int],
 ) -> None:
-    """Raise unless a file acts as its model, all over the space of its card."""
     drawn = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
     seen = np.vstack([drawn, 0.1 * drawn]).astype(np.float32)
     planned = seen.copy()

@@ -370,7 +370,6 @@ receiver has been on for a minute less, and the onset is as early as 140 s."""
 
 
 def _held_out(quiet: bool, timeline: dict[str, float] | None) -> tuple[AttackFamily, ...]:
-    """Families that are never trained on; `quiet`: whether the world's counterfeit is."""
     plain = {"name": "false-position"}
     own = {**plain, "errors": "quiet"} if quiet else plain
     errors = (

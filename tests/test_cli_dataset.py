@@ -11,6 +11,7 @@ from spoofgym.detectors import Calibration
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from spoofgym.tasks import TASKS
 
+from .bench.experiments.support import content
 from .command_line import SHORT, call, refused
 
 SMALL = ["--train", "3", "--validation", "2", "--test", "2", "--term", "innovation"]
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def test_a_data_set_is_written_summed_up_and_gone_on_with():
-    line = ["dataset", "data", *SHORT, *SMALL, "--seed", "3", "--shard", "2"]
+    line = ["dataset", "data", *SHORT, *SMALL, "--seed", "3", "--file-runs", "2"]
     made = call(*line, "--json")
     assert made.exit_code == 0, made.output
     found = json.loads(made.stdout)
@@ -34,14 +35,18 @@ def test_a_data_set_is_written_summed_up_and_gone_on_with():
     }
     assert sum(found["splits"]["train"]["families"].values()) == 3
     data = load("data")
-    assert (data.manifest["digest"], data.config["entropy"]) == (found["digest"], 3)
-    before = {file.name: file.read_bytes() for file in Path("data").iterdir()}
+    assert (data.digest, data.config["entropy"]) == (found["digest"], 3)
+    assert data.episodes("train").run.tolist() == [0, 0, 1, 1, 2, 2]
+    before = content(Path("data"))
     again = call(*line)
     assert again.exit_code == 0, again.output
     assert found["digest"] in again.stdout
-    assert {file.name: file.read_bytes() for file in Path("data").iterdir()} == before
+    assert content(Path("data")) == before
+    parts = [call(*line[:1], "parts", *line[2:], "--shard", f"{i}/2") for i in (1, 2)]
+    assert "shard 1/2 is finished; others leave" in parts[0].stderr
+    assert content(Path("parts")) == before
     other = ["dataset", "data", *SHORT, *SMALL]
-    assert "holds another data set" in refused(*other)
+    assert "holds other results (config.entropy: 3, not 0" in refused(*other)
     assert call(*other, "--overwrite").exit_code == 0
 
 

@@ -61,7 +61,7 @@ def test_absurd_numbers_of_runs_end_at_once(command: str, option: str, largest: 
         (["bench", "--track", "a.json"], "--track and --ephemeris belong together"),
         (["bench", "--from", "3"], "there is no --track"),
         (["bench", "--track", "a.json", "--ephemeris", "b.n"], "a.json: No such file"),
-        (["report", "nowhere"], "nowhere holds no results of a campaign"),
+        (["report", "nowhere"], "nowhere holds no results: there is no config.json"),
         (["bench", "--env", "Snapshot-v0"], "unknown environment of the benchmark 'Snapshot-v0'"),
         (
             ["bench", "--env", "spoofgym/Snapshot-v0", "--attack", "paper-ideal"],

@@ -14,16 +14,11 @@ import argparse
 import sys
 from typing import Any
 
+from spoofgym.bench.experiments.calibration import calibrate
 from spoofgym.bench.report.tasks import classics_of
 from spoofgym.bench.runs.world import HEADLINE_DOMAIN, VICTIMS
 from spoofgym.calibration.clean_runs import weighs
-from spoofgym.calibration.thresholds import (
-    WEIGHING_RUNS,
-    calibrate,
-    expected_runs,
-    inner_detectors,
-    suitable_detectors,
-)
+from spoofgym.calibration.thresholds import WEIGHING_RUNS, inner_detectors, suitable_detectors
 from spoofgym.core.progress import show_progress
 from spoofgym.core.registry import check_choice
 from spoofgym.detectors import Detector
@@ -57,7 +52,6 @@ WORLDS = {
 
 
 def setup_of(name: str) -> Setup:
-    """The world of a name, without a defence."""
     env_id, settings = WORLDS[name]
     return make_setup(VICTIMS[env_id].setup, {**settings, "detector": "never"})
 
@@ -89,20 +83,22 @@ def main(arguments: list[str]) -> None:
         light = [each for each in everyone if not weighs(setup, each)]
         heavy = [each for each in everyone if weighs(setup, each)]
         fewer = given.weighing_runs or max(WEIGHING_RUNS, given.runs // 5)
-        parts: list[tuple[list[Detector], dict[str, Any]]] = [
-            (light, {"runs": given.runs}),
-            ([each for each in light if each.drifts], {"runs": given.runs, "rescaled": True}),
-            (heavy, {"runs": fewer}),
-        ]
-        to: dict[str, Any] = {"folder": SHIPPED_FOLDER, "overwrite": given.overwrite}
-        total = sum(expected_runs(setup, group, **how, **to) for group, how in parts)
-        with show_progress(total, start=name) as bar:
-            further = {**to, "threads": given.threads, "progress": bar, "strict": False}
-            found = [
-                made for group, how in parts for made in calibrate(setup, group, **how, **further)
-            ]
-        for made in found:
-            print(name, made.detector["name"], made.runs, made.path)
+        drifting = [each for each in light if each.drifts]
+        groups = (light, given.runs, False), (drifting, given.runs, True), (heavy, fewer, False)
+        for group, runs, rescaled in groups:
+            found = calibrate(
+                setup,
+                group,
+                runs=runs,
+                rescaled=rescaled,
+                threads=given.threads,
+                progress=show_progress,
+                folder=SHIPPED_FOLDER,
+                overwrite=given.overwrite,
+                strict=False,
+            )
+            for made in found:
+                print(name, made.detector["name"], made.runs, made.path, flush=True)
 
 
 if __name__ == "__main__":

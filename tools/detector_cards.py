@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
+from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.protect import DetectorEvaluator
 from spoofgym.bench.experiments.task_worlds import entries_of
 from spoofgym.bench.report.tasks import (
@@ -57,8 +57,7 @@ def played(
     )
     world, entries = evaluator.worlds.world, entries_of(chosen)
     labels = [each.label for each in entries]
-    with progress(missing_runs(world, entries)) as bar:
-        refused = calibrate_entries(world, entries, progress=bar, optional=labels)
+    refused = calibrate_entries(world, entries, progress=progress, optional=labels)
     whom = [spec for label, spec in zip(labels, chosen, strict=True) if label not in refused]
     scores = evaluator.scores(whom, show=progress)
     return {**card_of(scores), "left_out": refused}

@@ -121,7 +121,6 @@ def case_of(label: str, case: dict[str, Any], given: argparse.Namespace) -> dict
 
 
 def spec_of(label: str) -> dict[str, Any]:
-    """Settings of a detector of the standard suite."""
     from spoofgym.cli.suites import standard_suite
 
     suite = standard_suite(None, {"spoofers": []})

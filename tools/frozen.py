@@ -114,11 +114,9 @@ class Scope:
         return tuple(whole.split(PARTS))
 
     def is_added(self, path: tuple[str, ...]) -> bool:
-        """Whether the new tree alone has it."""
         return _holds(path, self.added)
 
     def is_dropped(self, path: tuple[str, ...]) -> bool:
-        """Whether the old tree alone has it."""
         return _holds(path, self.dropped)
 
     def is_volatile(self, path: tuple[str, ...]) -> bool:
@@ -243,7 +241,6 @@ class Tolerance:
 
 
 def largest(old: Array, new: Array) -> float:
-    """Largest absolute value of two arrays, of those that are finite."""
     sizes = np.abs(np.stack([old, new]).astype(np.float64))
     return float(np.max(sizes, where=np.isfinite(sizes), initial=0.0))
 
@@ -392,7 +389,6 @@ class Child:
         return self.receive()
 
     def send(self, **request: Any) -> None:
-        """Make a request, whose answer has to be received."""
         self._request = request
         with contextlib.suppress(BrokenPipeError):  # seen when the answer is missing
             self._in.write(json.dumps({**request, "imports": self.imports}) + "\n")
@@ -490,7 +486,6 @@ def missing_cases(
 
 
 def old_cases(folder: Path, child: Child | None) -> list[Case]:
-    """Cases of the old tree, kept beside its records."""
     file = folder / "cases.json"
     if child is not None:
         file.write_text(json.dumps(child.cases()))

@@ -90,7 +90,7 @@ COMMANDS = {
         "--detector cusum --runs 40 --hold-out 40 --transfer groves --check"
     ),
     ("dataset", ""): (
-        f"spoofgym dataset data --json {TIMES} --train 3 --validation 2 --test 2 --shard 2 "
+        f"spoofgym dataset data --json {TIMES} --train 3 --validation 2 --test 2 "
         "--term innovation --term in-view"
     ),
     ("limits", ""): (
@@ -424,7 +424,9 @@ class Player:
             if self.case.id == "dataset":
                 for i, file in enumerate(sorted(Path(folder).rglob("*.npz"))):
                     with np.load(file) as members:
-                        self.record.add(-1, ("npz", f"[{i}]"), dict(members))
+                        names = [n for n in members if n != "digest" and not n.endswith(".json")]
+                        arrays = {name: members[name] for name in names}
+                        self.record.add(-1, ("npz", f"[{i}]"), arrays)
 
     def start(self, line: str, folder: Path) -> subprocess.Popen[str]:
         """Start a command in a folder, without calibrations of the user's own."""

@@ -85,7 +85,6 @@ def played(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
 
 
 def _bracketed(world: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
-    """A world with limits, and the brackets of its detectors."""
     found = []
     for row in world["detectors"]:
         own = {

@@ -17,9 +17,10 @@ from collections.abc import Collection
 from typing import Any, NamedTuple
 
 from agents.folder import write_json
+from spoofgym.bench.experiments.calibration import hold_out, transfer
 from spoofgym.bench.report.table import Table
 from spoofgym.calibration.clean_runs import weighs
-from spoofgym.calibration.holdouts import HOLDOUT_WEIGHING, hold_out, transfer
+from spoofgym.calibration.holdouts import HOLDOUT_WEIGHING
 from spoofgym.core.progress import show_progress
 from spoofgym.detectors import Calibration, Detector
 from spoofgym.detectors.calibrated import STANDARD_RATE, identity_of
@@ -90,12 +91,10 @@ def counted(world: World, others: list[World], runs: int, cells: int) -> dict[st
         made, detectors = zip(*group, strict=True)
         rare_too = passive and all(each.runs >= RARE_RUNS for each in made)
         rates = [STANDARD_RATE, RARE_RATE] if rare_too else [STANDARD_RATE]
-        passes = 1 if passive else len(group)
-        with show_progress(passes * (count + TRANSFERRED * len(others)), start=world.name) as bar:
-            asked: dict[str, Any] = {"false_alarms_per_hour": rates, "progress": bar}
-            counts = hold_out(world.setup, made, detectors, runs=count, cells=cells, **asked)
-            asked |= {"false_alarms_per_hour": STANDARD_RATE, "runs": TRANSFERRED}
-            there = {x.name: transfer(x.setup, made, detectors, **asked) for x in others}
+        asked: dict[str, Any] = {"false_alarms_per_hour": rates, "progress": show_progress}
+        counts = hold_out(world.setup, made, detectors, runs=count, cells=cells, **asked)
+        asked |= {"false_alarms_per_hour": STANDARD_RATE, "runs": TRANSFERRED}
+        there = {x.name: transfer(x.setup, made, detectors, **asked) for x in others}
         held, rare = counts[: len(made)], counts[len(made) :]
         for k, one in enumerate(held):
             elsewhere = {name: each[k].as_dict()["per_hour"] for name, each in there.items()}
@@ -114,7 +113,6 @@ def counted(world: World, others: list[World], runs: int, cells: int) -> dict[st
 
 
 def joined(before: dict[str, Any], later: dict[str, Any]) -> dict[str, Any]:
-    """A world with detectors that were counted later."""
     if before["settings"] != later["settings"]:
         raise SystemExit(f"{before['world']} has changed: count all of its detectors again")
     names = {row["name"] for row in later["detectors"]}
@@ -154,7 +152,6 @@ def _table(world: dict[str, Any]) -> Table:
 
 
 def _rare(row: dict[str, Any]) -> dict[str, Any] | None:
-    """Counts at the other rate, where there are any."""
     return row.get("rare")
 
 

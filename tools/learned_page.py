@@ -58,7 +58,6 @@ def shown_of_tasks(kept: dict[str, Any]) -> str:
 
 
 def shown(kept: dict[str, Any]) -> str:
-    """Tables of the recipe: a line for each task, and all seeds."""
     seeds = sorted({row["seed"] for found in kept.values() for row in found["seeds"]})
     every = [(task, *(_seed(found, seed) for seed in seeds)) for task, found in kept.items()]
     table = Table.of_texts("task", *(f"seed {seed}" for seed in seeds)).markdown(every)
@@ -120,7 +119,6 @@ def taken_of_transfer(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def shown_of_transfer(kept: dict[str, Any]) -> str:
-    """Table of transfer: a line for each spoofer and its home, a column for each world."""
     worlds = list(next(iter(kept.values()), {}))
     rows = [
         (
@@ -146,7 +144,6 @@ TABLES: dict[str, tuple[str, Callable[[dict[str, Any]], str]]] = {
 
 
 def take(folder: Path, kept: dict[str, Any]) -> None:
-    """Put the results of a folder, or of a file of transfer, among those that are kept."""
     if folder.suffix == ".json":
         kept["transfer"] = taken_of_transfer(_read(folder))
     elif (folder / MANY).is_file():

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.folder import write_json
-from spoofgym.bench.report.table import page
+from spoofgym.bench.report import table
 from spoofgym.core.files import write_file
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,16 +27,15 @@ def part_between(text: str, begin: str, end: str) -> str:
 
 
 def put_between(page: Path, begin: str, end: str, text: str) -> None:
-    """Put a text between two marks of a page, in place of what is there."""
     whole = page.read_text()
     before = part_between(whole, begin, end)
     made = whole.replace(f"{begin}{before}{end}", f"{begin}\n{text}{end}")
     write_file(page, made.encode())
 
 
-def rendered(template: str, **values: Any) -> str:
-    """A template of the folder beside, with the end of its last line."""
-    return page(template, TEMPLATES).render(**values).rstrip() + "\n"
+def rendered(name: str, **values: Any) -> str:
+    """A template of the folder beside."""
+    return table.rendered(name, values, TEMPLATES)
 
 
 def keep_cards(file: Path, cards: Mapping[str, Any], order: Iterable[str]) -> None:

@@ -87,7 +87,6 @@ def _reached(cell: dict[str, Any]) -> str:
 
 
 def _bracket(found: dict[str, Any]) -> str:
-    """Lower limit, optimized open-loop attack and zero-alarm bound of a detector."""
     floor, best = metres(found["floor_m"][STEALTHY]), metres(_value(found["blind_optimum"]))
     return f"[{floor}, {best}, {bound_text(found['zero_alarm'])}]"
 

@@ -53,7 +53,6 @@ HEAD = (
 
 
 def options(arguments: list[str]) -> argparse.Namespace:
-    """What is scored."""
     parser = parser_of(__doc__, "runs/refits", fit_runs=256)
     parser.add_argument("--task", nargs="+", default=[*LEARNED])
     parser.add_argument("--spoofer", nargs="+", default=[], help="by default what is shipped")
@@ -69,7 +68,6 @@ def options(arguments: list[str]) -> argparse.Namespace:
 
 
 def specs_of(task: str, given: Sequence[str]) -> list[Any]:
-    """Spoofers of a task, the ramp first."""
     names = given or ("accelerating-ramp", LEARNED[task])
     names = [RAMP, *(name for name in names if name != RAMP)]
     entries = tuple(spoofer_entry(fitted(parse_spec(name))) for name in names)
@@ -112,7 +110,6 @@ def play(given: argparse.Namespace, progress: ProgressBar | None = None) -> dict
 
 
 def table(results: Mapping[str, Any]) -> str:
-    """A line for each spoofer of each task and number of training runs."""
     rows = [
         (
             *(found["task"], str(found["fit_runs"])),

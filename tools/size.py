@@ -43,7 +43,6 @@ def size_of(part: str, root: Path = ROOT) -> Size:
 
 
 def is_over(size: Size, budget: Size) -> bool:
-    """Whether any count is above its budget."""
     return any(most is not None and n > most for n, most in zip(size, budget, strict=True))
 
 

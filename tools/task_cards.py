@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spoofgym.bench.experiments import Store, run
-from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
+from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.campaign import Campaign
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.experiments.summary import CampaignResults, summarize
@@ -62,7 +62,6 @@ FloatArray, IntArray = NDArray[np.float64], NDArray[np.int64]
 
 
 def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
-    """The campaign of a task: its detector, and the classics where it has to be admitted."""
     whom: tuple[dict[str, Any], ...] = (task.detector,)
     if not task.historical:
         own = {detector_entry(spec).label for spec in whom}
@@ -85,8 +84,7 @@ def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
 def played(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
     suite = suite_of(task, sizes)
     world, whom = suite.world, suite.detector_entries
-    with progress(max(missing_runs(world, whom), 1)) as bar:
-        calibrate_entries(world, whom, progress=bar)
+    calibrate_entries(world, whom, progress=progress)
     suite.check_fit()
     campaign = Campaign(suite)
     reader = run(campaign, Store(out / task.key), progress=progress)
@@ -134,7 +132,6 @@ def optima_of(summary: dict[str, Any]) -> dict[str, list[float]]:
 
 
 def name_of(cell: dict[str, Any]) -> str:
-    """Name of a cell's spoofer, without what is fitted."""
     return str(cell["spoofer"].partition("(")[0])
 
 
@@ -145,7 +142,6 @@ def score_of(cell: dict[str, Any]) -> dict[str, Any]:
 
 
 def half_of(card: dict[str, Any], detector: str) -> float:
-    """What the worst attack exceeds in half of the runs [m]."""
     return float(card["protection_m"][detector]["0.5"]["value"])
 
 

@@ -42,7 +42,6 @@ Row = dict[str, Any]
 def evaluators(
     task: str, changes: Mapping[str, Mapping[str, Any]], **sizes: Any
 ) -> dict[str, Evaluator]:
-    """Those of all worlds."""
     base = {**task_of(task).world_kwargs, "detector": task_of(task).detector}
     return {name: Evaluator(**{**base, **change, **sizes}) for name, change in changes.items()}
 
@@ -81,7 +80,6 @@ def table(
     out: Path,
     bar: ProgressBar | None = None,
 ) -> list[Row]:
-    """All cases: each spoofer, from each of its homes, in each world."""
     parts: dict[str, Part] = {}
     rows: dict[str, Row] = {}
 
@@ -122,7 +120,6 @@ def _part(found: Row) -> str:
 
 
 def _world(text: str) -> tuple[str, dict[str, Any]]:
-    """Name of a world, and what it changes."""
     name, sign, rest = text.partition("=")
     try:
         changes = json.loads(rest)

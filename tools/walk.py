@@ -28,7 +28,6 @@ ROOT = Path(spoofgym.__file__).parent
 
 
 def import_all() -> None:
-    """Import every module of the package whose libraries are installed."""
     for module in pkgutil.walk_packages([str(ROOT)], "spoofgym."):
         if not module.name.endswith("__main__"):
             with contextlib.suppress(ImportError):
@@ -60,14 +59,12 @@ def called_files() -> Iterator[dict[str, None]]:
 
 
 def walk(work: Callable[[], object], packages: list[str]) -> dict[str, list[str]]:
-    """Files of each package that take part in some work."""
     with called_files() as found:
         work()
     return {name: [file for file in found if file.startswith(f"{name}/")] for name in packages}
 
 
 def run_command(words: list[str]) -> None:
-    """Run a command of spoofgym in this process; raises where it fails."""
     code = importlib.import_module("spoofgym.cli").app(words, standalone_mode=False)
     if code:
         raise typer.Exit(code)

@@ -186,9 +186,9 @@ PARTS, COUNTS = ("network", "optimizer", "schedule"), ("done", "best", "best_pas
 def train(given: Arguments, console: Console) -> Path:
     """Train, or go on, and export the best.  Returns the ONNX file."""
     data = load(given.data)
-    config = {**given.identity, "name": given.out.name, "data": data.manifest["digest"]}
+    config = {**given.identity, "name": given.out.name, "data": data.digest}
     validation, episodes = data.episodes("validation"), data.episodes("train")
-    data.check("test")  # which is read in the end
+    data.episodes("test")  # or that it is damaged; it is used in the end
     clean = int(validation.clean.sum())
     check_runs(given.false_alarms_per_hour, clean, window_s(data.config), tail=False)
     trainer, started = Trainer(given, data), time.monotonic()
@@ -240,7 +240,7 @@ def _export(trainer: Trainer, console: Console) -> Path:
     path = given.out / f"{given.out.name}.onnx"
     training = {
         "algorithm": "supervised, weighted logistic loss of every epoch",
-        "data": trainer.data.manifest["digest"],
+        "data": trainer.data.digest,
         "task": config["task"],
         "families": config["families"],
         "held_out": config["held_out"],

@@ -35,6 +35,7 @@ import tyro
 
 from agents.folder import Part, Records, error_lines, learning_versions, write_json
 from agents.game_page import page_of
+from spoofgym.bench.experiments.calibration import calibrate
 from spoofgym.bench.experiments.campaign import everyone_in, in_order
 from spoofgym.bench.experiments.game import Game
 from spoofgym.bench.experiments.members import (
@@ -55,7 +56,6 @@ from spoofgym.bench.search.best_response import (
     exploitability,
 )
 from spoofgym.bench.search.open_loop import BlindSearch
-from spoofgym.calibration.thresholds import calibrate
 from spoofgym.core.files import write_file
 from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice, parse_spec, whole_number

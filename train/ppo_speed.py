@@ -18,7 +18,7 @@ import tyro
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.folder import error_lines
-from spoofgym.cli.output import print_table
+from spoofgym.bench.report.table import Table
 from spoofgym.core.registry import whole_number
 from spoofgym.sb3 import SpoofVecEnv
 from train.ppo_spoofer import Arguments, make_model
@@ -113,7 +113,7 @@ def main() -> None:
         return
     names = {"engine": "engine", "without_physics": "without physics"}
     rows = [(name, f"{found[f'{key}_steps_per_s']:,.0f}") for key, name in names.items()]
-    print_table("PPO, learning included", ("environment", "steps/s"), rows)
+    Table.of_texts("environment", "steps/s").print("PPO, learning included", rows)
     each = ", ".join(f"{ratio:.2f}" for ratio in found["ratios"])
     print(f"ratio {found['ratio']:.2f} (median of {each})")
 

@@ -65,8 +65,8 @@ from agents.seeds import LOUDEST, comparable, copy_policy, table_of, value_of
 from agents.spoofer_table import RIVALS
 from spoofgym.bench.experiments.evaluate import FITTED, Evaluator, entry_of
 from spoofgym.bench.experiments.identity import code_identity
+from spoofgym.bench.report.table import Table
 from spoofgym.bench.scores.spoofer import Score
-from spoofgym.cli.output import print_table
 from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice, parse_spec
 from spoofgym.core.settings import outside_sources
@@ -381,7 +381,8 @@ def main() -> None:
     if args.json:
         print(json.dumps(results, indent=1, allow_nan=False))
     else:
-        print_table(*table_of(results))
+        title, head, rows = table_of(results)
+        Table.of_texts(*head).print(title, rows)
         print(f"written: {args.out}")
 
 

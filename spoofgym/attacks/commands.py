@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.registry import require
 from ..truth.run import World
 from ._kernels import Commanded, displaced_ranges, false_position, meaconer, per_channel
 from .base import Attack, AttackContext
@@ -136,10 +137,10 @@ class Meaconer(Attack):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.antenna_m = checked_vector("antenna_m", self.antenna_m)
-        if self.tracking is not None:
-            raise ValueError(
-                f"`tracking` must be None, since a meaconer needs no position; got {self.tracking}"
-            )
+        require(
+            self.tracking is None,
+            f"`tracking` must be None, since a meaconer needs no position; got {self.tracking}",
+        )
 
     @property
     def kind(self) -> str:

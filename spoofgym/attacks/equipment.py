@@ -154,8 +154,10 @@ class Capture:
     def __post_init__(self) -> None:
         check_finite("delay_s", self.delay_s, ">= 0")
         limit = self.alignment_m
-        if limit is not None and not (math.isfinite(limit) and limit > 0.0):
-            raise ValueError(f"`alignment_m` must be finite and > 0, or None, got {limit}")
+        require(
+            limit is None or (math.isfinite(limit) and limit > 0.0),
+            f"`alignment_m` must be finite and > 0, or None, got {limit}",
+        )
 
 
 def checked_vector(name: str, value: tuple[float, ...]) -> tuple[float, float, float]:
@@ -169,7 +171,6 @@ def checked_vector(name: str, value: tuple[float, ...]) -> tuple[float, float, f
 
 
 FloatArray = NDArray[np.float64]
-_OWN = -1.0  # as a standard deviation: noise of the receiver itself
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,7 +259,8 @@ class Equipment:
         if self.perfect:
             return
         capture, errors = self.capture or Capture(alignment_m=None), self.errors or REPLACED
-        sds = [_OWN if sd is None else sd for sd in (errors.code_sd_m, errors.range_rate_sd_mps)]
+        # -1: noise of the receiver itself
+        sds = [-1.0 if sd is None else sd for sd in (errors.code_sd_m, errors.range_rate_sd_mps)]
         limit = math.inf if capture.alignment_m is None else float(capture.alignment_m)
         size = padded(2 * world.channels)
         rules = coherent, self.errors is not None, size, float(capture.delay_s), limit

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..core.progress import ProgressCallback
+from ..core.progress import ProgressBar, no_progress
 from ..detectors import Calibrated, Detector
 from ..detectors.calibrated import identity_of
 from ..detectors.calibration_file import TOLERANCE, Calibration, hourly_rate, run_probability
 from ..simulation.setup import Setup
 from .clean_runs import CleanRuns, Player, measuring, weighs
-from .thresholds import DetectorSpec, inner_detectors, rates_of, unfinished_folder
+from .thresholds import DetectorSpec, inner_detectors, rates_of
 
 HOLDOUT_PASSIVE, HOLDOUT_WEIGHING = 100_000, 1_000
 """Runs of a hold-out by default."""
@@ -108,62 +107,52 @@ def hold_out(
     runs: int | None = None,
     cells: int | None = None,
     threads: int | None = None,
-    chunk: int = 256,
-    progress: ProgressCallback | None = None,
+    progress: ProgressBar | None = None,
     split: str = "holdout",
     predicted: bool = True,
+    player: Callable[..., Player] = Player,
 ) -> list[HoldOut]:
     """Count the alarms of calibrated detectors on runs of the split `holdout`.
-
-    Killed, it goes on from what it has played when it is called again.
 
     `calibrations`: in the order of the detectors; `detectors`: as `calibrate` takes them;
     `false_alarms_per_hour`: rate at which they work; several share their runs, but for an alarm
     that is a state; `runs`: by default `HOLDOUT_PASSIVE`, or `HOLDOUT_WEIGHING` for a detector that
     de-weights; `cells`: hold-outs that are made together, whose intervals hold together; all of
-    these by default; `threads`, `chunk`, `progress`: as in `calibrate`; `predicted`: whether the
-    ranks of the calibration predict the count: they do in its own world alone; returns in the order
-    of the detectors; of several rates one after the other.
+    these by default; `threads`, `progress`, `player`: as in `calibrate`; `predicted`:
+    whether the ranks of the calibration predict the count: they do in its own world alone; returns
+    in the order of the detectors; of several rates one after the other.
     """
     rates = rates_of(false_alarms_per_hour)
     parts = list(zip(calibrations, inner_detectors(detectors), strict=True))
     made = [[calibrated(c, d, rate) for c, d in parts] for rate in rates]
     heavy = [weighs(setup, each) for each in made[0]]
-    player = Player(
-        setup, threads=threads, chunk=chunk, store=unfinished_folder(), progress=progress
-    )
-    finished: list[Callable[[], None]] = []
-
-    def played(group: list[int], judges: list[Calibrated]) -> dict[int, CleanRuns]:
-        in_loop = heavy[group[0]]
-        count = runs or (HOLDOUT_WEIGHING if in_loop else HOLDOUT_PASSIVE)
-        those = [judges[k] for k in group]
-        found = player.play(those, range(count), split=split, in_loop=in_loop, now="hold-out")
-        forget = partial(player.forget, those, range(count), split=split, in_loop=in_loop)
-        finished.append(forget)
-        return {k: found.column(i) for i, k in enumerate(group)}
-
     light = [k for k, alone in enumerate(heavy) if not alone]
-    groups = ([light] if light else []) + [[k] for k, alone in enumerate(heavy) if alone]
-    first: dict[int, CleanRuns] = {}
-    for group in groups:
-        first |= played(group, made[0])
+    groups = [(made[0], light)] if light else []
+    groups += [(made[0], [k]) for k, alone in enumerate(heavy) if alone]
+    groups += [(m, [k]) for m in made[1:] for k, (_, d) in enumerate(parts) if d.alarm_is_state]
+    counts = [
+        runs or (HOLDOUT_WEIGHING if heavy[group[0]] else HOLDOUT_PASSIVE) for _, group in groups
+    ]
+    played: dict[int, CleanRuns] = {}
+    with (progress or no_progress)(sum(counts)) as bar:
+        runner = player(setup, threads=threads, progress=bar)
+        for (judges, group), count in zip(groups, counts, strict=True):
+            those, alone = [judges[k] for k in group], heavy[group[0]]
+            found = runner.play(those, range(count), split=split, in_loop=alone, now="hold-out")
+            for i, judge in enumerate(those):
+                played[id(judge)] = found.column(i)
     counted = cells or len(parts) * len(rates), predicted, setup.window_s
     held = []
     for judges in made:
-        for k, judge in enumerate(judges):
-            again = judges is not made[0] and judge.detector.alarm_is_state
-            found = played([k], judges)[k] if again else _at_scale(first[k], made[0][k], judge)
-            held.append(_counted(judge, found, *counted))
-    for forget in finished:
-        forget()
+        for first, judge in zip(made[0], judges, strict=True):
+            mine = played.get(id(judge)) or _at_scale(played[id(first)], first, judge)
+            held.append(_counted(judge, mine, *counted))
+    runner.forget()
     return held
 
 
 def _at_scale(found: CleanRuns, played: Calibrated, judge: Calibrated) -> CleanRuns:
     """The same runs with another factor on the thresholds, where the alarm is no state."""
-    if judge is played:
-        return found
     assert judge.scale  # as it was looked up
     assert played.scale
     factor = judge.scale / played.scale

@@ -7,8 +7,8 @@ duel look them up (`spoofgym.detectors.Calibrated`).
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
-from ..core.progress import ProgressCallback
+from ..core.progress import ProgressBar, no_progress
 from ..core.registry import whole_number
 from ..detectors import DETECTORS, Calibrated, Detector, PooledDetector, make_detector
 from ..detectors.build import is_file
@@ -58,11 +58,11 @@ def calibrate(
     rescaled: bool = False,
     entropy: int = 0,
     threads: int | None = None,
-    chunk: int = 256,
-    progress: ProgressCallback | None = None,
+    progress: ProgressBar | None = None,
     folder: Path | None = None,
     overwrite: bool = False,
     strict: bool = True,
+    player: Callable[..., Player] = Player,
 ) -> list[Calibration]:
     """Calibrate detectors in a world, or read what has been calibrated.
 
@@ -83,10 +83,8 @@ def calibrate(
         Seed of the random number generators.
     threads : int, optional
         Threads that play runs; all useful cores by default.
-    chunk : int
-        Runs that are played side by side; results do not depend on it.
-    progress : ProgressCallback, optional
-        Shows how far it is, in runs.
+    progress : callable, optional
+        Opens a bar for a number of runs, such as `spoofgym.core.progress.show_progress`.
     folder : Path, optional
         Where the files go, and the only place where they are looked for; by default
         `spoofgym.detectors.calibration_file.user_folder`, after the package's own.
@@ -95,6 +93,8 @@ def calibrate(
     strict : bool
         Whether a degenerate statistic raises, after all files are written; if not, its calibration
         says so when it is asked for an operating point.
+    player : callable
+        Makes what plays the runs, by the fields of `Player`.
 
     Returns
     -------
@@ -106,23 +106,22 @@ def calibrate(
     ValueError
         When the runs are too few for a rate, or a statistic is degenerate.
     """
+    from filelock import FileLock
+
     rates = rates_of(false_alarms_per_hour)
     parts = inner_detectors(detectors)
     if runs is not None:
         runs = whole_number("`runs`", runs, 1)
     work = _Work(setup, rates, rescaled, whole_number("`entropy`", entropy), folder, overwrite)
-    with locked(setup):
-        player = Player(
-            setup,
-            entropy=entropy,
-            threads=threads,
-            chunk=chunk,
-            store=unfinished_folder(),
-            progress=progress,
-        )
-        for group, count, in_loop in work.groups(parts, runs):
-            work.check_enough(group, count)
-            work.play(player, group, count, in_loop)
+    home = user_folder()
+    home.mkdir(parents=True, exist_ok=True)
+    with FileLock(home / f"{setup.conditions.digest}.lock"):  # others wait, and find the files
+        groups = work.groups(parts, runs)
+        left = sum(count for _, count, _ in groups)
+        with (progress if progress and left else no_progress)(left) as bar:
+            runner = player(setup, entropy=entropy, threads=threads, progress=bar)
+            for group, count, in_loop in groups:
+                work.play(runner, group, count, in_loop)
         work.overwrite = False
         done = [work.found(part, runs) for part in parts]
     found = [each for each in done if each is not None]
@@ -130,24 +129,6 @@ def calibrate(
         for rate in rates:
             each.point(rate)
     return found
-
-
-def expected_runs(
-    setup: Setup,
-    detectors: DetectorSpec | Sequence[DetectorSpec],
-    *,
-    runs: int | None = None,
-    false_alarms_per_hour: float | Sequence[float] = STANDARD_RATE,
-    rescaled: bool = False,
-    folder: Path | None = None,
-    overwrite: bool = False,
-) -> int:
-    """Clean runs that `calibrate` would play now, but for those of a bisection; 0 for none."""
-    work = _Work(setup, rates_of(false_alarms_per_hour), rescaled, 0, folder, overwrite)
-    groups = work.groups(inner_detectors(detectors), runs)
-    for group, count, _ in groups:
-        work.check_enough(group, count)
-    return sum(count for _, count, _ in groups)
 
 
 def rates_of(given: float | Sequence[float]) -> tuple[float, ...]:
@@ -179,44 +160,23 @@ def suitable_detectors(setup: Setup) -> list[Detector]:
     return [kind() for kind in fit if kind.needs <= setup.has]
 
 
-def unfinished_folder() -> Path:
-    """Folder of what a killed process has played."""
-    return user_folder() / "unfinished"
-
-
-@contextmanager
-def locked(setup: Setup) -> Iterator[None]:
-    """Let one process at a time calibrate in a world; the others wait, and find its files."""
-    from filelock import FileLock
-
-    folder = user_folder()
-    folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(folder / f"{setup.conditions.digest}.lock"):
-        yield
-
-
+@dataclass
 class _Work:
     """One call of `calibrate`: what it asks for, and where the files are."""
 
-    def __init__(
-        self,
-        setup: Setup,
-        rates: Sequence[float],
-        rescaled: bool,
-        entropy: int,
-        folder: Path | None,
-        overwrite: bool,
-    ) -> None:
-        self.setup, self.rates, self.rescaled = setup, rates, rescaled
-        self.entropy, self.overwrite = entropy, overwrite
-        self.folder, self.own = user_folder() if folder is None else folder, folder
+    setup: Setup
+    rates: Sequence[float]
+    rescaled: bool
+    entropy: int
+    folder: Path | None
+    overwrite: bool
 
     def found(self, detector: Detector, runs: int | None) -> Calibration | None:
         """A calibration with so many runs or more that has all rates; None where there is none."""
         if self.overwrite:
             return None
         identity = identity_of(detector)
-        for each in stored(self.setup.conditions, identity, self.rescaled, self.own):
+        for each in stored(self.setup.conditions, identity, self.rescaled, self.folder):
             enough = each.runs >= (runs or 1) and each.entropy == self.entropy
             if enough and all(each.has(rate) for rate in self.rates):
                 return each
@@ -232,15 +192,14 @@ class _Work:
         missing = [part for part in parts if self.found(part, runs) is None]
         heavy = [weighs(self.setup, part) for part in missing]
         light = [part for part, alone in zip(missing, heavy, strict=True) if not alone]
-        together = [(light, runs or PASSIVE_RUNS, False)] if light else []
+        found = [(light, runs or PASSIVE_RUNS, False)] if light else []
         alone = [part for part, each in zip(missing, heavy, strict=True) if each]
-        return together + [([part], runs or WEIGHING_RUNS, True) for part in alone]
-
-    def check_enough(self, group: list[Detector], runs: int) -> None:
-        """Raise where so many runs don't tell a rate, before anything is played."""
-        for rate in self.rates:
+        found += [([part], runs or WEIGHING_RUNS, True) for part in alone]
+        for group, count, _ in found:
             tail = not any(each.alarm_is_state for each in group)
-            check_runs(rate, runs, self.setup.window_s, tail=tail)
+            for rate in self.rates:  # or that so many runs don't tell it
+                check_runs(rate, count, self.setup.window_s, tail=tail)
+        return found
 
     def play(self, player: Player, group: list[Detector], runs: int, in_loop: bool) -> None:
         """Play all runs of some detectors, and write their files."""
@@ -251,8 +210,7 @@ class _Work:
             played = [Calibrated(each, 1.0, rescaled=True, rescale=rescale) for each in played]
         names = [str(identity_of(each)["name"]) for each in group]
         now = f"{', '.join(names[:3])}{' ...' if len(names) > 3 else ''}: clean runs"
-        numbers = range(runs)
-        found = player.play(played, numbers, in_loop=in_loop, now=now)
+        found = player.play(played, range(runs), in_loop=in_loop, now=now)
         for k, (detector, (_, unit)) in enumerate(zip(group, pairs, strict=True)):
             mine = found.column(k)
             mine = mine._replace(before=mine.before * unit, judged=mine.judged * unit)
@@ -262,7 +220,7 @@ class _Work:
                     "runs have no order"
                 )
             self._write(player, detector, mine, in_loop, rescale)
-        player.forget(played, numbers, split="calibration", in_loop=in_loop)
+        player.forget()
 
     def _write(
         self,
@@ -300,7 +258,8 @@ class _Work:
             rescale=rescale,
             bisected=bisected,
         )
-        made.save(self.folder / file_name(conditions.digest, identity, self.rescaled))
+        folder = self.folder or user_folder()
+        made.save(folder / file_name(conditions.digest, identity, self.rescaled))
 
     def _bisected(
         self, player: Player, detector: Detector, found: CleanRuns, in_loop: bool
@@ -384,12 +343,10 @@ class InnovationSums(Monitor):
 
 def rescale_factors(player: Player, runs: int) -> tuple[float, ...]:
     """Factors on common mode and complement, so that clean innovations are as large as believed."""
-    parts: list[FloatArray] = []
-
-    def take(simulator: Any) -> None:
-        parts.append(simulator.monitor(InnovationSums).memory["sums"])
-
-    player.each(InnovationSums(), range(runs), take)
+    parts = [
+        simulator.monitor(InnovationSums).memory["sums"]
+        for simulator in player.simulators(InnovationSums(), range(runs))
+    ]
     sums = np.concatenate(parts).sum(axis=0)
     real, believed = sums[0::2], sums[1::2]
     sound = (real > 0.0) & (believed > 0.0)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Annotated, Any, NoReturn, ParamSpec, TypeVar
 
 import typer
+from typer import Option
 
 signals: list[int] = []
 """What has asked the program to end."""
@@ -57,9 +58,7 @@ def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
 
 
 @app.callback(invoke_without_command=True)
-def _main(
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
-) -> None:
+def _main(version: Annotated[bool, Option("--version", help="Print the version.")] = False) -> None:
     """GNSS spoofing and its detection as a game: a benchmark, for defence research."""
     if version:
         from .. import __version__

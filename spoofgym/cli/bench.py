@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from . import options as opt
 from .options import SuiteOptions, with_options
@@ -31,14 +32,14 @@ def bench(
     *,
     task: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Task of spoofgym-bench-v1, T1 to T6, which sets scenario, receiver, attack, "
             "times and detectors; see `spoofgym tasks`."
         ),
     ] = None,
     suite_name: Annotated[
         str | None,
-        typer.Option(
+        Option(
             "--suite",
             help="Suite by name: `standard` plays every detector that suits the world of task T3 "
             "at 0.2 false alarms an hour against five spoofers, in a quarter of an hour on two "
@@ -48,7 +49,7 @@ def bench(
     ] = None,
     detector: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Detector, may be repeated; `all` for all that suit the victim. Default: "
             "snapshot-chi2 and ewma, or those that suit the victim, and the negative controls "
             f"never and lottery. {opt.SPEC_HELP}"
@@ -56,7 +57,7 @@ def bench(
     ] = None,
     spoofer: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Spoofer, may be repeated. One setting is fitted to the alarm budget: that which "
             "is `tuned`, as in step:size_m=tuned, the rate of a plain ramp, and else the amplitude "
             "of all that it commands, unless one is given, as in step:amplitude=1. A shipped "
@@ -66,13 +67,13 @@ def bench(
     ] = None,
     seeds: Annotated[
         int,
-        typer.Option(
+        Option(
             min=2, max=opt.LARGEST_RUNS, help="Evaluation runs of every cell, the same for all."
         ),
     ] = 1000,
-    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("results"),
+    out: Annotated[Path, Option(help="Folder of the results.")] = Path("results"),
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace the results of another campaign.")
+        bool, Option("--overwrite", help="Replace the results of another campaign.")
     ] = False,
     as_json: opt.Json = False,
     options: SuiteOptions,
@@ -80,7 +81,7 @@ def bench(
     training_seeds: opt.Training = 256,
     nominal: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--nominal",
             help="Play thresholds as published and nothing else: no calibration, and no comparison "
             "of detectors, whose rates of false alarms differ. A task does so anyway.",
@@ -88,7 +89,7 @@ def bench(
     ] = False,
     selection_seeds: Annotated[
         int,
-        typer.Option(
+        Option(
             min=0,
             max=opt.LARGEST_RUNS,
             help="Runs on which the worst attack of the attack suite is chosen; 0 to leave the "
@@ -143,7 +144,7 @@ def bench(
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(help="Folder of the results.")] = Path("results"),
+    folder: Annotated[Path, Argument(help="Folder of the results.")] = Path("results"),
     as_json: opt.Json = False,
 ) -> None:
     """Score the finished cells of a folder again, with table and picture."""

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 from . import options as opt
 from .options import WorldOptions, with_options
@@ -25,7 +26,7 @@ def calibrate(
     *,
     detector: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Detector, may be repeated; an .onnx file, too; `all` for all that suit the "
             f"victim. Default: those of the benchmark. {opt.SPEC_HELP} The exit status is 1 where "
             "one that is named can have no threshold."
@@ -33,7 +34,7 @@ def calibrate(
     ] = None,
     runs: Annotated[
         int | None,
-        typer.Option(
+        Option(
             min=1,
             max=opt.LARGEST_RUNS,
             help="Clean runs. Default: 20000, which passive detectors share, and 2000 of each one "
@@ -41,39 +42,38 @@ def calibrate(
         ),
     ] = None,
     false_alarms_per_hour: Annotated[
-        float, typer.Option(help="Rate of false alarms that is to be had and shown.")
+        float, Option(help="Rate of false alarms that is to be had and shown.")
     ] = 0.2,
     rescaled: Annotated[
-        bool,
-        typer.Option("--rescaled", help="Rescale innovations, for tests with a drift term."),
+        bool, Option("--rescaled", help="Rescale innovations, for tests with a drift term.")
     ] = False,
     hold_out: Annotated[
-        int | None,
-        typer.Option(min=1, max=opt.LARGEST_RUNS, help="Count alarms on so many fresh runs."),
+        int | None, Option(min=1, max=opt.LARGEST_RUNS, help="Count alarms on so many fresh runs.")
     ] = None,
     transfer: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Another world to count alarms in, may be repeated: a scenario, or settings of "
             "the victim that differ, as a JSON object. On as many runs as --hold-out, or 1000."
         ),
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Replay the first runs of every calibration.")
+        bool, Option("--check", help="Replay the first runs of every calibration.")
     ] = False,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Play again what has been calibrated.")
+        bool, Option("--overwrite", help="Play again what has been calibrated.")
     ] = False,
-    task: Annotated[str | None, typer.Option(help="World of a task, T1 to T6.")] = None,
+    task: Annotated[str | None, Option(help="World of a task, T1 to T6.")] = None,
     as_json: opt.Json = False,
     options: WorldOptions,
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
 ) -> None:
     """Find thresholds for a rate of false alarms on clean runs; killed, it goes on from there."""
-    from ..bench.report.calibration import CALIBRATIONS, print_hold_outs
-    from ..calibration import holdouts
-    from ..calibration import thresholds as calibration
+    from ..bench.experiments import calibration
+    from ..bench.report.results import CALIBRATIONS, print_hold_outs
+    from ..calibration.holdouts import HOLDOUT_WEIGHING
+    from ..calibration.holdouts import check as replay
     from ..detectors.calibration_file import TOLERANCE
 
     played = world_of(options, task)
@@ -81,34 +81,22 @@ def calibrate(
     judges, named = _judges(detector, played, rescaled)
     others = {text: _other(played, text) for text in transfer or ()}
     asked: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
-    left = calibration.expected_runs(setup, judges, **asked, overwrite=overwrite)
-    with progress(left) as bar:
-        found = calibration.calibrate(
-            setup,
-            judges,
-            **asked,
-            entropy=seed,
-            threads=threads,
-            progress=bar,
-            overwrite=overwrite,
-            strict=False,
-        )
+    settings: dict[str, Any] = {"threads": threads, "progress": progress}
+    found = calibration.calibrate(
+        setup, judges, **asked, **settings, entropy=seed, overwrite=overwrite, strict=False
+    )
     made, lines, sound = _points(found, judges, rate)
     if check:
-        holdouts.check(setup, found, judges, threads=threads)
+        replay(setup, found, judges, threads=threads)
         lines.append(f"replayed: {len(found)} calibrations hold, to {TOLERANCE:g} of every maximum")
     kept = [found[k] for k in sound], [judges[k] for k in sound]
     counted: dict[str, list[HoldOut]] = {}
-    settings: dict[str, Any] = {"false_alarms_per_hour": rate, "threads": threads}
+    settings["false_alarms_per_hour"] = rate
     if hold_out is not None and sound:
-        with progress(len(sound) * hold_out) as bar:
-            held = holdouts.hold_out(setup, *kept, runs=hold_out, progress=bar, **settings)
-            counted["hold-out"] = held
+        counted["hold-out"] = calibration.hold_out(setup, *kept, runs=hold_out, **settings)
     for text, other in others.items() if sound else ():
-        count = hold_out or holdouts.HOLDOUT_WEIGHING
-        with progress(len(sound) * count) as bar:
-            there = holdouts.transfer(other, *kept, runs=count, progress=bar, **settings)
-            counted[f"in {text}"] = there
+        count = hold_out or HOLDOUT_WEIGHING
+        counted[f"in {text}"] = calibration.transfer(other, *kept, runs=count, **settings)
     if as_json:
         print_json(
             {

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from . import options as opt
 from .options import WorldOptions, with_options
 from .output import print_json, progress
-from .suites import calibrate_with_progress, specs_of, world_of
+from .suites import specs_of, world_of
 
 if TYPE_CHECKING:
     from ..bench.experiments.dataset import Plan
@@ -18,86 +18,78 @@ if TYPE_CHECKING:
 
 @with_options
 def dataset(
-    out: Annotated[Path, typer.Argument(help="Folder of the data set.")],
+    out: Annotated[Path, Argument(help="Folder of the data set.")],
     *,
-    task: Annotated[
-        str | None, typer.Option(help="World of a task, T1 to T6, and its detector.")
-    ] = None,
+    task: Annotated[str | None, Option(help="World of a task, T1 to T6, and its detector.")] = None,
     detector: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Passive detector whose statistic attacks by feedback see; the task's by default, "
             f"without one there are no such attacks. {opt.SPEC_HELP}"
         ),
     ] = None,
     term: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Observation term of a learned detector, may be repeated; by default all. "
             f"{opt.SPEC_HELP}"
         ),
     ] = None,
     family: Annotated[
         list[str] | None,
-        typer.Option(help="Family of attacks, may be repeated; by default all that can be made."),
+        Option(help="Family of attacks, may be repeated; by default all that can be made."),
     ] = None,
     spoofer: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Further spoofer, such as an .onnx file, may be repeated; its amplitude is drawn. "
             f"{opt.SPEC_HELP}"
         ),
     ] = None,
     train: Annotated[
-        int,
-        typer.Option(min=1, max=opt.LARGEST_RUNS, help="Runs to train on, each attacked and not."),
+        int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs to train on, each attacked and not.")
     ] = 768,
     validation: Annotated[
-        int, typer.Option(min=1, max=opt.LARGEST_RUNS, help="Runs to choose on.")
+        int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs to choose on.")
     ] = 256,
     test: Annotated[
-        int, typer.Option(min=1, max=opt.LARGEST_RUNS, help="Runs to look at in the end.")
+        int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs to look at in the end.")
     ] = 256,
-    shard: Annotated[int, typer.Option(min=1, max=4096, help="Runs of a file.")] = 64,
+    file_runs: Annotated[int, Option(min=1, max=4096, help="Runs of a file.")] = 64,
     alert_limit_m: Annotated[
         float | None,
-        typer.Option(help="Alert limit, around which attacks are drawn; 40 m, or the task's."),
+        Option(help="Alert limit, around which attacks are drawn; 40 m, or the task's."),
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace another data set in the folder.")
+        bool, Option("--overwrite", help="Replace another data set in the folder.")
     ] = False,
     as_json: opt.Json = False,
     options: WorldOptions,
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
+    jobs: opt.Processes = 1,
+    backend: opt.Backend = "local",
+    shard: opt.Shard = None,
 ) -> None:
     """Write labelled episodes to train a detector on; killed, it goes on from there."""
-    from ..bench.experiments.dataset import make_room, write
-    from ..bench.report.table import Table
+    from ..bench.experiments import Store
+    from ..bench.report.results import DATASET
 
-    chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": shard, "task": task}
+    chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": file_runs, "task": task}
     chosen["runs"] = {"train": train, "validation": validation, "test": test}
     chosen["spoofers"] = specs_of(spoofer or ())
     if term:
         chosen["terms"] = specs_of(term)
     plan = _plan(options, detector, alert_limit_m, chosen, threads)
-    make_room(out, plan, overwrite=overwrite)
-    with progress(sum(plan.runs.values())) as bar:
-        manifest = write(out, plan, threads=threads, progress=bar)
-    summary = _summary(out, manifest)
+    if overwrite:
+        Store(out).open(plan.name, plan.config, overwrite=True)
+    results = opt.finished(plan, out, jobs=jobs, backend=backend, shard=shard, threads=threads)
+    summary = {"folder": str(out), **plan.report(results)}
     if as_json:
         print_json(summary)
         return
     parts = [{"split": part, **found} for part, found in summary["splits"].items()]
-    Table(
-        *((name, name) for name in ("split", "runs", "episodes", "clean")),
-        (
-            "attacks by family",
-            lambda row: ", ".join(f"{name} {count}" for name, count in row["families"].items()),
-        ),
-        ("shards", "shards"),
-        ("MB", lambda row: f"{row['bytes'] / 1e6:.1f}"),
-    ).print(f"{out}: {plan.setup.name}, digest {manifest['digest']}", parts)
+    DATASET.print(f"{out}: {plan.setup.name}, digest {summary['digest']}", parts)
 
 
 def _plan(
@@ -108,6 +100,7 @@ def _plan(
     threads: int | None,
 ) -> Plan:
     """The plan of the options, its detector calibrated; `chosen`: what it takes as it is."""
+    from ..bench.experiments.calibration import calibrate_entries
     from ..bench.experiments.dataset import Plan
     from ..bench.experiments.suite import ALERT_LIMIT_M
     from ..bench.experiments.task_worlds import entries_of
@@ -127,26 +120,5 @@ def _plan(
     optima = optima_of(task) if task else ()
     plan = Plan(played.setup, limit, detector=guard, optima=optima, **chosen)
     if guard is not None:
-        calibrate_with_progress(played, entries_of([guard]), threads)
+        calibrate_entries(played, entries_of([guard]), threads=threads, progress=progress)
     return plan
-
-
-def _summary(out: Path, manifest: dict[str, Any]) -> dict[str, Any]:
-    """What was written, JSON-able."""
-    config, splits = manifest["config"], {}
-    for part, shards in manifest["shards"].items():
-        attacks = [sum(each) for each in zip(*(x["families"] for x in shards), strict=True)]
-        splits[part] = {
-            "runs": config["runs"][part],
-            **{name: sum(x[name] for x in shards) for name in ("episodes", "clean", "bytes")},
-            "families": dict(zip(config["families"], attacks, strict=True)),
-            "shards": len(shards),
-        }
-    return {
-        "folder": str(out),
-        "digest": manifest["digest"],
-        "task": config["task"],
-        "observations": len(config["observation"]["names"]),
-        "epochs": config["epochs"],
-        "splits": splits,
-    }

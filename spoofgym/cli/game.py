@@ -41,7 +41,7 @@ def game(
 ) -> None:
     """Solve the game of spoofers against detectors: payoffs on paired runs, mixes of both sides."""
     from ..bench.experiments.game import Game
-    from ..bench.report.game import print_game
+    from ..bench.report.results import print_game
 
     pairs = Game(task, payoff=payoff, limit_m=limit_m, runs=runs, entropy=seed).pairs(
         specs_of(spoofer), specs_of(detector), oracles=oracles

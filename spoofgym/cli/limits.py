@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
+from typer import Option
 
 from . import options as opt
 from .options import SuiteOptions, with_options
 from .output import print_json, print_lines, progress
 from .suites import calibrated, specs_of, suite_of, tuning_of
-
-if TYPE_CHECKING:
-    from ..bench.experiments.suite import Suite
 
 MOST_WORLDS = 1024
 
@@ -23,51 +21,48 @@ def limits(
     *,
     task: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Task of spoofgym-bench-v1, T1 to T6, which sets scenario, receiver, attack, "
             "times and detectors; see `spoofgym tasks`."
         ),
     ] = None,
     detector: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Detector whose zero-alarm bound is wanted, may be repeated; `all` for all that "
             f"suit the victim. Default: none. {opt.SPEC_HELP}"
         ),
     ] = None,
     spoofer: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Spoofer of which to say whether the bound by divergence holds for it, and what "
             f"it is. Default: none. {opt.SPEC_HELP}"
         ),
     ] = None,
     worlds: Annotated[
         int,
-        typer.Option(
+        Option(
             min=1, max=MOST_WORLDS, help="Worlds to draw; one is enough where nothing is drawn."
         ),
     ] = 8,
     sensors: Annotated[
         str,
-        typer.Option(
+        Option(
             help="Whether the perfect detector knows the constants of the inertial sensors: known "
             "or unknown."
         ),
     ] = "unknown",
     figure: Annotated[
-        Path | None,
-        typer.Option(help="File of a picture of the floor over time, .png, .svg or .pdf."),
+        Path | None, Option(help="File of a picture of the floor over time, .png, .svg or .pdf.")
     ] = None,
     as_json: opt.Json = False,
     options: SuiteOptions,
     budget: Annotated[
-        float,
-        typer.Option(help="Alarm budget of a stealthy attack, on top of the false alarms."),
+        float, Option(help="Alarm budget of a stealthy attack, on top of the false alarms.")
     ] = 0.05,
     nominal: Annotated[
-        bool,
-        typer.Option("--nominal", help="Bounds of detectors with thresholds as published."),
+        bool, Option("--nominal", help="Bounds of detectors with thresholds as published.")
     ] = False,
     threads: opt.Threads = None,
 ) -> None:
@@ -120,7 +115,7 @@ def limits(
         )
     if detector or task:
         suite = calibrated(suite, detector, threads)
-        _add_bounds(suite, record)
+        report.add_bounds(record, suite, progress)
     notes = [*suite.notes, *suite.captions]
     if "zero_alarm" in record and nominal:
         notes.append("detectors have their thresholds as published, not the floor's rate")
@@ -134,21 +129,3 @@ def limits(
     report.print_limits(record)
     if picture is not None:
         typer.echo(f"written: {record['figure']}")
-
-
-def _add_bounds(suite: Suite, record: dict[str, Any]) -> None:
-    """Add the zero-alarm bounds of all detectors."""
-    from ..bench.report.limits import zero_alarm_record
-
-    brackets, entries = suite.brackets(worlds=record["worlds"]), suite.detector_entries
-    with progress(1.0 + len(entries)) as bar:
-
-        def ticking(text: str) -> Any:
-            return lambda part: bar.advance(part, text)
-
-        brackets.cases(ticking("worlds"))
-        found = {each.label: brackets.zero_alarm(each, ticking(each.label)) for each in entries}
-    points = {each.label: suite.world.points(each) for each in entries}
-    bounds = zero_alarm_record(found, points)
-    record["zero_alarm"] = bounds["zero_alarm"]
-    record["assumptions"] |= bounds["assumptions"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
+from typer import Argument
 
 from . import options as opt
 from .output import print_json
@@ -13,9 +13,7 @@ from .output import print_json
 def list_(
     kind: Annotated[
         str | None,
-        typer.Argument(
-            help="envs, scenarios, attacks, detectors, spoofers or shipped; all of them."
-        ),
+        Argument(help="envs, scenarios, attacks, detectors, spoofers or shipped; all of them."),
     ] = None,
     as_json: opt.Json = False,
 ) -> None:
@@ -35,10 +33,7 @@ def list_(
 
 def card(
     name: Annotated[
-        str,
-        typer.Argument(
-            help="A shipped spoofer or detector, or a card or an ONNX file that has one."
-        ),
+        str, Argument(help="A shipped spoofer or detector, or a card or an ONNX file that has one.")
     ],
     as_json: opt.Json = False,
 ) -> None:
@@ -61,6 +56,6 @@ def tasks(as_json: opt.Json = False) -> None:
     from ..bench.report import tasks as stored
 
     if as_json:
-        print_json([*stored.listed(), *stored.listed_detectors()])
+        print_json(stored.listed())
     else:
         stored.print_tasks()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 from . import options as opt
 from .options import SuiteOptions, with_options
@@ -31,10 +32,10 @@ class RunOptions(SuiteOptions):
 @with_options
 def run(
     *,
-    out: Annotated[Path, typer.Option(help="File of the picture; .png without an ending.")] = Path(
+    out: Annotated[Path, Option(help="File of the picture; .png without an ending.")] = Path(
         "episode.png"
     ),
-    picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
+    picture: Annotated[bool, Option(help="Draw the picture.")] = True,
     as_json: opt.Json = False,
     options: RunOptions,
 ) -> None:
@@ -62,13 +63,13 @@ def run(
 @with_options
 def render(
     *,
-    out: Annotated[
-        Path, typer.Option(help="File of the animation, .gif or .mp4 (needs FFmpeg).")
-    ] = Path("run.gif"),
+    out: Annotated[Path, Option(help="File of the animation, .gif or .mp4 (needs FFmpeg).")] = Path(
+        "run.gif"
+    ),
     fps: Annotated[
-        float, typer.Option(help="Frames a second; 2 is real time with epochs of 0.5 s.")
+        float, Option(help="Frames a second; 2 is real time with epochs of 0.5 s.")
     ] = 25.0,
-    every: Annotated[int, typer.Option(min=1, help="A frame for every so many epochs.")] = 1,
+    every: Annotated[int, Option(min=1, help="A frame for every so many epochs.")] = 1,
     options: RunOptions,
 ) -> None:
     """Draw one run of the benchmark as an animation: flight, satellites, statistic, error."""

@@ -21,7 +21,6 @@ from .output import progress
 
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
-    from ..bench.runs.players import Entry
     from ..bench.runs.world import World
     from ..bench.search.settings import Selection, Tuning
     from ..core.registry import Spec
@@ -92,8 +91,9 @@ def suite_of(
         return Suite(**chosen.suite_kwargs, notes=notes, **settings), None
     if rate is None and headline:
         rate = STANDARD_RATE
-    asked = {} if rate is None else {"false_alarms_per_hour": rate}
-    thresholds = {"thresholds": "nominal"} if nominal else asked
+    thresholds: dict[str, Any] = {} if rate is None else {"false_alarms_per_hour": rate}
+    if nominal:
+        thresholds = {"thresholds": "nominal"}
     decided, reports = _victim(options)
     specs = _detectors(options, decided, detectors, thresholds, headline)
     drawn = options.env == ENV and options.track is None and "domain" not in decided["settings"]
@@ -159,32 +159,20 @@ def refuse_decided(options: WorldOptions, decider: str, names: Collection[str]) 
 
 def calibrated(suite: Suite, detectors: Sequence[str] | None, threads: int | None) -> Suite:
     """A suite whose detectors all have thresholds; of `all`, those that can't are left out."""
+    from ..bench.experiments.calibration import calibrate_entries
+
     given = {spec["name"] for spec in specs_of(detectors or ("all",))}
     labels = [entry.label for entry in suite.detector_entries if entry.spec["name"] not in given]
     optional = labels if "all" in given else ()
-    refused = calibrate_with_progress(suite.world, suite.detector_entries, threads, optional)
+    refused = calibrate_entries(
+        suite.world, suite.detector_entries, threads=threads, progress=progress, optional=optional
+    )
     if refused:
         kept = [e.spec for e in suite.detector_entries if e.label not in refused]
         notes = (*suite.notes, *(f"{label}{LEFT_OUT}{why}" for label, why in refused.items()))
         suite = replace(suite, detectors=kept, notes=notes)
     suite.check_fit()
     return suite
-
-
-def calibrate_with_progress(
-    world: World, entries: Sequence[Entry], threads: int | None, optional: Collection[str] = ()
-) -> dict[str, str]:
-    """Calibrate the detectors that ask for a rate of false alarms, and show how far that is.
-
-    `optional`: labels of those that may have no calibration; returns why, by their labels.
-    """
-    from ..bench.experiments.calibration import calibrate_entries, missing_runs
-
-    settings: dict[str, Any] = {"threads": threads, "optional": optional}
-    if left := missing_runs(world, entries):
-        with progress(left) as bar:
-            return calibrate_entries(world, entries, progress=bar, **settings)
-    return calibrate_entries(world, entries, **settings)
 
 
 def tuning_of(runs: int, budget: float) -> Tuning:

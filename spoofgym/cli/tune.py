@@ -6,6 +6,7 @@ import functools
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from . import options as opt
 from .options import SuiteOptions, with_options
@@ -17,11 +18,11 @@ from .suites import calibrated, specs_of, suite_of, tuning_of
 def tune(
     *,
     detector: Annotated[
-        list[str] | None, typer.Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")
+        list[str] | None, Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")
     ] = None,
     spoofer: Annotated[
         list[str] | None,
-        typer.Option(help="Spoofer, may be repeated: ramp, accelerating-ramp, step, or your own."),
+        Option(help="Spoofer, may be repeated: ramp, accelerating-ramp, step, or your own."),
     ] = None,
     budget: opt.Budget = 0.05,
     training_seeds: opt.Training = 1024,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Annotated, Any
 
-import typer
+from typer import Argument
 
 from . import options as opt
 from .output import print_json, print_lines, progress
@@ -18,7 +18,7 @@ FORMS: dict[str, int | None] = {"single": None, "batch": 8}
 def warmup(
     ids: Annotated[
         list[str] | None,
-        typer.Argument(help="Environments, such as Snapshot-v0. Default: all that are registered."),
+        Argument(help="Environments, such as Snapshot-v0. Default: all that are registered."),
     ] = None,
     as_json: opt.Json = False,
 ) -> None:

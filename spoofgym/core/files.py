@@ -58,12 +58,9 @@ def remove_stale_parts(folder: Path) -> None:
     """Remove temporary files of dead processes of this machine, and of any where they are old."""
     for part in folder.glob("spoofgym-*.part"):
         found = _PART.fullmatch(part.name)
-        if found and (_is_dead(found[1], int(found[2])) or _is_old(part)):
+        dead = found and found[1] == _machine() and not _may_live(int(found[2]))
+        if found and (dead or _is_old(part)):
             part.unlink(missing_ok=True)
-
-
-def _is_dead(machine: str, process: int) -> bool:
-    return machine == _machine() and not _may_live(process)
 
 
 def _is_old(part: Path) -> bool:

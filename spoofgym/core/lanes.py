@@ -80,7 +80,6 @@ class LaneFields:
         self._fill_lanes()
 
     def _put_shared(self, rows: slice, values: NDArray[Any]) -> None:
-        """Write rows of all receivers; `values` (b, rows) of some of them, all the same."""
         if not len(values):
             return
         if (values != values[0]).any():

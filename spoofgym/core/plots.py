@@ -39,7 +39,6 @@ def figure_class() -> type[Figure]:
 
 
 def check_picture(path: Path) -> Path:
-    """File of a picture, PNG without an ending; a ValueError for an ending that is no format."""
     path = path if path.suffix else path.with_suffix(".png")
     formats = figure_class()().canvas.get_supported_filetypes()
     check_choice("ending of a picture", path.suffix.lower(), [f".{each}" for each in formats])

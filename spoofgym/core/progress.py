@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Protocol
 
 from . import threads as _threads
@@ -28,6 +28,11 @@ class NullProgress:
 
     def advance(self, amount: float, now: str) -> None:
         """Ignore it."""
+
+
+def no_progress(_: float) -> AbstractContextManager[ProgressCallback]:
+    """Open a bar that shows nothing."""
+    return nullcontext(NullProgress())
 
 
 class RemainingWork:

@@ -42,15 +42,11 @@ def check_choice(
 
 
 def refuse_pickle(name: Any) -> None:
-    if str(name).lower().endswith(PICKLES):
-        raise ValueError(
-            f"{name} is a pickled file, which is never opened, since it can run any code: export "
-            "the model by spoofgym.export, or load it yourself and give the object"
-        )
-
-
-def _article(word: str) -> str:
-    return "an" if word[0] in "aeiou" else "a"
+    require(
+        not str(name).lower().endswith(PICKLES),
+        f"{name} is a pickled file, which is never opened, since it can run any code: export "
+        "the model by spoofgym.export, or load it yourself and give the object",
+    )
 
 
 def build(
@@ -71,8 +67,8 @@ def build(
     if not isinstance(spec, Mapping) or not isinstance(spec.get("name"), str):
         names = {*kinds, *more}
         raise TypeError(
-            f"{_article(word)} {word} is a name ({', '.join(sorted(names))}), a dict with a "
-            f"`name`, or an "
+            f"{'an' if word[0] in 'aeiou' else 'a'} {word} is a name "
+            f"({', '.join(sorted(names))}), a dict with a `name`, or an "
             f"instance of {kind.__module__}.{kind.__qualname__}, got {spec!r}"
         )
     settings = dict(spec)
@@ -91,8 +87,7 @@ def _constructed(what: str, kind: type[T], settings: Mapping[str, Any]) -> T:
             name in known, f"{what} has no setting {name!r}; valid: {', '.join(known) or 'none'}"
         )
     for name, field in known.items():
-        missing = dataclasses.MISSING
-        if field.default is field.default_factory is missing and name not in settings:
+        if field.default is field.default_factory is dataclasses.MISSING and name not in settings:
             raise ValueError(f"{what} needs the setting {name!r}")
     check_plain_settings(kind, settings)
     return kind(**settings)
@@ -161,8 +156,7 @@ def check_fields(record: object, bound: str, *names: str) -> None:
 
 
 def check_truth(name: str, value: Any) -> None:
-    if value is not True and value is not False:
-        raise ValueError(f"`{name}` must be True or False, got {value!r}")
+    require(value is True or value is False, f"`{name}` must be True or False, got {value!r}")
 
 
 def whole_number(name: str, value: Any, least: int = 0) -> int:

@@ -20,7 +20,6 @@ import numpy as np
 LIBRARIES = {"spoofgym", "numpy", "pandas", *sys.stdlib_module_names}  # they have versions
 OMITTED = {"omitted": True}  # metadata of a default that is not written down: records are older
 DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-INSTALLED = {"site-packages", "dist-packages"}
 
 
 def describe(value: Any) -> Any:
@@ -145,7 +144,7 @@ def _is_outside(module: str, kind: type) -> bool:
     """Whether a module is the user's; an installed one is where the class is of its package."""
     package = module.partition(".")[0]
     file = getattr(sys.modules.get(module), "__file__", None) or ""
-    installed = bool(INSTALLED & {*Path(file).parts})
+    installed = bool({"site-packages", "dist-packages"} & {*Path(file).parts})
     own = package == kind.__module__.partition(".")[0]
     return package not in LIBRARIES and (own or not installed)
 

@@ -383,9 +383,8 @@ def absolute(x: Any) -> Any:
 
 
 _REALS = {REAL: REAL} | {kind: kind for kind in _KINDS.values() if kind.element is REAL}
-_unary(sqrt, _REALS, _intrinsic("sqrt"))
-_unary(floor, _REALS, _intrinsic("floor"))
-_unary(absolute, _REALS, _intrinsic("fabs"))
+for _function, _name in ((sqrt, "sqrt"), (floor, "floor"), (absolute, "fabs")):
+    _unary(_function, _REALS, _intrinsic(_name))
 
 
 def to_float(x: Any) -> Any:
@@ -598,12 +597,10 @@ def flags_at(entries: Any, index: int) -> Any:
 
 
 def rows_at(entries: Any, index: int, like: Any) -> Any:
-    """Lane array of a table, float64, as wide as `like`."""
     return _array(entries, index, np.float64, like.ndim == 2)
 
 
 def words_at(entries: Any, index: int, like: Any) -> Any:
-    """Lane array of a table, uint64, as wide as `like`."""
     return _array(entries, index, np.uint64, like.ndim == 2)
 
 

@@ -51,8 +51,7 @@ def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask
 
 def late_positions(time: Floats) -> Mask:
     """Rows whose position isn't newer than all before; a time counts once."""
-    latest = np.maximum.accumulate(time)
-    return np.concatenate([[False], time[1:] <= latest[:-1]])[: time.size]
+    return np.concatenate([[False], time[1:] <= np.maximum.accumulate(time)[:-1]])[: time.size]
 
 
 def interpolated_positions(time: Floats, latitude: Floats, longitude: Floats) -> Mask:
@@ -77,7 +76,6 @@ def off_line(time: Floats, value: Floats) -> Floats:
 
 
 def _excess(time: Floats, value: Floats, allowance: float, acceleration: float) -> Floats:
-    """Distance from the line between the neighbours over the largest one believed."""
     believed = np.full(time.size, allowance)
     believed[1:-1] += 0.5 * acceleration * np.diff(time)[:-1] * np.diff(time)[1:]
     return np.asarray(off_line(time, value) / believed)
@@ -148,8 +146,7 @@ def made_good(time: Floats, latitude: Floats, longitude: Floats) -> MadeGood:
     a = np.where(time - time[a] > LARGEST_GAP_S, here, a)
     b = np.where(time[b] - time > LARGEST_GAP_S, here, b)
     span = np.where(a < b, time[b] - time[a], np.nan)
-    C_en = dcm_e_from_n(latitude, longitude)
-    chord_n = np.einsum("nji,nj->ni", C_en, position[b] - position[a])
+    chord_n = np.einsum("nji,nj->ni", dcm_e_from_n(latitude, longitude), position[b] - position[a])
     length = np.hypot(chord_n[:, 0], chord_n[:, 1])
     path = np.cumsum(np.linalg.norm(np.diff(position, axis=0, prepend=position[:1]), axis=1))
     course = np.where(length > POSITION_SD, np.arctan2(chord_n[:, 1], chord_n[:, 0]), np.nan)
@@ -308,8 +305,6 @@ def clean_track(
 
 @dataclass(eq=False)
 class _Fixes:
-    """Fixes still in the running, with the times of their positions."""
-
     time: Floats
     latitude: Floats
     longitude: Floats

@@ -132,15 +132,15 @@ class Ephemerides:
                 )
             values.setflags(write=False)
             object.__setattr__(self, field.name, values)
-        if not ((self.eccentricity >= 0.0) & (self.eccentricity < 1.0)).all():
-            raise ValueError(
-                "`eccentricity` must be within 0 <= e < 1, "
-                f"got {self.eccentricity.min()} to {self.eccentricity.max()}"
-            )
-        if not (self.root_semi_major_axis > 0.0).all():
-            raise ValueError(
-                f"`root_semi_major_axis` must be positive, got {self.root_semi_major_axis.min()}"
-            )
+        require(
+            ((self.eccentricity >= 0.0) & (self.eccentricity < 1.0)).all(),
+            "`eccentricity` must be within 0 <= e < 1, "
+            f"got {self.eccentricity.min()} to {self.eccentricity.max()}",
+        )
+        require(
+            (self.root_semi_major_axis > 0.0).all(),
+            f"`root_semi_major_axis` must be positive, got {self.root_semi_major_axis.min()}",
+        )
 
     def __len__(self) -> int:
         return self.satellite_id.size
@@ -191,9 +191,8 @@ def propagate(ephemerides: Ephemerides, record: ArrayLike, elapsed: ArrayLike) -
     `elapsed`: time since its `time_of_ephemeris`, t_k [s]; NaN gives NaN; returns (S, 3) each.
     IS-GPS-200, table 20-IV; Thompson et al. (2019) for the derivatives.
     """
-    index = np.asarray(record, dtype=np.intp)
     (A, e, M0, dn, omega, O0, O_dot, i0, i_dot, cuc, cus, cic, cis, crc, crs, toe) = (
-        getattr(ephemerides, name)[index] for name in ORBIT_FIELDS
+        getattr(ephemerides, name)[np.asarray(record, dtype=np.intp)] for name in ORBIT_FIELDS
     )
     A, t = A * A, np.asarray(elapsed, dtype=np.float64)
     n = np.sqrt(GPS_GRAVITATIONAL_CONSTANT / (A * A * A)) + dn
@@ -339,8 +338,7 @@ def screen(ephemerides: Ephemerides) -> tuple[Ephemerides, ScreeningReport]:
     rejections: list[Rejection] = []
     unchecked = unresolved = 0
     for satellite in distinct.satellite_ids:
-        records = np.flatnonzero(distinct.satellite_id == satellite)
-        rejected, gaps = _contradicted(distinct, records)
+        rejected, gaps = _contradicted(distinct, np.flatnonzero(distinct.satellite_id == satellite))
         kept[list(rejected)] = False
         rejections += [
             Rejection(satellite, float(distinct.time_of_ephemeris[record]), distance)

@@ -56,12 +56,10 @@ def real_scenario(
     """
     fixes, cleaning = clean_track(read_track(track), from_s=from_s, duration_s=duration_s)
     flight, fit = fit_track(fixes)
-    records = read_navigation(ephemeris)
-    kept, screening = screen(records)
+    kept, screening = screen(read_navigation(ephemeris))
     broadcast = ephemeris_day(kept)
     own = fixes.start_utc.astimezone(UTC)
-    chosen = day or broadcast
-    start = datetime.combine(chosen, own.timetz())
+    start = datetime.combine(day or broadcast, own.timetz())
     seconds = gps_seconds(start)
     constellation = BroadcastConstellation(kept, seconds)
     scenario = Scenario(name=fixes.name, flight=flight, constellation=constellation, **settings)

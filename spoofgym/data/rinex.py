@@ -158,8 +158,7 @@ def _checked_version(line: str, path: Path) -> int:
 
 def _blocks(lines: list[str], path: Path) -> Iterator[tuple[int, list[str]]]:
     """Line number and lines of each record: the first columns of its later lines are blank."""
-    ends = (k for k, line in enumerate(lines) if line[60:].strip() == "END OF HEADER")
-    end = next(ends, None)
+    end = next((k for k, line in enumerate(lines) if line[60:].strip() == "END OF HEADER"), None)
     if end is None:
         raise FileError(f"{path} is cut short: its header has no end")
     number, block = 0, list[str]()

@@ -65,8 +65,10 @@ class Track:
     track_angle: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        if self.start_utc.tzinfo is None:
-            raise ValueError(f"`start_utc` must have a time zone, got {self.start_utc}")
+        require(
+            self.start_utc.tzinfo is not None,
+            f"`start_utc` must have a time zone, got {self.start_utc}",
+        )
         count = np.size(self.time)
         require(
             count >= MINIMUM_FIXES, f"a track must have at least {MINIMUM_FIXES} fixes, got {count}"
@@ -77,8 +79,10 @@ class Track:
                 f"`{field}` must be finite, got NaN or infinity",
             )
         for field in ("groundspeed", "track_angle"):
-            if np.isinf(self._settle(field, count)).any():
-                raise ValueError(f"`{field}` must be finite or NaN, got infinity")
+            require(
+                not np.isinf(self._settle(field, count)).any(),
+                f"`{field}` must be finite or NaN, got infinity",
+            )
         require(
             self.time[0] == 0.0 and (np.diff(self.time) > 0.0).all(),
             "`time` must start at 0 s and rise from fix to fix",
@@ -155,8 +159,7 @@ class SmoothPath:
 
 
 def smooth_path(track: Track) -> SmoothPath:
-    intervals = max(2, round(track.duration / KNOT_INTERVAL))
-    edges = np.linspace(0.0, track.duration, intervals + 1)
+    edges = np.linspace(0.0, track.duration, max(2, round(track.duration / KNOT_INTERVAL)) + 1)
     knots = np.concatenate([np.zeros(DEGREE), edges, np.full(DEGREE, track.duration)])
     node, weight = _quadrature(edges)
     jerk = _scaled(_design(node, knots, 3), np.sqrt(weight / CLIMB_JERK_PSD))
@@ -203,8 +206,7 @@ class _Plane:
         self.fixes = np.concatenate([north, (unwrapped - unwrapped[0]) * per_east])
 
     def fit(self) -> tuple[Floats, Floats, int]:
-        count = self.place.shape[0] + 2 * self.track.time.size
-        trust = np.ones(count)
+        trust = np.ones(self.place.shape[0] + 2 * self.track.time.size)
         solution = self._first_pass()
         for _ in range(PASSES):
             before = solution
@@ -216,8 +218,7 @@ class _Plane:
             if np.abs(self.place @ (solution - before)).max() < PASS_STOP:
                 break
         north, east = np.split(solution, 2)
-        half = self.track.time.size
-        return north, east, int((trust[half:] < 1.0).sum())
+        return north, east, int((trust[self.track.time.size :] < 1.0).sum())
 
     def _first_pass(self) -> Floats:
         scale = np.tile(np.sqrt(self.weight / TURN_JERK_PSD), 2)

@@ -171,8 +171,7 @@ def track_from_frame(
     """Take a recorded track from a table with one row per report. `altitude_unit`: unit of the
     altitude column; by default feet, unless its name ends in _m."""
     frame = frame.rename(columns=lambda column: str(column).strip().lower())
-    if frame.empty:
-        raise ValueError(f"a track must have rows, got none in {name!r}")
+    require(not frame.empty, f"a track must have rows, got none in {name!r}")
     frame = _one_aircraft(frame, aircraft)
     required = {"time": TIME} | {
         quantity: tuple(QUANTITIES[quantity]) for quantity in ("latitude", "longitude", "altitude")

@@ -7,14 +7,13 @@ from typing import Any
 
 from ..core.registry import make
 from . import calibrated
-from .averages import Aime, CumulativeBank, FiniteMovingAverage
+from .averages import Aime, ClockDrift, CumulativeBank, FiniteMovingAverage
 from .base import Detector, DetectorContext, Verdict
 from .build import made_by
 from .calibrated import Calibrated
 from .calibration_file import Calibration, OperatingPoint
 from .charts import Ewma, JointChart, Shewhart
 from .chi_square import SequentialChi2, SnapshotChi2, WindowedChi2
-from .clock_drift import ClockDrift
 from .controls import Lottery, Never
 from .cusum import Cusum, LagCusum
 from .dead_reckoning import Acna, Rio

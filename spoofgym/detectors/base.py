@@ -90,13 +90,6 @@ class DetectorContext(NamedTuple):
     states: int = STATES
     min_satellites: int = 4
 
-    @property
-    def epoch_sd(self) -> FloatArray:
-        """(m,) standard deviation of the errors of one epoch alone [m], [m/s]."""
-        if self.single_epoch_sd is None:
-            return np.sqrt(self.noise_variance)
-        return self.single_epoch_sd
-
 
 class Detector(ABC):
     """A detector with memory of B receivers; it knows no truth, no clock time and no chance.
@@ -121,6 +114,11 @@ class Detector(ABC):
     drifts : bool
         Whether its statistic has a drift term, so that it is 0 on most innovations that are smaller
         than the filter believes; these innovations can be rescaled (`Calibrated`).
+    alarm_is_state : bool
+        Whether an alarm is more than statistic above threshold, such as a flag that stays up.  Such
+        a detector is a dataclass with a setting `alarm_scale`, 1 by default: the factor on the
+        thresholds of its alarm, and of nothing else, so that up to the first alarm nothing depends
+        on it.
     calibrates : bool
         Whether thresholds scale its alarms at all; not that of a detector that never alarms.
     has_nominal : bool
@@ -152,6 +150,7 @@ class Detector(ABC):
     calibrates: ClassVar[bool] = True
     draws: ClassVar[bool] = False
     label: ClassVar[str | None] = None
+    alarm_is_state: bool = False
     has_nominal: bool = True
     silent_epochs: int = 0
     memory_epochs: int = 0
@@ -166,12 +165,6 @@ class Detector(ABC):
         ----------
         context : DetectorContext
             Sizes, interval, noise and satellites.
-
-        Raises
-        ------
-        ValueError
-            When the receiver does not measure what the detector does, or `needs` has what is no
-            optional field of `Epoch`.
         """
         check_needs(self)
         measured = "satellites" if context.channels else "position"
@@ -186,21 +179,6 @@ class Detector(ABC):
         """Declare arrays of the memory, as `bind` does, by name."""
         for name, array in initial.items():
             self.memory.declare(name, array)
-
-    @property
-    def alarm_is_state(self) -> bool:
-        """Whether an alarm is more than statistic above threshold, such as a flag that stays up.
-
-        Such a detector is a dataclass with a setting `alarm_scale`, 1 by default: the factor on the
-        thresholds of its alarm, and of nothing else, so that up to the first alarm nothing depends
-        on it.
-
-        Returns
-        -------
-        bool
-            False, unless a subclass says otherwise.
-        """
-        return False
 
     def armed(self, epoch: Epoch) -> NDArray[np.bool_] | None:
         """Whose alarms are on at an epoch.
@@ -284,7 +262,6 @@ class UndeclaredFieldError(TypeError):
 
 
 def undeclared(detector: Detector, epoch: TracedEpoch) -> str:
-    """Say which fields were read that are None, since they are not declared; "" for none."""
     absent = {name for name, array in epoch._asdict().items() if array is None}
     read = sorted(epoch.read & absent)
     if not read:
@@ -329,7 +306,6 @@ def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
 
 
 def checked_weights(weights: FloatArray, epoch: Epoch) -> FloatArray:
-    """Check weights that come without a verdict; errors are those of `checked`."""
     _examine_part("an update", epoch, "weights", weights, epoch.innovation.shape, "")
     return weights
 

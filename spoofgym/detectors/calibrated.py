@@ -28,9 +28,10 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from ..core.compile import njit
-from ..core.registry import is_number
+from ..core.registry import check_finite
+from ..core.settings import outside_sources
 from ..receiver.epoch import Epoch
-from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict
+from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
 from .calibration_file import (
     Calibration,
     Conditions,
@@ -38,7 +39,6 @@ from .calibration_file import (
     check_rate,
     described,
     nearest,
-    sources_of,
     stored,
 )
 from .pool import PooledDetector
@@ -86,13 +86,6 @@ class Calibrated(Detector):
     point : OperatingPoint or None
         What it was looked up with.
 
-    Raises
-    ------
-    ValueError
-        When there is neither a scale nor a rate, or one is out of range.
-    TypeError
-        When `detector` is none, or is calibrated already.
-
     Examples
     --------
     >>> from spoofgym.detectors import Calibrated, SnapshotChi2
@@ -121,10 +114,8 @@ class Calibrated(Detector):
             raise TypeError("a pool calibrates its members: ask them for the rate, one by one")
         if self.scale is None and self.false_alarms_per_hour is None:
             raise ValueError("a calibrated detector needs `scale` or `false_alarms_per_hour`")
-        if self.scale is not None and not (
-            is_number(self.scale) and math.isfinite(self.scale) and self.scale > 0.0
-        ):
-            raise ValueError(f"`threshold_scale` must be finite and > 0, got {self.scale!r}")
+        if self.scale is not None:
+            check_finite("threshold_scale", self.scale, "> 0")
         if self.false_alarms_per_hour is not None:
             self.false_alarms_per_hour = check_rate(self.false_alarms_per_hour)
         if self.rescaled:
@@ -141,7 +132,7 @@ class Calibrated(Detector):
         return self.scale is not None and (self.rescale is not None or not self.rescaled)
 
     def bind(self, context: DetectorContext) -> None:
-        if not self.resolved:
+        if self.scale is None or not self.resolved:
             raise ValueError(
                 f"{type(self.detector).__name__} is asked for {self.false_alarms_per_hour:g} false "
                 "alarms an hour, and no world is known to look its thresholds up for: give it to "
@@ -150,7 +141,8 @@ class Calibrated(Detector):
         inner = self.detector
         if inner.alarm_is_state:
             inner = dataclasses.replace(inner, alarm_scale=self.scale)  # type: ignore[type-var]
-        self._judge, self._factors = inner, np.array(self.rescale or (1.0,) * 4)
+        self._judge, self._scale = inner, self.scale
+        self._factors = np.array(self.rescale or (1.0,) * 4)
         inner.bind(context)
         self.memory, self.silent_epochs = inner.memory, inner.silent_epochs
 
@@ -170,15 +162,11 @@ class Calibrated(Detector):
             verdict = self._judge.judge(epoch)
         finally:
             self._judge.judged_rows = None
-        return verdict if self.detector.alarm_is_state else self.scaled(verdict)
-
-    def scaled(self, verdict: Verdict) -> Verdict:
-        assert self.scale is not None  # as `bind` has made sure of
-        threshold = self.scale * verdict.threshold
-        return verdict._replace(threshold=threshold, alarm=verdict.statistic > threshold)
+        if self.detector.alarm_is_state:
+            return verdict
+        return compare(verdict.statistic, self._scale * verdict.threshold, verdict.weights)
 
     def look_up(self, world: World) -> None:
-        """Take the factors from the calibration for a world; a ValueError where there is none."""
         conditions, identity = world.conditions, identity_of(self.detector)
         rate = check_rate(self.false_alarms_per_hour)
         failure: ValueError | None = None
@@ -240,7 +228,6 @@ class Calibrated(Detector):
         )
 
     def _asked_settings(self) -> dict[str, Any]:
-        """Settings of the detector that are not its defaults, JSON-able."""
         if hasattr(self.detector, "spec"):
             return dict(self.detector.spec)
         own = inspect.signature(type(self.detector)).parameters
@@ -321,12 +308,12 @@ def identity_of(detector: Detector) -> dict[str, Any]:
             f"no {', '.join(map(repr, missing))}"
         )
     found = {"name": name, **{key: described(getattr(detector, key)) for key in sorted(settings)}}
-    sources = {} if kind in names else sources_of(detector)
-    return {**found, "sources": sources} if sources else found
+    sources = {} if kind in names else outside_sources(detector)
+    readable = {name: digest for name, digest in sources.items() if digest is not None}
+    return {**found, "sources": readable} if readable else found
 
 
 def _calibrated_in(detector: Detector) -> list[Calibrated]:
-    """Calibrated detectors: this one, or members of a pool."""
     parts = detector.judges if isinstance(detector, PooledDetector) else (detector,)
     return [each for each in parts if isinstance(each, Calibrated)]
 

@@ -30,27 +30,23 @@ import platformdirs
 
 from ..core.files import write_file
 from ..core.registry import is_number
-from ..core.settings import describe, differences, digest_of, outside_sources
+from ..core.settings import describe, differences, digest_of
 from .base import FloatArray
 
 FORMAT = 1
-"""Of the files that are read."""
 SHIPPED_FOLDER = Path(__file__).parents[1] / "calibrations"
 FOLDER_VARIABLE = "SPOOFGYM_CALIBRATIONS"
 STANDARD_RATES = (0.2, 0.002)
 """False alarms an hour that a file always has exactly: of research, and of aviation's order."""
 WITNESSES = 16
 """Run maxima that a file keeps with their seeds, to be replayed."""
-TOLERANCE = 1e-6
-"""Largest relative difference of a replayed maximum."""
+TOLERANCE = 1e-6  # of a replayed maximum, relative
 EXACT_RANKS, RANK_RATIO = 200, 1.01
 """Uppermost order statistics that a file has one by one; below, their ranks grow by a ratio."""
 EXTRAPOLATION = 10.0
 """How far a fitted tail reaches: down to a probability of one in so many times the runs."""
-TAIL_FEWEST = 50
-"""Fewest exceedances that a tail is fitted to."""
-DIGITS = 12
-"""Significant digits of what is written."""
+FEWEST_EXCEEDANCES = 50
+DIGITS = 12  # significant ones of what is written
 
 
 @dataclass(frozen=True)
@@ -148,11 +144,11 @@ def check_runs(rate: float, runs: int, window_s: float, *, tail: bool) -> None:
         )
     if rank_of(p, runs) >= 1:
         return
-    far = p * EXTRAPOLATION * runs < 1.0 or tail_exceedances(runs) < TAIL_FEWEST
+    far = p * EXTRAPOLATION * runs < 1.0 or tail_exceedances(runs) < FEWEST_EXCEEDANCES
     if far or not tail:
         needed = f"at least {fewest_runs(p)}"
         if tail:
-            fitted = max(10 * TAIL_FEWEST, math.ceil(1.0 / (EXTRAPOLATION * p)))
+            fitted = max(10 * FEWEST_EXCEEDANCES, math.ceil(1.0 / (EXTRAPOLATION * p)))
             needed += f", or {fitted} for a fitted tail"
         raise ValueError(
             f"{rate:g} false alarms an hour are {p:.3g} a run of {window_s:g} s, for which {runs} "
@@ -232,17 +228,22 @@ class Calibration:
     path: Path | None = field(default=None, compare=False)
 
     def point(self, false_alarms_per_hour: float) -> OperatingPoint:
-        """Where the detector works at a rate; a ValueError where the runs are too few."""
         rate, n = check_rate(false_alarms_per_hour), self.runs
         p = run_probability(rate, self.window_s)
         check_runs(rate, n, self.window_s, tail=not self.bisected)
         exact = rank_of(p, n)
-        rank = self._rank(exact, rate) if exact >= 1 else 0
+        if self.bisected and exact not in self.ranks:
+            raise ValueError(
+                f"the alarm of {self.detector['name']} is a state, whose scale is found by "
+                f"bisection, which was not done for {rate:g} false alarms an hour"
+            )
+        # the largest rank that the file has, at most the exact one; 0 beyond the largest maximum
+        rank = max((each for each in self.ranks if each <= exact), default=0)
         scale = self.largest[self.ranks.index(rank)] if rank else self._tail(p, rate)
         if scale <= 0.0:
             raise ValueError(self._degenerate(p, rate))
-        early = self.warmup_share(scale)
-        return OperatingPoint(rate, p, scale, n, rank, self.window_s, rank == 0, early)
+        early = max((rank for rank, value in self.before if value > scale), default=0)
+        return OperatingPoint(rate, p, scale, n, rank, self.window_s, rank == 0, early / n)
 
     def has(self, false_alarms_per_hour: float) -> bool:
         """Whether its runs are enough for a rate, if only to find the statistic degenerate."""
@@ -252,15 +253,6 @@ class Calibration:
             return False
         p = run_probability(false_alarms_per_hour, self.window_s)
         return not self.bisected or rank_of(p, self.runs) in self.ranks
-
-    def _rank(self, exact: int, rate: float) -> int:
-        """Largest rank, at most the exact one, that the file has."""
-        if self.bisected and exact not in self.ranks:
-            raise ValueError(
-                f"the alarm of {self.detector['name']} is a state, whose scale is found by "
-                f"bisection, which was not done for {rate:g} false alarms an hour"
-            )
-        return max(each for each in self.ranks if each <= exact)
 
     def _tail(self, p: float, rate: float) -> float:
         n, count = self.runs, tail_exceedances(self.runs)
@@ -286,13 +278,7 @@ class Calibration:
             "'rescaled' may mend it; else there is `thresholds` 'nominal'"
         )
 
-    def warmup_share(self, scale: float) -> float:
-        """Share of the clean runs whose largest ratio before the attack is above a scale."""
-        above = [rank for rank, value in self.before if value > scale]
-        return max(above, default=0) / self.runs
-
     def differences(self, world: Mapping[str, Any], detector: Mapping[str, Any]) -> list[str]:
-        """Where it was made for something else, a line each."""
         found = [("world", *each) for each in differences(self.world, world)]
         found += [("detector", *each) for each in differences(self.detector, detector)]
         return [f"{what} {name}: {a!r} there, {b!r} here" for what, name, a, b in found]
@@ -334,10 +320,8 @@ def _load(path: str, modified: int) -> Calibration:
 
 
 def user_folder() -> Path:
-    """Folder of one's own calibrations: ``SPOOFGYM_CALIBRATIONS``, or in the user's cache."""
-    if wanted := os.environ.get(FOLDER_VARIABLE):
-        return Path(wanted)
-    return Path(platformdirs.user_cache_dir("spoofgym")) / "calibrations"
+    cache = Path(platformdirs.user_cache_dir("spoofgym")) / "calibrations"
+    return Path(os.environ.get(FOLDER_VARIABLE) or cache)
 
 
 def folders() -> tuple[Path, ...]:
@@ -393,7 +377,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and value.is_integer() and abs(value) < 2.0**53:
         return int(value)
     return value
-
-
-def sources_of(thing: Any) -> dict[str, str]:
-    return {name: digest for name, digest in outside_sources(thing).items() if digest is not None}

@@ -73,13 +73,12 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.compile import inlined, njit
-from ..core.registry import check_finite
 from ..core.settings import OMITTED
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import (
-    NEVER,
     InnovationTest,
+    check_all,
     check_limits,
     check_one_of,
     check_probability,
@@ -112,7 +111,8 @@ class WeighingChart(Detector):
 
     def _declare_exclusions(self, context: DetectorContext) -> None:
         limit_s, interval_s = self.max_exclusion_s, context.epoch_interval_s
-        self._longest = int(NEVER) if limit_s is None else max(1, round(limit_s / interval_s))
+        never = int(np.iinfo(np.int64).max)
+        self._longest = never if limit_s is None else max(1, round(limit_s / interval_s))
         shape = (context.receivers, context.channels)
         self.memory.declare("excluded", np.zeros(shape, dtype=np.int64))
 
@@ -226,18 +226,6 @@ class Ewma(WeighingChart):
         return compare(size, threshold, None if self.weight_scale is None else weights)
 
 
-END_RULES = ("drop", "literal")
-
-
-@inlined
-def has_dropped(older: float, old: float, newest: float, drop: float) -> bool:
-    r"""Whether the newest of three ratios shows the end of an offset.
-
-    .. math:: \min(\xi_{k-2}, \xi_{k-1}) - \xi_k > T_3, \qquad \xi_k < 1 - T_3
-    """
-    return min(older, old) - newest > drop and newest < 1.0 - drop
-
-
 @inlined
 def spread_of(older: float, old: float, newest: float) -> float:
     """Largest distance of three ratios from their median."""
@@ -287,7 +275,8 @@ def judge_joint_channels(
                 if literal:
                     ended = spoofed[b, j] > 0 and spread_of(older, old, newest) > drop
                 else:
-                    ended = spoofed[b, j] > 1 and has_dropped(older, old, newest, drop)
+                    dropped = min(older, old) - newest > drop and newest < 1.0 - drop
+                    ended = spoofed[b, j] > 1 and dropped
                 if ended:
                     decay[b, j], average[b, j] = 1.0, 0.0
             spoofed[b, j] = 0 if ended else spoofed[b, j] + 1
@@ -334,17 +323,14 @@ class JointChart(WeighingChart):
     min_satellites: int = 5
     alarm_scale: float = field(default=1.0, kw_only=True, metadata=OMITTED)
 
+    alarm_is_state: ClassVar[bool] = True  # type: ignore[misc]  # it stays up until the offset ends
+
     def __post_init__(self) -> None:
         check_smoothing(self.smoothing)
         check_probability("drop", self.drop)
-        check_one_of("end_rule", self.end_rule, END_RULES)
-        check_finite("alarm_scale", self.alarm_scale, "> 0")
+        check_one_of("end_rule", self.end_rule, ("drop", "literal"))
+        check_all(self, "> 0", "alarm_scale")
         super().__post_init__()
-
-    @property
-    def alarm_is_state(self) -> bool:
-        """It stays up until the offset ends."""
-        return True
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)

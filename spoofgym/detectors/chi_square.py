@@ -57,13 +57,11 @@ from ..core.compile import njit
 from ..core.settings import OMITTED
 from ..receiver.epoch import Epoch
 from ..receiver.kalman import normalized_innovation_squared
-from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
+from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import (
-    SIGNALS,
     InnovationTest,
     check_epochs,
     check_one_of,
-    check_probability,
     chi2_lower_thresholds,
     chi2_thresholds,
     epochs_of,
@@ -131,9 +129,6 @@ class SnapshotChi2(InnovationTest):
         return chi2_verdict(statistic, self._thresholds[seen], lower, seen > 0)
 
 
-COVARIANCES = ("known", "estimated")
-
-
 def estimated_covariance_thresholds(
     false_alarm: float, window: int, covariance_window: int, rows: FloatArray
 ) -> FloatArray:
@@ -179,7 +174,7 @@ def window_sum(
 
 
 @dataclass
-class WindowedChi2(Detector):
+class WindowedChi2(InnovationTest):
     """Chi-square test of a window of epochs, for the whole receiver; monitor only.
 
     Parameters
@@ -211,10 +206,9 @@ class WindowedChi2(Detector):
     measures: ClassVar[str] = "any"
 
     def __post_init__(self) -> None:
-        check_probability("false_alarm", self.false_alarm)
+        super().__post_init__()
         check_epochs(self, "window", "covariance_window")
-        check_one_of("signals", self.signals, SIGNALS)
-        check_one_of("covariance", self.covariance, COVARIANCES)
+        check_one_of("covariance", self.covariance, ("known", "estimated"))
         if self.two_sided and self.covariance != "known":
             raise ValueError(
                 f"`two_sided` takes a known covariance, got `covariance` {self.covariance!r}"
@@ -222,14 +216,14 @@ class WindowedChi2(Detector):
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
-        b, n, m = context.receivers, context.channels, len(context.noise_variance)
-        if n == 0 and self.signals != "both":
-            raise ValueError(
-                f"`signals` must be 'both' for a receiver that measures a position, got "
-                f"{self.signals!r}"
-            )
-        self._rows = {"pseudorange": (0, n), "range_rate": (n, 2 * n), "both": (0, m)}[self.signals]
-        self._per_satellite = 2 if self.signals == "both" else 1
+        b, m = context.receivers, len(context.noise_variance)
+        if context.channels == 0:
+            if self.signals != "both":
+                raise ValueError(
+                    f"`signals` must be 'both' for a receiver that measures a position, got "
+                    f"{self.signals!r}"
+                )
+            self._rows = (0, m)
         most = self._rows[1] - self._rows[0]
         degrees = np.arange(most * self.window + 1)
         hold = self.window - 1

@@ -45,10 +45,6 @@ class Never(Detector):
         return compare(np.zeros((len(epoch.time), 1)), 1.0)
 
 
-UNIT = 2.0**-53
-"""Distance of the numbers that 53 bits make."""
-
-
 @dataclass
 class Lottery(Detector):
     """Alarms by chance, at the same rate at any time, and stays alarmed.
@@ -97,5 +93,5 @@ def hashed(values: FloatArray) -> NDArray[np.uint64]:
 
 
 def unit_exponential(bits: NDArray[np.uint64]) -> FloatArray:
-    uniform = ((bits >> np.uint64(11)).astype(np.float64) + 0.5) * UNIT
+    uniform = ((bits >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
     return np.array([-math.log1p(-each) for each in uniform.tolist()])

@@ -80,7 +80,6 @@ def latest(ring: FloatArray, last: int, count: int) -> FloatArray:
 
 @inlined
 def remember(ring: FloatArray, number: int, value: float) -> None:
-    """Write the value of a number into both copies of a ring."""
     length = ring.shape[0] // 2
     ring[number % length] = value
     ring[length + number % length] = value

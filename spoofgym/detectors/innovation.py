@@ -39,8 +39,6 @@ from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray
 
 SIGNALS = ("pseudorange", "range_rate", "both")
-NEVER = np.iinfo(np.int64).max
-"""Longest exclusion in epochs, where there is no limit."""
 
 
 def check_probability(name: str, value: float) -> None:
@@ -74,7 +72,6 @@ def check_length(name: str, value: float, least: float = 0.0) -> None:
 
 
 def check_all(detector: Detector, bound: str, *names: str) -> None:
-    """Raise unless settings are finite and within a bound, as of `check_finite`."""
     for name in names:
         check_finite(name, getattr(detector, name), bound)
 
@@ -105,7 +102,6 @@ def rows_of(signals: str, channels: int) -> tuple[int, int]:
 
 
 def two_sided_quantile(false_alarm: float) -> float:
-    """Quantile that a standard normal deviate exceeds in size with a probability in (0, 1)."""
     return float(-special.ndtri(0.5 * false_alarm))
 
 

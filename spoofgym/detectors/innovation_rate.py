@@ -74,7 +74,6 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.compile import inlined, njit
-from ..core.registry import check_finite
 from ..core.settings import OMITTED
 from ..receiver.epoch import Epoch
 from ..truth.noise import exponential
@@ -307,11 +306,7 @@ class InnovationRate(Detector):
         check_all(self, "> 0", "correlation_per_s", "alarm_scale")
         check_all(self, ">= 0", "noise", "start_s", "settled_s")
         check_limits(self.max_exclusion_s, self.min_satellites)
-
-    @property
-    def alarm_is_state(self) -> bool:
-        """It is off before `settled_s`."""
-        return self.settled_s > 0.0
+        self.alarm_is_state = self.settled_s > 0.0  # before which it is off
 
     def armed(self, epoch: Epoch) -> BoolArray:
         return np.asarray(epoch.time >= self.settled_s)
@@ -391,7 +386,10 @@ class _Oracle(InnovationRate):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_finite("onset_s", self.onset_s, ">= 0")
+        check_all(self, ">= 0", "onset_s")
+        for name in ("size_m", "rate_mps"):
+            if not math.isfinite(getattr(self, name, 0.0)):
+                raise ValueError(f"`{name}` must be finite, got {getattr(self, name)}")
         if self.channels is not None:
             self.channels = tuple(self.channels)
 
@@ -437,11 +435,6 @@ class OracleStep(_Oracle):
     described_as = "OracleStep"
     size_m: float = 10.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not math.isfinite(self.size_m):
-            raise ValueError(f"`size_m` must be finite, got {self.size_m}")
-
     def offset_m(self, since_s: FloatArray) -> FloatArray:
         return np.full_like(since_s, self.size_m)
 
@@ -464,11 +457,6 @@ class OracleRamp(_Oracle):
 
     described_as = "OracleRamp"
     rate_mps: float = 0.1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not math.isfinite(self.rate_mps):
-            raise ValueError(f"`rate_mps` must be finite, got {self.rate_mps}")
 
     def offset_m(self, since_s: FloatArray) -> FloatArray:
         return self.rate_mps * since_s

@@ -37,7 +37,6 @@ from .observation import (
 )
 from .pool import JointMemory
 
-STATISTICS = ("receiver", "channel")
 EXCLUSION_S = 30.0
 """Allowance of exclusion; without one the best answer to any attack is not to look at GNSS."""
 
@@ -75,7 +74,7 @@ class DetectorAgent(Detector):
     paper: ClassVar[str] = "groves2013"
 
     def __post_init__(self) -> None:
-        check_choice("statistic", self.statistic, STATISTICS)
+        check_choice("statistic", self.statistic, ("receiver", "channel"))
         if not isinstance(self.weighs, bool | np.bool_):
             raise ValueError(f"`weighs` must be True or False, got {self.weighs!r}")
         limit_s = self.exclusion_s
@@ -110,7 +109,6 @@ class DetectorAgent(Detector):
         self.observer.declare(self.memory)
 
     def _bound_parts(self, context: DetectorContext) -> list[Memory]:
-        """Bind the parts, and return their memories."""
         return self.observer.bind(context)
 
     def look(self, epoch: Epoch) -> None:
@@ -139,18 +137,14 @@ class DetectorAgent(Detector):
         weights = None
         if self.weighs:
             weight = np.where(visible, share[:, self._columns :], 1.0)
-            weight = self._allowed(weight, visible, interval)
+            lacking = (1.0 - weight).sum(axis=1) / np.maximum(visible.sum(axis=1), 1)
+            excluded_s = self.memory["excluded_s"]
+            used = excluded_s + interval * lacking
+            within = used <= (np.inf if self.exclusion_s is None else self.exclusion_s)
+            self.memory["excluded_s"] = np.where(within, used, excluded_s)
+            weight = np.where(within[:, None], weight, 1.0)
             weights = np.concatenate([weight, weight], axis=1)
         return Verdict(statistic, limit, statistic > limit, weights)
-
-    def _allowed(self, weight: FloatArray, visible: BoolArray, interval: FloatArray) -> FloatArray:
-        """Weights within the allowance, which they use up."""
-        lacking = (1.0 - weight).sum(axis=1) / np.maximum(visible.sum(axis=1), 1)
-        used = self.memory["excluded_s"] + interval * lacking
-        limit = np.inf if self.exclusion_s is None else self.exclusion_s
-        within = used <= limit
-        self.memory["excluded_s"] = np.where(within, used, self.memory["excluded_s"])
-        return np.where(within[:, None], weight, 1.0)
 
 
 @dataclass
@@ -188,11 +182,6 @@ class PolicyDetector(DetectorAgent):
             raise ValueError(f"`threshold` must be a number in (0, 1], got {self.threshold!r}")
         if self.quiet_epochs is not None:
             self.quiet_epochs = whole_number("`quiet_epochs`", self.quiet_epochs)
-
-    @property
-    def file(self) -> str | None:
-        """File that the policy was read from."""
-        return getattr(self.policy, "file", None)
 
     def identity(self) -> dict[str, Any]:
         """Settings to which its calibration belongs: all but the threshold."""
@@ -240,8 +229,7 @@ class PolicyDetector(DetectorAgent):
         return self.verdict(action, threshold, epoch.visible, epoch.interval)
 
 
-OWN = ("quiet_epochs", "sha256")
-"""Settings of a detector in a file besides its name and thresholds."""
+FILE_SETTINGS = ("quiet_epochs", "sha256")
 
 
 @dataclass
@@ -264,11 +252,6 @@ class LearnedDetector(Detector):
         What it observes and decides, its state and the threshold that it was given.
     label : str
         Name on the card.
-
-    Raises
-    ------
-    ValueError
-        When file or card are missing, damaged, or don't fit each other.
     """
 
     described_as = "LearnedDetector"
@@ -299,12 +282,10 @@ class LearnedDetector(Detector):
         self.has_nominal = self.card.threshold is not None
 
     def identity(self) -> dict[str, Any]:
-        """Settings to which its calibration belongs: with the content of the file, not its path."""
         return self.judge_by.identity()
 
     @property
     def spec(self) -> dict[str, Any]:
-        """Name and settings, from which `make_detector` makes an equal one."""
         quiet = self.judge_by.quiet_epochs
         further = {} if quiet == self.card.quiet_epochs else {"quiet_epochs": quiet}
         return {"name": self.file, **further}
@@ -328,14 +309,14 @@ def unscaled(spec: Any) -> LearnedDetector:
     """Detector of an ONNX file, by its name or a dict, without what is asked of its thresholds."""
     settings: dict[str, Any] = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
     name = settings.pop("name")
-    valid = ("threshold", *OWN, *ASKED)
+    valid = ("threshold", *FILE_SETTINGS, *ASKED)
     unknown = [key for key in settings if key not in valid]
     if unknown:
         raise ValueError(
             f"the learned detector {name} has no setting {', '.join(map(repr, unknown))}; valid: "
             f"{', '.join(valid)}"
         )
-    return LearnedDetector(name, **{key: settings[key] for key in OWN if key in settings})
+    return LearnedDetector(name, **{key: settings[key] for key in FILE_SETTINGS if key in settings})
 
 
 def of_file(plain: Mapping[str, Any], asked: Asked) -> Detector:

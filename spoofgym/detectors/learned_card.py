@@ -118,11 +118,6 @@ class OnnxDetector(DetectorPolicy):
     ----------
     card : DetectorCard
         What it fits, and its threshold.
-
-    Raises
-    ------
-    ValueError
-        When file or card are missing, damaged, or don't fit each other.
     """
 
     def __init__(self, file: str | os.PathLike[str], sha256: str | None = None) -> None:

@@ -6,7 +6,6 @@ ones.  Every value is divided by a stated scale, and clipped to finite bounds.
 
 from __future__ import annotations
 
-import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
-from ..core.registry import build
-from ..core.settings import describe
+from ..core.registry import build, spec_of
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.epoch import Epoch
 from ..receiver.kalman import normalized_innovation_squared
@@ -291,12 +289,8 @@ class LineOfSight(_Term):
             out[:, axis * n : (axis + 1) * n] = sight_n[:, :, axis]
 
 
-LARGEST = 5.0
-"""Largest logarithm of a ratio; e^5 is 148."""
-
-
 @dataclass(frozen=True)
-class Classic(DetectorTerm):
+class Classic(_Term):
     r"""Logarithm of a passive detector's statistic over its nominal threshold.
 
     .. math:: \ln (\text{statistic} / \text{threshold}), \text{ within } -5 \text{ and } 5
@@ -315,6 +309,7 @@ class Classic(DetectorTerm):
     """
 
     described_as = "Classic"
+    limits: ClassVar[tuple[float, float]] = (-5.0, 5.0)
     detector: str | Mapping[str, Any] = "snapshot-chi2"
     label: str | None = None
 
@@ -345,9 +340,6 @@ class Classic(DetectorTerm):
         word = f"classic_{self.label}"
         return slots(word, channels) if self._judge.scope == "channel" else (word,)
 
-    def bounds(self) -> tuple[float, float]:
-        return -LARGEST, LARGEST
-
     def bound(self, context: DetectorContext) -> Self:
         own = replace(self)
         own._judge.bind(context)
@@ -364,7 +356,7 @@ class Classic(DetectorTerm):
                 f"`detector` of a classic term must be passive, and {self.detector!r} takes weight "
                 "off measurements; where it has a `weight_scale`, give it None"
             )
-        least = np.exp(-LARGEST) * verdict.threshold
+        least = np.exp(self.limits[0]) * verdict.threshold
         np.log(np.maximum(verdict.statistic, least) / verdict.threshold, out=out, casting="unsafe")
 
 
@@ -380,7 +372,6 @@ DETECTOR_TERMS: dict[str, type[DetectorTerm]] = {
     "line-of-sight": LineOfSight,
     "predicted-motion": PredictedMotion,
 }
-"""Terms of a learned detector's observation by name."""
 ALL_TERMS: tuple[DetectorTerm, ...] = (
     Innovation(),
     AverageInnovation(),
@@ -407,13 +398,6 @@ def make_detector_terms(specs: Iterable[TermSpec] | TermSpec) -> tuple[DetectorT
     tuple of DetectorTerm
         In the order given.
 
-    Raises
-    ------
-    ValueError
-        When a name or a setting is unknown; the valid ones are listed.
-    TypeError
-        When something is no term.
-
     Examples
     --------
     >>> make_detector_terms(["in-view", {"name": "elapsed", "scale_s": 60.0}])
@@ -427,18 +411,13 @@ def make_detector_terms(specs: Iterable[TermSpec] | TermSpec) -> tuple[DetectorT
 
 def written_terms(terms: Sequence[DetectorTerm]) -> tuple[dict[str, Any], ...]:
     """Terms as `make_detector_terms` takes them, JSON-able."""
-    names = {kind: name for name, kind in DETECTOR_TERMS.items()}
-    found = []
     for term in terms:
-        each: Any = term
-        if type(term) not in names:
+        if type(term) not in DETECTOR_TERMS.values():
             raise TypeError(
                 f"{type(term).__qualname__} has no name in `DETECTOR_TERMS`, by which a card could "
                 "list it"
             )
-        settings = {f.name: describe(getattr(each, f.name)) for f in dataclasses.fields(each)}
-        found.append({"name": names[type(term)], **settings})
-    return tuple(found)
+    return tuple(spec_of("detector term", DETECTOR_TERMS, term) for term in terms)
 
 
 class DetectorObserver:
@@ -462,19 +441,17 @@ class DetectorObserver:
     def __init__(self, terms: Sequence[DetectorTerm], channels: int) -> None:
         self._parts: list[tuple[DetectorTerm, slice]] = []
         names: list[str] = []
-        low: list[float] = []
-        high: list[float] = []
+        bounds: list[tuple[float, float]] = []
         for term in terms:
-            own, (least, most) = term.names(channels), term.bounds()
+            own = term.names(channels)
             self._parts.append((term, slice(len(names), len(names) + len(own))))
-            names.extend(own)
-            low.extend([least] * len(own))
-            high.extend([most] * len(own))
+            names += own
+            bounds += [term.bounds()] * len(own)
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"`terms` observe the same twice: {', '.join(twice[:4])}")
         self.names = tuple(names)
-        self.low, self.high = np.array(low, np.float32), np.array(high, np.float32)
+        self.low, self.high = (np.array(side, np.float32) for side in zip(*bounds, strict=True))
         self._channels = channels
 
     def bind(self, context: DetectorContext) -> list[Memory]:

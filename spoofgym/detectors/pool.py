@@ -115,14 +115,6 @@ class PooledDetector(Detector):
     weights : sequence of float, optional
         Probability of each; all alike by default.
 
-    Raises
-    ------
-    ValueError
-        When there is no detector, a name or a setting is unknown, the weights do not fit, one is
-        a pool itself, or some of the detectors measure satellites and others positions.
-    TypeError
-        When `members` is no sequence of detectors.
-
     Notes
     -----
     Training against a mixture of frozen opponents is what `lanctot2017` calls an oracle's response.
@@ -173,13 +165,19 @@ class PooledDetector(Detector):
         self.memory["opponent"] = drawn(keys, self._chances)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Verdicts (B, c) of each receiver's own detector, and weights where any gives some."""
         merged: Verdict | None = None
         opponent = self.memory["opponent"]
         for k in np.unique(opponent):
             rows = np.flatnonzero(opponent == k)
             verdict = judged(self.judges[k], epoch, rows)
-            verdict = self._of_pool(verdict, epoch.innovation.shape)
+            weights = verdict.weights
+            weights = np.ones(epoch.innovation.shape) if weights is None else weights
+            if self._alike:
+                verdict = verdict._replace(weights=weights)
+            else:
+                ratio = (verdict.statistic / verdict.threshold).max(axis=1, keepdims=True)
+                alarm = np.asarray(verdict.alarm.any(axis=1, keepdims=True))
+                verdict = Verdict(ratio, np.ones_like(ratio), alarm, weights)
             if merged is None:
                 copies: list[Any] = [None if part is None else np.array(part) for part in verdict]
                 merged = Verdict(*copies)
@@ -190,11 +188,3 @@ class PooledDetector(Detector):
         if merged is None:
             raise ValueError("there is no receiver to judge")
         return merged
-
-    def _of_pool(self, verdict: Verdict, shape: tuple[int, ...]) -> Verdict:
-        weights = np.ones(shape) if verdict.weights is None else verdict.weights
-        if self._alike:
-            return verdict._replace(weights=weights)
-        ratio = (verdict.statistic / verdict.threshold).max(axis=1, keepdims=True)
-        alarm = np.asarray(verdict.alarm.any(axis=1, keepdims=True))
-        return Verdict(ratio, np.ones_like(ratio), alarm, weights)

@@ -78,11 +78,8 @@ from .consistency import (
 )
 from .innovation import check_probability
 
-MAX_SATELLITES = 63
-"""As many fit into a mask."""
-FRAMES = ("ecef", "ned")
-LARGEST_GROUP = 6
-"""Half of 12 satellites."""
+MAX_SATELLITES = 63  # as many fit into a mask
+LARGEST_GROUP = 6  # half of 12 satellites
 
 
 class ConsistencyTest(Detector):
@@ -110,7 +107,8 @@ class ConsistencyTest(Detector):
             raise ValueError(f"at most {MAX_SATELLITES} channels can be searched, got {n}")
         sigma_m, most = self.sigma_m, max(n, MIN_SATELLITES)
         if sigma_m is None:
-            sigma_m = float(context.epoch_sd[:n].max())
+            sd, variance = context.single_epoch_sd, context.noise_variance
+            sigma_m = float((np.sqrt(variance) if sd is None else sd)[:n].max())
         self._limit = fit_thresholds(sigma_m, 1.0 - self.confidence, most)
         self._alarm_limit = fit_thresholds(sigma_m, self.false_alarm, most)
         self._data = search_data(b, n)  # overwritten at every epoch
@@ -213,8 +211,7 @@ class Raim(ConsistencyTest):
         blame_all(data, self._limit)
 
 
-SEED = 5
-"""Satellites of a seed: the least number that can disagree."""
+SEED = 5  # satellites, the least number that can disagree
 
 
 def search_vectors() -> FloatArray:
@@ -392,7 +389,7 @@ class SrvRaim(ConsistencyTest):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_choice("frame", self.frame, FRAMES)
+        check_choice("frame", self.frame, ("ecef", "ned"))
 
     def search(self, data: SearchData) -> None:
         search_all(data, self._limit, SEARCH_VECTORS)

@@ -64,8 +64,7 @@ from ._solution_separation_kernels import advance_bank, judge_bank, whiten_bank
 from .base import Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import check_length, check_probability, epochs_of
 
-MOST = 100
-"""Solutions in a bank, but for one."""
+MOST_SOLUTIONS = 100
 
 
 @dataclass
@@ -98,16 +97,15 @@ class SolutionSeparation(Detector):
         check_probability("false_alarm", self.false_alarm)
         for name in ("longest_s", "spacing_s"):
             check_length(name, getattr(self, name), least=1e-3)
-        if self.longest_s > MOST * self.spacing_s:
+        if self.longest_s > MOST_SOLUTIONS * self.spacing_s:
             raise ValueError(
-                f"`longest_s` must be at most {MOST} times `spacing_s`, got {self.longest_s} and "
-                f"{self.spacing_s}"
+                f"`longest_s` must be at most {MOST_SOLUTIONS} times `spacing_s`, got "
+                f"{self.longest_s} and {self.spacing_s}"
             )
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         b, kept = context.receivers, min(context.states, FIRST)
-        self._everyone = np.arange(b)
         self._interval_s, self._fewest = context.epoch_interval_s, context.min_satellites
         self._spacing = epochs_of(self.spacing_s, context)
         longest = math.ceil(self.longest_s / context.epoch_interval_s - 1e-9)
@@ -123,7 +121,7 @@ class SolutionSeparation(Detector):
 
     def judge(self, epoch: Epoch) -> Verdict:
         memory = self.memory
-        rows = self._everyone if self.judged_rows is None else self.judged_rows
+        rows = np.arange(len(epoch.time)) if self.judged_rows is None else self.judged_rows
         advance_bank(
             rows,
             cast(FloatArray, epoch.transition),

@@ -29,5 +29,4 @@ def dcm_to_euler(
     C = np.asarray(C_nb, dtype=np.float64)
     roll = np.arctan2(C[..., 2, 1], C[..., 2, 2])
     pitch = -np.arcsin(np.clip(C[..., 2, 0], -1.0, 1.0))
-    yaw = np.arctan2(C[..., 1, 0], C[..., 0, 0])
-    return roll, pitch, yaw
+    return roll, pitch, np.arctan2(C[..., 1, 0], C[..., 0, 0])

@@ -1,8 +1,18 @@
-"""Zero-alarm bounds of a detector over the worlds that a setup draws.
+r"""Zero-alarm bounds of a detector: in one run, and over the worlds that a setup draws.
 
-Two for each: of a *free* attack, which may do anything to the measurements, and of an attack within
-the limits of the setup's own, a false position along one heading.  Both are means over worlds, as
-what they bound is a mean: the displacement of any spoofer, feedback included, averaged over runs.
+A *free* attack may do anything to the measurements.  A *restricted* one is linear in its commands
+u: with the response of the innovations to a unit of each (`linear.respond`), the displacement n' u
+is largest where the test raises no alarm, and
+
+.. math:: |\dot D_i| \le r, \qquad |\dot D_i - \dot D_{i-1}| \le a \tau, \qquad \dot D_{-1} = 0
+
+for the rates of its false position along one heading, which are linear in u, too.  That is a linear
+program for tests of single channels, and a second-order cone program for chi-square tests.  The
+commands that attain it can be played.
+
+Over worlds the attack is restricted to the limits of the setup's own, a false position along one
+heading.  Both bounds are means, as what they bound is a mean: the displacement of any spoofer,
+feedback included, averaged over runs.
 """
 
 from __future__ import annotations
@@ -10,28 +20,29 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..detectors import Calibrated, Detector, SolutionSeparation
-from ..detectors.base import FloatArray
+from ..detectors.base import FloatArray, IntArray
 from ..simulation.setup import generators_of, seeds_of_runs
 from ..simulation.tight import TightlyCoupledSetup
+from .convex import Optimum, Program
 from .floor import check_linear_victim
 from .linear import (
     Commands,
     LinearRun,
+    Response,
     observer,
     record,
     respond,
     unit_commands,
     unused_seed,
 )
-from .no_alarm import Timing
-from .restricted import Attacker, zero_alarm_of
-from .zero_alarm import Bound
+from .no_alarm import Judged, Timing, judged_by
+from .zero_alarm import Bound, Kind, Sensitivity, checked_direction, sensitivity
 
 Tick = Callable[[float], None]
 HATS = 24
@@ -44,7 +55,143 @@ ASSUMPTIONS = (
     "a free attack may do anything to the measurements; a restricted one is a false position along "
     "one heading, within the limits of the world's own attack",
 )
-"""Under which a zero-alarm bound holds, printed with every figure."""
+UNSEEN = 1e-9
+"""Part of a sensitivity outside the rows that are judged from which on it counts."""
+
+
+class Attacker(NamedTuple):
+    """What a restricted attack can do.
+
+    Attributes
+    ----------
+    response : Response
+        What each of J unit commands does to the filter, over K epochs.
+    rates : ndarray
+        (E, J) rate of the false position at each epoch, per unit command [m/s].
+    rate_limit_mps : float
+        r, limit of the size of the rate [m/s]; infinite for none.
+    change_limit_mps : float
+        a tau, limit of its change from one epoch to the next [m/s]; infinite for none.
+    """
+
+    response: Response
+    rates: FloatArray
+    rate_limit_mps: float = math.inf
+    change_limit_mps: float = math.inf
+
+
+def zero_alarm_of(
+    detector: Detector,
+    run: LinearRun,
+    timing: Timing,
+    *,
+    epoch: int,
+    direction: ArrayLike,
+    attacker: Attacker | None = None,
+) -> Bound:
+    """Largest displacement at an epoch along a direction that raises no alarm at any epoch.
+
+    Parameters
+    ----------
+    detector : Detector
+        Passive, with a convex no-alarm set; `Calibrated` with its factors.
+    run : LinearRun
+        K epochs, all of which are tested.
+    timing : Timing
+        How long the detector has been live.
+    epoch : int
+        T, 0 to K - 1.
+    direction : array_like
+        (2,) unit vector, north and east.
+    attacker : Attacker, optional
+        What the attack can do; any shift of the measurements by default.
+
+    Returns
+    -------
+    Bound
+        Exact to the solver's tolerance, 1e-8, or unbounded; an upper bound, with a note, where the
+        solver stopped short of it.
+
+    Raises
+    ------
+    ValueError
+        When the detector has no bound of this kind, with what holds instead; or an argument is out
+        of range.
+    RuntimeError
+        When the solver finds neither an optimum nor an upper bound.
+    """
+    of = sensitivity(run, epoch, direction)
+    test = judged_by(detector, run, timing)
+    return _free(test, of) if attacker is None else _restricted(test, epoch, direction, attacker)
+
+
+def _free(test: Judged, of: Sensitivity) -> Bound:
+    worth = np.zeros(test.matrix.shape[:2])
+    inverse = np.asarray(np.linalg.pinv(test.matrix))
+    for k, g in enumerate(of.rows):
+        worth[k] = inverse[k].T @ g
+        if np.linalg.norm(test.matrix[k].T @ worth[k] - g) > UNSEEN * np.linalg.norm(g):
+            return of.bound(np.inf)
+    if test.closed is not None:
+        return test.closed(of)
+    w = np.linalg.norm(worth, axis=1)
+    along = np.divide(worth, w[:, None], out=np.zeros_like(worth), where=w[:, None] > 0.0)
+    program, active = Program(), np.asarray(test.matrix.any(axis=2))
+    if test.rotates:
+        active = np.asarray(active.any(axis=1, keepdims=True))
+    ids = program.variables(active)
+    program.maximize(ids, w[:, None] if test.rotates else worth)
+    test.hold(program, ids)
+    found = program.solve()
+    if found.x is None:
+        return not_attained(found, of.epoch, of.direction)
+    y = np.append(found.x, 0.0)[ids]
+    y = y * along if test.rotates else y
+    return of.bound(found.value, "exact", np.einsum("kmr,kr->km", inverse, y))
+
+
+def _restricted(test: Judged, epoch: int, direction: ArrayLike, attacker: Attacker) -> Bound:
+    north, east = checked_direction(direction)
+    n = np.array([north, east]) @ attacker.response.position[epoch, :2]
+    program = Program()
+    commands = program.variables(np.ones(len(n), dtype=np.bool_))
+    program.maximize(commands, n)
+    hold_motion(program, commands, attacker)
+    active = np.asarray(test.matrix.any(axis=2))
+    ids = program.variables(active)
+    lead_to(program, commands, test.seen(attacker.response.innovation)[active], ids[active])
+    test.hold(program, ids)
+    found = program.solve()
+    if found.x is None:
+        return not_attained(found, epoch, (north, east))
+    u = found.x[commands]
+    innovation = attacker.response.innovation @ u
+    return Bound(float(n @ u), "exact", epoch, (north, east), innovation, u)
+
+
+def not_attained(found: Optimum, epoch: int, direction: tuple[float, float]) -> Bound:
+    kind: Kind = "upper" if np.isfinite(found.value) else "unbounded"
+    return Bound(found.value, kind, epoch, direction, note=found.note)
+
+
+def lead_to(program: Program, commands: IntArray, matrix: FloatArray, ids: IntArray) -> None:
+    """Variables (p,) that are a matrix (p, J) times the commands."""
+    columns = np.column_stack([np.tile(commands, (len(ids), 1)), ids])
+    program.equal(columns, np.column_stack([matrix, np.full(len(ids), -1.0)]))
+
+
+def hold_motion(program: Program, commands: IntArray, attacker: Attacker) -> None:
+    for name in ("rate_limit_mps", "change_limit_mps"):
+        if not getattr(attacker, name) > 0.0:
+            raise ValueError(f"`{name}` must be > 0, got {getattr(attacker, name)}")
+    every, top = np.ones(len(attacker.rates), dtype=np.bool_), attacker.rate_limit_mps
+    rate = program.variables(every, -top, top)
+    lead_to(program, commands, attacker.rates, rate)
+    if math.isinf(attacker.change_limit_mps):
+        return
+    change = program.variables(every, -attacker.change_limit_mps, attacker.change_limit_mps)
+    columns = np.column_stack([rate, np.append(-1, rate[:-1]), change])
+    program.equal(columns, np.array([[1.0, -1.0, -1.0]]))
 
 
 class Case(NamedTuple):
@@ -82,7 +229,6 @@ class ZeroAlarm(NamedTuple):
 def cases_of(
     setup: TightlyCoupledSetup, worlds: int, entropy: int = 0, tick: Tick | None = None
 ) -> list[Case]:
-    """Worlds of a setup, drawn as by `frontier_of`."""
     check_linear_victim(setup)
     advance = tick or (lambda part: None)
     seeds = seeds_of_runs(entropy, "selection", setup.name, range(worlds))
@@ -109,7 +255,7 @@ def along(commands: Commands, run: LinearRun, heading: float) -> Attacker | None
     each = commands.offsets.reshape(*commands.offsets.shape[:2], -1, commands.axes)
     hats = np.eye(commands.decisions) if commands.hats is None else commands.hats
     limits = commands.rate_limit_mps, commands.change_limit_mps
-    return Attacker(respond(run, each @ aim), hats[:, None, :], *limits)
+    return Attacker(respond(run, each @ aim), hats, *limits)
 
 
 def zero_alarm_bounds(
@@ -125,56 +271,43 @@ def zero_alarm_bounds(
         return _separation(setup, detector, inner, cases)
     timing, last = Timing.of(setup), setup.steps - 1
     heading = heading_of(setup)
-    direction = (math.cos(heading), math.sin(heading))
-    free, restricted = Bounds([]), Bounds([])
+    at: dict[str, Any] = {"epoch": last, "direction": (math.cos(heading), math.sin(heading))}
+
+    def bound(run: LinearRun, attacker: Attacker | None = None) -> Bound | str:
+        try:
+            return zero_alarm_of(detector, run, timing, attacker=attacker, **at)
+        except RuntimeError as error:
+            return str(error)
+
+    found: dict[str, list[Bound | str]] = {"free": [], "restricted": []}
     try:
         for run, attacker, _ in cases:
-            bound = partial(zero_alarm_of, detector, run, timing, epoch=last, direction=direction)
-            free.add(bound)
+            found["free"].append(bound(run))
             if attacker is not None:
-                restricted.add(partial(bound, attacker=attacker))
+                found["restricted"].append(bound(run, attacker))
             advance(1.0 / len(cases))
     except (ValueError, ImportError) as error:
         return ZeroAlarm(None, None, "", str(error), [])
-    of = {"free": free, "restricted": restricted}
-    why = "; ".join(f"{name}: {note}" for name, each in of.items() for note in each.notes)
-    rates = [each.commands for each in restricted.known if each.commands is not None]
-    return ZeroAlarm(free.mean_m, restricted.mean_m, restricted.kind or free.kind, why, rates)
+    (free_m, free_kind), (restricted_m, kind) = map(_mean, found.values())
+    notes = {  # each once
+        f"{name}: {each.note if isinstance(each, Bound) else each}": None
+        for name, bounds in found.items()
+        for each in bounds
+        if not isinstance(each, Bound) or each.note
+    }
+    known = [each for each in found["restricted"] if isinstance(each, Bound)]
+    rates = [each.commands for each in known if each.commands is not None]
+    return ZeroAlarm(free_m, restricted_m, kind or free_kind, "; ".join(notes), rates)
 
 
-class Bounds(NamedTuple):
-    """Bounds of one attack by world, or what the solver said where it found none."""
-
-    found: list[Bound | str]
-
-    def add(self, bound: Callable[[], Bound]) -> None:
-        try:
-            self.found.append(bound())
-        except RuntimeError as error:
-            self.found.append(str(error))
-
-    @property
-    def known(self) -> list[Bound]:
-        return [each for each in self.found if isinstance(each, Bound)]
-
-    @property
-    def mean_m(self) -> float | None:
-        """Mean over the worlds [m]; None where one of them has none, or there is none."""
-        if not self.found or len(self.known) < len(self.found):
-            return None
-        return float(np.mean([each.value_m for each in self.known]))
-
-    @property
-    def kind(self) -> str:
-        """The weakest kind of the worlds; "" where there is no mean."""
-        kinds = {each.kind for each in self.known} if self.mean_m is not None else set()
-        return next((kind for kind in ("unbounded", "upper", "exact") if kind in kinds), "")
-
-    @property
-    def notes(self) -> list[str]:
-        """Notes on any of the worlds, each once."""
-        every = [each.note if isinstance(each, Bound) else each for each in self.found]
-        return [note for note in dict.fromkeys(every) if note]
+def _mean(found: Sequence[Bound | str]) -> tuple[float | None, str]:
+    """Mean over the worlds [m], and the weakest kind; None and "" where a world has no bound."""
+    known = [each for each in found if isinstance(each, Bound)]
+    if not known or len(known) < len(found):
+        return None, ""
+    kinds = {each.kind for each in known}
+    kind = next(kind for kind in ("unbounded", "upper", "exact") if kind in kinds)
+    return float(np.mean([each.value_m for each in known])), kind
 
 
 def _separation(

@@ -54,11 +54,6 @@ def hold_moving_sum(
     program.equal(columns, np.column_stack([values, np.full(len(total), -1.0)]))
 
 
-def hold_energy(program: Program, y: IntArray, limits: FloatArray, window: int) -> None:
-    """Sum of the squared norms of the last epochs below a limit (K,), a chi-square of a window."""
-    hold_energies(program, y, limits[:, None], np.array([window]))
-
-
 def hold_energies(program: Program, y: IntArray, limits: FloatArray, windows: IntArray) -> None:
     """Sums of the squared norms of windows of several lengths below their limits (K, L)."""
     shares = limits / np.minimum(windows, len(y))
@@ -92,12 +87,13 @@ def hold_cusum(program: Program, y: IntArray, limits: FloatArray, drift: FloatAr
             program.below(columns, values, drift[k][y[k] >= 0])
 
 
-def running_sums(program: Program, y: IntArray, known: IntArray) -> IntArray:
-    """(K, r) sums of every row since it came into view, or since the onset."""
-    total = program.variables(y >= 0)
-    before = back(total, known, np.ones_like(known))
-    judged = y >= 0
-    columns = np.column_stack([y[judged], before[judged], total[judged]])
+def running_sums(
+    program: Program, y: IntArray, known: IntArray, added: IntArray | None = None
+) -> IntArray:
+    """(K, r) sums of every row, or of what is added, since it came into view, or the onset."""
+    total, judged = program.variables(y >= 0), y >= 0
+    parts = y if added is None else added, back(total, known, np.ones_like(known)), total
+    columns = np.column_stack([each[judged] for each in parts])
     program.equal(columns, np.array([[1.0, 1.0, -1.0]]))
     return total
 
@@ -191,7 +187,9 @@ def hold_scan(
     is a linear row of size at most the root of the limit; those that bind are added."""
     judged = y >= 0
     total = running_sums(program, y, known)
-    area = running_areas(program, y, total, known) if ramp else total
+    area = total  # of a ramp, sums of the running sums before each epoch
+    if ramp:
+        area = running_sums(program, y, known, back(total, known, np.ones_like(known)))
     root = np.sqrt(limits)
 
     def row(n: int) -> tuple[IntArray, FloatArray, BoolArray]:
@@ -237,16 +235,6 @@ def split(n: float, m: FloatArray, ramp: bool) -> list[FloatArray]:
     scale = 1.0 / np.sqrt(ramps)
     moment = (n + m) * scale
     return [moment * n - area * scale, nothing, area * scale, -moment, moment]
-
-
-def running_areas(program: Program, y: IntArray, total: IntArray, known: IntArray) -> IntArray:
-    """(K, r) sums of the running sums before each epoch."""
-    area, one = program.variables(y >= 0), np.ones_like(known)
-    judged = y >= 0
-    parts = back(area, known, one), back(total, known, one), area
-    columns = np.column_stack([each[judged] for each in parts])
-    program.equal(columns, np.array([[1.0, 1.0, -1.0]]))
-    return area
 
 
 class RateFilter(NamedTuple):

@@ -55,8 +55,7 @@ class Program:
         self._worth: list[tuple[IntArray, FloatArray]] = []
         self._equal: list[Rows] = []
         self._below: list[Rows] = []
-        self._balls: list[tuple[IntArray, float]] = []
-        self._energies: list[tuple[IntArray, int, float]] = []
+        self._second_order: list[Rows] = []
         self._cuts: list[Cuts] = []
         self._far: list[tuple[IntArray, float]] = []
 
@@ -91,12 +90,17 @@ class Program:
     def ball(self, ids: IntArray, radius: float) -> None:
         chosen = ids[ids >= 0]
         if len(chosen) and np.isfinite(radius):
-            self._balls.append((chosen, radius))
+            columns, rhs = np.append(-1, chosen), np.append(radius, np.zeros(len(chosen)))
+            self._second_order.append(_rows(columns[:, None], -1.0, rhs))
 
     def energy(self, ids: IntArray, energy: int, unit: float = 1.0) -> None:
         """Hold the squared norm of some variables below another one, in units of `unit` squared;
         the solver finds an optimum more often where energies are near 1."""
-        self._energies.append((ids[ids >= 0], energy, unit))
+        chosen = ids[ids >= 0]  # |(2 x / unit, e - 1)| <= e + 1
+        values = np.append([-1.0, -1.0], np.full(len(chosen), -2.0 / unit))
+        rhs = np.append([1.0, -1.0], np.zeros(len(chosen)))
+        columns = np.append([energy, energy], chosen)
+        self._second_order.append(_rows(columns[:, None], values[:, None], rhs))
 
     def lazily(self, cuts: Cuts, ids: IntArray, far: float) -> None:
         """Hold rows that are so many that they are added where they are violated. Some variables
@@ -108,9 +112,8 @@ class Program:
             self.below(ids[ids >= 0][:, None], np.array([[sign]]), far)
 
     def solve(self) -> Optimum:
-        """Largest value; a RuntimeError where the solver finds none."""
         for _ in range(MOST_ROUNDS):
-            found = self._by_cones() if self._balls or self._energies else self._linearly()
+            found = self._by_cones() if self._second_order else self._linearly()
             if found.x is None:
                 return found
             point = np.append(found.x, 0.0)
@@ -161,35 +164,13 @@ class Program:
 
     def _cones(self, clarabel: Any) -> tuple[Any, FloatArray, list[Any]]:
         """Everything as :math:`b - A x` in a product of cones."""
-        equal, equals = _matrix(self._equal, self.size)
-        below, limits = _matrix([*self._below, *self._bounds()], self.size)
-        parts, rhs, cones = [], [], []
-        if equal is not None:
-            parts, rhs, cones = [equal], [equals], [clarabel.ZeroConeT(len(equals))]
-        if below is not None:
-            parts.append(below)
-            rhs.append(limits)
-            cones.append(clarabel.NonnegativeConeT(len(limits)))
-        if not (self._balls or self._energies):
-            return sparse.vstack(parts, format="csc"), np.concatenate(rhs), cones
-        rows, columns, values, more, start = [], [], [], [], 0
-        for ids, radius in self._balls:
-            rows.append(start + 1 + np.arange(len(ids)))
-            columns.append(ids)
-            values.append(np.full(len(ids), -1.0))
-            more.append(np.append(radius, np.zeros(len(ids))))
-            cones.append(clarabel.SecondOrderConeT(len(ids) + 1))
-            start += len(ids) + 1
-        for ids, energy, unit in self._energies:  # |(2 x / unit, e - 1)| <= e + 1
-            rows.append(start + np.append([0, 1], 2 + np.arange(len(ids))))
-            columns.append(np.append([energy, energy], ids))
-            values.append(np.append([-1.0, -1.0], np.full(len(ids), -2.0 / unit)))
-            more.append(np.append([1.0, -1.0], np.zeros(len(ids))))
-            cones.append(clarabel.SecondOrderConeT(len(ids) + 2))
-            start += len(ids) + 2
-        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-        parts.append(sparse.coo_matrix(entries, shape=(start, self.size)))
-        return sparse.vstack(parts, format="csc"), np.concatenate([*rhs, *more]), cones
+        pieces = self._equal, [*self._below, *self._bounds()], self._second_order
+        parts = [_matrix(each, self.size) for each in pieces]
+        kinds = clarabel.ZeroConeT, clarabel.NonnegativeConeT
+        cones = [kind(len(rhs)) for kind, (_, rhs) in zip(kinds, parts, strict=False) if len(rhs)]
+        cones += [clarabel.SecondOrderConeT(len(each.rhs)) for each in self._second_order]
+        matrices = [matrix for matrix, _ in parts if matrix is not None]
+        return sparse.vstack(matrices, format="csc"), np.concatenate([p[1] for p in parts]), cones
 
     def _bounds(self) -> list[Rows]:
         found = []
@@ -233,7 +214,6 @@ def _rows(columns: IntArray, values: FloatArray | float, rhs: FloatArray | float
 
 
 def _matrix(pieces: list[Rows], size: int) -> tuple[Any, FloatArray]:
-    """Sparse matrix and right-hand side of all rows; no matrix where there is none."""
     pieces = [each for each in pieces if len(each.columns)]
     if not pieces:
         return None, np.zeros(0)

@@ -8,7 +8,7 @@ victim's displacement at the end of the command phase, the detectability frontie
 
 by the triangular factor of R, without a ridge, since a ridge makes a larger feasible set score
 less.  It has no end where n leaves the range of :math:`R^T R`: such commands move the victim and
-leave no trace.  Where limits of rate or acceleration bind, it is a second-order cone program.
+leave no trace.
 
 Where every channel can be commanded freely there is a closed form: the shift per d is
 :math:`\sigma_{ss}`, the spread of solution separation, :math:`\sigma_{ss}^2 = c^T (P_{coast} -
@@ -18,39 +18,59 @@ The floor is the frontier over drawn worlds, in metres at a stated probability o
 of detection.  A task whose floor lies above its alert limit cannot be defended, and a best attack
 that stays below the floor says that the search for it has failed.
 
-What given commands show to a perfect detector, as time goes on, is their `deflection`,
+**The analyst** is the perfect detector's filter, which knows the world.  The innovations of a
+filter that believes in other noise than there is are not white, so that a sum of
+:math:`\rho^T S^{-1} \rho` over epochs says nothing of how well an attack can be seen.  The analyst
+has the true noise, and states for constant and wandering errors of satellites, for the clock, and
+for the constants of the inertial sensors.  Its innovations are white with covariance :math:`S^*`.
+With :math:`\rho^*` the shift that an attack brings to them,
 
-.. math:: d_t^2 = \sum_{k \le t} |R_k u|^2
+.. math:: d^2 = \sum_k \rho_k^{*T} S_k^{*-1} \rho_k^*
 
-which bounds the delay of any detection from below, and with it the curve of what is still
-undetected.
+is the deflection of the likelihood-ratio test that knows the attack.  The victim's innovations, by
+any gain and any weights, are an invertible function of the same measurements, so that no detector
+does better; the victim's gain decides how far it is moved, and not whether it can be seen.  This is
+for benchmarks alone: no detector may see what the analyst knows.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
 from ..core.registry import whole_number
+from ..detectors import Never
 from ..detectors.base import FloatArray
+from ..receiver import TightlyCoupled
+from ..receiver.augmented import FIRST
+from ..receiver.states import ACCEL_BIAS, STATES
 from ..simulation.setup import generators_of, seeds_of_runs
-from ..simulation.tight import TightlyCoupledSetup
-from .analyst import Analyst
-from .convex import Program
-from .linear import Commands, LinearRun, Response, record, respond, unit_commands, white
+from ..simulation.simulator import Given
+from ..simulation.tight import TightlyCoupledSetup, TightlyCoupledSimulator
+from ..truth.events import BenignEvents
+from .linear import (
+    PLACE,
+    Commands,
+    LinearRun,
+    Response,
+    as_it_happens,
+    observer,
+    record,
+    record_from,
+    respond,
+    unit_commands,
+    white,
+)
 from .power import deflection_for
-from .restricted import Attacker, hold_motion, lead_to
 
 Tick = Callable[[float], None]
 HATS = 60
 """Hat functions of the rate, by axis; as many decisions lose 0.1 to 1 % of the frontier."""
-HEADINGS = 24
-"""Headings of a target direction that is drawn."""
+HEADINGS = 24  # of a target direction that is drawn
 QUANTILES = (0.1, 0.5, 0.9)
 ASSUMPTIONS = (
     "the detector sees pseudoranges, range rates and the inertial sensors: no signal strength, "
@@ -60,13 +80,126 @@ ASSUMPTIONS = (
     "the attack is open-loop, tracks its target perfectly and leaves the authentic errors in "
     "place; anything else is seen more easily",
 )
-"""Under which a floor holds, printed with every figure."""
 SENSORS = {
     False: "the constants of the inertial sensors are drawn by their data sheet, and not known",
     True: "the constants of the inertial sensors are known",
 }
 SINGULAR = 1e-9
 """Smallest pivot of R, as a part of the largest, that is not taken for 0."""
+SENSOR_CONSTANTS = np.r_[ACCEL_BIAS : STATES - 2, STATES:FIRST]
+
+
+class AnalystRun(NamedTuple):
+    r"""The analyst's filter over one run, from the onset on.
+
+    `coasting` (K, 3, 3) is :math:`P_{coast} - P`, north, east, down [m^2]: what a filter that takes
+    no measurement since the onset does not know of the position, and this one does.
+    """
+
+    linear: LinearRun
+    coasting: FloatArray
+
+
+class Analyst:
+    """The filter that knows the world of a setup.
+
+    Parameters
+    ----------
+    setup : TightlyCoupledSetup
+        World, attack and timeline; its receiver and detector do not matter.
+    sensors_known : bool
+        Whether the constants of the inertial sensors are known, and not drawn for every run.
+
+    Attributes
+    ----------
+    setup : TightlyCoupledSetup
+        Of the analyst's own filter, which is fed the same measurements as the victim's.
+
+    Raises
+    ------
+    ValueError
+        When the domain has several grades or errors, or other constants from world to world.
+    """
+
+    def __init__(self, setup: TightlyCoupledSetup, *, sensors_known: bool = False) -> None:
+        domain = replace(setup.domain, events=BenignEvents())
+        scenario = replace(setup.scenario, assumed=None, events=None)
+        self.sensors_known = sensors_known
+        self.setup = TightlyCoupledSetup(
+            scenario=scenario,
+            detector=Never(),
+            attack=setup.attack,
+            receiver=TightlyCoupled(grade=_grade(setup), tuning="augmented"),
+            timeline=setup.timeline,
+            domain=replace(domain, imu=()),
+            target_heading_deg=setup.target_heading_deg,
+            decision_interval_s=setup.decision_interval_s,
+            between=setup.between,
+        )
+        # which refuses worlds that the filter does not fit
+        self.setup.combinations.signal_model(self.setup.interval_s)
+
+    def begun(
+        self, rngs: Sequence[np.random.Generator], given: Given | None = None
+    ) -> TightlyCoupledSimulator:
+        simulator = observer(self.setup, len(rngs))
+        simulator.begin(rngs, given)
+        if self.sensors_known:
+            P = simulator.memory["augmented_covariance"]
+            P[:, SENSOR_CONSTANTS] = 0.0
+            P[:, :, SENSOR_CONSTANTS] = 0.0
+        return simulator
+
+    def record(
+        self, rngs: Sequence[np.random.Generator], given: Given | None = None
+    ) -> list[AnalystRun]:
+        """Record the filter over clean runs, from the onset on."""
+        simulator = self.begun(rngs, given)
+        blind = np.zeros(0)
+        kept: list[FloatArray] = []
+
+        def look(epoch: LinearRun) -> None:
+            nonlocal blind
+            blind = _coasted(simulator, epoch.transition, blind)
+            lost = (blind - simulator.memory["augmented_covariance"])[:, PLACE, PLACE]
+            kept.append(epoch.axes.transpose(0, 2, 1) @ lost @ epoch.axes)
+
+        simulator.quiet_epochs(self.setup.onset)
+        blind = simulator.memory["augmented_covariance"].copy()
+        runs = record_from(simulator, look)
+        coasting = np.stack(kept, axis=1)
+        world = self.setup.world
+        return [
+            AnalystRun(as_it_happens(run, world), own)
+            for run, own in zip(runs, coasting, strict=True)
+        ]
+
+
+def _grade(setup: TightlyCoupledSetup) -> str:
+    (grade, *others) = setup.domain.imu or (setup.scenario.imu,)
+    if others:
+        raise ValueError(
+            "limits are known for one grade of inertial sensors at a time, but the domain's `imu` "
+            f"has {', '.join(setup.domain.imu)}"
+        )
+    return grade
+
+
+def _coasted(
+    simulator: TightlyCoupledSimulator, transition: FloatArray, P: FloatArray
+) -> FloatArray:
+    """Covariance that is propagated by one epoch, without measurements."""
+    half = np.zeros((simulator.receivers, P.shape[1]))
+    psd = simulator.buffers.assumed["noise_psd"]
+    half[:, :STATES] = 0.5 * simulator.buffers.interval[:, None] * psd
+    index = np.arange(P.shape[1])
+    P = P.copy()
+    P[:, index, index] += half
+    P = transition @ P @ transition.transpose(0, 2, 1)
+    P[:, index, index] += half
+    if simulator.augmented is not None:
+        P[:, FIRST:, FIRST:] += simulator.augmented.model.driving
+    return P
 
 
 @dataclass(frozen=True)
@@ -93,11 +226,6 @@ class WorldFrontier:
     last: int
     coasting: FloatArray
 
-    def factor(self, epochs: int | None = None) -> FloatArray:
-        """(J, J) triangular factor of R over some first epochs, all by default."""
-        rows = self.whitened[:epochs].reshape(-1, self.whitened.shape[2])
-        return np.asarray(np.linalg.qr(rows, mode="r"))
-
     def per_deflection(self, last: int | None = None, hold: int | None = None) -> FloatArray:
         """(2, 2) matrix M whose c' M c is the square of the frontier at d = 1 along c [m^2],
         infinite where it has no end. `last`, `hold`: epoch at which the displacement counts,
@@ -120,46 +248,6 @@ class WorldFrontier:
             R, done = np.asarray(np.linalg.qr(np.vstack([R, rows]), mode="r")), until
             found[e] = reachable(R, self.victim.position[last, :2])
         return found
-
-    def best(self, direction: FloatArray, deflection: float) -> FloatArray:
-        """(J,) commands that reach the frontier along a direction, (2,) north and east [m/s]."""
-        n = direction @ self.victim.position[self.last, :2]
-        _, sizes, axes = np.linalg.svd(self.factor())
-        seen = sizes > SINGULAR * sizes[0]  # the others do nothing, where there is an end
-        y = (axes[seen] @ n) / sizes[seen]
-        return np.asarray(axes[seen].T @ (y / sizes[seen]) * deflection / np.linalg.norm(y))
-
-    def within_limits(self, commands: FloatArray) -> bool:
-        limits, rates = self.commands, self.commands.rates @ commands
-        change = np.diff(rates, axis=0, prepend=0.0)
-        size = np.linalg.norm if limits.together else np.max
-        slack = 1.0 + 1e-6
-        return bool(
-            size(np.abs(rates), axis=1).max() <= slack * limits.rate_limit_mps
-            and size(np.abs(change), axis=1).max() <= slack * limits.change_limit_mps
-        )
-
-    def limited(self, direction: FloatArray, deflection: float) -> tuple[float, FloatArray]:
-        """Frontier within the attack's limits of rate and acceleration [m], and its commands: by
-        the closed form where that keeps them, by a second-order cone program elsewhere."""
-        n = direction @ self.victim.position[self.last, :2]
-        if np.isfinite(self.per_deflection()).all():
-            u = self.best(direction, deflection)
-            if self.within_limits(u):
-                return float(n @ u), u
-        limits, program = self.commands, Program()
-        ids = program.variables(np.ones(len(n), dtype=np.bool_))
-        program.maximize(ids, n)
-        motion = limits.rate_limit_mps, limits.change_limit_mps, limits.together
-        hold_motion(program, ids, Attacker(self.victim, limits.rates, *motion))
-        seen = program.variables(np.ones(len(n), dtype=np.bool_))
-        lead_to(program, ids, self.factor(), seen)
-        program.ball(seen, deflection)
-        found = program.solve()
-        if found.x is None:
-            return math.inf, np.full(len(n), np.nan)
-        u = found.x[ids]
-        return float(n @ u), u
 
 
 def world_frontier(
@@ -189,47 +277,6 @@ def reachable(rows: FloatArray, n: FloatArray) -> FloatArray:
         if np.abs(left).max() > SINGULAR * np.abs(n).max():
             return np.full((2, 2), np.inf)
     return np.asarray(y.T @ y)
-
-
-def deflection(world: WorldFrontier, commands: FloatArray) -> FloatArray:
-    """Deflection of open-loop commands up to every epoch.
-
-    Parameters
-    ----------
-    world : WorldFrontier
-        Of the attack.
-    commands : ndarray
-        (J,) rates [m/s].
-
-    Returns
-    -------
-    ndarray
-        (K,) d.
-    """
-    return _accumulated(world.whitened @ commands)
-
-
-def deflection_of_offsets(analyst: LinearRun, offsets: FloatArray) -> FloatArray:
-    """Deflection of what an attack has added to the measurements, whatever commanded it.
-
-    Parameters
-    ----------
-    analyst : LinearRun
-        The analyst's filter of the same sky and flight.
-    offsets : ndarray
-        (K, m) what was added to pseudoranges and range rates [m], [m/s]; 0 where not visible.
-
-    Returns
-    -------
-    ndarray
-        (K,) d.
-    """
-    seen = respond(analyst, offsets[:, :, None]).innovation
-    return _accumulated(white(analyst.innovation_cov, seen)[:, :, 0])
-
-
-def _accumulated(y: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.cumsum((y * y).sum(axis=1))))
 
 
 @dataclass(frozen=True)
@@ -366,7 +413,8 @@ def frontier_of(
     """
     check_linear_victim(setup)
     count = whole_number("`worlds`", worlds, 1)
-    lasts = _epochs(setup.steps, whole_number("`times`", times, 0))
+    times, steps = whole_number("`times`", times, 0), setup.steps
+    lasts = sorted({round(steps * (k + 1) / times) - 1 for k in range(times)} - {-1})
     if setup.bounds._replace(heading=0.0).single:
         count = 1
     advance = tick or (lambda part: None)
@@ -378,7 +426,12 @@ def frontier_of(
         victim = record(setup, generators_of(seeds))[0]
         again = seeds_of_runs(entropy, "selection", setup.name, [run])
         its_analyst = analyst.record(generators_of(again))[0]
-        commands = _commands(setup, victim.onset)
+        commands = unit_commands(setup, victim.onset).in_hats(HATS)
+        if np.any(commands.idle):
+            raise ValueError(
+                f"no floor is known for {setup.attack.label!r}: it changes the measurements when "
+                "it is commanded nothing, and the frontier is of what commands do"
+            )
         last = setup.steps - 1
         each = world_frontier(commands, victim, its_analyst.linear, its_analyst.coasting, last)
         found = found or [each]
@@ -398,20 +451,6 @@ def frontier_of(
         (np.array(lasts, dtype=np.float64) + 1.0) * setup.interval_s,
         np.array(course),
     )
-
-
-def _commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
-    commands = unit_commands(setup, onset).in_hats(HATS)
-    if np.any(commands.idle):
-        raise ValueError(
-            f"no floor is known for {setup.attack.label!r}: it changes the measurements when it is "
-            "commanded nothing, and the frontier is of what commands do"
-        )
-    return commands
-
-
-def _epochs(steps: int, times: int) -> list[int]:
-    return sorted({round(steps * (k + 1) / times) - 1 for k in range(times)} - {-1})
 
 
 def check_linear_victim(setup: Any) -> TightlyCoupledSetup:

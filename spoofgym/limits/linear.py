@@ -37,7 +37,6 @@ from ..simulation.tight import TightlyCoupledSetup, TightlyCoupledSimulator
 from ..truth.run import World
 
 PLACE = slice(POSITION, POSITION + 3)
-"""States of the position error."""
 NEEDED = frozenset({"transition", "design", "predicted_cov", "innovation_cov"})
 
 
@@ -116,7 +115,6 @@ def record(
 
 
 def as_it_happens(run: LinearRun, world: World) -> LinearRun:
-    """A filter's run with shifts that propagate and are measured as they really are."""
     return run._replace(transition=mechanized(run.transition), design=measured(run, world))
 
 
@@ -238,12 +236,10 @@ class Commands(NamedTuple):
     heading : ndarray or None
         (axes, 2) north and east of each axis, where it moves a position.
     rate_limit_mps : float
-        Of a command, as the size of the vector where `together`.
+        Of a command, as the size of the vector where it moves a position.
     change_limit_mps : float
         Of the difference between the commands of neighbouring decisions; infinite for an attack
         that is commanded by rate.
-    together : bool
-        Whether the limits hold for the vector of a decision, not for each of its elements.
     hats : ndarray or None
         (decisions, Q) hat functions that the commands are of, or None for single decisions.
     """
@@ -254,19 +250,11 @@ class Commands(NamedTuple):
     heading: FloatArray | None
     rate_limit_mps: float
     change_limit_mps: float
-    together: bool
     hats: FloatArray | None = None
 
     @property
     def decisions(self) -> int:
         return int(self.offsets.shape[2]) // self.axes if self.hats is None else len(self.hats)
-
-    @property
-    def rates(self) -> FloatArray:
-        """(decisions, axes, J) rate of each axis by unit command."""
-        hats = np.eye(self.decisions) if self.hats is None else self.hats
-        each = np.einsum("dq,ab->daqb", hats, np.eye(self.axes))
-        return np.asarray(each.reshape(len(hats), self.axes, -1))
 
     def in_hats(self, count: int) -> Commands:
         """Commands whose rates are sums of hat functions, where there are more decisions."""
@@ -312,11 +300,6 @@ def unit_commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
     -------
     Commands
         Of every decision by itself.
-
-    Raises
-    ------
-    ValueError
-        When the offsets are not linear in the commands.
     """
     repeat, decision_s = setup.repeat, setup.repeat * setup.interval_s
     attack, by_rate = bare(setup.attack, decision_s), setup.attack.control == "rate"
@@ -339,7 +322,6 @@ def unit_commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
         heading,
         attack.rate_limit_mps,
         math.inf if by_rate else setup.attack.acceleration_limit_mps2 * decision_s,
-        heading is not None,
     )
 
 

@@ -26,7 +26,19 @@ from ..detectors.innovation import rows_of
 from ..receiver.epoch import Epoch
 from ..simulation.setup import Setup
 from ..truth.noise import exponential
-from . import charts
+from .charts import (
+    RateFilter,
+    hold_averages,
+    hold_common,
+    hold_cusum,
+    hold_energies,
+    hold_lag_cusum,
+    hold_moving_sum,
+    hold_norm,
+    hold_rate,
+    hold_scan,
+    hold_size,
+)
 from .convex import Program
 from .linear import LinearRun
 from .zero_alarm import Bound, Sensitivity, ewma_bound, sequential_bound, snapshot_bound
@@ -235,6 +247,12 @@ class Case:
         self.rows: Rows = rows_judged(detector, run, timing, self.bias)
         self.span = rows_of(getattr(inner, "signals", "pseudorange"), self.n)
         self.known = counts(run.visible, timing.live)
+        # of the squared innovations that a limit allows, where a mean is taken away
+        self.inflation = 1.0 + 1.0 / self.bias if self.bias else 1.0
+        # epochs before the onset in which satellites in view were judged, and (L + K, n) all
+        self.judged_before = max(timing.live - self.bias, 0)
+        earlier = np.tile(run.visible[:1], (self.judged_before, 1))
+        self.judged_so_far = np.vstack([earlier, self.rows.judged])
 
     def epochs(self, length_s: float) -> int:
         return max(1, round(length_s / self.timing.interval_s))
@@ -243,21 +261,6 @@ class Case:
         """(K, r) of (K, n), for both signals where both are judged."""
         signals = (self.span[1] - self.span[0]) // self.n
         return np.hstack([of_channels] * signals)
-
-    @property
-    def inflation(self) -> float:
-        """Factor on the squared innovations that a limit allows, where a mean is taken away."""
-        return 1.0 + 1.0 / self.bias if self.bias else 1.0
-
-    @property
-    def judged_before(self) -> int:
-        """Epochs before the onset in which satellites in view were judged."""
-        return max(self.timing.live - self.bias, 0)
-
-    @property
-    def judged_so_far(self) -> BoolArray:
-        """(L + K, n) satellites judged, with the L epochs before the onset in which any were."""
-        return np.vstack([np.tile(self.run.visible[:1], (self.judged_before, 1)), self.rows.judged])
 
     def normalized(self, hold: Callable[[Program, IntArray], None]) -> Judged:
         return Judged(self.rows.normalized(self.run, *self.span), self.rows.learning, hold)
@@ -302,20 +305,21 @@ def _never(case: Case) -> Judged:
 
 def _snapshot(case: Case) -> Judged:
     limits = case.limits[:, 0]
-    test = case.white(lambda p, y: charts.hold_norm(p, y, limits))
+    test = case.white(lambda p, y: hold_norm(p, y, limits))
     return test._replace(closed=lambda of: snapshot_bound(of, limits * case.inflation))
 
 
 def _windowed(case: Case) -> Judged:
-    window, limits = case.test.window, case.limits[:, 0].copy()
-    limits[: max(window - 1 - case.timing.live, 0)] = np.inf  # no verdict before it is full
-    return case.white(lambda p, y: charts.hold_energy(p, y, limits, window), rotates=True)
+    windows, limits = np.array([case.test.window]), case.limits.copy()
+    limits[: max(case.test.window - 1 - case.timing.live, 0)] = np.inf  # no verdict: it is not full
+    return case.white(lambda p, y: hold_energies(p, y, limits, windows), rotates=True)
 
 
 def _sequential(case: Case) -> Judged:
     length_s, limits = case.test.window_s, case.limits[:, 0]
     window = len(limits) if length_s is None else case.epochs(length_s)
-    test = case.white(lambda p, y: charts.hold_energy(p, y, limits, window), rotates=True)
+    windows = np.array([window])
+    test = case.white(lambda p, y: hold_energies(p, y, limits[:, None], windows), rotates=True)
     if length_s is not None:
         return test
     return test._replace(closed=lambda of: sequential_bound(of, limits * case.inflation))
@@ -328,22 +332,19 @@ def _bank(case: Case) -> Judged:
     degrees = np.column_stack([np.convolve(rows, np.ones(w, np.int64))[ends] for w in windows])
     thresholds = case.test.thresholds_to(int(degrees.max()))
     limits = case.limits[:, :1] * thresholds[degrees]
-    hold = charts.hold_energies
-    return case.white(lambda p, y: hold(p, y, limits, windows), rotates=True)
+    return case.white(lambda p, y: hold_energies(p, y, limits, windows), rotates=True)
 
 
 def _moving_average(case: Case) -> Judged:
     shape = case.test.weights_of(case.epochs(case.test.window_s))
     judged, limits = case.per_row(case.judged_so_far), case.per_row(case.limits)
-    hold = charts.hold_moving_sum
-    return case.normalized(lambda p, y: hold(p, y, limits, judged, shape))
+    return case.normalized(lambda p, y: hold_moving_sum(p, y, limits, judged, shape))
 
 
 def _aime(case: Case) -> Judged:
     windows = np.array([case.epochs(length_s) for length_s in case.test.windows_s])
     past = case.judged_before * case.per_row(case.run.visible)[0]
-    hold = charts.hold_averages
-    return case.white(lambda p, y: hold(p, y, case.limits[:, 0], past, windows))
+    return case.white(lambda p, y: hold_averages(p, y, case.limits[:, 0], past, windows))
 
 
 def _ewma(case: Case) -> Judged:
@@ -353,19 +354,19 @@ def _ewma(case: Case) -> Judged:
     return Judged(
         matrix,
         case.rows.learning,
-        lambda p, y: charts.hold_size(p, y, limits),
+        lambda p, y: hold_size(p, y, limits),
         smoothing=smoothing,
         closed=lambda of: ewma_bound(of, smoothing, every),
     )
 
 
 def _shewhart(case: Case) -> Judged:
-    return case.normalized(lambda p, y: charts.hold_size(p, y, case.limits[:, :1]))
+    return case.normalized(lambda p, y: hold_size(p, y, case.limits[:, :1]))
 
 
 def _cusum(case: Case) -> Judged:
     def hold(program: Program, y: IntArray) -> None:
-        charts.hold_cusum(program, y, case.limits[:, :1], np.full(y.shape, case.test.allowance))
+        hold_cusum(program, y, case.limits[:, :1], np.full(y.shape, case.test.allowance))
 
     return case.normalized(hold)
 
@@ -375,7 +376,7 @@ def _lag_cusum(case: Case) -> Judged:
 
     def hold(program: Program, y: IntArray) -> None:
         settings = test.lag, test.baseline, test.drift, BASELINE_SDS
-        charts.hold_lag_cusum(program, y, limits, known, *settings)
+        hold_lag_cusum(program, y, limits, known, *settings)
 
     return case.normalized(hold)
 
@@ -397,15 +398,14 @@ def _clock(case: Case) -> Judged:
     past = case.judged_before if case.run.visible[0].any() else 0
     window = case.epochs(case.test.window_s)
     limits = case.limits[:, 0]
-    hold = charts.hold_common
-    return Judged(matrix, case.rows.learning, lambda p, y: hold(p, y, limits, past, window))
+    return Judged(matrix, case.rows.learning, lambda p, y: hold_common(p, y, limits, past, window))
 
 
 def _scan(case: Case) -> Judged:
     test, known, limits = case.test, case.per_row(case.known), case.per_row(case.limits)
 
     def hold(program: Program, y: IntArray) -> None:
-        charts.hold_scan(program, y, limits, known, test.window, test.baseline, test.ramp)
+        hold_scan(program, y, limits, known, test.window, test.baseline, test.ramp)
 
     return case.normalized(hold)
 
@@ -414,13 +414,13 @@ def _rate(case: Case) -> Judged:
     test, timing = case.test, case.timing
     memory_s = math.inf if test.memory_s is None else test.memory_s
     growth = 1.0 / exponential(-timing.interval_s / memory_s)
-    filtered = charts.RateFilter(timing.interval_s, test.correlation_per_s, test.noise, growth)
+    filtered = RateFilter(timing.interval_s, test.correlation_per_s, test.noise, growth)
     times = timing.onset_s + timing.interval_s * np.arange(-timing.live, len(case.limits))
     started = times >= test.start_s
     live = started[: timing.live, None] & case.run.visible[0]
 
     def hold(program: Program, y: IntArray) -> None:
-        charts.hold_rate(program, y, case.limits, live, started[timing.live :], filtered)
+        hold_rate(program, y, case.limits, live, started[timing.live :], filtered)
 
     return case.normalized(hold)
 
@@ -443,4 +443,3 @@ SETS: dict[type[Detector], Callable[[Case], Judged]] = {
     detectors.SnapshotChi2: _snapshot,
     detectors.WindowedChi2: _windowed,
 }
-"""Tests whose no-alarm sets are convex, where they take no weight off measurements."""

@@ -16,7 +16,6 @@ and a shift by d of normal measurements has :math:`D = d^2 / 2`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from scipy import special, stats
@@ -55,11 +54,6 @@ def power(deflection: float, p_fa: float, *, heading: str = "known") -> float:
     float
         P_D.
 
-    Raises
-    ------
-    ValueError
-        When an argument is out of range.
-
     Examples
     --------
     >>> from spoofgym.limits import power
@@ -92,11 +86,6 @@ def deflection_for(p_fa: float, p_d: float, *, heading: str = "known") -> float:
     float
         d.
 
-    Raises
-    ------
-    ValueError
-        When an argument is out of range.
-
     Examples
     --------
     >>> from spoofgym.limits import deflection_for
@@ -121,64 +110,8 @@ def deflection_for(p_fa: float, p_d: float, *, heading: str = "known") -> float:
     return float(found)
 
 
-def divergence_of(deflection: float) -> float:
-    """Divergence of a shift of normal measurements.
-
-    Parameters
-    ----------
-    deflection : float
-        d.
-
-    Returns
-    -------
-    float
-        d^2 / 2 [nats].
-    """
-    return 0.5 * deflection**2
-
-
 def kl_of(p_d: float, p_fa: float) -> float:
     return float(special.rel_entr(p_d, p_fa) + special.rel_entr(1.0 - p_d, 1.0 - p_fa))
-
-
-def most_power(divergence: float, p_fa: float) -> float:
-    """Probability of detection that no test exceeds, whatever it knows.
-
-    It holds for the divergence of an attack by a spoofer whose observations are functions of past
-    measurements and of its own commands, as `blind`, `tracking` and the victim's statistics are.
-    For one that sees a latent error, such as the reported position less the true one, the
-    divergence is not d^2 / 2 of what it has commanded, and nothing is known (`check_no_latent`).
-
-    Parameters
-    ----------
-    divergence : float
-        D of the attacked from the clean measurements [nats], at least 0.
-    p_fa : float
-        Probability of a false alarm, in (0, 1).
-
-    Returns
-    -------
-    float
-        P_D.
-
-    Raises
-    ------
-    ValueError
-        When an argument is out of range.
-
-    Examples
-    --------
-    >>> from spoofgym.limits import most_power
-    >>> round(most_power(2.0, 0.05), 2), round(most_power(2.0, 0.01), 2)
-    (0.82, 0.58)
-    """
-    check_finite("divergence", divergence, ">= 0")
-    _check_probability("p_fa", p_fa)
-    if divergence >= -math.log(p_fa):
-        return 1.0
-    if divergence == 0.0:
-        return p_fa
-    return float(brentq(lambda p: kl_of(p, p_fa) - divergence, p_fa, 1.0, xtol=1e-12))
 
 
 MEASURED = ("blind", "tracking")

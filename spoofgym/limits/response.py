@@ -34,12 +34,9 @@ from .linear import hat_functions, observer, record, respond, unit_commands, unu
 
 HATS = 40
 """Hat functions of the rate by which the response is known, over the attack window."""
-UNKNOWN = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
-"""Fields whose response is not known."""
-AT_ONCE = 32
-"""Runs whose matrices are held in memory together."""
+UNKNOWN_RESPONSES = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
+RUNS_AT_ONCE = 32  # whose matrices are held in memory together
 BANKS_AT_ONCE = 4
-"""Runs whose banks of solutions are held in memory together."""
 
 
 class Replayed(NamedTuple):
@@ -79,7 +76,7 @@ def check_replayable(detector: Detector) -> None:
     if isinstance(inner, PooledDetector):
         for member in inner.judges:
             check_replayable(member)
-    unknown = sorted(UNKNOWN & check_needs(detector))
+    unknown = sorted(UNKNOWN_RESPONSES & check_needs(detector))
     if unknown:
         raise NotReplayable(
             f"{type(inner).__name__} looks at {', '.join(unknown)}, whose response to an attack is "
@@ -105,8 +102,8 @@ class Replay:
 
     Attributes
     ----------
-    runs : int
-        N.
+    runs, epochs : int
+        N, and K, from the onset to the end of the time to alert.
     warmup_alarm, twin_alarm : ndarray
         (D, N) bool, alarms before the onset, and epoch of the first alarm after it, without attack.
 
@@ -137,7 +134,6 @@ class Replay:
         self._respond(seeds)
 
     def _record(self, seeds: Sequence[np.random.SeedSequence]) -> None:
-        """Run the warm-up with the detectors live, and record the epochs after it."""
         simulator = observer(self.setup, self.runs, self.needs)
         world = simulator.setup
         simulator.begin(generators_of(seeds))
@@ -163,7 +159,7 @@ class Replay:
                 if array is not None:
                     kept.setdefault(name, []).append(np.array(array))
             simulator.update(None)
-        self._epochs = kept
+        self._epochs, self.epochs = kept, len(kept["time"])
 
     def _judged(self, detector: Detector, epoch: Epoch) -> Any:
         verdict = judged(detector, epoch)
@@ -173,11 +169,6 @@ class Replay:
                 "the gains of the filter: play it on the engine"
             )
         return verdict
-
-    @property
-    def epochs(self) -> int:
-        """K, from the onset to the end of the time to alert."""
-        return len(self._epochs["time"])
 
     def _respond(self, seeds: Sequence[np.random.SeedSequence]) -> None:
         """Responses to hat functions of the rate, once for all runs of a sky, start and view."""
@@ -189,8 +180,8 @@ class Replay:
         ones = [int(np.flatnonzero(self.group == g)[0]) for g in range(len(views))]
         self.hats = hat_functions(self.setup.steps // self.setup.repeat, HATS)
         self._units: list[dict[str, FloatArray]] = []
-        for at in range(0, len(ones), AT_ONCE):
-            part = ones[at : at + AT_ONCE]
+        for at in range(0, len(ones), RUNS_AT_ONCE):
+            part = ones[at : at + RUNS_AT_ONCE]
             again = generators_of([unused_seed(seeds[b]) for b in part])
             for b, run in zip(part, record(self.setup, again), strict=True):
                 offsets = self._offsets(int(self.onset[b])) * np.tile(run.visible, 2)[:, :, None]
@@ -362,7 +353,6 @@ class Replay:
         return out
 
     def _ready(self, number: int, rows: NDArray[np.intp], attacks: int) -> Detector:
-        """A detector at the onset, with all runs for every attack."""
         detector = copy.deepcopy(self.detectors[number])
         detector.bind(self._context._replace(receivers=attacks * len(rows)))
         everyone = np.arange(attacks * len(rows))

@@ -18,7 +18,7 @@ noise.  It is no bound of a quantile or of a single run, and none for tests that
 measurements, exclude them or are not convex.
 
 A test leaves the innovations that it does not judge to the attack: where these lead to a
-displacement there is no finite bound, unless the attack itself is restricted (`restricted`).
+displacement there is no finite bound, unless the attack itself is restricted (`bounds`).
 
 Source: zero-alarm attacks are from Murguia and Ruths (arXiv 1710.04407), worst sequences from
 `tanil2018`; the closed forms are ours, each checked against a solver.
@@ -104,7 +104,6 @@ class Sensitivity(NamedTuple):
 
 
 def sensitivity(run: LinearRun, epoch: int, direction: ArrayLike) -> Sensitivity:
-    """Go backwards from a displacement at an epoch, T, to the innovations that lead to it."""
     epochs = len(run.gain)
     if not 0 <= epoch < epochs:
         raise ValueError(f"`epoch` must be 0 to {epochs - 1}, got {epoch}")

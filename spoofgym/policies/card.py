@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NoReturn, Protocol, Self
+from typing import Annotated, Any, ClassVar, NoReturn, Self
 
 from pydantic import (
     BaseModel,
@@ -73,7 +73,6 @@ PAIRS = TypeAdapter(list[tuple[Annotated[int, Field(strict=True, ge=0)], str]])
 
 
 def seeds_in(training: Mapping[str, Any], name: str) -> frozenset[tuple[int, str]]:
-    """Runs that `training` of a policy says it was decided on, by entropy and split."""
     found = training.get(DECIDED_ON, [])
     try:
         return frozenset(PAIRS.validate_python(found))
@@ -94,7 +93,6 @@ class PolicyCard(Record):
 
     @property
     def decided_on(self) -> frozenset[tuple[int, str]]:
-        """Entropy and split of the runs that decided on the policy, as far as the card says."""
         return seeds_in(getattr(self, "training", {}), self.name)
 
     @classmethod
@@ -123,21 +121,9 @@ class PolicyCard(Record):
         write_file(Path(path), (text + "\n").encode())
 
 
-class Spaces(Protocol):
-    """Names of the elements of observation (o,) and action (a,), and bounds (o,), empty where they
-    are not known."""
-
-    @property
-    def action_names(self) -> tuple[str, ...]: ...
-    @property
-    def observation_names(self) -> tuple[str, ...]: ...
-    @property
-    def observation_low(self) -> tuple[float, ...]: ...
-    @property
-    def observation_high(self) -> tuple[float, ...]: ...
-
-
-def spaces_of(given: Spaces) -> dict[str, Any]:
+def spaces_of(given: Any) -> dict[str, Any]:
+    """Fields ``observation`` (None without names or bounds) and ``action`` of a card, for the
+    names and bounds that a policy is given."""
     size, observation = len(given.action_names), None
     names, low, high = given.observation_names, given.observation_low, given.observation_high
     if names and low and high:
@@ -146,7 +132,7 @@ def spaces_of(given: Spaces) -> dict[str, Any]:
     return {"observation": observation, "action": action}
 
 
-def unlike_spaces(observation: Space | None, action: Space, given: Spaces) -> list[str]:
+def unlike_spaces(observation: Space | None, action: Space, given: Any) -> list[str]:
     seen = spaces_of(given)["observation"]
     found = _order("action", action, given.action_names)
     if observation is not None:
@@ -191,7 +177,6 @@ def _kind_of(text: str) -> str:
 
 
 def text_of(error: ValidationError) -> str:
-    """What is wrong with which fields, in one line."""
     parts = []
     for item in error.errors():
         where = ".".join(map(str, item["loc"]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,7 @@ from ..core.settings import describe, digest_of, kind_of, outside_sources
 FloatArray = NDArray[np.float64]
 
 
-class Context(Protocol):
-    """What a policy is given once, before its first action."""
-
-    @property
-    def receivers(self) -> int: ...
-
-
-ContextT = TypeVar("ContextT", bound=Context)
+ContextT = TypeVar("ContextT", bound=Any)  # with `receivers`, B
 
 
 class Policy(ABC, Generic[ContextT]):

@@ -32,7 +32,6 @@ CHANCE = (
 )
 """Operators that a policy must not have: the same observation gives the same action."""
 CONTROL_FLOW = frozenset({"If", "Loop", "Scan", "SequenceMap"})
-"""Operators with graphs of their own, of which none is needed by a policy."""
 LARGEST_BYTES, MOST_OPERATORS, MOST_PARTS = 32 << 20, 5_000, 50_000
 """Of a file; a policy is asked hundreds of times an episode.  Parts are operators, their settings,
 tensors and types, in subgraphs, too."""
@@ -157,7 +156,8 @@ def _products(node: Any, shapes: Mapping[str, Sequence[int]]) -> int:
     first, *others = [shapes.get(name, []) for name in node.input] or [[]]
     results = _size(shapes.get(node.output[0], []))
     if node.op_type in POOLS:
-        return results * _size([size for each in node.attribute for size in _kernel_of(each)])
+        kernels = [each.ints for each in node.attribute if each.name == "kernel_shape"]
+        return results * _size([size for kernel in kernels for size in kernel])
     if node.op_type == "Einsum":  # at most all elements of each with all of the others
         return int(np.prod([_size(each) for each in (first, *others)], dtype=object))
     if not first or not others:
@@ -173,10 +173,6 @@ def _products(node: Any, shapes: Mapping[str, Sequence[int]]) -> int:
     if node.op_type == "Attention":
         return _size(first) * _size(others[0])
     return 0
-
-
-def _kernel_of(attribute: Any) -> Sequence[int]:
-    return attribute.ints if attribute.name == "kernel_shape" else ()
 
 
 def _size(shape: Sequence[int]) -> int:
@@ -298,7 +294,6 @@ def _check_value(value: ValueInfoProto, size: int, what: str, wanted: str) -> No
 
 
 def _form(value: ValueInfoProto) -> tuple[str, list[int | str]]:
-    """Type of an input or output, and its dimensions, those of any size by name."""
     from onnx import helper
 
     tensor = value.type.tensor_type

@@ -136,17 +136,14 @@ class OnnxModel:
             raise ValueError(f"{self.path} can't be run: {error}") from error
         rows = len(observation)
         for state, array in zip(self.state, after, strict=True):
-            self._check_state(state, array, rows)
+            what = f"{self.path} returned the state {NEXT}{state.name}"
+            if array.shape != (rows, state.size):
+                raise ValueError(f"{what} of shape {array.shape}, not {(rows, state.size)}")
+            finite = np.isfinite(array).all(axis=1)
+            if not finite.all():
+                row = int(np.argmin(finite))
+                raise NotFinite(f"{what} with a value that is not finite for receiver {row}")
         return checked_action(action, rows, self.size, self.path), after
-
-    def _check_state(self, state: State, array: Float32Array, rows: int) -> None:
-        what = f"{self.path} returned the state {NEXT}{state.name}"
-        if array.shape != (rows, state.size):
-            raise ValueError(f"{what} of shape {array.shape}, not {(rows, state.size)}")
-        finite = np.isfinite(array).all(axis=1)
-        if not finite.all():
-            row = int(np.argmin(finite))
-            raise NotFinite(f"{what} with a value that is not finite for receiver {row}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_session": None}

@@ -75,7 +75,7 @@ def mechanize(x, base, samples, dt, count, active, force):
     a, g = load3(x, base + ACCEL_BIAS), load3(x, base + GYRO_BIAS)
     zero = splat(0.0, x)
     f = zero, zero, zero
-    d0, d1, d2, d3, d4, d5 = zero, zero, zero, zero, zero, zero
+    moved, turned = f, f
     n = count
     for i in range(n):
         h = load(dt, i)
@@ -84,20 +84,16 @@ def mechanize(x, base, samples, dt, count, active, force):
         f = f0, f1, load(samples, 2 * n + i) - a[2]
         w = w0, w1, load(samples, 5 * n + i) - g[2]
         C, v, r = strapdown_step(C, v, r, f, w, h)
-        d0 += f[0] * h
-        d1 += f[1] * h
-        d2 += f[2] * h
-        d3 += w[0] * h
-        d4 += w[1] * h
-        d5 += w[2] * h
+        moved = moved[0] + f[0] * h, moved[1] + f[1] * h, moved[2] + f[2] * h
+        turned = turned[0] + w[0] * h, turned[1] + w[1] * h, turned[2] + w[2] * h
     now = load(active, 0) > 0.0
     keep3(x, base + C_EB, now, C[:3])
     keep3(x, base + C_EB + 3, now, C[3:6])
     keep3(x, base + C_EB + 6, now, C[6:])
     keep3(x, base + VELOCITY, now, v)
     keep3(x, base + POSITION, now, r)
-    keep3(x, base + IMU_DELTA, now, (d0, d1, d2))
-    keep3(x, base + IMU_DELTA + 3, now, (d3, d4, d5))
+    keep3(x, base + IMU_DELTA, now, moved)
+    keep3(x, base + IMU_DELTA + 3, now, turned)
     keep3(force, 0, now, f)
 
 
@@ -131,8 +127,7 @@ def innovate(x, base, n, tau, sky):
         rho, rate, ux, uy, uz = range_and_rate(load3(sky, SKY * s), load3(sky, SKY * s + 3), r, v)
         store(x, z, select(visible, load(x, z) - (rho + clock), 0.0))
         store(x, z + n, select(visible, load(x, z + n) - (rate + drift), 0.0))
-        sight = select(visible, ux, 0.0), select(visible, uy, 0.0), select(visible, uz, 0.0)
-        store3(x, u, sight)
+        store3(x, u, (select(visible, ux, 0.0), select(visible, uy, 0.0), select(visible, uz, 0.0)))
 
 
 @njit
@@ -158,9 +153,8 @@ def correct(x, base, assumed, first, n, weights, rules, work, precision):
     x0, x1, x2 = load3(work, dx)
     for j in range(base + C_EB, base + C_EB + 3):
         c0, c1, c2 = load(x, j), load(x, j + 3), load(x, j + 6)
-        store(x, j, c0 + x2 * c1 - x1 * c2)
-        store(x, j + 3, c1 - x2 * c0 + x0 * c2)
-        store(x, j + 6, c2 + x1 * c0 - x0 * c1)
+        turned = c0 + x2 * c1 - x1 * c2, c1 - x2 * c0 + x0 * c2, c2 + x1 * c0 - x0 * c1
+        store3(x, j, turned, 3)
     if rules[2]:
         _orthonormalize(x, base + C_EB, enough)
     for i in range(3):
@@ -274,7 +268,6 @@ def show_design(x, u, seen, each, n, H):
 
 @njit
 def show_transition(terms, tau, index, Phi):
-    """Write the transition matrix of one receiver, row by row (`states.transition_terms`)."""
     w = EARTH_RATE * tau
     for i in range(17):
         Phi[18 * i] = 1.0
@@ -452,7 +445,6 @@ def disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up):
 
 @njit
 def update_group(a, w, group, weights):
-    """Second half of an epoch of one group; `weights` (B, 2n) on the columns of the gain."""
     receivers, n = a.visible.shape
     lanes, base = lanes_of(a.x), group * (CHANNELS + ALL * n)
     b, some = group * lanes, min(lanes, receivers - group * lanes)
@@ -516,7 +508,7 @@ def first_fix(measured, satellites, epochs, guess_e, position_e, velocity_e, clo
     in `run_epochs`; `guess_e` (B, 3) where to linearize first, ECEF [m]; `position_e`,
     `velocity_e` (B, 3), `clock` (B, 2): written [m], [m/s].
     """
-    M, x = np.empty((4, 4)), np.empty((4, 1))
+    M, x = np.empty((4, 4)), np.empty(4)
     for b in range(len(epochs)):
         r, v, sky = position_e[b], velocity_e[b], satellites[epochs[b]]
         for i in range(3):
@@ -536,22 +528,22 @@ def first_fix(measured, satellites, epochs, guess_e, position_e, velocity_e, clo
                     z = measured[b, 1, s] - rate
                 h = (-ux, -uy, -uz, 1.0)
                 for i in range(4):
-                    x[i, 0] += h[i] * z
+                    x[i] += h[i] * z
                     for j in range(4):
                         M[i, j] += h[i] * h[j]
             solve_in_place(M, x)
             for i in range(3):
                 if rates:
-                    v[i] += x[i, 0]
+                    v[i] += x[i]
                 else:
-                    r[i] += x[i, 0]
-            clock[b, 1 if rates else 0] += x[3, 0]
+                    r[i] += x[i]
+            clock[b, 1 if rates else 0] += x[3]
 
 
 @njit
-def solve_in_place(M, B):
-    """Solve ``M X = B`` by elimination with partial pivoting; `B` becomes X, `M` is destroyed."""
-    k, c = B.shape
+def solve_in_place(M, x):
+    """Solve ``M y = x`` by elimination with partial pivoting; `x` becomes y, `M` is destroyed."""
+    k = x.shape[0]
     for p in range(k):
         best = p
         for i in range(p + 1, k):
@@ -560,20 +552,16 @@ def solve_in_place(M, B):
         if best != p:
             for j in range(p, k):
                 M[p, j], M[best, j] = M[best, j], M[p, j]
-            for j in range(c):
-                B[p, j], B[best, j] = B[best, j], B[p, j]
+            x[p], x[best] = x[best], x[p]
         inverse = 1.0 / M[p, p]
         for i in range(p + 1, k):
             f = M[i, p] * inverse
             if f != 0.0:
                 for j in range(p + 1, k):
                     M[i, j] -= f * M[p, j]
-                for j in range(c):
-                    B[i, j] -= f * B[p, j]
+                x[i] -= f * x[p]
     for p in range(k - 1, -1, -1):
-        inverse = 1.0 / M[p, p]
-        for j in range(c):
-            total = B[p, j]
-            for i in range(p + 1, k):
-                total -= M[p, i] * B[i, j]
-            B[p, j] = total * inverse
+        total = x[p]
+        for i in range(p + 1, k):
+            total -= M[p, i] * x[i]
+        x[p] = total * (1.0 / M[p, p])

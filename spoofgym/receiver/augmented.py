@@ -66,8 +66,7 @@ class SignalModel(NamedTuple):
         if "smoothed" in places:
             multipath, noise = mapping[:, :, 4], mapping[:, :, 5]
             a, b_, c, d = self.smoothed
-            sizes = np.hypot(a + b_ * multipath, c + d * noise)
-            H[:, s, places["smoothed"] + s] = sizes
+            H[:, s, places["smoothed"] + s] = np.hypot(a + b_ * multipath, c + d * noise)
         for k, (name, sign) in enumerate((("ionosphere", -1.0), ("troposphere", 1.0))):
             if name in places:
                 j, slant, rate = places[name], mapping[:, :, 2 * k], mapping[:, :, 2 * k + 1]
@@ -86,12 +85,11 @@ def _kinds(errors: GnssErrors, bias_sd: FloatArray) -> dict[str, int]:
         "correlated": (errors.correlated_sd_m > 0.0, n),
     }
     if signals is not None:
-        smoothed = max(*signals.multipath_sd_m, *signals.noise_sd_m)
         wanted |= {
             "ionosphere": (signals.ionosphere_sd_m > 0.0, 2),
             "troposphere": (signals.troposphere_sd_m > 0.0, 2),
             "orbit_clock": (signals.orbit_clock_sd_m > 0.0, 2 * n),
-            "smoothed": (smoothed > 0.0, n),
+            "smoothed": (max(*signals.multipath_sd_m, *signals.noise_sd_m) > 0.0, n),
             "carrier": (signals.carrier_sd_m > 0.0, 2 * n),
         }
     return {name: count for name, (there, count) in wanted.items() if there}
@@ -103,7 +101,7 @@ def signal_model(errors: GnssErrors, bias_sd: FloatArray, interval_s: float) -> 
     firsts = np.cumsum([0, *counts.values()]).tolist()
     places, q = dict(zip(counts, firsts, strict=False)), firsts[-1]
     signals = SignalErrors() if errors.signals is None else errors.signals
-    smoothed = (*signals.multipath_sd_m, *signals.noise_sd_m)
+    smoothed = *signals.multipath_sd_m, *signals.noise_sd_m
     model = SignalModel(np.eye(q), np.zeros((q, q)), np.zeros(q), places, smoothed)
     if "constant" in places:
         model.first[places["constant"] + s] = bias_sd**2
@@ -121,8 +119,7 @@ def signal_model(errors: GnssErrors, bias_sd: FloatArray, interval_s: float) -> 
         ("orbit_clock", signals.orbit_clock_sd_m, signals.orbit_clock_s, s),
     ):
         if name in places:
-            coefficients = process_coefficients(sd, time_s, interval_s)
-            _put_process(model, places[name] + which, coefficients)
+            _put_process(model, places[name] + which, process_coefficients(sd, time_s, interval_s))
             model.first[places[name] + which] = sd**2
             model.first[places[name] + len(which) + which] = (sd * HALF_LIFE / time_s) ** 2
     if "carrier" in places:
@@ -246,8 +243,7 @@ class AugmentedFilter:
         S = H @ gain
         rows, seen = np.arange(S.shape[1]), np.hstack([visible, visible])
         S[:, rows, rows] += np.where(seen, noise_variance, 1.0)
-        enough = visible.sum(axis=1) >= fewest
-        return Predicted(gain, S, innovation - known, drift, enough)
+        return Predicted(gain, S, innovation - known, drift, visible.sum(axis=1) >= fewest)
 
     def _show(self, top: FloatArray, H: FloatArray, P: FloatArray) -> None:
         shown = self.shown
@@ -258,7 +254,6 @@ class AugmentedFilter:
                 shown[name][:] = array
 
     def update(self, predicted: Predicted, weights: FloatArray | None) -> FloatArray:
-        """Update with weights (B, m) on the columns of the gain; (B, 17) errors to feed back."""
         gain, S, z, drift, enough = predicted
         P, a = self.memory["augmented_covariance"], self.memory["augmented"]
         used = z if weights is None else weights * z

@@ -203,7 +203,6 @@ class CredibleBatch:
         return CredibleState(*(self.memory[name] for name in CredibleState._fields))
 
     def begin(self, fix: FloatArray) -> None:
-        """Begin at a position.  `fix` (B, 2) the first fix [m], finite."""
         self.memory["position"][:, :AXES] = fix
         self.memory["odometry"][:, :AXES] = fix
 
@@ -222,6 +221,5 @@ class CredibleBatch:
         )
 
     def update(self, weights: FloatArray | None) -> None:
-        """Second half of an epoch.  `weights` (B, 2) of a verdict; None for ones."""
         used = self.ones if weights is None else weights
         update_positions(self._rules, used, self.state, self.seen)

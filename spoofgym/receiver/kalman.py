@@ -31,26 +31,20 @@ WORK = REST + 6 * 64 + 8 * 17  # rows of scratch memory that `update` needs
 
 
 @inlined
-def _store_triangle(out, first, a):
-    store(out, first, a[0])
-    store(out, first + 1, a[1])
-    store(out, first + 2, a[2])
-    store(out, first + 3, a[3])
-    store(out, first + 4, a[4])
-    store(out, first + 5, a[5])
-    store(out, first + 6, a[6])
-    store(out, first + 7, a[7])
-    store(out, first + 8, a[8])
-    store(out, first + 9, a[9])
-
-
-@inlined
 def _store_every(out, first, step, x):
     """Write four rows, so many apart."""
     store(out, first, x[0])
     store(out, first + step, x[1])
     store(out, first + 2 * step, x[2])
     store(out, first + 3 * step, x[3])
+
+
+@inlined
+def _store_triangle(out, first, a):
+    _store_every(out, first, 1, a[:4])
+    _store_every(out, first + 4, 1, a[4:8])
+    store(out, first + 8, a[8])
+    store(out, first + 9, a[9])
 
 
 @inlined
@@ -171,7 +165,6 @@ def _factor(P, first, work):
 
 @njit
 def _substitute(work, first, columns):
-    """Replace an 8 x `columns` matrix X by C^-1 X."""
     for j in range(columns):
         for i in range(8):
             value = load(work, first + columns * i + j)

@@ -147,8 +147,7 @@ class LooseReceivers:
 
     @property
     def state(self) -> LooseState:
-        memory = self.memory
-        return LooseState(*[memory[name] for name in LooseState._fields])
+        return LooseState(*[self.memory[name] for name in LooseState._fields])
 
     def begin(
         self, position_e: FloatArray, velocity_e: FloatArray, C_eb: FloatArray, error: FloatArray
@@ -161,8 +160,6 @@ class LooseReceivers:
         predict(self.state, self.samples, self.fix_e, self.imu_interval_s, self._psd, *changed)
 
     def update(self, weights: FloatArray | None) -> None:
-        """Correct the solution, and tune the noise. `weights` (B, 3) on the columns of the gain;
-        None for ones."""
         update(self.state, self._ones if weights is None else weights, self._rule, self._floor)
 
     def epoch(self, time: FloatArray) -> Epoch:

@@ -62,8 +62,7 @@ def transition_terms(C, r, f, tau, terms):
         store(terms, 9 + i, f_e * tau)
     x, y, z = r
     g = gravity(x, y, z)
-    norm = sqrt(x * x + y * y + z * z)
-    k = -2.0 * tau / (geocentric_surface_radius(x, y, z) * norm)
+    k = -2.0 * tau / (geocentric_surface_radius(x, y, z) * sqrt(x * x + y * y + z * z))
     for i in range(3):
         for j in range(3):
             store(terms, 12 + 3 * i + j, k * g[i] * r[j])

@@ -169,8 +169,9 @@ class TightlyCoupled:
             )
 
     def _check_augmented(self) -> None:
-        if self.noise is not None:
-            raise ValueError('`noise` can\'t be set with `tuning` "augmented", which derives it')
+        require(
+            self.noise is None, '`noise` can\'t be set with `tuning` "augmented", which derives it'
+        )
         require(
             self.covariance_update == "unweighted",
             '`covariance_update` must be "unweighted" with `tuning` "augmented", got '

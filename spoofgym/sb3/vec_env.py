@@ -210,7 +210,6 @@ class SpoofVecEnv(VecEnv):
         return [{name: lists[name][row] for name in lists} for row in range(self.num_envs)]
 
     def _given(self) -> dict[str, list[Any]] | None:
-        """Circumstances that `set_options` gives for every receiver."""
         for options in self._options:
             warn_unknown(options, ("domain",))
         given = [domain_option(options) or {} for options in self._options]

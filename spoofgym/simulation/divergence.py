@@ -48,8 +48,7 @@ class Divergence(Monitor):
             "the divergence of an attack knows no filter with augmented states",
         )
         self.memory = Memory(receivers)
-        shift = np.zeros((receivers, STATES))
-        self.memory.declare_all(divergence=np.zeros(receivers), shift=shift)
+        self.memory.declare_all(divergence=np.zeros(receivers), shift=np.zeros((receivers, STATES)))
 
     def update(self, simulator: Monitored) -> None:
         victims = tightly_coupled(simulator, "the divergence of an attack")

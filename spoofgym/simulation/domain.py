@@ -91,13 +91,15 @@ class Domain:
             for each in given:
                 check_choice("imu grade" if name == "imu" else name, each, valid, RENAMED)
             object.__setattr__(self, name, given)
-        if self.worlds is not None and not 1 <= self.worlds <= MOST_WORLDS:
-            raise ValueError(f"`worlds` must be 1 to {MOST_WORLDS}, got {self.worlds}")
-        if self.worlds is not None and self.worlds > 1 and not self.varies:
-            raise ValueError(
-                f"`worlds` {self.worlds} would all be the same: give `turned_deg` or "
-                "`constellation_time_s` a range"
-            )
+        require(
+            self.worlds is None or 1 <= self.worlds <= MOST_WORLDS,
+            f"`worlds` must be 1 to {MOST_WORLDS}, got {self.worlds}",
+        )
+        require(
+            self.worlds in (None, 1) or self.varies,
+            f"`worlds` {self.worlds} would all be the same: give `turned_deg` or "
+            "`constellation_time_s` a range",
+        )
         require(
             max(map(abs, self.constellation_time_s)) <= MOST_TIME_S,
             f"`constellation_time_s` must be -{MOST_TIME_S:g} to {MOST_TIME_S:g}, got "
@@ -109,13 +111,11 @@ class Domain:
         if self.turn_on is not None:
             check_choice("turn_on", self.turn_on, TURN_ON)
         if self.events is not None:
-            events = build_record("events", BenignEvents, self.events)
-            object.__setattr__(self, "events", events)
+            object.__setattr__(self, "events", build_record("events", BenignEvents, self.events))
 
     @property
     def varies(self) -> bool:
-        pairs = (self.turned_deg, self.constellation_time_s)
-        return any(high > low for low, high in pairs)
+        return any(high > low for low, high in (self.turned_deg, self.constellation_time_s))
 
     def pairs(self) -> list[tuple[float, float]]:
         """Turn [deg] and time of the constellation [s] of every world."""
@@ -178,8 +178,7 @@ def draw(bounds: Bounds, keys: NDArray[np.uint64]) -> Choice:
     heading = np.full(count, 0.0 if bounds.heading is None else bounds.heading)
     if not bounds.single:
         for i, key in enumerate(keys.tolist()):
-            rng = np.random.default_rng(key)
-            u = rng.random(5)
+            u = np.random.default_rng(key).random(5)
             # all are drawn, so that one does not depend on whether another has a range
             sizes = (bounds.worlds, bounds.grades, bounds.errors, bounds.last - bounds.first + 1)
             whole[:, i] = [int(x * size) for x, size in zip(u[:4], sizes, strict=True)]
@@ -207,23 +206,25 @@ def given_choice(
     if "start_s" in values:
         epochs = [x / interval_s for x in _numbers("start_s", values["start_s"])]
         span = (bounds.first * interval_s, bounds.last * interval_s)
-        if not all(span[0] - 1e-6 <= x * interval_s <= span[1] + 1e-6 for x in epochs):
-            raise ValueError(
-                f"`start_s` must be {span[0]:g} to {span[1]:g}, got {given['start_s']}"
-            )
+        require(
+            all(span[0] - 1e-6 <= x * interval_s <= span[1] + 1e-6 for x in epochs),
+            f"`start_s` must be {span[0]:g} to {span[1]:g}, got {given['start_s']}",
+        )
         start = np.array([round(x) for x in epochs], dtype=np.int64)
-        if any(abs(x - k) > 1e-6 for x, k in zip(epochs, start.tolist(), strict=True)):
-            raise ValueError(
-                f"`start_s` must be a multiple of the interval between epochs, {interval_s:g} s, "
-                f"got {given['start_s']}"
-            )
+        require(
+            all(abs(x - k) <= 1e-6 for x, k in zip(epochs, start.tolist(), strict=True)),
+            f"`start_s` must be a multiple of the interval between epochs, {interval_s:g} s, "
+            f"got {given['start_s']}",
+        )
     if "imu" in values:
         grade = _index("imu", values["imu"], names["imu"])
     if "errors" in values:
         error = _index("errors", values["errors"], names["errors"])
     if "target_heading_deg" in values:
-        if bounds.heading is not None:
-            raise ValueError("a reset can be given `target_heading_deg` only where it is 'random'")
+        require(
+            bounds.heading is None,
+            "a reset can be given `target_heading_deg` only where it is 'random'",
+        )
         heading = np.radians(_numbers("target_heading_deg", values["target_heading_deg"]))
     return Choice(world, grade, error, start, heading)
 
@@ -299,15 +300,11 @@ def worlds_of(scenario: Scenario, domain: Domain) -> list[World]:
     if isinstance(scenario.flight, str):
         # a world knows nothing of these
         bare = replace(scenario, errors="white", imu="aviation", name="")
-        return _remembered(bare, constellation, domain)
-    return _variants(scenario, constellation, domain)
+        return _variants(bare, constellation, domain)
+    return _variants.__wrapped__(scenario, constellation, domain)
 
 
 @lru_cache(maxsize=2)
-def _remembered(scenario: Scenario, base: CircularConstellation, domain: Domain) -> list[World]:
-    return _variants(scenario, base, domain)
-
-
 def _variants(scenario: Scenario, base: CircularConstellation, domain: Domain) -> list[World]:
     return [
         replace(

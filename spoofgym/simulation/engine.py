@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import whole_number
+from ..core.registry import require, whole_number
 from ..core.simd import LANES
 from ..detectors import Verdict
 from ..receiver.epoch import Epoch
@@ -81,8 +81,7 @@ class Engine:
         twin: bool = False,
         warm_pool: int | None = None,
     ) -> None:
-        if threads is not None and threads < 1:
-            raise ValueError(f"`threads` must be at least 1, got {threads}")
+        require(threads is None or threads >= 1, f"`threads` must be at least 1, got {threads}")
         self.receivers, self.setup = receivers, setup
         useful = available_threads(receivers) if threads is None else threads
         self.threads = useful if setup.threaded else 1

@@ -93,7 +93,6 @@ DEFAULT_DETECTOR: dict[str, Any] = {
     "covariance": "estimated",
     "covariance_window": DEFAULT_WINDOW,
 }
-DEFAULT_TIMELINE = {"warmup_s": 20.0, "live_s": 20.0, "attack_s": 5.0, "time_to_alert_s": 5.0}
 
 
 class LooselyCoupledSetup(Setup):
@@ -131,7 +130,12 @@ class LooselyCoupledSetup(Setup):
     has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
     usual_detector = DEFAULT_DETECTOR
-    usual_timeline = DEFAULT_TIMELINE
+    usual_timeline: ClassVar[Mapping[str, float] | None] = {
+        "warmup_s": 20.0,
+        "live_s": 20.0,
+        "attack_s": 5.0,
+        "time_to_alert_s": 5.0,
+    }
     motion_names = tuple(
         f"{what}_{axis}" for what in ("position", "velocity") for axis in ("north", "east", "down")
     )

@@ -122,8 +122,6 @@ class PastPositions(Monitor):
     `memory`: ``position`` (B, KEPT, d) in the axes of `Setup.true_position` [m], and ``of`` (B,
     KEPT) the epoch of each, -1 for none; that of epoch k is at the place k modulo `KEPT`."""
 
-    needs: ClassVar[frozenset[str]] = frozenset()
-
     def bind(self, simulator: Monitored) -> None:
         receivers, setup = simulator.receivers, simulator.setup  # type: ignore[attr-defined]
         axes = setup.true_position.shape[1]

@@ -223,7 +223,6 @@ def take_episode(rng: np.random.Generator) -> np.random.Generator:
 
 
 def copy_of(rng: np.random.Generator) -> np.random.Generator:
-    """Generator with the same seed sequence, and as many episodes behind it."""
     seed: Any = rng.bit_generator.seed_seq
     twin = np.random.SeedSequence(
         seed.entropy,

@@ -36,7 +36,6 @@ from .setup import MOST_EPOCHS, RateCommands, Run, Setup, Timeline
 from .simulator import FloatArray, Written
 
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "acna", "variant": "production"}
-DEFAULT_TIMELINE = {"warmup_s": 60.0, "live_s": 60.0, "attack_s": 150.0, "time_to_alert_s": 10.0}
 
 
 class WheeledRobotSetup(Setup):
@@ -88,7 +87,12 @@ class WheeledRobotSetup(Setup):
     has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position", "auxiliary_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
     usual_detector = DEFAULT_DETECTOR
-    usual_timeline = DEFAULT_TIMELINE
+    usual_timeline: ClassVar[Mapping[str, float] | None] = {
+        "warmup_s": 60.0,
+        "live_s": 60.0,
+        "attack_s": 150.0,
+        "time_to_alert_s": 10.0,
+    }
     motion_names = ("position_north", "position_east", "velocity_north", "velocity_east")
     weight_names = ("fix",)
 
@@ -146,14 +150,13 @@ class WheeledRobotSetup(Setup):
         return {**parts, "interruptions_s": [list(pair) for pair in self._interruptions_s]}
 
     def _drive(self) -> None:
-        """Truth of the run, at the encoders' samples and at the epochs."""
         ratio = self.interval_s / self.odometer.sample_interval_s
         self.samples = round(ratio)
-        if not 1 <= self.samples <= MOST_SAMPLES or abs(ratio - self.samples) > 1e-6:
-            raise ValueError(
-                f"`interval_s` must be 1 to {MOST_SAMPLES} times the sample interval of the "
-                f"odometer, {self.odometer.sample_interval_s}, got {self.interval_s}"
-            )
+        require(
+            1 <= self.samples <= MOST_SAMPLES and abs(ratio - self.samples) <= 1e-6,
+            f"`interval_s` must be 1 to {MOST_SAMPLES} times the sample interval of the "
+            f"odometer, {self.odometer.sample_interval_s}, got {self.interval_s}",
+        )
         early, late = self.domain.start_s
         late = early + self.loop.lap_s if late is None else late
         require(

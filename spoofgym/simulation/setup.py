@@ -74,24 +74,6 @@ class Timeline:
         return warmup - live, live, attack, round(self.time_to_alert_s / interval_s)
 
 
-def epochs_of_decision(decision_interval_s: float | None, interval_s: float, steps: int) -> int:
-    if decision_interval_s is None:
-        return 1
-    check_finite("decision_interval_s", decision_interval_s, "> 0")
-    repeat = round(decision_interval_s / interval_s)
-    if repeat < 1 or abs(repeat * interval_s - decision_interval_s) > 1e-6 * interval_s:
-        raise ValueError(
-            f"`decision_interval_s` must be a multiple of the interval between epochs, "
-            f"{interval_s:g} s, got {decision_interval_s}"
-        )
-    if steps % repeat:
-        raise ValueError(
-            f"the attack window of {steps * interval_s:g} s must hold a whole number of decisions, "
-            f"got `decision_interval_s` {decision_interval_s}"
-        )
-    return repeat
-
-
 TARGETS = ("random", "worst")  # target directions that are no number
 BETWEEN = ("hold", "linear")  # what is commanded between two decisions
 Run = Callable[[Callable[[int, int], None], int], None]  # calls ``f(lo, hi)`` over slices of B
@@ -135,38 +117,21 @@ class Setup(ABC):
 
     A subclass is one victim.  It calls `_phase` and `_aim`, and sets the attributes named here.
 
-    Attributes
-    ----------
-    kind : str
-        Of the victim, such as ``"snapshot"``.
-    name : str
-        Of the scenario, for results.
-    attack : Attack or RateCommands
-        What a spoofer commands.
-    detector : Detector
-        In the loop; copied for every simulator.
-    kernel : SequelKernel or None
-        What a simulator whose step is one kernel runs instead of its own.
-    monitors : tuple of Monitor
-        What looks at every epoch and changes nothing; copied for every simulator.
-    interval_s : float
-        Time between epochs.
-    epoch_time : ndarray
-        (K,) time of every epoch that an episode can come to [s].
-    true_position, C_en : ndarray
-        (K, d) where the target is at every epoch [m], and (K, d, d) to those axes from local north,
-        east (and down).
-    quiet, live, steps, hold : int
-        Epochs of the filter-only warm-up, the monitored warm-up, the command phase, and
-        the time to alert; `onset` is the sum of the first two, `repeat` epochs make a decision.
-    bounds : Bounds
-        What an episode chooses from.
-    motion_names, error_names, weight_names, geometry_names : tuple of str
-        Elements of what a simulator of this victim writes as motion of the target, error of the
-        estimate, weights and geometry.
-    scales : dict
-        What the default observation takes for 1: ``"length_m"`` of displacements and errors, by
-        what goes unnoticed of this victim; ``"position_m"`` and ``"velocity_mps"`` of the target.
+    - `kind` of the victim, such as ``"snapshot"``; `name` of the scenario, for results;
+    - `attack`: what a spoofer commands; `detector` in the loop, copied for every simulator;
+    - `kernel`: what a simulator whose step is one kernel runs instead of its own, or None;
+    - `monitors`: what looks at every epoch and changes nothing; copied for every simulator;
+    - `interval_s` between epochs; `epoch_time` (K,) of every epoch that an episode can come to [s];
+    - `true_position`, `C_en` (K, d) where the target is at every epoch [m], and (K, d, d) to those
+      axes from local north, east (and down);
+    - `quiet`, `live`, `steps`, `hold`: epochs of the filter-only warm-up, the monitored warm-up,
+      the command phase, and the time to alert; `onset` is the sum of the first two, `repeat` epochs
+      make a decision;
+    - `bounds`: what an episode chooses from;
+    - `motion_names`, `error_names`, `weight_names`, `geometry_names`: elements of what a simulator
+      of this victim writes as motion of the target, error of the estimate, weights and geometry;
+    - `scales`: what the default observation takes for 1: ``"length_m"`` of displacements and
+      errors, by what goes unnoticed of this victim; ``"position_m"`` and ``"velocity_mps"``.
     """
 
     kind: ClassVar[str]
@@ -236,13 +201,27 @@ class Setup(ABC):
 
     def _decide_every(self, decision_interval_s: float | None, between: str) -> None:
         check_choice("between", between, BETWEEN)
-        if between != "hold" and decision_interval_s is None:
-            raise ValueError(
-                f"`between` {between!r} needs a `decision_interval_s`: without one there is no "
-                "epoch between two decisions"
-            )
+        require(
+            between == "hold" or decision_interval_s is not None,
+            f"`between` {between!r} needs a `decision_interval_s`: without one there is no "
+            "epoch between two decisions",
+        )
         self.decision_interval_s, self.between = decision_interval_s, between
-        self.repeat = epochs_of_decision(decision_interval_s, self.interval_s, self.steps)
+        self.repeat, interval_s = 1, self.interval_s
+        if decision_interval_s is None:
+            return
+        check_finite("decision_interval_s", decision_interval_s, "> 0")
+        self.repeat = repeat = round(decision_interval_s / interval_s)
+        require(
+            repeat >= 1 and abs(repeat * interval_s - decision_interval_s) <= 1e-6 * interval_s,
+            f"`decision_interval_s` must be a multiple of the interval between epochs, "
+            f"{interval_s:g} s, got {decision_interval_s}",
+        )
+        require(
+            self.steps % repeat == 0,
+            f"the attack window of {self.steps * interval_s:g} s must hold a whole number of "
+            f"decisions, got `decision_interval_s` {decision_interval_s}",
+        )
 
     @abstractmethod
     def world_settings(self) -> Mapping[str, Any]:
@@ -279,7 +258,14 @@ class Setup(ABC):
     def _aim(
         self, target_heading_deg: float | str, domain: Mapping[str, Any] | Domain | None
     ) -> None:
-        self.target_heading_deg = checked_target(target_heading_deg)
+        if isinstance(target_heading_deg, str):
+            check_choice("target_heading_deg", target_heading_deg, TARGETS)
+        elif not (is_number(target_heading_deg) and math.isfinite(target_heading_deg)):
+            raise ValueError(
+                f"`target_heading_deg` must be a finite number, 'random' or 'worst', got "
+                f"{target_heading_deg!r}"
+            )
+        self.target_heading_deg = target_heading_deg
         self.domain = build_record("domain", Domain, domain)
         nothing = Domain()
         for name in vars(nothing):
@@ -390,17 +376,6 @@ class Setup(ABC):
         if kernel is not None:
             other.kernel = kernel
         return other
-
-
-def checked_target(target_heading_deg: float | str) -> float | str:
-    if isinstance(target_heading_deg, str):
-        check_choice("target_heading_deg", target_heading_deg, TARGETS)
-    elif not (is_number(target_heading_deg) and math.isfinite(target_heading_deg)):
-        raise ValueError(
-            f"`target_heading_deg` must be a finite number, 'random' or 'worst', got "
-            f"{target_heading_deg!r}"
-        )
-    return target_heading_deg
 
 
 SPLITS = {  # first element of the spawn keys; 3 was once another split's

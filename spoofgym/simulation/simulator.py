@@ -128,8 +128,7 @@ class Simulator(ABC):
             warmup_alarm=np.zeros(b, dtype=np.bool_),
         )
         resolve(setup.detector, setup)
-        readers = setup.detector, *setup.monitors
-        self.fields = setup.fields.union(*map(check_needs, readers))
+        self.fields = setup.fields.union(*map(check_needs, (setup.detector, *setup.monitors)))
         self._allocate()
         self.ones = np.ones((receivers, len(self._context().noise_variance)))
         self.weights, self.verdict = self.ones, None
@@ -257,12 +256,12 @@ class Simulator(ABC):
         setup = self.setup
         self._check_has(detector)
         late = detector.needs - self.fields
-        if late:
-            raise ValueError(
-                f"{type(detector).__name__} needs {', '.join(sorted(late))}, but the fields of the "
-                "epochs are fixed when a simulator is made: a monitor that binds detectors must "
-                "have what they need in its own `needs`"
-            )
+        require(
+            not late,
+            f"{type(detector).__name__} needs {', '.join(sorted(late))}, but the fields of the "
+            "epochs are fixed when a simulator is made: a monitor that binds detectors must "
+            "have what they need in its own `needs`",
+        )
         resolve(detector, setup)
         detector.bind(self._context())
         if setup.live < detector.memory_epochs:
@@ -283,11 +282,11 @@ class Simulator(ABC):
 
     def _check_has(self, reader: Detector | Monitor) -> None:
         missing = reader.needs - self.setup.has
-        if missing:
-            raise ValueError(
-                f"{type(reader).__name__} needs {', '.join(sorted(missing))}, which "
-                f"{self.setup.whose} does not have"
-            )
+        require(
+            not missing,
+            f"{type(reader).__name__} needs {', '.join(sorted(missing))}, which "
+            f"{self.setup.whose} does not have",
+        )
 
     def monitor(self, kind: type[M]) -> M:
         for monitor in self.monitors:
@@ -433,7 +432,6 @@ class Simulator(ABC):
         )
 
     def _displacement_ne(self) -> FloatArray | None:
-        """(2,) what the first receiver's spoofer has commanded; None where it is no position."""
         axes = [name.rsplit("_", 1)[0] for name in self.setup.action_names]
         if not {"north", "east"} & set(axes):
             return None
@@ -469,7 +467,6 @@ class Simulator(ABC):
         return within if self.clean is None else np.where(self.clean[:, None], 0.0, within)
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
-        """Take over receivers `rows` of another simulator, with all that they remember."""
         self.memory.copy_rows(to, other.memory, rows)
         self.detector.memory.copy_rows(to, other.detector.memory, rows)
         if self.monitors:  # nobody monitors a clean twin

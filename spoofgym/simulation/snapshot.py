@@ -33,7 +33,6 @@ from .setup import RateCommands, Run, Setup, Timeline
 from .simulator import FloatArray, SkyData, Written
 
 AXES = ("north", "east", "down", "clock")
-DEFAULT_TIMELINE = {"warmup_s": 10.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 10.0}
 CLOCK_SD = (1e4, 10.0)  # standard deviation of the receiver's clock offset [m] and drift [m/s]
 
 
@@ -80,7 +79,12 @@ class SnapshotSetup(Setup):
     domain_names: ClassVar[frozenset[str]] = frozenset(
         {"turned_deg", "constellation_time_s", "worlds", "world_seed"}
     )
-    usual_timeline = DEFAULT_TIMELINE
+    usual_timeline: ClassVar[Mapping[str, float] | None] = {
+        "warmup_s": 10.0,
+        "live_s": 10.0,
+        "attack_s": 60.0,
+        "time_to_alert_s": 10.0,
+    }
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"position_{axis}" for axis in AXES[:3])
 
@@ -104,8 +108,10 @@ class SnapshotSetup(Setup):
     ) -> None:
         check_finite("interval_s", interval_s, "> 0")
         check_finite("noise_m", noise_m, "> 0")
-        if not isinstance(satellites, int | np.integer) or satellites < 4:
-            raise ValueError(f"`satellites` must be a whole number >= 4, got {satellites!r}")
+        require(
+            isinstance(satellites, int | np.integer) and satellites >= 4,
+            f"`satellites` must be a whole number >= 4, got {satellites!r}",
+        )
         check_finite("speed_mps", speed_mps)
         check_finite("heading_deg", heading_deg)
         self.name = self.kind
@@ -157,10 +163,10 @@ def _which(spoofed: int | Sequence[int], satellites: int) -> int | list[int]:
             f"`spoofed` must be within 0..{satellites}, the number of satellites, got {spoofed}",
         )
         return int(spoofed)
-    if isinstance(spoofed, float | str):
-        raise ValueError(
-            f"`spoofed` must be a whole number of satellites, or a list of slots, got {spoofed!r}"
-        )
+    require(
+        not isinstance(spoofed, float | str),
+        f"`spoofed` must be a whole number of satellites, or a list of slots, got {spoofed!r}",
+    )
     slots = [int(j) for j in spoofed]
     require(
         len(set(slots)) >= len(slots) and all(0 <= j < satellites for j in slots),
@@ -289,7 +295,6 @@ class SnapshotSimulator(RateSimulator):
         return np.asarray(np.einsum("bni,ij->bnj", apart, sky.C_en))
 
     def geometry(self, out: NDArray[np.float32]) -> None:
-        """Write lines of sight, then 1 or 0 for spoofed or not."""
         n = len(self.setup.weight_names)
         out[:, : 3 * n] = self.lines_of_sight_n().reshape(self.receivers, -1)
         out[:, 3 * n :] = self.memory["spoofed"]

@@ -121,7 +121,6 @@ class Workers:
             raise
 
     def close(self) -> None:
-        """End the threads, and wait for them; what needs them later starts new ones."""
         threads = self._threads
         self._stop()
         for thread in threads:

@@ -39,7 +39,6 @@ from .domain import Choice, Combinations, Domain, worlds_of
 from .setup import Run, SequelKernel, Setup, Timeline
 from .simulator import FloatArray, Rngs, Rows, Sequel, Simulator, SkyData
 
-DEFAULT_ATTACK = "false-position"
 # Victims by name: the noise that they assume as the papers print it, or as the world has it.
 RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in TUNINGS}
 # fields of an epoch that an augmented filter works on, and those that it has itself
@@ -59,19 +58,8 @@ ATTACK_FORMS: dict[type, int] = {
 class TightlyCoupledSetup(Setup):
     """World, victim, attack and detector of tightly coupled receivers.
 
-    The settings are those of `spoofgym.envs.SpoofEnv`; all fit into JSON, or are objects.
-
-    Attributes
-    ----------
-    world : World
-        All worlds of the domain, one after the other.
-    combinations : Combinations
-        Of world, sensors and errors.
-
-    Raises
-    ------
-    ValueError
-        When a setting is unknown or out of range, or the run is shorter than the episode.
+    The settings are those of `spoofgym.envs.SpoofEnv`; all fit into JSON, or are objects. `world`:
+    all worlds of the domain, one after the other; `combinations` of world, sensors and errors.
     """
 
     kind: ClassVar[str] = "tightly-coupled"
@@ -95,7 +83,7 @@ class TightlyCoupledSetup(Setup):
         *,
         scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
         detector: str | Mapping[str, Any] | Detector | None = None,
-        attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
+        attack: str | Mapping[str, Any] | Attack = "false-position",
         receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         domain: Mapping[str, Any] | Domain | None = None,
@@ -126,8 +114,7 @@ class TightlyCoupledSetup(Setup):
         self.epochs_each = self.world.epochs // self.bounds.worlds
         self.mappings = np.zeros(0)
         if cases.with_signals:
-            elevation = self.world.elevation
-            self.mappings = mappings_of(elevation, self.interval_s, self.epochs_each)
+            self.mappings = mappings_of(self.world.elevation, self.interval_s, self.epochs_each)
         slots = [f"slot{s:02d}" for s in range(self.world.channels)]
         self.weight_names = tuple(slots)
         self.geometry_names = (
@@ -143,8 +130,7 @@ class TightlyCoupledSetup(Setup):
         # what a domain says that the scenario has anyway is no other world
         if domain.turn_on == self.scenario.turn_on:
             domain = replace(domain, turn_on=None)
-        none = BenignEvents()
-        if domain.events is not None and domain.events == (self.scenario.events or none):
+        if domain.events is not None and domain.events == (self.scenario.events or BenignEvents()):
             domain = replace(domain, events=None)
         parts = {"receiver": self.receiver, "domain": domain}
         return {"scenario": scenario, **{name: describe(part) for name, part in parts.items()}}
@@ -159,7 +145,6 @@ class TightlyCoupledSetup(Setup):
 
     @property
     def onsets(self) -> NDArray[np.int64] | None:
-        """(K,) onset of the episodes that each epoch is part of; None where the start is drawn."""
         if self.bounds.first != self.bounds.last:
             return None
         epochs = np.arange(self.world.epochs)
@@ -175,7 +160,6 @@ class TightlyCoupledSetup(Setup):
         return table
 
     def geometry_table(self) -> FloatArray:
-        """(K, 4n) unit vectors to the satellites in local axes, then 1 or 0 for visible or not."""
         world = self.world
         sight = world.satellites[:, :, :3] - world.position_e[:, None, :]
         sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
@@ -191,10 +175,9 @@ class TightlyCoupledSetup(Setup):
         few = np.argwhere(seen[:, bounds.first : bounds.last + 1] < FIRST_FIX)
         if len(few):
             world, epoch = few[0]
-            time = self.world.epoch_time[bounds.first + epoch]
             raise ValueError(
                 f"a first fix needs {FIRST_FIX} satellites; world {world} of the domain has fewer "
-                f"at {time:g} s"
+                f"at {self.world.epoch_time[bounds.first + epoch]:g} s"
             )
 
 
@@ -553,8 +536,7 @@ class TightlyCoupledSimulator(Simulator):
     def live_epochs(self, count: int, *, holding: bool = False) -> NDArray[np.bool_]:
         detector = self._compiled_detector()
         form = self._compiled_attack() if holding else _kernels.NO_FORM
-        in_python = holding and form == _kernels.NO_FORM
-        if in_python or not count or detector == _kernels.NO_FORM:
+        if not count or (holding and form == _kernels.NO_FORM) or detector == _kernels.NO_FORM:
             return super().live_epochs(count, holding=holding)
         if len(self._history) < count:
             self._history = np.zeros((count, self.receivers), dtype=np.bool_)
@@ -600,8 +582,7 @@ class TightlyCoupledSimulator(Simulator):
                 self.advance()
                 self._correct(None)
             return
-        part = partial(self._epochs, ADVANCE + UPDATE + SHOW, count=count)
-        self._run(part, self.receivers)
+        self._run(partial(self._epochs, ADVANCE + UPDATE + SHOW, count=count), self.receivers)
 
     def error_n(self) -> FloatArray:
         world = self.setup.world

@@ -167,7 +167,6 @@ def function_of(model: Any) -> Function:
 
 
 def refuse_state(policy: Any) -> None:
-    """Raise for a policy of stable-baselines3 that remembers, since nobody keeps its state."""
     if hasattr(policy, "lstm_actor"):
         raise ValueError(
             f"{type(policy).__name__} is recurrent: it needs its state from step to step, which "

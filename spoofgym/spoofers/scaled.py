@@ -18,7 +18,6 @@ OWN = ("own_displacement", "own_rate")  # first words of what a spoofer observes
 
 
 def own_columns(names: tuple[str, ...]) -> list[int]:
-    """Elements of an observation that are the spoofer's own commands so far."""
     return [k for k, name in enumerate(names) if name.startswith(OWN)]
 
 

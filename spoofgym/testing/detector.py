@@ -148,7 +148,6 @@ class _DetectorTrial(Trial[Detector]):
 
 
 def judged_traced(detector: Detector, epoch: TracedEpoch) -> Verdict:
-    """Verdict of a detector that reads no more than it declares; an AssertionError otherwise."""
     try:
         verdict = detector.judge(epoch)
     except UndeclaredFieldError as error:  # of a detector in a pool

@@ -474,41 +474,28 @@ def measure_snapshot(
 
 @njit
 def measure_odometry(
-    keys,
-    epoch,
-    first,
-    left,
-    right,
-    yaw,
-    samples,
-    count_m,
-    hard_iron,
-    yaw_sd,
-    phase,
-    noise,
-    last_yaw,
-    increment,
+    keys, epoch, first, left, right, yaw, samples, count_m, iron, yaw_sd, phase, noise, last, moved
 ):
     """Dead reckoning since the last epoch.
 
     `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
     that at which the episode starts; `left`, `right`, `yaw` (N+1,) way of the wheels [m] and true
     heading [rad] at every sample; `phase` (B, 2) phases of the encoders; `noise` (`BLOCK`,), work
-    space; `last_yaw` (B,) measured heading of the last sample [rad], overwritten; `increment`
-    (B, 2) north and east [m], written; 0 at the start.
+    space; `last` (B,) measured heading of the last sample [rad], overwritten; `moved` (B, 2) north
+    and east [m], written; 0 at the start.
     """
     for b in range(epoch.shape[0]):
         k = epoch[b]
         normals(keys[b, 0, 0], keys[b, 0, 1], k, noise)
         north, east = 0.0, 0.0
-        before = last_yaw[b]
+        before = last[b]
         if k == first[b]:
             now = yaw[k * samples]
-            before = now - hard_iron * math.sin(now) + yaw_sd * noise[0]
+            before = now - iron * math.sin(now) + yaw_sd * noise[0]
         else:
             for s in range(samples):
                 i = (k - 1) * samples + s
-                now = yaw[i + 1] - hard_iron * math.sin(yaw[i + 1]) + yaw_sd * noise[s]
+                now = yaw[i + 1] - iron * math.sin(yaw[i + 1]) + yaw_sd * noise[s]
                 counts = math.floor(left[i + 1] / count_m + phase[b, 0])
                 counts -= math.floor(left[i] / count_m + phase[b, 0])
                 counts += math.floor(right[i + 1] / count_m + phase[b, 1])
@@ -517,24 +504,13 @@ def measure_odometry(
                 north += way * math.cos(mid)
                 east += way * math.sin(mid)
                 before = now
-        last_yaw[b] = before
-        increment[b, 0], increment[b, 1] = north, east
+        last[b] = before
+        moved[b, 0], moved[b, 1] = north, east
 
 
 @njit
 def measure_fix(
-    keys,
-    epoch,
-    first,
-    position_ne,
-    available,
-    correlated_sd,
-    decay,
-    white_sd,
-    offset,
-    noise,
-    correlated,
-    fix,
+    keys, epoch, first, position_ne, available, sd, decay, white_sd, offset, noise, correlated, fix
 ):
     r"""GNSS positions.
 
@@ -543,9 +519,10 @@ def measure_fix(
 
     `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
     that at which the episode starts; `position_ne` (K, 2) true position at every epoch [m];
-    `available` (L,) whether there is a fix at all, from the start on; `offset` (B, 2) what the
-    spoofer adds [m]; `noise` (`BLOCK`,), work space; `correlated` (B, 2) Gauss-Markov error [m],
-    overwritten; `fix` (B, 2) north and east [m], written; NaN where there is none.
+    `available` (L,) whether there is a fix at all, from the start on; `sd` of the correlated error
+    [m]; `offset` (B, 2) what the spoofer adds [m]; `noise` (`BLOCK`,), work space; `correlated` (B,
+    2) Gauss-Markov error [m], overwritten; `fix` (B, 2) north and east [m], written; NaN where
+    there is none.
     """
     drive = math.sqrt(1.0 - decay * decay)
     for b in range(epoch.shape[0]):
@@ -553,9 +530,9 @@ def measure_fix(
         normals(keys[b, 1, 0], keys[b, 1, 1], k, noise)
         for axis in range(2):
             if k == first[b]:
-                correlated[b, axis] = correlated_sd * noise[axis]
+                correlated[b, axis] = sd * noise[axis]
             else:
-                fresh = drive * correlated_sd * noise[axis]
+                fresh = drive * sd * noise[axis]
                 correlated[b, axis] = decay * correlated[b, axis] + fresh
             error = correlated[b, axis] + white_sd * noise[2 + axis]
             fix[b, axis] = position_ne[k, axis] + error + offset[b, axis]
@@ -663,7 +640,6 @@ def invert_samples(step, position_e, velocity_e, C_eb, specific_force_b, angular
         specific_force_b[i, 0] = (k00 * ex + k01 * ey + k02 * ez) / determinant
         specific_force_b[i, 1] = (k10 * ex + k11 * ey + k12 * ez) / determinant
         specific_force_b[i, 2] = (k20 * ex + k21 * ey + k22 * ez) / determinant
-        angular_rate_b[i, 0] = ax / step
-        angular_rate_b[i, 1] = ay / step
-        angular_rate_b[i, 2] = az / step
+        rate = angular_rate_b[i]
+        rate[0], rate[1], rate[2] = ax / step, ay / step, az / step
     return largest

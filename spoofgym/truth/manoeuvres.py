@@ -275,8 +275,6 @@ def fly(
 
 @dataclass(frozen=True)
 class _Placed:
-    """A pulse, the axis it acts on and the time at which it begins [s]."""
-
     axis: Axis
     start: float
     pulse: Pulse

@@ -136,8 +136,7 @@ def normal_pair(word: np.uint64) -> tuple[float, float]:
     a = select(odd, sine, cosine)
     b = select(odd, cosine, sine)
     signed_a = select(odd ^ upper, -radius, radius)
-    signed_b = select(upper, -radius, radius)
-    return signed_a * a, signed_b * b
+    return signed_a * a, select(upper, -radius, radius) * b
 
 
 @inlined

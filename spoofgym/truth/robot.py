@@ -141,11 +141,10 @@ class RobotLoop:
         curved = self._moved(first, s, True)
         corner = (piece % 2 == 1)[:, None]
         yaw = first + np.where(piece % 2 == 1, s / self.corner_radius_m, 0.0)
-        direction = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
         return RobotTrack(
             time=time,
             position_ne=starts[piece] + np.where(corner, curved, straight),
-            velocity_ne=self.speed_mps * direction,
+            velocity_ne=self.speed_mps * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1),
             yaw=yaw + 2.0 * math.pi * lap,
             distance=distance,
         )

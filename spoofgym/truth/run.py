@@ -122,16 +122,17 @@ def build_world(
     time = trajectory.time
     step = time[1] - time[0]
     per_epoch = round(epoch_interval_s / step)
-    if per_epoch < 1 or abs(per_epoch * step - epoch_interval_s) > 1e-6 * step:
-        raise ValueError(
-            f"`epoch_interval_s` must be a multiple of the sample interval {step:g} s, "
-            f"got {epoch_interval_s}"
-        )
+    require(
+        per_epoch >= 1 and abs(per_epoch * step - epoch_interval_s) <= 1e-6 * step,
+        f"`epoch_interval_s` must be a multiple of the sample interval {step:g} s, "
+        f"got {epoch_interval_s}",
+    )
     require(4 <= channels <= 32, f"`channels` must be 4 to 32, got {channels}")
     require(0.0 <= mask_deg <= 60.0, f"`mask_deg` must be 0 to 60, got {mask_deg}")
     epoch_end = np.arange(0, len(time), per_epoch, dtype=np.int64)
-    if len(epoch_end) < 2:
-        raise ValueError(f"a run of {time[-1]:g} s holds no epoch of {epoch_interval_s:g} s")
+    require(
+        len(epoch_end) >= 2, f"a run of {time[-1]:g} s holds no epoch of {epoch_interval_s:g} s"
+    )
     position_e = trajectory.position_e[epoch_end]
     velocity_e = trajectory.velocity_e[epoch_end]
     states = constellation.states(time[epoch_end])
@@ -201,7 +202,6 @@ def _choose(visible: NDArray[np.bool_], channels: int) -> list[int]:
     return sorted(int(i) for i in longest if epochs[i] > 0)
 
 
-_GRID = 1e-9
 SOURCES = 3  # of chance; each has a key of its own in every episode
 
 
@@ -290,10 +290,10 @@ class LooseWorld:
 def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
     step = trajectory.step
     each = round(interval_s / step)
-    if each < 1 or abs(each * step - interval_s) > _GRID:
-        raise ValueError(
-            f"`interval_s` must be a multiple of the inertial sensors' {step:g} s, got {interval_s}"
-        )
+    require(
+        each >= 1 and abs(each * step - interval_s) <= 1e-9,
+        f"`interval_s` must be a multiple of the inertial sensors' {step:g} s, got {interval_s}",
+    )
     latitude, longitude, _ = trajectory.geodetic
     north, east, down = np.moveaxis(dcm_e_from_n(latitude, longitude), -1, 0)[:, ::each]
     samples = np.hstack([trajectory.specific_force_b, trajectory.angular_rate_b])

@@ -22,7 +22,6 @@ from .noise import BLOCK, normals, padded
 from .signal_errors import FloatArray, SignalErrors, begin_signals, signal_shapes
 
 _DEG_PER_HOUR = DEGREE / 3600.0
-_DEG_PER_ROOT_HOUR = DEGREE / 60.0
 
 Rows = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
@@ -74,14 +73,12 @@ class ImuGrade(NamedTuple):
         return np.array(
             [
                 self.accel_noise_ug_per_rthz * MICRO_G,
-                self.gyro_noise_deg_per_rth * _DEG_PER_ROOT_HOUR,
+                self.gyro_noise_deg_per_rth * (DEGREE / 60.0),
                 self.accel_quantization,
                 self.gyro_quantization,
             ]
         )
 
-
-_ZERO: Rows = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 IMU_GRADES: dict[str, ImuGrade] = {  # sensor errors by grade (`groves2013`, the book's software)
     "aviation": ImuGrade(
@@ -90,7 +87,7 @@ IMU_GRADES: dict[str, ImuGrade] = {  # sensor errors by grade (`groves2013`, the
         gyro_bias_deg_per_h=(-0.0009, 0.0013, -0.0008),
         accel_matrix_ppm=((100.0, -120.0, 80.0), (-60.0, -120.0, 100.0), (-100.0, 40.0, 90.0)),
         gyro_matrix_ppm=((8.0, -120.0, 100.0), (0.0, -6.0, -60.0), (0.0, 0.0, -7.0)),
-        gyro_g_dependence=_ZERO,
+        gyro_g_dependence=((0.0, 0.0, 0.0),) * 3,
         accel_noise_ug_per_rthz=20.0,
         gyro_noise_deg_per_rth=0.002,
         accel_quantization=5e-5,

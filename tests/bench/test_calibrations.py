@@ -2,16 +2,26 @@
 
 import json
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
-from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
+from spoofgym.bench.experiments import Interrupted
+from spoofgym.bench.experiments.calibration import (
+    ResumablePlayer,
+    calibrate,
+    calibrate_entries,
+    hold_out,
+)
 from spoofgym.bench.experiments.campaign import run_campaign
 from spoofgym.bench.experiments.suite import Suite
+from spoofgym.bench.runs.world import World
+from spoofgym.calibration import clean_runs, holdouts
 from spoofgym.calibration import thresholds as calibration
 from spoofgym.cli import app
+from spoofgym.core.progress import no_progress
 from spoofgym.detectors import SnapshotChi2, calibrated
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 
@@ -39,9 +49,15 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
     suite = small({"name": name, "false_alarms_per_hour": 20.0}, "never")
     with pytest.raises(ValueError, match=r"detector Toy.* does not fit .*there is no calibration"):
         suite.check_fit()
-    assert missing_runs(suite.world, suite.detector_entries) == 60
-    calibrate_entries(suite.world, suite.detector_entries)
-    assert missing_runs(suite.world, suite.detector_entries) == 0
+    totals = []
+
+    def bar(total):
+        totals.append(total)
+        return no_progress(total)
+
+    for _ in range(2):
+        calibrate_entries(suite.world, suite.detector_entries, progress=bar)
+    assert totals == [60]
     suite.check_fit()
     (caption,) = suite.captions
     assert caption == (
@@ -54,6 +70,39 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
     folder = run_campaign(suite, tmp_path / "results", threads=1)
     assert folder.runs("Toy(false_alarms_per_hour=20)", "none").runs == 4
     calibrate_entries(suite.world, suite.detector_entries)  # replays what is there
+
+
+def test_killed_calibrations_and_hold_outs_go_on(tmp_path, monkeypatch):
+    """From the runs that they have played, with the same counts; they leave nothing behind."""
+    setup, specs = World.of(timeline=SHORT).setup, ["snapshot-chi2", "cusum"]
+    asked = {"false_alarms_per_hour": 20.0, "runs": 40, "threads": 1}
+    whole = calibration.calibrate(setup, specs, **asked, folder=tmp_path / "whole")
+    counted = holdouts.hold_out(setup, whole, specs, **asked)
+    played, left = [], tmp_path / "own" / "unfinished"
+
+    def until_killed(*given):
+        played.append(given)
+        if len(played) == 3:
+            raise KeyboardInterrupt
+        return play(*given)
+
+    play = clean_runs._play
+    monkeypatch.setattr(clean_runs, "_play", until_killed)
+    asked["player"] = partial(ResumablePlayer, chunk=8)
+    for function, given in (
+        (calibrate, {**asked, "folder": tmp_path / "again"}),
+        (partial(hold_out, calibrations=whole), asked),
+    ):
+        played.clear()
+        with pytest.raises(Interrupted, match="2 of 5 cells are finished"):
+            function(setup, detectors=specs, **given)
+        (folder,) = left.iterdir()
+        assert len(list((folder / "cells").iterdir())) == 2
+        before = len(played)
+        found = function(setup, detectors=specs, **given)
+        assert found in (whole, counted)
+        assert len(played) - before == 3
+        assert not list(left.iterdir())
 
 
 def test_specs_say_what_is_asked_of_thresholds(monkeypatch):

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from typing import Any
 
+import cloudpickle
 import numpy as np
 import pytest
 
-from spoofgym.bench.experiments import dataset as module
-from spoofgym.bench.experiments.dataset import FAMILIES, PARTS, Plan, load, play, write
-from spoofgym.bench.experiments.dataset_files import MANIFEST
+from spoofgym.bench.experiments import Interrupted, Store, run
+from spoofgym.bench.experiments.dataset import PARTS, Plan, load
+from spoofgym.bench.experiments.training_attacks import FAMILIES
 from spoofgym.bench.report.tasks import optima_of
 from spoofgym.bench.runs.world import World
 from spoofgym.simulation.setup import SPLITS, seeds_of_runs
 from spoofgym.spoofers import make_spoofer
 from spoofgym.tasks import TASKS
 
+from .experiments.support import content
 from .support import SHORT, small_suite, write_policy
 
 SIZES = {"train": 5, "validation": 2, "test": 2}
@@ -33,14 +34,8 @@ def plan(**changes: Any) -> Plan:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Any:
     path = tmp_path_factory.mktemp("data") / "set"
-    write(path, plan(), threads=1)
+    run(plan(), Store(path), threads=1)
     return path
-
-
-def content(path: Any) -> dict[str, str]:
-    return {
-        file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(path.iterdir())
-    }
 
 
 def test_an_episode_has_its_observations_label_and_displacement(folder: Any) -> None:
@@ -84,40 +79,35 @@ def test_runs_of_all_splits_have_noise_of_their_own(folder: Any) -> None:
     assert len(keys) == len(SPLITS) * 9
 
 
-def test_a_run_is_the_same_in_any_shard_and_number_of_threads(folder: Any, tmp_path: Any) -> None:
+def test_a_run_is_the_same_in_any_file_thread_and_process(folder: Any, tmp_path: Any) -> None:
     found = load(folder).episodes("train")
-    alone = play(plan(), "train", [3])
-    for mine, theirs in zip(alone, found, strict=True):
-        assert (mine == theirs[6:8]).all()
-    write(tmp_path / "again", plan(), threads=2)
+    for given in (plan(), cloudpickle.loads(cloudpickle.dumps(plan()))):
+        for mine, theirs in zip(given.play("train", [3]), found, strict=True):
+            assert (mine == theirs[6:8]).all()
+    run(plan(), Store(tmp_path / "again"), threads=2)
     assert content(tmp_path / "again") == content(folder)
 
 
-def test_a_killed_process_comes_to_the_same_bytes(
+def test_a_killed_process_goes_on(
     folder: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    played = module.play
-    calls: list[Any] = []
+    play, calls = Plan.play, []
 
-    def until_killed(*given: Any) -> Any:
-        calls.append(given[1:3])
+    def until_killed(self: Plan, *given: Any) -> Any:
+        calls.append(given[:2])
         if len(calls) == 3:
             raise KeyboardInterrupt
-        return played(*given)
+        return play(self, *given)
 
-    monkeypatch.setattr(module, "play", until_killed)
-    with pytest.raises(KeyboardInterrupt):
-        write(tmp_path, plan(), threads=1)
-    kept, before = content(tmp_path), len(calls)  # a shard more may have been begun
-    assert kept
-    assert MANIFEST not in kept
-    with pytest.raises(ValueError, match="not finished"):
-        load(tmp_path)
-    cut = next(tmp_path.glob("train-*.npz"))
-    cut.write_bytes(cut.read_bytes()[:-100])  # torn
-    write(tmp_path, plan(), threads=1)
+    monkeypatch.setattr(Plan, "play", until_killed)
+    with pytest.raises(Interrupted, match="2 of 5 cells are finished"):
+        run(plan(), Store(tmp_path), threads=1)
+    with pytest.raises(ValueError, match=r"train-0002.npz is missing: `spoofgym dataset`"):
+        load(tmp_path).episodes("train")
+    before = len(calls)
+    run(plan(), Store(tmp_path), threads=1)
+    assert len(calls) - before == 3
     assert content(tmp_path) == content(folder)
-    assert len(calls) - before == 5 - len(kept) + 1
 
 
 def test_attacks_of_all_families_are_drawn_and_some_are_hard_to_see() -> None:
@@ -171,7 +161,7 @@ def test_feedback_sees_its_detector_and_a_spoofer_may_be_a_file(tmp_path: Any) -
         spoofers=[{"name": str(tmp_path / "mine.onnx")}],
         runs={"train": 6},
     )
-    found = play(given, "train", range(6))
+    found = given.play("train", range(6))
     assert set(found.family[~found.clean].tolist()) == {0, 1}
     assert (found.displacement_m[~found.clean].max(axis=1) > 0.0).all()
 
@@ -184,7 +174,8 @@ def test_a_spoofer_that_decides_seldom_does_so_in_a_data_set(tmp_path: Any) -> N
     rates = {}
     for name in ("late", "often"):
         spoofers = [{"name": str(tmp_path / f"{name}.onnx")}]
-        found = play(plan(families=[], spoofers=spoofers, runs={"train": 6}), "train", range(6))
+        given = plan(families=[], spoofers=spoofers, runs={"train": 6})
+        found = given.play("train", range(6))
         rates[name] = found.displacement_m[~found.clean]
     # the first decision is a line from nothing: (1 + ... + 5) / 5 epochs instead of 5 of them
     assert 0.0 < rates["late"].max() < rates["often"].max()
@@ -221,67 +212,35 @@ def test_bad_plans_are_refused(changes: dict[str, Any], message: str) -> None:
         plan(**changes)
 
 
-def test_another_format_a_damaged_shard_and_a_strange_manifest_are_refused(tmp_path: Any) -> None:
-    small = plan(runs={"train": 2, "test": 1})
-    write(tmp_path, small, threads=1)
-    manifest = json.loads((tmp_path / MANIFEST).read_text())
-
-    def changed(**fields: Any) -> None:
-        (tmp_path / MANIFEST).write_text(json.dumps({**manifest, **fields}))
-
+def test_what_is_no_whole_data_set_is_refused(tmp_path: Any) -> None:
+    run(plan(runs={"train": 2, "test": 1}), Store(tmp_path), threads=1)
     with pytest.raises(ValueError, match="unknown split of this data set 'validation'"):
         load(tmp_path).episodes("validation")
+    cells = tmp_path / "cells"
+    (cells / "train-0000.npz").write_bytes((cells / "test-0000.npz").read_bytes())
+    with pytest.raises(ValueError, match=r"train-0000.npz is another cell"):
+        load(tmp_path).episodes("train")
+    load(tmp_path).episodes("test")
+    config = json.loads((tmp_path / "config.json").read_text())
     for fields, message in (
         ({"format": 2}, "has the format 2"),
-        ({"kind": "something"}, "no manifest of a data set"),
-        ({"config": {**manifest["config"], "entropy": 7}}, "do not have its digest"),
+        ({"experiment": "game"}, "holds the experiment 'game' and not 'dataset'"),
     ):
-        changed(**fields)
+        (tmp_path / "config.json").write_text(json.dumps({**config, **fields}))
         with pytest.raises(ValueError, match=message):
             load(tmp_path)
-    (tmp_path / MANIFEST).write_text("{")
-    with pytest.raises(ValueError, match="damaged"):
-        load(tmp_path)
-    changed()
-    shard = tmp_path / "train-0000.npz"
-    whole = shard.read_bytes()
-    shard.write_bytes(whole[:-1] + b"x")
-    with pytest.raises(ValueError, match="SHA-256"):
-        load(tmp_path).episodes("train")
-    shard.write_bytes((tmp_path / "test-0000.npz").read_bytes())
-    swapped = hashlib.sha256(shard.read_bytes()).hexdigest()
-    lines = {**manifest["shards"], "train": [{**manifest["shards"]["train"][0], "sha256": swapped}]}
-    changed(shards=lines)
-    with pytest.raises(ValueError, match="does not fit the manifest"):
-        load(tmp_path).episodes("train")
-    shard.unlink()
-    for ask in (load(tmp_path).episodes, load(tmp_path).check):
-        with pytest.raises(ValueError, match="is missing"):
-            ask("train")
-    load(tmp_path).check("test")
-    (tmp_path / "test-0000.npz").write_bytes(b"x")
-    with pytest.raises(ValueError, match="SHA-256"):
-        load(tmp_path).check("test")
+    with pytest.raises(ValueError, match=r"there is no config\.json"):
+        load(cells)
 
 
-def test_a_folder_of_something_else_is_left_alone(folder: Any, tmp_path: Any) -> None:
-    (tmp_path / "mine.txt").write_text("keep")
-    with pytest.raises(ValueError, match=r"no data set \(mine.txt\)"):
-        write(tmp_path, plan(), threads=1)
-    (tmp_path / "mine.txt").unlink()
-    other = plan(entropy=1, runs={"train": 1})
-    write(tmp_path, other, threads=1)
-    with pytest.raises(ValueError, match="holds another data set"):
-        write(tmp_path, plan(), threads=1)
-    assert load(tmp_path).manifest["digest"] == other.digest
-    write(tmp_path, plan(), threads=1, overwrite=True)
-    assert content(tmp_path) == content(folder)
-
-
-def test_a_file_of_somebody_else_is_not_overwritten(tmp_path: Any) -> None:
-    """It only has the name of a shard."""
-    mine = tmp_path / "train-0000.npz"
-    mine.write_text("mine")
-    with pytest.raises(ValueError, match=r"holds another data set \(train-0000.npz\)"):
-        write(tmp_path, plan(), threads=1)
-    assert mine.read_text() == "mine"
+def test_a_data_set_of_other_code_can_still_be_read(folder: Any, tmp_path: Any) -> None:
+    other = plan(runs={"test": 1})
+    run(other, Store(tmp_path), threads=1)
+    config = json.loads((tmp_path / "config.json").read_text())
+    config["code"]["numpy"] = "1.0"
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    assert load(tmp_path).config == load(folder).config | {
+        name: load(tmp_path).config[name] for name in ("runs", "splits")
+    }
+    with pytest.raises(ValueError, match=r"code.numpy: '1.0', not"):
+        run(other, Store(tmp_path))

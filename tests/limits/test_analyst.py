@@ -5,11 +5,13 @@ import copy
 import numpy as np
 import pytest
 
-from spoofgym.limits import Analyst, Commands, analyst, frontier_of
+from spoofgym.limits import Analyst, Commands, floor, frontier_of
 from spoofgym.limits.floor import world_frontier
 from spoofgym.limits.linear import observer
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.setup import generators_of, seeds_of_runs
+
+from .toy import best_commands, rates_of
 
 DRAWN = {"turn_on": "drawn"}
 EAST = np.array([0.0, 1.0])
@@ -32,7 +34,7 @@ def every_channel(run):
     offsets = np.zeros((epochs, m, int(seen.sum())))
     for column, (k, i) in enumerate(np.argwhere(seen)):
         offsets[k, i, column] = 1.0
-    return Commands(offsets, np.zeros((epochs, m)), 1, None, 1.0, 1.0, False)
+    return Commands(offsets, np.zeros((epochs, m)), 1, None, 1.0, 1.0)
 
 
 @pytest.mark.parametrize("sensors_known", [False, True])
@@ -53,7 +55,7 @@ def test_where_every_channel_is_free_the_frontier_is_the_spread_of_a_coasting_tw
     really, coasting = found()
     assert np.abs(really - coasting).max() < 0.01 * np.trace(coasting)
     # in a world that is the filter's own they are the same to all digits
-    monkeypatch.setattr(analyst, "as_it_happens", lambda run, world: run)
+    monkeypatch.setattr(floor, "as_it_happens", lambda run, world: run)
     np.testing.assert_allclose(*found(), rtol=1e-6)
 
 
@@ -133,8 +135,8 @@ def test_best_commands_shift_the_statistic_by_d_and_the_victim_to_the_frontier()
         detector="never", domain=DRAWN, attack={"name": "false-position", "control": "rate"}
     )
     found = frontier_of(setup).one
-    u = found.best(EAST, d)
-    rates = found.commands.rates @ u
+    u = best_commands(found, EAST, d)
+    rates = rates_of(found.commands) @ u
     actions = rates / setup.attack.rate_limit_mps
     shift = found.whitened @ u
     assert np.linalg.norm(shift) == pytest.approx(d)
@@ -172,8 +174,8 @@ def test_a_shift_of_the_analyst_is_that_of_its_filter_on_the_simulator(scenario)
         timeline=line,
     )
     found, d = frontier_of(setup).one, 2.0
-    u = found.best(EAST, d)
-    actions = found.commands.rates @ u / setup.attack.rate_limit_mps
+    u = best_commands(found, EAST, d)
+    actions = rates_of(found.commands) @ u / setup.attack.rate_limit_mps
     both = []
     for each in (actions, np.zeros_like(actions)):
         analyst = Analyst(setup).begun(rngs_of(setup, 1))

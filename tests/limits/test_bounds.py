@@ -62,7 +62,7 @@ def test_the_rates_of_a_bound_raise_the_statistic_to_the_threshold_and_no_furthe
     attacker = case.attacker
     u = found.rates_mps[0]
     replay = Replay(setup, [detector], seed_sequences(0, "training", setup.name, 1))
-    rates = attacker.profile(u)[:, 0]
+    rates = attacker.rates @ u
     assert np.abs(rates).max() <= setup.attack.rate_limit_mps * (1.0 + 1e-6)
     moved = replay.errors(rates[None], np.array([0]))[setup.steps - 1, 0, 0]
     assert moved == pytest.approx(found.restricted_m, rel=0.01)

@@ -11,6 +11,8 @@ from spoofgym.limits.linear import hat_functions
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.simulator import run_serially
 
+from .toy import rates_of
+
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0}
 LATE = {"delay_s": 6.0, "alignment_m": None}
 ATTACKS = {
@@ -106,7 +108,6 @@ def test_a_meaconer_moves_the_victim_when_it_is_idle_and_only_the_clock_when_com
     setup = setup_of(ATTACKS["meaconer"])
     commands = unit_commands(setup, at_onset(setup).onset[0])
     assert commands.heading is None
-    assert not commands.together
     world, n = setup.world, setup.world.channels
     for k in (0, 30):
         at = at_onset(setup).onset[0] + k + 1
@@ -145,7 +146,7 @@ def test_rates_are_those_of_the_commands():
     assert (commands.decisions, commands.axes) == (10, 2)
     np.testing.assert_array_equal(commands.heading, np.eye(2))
     u = np.random.default_rng(1).standard_normal(20)
-    np.testing.assert_array_equal(commands.rates @ u, u.reshape(10, 2))
+    np.testing.assert_array_equal(rates_of(commands) @ u, u.reshape(10, 2))
 
 
 def test_hat_functions_share_out_every_decision():
@@ -164,7 +165,7 @@ def test_commands_in_hats_do_what_their_rates_do():
     assert few.offsets.shape[2] == 14
     assert few.decisions == commands.decisions
     u = np.random.default_rng(2).standard_normal(14)
-    rates = few.rates @ u
+    rates = rates_of(few) @ u
     np.testing.assert_allclose(few.offsets @ u, commands.offsets @ rates.ravel(), atol=1e-10)
     assert few.in_hats(3) is few
     assert commands.in_hats(commands.decisions) is commands

@@ -1,25 +1,17 @@
-"""The frontier of one world: closed form, its end, and what limits of the attack leave of it."""
+"""The frontier of one world: closed form, and its end."""
 
 import functools
 
-import cvxpy as cp
 import numpy as np
 import pytest
 
-from spoofgym.limits import (
-    WorldFrontier,
-    deflection,
-    deflection_of_offsets,
-    frontier_of,
-    unit_commands,
-)
-from spoofgym.limits.analyst import Analyst
-from spoofgym.limits.floor import reachable, world_frontier
+from spoofgym.limits import WorldFrontier, frontier_of, unit_commands
+from spoofgym.limits.floor import Analyst, reachable, world_frontier
 from spoofgym.limits.linear import Commands, record
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.setup import generators_of, seeds_of_runs
 
-from .toy import toy_run
+from .toy import best_commands, deflection_of, toy_run
 
 EAST, NORTH = np.eye(2)[::-1]
 SHORT = {"warmup_s": 40.0, "live_s": 10.0, "attack_s": 30.0, "time_to_alert_s": 5.0}
@@ -57,7 +49,7 @@ def toy_frontier(traces):
     epochs, m = run.design.shape[:2]
     offsets = np.zeros((epochs, m, 3))
     offsets[:, : m // 2, :2] = -run.design[:, : m // 2, 6:8]
-    commands = Commands(offsets, np.zeros((epochs, m)), 3, None, 1.0, 1.0, False)
+    commands = Commands(offsets, np.zeros((epochs, m)), 3, None, 1.0, 1.0)
     found = world_frontier(commands, run, run, np.zeros((epochs, 3, 3)), epochs - 1)
     return WorldFrontier(
         commands, found.whitened * np.array(traces), found.victim, found.last, found.coasting
@@ -66,120 +58,49 @@ def toy_frontier(traces):
 
 def test_a_command_that_nobody_sees_and_that_moves_the_victim_has_no_end():
     found = toy_frontier([1.0, 1.0, 1.0])
-    assert np.isfinite(found.per_deflection()).all()
-    assert np.isinf(toy_frontier([1.0, 0.0, 1.0]).per_deflection()).all()
-    # the limits of its rate are all that holds it
-    value, u = toy_frontier([1.0, 0.0, 0.0]).limited(EAST, 1e3)
-    assert np.abs(u[:2]) == pytest.approx(1.0)
-    assert value == pytest.approx(np.abs(EAST @ found.victim.position[found.last, :2]).sum())
+    assert np.isfinite(found.per_deflection_of()).all()
+    assert np.isinf(toy_frontier([1.0, 0.0, 1.0]).per_deflection_of()).all()
 
 
 def test_the_best_commands_leave_alone_what_does_nothing():
     found = toy_frontier([1.0, 1.0, 1.0])
-    u = found.best(EAST, 2.0)
+    u = best_commands(found, EAST, 2.0)
     assert u[2] == 0.0
-    assert deflection(found, u)[-1] == pytest.approx(2.0)
+    assert deflection_of(found, u)[-1] == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("direction", [EAST, NORTH, np.array([0.6, -0.8])])
 def test_the_best_commands_have_the_deflection_and_come_as_far_as_the_frontier(direction):
     found = short_frontier()
-    u = found.best(direction, 1.5)
+    u = best_commands(found, direction, 1.5)
     far = direction @ found.victim.position[found.last, :2] @ u
-    assert far == pytest.approx(1.5 * np.sqrt(direction @ found.per_deflection() @ direction))
-    d = deflection(found, u)
+    assert far == pytest.approx(1.5 * np.sqrt(direction @ found.per_deflection_of() @ direction))
+    d = deflection_of(found, u)
     assert len(d) == len(found.whitened)
     assert (np.diff(d) >= 0.0).all()
     assert d[-1] == pytest.approx(1.5)
     other = RNG.standard_normal(len(u)) * np.abs(u).max()
     shift = abs(direction @ found.victim.position[found.last, :2] @ other)
-    assert shift < far * deflection(found, other)[-1] / 1.5
-
-
-def test_the_deflection_of_offsets_is_that_of_the_commands_that_make_them():
-    setup = TightlyCoupledSetup(detector="never", timeline=SHORT)
-    rngs = generators_of(seeds_of_runs(0, "selection", setup.name, [0]))
-    (its,) = Analyst(setup).record(rngs)
-    found = short_frontier()
-    u = found.best(EAST, 2.0)
-    offsets = found.commands.offsets @ u
-    np.testing.assert_allclose(
-        deflection_of_offsets(its.linear, offsets), deflection(found, u), rtol=1e-9
-    )
+    assert shift < far * deflection_of(found, other)[-1] / 1.5
 
 
 def test_later_epochs_and_a_tested_hold_can_only_help_the_detector():
     found = short_frontier()
     hold = len(found.whitened) - found.last - 1
-    sizes = [EAST @ found.per_deflection(hold=each) @ EAST for each in (0, hold // 2, hold)]
+    sizes = [EAST @ found.per_deflection_of(hold=each) @ EAST for each in (0, hold // 2, hold)]
     assert sizes[0] > sizes[1] > sizes[2]
-    assert sizes[2] == pytest.approx(EAST @ found.per_deflection() @ EAST)
-    earlier = EAST @ found.per_deflection(last=found.last // 2, hold=0) @ EAST
+    assert sizes[2] == pytest.approx(EAST @ found.per_deflection_of() @ EAST)
+    earlier = EAST @ found.per_deflection_of(last=found.last // 2, hold=0) @ EAST
     assert earlier < sizes[0]
-
-
-def limited_by(found, rate, change):
-    commands = found.commands._replace(rate_limit_mps=rate, change_limit_mps=change)
-    return WorldFrontier(commands, found.whitened, found.victim, found.last, found.coasting)
-
-
-def most_by_cvxpy(found, direction, d):
-    """The same by another solver, from the definition."""
-    limits = found.commands
-    u = cp.Variable(found.whitened.shape[2])
-    rates = limits.rates.reshape(-1, len(limits.rates[0, 0])) @ u
-    rates = cp.reshape(rates, (limits.decisions, limits.axes), order="C")
-    change = cp.vstack([rates[:1], rates[1:] - rates[:-1]])
-    held = [cp.norm(found.whitened.reshape(-1, u.size) @ u) <= d]
-    kind = 2 if limits.together else "inf"
-    held += [cp.norm(rates, kind, axis=1) <= limits.rate_limit_mps]
-    held += [cp.norm(change, kind, axis=1) <= limits.change_limit_mps]
-    n = direction @ found.victim.position[found.last, :2]
-    return cp.Problem(cp.Maximize(n @ u), held).solve(solver=cp.CLARABEL)
-
-
-def test_loose_limits_leave_the_closed_form():
-    found = limited_by(short_frontier(), 1e3, 1e3)
-    value, u = found.limited(EAST, 2.0)
-    assert found.within_limits(u)
-    assert value == pytest.approx(2.0 * np.sqrt(EAST @ found.per_deflection() @ EAST))
-
-
-@pytest.mark.parametrize(("rate", "change"), [(0.02, 1.0), (5.0, 5e-4), (0.03, 2e-3)])
-def test_limits_that_bind_are_kept_and_cost_what_another_solver_says(rate, change):
-    found = limited_by(short_frontier(), rate, change)
-    free = 20.0 * np.sqrt(EAST @ found.per_deflection() @ EAST)
-    value, u = found.limited(EAST, 20.0)
-    assert value < free * (1.0 - 1e-3)
-    assert found.within_limits(u)
-    assert deflection(found, u)[-1] <= 20.0 * (1.0 + 1e-5)
-    assert value == pytest.approx(most_by_cvxpy(found, EAST, 20.0), rel=1e-4)
-
-
-@pytest.mark.slow
-def test_limits_of_an_attack_on_single_channels_hold_for_each_of_them():
-    found = limited_by(short_frontier("per-channel"), 0.02, 1e-3)
-    value, u = found.limited(EAST, 20.0)
-    assert found.within_limits(u)
-    assert value == pytest.approx(most_by_cvxpy(found, EAST, 20.0), rel=1e-4)
-
-
-def test_of_an_attack_by_rate_only_the_rate_is_limited():
-    found = short_frontier()
-    by_rate = limited_by(found, 0.05, np.inf)
-    value, u = by_rate.limited(EAST, 20.0)
-    both, _ = limited_by(found, 0.05, 1e-3).limited(EAST, 20.0)
-    assert by_rate.within_limits(u)
-    assert both < value
 
 
 def test_the_more_an_attack_can_command_the_farther_it_gets():
     one, each = short_frontier(), short_frontier("per-channel")
-    sizes = [np.linalg.eigvalsh(M) for M in (one.per_deflection(), each.per_deflection())]
+    sizes = [np.linalg.eigvalsh(M) for M in (one.per_deflection_of(), each.per_deflection_of())]
     free = np.linalg.eigvalsh(one.coasting)
     assert (sizes[0] < sizes[1]).all()
     assert (sizes[1] < free * (1.0 + 1e-9)).all()
-    assert deflection(each, each.best(EAST, 1.0))[-1] == pytest.approx(1.0)
+    assert deflection_of(each, best_commands(each, EAST, 1.0))[-1] == pytest.approx(1.0)
 
 
 def test_a_meaconer_that_commands_its_delay_alone_moves_no_position():
@@ -191,7 +112,7 @@ def test_a_meaconer_that_commands_its_delay_alone_moves_no_position():
     commands = unit_commands(setup, victim.onset).in_hats(20)
     meaconer = world_frontier(commands, victim, its.linear, its.coasting, setup.steps - 1)
     sizes = [
-        np.sqrt(np.linalg.eigvalsh(each.per_deflection())[-1])
+        np.sqrt(np.linalg.eigvalsh(each.per_deflection_of())[-1])
         for each in (meaconer, short_frontier())
     ]
     assert sizes[0] < 0.05 * sizes[1]
@@ -209,5 +130,5 @@ def test_the_frontier_needs_the_analyst_of_the_world():
     # by what the victim believes, an attack seems harder to see than it is
     believed = world_frontier(commands, victim, victim, its.coasting, setup.steps - 1)
     real = world_frontier(commands, victim, its.linear, its.coasting, setup.steps - 1)
-    believed, real = (np.sqrt(EAST @ each.per_deflection() @ EAST) for each in (believed, real))
+    believed, real = (np.sqrt(EAST @ each.per_deflection_of() @ EAST) for each in (believed, real))
     assert believed > 2.0 * real

@@ -29,9 +29,9 @@ from spoofgym.detectors import (
     WindowedChi2,
 )
 from spoofgym.limits import convex
+from spoofgym.limits.bounds import zero_alarm_of
 from spoofgym.limits.linear import white
 from spoofgym.limits.no_alarm import SETS, Timing, judge_run, judged_by
-from spoofgym.limits.restricted import zero_alarm_of
 from spoofgym.limits.zero_alarm import sensitivity
 
 from .toy import EAST, TIMING, false_position, toy_run
@@ -276,30 +276,6 @@ def test_a_restricted_bound_is_the_largest_that_another_solver_finds(detector, h
     value = attacker.response.position[45, 1] @ u
     wanted = cp.Problem(cp.Maximize(value), held(u, limits) + rest).solve(solver=cp.CLARABEL)
     bound = zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST, attacker=attacker)
-    assert bound.value_m == pytest.approx(wanted, rel=1e-4)
-
-
-@pytest.mark.parametrize("detector", [Never(), SnapshotChi2()], ids=["never", "snapshot"])
-def test_limits_of_two_axes_are_of_the_size_of_the_vector(detector):
-    attacker = false_position(RUN, axes=2, rate=0.5, change=0.02)
-    aim = {"epoch": 45, "direction": (0.6, 0.8)}
-    bound = zero_alarm_of(detector, RUN, TIMING, **aim, attacker=attacker)
-    rates = attacker.profile(bound.commands)
-    assert np.linalg.norm(rates, axis=1).max() <= 0.5 * (1.0 + 1e-6)
-
-    u = cp.Variable(2 * EPOCHS)
-    rows = white(RUN.innovation_cov, attacker.response.innovation)
-    held = [cp.norm(u[:2]) <= 0.02]
-    for k in range(EPOCHS):
-        rate = u[2 * k : 2 * k + 2]
-        held.append(cp.norm(rate) <= 0.5)
-        if k:
-            held.append(cp.norm(rate - u[2 * k - 2 : 2 * k]) <= 0.02)
-    if not isinstance(detector, Never):
-        tau = judge_run(detector, RUN, TIMING).threshold[:, 0]
-        held += [squares(u, rows, k, k + 1) <= tau[k] for k in range(EPOCHS)]
-    value = np.array([0.6, 0.8]) @ attacker.response.position[45, :2] @ u
-    wanted = cp.Problem(cp.Maximize(value), held).solve(solver=cp.CLARABEL)
     assert bound.value_m == pytest.approx(wanted, rel=1e-4)
 
 

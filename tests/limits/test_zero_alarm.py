@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import Ewma, Never, SequentialChi2, Shewhart, SnapshotChi2
+from spoofgym.limits.bounds import zero_alarm_of
 from spoofgym.limits.linear import respond, white
 from spoofgym.limits.no_alarm import judge_run
-from spoofgym.limits.restricted import zero_alarm_of
 from spoofgym.limits.zero_alarm import (
     ewma_bound,
     sensitivity,

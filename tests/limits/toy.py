@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from spoofgym.limits.bounds import Attacker
 from spoofgym.limits.linear import LinearRun, respond
 from spoofgym.limits.no_alarm import Timing
-from spoofgym.limits.restricted import Attacker
 
 EAST = (0.0, 1.0)
 TIMING = Timing(0.5, live=30, onset_s=15.0)
@@ -38,18 +38,38 @@ def toy_run(epochs=50, satellites=4, setting=None):
     return LinearRun(*(np.stack(each) for each in zip(*parts, strict=True)))
 
 
-def false_position(run, axes=1, stop=None, rate=1.0, change=0.05):
-    """Rates of a false position at every epoch, to the east, or north and east."""
+def false_position(run, stop=None, rate=1.0, change=0.05):
+    """Rates of a false position at every epoch, to the east."""
     epochs, m = run.design.shape[:2]
     n, count = m // 2, stop or epochs
-    rates = np.zeros((epochs, axes, count * axes))
-    for i in range(count):
-        for a in range(axes):
-            rates[i, a, i * axes + a] = 1.0
+    rates = np.zeros((epochs, count))
+    rates[np.arange(count), np.arange(count)] = 1.0
     displacement = 0.5 * np.cumsum(rates, axis=0)
-    columns = [1] if axes == 1 else [0, 1]
-    offsets = np.zeros((epochs, m, count * axes))
+    offsets = np.zeros((epochs, m, count))
     for k in range(epochs):
-        sight = run.design[k, :n, 6:9][:, columns]
-        offsets[k, :n], offsets[k, n:] = -sight @ displacement[k], -sight @ rates[k]
+        sight = run.design[k, :n, 7:8]  # east
+        offsets[k, :n], offsets[k, n:] = -sight * displacement[k], -sight * rates[k]
     return Attacker(respond(run, offsets), rates, rate, change)
+
+
+def rates_of(commands):
+    """(decisions, axes, J) rate of each axis by unit command."""
+    hats = np.eye(commands.decisions) if commands.hats is None else commands.hats
+    each = np.einsum("dq,ab->daqb", hats, np.eye(commands.axes))
+    return each.reshape(len(hats), commands.axes, -1)
+
+
+def best_commands(world, direction, deflection):
+    """(J,) commands that reach the frontier of a world along a direction, north and east [m/s]."""
+    n = direction @ world.victim.position[world.last, :2]
+    rows = world.whitened.reshape(-1, world.whitened.shape[2])
+    _, sizes, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"))
+    seen = sizes > 1e-9 * sizes[0]  # the others do nothing, where there is an end
+    y = (axes[seen] @ n) / sizes[seen]
+    return axes[seen].T @ (y / sizes[seen]) * deflection / np.linalg.norm(y)
+
+
+def deflection_of(world, commands):
+    """(K,) d up to every epoch."""
+    shift = world.whitened @ commands
+    return np.sqrt(np.cumsum((shift * shift).sum(axis=1)))

@@ -229,9 +229,9 @@ def test_the_states_that_satellites_see():
 @pytest.mark.parametrize("k", [1, 4, 8])
 def test_elimination_solves_what_needs_pivots(k):
     rng = np.random.default_rng(k)
-    M, X = rng.standard_normal((k, k)), rng.standard_normal((k, 3))
+    M, y = rng.standard_normal((k, k)), rng.standard_normal(k)
     if k > 1:
         M[0, 0], M[1, 1] = 0.0, 0.0
-    B = M @ X
-    solve_in_place(M.copy(), B)
-    np.testing.assert_allclose(B, X, rtol=1e-9, atol=1e-12)
+    x = M @ y
+    solve_in_place(M.copy(), x)
+    np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-12)

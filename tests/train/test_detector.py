@@ -24,7 +24,8 @@ from rich.console import Console
 from agents.detector_loss import undetected
 from agents.detector_score import area, classics_of, scored
 from agents.record import read_record
-from spoofgym.bench.experiments.dataset import Episodes, Plan, load, write
+from spoofgym.bench.experiments import Store, run
+from spoofgym.bench.experiments.dataset import Episodes, Plan, load
 from spoofgym.bench.runs.play import WarmStart, displacement_of, play
 from spoofgym.bench.runs.world import World
 from spoofgym.detectors import make_detector
@@ -51,7 +52,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
         {"name": "classic", "detector": {"name": "snapshot-chi2"}},
     )
     runs = {"train": 12, "validation": 8, "test": 8}
-    write(path, Plan(setup(), length_m=10.0, terms=terms, runs=runs), threads=1)
+    run(Plan(setup(), length_m=10.0, terms=terms, runs=runs), Store(path), threads=1)
     return path
 
 
@@ -77,9 +78,9 @@ def test_what_was_trained_is_a_detector_like_any_other(data: Path, tmp_path: Pat
     assert [point["step"] for point in points] == [1, 2, 3]
     assert points[-1]["train_loss"] < points[0]["train_loss"]
     card = json.loads(file.with_suffix(".json").read_text())
-    assert card["training"]["data"] == load(data).manifest["digest"]
+    assert card["training"]["data"] == load(data).digest
     assert "quiet" in card["training"]["held_out"]
-    entropy = load(data).manifest["config"]["entropy"]
+    entropy = load(data).config["entropy"]
     seeds = [[entropy, f"dataset-{part}"] for part in ("train", "validation")]
     assert card["training"]["decided_on"] == seeds
     judge = make_detector({"name": str(file), "threshold": 0.5})

@@ -1,34 +1,129 @@
-"""All detectors of a world calibrated: what is missing is made, what is there is replayed."""
+"""Calibrations that a killed process goes on with, and those of all detectors of a world."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from typing import NamedTuple
+import shutil
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
 
-from ...calibration.holdouts import check
-from ...calibration.thresholds import calibrate, expected_runs
-from ...core.progress import ProgressCallback
+from ...calibration import holdouts, thresholds
+from ...calibration.clean_runs import CleanRuns, Numbers, Player, joined
+from ...core.progress import ProgressBar, ProgressCallback
+from ...core.settings import digest_of
 from ...detectors import Calibrated, Detector, PooledDetector, detector_in_world
-from ...detectors.calibrated import resolve
+from ...detectors.calibrated import identity_of, resolve
+from ...detectors.calibration_file import user_folder
 from ..runs.players import Entry
 from ..runs.world import World
+from .identity import code_identity
+from .runner import Context, Experiment, run
+from .store import Cell, Reader, Result, Store
+
+TOGETHER = 8
+"""Cells, of the runs that are played side by side, that threads share in one call."""
 
 
-class _Rate(NamedTuple):
-    """Detectors that are asked for at one rate, of one variant."""
+@dataclass(frozen=True)
+class CleanCells(Experiment):
+    """What clean runs come to, a cell for each chunk of them."""
 
-    false_alarms_per_hour: float
-    rescaled: bool
+    name: ClassVar[str] = "clean-runs"
+    player: Player
+    detectors: Sequence[Detector]
+    runs: int
+    split: str
+    in_loop: bool
+    now: str
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """World and detectors; not how many runs, so that more of them go on."""
+        player = self.player
+        return {
+            "world": player.setup.conditions.digest,
+            "detectors": [_named(each) for each in self.detectors],
+            "seeds": [player.entropy, self.split, player.seed_name],
+            "in_loop": self.in_loop,
+        }
+
+    def cells(self) -> Iterator[Cell]:
+        """One a chunk."""
+        chunk = self.player.chunk
+        for k, first in enumerate(range(0, self.runs, chunk)):
+            last = min(first + chunk, self.runs)
+            group = f"{self.now}, part {k // TOGETHER + 1}"
+            yield Cell(f"{first}-{last}", {"runs": [first, last]}, float(last - first), group=group)
+
+    def run_group(
+        self, cells: Sequence[Cell], results: Reader, context: Context
+    ) -> Iterator[Result]:
+        """Play chunks side by side."""
+        chunks = [range(*map(int, cell.key.split("-"))) for cell in cells]
+        played = self.player.chunks_of(self.detectors, chunks, self.split, self.in_loop)
+        for cell, part in zip(cells, played, strict=True):
+            context.tick(cell.work)
+            yield Result(part._asdict())
+
+    def played(self, results: Reader) -> CleanRuns:
+        """All runs."""
+        return joined(CleanRuns(**found.arrays) for found in results.values())
+
+    def report(self, results: Reader) -> dict[str, Any]:
+        """How many runs each detector has alarmed in."""
+        found = self.played(results)
+        return {"runs": len(found.alarmed), "alarms": found.alarmed.sum(axis=0).tolist()}
 
 
-def _asked(entries: Iterable[Entry]) -> dict[_Rate, list[Detector]]:
-    """Detectors that ask for a rate of the calibrations that are looked up."""
-    found: dict[_Rate, list[Detector]] = {}
-    for part in (part for entry in entries for part in _parts(entry)):
-        rate = part.false_alarms_per_hour
-        if part.scale is None and part.calibration is None and rate is not None:
-            found.setdefault(_Rate(rate, part.rescaled), []).append(part.detector)
-    return found
+def _named(detector: Detector) -> Any:
+    if isinstance(detector, Calibrated):
+        return [identity_of(detector.detector), detector.scale, detector.rescale]
+    return [identity_of(detector), getattr(detector, "alarm_scale", 1.0)]
+
+
+@dataclass
+class ResumablePlayer(Player):
+    """Keeps the first runs in the user's folder until they are no longer needed, so that a killed
+    process goes on from there."""
+
+    folders: list[Path] = field(default_factory=list)
+
+    def play(
+        self,
+        detectors: Sequence[Detector],
+        numbers: Numbers,
+        *,
+        split: str = "calibration",
+        in_loop: bool = False,
+        now: str = "clean runs",
+    ) -> CleanRuns:
+        """As of `Player`."""
+        if not isinstance(numbers, range):  # a few, again
+            return super().play(detectors, numbers, split=split, in_loop=in_loop, now=now)
+        cells = CleanCells(self, detectors, len(numbers), split, in_loop, now)
+        name = digest_of({**cells.config, "code": code_identity()})
+        store = Store(user_folder() / "unfinished" / name)
+        self.folders.append(store.path)
+
+        def bar(left: float) -> nullcontext[ProgressCallback]:
+            self.progress.advance(len(numbers) - left, now)
+            return nullcontext(self.progress)
+
+        return cells.played(run(cells, store, progress=bar))
+
+    def forget(self) -> None:
+        """Remove them."""
+        for folder in self.folders:
+            shutil.rmtree(folder)
+        self.folders.clear()
+
+
+calibrate = partial(thresholds.calibrate, player=ResumablePlayer)
+hold_out = partial(holdouts.hold_out, player=ResumablePlayer)
+transfer = partial(holdouts.transfer, player=ResumablePlayer)
 
 
 def _parts(entry: Entry) -> Iterator[Calibrated]:
@@ -37,41 +132,33 @@ def _parts(entry: Entry) -> Iterator[Calibrated]:
     yield from (part for part in parts if isinstance(part, Calibrated))
 
 
-def missing_runs(world: World, entries: Iterable[Entry]) -> int:
-    """Clean runs that the calibrations of detectors lack."""
-    return sum(
-        expected_runs(
-            world.setup,
-            detectors,
-            false_alarms_per_hour=rate.false_alarms_per_hour,
-            rescaled=rate.rescaled,
-        )
-        for rate, detectors in _asked(entries).items()
-    )
-
-
 def calibrate_entries(
     world: World,
     entries: Sequence[Entry],
     *,
     threads: int | None = None,
-    progress: ProgressCallback | None = None,
+    progress: ProgressBar | None = None,
     optional: Collection[str] = (),
 ) -> dict[str, str]:
     """Calibrate the detectors that ask for a rate, and replay the first runs of their files.
     `optional`: labels of detectors that may be left out where no factor on their thresholds makes
     the rate; returns why, by their labels."""
-    for rate, detectors in _asked(entries).items():
+    asked: dict[tuple[float, bool], list[Detector]] = {}
+    for part in (part for entry in entries for part in _parts(entry)):
+        rate = part.false_alarms_per_hour
+        if part.scale is None and part.calibration is None and rate is not None:
+            asked.setdefault((rate, part.rescaled), []).append(part.detector)
+    for (rate, rescaled), detectors in asked.items():
         found = calibrate(
             world.setup,
             detectors,
-            false_alarms_per_hour=rate.false_alarms_per_hour,
-            rescaled=rate.rescaled,
+            false_alarms_per_hour=rate,
+            rescaled=rescaled,
             threads=threads,
             progress=progress,
             strict=False,
         )
-        check(world.setup, found, detectors, threads=threads)
+        holdouts.check(world.setup, found, detectors, threads=threads)
     refused = {}
     for entry in entries:
         try:

@@ -1,49 +1,34 @@
-"""Episodes to train detectors on.
-
-Attacks that a detector learns from: families, and what is drawn of each for every episode.
-
-They are drawn so that some are hard to see: where an attack would get to by the end of its window
-is log-uniform, from an eighth of the alert limit to five times that.  The families that the tasks
-for detectors hold out (`HELD_OUT`) are not among them.
-
-Data sets to train a detector on: labelled episodes of one world, from its switch-on on.
+"""Data sets to train a detector on: labelled episodes of one world, from its switch-on on.
 
 Every run is played twice, with the same noise: attacked, and not.  Both are episodes, in which is
 kept what a learned detector observes at each epoch, whether an attack is on, and how far it has
 moved the solution.  Runs of the splits of a data set share no noise with each other, nor with those
 of a campaign, a calibration or a search (`simulation.setup`).
 
-A data set is a folder: shards, each an ``.npz`` file of some runs, and `MANIFEST`, which is written
-last.  A process that was killed goes on from the shards that are whole, and comes to the same
-bytes.
+A data set is a folder of results, as other experiments have it; its files, in ``cells``, have some
+runs each, and are `.npz` files.
 
->>> from spoofgym.bench.experiments.dataset import Plan, load, write
->>> write("data", Plan(setup, length_m=20.0))  # doctest: +SKIP
+>>> from spoofgym.bench.experiments import Store, run
+>>> from spoofgym.bench.experiments.dataset import Plan, load
+>>> run(Plan(setup, length_m=20.0), Store("data"))  # doctest: +SKIP
 >>> load("data").episodes("train").observation.shape  # doctest: +SKIP
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
-import math
 import os
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...attacks import Meaconer
-from ...attacks.equipment import QUIET, CounterfeitErrors
-from ...calibration.clean_runs import Stopped, in_order, weighs
+from ...calibration.clean_runs import check_stopped, in_order, weighs
 from ...calibration.thresholds import inner_detectors
-from ...core.files import remove_stale_parts, write_file
-from ...core.progress import NullProgress, ProgressCallback
 from ...core.registry import Spec, check_choice, check_finite, whole_number
 from ...core.settings import describe, digest_of, outside_sources
 from ...detectors import Detector, Never, detector_in_world
@@ -52,240 +37,18 @@ from ...detectors.calibrated import factors_of
 from ...detectors.learned import DetectorAgent
 from ...detectors.observation import make_detector_terms, written_terms
 from ...envs.observer import Observer
-from ...envs.options import checked_action
-from ...envs.spoofer_binding import bound_spoofer, commands_of, monitors_for, paced, spoofer_context
-from ...envs.terms.action import CommandMap, Decisions
-from ...envs.terms.observation import default_terms
-from ...simulation.engine import Engine, available_threads
+from ...simulation.engine import Engine
 from ...simulation.monitors import PassiveDetectors
 from ...simulation.setup import SPLITS, Setup, generators_of, seeds_of_runs
 from ...simulation.simulator import Simulator, run_serially
-from ...spoofers import Spoofer, SpooferContext
-from ...spoofers.base import has_heading
-from ...spoofers.scaled import AMPLITUDE
 from ..runs.play import epochs_of, horizontal, to_local
-from ..runs.players import build_spoofer
-from ..search.attack_suite import KNOTS, SHAPES
-from .dataset_files import (
-    FORMAT,
-    KIND,
-    MANIFEST,
-    Dataset,
-    Episodes,
-    digest_in,
-    load,
-    packed,
-    read_manifest,
-    whole,
-)
-from .identity import versions
+from .runner import Context, Experiment
+from .store import Cell, Reader, Result, Store
+from .training_attacks import FAMILIES, HELD_OUT, Attackers, TrainingAttacks, check_not_held_out
 
-__all__ = ["Dataset", "Episodes", "Plan", "load", "make_room", "play", "write"]
+__all__ = ["Dataset", "Episodes", "Plan", "load"]
 
-
-HELD_OUT = (
-    "quiet",
-    "inherited, in the world of T5",
-    "subset of channels",
-    "meaconer",
-    "onset in a turn",
-    "onset at a satellite switch",
-    "onset after a chance alarm",
-)
-"""Families of the tasks for detectors, which no training data have; onsets in a data set are drawn
-as the world draws them."""
-QUIET_TASKS = ("T5",)
-"""Tasks whose own counterfeit is quieter than nature; there the plain one is held out."""
-REACH = (0.125, 5.0)
-"""Range of the displacement at the end of a window, in alert limits; log-uniform."""
-AMPLITUDES = (0.25, 2.0)
-"""Range of the factor on spoofers that are given, or were found by a search; log-uniform."""
-POWERS = (0.3, 4.0)
-"""Range of the power of time in a profile that is none of the attack suite's."""
-LAST_PARTS = (0.1, 0.6)
-"""Range of the part of the window in which a dash takes place."""
-
-
-class TrainingAttacks:
-    """Families of attacks in one world.
-
-    `setup`: victim and attack, with the detector in the loop; `reach_m`: what `REACH` is in parts
-    of: an alert limit; `families`: some of `FAMILIES`; `optima`: rates of blind optima at their
-    knots, for the family of that name [m/s]; `spoofers`: names and settings of further spoofers,
-    each a family of its own, as `build_spoofer` takes them; an ONNX file, too.
-    """
-
-    def __init__(
-        self,
-        setup: Setup,
-        reach_m: float,
-        families: Sequence[str],
-        optima: Sequence[Sequence[float]] = (),
-        spoofers: Sequence[Spec] = (),
-    ) -> None:
-        for spec in spoofers:
-            made = build_spoofer(spec)
-            if not made.transmits:
-                raise ValueError(f"the spoofer {spec['name']!r} transmits nothing: it is no attack")
-            watched = setup.altered(monitors=monitors_for([made], setup))
-            made.bind(bound_spoofer(made, watched, 1)[0])  # or what does not fit
-        self._context = spoofer_context(setup)
-        self._reach_m, self._optima, self._spoofers = reach_m, list(optima), list(spoofers)
-        self._makers: dict[str, Callable[[np.random.Generator, float], Spec]] = {
-            name: getattr(self, f"_{name.replace('-', '_')}") for name in families
-        }
-        self.families = (*families, *(label_of(spec) for spec in spoofers))
-
-    def draw(self, rng: np.random.Generator) -> tuple[int, Spec]:
-        """Family, by its number, and settings of one attack; all families are as likely."""
-        family = int(rng.integers(len(self.families)))
-        own = family - len(self._makers)
-        if own >= 0:
-            return family, {**self._spoofers[own], AMPLITUDE: rounded(log_uniform(rng, AMPLITUDES))}
-        goal_m = self._reach_m * log_uniform(rng, REACH)
-        spec = self._makers[self.families[family]](rng, goal_m)
-        if has_heading(self._context.action_names):
-            spec["heading_deg"] = rounded(rng.uniform(0.0, 360.0))
-        return family, spec
-
-    @property
-    def _window_s(self) -> float:
-        return self._context.steps * self._context.interval_s
-
-    def _rate(self, rate: float) -> float:
-        """A rate that the attack allows."""
-        return rounded(min(rate, self._context.largest_rate[1]))
-
-    def _ramp(self, rng: np.random.Generator, goal_m: float) -> Spec:
-        return {"name": "ramp", "rate_mps": self._rate(goal_m / self._window_s)}
-
-    def _accelerating_ramp(self, rng: np.random.Generator, goal_m: float) -> Spec:
-        wanted = 2.0 * goal_m / self._window_s**2
-        if self._context.control != "rate":
-            wanted = min(wanted, self._context.acceleration_limit_mps2)
-        return {"name": "accelerating-ramp", "acceleration_mps2": rounded(wanted)}
-
-    def _profile(self, rng: np.random.Generator, goal_m: float) -> Spec:
-        """A shape of the attack suite, or a power of the time."""
-        time, shapes = np.linspace(0.0, 1.0, KNOTS), list(SHAPES.values())
-        which, power = int(rng.integers(2 * len(shapes))), rng.uniform(*POWERS)
-        shape = shapes[which](time) if which < len(shapes) else time**power
-        return self._curve("profile", shape, goal_m)
-
-    def _blind_optimum(self, rng: np.random.Generator, goal_m: float) -> Spec:
-        rates = self._optima[int(rng.integers(len(self._optima)))]
-        return self._curve("blind-optimum", np.asarray(rates, dtype=np.float64), goal_m)
-
-    def _curve(self, name: str, shape: FloatArray, goal_m: float) -> Spec:
-        rates = (
-            shape
-            * goal_m
-            / (float(np.trapezoid(shape, dx=1.0 / (len(shape) - 1))) * self._window_s)
-        )
-        return {"name": name, "rates_mps": [self._rate(float(rate)) for rate in rates]}
-
-    def _dash(self, rng: np.random.Generator, goal_m: float) -> Spec:
-        last_s = self._window_s * rng.uniform(*LAST_PARTS)
-        return {"name": "dash", "rate_mps": self._rate(goal_m / last_s), "last_s": rounded(last_s)}
-
-    def _feedback(self, rng: np.random.Generator, goal_m: float) -> Spec:
-        """By the detector in the loop; how carefully is drawn, too."""
-        growth, full = rng.uniform(0.0, 6.0), rng.uniform(0.2, 0.7)
-        return {
-            "name": "feedback",
-            "rate_mps": self._rate(2.0 * goal_m / (self._window_s * (1.0 + growth))),
-            "growth": rounded(growth),
-            "full_ratio": rounded(full),
-            "zero_ratio": rounded(full + rng.uniform(0.2, 0.6)),
-            "back": rounded(rng.uniform(-1.0, 0.0)),
-        }
-
-
-def check_not_held_out(attack: Any, task: str | None) -> None:
-    """Raise where all that an attack does belongs to a family that is held out."""
-    errors = getattr(attack, "errors", "inherited")
-    # however they are blended in, errors of the counterfeits' own may be smaller than real ones
-    quiet = isinstance(errors, CounterfeitErrors)
-    found = {
-        "quiet": quiet and not (task in QUIET_TASKS and errors == QUIET),
-        "inherited": not quiet and task in QUIET_TASKS,
-        "subset of channels": getattr(attack, "channels", "all") != "all",
-        "meaconer": isinstance(attack, Meaconer),
-    }
-    if named := [name for name, held in found.items() if held]:
-        raise ValueError(
-            f"the attack belongs to what the tasks for detectors have held out ({named[0]}): a "
-            "detector that has learned from it could not be compared there"
-        )
-
-
-FAMILIES = {
-    "ramp": "ramps",
-    "accelerating-ramp": "ramps that accelerate",
-    "profile": "the attack suite's profiles, and powers of the time",
-    "dash": "dashes",
-    "blind-optimum": "curves that a search has found against the detectors of this world",
-    "feedback": "feedback from the statistic of the detector in the loop",
-}
-"""Families by name."""
-
-
-def label_of(spec: Spec) -> str:
-    return str(build_spoofer(spec).label or spec["name"])
-
-
-def log_uniform(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
-    """A number whose logarithm is uniform."""
-    return math.exp(rng.uniform(math.log(bounds[0]), math.log(bounds[1])))
-
-
-def rounded(value: float) -> float:
-    """Six digits, so that a setting can be read."""
-    return float(f"{value:.6g}")
-
-
-class Attackers:
-    """Spoofers each of which commands one receiver of an engine, which are at their onset. `specs`:
-    one a receiver; `observers` are kept from one engine to the next."""
-
-    def __init__(
-        self, specs: Sequence[Spec], engine: Engine, observers: dict[Any, Observer]
-    ) -> None:
-        setup = engine.setup
-        self._engine, self._observers = engine, observers
-        self._members: list[tuple[Spoofer, CommandMap, Decisions, Any]] = []
-        for row, spec in enumerate(specs):
-            spoofer = build_spoofer(spec)
-            commands = commands_of(spoofer, setup)
-            seen = spoofer.knowledge, commands.along_target
-            if seen not in observers:
-                terms = default_terms(setup, seen[0], along_target=seen[1])
-                observers[seen] = Observer(terms, setup)
-            own = paced(setup, spoofer)
-            context: SpooferContext = spoofer_context(own, 1, observers[seen], commands)
-            spoofer.bind(context)
-            spoofer.reset()
-            commands.aim(engine.simulator.heading[row : row + 1])
-            decisions = Decisions(own, 1, len(commands.names))
-            self._members.append((spoofer, commands, decisions, seen))
-
-    def command(self, epoch: int) -> FloatArray:
-        """Command (B, a) of an epoch, counted from the onset on."""
-        engine = self._engine
-        wanted = {seen for _, _, decisions, seen in self._members if decisions.due(epoch)}
-        seen_by = {seen: self._observers[seen](engine, epoch) for seen in wanted}
-        rate = engine.simulator.commanded_rate
-        out = np.zeros((engine.receivers, len(engine.setup.action_names)))
-        for row, (spoofer, commands, decisions, seen) in enumerate(self._members):
-            own = slice(row, row + 1)
-            if decisions.due(epoch):
-                shape = 1, len(commands.names)
-                action = checked_action(spoofer.act(seen_by[seen][own]), shape, commands.names)
-                decisions.take(action)
-            out[own] = commands.command(decisions.action(epoch), rate[own])
-        return out
-
-
+FloatArray = NDArray[np.float64]
 PARTS = {"train": "dataset-train", "validation": "dataset-validation", "test": "dataset-test"}
 """Splits of a data set, and what `simulation.setup` calls them."""
 TERMS: tuple[Any, ...] = (
@@ -305,8 +68,50 @@ RUNS = {"train": 768, "validation": 256, "test": 256}
 LARGEST = float(np.finfo(np.float16).max)
 
 
+ATTACK_STREAM = 0xA7
+"""Last element of the spawn key from which the attack of a run is drawn, apart from its noise."""
+TOGETHER = 4
+"""Files that threads share in one call."""
+
+
+class Episodes(NamedTuple):
+    """Labelled episodes, L epochs each, from switch-on to the end of the time to alert.
+
+    Attributes
+    ----------
+    observation : ndarray
+        (E, L, o) float16, what a learned detector observes; the rounding is to 11 bits.
+    attack : ndarray
+        (E, L) bool, whether an attack is on.
+    displacement_m : ndarray
+        (E, L) float32, horizontal distance of the solution from that of the clean twin [m].
+    clean : ndarray
+        (E,) bool, whether nobody attacks.
+    family : ndarray
+        (E,) number of the attack's family in the settings' ``families``; -1 where it is clean.
+    setting : ndarray
+        (E,) str, the attack's name and settings as JSON; "" where it is clean.
+    run : ndarray
+        (E,) run of the split; the two episodes of a run are twins.
+    world : ndarray
+        (E,) which of the settings' ``skies``.
+    onset_s : ndarray
+        (E,) time of the flight at which the attack starts, or would [s].
+    """
+
+    observation: NDArray[np.float16]
+    attack: NDArray[np.bool_]
+    displacement_m: NDArray[np.float32]
+    clean: NDArray[np.bool_]
+    family: NDArray[np.int16]
+    setting: NDArray[np.str_]
+    run: NDArray[np.int64]
+    world: NDArray[np.int64]
+    onset_s: FloatArray
+
+
 @dataclass(frozen=True)
-class Plan:
+class Plan(Experiment):
     """What a data set is to be made of.
 
     Parameters
@@ -340,6 +145,7 @@ class Plan:
         Where a value makes no sense, a family can't be made, or the detector de-weights.
     """
 
+    name: ClassVar[str] = "dataset"
     setup: Setup
     length_m: float
     detector: Any = None
@@ -415,9 +221,7 @@ class Plan:
             "length_m": float(self.length_m),
             "interval_s": setup.interval_s,
             "epochs": {
-                "live": setup.live,
-                "steps": setup.steps,
-                "hold": setup.hold,
+                **{name: getattr(setup, name) for name in ("live", "steps", "hold")},
                 "all": setup.live + setup.steps + setup.hold,
             },
             "terms": list(written_terms(make_detector_terms(self.terms))),
@@ -436,13 +240,123 @@ class Plan:
             "entropy": self.entropy,
             "splits": {part: SPLITS[PARTS[part]] for part in self.runs},
             "shard": self.shard,
-            "versions": versions(),
         }
 
-    @cached_property
-    def digest(self) -> str:
-        """Digest of `config`."""
-        return digest_of(json.loads(json.dumps(self.config)))
+    def cells(self) -> Iterator[Cell]:
+        """One a file."""
+        return cells_of(self.runs, self.shard)
+
+    def run_group(
+        self, cells: Sequence[Cell], results: Reader, context: Context
+    ) -> Iterator[Result]:
+        """Play those of some files side by side."""
+        observers = context.cache.setdefault("observers", {})
+        played = in_order(
+            lambda cell, stopped: self.play(*runs_of(cell), observers, stopped),
+            cells,
+            context.threads,
+        )
+        for cell, episodes in zip(cells, played, strict=True):
+            context.tick(cell.work)
+            yield Result(episodes._asdict(), deflated=True)
+
+    def play(
+        self,
+        part: str,
+        numbers: Sequence[int],
+        observers: dict[Any, Observer] | None = None,
+        stopped: threading.Event | None = None,
+    ) -> Episodes:
+        """Play some runs of a split, attacked and not: two episodes each, the clean one first.
+
+        `observers`: what spoofers observe by, kept from one call to the next; `stopped`: set where
+        another thread has failed.
+        """
+        setup, runs = self.world, len(numbers)
+        seeds = seeds_of_runs(self.entropy, PARTS[part], setup.name, numbers)
+        own = [
+            np.random.SeedSequence(s.entropy, spawn_key=(*s.spawn_key, ATTACK_STREAM))
+            for s in seeds
+        ]
+        drawn = [self.attacks.draw(rng) for rng in generators_of(own)]
+        engine = Engine(runs, setup, threads=1)
+        attacked, twin = engine.simulator, setup.simulator(runs, run_serially)
+        epochs, everyone = setup.steps + setup.hold, np.arange(runs)
+        names = len(_observed(attacked)[0])
+        seen = np.zeros((runs, 2, setup.live + epochs, names), dtype=np.float16)
+        attacked.begin(generators_of(seeds))
+        attacked.quiet_epochs(setup.quiet)
+        for k in range(setup.live):
+            attacked.live_epochs(1)
+            seen[:, :, k] = _observed(attacked)[:, None]
+            check_stopped(stopped)
+        twin.copy_rows(everyone, attacked, everyone)
+        specs = [spec for _, spec in drawn]
+        attackers = Attackers(specs, engine, {} if observers is None else observers)
+        apart = np.zeros((epochs, *attacked.position.shape))
+        for k in range(epochs):
+            attacked.step(attackers.command(k) if k < setup.steps else None)
+            twin.step(attacked=False)
+            apart[k] = attacked.position - twin.position
+            for which, each in enumerate((twin, attacked)):
+                seen[:, which, setup.live + k] = _observed(each)
+            check_stopped(stopped)
+        induced = horizontal(to_local(apart, setup.C_en[epochs_of(setup, attacked.onset)]))
+        displacement = np.zeros((runs, 2, setup.live + epochs), dtype=np.float32)
+        displacement[:, 1, setup.live :] = induced.T
+        attack = np.zeros(displacement.shape, dtype=np.bool_)
+        attack[:, 1, setup.live :] = True
+        onset = np.repeat(attacked.onset, 2)
+        return Episodes(
+            observation=seen.reshape(2 * runs, *seen.shape[2:]),
+            attack=attack.reshape(2 * runs, -1),
+            displacement_m=displacement.reshape(2 * runs, -1),
+            clean=np.tile([True, False], runs),
+            family=np.array([[-1, which] for which, _ in drawn], dtype=np.int16).ravel(),
+            setting=np.array([["", json.dumps(spec)] for spec in specs]).ravel(),
+            run=np.repeat(np.asarray(numbers), 2).astype(np.int64),
+            world=onset // setup.epochs_each,
+            onset_s=setup.epoch_time[onset],
+        )
+
+    def report(self, results: Reader) -> dict[str, Any]:
+        """What was written: of each split, runs, episodes, clean ones, attacks by family, files."""
+        splits, families = {}, self.attacks.families
+        for part, runs in self.runs.items():
+            keys = [cell.key for cell in self.cells() if runs_of(cell)[0] == part]
+            found = np.concatenate([results[key].arrays["family"] for key in keys])
+            attacks = np.bincount(found[found >= 0], minlength=len(families)).tolist()
+            splits[part] = {
+                "runs": runs,
+                "episodes": len(found),
+                "clean": int((found < 0).sum()),
+                "bytes": sum(results.store.path_of(key).stat().st_size for key in keys),
+                "families": dict(zip(families, attacks, strict=True)),
+                "shards": len(keys),
+            }
+        return {
+            "digest": digest_of(results.store.config),
+            "task": self.task,
+            "observations": len(self.config["observation"]["names"]),
+            "epochs": self.config["epochs"],
+            "splits": splits,
+        }
+
+
+def cells_of(runs: Mapping[str, int], shard: int) -> Iterator[Cell]:
+    """Cells of a data set, each of some runs of a split."""
+    for part, count in runs.items():
+        for number, first in enumerate(range(0, count, shard)):
+            last = min(first + shard, count)
+            group = f"{part} runs, part {number // TOGETHER + 1}"
+            identity = {"split": part, "runs": [first, last]}
+            yield Cell(f"{part}-{number:04d}", identity, float(last - first), group=group)
+
+
+def runs_of(cell: Cell) -> tuple[str, range]:
+    """Split of a cell, and numbers of its runs."""
+    assert cell.identity is not None
+    return cell.identity["split"], range(*cell.identity["runs"])
 
 
 def watcher_of(simulator: Simulator) -> DetectorAgent:
@@ -451,229 +365,81 @@ def watcher_of(simulator: Simulator) -> DetectorAgent:
     return found
 
 
-FloatArray = NDArray[np.float64]
-
-ATTACK_STREAM = 0xA7
-"""Last element of the spawn key from which the attack of a run is drawn, apart from its noise."""
-
-
-def write(
-    folder: str | os.PathLike[str],
-    plan: Plan,
-    *,
-    threads: int | None = None,
-    progress: ProgressCallback | None = None,
-    overwrite: bool = False,
-) -> dict[str, Any]:
-    """Play all runs of a plan, and write them down.
-
-    Parameters
-    ----------
-    folder : path-like
-        Where to; shards of the same plan that are there are kept.
-    plan : Plan
-        What to play.
-    threads : int, optional
-        Shards that are played side by side; by default all useful cores.
-    progress : ProgressCallback, optional
-        Shows how far it is, in runs.
-    overwrite : bool
-        Whether another data set in the folder may be replaced.
-
-    Returns
-    -------
-    dict
-        The manifest.
-
-    Raises
-    ------
-    ValueError
-        Where the folder holds something else.
-    """
-    path, progress = Path(folder), progress or NullProgress()
-    make_room(path, plan, overwrite=overwrite)
-    shards = [
-        (part, number, range(start, min(start + plan.shard, runs)))
-        for part, runs in plan.runs.items()
-        for number, start in enumerate(range(0, runs, plan.shard))
-    ]
-    observers: dict[Any, Observer] = {}
-    found: dict[str, list[dict[str, Any]]] = {part: [] for part in plan.runs}
-
-    def one(shard: tuple[str, int, range], stopped: threading.Event) -> tuple[Any, ...]:
-        part, number, numbers = shard
-        file = path / f"{part}-{number:04d}.npz"
-        content = file.read_bytes() if file.is_file() else None
-        episodes = None if content is None else whole(content, plan.digest)
-        if episodes is None:
-            episodes = play(plan, part, numbers, observers, stopped)
-            content = packed(episodes, plan.digest)
-            write_file(file, content)
-        assert content is not None  # read or made
-        kept = {name: getattr(episodes, name) for name in ("clean", "family")}
-        return part, file.name, hashlib.sha256(content).hexdigest(), len(content), kept
-
-    def take(done: tuple[Any, ...]) -> None:
-        part, name, sha256, size, kept = done
-        counts = {"episodes": len(kept["clean"]), "clean": int(kept["clean"].sum())}
-        attacks = np.bincount(kept["family"][~kept["clean"]], minlength=len(plan.attacks.families))
-        line = {"file": name, "sha256": sha256, "bytes": size, **counts}
-        found[part].append({**line, "families": attacks.tolist()})
-        progress.advance(counts["episodes"] / 2.0, f"{part} runs")
-
-    in_order(one, shards, take, available_threads(10**9) if threads is None else threads)
-    manifest = {
-        "kind": KIND,
-        "format": FORMAT,
-        "digest": plan.digest,
-        "config": plan.config,
-        "shards": found,
-    }
-    text = json.dumps(manifest, indent=1, allow_nan=False)
-    write_file(path / MANIFEST, text.encode())
-    return dict(json.loads(text))
-
-
-def make_room(path: Path, plan: Plan, *, overwrite: bool = False) -> None:
-    """Make the folder of a data set; what it holds of another one is refused, or removed.
-
-    Parameters
-    ----------
-    path : Path
-        Folder.
-    plan : Plan
-        Of the data set.
-    overwrite : bool
-        Whether another data set may be removed.
-
-    Raises
-    ------
-    ValueError
-        Where the folder holds something else.
-    """
-    digest = plan.digest  # or what is wrong with the plan, before anything is removed
-    path.mkdir(parents=True, exist_ok=True)
-    remove_stale_parts(path)
-    own = [file for part in PARTS for file in path.glob(f"{part}-[0-9][0-9][0-9][0-9].npz")]
-    strange = {item for item in path.iterdir() if not item.name.endswith(".part")}
-    strange -= {*own, path / MANIFEST}
-    if strange:
-        raise ValueError(
-            f"{path} holds what is no data set ({', '.join(sorted(x.name for x in strange)[:5])}); "
-            "choose another folder"
-        )
-    digests = {file: digest_in(file.read_bytes()) for file in own}
-    # a damaged shard is written again, in a folder that is a data set by something else in it
-    known = (path / MANIFEST).is_file() or digest in digests.values()
-    other = [file for file, its in digests.items() if its not in (digest, None if known else "")]
-    if (path / MANIFEST).is_file() and read_manifest(path).get("digest") != digest:
-        other.append(path / MANIFEST)
-    if other and not overwrite:
-        raise ValueError(
-            f"{path} holds another data set ({other[0].name}): choose another folder, or overwrite "
-            "it"
-        )
-    for file in other:
-        file.unlink()
-
-
-def play(
-    plan: Plan,
-    part: str,
-    numbers: Sequence[int],
-    observers: dict[Any, Observer] | None = None,
-    stopped: threading.Event | None = None,
-) -> Episodes:
-    """Play some runs of a split, attacked and not.
-
-    Parameters
-    ----------
-    plan : Plan
-        World and attacks.
-    part : str
-        Split, one of `PARTS`.
-    numbers : sequence of int
-        Which runs.
-    observers : dict, optional
-        What spoofers observe by, kept from one call to the next.
-    stopped : threading.Event, optional
-        Set where another thread has failed.
-
-    Returns
-    -------
-    Episodes
-        Two of every run: the clean one, then the attacked one.
-    """
-    setup, runs = plan.world, len(numbers)
-    seeds = seeds_of_runs(plan.entropy, PARTS[part], setup.name, numbers)
-    streams = [
-        np.random.SeedSequence(s.entropy, spawn_key=(*s.spawn_key, ATTACK_STREAM)) for s in seeds
-    ]
-    drawn = [plan.attacks.draw(rng) for rng in generators_of(streams)]
-    engine = Engine(runs, setup, threads=1)
-    attacked, twin = engine.simulator, setup.simulator(runs, run_serially)
-    epochs, everyone = setup.steps + setup.hold, np.arange(runs)
-    seen = np.zeros((2, runs, setup.live + epochs, len(_observed(attacked)[0])), dtype=np.float16)
-    attacked.begin(generators_of(seeds))
-    attacked.quiet_epochs(setup.quiet)
-    for k in range(setup.live):
-        attacked.live_epochs(1)
-        seen[:, :, k] = _observed(attacked)
-        _check(stopped)
-    twin.copy_rows(everyone, attacked, everyone)
-    attackers = Attackers(
-        [spec for _, spec in drawn], engine, {} if observers is None else observers
-    )
-    apart = np.zeros((epochs, *attacked.position.shape))
-    for k in range(epochs):
-        attacked.step(attackers.command(k) if k < setup.steps else None)
-        twin.step(attacked=False)
-        apart[k] = attacked.position - twin.position
-        seen[0, :, setup.live + k], seen[1, :, setup.live + k] = (
-            _observed(twin),
-            _observed(attacked),
-        )
-        _check(stopped)
-    induced = horizontal(to_local(apart, setup.C_en[epochs_of(setup, attacked.onset)]))
-    return _labelled(plan, seen, induced, drawn, np.asarray(numbers), attacked.onset)
-
-
-def _labelled(
-    plan: Plan,
-    seen: NDArray[np.float16],
-    induced: FloatArray,
-    drawn: Sequence[tuple[int, Spec]],
-    numbers: NDArray[np.int64],
-    onset: NDArray[np.int64],
-) -> Episodes:
-    """Episodes of (2, R, L, o) observations; `induced` (K, R) from the onset on [m]."""
-    setup = plan.world
-    _, runs, length, _ = seen.shape
-    displacement = np.zeros((runs, 2, length), dtype=np.float32)
-    displacement[:, 1, setup.live :] = induced.T
-    attack = np.zeros((runs, 2, length), dtype=np.bool_)
-    attack[:, 1, setup.live :] = True
-    family = np.array([[-1, which] for which, _ in drawn], dtype=np.int16)
-    setting = np.array([["", json.dumps(spec)] for _, spec in drawn])
-    twice = np.repeat(onset, 2)
-    return Episodes(
-        observation=np.ascontiguousarray(seen.swapaxes(0, 1)).reshape(2 * runs, length, -1),
-        attack=attack.reshape(2 * runs, length),
-        displacement_m=displacement.reshape(2 * runs, length),
-        clean=np.tile([True, False], runs),
-        family=family.ravel(),
-        setting=setting.ravel(),
-        run=np.repeat(numbers, 2).astype(np.int64),
-        world=twice // setup.epochs_each,
-        onset_s=setup.epoch_time[twice],
-    )
-
-
 def _observed(simulator: Simulator) -> NDArray[np.float32]:
     """(B, o) what is observed now."""
     return watcher_of(simulator).memory["observation"]
 
 
-def _check(stopped: threading.Event | None) -> None:
-    if stopped is not None and stopped.is_set():
-        raise Stopped
+class Dataset:
+    """A data set on disk; its files are read, and checked, when they are asked for.
+
+    Attributes
+    ----------
+    config : dict
+        All settings of the data: world, epochs, observation, families, seeds.
+    digest : str
+        Of these, and of the code that has made the data.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        self._store = Store(folder)
+        self.config = self._store.reopen(Plan.name)
+        self.digest = digest_of(self._store.config)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of every element of an observation."""
+        return tuple(self.config["observation"]["names"])
+
+    def episodes(self, part: str) -> Episodes:
+        """All episodes of a split.
+
+        Parameters
+        ----------
+        part : str
+            ``"train"``, ``"validation"`` or ``"test"``.
+
+        Returns
+        -------
+        Episodes
+            In the order of their runs.
+
+        Raises
+        ------
+        ValueError
+            Where there is no such split, or a file is missing, damaged, or of another data set.
+        """
+        return Episodes(*map(np.concatenate, zip(*self._files(part), strict=True)))
+
+    def _files(self, part: str) -> Iterator[Episodes]:
+        check_choice("split of this data set", part, self.config["runs"])
+        for cell in cells_of(self.config["runs"], self.config["shard"]):
+            if runs_of(cell)[0] == part:
+                found = self._store.get(cell)
+                if found is None:
+                    raise ValueError(
+                        f"{self._store.path_of(cell.key)} is missing: `spoofgym dataset` with the "
+                        "same options makes it"
+                    )
+                yield Episodes(**found.arrays)
+
+
+def load(folder: str | os.PathLike[str]) -> Dataset:
+    """A data set that `spoofgym dataset` has written.
+
+    Parameters
+    ----------
+    folder : path-like
+        Where it is.
+
+    Returns
+    -------
+    Dataset
+        Nothing but its settings has been read.
+
+    Raises
+    ------
+    ValueError
+        Where there is none, or it is of another format.
+    """
+    return Dataset(folder)

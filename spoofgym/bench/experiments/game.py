@@ -105,10 +105,6 @@ class Pairs(Experiment):
         """One a pair."""
         return (cell for cell, _, _ in self.pairs.values())
 
-    def run(self, cell: Cell, results: Reader, context: Context) -> Result:
-        """Play a pair alone."""
-        return next(self.run_group([cell], results, context))
-
     def run_group(
         self, cells: Sequence[Cell], results: Reader, context: Context
     ) -> Iterator[Result]:

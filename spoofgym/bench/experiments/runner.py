@@ -22,7 +22,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from graphlib import CycleError, TopologicalSorter
@@ -33,7 +33,7 @@ import cloudpickle
 import numpy as np
 from joblib import cpu_count
 
-from ...core.progress import NullProgress, ProgressBar, ProgressCallback, RemainingWork
+from ...core.progress import ProgressBar, ProgressCallback, RemainingWork, no_progress
 from ...core.registry import check_choice, whole_number
 from .store import Cell, Reader, Result, Store
 
@@ -81,9 +81,10 @@ class Experiment(ABC):
     def cells(self) -> Iterable[Cell]:
         """All cells; the same ones in every process."""
 
-    @abstractmethod
     def run(self, cell: Cell, results: Reader, context: Context) -> Result:
-        """Compute a cell; `results` has those that it comes after."""
+        """Compute a cell; `results` has those that it comes after.  Either this or `run_group` has
+        to be defined."""
+        return next(self.run_group([cell], results, context))
 
     def run_group(
         self, cells: Sequence[Cell], results: Reader, context: Context
@@ -121,7 +122,7 @@ def run(
     cells = list(experiment.cells())
     plan = _Plan(cells, store, None if shard is None else _checked(*shard))
     results = Reader(store, cells)
-    with (progress or _no_progress)(plan.remaining) as bar, ExitStack() as stack:
+    with (progress or no_progress)(plan.remaining) as bar, ExitStack() as stack:
         try:
             if plan.count:
                 most = min(jobs, plan.count)
@@ -454,7 +455,3 @@ def _installed(kind: str) -> Any:
             f"the backend {kind!r} is not installed: python -m pip install "
             f"'spoofgym[{BACKENDS[kind]}]'"
         ) from error
-
-
-def _no_progress(_: float) -> nullcontext[NullProgress]:
-    return nullcontext(NullProgress())

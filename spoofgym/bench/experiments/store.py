@@ -107,11 +107,12 @@ class Store:
             self._check_config(mine)
         self._config = mine
 
-    def reopen(self, experiment: str) -> None:
-        """Take up the experiment that the folder holds, to read what is finished."""
+    def reopen(self, experiment: str) -> dict[str, Any]:
+        """Read what is there, whatever code has made it; returns the config of the experiment."""
         if not (self.path / CONFIG).is_file():
             raise ValueError(f"{self.path} holds no results: there is no {CONFIG}")
         self._config = self._found(experiment)
+        return dict(self._config["config"])
 
     def _content(self) -> list[str]:
         items = self.path.iterdir() if self.path.is_dir() else ()

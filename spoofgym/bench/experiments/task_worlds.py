@@ -23,7 +23,7 @@ from ..runs.world import World
 from ..scores.paired import CONTROLS
 from ..search.attack_suite import ORACLES, Member, fitting_members
 from ..search.worst_attack import AntennaEntry
-from .dataset import QUIET_TASKS
+from .training_attacks import QUIET_TASKS
 
 SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
 """Profiles of the letter c."""

@@ -17,9 +17,10 @@ from ..experiments.summary import CampaignResults
 from ..scores.bounds import HALF, STEALTHY, headline
 from ..scores.clean import NOMINAL
 from ..scores.paired import CONTROLS, FREE, name_of
-from ..search.attack_suite import FAMILIES, ORACLES
+from ..search.attack_suite import FAMILIES as FAMILIES
+from ..search.attack_suite import ORACLES
 from ..search.open_loop import FOUND
-from .table import Table, interval, metres, number, page, percent, share, texts, yes_no
+from .table import Table, interval, metres, number, percent, rendered, share, yes_no
 
 Row = dict[str, Any]
 ORACLE = " (oracle)"
@@ -262,6 +263,13 @@ COMPARISONS = Table(
         lambda row: interval(row["difference_m"]) + (", above" if row["above"] else ""),
     ),
 )
+
+
+def known_spoofers(summary: Row) -> dict[str, Row]:
+    """What the spoofers know, by their labels."""
+    return {cell["spoofer"]: cell["knowledge"] for cell in summary["cells"]}
+
+
 ALARMS = (
     ("P(alarm | silent twin) [%]", "alarm_rate", share(1)),
     ("its upper limit [%]", "alarm_limit", share(1)),
@@ -288,8 +296,7 @@ def tuning_table(search: Row) -> Table:
 
 def floor_notes(summary: Row) -> list[str]:
     """What the floors are, and under which assumptions they hold; why there are none."""
-    names = {"HALF": HALF, "STEALTHY": STEALTHY}
-    return str(texts("floor.md.j2").notes(summary, names)).splitlines()
+    return rendered("floor.md.j2", {"summary": summary}).splitlines()
 
 
 def bound_notes(summary: Row) -> list[str]:
@@ -303,7 +310,7 @@ def bound_notes(summary: Row) -> list[str]:
     return [f"{', '.join(names)}: {why}" for why, names in labels.items()]
 
 
-def _optima(summary: Row) -> dict[str, list[str]]:
+def found_optima(summary: Row) -> dict[str, list[str]]:
     """Detectors by what their blind optima were found by; a shape where another curve got farther
     once fitted."""
     labels: dict[str, list[str]] = {}
@@ -317,34 +324,9 @@ def _optima(summary: Row) -> dict[str, list[str]]:
 
 
 def markdown(results: CampaignResults, summary: Row) -> str:
-    """Report of a campaign."""
-    known = {cell["spoofer"]: cell["knowledge"] for cell in summary["cells"]}
-    tables = []
-    for group in groups(summary):
-        attacks, clean = attack_rows(summary, group), group.rows(summary["detectors"])
-        detectors = DETECTORS.markdown(detector_rows(summary, group))
-        shown = (detectors, ATTACKS.markdown(attacks) if attacks else "", CLEAN.markdown(clean))
-        tables.append((group.title, *shown))
-    return (
-        page("campaign.md.j2")
-        .render(
-            config=results.config,
-            code=results.store.config["code"],
-            summary=summary,
-            tables=tables,
-            floor_notes=floor_notes(summary),
-            bound_notes=bound_notes(summary),
-            optima=_optima(summary),
-            comparisons=COMPARISONS.markdown(summary["comparisons"]),
-            knowledge=KNOWLEDGE.markdown(known.items()),
-            tuning_table=tuning_table,
-            FAMILIES=FAMILIES,
-            HALF=HALF,
-            STEALTHY=STEALTHY,
-        )
-        .rstrip()
-        + "\n"
-    )
+    """Report of a campaign; its template names the tables and texts of this module."""
+    own = {"config": results.config, "code": results.store.config["code"], "summary": summary}
+    return rendered("campaign.md.j2", globals() | own)
 
 
 def print_campaign(summary: Row) -> None:

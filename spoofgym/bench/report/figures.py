@@ -70,8 +70,8 @@ def _log_metres(ax: Axes) -> None:
 
 def _note(ax: Axes, text: str, xy: tuple[float, float], apart: tuple[int, int], **how: Any) -> None:
     """Write a small text at a point, by default at a place of the data and a height of the axes."""
-    small = {"textcoords": "offset points", "xycoords": ("data", "axes fraction"), "fontsize": 8}
-    ax.annotate(text, xy, xytext=apart, **{**small, "color": GREY, **how})
+    own: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "color": GREY, **how}
+    ax.annotate(text, xy, xytext=apart, textcoords="offset points", fontsize=8, **own)
 
 
 def draw_means(
@@ -289,8 +289,8 @@ def _draw_column(
 
 
 def _key(ax: Axes, label: str, look: Look) -> Line2D:
-    star = {"marker": look.marker, "ms": 11.0 if look.marker == "*" else 8.0, "mec": "white"}
-    return ax.plot([], [], look.dashes, color=look.colour, lw=2.0, label=label, **star)[0]
+    kind, size = look.dashes + look.marker, 11.0 if look.marker == "*" else 8.0
+    return ax.plot([], [], kind, color=look.colour, lw=2.0, ms=size, mec="white", label=label)[0]
 
 
 def play_frames(

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,16 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.plots import BLUE, ORANGE, figure_class, save_figure, style
+from ...core.progress import ProgressBar
 from ...core.registry import check_choice
 from ...detectors.calibration_file import hourly_rate, run_probability
 from ...envs.observer import Observer
 from ...envs.terms.observation import default_terms
 from ...limits import Frontier, deflection_for
-from ...limits.bounds import ASSUMPTIONS, ZeroAlarm, heading_of
+from ...limits.bounds import ASSUMPTIONS, heading_of
 from ...limits.floor import QUANTILES
 from ...limits.power import check_no_latent, kl_of
 from ...simulation.setup import Setup
 from ...simulation.tight import TightlyCoupledSetup
+from ..experiments.suite import Suite
 from ..runs.players import Entry, build_spoofer
 from ..search.bounds import floors_m, purposes
 from .table import Table, metres, texts
@@ -43,10 +46,13 @@ SENSORS = {"unknown": False, "known": True}
 HEADINGS = ("known", "unknown")
 TIMES = 12
 """Times of the command phase at which a picture has the floor."""
-DRAWN = ("half", "certain")
-"""Purposes whose floors are drawn over time."""
+DRAWN = {
+    "half": (BLUE, "found in half of the runs"),
+    "certain": (ORANGE, "missed in one of a thousand"),
+}
+"""Purposes whose floors are drawn over time, in which colour, and as what."""
 UNBOUNDED = "unbounded"
-COMMANDS_NO_POSITION = "the restricted attack is a false position, which this one does not command"
+NO_POSITION = "the restricted attack is a false position, which this one does not command"
 
 
 def sensors_known(word: str) -> bool:
@@ -102,7 +108,10 @@ def floor_record(
         },
         "per_deflection_m": _spread(frontier.sizes()),
         "every_channel_free_m": _spread(frontier.sizes(free=True)),
-        "below_every_channel_free": _below(frontier),
+        # whether it stays below that of an attack on every channel, as it has to
+        "below_every_channel_free": bool(
+            (frontier.sizes() <= frontier.sizes(free=True) * (1.0 + 1e-6)).all()
+        ),
         "assumptions": {"floor": list(frontier.assumptions)},
     }
     if len(frontier.times_s):
@@ -110,24 +119,22 @@ def floor_record(
     return record
 
 
-def zero_alarm_record(
-    found: Mapping[str, ZeroAlarm], points: Mapping[str, Sequence[Any]]
-) -> Record:
-    """Zero-alarm bounds by detector, and where these work, to be added to a record."""
-    rows = [
+def add_bounds(record: Record, suite: Suite, show: ProgressBar) -> None:
+    """Add the zero-alarm bounds of all detectors of a suite, and where these work."""
+    brackets, entries = suite.brackets(worlds=record["worlds"]), suite.detector_entries
+    with show(1.0 + len(entries)) as bar:
+        brackets.cases(partial(bar.advance, now="worlds"))
+        bounds = [brackets.zero_alarm(x, partial(bar.advance, now=x.label)) for x in entries]
+    record["zero_alarm"] = [
         {
-            "detector": label,
-            "points": [point._asdict() for point in points[label]],
+            "detector": each.label,
+            "points": [point._asdict() for point in suite.world.points(each)],
             **bound.as_json(),
-            **({"why": COMMANDS_NO_POSITION} if _only_free(bound) else {}),
+            **({} if bound.why or bound.restricted_m is not None else {"why": NO_POSITION}),
         }
-        for label, bound in found.items()
+        for each, bound in zip(entries, bounds, strict=True)
     ]
-    return {"zero_alarm": rows, "assumptions": {"zero_alarm": list(ASSUMPTIONS)}}
-
-
-def _only_free(bound: ZeroAlarm) -> bool:
-    return bound.restricted_m is None and not bound.why
+    record["assumptions"]["zero_alarm"] = list(ASSUMPTIONS)
 
 
 def divergence_record(
@@ -161,12 +168,6 @@ def _spread(sizes: np.ndarray[Any, np.dtype[np.float64]]) -> Record:
     """Median over worlds and headings, 10th and 90th percentile."""
     low, middle, high = (float(np.quantile(sizes, q, method="nearest")) for q in QUANTILES)
     return {"value": _json(middle), "low": _json(low), "high": _json(high)}
-
-
-def _below(frontier: Frontier) -> bool:
-    """Whether the frontier stays below that of an attack on every channel, as it has to."""
-    free = frontier.sizes(free=True)
-    return bool((frontier.sizes() <= free * (1.0 + 1e-6)).all())
 
 
 def _course(frontier: Frontier, p_fa: float, budget: float) -> Record:
@@ -241,11 +242,6 @@ def print_limits(record: Record) -> None:
     print(say.assumptions(record).rstrip())
 
 
-COLOURS = {"half": BLUE, "certain": ORANGE}
-LABELS = {
-    "half": "found in half of the runs",
-    "certain": "missed in one of a thousand",
-}
 WIDTH = 140
 """Characters of a line of the caption."""
 
@@ -274,8 +270,8 @@ def draw_floors(record: Record, path: Path) -> Path:
 def _draw_floor(ax: Axes, time: NDArray[np.float64], purpose: str, cells: dict[str, Any]) -> bool:
     """Median, from 0 at the onset, and its range; whether there is any that is finite."""
     low, middle, high = (_finite(cells[name]) for name in ("low", "value", "high"))
-    since, colour = np.append(0.0, time), COLOURS[purpose]
-    label = f"P_D {100 * cells['p_d']:.3g} %: {LABELS[purpose]} (d = {cells['deflection']:.2f})"
+    since, (colour, name) = np.append(0.0, time), DRAWN[purpose]
+    label = f"P_D {100 * cells['p_d']:.3g} %: {name} (d = {cells['deflection']:.2f})"
     ax.plot(since, np.append(0.0, middle), "o-", color=colour, ms=4, label=label)
     if not np.array_equal(low, high, equal_nan=True):
         bounds = np.append(0.0, low), np.append(0.0, high)

@@ -13,7 +13,7 @@ from ..scores.statistics import interval as interval
 from ..scores.statistics import number as number
 
 if TYPE_CHECKING:
-    from jinja2 import Environment, Template
+    from jinja2 import Environment
 
 WIDTH = 180
 """Characters of a line where the output is no terminal."""
@@ -143,11 +143,11 @@ def _environment(folder: Path) -> Environment:
     return made
 
 
-def page(name: str, folder: Path = TEMPLATES) -> Template:
-    """Template of a page, or of texts that are its macros."""
-    return _environment(folder).get_template(name)
+def rendered(name: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -> str:
+    """Text of a template, with one end of its last line."""
+    return _environment(folder).get_template(name).render(values).rstrip() + "\n"
 
 
 def texts(name: str) -> Any:
     """Macros of a template, by their names."""
-    return page(name).module
+    return _environment(TEMPLATES).get_template(name).module

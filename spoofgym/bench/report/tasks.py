@@ -49,23 +49,6 @@ def optima_of(key: str) -> list[list[float]]:
     return list(stored_cards().get(key, {}).get("optima_mps", {}).values())
 
 
-def listed() -> list[dict[str, Any]]:
-    """All tasks with their cards, JSON-able."""
-    cards = stored_cards()
-    return [
-        {
-            "key": key,
-            "suite": SUITE,
-            "env_id": task.env_id,
-            "title": task.title,
-            "historical": task.historical,
-            "alert_limit_m": task.alert_limit_m,
-            "card": cards.get(key),
-        }
-        for key, task in TASKS.items()
-    ]
-
-
 def task_rows() -> list[Card]:
     """Cards of all tasks, each with its key."""
     return [{"task": key, **card} for key, card in stored_cards().items()]
@@ -169,10 +152,22 @@ def missing() -> dict[str, str]:
     return {key: COMMAND.format(key) for key in DETECTOR_TASKS if key not in there}
 
 
-def listed_detectors() -> list[dict[str, Any]]:
+def listed() -> list[Card]:
     """All tasks with their cards, JSON-able."""
-    cards, absent = stored_detector_cards(), missing()
-    return [
+    cards, detector_cards, absent = stored_cards(), stored_detector_cards(), missing()
+    tasks = [
+        {
+            "key": key,
+            "suite": SUITE,
+            "env_id": task.env_id,
+            "title": task.title,
+            "historical": task.historical,
+            "alert_limit_m": task.alert_limit_m,
+            "card": cards.get(key),
+        }
+        for key, task in TASKS.items()
+    ]
+    detector_tasks = [
         {
             "key": key,
             "suite": SUITE,
@@ -181,11 +176,12 @@ def listed_detectors() -> list[dict[str, Any]]:
             "alert_limit_m": task.alert_limit_m,
             "public": [each.key for each in task.public],
             "held_out": [each.key for each in task.held_out],
-            "card": cards.get(key),
+            "card": detector_cards.get(key),
             "play": absent.get(key),
         }
         for key, task in DETECTOR_TASKS.items()
     ]
+    return [*tasks, *detector_tasks]
 
 
 def _rounded(estimate: Card) -> str:
@@ -250,19 +246,13 @@ def ranked(card: Card) -> list[Card]:
 TASK_LIST = Table(
     ("task", itemgetter(0)),
     ("environment", lambda row: row[1].env_id),
-    (
-        "what it asks for",
-        lambda row: row[1].title + (", historical" if row[1].historical else ""),
-    ),
+    ("what it asks for", lambda row: row[1].title + (", historical" if row[1].historical else "")),
 )
 DETECTOR_TASK_LIST = Table(
     ("task", itemgetter(0)),
     ("environment of a learner", lambda row: row[1].env_id),
     ("world", lambda row: row[1].title),
-    (
-        "families that are held out",
-        lambda row: ", ".join(family.key for family in row[1].held_out),
-    ),
+    ("families that are held out", lambda row: ", ".join(family.key for family in row[1].held_out)),
 )
 
 

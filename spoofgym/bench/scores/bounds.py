@@ -103,7 +103,6 @@ def _reached(cell: Row) -> Row:
 
 
 def _optimum(cells: Sequence[Row], searches: Sequence[Row]) -> Row | None:
-    """The blind optimum that gets farthest, one within the budget before others."""
     curves = [cell for cell in cells if cell["spoofer_settings"]["name"] == "blind-optimum"]
     found = [each for each in map(_reached, curves) if each["value"] is not None]
     if not found:

@@ -42,7 +42,6 @@ class FamilyScore(NamedTuple):
 
     @property
     def p_hmi(self) -> Estimate:
-        """P(HMI | attack) at the alert limit, with Wilson's 95 % interval."""
         moved = self.attack.displacement[MEASURES[0]][self.found.counts]
         return exceedance(moved, [self.alert_limit_m])[0]
 

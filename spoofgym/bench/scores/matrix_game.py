@@ -256,7 +256,6 @@ class PayoffMatrix:
         return spread(self._finite(), self.resampled(self.samples(count)))
 
     def mixes(self, found: Equilibrium) -> tuple[Mixture, Mixture]:
-        """Mixes of an equilibrium as strategies, which these runs have decided on."""
         seeds = frozenset({self.seeds})
         return (
             mixture("spoofers' mix", _pure(self.spoofers), found.spoofer, seeds),

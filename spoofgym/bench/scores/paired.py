@@ -116,7 +116,6 @@ def _row(
     difference: Estimate,
     size: float,
 ) -> dict[str, Any]:
-    """A difference, and on which side of 0 its interval lies; `size` of the control's [m]."""
     return {
         "score": score,
         "spoofer": spoofer,

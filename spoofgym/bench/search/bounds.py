@@ -37,7 +37,6 @@ def purposes(p_fa: float, budget: float) -> dict[str, float]:
 
 
 def floor_of(frontier: Frontier, p_fa: float, budget: float) -> dict[str, Any]:
-    """What even a perfect detector allows, and under which assumptions."""
     return {
         "p_fa": p_fa,
         "heading": HEADING,
@@ -64,7 +63,6 @@ def floors_m(
 
 
 def floors_at(frontier: Frontier, rates: Sequence[float], budget: float) -> dict[str, Any]:
-    """Floors at several probabilities of a false alarm, ``rates``, and those at the first."""
     each = [floor_of(frontier, p_fa, budget) for p_fa in rates]
     return {**each[0], "rates": [{key: x[key] for key in ("p_fa", "floor_m")} for x in each]}
 

@@ -155,7 +155,6 @@ class BlindOptimizer:
         return BlindOptimum(fastest, float(reach[0]), "constant", float(reach[0]), True)
 
     def _ladder(self, shapes: dict[str, FloatArray]) -> tuple[BlindOptimum, bool]:
-        """Best of some shapes over all amplitudes, and whether it gets as far as any attack."""
         limit, _ = self.player.limits
         scales, count = LADDER * limit, len(LADDER)
         tried = [scale * shape for shape in shapes.values() for scale in scales]

@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 
 ZOO_FOLDER = Path(__file__).parent
-"""Where they are."""
 
 
 @cache  # asked whenever a detector is made by its name

@@ -1,4 +1,4 @@
-"""Thresholds of detectors, and how often they raise false alarms on other runs, as tables."""
+"""Calibrations and hold-outs, games and data sets as tables."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from operator import attrgetter
 from typing import Any
 
 from ...calibration.holdouts import HoldOut
-from .table import Table
+from ..scores.matrix_game import PayoffMatrix
+from .table import Table, interval
 
 
 def _scale(point: dict[str, Any]) -> str | None:
@@ -54,3 +55,30 @@ def print_hold_outs(title: str, found: Sequence[HoldOut]) -> None:
     several = any(one.worst_world for one in found)
     table = Table(*HOLD_OUTS.columns, WORST_WORLD) if several else HOLD_OUTS
     table.print(title, found)
+
+
+def print_game(task: str, matrix: PayoffMatrix, payoff: str, runs: int) -> None:
+    """Print the mix of the detectors, and every spoofer with its part and its payoffs."""
+    spread = matrix.spread()
+    value = interval(spread.value.as_json(), 2)
+    solved = "a pure pair solves it" if matrix.solve().pure else "no pure pair solves it"
+    mixes = ([interval(p.as_json(), 2) for p in side] for side in (spread.spoofer, spread.detector))
+    spoofers, detectors = mixes
+    rows = [("mix", "", "", *detectors)]
+    for spoofer, part, values in zip(matrix.spoofers, spoofers, matrix.values, strict=True):
+        rows.append((spoofer.label, spoofer.knowledge, part, *(f"{x:.3f}" for x in values)))
+    labels = (each.label for each in matrix.detectors)
+    title = f"{task}: value {value}, {solved}; {payoff} by {matrix.payoff.limit_m:g} m, {runs} runs"
+    Table.of_texts("spoofer", "observes", "mix", *labels).print(title, rows)
+
+
+DATASET = Table(
+    *((name, name) for name in ("split", "runs", "episodes", "clean")),
+    (
+        "attacks by family",
+        lambda row: ", ".join(f"{name} {count}" for name, count in row["families"].items()),
+    ),
+    ("shards", "shards"),
+    ("MB", lambda row: f"{row['bytes'] / 1e6:.1f}"),
+)
+"""Its rows are the splits of a data set."""

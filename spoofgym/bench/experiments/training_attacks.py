@@ -1,0 +1,230 @@
+"""Attacks that a detector learns from: families, and what is drawn of each for every episode.
+
+They are drawn so that some are hard to see: where an attack would get to by the end of its window
+is log-uniform, from an eighth of the alert limit to five times that.  The families that the tasks
+for detectors hold out (`HELD_OUT`) are not among them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...attacks import Meaconer
+from ...attacks.equipment import QUIET, CounterfeitErrors
+from ...core.registry import Spec
+from ...envs.decisions import Decisions
+from ...envs.observer import Observer
+from ...envs.options import checked_action
+from ...envs.spoofer_binding import bound_spoofer, commands_of, monitors_for, paced, spoofer_context
+from ...envs.terms.action import CommandMap
+from ...envs.terms.observation import default_terms
+from ...simulation.engine import Engine
+from ...simulation.setup import Setup
+from ...spoofers import Spoofer, SpooferContext
+from ...spoofers.aim import has_heading
+from ...spoofers.scaled import AMPLITUDE
+from ..runs.players import build_spoofer
+from ..search.attack_suite import KNOTS, SHAPES
+
+FloatArray = NDArray[np.float64]
+FAMILIES = {
+    "ramp": "ramps",
+    "accelerating-ramp": "ramps that accelerate",
+    "profile": "the attack suite's profiles, and powers of the time",
+    "dash": "dashes",
+    "blind-optimum": "curves that a search has found against the detectors of this world",
+    "feedback": "feedback from the statistic of the detector in the loop",
+}
+"""Families by name."""
+HELD_OUT = (
+    "quiet",
+    "inherited, in the world of T5",
+    "subset of channels",
+    "meaconer",
+    "onset in a turn",
+    "onset at a satellite switch",
+    "onset after a chance alarm",
+)
+"""Families of the tasks for detectors, which no training data have; onsets in a data set are drawn
+as the world draws them."""
+QUIET_TASKS = ("T5",)
+"""Tasks whose own counterfeit is quieter than nature; there the plain one is held out."""
+REACH = (0.125, 5.0)
+"""Range of the displacement at the end of a window, in alert limits; log-uniform."""
+AMPLITUDES = (0.25, 2.0)
+"""Range of the factor on spoofers that are given, or were found by a search; log-uniform."""
+POWERS = (0.3, 4.0)
+"""Range of the power of time in a profile that is none of the attack suite's."""
+LAST_PARTS = (0.1, 0.6)
+"""Range of the part of the window in which a dash takes place."""
+
+
+class TrainingAttacks:
+    """Families of attacks in one world.
+
+    `setup`: victim and attack, with the detector in the loop; `reach_m`: what `REACH` is in parts
+    of: an alert limit; `families`: some of `FAMILIES`; `optima`: rates of blind optima at their
+    knots, for the family of that name [m/s]; `spoofers`: names and settings of further spoofers,
+    each a family of its own, as `build_spoofer` takes them; an ONNX file, too.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        reach_m: float,
+        families: Sequence[str],
+        optima: Sequence[Sequence[float]] = (),
+        spoofers: Sequence[Spec] = (),
+    ) -> None:
+        for spec in spoofers:
+            made = build_spoofer(spec)
+            if not made.transmits:
+                raise ValueError(f"the spoofer {spec['name']!r} transmits nothing: it is no attack")
+            watched = setup.altered(monitors=monitors_for([made], setup))
+            made.bind(bound_spoofer(made, watched, 1)[0])  # or what does not fit
+        self._context = spoofer_context(setup)
+        self._reach_m, self._optima, self._spoofers = reach_m, list(optima), list(spoofers)
+        self._makers: dict[str, Callable[[np.random.Generator, float], Spec]] = {
+            name: getattr(self, f"_{name.replace('-', '_')}") for name in families
+        }
+        self.families = (*families, *(label_of(spec) for spec in spoofers))
+
+    def draw(self, rng: np.random.Generator) -> tuple[int, Spec]:
+        """Family, by its number, and settings of one attack; all families are as likely."""
+        family = int(rng.integers(len(self.families)))
+        own = family - len(self._makers)
+        if own >= 0:
+            return family, {**self._spoofers[own], AMPLITUDE: rounded(log_uniform(rng, AMPLITUDES))}
+        goal_m = self._reach_m * log_uniform(rng, REACH)
+        spec = self._makers[self.families[family]](rng, goal_m)
+        if has_heading(self._context.action_names):
+            spec["heading_deg"] = rounded(rng.uniform(0.0, 360.0))
+        return family, spec
+
+    @property
+    def _window_s(self) -> float:
+        return self._context.steps * self._context.interval_s
+
+    def _rate(self, rate: float) -> float:
+        """A rate that the attack allows."""
+        return rounded(min(rate, self._context.largest_rate[1]))
+
+    def _ramp(self, rng: np.random.Generator, goal_m: float) -> Spec:
+        return {"name": "ramp", "rate_mps": self._rate(goal_m / self._window_s)}
+
+    def _accelerating_ramp(self, rng: np.random.Generator, goal_m: float) -> Spec:
+        wanted = 2.0 * goal_m / self._window_s**2
+        if self._context.control != "rate":
+            wanted = min(wanted, self._context.acceleration_limit_mps2)
+        return {"name": "accelerating-ramp", "acceleration_mps2": rounded(wanted)}
+
+    def _profile(self, rng: np.random.Generator, goal_m: float) -> Spec:
+        """A shape of the attack suite, or a power of the time."""
+        time, shapes = np.linspace(0.0, 1.0, KNOTS), list(SHAPES.values())
+        which, power = int(rng.integers(2 * len(shapes))), rng.uniform(*POWERS)
+        shape = shapes[which](time) if which < len(shapes) else time**power
+        return self._curve("profile", shape, goal_m)
+
+    def _blind_optimum(self, rng: np.random.Generator, goal_m: float) -> Spec:
+        rates = self._optima[int(rng.integers(len(self._optima)))]
+        return self._curve("blind-optimum", np.asarray(rates, dtype=np.float64), goal_m)
+
+    def _curve(self, name: str, shape: FloatArray, goal_m: float) -> Spec:
+        length = float(np.trapezoid(shape, dx=1.0 / (len(shape) - 1))) * self._window_s
+        rates = shape * goal_m / length
+        return {"name": name, "rates_mps": [self._rate(float(rate)) for rate in rates]}
+
+    def _dash(self, rng: np.random.Generator, goal_m: float) -> Spec:
+        last_s = self._window_s * rng.uniform(*LAST_PARTS)
+        return {"name": "dash", "rate_mps": self._rate(goal_m / last_s), "last_s": rounded(last_s)}
+
+    def _feedback(self, rng: np.random.Generator, goal_m: float) -> Spec:
+        """By the detector in the loop; how carefully is drawn, too."""
+        growth, full = rng.uniform(0.0, 6.0), rng.uniform(0.2, 0.7)
+        return {
+            "name": "feedback",
+            "rate_mps": self._rate(2.0 * goal_m / (self._window_s * (1.0 + growth))),
+            "growth": rounded(growth),
+            "full_ratio": rounded(full),
+            "zero_ratio": rounded(full + rng.uniform(0.2, 0.6)),
+            "back": rounded(rng.uniform(-1.0, 0.0)),
+        }
+
+
+def check_not_held_out(attack: Any, task: str | None) -> None:
+    """Raise where all that an attack does belongs to a family that is held out."""
+    errors = getattr(attack, "errors", "inherited")
+    # however they are blended in, errors of the counterfeits' own may be smaller than real ones
+    quiet = isinstance(errors, CounterfeitErrors)
+    found = {
+        "quiet": quiet and not (task in QUIET_TASKS and errors == QUIET),
+        "inherited": not quiet and task in QUIET_TASKS,
+        "subset of channels": getattr(attack, "channels", "all") != "all",
+        "meaconer": isinstance(attack, Meaconer),
+    }
+    if named := [name for name, held in found.items() if held]:
+        raise ValueError(
+            f"the attack belongs to what the tasks for detectors have held out ({named[0]}): a "
+            "detector that has learned from it could not be compared there"
+        )
+
+
+def label_of(spec: Spec) -> str:
+    return str(build_spoofer(spec).label or spec["name"])
+
+
+def log_uniform(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
+    """A number whose logarithm is uniform."""
+    return math.exp(rng.uniform(math.log(bounds[0]), math.log(bounds[1])))
+
+
+def rounded(value: float) -> float:
+    """Six digits, so that a setting can be read."""
+    return float(f"{value:.6g}")
+
+
+class Attackers:
+    """Spoofers each of which commands one receiver of an engine, which are at their onset. `specs`:
+    one a receiver; `observers` are kept from one engine to the next."""
+
+    def __init__(
+        self, specs: Sequence[Spec], engine: Engine, observers: dict[Any, Observer]
+    ) -> None:
+        setup = engine.setup
+        self._engine, self._observers = engine, observers
+        self._members: list[tuple[Spoofer, CommandMap, Decisions, Any]] = []
+        for row, spec in enumerate(specs):
+            spoofer = build_spoofer(spec)
+            commands = commands_of(spoofer, setup)
+            seen = spoofer.knowledge, commands.along_target
+            if seen not in observers:
+                terms = default_terms(setup, seen[0], along_target=seen[1])
+                observers[seen] = Observer(terms, setup)
+            own = paced(setup, spoofer)
+            context: SpooferContext = spoofer_context(own, 1, observers[seen], commands)
+            spoofer.bind(context)
+            spoofer.reset()
+            commands.aim(engine.simulator.heading[row : row + 1])
+            decisions = Decisions(own, 1, len(commands.names))
+            self._members.append((spoofer, commands, decisions, seen))
+
+    def command(self, epoch: int) -> FloatArray:
+        """Command (B, a) of an epoch, counted from the onset on."""
+        engine = self._engine
+        wanted = {seen for _, _, decisions, seen in self._members if decisions.due(epoch)}
+        seen_by = {seen: self._observers[seen](engine, epoch) for seen in wanted}
+        rate = engine.simulator.commanded_rate
+        out = np.zeros((engine.receivers, len(engine.setup.action_names)))
+        for row, (spoofer, commands, decisions, seen) in enumerate(self._members):
+            own = slice(row, row + 1)
+            if decisions.due(epoch):
+                shape = 1, len(commands.names)
+                action = checked_action(spoofer.act(seen_by[seen][own]), shape, commands.names)
+                decisions.take(action)
+            out[own] = commands.command(decisions.action(epoch), rate[own])
+        return out
