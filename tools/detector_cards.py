@@ -1,9 +1,6 @@
 """Play the reference scores of the tasks for detectors, and keep their cards.
 
-    python -m tools.detector_cards D1             # plays what is missing, into results/detectors
-    python -m tools.detector_cards --tables-only  # docs/tasks.md again from the cards
-
-Killed, it goes on where it was.
+python -m tools.detector_cards D1    # plays what is missing, into results/detectors
 """
 
 from __future__ import annotations
@@ -40,7 +37,6 @@ from tools.pages import DOCS, ROOT, keep_cards, put_between, rendered
 
 KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, DOCS / "tasks.md"
 BEGIN, END = "<!-- detector-cards:begin -->", "<!-- detector-cards:end -->"
-RUNS, SELECTION_RUNS = 200, 64
 
 
 def played(
@@ -81,9 +77,8 @@ def card_of(scores: list[DetectorScore]) -> dict[str, Any]:
 
 
 def with_others(card: dict[str, Any], stored: dict[str, Any] | None) -> dict[str, Any]:
-    """A card with the rows of a stored one that was played on the same runs, and what they lack.
-    The stored rows stay where the best classic, which all are compared with, has the same
-    scores."""
+    """A card with the rows of a stored one that was played on the same runs, where the best
+    classic, which all are compared with, has the same scores."""
     same = ("runs", "selection_runs", "entropy", "best_classic")
     if stored is None or any(card[name] != stored[name] for name in same):
         return card
@@ -120,8 +115,8 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("tasks", nargs="*", help=f"of {', '.join(DETECTOR_TASKS)}; default: all")
     parser.add_argument("--out", type=Path, default=Path("results/detectors"))
-    parser.add_argument("--runs", type=int, default=RUNS, help="evaluation runs of every family")
-    parser.add_argument("--selection-runs", type=int, default=SELECTION_RUNS)
+    parser.add_argument("--runs", type=int, default=200, help="evaluation runs of every family")
+    parser.add_argument("--selection-runs", type=int, default=64)
     parser.add_argument("--only", nargs="+", help="as the page has them; others keep their scores")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     given = parser.parse_args(arguments)

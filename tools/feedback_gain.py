@@ -139,12 +139,8 @@ def rows(label: str, found: dict[str, Any]) -> list[tuple[str, ...]]:
         own = found[kind]
         settings = f"{_words(own['settings'])}, amplitude {own['amplitude']:.4g}"
         who = titled(kind, own["knowledge"])
-        lines.append((label, blind, who, settings, marked(own), _ratio(own), bound))
+        lines.append((label, blind, who, settings, marked(own), interval(own["ratio"], 2), bound))
     return lines
-
-
-def _ratio(own: dict[str, Any]) -> str:
-    return "{value:.2f} ({low:.2f} to {high:.2f})".format(**own["ratio"])
 
 
 @error_lines()

@@ -2,7 +2,6 @@
 
     python -m tools.headlines                  # plays what is missing, into results/headlines
     python -m tools.headlines --world trolley  # one of them; the others stay as they are kept
-    python -m tools.headlines --tables-only    # docs/scores.md again from docs/headlines.json
 
 All detectors work at 0.2 false alarms an hour; ramps, profiles, blind optima and feedback meet each
 of them.  Their bracket is shown with what was achieved.

@@ -1,7 +1,6 @@
 """Do the calibrations of the headlines hold on fresh runs?  Counted, kept and shown.
 
-    python -m tools.holdouts                    # counts, and writes docs/holdouts.json
-    python -m tools.holdouts --tables-only      # the tables of docs/calibration.md again
+    python -m tools.holdouts      # counts, and writes docs/holdouts.json
 
 The seeds are those of the split `holdout`, runs 0 to N - 1, entropy 0: fixed before the first
 count, and never drawn again.

@@ -35,8 +35,7 @@ from .refits import RESULTS as REFITS
 from .refits import table as table_of_refits
 
 PAGE, KEPT = DOCS / "learned_spoofers.md", DOCS / "learned_spoofers.json"
-MANY = "spoofers.json"
-"""Results of `train.spoofers` in their folder."""
+MANY = "spoofers.json"  # of `train.spoofers`
 TASK_HEAD = (
     *("task", "detector", "ramp [m]", "accelerating ramp [m]", "blind optimum [m]"),
     *("PPO, median and range of the seeds [m]", "of the best of the three", "untrained [m]"),

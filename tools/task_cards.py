@@ -2,11 +2,8 @@
 
     python -m tools.task_cards                  # plays what is missing, into results/tasks
     python -m tools.task_cards T4 --seeds 500   # one of them
-    python -m tools.task_cards --tables-only    # docs/tasks.md again from the cards
 
-The admission test has five figures on evaluation runs (docs/tasks.md), with the best classic, the
-detector against which the worst attack of the suite gets the least far in half of the runs.  What
-single skies allow is kept beside what the same runs give with their skies dealt out by chance.
+The admission test has five figures on evaluation runs, with the best classic (docs/tasks.md).
 """
 
 from __future__ import annotations
