@@ -1,7 +1,4 @@
-"""Play the reference scores of the tasks for detectors, and keep their cards.
-
-python -m tools.detector_cards D1    # plays what is missing, into results/detectors
-"""
+"""Play the reference scores of the tasks for detectors: ``python -m tools.detector_cards D1``."""
 
 from __future__ import annotations
 

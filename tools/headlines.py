@@ -20,6 +20,7 @@ from agents.folder import write_json
 from spoofgym.bench.report import campaign as report
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.scores.bounds import bracket_of
+from spoofgym.bench.scores.paired import name_of
 from spoofgym.cli.suites import LEFT_OUT
 from spoofgym.core.settings import digest_of
 from spoofgym.spoofers.base import sees_statistics
@@ -114,8 +115,8 @@ def _tables(world: dict[str, Any]) -> str:
         for title, name in COLUMNS.items()
         if world["limits"]["floor"] or not ("floor" in title or " bound" in title)
     ]
-    cells = {(cell["detector"], _plain(cell)): cell for cell in world["cells"]}
-    met = {_plain(cell): cell["knowledge"]["run_time"] for cell in world["cells"]}
+    cells = {(cell["detector"], name_of(cell["spoofer"])): cell for cell in world["cells"]}
+    met = {name_of(cell["spoofer"]): cell["knowledge"]["run_time"] for cell in world["cells"]}
     spoofers = [name for name in SPOOFERS if name in met]
     spoofers.sort(key=lambda name: sees_statistics(met[name]))  # oracles come last
     attacks = (
@@ -131,14 +132,9 @@ def _tables(world: dict[str, Any]) -> str:
     return "\n".join(table.markdown(report.detector_rows(world, group)) for group in found)
 
 
-def _plain(cell: dict[str, Any]) -> str:
-    return str(cell["spoofer"]).partition("(")[0]
-
-
 def _displacement(cell: dict[str, Any]) -> str:
-    return interval(cell["stealthy_displacement_m"]) + (
-        "" if cell["within_budget"] else report.OVER
-    )
+    over = "" if cell["within_budget"] else report.OVER
+    return interval(cell["stealthy_displacement_m"]) + over
 
 
 def main(arguments: list[str]) -> None:

@@ -57,9 +57,6 @@ class Step(NamedTuple):
     after: tuple[str, ...] = ()
 
 
-Steps = Mapping[str, Step]
-
-
 def steps_of(out: Path) -> dict[str, Step]:
     """Every step by its name, in the order in which they would run one by one."""
     from train.spoofers import DETECTORS, WORLDS  # torch, which workers do not need
@@ -122,7 +119,7 @@ def steps_of(out: Path) -> dict[str, Step]:
 
 
 def run(
-    out: Path, steps: Steps, workers: int = 1, progress: ProgressBar | None = None
+    out: Path, steps: Mapping[str, Step], workers: int = 1, progress: ProgressBar | None = None
 ) -> dict[str, Any]:
     """Run what has not ended yet; seconds and command of every step, by its name."""
     parts = {}

@@ -32,6 +32,7 @@ from spoofgym.bench.report.tasks import (
     task_rows,
 )
 from spoofgym.bench.runs.players import detector_entry, fitted
+from spoofgym.bench.scores.paired import name_of
 from spoofgym.bench.search.settings import Selection, Tuning
 from spoofgym.cli.output import progress
 from spoofgym.core.settings import describe
@@ -92,7 +93,11 @@ def card_of(task: Task, results: CampaignResults) -> dict[str, Any]:
     summary = summarize(results)
     own = detector_entry(task.detector).label
     detectors = {row["detector"]: row for row in summary["detectors"]}
-    scores = {name_of(cell): score_of(cell) for cell in summary["cells"] if cell["detector"] == own}
+    scores = {
+        name_of(cell["spoofer"]): score_of(cell)
+        for cell in summary["cells"]
+        if cell["detector"] == own
+    }
     floor = summary["limits"]["floor"]
     card = {
         "campaign": summary["campaign"],
@@ -123,13 +128,9 @@ def optima_of(summary: dict[str, Any]) -> dict[str, list[float]]:
     rates = {
         cell["detector"]: cell["spoofer_settings"]["rates_mps"]
         for cell in summary["cells"]
-        if name_of(cell) == "blind-optimum"
+        if name_of(cell["spoofer"]) == "blind-optimum"
     }
     return {label: each for label, each in rates.items() if len(set(each)) > 1}  # no mere ramps
-
-
-def name_of(cell: dict[str, Any]) -> str:
-    return str(cell["spoofer"].partition("(")[0])
 
 
 def score_of(cell: dict[str, Any]) -> dict[str, Any]:
@@ -151,7 +152,7 @@ def admission(
     best = min(classics, key=lambda name: half_of(card, name))
     half, floor = half_of(card, best), card["floor_m"]
     cells = {
-        name_of(cell): float(cell["stealthy_displacement_m"]["value"] or 0.0)
+        name_of(cell["spoofer"]): float(cell["stealthy_displacement_m"]["value"] or 0.0)
         for cell in summary["cells"]
         if cell["detector"] == best
     }
