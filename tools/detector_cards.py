@@ -1,10 +1,4 @@
-"""Play the reference scores of the tasks for detectors, and keep their cards.
-
-    python -m tools.detector_cards D1             # plays what is missing, into results/detectors
-    python -m tools.detector_cards --tables-only  # docs/tasks.md again from the cards
-
-Killed, it goes on where it was.
-"""
+"""Play the reference scores of the tasks for detectors: ``python -m tools.detector_cards D1``."""
 
 from __future__ import annotations
 
@@ -15,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from agents.folder import write_json
 from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.protect import DetectorEvaluator
 from spoofgym.bench.experiments.task_worlds import entries_of
@@ -37,11 +30,10 @@ from spoofgym.cli.output import progress
 from spoofgym.core.registry import check_choice, label_of
 from spoofgym.detectors import zoo
 from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
-from tools.pages import DOCS, ROOT, put_between, rendered
+from tools.pages import DOCS, ROOT, keep_cards, put_between, rendered
 
 KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, DOCS / "tasks.md"
 BEGIN, END = "<!-- detector-cards:begin -->", "<!-- detector-cards:end -->"
-RUNS, SELECTION_RUNS = 200, 64
 
 
 def played(
@@ -82,9 +74,8 @@ def card_of(scores: list[DetectorScore]) -> dict[str, Any]:
 
 
 def with_others(card: dict[str, Any], stored: dict[str, Any] | None) -> dict[str, Any]:
-    """A card with the rows of a stored one that was played on the same runs, and what they lack.
-    The stored rows stay where the best classic, which all are compared with, has the same
-    scores."""
+    """A card with the rows of a stored one that was played on the same runs, where the best
+    classic, which all are compared with, has the same scores."""
     same = ("runs", "selection_runs", "entropy", "best_classic")
     if stored is None or any(card[name] != stored[name] for name in same):
         return card
@@ -121,8 +112,8 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("tasks", nargs="*", help=f"of {', '.join(DETECTOR_TASKS)}; default: all")
     parser.add_argument("--out", type=Path, default=Path("results/detectors"))
-    parser.add_argument("--runs", type=int, default=RUNS, help="evaluation runs of every family")
-    parser.add_argument("--selection-runs", type=int, default=SELECTION_RUNS)
+    parser.add_argument("--runs", type=int, default=200, help="evaluation runs of every family")
+    parser.add_argument("--selection-runs", type=int, default=64)
     parser.add_argument("--only", nargs="+", help="as the page has them; others keep their scores")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     given = parser.parse_args(arguments)
@@ -130,9 +121,7 @@ def main(arguments: list[str]) -> None:
         sizes = given.runs, given.selection_runs
         card = played(detector_task_of(key), given.out, *sizes, given.only)
         card = with_others(card, stored_cards().get(key))
-        kept = {**stored_cards(), key: card}
-        kept = {name: kept[name] for name in DETECTOR_TASKS if name in kept}
-        write_json(KEPT, kept)
+        keep_cards(KEPT, {**stored_cards(), key: card}, DETECTOR_TASKS)
         for score in card["detectors"]:
             print(key, score["detector"], score["p_hmi"], score["worst_family"], flush=True)
     put_between(PAGE, BEGIN, END, shown())

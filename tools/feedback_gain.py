@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 from agents.folder import Part, Records, error_lines
@@ -77,34 +78,28 @@ def _words(settings: dict[str, float]) -> str:
     return ", ".join(f"{key} {x:g}" for key, x in settings.items())
 
 
-def headline(text: str) -> dict[str, dict[str, Any]]:
-    """Detectors of the standard suite whose name has a text in it: spec, curve, bound, reach."""
+def cases(names: Sequence[str], task: str | None = None) -> dict[str, dict[str, Any]]:
+    """Curve, bound and room of detectors by their labels: that of a task, or those of the standard
+    suite with one of the names in it."""
+    if task is not None:
+        return {detector_entry(task_of(task).detector).label: {"room": True}}
     world = json.loads(KEPT.read_text())["worlds"][WORLD]
     brackets = {row["detector"]: row["bracket"] for row in world["detectors"]}
     reach = brackets["never"]["zero_alarm"]["value"]
-    found = {}
-    for cell in world["cells"]:
-        label = cell["detector"]
-        if cell["spoofer"] == BLIND and text in label:
-            found[label] = {
-                "rates_mps": cell["spoofer_settings"]["rates_mps"],
-                "blind_m": cell["stealthy_displacement_m"],
-                "bound": brackets[label]["zero_alarm"],
-                "room": cell["stealthy_displacement_m"]["value"] < REACHED * reach,
-            }
-    return found
-
-
-def cases(names: list[str], task: str | None) -> dict[str, dict[str, Any]]:
-    if task is not None:
-        return {detector_entry(task_of(task).detector).label: {"room": True}}
-    found: dict[str, dict[str, Any]] = {}
-    for name in names or [""]:
-        chosen = headline(name)
-        if not chosen:
+    found = {
+        cell["detector"]: {
+            "rates_mps": cell["spoofer_settings"]["rates_mps"],
+            "blind_m": cell["stealthy_displacement_m"],
+            "bound": brackets[cell["detector"]]["zero_alarm"],
+            "room": cell["stealthy_displacement_m"]["value"] < REACHED * reach,
+        }
+        for cell in world["cells"]
+        if cell["spoofer"] == BLIND
+    }
+    for name in names:
+        if not any(name in label for label in found):
             raise ValueError(f"no detector of {KEPT.name} has {name!r} in its name")
-        found |= chosen
-    return found
+    return {label: found[label] for name in names or [""] for label in found if name in label}
 
 
 def case_of(label: str, case: dict[str, Any], given: argparse.Namespace) -> dict[str, Any]:
@@ -144,12 +139,8 @@ def rows(label: str, found: dict[str, Any]) -> list[tuple[str, ...]]:
         own = found[kind]
         settings = f"{_words(own['settings'])}, amplitude {own['amplitude']:.4g}"
         who = titled(kind, own["knowledge"])
-        lines.append((label, blind, who, settings, marked(own), _ratio(own), bound))
+        lines.append((label, blind, who, settings, marked(own), interval(own["ratio"], 2), bound))
     return lines
-
-
-def _ratio(own: dict[str, Any]) -> str:
-    return "{value:.2f} ({low:.2f} to {high:.2f})".format(**own["ratio"])
 
 
 @error_lines()
@@ -159,12 +150,8 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("detectors", nargs="*", help="parts of their names; by default all")
     parser.add_argument("--task", help="the detector of a task instead, T1 to T6")
     given = parser.parse_args(arguments)
-    fixed = {
-        **sizes_of(given, given.seed),
-        "threads": None,
-        "task": given.task,
-        "tried": [TRIED, OFF],
-    }
+    fixed = {**sizes_of(given, given.seed), "task": given.task, "tried": [TRIED, OFF]}
+    del fixed["threads"]
     parts = {
         label: Part({**fixed, "case": case}, lambda *_, x=(label, case): case_of(*x, given))
         for label, case in cases(given.detectors, given.task).items()

@@ -1,10 +1,4 @@
-"""Tables of `docs/game.md`, from the results of a game of `train.double_oracle`.
-
-    python -m tools.game_page runs/game
-
-takes them into `docs/game.json`, and writes the tables of the page; without a folder it writes the
-tables again.
-"""
+"""Tables of `docs/game.md`: ``python -m tools.game_page runs/game``, of a `train.double_oracle`."""
 
 from __future__ import annotations
 

@@ -2,12 +2,9 @@
 
     python -m tools.headlines                  # plays what is missing, into results/headlines
     python -m tools.headlines --world trolley  # one of them; the others stay as they are kept
-    python -m tools.headlines --limits-only    # floors and zero-alarm bounds again, of a --world
-    python -m tools.headlines --tables-only    # docs/scores.md again from docs/headlines.json
 
 All detectors work at 0.2 false alarms an hour; ramps, profiles, blind optima and feedback meet each
 of them.  Their bracket is shown with what was achieved.
-Killed, it goes on where it was.
 """
 
 from __future__ import annotations
@@ -19,11 +16,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from agents.folder import write_json
 from spoofgym.bench.report import campaign as report
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.scores.bounds import bracket_of
-from spoofgym.cli.suites import LEFT_OUT, standard_suite
-from spoofgym.core.files import write_file
+from spoofgym.bench.scores.paired import name_of
+from spoofgym.cli.suites import LEFT_OUT
 from spoofgym.core.settings import digest_of
 from spoofgym.spoofers.base import sees_statistics
 from tools.pages import DOCS, marks, put_between, rendered
@@ -70,34 +68,20 @@ def played(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
         [*command, "--out", str(out / name), "--json"], check=True, stdout=subprocess.PIPE
     )
     summary = json.loads(done.stdout)
-    config = json.loads((out / name / "config.json").read_text())
+    found = json.loads((out / name / "config.json").read_text())
+    config = found["config"]
     wanted = ("campaign", "scenario", "runs", "entropy", "budget", "alert_limit_m", "attack_suite")
     parts = ("detectors", "cells", "protection", "comparisons", "limits")
     return {
         "command": " ".join(["spoofgym", *given]),
-        "versions": config["versions"],
-        "notes": config["notes"],
-        "calibrations": config["calibrations"],
+        "versions": found["code"],
+        **{key: config[key] for key in ("notes", "calibrations")},
         **{key: summary[key] for key in (*wanted, *parts)},
         "cells": [
             {key: value for key, value in cell.items() if key not in CURVES}
             for cell in summary["cells"]
         ],
     }
-
-
-def with_limits(world: dict[str, Any]) -> dict[str, Any]:
-    """A standard suite that is kept, with its limits computed again: they need no run."""
-    suite = standard_suite(None, {"spoofers": []})
-    brackets = suite.brackets()
-    bounds = {}
-    for entry in suite.detector_entries:
-        if entry.label in {row["detector"] for row in world["detectors"]}:
-            print(entry.label, flush=True)
-            bounds[entry.label] = brackets.zero_alarm(entry).as_json()
-    limits = {"floor": brackets.floor(), "zero_alarm": bounds}
-    bare = [{key: x for key, x in row.items() if key != "bracket"} for row in world["detectors"]]
-    return _bracketed({**world, "detectors": bare}, limits)
 
 
 def _bracketed(world: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
@@ -110,12 +94,6 @@ def _bracketed(world: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
         worst = next(iter(own["protection"]), None)
         found.append({"bracket": bracket_of(row, limits, own["cells"], worst, ()), **row})
     return {**world, "limits": limits, "detectors": found}
-
-
-def write_kept(worlds: dict[str, Any]) -> None:
-    worlds = {name: worlds[name] for name in WORLDS}
-    kept = {"digest": digest_of(worlds), "worlds": worlds}
-    write_file(KEPT, (json.dumps(kept, allow_nan=False) + "\n").encode())
 
 
 def shown(kept: dict[str, Any]) -> str:
@@ -137,8 +115,8 @@ def _tables(world: dict[str, Any]) -> str:
         for title, name in COLUMNS.items()
         if world["limits"]["floor"] or not ("floor" in title or " bound" in title)
     ]
-    cells = {(cell["detector"], _plain(cell)): cell for cell in world["cells"]}
-    met = {_plain(cell): cell["knowledge"]["run_time"] for cell in world["cells"]}
+    cells = {(cell["detector"], name_of(cell["spoofer"])): cell for cell in world["cells"]}
+    met = {name_of(cell["spoofer"]): cell["knowledge"]["run_time"] for cell in world["cells"]}
     spoofers = [name for name in SPOOFERS if name in met]
     spoofers.sort(key=lambda name: sees_statistics(met[name]))  # oracles come last
     attacks = (
@@ -154,14 +132,9 @@ def _tables(world: dict[str, Any]) -> str:
     return "\n".join(table.markdown(report.detector_rows(world, group)) for group in found)
 
 
-def _plain(cell: dict[str, Any]) -> str:
-    return str(cell["spoofer"]).partition("(")[0]
-
-
 def _displacement(cell: dict[str, Any]) -> str:
-    return interval(cell["stealthy_displacement_m"]) + (
-        "" if cell["within_budget"] else report.OVER
-    )
+    over = "" if cell["within_budget"] else report.OVER
+    return interval(cell["stealthy_displacement_m"]) + over
 
 
 def main(arguments: list[str]) -> None:
@@ -172,15 +145,14 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--training-seeds", default="256")
     parser.add_argument("--selection-seeds", default="192")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
-    parser.add_argument("--limits-only", action="store_true", help="of a standard suite")
     given = parser.parse_args(arguments)
     sizes = ["--seeds", given.seeds, "--training-seeds", given.training_seeds]
     sizes += ["--selection-seeds", given.selection_seeds]
     worlds = json.loads(KEPT.read_text())["worlds"]
-    for name in () if given.tables_only else given.world or (() if given.limits_only else WORLDS):
-        again = given.limits_only
-        worlds[name] = with_limits(worlds[name]) if again else played(name, given.out, sizes)
-        write_kept(worlds)
+    for name in () if given.tables_only else given.world or WORLDS:
+        worlds[name] = played(name, given.out, sizes)
+        kept = {each: worlds[each] for each in WORLDS}
+        write_json(KEPT, {"digest": digest_of(kept), "worlds": kept}, None)
     put_between(PAGE, BEGIN, END, shown(json.loads(KEPT.read_text())))
 
 

@@ -1,7 +1,6 @@
 """Do the calibrations of the headlines hold on fresh runs?  Counted, kept and shown.
 
-    python -m tools.holdouts                    # counts, and writes docs/holdouts.json
-    python -m tools.holdouts --tables-only      # the tables of docs/calibration.md again
+    python -m tools.holdouts      # counts, and writes docs/holdouts.json
 
 The seeds are those of the split `holdout`, runs 0 to N - 1, entropy 0: fixed before the first
 count, and never drawn again.
@@ -102,15 +101,12 @@ def counted(world: World, others: list[World], runs: int, cells: int) -> dict[st
             rows.append({**one.as_dict(), **kind, "in": elsewhere})
             if rare:
                 rows[-1]["rare"] = rare[k].as_dict()
-    passive = [row for row in rows if row["passive"]]
-    shares = [row["alarms"] / row["runs"] for row in passive]
-    mean = hourly_rate(math.fsum(shares) / len(shares), world.setup.window_s)
     return {
         "world": world.name,
         "settings": world.setup.conditions.digest,
         "window_s": world.setup.window_s,
         "degenerate": world.degenerate,
-        "mean_passive_per_hour": mean,
+        "mean_passive_per_hour": _mean(rows, world.setup.window_s),
         "detectors": rows,
     }
 
@@ -121,10 +117,13 @@ def joined(before: dict[str, Any], later: dict[str, Any]) -> dict[str, Any]:
     names = {row["name"] for row in later["detectors"]}
     kept = [row for row in before["detectors"] if row["name"] not in names]
     rows = [*kept, *later["detectors"]]
-    shares = [row["alarms"] / row["runs"] for row in rows if row["passive"]]
-    window = later["window_s"]
-    mean = hourly_rate(math.fsum(shares) / len(shares), window)
+    mean = _mean(rows, later["window_s"])
     return {**before, "detectors": rows, "mean_passive_per_hour": mean}
+
+
+def _mean(rows: list[dict[str, Any]], window_s: float) -> float:
+    shares = [row["alarms"] / row["runs"] for row in rows if row["passive"]]
+    return hourly_rate(math.fsum(shares) / len(shares), window_s)
 
 
 def shown(kept: dict[str, Any]) -> str:

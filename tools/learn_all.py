@@ -1,15 +1,12 @@
 """All trainings behind the pages, and their scores, by one command that goes on after a kill.
 
-    python -m tools.learn_all --out runs/all                 # everything
-    python -m tools.learn_all --out runs/all --workers 8     # so many steps at a time
-    python -m tools.learn_all --out runs/all --only ppo-T3   # one step, or several
-    python -m tools.learn_all --out runs/all --list          # what there is, and what it runs
+    python -m tools.learn_all --out runs/all          # everything
+    python -m tools.learn_all --out runs/all --list   # what there is, and what it runs
 
-Each step is a command of its own in a folder of its own, which goes on where it was, and begins
-when the steps that it needs have ended.  What they have to say is in `NAME.log`.  A step that has
-ended is not run again, unless its command is another one now; where one fails, the others end, too.
-`steps.json` has the command of each of them, and the seconds that it took.  Some steps write tables
-and cards of the pages in docs/ and spoofgym/.
+Each step is a command in a folder of its own, which goes on where it was, and begins when the steps
+that it needs have ended; what it has to say is in `NAME.log`.  A step that has ended is not run
+again, unless its command is another one now; where one fails, the others end, too.  `steps.json`
+has commands and seconds.  Some steps write tables and cards of the pages in docs/ and spoofgym/.
 """
 
 from __future__ import annotations
@@ -58,9 +55,6 @@ class Step(NamedTuple):
 
     words: list[str]
     after: tuple[str, ...] = ()
-
-
-Steps = Mapping[str, Step]
 
 
 def steps_of(out: Path) -> dict[str, Step]:
@@ -125,7 +119,7 @@ def steps_of(out: Path) -> dict[str, Step]:
 
 
 def run(
-    out: Path, steps: Steps, workers: int = 1, progress: ProgressBar | None = None
+    out: Path, steps: Mapping[str, Step], workers: int = 1, progress: ProgressBar | None = None
 ) -> dict[str, Any]:
     """Run what has not ended yet; seconds and command of every step, by its name."""
     parts = {}

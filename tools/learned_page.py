@@ -35,8 +35,7 @@ from .refits import RESULTS as REFITS
 from .refits import table as table_of_refits
 
 PAGE, KEPT = DOCS / "learned_spoofers.md", DOCS / "learned_spoofers.json"
-MANY = "spoofers.json"
-"""Results of `train.spoofers` in their folder."""
+MANY = "spoofers.json"  # of `train.spoofers`
 TASK_HEAD = (
     *("task", "detector", "ramp [m]", "accelerating ramp [m]", "blind optimum [m]"),
     *("PPO, median and range of the seeds [m]", "of the best of the three", "untrained [m]"),
@@ -59,13 +58,9 @@ def shown_of_tasks(kept: dict[str, Any]) -> str:
 
 def shown(kept: dict[str, Any]) -> str:
     seeds = sorted({row["seed"] for found in kept.values() for row in found["seeds"]})
-    every = [_seed_cells(task, found, seeds) for task, found in kept.items()]
-    lines = [
-        shown_of_tasks(kept).rstrip(),
-        "",
-        Table.of_texts("task", *(f"seed {seed}" for seed in seeds)).markdown(every),
-    ]
-    return "\n".join(lines) + "\n"
+    every = [(task, *(_seed(found, seed) for seed in seeds)) for task, found in kept.items()]
+    table = Table.of_texts("task", *(f"seed {seed}" for seed in seeds)).markdown(every)
+    return f"{shown_of_tasks(kept)}\n{table}\n"
 
 
 def _task_cells(task: str, found: dict[str, Any]) -> tuple[str, ...]:
@@ -81,14 +76,11 @@ def _task_cells(task: str, found: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _seed_cells(task: str, found: dict[str, Any], seeds: list[int]) -> tuple[str, ...]:
-    rows = {row["seed"]: row for row in found["seeds"]}
-    return (task, *(_seed(rows[seed]) if seed in rows else "-" for seed in seeds))
-
-
-def _seed(row: dict[str, Any]) -> str:
-    if not row["score"]:
-        return "none within the budget"
+def _seed(found: dict[str, Any], seed: int) -> str:
+    """A seed of a task: displacement, times the ramp, and alarms."""
+    row = next((each for each in found["seeds"] if each["seed"] == seed), None)
+    if row is None or not row["score"]:
+        return "none within the budget" if row else "-"
     rate = 100.0 * row["score"]["alarm_rate"]["value"]
     return f"{marked(row['score'])} m, {interval(row['ratios']['ramp'], 2)} ramps, {rate:.1f} %"
 
@@ -100,12 +92,9 @@ def shown_of_plain(kept: dict[str, Any]) -> str:
         for task, found in kept.items()
         for kind, rows in found["kinds"].items()
     ]
-    lines = [
-        Table.of_texts(*KIND_HEAD).markdown(kind_cells(*each) for each in kinds),
-        *("", "Medians of the learning curves, on training runs [m]:", ""),
-        Table.of_texts(*CURVE_HEAD).markdown((task, kind, _curve(x)) for task, kind, x, _ in kinds),
-    ]
-    return "\n".join(lines) + "\n"
+    table = Table.of_texts(*KIND_HEAD).markdown(kind_cells(*each) for each in kinds)
+    curves = Table.of_texts(*CURVE_HEAD).markdown((a, b, _curve(rows)) for a, b, rows, _ in kinds)
+    return f"{table}\n\nMedians of the learning curves, on training runs [m]:\n\n{curves}\n"
 
 
 def _curve(rows: list[dict[str, Any]]) -> str:

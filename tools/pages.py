@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from agents.folder import write_json
 from spoofgym.bench.report import table
 from spoofgym.core.files import write_file
 
@@ -34,3 +36,7 @@ def put_between(page: Path, begin: str, end: str, text: str) -> None:
 def rendered(name: str, **values: Any) -> str:
     """A template of the folder beside."""
     return table.rendered(name, values, TEMPLATES)
+
+
+def keep_cards(file: Path, cards: Mapping[str, Any], order: Iterable[str]) -> None:
+    write_json(file, {name: cards[name] for name in order if name in cards})

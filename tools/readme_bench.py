@@ -11,16 +11,17 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
 from typing import Any
 
+from agents.folder import write_json
 from spoofgym.bench.experiments.summary import PICTURE, CampaignResults, summarize
 from spoofgym.bench.report.campaign import bound_text
 from spoofgym.bench.report.table import Table, metres, number
 from spoofgym.bench.scores.bounds import HALF, STEALTHY, headline
-from spoofgym.core.files import write_file
 from tools.headlines import KEPT as FULL
 from tools.pages import DOCS, ROOT, put_between, rendered
 
@@ -35,27 +36,24 @@ SPOOFERS = {
     "feedback": "feedback (sees statistics)",
 }
 """Whose stealthy displacements are shown, and their headings."""
-DEFAULTS = ("snapshot-chi2", "windowed-chi2", "ewma", "joint-chart", "innovation-rate", "raim")
-"""Detectors with their own settings that the README shows, besides the first ones."""
+SHOWN = (
+    *("never", "lottery", "solution-separation"),
+    *("snapshot-chi2", "windowed-chi2", "ewma", "joint-chart", "innovation-rate", "raim"),
+)
+"""Detectors that the README shows, besides those of range rates."""
 OVER = "*"
 SHARES = {"in 50 % of runs": 0.5, "in 5 %": 0.05}
 
 
 def label(detector: str) -> str:
     """Short label: the rate of false alarms is the same for all."""
-    return detector.replace("(false_alarms_per_hour=0.2)", "").replace(
-        ", false_alarms_per_hour=0.2", ""
-    )
+    return re.sub(r"\(false_alarms_per_hour=0\.2\)|, false_alarms_per_hour=0\.2", "", detector)
 
 
 def chosen(world: dict[str, Any]) -> list[dict[str, Any]]:
-    rows = []
-    for row in world["detectors"]:
-        name = label(row["detector"])
-        first = name in ("never", "lottery", "solution-separation") or "range_rate" in name
-        if first or name in DEFAULTS:
-            rows.append(row)
-    return rows
+    """Rows of the detectors that the README shows, in the order of the suite."""
+    names = {label(row["detector"]): row for row in world["detectors"]}
+    return [row for name, row in names.items() if name in SHOWN or "range_rate" in name]
 
 
 def shown(world: dict[str, Any]) -> str:
@@ -97,17 +95,13 @@ def shared_rows(world: dict[str, Any]) -> dict[str, Any]:
     """Scores with their intervals, by detector, of a summary or of a world that is kept."""
     found: dict[str, Any] = {}
     for row in world["protection"]:
-        name = row["detector"]
-        worst = {HALF: headline(row, 0.5), "exceeded in 5 %": headline(row, 0.05)}
-        cells = {
-            cell["spoofer"]: cell["stealthy_displacement_m"]
-            for cell in world["cells"]
-            if cell["detector"] == name and cell["spoofer"] != "none"
-        }
-        ends = ("value", "low", "high")
-        found[label(name)] = {
-            score: {end: each[end] for end in ends}
-            for score, each in {**worst, **cells}.items()
+        scores = {HALF: headline(row, 0.5), "exceeded in 5 %": headline(row, 0.05)}
+        for cell in world["cells"]:
+            if cell["detector"] == row["detector"] and cell["spoofer"] != "none":
+                scores[cell["spoofer"]] = cell["stealthy_displacement_m"]
+        found[label(row["detector"])] = {
+            score: {end: each[end] for end in ("value", "low", "high")}
+            for score, each in scores.items()
             if each is not None
         }
     return found
@@ -120,7 +114,7 @@ def main(arguments: list[str]) -> None:
     if given is not None:
         summary = summarize(CampaignResults.load(given))
         kept = {"campaign": summary["campaign"], "rows": shared_rows(summary)}
-        write_file(SHARED, (json.dumps(kept, indent=1, allow_nan=False) + "\n").encode())
+        write_json(SHARED, kept)
         shutil.copyfile(given / PICTURE, DRAWN)
     world = json.loads(FULL.read_text())["worlds"][WORLD]
     picture = "\n![The campaign](docs/campaign.png)\n"

@@ -36,7 +36,6 @@ from spoofgym.tasks import task_of
 from .scored import parser_of, sizes_of
 
 RESULTS = "refits.json"
-RAMP = "ramp"
 LEARNED = {
     "T1": "snapshot-chi2-ppo",
     "T2": "ewma-ppo",
@@ -69,7 +68,7 @@ def options(arguments: list[str]) -> argparse.Namespace:
 
 def specs_of(task: str, given: Sequence[str]) -> list[Any]:
     names = given or ("accelerating-ramp", LEARNED[task])
-    names = [RAMP, *(name for name in names if name != RAMP)]
+    names = ["ramp", *(name for name in names if name != "ramp")]
     entries = tuple(spoofer_entry(fitted(parse_spec(name))) for name in names)
     check_labels(entries)
     return [entry.spec for entry in entries]

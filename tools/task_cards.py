@@ -2,11 +2,8 @@
 
     python -m tools.task_cards                  # plays what is missing, into results/tasks
     python -m tools.task_cards T4 --seeds 500   # one of them
-    python -m tools.task_cards --tables-only    # docs/tasks.md again from the cards
 
-The admission test has five figures on evaluation runs (docs/tasks.md), with the best classic, the
-detector against which the worst attack of the suite gets the least far in half of the runs.  What
-single skies allow is kept beside what the same runs give with their skies dealt out by chance.
+The admission test has five figures on evaluation runs, with the best classic (docs/tasks.md).
 """
 
 from __future__ import annotations
@@ -21,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.folder import write_json
 from spoofgym.bench.experiments import Store, run
 from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.campaign import Campaign
@@ -36,12 +32,13 @@ from spoofgym.bench.report.tasks import (
     task_rows,
 )
 from spoofgym.bench.runs.players import detector_entry, fitted
+from spoofgym.bench.scores.paired import name_of
 from spoofgym.bench.search.settings import Selection, Tuning
 from spoofgym.cli.output import progress
 from spoofgym.core.settings import describe
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.tasks import SUITE, TASKS, Task, task_of
-from tools.pages import DOCS, ROOT, put_between, rendered
+from tools.pages import DOCS, ROOT, keep_cards, put_between, rendered
 
 KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, DOCS / "tasks.md"
 BEGIN, END = "<!-- cards:begin -->", "<!-- cards:end -->"
@@ -96,7 +93,11 @@ def card_of(task: Task, results: CampaignResults) -> dict[str, Any]:
     summary = summarize(results)
     own = detector_entry(task.detector).label
     detectors = {row["detector"]: row for row in summary["detectors"]}
-    scores = {name_of(cell): score_of(cell) for cell in summary["cells"] if cell["detector"] == own}
+    scores = {
+        name_of(cell["spoofer"]): score_of(cell)
+        for cell in summary["cells"]
+        if cell["detector"] == own
+    }
     floor = summary["limits"]["floor"]
     card = {
         "campaign": summary["campaign"],
@@ -127,13 +128,9 @@ def optima_of(summary: dict[str, Any]) -> dict[str, list[float]]:
     rates = {
         cell["detector"]: cell["spoofer_settings"]["rates_mps"]
         for cell in summary["cells"]
-        if name_of(cell) == "blind-optimum"
+        if name_of(cell["spoofer"]) == "blind-optimum"
     }
     return {label: each for label, each in rates.items() if len(set(each)) > 1}  # no mere ramps
-
-
-def name_of(cell: dict[str, Any]) -> str:
-    return str(cell["spoofer"].partition("(")[0])
 
 
 def score_of(cell: dict[str, Any]) -> dict[str, Any]:
@@ -155,7 +152,7 @@ def admission(
     best = min(classics, key=lambda name: half_of(card, name))
     half, floor = half_of(card, best), card["floor_m"]
     cells = {
-        name_of(cell): float(cell["stealthy_displacement_m"]["value"] or 0.0)
+        name_of(cell["spoofer"]): float(cell["stealthy_displacement_m"]["value"] or 0.0)
         for cell in summary["cells"]
         if cell["detector"] == best
     }
@@ -223,9 +220,7 @@ def main(arguments: list[str]) -> None:
     sizes = {name: getattr(given, f"{name}_seeds") for name in ("training", "selection")}
     for key in () if given.tables_only else given.tasks or TASKS:
         card = played(task_of(key), given.out, {**sizes, "seeds": given.seeds})
-        kept = {**stored_cards(), key: card}
-        kept = {name: kept[name] for name in TASKS if name in kept}
-        write_json(KEPT, kept)
+        keep_cards(KEPT, {**stored_cards(), key: card}, TASKS)
         print(key, json.dumps(card.get("admission"), indent=1), flush=True)
     put_between(PAGE, BEGIN, END, shown())
 

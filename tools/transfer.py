@@ -5,12 +5,10 @@ r"""Spoofers trained in one world and played in another: detectors, flights, ski
         --world 'consumer={"scenario": "trolley-consumer"}'
 
 A world is a name and what it changes in the task, as keyword arguments of an environment; the task
-itself is the world `home`.  Each spoofer is trained in each of the worlds: its amplitude is fitted
-there, and the curve of a blind optimum is searched for there.  One with a world behind its name,
-such as `runs/mine.onnx@home`, has been trained in that one.  It is then played in all worlds, *as
-fitted at home* and *refitted* there, both in times of the *native*, the same spoofer trained where
-it is played, run by run.  An amplitude that is not refitted may break the alarm budget: that is no
-score, and is marked.
+itself is the world `home`.  Each spoofer is fitted in each of the worlds, or was trained in the one
+behind its name, as `runs/mine.onnx@home`.  It is then played in all worlds, *as fitted at home* and
+*refitted* there, both in times of the *native*, the same spoofer trained where it is played, run by
+run.  What is over the alarm budget is no score, and is marked.
 """
 
 from __future__ import annotations
@@ -23,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.folder import Part, Records, error_lines, identity_of
+from agents.seeds import keeps_budget
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.runs.players import fitted, spoofer_entry
@@ -110,13 +109,9 @@ def line(row: Row) -> tuple[str, ...]:
 
 
 def _part(found: Row) -> str:
-    ratio = found["of_native"]
-    times = (
-        "-" if ratio["value"] is None else "{value:.2f} ({low:.2f} to {high:.2f})".format(**ratio)
-    )
-    keeps = found["within_budget"] and found["fit_within_budget"] is not False
-    over = "" if keeps else ", over the budget"
-    return f"{times}, {interval(found['stealthy_displacement_m'])} m{over}"
+    over = "" if keeps_budget(found) else ", over the budget"
+    metres = interval(found["stealthy_displacement_m"])
+    return f"{interval(found['of_native'], 2)}, {metres} m{over}"
 
 
 def _world(text: str) -> tuple[str, dict[str, Any]]:

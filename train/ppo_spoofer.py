@@ -240,7 +240,10 @@ class Training:
         if args.tensorboard:
             self.model.set_logger(configure(str(self.folder / "tensorboard"), ["tensorboard"]))
         if (self.folder / CHECKPOINT).is_file():
-            self.restore()
+            state = load_checkpoint(self.folder / CHECKPOINT, self.model, self.envs)
+            self.watch.restore(state["watch"])
+            for name in STATE:
+                setattr(self, name, state[name])
 
     @property
     def folder(self) -> Path:
@@ -308,13 +311,6 @@ class Training:
         policy = self.args.policy(self.seed)
         files = (policy, policy.with_suffix(".json"))
         save_checkpoint(self.folder / CHECKPOINT, self.model, self.envs, state, files)
-
-    def restore(self) -> None:
-        """Take over the checkpoint, and the best policy of its time."""
-        state = load_checkpoint(self.folder / CHECKPOINT, self.model, self.envs)
-        self.watch.restore(state["watch"])
-        for name in STATE:
-            setattr(self, name, state[name])
 
 
 def scored(

@@ -6,7 +6,7 @@ import pytest
 
 from spoofgym.bench.experiments.evaluate import Evaluator
 from tools import feedback_gain
-from tools.feedback_gain import BLIND, FEEDBACK, OFF, RIDER, TRIED, cases, headline, played, rows
+from tools.feedback_gain import BLIND, FEEDBACK, OFF, RIDER, TRIED, cases, played, rows
 
 WORLD = {
     "timeline": {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0},
@@ -46,14 +46,13 @@ def test_a_row_names_what_it_knows_and_whether_it_keeps_the_budget(found):
 
 
 def test_the_headlines_give_curve_bound_and_room():
-    (label,) = headline("aime(signals")
-    case = headline("aime(signals")[label]
+    (case,) = cases(["aime(signals"]).values()
     assert case["room"]
     assert len(case["rates_mps"]) > 2
     assert case["bound"]["value"] > case["blind_m"]["value"]
-    assert not headline("never")["never"]["room"]
+    assert not cases(["never"])["never"]["room"]
     with pytest.raises(ValueError, match=r"no detector of headlines\.json has 'nobody'"):
-        cases(["nobody"], None)
+        cases(["nobody"])
 
 
 def test_what_has_no_room_is_not_played_and_what_is_kept_neither(tmp_path, monkeypatch, capsys):
