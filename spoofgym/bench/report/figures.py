@@ -153,15 +153,24 @@ def draw_trade(
         by_runs = sorted(search["trials"], key=itemgetter("runs"))
         last = {trial["value"]: trial for trial in by_runs}  # that on the most runs
         trials = sorted(last.values(), key=itemgetter("value"))
-        x = [100 * trial["alarm_rate"] for trial in trials]
-        y = [max(trial["stealthy_displacement_m"], SMALLEST_M) for trial in trials]
-        ax.plot(x, y, ".-", color=look[search["spoofer"]].colour, lw=1, ms=4, alpha=0.45, zorder=2)
+        rates = [100 * trial["alarm_rate"] for trial in trials]
+        moved = [max(trial["stealthy_displacement_m"], SMALLEST_M) for trial in trials]
+        ax.plot(
+            rates,
+            moved,
+            ".-",
+            color=look[search["spoofer"]].colour,
+            lw=1,
+            ms=4,
+            alpha=0.45,
+            zorder=2,
+        )
     for label, score in scores.items():
         if label == "none" or score["stealthy_displacement_m"]["value"] is None:
             continue
-        x, rates = _errors(score["alarm_rate"], 100.0)
-        y, metres = _errors(score["stealthy_displacement_m"], least=SMALLEST_M)
-        ax.errorbar(x, y, xerr=rates, yerr=metres, capsize=2, **_point(look[label], score))
+        x, width = _errors(score["alarm_rate"], 100.0)
+        y, height = _errors(score["stealthy_displacement_m"], least=SMALLEST_M)
+        ax.errorbar(x, y, xerr=width, yerr=height, capsize=2, **_point(look[label], score))
     ax.set_xlim(-3, 103)
     _log_metres(ax)
     ax.set_xlabel("P(alarm | silent twin) [%] (hollow: over budget)")
