@@ -34,7 +34,7 @@ def tune(
     from ..bench.report.campaign import tuning_table
     from ..bench.runs.panel import Panel
     from ..bench.runs.players import TUNED, build_spoofer
-    from ..bench.search.amplitude import fit, search_work
+    from ..bench.search.amplitude import TuningResult, fit, search_work
     from ..detectors import detector_in_world
     from ..spoofers.scaled import AMPLITUDE
 
@@ -49,7 +49,8 @@ def tune(
         print_lines((*suite.notes, *suite.captions))
     entries = [entry for entry in suite.spoofer_entries if entry.tuned]
     each = 2.0 * suite.tuning.runs + len(entries) * search_work(suite.tuning)
-    results, optima, watched = [], suite.optima(), suite.world.watched_for(entries)
+    results: list[TuningResult] = []
+    optima, watched = suite.optima(), suite.world.watched_for(entries)
     rngs = functools.partial(suite.generators, "training", suite.tuning.runs)
     with progress(each * len(suite.detector_entries)) as bar:
         for judge in suite.detector_entries:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -84,10 +85,10 @@ def draw_means(
         if name not in scores or scores[name]["stealthy_displacement_m"]["value"] is None:
             continue
         mean = scores[name]["stealthy_displacement_m"]
-        spread = [[mean["value"] - mean["low"]], [mean["high"] - mean["value"]]]
-        ax.errorbar(mean["value"], row, xerr=spread, capsize=2, **_point(look[name], scores[name]))
-        text, place = number(mean["value"]), (mean["high"], row)
-        _note(ax, text, place, (5, 0), xycoords="data", va="center", color="black")
+        x, spread = _errors(mean)
+        ax.errorbar(x, row, xerr=spread, capsize=2, **_point(look[name], scores[name]))
+        place = (mean["high"], row)
+        _note(ax, number(x), place, (5, 0), xycoords="data", va="center", color="black")
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.4, -0.6)
     highs = (score["stealthy_displacement_m"]["high"] for score in scores.values())
@@ -129,6 +130,14 @@ def _point(look: Look, score: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _errors(
+    estimate: dict[str, Any], scale: float = 1.0, least: float = -math.inf
+) -> tuple[float, list[list[float]]]:
+    """Value, and how far it is to the ends of its interval, both at least so large."""
+    low, value, high = (max(scale * estimate[key], least) for key in ("low", "value", "high"))
+    return value, [[value - low], [high - value]]
+
+
 def draw_trade(
     ax: Axes,
     scores: dict[str, dict[str, Any]],
@@ -141,29 +150,27 @@ def draw_trade(
     ax.axvline(100 * budget, color=GREY, lw=1, ls=":")
     _note(ax, "budget", (100 * budget, 0.02), (4, 0), rotation=90, va="bottom")
     for search in searches:
-        trials = [trial for trial in search["trials"] if trial["runs"] == search["runs"]]
-        trials += [
-            trial
-            for trial in search["trials"]
-            if trial["runs"] < search["runs"] and all(trial["value"] != t["value"] for t in trials)
-        ]
-        trials.sort(key=lambda trial: trial["value"])
-        x = [100 * trial["alarm_rate"] for trial in trials]
-        y = [max(trial["stealthy_displacement_m"], SMALLEST_M) for trial in trials]
-        ax.plot(x, y, ".-", color=look[search["spoofer"]].colour, lw=1, ms=4, alpha=0.45, zorder=2)
-    for label, score in scores.items():
-        x, y = score["alarm_rate"], score["stealthy_displacement_m"]
-        if label == "none" or y["value"] is None:
-            continue
-        middle = max(y["value"], SMALLEST_M)
-        ax.errorbar(
-            100 * x["value"],
-            middle,
-            xerr=[[100 * (x["value"] - x["low"])], [100 * (x["high"] - x["value"])]],
-            yerr=[[middle - max(y["low"], SMALLEST_M)], [max(y["high"], SMALLEST_M) - middle]],
-            capsize=2,
-            **_point(look[label], score),
+        by_runs = sorted(search["trials"], key=itemgetter("runs"))
+        last = {trial["value"]: trial for trial in by_runs}  # that on the most runs
+        trials = sorted(last.values(), key=itemgetter("value"))
+        rates = [100 * trial["alarm_rate"] for trial in trials]
+        moved = [max(trial["stealthy_displacement_m"], SMALLEST_M) for trial in trials]
+        ax.plot(
+            rates,
+            moved,
+            ".-",
+            color=look[search["spoofer"]].colour,
+            lw=1,
+            ms=4,
+            alpha=0.45,
+            zorder=2,
         )
+    for label, score in scores.items():
+        if label == "none" or score["stealthy_displacement_m"]["value"] is None:
+            continue
+        x, width = _errors(score["alarm_rate"], 100.0)
+        y, height = _errors(score["stealthy_displacement_m"], least=SMALLEST_M)
+        ax.errorbar(x, y, xerr=width, yerr=height, capsize=2, **_point(look[label], score))
     ax.set_xlim(-3, 103)
     _log_metres(ax)
     ax.set_xlabel("P(alarm | silent twin) [%] (hollow: over budget)")
