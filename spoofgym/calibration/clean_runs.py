@@ -89,6 +89,13 @@ def weighs(setup: Setup, detector: Detector) -> bool:
     return simulator.step(attacked=False).weights is not None
 
 
+def passes_of(setup: Setup, detectors: Sequence[Detector]) -> list[tuple[list[int], bool]]:
+    """Which of some detectors are played in one pass, and whether in the loop: those that weigh."""
+    heavy = [k for k, each in enumerate(detectors) if weighs(setup, each)]
+    light = [k for k in range(len(detectors)) if k not in heavy]
+    return ([(light, False)] if light else []) + [([k], True) for k in heavy]
+
+
 def measuring(detector: Detector) -> tuple[Detector, float]:
     """Detector whose ratios are to be found, and what they are to be multiplied by. An alarm that
     is a state must not come, since what follows depends on it."""

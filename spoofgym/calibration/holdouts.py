@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..detectors import Calibrated, Detector
 from ..detectors.calibrated import identity_of
 from ..detectors.calibration_file import TOLERANCE, Calibration, hourly_rate, run_probability
 from ..simulation.setup import Setup
-from .clean_runs import CleanRuns, Player, measuring, weighs
+from .clean_runs import CleanRuns, Player, measuring, passes_of
 from .thresholds import DetectorSpec, inner_detectors, rates_of
 
 HOLDOUT_PASSIVE, HOLDOUT_WEIGHING = 100_000, 1_000
@@ -125,22 +126,19 @@ def hold_out(
     rates = rates_of(false_alarms_per_hour)
     parts = list(zip(calibrations, inner_detectors(detectors), strict=True))
     made = [[calibrated(c, d, rate) for c, d in parts] for rate in rates]
-    heavy = [weighs(setup, each) for each in made[0]]
-    light = [k for k, alone in enumerate(heavy) if not alone]
-    groups = [(made[0], light)] if light else []
-    groups += [(made[0], [k]) for k, alone in enumerate(heavy) if alone]
-    groups += [(m, [k]) for m in made[1:] for k, (_, d) in enumerate(parts) if d.alarm_is_state]
-    counts = [
-        runs or (HOLDOUT_WEIGHING if heavy[group[0]] else HOLDOUT_PASSIVE) for _, group in groups
-    ]
+    groups = []
+    for judges, (which, alone) in product(made, passes_of(setup, made[0])):
+        new = judges is made[0]
+        those = [judges[k] for k in which if new or judges[k].detector.alarm_is_state]
+        if those:
+            count = runs or (HOLDOUT_WEIGHING if alone else HOLDOUT_PASSIVE)
+            groups.append((those, count, alone))
     played: dict[int, CleanRuns] = {}
-    with (progress or no_progress)(sum(counts)) as bar:
+    with (progress or no_progress)(sum(count for _, count, _ in groups)) as bar:
         runner = player(setup, threads=threads, progress=bar)
-        for (judges, group), count in zip(groups, counts, strict=True):
-            those, alone = [judges[k] for k in group], heavy[group[0]]
+        for those, count, alone in groups:
             found = runner.play(those, range(count), split=split, in_loop=alone, now="hold-out")
-            for i, judge in enumerate(those):
-                played[id(judge)] = found.column(i)
+            played |= {id(judge): found.column(k) for k, judge in enumerate(those)}
     counted = cells or len(parts) * len(rates), predicted, setup.window_s
     held = []
     for judges in made:
@@ -222,21 +220,20 @@ def check(
                 f"{calibration.path} is a calibration for something else than "
                 f"{calibration.detector['name']} in {setup.name}: {'; '.join(unlike)}"
             )
-    light: dict[tuple[Any, ...], list[tuple[Calibration, Detector]]] = {}
-    for k, (calibration, detector) in enumerate(pairs):
-        if detector.draws:
-            continue
-        numbers = tuple(run for run, _, _ in calibration.witnesses)
-        alone = weighs(setup, detector)
-        key = (calibration.entropy, calibration.seed_name, numbers, k if alone else None)
-        light.setdefault(key, []).append((calibration, detector))
-    for (entropy, seed_name, numbers, alone), group in light.items():
-        player = Player(setup, entropy=entropy, seed_name=seed_name, threads=threads)
-        judges = [_as_measured(c, d) for c, d in group]
-        found = player.play(judges, numbers, in_loop=alone is not None, now="replaying")
-        for i, (calibration, detector) in enumerate(group):
-            unit = measuring(detector)[1]
-            _compare(calibration, found.column(i), unit)
+    same: dict[tuple[int, str, tuple[int, ...]], list[tuple[Calibration, Detector]]] = {}
+    for calibration, detector in pairs:
+        if not detector.draws:
+            numbers = tuple(run for run, _, _ in calibration.witnesses)
+            key = calibration.entropy, calibration.seed_name, numbers
+            same.setdefault(key, []).append((calibration, detector))
+    for (entropy, seed_name, numbers), group in same.items():
+        player = Player(setup, entropy, seed_name, threads)
+        for which, alone in passes_of(setup, [detector for _, detector in group]):
+            judges = [_as_measured(*group[k]) for k in which]
+            found = player.play(judges, numbers, in_loop=alone, now="replaying")
+            for i, k in enumerate(which):
+                calibration, detector = group[k]
+                _compare(calibration, found.column(i), measuring(detector)[1])
 
 
 def _as_measured(calibration: Calibration, detector: Detector) -> Detector:

@@ -39,7 +39,7 @@ from ..detectors.calibration_file import (
 from ..detectors.learned import unscaled
 from ..simulation.monitors import Monitor
 from ..simulation.setup import Setup
-from .clean_runs import CleanRuns, Player, measuring, weighs
+from .clean_runs import CleanRuns, Player, measuring, passes_of
 
 FloatArray = NDArray[np.float64]
 PASSIVE_RUNS, WEIGHING_RUNS = 20_000, 2_000
@@ -190,11 +190,10 @@ class _Work:
             for part in parts:
                 check_drifts(part)
         missing = [part for part in parts if self.found(part, runs) is None]
-        heavy = [weighs(self.setup, part) for part in missing]
-        light = [part for part, alone in zip(missing, heavy, strict=True) if not alone]
-        found = [(light, runs or PASSIVE_RUNS, False)] if light else []
-        alone = [part for part, each in zip(missing, heavy, strict=True) if each]
-        found += [([part], runs or WEIGHING_RUNS, True) for part in alone]
+        found = [
+            ([missing[k] for k in which], runs or (WEIGHING_RUNS if alone else PASSIVE_RUNS), alone)
+            for which, alone in passes_of(self.setup, missing)
+        ]
         for group, count, _ in found:
             tail = not any(each.alarm_is_state for each in group)
             for rate in self.rates:  # or that so many runs don't tell it

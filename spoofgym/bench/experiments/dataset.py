@@ -370,21 +370,25 @@ def _observed(simulator: Simulator) -> NDArray[np.float32]:
     return watcher_of(simulator).memory["observation"]
 
 
+@dataclass(frozen=True)
 class Dataset:
     """A data set on disk; its files are read, and checked, when they are asked for.
 
     Attributes
     ----------
+    store : Store
+        Its folder.
     config : dict
         All settings of the data: world, epochs, observation, families, seeds.
-    digest : str
-        Of these, and of the code that has made the data.
     """
 
-    def __init__(self, folder: str | os.PathLike[str]) -> None:
-        self._store = Store(folder)
-        self.config = self._store.reopen(Plan.name)
-        self.digest = digest_of(self._store.config)
+    store: Store
+    config: dict[str, Any]
+
+    @property
+    def digest(self) -> str:
+        """Digest of the settings, and of the code that has made the data."""
+        return digest_of(self.store.config)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -415,10 +419,10 @@ class Dataset:
         check_choice("split of this data set", part, self.config["runs"])
         for cell in cells_of(self.config["runs"], self.config["shard"]):
             if runs_of(cell)[0] == part:
-                found = self._store.get(cell)
+                found = self.store.get(cell)
                 if found is None:
                     raise ValueError(
-                        f"{self._store.path_of(cell.key)} is missing: `spoofgym dataset` with the "
+                        f"{self.store.path_of(cell.key)} is missing: `spoofgym dataset` with the "
                         "same options makes it"
                     )
                 yield Episodes(**found.arrays)
@@ -442,4 +446,5 @@ def load(folder: str | os.PathLike[str]) -> Dataset:
     ValueError
         Where there is none, or it is of another format.
     """
-    return Dataset(folder)
+    store = Store(folder)
+    return Dataset(store, store.reopen(Plan.name))
