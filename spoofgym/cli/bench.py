@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ..bench.experiments.summary import CampaignResults
     from ..bench.runs.players import Entry
     from ..bench.runs.world import World as Played
+    from ..bench.search.amplitude import TuningResult
     from ..bench.search.settings import Selection, Tuning
     from ..core.progress import ProgressCallback
     from ..core.registry import Spec
@@ -396,7 +397,8 @@ def tune(
         print_lines((*suite.notes, *suite.captions))
     entries = [entry for entry in suite.spoofer_entries if entry.tuned]
     each = 2.0 * suite.tuning.runs + len(entries) * search_work(suite.tuning)
-    results, optima, watched = [], suite.optima(), suite.world.watched_for(entries)
+    results: list[TuningResult] = []
+    optima, watched = suite.optima(), suite.world.watched_for(entries)
     rngs = lambda: suite.generators("training", suite.tuning.runs)  # noqa: E731
     with progress(each * len(suite.detector_entries)) as bar:
         for judge in suite.detector_entries:

@@ -112,7 +112,9 @@ class Campaign(Experiment):
     @cached_property
     def panels(self) -> list[list[Entry]]:
         """Detectors that are played together."""
-        setup, passive, others = self.suite.world.setup, [], []
+        setup = self.suite.world.setup
+        passive: list[Entry] = []
+        others: list[Entry] = []
         for entry in self.suite.detector_entries:
             judge = detector_in_world(entry.spec)
             resolve(judge, setup)
@@ -124,10 +126,10 @@ class Campaign(Experiment):
     def parts(self) -> dict[str, tuple[str, Entry | None, Entry | None]]:
         """Kind, detector and spoofer of every cell, by its key."""
         suite = self.suite
-        detectors, spoofers = suite.detector_entries, suite.spoofer_entries
-        by_label = {each.label: each for each in detectors}, {each.label: each for each in spoofers}
+        detectors: dict[str | None, Entry] = {each.label: each for each in suite.detector_entries}
+        spoofers: dict[str | None, Entry] = {each.label: each for each in suite.spoofer_entries}
         return {
-            key: (kind, by_label[0].get(detector), by_label[1].get(spoofer))
+            key: (kind, detectors.get(detector), spoofers.get(spoofer))
             for key, (kind, detector, spoofer) in keys_of(self.config).items()
         }
 

@@ -133,14 +133,14 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
     detectors = [entry["label"] for entry in config["detectors"]]
     pairs = [(label, entry["label"]) for label in detectors for entry in config["spoofers"]]
     records = {pair: found for pair in pairs if (found := results.runs(*pair)) is not None}
-    known = [found for each in detectors if (found := results.protection(each)) is not None]
+    known = [worst for each in detectors if (worst := results.protection(each)) is not None]
     limits = sorted({*config["alert_limits_m"], config["alert_limit_m"]})
     points = {label: operating_point(config, label) for label in detectors}
     budget = float(config["tuning"]["budget"])
     scores = [score_runs(found, limits, budget) for found in records.values()]
     protected = [score_protection(found, limits) for found in known]
-    tuned = [found.as_dict() for pair in pairs if (found := results.search(*pair)) is not None]
-    bounds = {each: found for each in detectors if (found := results.limits(each)) is not None}
+    tuned = [search.as_dict() for pair in pairs if (search := results.search(*pair)) is not None]
+    bounds = {each: bound for each in detectors if (bound := results.limits(each)) is not None}
     bracket = {"floor": results.limits(), "zero_alarm": bounds}
 
     def bracketed(label: str) -> dict[str, Any]:

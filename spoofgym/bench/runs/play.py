@@ -266,7 +266,7 @@ class PanelDetectors(PassiveDetectors):
         """Take over receivers of a panel that has these detectors among others."""
         place = [other.numbers.index(k) for k in self.numbers]
         for name, array in self.memory.items():
-            array[to] = other.memory[name][np.ix_(rows, place)]
+            array[to] = other.memory[name][rows][:, place]
         for detector, k in zip(self.detectors, place, strict=True):
             detector.memory.copy_rows(to, other.detectors[k].memory, rows)
 

@@ -257,7 +257,7 @@ class Protection:
 
     def parts(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Arrays, and all else as JSON."""
-        arrays = {"counts": self.counts, "sky": self.sky}
+        arrays: dict[str, NDArray[Any]] = {"counts": self.counts, "sky": self.sky}
         arrays |= {} if self.skies is None else {"skies": self.skies}
         winners = []
         for n, each in enumerate(self.winners):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ NOMINAL = "nominal"
 """Footing of detectors that were asked for no rate."""
 
 
-def operating_point(config: dict[str, Any], detector: str) -> dict[str, Any]:
+def operating_point(config: Mapping[str, Any], detector: str) -> dict[str, Any]:
     """What a detector was asked for: ``claimed``, and the ``footing`` on which it is compared. The
     footing is the rate; ``"nominal"`` where none was asked for, and ``"any"`` of a detector that
     never alarms."""
