@@ -29,7 +29,7 @@ from agents.seeds import marked
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import interval, number, titled
 from spoofgym.bench.runs.players import detector_entry
-from spoofgym.bench.scores.bounds import bound_of
+from spoofgym.bench.scores.campaign import bound_of
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.cli.output import print_json, print_table, progress
 from spoofgym.core.files import write_file

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-import os
-import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
-from .options import ENV, SCENARIO_OPTIONS, SUITE_OPTIONS, TASK_OPTIONS, TIMES, World, with_world
+from .options import (
+    ENV,
+    SCENARIO_OPTIONS,
+    SUITE_OPTIONS,
+    TASK_OPTIONS,
+    TIMES,
+    World,
+    calibrate_with_progress,
+    specs_of,
+    with_world,
+)
 from .output import print_json, print_lines, print_table, progress
 
 if TYPE_CHECKING:
@@ -40,16 +48,6 @@ LEFT_OUT = " is left out: "
 """In a note, between the label of a detector and the reason."""
 Reports = dict[str, Any] | None
 """Of real input, as `RealInput` has them."""
-
-
-def specs_of(texts: Sequence[str]) -> list[dict[str, Any]]:
-    """Names and settings; a class of the user's may lie in the working directory."""
-    from ..core.registry import parse_spec
-
-    specs = [parse_spec(text) for text in texts]
-    if any(":" in spec["name"] for spec in specs) and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    return specs
 
 
 def suite_of(
@@ -223,22 +221,6 @@ def _with_controls(
     return [*named, *(spec for spec in found if spec["name"] not in given)]
 
 
-def calibrate_with_progress(
-    world: Played, entries: Sequence[Entry], threads: int | None, optional: Collection[str] = ()
-) -> dict[str, str]:
-    """Calibrate the detectors that ask for a rate of false alarms, and show how far that is.
-
-    `optional`: labels of those that may have no calibration; returns why, by their labels.
-    """
-    from ..bench.experiments.calibration import calibrate_entries, missing_runs
-
-    settings: dict[str, Any] = {"threads": threads, "optional": optional}
-    if left := missing_runs(world, entries):
-        with progress(left) as bar:
-            return calibrate_entries(world, entries, progress=bar, **settings)
-    return calibrate_entries(world, entries, **settings)
-
-
 def tuning_of(runs: int, budget: float) -> Tuning:
     """A search on so many training runs, of which a sixteenth sifts."""
     from ..bench.search.settings import Tuning
@@ -407,7 +389,7 @@ def tune(
             for entry in entries:
                 now = f"{judge.label}: tuning {entry.label}"
                 tick = functools.partial(_advance, bar, now)
-                results += fit(panel, {0: judge}, entry, optima, tick)
+                results += fit(panel, {0: judge}, entry, suite.tuning, lambda: optima, tick)
     if as_json:
         print_json([result.as_dict() for result in results])
         return

@@ -338,7 +338,7 @@ def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(
     (detector,) = suite.detector_entries
     judges, optima = [detector_in_world(detector.spec)], suite.optima()
     panel = Panel(suite.world.setup, judges, lambda: suite.generators("training", 6), 1)
-    (result,) = fit(panel, {0: detector}, spoofer_entry(BLIND), optima)
+    (result,) = fit(panel, {0: detector}, spoofer_entry(BLIND), suite.tuning, lambda: optima)
     assert result.found is not None
     fitted = result.found["fitted_m"]
     assert set(fitted) == {"found", "constant", "linear", "mine", ZERO_ALARM}

@@ -15,7 +15,7 @@ from spoofgym.bench.experiments.summary import times_of
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.report.table import DETECTORS_HEAD, attack_rows, detector_rows, groups, mark_of
 from spoofgym.bench.runs.record import MEASURES
-from spoofgym.bench.scores.paired import compare
+from spoofgym.bench.scores.campaign import compare
 from spoofgym.bench.search.settings import Selection, Tuning
 from spoofgym.detectors import DETECTORS, Detector, Verdict
 

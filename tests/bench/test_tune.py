@@ -162,7 +162,7 @@ def test_what_is_chosen_keeps_to_the_budget_when_played(detector: Any) -> None:
     suite = small_suite(detectors=(detector,), tuning=tuning)
     (judge,) = suite.detector_entries
     panel = Panel(suite.world.setup, [detector], lambda: suite.generators("training", 16), 1)
-    (result,) = fit(panel, {0: judge}, RAMP, suite.optima())
+    (result,) = fit(panel, {0: judge}, RAMP, suite.tuning, suite.optima)
     start, clean = panel.start, panel.clean[0]
     attacked = play(start, RAMP.with_value(result.value))
     counts = counted(start.warmup_alarm, clean.first_alarm)

@@ -234,7 +234,8 @@ class _Players:
     def searches(self, detectors: Sequence[Entry], spoofer: Entry) -> Iterator[TuningResult]:
         """What is found for a spoofer against each detector."""
         panel = self._panel("training", self.suite.tuning.runs)
-        return fit(panel, self._numbers(detectors), spoofer, self.optima, self.context.tick)
+        numbers, optima = self._numbers(detectors), lambda: self.optima
+        return fit(panel, numbers, spoofer, self.suite.tuning, optima, self.context.tick)
 
     def records(self, detectors: Sequence[Entry], spoofer: Entry) -> Iterator[RunRecord]:
         """What a spoofer does in the evaluation runs of each detector."""

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from ...core.settings import digest_of
 from ..runs.players import TUNED
 from ..runs.record import Aim, Protection, RunRecord, Winner
-from ..scores.bounds import bracket_of
-from ..scores.clean import number, operating_point, score_detector
-from ..scores.paired import compare
+from ..scores.campaign import bracket_of, compare, number, operating_point, score_detector
 from ..scores.scores import (
     ALIKE,
     bootstrap_exceeded,

@@ -21,7 +21,7 @@ from ..experiments.summary import PICTURE, CampaignResults
 from ..runs.play import Attacker
 from ..runs.players import Entry, build_spoofer
 from ..runs.record import RunRecord
-from ..scores.bounds import STEALTHY
+from ..scores.campaign import STEALTHY
 from .table import number
 
 if TYPE_CHECKING:

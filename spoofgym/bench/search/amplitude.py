@@ -207,20 +207,20 @@ def fit(
     panel: Panel,
     detectors: Mapping[int, Entry],
     entry: Entry,
-    optima: Optima,
+    settings: Tuning,
+    optima: Callable[[], Optima],
     tick: Callable[[float], None] = lambda _: None,
 ) -> Iterator[TuningResult]:
     """Search for a spoofer's setting against detectors of a panel, in their order; of a blind
     optimum for its curve before that."""
-    settings = optima.tuning
     if not entry.searched:
         searches = [(k, tune(panel, k, entry, d.label, settings)) for k, d in detectors.items()]
         yield from play_searches(panel, searches, tick)
         return
     for number, detector in detectors.items():
         share = 0.25 * search_work(settings)
-        found = optima.find(detector, entry, lambda part: tick(share * part))  # noqa: B023
-        curves = optima.curves_to_fit(found)
+        found = optima().find(detector, entry, lambda part: tick(share * part))  # noqa: B023
+        curves = optima().curves_to_fit(found)
         own = {name: with_rates(entry, rates) for name, rates in curves.items()}
         searches = [
             (number, tune(panel, number, x, detector.label, settings)) for x in own.values()
