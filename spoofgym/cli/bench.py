@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from datetime import date
 
     from ..bench.experiments.suite import Suite
-    from ..bench.runs.players import Entry
+    from ..bench.runs.players import PlayerSpec
     from ..bench.runs.world import World as Played
     from ..bench.search.settings import Selection, Tuning
     from ..core.registry import Spec
@@ -221,7 +221,10 @@ def _with_controls(
 
 
 def calibrate_with_progress(
-    world: Played, entries: Sequence[Entry], threads: int | None, optional: Collection[str] = ()
+    world: Played,
+    entries: Sequence[PlayerSpec],
+    threads: int | None,
+    optional: Collection[str] = (),
 ) -> dict[str, str]:
     """Calibrate the detectors that ask for a rate of false alarms, and show how far that is.
 
@@ -254,7 +257,7 @@ def selection_of(runs: int) -> Selection | None:
     return Selection(runs=runs, sift_runs=max(runs // 4, 1)) if runs else None
 
 
-def untuned(suite: Suite) -> Entry:
+def untuned(suite: Suite) -> PlayerSpec:
     """The suite's own spoofer, which has to know all its settings."""
     player = suite.spoofer_entries[-1]
     if player.tuned:
@@ -372,13 +375,14 @@ def tune(
     from ..bench.experiments.campaign import search, training_start
     from ..bench.experiments.remaining import search_work
     from ..bench.report.table import tuning_head, tuning_rows
-    from ..bench.runs.players import TUNED, build_spoofer
+    from ..bench.runs.players import TUNED
+    from ..spoofers import make_spoofer
     from ..spoofers.scaled import AMPLITUDE
 
     specs = specs_of(spoofer or ["ramp", "accelerating-ramp"])
     for spec in specs:
         untuned = {key: value for key, value in spec.items() if value != TUNED}
-        spec[build_spoofer(untuned).tunable or AMPLITUDE] = TUNED
+        spec[make_spoofer(untuned).tunable or AMPLITUDE] = TUNED
     suite, _ = suite_of(
         world,
         detector,

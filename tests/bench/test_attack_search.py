@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench.runs.players import spoofer_entry
+from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.runs.record import MEASURES, Aim
 from spoofgym.bench.search import worst_attack as module
-from spoofgym.bench.search.attack_suite import AROUND_FOUND, Member
+from spoofgym.bench.search.attack_suite import AROUND_FOUND, SuiteAttack
 from spoofgym.bench.search.settings import Selection
 from spoofgym.bench.search.worst_attack import FamilySearch, Search
 from spoofgym.spoofers import SpooferContext
@@ -34,8 +34,8 @@ class Start:
         return Start(count)
 
 
-def member(letter: str, **spec: Any) -> Member:
-    return Member(letter, spoofer_entry(spec), True)
+def member(letter: str, **spec: Any) -> SuiteAttack:
+    return SuiteAttack(letter, specify_spoofer(spec), True)
 
 
 MEMBERS = (

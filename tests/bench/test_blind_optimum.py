@@ -15,7 +15,7 @@ from spoofgym.bench import ResultsFolder, Suite, run_campaign, summarize
 from spoofgym.bench.experiments.campaign import search, training_start
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.runs.play import WarmStart, play
-from spoofgym.bench.runs.players import spoofer_entry
+from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.search import open_loop as optima_module
 from spoofgym.bench.search.attack_suite import AROUND_FOUND, grid_of
 from spoofgym.bench.search.backends import EnginePlayer, ReplayPlayer, limits_of, pushed
@@ -259,7 +259,7 @@ def _few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def searched(suite: Suite) -> dict[str, Any]:
     (detector,) = suite.detector_entries
-    return suite.optima(threads=1).find(detector, spoofer_entry(BLIND), lambda part: None)
+    return suite.optima(threads=1).find(detector, specify_spoofer(BLIND), lambda part: None)
 
 
 def test_a_passive_detector_is_searched_against_by_replay() -> None:
@@ -338,7 +338,7 @@ def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(
     (detector,) = suite.detector_entries
     start, clean = training_start(suite, detector, 1, NullProgress())
     optima = suite.optima()
-    result = search(detector, spoofer_entry(BLIND), start, clean, NullProgress(), optima)
+    result = search(detector, specify_spoofer(BLIND), start, clean, NullProgress(), optima)
     assert result.found is not None
     fitted = result.found["fitted_m"]
     assert set(fitted) == {"found", "constant", "linear", "mine", ZERO_ALARM}

@@ -10,7 +10,7 @@ from ...calibration.thresholds import calibrate, expected_runs
 from ...core.progress import ProgressCallback
 from ...detectors import Calibrated, Detector, PooledDetector, detector_in_world
 from ...detectors.calibrated import resolve
-from ..runs.players import Entry
+from ..runs.players import PlayerSpec
 from ..runs.world import World
 
 
@@ -21,7 +21,7 @@ class _Rate(NamedTuple):
     rescaled: bool
 
 
-def _asked(entries: Iterable[Entry]) -> dict[_Rate, list[Detector]]:
+def _asked(entries: Iterable[PlayerSpec]) -> dict[_Rate, list[Detector]]:
     """Detectors that ask for a rate of the calibrations that are looked up."""
     found: dict[_Rate, list[Detector]] = {}
     for part in (part for entry in entries for part in _parts(entry)):
@@ -31,13 +31,13 @@ def _asked(entries: Iterable[Entry]) -> dict[_Rate, list[Detector]]:
     return found
 
 
-def _parts(entry: Entry) -> Iterator[Calibrated]:
+def _parts(entry: PlayerSpec) -> Iterator[Calibrated]:
     judge = detector_in_world(entry.spec)
     parts = judge.judges if isinstance(judge, PooledDetector) else (judge,)
     yield from (part for part in parts if isinstance(part, Calibrated))
 
 
-def missing_runs(world: World, entries: Iterable[Entry]) -> int:
+def missing_runs(world: World, entries: Iterable[PlayerSpec]) -> int:
     """Clean runs that the calibrations of detectors lack."""
     return sum(
         expected_runs(
@@ -52,7 +52,7 @@ def missing_runs(world: World, entries: Iterable[Entry]) -> int:
 
 def calibrate_entries(
     world: World,
-    entries: Sequence[Entry],
+    entries: Sequence[PlayerSpec],
     *,
     threads: int | None = None,
     progress: ProgressCallback | None = None,

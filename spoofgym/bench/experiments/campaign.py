@@ -29,12 +29,12 @@ from ...simulation.engine import processors
 from ...simulation.setup import Setup
 from ...tasks import RANGE_RATE_TESTS, SUITE, task_of
 from ..runs.play import Runs, WarmStart, play
-from ..runs.players import Entry, knowledge_of
+from ..runs.players import PlayerSpec, knowledge_of
 from ..runs.record import Aim, Cell, Protection, make_cell
 from ..runs.world import CONTROLS
 from ..scores.scores import counted
 from ..search.amplitude import TuningResult, tune
-from ..search.attack_suite import Member
+from ..search.attack_suite import SuiteAttack
 from ..search.open_loop import AIMS, Optima
 from ..search.worst_attack import Search, measured, winner_of
 from .remaining import WARMUP_SHARE, left_of, protection_work, search_work, work_of
@@ -86,7 +86,7 @@ class Player:
         self.optima = suite.optima(threads)
         self.brackets = self.optima.brackets
 
-    def play(self, detector: Entry, progress: ProgressCallback) -> None:
+    def play(self, detector: PlayerSpec, progress: ProgressCallback) -> None:
         """Run the cells of a detector that are not finished, its searches and its protection."""
         suite, folder, threads = self.suite, self.folder, self.threads
         cells, searches, protect = left_of(suite, folder, detector)
@@ -108,7 +108,7 @@ class Player:
             progress.advance(0.0, "floor")
             self.folder.put_limits(None, self.brackets.floor())
 
-    def bound(self, detector: Entry, progress: ProgressCallback) -> None:
+    def bound(self, detector: PlayerSpec, progress: ProgressCallback) -> None:
         """Compute the zero-alarm bound of a detector."""
         if self.folder.limits(detector.label) is None:
             progress.advance(0.0, f"{detector.label}: zero-alarm bound")
@@ -153,8 +153,8 @@ def _played(suite: Suite, path: Path, label: str | None, threads: int) -> str | 
 def _search(
     suite: Suite,
     folder: ResultsFolder,
-    detector: Entry,
-    searches: list[Entry],
+    detector: PlayerSpec,
+    searches: list[PlayerSpec],
     threads: int | None,
     progress: ProgressCallback,
     optima: Optima,
@@ -164,26 +164,26 @@ def _search(
         folder.put_tuning(search(detector, entry, start, clean, progress, optima))
 
 
-def _members(suite: Suite, folder: ResultsFolder, detector: Entry) -> tuple[Member, ...]:
+def _members(suite: Suite, folder: ResultsFolder, detector: PlayerSpec) -> tuple[SuiteAttack, ...]:
     """The attack suite, with the blind optima that were found against the detector."""
-    found: list[Member] = []
+    found: list[SuiteAttack] = []
     for entry in suite.spoofer_entries:
         result = folder.tuning(detector.label, entry.label) if entry.searched else None
         if result is not None and result.found is not None:
             each = (result.found["played"], *(result.found["aims"][name] for name in AIMS))
             curves = [with_rates(entry, curve["rates_mps"]) for curve in each]
             own = [curve for k, curve in enumerate(curves) if curve not in curves[:k]]
-            found += [Member("c", curve, True) for curve in own]
+            found += [SuiteAttack("c", curve, True) for curve in own]
     return (*suite.members, *found)
 
 
-def with_rates(entry: Entry, rates_mps: list[float]) -> Entry:
+def with_rates(entry: PlayerSpec, rates_mps: list[float]) -> PlayerSpec:
     """A blind optimum with the rates of a curve."""
-    return Entry(entry.label, {**entry.spec, "rates_mps": rates_mps})
+    return replace(entry, spec={**entry.spec, "rates_mps": rates_mps})
 
 
 def training_start(
-    suite: Suite, detector: Entry, threads: int | None, progress: ProgressCallback
+    suite: Suite, detector: PlayerSpec, threads: int | None, progress: ProgressCallback
 ) -> tuple[WarmStart, Runs]:
     """Training runs of a detector at the onset, and what they do without attack."""
     return _start(suite, detector, "training", suite.tuning.runs, threads, progress)
@@ -191,7 +191,7 @@ def training_start(
 
 def _start(
     suite: Suite,
-    detector: Entry,
+    detector: PlayerSpec,
     split: str,
     runs: int,
     threads: int | None,
@@ -216,8 +216,8 @@ def start_of(
 
 
 def search(
-    detector: Entry,
-    entry: Entry,
+    detector: PlayerSpec,
+    entry: PlayerSpec,
     start: WarmStart,
     clean: Runs,
     progress: ProgressCallback,
@@ -255,15 +255,15 @@ class _Worst(NamedTuple):
     """The worst attacks on a detector: by member and value, each with its aims, and the skies."""
 
     found: dict[tuple[int, float], list[Aim]]
-    members: tuple[Member, ...]
+    members: tuple[SuiteAttack, ...]
     skies: NDArray[np.int64] | None
     left: RemainingWork
 
 
 def _worst(
     suite: Suite,
-    detector: Entry,
-    members: tuple[Member, ...],
+    detector: PlayerSpec,
+    members: tuple[SuiteAttack, ...],
     threads: int | None,
     progress: ProgressCallback,
 ) -> _Worst:
@@ -282,8 +282,8 @@ def _worst(
 def _cells(
     suite: Suite,
     folder: ResultsFolder,
-    detector: Entry,
-    cells: list[Entry],
+    detector: PlayerSpec,
+    cells: list[PlayerSpec],
     worst: _Worst | None,
     threads: int | None,
     progress: ProgressCallback,
@@ -306,8 +306,8 @@ def _cells(
 
 def _cell(
     suite: Suite,
-    detector: Entry,
-    entry: Entry,
+    detector: PlayerSpec,
+    entry: PlayerSpec,
     spec: dict[str, Any],
     within_budget: bool | None,
     start: WarmStart,
@@ -334,13 +334,13 @@ def _cell(
 
 
 def _protection(
-    suite: Suite, detector: Entry, worst: _Worst, start: WarmStart, twin: Runs
+    suite: Suite, detector: PlayerSpec, worst: _Worst, start: WarmStart, twin: Runs
 ) -> Protection:
     """Let the worst attacks play the evaluation runs."""
     winners = []
     for (number, value), aims in worst.found.items():
         member = worst.members[number]
-        spec = member.entry.with_value(value)
+        spec = member.player.with_value(value)
         attacked = play(
             start, spec, drop_alarmed=True, tick=lambda part: worst.left.tick(suite.runs * part)
         )

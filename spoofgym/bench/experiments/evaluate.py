@@ -3,28 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import os
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ...core.progress import NullProgress, ProgressCallback
-from ...core.registry import check_finite, check_keywords, whole_number
-from ...spoofers import Spoofer
-from ...spoofers.learned import ModelPolicy, trained_in
-from ...spoofers.scaled import AMPLITUDE, SMALLEST, Scaled
+from ...core.registry import check_keywords, whole_number
+from ...spoofers.scaled import AMPLITUDE, Scaled
 from ...tasks import task_of
 from ..runs.play import Runs, WarmStart, displacement_of, play
-from ..runs.players import (
-    Entry,
-    build_spoofer,
-    detector_entry,
-    fitted,
-    refuse_oracles,
-    spoofer_entry,
-)
+from ..runs.players import FITTED, PlayerSpec, refuse_oracles, specify_detector, specify_policy
 from ..runs.world import WORLD, World
 from ..scores.scores import clusters_of, counted, stealth_of
 from ..scores.spoofer import Score
@@ -35,39 +23,10 @@ from ..search.open_loop import Optima
 from ..search.settings import Tuning
 from .campaign import search, start_of, with_rates
 
-FITTED = "fitted"
-"""Amplitude that is fitted to the alarm budget on training runs, which are not scored."""
 RUNS, FIT_RUNS = 400, 128
 """Evaluation runs and training runs by default."""
 SIFTED = 16
 """Share of the training runs that sift the amplitudes, as one in so many."""
-
-
-@dataclass(frozen=True)
-class LiveEntry(Entry):
-    """A spoofer that is an object, which no text describes; its amplitude is fitted, or given.
-
-    `largest`: largest amplitude that is tried; None for the usual one.
-    """
-
-    spoofer: Spoofer
-    fits: bool
-    largest: float | None = None
-
-    @property
-    def tuned(self) -> str | None:
-        return AMPLITUDE if self.fits else None
-
-    @property
-    def searched(self) -> bool:
-        return False
-
-    @property
-    def untuned(self) -> Any:
-        return self.spoofer
-
-    def with_value(self, value: float) -> Any:
-        return Scaled(self.spoofer, value)
 
 
 class Evaluator:
@@ -127,7 +86,7 @@ class Evaluator:
             detector = world.pop("detector")
             check_keywords("evaluate", world, (*WORLD, "env", "settings"))
         self.world = World.of(task, **world)
-        self.detector = detector_entry(detector if task is None else task_of(task).detector)
+        self.detector = specify_detector(detector if task is None else task_of(task).detector)
         refuse_oracles((self.detector,))
         fit_runs = whole_number("`fit_runs`", fit_runs, fewest_runs(BUDGET))
         self.runs = whole_number("`runs`", runs, 2)
@@ -139,7 +98,7 @@ class Evaluator:
         self.optima = Optima(brackets, tuning, threads=threads)
         self._starts: dict[tuple[str, tuple[type, ...]], tuple[WarmStart, Runs]] = {}
 
-    def _start(self, split: str, entry: Entry) -> tuple[WarmStart, Runs]:
+    def _start(self, split: str, entry: PlayerSpec) -> tuple[WarmStart, Runs]:
         """Runs of a split, kept for all spoofers that need the same to be watched."""
         watched = tuple(map(type, self.world.watched_for([entry])))
         if (split, watched) not in self._starts:
@@ -150,7 +109,7 @@ class Evaluator:
             self._starts[split, watched] = start_of(setup, rngs, now, self.threads, self.progress)
         return self._starts[split, watched]
 
-    def _fitted(self, entry: Entry) -> TuningResult:
+    def _fitted(self, entry: PlayerSpec) -> TuningResult:
         start, clean = self._start("training", entry)
         return search(self.detector, entry, start, clean, self.progress, self.optima)
 
@@ -167,7 +126,7 @@ class Evaluator:
         TuningResult
             ``value``, ``within_budget``, ``score`` [m] and all that was tried.
         """
-        return self._fitted(entry_of(policy, FITTED, knowledge))
+        return self._fitted(specify_policy(policy, FITTED, knowledge))
 
     def check(self, policy: Any) -> None:
         """Raise where a spoofer does not fit this world, before anything is played.
@@ -182,7 +141,7 @@ class Evaluator:
         ValueError
             When there is none of that name, or it needs another world.
         """
-        self.world.check_fit([self.detector], [entry_of(policy, FITTED, None)])
+        self.world.check_fit([self.detector], [specify_policy(policy, FITTED)])
 
     def score(
         self,
@@ -205,15 +164,15 @@ class Evaluator:
         Score
             Of the evaluation runs.
         """
-        entry = entry_of(policy, amplitude, knowledge, label, largest_amplitude)
+        entry = specify_policy(policy, amplitude, knowledge, label, largest_amplitude)
         setting, spec, within, value = entry.tuned, entry.untuned, None, None
         if setting is not None:
             found = self._fitted(entry)
             if found.found is not None:
                 entry = with_rates(entry, found.found["played"]["rates_mps"])
             spec, within, value = entry.with_value(found.value), found.within_budget, found.value
-        elif isinstance(entry, LiveEntry) and isinstance(entry.spoofer, Scaled):
-            setting, value = AMPLITUDE, entry.spoofer.amplitude
+        elif isinstance(entry.thing, Scaled):
+            setting, value = AMPLITUDE, entry.thing.amplitude
         start, twin = self._start("evaluation", entry)
         setup, runs, now = start.setup, self.runs, f"{entry.label}: evaluation runs"
         attacked = play(start, spec, tick=lambda part: self.progress.advance(part * runs, now))
@@ -228,7 +187,7 @@ class Evaluator:
             task=self.task,
             detector=self.detector.label,
             spoofer=entry.label,
-            knowledge=build_spoofer(entry.untuned).knowledge,
+            knowledge=entry.knowledge,
             setting=setting,
             value=value,
             runs=runs,
@@ -337,52 +296,3 @@ def evaluate(
         label=label,
         largest_amplitude=largest_amplitude,
     )
-
-
-def entry_of(
-    policy: Any,
-    amplitude: float | str | None,
-    knowledge: str | None,
-    label: str | None = None,
-    largest: float | None = None,
-) -> Entry:
-    """Entry of a spoofer of any form, and what of it is to be fitted, up to which amplitude."""
-    fits = _is_fitted(amplitude, largest)
-    if isinstance(policy, str | os.PathLike | Mapping):
-        if knowledge is not None or label is not None:
-            raise ValueError("`knowledge` and `label` are for models; this spoofer has its own")
-        if largest is not None:
-            raise ValueError(
-                "`largest_amplitude` is for models; this spoofer has a range of its own"
-            )
-        spec = dict(policy) if isinstance(policy, Mapping) else {"name": os.fspath(policy)}
-        if not fits and amplitude is not None:
-            spec = {**spec, AMPLITUDE: amplitude}
-        return spoofer_entry(fitted(spec) if fits else spec)
-    spoofer = policy
-    if not isinstance(policy, Spoofer):
-        known = {**trained_in(policy), **({} if knowledge is None else {"knowledge": knowledge})}
-        spoofer = ModelPolicy(policy, label=label, **known)
-    name = str(spoofer.label or type(spoofer).__name__)
-    if isinstance(spoofer, Scaled) and amplitude is not None:
-        raise ValueError(f"{name} has an amplitude already, {spoofer.amplitude:g}: give None")
-    if not fits and amplitude is not None:
-        spoofer = Scaled(spoofer, float(amplitude))
-    return LiveEntry(name, {"name": name}, spoofer, fits and spoofer.transmits, largest)
-
-
-def _is_fitted(amplitude: float | str | None, largest: float | None) -> bool:
-    """Whether an amplitude is to be fitted; raises where it, or the largest one, is none."""
-    fits = amplitude == FITTED
-    if isinstance(amplitude, str) and not fits:
-        raise ValueError(f"`amplitude` must be {FITTED!r}, a number or None, got {amplitude!r}")
-    if not fits and amplitude is not None:
-        check_finite("amplitude", amplitude, "> 0")
-    if largest is None:
-        return fits
-    check_finite("largest_amplitude", largest)
-    if largest <= SMALLEST:
-        raise ValueError(f"`largest_amplitude` must be above {SMALLEST:g}, got {largest!r}")
-    if not fits:
-        raise ValueError(f"`largest_amplitude` is for `amplitude={FITTED!r}`, got {amplitude!r}")
-    return fits

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..runs.players import Entry
+from ..runs.players import PlayerSpec
 from ..search.settings import Tuning
 from .results_folder import ResultsFolder
 from .suite import Suite
@@ -15,7 +15,7 @@ def expected_work(suite: Suite, folder: ResultsFolder) -> float:
     return sum(work_of(suite, folder, detector) for detector in suite.detector_entries)
 
 
-def work_of(suite: Suite, folder: ResultsFolder, detector: Entry) -> float:
+def work_of(suite: Suite, folder: ResultsFolder, detector: PlayerSpec) -> float:
     total = 0.0
     cells, searches, protect = left_of(suite, folder, detector)
     if cells or protect:
@@ -41,8 +41,8 @@ def protection_work(suite: Suite) -> float:
 
 
 def left_of(
-    suite: Suite, folder: ResultsFolder, detector: Entry
-) -> tuple[list[Entry], list[Entry], bool]:
+    suite: Suite, folder: ResultsFolder, detector: PlayerSpec
+) -> tuple[list[PlayerSpec], list[PlayerSpec], bool]:
     """Spoofers whose cell is not finished, those that are not tuned, whether to play the suite."""
     cells = [
         entry for entry in suite.spoofer_entries if not folder.has_cell(detector.label, entry.label)

@@ -20,22 +20,21 @@ from ...detectors import Detector, OperatingPoint, detector_in_world
 from ...envs.spoofer_binding import ENV_ID
 from ...simulation.domain import Domain
 from ...simulation.setup import SPLITS, Setup, Timeline
-from ...spoofers import Spoofer
+from ...spoofers import Spoofer, make_spoofer
 from ...truth.scenario import Scenario
 from ..runs.players import (
     DEFAULT_SPOOFERS,
-    Entry,
-    build_spoofer,
+    PlayerSpec,
     check_labels,
-    detector_entry,
     fitted,
     fitting,
     oracle_labels,
     refuse_oracles,
-    spoofer_entry,
+    specify_detector,
+    specify_spoofer,
 )
 from ..runs.world import VICTIMS, WORLD, World
-from ..search.attack_suite import NAME, VERSION, Member, fitting_members, suite_digest
+from ..search.attack_suite import NAME, VERSION, SuiteAttack, fitting_members, suite_digest
 from ..search.bounds import Brackets
 from ..search.open_loop import Optima
 from ..search.settings import Selection, Tuning
@@ -65,9 +64,9 @@ class Suite:
     settings : mapping
         Further settings of the victim.
     detectors : sequence, optional
-        As `detector_entry` takes them; by default those that suit the victim.
+        As `specify_detector` takes them; by default those that suit the victim.
     spoofers : sequence, optional
-        As `spoofer_entry` takes them; ``none`` is always among them.  By default
+        As `specify_spoofer` takes them; ``none`` is always among them.  By default
         `DEFAULT_SPOOFERS` and the shipped spoofers that were made for such attacks.
     runs : int
         Evaluation runs of every cell, the same for all.
@@ -126,10 +125,10 @@ class Suite:
         return World.of(**named)
 
     @cached_property
-    def detector_entries(self) -> tuple[Entry, ...]:
+    def detector_entries(self) -> tuple[PlayerSpec, ...]:
         """Detectors in their order."""
         specs = VICTIMS[self.env].detectors if self.detectors is None else self.detectors
-        return tuple(detector_entry(spec) for spec in specs)
+        return tuple(specify_detector(spec) for spec in specs)
 
     @property
     def alert_limits_m(self) -> list[float]:
@@ -143,13 +142,13 @@ class Suite:
         return tuple(f"{label} is an oracle: it knows the attack" for label in labels)
 
     @cached_property
-    def spoofer_entries(self) -> tuple[Entry, ...]:
+    def spoofer_entries(self) -> tuple[PlayerSpec, ...]:
         """Spoofers in their order, ``none`` first."""
         specs = self.spoofers
         if specs is None:
             specs = (*DEFAULT_SPOOFERS, *map(fitted, self._shipped[0]))
-        entries = [spoofer_entry(spec) for spec in specs]
-        none = spoofer_entry("none")
+        entries = [specify_spoofer(spec) for spec in specs]
+        none = specify_spoofer("none")
         return (none, *(entry for entry in entries if entry != none))
 
     @cached_property
@@ -166,7 +165,7 @@ class Suite:
         """As `World.check_fit`, of everybody who plays."""
         self.world.check_fit(self.detector_entries, self.spoofer_entries)
 
-    def setup(self, detector: Entry, spoofers: Sequence[Entry] | None = None) -> Setup:
+    def setup(self, detector: PlayerSpec, spoofers: Sequence[PlayerSpec] | None = None) -> Setup:
         """As `World.setup_of`. `spoofers`: who plays, all of the suite's by default."""
         return self.world.setup_of(detector, self.spoofer_entries if spoofers is None else spoofers)
 
@@ -209,7 +208,7 @@ class Suite:
         there by digests of its sources. Where one can't be read, a number of this suite alone is in
         its place, so that no other one takes up its results; this is warned of."""
         judges = [detector_in_world(entry.spec) for entry in self.detector_entries]
-        players = [build_spoofer(entry.untuned) for entry in self.spoofer_entries]
+        players = [make_spoofer(entry.untuned) for entry in self.spoofer_entries]
         outside = outside_sources(*judges, *players, *self.world.parts)
         unknown = [
             f"the source of {name} can't be read: its results are never taken up again"
@@ -223,8 +222,8 @@ class Suite:
             "versions": versions(),
             "outside": {name: d or f"unknown, {uuid.uuid4().hex}" for name, d in outside.items()},
             **self.world.config,
-            "detectors": [dataclasses.asdict(entry) for entry in self.detector_entries],
-            "spoofers": [dataclasses.asdict(entry) for entry in self.spoofer_entries],
+            "detectors": [entry.as_config() for entry in self.detector_entries],
+            "spoofers": [entry.as_config() for entry in self.spoofer_entries],
             **self._calibrations(),
             "runs": self.runs,
             "entropy": self.entropy,
@@ -243,7 +242,7 @@ class Suite:
         }
 
     @cached_property
-    def members(self) -> tuple[Member, ...]:
+    def members(self) -> tuple[SuiteAttack, ...]:
         """Attacks of the attack suite that fit the victim."""
         return fitting_members(self.world.setup, self.world.context)
 

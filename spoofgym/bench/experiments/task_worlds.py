@@ -17,12 +17,19 @@ from ...envs.spoofer_binding import spoofer_context
 from ...simulation.setup import Setup
 from ...tasks import CANDIDATES, AttackFamily, DetectorTask
 from ..runs.panel import NearAlarm, Panel, generators, in_any_world, numbers_of
-from ..runs.players import TUNED, Entry, check_labels, detector_entry, fitted, refuse_oracles
-from ..runs.players import spoofer_entry as entry_of_spoofer
+from ..runs.players import (
+    ATTACK,
+    TUNED,
+    PlayerSpec,
+    check_labels,
+    fitted,
+    refuse_oracles,
+    specify_detector,
+    specify_spoofer,
+)
 from ..runs.world import World
 from ..scores.paired import CONTROLS
-from ..search.attack_suite import ORACLES, Member, fitting_members
-from ..search.worst_attack import AntennaEntry
+from ..search.attack_suite import ORACLES, SuiteAttack, fitting_members
 from .dataset import QUIET_TASKS
 
 SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
@@ -34,7 +41,7 @@ KEPT_PANELS = 24
 class Defence(NamedTuple):
     """A detector with its thresholds, and whether it shares passes of the engine."""
 
-    entry: Entry
+    entry: PlayerSpec
     judge: Detector
     passive: bool
 
@@ -49,9 +56,9 @@ def sharing(defences: Sequence[Defence], family: AttackFamily | None) -> list[li
     return [*([shared] if shared else []), *others]
 
 
-def entries_of(detectors: Iterable[Any]) -> tuple[Entry, ...]:
+def entries_of(detectors: Iterable[Any]) -> tuple[PlayerSpec, ...]:
     """Detectors that may be scored together."""
-    entries = tuple(map(detector_entry, detectors))
+    entries = tuple(map(specify_detector, detectors))
     if not entries:
         raise ValueError("no detector is given")
     check_labels(entries)
@@ -143,18 +150,18 @@ class Worlds:
             )
         return self._panels[key]
 
-    def members(self, family: AttackFamily) -> tuple[Member, ...]:
+    def members(self, family: AttackFamily) -> tuple[SuiteAttack, ...]:
         """Attacks of a family. Returns each has one setting that is looked for."""
-        found: list[Member] = []
+        found: list[SuiteAttack] = []
         if family.letters == "m":
             spec = {**(family.attack or {}), "antenna_m": TUNED}
-            return (Member("m", AntennaEntry("meaconer", spec), False),)
+            return (SuiteAttack("m", PlayerSpec("meaconer", ATTACK, spec, "antenna_m"), False),)
         setup = self.setup(**family.overrides)
         for member in fitting_members(setup, spoofer_context(setup)):
             if member.letter in family.letters:
                 found.append(member)
         if "c" in family.letters:
-            found += [Member("c", entry_of_spoofer(fitted(name)), False) for name in SHIPPED]
+            found += [SuiteAttack("c", specify_spoofer(fitted(name)), False) for name in SHIPPED]
         return tuple(found)
 
     def with_event(self, event: str, group: Sequence[Defence], runs: int) -> Panel:

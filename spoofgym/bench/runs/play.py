@@ -17,16 +17,15 @@ from ...envs.terms.action import CommandMap
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
 from ...simulation.simulator import Simulator
-from ...spoofers import Spoofer
+from ...spoofers import Spoofer, make_spoofer
 from ..scores.scores import undetected_displacement
-from .players import build_spoofer
 
 
 def make_bound_spoofer(
     spec: Any, setup: Setup, receivers: int
 ) -> tuple[Spoofer, Observer, CommandMap]:
     """Spoofer that is ready for a batch, what it observes, and what its actions command."""
-    spoofer = build_spoofer(spec)
+    spoofer = make_spoofer(spec)
     context, observer, commands = bound_spoofer(spoofer, setup, receivers)
     spoofer.bind(context)
     spoofer.reset()

@@ -22,8 +22,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ...envs.spoofer_binding import tuning_range_of
+from ...spoofers import make_spoofer
 from ..runs.play import Runs, WarmStart, displacement_of, play
-from ..runs.players import Entry, build_spoofer
+from ..runs.players import PlayerSpec
 from ..scores.scores import Stealth, counted, stealth_of
 from ..scores.statistics import halve
 from .settings import Tuning, log_spaced, rounded_down
@@ -110,7 +111,7 @@ class _Search:
     """Trials of one spoofer against one detector."""
 
     def __init__(
-        self, start: WarmStart, clean: Runs, entry: Entry, settings: Tuning, tick: Tick | None
+        self, start: WarmStart, clean: Runs, entry: PlayerSpec, settings: Tuning, tick: Tick | None
     ) -> None:
         self.start, self.clean, self.entry = start, clean, entry
         self.settings, self.tick = settings, tick
@@ -158,7 +159,7 @@ def _best(trials: list[Trial]) -> Trial | None:
 def tune(
     start: WarmStart,
     clean: Runs,
-    entry: Entry,
+    entry: PlayerSpec,
     detector: str,
     settings: Tuning,
     *,
@@ -168,7 +169,7 @@ def tune(
     setting = entry.tuned
     if setting is None:
         raise ValueError(f"{entry.label!r} has no setting that is to be tuned")
-    any_value = build_spoofer(entry.with_value(1.0))
+    any_value = make_spoofer(entry.with_value(1.0))
     low, high = tuning_range_of(any_value, start.setup)
     high = high if entry.largest is None else entry.largest
     grid = log_spaced(low, high, settings.values)

@@ -39,14 +39,12 @@ from scipy import special
 
 from ...calibration.clean_runs import weighs
 from ...core.registry import whole_number
-from ...detectors import Detector, detector_in_world
-from ...detectors.calibrated import resolve
 from ...limits.response import NotReplayable, Replay, check_replayable
 from ...simulation.setup import seed_sequences
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.profile import MOST_KNOTS, sampled
 from ..runs.play import Runs, WarmStart, induced_error, play
-from ..runs.players import Entry
+from ..runs.players import PlayerSpec
 from ..scores.statistics import aim
 from .backends import EnginePlayer, ReplayPlayer, limits_of
 from .bounds import Brackets
@@ -324,7 +322,7 @@ class Optima:
         self,
         brackets: Brackets,
         tuning: Tuning,
-        spoofers: Sequence[Entry] = (),
+        spoofers: Sequence[PlayerSpec] = (),
         threads: int | None = None,
     ) -> None:
         self.brackets, self.tuning, self.spoofers = brackets, tuning, spoofers
@@ -332,7 +330,7 @@ class Optima:
         self._replay: Replay | None = None
         self._numbers: dict[str, int] | None = None
 
-    def find(self, detector: Entry, spoofer: Entry, tick: Tick) -> dict[str, Any]:
+    def find(self, detector: PlayerSpec, spoofer: PlayerSpec, tick: Tick) -> dict[str, Any]:
         """Curves by `AIMS`, ``aims``, with their ``rates_mps``; ``by``, what played the candidates.
         `spoofer`: a blind optimum without rates, for its heading."""
         generators = self.world.generators(self.brackets.entropy, SPLIT, self.settings.runs)
@@ -379,7 +377,7 @@ class Optima:
             }
         return found
 
-    def _zero_alarm(self, detector: Entry) -> dict[str, list[float]]:
+    def _zero_alarm(self, detector: PlayerSpec) -> dict[str, list[float]]:
         """Shape of the attack that gets farthest without an alarm of its own doing, if known. It is
         fitted, and no start of the search, which got less far from there in its few generations: 49
         m against `cusum` of range rates, and 54 m from plain shapes."""
@@ -387,13 +385,15 @@ class Optima:
         shape = np.mean(rates, axis=0) if rates else np.zeros(1)
         return {ZERO_ALARM: shape.tolist()} if np.any(shape > 0.0) else {}
 
-    def _player(self, detector: Entry, heading_deg: float | str) -> tuple[ReplayPlayer | None, str]:
+    def _player(
+        self, detector: PlayerSpec, heading_deg: float | str
+    ) -> tuple[ReplayPlayer | None, str]:
         """The detector on the shared replay; None, and why, where it has none."""
         setup = self.world.setup
         if not isinstance(setup, TightlyCoupledSetup):
             return None, f"{setup.whose} has no linear response here"
         try:
-            judge = self._judge(detector)
+            judge = self.world.judge(detector)
             check_replayable(judge)
             if weighs(setup, judge):
                 return None, "the detector takes weight off measurements"
@@ -402,17 +402,12 @@ class Optima:
             return None, str(error)
         return ReplayPlayer(replay, numbers[detector.label], heading_deg), ""
 
-    def _judge(self, detector: Entry) -> Detector:
-        judge = detector_in_world(detector.spec)
-        resolve(judge, self.world.setup)
-        return judge
-
     def _recorded(self, setup: TightlyCoupledSetup) -> tuple[Replay, dict[str, int]]:
         """The replay of all passive detectors, and their numbers."""
         if self._replay is None or self._numbers is None:
             judges = {}
             for entry in self.brackets.detectors:
-                judge = self._judge(entry)
+                judge = self.world.judge(entry)
                 try:
                     check_replayable(judge)
                 except NotReplayable:

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -34,10 +33,10 @@ from ...spoofers import SpooferContext
 from ...spoofers.scaled import LARGEST, SMALLEST
 from ..runs.panel import Panel
 from ..runs.play import Runs, WarmStart, horizontal, induced, off_truth, play
-from ..runs.players import Entry
+from ..runs.players import ATTACK
 from ..runs.record import MEASURES, Aim, Winner
 from ..scores.scores import SHARES, counted, undetected_displacement, worst_skies
-from .attack_suite import Member, grid_of
+from .attack_suite import SuiteAttack, grid_of
 from .settings import Selection, log_spaced, rounded_down
 
 FloatArray = NDArray[np.float64]
@@ -76,15 +75,15 @@ def aims_of(measures: Sequence[str], limits: Sequence[float], skies: bool) -> tu
 
 
 def winner_of(
-    member: Member, value: float, aims: Sequence[Aim], displacement: dict[str, FloatArray]
+    member: SuiteAttack, value: float, aims: Sequence[Aim], displacement: dict[str, FloatArray]
 ) -> Winner:
     """A member at a value as the worst attack, with what it has done in the evaluation runs."""
     return Winner(
         letter=member.letter,
-        spoofer=member.entry.label,
-        setting=str(member.entry.tuned),
+        spoofer=member.player.label,
+        setting=str(member.player.tuned),
         value=value,
-        spec=member.entry.with_value(value),
+        spec=member.player.with_value(value),
         aims=tuple(aims),
         displacement=displacement,
     )
@@ -108,7 +107,7 @@ class Search:
         self,
         start: WarmStart,
         clean: Runs,
-        members: Sequence[Member],
+        members: Sequence[SuiteAttack],
         context: SpooferContext,
         settings: Selection,
         tick: Tick | None = None,
@@ -120,7 +119,7 @@ class Search:
         self.skies: NDArray[np.int64] | None = None
 
     def winners(self, limits: Sequence[float]) -> dict[tuple[int, float], list[Aim]]:
-        """Member and value of the worst attacks, each with its aims."""
+        """SuiteAttack and value of the worst attacks, each with its aims."""
         few = min(self.settings.sift_runs, self.start.receivers)
         grids = [self._grid(each) for each in self.members]
         sifted = {(m, v): self._play(m, v, few) for m, grid in enumerate(grids) for v in grid}
@@ -146,7 +145,7 @@ class Search:
             found.setdefault(self._best(played, aim, everyone), []).append(aim)
         return found
 
-    def _grid(self, member: Member) -> list[float]:
+    def _grid(self, member: SuiteAttack) -> list[float]:
         return grid_of(member, self.context, self.settings.values)
 
     def _beyond_ends(
@@ -203,9 +202,9 @@ class Search:
 
     def _play(self, member: int, value: float, runs: int) -> dict[str, FloatArray]:
         start = self.start if runs >= self.start.receivers else self.start.first(runs)
-        entry, advance = self.members[member].entry, self.tick
+        player, advance = self.members[member].player, self.tick
         tick = None if advance is None else lambda part: advance(part * runs)
-        attacked = play(start, entry.with_value(value), drop_alarmed=True, tick=tick)
+        attacked = play(start, player.with_value(value), drop_alarmed=True, tick=tick)
         return measured(start.setup, attacked, self.clean.first(runs))
 
     def _best(self, played: Played, aim: Aim, runs: int) -> tuple[int, float]:
@@ -255,20 +254,11 @@ IDLE: Spec = {"name": "profile", "rates_mps": [0.0, 0.0]}
 """A spoofer that commands nothing, and transmits."""
 
 
-@dataclass(frozen=True)
-class AntennaEntry(Entry):
-    """A meaconer whose antenna's distance is looked for; its settings are those of the attack."""
-
-    def with_value(self, value: float) -> Spec:
-        """Meaconer with its antenna so far to the east [m]."""
-        return {**self.spec, str(self.tuned): [0.0, value, 0.0]}
-
-
 class PlayedFamily:
     """Displacements of a panel's detectors by member, value and number of runs, each played once.
     What one detector's search has played is there for the others."""
 
-    def __init__(self, panel: Panel, members: Sequence[Member], tick: Callable[[float], None]):
+    def __init__(self, panel: Panel, members: Sequence[SuiteAttack], tick: Callable[[float], None]):
         self.panel, self.members, self.tick = panel, members, tick
         self._found: dict[tuple[int, float, int], FloatArray] = {}
 
@@ -276,9 +266,9 @@ class PlayedFamily:
         """(D, R') [m]."""
         key = member, value, runs
         if key not in self._found:
-            entry = self.members[member].entry
-            spec, attack = entry.with_value(value), None
-            if isinstance(entry, AntennaEntry):
+            player = self.members[member].player
+            spec, attack = player.with_value(value), None
+            if player.side == ATTACK:
                 spec, attack = IDLE, make_attack(spec)
             self._found[key] = self.panel.displacement(spec, runs, attack)
             self.tick(runs)
@@ -304,8 +294,8 @@ class FamilySearch(Search):
         self.counts, self.sky = panel.counts[:, number], panel.sky
         self._played, self._number, self._antenna_m = played, number, antenna_m
 
-    def _grid(self, member: Member) -> list[float]:
-        if isinstance(member.entry, AntennaEntry):
+    def _grid(self, member: SuiteAttack) -> list[float]:
+        if member.player.side == ATTACK:
             return log_spaced(*self._antenna_m, self.settings.values)
         return super()._grid(member)
 
