@@ -52,7 +52,7 @@ def test_a_shared_pass_equals_separate_ones_to_the_last_bit(played):
         twin, setup = field.twin, field.start.setup
         assert np.array_equal(matrix.counts[j], counted(field.start.warmup_alarm, twin.first_alarm))
         for i, spoofer in enumerate(matrix.spoofers):
-            runs = play(field.start, spoofer.given)
+            runs = play(field.start, spoofer.untuned)
             moved = displacement_of(setup, runs, twin)
             assert np.array_equal(matrix.displacement[i, j], moved)
             assert np.array_equal(matrix.alarmed[i, j], runs.first_alarm > 0)
