@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..core.registry import check_choice, is_number, make, settings_of, spec_of
 from . import calibrated
@@ -23,55 +23,44 @@ ASKED = ("false_alarms_per_hour", "thresholds", "threshold_scale", "calibration"
 """Keys of a detector's spec that are not settings of its class."""
 
 
-class Asked(NamedTuple):
-    """What a spec asks of the thresholds: a rate, a variant, a factor, a file; None for nothing."""
-
-    false_alarms_per_hour: float | None = None
-    thresholds: str | None = None
-    threshold_scale: float | None = None
-    calibration: str | None = None
+NOMINAL: tuple[dict[str, Any], ...] = ({}, {"thresholds": "nominal"})
+"""What is asked where a detector keeps the thresholds of its class, or of its card."""
 
 
-def split_spec(spec: Any) -> tuple[Any, Asked]:
+def split_spec(spec: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """A detector's spec without what it asks of the thresholds, and that."""
-    if not isinstance(spec, Mapping):
-        return spec, Asked()
     plain = {key: value for key, value in spec.items() if key not in ASKED}
-    asked = Asked(**{key: spec[key] for key in ASKED if key in spec})
-    word = repr(spec.get("name"))
-    if asked.thresholds is not None:
-        check_choice("choice of `thresholds`", asked.thresholds, THRESHOLDS)
+    asked = {key: spec[key] for key in ASKED if spec.get(key) is not None}
+    if "thresholds" in asked:
+        check_choice("choice of `thresholds`", asked["thresholds"], THRESHOLDS)
     for key, stated, what in (
-        ("thresholds", asked.thresholds == "nominal", "`thresholds` 'nominal'"),
-        (
-            "threshold_scale",
-            asked.threshold_scale is not None,
-            "`threshold_scale`, a factor of your own,",
-        ),
+        ("thresholds", asked.get("thresholds") == "nominal", "`thresholds` 'nominal'"),
+        ("threshold_scale", "threshold_scale" in asked, "`threshold_scale`, a factor of your own,"),
     ):
-        others = [f"`{k}`" for k in ASKED if k != key and getattr(asked, k) is not None]
+        others = [f"`{k}`" for k in asked if k != key]
         if stated and others:
             raise ValueError(
-                f"detector {word} is asked for {what} and for {', '.join(others)}: leave out one"
+                f"detector {spec.get('name')!r} is asked for {what} and for {', '.join(others)}: "
+                "leave out one"
             )
-    if asked.calibration is not None and not isinstance(asked.calibration, str | Path):
-        raise TypeError(f"`calibration` must be the path of a file, got {asked.calibration!r}")
+    if not isinstance(asked.get("calibration", ""), str | Path):
+        raise TypeError(f"`calibration` must be the path of a file, got {asked['calibration']!r}")
     return plain, asked
 
 
-def with_thresholds(detector: Detector, asked: Asked) -> Detector:
+def with_thresholds(detector: Detector, asked: Mapping[str, Any]) -> Detector:
     """A detector with the thresholds that are asked for; one that never alarms has but its own."""
-    rate, scale = asked.false_alarms_per_hour, asked.threshold_scale
-    if rate is None and scale is None and asked != Asked():
-        rate = STANDARD_RATE
-    if asked in (Asked(), Asked(thresholds="nominal")):
+    rate, scale = asked.get("false_alarms_per_hour"), asked.get("threshold_scale")
+    if asked in NOMINAL:
         return detector
+    if rate is None and scale is None:
+        rate = STANDARD_RATE
     if not detector.calibrates:
         if rate is not None:
             check_rate(rate)
         return detector
-    path = None if asked.calibration is None else str(asked.calibration)
-    rescaled = asked.thresholds == "rescaled"
+    path = str(asked["calibration"]) if "calibration" in asked else None
+    rescaled = asked.get("thresholds") == "rescaled"
     return Calibrated(detector, scale, rate, rescaled=rescaled, calibration=path)
 
 
@@ -154,8 +143,8 @@ def _build(spec: Any, default: float | None) -> Detector:
         return make("detector", DETECTORS, Detector, spec, shipped())
     plain, asked = split_spec(spec)
     load = _loader(plain)
-    if asked == Asked() and default is not None and not has_own_threshold(plain):
-        asked = Asked(false_alarms_per_hour=default)
+    if not asked and default is not None and not has_own_threshold(plain):
+        asked = {"false_alarms_per_hour": default}
     if load is not None:
         return _with_own_threshold(load(plain), plain, asked)
     if plain.get("name") == "pool":
@@ -176,21 +165,22 @@ def _loader(spec: Any) -> Callable[[Mapping[str, Any]], Detector] | None:
     return next((load for end, load in LOADERS.items() if str(path_of(name)).endswith(end)), None)
 
 
-def _with_own_threshold(made: Detector, plain: Mapping[str, Any], asked: Asked) -> Detector:
+def _with_own_threshold(
+    made: Detector, plain: Mapping[str, Any], asked: Mapping[str, Any]
+) -> Detector:
     """A loaded detector with its threshold. Its statistic is compared with 1, so that a factor on
     that is a threshold; the nominal one is that of the card."""
     name, own = plain["name"], plain.get("threshold")
-    nominal = asked in (Asked(), Asked(thresholds="nominal"))
     if own is not None:
         if not (is_number(own) and 0.0 < own <= 1.0):
             raise ValueError(f"`threshold` must be a number in (0, 1], got {own!r}")
-        if not nominal:
+        if asked not in NOMINAL:
             raise ValueError(
                 f"detector {name!r} is given a `threshold` of its own, and asked for another one: "
                 "leave out one"
             )
         return Calibrated(made, scale=float(own))
-    if not nominal:
+    if asked not in NOMINAL:
         return with_thresholds(made, asked)
     if made.card.threshold is not None:
         return Calibrated(made, scale=made.card.threshold)
@@ -210,15 +200,13 @@ def has_own_threshold(spec: Mapping[str, Any]) -> bool:
     return _loader(spec) is not None and spec.get("threshold") is not None
 
 
-def _members_asked(pool: Mapping[str, Any], asked: Asked) -> Any:
+def _members_asked(pool: Mapping[str, Any], asked: Mapping[str, Any]) -> Any:
     members = pool.get("members", settings_of(DETECTORS["pool"])["members"])
-    if asked == Asked() or isinstance(members, str | Mapping) or not isinstance(members, Sequence):
+    if not asked or isinstance(members, str | Mapping) or not isinstance(members, Sequence):
         return members
-    words = {key: value for key, value in asked._asdict().items() if value is not None}
-    named = [{"name": each} if isinstance(each, str) else each for each in members]
     return [
-        {**each, **words} if isinstance(each, Mapping) and not asks(each) else each
-        for each in named
+        {**each, **asked} if isinstance(each, Mapping) and not asks(each) else each
+        for each in map(_as_mapping, members)
     ]
 
 
@@ -233,16 +221,15 @@ def spec_with_thresholds(detector: Detector, spec_of: Callable[[Any], Any]) -> d
         spec = dict(spec_of(detector))
         plain = calibrated.DEFAULT_RATE is None or bool(detector.judges)
         return spec if plain or not detector.calibrates else {**spec, "thresholds": "nominal"}
-    asked: dict[str, Any] = {}
-    if detector.false_alarms_per_hour is not None:
-        asked["false_alarms_per_hour"] = detector.false_alarms_per_hour
-    elif detector.scale is not None:
-        asked["threshold_scale"] = detector.scale
-    if detector.rescaled:
-        asked["thresholds"] = "rescaled"
-    if detector.calibration is not None:
-        asked["calibration"] = detector.calibration
-    return {**spec_of(detector.detector), **asked}
+    rate = detector.false_alarms_per_hour
+    asked = {
+        "false_alarms_per_hour": rate,
+        "threshold_scale": detector.scale if rate is None else None,
+        "thresholds": "rescaled" if detector.rescaled else None,
+        "calibration": detector.calibration,
+    }
+    given = {key: value for key, value in asked.items() if value is not None}
+    return {**spec_of(detector.detector), **given}
 
 
 def spec_of_judge(detector: Detector) -> dict[str, Any]:

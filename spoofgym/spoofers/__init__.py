@@ -2,7 +2,7 @@
 
 from ..policies.onnx_file import SUFFIX
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
-from .build import SPOOFERS, make_spoofer, resolve
+from .build import SPOOFERS, make_spoofer
 from .card import Card
 from .feedback import Feedback, FeedbackProfile, ThresholdRider
 from .learned import OnnxPolicy
@@ -34,6 +34,5 @@ __all__ = [
     "ThresholdRider",
     "card_of",
     "make_spoofer",
-    "resolve",
     "shipped",
 ]

@@ -34,23 +34,8 @@ SPOOFERS: dict[str, type[Spoofer]] = {
 
 
 def resolve(spec: Any) -> Any:
-    """Registered name and settings behind the name of a shipped spoofer or of an ONNX file.
-
-    Parameters
-    ----------
-    spec : str, dict or Spoofer
-        As `make_spoofer` takes it.
-
-    Returns
-    -------
-    str, dict or Spoofer
-        What is neither shipped nor a file, as it was given.
-
-    Raises
-    ------
-    ValueError
-        When a shipped spoofer is given settings.
-    """
+    """Registered name and settings behind the name of a shipped spoofer or of an ONNX file; any
+    other spec as it is."""
     settings = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
     name = settings.pop("name", None)
     if not isinstance(name, str):

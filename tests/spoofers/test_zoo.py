@@ -11,7 +11,8 @@ from spoofgym.bench import Suite
 from spoofgym.bench.runs.players import fitting
 from spoofgym.bench.runs.world import World
 from spoofgym.envs.spoofer_binding import setup_of_card
-from spoofgym.spoofers import SPOOFERS, OnnxPolicy, Ramp, card_of, make_spoofer, resolve, shipped
+from spoofgym.spoofers import SPOOFERS, OnnxPolicy, Ramp, card_of, make_spoofer, shipped
+from spoofgym.spoofers.build import resolve
 from spoofgym.spoofers.zoo import ZOO_FOLDER, spec_of_shipped
 
 from .policies import write_policy

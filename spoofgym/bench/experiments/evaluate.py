@@ -114,33 +114,11 @@ class Evaluator:
         return search(self.detector, entry, start, clean, self.progress, self.optima)
 
     def fit(self, policy: Any, *, knowledge: str | None = None) -> TuningResult:
-        """Fit the amplitude of a spoofer on the training runs; its `score` is of these.
-
-        Parameters
-        ----------
-        policy, knowledge : optional
-            As in `evaluate`.
-
-        Returns
-        -------
-        TuningResult
-            ``value``, ``within_budget``, ``score`` [m] and all that was tried.
-        """
+        """Fit the amplitude of a spoofer on the training runs; its `score` is of these."""
         return self._fitted(specify_policy(policy, FITTED, knowledge))
 
     def check(self, policy: Any) -> None:
-        """Raise where a spoofer does not fit this world, before anything is played.
-
-        Parameters
-        ----------
-        policy : str or mapping
-            Its name, name and settings, or the path of an ``.onnx`` file.
-
-        Raises
-        ------
-        ValueError
-            When there is none of that name, or it needs another world.
-        """
+        """Raise where a spoofer, in text or a file, does not fit this world, before it plays."""
         self.world.check_fit([self.detector], [specify_policy(policy, FITTED)])
 
     def score(
@@ -152,18 +130,7 @@ class Evaluator:
         label: str | None = None,
         largest_amplitude: float | None = None,
     ) -> Score:
-        """Score of one spoofer.
-
-        Parameters
-        ----------
-        policy, amplitude, knowledge, label, largest_amplitude : optional
-            As in `evaluate`.
-
-        Returns
-        -------
-        Score
-            Of the evaluation runs.
-        """
+        """Score of one spoofer on the evaluation runs, as `evaluate` returns it."""
         entry = specify_policy(policy, amplitude, knowledge, label, largest_amplitude)
         setting, spec, within, value = entry.tuned, entry.untuned, None, None
         if setting is not None:

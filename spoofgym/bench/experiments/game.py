@@ -297,20 +297,7 @@ class Game:
         return self.world.setup
 
     def on(self, split: str, runs: int | None = None, entropy: int | None = None) -> Game:
-        """The same game on runs of another split.
-
-        Parameters
-        ----------
-        split : str
-            What they are for.
-        runs, entropy : int, optional
-            How many, and their seed; those of this one by default.
-
-        Returns
-        -------
-        Game
-            With the same folder and payoff.
-        """
+        """The same game, with its folder and payoff, on runs of another split, number or seed."""
         count = self.runs if runs is None else runs
         seed = self.seeds[0] if entropy is None else entropy
         return Game(**self._world, runs=count, entropy=seed, split=split)

@@ -249,14 +249,6 @@ def _check_pace(spoofer: Spoofer, spec: Spec) -> None:
             )
 
 
-def _default(word: str, kinds: Mapping[str, type[Any]], kind: type[Any]) -> Spec | None:
-    """Settings of a kind by default; None where some have none."""
-    try:
-        return spec_of(word, kinds, kind())
-    except TypeError:
-        return None
-
-
 def specify_policy(
     policy: Any,
     amplitude: float | str | None = None,
@@ -467,14 +459,18 @@ def check_labels(entries: tuple[PlayerSpec, ...]) -> None:
 
 
 def fitting(env: str, setup: Setup) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Shipped spoofers of an environment whose actions and observations mean what they meant. Each
-    is asked as a campaign plays it, by its own actions and at its own pace. Returns their names,
-    and why others of it are left out."""
+    """Names of the shipped spoofers of an environment that fit, as a campaign plays them: by their
+    own actions and at their own pace. Also why others of it are left out."""
     names, notes = [], []
     for name in shipped():
-        if card_of(name).env_id != env:
+        if (card := card_of(name)).env_id != env:
             continue
-        differences = _unlike_card(name, setup)
+        spoofer = make_spoofer(name)
+        watched = setup.altered(monitors=monitors_for([spoofer], setup))
+        try:
+            differences = card.differences(bound_spoofer(spoofer, watched, 1)[0])
+        except ValueError as error:
+            differences = [str(error)]
         if differences:
             notes.append(f"shipped spoofer {name} is left out: {'; '.join(differences)}")
         else:
@@ -482,56 +478,37 @@ def fitting(env: str, setup: Setup) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(names), tuple(notes)
 
 
-def _unlike_card(name: str, setup: Setup) -> list[str]:
-    """What is another one for a shipped spoofer in a world than on its card."""
-    spoofer = make_spoofer(name)
-    watched = setup.altered(monitors=monitors_for([spoofer], setup))
-    try:
-        context, _, _ = bound_spoofer(spoofer, watched, 1)
-    except ValueError as error:
-        return [str(error)]
-    return card_of(name).differences(context)
+def knowledge_of(entry: PlayerSpec, setup: Setup, detector: PlayerSpec) -> dict[str, Any]:
+    """What a spoofer knows: at ``run_time`` and ``design_time``; the label of the ``detector`` that
+    it was made for, None where it was made for none, or has no card that says so; and
+    ``transfer``, what is another one here than where it was made."""
+    spoofer = entry.build()
+    card, made_for, designed = card_behind(spoofer), None, spoofer.designed_on
+    differences: list[str] = []
+    if card is not None:
+        made_for, differences = _transferred(card, setup, detector)
+    elif entry.tuned:
+        made_for, designed = detector.label, "detector, receiver and scenario, by tuning"
+    return {
+        "run_time": spoofer.knowledge,
+        "design_time": designed,
+        "detector": made_for,
+        "transfer": differences,
+    }
 
 
-def _attack_of(setup: Setup) -> dict[str, Any]:
-    """What an attack does; a threat by name does what the same options do."""
-    spec = spec_of("attack", ATTACKS, setup.attack)
-    return {key: value for key, value in spec.items() if key != "threat"}
-
-
-def transferred(card: Card, setup: Setup, detector: PlayerSpec) -> tuple[str, list[str]]:
+def _transferred(card: Card, setup: Setup, detector: PlayerSpec) -> tuple[str, list[str]]:
     """What a spoofer was made for, and what is another one in a campaign."""
     made = setup_of_card(card)
     label = specify_detector(made.detector).label
     if type(made) is not type(setup):
         return label, ["environment"]
     found = [] if label == detector.label else ["detector"]
-    if _attack_of(made) != _attack_of(setup):
+    own, here = (spec_of("attack", ATTACKS, each.attack) for each in (made, setup))
+    if {**own, "threat": None} != {**here, "threat": None}:  # by name, or by the same options
         found.append("attack")
     return label, found + [
         name
         for name in ("scenario", "receiver", "timeline")
         if describe(getattr(made, name)) != describe(getattr(setup, name))
     ]
-
-
-def knowledge_of(entry: PlayerSpec, setup: Setup, detector: PlayerSpec) -> dict[str, Any]:
-    """What a spoofer knows: while it attacks, and when it was designed. Returns ``run_time``;
-    ``design_time``; ``detector``, the label of the one that it was made for, None where it was made
-    for none, or has no card that says so; ``transfer``, what is another one here than where it was
-    made."""
-    spoofer = entry.build()
-    known: dict[str, Any] = {
-        "run_time": spoofer.knowledge,
-        "design_time": spoofer.designed_on,
-        "detector": None,
-        "transfer": [],
-    }
-    card = card_behind(spoofer)
-    if entry.tuned and card is None:
-        designed = "detector, receiver and scenario, by tuning"
-        return {**known, "design_time": designed, "detector": detector.label}
-    if card is None:
-        return known
-    made_for, differences = transferred(card, setup, detector)
-    return {**known, "detector": made_for, "transfer": differences}

@@ -1,9 +1,9 @@
-"""The attack suite: whom every detector meets, a name and a version, and nothing to choose.
+"""The attack suite: a fixed, versioned list of attacks that every detector is scored against.
 
-It is a floor and no proof: what no member of it achieves, another attack may.  Every member has one
-setting that is searched for, the same as in a campaign.  With them play the blind optima (letter c)
-that a campaign has found against the detector, where that is among its spoofers.  A member whose
-spoofer is not registered is left out, which the digest tells.
+What no member of it achieves, another attack may.  Every member has one setting that is searched
+for, the same as in a campaign.  With them play the blind optima (letter c) that a campaign has
+found against the detector, where that is among its spoofers.  A member whose spoofer is not
+registered is left out, which changes the digest.
 """
 
 from __future__ import annotations
