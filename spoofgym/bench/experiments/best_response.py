@@ -158,33 +158,32 @@ def best_spoofer(
     ]
     curves, notes = ([], ()) if budget.blind is None else _curves(game, mix, budget, warm, entropy)
     attacks += [SuiteAttack("c", _blind_optimum(rates), True) for rates in curves]
-    tried = [dataclasses.replace(each, decided_on=each.decided_on | seeds) for each in given]
     known = {each.label for each in given}
-    family = {label: label for label in known}
+    tried = [
+        (each.label, dataclasses.replace(each, decided_on=each.decided_on | seeds))
+        for each in given
+    ]
     for number, attack in enumerate(attacks):
-        name = attack.player.label.removesuffix("(tuned)").replace("tuned,", "")
+        player = attack.player
+        family = player.label.removesuffix("(tuned)").replace("tuned,", "")
         for value in grid_of(attack, context, budget.values):
-            made = member_of(
-                attack.player.with_value(value),
-                SPOOFER,
-                label=f"{name} {number}, {attack.player.tuned} {value:g}",
-                decided_on=seeds,
-            )
-            tried.append(made)
-            family[made.label] = name
-    sifted = _against(game.on(SELECTION, budget.sift_runs, entropy), tried, mix)
+            name = f"{family} {number}, {player.tuned} {value:g}"
+            spec = player.with_value(value)
+            tried.append((family, member_of(spec, SPOOFER, label=name, decided_on=seeds)))
+    few, all_runs = (game.on(SELECTION, n, entropy) for n in (budget.sift_runs, budget.runs))
+    sifted = _against(few, [player for _, player in tried], mix)
     order = np.argsort(-sifted, kind="stable")
     finalists = [tried[k] for k in order[: budget.kept]]
-    found = _against(game.on(SELECTION, budget.runs, entropy), finalists, mix)
+    found = _against(all_runs, [player for _, player in finalists], mix)
     best: dict[str, float] = {}
     by_family: dict[str, PlayerSpec] = {}
     for k in order:
-        name = family[tried[k].label]
-        best.setdefault(name, float(sifted[k]))
-        by_family.setdefault(name, tried[k])
-    winner = finalists[int(np.argmax(found))]
-    name = family[winner.label] if label is None else f"{label}: {family[winner.label]}"
+        family, player = tried[k]
+        best.setdefault(family, float(sifted[k]))
+        by_family.setdefault(family, player)
+    family, winner = finalists[int(np.argmax(found))]
     if winner.label not in known:
+        name = family if label is None else f"{label}: {family}"
         winner = dataclasses.replace(winner, label=name)
     return Response(winner, float(found.max()), best, by_family, notes)
 
