@@ -8,11 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench.runs.players import specify_detector, specify_spoofer
+from spoofgym.attacks import make_attack
+from spoofgym.bench.runs.players import (
+    ATTACK,
+    PlayerSpec,
+    specify_detector,
+    specify_player,
+    specify_policy,
+    specify_spoofer,
+)
 from spoofgym.core.registry import load_class, make, parse_spec, slug, spec_of
 from spoofgym.core.settings import describe, differences, digest_of
-from spoofgym.detectors import DETECTORS, Detector, Ewma
-from spoofgym.spoofers import SPOOFERS, Ramp, Spoofer
+from spoofgym.detectors import DETECTORS, Calibrated, Detector, Ewma, make_detector
+from spoofgym.detectors.build import LOADERS, bare_detector
+from spoofgym.spoofers import SPOOFERS, Ramp, Scaled, Spoofer, make_spoofer
 
 
 @pytest.mark.parametrize(
@@ -132,3 +141,53 @@ def test_a_detector_need_not_be_a_dataclass() -> None:
     assert make("detector", DETECTORS, Detector, entry.spec).level == 3.0
     with pytest.raises(TypeError, match=r"must keep its settings .* it has no 'factor'"):
         specify_detector(Forgetful())
+
+
+class Loaded(Plain):
+    """As if it were from a file, whose card has a threshold."""
+
+    class card:  # noqa: N801
+        threshold = 0.25
+
+
+def test_a_file_is_loaded_by_what_its_ending_is_registered_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[Any] = []
+    monkeypatch.setitem(LOADERS, ".toy", lambda spec: asked.append(spec) or Loaded())
+    made = make_detector({"name": "mine.toy", "quiet_epochs": 2})
+    assert isinstance(made, Calibrated)
+    assert (type(made.detector), made.scale) == (Loaded, 0.25)
+    assert make_detector({"name": "mine.toy", "threshold": 0.5}).scale == 0.5  # type: ignore[attr-defined]
+    assert type(bare_detector("mine.toy")) is Loaded
+    assert asked == [
+        {"name": "mine.toy", "quiet_epochs": 2},
+        {"name": "mine.toy", "threshold": 0.5},
+        {"name": "mine.toy"},
+    ]
+    with pytest.raises(ValueError, match=r"unknown detector 'mine\.doll'"):
+        make_detector("mine.doll")
+
+
+def test_a_player_is_built_from_its_settings_or_is_an_object() -> None:
+    tuned, given = specify_spoofer({"name": "ramp", "rate_mps": "tuned"}), Ramp(rate_mps=0.3)
+    assert tuned.as_config() == {"label": "ramp(tuned)", "spec": tuned.spec}
+    assert tuned.build() == Ramp()
+    assert make_spoofer(tuned.with_value(0.3)) == given
+    alone = specify_policy(given, "fitted")
+    assert (alone.spec, alone.tuned, alone.untuned) == (None, "amplitude", given)
+    scaled = alone.with_value(2.0)
+    assert isinstance(scaled, Scaled)
+    assert (scaled.spoofer, scaled.amplitude) == (given, 2.0)
+    known = specify_player(given, "spoofer")
+    assert known.label == "ramp(rate_mps=0.3)"
+    assert PlayerSpec.from_json("spoofer", known.as_json()) == known
+
+
+def test_an_antenna_stands_to_the_east() -> None:
+    far = PlayerSpec("meaconer", ATTACK, {"name": "meaconer", "antenna_m": "tuned"}, "antenna_m")
+    assert make_attack(far.with_value(20.0)).antenna_m == (0.0, 20.0, 0.0)  # type: ignore[attr-defined]
+
+
+def test_a_spoofer_may_be_a_class_of_the_user() -> None:
+    assert make_spoofer({"name": "spoofgym.spoofers:Ramp", "rate_mps": 0.3}) == Ramp(rate_mps=0.3)
