@@ -146,7 +146,7 @@ def test_a_detector_need_not_be_a_dataclass() -> None:
 class Loaded(Plain):
     """As if it were from a file, whose card has a threshold."""
 
-    class card:  # noqa: N801
+    class card:
         threshold = 0.25
 
 
