@@ -32,31 +32,7 @@ SIFTED = 16
 class Evaluator:
     """Scores spoofers on the same runs, whose warm-up and clean twins are simulated once.
 
-    Parameters
-    ----------
-    task : str, optional
-        ``"T1"`` to ``"T6"``; or the settings of a world and its detector in its place.
-    runs : int
-        Evaluation runs, which decide nothing.
-    fit_runs : int
-        Training runs, on which an amplitude is fitted; at least 59, since fewer can't show that a
-        budget of 5 % is kept.  With more of them scores of other runs lie closer together, and
-        everybody gets farther: 128 allow 2 alarms, 1024 allow 39.
-    entropy : int
-        Seed of all of them.
-    threads : int, optional
-        Threads of the engine.
-    progress : ProgressCallback, optional
-        Shows how far it is.
-    **world
-        Without a task: ``detector``, and settings of the environment as `World.of` takes them,
-        such as ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``.
-
-    Raises
-    ------
-    ValueError
-        When the detector is asked for a rate of false alarms that it is not calibrated for here;
-        the message has the command that does so.
+    Its arguments are those of `evaluate`, but for the spoofer's.
 
     Examples
     --------
@@ -206,8 +182,12 @@ def evaluate(
         its name, or name and settings; or the path of an ``.onnx`` file with its card.
     task : str, optional
         ``"T1"`` to ``"T6"``; without one, ``detector`` and its world are given by name.
-    runs, fit_runs, entropy, threads, progress : optional
-        As in `Evaluator`.
+    runs : int
+        Evaluation runs, which decide nothing.
+    fit_runs : int
+        Training runs, on which an amplitude is fitted; at least 59, since fewer can't show that a
+        budget of 5 % is kept.  With more of them scores of other runs lie closer together, and
+        everybody gets farther: 128 allow 2 alarms, 1024 allow 39.
     amplitude : {"fitted"}, float or None
         Factor on all commands, fitted by default; None for the commands as they are.  A scripted
         spoofer by its name alone has its usual setting fitted, as a ramp its rate.
@@ -219,8 +199,15 @@ def evaluate(
     largest_amplitude : float, optional
         Of a model whose amplitude is fitted, the largest one that is tried; 10 by default.  A
         network that has not learned answers by some hundredths, and needs a thousand.
+    entropy : int
+        Seed of all of them.
+    threads : int, optional
+        Threads of the engine.
+    progress : ProgressCallback, optional
+        Shows how far it is.
     **world
-        As in `Evaluator`.
+        Without a task: ``detector``, and settings of the environment as `World.of` takes them,
+        such as ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``.
 
     Returns
     -------
@@ -232,7 +219,9 @@ def evaluate(
     TypeError
         When the policy is something else.
     ValueError
-        When it does not fit the task, returns NaN or infinity, remembers, or is a pickled file.
+        When it does not fit the task, returns NaN or infinity, remembers, or is a pickled file; or
+        the detector is asked for a rate of false alarms that it is not calibrated for here; the
+        message has the command that does so.
 
     Examples
     --------
