@@ -18,7 +18,7 @@ from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.search import open_loop as optima_module
 from spoofgym.bench.search.attack_suite import AROUND_FOUND, grid_of
-from spoofgym.bench.search.backends import EnginePlayer, ReplayPlayer, limits_of, pushed
+from spoofgym.bench.search.backends import EngineBackend, ReplayBackend, limits_of, pushed
 from spoofgym.bench.search.open_loop import (
     AIMS,
     ENGINE,
@@ -182,7 +182,9 @@ def test_settings_of_a_search_are_checked(name: str, value: Any, said: str) -> N
 # --- players -------------------------------------------------------------------------------------
 
 
-def players(heading_deg: float | str = 90.0, **settings: Any) -> tuple[ReplayPlayer, EnginePlayer]:
+def players(
+    heading_deg: float | str = 90.0, **settings: Any
+) -> tuple[ReplayBackend, EngineBackend]:
     setup = make_setup(
         TightlyCoupledSetup,
         {"detector": "snapshot-chi2", "timeline": SHORT, **settings},
@@ -190,8 +192,8 @@ def players(heading_deg: float | str = 90.0, **settings: Any) -> tuple[ReplayPla
     seeds = seed_sequences(0, "training", setup.name, 8)
     replay = Replay(setup, [setup.detector], seeds, threads=1)
     start = WarmStart(setup, generators_of(seed_sequences(0, "training", setup.name, 8)))
-    engine = EnginePlayer(start, play(start, "none"), heading_deg)
-    return ReplayPlayer(replay, 0, heading_deg), engine
+    engine = EngineBackend(start, play(start, "none"), heading_deg)
+    return ReplayBackend(replay, 0, heading_deg), engine
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ from ...spoofers.scaled import AMPLITUDE, split_amplitude
 from ..runs.players import DETECTOR, SPOOFER, TUNED, Mixture, PlayerSpec, member_of, specify_spoofer
 from ..scores.statistics import Estimate
 from ..search.attack_suite import SuiteAttack, fitting_members, grid_of
-from ..search.backends import MixedPlayer, ReplayPlayer
+from ..search.backends import MixedBackend, ReplayBackend
 from ..search.bounds import WORLDS
 from ..search.open_loop import SPLIT as SEARCH
 from ..search.open_loop import BlindOptimizer, BlindSearch
@@ -251,12 +251,12 @@ def _curves(
         return [], tuple(notes)
     seeds = seed_sequences(entropy, SEARCH, setup.name, budget.blind.runs)
     replay = Replay(setup, members, seeds, threads=game.threads)
-    player = MixedPlayer([ReplayPlayer(replay, k) for k in range(len(members))], weights)
+    backend = MixedBackend([ReplayBackend(replay, k) for k in range(len(members))], weights)
     starts = {each.label: curve for each in warm if (curve := _curve_of(each)) is not None}
     curves = []
     for share in SHARES:
         game.progress.advance(0.0, f"blind optimum, {100 * share:g} % alarms")
-        found = BlindOptimizer(player, share, budget.blind).search(starts)
+        found = BlindOptimizer(backend, share, budget.blind).search(starts)
         curves.append(found.rates_mps)
     return curves, tuple(notes)
 
