@@ -8,7 +8,7 @@ from typing import NamedTuple
 from ...calibration.holdouts import check
 from ...calibration.thresholds import calibrate, expected_runs
 from ...core.progress import ProgressCallback
-from ...detectors import Calibrated, Detector, PooledDetector, detector_in_world
+from ...detectors import Calibrated, Detector, PooledDetector
 from ...detectors.calibrated import resolve
 from ..runs.players import PlayerSpec
 from ..runs.world import World
@@ -32,7 +32,7 @@ def _asked(entries: Iterable[PlayerSpec]) -> dict[_Rate, list[Detector]]:
 
 
 def _parts(entry: PlayerSpec) -> Iterator[Calibrated]:
-    judge = detector_in_world(entry.spec)
+    judge = entry.build()
     parts = judge.judges if isinstance(judge, PooledDetector) else (judge,)
     yield from (part for part in parts if isinstance(part, Calibrated))
 

@@ -16,11 +16,11 @@ import numpy as np
 from ...attacks import Attack
 from ...core.registry import whole_number
 from ...core.settings import outside_sources
-from ...detectors import Detector, OperatingPoint, detector_in_world
+from ...detectors import Detector, OperatingPoint
 from ...envs.spoofer_binding import ENV_ID
 from ...simulation.domain import Domain
 from ...simulation.setup import SPLITS, Setup, Timeline
-from ...spoofers import Spoofer, make_spoofer
+from ...spoofers import Spoofer
 from ...truth.scenario import Scenario
 from ..runs.players import (
     DEFAULT_SPOOFERS,
@@ -199,7 +199,7 @@ class Suite:
     def _calibrations(self) -> dict[str, Any]:
         """Scales of the detectors that ask for a rate, for `config`, and who never alarms."""
         named = {label: [p._asdict() for p in points] for label, points in self._points.items()}
-        never = [e.label for e in self.detector_entries if not detector_in_world(e.spec).calibrates]
+        never = [e.label for e in self.detector_entries if not e.build().calibrates]
         return {"calibrations": named, "never_alarm": never}
 
     @cached_property
@@ -207,8 +207,8 @@ class Suite:
         """Everything that the results depend on, JSON-able. What comes from outside of spoofgym is
         there by digests of its sources. Where one can't be read, a number of this suite alone is in
         its place, so that no other one takes up its results; this is warned of."""
-        judges = [detector_in_world(entry.spec) for entry in self.detector_entries]
-        players = [make_spoofer(entry.untuned) for entry in self.spoofer_entries]
+        judges = [entry.build() for entry in self.detector_entries]
+        players = [entry.build() for entry in self.spoofer_entries]
         outside = outside_sources(*judges, *players, *self.world.parts)
         unknown = [
             f"the source of {name} can't be read: its results are never taken up again"

@@ -29,7 +29,6 @@ from ...limits.floor import QUANTILES
 from ...limits.power import check_no_latent, kl_of
 from ...simulation.setup import Setup
 from ...simulation.tight import TightlyCoupledSetup
-from ...spoofers import make_spoofer
 from ..runs.players import PlayerSpec
 from ..search.bounds import floors_m, purposes
 from .table import number
@@ -140,7 +139,7 @@ def divergence_record(
     """What no test exceeds against a spoofer, by divergence; or why there is no such bound. For
     each probability of detection: the divergence D below which no test reaches it, and the mean
     displacement that D allows."""
-    spoofer = make_spoofer(player.untuned)
+    spoofer = player.build()
     names = Observer(default_terms(setup, spoofer.knowledge), setup).names
     found: Record = {"spoofer": player.label, "knowledge": spoofer.knowledge}
     try:
