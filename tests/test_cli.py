@@ -17,7 +17,8 @@ import typer
 from typer.testing import CliRunner
 
 from spoofgym import __version__
-from spoofgym.bench.experiments.results_folder import ResultsFolder
+from spoofgym.bench.experiments import Store
+from spoofgym.bench.experiments.summary import CampaignResults
 from spoofgym.cli import app
 from spoofgym.cli.options import ENV, World, with_world
 from spoofgym.detectors import DETECTORS
@@ -169,19 +170,19 @@ def test_bench_writes_table_picture_and_json() -> None:
 
 
 def test_an_interrupted_bench_is_kept_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    original = ResultsFolder.put_cell
+    original = Store.put
 
-    def interrupted(self: ResultsFolder, cell: Any) -> None:
-        original(self, cell)
+    def interrupted(self: Store, cell: Any, result: Any) -> None:
+        original(self, cell, result)
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(ResultsFolder, "put_cell", interrupted)
+        patch.setattr(Store, "put", interrupted)
         result = call("bench", *QUICK, *TWO, "--out", "out")
     assert result.exit_code == 130
-    assert "interrupted: 1 of 2 cells are finished and kept in out" in result.stderr
+    assert "interrupted: 1 of 5 cells are finished in out" in result.stderr
     assert call("bench", *QUICK, *TWO, "--out", "out").exit_code == 0
-    assert "another campaign (different: runs)" in refused(
+    assert "other results (config.runs: 4, not 5)" in refused(
         "bench", *QUICK, *TWO, "--out", "out", "--seeds", "5"
     )
     assert call("bench", *QUICK, *TWO, "--out", "out", "--seeds", "5", "--overwrite").exit_code == 0
@@ -196,28 +197,28 @@ def test_ctrl_c_keeps_what_is_finished() -> None:
     listening = """
 import signal, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from spoofgym.bench.experiments.results_folder import ResultsFolder
+from spoofgym.bench.experiments import Store
 from spoofgym.cli import main
-put_cell = ResultsFolder.put_cell
-def put_the_first(folder, cell):
-    while any(folder.path.glob("cells/*.jsonl")):
+put = Store.put
+def put_the_first(store, cell, result):
+    while any(store.path.glob("cells/*none*.npz")):
         time.sleep(0.05)
-    put_cell(folder, cell)
-ResultsFolder.put_cell = put_the_first
+    put(store, cell, result)
+Store.put = put_the_first
 main()
 """
     process = subprocess.Popen(
         [sys.executable, "-c", listening, *long], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
     deadline = time.monotonic() + 600.0
-    while not list(Path("out").glob("cells/ewma*--none.jsonl")):
+    while not list(Path("out").glob("cells/ewma*none*.npz")):
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=600.0)
     assert process.returncode == 130
-    assert b"interrupted: 1 of 2 cells are finished and kept in out" in said
+    assert b" of 4 cells are finished in out; the same command goes on" in said
     assert b"Traceback" not in said
     assert not Path("out", "results.md").exists()
     assert call("report", "out").exit_code == 0
@@ -250,7 +251,8 @@ def test_run_draws_one_attack() -> None:
 
 def test_run_is_a_run_of_the_bench() -> None:
     call("bench", *QUICK, *TWO, "--out", "out")
-    cell = ResultsFolder("out").cell("ewma", "ramp(rate_mps=0.4)")
+    cell = CampaignResults.load("out").runs("ewma", "ramp(rate_mps=0.4)")
+    assert cell is not None
     played = json.dumps(cell.head["spoofer_settings"])  # with the amplitude that was fitted
     result = call("run", *SHORT, "--spoofer", played, "--run", "2", "--no-picture", "--json")
     assert result.exit_code == 0, result.output

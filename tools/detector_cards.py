@@ -63,9 +63,7 @@ def played(
     with progress(missing_runs(world, entries)) as bar:
         refused = calibrate_entries(world, entries, progress=bar, optional=labels)
     whom = [spec for label, spec in zip(labels, chosen, strict=True) if label not in refused]
-    with progress(evaluator.expected_work(whom)) as bar:
-        evaluator.progress = bar
-        scores = evaluator.scores(whom)
+    scores = evaluator.scores(whom, show=progress)
     return {**card_of(scores), "left_out": refused}
 
 

@@ -16,8 +16,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from spoofgym.bench.experiments.results_folder import PICTURE, ResultsFolder
-from spoofgym.bench.experiments.summary import summarize
+from spoofgym.bench.experiments.summary import PICTURE, CampaignResults, summarize
 from spoofgym.bench.report import table as tables
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.scores.bounds import HALF, STEALTHY, headline
@@ -153,11 +152,10 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("folder", type=Path, nargs="?", help="results of `make bench`")
     given = parser.parse_args(arguments).folder
     if given is not None:
-        folder = ResultsFolder(given)
-        summary = summarize(folder)
+        summary = summarize(CampaignResults.load(given))
         kept = {"campaign": summary["campaign"], "rows": shared_rows(summary)}
         write_file(SHARED, (json.dumps(kept, indent=1, allow_nan=False) + "\n").encode())
-        shutil.copyfile(folder.path / PICTURE, DRAWN)
+        shutil.copyfile(given / PICTURE, DRAWN)
     world = json.loads(FULL.read_text())["worlds"][WORLD]
     picture = "\n![The campaign](docs/campaign.png)\n"
     put_between(README, BEGIN, END, shown(world) + picture)

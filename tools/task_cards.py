@@ -30,12 +30,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spoofgym.bench.experiments import Store, run
 from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
-from spoofgym.bench.experiments.campaign import run_campaign
-from spoofgym.bench.experiments.remaining import expected_work
-from spoofgym.bench.experiments.results_folder import ResultsFolder
+from spoofgym.bench.experiments.campaign import Campaign
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.experiments.summary import summarize
+from spoofgym.bench.experiments.summary import CampaignResults, summarize
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.report.tasks import (
     ADMISSION_HEAD,
@@ -102,16 +101,14 @@ def played(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
     with progress(max(missing_runs(world, whom), 1)) as bar:
         calibrate_entries(world, whom, progress=bar)
     suite.check_fit()
-    folder = ResultsFolder(out / task.key)
-    folder.open(suite)
-    with progress(expected_work(suite, folder)) as bar:
-        run_campaign(suite, folder, progress=bar)
-    return card_of(task, suite, folder)
+    campaign = Campaign(suite)
+    reader = run(campaign, Store(out / task.key), progress=progress)
+    return card_of(task, campaign.results(reader))
 
 
-def card_of(task: Task, suite: Suite, folder: ResultsFolder) -> dict[str, Any]:
+def card_of(task: Task, results: CampaignResults) -> dict[str, Any]:
     """What is kept of a task's campaign."""
-    summary = summarize(folder)
+    summary = summarize(results)
     own = specify_detector(task.detector).label
     detectors = {row["detector"]: row for row in summary["detectors"]}
     scores = {name_of(cell): score_of(cell) for cell in summary["cells"] if cell["detector"] == own}
@@ -136,7 +133,7 @@ def card_of(task: Task, suite: Suite, folder: ResultsFolder) -> dict[str, Any]:
         "optima_mps": optima_of(summary),
     }
     if not task.historical:
-        card["admission"] = admission(task, summary, folder, card)
+        card["admission"] = admission(task, summary, results, card)
     return describe(card)
 
 
@@ -168,7 +165,7 @@ def half_of(card: dict[str, Any], detector: str) -> float:
 
 
 def admission(
-    task: Task, summary: dict[str, Any], folder: ResultsFolder, card: dict[str, Any]
+    task: Task, summary: dict[str, Any], results: CampaignResults, card: dict[str, Any]
 ) -> dict[str, Any]:
     """The five figures of a task, and whether each is as it has to be."""
     trivial = specify_detector(TRIVIAL).label
@@ -182,7 +179,7 @@ def admission(
     }
     limit = task.alert_limit_m
     assert limit is not None  # as all that are not historical
-    found = folder.protection(best)
+    found = results.protection(best)
     assert found is not None  # every detector of the campaign has met the suite
     sky = found.sky[found.counts]
     moved = [winner.displacement[MEASURE][found.counts] for winner in found.winners]

@@ -27,13 +27,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from agents.folder import error_lines
-from spoofgym.bench.experiments.campaign import with_rates
-from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.versions import versions
+
+from agents.folder import error_lines
+from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import interval
 from spoofgym.bench.runs.players import fitted, specify_spoofer
 from spoofgym.bench.scores.spoofer import Score
+from spoofgym.bench.search.amplitude import with_rates
 from spoofgym.cli.output import print_json, print_table, progress
 from spoofgym.core.files import write_file
 from spoofgym.core.progress import ProgressCallback

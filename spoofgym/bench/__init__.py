@@ -12,15 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .experiments.campaign import run_campaign
-    from .experiments.results_folder import ResultsFolder
     from .experiments.suite import Suite
-    from .experiments.summary import summarize
+    from .experiments.summary import CampaignResults, summarize
     from .search.settings import Tuning
 
-__all__ = ["ResultsFolder", "Suite", "Tuning", "run_campaign", "summarize"]
+__all__ = ["CampaignResults", "Suite", "Tuning", "run_campaign", "summarize"]
 
 _PLACES = {
-    "ResultsFolder": "experiments.results_folder",
+    "CampaignResults": "experiments.summary",
     "Suite": "experiments.suite",
     "Tuning": "search.settings",
     "run_campaign": "experiments.campaign",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import sys
@@ -13,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
-from .app import INTERRUPTED
 from .options import ENV, SCENARIO_OPTIONS, SUITE_OPTIONS, TASK_OPTIONS, TIMES, World, with_world
 from .output import print_json, print_lines, print_table, progress
 
@@ -21,9 +21,12 @@ if TYPE_CHECKING:
     from datetime import date
 
     from ..bench.experiments.suite import Suite
+    from ..bench.experiments.summary import CampaignResults
     from ..bench.runs.players import PlayerSpec
     from ..bench.runs.world import World as Played
+    from ..bench.search.amplitude import TuningResult
     from ..bench.search.settings import Selection, Tuning
+    from ..core.progress import ProgressCallback
     from ..core.registry import Spec
     from ..truth.scenario import Scenario
 
@@ -372,10 +375,10 @@ def tune(
     threads: opt.Threads = None,
 ) -> None:
     """Find the strongest ramp that keeps to an alarm budget, on training runs."""
-    from ..bench.experiments.campaign import search, training_start
-    from ..bench.experiments.remaining import search_work
     from ..bench.report.table import tuning_head, tuning_rows
+    from ..bench.runs.panel import Panel
     from ..bench.runs.players import TUNED
+    from ..bench.search.amplitude import fit, search_work
     from ..spoofers import make_spoofer
     from ..spoofers.scaled import AMPLITUDE
 
@@ -397,11 +400,17 @@ def tune(
         print_lines((*suite.notes, *suite.captions))
     entries = [entry for entry in suite.spoofer_entries if entry.tuned]
     each = 2.0 * suite.tuning.runs + len(entries) * search_work(suite.tuning)
-    results, optima = [], suite.optima()
+    results: list[TuningResult] = []
+    optima, watched = suite.optima(), suite.world.watched_for(entries)
+    rngs = lambda: suite.generators("training", suite.tuning.runs)  # noqa: E731
     with progress(each * len(suite.detector_entries)) as bar:
         for judge in suite.detector_entries:
-            start, clean = training_start(suite, judge, threads, bar)
-            results += [search(judge, entry, start, clean, bar, optima) for entry in entries]
+            judges = [judge.build()]
+            panel = Panel(suite.world.setup, judges, rngs, threads, watched)
+            for entry in entries:
+                now = f"{judge.label}: tuning {entry.label}"
+                tick = functools.partial(_advance, bar, now)
+                results += fit(panel, {0: judge}, entry, optima, tick)
     if as_json:
         print_json([result.as_dict() for result in results])
         return
@@ -492,6 +501,8 @@ def bench(
     ] = 192,
     threads: opt.Threads = None,
     jobs: opt.Jobs = None,
+    backend: opt.Backend = "local",
+    shard: opt.Shard = None,
 ) -> None:
     """Play detectors against spoofers on the same runs; interrupted, it goes on when run again.
 
@@ -499,9 +510,8 @@ def bench(
     given, in a world whose sky, heading, onset and turn-on constants of the sensors are drawn for
     every run, unless --set domain=... says otherwise.
     """
-    from ..bench.experiments.campaign import run_campaign
-    from ..bench.experiments.remaining import expected_work
-    from ..bench.experiments.results_folder import ResultsFolder
+    from ..bench.experiments import Store
+    from ..bench.experiments.campaign import Campaign
     from ..detectors.calibrated import STANDARD_RATE
     from ..simulation.engine import processors
 
@@ -527,28 +537,15 @@ def bench(
         headline=task is None,
         selection=selection_of(sizes["selection_seeds"]),
     )
-    folder = ResultsFolder(out)
-    folder.open(suite, overwrite=overwrite)
+    campaign = Campaign(suite)
+    campaign.open(Store(out), overwrite=overwrite)
     at_once = jobs or (processors() if suite_name else 1)
     if not as_json:
         print_lines((*(() if task else suite.notes), *suite.captions, *suite.left_out))
-    try:
-        with progress(expected_work(suite, folder)) as bar:
-            run_campaign(suite, folder, threads=threads, jobs=at_once, progress=bar)
-    except KeyboardInterrupt:
-        done = sum(
-            folder.has_cell(judge.label, player.label)
-            for judge in suite.detector_entries
-            for player in suite.spoofer_entries
-        )
-        total = len(suite.detector_entries) * len(suite.spoofer_entries)
-        typer.echo(
-            f"interrupted: {done} of {total} cells are finished and kept in {out}; the same "
-            "command goes on from there",
-            err=True,
-        )
-        raise typer.Exit(INTERRUPTED) from None
-    _report(folder, as_json, reports)
+    results = opt.finished(
+        campaign, out, jobs=at_once, backend=backend, shard=shard, threads=threads
+    )
+    _report(campaign.results(results), as_json, reports)
 
 
 def report(
@@ -556,9 +553,9 @@ def report(
     as_json: opt.Json = False,
 ) -> None:
     """Score the finished cells of a folder again, with table and picture."""
-    from ..bench.experiments.results_folder import ResultsFolder
+    from ..bench.experiments.summary import CampaignResults
 
-    _report(ResultsFolder(folder), as_json, None)
+    _report(CampaignResults.load(folder), as_json, None)
 
 
 def _tuned_by_default(specs: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -568,28 +565,32 @@ def _tuned_by_default(specs: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [fitted(spec) for spec in specs]
 
 
-def _report(folder: Any, as_json: bool, reports: Any) -> None:
+def _advance(bar: ProgressCallback, now: str, work: float) -> None:
+    bar.advance(work, now)
+
+
+def _report(results: CampaignResults, as_json: bool, reports: Reports) -> None:
     """Write table, scores and picture, and print the tables."""
-    from ..bench.experiments.results_folder import SUMMARY, TABLE
-    from ..bench.experiments.summary import summarize
+    from ..bench.experiments.summary import SUMMARY, TABLE, summarize
     from ..bench.report import table as tables
     from ..bench.report.bounds import bound_notes, floor_notes
     from ..bench.report.campaign import markdown
     from ..bench.report.figures import draw_campaign
 
-    summary = summarize(folder)
+    summary, store = summarize(results), results.store
     if not summary["cells"]:
-        raise ValueError(f"{folder.path} holds no finished cell yet")
+        raise ValueError(f"{results.path} holds no finished cell yet")
+    text = markdown(results, summary)
     written = [
-        folder.put_text(SUMMARY, json.dumps(summary, indent=1, allow_nan=False) + "\n"),
-        folder.put_text(TABLE, markdown(folder.config(), summary)),
+        store.write(SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode()),
+        store.write(TABLE, text.encode()),
     ]
     try:
-        written.append(draw_campaign(folder, summary))
+        written.append(draw_campaign(results, summary))
     except ImportError as error:
         typer.echo(f"no picture: {error}", err=True)
     if as_json:
-        print_json({**summary, "folder": str(folder.path), "input": reports})
+        print_json({**summary, "folder": str(results.path), "input": reports})
         return
     notes = (*floor_notes(summary), *map(NO_BOUND.format, bound_notes(summary)), "")
     for number, group in enumerate(tables.groups(summary)):

@@ -47,7 +47,7 @@ Jobs = Annotated[
     int | None,
     Option(
         min=1,
-        help="Processes that play one detector each at a time. Default: 1; of a suite by its "
+        help="Processes of this machine that compute at a time. Default: 1; of a suite by its "
         "name, the processors.",
     ),
 ]

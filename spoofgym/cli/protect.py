@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from . import options as opt
-from .app import INTERRUPTED
 from .bench import calibrate_with_progress, specs_of
-from .output import print_json, print_lines, print_table, progress
-
-if TYPE_CHECKING:
-    from ..bench.scores.detector import DetectorScore
+from .output import print_json, print_lines, print_table
 
 
 def protect(
@@ -41,6 +37,9 @@ def protect(
     ),
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
+    jobs: opt.Processes = 1,
+    backend: opt.Backend = "local",
+    shard: opt.Shard = None,
     as_json: opt.Json = False,
 ) -> None:
     """Score detectors by the worst family of attacks of a task, most of which none has met."""
@@ -54,44 +53,33 @@ def protect(
         selection_runs=selection_seeds,
         families=family or None,
         entropy=seed,
-        threads=threads,
-        folder=out,
     )
     calibrate_with_progress(evaluator.worlds.world, entries_of(specs), threads)
-    try:
-        with progress(evaluator.expected_work(specs)) as bar:
-            evaluator.progress = bar
-            scores = evaluator.scores(specs)
-    except KeyboardInterrupt:
-        typer.echo(
-            f"interrupted: finished parts are kept in {out}; the same command goes on from there",
-            err=True,
-        )
-        raise typer.Exit(INTERRUPTED) from None
-    paired = [score.difference_to(scores[0]).as_json() for score in scores]
+    found, where = evaluator.protections(specs), out / evaluator.task.key
+    results = opt.finished(found, where, jobs=jobs, backend=backend, shard=shard, threads=threads)
+    rows = found.report(results)["detectors"]
     if as_json:
-        print_json([{**s.as_dict(), "less_first": p} for s, p in zip(scores, paired, strict=True)])
-        return
-    _print(scores, paired)
+        print_json(rows)
+    else:
+        _print(rows)
 
 
-def _print(scores: list[DetectorScore], paired: list[dict[str, Any]]) -> None:
+def _print(rows: list[dict[str, Any]]) -> None:
     """Print the scores, those by family, and the paired differences to the first detector."""
-    from ..bench.report.tasks import DETECTOR_HEAD as HEAD
-    from ..bench.report.tasks import detector_score_rows as score_rows
-    from ..bench.report.tasks import family_rows
+    from ..bench.report.tasks import DETECTOR_HEAD, detector_score_rows, family_rows
 
-    first = scores[0]
-    card = {"detectors": [score.as_dict() for score in scores]}
+    first, card = rows[0], {"detectors": rows}
+    task, limit, runs = (first[name] for name in ("task", "alert_limit_m", "runs"))
     print_table(
-        f"{first.task}: P(HMI) at {first.alert_limit_m:g} m, {first.runs} runs of every family",
-        HEAD[1:],
-        [row[1:] for row in score_rows({first.task: card})],
+        f"{task}: P(HMI) at {limit:g} m, {runs} runs of every family",
+        DETECTOR_HEAD[1:],
+        [row[1:] for row in detector_score_rows({task: card})],
     )
-    print_table(f"{first.task}: P(HMI) by family [%]", *family_rows(card))
+    print_table(f"{task}: P(HMI) by family [%]", *family_rows(card))
     print_lines(
-        f"{score.detector} less {first.detector}, paired: "
+        f"{row['detector']} less {first['detector']}, paired: "
         f"{100.0 * (each['value'] or 0.0):+.1f} % of runs "
         f"({100.0 * (each['low'] or 0.0):+.1f} to {100.0 * (each['high'] or 0.0):+.1f})"
-        for score, each in list(zip(scores, paired, strict=True))[1:]
+        for row in rows[1:]
+        for each in (row["less_first"],)
     )

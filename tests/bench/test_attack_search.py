@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from spoofgym.bench.runs.panel import play_searches
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.runs.record import MEASURES, Aim
-from spoofgym.bench.search import worst_attack as module
+from spoofgym.bench.runs.world import World
 from spoofgym.bench.search.attack_suite import AROUND_FOUND, SuiteAttack
 from spoofgym.bench.search.settings import Selection
-from spoofgym.bench.search.worst_attack import FamilySearch, Search
+from spoofgym.bench.search.worst_attack import FamilyAttacks, WorstAttacks
 from spoofgym.spoofers import SpooferContext
 from spoofgym.spoofers.scaled import LARGEST, SMALLEST
 
@@ -20,18 +21,30 @@ RUNS = 120
 FIRST = MEASURES[0]
 
 
-class Start:
+class FakePanel:
     """Runs at the onset, by formula; under twelve skies."""
 
-    def __init__(self, receivers: int = RUNS) -> None:
-        self.receivers, self.setup = receivers, self
-        self.epochs_each = 10
-        self.warmup_alarm = np.arange(receivers) % 10 == 0
-        self.first_alarm = np.where(np.arange(receivers) % 10 == 1, 5, 0)
-        self.onset = 10 * (np.arange(receivers) % 12)
+    runs = RUNS
 
-    def first(self, count: int) -> Start:
-        return Start(count)
+    def __init__(self) -> None:
+        run = np.arange(RUNS)
+        self.counts, self.sky = (run % 10 > 1)[:, None], run % 12
+        self.setup = World().setup
+
+    def play(self, attacks: Any, **_: Any) -> list[Any]:
+        return [attack for attack, _ in attacks]
+
+
+def formula(monkeypatch: pytest.MonkeyPatch, moved: Any) -> None:
+    """Let a function of spec and number of runs say what an attack displaces."""
+    monkeypatch.setattr(
+        WorstAttacks, "measured", lambda self, panel, attack: moved(attack.spec, attack.runs)
+    )
+
+
+def found_by(search: WorstAttacks, limits: list[float]) -> Any:
+    (found,) = play_searches(search.panel, [(0, search.winners(limits))])
+    return found
 
 
 def member(letter: str, **spec: Any) -> SuiteAttack:
@@ -48,26 +61,27 @@ MEMBERS = (
 def search(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The ramp is best at 0.3 m/s in half of the runs, the dash at 2 m/s in a few."""
 
-    def fake_play(start: Any, spec: dict[str, Any], **_: Any) -> dict[str, Any]:
-        return spec
-
-    def fake_measured(setup: Start, spec: Any, twin: Any) -> dict[str, Any]:
-        run, rate = np.arange(setup.receivers), spec["rate_mps"]
+    def moved(spec: dict[str, Any], runs: int) -> dict[str, Any]:
+        run, rate = np.arange(runs), spec["rate_mps"]
         if spec["name"] == "ramp":
-            moved = 50.0 * np.exp(-abs(np.log(rate / 0.3))) + np.zeros(len(run))
+            size = 50.0 * np.exp(-abs(np.log(rate / 0.3))) + np.zeros(runs)
         else:
-            moved = np.where(run % 12 == 7, 500.0 * np.exp(-abs(np.log(rate / 2.0))), 1.0)
-        return {FIRST: moved, "undetected_total_m": moved + 1.0}
+            size = np.where(run % 12 == 7, 500.0 * np.exp(-abs(np.log(rate / 2.0))), 1.0)
+        return {FIRST: size, "undetected_total_m": size + 1.0}
 
-    monkeypatch.setattr(module, "play", fake_play)
-    monkeypatch.setattr(module, "measured", fake_measured)
-    context = SpooferContext(1, 0.5, 40, "rate", 1.0, 10.0, ("east_rate", "north_rate"))
-    start: Any = Start()
-    return Search(start, start, MEMBERS, context, Selection(runs=RUNS, sift_runs=36, values=9))
+    formula(monkeypatch, moved)
+    return search_of(WorstAttacks)
+
+
+def search_of(kind: Any) -> Any:
+    panel: Any = FakePanel()
+    found = kind(panel, 0, MEMBERS, Selection(runs=RUNS, sift_runs=36, values=9))
+    found.context = SpooferContext(1, 0.5, 40, "rate", 1.0, 10.0, ("east_rate", "north_rate"))
+    return found
 
 
 def test_each_aim_has_its_worst_attack(search: Any) -> None:
-    found = search.winners([40.0, 200.0])
+    found = found_by(search, [40.0, 200.0])
     by_aim = {aim: MEMBERS[m].letter for (m, _), aims in found.items() for aim in aims}
     assert by_aim[Aim(FIRST, 0.5)] == "a"
     assert by_aim[Aim(FIRST, 0.05)] == "h"  # a twelfth of the runs is more than 5 %
@@ -87,19 +101,14 @@ def test_a_found_curve_is_played_beyond_its_range_while_that_is_worse(
 ) -> None:
     played = []
 
-    def fake_play(start: Any, spec: dict[str, Any], **_: Any) -> float:
+    def moved(spec: dict[str, Any], runs: int) -> dict[str, Any]:
         played.append(spec["amplitude"])
-        return float(spec["amplitude"])
+        return {FIRST: 50.0 * np.exp(-abs(np.log(spec["amplitude"] / peak))) + np.zeros(runs)}
 
-    def fake_measured(setup: Start, amplitude: float, twin: Any) -> dict[str, Any]:
-        moved = 50.0 * np.exp(-abs(np.log(amplitude / peak))) + np.zeros(setup.receivers)
-        return {FIRST: moved}
-
-    monkeypatch.setattr(module, "play", fake_play)
-    monkeypatch.setattr(module, "measured", fake_measured)
+    formula(monkeypatch, moved)
     curve = member("c", name="profile", rates_mps=[0.1, 0.2], amplitude="tuned")
     search.members = (curve,)
-    ((_, value),) = search.winners([])
+    ((_, value),) = found_by(search, [])
     assert value == pytest.approx(peak, rel=0.1)
     low, high = AROUND_FOUND
     assert (min(played) < 0.99 * low) == (peak < low)
@@ -110,12 +119,9 @@ def test_a_found_curve_is_played_beyond_its_range_while_that_is_worse(
 def test_what_gets_farther_without_end_ends_at_the_largest_amplitude(
     search: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "play", lambda start, spec, **_: spec["amplitude"])
-    monkeypatch.setattr(
-        module, "measured", lambda setup, at, twin: {FIRST: at + np.zeros(setup.receivers)}
-    )
+    formula(monkeypatch, lambda spec, runs: {FIRST: spec["amplitude"] + np.zeros(runs)})
     search.members = (member("c", name="profile", rates_mps=[0.1, 0.2], amplitude="tuned"),)
-    ((_, value),) = search.winners([])
+    ((_, value),) = found_by(search, [])
     assert 0.8 * LARGEST < value <= LARGEST
 
 
@@ -124,11 +130,11 @@ def test_runs_that_do_not_count_choose_nobody(search: Any) -> None:
     assert search.counts[[2, 3]].all()
 
 
-class Halving(Search):
+class Halving(WorstAttacks):
     """As detectors are scored in their tasks."""
 
-    by_skies = FamilySearch.by_skies
-    neighbours, rounds = FamilySearch.neighbours, FamilySearch.rounds
+    by_skies = FamilyAttacks.by_skies
+    neighbours, rounds = FamilyAttacks.neighbours, FamilyAttacks.rounds
 
 
 @pytest.mark.parametrize("limit_m", np.geomspace(8.0, 80.0, 12))
@@ -139,18 +145,18 @@ def test_what_just_passes_an_alert_limit_is_found_between_values_of_the_grid(
     """A ramp displaces in proportion, by 2 % more or less, and is caught where it is faster."""
     played: dict[tuple[int, str, float], Any] = {}
 
-    def fake_measured(setup: Start, spec: Any, twin: Any) -> dict[str, Any]:
-        run, rate = np.arange(setup.receivers), spec["rate_mps"]
+    def formula_of(spec: Any, runs: int) -> dict[str, Any]:
+        run, rate = np.arange(runs), spec["rate_mps"]
         moved = 100.0 * rate * (1.0 + 0.02 * np.sin(run)) * (spec["name"] == "ramp")
         unnoticed = (run % 4 == 0) & (100.0 * rate < width * limit_m)
-        key = setup.receivers, spec["name"], rate
+        key = runs, spec["name"], rate
         played[key] = np.where(unnoticed | (moved < 0.9 * limit_m), moved, 0.0)
         return {FIRST: played[key]}
 
-    monkeypatch.setattr(module, "measured", fake_measured)
-    fine = Halving(search.start, search.clean, MEMBERS, search.context, search.settings)
+    formula(monkeypatch, formula_of)
+    fine = search_of(Halving)
     aim = Aim(FIRST, limit_m=limit_m)
-    found = {sought: key for key, aims in fine.winners([limit_m]).items() for sought in aims}
+    found = {sought: key for key, aims in found_by(fine, [limit_m]).items() for sought in aims}
     member, value = found[aim]
     assert MEMBERS[member].letter == "a"
     # of the quarter that is not caught, all with the wide range, and most with the narrow one
@@ -166,13 +172,13 @@ def test_values_of_the_grid_alone_miss_what_just_passes(
     missed = 0
     for limit_m in np.geomspace(8.0, 80.0, 12):
 
-        def fake_measured(setup: Start, spec: Any, twin: Any, most: float = limit_m) -> Any:
-            moved = 100.0 * spec["rate_mps"] * np.ones(setup.receivers)
+        def formula_of(spec: Any, runs: int, most: float = limit_m) -> Any:
+            moved = 100.0 * spec["rate_mps"] * np.ones(runs)
             return {FIRST: np.where(moved < 1.03 * most, moved, 0.0)}
 
-        monkeypatch.setattr(module, "measured", fake_measured)
+        formula(monkeypatch, formula_of)
         aim = Aim(FIRST, limit_m=limit_m)
-        for (_, value), aims in search.winners([limit_m]).items():
+        for (_, value), aims in found_by(search, [limit_m]).items():
             missed += aim in aims and not limit_m < 100.0 * value < 1.03 * limit_m
     assert missed > 3
 
@@ -182,13 +188,13 @@ def test_a_limit_that_is_always_passed_is_not_looked_at_any_closer(
 ) -> None:
     played: list[float] = []
 
-    def fake_measured(setup: Start, spec: Any, twin: Any) -> dict[str, Any]:
+    def formula_of(spec: Any, runs: int) -> dict[str, Any]:
         played.append(spec["rate_mps"])
-        return {FIRST: np.full(setup.receivers, 100.0 * spec["rate_mps"])}
+        return {FIRST: np.full(runs, 100.0 * spec["rate_mps"])}
 
-    monkeypatch.setattr(module, "measured", fake_measured)
-    fine = Halving(search.start, search.clean, MEMBERS, search.context, search.settings)
-    fine.winners([20.0])
+    formula(monkeypatch, formula_of)
+    fine = search_of(Halving)
+    found_by(fine, [20.0])
     coarse = len(MEMBERS) * search.settings.values
     # what is largest in a share of the runs is the end of the range, with one gap beside it
     assert len(played) < coarse + 2 * fine.rounds + 2 * len(fine.neighbours)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench import ResultsFolder, Suite, run_campaign
+from spoofgym.bench import Suite, run_campaign
 from spoofgym.bench.search.amplitude import RESOLUTION
 from spoofgym.bench.search.settings import Tuning
 
@@ -35,12 +35,10 @@ def suite_of(detector: str, spoofers: list[dict[str, Any]]) -> Suite:
 
 def displacements(suite: Suite, path: Path) -> dict[str, np.ndarray]:
     """D_u of every run that counts, by spoofer."""
-    folder = ResultsFolder(path)
-    folder.open(suite)
-    run_campaign(suite, folder)
+    folder = run_campaign(suite, path)
     (detector,) = suite.detector_entries
     played = [each.label for each in suite.spoofer_entries if each.label != "none"]
-    cells = [folder.cell(detector.label, label) for label in played]
+    cells = [folder.runs(detector.label, label) for label in played]
     return {cell.spoofer: cell.displacement_m[cell.counts] for cell in cells}
 
 

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 from scipy import special
 
-from spoofgym.bench import ResultsFolder, Suite, run_campaign, summarize
-from spoofgym.bench.experiments.campaign import search, training_start
+from spoofgym.bench import CampaignResults, Suite, run_campaign, summarize
+from spoofgym.bench.experiments.campaign import found_optima
 from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.runs.panel import Panel
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.search import open_loop as optima_module
+from spoofgym.bench.search.amplitude import fit
 from spoofgym.bench.search.attack_suite import AROUND_FOUND, grid_of
 from spoofgym.bench.search.backends import EngineBackend, ReplayBackend, limits_of, pushed
 from spoofgym.bench.search.open_loop import (
@@ -31,7 +33,7 @@ from spoofgym.bench.search.open_loop import (
     crossing,
 )
 from spoofgym.bench.search.settings import Selection
-from spoofgym.core.progress import NullProgress
+from spoofgym.detectors import detector_in_world
 from spoofgym.envs.factory import make_setup
 from spoofgym.limits import Replay
 from spoofgym.simulation import TightlyCoupledSetup
@@ -302,25 +304,23 @@ def test_a_curve_that_the_engine_displaces_otherwise_is_searched_again_there(
 
 
 @pytest.fixture(scope="module")
-def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Suite, ResultsFolder]:
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Suite, CampaignResults]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(optima_module, "BlindSearch", lambda: FEW)
-        folder = ResultsFolder(tmp_path_factory.mktemp("blind"))
         suite = blind_suite(selection=Selection(runs=8, sift_runs=4, values=3), runs=8)
-        folder.open(suite)
-        run_campaign(suite, folder, threads=1)
+        folder = run_campaign(suite, tmp_path_factory.mktemp("blind"), threads=1)
     return suite, folder
 
 
 def test_the_tuning_has_what_was_found_and_the_cell_plays_it(
-    campaign: tuple[Suite, ResultsFolder],
+    campaign: tuple[Suite, CampaignResults],
 ) -> None:
     _, folder = campaign
-    tuning = folder.tuning("shewhart", "blind-optimum")
+    tuning = folder.search("shewhart", "blind-optimum")
     assert tuning is not None
     assert tuning.found is not None
     assert tuning.found["by"] == REPLAY
-    cell = folder.cell("shewhart", "blind-optimum")
+    cell = folder.runs("shewhart", "blind-optimum")
     played = cell.head["spoofer_settings"]
     assert played["rates_mps"] == tuning.found["played"]["rates_mps"]
     assert played["amplitude"] == tuning.value
@@ -338,9 +338,9 @@ def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(
     }
     monkeypatch.setattr(Optima, "find", lambda *_: copy.deepcopy(found))
     (detector,) = suite.detector_entries
-    start, clean = training_start(suite, detector, 1, NullProgress())
-    optima = suite.optima()
-    result = search(detector, specify_spoofer(BLIND), start, clean, NullProgress(), optima)
+    judges, optima = [detector_in_world(detector.spec)], suite.optima()
+    panel = Panel(suite.world.setup, judges, lambda: suite.generators("training", 6), 1)
+    (result,) = fit(panel, {0: detector}, specify_spoofer(BLIND), optima)
     assert result.found is not None
     fitted = result.found["fitted_m"]
     assert set(fitted) == {"found", "constant", "linear", "mine", ZERO_ALARM}
@@ -355,34 +355,31 @@ def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(
 
 
 def test_a_campaign_that_goes_on_finds_the_same(
-    campaign: tuple[Suite, ResultsFolder], tmp_path: Path
+    campaign: tuple[Suite, CampaignResults], tmp_path: Path
 ) -> None:
     suite, folder = campaign
-    again = ResultsFolder(tmp_path)
-    again.open(suite)
-    run_campaign(suite, again, threads=1)
-    for one in ("tuning", "cells", "protection"):
-        files = sorted((folder.path / one).iterdir())
-        assert files
-        for file in files:
-            assert (tmp_path / one / file.name).read_bytes() == file.read_bytes()
-    (tmp_path / "cells" / "shewhart--blind-optimum.jsonl").unlink()
-    before = (tmp_path / "tuning" / "shewhart--blind-optimum.json").stat().st_mtime_ns
-    run_campaign(suite, again, threads=1)  # by what the tuning has, without another search
-    assert (tmp_path / "tuning" / "shewhart--blind-optimum.json").stat().st_mtime_ns == before
-    file = Path("cells") / "shewhart--blind-optimum.jsonl"
-    assert (tmp_path / file).read_bytes() == (folder.path / file).read_bytes()
+    again = run_campaign(suite, tmp_path, threads=1)
+    files = sorted((folder.path / "cells").iterdir())
+    assert len(files) == 6
+    for file in files:
+        assert (tmp_path / "cells" / file.name).read_bytes() == file.read_bytes()
+    one, search = (
+        again.store.path_of(f"shewhart / blind-optimum{word}") for word in ("", ", search")
+    )
+    one.unlink()
+    before = search.stat().st_mtime_ns
+    run_campaign(suite, tmp_path, threads=1)  # by what the search has, without another one
+    assert search.stat().st_mtime_ns == before
+    assert one.read_bytes() == (folder.path / "cells" / one.name).read_bytes()
 
 
 def test_the_blind_optimum_is_a_candidate_of_the_protection(
-    campaign: tuple[Suite, ResultsFolder], monkeypatch: pytest.MonkeyPatch
+    campaign: tuple[Suite, CampaignResults], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from spoofgym.bench.experiments.campaign import _members
-
     suite, folder = campaign
     (detector,) = suite.detector_entries
-    members = [each for each in _members(suite, folder, detector) if each.letter == "c"]
-    tuning = folder.tuning("shewhart", "blind-optimum")
+    members = found_optima(suite, folder, detector)
+    tuning = folder.search("shewhart", "blind-optimum")
     assert tuning is not None
     assert tuning.found is not None
     each = tuning.found["played"], *(tuning.found["aims"][name] for name in AIMS)
@@ -396,7 +393,7 @@ def test_the_blind_optimum_is_a_candidate_of_the_protection(
         grid = grid_of(member, suite.world.context, 5)
         assert (grid[0], grid[-1]) == pytest.approx(AROUND_FOUND, rel=1e-3)
     assert summarize(folder)
-    assert "blind-optimum" in markdown(folder.config(), summarize(folder))
+    assert "blind-optimum" in markdown(folder, summarize(folder))
 
 
 def test_one_without_rates_must_be_tuned() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from spoofgym.bench import ResultsFolder, run_campaign, summarize
+from spoofgym.bench import run_campaign, summarize
 from spoofgym.bench.report.bounds import EXCEEDED, bound_cell, bracket_section, floor_notes
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.report.figures import draw_campaign
@@ -138,9 +138,7 @@ def weak(tmp_path_factory: pytest.TempPathFactory) -> Any:
     suite = small_suite(
         detectors=("never", "shewhart"), spoofers=({"name": "ramp", "rate_mps": 1e-4},)
     )
-    folder = ResultsFolder(tmp_path_factory.mktemp("weak") / "results")
-    folder.open(suite)
-    run_campaign(suite, folder, threads=1)
+    folder = run_campaign(suite, tmp_path_factory.mktemp("weak") / "results", threads=1)
     return folder, summarize(folder)
 
 
@@ -158,7 +156,7 @@ def test_a_weak_attack_is_a_failed_search_in_a_real_campaign(weak: Any) -> None:
         shewhart["bracket"]["zero_alarm"]["value"]
         == (summary["limits"]["zero_alarm"]["shewhart"]["restricted_m"])
     )
-    text = markdown(folder.config(), summary)
+    text = markdown(folder, summary)
     assert "## The bracket" in text
     assert f"search failed: {STEALTHY}" in text
     for assumption in summary["limits"]["floor"]["assumptions"]:
@@ -200,13 +198,11 @@ def test_a_victim_without_limits_says_why(tmp_path: Path) -> None:
         spoofers=({"name": "ramp", "rate_mps": 0.1},),
         timeline=None,
     )
-    folder = ResultsFolder(tmp_path / "results")
-    folder.open(suite)
-    run_campaign(suite, folder, threads=1)
+    folder = run_campaign(suite, tmp_path / "results", threads=1)
     summary = summarize(folder)
     (notes,) = floor_notes(summary)
     assert notes.startswith("Floor: none, since no limit is known for ")
     (row,) = summary["detectors"]
     assert row["bracket"]["floor_m"] == {STEALTHY: None, HALF: None}
     assert "no limit is known for" in row["bracket"]["zero_alarm"]["why"]
-    assert "- No zero-alarm bound of raim: no limit is known" in markdown(folder.config(), summary)
+    assert "- No zero-alarm bound of raim: no limit is known" in markdown(folder, summary)

@@ -9,7 +9,6 @@ from typer.testing import CliRunner
 
 from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
 from spoofgym.bench.experiments.campaign import run_campaign
-from spoofgym.bench.experiments.results_folder import ResultsFolder
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.calibration import thresholds as calibration
 from spoofgym.cli import app
@@ -52,10 +51,8 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
     assert caption in suite.config["notes"]
     point = suite.config["calibrations"]["Toy(false_alarms_per_hour=20)"][0]
     assert (point["runs"], point["rank"]) == (60, 5)
-    folder = ResultsFolder(tmp_path / "results")
-    folder.open(suite)
-    run_campaign(suite, folder, threads=1)
-    assert folder.cell("Toy(false_alarms_per_hour=20)", "none").runs == 4
+    folder = run_campaign(suite, tmp_path / "results", threads=1)
+    assert folder.runs("Toy(false_alarms_per_hour=20)", "none").runs == 4
     calibrate_entries(suite.world, suite.detector_entries)  # replays what is there
 
 

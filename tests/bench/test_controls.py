@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
-from spoofgym.bench import ResultsFolder, run_campaign, summarize
+from spoofgym.bench import run_campaign, summarize
 from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.summary import times_of
 from spoofgym.bench.report.campaign import markdown
@@ -70,9 +69,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Any:
             runs=RUNS,
         )
         calibrate_entries(suite.world, suite.detector_entries, threads=1)
-        folder = ResultsFolder(tmp_path_factory.mktemp("played") / "results")
-        folder.open(suite)
-        run_campaign(suite, folder, threads=1)
+        folder = run_campaign(suite, tmp_path_factory.mktemp("played") / "results", threads=1)
         yield suite, folder, summarize(folder)
 
 
@@ -99,7 +96,7 @@ def test_who_reads_the_statistic_is_compared_with_never_alone(played: Any) -> No
     """It obeys that of a lottery, too."""
     _, folder, summary = played
     footings = {row["detector"]: row["footing"] for row in summary["detectors"]}
-    cells = [folder.cell(label, "step") for label in footings]
+    cells = [folder.runs(label, "step") for label in footings]
     reading = [
         replace(each, head={**each.head, "knowledge": {"run_time": "oracle"}}) for each in cells
     ]
@@ -115,7 +112,7 @@ def test_who_reads_the_statistic_is_compared_with_never_alone(played: Any) -> No
 def test_an_alarm_by_chance_is_no_detection_in_time(played: Any) -> None:
     """All that a lottery catches is chance."""
     _, folder, _ = played
-    cell = folder.cell(f"lottery({LABEL})", "step")
+    cell = folder.runs(f"lottery({LABEL})", "step")
     assert ((cell.records["first_alarm"] > 0) & ~cell.records["warmup_alarm"]).any()
     # as if every run came beyond the limit at once
     crossed = {**cell.records, "crossing": np.ones(cell.runs, dtype=np.int64)}
@@ -220,7 +217,7 @@ def test_every_table_has_one_rate(played: Any) -> None:
     marked = [row[worst] for row in detector_rows(told, group) if row[worst] != "-"]
     assert marked
     assert all(row.startswith("(e) ") and " (oracle), " in row for row in marked)
-    text = markdown(folder.config(), summary)
+    text = markdown(folder, summary)
     for part in (
         "## Detectors at 20 false alarms an hour",
         "the suite spoofgym-scripted 2",
@@ -235,23 +232,3 @@ def test_detectors_at_different_rates_share_no_table() -> None:
     summary = {"detectors": [{"detector": k, "footing": v} for k, v in rates.items()]}
     found = {group.rate: group.detectors for group in groups(summary)}
     assert found == {"0.002": ["b", "never"], "0.2": ["a", "never"], "": ["c"]}
-
-
-def test_a_protection_of_another_campaign_or_damaged_is_refused(
-    played: Any, tmp_path: Path
-) -> None:
-    import shutil
-
-    _, folder, _ = played
-    copied = ResultsFolder(tmp_path / "copied")
-    shutil.copytree(folder.path, copied.path)
-    path = copied.path / "protection" / "never.json"
-    text = path.read_text()
-    path.write_text(text.replace('"entropy": 0', '"entropy": 9'))
-    with pytest.raises(ValueError, match=r"never.json is of another campaign .* entropy is 9"):
-        summarize(copied)
-    path.write_text(text[:-40])
-    with pytest.raises(ValueError, match=r"never.json is damaged"):
-        summarize(copied)
-    path.unlink()
-    assert "never / attack suite" in summarize(copied)["missing"]

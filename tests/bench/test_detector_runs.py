@@ -8,6 +8,7 @@ import pytest
 from spoofgym.attacks import make_attack
 from spoofgym.bench.runs.panel import (
     MOST_TRIED,
+    Attack,
     NearAlarm,
     Panel,
     generators,
@@ -23,6 +24,7 @@ from .detector_support import small_task
 
 TEST = {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"}
 RAMP = {"name": "ramp", "rate_mps": 0.4}
+MEACONER = {"name": "meaconer"}
 
 
 @pytest.fixture(scope="module")
@@ -84,12 +86,12 @@ def test_detectors_that_share_a_pass_get_what_each_gets_alone(setup):
     judges = [make_detector(TEST), tight, make_detector({**TEST, "name": "shewhart"})]
     rngs = rngs_of(setup, range(9))
     together = Panel(setup, judges, rngs, 1)
-    moved = together.displacement(RAMP, 9)
-    few = together.displacement(RAMP, 4)
+    moved = together.displacement(Attack(RAMP, 9))
+    few = together.displacement(Attack(RAMP, 4))
     np.testing.assert_array_equal(few, moved[:, :4])
     for k, judge in enumerate(judges):
         alone = Panel(setup, [judge], rngs, 1)
-        np.testing.assert_array_equal(alone.displacement(RAMP, 9)[0], moved[k])
+        np.testing.assert_array_equal(alone.displacement(Attack(RAMP, 9))[0], moved[k])
         np.testing.assert_array_equal(alone.counts[:, 0], together.counts[:, k])
         np.testing.assert_array_equal(alone.twin_alarm[:, 0], together.twin_alarm[:, k])
         start = WarmStart(setup.altered(detector=judge), rngs(), threads=1)
@@ -98,12 +100,37 @@ def test_detectors_that_share_a_pass_get_what_each_gets_alone(setup):
     assert (moved[1] < moved[0]).any()  # they do not all say the same
 
 
+def test_attacks_side_by_side_are_what_each_is_alone(setup):
+    """Also with a spoofer that reads statistics, and in front of some of the detectors."""
+    judges = [make_detector(TEST), Calibrated(SnapshotChi2(), scale=0.3), Never()]
+    panel = Panel(setup, judges, rngs_of(setup, range(9)), 1)
+    attacks = [
+        (Attack(RAMP, 9), 0),
+        (Attack({**RAMP, "rate_mps": 0.1}, 9), 0),
+        (Attack({"name": "step", "size_m": 20.0}, 5), 0),
+        (Attack(RAMP, 9), 1),
+        (Attack({"name": "feedback", "amplitude": 0.5}, 9), 1),
+        (Attack({"name": "profile", "rates_mps": [0.0, 0.3]}, 7), 1),
+    ]
+    for drop in (False, True):
+        for (attack, number), runs in zip(attacks, panel.play(attacks, drop=drop), strict=True):
+            alone = WarmStart(
+                setup.altered(detector=judges[number]), rngs_of(setup, range(9))(), threads=1
+            ).first(attack.runs)
+            wanted = play(alone, attack.spec)
+            np.testing.assert_array_equal(runs.first_alarm, wanted.first_alarm)
+            if not drop:
+                for mine, own in zip(runs, wanted, strict=True):
+                    np.testing.assert_array_equal(mine, own)
+    assert not panel.warmup_alarm[:, 2].any()
+
+
 def test_a_tighter_threshold_never_lets_an_attack_farther(setup):
     loose, tight = (Calibrated(SnapshotChi2(), scale=scale) for scale in (0.6, 0.3))
     panel = Panel(setup, [loose, tight], rngs_of(setup, range(12)), 1)
     shorter = 0
     for rate in (0.1, 0.3, 0.5):
-        far, near = panel.displacement({**RAMP, "rate_mps": rate}, 12)
+        far, near = panel.displacement(Attack({**RAMP, "rate_mps": rate}, 12))
         assert (near <= far).all()
         shorter += int((near < far).sum())
     assert shorter  # the thresholds matter
@@ -112,9 +139,9 @@ def test_a_tighter_threshold_never_lets_an_attack_farther(setup):
 def test_an_attack_of_its_own_meets_the_same_runs(setup):
     panel = Panel(setup, [Never(), make_detector(TEST)], rngs_of(setup, range(4)), 1)
     idle = {"name": "profile", "rates_mps": [0.0, 0.0]}
-    assert np.abs(panel.displacement(idle, 4)).max() == 0.0
+    assert np.abs(panel.displacement(Attack(idle, 4))).max() == 0.0
     near, far = (
-        panel.displacement(idle, 4, make_attack({"name": "meaconer", "antenna_m": [0.0, x, 0.0]}))
+        panel.displacement(Attack(idle, 4, make_attack({**MEACONER, "antenna_m": [0.0, x, 0.0]})))
         for x in (4.0, 8.0)
     )
     # the filter comes nearer to the antenna for as long as the window lasts, in proportion
@@ -145,12 +172,11 @@ def test_near_an_alarm_are_those_whose_statistic_was_largest(setup):
     np.testing.assert_array_equal(found.counts[:, 0], (twin.first_alarm == 0)[chosen])
     # an attack of its own meets the same runs: replayed where the target is, it moves nothing
     assert len(found.rngs()) == runs
-    there = make_attack({"name": "meaconer", "antenna_m": [0.0, 0.0, 0.0]})
+    there = make_attack({**MEACONER, "antenna_m": [0.0, 0.0, 0.0]})
     still = Panel(setup, [judge], rngs_of(setup, chosen), 1)
     idle = {"name": "profile", "rates_mps": [0.0, 0.0]}
-    np.testing.assert_allclose(
-        found.displacement(idle, runs, there), still.displacement(idle, runs, there), atol=1e-6
-    )
+    attack = Attack(idle, runs, there)
+    np.testing.assert_allclose(found.displacement(attack), still.displacement(attack), atol=1e-6)
 
 
 def test_thresholds_go_along_into_any_world():

@@ -10,7 +10,6 @@ import pytest
 import spoofgym
 from spoofgym.bench.experiments.campaign import run_campaign
 from spoofgym.bench.experiments.evaluate import Evaluator, evaluate
-from spoofgym.bench.experiments.results_folder import ResultsFolder
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.experiments.summary import summarize
 from spoofgym.bench.search.settings import Tuning
@@ -47,16 +46,14 @@ def test_a_score_is_that_of_a_campaign(judge, tmp_path):
         runs=RUNS,
         tuning=Tuning(runs=FIT, sift_runs=FIT // 16),
     )
-    folder = ResultsFolder(tmp_path / "campaign")
-    folder.open(suite)
-    run_campaign(suite, folder)
+    folder = run_campaign(suite, tmp_path / "campaign")
     cells = {cell["spoofer"]: cell for cell in summarize(folder)["cells"]}
     found = judge.score("ramp")
     wanted = cells["ramp(tuned)"]
     assert found.stealthy_displacement_m.as_json() == wanted["stealthy_displacement_m"]
     assert found.alarm_rate.as_json() == wanted["alarm_rate"]
     assert found.counted == wanted["counted"]
-    assert found.value == folder.tuning(found.detector, "ramp(tuned)").value
+    assert found.value == folder.search(found.detector, "ramp(tuned)").value
     assert found.value != found.budget  # a setting was found, not copied
 
 

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from spoofgym.bench import ResultsFolder
+from spoofgym.bench.experiments import Store
+from spoofgym.bench.experiments.campaign import Campaign
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.core.settings import outside_sources
 from spoofgym.detectors import Ewma
@@ -89,14 +90,16 @@ def suites() -> dict[str, Suite]:
 )
 def test_an_edited_class_is_another_campaign(folder: Path, edit: dict[str, str]) -> None:
     for name, suite in suites().items():
-        ResultsFolder(folder / name).open(suite)
+        Campaign(suite).open(Store(folder / name))
     write(folder, DETECTOR + "\n# a comment\n")
     for name, suite in suites().items():
-        ResultsFolder(folder / name).open(suite)
+        Campaign(suite).open(Store(folder / name))
     write(folder, **edit)
     for name, suite in suites().items():
-        with pytest.raises(ValueError, match=r"different: outside\.(mine|helper)_a34\)"):
-            ResultsFolder(folder / name).open(suite)
+        with pytest.raises(
+            ValueError, match=r"other results \(config\.outside\.(mine|helper)_a34: "
+        ):
+            Campaign(suite).open(Store(folder / name))
 
 
 def test_only_what_is_the_users_counts(folder: Path) -> None:
@@ -113,11 +116,11 @@ def test_a_policy_and_its_card_count(tmp_path: Path) -> None:
         return small_suite(spoofers=(str(path),)).config["outside"]
 
     before = outside()
-    assert set(before) == {str(path), str(path.with_suffix(".json"))}
+    assert set(before) == {"push.onnx", "push.json"}
     card = path.with_suffix(".json")
     card.write_text(card.read_text().replace("ewma, by hand", "ewma, by foot"))
     after = outside()
-    assert [name for name in after if after[name] != before[name]] == [str(card)]
+    assert [name for name in after if after[name] != before[name]] == [card.name]
 
 
 def test_a_class_without_a_source_is_never_taken_up_again(
@@ -127,15 +130,15 @@ def test_a_class_without_a_source_is_never_taken_up_again(
     monkeypatch.setattr(sys.modules["__main__"], "Typed", typed, raising=False)
     suite = small_suite(detectors=(typed(),))
     with pytest.warns(UserWarning, match="source of __main__:Typed can't be read: its results are"):
-        ResultsFolder(tmp_path).open(suite)
+        Campaign(suite).open(Store(tmp_path))
     assert "never taken up again" in suite.config["notes"][-1]
-    ResultsFolder(tmp_path).open(suite)
+    Campaign(suite).open(Store(tmp_path))
     again = small_suite(detectors=(typed(),))
     with (
         pytest.warns(UserWarning, match="can't be read"),
-        pytest.raises(ValueError, match=r"different: outside\.__main__:Typed"),
+        pytest.raises(ValueError, match=r"other results \(config\.outside\.__main__:Typed: "),
     ):
-        ResultsFolder(tmp_path).open(again)
+        Campaign(again).open(Store(tmp_path))
 
 
 def test_a_calibration_is_not_that_of_an_edited_policy(folder: Path) -> None:

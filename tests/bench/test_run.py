@@ -19,7 +19,7 @@ from spoofgym.bench.runs.play import (
     play,
     to_local,
 )
-from spoofgym.bench.runs.record import make_cell
+from spoofgym.bench.runs.record import record_runs
 from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofCore
 from spoofgym.simulation import Engine
@@ -100,7 +100,7 @@ def test_dropping_settled_runs_changes_no_score(start: WarmStart) -> None:
 
 def test_the_course_of_alarms_counts_the_runs_that_have_alarmed_so_far(start: WarmStart) -> None:
     attacked, clean = play(start, FAST), play(start, "none")
-    cell = make_cell(start.setup, {}, start.warmup_alarm, attacked, clean, 40.0)
+    cell = record_runs(start.setup, {}, start.warmup_alarm, attacked, clean, 40.0)
     so_far = np.logical_or.accumulate(attacked.alarm, axis=0)
     np.testing.assert_allclose(cell.series["alarmed"], so_far.mean(axis=1), atol=1e-6)
     assert 0.0 < cell.series["alarmed"][0] < cell.series["alarmed"][-1] < 1.0
@@ -108,7 +108,7 @@ def test_the_course_of_alarms_counts_the_runs_that_have_alarmed_so_far(start: Wa
 
 def test_a_cell_and_a_search_score_the_same_runs_alike(start: WarmStart) -> None:
     attacked, clean = play(start, {"name": "ramp", "rate_mps": 0.3}), play(start, "none")
-    cell = make_cell(start.setup, {}, start.warmup_alarm, attacked, clean, 40.0)
+    cell = record_runs(start.setup, {}, start.warmup_alarm, attacked, clean, 40.0)
     assert 0.0 < cell.alarmed.mean() < 1.0
     scored = displacement_of(start.setup, attacked, clean)
     np.testing.assert_allclose(scored, cell.records["undetected_displacement_m"], atol=1e-6)
@@ -119,7 +119,7 @@ def test_a_spoofer_decides_nothing_after_the_attack_window(interval_s: float | N
     suite = small_suite(decision_interval_s=interval_s)
     setup = suite.setup(suite.detector_entries[0])
     start = WarmStart(setup, suite.generators("evaluation", 2), threads=1)
-    attacker = Attacker(FAST, start.engine())
+    attacker = Attacker([FAST], start.engine())
     given = [attacker.command(k) is not None for k in range(setup.steps + setup.hold)]
     assert given == [True] * setup.steps + [False] * setup.hold
 

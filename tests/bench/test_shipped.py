@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from spoofgym.bench import ResultsFolder, Suite, run_campaign, summarize
+from spoofgym.bench import Suite, run_campaign, summarize
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.report.figures import draw_campaign
 from spoofgym.bench.report.table import made_for
@@ -69,10 +69,8 @@ def test_those_that_do_not_fit_are_named_with_the_reason() -> None:
 
 def test_one_that_does_not_fit_is_refused_when_it_is_asked_for(tmp_path: Path) -> None:
     suite = small_suite(attack={"name": "false-position", "rate_limit_mps": 2.0}, spoofers=["push"])
-    folder = ResultsFolder(tmp_path)
-    folder.open(suite)
     with pytest.raises(ValueError, match=r"conditions.rate_limit_mps: 5.0 on the card, 2.0 here"):
-        run_campaign(suite, folder, threads=1)
+        run_campaign(suite, tmp_path, threads=1)
 
 
 def test_the_file_is_part_of_the_campaign(tmp_path: Path) -> None:
@@ -139,9 +137,7 @@ def test_a_campaign_with_learned_and_optimised_spoofers(tmp_path: Path) -> None:
     suite = small_suite(
         spoofers=("step", {"name": "ramp", "rate_mps": "tuned"}, "curve", "push", "track")
     )
-    folder = ResultsFolder(tmp_path)
-    folder.open(suite)
-    run_campaign(suite, folder, threads=1)
+    folder = run_campaign(suite, tmp_path, threads=1)
     summary = summarize(folder)
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
     moved = {
@@ -150,7 +146,7 @@ def test_a_campaign_with_learned_and_optimised_spoofers(tmp_path: Path) -> None:
     }
     # twice the command, half the displacement apart
     assert moved["ewma", "push"] > moved["ewma", "track"] > 0.0
-    text = markdown(folder.config(), summary)
+    text = markdown(folder, summary)
     for part in (
         "| snapshot-chi2 | push | ewma (transfer) | sha256=",
         "| ewma | push | ewma | sha256=",

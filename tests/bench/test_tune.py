@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench.runs.play import Runs, WarmStart, displacement_of, play
+from spoofgym.bench.runs.panel import Panel, play_searches
+from spoofgym.bench.runs.play import Runs, displacement_of, play
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.scores.scores import counted, stealth_of
 from spoofgym.bench.scores.statistics import most_alarms
 from spoofgym.bench.search import amplitude as module
-from spoofgym.bench.search.amplitude import RESOLUTION, Trial, TuningResult, tune
+from spoofgym.bench.search.amplitude import RESOLUTION, Trial, TuningResult, fit, tune
 from spoofgym.bench.search.settings import Tuning
 from spoofgym.detectors import Ewma, SnapshotChi2
 
@@ -22,27 +23,36 @@ RAMP = specify_spoofer({"name": "ramp", "rate_mps": "tuned"})
 
 
 class Landscape:
-    """Alarm rate and displacement by formula instead of simulation; 100 runs."""
+    """Alarm rate and displacement by formula instead of simulation; a panel of 100 runs."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, alarm: Any, displacement: Any) -> None:
         suite = small_suite()
-        self.setup = suite.setup(suite.detector_entries[0])
-        self.receivers = 100
-        self.warmup_alarm = np.zeros(100, dtype=np.bool_)
+        self.setup, self.runs = suite.world.setup, 100
+        self.warmup_alarm = np.zeros((100, 1), dtype=np.bool_)
         self.tried: list[tuple[float, int]] = []
+        self.formulas = alarm, displacement
+        self.without(0.0)
+        monkeypatch.setattr(module, "displacement_of", lambda setup, attacked, twin: attacked.peak)
 
-        def fake_play(start: Any, spec: dict[str, Any], **_: Any) -> Runs:
-            value = spec["rate_mps"]
-            self.tried.append((value, start.receivers))
-            return self.runs(start.receivers, alarm(value), displacement(value))
+    def without(self, alarm: float) -> None:
+        """Runs without an attack, of which some alarm."""
+        self.clean = [self.made(100, alarm, 0.0)]
+        self.twin_alarm = self.clean[0].first_alarm[:, None]
 
-        def fake_displacement(setup: Any, attacked: Runs, twin: Runs) -> np.ndarray:
-            return attacked.peak
+    @property
+    def counts(self) -> Any:
+        return counted(self.warmup_alarm, self.twin_alarm)
 
-        monkeypatch.setattr(module, "play", fake_play)
-        monkeypatch.setattr(module, "displacement_of", fake_displacement)
+    def play(self, attacks: Any, **_: Any) -> list[Runs]:
+        alarm, displacement = self.formulas
+        found = []
+        for attack, _number in attacks:
+            value = attack.spec["rate_mps"]
+            self.tried.append((value, attack.runs))
+            found.append(self.made(attack.runs, alarm(value), displacement(value)))
+        return found
 
-    def runs(self, count: int, alarm: float, displacement: float) -> Runs:
+    def made(self, count: int, alarm: float, displacement: float) -> Runs:
         alarms = np.arange(count)[None, :] < round(alarm * count)
         none = np.zeros(count, dtype=int)
         return Runs(
@@ -55,16 +65,12 @@ class Landscape:
             blamed=none,
         )
 
-    def first(self, count: int) -> Landscape:
-        part = object.__new__(Landscape)
-        part.__dict__.update(self.__dict__)
-        part.receivers = count
-        return part
-
 
 def search(landscape: Any, clean: float = 0.0, **settings: Any) -> TuningResult:
     chosen = Tuning(**{"runs": 100, "sift_runs": 20, "values": 20, "budget": 0.1, **settings})
-    return tune(landscape, landscape.runs(100, clean, 0.0), RAMP, "detector", chosen)
+    landscape.without(clean)
+    (found,) = play_searches(landscape, [(0, tune(landscape, 0, RAMP, "detector", chosen))])
+    return found
 
 
 def test_the_edge_of_the_budget_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,7 +110,7 @@ def test_alarms_that_come_without_the_attack_do_not_count(monkeypatch: pytest.Mo
 
 def test_runs_that_alarm_before_the_onset_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     landscape = Landscape(monkeypatch, alarm=lambda rate: 0.3, displacement=lambda rate: rate)
-    landscape.warmup_alarm = np.arange(100) < 30
+    landscape.warmup_alarm = np.arange(100)[:, None] < 30
     result = search(landscape)
     assert (result.counted, result.warmup_alarms, result.value) == (70, 30, 1.0)
 
@@ -155,9 +161,9 @@ def test_what_is_chosen_keeps_to_the_budget_when_played(detector: Any) -> None:
     tuning = Tuning(runs=16, sift_runs=6, values=5, refined=2, budget=0.3)
     suite = small_suite(detectors=(detector,), tuning=tuning)
     (judge,) = suite.detector_entries
-    start = WarmStart(suite.setup(judge), suite.generators("training", 16), threads=1)
-    clean = play(start, "none")
-    result = tune(start, clean, RAMP, judge.label, suite.tuning)
+    panel = Panel(suite.world.setup, [detector], lambda: suite.generators("training", 16), 1)
+    (result,) = fit(panel, {0: judge}, RAMP, suite.optima())
+    start, clean = panel.start, panel.clean[0]
     attacked = play(start, RAMP.with_value(result.value))
     counts = counted(start.warmup_alarm, clean.first_alarm)
     moved = displacement_of(start.setup, attacked, clean)
@@ -172,4 +178,4 @@ def test_what_is_chosen_keeps_to_the_budget_when_played(detector: Any) -> None:
 def test_a_spoofer_without_a_tuned_setting_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     landscape = Landscape(monkeypatch, alarm=lambda rate: 0.1, displacement=lambda rate: rate)
     with pytest.raises(ValueError, match="'ramp' has no setting that is to be tuned"):
-        tune(landscape, landscape.runs(100, 0.1, 0.0), specify_spoofer("ramp"), "", Tuning())  # type: ignore[arg-type]
+        next(tune(landscape, 0, specify_spoofer("ramp"), "", Tuning()))  # type: ignore[arg-type]

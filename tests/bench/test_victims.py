@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench import ResultsFolder, Suite, Tuning, run_campaign, summarize
+from spoofgym.bench import Suite, Tuning, run_campaign, summarize
 from spoofgym.bench.experiments.campaign import knowledge_of
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.report.figures import draw_campaign
@@ -52,22 +52,20 @@ def test_a_campaign_is_scored_tabled_and_drawn(env: str, tmp_path: Path) -> None
     tuned = {"name": "ramp", "rate_mps": "tuned"}
     suite = suite_of(env, spoofers=("step", tuned))
     suite.check_fit()
-    folder = ResultsFolder(tmp_path)
-    folder.open(suite)
-    run_campaign(suite, folder, threads=1)
+    folder = run_campaign(suite, tmp_path, threads=1)
     summary = summarize(folder)
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
     judges = [entry.label for entry in suite.detector_entries]
     assert [row["detector"] for row in summary["detectors"]] == judges
     for judge in judges:
         none, step, ramp = (
-            folder.cell(judge, name).records["undetected_displacement_m"]
+            folder.runs(judge, name).records["undetected_displacement_m"]
             for name in ("none", "step", "ramp(tuned)")
         )
         assert not none.any()
         assert (step >= 0.0).all()
         assert ramp.mean() > 0.0
-    text = markdown(folder.config(), summary)
+    text = markdown(folder, summary)
     assert f"- Environment: {env}, " in text
     assert "nan" not in text
     assert draw_campaign(folder, summary).stat().st_size > 10_000

@@ -15,7 +15,7 @@ import numpy as np
 from spoofgym import tasks as detector_tasks
 from spoofgym.attacks import ATTACKS, make_attack
 from spoofgym.bench.experiments.protect import DetectorEvaluator
-from spoofgym.bench.runs.panel import Panel, generators, numbers_of
+from spoofgym.bench.runs.panel import Attack, Panel, generators, numbers_of
 from spoofgym.bench.search.worst_attack import IDLE
 from spoofgym.core.files import write_file
 from spoofgym.core.registry import spec_of
@@ -72,7 +72,7 @@ def reached(task: DetectorTask, family: AttackFamily) -> dict[str, Any]:
     attack = None
     if family.letters == "m":
         attack = make_attack({**(family.attack or {}), "antenna_m": [0.0, task.alert_limit_m, 0.0]})
-    moved = panel.displacement(RAMP if attack is None else IDLE, RUNS, attack)
+    moved = panel.displacement(Attack(RAMP if attack is None else IDLE, RUNS, attack))
     return {"numbers": numbers.tolist(), "displacement_m": np.asarray(moved).tolist()}
 
 

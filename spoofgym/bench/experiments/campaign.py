@@ -1,359 +1,314 @@
-"""Detectors x spoofers.
+"""A campaign: detectors x spoofers, the worst attacks of the suite, and limits; the standard suite.
 
-The standard suite: every detector that suits one task's world, against the usual spoofers.
+Passive detectors share the passes of the engine, a few of them at a time.  A detector that takes
+weight off measurements has passes of its own.
 
-Tests of range rates are there a second time where their defaults test pseudoranges, or both.
-
-World and alert limit are those of the task, the rate of false alarms is the standard one, and the
-sizes are such that two idle cores play it in a quarter of an hour.
+The standard suite is every detector that suits one task's world, against the usual spoofers.  Tests
+of range rates are there a second time where their defaults test pseudoranges, or both.  World and
+alert limit are those of the task, the rate of false alarms is the standard one, and the sizes are
+such that two idle cores play it in a quarter of an hour.
 """
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
-from typing import Any, NamedTuple
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+from typing import Any, ClassVar
 
-import numpy as np
-from joblib import Parallel, delayed
-from numpy.typing import NDArray
-
+from ...calibration.clean_runs import weighs
 from ...calibration.thresholds import suitable_detectors
-from ...core.progress import NullProgress, ProgressCallback, RemainingWork
+from ...core.progress import ProgressCallback
 from ...detectors.build import spec_of_judge
-from ...detectors.calibrated import STANDARD_RATE
-from ...envs.spoofer_binding import spoofer_context
-from ...simulation.engine import processors
+from ...detectors.calibrated import STANDARD_RATE, resolve
 from ...simulation.setup import Setup
 from ...tasks import RANGE_RATE_TESTS, SUITE, task_of
-from ..runs.play import Runs, WarmStart, play
+from ..runs.panel import Attack, Panel, play_searches
 from ..runs.players import PlayerSpec, knowledge_of
-from ..runs.record import Aim, Cell, Protection, make_cell
+from ..runs.record import Protection, RunRecord, record_runs
 from ..runs.world import CONTROLS
-from ..scores.scores import counted
-from ..search.amplitude import TuningResult, tune
+from ..search.amplitude import TuningResult, fit, search_work, with_rates
 from ..search.attack_suite import SuiteAttack
 from ..search.open_loop import AIMS, Optima
-from ..search.worst_attack import Search, measured, winner_of
-from .remaining import WARMUP_SHARE, left_of, protection_work, search_work, work_of
-from .results_folder import ResultsFolder
+from ..search.worst_attack import WorstAttacks, expected_plays, play_winners
+from .runner import Context, Experiment, run
+from .store import Cell, Reader, Result, Store
 from .suite import Suite
+from .summary import OUTPUTS, CampaignResults, keys_of
+
+PANEL = 4
+"""Passive detectors that share passes; they are finished together, and by one process."""
+WARM_UP = 2.0
+"""Work of a warm-up and of the clean twins, in runs of an attack."""
 
 
 def run_campaign(
     suite: Suite,
-    folder: ResultsFolder,
+    path: str | os.PathLike[str],
     *,
+    overwrite: bool = False,
     threads: int | None = None,
     jobs: int = 1,
     progress: ProgressCallback | None = None,
-) -> None:
-    """Run all cells that are not finished yet.
-
-    Every cell is written as soon as it is finished, so that an interruption loses one at most.
+) -> CampaignResults:
+    """Run all parts of a campaign that are not finished yet, each written as soon as it is.
 
     Parameters
     ----------
     suite : Suite
         What is run.
-    folder : ResultsFolder
-        Opened with the same suite.
+    path : path-like
+        Folder of the results.
+    overwrite : bool
+        Whether to replace the results of another campaign.
     threads : int, optional
         As in `Engine`, in each process.
     jobs : int
-        Processes that play detectors, one detector each at a time.
+        Processes of this machine.
     progress : ProgressCallback, optional
         Shows how far it is.
+
+    Returns
+    -------
+    CampaignResults
+        What `summarize` takes.
     """
-    if jobs < 1:
-        raise ValueError(f"`jobs` must be at least 1, got {jobs}")
-    shown, player = progress or NullProgress(), Player(suite, folder, threads)
-    if jobs == 1:
-        for detector in suite.detector_entries:
-            player.play(detector, shown)
-    else:
-        _in_processes(suite, folder, threads, jobs, shown)
-    player.limits(shown)
+    campaign, store = Campaign(suite), Store(path)
+    if overwrite:
+        campaign.open(store, overwrite=True)
+    show = None if progress is None else lambda _: nullcontext(progress)
+    return campaign.results(run(campaign, store, jobs=jobs, threads=threads, progress=show))
 
 
-class Player:
-    """Plays the detectors of a campaign; what they share is computed once."""
+@dataclass(frozen=True)
+class Campaign(Experiment):
+    """What every detector and spoofer of a suite do, and what limits them."""
 
-    def __init__(self, suite: Suite, folder: ResultsFolder, threads: int | None) -> None:
-        self.suite, self.folder, self.threads = suite, folder, threads
-        self.optima = suite.optima(threads)
-        self.brackets = self.optima.brackets
+    name: ClassVar[str] = "campaign"
+    outputs: ClassVar[tuple[str, ...]] = OUTPUTS
+    suite: Suite
 
-    def play(self, detector: PlayerSpec, progress: ProgressCallback) -> None:
-        """Run the cells of a detector that are not finished, its searches and its protection."""
-        suite, folder, threads = self.suite, self.folder, self.threads
-        cells, searches, protect = left_of(suite, folder, detector)
-        if searches:
-            _search(suite, folder, detector, searches, threads, progress, self.optima)
-        members = _members(suite, folder, detector) if protect else ()
-        winners = _worst(suite, detector, members, threads, progress) if protect else None
-        if cells or winners is not None:
-            _cells(suite, folder, detector, cells, winners, threads, progress)
+    @property
+    def config(self) -> dict[str, Any]:
+        """Everything that the results depend on; nothing is left for single cells to say."""
+        return self.suite.config
 
-    def limits(self, progress: ProgressCallback) -> None:
-        """Compute the floor of the world, and the zero-alarm bounds of the detectors."""
-        self.floor(progress)
-        for detector in self.suite.detector_entries:
-            self.bound(detector, progress)
+    def open(self, store: Store, *, overwrite: bool = False) -> None:
+        """Start in a folder, or go on there."""
+        store.open(self.name, self.config, outputs=self.outputs, overwrite=overwrite)
 
-    def floor(self, progress: ProgressCallback) -> None:
-        if self.folder.limits(None) is None:
-            progress.advance(0.0, "floor")
-            self.folder.put_limits(None, self.brackets.floor())
+    def results(self, reader: Reader) -> CampaignResults:
+        """What cells hold, by detector and spoofer."""
+        return CampaignResults(reader.store, self.config)
 
-    def bound(self, detector: PlayerSpec, progress: ProgressCallback) -> None:
-        """Compute the zero-alarm bound of a detector."""
-        if self.folder.limits(detector.label) is None:
-            progress.advance(0.0, f"{detector.label}: zero-alarm bound")
-            found = self.brackets.zero_alarm(detector).as_json()
-            self.folder.put_limits(detector.label, found)
+    def report(self, results: Reader) -> dict[str, Any]:
+        """Scores of all finished cells."""
+        return self.results(results).summary()
+
+    @cached_property
+    def panels(self) -> list[list[PlayerSpec]]:
+        """Detectors that are played together."""
+        setup = self.suite.world.setup
+        passive: list[PlayerSpec] = []
+        others: list[PlayerSpec] = []
+        for entry in self.suite.detector_entries:
+            judge = entry.build()
+            resolve(judge, setup)
+            (others if weighs(setup, judge) else passive).append(entry)
+        count = -(-len(passive) // PANEL)
+        return [*(passive[k::count] for k in range(count)), *([entry] for entry in others)]
+
+    @cached_property
+    def parts(self) -> dict[str, tuple[str, PlayerSpec | None, PlayerSpec | None]]:
+        """Kind, detector and spoofer of every cell, by its key."""
+        suite = self.suite
+        detectors: dict[str | None, PlayerSpec] = {
+            each.label: each for each in suite.detector_entries
+        }
+        spoofers: dict[str | None, PlayerSpec] = {
+            each.label: each for each in suite.spoofer_entries
+        }
+        return {
+            key: (kind, detectors.get(detector), spoofers.get(spoofer))
+            for key, (kind, detector, spoofer) in keys_of(self.config).items()
+        }
+
+    def cells(self) -> Iterator[Cell]:
+        """Detectors of a panel are a group: searches, runs, worst attacks, bounds of each."""
+        suite, keys = self.suite, {part: key for key, part in keys_of(self.config).items()}
+        searches = [each for each in suite.spoofer_entries if each.tuned]
+        yield Cell(keys["floor", None, None], {}, 1.0)
+        for panel in self.panels:
+            group = ", ".join(each.label for each in panel)
+            found = tuple(
+                keys["search", detector.label, spoofer.label]
+                for spoofer in searches
+                for detector in panel
+                if spoofer.searched
+            )
+            for kind, several in (
+                ("search", searches),
+                ("runs", suite.spoofer_entries),
+                ("protection", () if suite.selection is None else (None,)),
+                ("bound", (None,)),
+            ):
+                for spoofer in several:
+                    label = None if spoofer is None else spoofer.label
+                    for detector in panel:
+                        after = found if kind == "protection" else ()
+                        if kind == "runs" and spoofer in searches:
+                            after = (keys["search", detector.label, label],)
+                        key = keys[kind, detector.label, label]
+                        yield Cell(key, {}, self._work(kind, spoofer), after, group)
+
+    def _work(self, kind: str, spoofer: PlayerSpec | None) -> float:
+        """Work of a cell, in runs of an attack, roughly."""
+        suite, settings = self.suite, self.suite.selection
+        if kind == "search":
+            assert spoofer is not None  # of whom it is
+            return search_work(suite.tuning) * (5.25 if spoofer.searched else 1.0)
+        if kind == "runs":
+            assert spoofer is not None
+            return suite.runs * (1.0 if spoofer.label != "none" else WARM_UP)
+        if kind == "protection" and settings is not None:
+            return expected_plays(len(suite.members), settings, suite.runs)
+        return 1.0
+
+    def run(self, cell: Cell, results: Reader, context: Context) -> Result:
+        """Compute one cell alone."""
+        return next(self.run_group([cell], results, context))
+
+    def run_group(
+        self, cells: Sequence[Cell], results: Reader, context: Context
+    ) -> Iterator[Result]:
+        """Compute cells of detectors that are played together."""
+        optima: Optima = context.cache.setdefault("optima", self.suite.optima(context.threads))
+        labels = {entry.label: entry for cell in cells if (entry := self.parts[cell.key][1])}
+        play = _Players(self.suite, list(labels.values()), self.results(results), context, optima)
+        for (kind, spoofer), some in groupby(cells, lambda cell: self.parts[cell.key][::2]):
+            detectors = [entry for cell in some if (entry := self.parts[cell.key][1])]
+            if kind == "floor":
+                yield Result(record=optima.brackets.floor())
+            elif kind == "bound":
+                for each in detectors:
+                    yield Result(record=optima.brackets.zero_alarm(each).as_json())
+            elif kind == "protection":
+                yield from (Result(*each.parts()) for each in play.protections(detectors))
+            elif spoofer is not None and kind == "search":
+                yield from (Result(record=x.as_dict()) for x in play.searches(detectors, spoofer))
+            elif spoofer is not None:
+                yield from (Result(*each.parts()) for each in play.records(detectors, spoofer))
 
 
-def _in_processes(
-    suite: Suite, folder: ResultsFolder, threads: int | None, jobs: int, progress: ProgressCallback
-) -> None:
-    """Play the detectors, each in one of some processes, which write into the same folder."""
-    work = {each.label: work_of(suite, folder, each) for each in suite.detector_entries}
-    left = [label for label in work if work[label] > 0.0]
-    each = threads or max(1, processors() // jobs)
-    progress.advance(0.0, f"{len(left)} detectors, {jobs} at a time")
-    asked = (delayed(_played)(suite, folder.path, label, each) for label in (*left, None))
-    for label in Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(asked):
-        if label is not None:
-            progress.advance(work[label], f"{label} is finished")
+class _Players:
+    """Detectors that are played together, at the onsets of the runs of every split."""
+
+    def __init__(
+        self,
+        suite: Suite,
+        detectors: list[PlayerSpec],
+        results: CampaignResults,
+        context: Context,
+        optima: Optima,
+    ) -> None:
+        self.suite, self.detectors, self.results = suite, detectors, results
+        self.context, self.optima = context, optima
+        self._panels: dict[str, Panel] = {}
+
+    def _panel(self, split: str, runs: int) -> Panel:
+        """Runs of a split at their onset."""
+        if split not in self._panels:
+            suite, world = self.suite, self.suite.world
+            self._panels[split] = Panel(
+                world.setup,
+                [each.build() for each in self.detectors],
+                lambda: suite.generators(split, runs),
+                self.context.threads,
+                world.watched_for(suite.spoofer_entries),
+            )
+        return self._panels[split]
+
+    def _numbers(self, detectors: Sequence[PlayerSpec]) -> dict[int, PlayerSpec]:
+        return {self.detectors.index(each): each for each in detectors}
+
+    def searches(
+        self, detectors: Sequence[PlayerSpec], spoofer: PlayerSpec
+    ) -> Iterator[TuningResult]:
+        """What is found for a spoofer against each detector."""
+        panel = self._panel("training", self.suite.tuning.runs)
+        return fit(panel, self._numbers(detectors), spoofer, self.optima, self.context.tick)
+
+    def records(self, detectors: Sequence[PlayerSpec], spoofer: PlayerSpec) -> Iterator[RunRecord]:
+        """What a spoofer does in the evaluation runs of each detector."""
+        suite, panel = self.suite, self._panel("evaluation", self.suite.runs)
+        numbers, specs, within = self._numbers(detectors), [], []
+        for detector in detectors:
+            found = self.results.search(detector.label, spoofer.label) if spoofer.tuned else None
+            specs.append(spoofer.spec if found is None else played_spec(spoofer, found))
+            within.append(None if found is None else found.within_budget)
+        played = [panel.clean[k] for k in numbers]
+        if spoofer.label != "none":
+            asked = [(Attack(x, suite.runs), k) for x, k in zip(specs, numbers, strict=True)]
+            played = panel.play(asked, drop=False, tick=self.context.tick)
+        players = zip(numbers.items(), specs, within, played, strict=True)
+        for (number, detector), spec, keeps, attacked in players:
+            head = {
+                "detector": detector.label,
+                "spoofer": spoofer.label,
+                "detector_settings": detector.spec,
+                "spoofer_settings": spec,
+                "knowledge": knowledge_of(spoofer, panel.setup, detector),
+                "attack": panel.setup.attack.label,
+                "tuned_within_budget": keeps,
+                "judges_channels": panel.judges[number].scope == "channel",
+            }
+            early = panel.warmup_alarm[:, number]
+            twin, limit_m = panel.clean[number], suite.alert_limit_m
+            yield record_runs(panel.setup, head, early, attacked, twin, limit_m)
+
+    def protections(self, detectors: Sequence[PlayerSpec]) -> Iterator[Protection]:
+        """What the worst attacks of the suite do against each detector."""
+        suite, tick = self.suite, self.context.tick
+        assert suite.selection is not None  # as the cell says
+        panel, numbers = self._panel("selection", suite.selection.runs), self._numbers(detectors)
+        searches = [
+            WorstAttacks(
+                panel,
+                k,
+                (*suite.members, *found_optima(suite, self.results, each)),
+                suite.selection,
+            )
+            for k, each in numbers.items()
+        ]
+        asked = [(each.number, each.winners(suite.alert_limits_m)) for each in searches]
+        found = list(zip(searches, play_searches(panel, asked, tick), strict=True))
+        panel = self._panel("evaluation", suite.runs)
+        for (search, _), winners in zip(found, play_winners(panel, found, tick), strict=True):
+            head, counts = {"detector": numbers[search.number].label}, panel.counts
+            yield Protection(head, winners, counts[:, search.number], panel.sky, search.skies)
 
 
-_players: dict[str, Player] = {}
-"""Of this process, for the campaign that it plays."""
-
-
-def _played(suite: Suite, path: Path, label: str | None, threads: int) -> str | None:
-    """Play one detector of a campaign in a process of its own; the floor for None."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that waits for it decides
-    if suite.digest not in _players:
-        _players.clear()
-        _players[suite.digest] = Player(suite, ResultsFolder(path), threads)
-    player = _players[suite.digest]
-    if label is None:
-        player.floor(NullProgress())
-        return None
-    (detector,) = (entry for entry in suite.detector_entries if entry.label == label)
-    player.play(detector, NullProgress())
-    player.bound(detector, NullProgress())
-    return label
-
-
-def _search(
-    suite: Suite,
-    folder: ResultsFolder,
-    detector: PlayerSpec,
-    searches: list[PlayerSpec],
-    threads: int | None,
-    progress: ProgressCallback,
-    optima: Optima,
-) -> None:
-    start, clean = training_start(suite, detector, threads, progress)
-    for entry in searches:
-        folder.put_tuning(search(detector, entry, start, clean, progress, optima))
-
-
-def _members(suite: Suite, folder: ResultsFolder, detector: PlayerSpec) -> tuple[SuiteAttack, ...]:
-    """The attack suite, with the blind optima that were found against the detector."""
-    found: list[SuiteAttack] = []
+def found_optima(suite: Suite, results: CampaignResults, detector: PlayerSpec) -> list[SuiteAttack]:
+    """Curves that were found against a detector, as members of the attack suite."""
+    members: list[SuiteAttack] = []
     for entry in suite.spoofer_entries:
-        result = folder.tuning(detector.label, entry.label) if entry.searched else None
+        result = results.search(detector.label, entry.label) if entry.searched else None
         if result is not None and result.found is not None:
             each = (result.found["played"], *(result.found["aims"][name] for name in AIMS))
             curves = [with_rates(entry, curve["rates_mps"]) for curve in each]
             own = [curve for k, curve in enumerate(curves) if curve not in curves[:k]]
-            found += [SuiteAttack("c", curve, True) for curve in own]
-    return (*suite.members, *found)
+            members += [SuiteAttack("c", curve, True) for curve in own]
+    return members
 
 
-def with_rates(entry: PlayerSpec, rates_mps: list[float]) -> PlayerSpec:
-    """A blind optimum with the rates of a curve."""
-    return replace(entry, spec={**entry.spec, "rates_mps": rates_mps})
-
-
-def training_start(
-    suite: Suite, detector: PlayerSpec, threads: int | None, progress: ProgressCallback
-) -> tuple[WarmStart, Runs]:
-    """Training runs of a detector at the onset, and what they do without attack."""
-    return _start(suite, detector, "training", suite.tuning.runs, threads, progress)
-
-
-def _start(
-    suite: Suite,
-    detector: PlayerSpec,
-    split: str,
-    runs: int,
-    threads: int | None,
-    progress: ProgressCallback,
-) -> tuple[WarmStart, Runs]:
-    now, setup = f"{detector.label}: {split} runs", suite.setup(detector)
-    return start_of(setup, suite.generators(split, runs), now, threads, progress)
-
-
-def start_of(
-    setup: Setup,
-    rngs: Sequence[np.random.Generator],
-    now: str,
-    threads: int | None,
-    progress: ProgressCallback,
-) -> tuple[WarmStart, Runs]:
-    """Runs at the onset, and what they do without attack."""
-    progress.advance(0.0, now)
-    start = WarmStart(setup, rngs, threads=threads)
-    progress.advance(len(rngs) * WARMUP_SHARE, now)
-    return start, play(start, "none", tick=lambda part: progress.advance(len(rngs) * part, now))
-
-
-def search(
-    detector: PlayerSpec,
-    entry: PlayerSpec,
-    start: WarmStart,
-    clean: Runs,
-    progress: ProgressCallback,
-    optima: Optima,
-) -> TuningResult:
-    """Search for the setting of one spoofer, and for the curve of a blind optimum before."""
-    work = search_work(optima.tuning)
-    left = RemainingWork(progress, work, f"{detector.label}: tuning {entry.label}")
-    if not entry.searched:
-        result = tune(start, clean, entry, detector.label, optima.tuning, tick=left.tick)
-        left.end()
-        return result
-    most = 0.25 * work
-    found = optima.find(detector, entry, lambda part: left.tick(most * part))
-    curves = optima.curves_to_fit(found)
-    fits = {
-        name: tune(
-            start,
-            clean,
-            with_rates(entry, rates),
-            detector.label,
-            optima.tuning,
-            tick=lambda part: left.tick(part / len(curves)),
-        )
-        for name, rates in curves.items()
-    }
-    best = max(fits, key=lambda name: fits[name].score)
-    left.end()
-    found["fitted_m"] = {name: fit.score for name, fit in fits.items()}
-    found["played"] = {"curve": best, "rates_mps": curves[best]}
-    return replace(fits[best], found=found)
-
-
-class _Worst(NamedTuple):
-    """The worst attacks on a detector: by member and value, each with its aims, and the skies."""
-
-    found: dict[tuple[int, float], list[Aim]]
-    members: tuple[SuiteAttack, ...]
-    skies: NDArray[np.int64] | None
-    left: RemainingWork
-
-
-def _worst(
-    suite: Suite,
-    detector: PlayerSpec,
-    members: tuple[SuiteAttack, ...],
-    threads: int | None,
-    progress: ProgressCallback,
-) -> _Worst:
-    """Look for the worst attacks on runs of the selection."""
-    assert suite.selection is not None  # as `_open` has seen
-    runs = suite.selection.runs
-    start, clean = _start(suite, detector, "selection", runs, threads, progress)
-    expected = protection_work(suite) - runs * (1.0 + WARMUP_SHARE)
-    left = RemainingWork(progress, expected, f"{detector.label}: worst attack")
-    context = spoofer_context(start.setup)
-    looked = Search(start, clean, members, context, suite.selection, left.tick)
-    found = looked.winners(suite.alert_limits_m)
-    return _Worst(found, members, looked.skies, left)
-
-
-def _cells(
-    suite: Suite,
-    folder: ResultsFolder,
-    detector: PlayerSpec,
-    cells: list[PlayerSpec],
-    worst: _Worst | None,
-    threads: int | None,
-    progress: ProgressCallback,
-) -> None:
-    start, twin = _start(suite, detector, "evaluation", suite.runs, threads, progress)
-    for entry in cells:
-        tuning = folder.tuning(detector.label, entry.label) if entry.tuned else None
-        spec = entry.spec
-        if tuning is not None:
-            chosen = entry
-            if tuning.found is not None:
-                chosen = with_rates(entry, tuning.found["played"]["rates_mps"])
-            spec = chosen.with_value(tuning.value)
-        within = None if tuning is None else tuning.within_budget
-        folder.put_cell(_cell(suite, detector, entry, spec, within, start, twin, progress))
-    if worst is not None:
-        folder.put_protection(_protection(suite, detector, worst, start, twin))
-        worst.left.end()
-
-
-def _cell(
-    suite: Suite,
-    detector: PlayerSpec,
-    entry: PlayerSpec,
-    spec: dict[str, Any],
-    within_budget: bool | None,
-    start: WarmStart,
-    twin: Runs,
-    progress: ProgressCallback,
-) -> Cell:
-    now = f"{detector.label}: {entry.label}"
-    attacked = twin
-    if entry.label != "none":
-        attacked = play(start, spec, tick=lambda part: progress.advance(suite.runs * part, now))
-    head = {
-        "detector": detector.label,
-        "spoofer": entry.label,
-        "detector_settings": detector.spec,
-        "spoofer_settings": spec,
-        "knowledge": knowledge_of(entry, start.setup, detector),
-        "attack": start.setup.attack.label,
-        "tuned_within_budget": within_budget,
-        "runs": suite.runs,
-        "entropy": suite.entropy,
-        "campaign": suite.digest,
-    }
-    return make_cell(start.setup, head, start.warmup_alarm, attacked, twin, suite.alert_limit_m)
-
-
-def _protection(
-    suite: Suite, detector: PlayerSpec, worst: _Worst, start: WarmStart, twin: Runs
-) -> Protection:
-    """Let the worst attacks play the evaluation runs."""
-    winners = []
-    for (number, value), aims in worst.found.items():
-        member = worst.members[number]
-        spec = member.player.with_value(value)
-        attacked = play(
-            start, spec, drop_alarmed=True, tick=lambda part: worst.left.tick(suite.runs * part)
-        )
-        winners.append(winner_of(member, value, aims, measured(start.setup, attacked, twin)))
-    head = {
-        "detector": detector.label,
-        "attack_suite": suite.config["attack_suite"],
-        "entropy": suite.entropy,
-        "campaign": suite.digest,
-    }
-    counts = counted(start.warmup_alarm, twin.first_alarm)
-    sky = twin.onset // start.setup.epochs_each
-    return Protection(head, tuple(winners), counts, sky, worst.skies)
+def played_spec(spoofer: PlayerSpec, found: TuningResult) -> dict[str, Any]:
+    """A spoofer with what a search has found for it."""
+    if found.found is not None:
+        spoofer = with_rates(spoofer, found.found["played"]["rates_mps"])
+    return spoofer.with_value(found.value)
 
 
 STANDARD = "standard"

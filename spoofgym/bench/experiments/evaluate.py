@@ -5,23 +5,21 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
-import numpy as np
-
 from ...core.progress import NullProgress, ProgressCallback
 from ...core.registry import check_keywords, whole_number
 from ...spoofers.scaled import AMPLITUDE, Scaled
 from ...tasks import task_of
-from ..runs.play import Runs, WarmStart, displacement_of, play
+from ..runs.panel import Attack, Panel
+from ..runs.play import displacement_of
 from ..runs.players import FITTED, PlayerSpec, refuse_oracles, specify_detector, specify_policy
 from ..runs.world import WORLD, World
-from ..scores.scores import clusters_of, counted, stealth_of
+from ..scores.scores import clusters_of, stealth_of
 from ..scores.spoofer import Score
 from ..scores.statistics import BUDGET, bootstrap_mean, fewest_runs, resamples_of, wilson
-from ..search.amplitude import TuningResult
+from ..search.amplitude import TuningResult, fit, with_rates
 from ..search.bounds import Brackets
 from ..search.open_loop import Optima
 from ..search.settings import Tuning
-from .campaign import search, start_of, with_rates
 
 RUNS, FIT_RUNS = 400, 128
 """Evaluation runs and training runs by default."""
@@ -72,22 +70,24 @@ class Evaluator:
         self.world.check_fit([self.detector])
         brackets = Brackets(self.world, [self.detector], self.entropy)
         self.optima = Optima(brackets, tuning, threads=threads)
-        self._starts: dict[tuple[str, tuple[type, ...]], tuple[WarmStart, Runs]] = {}
+        self._panels: dict[tuple[str, tuple[type, ...]], Panel] = {}
 
-    def _start(self, split: str, entry: PlayerSpec) -> tuple[WarmStart, Runs]:
+    def _panel(self, split: str, entry: PlayerSpec) -> Panel:
         """Runs of a split, kept for all spoofers that need the same to be watched."""
-        watched = tuple(map(type, self.world.watched_for([entry])))
-        if (split, watched) not in self._starts:
+        watched = self.world.watched_for([entry])
+        key = split, tuple(map(type, watched))
+        if key not in self._panels:
             runs = self.optima.tuning.runs if split == "training" else self.runs
-            setup = self.world.setup_of(self.detector, [entry])
-            rngs = self.world.generators(self.entropy, split, runs)
-            now = f"{self.detector.label}: {split} runs"
-            self._starts[split, watched] = start_of(setup, rngs, now, self.threads, self.progress)
-        return self._starts[split, watched]
+            self.progress.advance(0.0, f"{self.detector.label}: {split} runs")
+            judges = [self.detector.build()]
+            rngs = lambda: self.world.generators(self.entropy, split, runs)  # noqa: E731
+            self._panels[key] = Panel(self.world.setup, judges, rngs, self.threads, watched)
+        return self._panels[key]
 
     def _fitted(self, entry: PlayerSpec) -> TuningResult:
-        start, clean = self._start("training", entry)
-        return search(self.detector, entry, start, clean, self.progress, self.optima)
+        panel, now = self._panel("training", entry), f"{self.detector.label}: tuning {entry.label}"
+        tick = lambda work: self.progress.advance(work, now)  # noqa: E731
+        return next(fit(panel, {0: self.detector}, entry, self.optima, tick))
 
     def fit(self, policy: Any, *, knowledge: str | None = None) -> TuningResult:
         """Fit the amplitude of a spoofer on the training runs; its `score` is of these."""
@@ -116,24 +116,23 @@ class Evaluator:
             spec, within, value = entry.with_value(found.value), found.within_budget, found.value
         elif isinstance(entry.thing, Scaled):
             setting, value = AMPLITUDE, entry.thing.amplitude
-        start, twin = self._start("evaluation", entry)
-        setup, runs, now = start.setup, self.runs, f"{entry.label}: evaluation runs"
-        attacked = play(start, spec, tick=lambda part: self.progress.advance(part * runs, now))
-        counts = counted(start.warmup_alarm, twin.first_alarm)
+        panel, now = self._panel("evaluation", entry), f"{entry.label}: evaluation runs"
+        twin, counts, setup = panel.clean[0], panel.counts[:, 0], panel.setup
+        tick = lambda work: self.progress.advance(work, now)  # noqa: E731
+        (attacked,) = panel.play([(Attack(spec, self.runs), 0)], drop=False, tick=tick)
         moved = displacement_of(setup, attacked, twin)
         alarmed = attacked.first_alarm > 0
         stealth = stealth_of(moved, alarmed, counts)
-        sky = twin.onset // setup.epochs_each
-        samples = resamples_of(clusters_of(sky)[counts])
+        samples = resamples_of(clusters_of(panel.sky)[counts])
         budget = self.optima.tuning.budget
         return Score(
             task=self.task,
             detector=self.detector.label,
             spoofer=entry.label,
-            knowledge=entry.knowledge,
+            knowledge=entry.build().knowledge,
             setting=setting,
             value=value,
-            runs=runs,
+            runs=self.runs,
             counted=stealth.runs,
             stealthy_displacement_m=bootstrap_mean(moved[counts], samples),
             alarm_rate=wilson(stealth.alarms, stealth.runs),
@@ -144,7 +143,7 @@ class Evaluator:
             displacement_m=moved,
             alarmed=alarmed,
             counts=counts,
-            sky=np.asarray(sky),
+            sky=panel.sky,
             twins=hashlib.sha256(twin.position.tobytes()).hexdigest(),
         )
 

@@ -11,12 +11,12 @@ of its own with every spoofer, and a spoofer that observes statistics one with e
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,18 +25,17 @@ from ...calibration.clean_runs import weighs
 from ...core.progress import NullProgress, ProgressCallback
 from ...core.registry import check_choice, check_keywords, whole_number
 from ...core.settings import digest_of, outside_sources
-from ...detectors import Detector, Never
+from ...detectors import Detector
 from ...detectors.calibrated import factors_of
 from ...envs.terms.observation import REPORTED
-from ...simulation.monitors import Monitor, Monitored, PassiveDetectors, PastPositions
+from ...simulation.monitors import PastPositions
 from ...simulation.setup import SPLITS, Setup
-from ...simulation.simulator import Simulator
 from ...tasks import task_of
-from ..runs.play import Runs, WarmStart, induced_error, play
+from ..runs.panel import Attack, Panel
+from ..runs.play import displacement_of
 from ..runs.players import DETECTOR, SPOOFER, Mixture, PlayerSpec, Strategy, specify_strategy
 from ..runs.world import WORLD, World
 from ..scores.matrix_game import PayoffMatrix, Played, RunPayoff
-from ..scores.scores import counted, undetected_displacement
 from .runner import Context, Experiment, run
 from .store import Cell, MemoryStore, Reader, Result, Store
 
@@ -44,27 +43,6 @@ FloatArray = NDArray[np.float64]
 SPLIT = "game"
 """Runs on which matrices are solved."""
 RUNS = 200
-
-
-class EpochAlarms(PassiveDetectors):
-    """Passive detectors, of which the alarms of the last epoch are known, and those before it."""
-
-    def bind(self, simulator: Monitored) -> None:
-        super().bind(simulator)
-        self.memory.declare("so_far", np.zeros(self.memory["alarmed"].shape, dtype=np.bool_))
-
-    def update(self, simulator: Monitored) -> None:
-        self.memory["alarmed"][:] = False
-        super().update(simulator)
-        self.memory["so_far"] |= self.memory["alarmed"]
-
-
-class _Field(NamedTuple):
-    """Runs at the onset in front of D detectors: their twins, and (D, R) which of them count."""
-
-    start: WarmStart
-    twin: Runs
-    counts: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -139,36 +117,30 @@ class Pairs(Experiment):
         """Let one spoofer play against detectors that share its pass."""
         _, (spoofer, *_), detectors = zip(*(self.pairs[cell.key] for cell in cells), strict=True)
         work, alone = sum(cell.work for cell in cells), self._is_alone((detectors[0], spoofer))
-        field = self.field(detectors, alone, context)
-        setup = field.start.setup
-        tick = lambda part: context.tick(part * work)  # noqa: E731
-        runs, alarms = _pass(field.start, spoofer.untuned, len(cells), alone, tick)
-        error = induced_error(setup, runs, field.twin)[: setup.steps]
-        sky = np.asarray(field.twin.onset // setup.epochs_each)
-        for first, counts in zip(alarms, field.counts, strict=True):
-            moved = undetected_displacement(error, first, setup.hold)
-            yield Result({**Played(moved, first > 0, counts)._asdict(), "sky": sky})
+        panel = self._panel(detectors, alone, context)
+        tick = lambda part: context.tick(part * work / panel.runs / len(cells))  # noqa: E731
+        attack = Attack(spoofer.untuned, panel.runs)
+        asked = [(attack, k) for k in range(len(detectors))]
+        for k, runs in enumerate(panel.play(asked, drop=False, tick=tick)):
+            moved = displacement_of(panel.setup, runs, panel.clean[k])
+            played = Played(moved, runs.first_alarm > 0, panel.counts[:, k])
+            yield Result({**played._asdict(), "sky": panel.sky})
 
-    def field(self, detectors: Sequence[PlayerSpec], alone: bool, context: Context) -> _Field:
-        """Runs at the onset, with their clean twins, in front of detectors that share them."""
-        fields, game = context.cache, self.game
+    def _panel(self, detectors: Sequence[PlayerSpec], alone: bool, context: Context) -> Panel:
+        """Runs at the onset in front of detectors that share them."""
+        panels, game = context.cache, self.game
         key = (alone, *(each.label for each in detectors))
-        if key not in fields:
-            judges = [game.detector(each) for each in detectors]
-            monitors: list[Monitor] = [] if alone else [EpochAlarms(judges)]
-            if any(REPORTED in each.knowledge for each in self.spoofers):
-                monitors.append(PastPositions())
-            guard = judges[0] if alone else Never()
-            setup = game.setup.altered(detector=guard, monitors=monitors)
-            rngs = game.world.generators(*game.seeds, game.runs)
-            start = WarmStart(setup, rngs, threads=context.threads)
-            early = start.warmup_alarm[None]
-            if not alone:
-                early = start.engine().simulator.monitor(EpochAlarms).memory["so_far"].T
-            twin, alarms = _pass(start, "none", len(judges), alone)
-            fields.clear()  # what shares them comes together
-            fields[key] = _Field(start, twin, counted(early, alarms))
-        shared: _Field = fields[key]
+        if key not in panels:
+            reported = any(REPORTED in each.knowledge for each in self.spoofers)
+            panels.clear()  # what shares them comes together
+            panels[key] = Panel(
+                game.setup,
+                [game.detector(each) for each in detectors],
+                lambda: game.world.generators(*game.seeds, game.runs),
+                context.threads,
+                [PastPositions()] if reported else [],
+            )
+        shared: Panel = panels[key]
         return shared
 
     def matrix(self, results: Reader) -> PayoffMatrix:
@@ -197,25 +169,6 @@ class Pairs(Experiment):
         """Payoffs, and mixes of both sides."""
         matrix = self.matrix(results)
         return {**matrix.as_json(), "equilibrium": matrix.spread().as_json()}
-
-
-def _pass(
-    start: WarmStart,
-    spec: Any,
-    detectors: int,
-    alone: bool,
-    tick: Callable[[float], None] | None = None,
-) -> tuple[Runs, NDArray[np.int64]]:
-    """One attack on all runs, and (D, R) the first alarms, from 1 on; 0 for none."""
-    first = np.zeros((detectors, start.receivers), dtype=np.int64)
-
-    def watch(epoch: int, rows: NDArray[np.intp], simulator: Simulator) -> NDArray[np.bool_]:
-        alarmed = simulator.monitor(EpochAlarms).memory["alarmed"].T
-        first[:, rows] = np.where(alarmed & (first[:, rows] == 0), epoch + 1, first[:, rows])
-        return np.asarray(alarmed.all(axis=0))
-
-    runs = play(start, spec, tick=tick, watch=None if alone else watch)
-    return runs, runs.first_alarm[None] if alone else first
 
 
 class Game:

@@ -1,37 +1,31 @@
 """Score of any detector in a task of its own: the worst family of attacks, and false alarms.
 
 Each family's attacks are looked for on runs of the split `selection`, against that detector, and
-the ones found play the evaluation runs, which have decided nothing.  Finished parts are kept in a
-folder, one file for a detector and a family, so that a killed process goes on from there.
+the ones found play the evaluation runs, which have decided nothing.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ...core.progress import NullProgress, ProgressCallback, RemainingWork
+from ...core.progress import NullProgress, ProgressBar, ProgressCallback
 from ...core.registry import whole_number
-from ...envs.spoofer_binding import spoofer_context
+from ...core.settings import describe, digest_of, outside_sources
+from ...detectors.calibrated import factors_of
 from ...tasks import ANTENNA_PARTS, EVENTS, AttackFamily, DetectorTask, detector_task_of
-from ..runs.record import MEASURES, Protection
-from ..scores.detector import (
-    CLEAN,
-    WINDOW,
-    DetectorScore,
-    FamilyScore,
-    false_alarms_of,
-    false_alarms_text,
-)
+from ..runs.panel import play_searches
+from ..runs.record import Protection
+from ..scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
 from ..search.settings import Selection
-from ..search.worst_attack import ROUNDS, FamilySearch, expected_plays, winner_of
-from ..search.worst_attack import PlayedFamily as Played
-from .protect_parts import Parts
+from ..search.worst_attack import ROUNDS, FamilyAttacks, expected_plays, play_winners
+from .runner import Context, Experiment, run
+from .store import Cell, MemoryStore, Reader, Result, Store
 from .task_worlds import Defence, Worlds, sharing
 
 RUNS, SELECTION_RUNS = 400, 96
@@ -58,9 +52,9 @@ class DetectorEvaluator:
     threads : int, optional
         Threads of the engine.
     progress : ProgressCallback, optional
-        Shows how far it is; `expected_work` is the whole.
+        Shows how far it is.
     folder : path-like, optional
-        Where finished parts are kept, and looked for.
+        Whose folder of the task has what is finished; a killed process goes on from there.
 
     Raises
     ------
@@ -91,134 +85,168 @@ class DetectorEvaluator:
         self.entropy = whole_number("`entropy`", entropy)
         self.progress = progress or NullProgress()
         self.worlds = Worlds(self.task, self.entropy, threads)
-        where = None if folder is None else Path(folder)
-        self._parts = Parts(where, self.task, self.runs, self.selection, self.entropy)
+        self.folder = None if folder is None else Path(folder) / self.task.key
 
-    def expected_work(self, detectors: Iterable[Any]) -> float:
-        """Work that is left for some detectors, roughly.
-
-        Parameters
-        ----------
-        detectors : iterable
-            As of `evaluate_detector`.
-
-        Returns
-        -------
-        float
-            As `progress` is given it.
-        """
-        defences = self.worlds.defences(detectors)
-        left = (self._parts.open(family, defences) for family in self.families)
-        work = sum(
-            self._work(family, group)
-            for family, open_ in zip(self.families, left, strict=True)
-            for group in sharing(open_, family)
-        )
-        return work + len(self._parts.open(None, defences)) * self.runs
-
-    def _work(self, family: AttackFamily, group: Sequence[Defence]) -> float:
-        plays = expected_plays(len(self.worlds.members(family)), self.selection, self.runs, ROUNDS)
-        return plays * (1.0 + 0.25 * (len(group) - 1))
-
-    def scores(self, detectors: Iterable[Any]) -> list[DetectorScore]:
+    def scores(
+        self, detectors: Iterable[Any], *, show: ProgressBar | None = None
+    ) -> list[DetectorScore]:
         """Score detectors.
 
         Parameters
         ----------
         detectors : iterable
             As of `evaluate_detector`.
+        show : ProgressBar, optional
+            Opens a bar in place of `progress`.
 
         Returns
         -------
         list of DetectorScore
             In their order; paired with one another.
         """
-        defences = self.worlds.defences(detectors)
-        found: dict[str, list[FamilyScore]] = {each.entry.label: [] for each in defences}
-        for family in self.families:
-            protections = self._family(family, defences)
-            limit = self.task.alert_limit_m
-            for label, protection in protections.items():
-                score = FamilyScore(family.key, family.held_out, limit, protection)
-                found[label].append(score)
-        alarms = self._false_alarms(defences)
+        found = self.protections(detectors)
+        store = MemoryStore(None if self.folder is None else Store(self.folder))
+        show = show or (lambda _: nullcontext(self.progress))
+        return found.scores(run(found, store, threads=self.worlds.threads, progress=show))
+
+    def protections(self, detectors: Iterable[Any]) -> Protections:
+        """Experiment of the `scores`."""
+        return Protections(self, self.worlds.defences(detectors))
+
+
+@dataclass(frozen=True)
+class Protections(Experiment):
+    """Worst attacks of every family on every detector, and its false alarms.
+
+    Detectors that only look share the passes of a family.
+    """
+
+    name: ClassVar[str] = "protect"
+    of: DetectorEvaluator
+    defences: Sequence[Defence]
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The task; numbers of runs are of the cells."""
+        task = self.of.task
+        world = describe(task.world_kwargs)
+        return {"task": task.key, "world": world, "alert_limit_m": task.alert_limit_m}
+
+    @cached_property
+    def parts(self) -> dict[str, tuple[Cell, AttackFamily | None, Defence]]:
+        """Cells by key, of which family, and of whom; no family for false alarms."""
+        found = {}
+        for family in (*self.of.families, None):
+            for group in sharing(self.defences, family):
+                work = float(self.of.runs)
+                if family is not None:
+                    members, seeds = self.of.worlds.members(family), self.of.selection
+                    plays = expected_plays(len(members), seeds, self.of.runs, ROUNDS)
+                    work = plays * (0.75 + 0.25 * len(group)) / len(group)
+                name = "false alarms" if family is None else family.key
+                names = [each.entry.label for each in group]
+                label = f"{name}: {', '.join([*names[:3], *(['...'] if names[3:] else [])])}"
+                for each in group:
+                    key, identity = self._identity(name, family, each)
+                    found[key] = Cell(key, identity, work, group=label), family, each
+        return found
+
+    def _identity(
+        self, name: str, family: AttackFamily | None, defence: Defence
+    ) -> tuple[str, dict[str, Any] | None]:
+        """Key of a cell, and all that it depends on; None where no text says that."""
+        key, outside = f"{name} {defence.entry.label}", outside_sources(defence.judge)
+        if None in outside.values():
+            return key, None
+        named = {
+            "family": None if family is None else asdict(family),
+            "detector": [defence.entry.spec, *factors_of(defence.judge)],
+            "sources": outside,
+            "runs": [self.of.runs, self.of.entropy],
+            "selection": asdict(self.of.selection),
+        }
+        return f"{key} {digest_of(named)[:8]}", named
+
+    def cells(self) -> Iterator[Cell]:
+        """One for a detector and a family."""
+        return (cell for cell, _, _ in self.parts.values())
+
+    def run(self, cell: Cell, results: Reader, context: Context) -> Result:
+        """Search against a detector alone."""
+        return next(self.run_group([cell], results, context))
+
+    def run_group(
+        self, cells: Sequence[Cell], results: Reader, context: Context
+    ) -> Iterator[Result]:
+        """Search against detectors that share their runs."""
+        _, (family, *_), group = zip(*(self.parts[cell.key] for cell in cells), strict=True)
+        self.of.worlds.threads = context.threads
+        if family is None:
+            return self._false_alarms(group)
+        return self._searched(family, group, context.tick)
+
+    def _searched(
+        self, family: AttackFamily, group: Sequence[Defence], tick: Callable[[float], None]
+    ) -> Iterator[Result]:
+        """Search for the worst attacks on detectors, and let them play the evaluation runs."""
+        worlds, limit, settings = self.of.worlds, self.of.task.alert_limit_m, self.of.selection
+        antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
+        members = worlds.members(family)
+        panel = worlds.panel(family, group, "selection", settings.runs)
+        searches = [
+            FamilyAttacks(panel, k, members, settings, antenna_m=antenna) for k in range(len(group))
+        ]
+        asked = [(each.number, each.winners([limit])) for each in searches]
+        found = list(zip(searches, play_searches(panel, asked, tick), strict=True))
+        panel = worlds.panel(family, group, "evaluation", self.of.runs)
+        for k, winners in enumerate(play_winners(panel, found, tick)):
+            head = {"detector": group[k].entry.label}
+            worst = Protection(head, winners, panel.counts[:, k], panel.sky, None)
+            yield Result(*worst.parts())
+
+    def _false_alarms(self, group: Sequence[Defence]) -> Iterator[Result]:
+        """Alarms of detectors in runs without an attack, with an event and without."""
+        clean = self.of.worlds.panel(None, group, "evaluation", self.of.runs)
+        window = clean.twin_alarm > 0
+        alarms = {WINDOW: window, CLEAN: clean.warmup_alarm | window}
+        for event in EVENTS:
+            panel = self.of.worlds.with_event(event, group, self.of.runs)
+            alarms[event] = panel.warmup_alarm | (panel.twin_alarm > 0)
+        for k in range(len(group)):
+            yield Result({name: alarmed[:, k] for name, alarmed in alarms.items()})
+
+    def scores(self, results: Reader) -> list[DetectorScore]:
+        """Scores in the order of the detectors."""
+        task, limit = self.of.task, self.of.task.alert_limit_m
+        families: dict[str, list[FamilyScore]] = {each.entry.label: [] for each in self.defences}
+        alarms = {}
+        for key, (_, family, defence) in self.parts.items():
+            label, found = defence.entry.label, results[key]
+            if family is None:
+                alarms[label] = dict(found.arrays)
+            else:
+                worst = Protection.of_parts(found.arrays, found.record)
+                families[label].append(FamilyScore(family.key, family.held_out, limit, worst))
         return [
             DetectorScore(
-                task=self.task.key,
+                task=task.key,
                 detector=label,
-                alert_limit_m=self.task.alert_limit_m,
-                runs=self.runs,
-                selection_runs=self.selection.runs,
-                entropy=self.entropy,
-                families=tuple(families),
+                alert_limit_m=limit,
+                runs=self.of.runs,
+                selection_runs=self.of.selection.runs,
+                entropy=self.of.entropy,
+                families=tuple(each),
                 false_alarms=alarms[label],
-                window_s=self.worlds.world.setup.window_s,
+                window_s=self.of.worlds.world.setup.window_s,
             )
-            for label, families in found.items()
+            for label, each in families.items()
         ]
 
-    def _family(self, family: AttackFamily, defences: Sequence[Defence]) -> dict[str, Protection]:
-        found = {}
-        for each in defences:
-            text = self._parts.kept(family, each)
-            if text is not None:
-                found[each.entry.label] = Protection.from_text(text)
-        for group in sharing(self._parts.open(family, defences), family):
-            found |= self._searched(family, group)
-        return found
-
-    def _searched(self, family: AttackFamily, group: Sequence[Defence]) -> dict[str, Protection]:
-        """Search for the worst attacks on detectors that share their runs, and score them."""
-        names = ", ".join(each.entry.label for each in group[:3]) + (" ..." * (len(group) > 3))
-        work = self._work(family, group)
-        left = RemainingWork(self.progress, work, f"{self.task.key}, {family.key}: {names}")
-        left.tick(0.0)
-        members, limit = self.worlds.members(family), self.task.alert_limit_m
-        antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
-        panel = self.worlds.panel(family, group, "selection", self.selection.runs)
-        context = spoofer_context(panel.setup)
-        looked = Played(panel, members, left.tick)
-        searches = (
-            FamilySearch(looked, k, context, self.selection, antenna) for k in range(len(group))
-        )
-        chosen = [search.winners([limit]) for search in searches]
-        panel = self.worlds.panel(family, group, "evaluation", self.runs)
-        scored = Played(panel, members, left.tick)
-        found = {}
-        for k, (each, aims) in enumerate(zip(group, chosen, strict=True)):
-            winners = tuple(
-                winner_of(members[m], value, sought, {MEASURES[0]: scored(m, value, self.runs)[k]})
-                for (m, value), sought in aims.items()
-            )
-            head = self._parts.head(family, each)
-            protection = Protection(head, winners, panel.counts[:, k], panel.sky, None)
-            self._parts.keep(family, each, protection.to_text())
-            found[each.entry.label] = protection
-        left.end()
-        return found
-
-    def _false_alarms(self, defences: Sequence[Defence]) -> dict[str, dict[str, NDArray[np.bool_]]]:
-        """Alarms of every detector in runs without an attack, with an event and without."""
-        found = {}
-        for each in defences:
-            text = self._parts.kept(None, each)
-            if text is not None:
-                found[each.entry.label] = false_alarms_of(text)
-        for group in sharing(self._parts.open(None, defences), None):
-            clean = self.worlds.panel(None, group, "evaluation", self.runs)
-            alarms = {
-                WINDOW: clean.twin_alarm > 0,
-                CLEAN: clean.warmup_alarm | (clean.twin_alarm > 0),
-            }
-            for event in EVENTS:
-                panel = self.worlds.with_event(event, group, self.runs)
-                alarms[event] = panel.warmup_alarm | (panel.twin_alarm > 0)
-            for k, each in enumerate(group):
-                own = {name: alarmed[:, k] for name, alarmed in alarms.items()}
-                self._parts.keep(None, each, false_alarms_text(self._parts.head(None, each), own))
-                found[each.entry.label] = own
-                self.progress.advance(self.runs, f"{self.task.key}: false alarms")
-        return found
+    def report(self, results: Reader) -> dict[str, Any]:
+        """Scores, and paired differences to the first detector."""
+        scores = self.scores(results)
+        rows = [{**x.as_dict(), "less_first": x.difference_to(scores[0]).as_json()} for x in scores]
+        return {"detectors": rows}
 
 
 def evaluate_detector(

@@ -107,12 +107,18 @@ class Store:
             self._check_config(mine)
         self._config = mine
 
+    def reopen(self, experiment: str) -> None:
+        """Take up the experiment that the folder holds, to read what is finished."""
+        if not (self.path / CONFIG).is_file():
+            raise ValueError(f"{self.path} holds no results: there is no {CONFIG}")
+        self._config = self._found(experiment)
+
     def _content(self) -> list[str]:
         items = self.path.iterdir() if self.path.is_dir() else ()
         return sorted(item.name for item in items if not item.name.endswith(".part"))
 
-    def _found(self) -> dict[str, Any]:
-        """Configuration in the folder, of this format."""
+    def _found(self, experiment: str | None = None) -> dict[str, Any]:
+        """Configuration in the folder, of this format; raises where it is of another experiment."""
         path = self.path / CONFIG
         try:
             found = json.loads(path.read_bytes())
@@ -127,15 +133,15 @@ class Store:
                 f"{path} has the format {found['format']!r}, and this version of spoofgym reads "
                 f"{FORMAT}; choose another folder"
             )
+        if experiment not in (None, found["experiment"]):
+            raise ValueError(
+                f"{self.path} holds the experiment {found['experiment']!r} and not "
+                f"{experiment!r}; choose another folder"
+            )
         return found
 
     def _check_config(self, mine: Mapping[str, Any]) -> None:
-        found = self._found()
-        if found["experiment"] != mine["experiment"]:
-            raise ValueError(
-                f"{self.path} holds the experiment {found['experiment']!r} and not "
-                f"{mine['experiment']!r}; choose another folder"
-            )
+        found = self._found(mine["experiment"])
         if found != mine:
             raise ValueError(
                 f"{self.path} holds other results ({_unlike(found, mine)}); choose another folder, "

@@ -6,18 +6,21 @@ import dataclasses
 import math
 import uuid
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
+from ... import __version__
 from ...attacks import Attack
 from ...core.registry import whole_number
-from ...core.settings import outside_sources
+from ...core.settings import digest_of, outside_sources
 from ...detectors import Detector, OperatingPoint
 from ...envs.spoofer_binding import ENV_ID
+from ...policies.onnx_file import SUFFIX
 from ...simulation.domain import Domain
 from ...simulation.setup import SPLITS, Setup, Timeline
 from ...spoofers import Spoofer
@@ -38,10 +41,7 @@ from ..search.attack_suite import NAME, VERSION, SuiteAttack, fitting_members, s
 from ..search.bounds import Brackets
 from ..search.open_loop import Optima
 from ..search.settings import Selection, Tuning
-from .versions import campaign_digest, versions
 
-FORMAT = 5
-"""Of the results; those of another one are not scored."""
 ALERT_LIMIT_M = 40.0
 """Horizontal alert limit of an approach with vertical guidance (`icao-annex10`)."""
 ALERT_LIMITS_M = (5.0, 10.0, 20.0, ALERT_LIMIT_M, 80.0, 160.0, 320.0, 556.0)
@@ -218,12 +218,13 @@ class Suite:
         for line in unknown:
             warnings.warn(line, UserWarning, stacklevel=2)
         return {
-            "format": FORMAT,
-            "versions": versions(),
-            "outside": {name: d or f"unknown, {uuid.uuid4().hex}" for name, d in outside.items()},
+            "spoofgym": __version__,
+            "outside": {
+                _moved(name): d or f"unknown, {uuid.uuid4().hex}" for name, d in outside.items()
+            },
             **self.world.config,
-            "detectors": [entry.as_config() for entry in self.detector_entries],
-            "spoofers": [entry.as_config() for entry in self.spoofer_entries],
+            "detectors": _without_folders(map(dataclasses.asdict, self.detector_entries)),
+            "spoofers": _without_folders(map(dataclasses.asdict, self.spoofer_entries)),
             **self._calibrations(),
             "runs": self.runs,
             "entropy": self.entropy,
@@ -256,4 +257,19 @@ class Suite:
     @cached_property
     def digest(self) -> str:
         """Digest of `config`; ONNX files count by their content, wherever they are."""
-        return campaign_digest(self.config)
+        return digest_of(self.config)
+
+
+def _moved(name: str) -> str:
+    """Name of an outside source: of an ONNX file or its card without the folder."""
+    path = PurePath(name)
+    return path.name if path.suffix in (SUFFIX, ".json") else name
+
+
+def _without_folders(value: Any) -> Any:
+    """Settings with paths of ONNX files by their last part."""
+    if isinstance(value, Mapping):
+        return {key: _without_folders(item) for key, item in value.items()}
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        return [_without_folders(item) for item in value]
+    return PurePath(value).name if isinstance(value, str) and value.endswith(SUFFIX) else value

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runs.record import Aim, Cell, Protection, Winner
+from ...core.settings import digest_of
+from ..runs.players import TUNED
+from ..runs.record import Aim, Protection, RunRecord, Winner
 from ..scores.bounds import bracket_of
 from ..scores.clean import number, operating_point, score_detector
 from ..scores.paired import compare
@@ -30,19 +34,91 @@ from ..scores.statistics import (
     resamples_of,
     wilson,
 )
-from .results_folder import ResultsFolder
-from .suite import FORMAT
+from ..search.amplitude import TuningResult
+from .store import Cell, Result, Store
+
+TABLE, SUMMARY, PICTURE = OUTPUTS = "results.md", "summary.json", "campaign.png"
+"""Files beside the cells of a campaign."""
+FLOOR, ATTACK_SUITE = "floor", "attack suite"
 
 SURVIVAL_TIMES = 8
 """At how many times the share of undetected attacks is told."""
 
 
-def summarize(folder: ResultsFolder) -> dict[str, Any]:
+def keys_of(config: Mapping[str, Any]) -> dict[str, tuple[str, str | None, str | None]]:
+    """Kind, detector and spoofer of every cell of a campaign, by its key."""
+    found: dict[str, tuple[str, str | None, str | None]] = {FLOOR: ("floor", None, None)}
+    for detector in (each["label"] for each in config["detectors"]):
+        for spoofer in config["spoofers"]:
+            label = spoofer["label"]
+            found[f"{detector} / {label}"] = "runs", detector, label
+            if TUNED in spoofer["spec"].values():
+                found[f"{detector} / {label}, search"] = "search", detector, label
+        if config["attack_suite"] is not None:
+            found[f"{detector} / {ATTACK_SUITE}"] = "protection", detector, None
+        found[f"{detector} / zero-alarm bound"] = "bound", detector, None
+    return found
+
+
+class CampaignResults:
+    """What the finished cells of a campaign hold.
+
+    - `store`: its folder; `config`: of the campaign.
+    """
+
+    def __init__(self, store: Store, config: Mapping[str, Any]) -> None:
+        self.store, self.config = store, config
+        self.keys = {part: key for key, part in keys_of(config).items()}
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> CampaignResults:
+        """Results in a folder, whatever plays there."""
+        store = Store(path)
+        store.reopen("campaign")
+        return cls(store, store.config["config"])
+
+    @property
+    def path(self) -> Path:
+        """The folder."""
+        return self.store.path
+
+    def _get(
+        self, kind: str, detector: str | None = None, spoofer: str | None = None
+    ) -> Result | None:
+        key = self.keys.get((kind, detector, spoofer))
+        return None if key is None else self.store.get(Cell(key, {}))
+
+    def runs(self, detector: str, spoofer: str) -> RunRecord | None:
+        """What a pair did; None where that is not finished."""
+        found = self._get("runs", detector, spoofer)
+        return None if found is None else RunRecord.of_parts(found.arrays, found.record)
+
+    def search(self, detector: str, spoofer: str) -> TuningResult | None:
+        """What was found for a spoofer against a detector."""
+        found = self._get("search", detector, spoofer)
+        return None if found is None else TuningResult.from_dict(found.record)
+
+    def protection(self, detector: str) -> Protection | None:
+        """What the worst attacks of the suite did against a detector."""
+        found = self._get("protection", detector)
+        return None if found is None else Protection.of_parts(found.arrays, found.record)
+
+    def limits(self, detector: str | None = None) -> dict[str, Any] | None:
+        """Zero-alarm bound of a detector, or the floor of the world."""
+        found = self._get("floor" if detector is None else "bound", detector)
+        return None if found is None else dict(found.record)
+
+    def summary(self) -> dict[str, Any]:
+        """As of `summarize`."""
+        return summarize(self)
+
+
+def summarize(results: CampaignResults) -> dict[str, Any]:
     """Scores of all finished cells.
 
     Parameters
     ----------
-    folder : ResultsFolder
+    results : CampaignResults
         Of a campaign.
 
     Returns
@@ -52,35 +128,20 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
         ``bracket``), ``cells`` (spoofers), ``protection`` (detectors), ``comparisons``
         (detectors with the negative controls at the same rate, run by run), ``limits`` (``floor``
         of the world, ``zero_alarm`` bounds by detector), ``tuning``, ``missing`` (cells).
-
-    Raises
-    ------
-    ValueError
-        When the results are of another format.
     """
-    config = folder.config()
-    if config["format"] != FORMAT:
-        raise ValueError(
-            f"{folder.path} holds results of format {config['format']}, written by spoofgym "
-            f"{config['versions']['spoofgym']}; this one scores format {FORMAT}: play them again"
-        )
+    config = results.config
     detectors = [entry["label"] for entry in config["detectors"]]
-    spoofers = [entry["label"] for entry in config["spoofers"]]
-    pairs = [(detector, spoofer) for detector in detectors for spoofer in spoofers]
-    cells = {pair: folder.cell(*pair) for pair in pairs if folder.has_cell(*pair)}
-    protections = [folder.protection(detector) for detector in detectors]
-    known = [found for found in protections if found is not None]
+    pairs = [(label, entry["label"]) for label in detectors for entry in config["spoofers"]]
+    records = {pair: found for pair in pairs if (found := results.runs(*pair)) is not None}
+    known = [worst for each in detectors if (worst := results.protection(each)) is not None]
     limits = sorted({*config["alert_limits_m"], config["alert_limit_m"]})
-    searches = [folder.tuning(*pair) for pair in pairs]
     points = {label: operating_point(config, label) for label in detectors}
-    played = [label for label in detectors if (label, "none") in cells]
-    unplayed = [] if config["attack_suite"] is None else detectors
     budget = float(config["tuning"]["budget"])
-    scores = [score_cell(cell, limits, budget) for cell in cells.values()]
+    scores = [score_runs(found, limits, budget) for found in records.values()]
     protected = [score_protection(found, limits) for found in known]
-    tuned = [search.as_dict() for search in searches if search is not None]
-    bounds = {label: found for label in detectors if (found := folder.limits(label)) is not None}
-    bracket = {"floor": folder.limits(None), "zero_alarm": bounds}
+    tuned = [search.as_dict() for pair in pairs if (search := results.search(*pair)) is not None]
+    bounds = {each: bound for each in detectors if (bound := results.limits(each)) is not None}
+    bracket = {"floor": results.limits(), "zero_alarm": bounds}
 
     def bracketed(label: str) -> dict[str, Any]:
         point = {"detector": label, **points[label]}
@@ -88,8 +149,14 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
         worst = next((row for row in protected if row["detector"] == label), None)
         return bracket_of(point, bracket, own[0], worst, own[1])
 
+    missing = [f"{detector} / {spoofer}" for detector, spoofer in pairs]
+    if config["attack_suite"] is not None:
+        missing += [f"{detector} / {ATTACK_SUITE}" for detector in detectors]
+    finished = {f"{d} / {s}" for d, s in records} | {
+        f"{x.detector} / {ATTACK_SUITE}" for x in known
+    }
     return {
-        "campaign": next((cell.head["campaign"] for cell in cells.values()), None),
+        "campaign": digest_of(results.store.config) if records else None,
         "scenario": config["scenario"]["name"],
         "runs": config["runs"],
         "entropy": config["entropy"],
@@ -97,34 +164,22 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
         "alert_limit_m": config["alert_limit_m"],
         "attack_suite": config["attack_suite"],
         "detectors": [
-            {
-                **score_detector(cells[label, "none"]),
-                **points[label],
-                "bracket": bracketed(label),
-            }
-            for label in played
+            {**score_detector(records[label, "none"]), **points[label], "bracket": bracketed(label)}
+            for label in detectors
+            if (label, "none") in records
         ],
         "cells": scores,
         "protection": protected,
         "comparisons": compare(
-            list(cells.values()), known, {k: p["footing"] for k, p in points.items()}
+            list(records.values()), known, {k: p["footing"] for k, p in points.items()}
         ),
         "limits": bracket,
         "tuning": tuned,
-        "missing": [
-            f"{detector} / {spoofer}"
-            for detector, spoofer in pairs
-            if (detector, spoofer) not in cells
-        ]
-        + [
-            f"{detector} / attack suite"
-            for detector in unplayed
-            if detector not in {found.detector for found in known}
-        ],
+        "missing": [each for each in missing if each not in finished],
     }
 
 
-def score_cell(cell: Cell, limits: Sequence[float], budget: float) -> dict[str, Any]:
+def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[str, Any]:
     """Scores of one cell; `limits` of the P_HMI curve [m]."""
     counts, stealth = cell.counts, cell.stealth
     kept = cell.displacement_m[counts]
@@ -154,7 +209,7 @@ def score_cell(cell: Cell, limits: Sequence[float], budget: float) -> dict[str, 
     }
 
 
-def times_of(cell: Cell) -> dict[str, Any]:
+def times_of(cell: RunRecord) -> dict[str, Any]:
     """When the attack was noticed, of the runs that are silent before the onset.
 
     ``missed``: of the runs that count whose error crosses the alert limit, those without an alarm

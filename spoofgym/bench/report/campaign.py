@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ..experiments.summary import CampaignResults
 from ..search.attack_suite import FAMILIES
 from . import table as tables
 from .bounds import bracket_section
@@ -21,8 +22,9 @@ def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|")
 
 
-def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
-    lines = [f"# Campaign: {summary['scenario']}", "", *_setting(config, summary), ""]
+def markdown(results: CampaignResults, summary: dict[str, Any]) -> str:
+    config, code = results.config, results.store.config["code"]
+    lines = [f"# Campaign: {summary['scenario']}", "", *_setting(config, code, summary), ""]
     if summary["missing"]:
         lines += [f"**Not finished**: {', '.join(summary['missing'])}.", ""]
     for group in tables.groups(summary):
@@ -49,7 +51,9 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
+def _setting(
+    config: Mapping[str, Any], code: Mapping[str, str], summary: dict[str, Any]
+) -> list[str]:
     line, attack = config["timeline"], config["attack"]
     by = attack["control"]
     kinds = sorted({cell["attack"] for cell in summary["cells"]})
@@ -65,12 +69,12 @@ def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
         f"{line['time_to_alert_s']:g} s in which the offsets hold their rate and alarms count",
         f"- {config['runs']} evaluation runs, the same for all cells (entropy "
         f"{config['entropy']}); knowledge of the spoofers at run time: {', '.join(knowledge)}",
-        f"- spoofgym {config['versions']['spoofgym']}, numpy {config['versions']['numpy']}, numba "
-        f"{config['versions']['numba']}; campaign {summary['campaign']}",
+        f"- spoofgym {config['spoofgym']}, numpy {code['numpy']}, numba {code['numba']}; campaign "
+        f"{summary['campaign']}",
     ]
 
 
-def _victim(config: dict[str, Any], notes: list[str]) -> list[str]:
+def _victim(config: Mapping[str, Any], notes: list[str]) -> list[str]:
     if "settings" in config:
         given = {k: json.dumps(x) for k, x in config["settings"].items() if x is not None}
         own = ", ".join(f"{k}={text}" for k, text in given.items())
@@ -87,7 +91,7 @@ def _victim(config: dict[str, Any], notes: list[str]) -> list[str]:
     ]
 
 
-def _reading(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
+def _reading(config: Mapping[str, Any], summary: dict[str, Any]) -> list[str]:
     alert, budget = config["timeline"]["time_to_alert_s"], 100 * summary["budget"]
     lines = [
         "In brackets: 95 % intervals. A run *counts* where nothing but the attack can have raised "

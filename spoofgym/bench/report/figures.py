@@ -17,11 +17,11 @@ from ...envs.core import SpoofCore
 from ...envs.rendering import CoreRecorder, Screen
 from ...envs.spoofer_binding import commands_of
 from ...spoofers import make_spoofer
-from ..experiments.results_folder import PICTURE, ResultsFolder
 from ..experiments.suite import Suite
+from ..experiments.summary import PICTURE, CampaignResults
 from ..runs.play import Attacker
 from ..runs.players import PlayerSpec
-from ..runs.record import Cell
+from ..runs.record import RunRecord
 from ..scores.bounds import STEALTHY
 from .table import number
 
@@ -200,7 +200,7 @@ def draw_trade(
 
 
 def draw_exceedance(
-    ax: Axes, cells: dict[str, Cell], look: dict[str, Look], limit_m: float
+    ax: Axes, cells: dict[str, RunRecord], look: dict[str, Look], limit_m: float
 ) -> None:
     """Probability that the undetected displacement exceeds a limit."""
     style(ax)
@@ -222,7 +222,7 @@ def draw_exceedance(
     ax.set_xlabel("alert limit [m]")
 
 
-def draw_course(ax: Axes, cells: dict[str, Cell], look: dict[str, Look]) -> None:
+def draw_course(ax: Axes, cells: dict[str, RunRecord], look: dict[str, Look]) -> None:
     """Induced error over time, and when most runs have alarmed."""
     style(ax)
     alpha = 0.15 if len(cells) <= 4 else 0.07
@@ -264,8 +264,8 @@ LABELS = (
 """Their vertical axes."""
 
 
-def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:
-    look = looks(folder.config()["spoofers"])
+def draw_campaign(results: CampaignResults, summary: dict[str, Any]) -> Path:
+    look = looks(results.config["spoofers"])
     detectors = [row["detector"] for row in summary["detectors"]]
     columns = max(min(len(detectors), COLUMNS), 1)
     blocks = [detectors[i : i + COLUMNS] for i in range(0, len(detectors), COLUMNS)]
@@ -285,7 +285,7 @@ def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:
         for ax in rows[:, len(block) :].flat:
             ax.set_visible(False)
         for c, detector in enumerate(block):
-            _draw_column(rows[:, c], detector, folder, summary, look)
+            _draw_column(rows[:, c], detector, results, summary, look)
         for row in (rows[1], rows[3]):
             start_at_edge(row[:1])
         for ax, text in zip(rows[1:, 0], LABELS, strict=True):
@@ -301,17 +301,17 @@ def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:
             frameon=False,
             handlelength=3.5,
         )
-    return save_figure(figure, folder.path / PICTURE, dpi=130)
+    return save_figure(figure, results.path / PICTURE, dpi=130)
 
 
 def _draw_column(
     column: NDArray[np.object_],
     detector: str,
-    folder: ResultsFolder,
+    results: CampaignResults,
     summary: dict[str, Any],
     look: dict[str, Look],
 ) -> None:
-    cells = {name: folder.cell(detector, name) for name in look if folder.has_cell(detector, name)}
+    cells = {name: found for name in look if (found := results.runs(detector, name)) is not None}
     scores = {cell["spoofer"]: cell for cell in summary["cells"] if cell["detector"] == detector}
     searches = [search for search in summary["tuning"] if search["detector"] == detector]
     (bracket,) = (row["bracket"] for row in summary["detectors"] if row["detector"] == detector)
@@ -341,7 +341,7 @@ def play_frames(
     core = SpoofCore(1, setup, action=action, end_at_alarm=False, threads=1)
     screen = Screen("rgb_array", CoreRecorder(core))
     core.reset(suite.generators("evaluation", run + 1, run))
-    attacker = Attacker(spoofer.spec, core.engine)
+    attacker = Attacker([spoofer.spec], core.engine)
     # where the world has decisions, the environment makes epochs of them
     action_of = attacker.action if setup.repeat == 1 else attacker.decide
     screen.begin({name: array[0] for name, array in core.reset_info().items()})

@@ -199,7 +199,7 @@ def play_episode(
     for k in range(setup.live):
         alarm[k], ratio[k] = simulator.live_epochs(1)[0], simulator.ratio()
     twin.copy_rows(everyone, simulator, everyone)
-    attacker = Attacker(spoofer.spec, engine)
+    attacker = Attacker([spoofer.spec], engine)
     truth = setup.true_position
     apart = np.zeros((epochs, 2, truth.shape[1]))
     displacement = np.zeros((epochs, len(setup.action_names)))

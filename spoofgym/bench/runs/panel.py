@@ -1,4 +1,4 @@
-"""Runs of a task for detectors: chosen by their onsets, played once for all that only look.
+"""Runs at their onset, played once for all detectors that only look; and runs by their onsets.
 
 Detectors that leave the filter alone see the same epochs whatever they make of them, so that a pass
 of the engine is enough for all of them.  One that takes weight off measurements has passes of its
@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Generator, Sequence
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +19,15 @@ from numpy.typing import NDArray
 from ...calibration.clean_runs import RunMaxima
 from ...detectors import Calibrated, Detector, Never, PooledDetector
 from ...simulation.domain import draw
-from ...simulation.monitors import PassiveDetectors
+from ...simulation.monitors import Monitor
 from ...simulation.setup import Setup, generators_of, seeds_of_runs
-from ...simulation.simulator import Simulator, episode_seeds
+from ...simulation.simulator import episode_seeds
+from ...spoofers import make_spoofer
+from ...spoofers.base import sees_statistics
 from ...tasks import CANDIDATES, NEAR_ALARM_S, SWITCH_WITHIN_S, TURNING_DEGPS
 from ...truth.sensors import keys_of
-from ..scores.scores import counted, undetected_displacement
-from .play import Runs, WarmStart, induced_error, play
+from ..scores.scores import counted
+from .play import PanelDetectors, Runs, WarmStart, displacement_of, play_side_by_side, traits_of
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,6 +35,8 @@ Rngs = Callable[[], list[np.random.Generator]]
 """Makes the generators of runs, each time as they were."""
 BLOCK, MOST_TRIED = 512, 400_000
 """How many runs are looked at together for one that fits, and how many at most."""
+MOST_ROWS = 384
+"""Runs that attacks of one pass have together, but for a single attack that has more."""
 
 
 def turning(setup: Setup) -> Mask:
@@ -118,10 +123,31 @@ class LateMaxima(RunMaxima):
             self.memory.reset()
 
 
-class Panel:
-    """Runs at their onset, for one detector in the loop, or for several that only look.
+class Attack(NamedTuple):
+    """An attack on the first so many runs of a panel; `attack` in place of the world's own, before
+    which the receivers are warmed up again."""
 
-    - `start`: of all; `clean`: what they do without attack;
+    spec: Any
+    runs: int
+    attack: Any = None
+
+    @property
+    def key(self) -> str:
+        """Equal for what is played once."""
+        return repr(tuple(self))
+
+
+Numbers = tuple[int, ...]
+"""Which detectors of a panel, in their order."""
+T = TypeVar("T")
+Search = Generator[list[Attack], list[Runs], T]
+"""Yields attacks, is sent what a detector makes of them, and returns what it has found."""
+
+
+class Panel:
+    """Runs at their onset, in front of a detector in the loop, or of several that only look.
+
+    - `clean`: what each detector makes of the runs without attack;
     - `warmup_alarm`, `twin_alarm` (R, D) alarms before the onset, and epoch of the first after it;
     - `counts` (R, D) which of them count; `sky` (R,) under which they fly.
     """
@@ -132,68 +158,142 @@ class Panel:
         judges: Sequence[Detector],
         rngs: Rngs,
         threads: int | None,
+        watched: Sequence[Monitor] = (),
     ) -> None:
-        self.judges, self.rngs, self.threads = judges, rngs, threads
-        self.setup = self._defended(setup)
-        self._begin(WarmStart(self.setup, rngs(), threads=threads), None)
+        self.world, self.judges, self.rngs, self.threads = setup, judges, rngs, threads
+        self._watched = list(watched)
+        self._begin(WarmStart(self._defended(tuple(range(len(judges)))), rngs(), threads=threads))
 
-    def _defended(self, setup: Setup) -> Setup:
+    def _defended(self, numbers: Numbers) -> Setup:
+        """The world with some of the detectors."""
         if len(self.judges) == 1:
-            return setup.altered(detector=self.judges[0])
-        return setup.altered(detector=Never(), monitors=[PassiveDetectors(self.judges)])
+            return self.world.altered(detector=self.judges[0], monitors=self._watched)
+        panel = PanelDetectors([self.judges[k] for k in numbers], numbers)
+        return self.world.altered(detector=Never(), monitors=[panel, *self._watched])
 
-    def _begin(self, start: WarmStart, warmup_alarm: Mask | None) -> None:
+    def _begin(self, start: WarmStart, warmup_alarm: Mask | None = None) -> None:
         """Take the receivers at the onset, and see what they do without attack."""
-        self.start = start
-        self.warmup_alarm = self._alarmed(start) if warmup_alarm is None else warmup_alarm
-        self.clean, self.twin_alarm = self._played(start, "none", drop=False)
+        self.start, self.setup = start, start.setup
+        self._alone: dict[int, WarmStart] = {}
+        if warmup_alarm is None:
+            alone = len(self.judges) == 1
+            warmup_alarm = (
+                start.warmup_alarm[:, None]
+                if alone
+                else start.simulator.monitor(PanelDetectors).memory["so_far"]
+            ).copy()
+        self.warmup_alarm = warmup_alarm
+        self.clean = play_side_by_side(start, ["none"])
+        self.twin_alarm = np.stack([each.first_alarm for each in self.clean], axis=1)
         self.counts = counted(self.warmup_alarm, self.twin_alarm)
-        self.sky = np.asarray(self.clean.onset // self.setup.epochs_each)
+        self.sky = np.asarray(self.clean[0].onset // self.setup.epochs_each)
 
     @property
     def runs(self) -> int:
         """R."""
         return self.start.receivers
 
-    def _alarmed(self, start: WarmStart) -> Mask:
-        """(R, D) alarms before the onset, which are forgotten."""
-        if len(self.judges) == 1:
-            return start.warmup_alarm[:, None].copy()
-        alarmed = start.simulator.monitor(PassiveDetectors).memory["alarmed"]
-        before = alarmed.copy()
-        alarmed[:] = False
-        return before
+    def play(
+        self,
+        attacks: Sequence[tuple[Attack, int]],
+        *,
+        drop: bool = True,
+        tick: Callable[[float], None] = lambda _: None,
+    ) -> list[Runs]:
+        """What detectors make of attacks, each by its number. `drop`: as of `play_side_by_side`.
 
-    def _played(
-        self, start: WarmStart, spec: Any, *, drop: bool = True
-    ) -> tuple[Runs, NDArray[np.int64]]:
-        """Runs under attack, and (R, D) the epoch of each detector's first alarm, 0 for none."""
-        if len(self.judges) == 1:
-            runs = play(start, spec, drop_alarmed=drop)
-            return runs, runs.first_alarm[:, None]
-        first = np.zeros((start.receivers, len(self.judges)), dtype=np.int64)
+        Equal attacks are played once, and those that go side by side share a pass.  A spoofer that
+        observes statistics has a pass of its own with every detector in the loop.
+        """
+        wanted: dict[str, tuple[Attack, set[int]]] = {}
+        for each, number in attacks:
+            wanted.setdefault(each.key, (each, set()))[1].add(number)
+        passes: dict[Any, list[Attack]] = {}
+        for each, numbers in wanted.values():
+            spoofer = make_spoofer(each.spec)
+            alone = len(self.judges) > 1 and sees_statistics(spoofer.knowledge)
+            for own in [(k,) for k in numbers] if alone else [tuple(sorted(numbers))]:
+                key = own, alone, id(each.attack), traits_of(spoofer)
+                passes.setdefault(key, []).append(each)
+        found: dict[tuple[str, int], Runs] = {}
+        for (numbers, alone, *_), several in passes.items():
+            sizes = [min(each.runs, self.runs) for each in several]
+            share = (np.cumsum(sizes) - 1) // max(MOST_ROWS, *sizes)
+            for part in np.unique(share):
+                some = [(several[j], sizes[j]) for j in np.flatnonzero(share == part)]
+                rows = np.concatenate([np.arange(size) for _, size in some])
+                which = np.repeat(np.arange(len(some)), [size for _, size in some])
+                played = play_side_by_side(
+                    self._start(numbers, alone, some[0][0], rows),
+                    [each.spec for each, _ in some],
+                    which,
+                    drop_alarmed=drop,
+                    tick=partial(_tick_rows, tick, len(rows) * len(numbers)),
+                )
+                for j, (each, _) in enumerate(some):
+                    own_rows = np.flatnonzero(which == j)
+                    shared = played[0].take(own_rows)
+                    for k, runs in zip(numbers, played, strict=True):
+                        found[each.key, k] = shared._replace(
+                            alarm=runs.alarm[:, own_rows],
+                            peak=runs.peak[own_rows],
+                            blamed=runs.blamed[own_rows],
+                        )
+        return [found[each.key, number] for each, number in attacks]
 
-        def watch(epoch: int, rows: NDArray[np.intp], simulator: Simulator) -> Mask:
-            alarmed = simulator.monitor(PassiveDetectors).memory["alarmed"]
-            first[rows] = np.where(alarmed & (first[rows] == 0), epoch + 1, first[rows])
-            return np.asarray(alarmed.all(axis=1))
+    def _start(
+        self, numbers: Numbers, alone: bool, attack: Attack, rows: NDArray[np.intp]
+    ) -> WarmStart:
+        """Runs at the onset in front of some detectors."""
+        if attack.attack is not None:
+            other = copy.copy(self._defended(numbers))
+            other.attack = attack.attack
+            return WarmStart(other, self.rngs()[: len(rows)], threads=self.threads)
+        if not alone:
+            whole = len(numbers) == len(self.judges)
+            start = self.start if whole else self.start.under(self._defended(numbers))
+            return start.take(rows)
+        if numbers[0] not in self._alone:
+            judge = self.judges[numbers[0]]
+            setup = self.world.altered(detector=judge, monitors=self._watched)
+            self._alone[numbers[0]] = WarmStart(setup, self.rngs(), threads=self.threads)
+        return self._alone[numbers[0]].take(rows)
 
-        return play(start, spec, drop_alarmed=drop, watch=watch), first
+    def in_front_of(self, number: int) -> WarmStart:
+        """Runs at the onset with one of the detectors in the loop."""
+        every = np.arange(self.runs)
+        return self._start((number,), len(self.judges) > 1, Attack("none", self.runs), every)
 
-    def displacement(self, spec: Any, runs: int, attack: Any = None) -> FloatArray:
-        """(D, R') undetected displacement of the first runs under an attack of a spoofer [m].
-        `attack`: in place of the panel's own; the receivers are then warmed up again."""
-        start, clean = self.start.first(runs), self.clean.first(runs)
-        if attack is not None:
-            other = copy.copy(self.setup)
-            other.attack = attack
-            start = WarmStart(other, self.rngs()[:runs], threads=self.threads)
-            self._alarmed(start)
-        attacked, first = self._played(start, spec)
-        setup = self.setup
-        error = induced_error(setup, attacked, clean)[: setup.steps]
-        moved = [undetected_displacement(error, each, setup.hold) for each in first.T]
+    def displacement(self, attack: Attack) -> FloatArray:
+        """(D, R') undetected displacement under an attack [m]."""
+        played = self.play([(attack, k) for k in range(len(self.judges))])
+        pairs = zip(played, self.clean, strict=True)
+        moved = [displacement_of(self.setup, x, twin.first(attack.runs)) for x, twin in pairs]
         return np.asarray(np.round(np.array(moved), 6), dtype=np.float64)
+
+
+def _tick_rows(tick: Callable[[float], None], rows: int, part: float) -> None:
+    tick(part * rows)
+
+
+def play_searches(
+    panel: Panel,
+    searches: Sequence[tuple[int, Search[T]]],
+    tick: Callable[[float], None] = lambda _: None,
+) -> list[T]:
+    """Run searches side by side, each against a detector of a panel by its number."""
+    found: dict[int, T] = {}
+    waiting = {n: next(search) for n, (_, search) in enumerate(searches)}
+    while waiting:
+        asked = [(each, searches[n][0]) for n, attacks in waiting.items() for each in attacks]
+        answers = iter(panel.play(asked, tick=tick))
+        for n, attacks in list(waiting.items()):
+            try:
+                waiting[n] = searches[n][1].send([next(answers) for _ in attacks])
+            except StopIteration as stop:
+                found[n] = stop.value
+                del waiting[n]
+    return [found[n] for n in range(len(searches))]
 
 
 class NearAlarm(Panel):
@@ -201,9 +301,9 @@ class NearAlarm(Panel):
     are the closest of `CANDIDATES` times as many. One with an alarm before the onset counts."""
 
     def __init__(self, setup: Setup, judge: Detector, rngs: Rngs, threads: int | None) -> None:
-        self.judges, self.threads = [judge], threads
+        self.world, self.judges, self.threads, self._watched = setup, [judge], threads, []
         last = min(round(NEAR_ALARM_S / setup.interval_s), setup.live)
-        own = self._defended(setup)
+        own = self._defended((0,))
         watched = own.altered(monitors=[LateMaxima(setup.live, last)])
         everyone = WarmStart(watched, rngs(), threads=threads)
         ratio, _ = everyone.simulator.monitor(LateMaxima).taken()
@@ -211,6 +311,6 @@ class NearAlarm(Panel):
         chosen = np.sort(order[: math.ceil(len(order) / CANDIDATES)])
         kept = set(chosen.tolist())
         self.rngs = lambda: [drawn for k, drawn in enumerate(rngs()) if k in kept]
-        self.setup, self.ratio = own, ratio[chosen, 0]
+        self.ratio = ratio[chosen, 0]
         start = everyone.under(own).take(chosen)
         self._begin(start, np.zeros((len(chosen), 1), dtype=np.bool_))

@@ -1,24 +1,29 @@
-"""One spoofer on many runs."""
+"""Spoofers on many runs, and what the detectors in front of them make of it."""
 
 from __future__ import annotations
 
 import copy
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...detectors import Detector
+from ...detectors.base import judged
 from ...envs.decisions import Decisions
 from ...envs.observer import Observer
 from ...envs.spoofer_binding import bound_spoofer, paced
 from ...envs.terms.action import CommandMap
 from ...simulation.engine import Engine
+from ...simulation.monitors import Monitored, PassiveDetectors
 from ...simulation.setup import Setup
 from ...simulation.simulator import Simulator
 from ...spoofers import Spoofer, make_spoofer
 from ..scores.scores import undetected_displacement
+
+FloatArray = NDArray[np.float64]
 
 
 def make_bound_spoofer(
@@ -32,22 +37,48 @@ def make_bound_spoofer(
     return spoofer, observer, commands
 
 
-class Attacker:
-    """Spoofer that commands all receivers of an engine, which are at their onset.
+class _Part(NamedTuple):
+    """A spoofer, ready for its rows of a batch."""
 
-    - `engine`: its simulator leaves all measurements alone where the spoofer transmits nothing;
-    - `spoofer`: bound; it decides at its own pace.
+    spec: Any
+    spoofer: Spoofer
+    rows: NDArray[np.intp]
+
+
+class Attacker:
+    """Spoofers that command the receivers of an engine, which are at their onset.
+
+    - `engine`: its simulator leaves all measurements alone where the first transmits nothing;
+    - `specs`: of the spoofers, alike but for their settings: they observe and command the same, at
+      the same pace, their own; `which` (B,) commands each receiver, by default the first.
     """
 
-    def __init__(self, spec: Any, engine: Engine) -> None:
-        self._spec, self.engine = spec, engine
-        made = make_bound_spoofer(spec, engine.setup, engine.receivers)
-        self.spoofer, self._observer, self._commands = made
-        setup, size = paced(engine.setup, self.spoofer), len(self._commands.names)
+    def __init__(
+        self, specs: Sequence[Any], engine: Engine, which: NDArray[np.intp] | None = None
+    ) -> None:
+        self.engine = engine
+        which = np.zeros(engine.receivers, dtype=np.intp) if which is None else which
+        rows = [np.flatnonzero(which == k) for k in range(len(specs))]
+        self._parts = [
+            _Part(spec, make_spoofer(spec), own)
+            for spec, own in zip(specs, rows, strict=True)
+            if len(own)
+        ]
+        self._bind()
+        first = self._parts[0].spoofer
+        setup, size = paced(engine.setup, first), len(self._commands.names)
         self._decisions = Decisions(setup, engine.receivers, size)
-        self._commands.aim(engine.simulator.heading)
-        if not self.spoofer.transmits:
+        if not first.transmits:
             engine.simulator.clean = np.ones(engine.receivers, dtype=np.bool_)
+
+    def _bind(self) -> None:
+        """Prepare the spoofers for the receivers of the engine."""
+        made = bound_spoofer(self._parts[0].spoofer, self.engine.setup, self.engine.receivers)
+        context, self._observer, self._commands = made
+        for part in self._parts:
+            part.spoofer.bind(context._replace(receivers=len(part.rows)))
+            part.spoofer.reset()
+        self._commands.aim(self.engine.simulator.heading)
 
     def command(self, epoch: int) -> FloatArray | None:
         """Command (B, a) of an epoch, counted from the onset on; None after the last one."""
@@ -56,40 +87,58 @@ class Attacker:
         return self._commands.command(self.action(epoch), self.engine.simulator.commanded_rate)
 
     def action(self, epoch: int) -> FloatArray:
-        """Action (B, k) of an epoch, on the way from one decision to the next. Asks the spoofer
+        """Action (B, k) of an epoch, on the way from one decision to the next. Asks the spoofers
         where a decision is due."""
         if self._decisions.due(epoch):
             self._decisions.take(self.decide(epoch))
         return self._decisions.action(epoch)
 
     def decide(self, epoch: int) -> FloatArray:
-        """Action of the spoofer, checked: (B, k) float64, C-contiguous."""
-        receivers, word = self.engine.receivers, type(self.spoofer).__name__
+        """Action of the spoofers, checked: (B, k) float64, C-contiguous."""
         seen = self._observer(self.engine, epoch)
-        action = np.ascontiguousarray(self.spoofer.act(seen), dtype=np.float64)
-        names = self.spoofer.context.action_names
-        if action.shape != (receivers, len(names)):
-            raise ValueError(
-                f"{word} must return actions of shape {(receivers, len(names))} "
-                f"({', '.join(names)}), got {action.shape}"
-            )
-        if not (np.abs(action) <= 1.0).all():
-            worst = action.flat[int(np.argmin(np.abs(action) <= 1.0))]
-            raise ValueError(f"{word} must return actions within [-1, 1], got {worst}")
+        action = np.empty((self.engine.receivers, len(self._commands.names)))
+        for part in self._parts:
+            action[part.rows] = _checked_action(part.spoofer, seen[part.rows])
         return action
 
     def go_on_with(self, engine: Engine, rows: NDArray[np.intp]) -> None:
         """Command an engine of some of the receivers from now on."""
-        spoofer, _, self._commands = make_bound_spoofer(self._spec, engine.setup, len(rows))
-        self._commands.aim(engine.simulator.heading)
-        spoofer.memory.copy_rows(np.arange(len(rows)), self.spoofer.memory, rows)
-        self.engine, self.spoofer = engine, spoofer
+        self.engine, before = engine, self._parts
         self._decisions = self._decisions.of(rows)
+        own = [np.flatnonzero(np.isin(part.rows, rows)) for part in before]
+        parts = zip(before, own, strict=True)
+        left = [(part, among) for part, among in parts if len(among)]
+        self._parts = [
+            _Part(part.spec, make_spoofer(part.spec), np.searchsorted(rows, part.rows[among]))
+            for part, among in left
+        ]
+        self._bind()
+        for mine, (part, among) in zip(self._parts, left, strict=True):
+            everyone = np.arange(len(among))
+            mine.spoofer.memory.copy_rows(everyone, part.spoofer.memory, among)
 
 
-FloatArray = NDArray[np.float64]
-Watch = Callable[[int, NDArray[np.intp], Simulator], NDArray[np.bool_]]
-"""Is given an epoch, from 0 on, which runs play it, and their receivers; returns (b,) bool."""
+def _checked_action(spoofer: Spoofer, seen: NDArray[np.float32]) -> FloatArray:
+    """Action of a spoofer: (B, k)."""
+    action = np.ascontiguousarray(spoofer.act(seen), dtype=np.float64)
+    names, word = spoofer.context.action_names, type(spoofer).__name__
+    if action.shape != (len(seen), len(names)):
+        raise ValueError(
+            f"{word} must return actions of shape {(len(seen), len(names))} "
+            f"({', '.join(names)}), got {action.shape}"
+        )
+    if not (np.abs(action) <= 1.0).all():
+        worst = action.flat[int(np.argmin(np.abs(action) <= 1.0))]
+        raise ValueError(f"{word} must return actions within [-1, 1], got {worst}")
+    return action
+
+
+def traits_of(spoofer: Spoofer) -> tuple[Any, ...]:
+    """What spoofers have in common that can command parts of one batch."""
+    names = "knowledge", "action_terms", "decision_interval_s", "between", "transmits"
+    return tuple(repr(getattr(spoofer, name)) for name in names)
+
+
 DROP_EVERY, DROP_PART = 10, 0.25
 """How often, in epochs, settled runs are dropped, and from which part of all on."""
 
@@ -186,37 +235,100 @@ class WarmStart:
         return part
 
 
+class PanelDetectors(PassiveDetectors):
+    """Detectors that share a pass of the engine, by numbers that stay theirs in smaller panels.
+
+    `memory`: also ``alarmed`` (B, D) and ``blamed``, channels that are, at the last epoch alone,
+    and ``so_far``, whether each has alarmed since the episode began.
+    """
+
+    def __init__(self, detectors: Sequence[Detector], numbers: Sequence[int] | None = None) -> None:
+        super().__init__(detectors)
+        self.numbers = list(range(len(detectors)) if numbers is None else numbers)
+
+    def bind(self, simulator: Monitored) -> None:
+        super().bind(simulator)
+        shape = self.memory["alarmed"].shape
+        self.memory.declare("so_far", np.zeros(shape, dtype=np.bool_))
+        self.memory.declare("blamed", np.zeros(shape, dtype=np.int64))
+
+    def update(self, simulator: Monitored) -> None:
+        alarmed, ratio, blamed = (self.memory[name] for name in ("alarmed", "ratio", "blamed"))
+        for k, detector in enumerate(self.detectors):
+            verdict = judged(detector, simulator.epoch)
+            blamed[:, k] = verdict.alarm.sum(axis=1)
+            ratio[:, k] = (verdict.statistic / verdict.threshold).max(axis=1)
+        alarmed[:] = blamed > 0
+        self.memory["so_far"] |= alarmed
+
+    def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
+        """Take over receivers of a panel that has these detectors among others."""
+        place = [other.numbers.index(k) for k in self.numbers]
+        for name, array in self.memory.items():
+            array[to] = other.memory[name][rows][:, place]
+        for detector, k in zip(self.detectors, place, strict=True):
+            detector.memory.copy_rows(to, other.detectors[k].memory, rows)
+
+
+def _panel_of(simulator: Simulator) -> PanelDetectors | None:
+    return next((each for each in simulator.monitors if isinstance(each, PanelDetectors)), None)
+
+
+def _verdicts(simulator: Simulator) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Largest ratios and blamed channels (B, D) at the last epoch, of the panel where there is one,
+    else of the detector in the loop."""
+    panel = _panel_of(simulator)
+    if panel is not None:
+        return panel.memory["ratio"], panel.memory["blamed"]
+    assert simulator.verdict is not None  # an epoch has been judged
+    return simulator.ratio()[:, None], simulator.verdict.alarm.sum(axis=1)[:, None]
+
+
 def play(
     start: WarmStart,
     spec: Any,
     *,
     drop_alarmed: bool = False,
     tick: Callable[[float], None] | None = None,
-    watch: Watch | None = None,
 ) -> Runs:
-    """Let a spoofer attack all runs, from the onset to the end of the hold. `watch` looks at every
-    epoch, and says which runs count as alarmed in place of the detector."""
-    setup = start.setup
-    epochs, everyone = setup.steps + setup.hold, start.receivers
-    alarm = np.zeros((epochs, everyone), dtype=np.bool_)
-    coasting, blamed = np.zeros_like(alarm), np.zeros(everyone, dtype=np.int64)
-    peak = np.zeros(everyone)
+    """Let a spoofer attack all runs, from the onset to the end of the hold."""
+    return play_side_by_side(start, [spec], drop_alarmed=drop_alarmed, tick=tick)[0]
+
+
+def play_side_by_side(
+    start: WarmStart,
+    specs: Sequence[Any],
+    which: NDArray[np.intp] | None = None,
+    *,
+    drop_alarmed: bool = False,
+    tick: Callable[[float], None] | None = None,
+) -> list[Runs]:
+    """What each detector of a panel, or the one in the loop, makes of attacks on all runs. `specs`,
+    `which`: as of an `Attacker`; `drop_alarmed`: whether runs in which all of them have alarmed are
+    left, after which nothing is known of them."""
+    setup, everyone = start.setup, start.receivers
+    attacker = Attacker(specs, start.engine(), which)
+    simulator = attacker.engine.simulator
+    panel = _panel_of(simulator)
+    epochs, count = setup.steps + setup.hold, 1 if panel is None else len(panel.detectors)
+    alarm = np.zeros((count, epochs, everyone), dtype=np.bool_)
+    peak, total = np.zeros((count, everyone)), np.zeros((count, everyone), dtype=np.int64)
+    coasting = np.zeros((epochs, everyone), dtype=np.bool_)
     rows = np.arange(everyone)
-    attacker = Attacker(spec, start.engine())
-    position = np.full((epochs, *attacker.engine.simulator.position.shape), np.nan)
-    onset = attacker.engine.simulator.onset.copy()
-    heading = attacker.engine.simulator.heading.copy()
+    position = np.full((epochs, *simulator.position.shape), np.nan)
+    onset, heading = simulator.onset.copy(), simulator.heading.copy()
     for k in range(epochs):
-        verdict = attacker.engine.step(attacker.command(k))
+        attacker.engine.step(attacker.command(k))
         simulator = attacker.engine.simulator
         position[k, rows], coasting[k, rows] = simulator.position, simulator.coasting
-        alarm[k, rows] = verdict.alarm.any(axis=1) if watch is None else watch(k, rows, simulator)
-        blamed[rows] += verdict.alarm.sum(axis=1)
-        peak[rows] = np.maximum(peak[rows], simulator.ratio())
+        ratio, blamed = _verdicts(simulator)
+        alarm[:, k, rows] = blamed.T > 0
+        total[:, rows] += blamed.T
+        peak[:, rows] = np.maximum(peak[:, rows], ratio.T)
         if tick is not None:
             tick(1.0 / epochs)
         if drop_alarmed and (k + 1) % DROP_EVERY == 0:
-            open_ = ~alarm[: k + 1, rows].any(axis=0)
+            open_ = ~alarm[:, : k + 1, rows].any(axis=1).all(axis=0)
             if not open_.any():
                 if tick is not None:
                     tick((epochs - k - 1) / epochs)
@@ -225,7 +337,9 @@ def play(
                 kept = np.flatnonzero(open_)
                 attacker.go_on_with(start.extract(attacker.engine, kept), kept)
                 rows = rows[kept]
-    return Runs(position, alarm, peak, onset, heading, coasting, blamed)
+    return [
+        Runs(position, alarm[d], peak[d], onset, heading, coasting, total[d]) for d in range(count)
+    ]
 
 
 def epochs_of(setup: Setup, onset: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -1,15 +1,9 @@
-"""RunRecord: per-run results of a pair.
-
-The protection of a detector: how far the worst attacks of the suite come, in every run.
-
-Scores and their paired differences between detectors follow from that.
-`spoofgym.bench.search.worst_attack` looks for these attacks.
-"""
+"""What a detector and a spoofer did in every run of a split; scores follow from that alone."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,8 +18,8 @@ PERCENTILES = (5, 50, 95)
 
 
 @dataclass(frozen=True)
-class Cell:
-    """All runs of a detector and a spoofer.
+class RunRecord:
+    """What a detector and a spoofer did in the runs of a split.
 
     - `head`: labels, settings and lengths, JSON-able;
     - `records` (R,) arrays: ``warmup_alarm`` bool; ``first_alarm``, and ``twin_alarm`` of the clean
@@ -43,7 +37,7 @@ class Cell:
 
     head: dict[str, Any]
     records: dict[str, NDArray[Any]]
-    series: dict[str, Any]
+    series: dict[str, Any] = field(default_factory=dict)
 
     @property
     def detector(self) -> str:
@@ -93,36 +87,25 @@ class Cell:
         """(R,) whether there was an alarm in the window."""
         return np.asarray(self.records["first_alarm"] > 0)
 
-    def to_lines(self) -> list[str]:
-        """JSON lines: head, runs, series."""
-        records = [
-            {"kind": "run", "run": run, **{key: x[run].item() for key, x in self.records.items()}}
-            for run in range(self.runs)
-        ]
-        parts = [{"kind": "cell", **self.head}, *records, {"kind": "series", **self.series}]
-        return [json.dumps(part, allow_nan=False) for part in parts]
+    def parts(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Arrays, and all else as JSON."""
+        return self.records, {"head": self.head, "series": self.series}
 
     @classmethod
-    def from_lines(cls, lines: list[str]) -> Cell:
-        """Inverse of `to_lines`."""
-        parts = [json.loads(line) for line in lines]
-        kinds = [part.pop("kind") for part in parts]
-        if kinds[:1] != ["cell"] or kinds[-1:] != ["series"] or {*kinds[1:-1]} != {"run"}:
-            raise ValueError("a cell must be one line `cell`, lines `run`, and one line `series`")
-        runs = parts[1:-1]
-        records = {key: np.array([run[key] for run in runs]) for key in runs[0] if key != "run"}
-        return cls(parts[0], records, parts[-1])
+    def of_parts(cls, arrays: Mapping[str, NDArray[Any]], record: Mapping[str, Any]) -> RunRecord:
+        """Inverse of `parts`."""
+        return cls(record["head"], dict(arrays), record["series"])
 
 
-def make_cell(
+def record_runs(
     setup: Setup,
     head: dict[str, Any],
     warmup_alarm: NDArray[np.bool_],
     attacked: Runs,
     twin: Runs,
     alert_limit_m: float,
-) -> Cell:
-    """Score the runs of a cell.  `warmup_alarm` (R,) bool, alarms before the onset."""
+) -> RunRecord:
+    """Record of some runs.  `warmup_alarm` (R,) bool, alarms before the onset."""
     moved, off = induced(setup, attacked, twin), off_truth(setup, attacked)
     error, total = horizontal(moved), horizontal(off)
     commanded, first = error[: setup.steps], attacked.first_alarm
@@ -167,8 +150,7 @@ def make_cell(
         },
     }
     lengths = {"interval_s": setup.interval_s, "steps": setup.steps, "hold": setup.hold}
-    by_channel = setup.detector.scope == "channel"
-    return Cell({**head, **lengths, "judges_channels": by_channel}, records, series)
+    return RunRecord({**head, **lengths}, records, series)
 
 
 MEASURES = (
@@ -273,35 +255,25 @@ class Protection:
             return self.counts
         return self.counts & np.isin(self.sky, self.skies)
 
-    def to_text(self) -> str:
-        winners = [
-            {
-                **{name: getattr(each, name) for name in ("letter", "spoofer", "setting", "value")},
-                "spec": each.spec,
-                "aims": [aim._asdict() for aim in each.aims],
-                "displacement": {name: x.tolist() for name, x in each.displacement.items()},
-            }
-            for each in self.winners
-        ]
-        skies = None if self.skies is None else self.skies.tolist()
-        runs = {"counts": self.counts.tolist(), "sky": self.sky.tolist(), "skies": skies}
-        return json.dumps({**self.head, **runs, "winners": winners}, allow_nan=False) + "\n"
+    def parts(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Arrays, and all else as JSON."""
+        arrays: dict[str, NDArray[Any]] = {"counts": self.counts, "sky": self.sky}
+        arrays |= {} if self.skies is None else {"skies": self.skies}
+        winners = []
+        for n, each in enumerate(self.winners):
+            named = {name: value for name, value in vars(each).items() if name != "displacement"}
+            winners.append({**named, "aims": [aim._asdict() for aim in each.aims]})
+            arrays |= {f"{n}/{measure}": x for measure, x in each.displacement.items()}
+        return arrays, {"head": self.head, "winners": winners}
 
     @classmethod
-    def from_text(cls, text: str) -> Protection:
-        """Inverse of `to_text`."""
-        head = json.loads(text)
-        runs = {name: head.pop(name) for name in ("counts", "sky", "skies", "winners")}
-        winners = tuple(
-            Winner(
-                **{
-                    **each,
-                    "aims": tuple(Aim(**aim) for aim in each["aims"]),
-                    "displacement": {k: np.array(x) for k, x in each["displacement"].items()},
-                }
-            )
-            for each in runs["winners"]
-        )
-        skies = None if runs["skies"] is None else np.array(runs["skies"])
-        counts = np.array(runs["counts"], dtype=np.bool_)
-        return cls(head, winners, counts, np.array(runs["sky"]), skies)
+    def of_parts(cls, arrays: Mapping[str, NDArray[Any]], record: Mapping[str, Any]) -> Protection:
+        """Inverse of `parts`."""
+        winners = []
+        for n, each in enumerate(record["winners"]):
+            aims = tuple(Aim(**aim) for aim in each["aims"])
+            names = [f"{n}/{measure}" for measure in MEASURES]
+            own = {name.partition("/")[2]: arrays[name] for name in names if name in arrays}
+            winners.append(Winner(**{**each, "aims": aims, "displacement": own}))
+        runs = arrays["counts"], arrays["sky"], arrays.get("skies")
+        return cls(record["head"], tuple(winners), *runs)

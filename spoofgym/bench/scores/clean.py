@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...detectors.calibration_file import hourly_rate
-from ..runs.record import Cell
+from ..runs.record import RunRecord
 from .paired import FREE
 from .statistics import Estimate, clopper_pearson, clustered_proportion
 
@@ -16,7 +17,7 @@ NOMINAL = "nominal"
 """Footing of detectors that were asked for no rate."""
 
 
-def operating_point(config: dict[str, Any], detector: str) -> dict[str, Any]:
+def operating_point(config: Mapping[str, Any], detector: str) -> dict[str, Any]:
     """What a detector was asked for: ``claimed``, and the ``footing`` on which it is compared. The
     footing is the rate; ``"nominal"`` where none was asked for, and ``"any"`` of a detector that
     never alarms."""
@@ -34,7 +35,7 @@ def operating_point(config: dict[str, Any], detector: str) -> dict[str, Any]:
     return {"claimed": claimed, "footing": footing}
 
 
-def score_detector(clean: Cell) -> dict[str, Any]:
+def score_detector(clean: RunRecord) -> dict[str, Any]:
     """False alarms of a detector and their price, from its runs without attack. Per run, per hour,
     and per epoch of the window, which is the availability that is lost; in the warm-up; satellites
     that are blamed though nobody attacks, in satellite seconds an hour, None where channels are not

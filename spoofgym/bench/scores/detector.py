@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -205,15 +204,3 @@ class DetectorScore:
             f"({seen}), {worst.counted} runs; false alarms in "
             f"{100.0 * self.false_alarm_rate().value:.1f} % of {self.runs} clean runs"
         )
-
-
-def false_alarms_text(head: dict[str, Any], found: Mapping[str, NDArray[np.bool_]]) -> str:
-    """False alarms of a detector as JSON."""
-    alarms = {name: alarmed.tolist() for name, alarmed in found.items()}
-    return json.dumps({**head, "false_alarms": alarms}, allow_nan=False) + "\n"
-
-
-def false_alarms_of(text: str) -> dict[str, NDArray[np.bool_]]:
-    """Inverse of `false_alarms_text`, without the head."""
-    alarms = json.loads(text)["false_alarms"]
-    return {name: np.array(alarmed, dtype=np.bool_) for name, alarmed in alarms.items()}

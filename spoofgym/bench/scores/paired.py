@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...spoofers.base import sees_statistics
-from ..runs.record import MEASURES, Aim, Cell, Protection
+from ..runs.record import MEASURES, Aim, Protection, RunRecord
 from .scores import ALIKE, SHARES, clusters_of, exceeded
 from .statistics import (
     NOTHING,
@@ -36,7 +36,7 @@ Footings = Mapping[str, str]
 
 
 def compare(
-    cells: Sequence[Cell],
+    cells: Sequence[RunRecord],
     protections: Sequence[Protection],
     footings: Footings,
 ) -> list[dict[str, Any]]:
@@ -70,7 +70,7 @@ def comparable(footings: Footings, detector: str, other: str) -> bool:
     return mine == theirs or FREE in (mine, theirs)
 
 
-def _displacements(cells: Sequence[Cell], detector: str, control: str) -> list[dict[str, Any]]:
+def _displacements(cells: Sequence[RunRecord], detector: str, control: str) -> list[dict[str, Any]]:
     by_pair = {(cell.detector, cell.spoofer): cell for cell in cells}
     found = []
     for (label, spoofer), mine in by_pair.items():

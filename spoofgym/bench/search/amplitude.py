@@ -17,19 +17,19 @@ noise with those that are scored.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from ...envs.spoofer_binding import tuning_range_of
 from ...spoofers import make_spoofer
-from ..runs.play import Runs, WarmStart, displacement_of, play
+from ..runs.panel import Attack, Panel, Search, play_searches
+from ..runs.play import displacement_of
 from ..runs.players import PlayerSpec
-from ..scores.scores import Stealth, counted, stealth_of
-from ..scores.statistics import halve
+from ..scores.scores import Stealth, stealth_of
+from .open_loop import Optima
 from .settings import Tuning, log_spaced, rounded_down
 
-Tick = Callable[[float], None]
 RESOLUTION = 1.02
 """Ratio of the smallest value known to be over the budget to the largest one known to keep it."""
 
@@ -108,45 +108,44 @@ class TuningResult:
 
 
 class _Search:
-    """Trials of one spoofer against one detector."""
+    """Trials of one spoofer against one of a panel's detectors."""
 
-    def __init__(
-        self, start: WarmStart, clean: Runs, entry: PlayerSpec, settings: Tuning, tick: Tick | None
-    ) -> None:
-        self.start, self.clean, self.entry = start, clean, entry
-        self.settings, self.tick = settings, tick
-        self.counts = counted(start.warmup_alarm, clean.first_alarm)
+    def __init__(self, panel: Panel, number: int, entry: PlayerSpec, settings: Tuning) -> None:
+        self.panel, self.number, self.entry, self.settings = panel, number, entry, settings
+        self.counts = panel.counts[:, number]
         self.trials: list[Trial] = []
 
-    def try_value(self, value: float, runs: int) -> Trial:
-        everyone = runs >= self.start.receivers
-        start = self.start if everyone else self.start.first(runs)
-        advance = self.tick
-        tick = None if advance is None else lambda part: advance(part * start.receivers)
-        attacked = play(start, self.entry.with_value(value), drop_alarmed=True, tick=tick)
-        moved = displacement_of(start.setup, attacked, self.clean.first(start.receivers))
-        found = stealth_of(moved, attacked.first_alarm > 0, self.counts[: start.receivers])
-        budget = self.settings.budget
-        within = found.keeps(budget) if everyone else found.seems_to_keep(budget)
-        self.trials.append(Trial.of(value, start.receivers, found, within))
-        return self.trials[-1]
+    def try_values(self, values: Sequence[float], runs: int) -> Search[list[Trial]]:
+        count = min(runs, self.panel.runs)
+        played = yield [Attack(self.entry.with_value(value), count) for value in values]
+        twin, budget = self.panel.clean[self.number].first(count), self.settings.budget
+        for value, attacked in zip(values, played, strict=True):
+            moved = displacement_of(self.panel.setup, attacked, twin)
+            found = stealth_of(moved, attacked.first_alarm > 0, self.counts[:count])
+            everyone = count == self.panel.runs
+            within = found.keeps(budget) if everyone else found.seems_to_keep(budget)
+            self.trials.append(Trial.of(value, count, found, within))
+        return self.trials[len(self.trials) - len(values) :]
 
-    def refine(self, grid: list[float], at: int, *, peak: bool) -> list[Trial]:
+    def try_all_runs(self, value: float) -> Search[Trial]:
+        (trial,) = yield from self.try_values([value], self.panel.runs)
+        return trial
+
+    def refine(self, grid: list[float], at: int, *, peak: bool) -> Search[list[Trial]]:
         """Try values next to the best one of the grid: around a peak, or up to the edge."""
-        everyone, known = self.start.receivers, len(self.trials)
+        known = len(self.trials)
         if peak:
             ends = grid[max(at - 1, 0)], grid[at + 1]
-            for value in log_spaced(*ends, self.settings.refined + 2)[1:-1]:
-                self.try_value(value, everyone)
+            between = log_spaced(*ends, self.settings.refined + 2)[1:-1]
+            yield from self.try_values(between, self.panel.runs)
         elif at + 1 < len(grid):
             low, high = grid[at], grid[at + 1]
             halvings = math.ceil(math.log2(max(math.log(high / low) / math.log(RESOLUTION), 1.0)))
-            halve(self._keeps, low, high, halvings)
+            for _ in range(halvings):
+                middle = math.sqrt(low * high)
+                trial = yield from self.try_all_runs(rounded_down(middle))
+                low, high = (middle, high) if trial.within_budget else (low, middle)
         return self.trials[known:]
-
-    def _keeps(self, value: float) -> bool:
-        """Whether all runs together keep the budget at a value, once it is rounded."""
-        return self.try_value(rounded_down(value), self.start.receivers).within_budget
 
 
 def _best(trials: list[Trial]) -> Trial | None:
@@ -157,40 +156,33 @@ def _best(trials: list[Trial]) -> Trial | None:
 
 
 def tune(
-    start: WarmStart,
-    clean: Runs,
-    entry: PlayerSpec,
-    detector: str,
-    settings: Tuning,
-    *,
-    tick: Tick | None = None,
-) -> TuningResult:
-    """Search for the value of a spoofer's tunable setting."""
+    panel: Panel, number: int, entry: PlayerSpec, detector: str, settings: Tuning
+) -> Search[TuningResult]:
+    """Search for the value of a spoofer's tunable setting against one of a panel's detectors."""
     setting = entry.tuned
     if setting is None:
         raise ValueError(f"{entry.label!r} has no setting that is to be tuned")
     any_value = make_spoofer(entry.with_value(1.0))
-    low, high = tuning_range_of(any_value, start.setup)
+    low, high = tuning_range_of(any_value, panel.setup)
     high = high if entry.largest is None else entry.largest
     grid = log_spaced(low, high, settings.values)
-    everyone = start.receivers
-    search = _Search(start, clean, entry, settings, tick)
-    best = _best([search.try_value(value, settings.sift_runs) for value in grid])
+    search = _Search(panel, number, entry, settings)
+    best = _best((yield from search.try_values(grid, settings.sift_runs)))
     at = grid.index(best.value) if best else 0
-    fine = {at: search.try_value(grid[at], everyone)}
+    fine = {at: (yield from search.try_all_runs(grid[at]))}
     while not fine[at].within_budget and at > 0:
         at -= 1
-        fine[at] = search.try_value(grid[at], everyone)
+        fine[at] = yield from search.try_all_runs(grid[at])
     while at + 1 < len(grid) and fine[at].within_budget:
         if at + 1 not in fine:
-            fine[at + 1] = search.try_value(grid[at + 1], everyone)
+            fine[at + 1] = yield from search.try_all_runs(grid[at + 1])
         if _best([fine[at], fine[at + 1]]) is fine[at]:
             break
         at += 1
     trials = list(fine.values())
     if fine[at].within_budget:
         peak = at + 1 in fine and fine[at + 1].within_budget
-        trials += search.refine(grid, at, peak=peak)
+        trials += yield from search.refine(grid, at, peak=peak)
     chosen = _best(trials)
     return TuningResult(
         detector=detector,
@@ -199,9 +191,48 @@ def tune(
         value=chosen.value if chosen else grid[0],
         within_budget=chosen is not None,
         budget=settings.budget,
-        runs=everyone,
+        runs=panel.runs,
         counted=int(search.counts.sum()),
-        clean_alarm_rate=float((clean.first_alarm > 0).mean()),
-        warmup_alarms=int(start.warmup_alarm.sum()),
+        clean_alarm_rate=float((panel.twin_alarm[:, number] > 0).mean()),
+        warmup_alarms=int(panel.warmup_alarm[:, number].sum()),
         trials=tuple(sorted(search.trials, key=lambda trial: (trial.value, trial.runs))),
     )
+
+
+def search_work(settings: Tuning) -> float:
+    """Runs that a search takes, roughly."""
+    return settings.values * settings.sift_runs + (settings.refined + 2) * settings.runs
+
+
+def fit(
+    panel: Panel,
+    detectors: Mapping[int, PlayerSpec],
+    entry: PlayerSpec,
+    optima: Optima,
+    tick: Callable[[float], None] = lambda _: None,
+) -> Iterator[TuningResult]:
+    """Search for a spoofer's setting against detectors of a panel, in their order; of a blind
+    optimum for its curve before that."""
+    settings = optima.tuning
+    if not entry.searched:
+        searches = [(k, tune(panel, k, entry, d.label, settings)) for k, d in detectors.items()]
+        yield from play_searches(panel, searches, tick)
+        return
+    for number, detector in detectors.items():
+        share = 0.25 * search_work(settings)
+        found = optima.find(detector, entry, lambda part: tick(share * part))  # noqa: B023
+        curves = optima.curves_to_fit(found)
+        own = {name: with_rates(entry, rates) for name, rates in curves.items()}
+        searches = [
+            (number, tune(panel, number, x, detector.label, settings)) for x in own.values()
+        ]
+        fits = dict(zip(own, play_searches(panel, searches, tick), strict=True))
+        best = max(fits, key=lambda name: fits[name].score)
+        found["fitted_m"] = {name: fit.score for name, fit in fits.items()}
+        found["played"] = {"curve": best, "rates_mps": curves[best]}
+        yield replace(fits[best], found=found)
+
+
+def with_rates(entry: PlayerSpec, rates_mps: list[float]) -> PlayerSpec:
+    """A blind optimum with the rates of a curve."""
+    return replace(entry, spec={**entry.spec, "rates_mps": rates_mps})

@@ -40,7 +40,7 @@ from scipy import special
 from ...calibration.clean_runs import weighs
 from ...core.registry import whole_number
 from ...limits.response import NotReplayable, Replay, check_replayable
-from ...simulation.setup import seed_sequences
+from ...simulation.setup import Setup, seed_sequences
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.profile import MOST_KNOTS, sampled
 from ..runs.play import Runs, WarmStart, induced_error, play
@@ -310,14 +310,17 @@ class Optima:
         self.world, self.threads, self.settings = brackets.world, threads, BlindSearch()
         self._replay: Replay | None = None
         self._numbers: dict[str, int] | None = None
+        self._unwatched: tuple[WarmStart, Runs] | None = None
+
+    def _start(self, setup: Setup) -> tuple[WarmStart, Runs]:
+        """Runs that are searched on, at the onset, and what they do without attack."""
+        rngs = self.world.generators(self.brackets.entropy, SPLIT, self.settings.runs)
+        start = WarmStart(setup, rngs, threads=self.threads)
+        return start, play(start, "none")
 
     def find(self, detector: PlayerSpec, spoofer: PlayerSpec, tick: Tick) -> dict[str, Any]:
         """Curves by `AIMS`, ``aims``, with their ``rates_mps``; ``by``, what played the candidates.
         `spoofer`: a blind optimum without rates, for its heading."""
-        generators = self.world.generators(self.brackets.entropy, SPLIT, self.settings.runs)
-        setup = self.world.setup_of(detector, self.spoofers)
-        start = WarmStart(setup, generators, threads=self.threads)
-        clean = play(start, "none")
         heading_deg = spoofer.spec["heading_deg"]
         shape = self._zero_alarm(detector)
         replayed, why = self._replay_backend(detector, heading_deg)
@@ -325,11 +328,14 @@ class Optima:
         if replayed is not None:
             found = self._search(replayed, tick)
             spec = {**spoofer.untuned, "rates_mps": found[AIMS[0]]["rates_mps"]}
-            error = linear_error(replayed, spec, start, clean)
+            # a passive detector changes no displacement
+            self._unwatched = self._unwatched or self._start(self.world.setup)
+            error = linear_error(replayed, spec, *self._unwatched)
             if error <= LINEAR_ERROR:
                 return {"by": REPLAY, "linear_error": error, "aims": found, "shapes": shape}
             why = f"the displacement by replay is off by {100.0 * error:.1f} %"
-        found = self._search(EngineBackend(start, clean, heading_deg), tick)
+        start = self._start(self.world.setup_of(detector, self.spoofers))
+        found = self._search(EngineBackend(*start, heading_deg), tick)
         return {
             "by": ENGINE,
             "why": why,

@@ -1,58 +1,56 @@
-"""Grid and refinement over an attack suite.
-
-The search for the worst attacks of the suite on a detector, on runs of its own.
+"""The search for the worst attacks of a suite or a family on a detector, on runs of its own.
 
 1. On a few runs of the split `selection` every member of the suite plays its whole range.  Blind
    optima play around the amplitude that they were found at, and beyond where its ends are best.
-   A search with `rounds` then halves the gaps beside the best values.
+   A search with `rounds` then halves the gaps beside the best values: what just passes an alert
+   limit unnoticed is a narrow range of settings, and from one value of the grid to the next a
+   displacement doubles.
 2. For each aim, an alert limit or a share of the runs, the best of these and its neighbours play
    all runs of the selection, and the best one there is the winner.
 3. The winners play the evaluation runs, which have decided nothing, but for one thing: the worst of
    all winners counts, whatever each was chosen for.  That leans a little to the high side, and no
    figure contradicts another one.
-
-The search for the worst attacks of a family on a detector, whose settings it looks for.
-
-What just passes an alert limit unnoticed is a narrow range of settings, and from one value of the
-grid to the next a displacement doubles: gaps are halved before anything is chosen.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import ClassVar
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...attacks import make_attack
 from ...core.registry import Spec
+from ...envs.spoofer_binding import spoofer_context
 from ...simulation.setup import Setup
-from ...spoofers import SpooferContext
 from ...spoofers.scaled import LARGEST, SMALLEST
-from ..runs.panel import Panel
-from ..runs.play import Runs, WarmStart, horizontal, induced, off_truth, play
+from ..runs.panel import Attack, Panel, Search
+from ..runs.play import Runs, horizontal, induced, off_truth
 from ..runs.players import ATTACK
 from ..runs.record import MEASURES, Aim, Winner
-from ..scores.scores import SHARES, counted, undetected_displacement, worst_skies
+from ..scores.scores import SHARES, undetected_displacement, worst_skies
 from .attack_suite import SuiteAttack, grid_of
 from .settings import Selection, log_spaced, rounded_down
 
 FloatArray = NDArray[np.float64]
-Tick = Callable[[float], None]
 NEIGHBOURS = (-0.35, 0.35)
 """Steps of the grid that are tried around the best of its values."""
 JUST_PAST = 1.005
 """What an amplitude that just passes an alert limit displaces by, in parts of that."""
 SILENT = 0.5
 """What runs without an alarm reach at least, in parts of what the farthest one does."""
+AT_ONCE = 8
+"""Worst attacks whose runs are held together."""
 ALIKE = 0.002
 """Amplitudes that differ by less, in parts, are not both played."""
 
 
-def measured(setup: Setup, attacked: Runs, twin: Runs) -> dict[str, FloatArray]:
-    """Undetected displacement of every run by all measures that a victim has: (R,) each."""
+def measured(
+    setup: Setup, attacked: Runs, twin: Runs, measures: Sequence[str] = MEASURES
+) -> dict[str, FloatArray]:
+    """Undetected displacement of every run by some measures, as far as a victim has them."""
     moved, off = induced(setup, attacked, twin), off_truth(setup, attacked)
     sizes = [horizontal(moved), None, horizontal(off), None]
     if moved.shape[2] == 3:
@@ -62,7 +60,7 @@ def measured(setup: Setup, attacked: Runs, twin: Runs) -> dict[str, FloatArray]:
             undetected_displacement(size[: setup.steps], attacked.first_alarm, setup.hold), 6
         )
         for name, size in zip(MEASURES, sizes, strict=True)
-        if size is not None
+        if size is not None and name in measures
     }
 
 
@@ -74,28 +72,16 @@ def aims_of(measures: Sequence[str], limits: Sequence[float], skies: bool) -> tu
     return tuple(found + [Aim(first, share, skies=True) for share in SHARES if skies])
 
 
-def winner_of(
-    member: SuiteAttack, value: float, aims: Sequence[Aim], displacement: dict[str, FloatArray]
-) -> Winner:
-    """A member at a value as the worst attack, with what it has done in the evaluation runs."""
-    return Winner(
-        letter=member.letter,
-        spoofer=member.player.label,
-        setting=str(member.player.tuned),
-        value=value,
-        spec=member.player.with_value(value),
-        aims=tuple(aims),
-        displacement=displacement,
-    )
-
-
 Played = dict[tuple[int, float], dict[str, FloatArray]]
 """Displacements by member and value."""
+Found = dict[tuple[int, float], list[Aim]]
+"""Aims by member and value of the attack that is the worst one for them."""
 
 
-class Search:
-    """The search for the worst attacks on a detector, on runs of the selection at the onset."""
+class WorstAttacks:
+    """The search for the worst attacks on one of a panel's detectors."""
 
+    measures: ClassVar[tuple[str, ...]] = MEASURES
     by_skies: ClassVar[bool] = True
     """Whether attacks are looked for that are the worst in the worst skies."""
     neighbours: ClassVar[tuple[float, ...]] = NEIGHBOURS
@@ -104,65 +90,92 @@ class Search:
     """How often the gaps beside the best values are halved before that."""
 
     def __init__(
-        self,
-        start: WarmStart,
-        clean: Runs,
-        members: Sequence[SuiteAttack],
-        context: SpooferContext,
-        settings: Selection,
-        tick: Tick | None = None,
+        self, panel: Panel, number: int, members: Sequence[SuiteAttack], settings: Selection
     ) -> None:
-        self.start, self.clean, self.members = start, clean, members
-        self.context, self.settings, self.tick = context, settings, tick
-        self.counts = counted(start.warmup_alarm, clean.first_alarm)
-        self.sky = clean.onset // start.setup.epochs_each
+        self.panel, self.number = panel, number
+        self.members, self.settings = members, settings
+        self.context = spoofer_context(panel.setup)
+        self.counts, self.sky = panel.counts[:, number], panel.sky
         self.skies: NDArray[np.int64] | None = None
 
-    def winners(self, limits: Sequence[float]) -> dict[tuple[int, float], list[Aim]]:
-        """SuiteAttack and value of the worst attacks, each with its aims."""
-        few = min(self.settings.sift_runs, self.start.receivers)
+    def winners(self, limits: Sequence[float]) -> Search[Found]:
+        """Member and value of the worst attacks, each with its aims."""
+        few, everyone = min(self.settings.sift_runs, self.panel.runs), self.panel.runs
         grids = [self._grid(each) for each in self.members]
-        sifted = {(m, v): self._play(m, v, few) for m, grid in enumerate(grids) for v in grid}
+        sifted = yield from self._play(((m, v) for m, grid in enumerate(grids) for v in grid), few)
         measures = list(next(iter(sifted.values())))
         aims = aims_of(measures, limits, skies=False)
-        self._beyond_ends(sifted, grids, aims, few)
+        yield from self._beyond_ends(sifted, grids, aims, few)
         for _ in range(self.rounds):
-            self._halve_gaps(sifted, aims, few)
+            yield from self._halve_gaps(sifted, aims, few)
         wanted = {self._best(sifted, aim, few) for aim in aims}
         steps = [step * 0.5**self.rounds for step in self.neighbours]
         near = {(m, v) for m, value in wanted for v in _around(value, grids[m], steps)}
         if self.rounds:
             near |= {key for key, _ in self._peaks(sifted, aims, few)}
-        everyone = self.start.receivers
-        played = {key: self._play(*key, everyone) for key in sorted(near)}
+        played = yield from self._play(sorted(near), everyone)
         if self.by_skies:
             worst = self._best(played, aims[0], everyone)
             moved = played[worst][MEASURES[0]]
             self.skies = worst_skies(moved[self.counts], self.sky[self.counts])
         aims = aims_of(measures, limits, skies=self.skies is not None)
-        found: dict[tuple[int, float], list[Aim]] = {}
+        found: Found = {}
         for aim in aims:
             found.setdefault(self._best(played, aim, everyone), []).append(aim)
         return found
+
+    def _play(self, keys: Iterable[tuple[int, float]], runs: int) -> Search[Played]:
+        """Displacements of the first runs, by member and value."""
+        keys = list(keys)
+        played = yield [self.attack(*key, runs) for key in keys]
+        return {key: self.measured(self.panel, x) for key, x in zip(keys, played, strict=True)}
+
+    def attack(self, member: int, value: float, runs: int) -> Attack:
+        """A member with a value of its setting."""
+        entry = self.members[member].player
+        spec = entry.with_value(value)
+        if entry.side == ATTACK:
+            return Attack(IDLE, runs, make_attack(spec))
+        return Attack(spec, runs)
+
+    def measured(self, panel: Panel, attacked: Runs) -> dict[str, FloatArray]:
+        """Undetected displacement of the first runs of a panel by the measures: (R',) each."""
+        twin = panel.clean[self.number].first(len(attacked.peak))
+        return measured(panel.setup, attacked, twin, self.measures)
+
+    def winner(
+        self, key: tuple[int, float], aims: Sequence[Aim], displacement: dict[str, FloatArray]
+    ) -> Winner:
+        """A member at a value as the worst attack, with what it has done in the evaluation runs."""
+        member, value = self.members[key[0]], key[1]
+        return Winner(
+            letter=member.letter,
+            spoofer=member.player.label,
+            setting=str(member.player.tuned),
+            value=value,
+            spec=member.player.with_value(value),
+            aims=tuple(aims),
+            displacement=displacement,
+        )
 
     def _grid(self, member: SuiteAttack) -> list[float]:
         return grid_of(member, self.context, self.settings.values)
 
     def _beyond_ends(
         self, sifted: Played, grids: list[list[float]], aims: Sequence[Aim], runs: int
-    ) -> None:
+    ) -> Search[None]:
         """Let found curves go on beyond their range, for as long as its ends are the best of it."""
         while True:
             best = {self._best(sifted, aim, runs) for aim in aims}
             found = {(m, self._next(grids[m], at)) for m, at in best if self._is_found(m)}
             new = sorted((m, value) for m, value in found if value is not None)
-            for m, value in new:
-                grids[m] = sorted([*grids[m], value])
-                sifted[m, value] = self._play(m, value, runs)
             if not new:
                 return
+            for m, value in new:
+                grids[m] = sorted([*grids[m], value])
+            sifted |= yield from self._play(new, runs)
 
-    def _halve_gaps(self, sifted: Played, aims: Sequence[Aim], runs: int) -> None:
+    def _halve_gaps(self, sifted: Played, aims: Sequence[Aim], runs: int) -> Search[None]:
         """Play values beside the best ones, and those that just pass an alert limit. What passes it
         unnoticed may be a range of a few per cent, of which no coarse value is."""
         new = set()
@@ -170,8 +183,7 @@ class Search:
             grid = sorted(value for k, value in sifted if k == m)
             moved = [sifted[m, value][aim.measure][self.counts[:runs]] for value in grid]
             new |= {(m, value) for value in _between(grid, grid.index(at), moved, aim)}
-        for key in sorted(new - sifted.keys()):
-            sifted[key] = self._play(*key, runs)
+        sifted |= yield from self._play(sorted(new - sifted.keys()), runs)
 
     def _peaks(
         self, played: Played, aims: Sequence[Aim], runs: int
@@ -199,13 +211,6 @@ class Search:
         value = at * ratio if at == grid[-1] else at / ratio
         inside = SMALLEST <= value <= LARGEST
         return rounded_down(value) if at in (grid[0], grid[-1]) and inside else None
-
-    def _play(self, member: int, value: float, runs: int) -> dict[str, FloatArray]:
-        start = self.start if runs >= self.start.receivers else self.start.first(runs)
-        player, advance = self.members[member].player, self.tick
-        tick = None if advance is None else lambda part: advance(part * runs)
-        attacked = play(start, player.with_value(value), drop_alarmed=True, tick=tick)
-        return measured(start.setup, attacked, self.clean.first(runs))
 
     def _best(self, played: Played, aim: Aim, runs: int) -> tuple[int, float]:
         """Worst attack for an aim; of equal ones the first member with the smaller value."""
@@ -254,50 +259,37 @@ IDLE: Spec = {"name": "profile", "rates_mps": [0.0, 0.0]}
 """A spoofer that commands nothing, and transmits."""
 
 
-class PlayedFamily:
-    """Displacements of a panel's detectors by member, value and number of runs, each played once.
-    What one detector's search has played is there for the others."""
+class FamilyAttacks(WorstAttacks):
+    """The search for the worst attacks of a family. `antenna_m`: range of a meaconer's antenna."""
 
-    def __init__(self, panel: Panel, members: Sequence[SuiteAttack], tick: Callable[[float], None]):
-        self.panel, self.members, self.tick = panel, members, tick
-        self._found: dict[tuple[int, float, int], FloatArray] = {}
-
-    def __call__(self, member: int, value: float, runs: int) -> FloatArray:
-        """(D, R') [m]."""
-        key = member, value, runs
-        if key not in self._found:
-            player = self.members[member].player
-            spec, attack = player.with_value(value), None
-            if player.side == ATTACK:
-                spec, attack = IDLE, make_attack(spec)
-            self._found[key] = self.panel.displacement(spec, runs, attack)
-            self.tick(runs)
-        return self._found[key]
-
-
-class FamilySearch(Search):
-    """The search for the worst attacks of a family on one detector of a panel."""
-
-    by_skies = False
+    measures, by_skies = MEASURES[:1], False
     neighbours, rounds = FINE, ROUNDS
 
-    def __init__(
-        self,
-        played: PlayedFamily,
-        number: int,
-        context: SpooferContext,
-        settings: Selection,
-        antenna_m: tuple[float, float],
-    ) -> None:
-        panel = played.panel
-        super().__init__(panel.start, panel.clean, played.members, context, settings)
-        self.counts, self.sky = panel.counts[:, number], panel.sky
-        self._played, self._number, self._antenna_m = played, number, antenna_m
+    def __init__(self, *panel: Any, antenna_m: tuple[float, float]) -> None:
+        super().__init__(*panel)
+        self._antenna_m = antenna_m
 
     def _grid(self, member: SuiteAttack) -> list[float]:
         if member.player.side == ATTACK:
             return log_spaced(*self._antenna_m, self.settings.values)
         return super()._grid(member)
 
-    def _play(self, member: int, value: float, runs: int) -> dict[str, FloatArray]:
-        return {MEASURES[0]: self._played(member, value, runs)[self._number]}
+
+def play_winners(
+    panel: Panel, found: Sequence[tuple[WorstAttacks, Found]], tick: Callable[[float], None]
+) -> list[tuple[Winner, ...]]:
+    """Let the worst attacks on detectors play all runs of a panel."""
+    asked = [
+        (search.attack(*key, panel.runs), search, key) for search, aims in found for key in aims
+    ]
+    asked.sort(key=lambda each: each[0].key)  # equal ones are played together
+    moved: dict[tuple[int, tuple[int, float]], dict[str, FloatArray]] = {}
+    for first in range(0, len(asked), AT_ONCE):
+        some = asked[first : first + AT_ONCE]
+        played = panel.play([(attack, search.number) for attack, search, _ in some], tick=tick)
+        for (_, search, key), runs in zip(some, played, strict=True):
+            moved[search.number, key] = search.measured(panel, runs)
+    return [
+        tuple(search.winner(key, sought, moved[search.number, key]) for key, sought in aims.items())
+        for search, aims in found
+    ]

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from onnx import helper, numpy_helper
+from spoofgym.bench.experiments.versions import campaign_digest
 
 import spoofgym
 from spoofgym import duel_v0
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.experiments.versions import campaign_digest
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.calibration import calibrate
 from spoofgym.calibration.clean_runs import Player
