@@ -338,13 +338,18 @@ def identity_of(detector: Detector) -> dict[str, Any]:
     return {**found, "sources": sources} if sources else found
 
 
+def calibrated_parts(detector: Detector) -> list[Calibrated]:
+    """What of a detector, or of the members of a pool, has scaled thresholds."""
+    return [each for each in detector.judges or (detector,) if isinstance(each, Calibrated)]
+
+
 def resolve(detector: Detector, world: World) -> None:
     """Look up the factors of a detector, or of the members of a pool, that are not known yet.
 
     Where there are none, that it can't judge here at all is the first thing to be said.
     """
-    for part in detector.judges or (detector,):
-        if isinstance(part, Calibrated) and part.is_unknown_in(world):
+    for part in calibrated_parts(detector):
+        if part.is_unknown_in(world):
             try:
                 part.look_up(world)
             except ValueError:
@@ -354,5 +359,4 @@ def resolve(detector: Detector, world: World) -> None:
 
 def factors_of(detector: Detector) -> list[tuple[float | None, tuple[float, ...] | None]]:
     """Factors on thresholds and innovations that a detector, or each of a pool, has been given."""
-    parts = detector.judges or (detector,)
-    return [(each.scale, each.rescale) for each in parts if isinstance(each, Calibrated)]
+    return [(each.scale, each.rescale) for each in calibrated_parts(detector)]

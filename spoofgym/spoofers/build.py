@@ -14,7 +14,7 @@ from .learned import OnnxPolicy
 from .profile import BlindOptimum, Profile
 from .ramps import AcceleratingRamp, Dash, Intermittent, NoSpoofer, Ramp, Step
 from .scaled import AMPLITUDE, Scaled, split_amplitude
-from .zoo import card_of, shipped, spec_of_shipped
+from .zoo import card_of, shipped
 
 SPOOFERS: dict[str, type[Spoofer]] = {
     "accelerating-ramp": AcceleratingRamp,
@@ -49,7 +49,10 @@ def resolve(spec: Any) -> Any:
             f"the shipped spoofer {name!r} is as it is, and has no setting "
             f"{', '.join(map(repr, settings))}"
         )
-    return spec_of_shipped(name)
+    card = card_of(name)
+    if card.file is None:
+        return {"name": card.kind, **card.settings, "label": name}
+    return {"name": card.kind, "file": name, "sha256": card.file.sha256}
 
 
 def make_spoofer(spec: str | Mapping[str, Any] | Spoofer) -> Spoofer:

@@ -12,8 +12,8 @@ import numpy as np
 from ...attacks import ATTACKS
 from ...core.registry import check_choice, refuse_given, settings_of, spec_of
 from ...core.settings import describe
-from ...detectors import Calibrated, Detector, OperatingPoint
-from ...detectors.calibrated import resolve
+from ...detectors import Detector, OperatingPoint
+from ...detectors.calibrated import calibrated_parts, resolve
 from ...envs.factory import make_setup
 from ...envs.spoofer_binding import (
     ENV_ID,
@@ -146,10 +146,8 @@ class World:
 
     def points(self, detector: PlayerSpec) -> list[OperatingPoint]:
         """Where a detector works that asks for a rate, or the members of a pool; else nothing."""
-        judge = self.judge(detector)
-        parts = judge.judges or (judge,)
-        found = [part.point for part in parts if isinstance(part, Calibrated)]
-        return [point for point in found if point is not None]
+        parts = calibrated_parts(self.judge(detector))
+        return [part.point for part in parts if part.point is not None]
 
     def check_fit(
         self, detectors: Iterable[PlayerSpec], spoofers: Sequence[PlayerSpec] = ()
