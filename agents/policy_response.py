@@ -7,7 +7,7 @@ from typing import Any
 
 from stable_baselines3 import PPO
 
-from spoofgym.bench.experiments.members import Mixture
+from spoofgym.bench.runs.players import Mixture
 from spoofgym.export import onnx
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers.learned import finite

@@ -28,7 +28,7 @@ from agents.folder import error_lines
 from agents.seeds import marked
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import interval, number, titled
-from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.scores.campaign import bound_of
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.cli.output import print_json, print_table, progress
@@ -111,7 +111,7 @@ def headline(text: str) -> dict[str, dict[str, Any]]:
 def cases(names: list[str], task: str | None) -> dict[str, dict[str, Any]]:
     """What is to be played, by the detector's label."""
     if task is not None:
-        return {detector_entry(task_of(task).detector).label: {"room": True}}
+        return {specify_detector(task_of(task).detector).label: {"room": True}}
     found: dict[str, dict[str, Any]] = {}
     for name in names or [""]:
         chosen = headline(name)

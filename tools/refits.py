@@ -29,7 +29,7 @@ from agents.seeds import keeps_budget, spread, value_of
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.report.table import titled
-from spoofgym.bench.runs.players import Entry, check_labels, fitted, spoofer_entry
+from spoofgym.bench.runs.players import PlayerSpec, check_labels, fitted, specify_spoofer
 from spoofgym.core.files import write_file
 from spoofgym.core.registry import parse_spec, whole_number
 from spoofgym.core.settings import digest_of
@@ -79,11 +79,11 @@ class Settings:
             raise ValueError(f"`entropies` must be different numbers, got {self.entropies}")
         whole_number("`runs`", self.runs, 1)
 
-    def whom(self, task: str) -> list[Entry]:
+    def whom(self, task: str) -> list[PlayerSpec]:
         """Spoofers of a task, the ramp first."""
         given = self.spoofer or ("accelerating-ramp", LEARNED[task])
         names = [RAMP, *(name for name in given if name != RAMP)]
-        entries = tuple(spoofer_entry(fitted(parse_spec(name))) for name in names)
+        entries = tuple(specify_spoofer(fitted(parse_spec(name))) for name in names)
         check_labels(entries)
         return list(entries)
 
@@ -93,7 +93,7 @@ class Settings:
         return {"runs": self.runs, "fit_runs": self.fit_runs}
 
 
-def scored(judge: Evaluator, whom: Sequence[Entry]) -> list[dict[str, Any]]:
+def scored(judge: Evaluator, whom: Sequence[PlayerSpec]) -> list[dict[str, Any]]:
     """Scores on one set of runs, with ratios to the first one, JSON-able."""
     scores = [judge.score(entry.spec) for entry in whom]
     ramp = scores[0]

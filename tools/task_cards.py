@@ -44,7 +44,7 @@ from spoofgym.bench.report.tasks import (
     score_rows,
     stored_cards,
 )
-from spoofgym.bench.runs.players import detector_entry, fitted
+from spoofgym.bench.runs.players import fitted, specify_detector
 from spoofgym.bench.search.settings import Selection, Tuning
 from spoofgym.cli.output import progress
 from spoofgym.core.files import write_file
@@ -77,10 +77,10 @@ def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
     """The campaign of a task: its detector, and the classics where it has to be admitted."""
     whom: tuple[dict[str, Any], ...] = (task.detector,)
     if not task.historical:
-        own = {detector_entry(spec).label for spec in whom}
+        own = {specify_detector(spec).label for spec in whom}
         # the members of a pool are its classics
         others = (TRIVIAL,) if task.pooled else (*CLASSICS, TRIVIAL)
-        whom = (*whom, *(spec for spec in others if detector_entry(spec).label not in own))
+        whom = (*whom, *(spec for spec in others if specify_detector(spec).label not in own))
     limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
     return Suite(
         **task.world_kwargs,
@@ -109,7 +109,7 @@ def played(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
 def card_of(task: Task, results: CampaignResults) -> dict[str, Any]:
     """What is kept of a task's campaign."""
     summary = summarize(results)
-    own = detector_entry(task.detector).label
+    own = specify_detector(task.detector).label
     detectors = {row["detector"]: row for row in summary["detectors"]}
     scores = {name_of(cell): score_of(cell) for cell in summary["cells"] if cell["detector"] == own}
     floor = summary["limits"]["floor"]
@@ -168,7 +168,7 @@ def admission(
     task: Task, summary: dict[str, Any], results: CampaignResults, card: dict[str, Any]
 ) -> dict[str, Any]:
     """The five figures of a task, and whether each is as it has to be."""
-    trivial = detector_entry(TRIVIAL).label
+    trivial = specify_detector(TRIVIAL).label
     classics = [name for name in card["protection_m"] if name != trivial]
     best = min(classics, key=lambda name: half_of(card, name))
     half, floor = half_of(card, best), card["floor_m"]

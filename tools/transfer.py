@@ -32,7 +32,7 @@ from spoofgym.bench.experiments.versions import versions
 from agents.folder import error_lines
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import interval
-from spoofgym.bench.runs.players import fitted, spoofer_entry
+from spoofgym.bench.runs.players import fitted, specify_spoofer
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.bench.search.amplitude import with_rates
 from spoofgym.cli.output import print_json, print_table, progress
@@ -83,7 +83,7 @@ class Kept:
 
 def trained(judge: Evaluator, spec: Row) -> Row:
     """Spec as it comes out of its training in a world, with what is fitted at its value."""
-    entry = spoofer_entry(fitted(spec))
+    entry = specify_spoofer(fitted(spec))
     if entry.tuned is None:
         return dict(entry.spec)
     found = judge.fit(entry.spec)
@@ -139,7 +139,7 @@ def table(
                 one, native = learned(spec, home), learned(spec, there)
                 digest = worlds.digest(there, "played", one, native)
                 found = kept(digest, lambda: case_of(worlds.judge(there), one, native))  # noqa: B023
-                label = spoofer_entry(fitted(spec)).label
+                label = specify_spoofer(fitted(spec)).label
                 rows.append({"spoofer": label, "home": home, "world": there, **found})
                 bar.advance(1.0, f"{label}, {home} -> {there}")
     return rows

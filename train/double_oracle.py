@@ -39,25 +39,25 @@ from rich.console import Console
 
 from agents.folder import error_lines, open_folder
 from agents.game_page import page_of
-from spoofgym.bench.experiments.campaign import everyone_in, in_order
-from spoofgym.bench.experiments.game import Game
-from spoofgym.bench.experiments.members import (
-    DETECTOR,
-    SPOOFER,
-    Member,
-    Mixture,
-    member_of,
-    mixture,
-)
-from spoofgym.bench.runs.world import CONTROLS
-from spoofgym.bench.scores.matrix_game import PAYOFFS, PayoffMatrix
-from spoofgym.bench.search.best_response import (
+from spoofgym.bench.experiments.best_response import (
     AttackBudget,
     Response,
     best_detector,
     best_spoofer,
     exploitability,
 )
+from spoofgym.bench.experiments.campaign import everyone_in, in_order
+from spoofgym.bench.experiments.game import Game
+from spoofgym.bench.runs.players import (
+    DETECTOR,
+    SPOOFER,
+    Mixture,
+    PlayerSpec,
+    member_of,
+    mixture,
+)
+from spoofgym.bench.runs.world import CONTROLS
+from spoofgym.bench.scores.matrix_game import PAYOFFS, PayoffMatrix
 from spoofgym.bench.search.open_loop import BlindSearch
 from spoofgym.calibration.thresholds import calibrate
 from spoofgym.core.files import write_file
@@ -167,8 +167,8 @@ class DoubleOracle:
         open_folder(args.out, args.config)
         self.game = Game(args.task, folder=args.out / "entries", **settings)
         self.fresh = self.game.on("evaluation")
-        self.spoofers: list[Member] = []
-        self.detectors: list[Member] = []
+        self.spoofers: list[PlayerSpec] = []
+        self.detectors: list[PlayerSpec] = []
 
     def play(self) -> dict[str, Any]:
         """Play all iterations that are missing; the results, JSON-able."""
@@ -202,7 +202,7 @@ class DoubleOracle:
         """Add members that are not there yet."""
         for side, own in ((SPOOFER, self.spoofers), (DETECTOR, self.detectors)):
             for data in found[f"{side}s"]:
-                member = Member.from_json(side, data)
+                member = PlayerSpec.from_json(side, data)
                 if all(member.spec != each.spec for each in own):
                     own.append(member)
 
@@ -221,7 +221,7 @@ class DoubleOracle:
             "left_out": [*self.left_out, *found.notes],
         }
 
-    def _classics(self) -> tuple[list[Member], list[str]]:
+    def _classics(self) -> tuple[list[PlayerSpec], list[str]]:
         """Detectors that have a calibration in this world, and why others have none."""
         rate = {"false_alarms_per_hour": self.args.false_alarms_per_hour}
         specs: list[dict[str, Any]] = [parse_spec(text) for text in self.args.detectors]
@@ -300,7 +300,7 @@ class DoubleOracle:
     def _matrix(self) -> PayoffMatrix:
         return self.game.matrix(self.spoofers, self.detectors, oracles=True)
 
-    def _spoofer(self, mix: Mixture, turn: int, given: Sequence[Member]) -> Response:
+    def _spoofer(self, mix: Mixture, turn: int, given: Sequence[PlayerSpec]) -> Response:
         return best_spoofer(
             self.game,
             mix,
@@ -311,7 +311,7 @@ class DoubleOracle:
             label=f"response {turn}",
         )
 
-    def _detector(self, mix: Mixture, turn: int, detectors: Sequence[Member]) -> Response:
+    def _detector(self, mix: Mixture, turn: int, detectors: Sequence[PlayerSpec]) -> Response:
         return best_detector(
             self.game,
             mix,
@@ -320,7 +320,7 @@ class DoubleOracle:
             entropy=self.args.entropy + 1 + turn,
         )
 
-    def _policies(self, mix: Mixture, turn: int) -> list[Member]:
+    def _policies(self, mix: Mixture, turn: int) -> list[PlayerSpec]:
         """What PPO has learned against a mix, at some amplitudes."""
         if not self.args.ppo_steps:
             return []
@@ -339,7 +339,7 @@ class DoubleOracle:
             for x in AMPLITUDES
         ]
 
-    def _learned(self, mix: Mixture, turn: int) -> list[Member]:
+    def _learned(self, mix: Mixture, turn: int) -> list[PlayerSpec]:
         """Detector that a command has learned against a mix, at the rate of all others."""
         if self.args.detector_response == "none":
             return []

@@ -58,7 +58,8 @@ from agents.learning import LEAST, MOST, Bar, for_learning, learn, next_price, s
 from agents.record import TrainingRecord, read_record
 from agents.seeds import LOUDEST, comparable, copy_policy, table_of
 from agents.spoofer_table import RIVALS
-from spoofgym.bench.experiments.evaluate import FITTED, Evaluator, entry_of
+from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.runs.players import FITTED, specify_policy
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.core.files import write_file
 from spoofgym.core.progress import show_progress
@@ -149,7 +150,7 @@ class Arguments:
             )
         _ = self.world  # or a message about `settings`
         for name in self.rivals:
-            entry_of(name, FITTED, None)
+            specify_policy(name, FITTED)
 
     @property
     def identity(self) -> dict[str, Any]:

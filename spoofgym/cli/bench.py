@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from ..bench.experiments.suite import Suite
     from ..bench.experiments.summary import CampaignResults
-    from ..bench.runs.players import Entry
+    from ..bench.runs.players import PlayerSpec
     from ..bench.runs.world import World as Played
     from ..bench.search.amplitude import TuningResult
     from ..bench.search.settings import Selection, Tuning
@@ -239,7 +239,7 @@ def selection_of(runs: int) -> Selection | None:
     return Selection(runs=runs, sift_runs=max(runs // 4, 1)) if runs else None
 
 
-def untuned(suite: Suite) -> Entry:
+def untuned(suite: Suite) -> PlayerSpec:
     """The suite's own spoofer, which has to know all its settings."""
     player = suite.spoofer_entries[-1]
     if player.tuned:
@@ -356,15 +356,15 @@ def tune(
     """Find the strongest ramp that keeps to an alarm budget, on training runs."""
     from ..bench.report.table import tuning_head, tuning_rows
     from ..bench.runs.panel import Panel
-    from ..bench.runs.players import TUNED, build_spoofer
+    from ..bench.runs.players import TUNED
     from ..bench.search.amplitude import fit, search_work
-    from ..detectors import detector_in_world
+    from ..spoofers import make_spoofer
     from ..spoofers.scaled import AMPLITUDE
 
     specs = specs_of(spoofer or ["ramp", "accelerating-ramp"])
     for spec in specs:
         untuned = {key: value for key, value in spec.items() if value != TUNED}
-        spec[build_spoofer(untuned).tunable or AMPLITUDE] = TUNED
+        spec[make_spoofer(untuned).tunable or AMPLITUDE] = TUNED
     suite, _ = suite_of(
         world,
         detector,
@@ -384,7 +384,7 @@ def tune(
     rngs = lambda: suite.generators("training", suite.tuning.runs)  # noqa: E731
     with progress(each * len(suite.detector_entries)) as bar:
         for judge in suite.detector_entries:
-            judges = [detector_in_world(judge.spec)]
+            judges = [judge.build()]
             panel = Panel(suite.world.setup, judges, rngs, threads, watched)
             for entry in entries:
                 now = f"{judge.label}: tuning {entry.label}"

@@ -20,7 +20,7 @@ from .output import progress
 
 if TYPE_CHECKING:
     from ..bench.experiments import Experiment, Reader
-    from ..bench.runs.players import Entry
+    from ..bench.runs.players import PlayerSpec
     from ..bench.runs.world import World as Played
 
 ENV = "spoofgym/TightlyCoupled-v0"
@@ -115,7 +115,10 @@ def specs_of(texts: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def calibrate_with_progress(
-    world: Played, entries: Sequence[Entry], threads: int | None, optional: Collection[str] = ()
+    world: Played,
+    entries: Sequence[PlayerSpec],
+    threads: int | None,
+    optional: Collection[str] = (),
 ) -> dict[str, str]:
     """Calibrate the detectors that ask for a rate of false alarms, and show how far that is.
 

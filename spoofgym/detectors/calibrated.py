@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from ..core.compile import njit
 from ..core.registry import is_number
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict
+from .base import DETECTORS, Detector, DetectorContext, Verdict
 from .calibration_file import (
     Calibration,
     Conditions,
@@ -42,7 +42,6 @@ from .calibration_file import (
     sources_of,
     stored,
 )
-from .pool import PooledDetector
 
 FloatArray = NDArray[np.float64]
 STANDARD_RATE = 0.2
@@ -121,7 +120,7 @@ class Calibrated(Detector):
         inner = self.detector
         if not isinstance(inner, Detector) or isinstance(inner, Calibrated):
             raise TypeError(f"`detector` must be a Detector that is not calibrated, got {inner!r}")
-        if isinstance(inner, PooledDetector):
+        if inner.judges:
             raise TypeError("a pool calibrates its members: ask them for the rate, one by one")
         if self.scale is None and self.false_alarms_per_hour is None:
             raise ValueError("a calibrated detector needs `scale` or `false_alarms_per_hour`")
@@ -319,8 +318,6 @@ def rescale_innovations(
 def identity_of(detector: Detector) -> dict[str, Any]:
     """Resolved settings of a detector, JSON-able: what its calibration belongs to. Settings that
     are not its own, such as those of a policy, a class gives by a method `identity`."""
-    from . import DETECTORS
-
     own = getattr(detector, "identity", None)
     if own is not None:
         return dict(described(own()))
@@ -341,14 +338,18 @@ def identity_of(detector: Detector) -> dict[str, Any]:
     return {**found, "sources": sources} if sources else found
 
 
+def calibrated_parts(detector: Detector) -> list[Calibrated]:
+    """What of a detector, or of the members of a pool, has scaled thresholds."""
+    return [each for each in detector.judges or (detector,) if isinstance(each, Calibrated)]
+
+
 def resolve(detector: Detector, world: World) -> None:
     """Look up the factors of a detector, or of the members of a pool, that are not known yet.
 
     Where there are none, that it can't judge here at all is the first thing to be said.
     """
-    parts = detector.judges if isinstance(detector, PooledDetector) else (detector,)
-    for part in parts:
-        if isinstance(part, Calibrated) and part.is_unknown_in(world):
+    for part in calibrated_parts(detector):
+        if part.is_unknown_in(world):
             try:
                 part.look_up(world)
             except ValueError:
@@ -358,5 +359,4 @@ def resolve(detector: Detector, world: World) -> None:
 
 def factors_of(detector: Detector) -> list[tuple[float | None, tuple[float, ...] | None]]:
     """Factors on thresholds and innovations that a detector, or each of a pool, has been given."""
-    parts = detector.judges if isinstance(detector, PooledDetector) else (detector,)
-    return [(each.scale, each.rescale) for each in parts if isinstance(each, Calibrated)]
+    return [(each.scale, each.rescale) for each in calibrated_parts(detector)]

@@ -23,9 +23,9 @@ from ..core.settings import describe
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.epoch import Epoch
 from ..receiver.kalman import normalized_innovation_squared
-from .base import Detector, DetectorContext, judged
+from .base import DETECTORS, Detector, DetectorContext, judged
+from .build import make_detector
 from .calibrated import Calibrated
-from .pool import PooledDetector
 
 FloatArray = NDArray[np.float64]
 Written = NDArray[np.float32]
@@ -373,11 +373,9 @@ class Classic(DetectorTerm):
     _judge: ClassVar[Detector]
 
     def __post_init__(self) -> None:
-        from . import DETECTORS, make_detector
-
         made = make_detector(self.detector)
         kinds = {kind: name for name, kind in DETECTORS.items()}
-        if isinstance(made, Calibrated | PooledDetector) or type(made) not in kinds:
+        if isinstance(made, Calibrated) or made.judges or type(made) not in kinds:
             raise ValueError(
                 "`detector` of a classic term must be one of the package with its nominal "
                 f"thresholds, and neither a pool nor a learned one, got {self.detector!r}"

@@ -20,11 +20,10 @@ from ..spoofers import (
     ScriptedSpoofer,
     Spoofer,
     SpooferContext,
-    card_of,
     make_spoofer,
-    shipped,
 )
 from ..spoofers.aim import TARGET, has_heading
+from ..spoofers.build import card_behind
 from .core import SpoofCore
 from .factory import composable, make_setup, settings_of
 from .observer import Observer
@@ -84,10 +83,10 @@ def attach(
     (4, 1)
     >>> envs.close()
     """
-    made = make_spoofer(dict(spoofer) if isinstance(spoofer, Mapping) else spoofer)
+    made = make_spoofer(spoofer)
     core: SpoofCore = composable(env, unset=False).core
     context = spoofer_context(core.setup, core.receivers, core.observer, core.commands)
-    card = card_behind(spoofer, made)
+    card = card_behind(made)
     if card is not None:
         found = _wrapped(env, core, card) + card.differences(context)
         if not transfer:
@@ -273,13 +272,6 @@ def _made_for(card: Card) -> Setup:
     with suppress(ValueError):  # without a calibration there is no such environment, either
         resolve(made.detector, made)
     return made
-
-
-def card_behind(spec: Spoofer | Mapping[str, Any] | str, made: Spoofer) -> Card | None:
-    name = spec.get("name") if isinstance(spec, Mapping) else spec
-    if isinstance(name, str) and name in shipped():
-        return card_of(name)
-    return getattr(made, "card", None)
 
 
 def _wrapped(env: Any, core: SpoofCore, card: Card) -> list[str]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
 from ...calibration.holdouts import check
 from ...calibration.thresholds import calibrate, expected_runs
 from ...core.progress import ProgressCallback
-from ...detectors import Calibrated, Detector, PooledDetector, detector_in_world
-from ...detectors.calibrated import resolve
-from ..runs.players import Entry
+from ...detectors import Detector
+from ...detectors.calibrated import calibrated_parts
+from ..runs.players import PlayerSpec
 from ..runs.world import World
 
 
@@ -21,38 +21,27 @@ class _Rate(NamedTuple):
     rescaled: bool
 
 
-def _asked(entries: Iterable[Entry]) -> dict[_Rate, list[Detector]]:
+def _asked(entries: Iterable[PlayerSpec]) -> dict[_Rate, list[Detector]]:
     """Detectors that ask for a rate of the calibrations that are looked up."""
     found: dict[_Rate, list[Detector]] = {}
-    for part in (part for entry in entries for part in _parts(entry)):
+    for part in (part for entry in entries for part in calibrated_parts(entry.build())):
         rate = part.false_alarms_per_hour
         if part.scale is None and part.calibration is None and rate is not None:
             found.setdefault(_Rate(rate, part.rescaled), []).append(part.detector)
     return found
 
 
-def _parts(entry: Entry) -> Iterator[Calibrated]:
-    judge = detector_in_world(entry.spec)
-    parts = judge.judges if isinstance(judge, PooledDetector) else (judge,)
-    yield from (part for part in parts if isinstance(part, Calibrated))
-
-
-def missing_runs(world: World, entries: Iterable[Entry]) -> int:
+def missing_runs(world: World, entries: Iterable[PlayerSpec]) -> int:
     """Clean runs that the calibrations of detectors lack."""
     return sum(
-        expected_runs(
-            world.setup,
-            detectors,
-            false_alarms_per_hour=rate.false_alarms_per_hour,
-            rescaled=rate.rescaled,
-        )
+        expected_runs(world.setup, detectors, **rate._asdict())
         for rate, detectors in _asked(entries).items()
     )
 
 
 def calibrate_entries(
     world: World,
-    entries: Sequence[Entry],
+    entries: Sequence[PlayerSpec],
     *,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
@@ -65,8 +54,7 @@ def calibrate_entries(
         found = calibrate(
             world.setup,
             detectors,
-            false_alarms_per_hour=rate.false_alarms_per_hour,
-            rescaled=rate.rescaled,
+            **rate._asdict(),
             threads=threads,
             progress=progress,
             strict=False,
@@ -75,8 +63,7 @@ def calibrate_entries(
     refused = {}
     for entry in entries:
         try:
-            for part in _parts(entry):  # those of a file of the user's, too, which this looks up
-                resolve(part, world.setup)
+            world.judge(entry)  # with what is in a file of the user's, too
         except ValueError as error:
             if entry.label not in optional:
                 raise

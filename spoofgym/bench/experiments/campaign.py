@@ -22,17 +22,16 @@ from typing import Any, ClassVar
 from ...calibration.clean_runs import weighs
 from ...calibration.thresholds import suitable_detectors
 from ...core.progress import ProgressCallback
-from ...detectors import detector_in_world
 from ...detectors.build import spec_of_judge
 from ...detectors.calibrated import STANDARD_RATE, resolve
 from ...simulation.setup import Setup
 from ...tasks import RANGE_RATE_TESTS, SUITE, task_of
 from ..runs.panel import Attack, Panel, play_searches
-from ..runs.players import Entry, knowledge_of
+from ..runs.players import PlayerSpec, knowledge_of
 from ..runs.record import Protection, RunRecord, record_runs
 from ..runs.world import CONTROLS
 from ..search.amplitude import TuningResult, fit, search_work, with_rates
-from ..search.attack_suite import Member
+from ..search.attack_suite import SuiteAttack
 from ..search.open_loop import AIMS, Optima
 from ..search.worst_attack import WorstAttacks, expected_plays, play_winners
 from .runner import Context, Experiment, run
@@ -110,24 +109,28 @@ class Campaign(Experiment):
         return self.results(results).summary()
 
     @cached_property
-    def panels(self) -> list[list[Entry]]:
+    def panels(self) -> list[list[PlayerSpec]]:
         """Detectors that are played together."""
         setup = self.suite.world.setup
-        passive: list[Entry] = []
-        others: list[Entry] = []
+        passive: list[PlayerSpec] = []
+        others: list[PlayerSpec] = []
         for entry in self.suite.detector_entries:
-            judge = detector_in_world(entry.spec)
+            judge = entry.build()
             resolve(judge, setup)
             (others if weighs(setup, judge) else passive).append(entry)
         count = -(-len(passive) // PANEL)
         return [*(passive[k::count] for k in range(count)), *([entry] for entry in others)]
 
     @cached_property
-    def parts(self) -> dict[str, tuple[str, Entry | None, Entry | None]]:
+    def parts(self) -> dict[str, tuple[str, PlayerSpec | None, PlayerSpec | None]]:
         """Kind, detector and spoofer of every cell, by its key."""
         suite = self.suite
-        detectors: dict[str | None, Entry] = {each.label: each for each in suite.detector_entries}
-        spoofers: dict[str | None, Entry] = {each.label: each for each in suite.spoofer_entries}
+        detectors: dict[str | None, PlayerSpec] = {
+            each.label: each for each in suite.detector_entries
+        }
+        spoofers: dict[str | None, PlayerSpec] = {
+            each.label: each for each in suite.spoofer_entries
+        }
         return {
             key: (kind, detectors.get(detector), spoofers.get(spoofer))
             for key, (kind, detector, spoofer) in keys_of(self.config).items()
@@ -161,7 +164,7 @@ class Campaign(Experiment):
                         key = keys[kind, detector.label, label]
                         yield Cell(key, {}, self._work(kind, spoofer), after, group)
 
-    def _work(self, kind: str, spoofer: Entry | None) -> float:
+    def _work(self, kind: str, spoofer: PlayerSpec | None) -> float:
         """Work of a cell, in runs of an attack, roughly."""
         suite, settings = self.suite, self.suite.selection
         if kind == "search":
@@ -206,7 +209,7 @@ class _Players:
     def __init__(
         self,
         suite: Suite,
-        detectors: list[Entry],
+        detectors: list[PlayerSpec],
         results: CampaignResults,
         context: Context,
         optima: Optima,
@@ -221,23 +224,25 @@ class _Players:
             suite, world = self.suite, self.suite.world
             self._panels[split] = Panel(
                 world.setup,
-                [detector_in_world(each.spec) for each in self.detectors],
+                [each.build() for each in self.detectors],
                 lambda: suite.generators(split, runs),
                 self.context.threads,
                 world.watched_for(suite.spoofer_entries),
             )
         return self._panels[split]
 
-    def _numbers(self, detectors: Sequence[Entry]) -> dict[int, Entry]:
+    def _numbers(self, detectors: Sequence[PlayerSpec]) -> dict[int, PlayerSpec]:
         return {self.detectors.index(each): each for each in detectors}
 
-    def searches(self, detectors: Sequence[Entry], spoofer: Entry) -> Iterator[TuningResult]:
+    def searches(
+        self, detectors: Sequence[PlayerSpec], spoofer: PlayerSpec
+    ) -> Iterator[TuningResult]:
         """What is found for a spoofer against each detector."""
         panel = self._panel("training", self.suite.tuning.runs)
         numbers, optima = self._numbers(detectors), lambda: self.optima
         return fit(panel, numbers, spoofer, self.suite.tuning, optima, self.context.tick)
 
-    def records(self, detectors: Sequence[Entry], spoofer: Entry) -> Iterator[RunRecord]:
+    def records(self, detectors: Sequence[PlayerSpec], spoofer: PlayerSpec) -> Iterator[RunRecord]:
         """What a spoofer does in the evaluation runs of each detector."""
         suite, panel = self.suite, self._panel("evaluation", self.suite.runs)
         numbers, specs, within = self._numbers(detectors), [], []
@@ -265,7 +270,7 @@ class _Players:
             twin, limit_m = panel.clean[number], suite.alert_limit_m
             yield record_runs(panel.setup, head, early, attacked, twin, limit_m)
 
-    def protections(self, detectors: Sequence[Entry]) -> Iterator[Protection]:
+    def protections(self, detectors: Sequence[PlayerSpec]) -> Iterator[Protection]:
         """What the worst attacks of the suite do against each detector."""
         suite, tick = self.suite, self.context.tick
         assert suite.selection is not None  # as the cell says
@@ -287,20 +292,20 @@ class _Players:
             yield Protection(head, winners, counts[:, search.number], panel.sky, search.skies)
 
 
-def found_optima(suite: Suite, results: CampaignResults, detector: Entry) -> list[Member]:
+def found_optima(suite: Suite, results: CampaignResults, detector: PlayerSpec) -> list[SuiteAttack]:
     """Curves that were found against a detector, as members of the attack suite."""
-    members: list[Member] = []
+    members: list[SuiteAttack] = []
     for entry in suite.spoofer_entries:
         result = results.search(detector.label, entry.label) if entry.searched else None
         if result is not None and result.found is not None:
             each = (result.found["played"], *(result.found["aims"][name] for name in AIMS))
             curves = [with_rates(entry, curve["rates_mps"]) for curve in each]
             own = [curve for k, curve in enumerate(curves) if curve not in curves[:k]]
-            members += [Member("c", curve, True) for curve in own]
+            members += [SuiteAttack("c", curve, True) for curve in own]
     return members
 
 
-def played_spec(spoofer: Entry, found: TuningResult) -> dict[str, Any]:
+def played_spec(spoofer: PlayerSpec, found: TuningResult) -> dict[str, Any]:
     """A spoofer with what a search has found for it."""
     if found.found is not None:
         spoofer = with_rates(spoofer, found.found["played"]["rates_mps"])

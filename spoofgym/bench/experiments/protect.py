@@ -25,14 +25,22 @@ from ...envs.spoofer_binding import spoofer_context
 from ...simulation.setup import Setup
 from ...tasks import ANTENNA_PARTS, CANDIDATES, EVENTS, AttackFamily, DetectorTask, detector_task_of
 from ..runs.panel import NearAlarm, Panel, generators, in_any_world, numbers_of, play_searches
-from ..runs.players import TUNED, Entry, check_labels, detector_entry, fitted, refuse_oracles
-from ..runs.players import spoofer_entry as entry_of_spoofer
+from ..runs.players import (
+    ATTACK,
+    TUNED,
+    PlayerSpec,
+    check_labels,
+    fitted,
+    refuse_oracles,
+    specify_detector,
+    specify_spoofer,
+)
 from ..runs.record import Protection
 from ..runs.world import World
 from ..scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
-from ..search.attack_suite import Member, fitting_members
+from ..search.attack_suite import SuiteAttack, fitting_members
 from ..search.settings import Selection
-from ..search.worst_attack import ROUNDS, AntennaEntry, FamilyAttacks, expected_plays, play_winners
+from ..search.worst_attack import ROUNDS, FamilyAttacks, expected_plays, play_winners
 from .dataset import QUIET_TASKS
 from .runner import Context, Experiment, run
 from .store import Cell, MemoryStore, Reader, Result, Store
@@ -52,14 +60,14 @@ NEAR_ALARM = "chance-alarm"
 class Defence(NamedTuple):
     """A detector with its thresholds, and whether it shares passes of the engine."""
 
-    entry: Entry
+    entry: PlayerSpec
     judge: Detector
     passive: bool
 
 
-def entries_of(detectors: Iterable[Any]) -> tuple[Entry, ...]:
+def entries_of(detectors: Iterable[Any]) -> tuple[PlayerSpec, ...]:
     """Detectors that may be scored together."""
-    entries = tuple(map(detector_entry, detectors))
+    entries = tuple(map(specify_detector, detectors))
     if not entries:
         raise ValueError("no detector is given")
     check_labels(entries)
@@ -148,16 +156,16 @@ class Worlds:
             )
         return self._panels[key]
 
-    def members(self, family: AttackFamily) -> tuple[Member, ...]:
+    def members(self, family: AttackFamily) -> tuple[SuiteAttack, ...]:
         """Attacks of a family, each with one setting that is looked for."""
         if family.letters == "m":
             spec = {**(family.attack or {}), "antenna_m": TUNED}
-            return (Member("m", AntennaEntry("meaconer", spec), False),)
+            return (SuiteAttack("m", PlayerSpec("meaconer", ATTACK, spec, "antenna_m"), False),)
         setup = self.setup(**family.overrides)
         suite = fitting_members(setup, spoofer_context(setup))
         found = [member for member in suite if member.letter in family.letters]
         if "c" in family.letters:
-            found += [Member("c", entry_of_spoofer(fitted(name)), False) for name in SHIPPED]
+            found += [SuiteAttack("c", specify_spoofer(fitted(name)), False) for name in SHIPPED]
         return tuple(found)
 
 

@@ -22,12 +22,12 @@ from ...simulation.domain import draw
 from ...simulation.monitors import Monitor
 from ...simulation.setup import Setup, generators_of, seeds_of_runs
 from ...simulation.simulator import episode_seeds
+from ...spoofers import make_spoofer
 from ...spoofers.base import sees_statistics
 from ...tasks import CANDIDATES, NEAR_ALARM_S, SWITCH_WITHIN_S, TURNING_DEGPS
 from ...truth.sensors import keys_of
 from ..scores.scores import counted
 from .play import PanelDetectors, Runs, WarmStart, displacement_of, play_side_by_side, traits_of
-from .players import build_spoofer
 from .record import RunRecord
 
 FloatArray = NDArray[np.float64]
@@ -211,7 +211,7 @@ class Panel:
             wanted.setdefault(each.key, (each, set()))[1].add(number)
         passes: dict[Any, list[Attack]] = {}
         for each, numbers in wanted.values():
-            spoofer = build_spoofer(each.spec)
+            spoofer = make_spoofer(each.spec)
             alone = len(self.judges) > 1 and sees_statistics(spoofer.knowledge)
             for own in [(k,) for k in numbers] if alone else [tuple(sorted(numbers))]:
                 key = own, alone, id(each.attack), traits_of(spoofer)

@@ -20,9 +20,8 @@ from ...simulation.engine import Engine
 from ...simulation.monitors import Monitored, PassiveDetectors
 from ...simulation.setup import Setup
 from ...simulation.simulator import Simulator
-from ...spoofers import Spoofer
+from ...spoofers import Spoofer, make_spoofer
 from ..scores.scores import undetected_displacement
-from .players import build_spoofer
 
 FloatArray = NDArray[np.float64]
 
@@ -31,7 +30,7 @@ def make_bound_spoofer(
     spec: Any, setup: Setup, receivers: int
 ) -> tuple[Spoofer, Observer, CommandMap]:
     """Spoofer that is ready for a batch, what it observes, and what its actions command."""
-    spoofer = build_spoofer(spec)
+    spoofer = make_spoofer(spec)
     context, observer, commands = bound_spoofer(spoofer, setup, receivers)
     spoofer.bind(context)
     spoofer.reset()
@@ -61,7 +60,7 @@ class Attacker:
         which = np.zeros(engine.receivers, dtype=np.intp) if which is None else which
         rows = [np.flatnonzero(which == k) for k in range(len(specs))]
         self._parts = [
-            _Part(spec, build_spoofer(spec), own)
+            _Part(spec, make_spoofer(spec), own)
             for spec, own in zip(specs, rows, strict=True)
             if len(own)
         ]
@@ -110,7 +109,7 @@ class Attacker:
         parts = zip(before, own, strict=True)
         left = [(part, among) for part, among in parts if len(among)]
         self._parts = [
-            _Part(part.spec, build_spoofer(part.spec), np.searchsorted(rows, part.rows[among]))
+            _Part(part.spec, make_spoofer(part.spec), np.searchsorted(rows, part.rows[among]))
             for part, among in left
         ]
         self._bind()
