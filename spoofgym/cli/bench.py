@@ -489,7 +489,6 @@ def bench(
     given, in a world whose sky, heading, onset and turn-on constants of the sensors are drawn for
     every run, unless --set domain=... says otherwise.
     """
-    from ..bench.experiments import Store
     from ..bench.experiments.campaign import Campaign
     from ..detectors.calibrated import STANDARD_RATE
     from ..simulation.engine import processors
@@ -517,13 +516,11 @@ def bench(
         selection=selection_of(sizes["selection_seeds"]),
     )
     campaign = Campaign(suite)
-    campaign.open(Store(out), overwrite=overwrite)
     at_once = jobs or (processors() if suite_name else 1)
     if not as_json:
         print_lines((*(() if task else suite.notes), *suite.captions, *suite.left_out))
-    results = opt.finished(
-        campaign, out, jobs=at_once, backend=backend, shard=shard, threads=threads
-    )
+    settings: dict[str, Any] = {"jobs": at_once, "backend": backend, "shard": shard}
+    results = opt.finished(campaign, out, threads=threads, overwrite=overwrite, **settings)
     _report(campaign.results(results), as_json, reports)
 
 

@@ -141,6 +141,7 @@ def finished(
     backend: str,
     shard: str | None,
     threads: int | None,
+    overwrite: bool = False,
 ) -> Reader:
     """Compute what a folder lacks; a shard that leaves cells to others ends the command here."""
     from ..bench.experiments import Interrupted, MemoryStore, Store, parse_shard, run
@@ -156,6 +157,7 @@ def finished(
             threads=threads,
             shard=None if shard is None else parse_shard(shard),
             progress=progress,
+            overwrite=overwrite,
         )
     except Interrupted:
         if out is None:  # nothing goes on

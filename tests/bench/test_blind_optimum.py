@@ -364,7 +364,7 @@ def test_a_campaign_that_goes_on_finds_the_same(
     for file in files:
         assert (tmp_path / "cells" / file.name).read_bytes() == file.read_bytes()
     one, search = (
-        again.store.path_of(f"shewhart / blind-optimum{word}") for word in ("", ", search")
+        again.store.path_of(f"shewhart / blind-optimum / {kind}") for kind in ("runs", "search")
     )
     one.unlink()
     before = search.stat().st_mtime_ns

@@ -260,11 +260,6 @@ class Panel:
             self._alone[numbers[0]] = WarmStart(setup, self.rngs(), threads=self.threads)
         return self._alone[numbers[0]].take(rows)
 
-    def in_front_of(self, number: int) -> WarmStart:
-        """Runs at the onset with one of the detectors in the loop."""
-        every = np.arange(self.runs)
-        return self._start((number,), len(self.judges) > 1, Attack("none", self.runs), every)
-
     def record(self, number: int, attacked: Runs, head: dict[str, Any]) -> RunRecord:
         """What a detector makes of an attack on all runs."""
         moved = displacement_of(self.setup, attacked, self.clean[number])
