@@ -86,12 +86,7 @@ def held_out_but_met(judge: Detector, task: DetectorTask) -> str | None:
 
 
 class Worlds:
-    """Worlds of one task, with and without an attack, and runs in them at their onsets.
-
-    - `task`: which one;
-    - `entropy`: seed of all runs;
-    - `threads`: of the engine; None for all.
-    """
+    """Worlds of one task, with and without an attack, and runs in them at their onsets."""
 
     def __init__(self, task: DetectorTask, entropy: int, threads: int | None) -> None:
         self.task, self.entropy, self.threads = task, entropy, threads
@@ -172,29 +167,7 @@ class Worlds:
 class DetectorEvaluator:
     """Scores detectors of one task on the same runs; those that only look share their passes.
 
-    Parameters
-    ----------
-    task : str or DetectorTask
-        ``"D1"`` to ``"D4"``, or one of your own.
-    runs : int
-        Evaluation runs of every family, which decide nothing.
-    selection_runs : int
-        Runs that each family's attacks are chosen on.
-    families : sequence of str, optional
-        Keys of those that are played; by default all of the task.
-    entropy : int
-        Seed of all of them.
-    threads : int, optional
-        Threads of the engine.
-    progress : ProgressCallback, optional
-        Shows how far it is.
-    folder : path-like, optional
-        Whose folder of the task has what is finished; a killed process goes on from there.
-
-    Raises
-    ------
-    ValueError
-        When a task or a family is unknown, or a number is out of range.
+    Its arguments are those of `evaluate_detector`, but for the detector.
     """
 
     def __init__(
@@ -225,20 +198,7 @@ class DetectorEvaluator:
     def scores(
         self, detectors: Iterable[Any], *, show: ProgressBar | None = None
     ) -> list[DetectorScore]:
-        """Score detectors.
-
-        Parameters
-        ----------
-        detectors : iterable
-            As of `evaluate_detector`.
-        show : ProgressBar, optional
-            Opens a bar in place of `progress`.
-
-        Returns
-        -------
-        list of DetectorScore
-            In their order; paired with one another.
-        """
+        """Scores in the order of the detectors, paired; `show` opens a bar in place of `progress`."""
         found = self.protections(detectors)
         store = MemoryStore(None if self.folder is None else Store(self.folder))
         show = show or (lambda _: nullcontext(self.progress))
@@ -406,8 +366,19 @@ def evaluate_detector(
         thresholds are those of the task's world everywhere.
     task : str or DetectorTask
         ``"D1"`` to ``"D4"``, or one of your own.
-    runs, selection_runs, families, entropy, threads, progress, folder : optional
-        As in `DetectorEvaluator`.
+    runs, selection_runs : int
+        Evaluation runs of every family, which decide nothing, and runs that its attacks are chosen
+        on.
+    families : sequence of str, optional
+        Keys of those that are played; by default all of the task.
+    entropy : int
+        Seed of all of them.
+    threads : int, optional
+        Threads of the engine.
+    progress : ProgressCallback, optional
+        Shows how far it is.
+    folder : path-like, optional
+        Whose folder of the task has what is finished; a killed process goes on from there.
 
     Returns
     -------
@@ -418,7 +389,7 @@ def evaluate_detector(
     ------
     ValueError
         When the detector is not calibrated for the task's world; the message has the command that
-        does so; and as in `DetectorEvaluator`.
+        does so; or when a task or a family is unknown, or a number is out of range.
 
     Examples
     --------
