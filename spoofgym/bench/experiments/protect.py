@@ -198,7 +198,7 @@ class DetectorEvaluator:
     def scores(
         self, detectors: Iterable[Any], *, show: ProgressBar | None = None
     ) -> list[DetectorScore]:
-        """Scores in the order of the detectors, paired; `show` opens a bar in place of `progress`."""
+        """Scores in the order of the detectors; `show` opens a bar in place of `progress`."""
         found = self.protections(detectors)
         store = MemoryStore(None if self.folder is None else Store(self.folder))
         show = show or (lambda _: nullcontext(self.progress))
