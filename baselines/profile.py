@@ -33,7 +33,7 @@ from spoofgym.bench.experiments.evaluate import RUNS, Evaluator
 from spoofgym.bench.experiments.identity import code_identity
 from spoofgym.bench.report.campaign import ALARMS
 from spoofgym.bench.report.table import Table
-from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.runs.world import World
 from spoofgym.bench.search.amplitude import TuningResult, search_work
 from spoofgym.bench.search.backends import limits_of
@@ -143,7 +143,7 @@ def main(
     else:
         refuse_given("--task", given_options(context, DECIDED).values())
         world, guard = task_of(task).world_kwargs, task_of(task).detector
-    entries = [detector_entry(guard)]
+    entries = [specify_detector(guard)]
     calibrate_entries(World.of(**world), entries, threads=threads, progress=progress)
     sizes = {"runs": score_runs, "fit_runs": select_runs, "entropy": seed, "threads": threads}
     judge = Evaluator(detector=guard, **sizes, **world)

@@ -15,10 +15,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from .bench.experiments.best_response import (
+    AttackBudget,
+    best_detector,
+    best_spoofer,
+    exploitability,
+)
 from .bench.experiments.game import Game
-from .bench.experiments.members import member_of, mixture
+from .bench.runs.players import member_of, mixture
 from .bench.scores.matrix_game import solve
-from .bench.search.best_response import AttackBudget, best_detector, best_spoofer, exploitability
 from .detectors.learned import PolicyDetector
 from .detectors.learned_card import DetectorCard, OnnxDetector
 from .duel.calibrate import calibrate

@@ -14,7 +14,7 @@ import spoofgym
 from spoofgym.attacks import make_attack
 from spoofgym.bench.experiments.protect import DetectorEvaluator
 from spoofgym.bench.report import tasks as detector_cards
-from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.search.attack_suite import FAMILIES
 from spoofgym.cli import app
 from spoofgym.detectors import make_detector, zoo
@@ -141,7 +141,7 @@ def test_copies_are_handed_out():
 def test_classics_have_the_tasks_own_bank_and_both_controls(key):
     specs = detector_cards.classics_of(DETECTOR_TASKS[key])
     assert {"never", "lottery", "solution-separation"} <= {spec["name"] for spec in specs}
-    assert len({detector_entry(spec).label for spec in specs}) == len(specs)
+    assert len({specify_detector(spec).label for spec in specs}) == len(specs)
     (bank,) = (spec for spec in specs if spec["name"] == "solution-separation")
     assert ("longest_s" in bank) == (key == "D2")
     for spec in specs:
@@ -277,9 +277,7 @@ def test_the_command_line_scores_and_goes_on(tmp_path, monkeypatch):
     assert [each["p_hmi"]["value"] for each in found] == [1.0, 1.0]
     assert found[1]["less_first"] == {"value": 0.0, "low": 0.0, "high": 0.0}
     assert len(list(tmp_path.rglob("*.npz"))) == 4  # of each, a family and false alarms
-    monkeypatch.setattr(
-        "spoofgym.bench.experiments.task_worlds.Panel", None
-    )  # nothing is played again
+    monkeypatch.setattr("spoofgym.bench.experiments.protect.Panel", None)  # nothing is played again
     table = RUNNER.invoke(app, words).stdout
     assert "paired: +0.0 % of runs" in table
     assert "ramps" in table

@@ -13,7 +13,7 @@ import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report import tasks as task_cards
 from spoofgym.bench.runs.play import WarmStart, play
-from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.runs.players import specify_detector
 from spoofgym.cli import app
 from spoofgym.detectors import make_detector
 from spoofgym.envs import core
@@ -100,7 +100,7 @@ def test_every_task_has_a_card_of_its_detector():
     assert list(cards) == list(TASKS)
     for key, card in cards.items():
         task = TASKS[key]
-        assert card["detector"] == detector_entry(task.detector).label
+        assert card["detector"] == specify_detector(task.detector).label
         assert card["alert_limit_m"] == task.alert_limit_m
         assert {*task_cards.SCORES} <= {*card["scores_m"]}
         assert ("admission" in card) is not task.historical

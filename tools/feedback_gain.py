@@ -24,8 +24,8 @@ from agents.seeds import marked
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.campaign import bound_text, titled
 from spoofgym.bench.report.table import Table, interval
-from spoofgym.bench.runs.players import detector_entry
-from spoofgym.bench.scores.bounds import bound_of
+from spoofgym.bench.runs.players import specify_detector
+from spoofgym.bench.scores.campaign import bound_of
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.bench.search.amplitude import TuningResult
 from spoofgym.cli.output import print_json, progress
@@ -82,7 +82,7 @@ def cases(names: Sequence[str], task: str | None = None) -> dict[str, dict[str, 
     """Curve, bound and room of detectors by their labels: that of a task, or those of the standard
     suite with one of the names in it."""
     if task is not None:
-        return {detector_entry(task_of(task).detector).label: {"room": True}}
+        return {specify_detector(task_of(task).detector).label: {"room": True}}
     world = json.loads(KEPT.read_text())["worlds"][WORLD]
     brackets = {row["detector"]: row["bracket"] for row in world["detectors"]}
     reach = brackets["never"]["zero_alarm"]["value"]

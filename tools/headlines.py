@@ -19,8 +19,7 @@ from typing import Any
 from agents.folder import write_json
 from spoofgym.bench.report import campaign as report
 from spoofgym.bench.report.table import Table, interval
-from spoofgym.bench.scores.bounds import bracket_of
-from spoofgym.bench.scores.paired import name_of
+from spoofgym.bench.scores.campaign import bracket_of, name_of
 from spoofgym.cli.suites import LEFT_OUT
 from spoofgym.core.settings import digest_of
 from spoofgym.spoofers.base import sees_statistics

@@ -21,7 +21,7 @@ from agents.folder import write_json
 from spoofgym.bench.experiments.summary import PICTURE, CampaignResults, summarize
 from spoofgym.bench.report.campaign import bound_text
 from spoofgym.bench.report.table import Table, metres, number
-from spoofgym.bench.scores.bounds import HALF, STEALTHY, headline
+from spoofgym.bench.scores.campaign import HALF, STEALTHY, headline
 from tools.headlines import KEPT as FULL
 from tools.pages import DOCS, ROOT, put_between, rendered
 

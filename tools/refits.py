@@ -28,7 +28,7 @@ from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.identity import code_identity
 from spoofgym.bench.report.campaign import titled
 from spoofgym.bench.report.table import Table
-from spoofgym.bench.runs.players import check_labels, fitted, spoofer_entry
+from spoofgym.bench.runs.players import check_labels, fitted, specify_spoofer
 from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import parse_spec
 from spoofgym.tasks import task_of
@@ -69,7 +69,7 @@ def options(arguments: list[str]) -> argparse.Namespace:
 def specs_of(task: str, given: Sequence[str]) -> list[Any]:
     names = given or ("accelerating-ramp", LEARNED[task])
     names = ["ramp", *(name for name in names if name != "ramp")]
-    entries = tuple(spoofer_entry(fitted(parse_spec(name))) for name in names)
+    entries = tuple(specify_spoofer(fitted(parse_spec(name))) for name in names)
     check_labels(entries)
     return [entry.spec for entry in entries]
 

@@ -31,8 +31,8 @@ from spoofgym.bench.report.tasks import (
     stored_cards,
     task_rows,
 )
-from spoofgym.bench.runs.players import detector_entry, fitted
-from spoofgym.bench.scores.paired import name_of
+from spoofgym.bench.runs.players import fitted, specify_detector
+from spoofgym.bench.scores.campaign import name_of
 from spoofgym.bench.search.settings import Selection, Tuning
 from spoofgym.cli.output import progress
 from spoofgym.core.settings import describe
@@ -62,10 +62,10 @@ FloatArray, IntArray = NDArray[np.float64], NDArray[np.int64]
 def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
     whom: tuple[dict[str, Any], ...] = (task.detector,)
     if not task.historical:
-        own = {detector_entry(spec).label for spec in whom}
+        own = {specify_detector(spec).label for spec in whom}
         # the members of a pool are its classics
         others = (TRIVIAL,) if task.pooled else (*CLASSICS, TRIVIAL)
-        whom = (*whom, *(spec for spec in others if detector_entry(spec).label not in own))
+        whom = (*whom, *(spec for spec in others if specify_detector(spec).label not in own))
     limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
     return Suite(
         **task.world_kwargs,
@@ -91,7 +91,7 @@ def played(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
 
 def card_of(task: Task, results: CampaignResults) -> dict[str, Any]:
     summary = summarize(results)
-    own = detector_entry(task.detector).label
+    own = specify_detector(task.detector).label
     detectors = {row["detector"]: row for row in summary["detectors"]}
     scores = {
         name_of(cell["spoofer"]): score_of(cell)
@@ -147,7 +147,7 @@ def admission(
     task: Task, summary: dict[str, Any], results: CampaignResults, card: dict[str, Any]
 ) -> dict[str, Any]:
     """The five figures of a task, and whether each is as it has to be."""
-    trivial = detector_entry(TRIVIAL).label
+    trivial = specify_detector(TRIVIAL).label
     classics = [name for name in card["protection_m"] if name != trivial]
     best = min(classics, key=lambda name: half_of(card, name))
     half, floor = half_of(card, best), card["floor_m"]

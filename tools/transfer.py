@@ -24,7 +24,7 @@ from agents.folder import Part, Records, error_lines, identity_of
 from agents.seeds import keeps_budget
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import Table, interval
-from spoofgym.bench.runs.players import fitted, spoofer_entry
+from spoofgym.bench.runs.players import fitted, specify_spoofer
 from spoofgym.bench.search.amplitude import with_rates
 from spoofgym.cli.output import print_json, progress
 from spoofgym.core.progress import ProgressBar
@@ -47,7 +47,7 @@ def evaluators(
 
 def trained(judge: Evaluator, spec: Row) -> Row:
     """Spec as it comes out of its training in a world, and the setting that is fitted, if any."""
-    entry = spoofer_entry(fitted(spec))
+    entry = specify_spoofer(fitted(spec))
     if entry.tuned is None:
         return {"spec": entry.spec, "fitted": None}
     found = judge.fit(entry.spec)
@@ -91,7 +91,7 @@ def table(
         return Part(identity, make, (one, native))
 
     for spec, only in spoofers:
-        label = spoofer_entry(fitted(spec)).label
+        label = specify_spoofer(fitted(spec)).label
         homes = {name: f"{label}, {name}" for name in worlds}
         parts |= {key: learned(spec, worlds[name]) for name, key in homes.items()}
         for home, there in product(worlds if only is None else [only], worlds):

@@ -35,26 +35,26 @@ import tyro
 
 from agents.folder import Part, Records, error_lines, learning_versions, write_json
 from agents.game_page import page_of
-from spoofgym.bench.experiments.calibration import calibrate
-from spoofgym.bench.experiments.campaign import everyone_in, in_order
-from spoofgym.bench.experiments.game import Game
-from spoofgym.bench.experiments.members import (
-    DETECTOR,
-    SPOOFER,
-    Member,
-    Mixture,
-    member_of,
-    mixture,
-)
-from spoofgym.bench.runs.world import CONTROLS
-from spoofgym.bench.scores.matrix_game import PAYOFFS, PayoffMatrix
-from spoofgym.bench.search.best_response import (
+from spoofgym.bench.experiments.best_response import (
     AttackBudget,
     Response,
     best_detector,
     best_spoofer,
     exploitability,
 )
+from spoofgym.bench.experiments.calibration import calibrate
+from spoofgym.bench.experiments.campaign import everyone_in, in_order
+from spoofgym.bench.experiments.game import Game
+from spoofgym.bench.runs.players import (
+    DETECTOR,
+    SPOOFER,
+    Mixture,
+    PlayerSpec,
+    member_of,
+    mixture,
+)
+from spoofgym.bench.runs.world import CONTROLS
+from spoofgym.bench.scores.matrix_game import PAYOFFS, PayoffMatrix
 from spoofgym.bench.search.open_loop import BlindSearch
 from spoofgym.core.files import write_file
 from spoofgym.core.progress import ProgressBar, show_progress
@@ -148,8 +148,8 @@ class DoubleOracle:
         )
         self.classics, self.left_out = self._classics()
         self.fresh = self.game.on("evaluation")
-        self.spoofers: list[Member] = []
-        self.detectors: list[Member] = []
+        self.spoofers: list[PlayerSpec] = []
+        self.detectors: list[PlayerSpec] = []
 
     def play(self, progress: ProgressBar | None = None) -> dict[str, Any]:
         """Play all iterations that are missing; the results, JSON-able."""
@@ -180,7 +180,7 @@ class DoubleOracle:
     def _enter(self, found: dict[str, Any]) -> None:
         for side, own in ((SPOOFER, self.spoofers), (DETECTOR, self.detectors)):
             for data in found[f"{side}s"]:
-                member = Member.from_json(side, data)
+                member = PlayerSpec.from_json(side, data)
                 if all(member.spec != each.spec for each in own):
                     own.append(member)
 
@@ -199,7 +199,7 @@ class DoubleOracle:
             "left_out": [*self.left_out, *found.notes],
         }
 
-    def _classics(self) -> tuple[list[Member], list[str]]:
+    def _classics(self) -> tuple[list[PlayerSpec], list[str]]:
         """Detectors that have a calibration in this world, and why others have none."""
         rate = {"false_alarms_per_hour": self.args.false_alarms_per_hour}
         specs: list[dict[str, Any]] = [parse_spec(text) for text in self.args.detectors]
@@ -278,7 +278,7 @@ class DoubleOracle:
     def _matrix(self) -> PayoffMatrix:
         return self.game.matrix(self.spoofers, self.detectors, oracles=True)
 
-    def _spoofer(self, mix: Mixture, turn: int, given: Sequence[Member]) -> Response:
+    def _spoofer(self, mix: Mixture, turn: int, given: Sequence[PlayerSpec]) -> Response:
         return best_spoofer(
             self.game,
             mix,
@@ -289,7 +289,7 @@ class DoubleOracle:
             label=f"response {turn}",
         )
 
-    def _detector(self, mix: Mixture, turn: int, detectors: Sequence[Member]) -> Response:
+    def _detector(self, mix: Mixture, turn: int, detectors: Sequence[PlayerSpec]) -> Response:
         return best_detector(
             self.game,
             mix,
@@ -298,7 +298,7 @@ class DoubleOracle:
             entropy=self.args.entropy + 1 + turn,
         )
 
-    def _policies(self, mix: Mixture, turn: int) -> list[Member]:
+    def _policies(self, mix: Mixture, turn: int) -> list[PlayerSpec]:
         """What PPO has learned against a mix, at some amplitudes."""
         if not self.args.ppo_steps:
             return []
@@ -351,7 +351,7 @@ class DoubleOracle:
         env.close()
         return sound
 
-    def _learned(self, mix: Mixture, turn: int) -> list[Member]:
+    def _learned(self, mix: Mixture, turn: int) -> list[PlayerSpec]:
         """Detector that a command has learned against a mix, at the rate of all others."""
         if self.args.detector_response == "none":
             return []

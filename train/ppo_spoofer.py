@@ -63,9 +63,10 @@ from agents.learning import LEAST, MOST, Steps, for_learning, learn, next_price,
 from agents.record import read_record, write_record
 from agents.seeds import LOUDEST, comparable, copy_policy, table_of, value_of
 from agents.spoofer_table import RIVALS
-from spoofgym.bench.experiments.evaluate import FITTED, Evaluator, entry_of
+from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.identity import code_identity
 from spoofgym.bench.report.table import Table
+from spoofgym.bench.runs.players import FITTED, specify_policy
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice, parse_spec
@@ -143,7 +144,7 @@ class Arguments:
             )
         _ = self.world  # or a message about `settings`
         for name in self.rivals:
-            entry_of(name, FITTED, None)
+            specify_policy(name, FITTED)
 
     @property
     def identity(self) -> dict[str, Any]:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from ..core.memory import Memory
 from ..core.progress import ProgressBar, no_progress
 from ..core.registry import whole_number
-from ..detectors import DETECTORS, Calibrated, Detector, PooledDetector, make_detector
-from ..detectors.build import is_file
+from ..detectors import DETECTORS, Calibrated, Detector
+from ..detectors.build import bare_detector
 from ..detectors.calibrated import STANDARD_RATE, check_drifts, identity_of
 from ..detectors.calibration_file import (
     STANDARD_RATES,
@@ -36,7 +36,6 @@ from ..detectors.calibration_file import (
     stored,
     user_folder,
 )
-from ..detectors.learned import unscaled
 from ..simulation.monitors import Monitor
 from ..simulation.setup import Setup
 from .clean_runs import CleanRuns, Player, measuring, passes_of
@@ -142,8 +141,8 @@ def inner_detectors(specs: DetectorSpec | Iterable[DetectorSpec]) -> list[Detect
         specs = [specs]
     found: dict[str, Detector] = {}
     for spec in specs:
-        made = unscaled(spec) if is_file(spec) else make_detector(spec)
-        for each in made.judges if isinstance(made, PooledDetector) else (made,):
+        made = bare_detector(spec)
+        for each in made.judges or (made,):
             inner = each.detector if isinstance(each, Calibrated) else each
             if inner.calibrates:
                 found.setdefault(repr(identity_of(inner)), inner)

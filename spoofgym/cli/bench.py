@@ -107,7 +107,6 @@ def bench(
     given, in a world whose sky, heading, onset and turn-on constants of the sensors are drawn for
     every run, unless --set domain=... says otherwise.
     """
-    from ..bench.experiments import Store
     from ..bench.experiments.campaign import SIZES, SPOOFERS, SUITES, Campaign
     from ..bench.runs.players import fitted
     from ..core.registry import check_choice
@@ -133,13 +132,11 @@ def bench(
         suite, reports = suite_of(options, detector, **settings)
     suite = calibrated(suite, detector, threads)
     campaign = Campaign(suite)
-    campaign.open(Store(out), overwrite=overwrite)
     at_once = jobs or (processors() if suite_name else 1)
     if not as_json:
         print_lines((*(() if task else suite.notes), *suite.captions, *suite.left_out))
-    results = opt.finished(
-        campaign, out, jobs=at_once, backend=backend, shard=shard, threads=threads
-    )
+    settings: dict[str, Any] = {"jobs": at_once, "backend": backend, "shard": shard}
+    results = opt.finished(campaign, out, threads=threads, overwrite=overwrite, **settings)
     _report(campaign.results(results), as_json, reports)
 
 

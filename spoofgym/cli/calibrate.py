@@ -123,8 +123,7 @@ def _judges(
     alarm are left out, and of `all` those that can't be rescaled."""
     from ..bench.runs.world import VICTIMS
     from ..calibration.thresholds import inner_detectors, suitable_detectors
-    from ..detectors import detector_in_world
-    from ..detectors.build import ASKED, is_file
+    from ..detectors.build import ASKED
     from ..detectors.calibrated import identity_of
 
     specs: list[Any] = list(VICTIMS[world.env].detectors) if not texts else specs_of(texts)
@@ -141,7 +140,7 @@ def _judges(
             fit = suitable_detectors(world.setup)
             offered += [each for each in fit if each.drifts or not rescaled]
         else:
-            named.append(spec if is_file(spec) else detector_in_world(spec))
+            named.append(spec)
     judges = inner_detectors([*named, *offered])
     if not judges:
         raise ValueError("there is no detector to calibrate: one that never alarms has no rate")

@@ -102,8 +102,8 @@ def _plan(
     """The plan of the options, its detector calibrated; `chosen`: what it takes as it is."""
     from ..bench.experiments.calibration import calibrate_entries
     from ..bench.experiments.dataset import Plan
+    from ..bench.experiments.protect import entries_of
     from ..bench.experiments.suite import ALERT_LIMIT_M
-    from ..bench.experiments.task_worlds import entries_of
     from ..bench.report.tasks import optima_of
     from ..core.registry import check_finite
     from ..tasks import task_of

@@ -39,8 +39,7 @@ def protect(
 ) -> None:
     """Score detectors by the worst family of attacks of a task, most of which none has met."""
     from ..bench.experiments.calibration import calibrate_entries
-    from ..bench.experiments.protect import DetectorEvaluator
-    from ..bench.experiments.task_worlds import entries_of
+    from ..bench.experiments.protect import DetectorEvaluator, entries_of
     from ..bench.report.tasks import print_scores
 
     specs = specs_of(detector)

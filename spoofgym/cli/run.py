@@ -17,7 +17,7 @@ from .suites import Reports, calibrated, specs_of, suite_of
 
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
-    from ..bench.runs.players import Entry
+    from ..bench.runs.players import PlayerSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ def render(
     typer.echo(f"written: {out}")
 
 
-def _suite(options: RunOptions) -> tuple[Suite, Entry, Entry, Reports]:
+def _suite(options: RunOptions) -> tuple[Suite, PlayerSpec, PlayerSpec, Reports]:
     """The suite of one pair, its detector, its spoofer, which has to know all its settings, and
     the reports of real input."""
     detectors = [options.detector] if options.detector else None

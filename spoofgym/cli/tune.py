@@ -33,15 +33,15 @@ def tune(
     """Find the strongest ramp that keeps to an alarm budget, on training runs."""
     from ..bench.report.campaign import tuning_table
     from ..bench.runs.panel import Panel
-    from ..bench.runs.players import TUNED, build_spoofer
+    from ..bench.runs.players import TUNED
     from ..bench.search.amplitude import TuningResult, fit, search_work
-    from ..detectors import detector_in_world
+    from ..spoofers import make_spoofer
     from ..spoofers.scaled import AMPLITUDE
 
     specs = specs_of(spoofer or ["ramp", "accelerating-ramp"])
     for spec in specs:
         untuned = {key: value for key, value in spec.items() if value != TUNED}
-        spec[build_spoofer(untuned).tunable or AMPLITUDE] = TUNED
+        spec[make_spoofer(untuned).tunable or AMPLITUDE] = TUNED
     tuning = tuning_of(training_seeds, budget)
     suite, _ = suite_of(options, detector, spoofers=specs, tuning=tuning)
     suite = calibrated(suite, detector, threads)
@@ -54,7 +54,7 @@ def tune(
     rngs = functools.partial(suite.generators, "training", suite.tuning.runs)
     with progress(each * len(suite.detector_entries)) as bar:
         for judge in suite.detector_entries:
-            judges = [detector_in_world(judge.spec)]
+            judges = [judge.build()]
             panel = Panel(suite.world.setup, judges, rngs, threads, watched)
             for entry in entries:
                 now = f"{judge.label}: tuning {entry.label}"

@@ -21,6 +21,8 @@ from ..receiver.states import STATES
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+DETECTORS: dict[str, type[Detector]] = {}
+"""Detectors by name; the package has them all."""
 
 
 class Verdict(NamedTuple):
@@ -128,6 +130,10 @@ class Detector(ABC):
         kind of processor to another: runs of its calibrations are not replayed.
     label : str or None
         What it is called in tables; None for its registered name, or that of its class.
+    card : DetectorCard or None
+        Of a detector that was loaded from a file.
+    judges : tuple of Detector
+        Members of a pool; none of any other detector.
     silent_epochs : int
         Epochs after a reset in which it can't alarm, since a window is not full; set by `bind`.
     memory_epochs : int
@@ -151,6 +157,8 @@ class Detector(ABC):
     draws: ClassVar[bool] = False
     label: ClassVar[str | None] = None
     alarm_is_state: bool = False
+    card: ClassVar[Any] = None
+    judges: ClassVar[tuple[Detector, ...]] = ()
     has_nominal: bool = True
     silent_epochs: int = 0
     memory_epochs: int = 0

@@ -1,4 +1,4 @@
-"""What the spec of a detector asks of its thresholds, and the detector that it makes.
+"""Detectors from specs, files and objects; what a spec asks of the thresholds.
 
 Nominal thresholds, those of a calibration at a rate of false alarms, rescaled innovations, a factor
 of the user's own, or a file: `calibrated` has what they mean.
@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from ..core.registry import check_choice, spec_of
-from ..policies.onnx_file import SUFFIX
+from ..core.registry import check_choice, is_number, make, settings_of, spec_of
 from . import calibrated
-from .base import Detector
+from .base import DETECTORS, Detector
 from .calibrated import STANDARD_RATE, Calibrated
 from .calibration_file import check_rate
-from .pool import PooledDetector
-from .zoo import shipped
+from .zoo import path_of, shipped
 
 THRESHOLDS = ("nominal", "calibrated", "rescaled")
 """Which thresholds a detector may be asked for with."""
@@ -25,104 +23,190 @@ ASKED = ("false_alarms_per_hour", "thresholds", "threshold_scale", "calibration"
 """Keys of a detector's spec that are not settings of its class."""
 
 
-class Asked(NamedTuple):
-    """What a spec asks of the thresholds: a rate, a variant, a factor, a file; None for nothing."""
-
-    false_alarms_per_hour: float | None = None
-    thresholds: str | None = None
-    threshold_scale: float | None = None
-    calibration: str | None = None
+NOMINAL: tuple[dict[str, Any], ...] = ({}, {"thresholds": "nominal"})
+"""What is asked where a detector keeps the thresholds of its class, or of its card."""
 
 
-def split_spec(spec: Any) -> tuple[Any, Asked]:
+def split_spec(spec: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """A detector's spec without what it asks of the thresholds, and that."""
-    if not isinstance(spec, Mapping):
-        return spec, Asked()
     plain = {key: value for key, value in spec.items() if key not in ASKED}
-    asked = Asked(**{key: spec[key] for key in ASKED if key in spec})
-    word = repr(spec.get("name"))
-    if asked.thresholds is not None:
-        check_choice("choice of `thresholds`", asked.thresholds, THRESHOLDS)
+    asked = {key: spec[key] for key in ASKED if spec.get(key) is not None}
+    if "thresholds" in asked:
+        check_choice("choice of `thresholds`", asked["thresholds"], THRESHOLDS)
     for key, stated, what in (
-        ("thresholds", asked.thresholds == "nominal", "`thresholds` 'nominal'"),
-        (
-            "threshold_scale",
-            asked.threshold_scale is not None,
-            "`threshold_scale`, a factor of your own,",
-        ),
+        ("thresholds", asked.get("thresholds") == "nominal", "`thresholds` 'nominal'"),
+        ("threshold_scale", "threshold_scale" in asked, "`threshold_scale`, a factor of your own,"),
     ):
-        others = [f"`{k}`" for k in ASKED if k != key and getattr(asked, k) is not None]
+        others = [f"`{k}`" for k in asked if k != key]
         if stated and others:
             raise ValueError(
-                f"detector {word} is asked for {what} and for {', '.join(others)}: leave out one"
+                f"detector {spec.get('name')!r} is asked for {what} and for {', '.join(others)}: "
+                "leave out one"
             )
-    if asked.calibration is not None and not isinstance(asked.calibration, str | Path):
-        raise TypeError(f"`calibration` must be the path of a file, got {asked.calibration!r}")
+    if not isinstance(asked.get("calibration", ""), str | Path):
+        raise TypeError(f"`calibration` must be the path of a file, got {asked['calibration']!r}")
     return plain, asked
 
 
-def with_thresholds(detector: Detector, asked: Asked) -> Detector:
+def with_thresholds(detector: Detector, asked: Mapping[str, Any]) -> Detector:
     """A detector with the thresholds that are asked for; one that never alarms has but its own."""
-    rate, scale = asked.false_alarms_per_hour, asked.threshold_scale
-    if rate is None and scale is None and asked != Asked():
-        rate = STANDARD_RATE
-    if asked in (Asked(), Asked(thresholds="nominal")):
+    rate, scale = asked.get("false_alarms_per_hour"), asked.get("threshold_scale")
+    if asked in NOMINAL:
         return detector
+    if rate is None and scale is None:
+        rate = STANDARD_RATE
     if not detector.calibrates:
         if rate is not None:
             check_rate(rate)
         return detector
-    path = None if asked.calibration is None else str(asked.calibration)
-    rescaled = asked.thresholds == "rescaled"
+    path = str(asked["calibration"]) if "calibration" in asked else None
+    rescaled = asked.get("thresholds") == "rescaled"
     return Calibrated(detector, scale, rate, rescaled=rescaled, calibration=path)
 
 
-def made_by(make: Callable[[Any], Detector], spec: Any, default: float | None = None) -> Detector:
-    """Detector of a spec that may ask for thresholds, made by `make` from the rest of it. One that
-    is named by an ONNX file is read. `default` is the rate where nothing is asked. An object plays
-    as it is. A pool hands on to its members, by names or dicts, what they do not ask for
-    themselves."""
-    if isinstance(spec, str):
-        spec = {"name": spec}
+LOADERS: dict[str, Callable[[Mapping[str, Any]], Detector]] = {}
+"""What loads a detector from a file, by the ending of its name; `learned` has its own here."""
+
+
+def make_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
+    """Detector by name, by name and settings, by file, or a copy of an object.
+
+    A name may be the path of an ``.onnx`` file with its card (`LearnedDetector`), whose nominal
+    threshold is that of the card, or ``"threshold"`` in (0, 1].
+
+    Besides the settings of its class a detector can be asked for its thresholds:
+    ``"false_alarms_per_hour"`` is a rate by which a world looks up the factor on them
+    (`Calibrated`), ``"thresholds"`` is ``"nominal"``, ``"calibrated"`` or ``"rescaled"``,
+    ``"threshold_scale"`` a factor of one's own, and ``"calibration"`` a file.  A pool hands them on
+    to its members.
+
+    Parameters
+    ----------
+    spec : str, mapping or Detector
+        A name in `DETECTORS`, or of a file; ``{"name": ..., "setting": value, ...}``; or a
+        detector, which is copied.
+
+    Returns
+    -------
+    Detector
+        Not bound yet.
+
+    Raises
+    ------
+    ValueError
+        When the name or a setting is unknown, the valid ones are listed; or a file does not fit
+        its card.
+    TypeError
+        When `spec` is something else.
+
+    Examples
+    --------
+    >>> from spoofgym.detectors import make_detector
+    >>> make_detector({"name": "snapshot-chi2", "signals": "pseudorange"})
+    SnapshotChi2(false_alarm=1e-05, signals='pseudorange', bias_window_s=0.0, two_sided=False)
+    >>> make_detector({"name": "snapshot-chi2", "false_alarms_per_hour": 0.2}).resolved
+    False
+    """
+    return _build(spec, None)
+
+
+def detector_in_world(spec: str | Mapping[str, Any] | Detector) -> Detector:
+    """Detector of an environment, a duel or a benchmark, at the default rate of false alarms.
+
+    As `make_detector`, but that a name without a word on its thresholds has those of the default
+    rate, which are looked up when the detector is bound to a world.
+
+    Parameters
+    ----------
+    spec : str, mapping or Detector
+        As `make_detector` takes it.
+
+    Returns
+    -------
+    Detector
+        Not bound yet.
+    """
+    return _build(spec, calibrated.DEFAULT_RATE)
+
+
+def bare_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
+    """As `make_detector`, but that a file needs no threshold: what is asked of it is ignored."""
+    load = _loader(spec)
+    return make_detector(spec) if load is None else load(_as_mapping(spec))
+
+
+def _build(spec: Any, default: float | None) -> Detector:
+    """Detector of a spec, at the `default` rate where it asks for nothing. An object plays as it
+    is; a pool hands on to its members what they do not ask for themselves."""
+    spec = _as_mapping(spec)
     if not isinstance(spec, Mapping):
-        return make(spec)
+        return make("detector", DETECTORS, Detector, spec, shipped())
     plain, asked = split_spec(spec)
-    if asked == Asked() and default is not None and not has_threshold(plain):
-        asked = Asked(false_alarms_per_hour=default)
-    if is_file(plain):
-        from .learned import of_file
-
-        return of_file(plain, asked)
+    load = _loader(plain)
+    if not asked and default is not None and not has_own_threshold(plain):
+        asked = {"false_alarms_per_hour": default}
+    if load is not None:
+        return _with_own_threshold(load(plain), plain, asked)
     if plain.get("name") == "pool":
-        return make({**plain, "members": _members_asked(plain, asked)})
-    return with_thresholds(make(plain), asked)
+        plain["members"] = _members_asked(plain, asked)
+    made = make("detector", DETECTORS, Detector, plain, shipped())
+    return made if made.judges else with_thresholds(made, asked)
 
 
-def is_file(spec: Any) -> bool:
-    """Whether a detector is named by an ONNX file, or is a shipped one that has such a file."""
+def _as_mapping(spec: Any) -> Any:
+    return {"name": spec} if isinstance(spec, str) else spec
+
+
+def _loader(spec: Any) -> Callable[[Mapping[str, Any]], Detector] | None:
+    """What loads the file that a spec names, or that a shipped detector has."""
     name = spec.get("name") if isinstance(spec, Mapping) else spec
-    return isinstance(name, str) and (name.endswith(SUFFIX) or name in shipped())
+    if not isinstance(name, str):
+        return None
+    return next((load for end, load in LOADERS.items() if str(path_of(name)).endswith(end)), None)
 
 
-def has_threshold(spec: Any) -> bool:
-    """Whether a detector in a file is given a threshold in place of a rate of false alarms."""
-    return is_file(spec) and isinstance(spec, Mapping) and spec.get("threshold") is not None
+def _with_own_threshold(
+    made: Detector, plain: Mapping[str, Any], asked: Mapping[str, Any]
+) -> Detector:
+    """A loaded detector with its threshold. Its statistic is compared with 1, so that a factor on
+    that is a threshold; the nominal one is that of the card."""
+    name, own = plain["name"], plain.get("threshold")
+    if own is not None:
+        if not (is_number(own) and 0.0 < own <= 1.0):
+            raise ValueError(f"`threshold` must be a number in (0, 1], got {own!r}")
+        if asked not in NOMINAL:
+            raise ValueError(
+                f"detector {name!r} is given a `threshold` of its own, and asked for another one: "
+                "leave out one"
+            )
+        return Calibrated(made, scale=float(own))
+    if asked not in NOMINAL:
+        return with_thresholds(made, asked)
+    if made.card.threshold is not None:
+        return Calibrated(made, scale=made.card.threshold)
+    raise ValueError(
+        f"{name} has no threshold on its card: ask for `false_alarms_per_hour`, which "
+        "`spoofgym calibrate` finds a threshold for, or give one as `threshold`"
+    )
 
 
 def asks(spec: Mapping[str, Any]) -> bool:
     """Whether a detector's spec says which thresholds it is to have."""
-    return bool({*ASKED} & {*spec}) or has_threshold(spec)
+    return bool({*ASKED} & {*spec}) or has_own_threshold(spec)
 
 
-def _members_asked(pool: Mapping[str, Any], asked: Asked) -> Any:
-    members = pool.get("members", PooledDetector.members)
-    if asked == Asked() or isinstance(members, str | Mapping) or not isinstance(members, Sequence):
+def has_own_threshold(spec: Mapping[str, Any]) -> bool:
+    """Whether a detector in a file is given a threshold in place of a rate of false alarms."""
+    return _loader(spec) is not None and spec.get("threshold") is not None
+
+
+def _members_asked(pool: Mapping[str, Any], asked: Mapping[str, Any]) -> Any:
+    members = pool.get("members", settings_of(DETECTORS["pool"])["members"])
+    if not asked or isinstance(members, str | Mapping) or not isinstance(members, Sequence):
         return members
-    words = {key: value for key, value in asked._asdict().items() if value is not None}
-    named = [{"name": each} if isinstance(each, str) else each for each in members]
     return [
-        {**each, **words} if isinstance(each, Mapping) and not asks(each) else each
-        for each in named
+        {**each, **asked} if isinstance(each, Mapping) and not asks(each) else each
+        for each in map(_as_mapping, members)
     ]
 
 
@@ -135,34 +219,28 @@ def spec_with_thresholds(detector: Detector, spec_of: Callable[[Any], Any]) -> d
     """Spec from which an equal detector is made; `spec_of` gives that of one not calibrated."""
     if not isinstance(detector, Calibrated):
         spec = dict(spec_of(detector))
-        plain = calibrated.DEFAULT_RATE is None or isinstance(detector, PooledDetector)
+        plain = calibrated.DEFAULT_RATE is None or bool(detector.judges)
         return spec if plain or not detector.calibrates else {**spec, "thresholds": "nominal"}
-    asked: dict[str, Any] = {}
-    if detector.false_alarms_per_hour is not None:
-        asked["false_alarms_per_hour"] = detector.false_alarms_per_hour
-    elif detector.scale is not None:
-        asked["threshold_scale"] = detector.scale
-    if detector.rescaled:
-        asked["thresholds"] = "rescaled"
-    if detector.calibration is not None:
-        asked["calibration"] = detector.calibration
-    return {**spec_of(detector.detector), **asked}
+    rate = detector.false_alarms_per_hour
+    asked = {
+        "false_alarms_per_hour": rate,
+        "threshold_scale": detector.scale if rate is None else None,
+        "thresholds": "rescaled" if detector.rescaled else None,
+        "calibration": detector.calibration,
+    }
+    given = {key: value for key, value in asked.items() if value is not None}
+    return {**spec_of(detector.detector), **given}
 
 
 def spec_of_judge(detector: Detector) -> dict[str, Any]:
     """Name and all settings of a detector, and what it asks of its thresholds."""
-    from .learned import LearnedDetector
-
-    if isinstance(detector, LearnedDetector):  # as it is, not as its card has it
+    if detector.card is not None:  # as it is, not as its card has it
         return {**_spec_of_detector(detector), "threshold_scale": 1.0}
     return spec_with_thresholds(detector, _spec_of_detector)
 
 
-def _spec_of_detector(detector: Detector) -> dict[str, Any]:
+def _spec_of_detector(detector: Any) -> dict[str, Any]:
     """Name and all settings of a detector; a file also by its digest."""
-    from . import DETECTORS
-    from .learned import LearnedDetector
-
-    if isinstance(detector, LearnedDetector):
-        return {**detector.spec, "sha256": detector.sha256}
-    return spec_of("detector", DETECTORS, detector)
+    if detector.card is None:
+        return spec_of("detector", DETECTORS, detector)
+    return {**detector.spec, "sha256": detector.sha256}

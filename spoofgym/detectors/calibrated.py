@@ -31,7 +31,7 @@ from ..core.compile import njit
 from ..core.registry import check_finite
 from ..core.settings import outside_sources
 from ..receiver.epoch import Epoch
-from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
+from .base import DETECTORS, BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
 from .calibration_file import (
     Calibration,
     Conditions,
@@ -41,7 +41,6 @@ from .calibration_file import (
     nearest,
     stored,
 )
-from .pool import PooledDetector
 
 STANDARD_RATE = 0.2
 """False alarms an hour where calibrated thresholds are asked for without a rate."""
@@ -110,7 +109,7 @@ class Calibrated(Detector):
         inner = self.detector
         if not isinstance(inner, Detector) or isinstance(inner, Calibrated):
             raise TypeError(f"`detector` must be a Detector that is not calibrated, got {inner!r}")
-        if isinstance(inner, PooledDetector):
+        if inner.judges:
             raise TypeError("a pool calibrates its members: ask them for the rate, one by one")
         if self.scale is None and self.false_alarms_per_hour is None:
             raise ValueError("a calibrated detector needs `scale` or `false_alarms_per_hour`")
@@ -290,8 +289,6 @@ def rescale_innovations(
 def identity_of(detector: Detector) -> dict[str, Any]:
     """Resolved settings of a detector, JSON-able, to which its calibration belongs. Settings that
     are not its own, such as those of a policy, a class gives by a method `identity`."""
-    from . import DETECTORS
-
     own = getattr(detector, "identity", None)
     if own is not None:
         return dict(described(own()))
@@ -313,15 +310,15 @@ def identity_of(detector: Detector) -> dict[str, Any]:
     return {**found, "sources": readable} if readable else found
 
 
-def _calibrated_in(detector: Detector) -> list[Calibrated]:
-    parts = detector.judges if isinstance(detector, PooledDetector) else (detector,)
-    return [each for each in parts if isinstance(each, Calibrated)]
+def calibrated_parts(detector: Detector) -> list[Calibrated]:
+    """What of a detector, or of the members of a pool, has scaled thresholds."""
+    return [each for each in detector.judges or (detector,) if isinstance(each, Calibrated)]
 
 
 def resolve(detector: Detector, world: World) -> None:
     """Look up the factors of a detector, or of the members of a pool, that are not known in a
     world. Where there are none, a detector that does not fit the world at all is refused first."""
-    for part in _calibrated_in(detector):
+    for part in calibrated_parts(detector):
         if not part.resolved or part.found_for not in (None, world.conditions.digest):
             try:
                 part.look_up(world)
@@ -331,4 +328,4 @@ def resolve(detector: Detector, world: World) -> None:
 
 
 def factors_of(detector: Detector) -> list[tuple[float | None, tuple[float, ...] | None]]:
-    return [(each.scale, each.rescale) for each in _calibrated_in(detector)]
+    return [(each.scale, each.rescale) for each in calibrated_parts(detector)]

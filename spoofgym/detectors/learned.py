@@ -20,11 +20,10 @@ from ..core.registry import check_choice, is_number, whole_number
 from ..core.settings import OMITTED
 from ..policies.card import Space, State
 from ..policies.contract import DetectorPolicy, PolicyContext
-from ..policies.onnx_file import check_signature, file_of, read_model
+from ..policies.onnx_file import SUFFIX, check_signature, file_of, read_model
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
-from .build import ASKED, Asked, with_thresholds
-from .calibrated import Calibrated
+from .build import ASKED, LOADERS
 from .learned_card import DetectorCard, OnnxDetector, card_path
 from .observation import (
     ALL_TERMS,
@@ -264,7 +263,8 @@ class LearnedDetector(Detector):
     def __post_init__(self) -> None:
         self.file = os.fspath(self.file)
         policy = OnnxDetector(self.file, self.sha256)
-        self.card, self.sha256 = policy.card, policy.card.file.sha256
+        self.card: DetectorCard = policy.card  # type: ignore[misc]
+        self.sha256 = self.card.file.sha256
         if self.quiet_epochs is None:
             self.quiet_epochs = self.card.quiet_epochs
         self.judge_by = PolicyDetector(
@@ -305,9 +305,9 @@ class LearnedDetector(Detector):
         return self.judge_by.judge(epoch)
 
 
-def unscaled(spec: Any) -> LearnedDetector:
-    """Detector of an ONNX file, by its name or a dict, without what is asked of its thresholds."""
-    settings: dict[str, Any] = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
+def load_detector(spec: Mapping[str, Any]) -> LearnedDetector:
+    """Detector of an ONNX file, without what is asked of its thresholds."""
+    settings = dict(spec)
     name = settings.pop("name")
     valid = ("threshold", *FILE_SETTINGS, *ASKED)
     unknown = [key for key in settings if key not in valid]
@@ -319,28 +319,7 @@ def unscaled(spec: Any) -> LearnedDetector:
     return LearnedDetector(name, **{key: settings[key] for key in FILE_SETTINGS if key in settings})
 
 
-def of_file(plain: Mapping[str, Any], asked: Asked) -> Detector:
-    """Detector of an ONNX file, by its name and settings, with the thresholds that are asked for.
-    Its own threshold is 1, so that a factor on it is a threshold; the nominal one is the card's."""
-    made, name, own = unscaled(plain), plain["name"], plain.get("threshold")
-    nominal = asked in (Asked(), Asked(thresholds="nominal"))
-    if own is not None:
-        if not (is_number(own) and 0.0 < own <= 1.0):
-            raise ValueError(f"`threshold` must be a number in (0, 1], got {own!r}")
-        if not nominal:
-            raise ValueError(
-                f"detector {name!r} is given a `threshold` of its own, and asked for another one: "
-                "leave out one"
-            )
-        return Calibrated(made, scale=float(own))
-    if not nominal:
-        return with_thresholds(made, asked)
-    if made.card.threshold is not None:
-        return Calibrated(made, scale=made.card.threshold)
-    raise ValueError(
-        f"{name} has no threshold on its card: ask for `false_alarms_per_hour`, which "
-        "`spoofgym calibrate` finds a threshold for, or give one as `threshold`"
-    )
+LOADERS[SUFFIX] = load_detector
 
 
 def detector_card(

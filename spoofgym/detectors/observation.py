@@ -19,10 +19,10 @@ from ..core.registry import build, spec_of
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.epoch import Epoch
 from ..receiver.kalman import normalized_innovation_squared
-from .base import Detector, DetectorContext, FloatArray, judged
+from .base import DETECTORS, Detector, DetectorContext, FloatArray, judged
+from .build import make_detector
 from .calibrated import Calibrated
 from .innovation import check_smoothing
-from .pool import PooledDetector
 
 Written = NDArray[np.float32]
 LOCAL_AXES, BODY_AXES = ("north", "east", "down"), ("forward", "right", "below")
@@ -316,11 +316,9 @@ class Classic(_Term):
     _judge: ClassVar[Detector]
 
     def __post_init__(self) -> None:
-        from . import DETECTORS, make_detector
-
         made = make_detector(self.detector)
         kinds = {kind: name for name, kind in DETECTORS.items()}
-        if isinstance(made, Calibrated | PooledDetector) or type(made) not in kinds:
+        if isinstance(made, Calibrated) or made.judges or type(made) not in kinds:
             raise ValueError(
                 "`detector` of a classic term must be one of the package with its nominal "
                 f"thresholds, and neither a pool nor a learned one, got {self.detector!r}"

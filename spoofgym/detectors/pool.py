@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..core.memory import Memory
 from ..receiver.epoch import Epoch
 from .base import (
+    DETECTORS,
     BoolArray,
     Detector,
     DetectorContext,
@@ -22,6 +23,8 @@ from .base import (
     check_needs,
     judged,
 )
+from .build import make_detector, spec_with_thresholds
+from .calibrated import Calibrated
 
 NATURE, OPPONENT = 1, 2
 """What is drawn for an episode: whether it is attacked, and by which opponent."""
@@ -84,10 +87,6 @@ class JointMemory(Memory):
 
 def _spec_of(member: Any, detector: Detector) -> Any:
     """Name and all settings of a detector that has a name; what was given of any other."""
-    from . import DETECTORS
-    from .build import spec_with_thresholds
-    from .calibrated import Calibrated
-
     inner: Any = detector.detector if isinstance(detector, Calibrated) else detector
     name = next((name for name, kind in DETECTORS.items() if type(inner) is kind), None)
     if name is None:
@@ -128,14 +127,12 @@ class PooledDetector(Detector):
     measures: ClassVar[str] = "any"
 
     def __post_init__(self) -> None:
-        from . import make_detector
-
         if isinstance(self.members, str | Mapping) or not isinstance(self.members, Sequence):
             raise TypeError(f"`members` must be a list of detectors, got {self.members!r}")
         self._chances = checked_weights(len(self.members), self.weights)
-        self.judges = tuple(make_detector(member) for member in self.members)
+        self.judges = tuple(make_detector(each) for each in self.members)  # type: ignore[misc]
         self.members = tuple(map(_spec_of, self.members, self.judges))
-        if any(isinstance(judge, PooledDetector) for judge in self.judges):
+        if any(judge.judges for judge in self.judges):
             raise ValueError("a pool can't be one of the detectors of a pool; list its detectors")
         measures = {judge.measures for judge in self.judges} - {"any"}
         if len(measures) > 1:

@@ -9,15 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Calibrated, Detector, detector_in_world
-from ..detectors.learned import LearnedDetector, PolicyDetector
+from ..detectors.learned import PolicyDetector
 from ..detectors.pool import PooledDetector, checked_weights, drawn
 from ..envs.observer import Observer
 from ..envs.options import checked_action
-from ..envs.spoofer_binding import bound_spoofer, card_behind, paced, warn_of_headings
+from ..envs.spoofer_binding import bound_spoofer, paced, warn_of_headings
 from ..envs.terms.action import CommandMap, Decisions
 from ..envs.terms.observation import Snapshot
 from ..simulation.setup import Setup
 from ..spoofers import Spoofer, make_spoofer
+from ..spoofers.build import card_behind
 
 FloatArray = NDArray[np.float64]
 DetectorSpec = str | Mapping[str, Any] | Detector
@@ -45,9 +46,9 @@ def make_opponent(spec: DetectorSpec, quiet_epochs: int = 0) -> Detector:
     """Detector of a pool, at the default rate of false alarms where it asks for nothing.
     `quiet_epochs`: of the monitored warm-up, in which a policy is not asked that does not say when
     it is to be."""
-    made = detector_in_world(dict(spec) if isinstance(spec, Mapping) else spec)
+    made = detector_in_world(spec)
     inner: Any = made.detector if isinstance(made, Calibrated) else made
-    policy = inner.judge_by if isinstance(inner, LearnedDetector) else inner
+    policy = getattr(inner, "judge_by", inner)
     if isinstance(policy, PolicyDetector) and policy.quiet_epochs is None:
         policy.quiet_epochs = quiet_epochs
     return made
@@ -94,7 +95,7 @@ class SpooferPool:
         self.opponent = np.zeros(receivers, dtype=np.int64)
 
     def _made(self, spec: SpooferSpec, setup: Setup, receivers: int) -> Spoofer:
-        made = make_spoofer(dict(spec) if isinstance(spec, Mapping) else spec)
+        made = make_spoofer(spec)
         context, observer, commands = bound_spoofer(made, setup, receivers)
         own, late = paced(setup, made), setup.repeat > 1
         if commands.setpoint_mps is not None and late:
@@ -107,7 +108,7 @@ class SpooferPool:
         key = made.knowledge, commands.along_target
         self._seeing.append(key)
         self._observers.setdefault(key, observer)
-        card = card_behind(spec, made)
+        card = card_behind(made)
         found = [] if card is None else card.differences(context)
         if found:
             raise ValueError(

@@ -20,11 +20,10 @@ from ..spoofers import (
     ScriptedSpoofer,
     Spoofer,
     SpooferContext,
-    card_of,
     make_spoofer,
-    shipped,
 )
 from ..spoofers.base import TARGET, has_heading
+from ..spoofers.build import card_behind
 from .core import SpoofCore
 from .factory import composable, make_setup, settings_of
 from .observer import Observer
@@ -83,10 +82,10 @@ def attach(
     (4, 1)
     >>> envs.close()
     """
-    made = make_spoofer(dict(spoofer) if isinstance(spoofer, Mapping) else spoofer)
+    made = make_spoofer(spoofer)
     core: SpoofCore = composable(env, unset=False).core
     context = spoofer_context(core.setup, core.receivers, core.observer, core.commands)
-    card = card_behind(spoofer, made)
+    card = card_behind(made)
     if card is not None:
         found = _wrapped(env, core, card) + card.differences(context)
         if not transfer:
@@ -262,13 +261,6 @@ def setup_of_card(card: Card) -> Setup:
         return make_setup(kind, card.env_kwargs)
     except (TypeError, ValueError) as error:
         raise ValueError(f"card of {card.name!r}: `env_kwargs`: {error}") from error
-
-
-def card_behind(spec: Spoofer | Mapping[str, Any] | str, made: Spoofer) -> Card | None:
-    name = spec.get("name") if isinstance(spec, Mapping) else spec
-    if isinstance(name, str) and name in shipped():
-        return card_of(name)
-    return getattr(made, "card", None)
 
 
 def _wrapped(env: Any, core: SpoofCore, card: Card) -> list[str]:

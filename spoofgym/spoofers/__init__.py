@@ -1,20 +1,15 @@
 """Spoofers: they decide what the attack does, one idea per file, behind the contract of `base`."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Any
-
-from ..core.registry import build
 from ..policies.onnx_file import SUFFIX
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
+from .build import SPOOFERS, make_spoofer
 from .card import Card
 from .feedback import Feedback, FeedbackProfile, ThresholdRider
 from .learned import OnnxPolicy
 from .profile import BlindOptimum, Profile
 from .ramps import AcceleratingRamp, Dash, Intermittent, NoSpoofer, Ramp, Step
-from .scaled import Scaled, split_amplitude, with_amplitude
-from .zoo import card_of, shipped, spec_of_shipped
+from .scaled import Scaled
+from .zoo import card_of, shipped
 
 __all__ = [
     "KNOWLEDGE",
@@ -39,91 +34,5 @@ __all__ = [
     "ThresholdRider",
     "card_of",
     "make_spoofer",
-    "resolve",
     "shipped",
 ]
-
-SPOOFERS: dict[str, type[Spoofer]] = {
-    "accelerating-ramp": AcceleratingRamp,
-    "blind-optimum": BlindOptimum,
-    "feedback": Feedback,
-    "feedback-profile": FeedbackProfile,
-    "dash": Dash,
-    "intermittent": Intermittent,
-    "none": NoSpoofer,
-    "onnx-policy": OnnxPolicy,
-    "profile": Profile,
-    "ramp": Ramp,
-    "step": Step,
-    "threshold-rider": ThresholdRider,
-}
-"""Spoofers by name."""
-
-
-def resolve(spec: Any) -> Any:
-    """Registered name and settings behind the name of a shipped spoofer or of an ONNX file.
-
-    Parameters
-    ----------
-    spec : str, dict or Spoofer
-        As `make_spoofer` takes it.
-
-    Returns
-    -------
-    str, dict or Spoofer
-        What is neither shipped nor a file, as it was given.
-
-    Raises
-    ------
-    ValueError
-        When a shipped spoofer is given settings.
-    """
-    settings = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
-    name = settings.pop("name", None)
-    if not isinstance(name, str):
-        return spec
-    if name.endswith(SUFFIX):
-        return {"name": "onnx-policy", "file": name, **settings}
-    if name not in shipped():
-        return spec
-    if settings:
-        raise ValueError(
-            f"the shipped spoofer {name!r} is as it is, and has no setting "
-            f"{', '.join(map(repr, settings))}"
-        )
-    return spec_of_shipped(name)
-
-
-def make_spoofer(spec: str | dict[str, Any] | Spoofer) -> Spoofer:
-    """Spoofer by name, by name and settings, by file, or a copy of an object.
-
-    Parameters
-    ----------
-    spec : str, dict or Spoofer
-        A name in `SPOOFERS`, of a shipped spoofer, or the path of an ``.onnx`` file with its card
-        in the same folder; ``{"name": ..., "setting": value, ...}``; or a spoofer, which is copied.
-        With a name, ``"amplitude"`` is a factor on all that it commands (`Scaled`).
-
-    Returns
-    -------
-    Spoofer
-        Not bound yet.
-
-    Raises
-    ------
-    ValueError
-        When the name or a setting is unknown, the valid ones are listed; or a file does not fit
-        its card.
-    TypeError
-        When `spec` is something else.
-
-    Examples
-    --------
-    >>> from spoofgym.spoofers import make_spoofer
-    >>> make_spoofer({"name": "ramp", "rate_mps": 0.2})
-    Ramp(heading_deg=90.0, rate_mps=0.2)
-    """
-    plain, amplitude = split_amplitude(spec)
-    resolved = resolve(plain)
-    made = build("spoofer", SPOOFERS, Spoofer, resolved, more=shipped())
-    return with_amplitude(made, amplitude)

@@ -82,7 +82,3 @@ def split_amplitude(spec: Any) -> tuple[Any, float | None]:
         return spec, None
     rest = {key: value for key, value in spec.items() if key != AMPLITUDE}
     return rest, spec[AMPLITUDE]
-
-
-def with_amplitude(spoofer: Spoofer, amplitude: float | None) -> Spoofer:
-    return spoofer if amplitude is None else Scaled(spoofer, amplitude)

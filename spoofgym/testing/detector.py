@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..detectors import Detector, Verdict, make_detector
+from ..detectors import Detector, Verdict
 from ..detectors.base import UndeclaredFieldError, check_needs, checked, undeclared
-from ..detectors.build import is_file
-from ..detectors.learned import unscaled
+from ..detectors.build import bare_detector
 from ..detectors.learned_card import DetectorCard
 from ..receiver.epoch import TracedEpoch
 from .contract import (
@@ -62,11 +61,11 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     >>> from spoofgym.testing import check_detector
     >>> check_detector({"name": "ewma", "smoothing": 0.2})
     """
-    unbound = unscaled(detector) if is_file(detector) else make_detector(detector)
+    unbound = bare_detector(detector)
     _check_declarations(unbound)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        for script in scripts_of(unbound.measures, getattr(unbound, "card", None)):
+        for script in scripts_of(unbound.measures, unbound.card):
             trial = _DetectorTrial(unbound, script)
             _check_bound_again(trial)
             _check_verdicts(trial)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from spoofgym.bench.runs.panel import play_searches
-from spoofgym.bench.runs.players import spoofer_entry
+from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.runs.record import MEASURES, Aim
 from spoofgym.bench.runs.world import World
-from spoofgym.bench.search.attack_suite import AROUND_FOUND, Member
+from spoofgym.bench.search.attack_suite import AROUND_FOUND, SuiteAttack
 from spoofgym.bench.search.settings import Selection
 from spoofgym.bench.search.worst_attack import FamilyAttacks, WorstAttacks
 from spoofgym.spoofers import SpooferContext
@@ -47,8 +47,8 @@ def found_by(search: WorstAttacks, limits: list[float]) -> Any:
     return found
 
 
-def member(letter: str, **spec: Any) -> Member:
-    return Member(letter, spoofer_entry(spec), True)
+def member(letter: str, **spec: Any) -> SuiteAttack:
+    return SuiteAttack(letter, specify_spoofer(spec), True)
 
 
 MEMBERS = (

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from spoofgym.bench.runs.play import make_bound_spoofer
-from spoofgym.bench.runs.players import build_spoofer
 from spoofgym.bench.runs.world import VICTIMS
 from spoofgym.bench.search.attack_suite import (
     FAMILIES,
@@ -18,7 +17,7 @@ from spoofgym.bench.search.attack_suite import (
 )
 from spoofgym.envs.factory import make_setup
 from spoofgym.envs.spoofer_binding import spoofer_context
-from spoofgym.spoofers import SPOOFERS
+from spoofgym.spoofers import SPOOFERS, make_spoofer
 from spoofgym.spoofers.base import sees_statistics
 
 
@@ -31,14 +30,14 @@ def test_every_member_fits_every_victim_over_its_whole_range(env: str) -> None:
     assert letters == sorted(letters)
     wanted = {"a", "b", "h"} | ({"e"} if "feedback" in SPOOFERS else set())
     assert set(letters) == wanted <= set(FAMILIES)
-    assert len({member.entry.label for member in members}) == len(members)
+    assert len({member.player.label for member in members}) == len(members)
     for member in members:
-        assert member.entry.tuned
+        assert member.player.tuned
         assert member.budgeted == (member.letter != "h")
         grid = grid_of(member, context, 4)
         assert grid == sorted(set(grid))
         for value in (grid[0], grid[-1]):
-            make_bound_spoofer(member.entry.with_value(value), setup, 1)
+            make_bound_spoofer(member.player.with_value(value), setup, 1)
 
 
 def test_letters_of_oracles_are_those_of_members_that_see_statistics() -> None:
@@ -47,7 +46,7 @@ def test_letters_of_oracles_are_those_of_members_that_see_statistics() -> None:
     seeing = {
         member.letter
         for member in members
-        if sees_statistics(build_spoofer(member.entry.with_value(1.0)).knowledge)
+        if sees_statistics(make_spoofer(member.player.with_value(1.0)).knowledge)
     }
     assert seeing == set(ORACLES)
     assert all("oracle" in FAMILIES[letter] for letter in ORACLES)
@@ -69,7 +68,7 @@ def test_profiles_are_smooth_and_within_the_limits() -> None:
     profiles = [member for member in members_of(context) if member.letter == "b"]
     knot_s = context.steps * context.interval_s / 12.0
     for member in profiles:
-        rates = np.array(member.entry.spec["rates_mps"])
+        rates = np.array(member.player.spec["rates_mps"])
         assert (rates >= 0.0).all()
         assert rates.max() <= context.rate_limit_mps
         assert np.diff(rates).max() / knot_s <= context.acceleration_limit_mps2

@@ -16,11 +16,11 @@ from spoofgym.bench.experiments.campaign import found_optima
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.runs.panel import Panel
 from spoofgym.bench.runs.play import WarmStart, play
-from spoofgym.bench.runs.players import spoofer_entry
+from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.search import open_loop as optima_module
 from spoofgym.bench.search.amplitude import fit
 from spoofgym.bench.search.attack_suite import AROUND_FOUND, grid_of
-from spoofgym.bench.search.backends import EnginePlayer, ReplayPlayer, limits_of, pushed
+from spoofgym.bench.search.backends import EngineBackend, ReplayBackend, limits_of, pushed
 from spoofgym.bench.search.open_loop import (
     AIMS,
     ENGINE,
@@ -184,7 +184,9 @@ def test_settings_of_a_search_are_checked(name: str, value: Any, said: str) -> N
 # --- players -------------------------------------------------------------------------------------
 
 
-def players(heading_deg: float | str = 90.0, **settings: Any) -> tuple[ReplayPlayer, EnginePlayer]:
+def players(
+    heading_deg: float | str = 90.0, **settings: Any
+) -> tuple[ReplayBackend, EngineBackend]:
     setup = make_setup(
         TightlyCoupledSetup,
         {"detector": "snapshot-chi2", "timeline": SHORT, **settings},
@@ -192,8 +194,8 @@ def players(heading_deg: float | str = 90.0, **settings: Any) -> tuple[ReplayPla
     seeds = seed_sequences(0, "training", setup.name, 8)
     replay = Replay(setup, [setup.detector], seeds, threads=1)
     start = WarmStart(setup, generators_of(seed_sequences(0, "training", setup.name, 8)))
-    engine = EnginePlayer(start, play(start, "none"), heading_deg)
-    return ReplayPlayer(replay, 0, heading_deg), engine
+    engine = EngineBackend(start, play(start, "none"), heading_deg)
+    return ReplayBackend(replay, 0, heading_deg), engine
 
 
 @pytest.mark.parametrize(
@@ -261,7 +263,7 @@ def _few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def searched(suite: Suite) -> dict[str, Any]:
     (detector,) = suite.detector_entries
-    return suite.optima(threads=1).find(detector, spoofer_entry(BLIND), lambda part: None)
+    return suite.optima(threads=1).find(detector, specify_spoofer(BLIND), lambda part: None)
 
 
 def test_a_passive_detector_is_searched_against_by_replay() -> None:
@@ -338,7 +340,7 @@ def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(
     (detector,) = suite.detector_entries
     judges, optima = [detector_in_world(detector.spec)], suite.optima()
     panel = Panel(suite.world.setup, judges, lambda: suite.generators("training", 6), 1)
-    (result,) = fit(panel, {0: detector}, spoofer_entry(BLIND), optima)
+    (result,) = fit(panel, {0: detector}, specify_spoofer(BLIND), suite.tuning, lambda: optima)
     assert result.found is not None
     fitted = result.found["fitted_m"]
     assert set(fitted) == {"found", "constant", "linear", "mine", ZERO_ALARM}
@@ -362,7 +364,7 @@ def test_a_campaign_that_goes_on_finds_the_same(
     for file in files:
         assert (tmp_path / "cells" / file.name).read_bytes() == file.read_bytes()
     one, search = (
-        again.store.path_of(f"shewhart / blind-optimum{word}") for word in ("", ", search")
+        again.store.path_of(f"shewhart / blind-optimum / {kind}") for kind in ("runs", "search")
     )
     one.unlink()
     before = search.stat().st_mtime_ns

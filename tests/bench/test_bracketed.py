@@ -21,7 +21,7 @@ from spoofgym.bench.report.campaign import (
     markdown,
 )
 from spoofgym.bench.report.figures import draw_campaign
-from spoofgym.bench.scores.bounds import HALF, STEALTHY, bracket_of
+from spoofgym.bench.scores.campaign import HALF, STEALTHY, bracket_of
 
 from .support import small_suite
 

@@ -24,7 +24,7 @@ from spoofgym.bench.report.campaign import (
     DETECTORS as TABLE,
 )
 from spoofgym.bench.runs.record import MEASURES
-from spoofgym.bench.scores.paired import compare
+from spoofgym.bench.scores.campaign import compare
 from spoofgym.bench.search.settings import Selection, Tuning
 from spoofgym.detectors import DETECTORS, Detector, Verdict
 

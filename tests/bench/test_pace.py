@@ -10,11 +10,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.bench.experiments.evaluate import entry_of
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report.figures import frame_count, play_frames
 from spoofgym.bench.runs.play import Runs, WarmStart, play
-from spoofgym.bench.runs.players import spoofer_entry
+from spoofgym.bench.runs.players import specify_policy, specify_spoofer
 from spoofgym.envs.spoofer_binding import attach, bound_spoofer, paced, tuning_range_of
 from spoofgym.spoofers import OnnxPolicy, Spoofer, SpooferContext, make_spoofer
 from spoofgym.spoofers.learned import ModelPolicy
@@ -109,7 +108,7 @@ def test_a_model_takes_its_pace_from_its_environment() -> None:
         def get_env(self) -> object:
             return envs
 
-    spoofer = entry_of(Model(), None, None).untuned
+    spoofer = specify_policy(Model(), None, None).untuned
     assert isinstance(spoofer, ModelPolicy)
     assert (spoofer.decision_interval_s, spoofer.between) == (2.5, "linear")
     envs.close()
@@ -141,8 +140,8 @@ def test_a_pace_that_a_campaign_would_lose_is_refused(amplitude: float | None) -
     ramp = make_spoofer("ramp")
     ramp.decision_interval_s = 2.5
     with pytest.raises(ValueError, match=r"`decision_interval_s` = 2.5 was set on an object of"):
-        spoofer_entry(ramp if amplitude is None else Scaled(ramp, amplitude))
-    assert spoofer_entry(Mirror(**LATE)).spec["between"] == "linear"
+        specify_spoofer(ramp if amplitude is None else Scaled(ramp, amplitude))
+    assert specify_spoofer(Mirror(**LATE)).spec["between"] == "linear"
 
 
 def test_an_environment_asks_it_as_often_as_it_decides() -> None:
@@ -182,7 +181,7 @@ def test_an_animation_has_a_frame_for_every_epoch(suite: Suite, tmp_path: Path) 
     late = small_suite(detectors=("ewma",), settings=LATE)
     write_policy(tmp_path / "push.onnx", late, "blind", (0.0, 0.05))
     (detector,) = suite.detector_entries
-    entry = spoofer_entry(str(tmp_path / "push.onnx"))
+    entry = specify_spoofer(str(tmp_path / "push.onnx"))
     counts = [len(list(play_frames(each, detector, entry, every=4))) for each in (suite, late)]
     assert counts == [1 + 40 // 4, 1 + 8 // 4]  # its own decisions, and those of the world
     assert counts == [frame_count(each, detector, every=4) for each in (suite, late)]

@@ -10,7 +10,7 @@ import pytest
 
 from spoofgym.bench.experiments.summary import score_protection
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
-from spoofgym.bench.scores.paired import compare
+from spoofgym.bench.scores.campaign import compare
 from spoofgym.bench.scores.scores import exceeded
 from spoofgym.bench.search.settings import Selection
 from spoofgym.bench.search.worst_attack import aims_of

@@ -11,14 +11,10 @@ import pytest
 from spoofgym.bench import Suite, run_campaign, summarize
 from spoofgym.bench.report.campaign import made_for, markdown
 from spoofgym.bench.report.figures import draw_campaign
-from spoofgym.bench.runs.players import (
-    DEFAULT_SPOOFERS,
-    build_spoofer,
-    card_behind,
-    knowledge_of,
-    spoofer_entry,
-)
+from spoofgym.bench.runs.players import DEFAULT_SPOOFERS, knowledge_of, specify_spoofer
 from spoofgym.simulation import Timeline
+from spoofgym.spoofers import make_spoofer
+from spoofgym.spoofers.build import card_behind
 
 from .support import SHORT, small_suite, use_zoo, write_policy, write_zoo
 
@@ -92,7 +88,7 @@ def test_the_file_is_part_of_the_campaign(tmp_path: Path) -> None:
 def known(spec: Any, detector: str = "ewma", **changes: Any) -> dict[str, Any]:
     suite = small_suite(detectors=(detector,), **changes)
     (judge,) = suite.detector_entries
-    return knowledge_of(spoofer_entry(spec), suite.setup(judge), judge)
+    return knowledge_of(specify_spoofer(spec), suite.setup(judge), judge)
 
 
 def test_what_they_were_made_for() -> None:
@@ -122,7 +118,7 @@ def test_what_has_no_card_tells_for_itself() -> None:
     assert (told["detector"], told["design_time"]) == (None, "a hunch | or two")
     assert made_for({"knowledge": told}) == "a hunch | or two"
     # the name of a shipped one does not make it that
-    assert card_behind(build_spoofer({**own, "label": "curve"})) is None
+    assert card_behind(make_spoofer({**own, "label": "curve"})) is None
 
 
 def test_two_of_one_label_are_refused() -> None:

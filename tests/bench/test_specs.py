@@ -8,11 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench.runs.players import detector_entry, spoofer_entry
+from spoofgym.attacks import make_attack
+from spoofgym.bench.runs.players import (
+    ATTACK,
+    PlayerSpec,
+    specify_detector,
+    specify_player,
+    specify_policy,
+    specify_spoofer,
+)
 from spoofgym.core.registry import load_class, make, parse_spec, slug, spec_of
 from spoofgym.core.settings import describe, differences, digest_of
-from spoofgym.detectors import DETECTORS, Detector, Ewma
-from spoofgym.spoofers import SPOOFERS, Ramp, Spoofer
+from spoofgym.detectors import DETECTORS, Calibrated, Detector, Ewma, make_detector
+from spoofgym.detectors.build import LOADERS, bare_detector
+from spoofgym.spoofers import SPOOFERS, Ramp, Scaled, Spoofer, make_spoofer
 
 
 @pytest.mark.parametrize(
@@ -48,31 +57,31 @@ def test_settings_make_an_equal_object_again() -> None:
 
 
 def test_labels_tell_what_is_not_default() -> None:
-    assert detector_entry("ewma").label == "ewma"
-    assert detector_entry(Ewma(smoothing=0.1)).label == "ewma"
-    entry = detector_entry({"name": "ewma", "weight_scale": None, "smoothing": 0.25})
+    assert specify_detector("ewma").label == "ewma"
+    assert specify_detector(Ewma(smoothing=0.1)).label == "ewma"
+    entry = specify_detector({"name": "ewma", "weight_scale": None, "smoothing": 0.25})
     assert entry.label == "ewma(smoothing=0.25,weight_scale=none)"
     assert slug(entry.label) == "ewma-smoothing=0.25-weight_scale=none"
-    assert spoofer_entry({"name": "ramp", "rate_mps": "tuned"}).label == "ramp(tuned)"
+    assert specify_spoofer({"name": "ramp", "rate_mps": "tuned"}).label == "ramp(tuned)"
 
 
 def test_labels_stay_short() -> None:
     curve = {"name": "profile", "rates_mps": [0.0, 0.1, 0.2, 0.3], "label": None}
-    assert spoofer_entry(curve).label == "profile(rates_mps=4 values,label=none)"
-    assert spoofer_entry({**curve, "label": "mine"}).label == "mine"
+    assert specify_spoofer(curve).label == "profile(rates_mps=4 values,label=none)"
+    assert specify_spoofer({**curve, "label": "mine"}).label == "mine"
 
 
 def test_only_the_tunable_setting_is_tuned() -> None:
-    assert spoofer_entry({"name": "step", "size_m": "tuned"}).tuned == "size_m"
+    assert specify_spoofer({"name": "step", "size_m": "tuned"}).tuned == "size_m"
     with pytest.raises(ValueError, match="`heading_deg` of spoofer 'ramp' can't be tuned; tunable"):
-        spoofer_entry({"name": "ramp", "heading_deg": "tuned"})
+        specify_spoofer({"name": "ramp", "heading_deg": "tuned"})
     with pytest.raises(ValueError, match="tunable: nothing"):
-        spoofer_entry({"name": "none", "rate_mps": "tuned"})
+        specify_spoofer({"name": "none", "rate_mps": "tuned"})
 
 
 def test_a_class_of_the_user() -> None:
     assert load_class("spoofgym.detectors.charts:Ewma", Detector) is Ewma
-    entry = detector_entry({"name": "spoofgym.detectors.charts:Ewma", "smoothing": 0.5})
+    entry = specify_detector({"name": "spoofgym.detectors.charts:Ewma", "smoothing": 0.5})
     assert entry.spec["name"] == "ewma"
     with pytest.raises(ValueError, match="there is no module 'nowhere'"):
         load_class("nowhere:Thing", Detector)
@@ -127,8 +136,58 @@ class Forgetful(Plain):
 
 
 def test_a_detector_need_not_be_a_dataclass() -> None:
-    entry = detector_entry({"name": f"{__name__}:Plain", "level": 3.0})
+    entry = specify_detector({"name": f"{__name__}:Plain", "level": 3.0})
     assert entry.label == "Plain(level=3)"
     assert make("detector", DETECTORS, Detector, entry.spec).level == 3.0
     with pytest.raises(TypeError, match=r"must keep its settings .* it has no 'factor'"):
-        detector_entry(Forgetful())
+        specify_detector(Forgetful())
+
+
+class Loaded(Plain):
+    """As if it were from a file, whose card has a threshold."""
+
+    class card:
+        threshold = 0.25
+
+
+def test_a_file_is_loaded_by_what_its_ending_is_registered_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[Any] = []
+    monkeypatch.setitem(LOADERS, ".toy", lambda spec: asked.append(spec) or Loaded())
+    made = make_detector({"name": "mine.toy", "quiet_epochs": 2})
+    assert isinstance(made, Calibrated)
+    assert (type(made.detector), made.scale) == (Loaded, 0.25)
+    assert make_detector({"name": "mine.toy", "threshold": 0.5}).scale == 0.5  # type: ignore[attr-defined]
+    assert type(bare_detector("mine.toy")) is Loaded
+    assert asked == [
+        {"name": "mine.toy", "quiet_epochs": 2},
+        {"name": "mine.toy", "threshold": 0.5},
+        {"name": "mine.toy"},
+    ]
+    with pytest.raises(ValueError, match=r"unknown detector 'mine\.doll'"):
+        make_detector("mine.doll")
+
+
+def test_a_player_is_built_from_its_settings_or_is_an_object() -> None:
+    tuned, given = specify_spoofer({"name": "ramp", "rate_mps": "tuned"}), Ramp(rate_mps=0.3)
+    assert tuned.as_config() == {"label": "ramp(tuned)", "spec": tuned.spec}
+    assert tuned.build() == Ramp()
+    assert make_spoofer(tuned.with_value(0.3)) == given
+    alone = specify_policy(given, "fitted")
+    assert (alone.spec, alone.tuned, alone.untuned) == (None, "amplitude", given)
+    scaled = alone.with_value(2.0)
+    assert isinstance(scaled, Scaled)
+    assert (scaled.spoofer, scaled.amplitude) == (given, 2.0)
+    known = specify_player(given, "spoofer")
+    assert known.label == "ramp(rate_mps=0.3)"
+    assert PlayerSpec.from_json("spoofer", known.as_json()) == known
+
+
+def test_an_antenna_stands_to_the_east() -> None:
+    far = PlayerSpec("meaconer", ATTACK, {"name": "meaconer", "antenna_m": "tuned"}, "antenna_m")
+    assert make_attack(far.with_value(20.0)).antenna_m == (0.0, 20.0, 0.0)  # type: ignore[attr-defined]
+
+
+def test_a_spoofer_may_be_a_class_of_the_user() -> None:
+    assert make_spoofer({"name": "spoofgym.spoofers:Ramp", "rate_mps": 0.3}) == Ramp(rate_mps=0.3)

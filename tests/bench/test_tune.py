@@ -9,7 +9,7 @@ import pytest
 
 from spoofgym.bench.runs.panel import Panel, play_searches
 from spoofgym.bench.runs.play import Runs, displacement_of, play
-from spoofgym.bench.runs.players import spoofer_entry
+from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.scores.scores import counted, stealth_of
 from spoofgym.bench.scores.statistics import most_alarms
 from spoofgym.bench.search import amplitude as module
@@ -19,7 +19,7 @@ from spoofgym.detectors import Ewma, SnapshotChi2
 
 from .support import small_suite
 
-RAMP = spoofer_entry({"name": "ramp", "rate_mps": "tuned"})
+RAMP = specify_spoofer({"name": "ramp", "rate_mps": "tuned"})
 
 
 class Landscape:
@@ -162,7 +162,7 @@ def test_what_is_chosen_keeps_to_the_budget_when_played(detector: Any) -> None:
     suite = small_suite(detectors=(detector,), tuning=tuning)
     (judge,) = suite.detector_entries
     panel = Panel(suite.world.setup, [detector], lambda: suite.generators("training", 16), 1)
-    (result,) = fit(panel, {0: judge}, RAMP, suite.optima())
+    (result,) = fit(panel, {0: judge}, RAMP, suite.tuning, suite.optima)
     start, clean = panel.start, panel.clean[0]
     attacked = play(start, RAMP.with_value(result.value))
     counts = counted(start.warmup_alarm, clean.first_alarm)
@@ -178,4 +178,4 @@ def test_what_is_chosen_keeps_to_the_budget_when_played(detector: Any) -> None:
 def test_a_spoofer_without_a_tuned_setting_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     landscape = Landscape(monkeypatch, alarm=lambda rate: 0.1, displacement=lambda rate: rate)
     with pytest.raises(ValueError, match="'ramp' has no setting that is to be tuned"):
-        next(tune(landscape, 0, spoofer_entry("ramp"), "", Tuning()))  # type: ignore[arg-type]
+        next(tune(landscape, 0, specify_spoofer("ramp"), "", Tuning()))  # type: ignore[arg-type]

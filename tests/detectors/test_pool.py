@@ -7,7 +7,7 @@ import pytest
 
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.play import WarmStart, play
-from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.runs.players import specify_detector
 from spoofgym.detectors import Calibrated, PooledDetector, SnapshotChi2, make_detector
 from spoofgym.duel_v0 import SpooferView
 from spoofgym.envs import SpoofEnv
@@ -103,7 +103,7 @@ def test_the_view_of_the_spoofer_meets_the_same_opponents():
 
 
 def test_its_settings_are_written_down_and_make_it_again():
-    entry = detector_entry(POOL)
+    entry = specify_detector(POOL)
     assert entry.label == "pool(members=ewma+snapshot-chi2+never)"
     told = json.loads(json.dumps(entry.spec))
     assert told["members"][1] == {
@@ -113,7 +113,7 @@ def test_its_settings_are_written_down_and_make_it_again():
         "bias_window_s": 0.0,
         "two_sided": False,
     }
-    assert detector_entry(told) == entry
+    assert specify_detector(told) == entry
     again = make_detector(make_detector(POOL))
     assert again.members == make_detector(told).members
 

@@ -7,15 +7,15 @@ import json
 import numpy as np
 import pytest
 
-from spoofgym.bench.experiments.game import Game
-from spoofgym.bench.experiments.members import member_of, mixture
-from spoofgym.bench.search.best_response import (
+from spoofgym.bench.experiments.best_response import (
     AttackBudget,
     best_detector,
     best_spoofer,
     exploitability,
     upper_end,
 )
+from spoofgym.bench.experiments.game import Game
+from spoofgym.bench.runs.players import member_of, mixture
 from spoofgym.bench.search.open_loop import BlindSearch
 
 from .test_population import CHI2, CUSUM, EWMA, NOMINAL, RAMP, SHARP, SHORT

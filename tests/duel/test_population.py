@@ -10,10 +10,10 @@ import pytest
 from spoofgym import duel_v0, spoofers
 from spoofgym.bench.experiments import game as population
 from spoofgym.bench.experiments.game import Game
-from spoofgym.bench.experiments.members import member_of, mixture
 from spoofgym.bench.experiments.runner import Context
 from spoofgym.bench.report.cards import find_card
 from spoofgym.bench.runs.play import displacement_of, play
+from spoofgym.bench.runs.players import member_of, mixture
 from spoofgym.bench.scores.matrix_game import RunPayoff
 from spoofgym.bench.scores.scores import counted
 from spoofgym.detectors import make_detector, zoo
@@ -52,7 +52,7 @@ def test_a_shared_pass_equals_separate_ones_to_the_last_bit(played):
         twin, setup = field.twin, field.start.setup
         assert np.array_equal(matrix.counts[j], counted(field.start.warmup_alarm, twin.first_alarm))
         for i, spoofer in enumerate(matrix.spoofers):
-            runs = play(field.start, spoofer.given)
+            runs = play(field.start, spoofer.untuned)
             moved = displacement_of(setup, runs, twin)
             assert np.array_equal(matrix.displacement[i, j], moved)
             assert np.array_equal(matrix.alarmed[i, j], runs.first_alarm > 0)

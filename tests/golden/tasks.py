@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 
 from spoofgym.attacks import ATTACKS
-from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.runs.world import World
 from spoofgym.core.files import write_file
 from spoofgym.core.registry import spec_of
@@ -30,7 +30,7 @@ def resolved(task: Task) -> dict[str, Any]:
     """All settings of a task with their defaults, and the factors on its detectors' thresholds."""
     env: Any = gym.make(task.env_id).unwrapped
     setup = env.core.setup
-    points = World.of(task.key).points(detector_entry(task.detector))
+    points = World.of(task.key).points(specify_detector(task.detector))
     found = {
         "world": setup.conditions.settings,
         "attack": spec_of("attack", ATTACKS, setup.attack),

@@ -11,8 +11,9 @@ from spoofgym.bench import Suite
 from spoofgym.bench.runs.players import fitting
 from spoofgym.bench.runs.world import World
 from spoofgym.envs.spoofer_binding import setup_of_card
-from spoofgym.spoofers import SPOOFERS, OnnxPolicy, Ramp, card_of, make_spoofer, resolve, shipped
-from spoofgym.spoofers.zoo import ZOO_FOLDER, spec_of_shipped
+from spoofgym.spoofers import SPOOFERS, OnnxPolicy, Ramp, card_of, make_spoofer, shipped
+from spoofgym.spoofers.build import resolve
+from spoofgym.spoofers.zoo import ZOO_FOLDER
 
 from .policies import write_policy
 
@@ -35,7 +36,7 @@ def test_a_shipped_name_makes_its_spoofer(zoo: Path) -> None:
     assert make_spoofer({"name": "onnx-policy", "file": "ewma-tiny"}) == policy
     assert make_spoofer(str(zoo)).sha256 == policy.sha256  # type: ignore[attr-defined]
     assert make_spoofer(policy) == policy
-    assert spec_of_shipped("ewma-tiny") == {
+    assert resolve("ewma-tiny") == {
         "name": "onnx-policy",
         "file": "ewma-tiny",
         "sha256": policy.sha256,

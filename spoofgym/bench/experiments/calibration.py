@@ -14,10 +14,10 @@ from ...calibration import holdouts, thresholds
 from ...calibration.clean_runs import CleanRuns, Numbers, Player, joined
 from ...core.progress import ProgressBar, ProgressCallback
 from ...core.settings import digest_of
-from ...detectors import Calibrated, Detector, PooledDetector, detector_in_world
-from ...detectors.calibrated import identity_of, resolve
+from ...detectors import Calibrated, Detector
+from ...detectors.calibrated import identity_of
 from ...detectors.calibration_file import user_folder
-from ..runs.players import Entry
+from ..runs.players import PlayerSpec
 from ..runs.world import World
 from .identity import code_identity
 from .runner import Context, Experiment, run
@@ -126,15 +126,9 @@ hold_out = partial(holdouts.hold_out, player=ResumablePlayer)
 transfer = partial(holdouts.transfer, player=ResumablePlayer)
 
 
-def _parts(entry: Entry) -> Iterator[Calibrated]:
-    judge = detector_in_world(entry.spec)
-    parts = judge.judges if isinstance(judge, PooledDetector) else (judge,)
-    yield from (part for part in parts if isinstance(part, Calibrated))
-
-
 def calibrate_entries(
     world: World,
-    entries: Sequence[Entry],
+    entries: Sequence[PlayerSpec],
     *,
     threads: int | None = None,
     progress: ProgressBar | None = None,
@@ -144,7 +138,7 @@ def calibrate_entries(
     `optional`: labels of detectors that may be left out where no factor on their thresholds makes
     the rate; returns why, by their labels."""
     asked: dict[tuple[float, bool], list[Detector]] = {}
-    for part in (part for entry in entries for part in _parts(entry)):
+    for part in (part for entry in entries for part in calibrated_parts(entry.build())):
         rate = part.false_alarms_per_hour
         if part.scale is None and part.calibration is None and rate is not None:
             asked.setdefault((rate, part.rescaled), []).append(part.detector)
@@ -162,8 +156,7 @@ def calibrate_entries(
     refused = {}
     for entry in entries:
         try:
-            for part in _parts(entry):  # those of a file of the user's, too, which this looks up
-                resolve(part, world.setup)
+            world.judge(entry)  # with what is in a file of the user's, too
         except ValueError as error:
             if entry.label not in optional:
                 raise

@@ -3,30 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from ...core.progress import NullProgress, ProgressCallback
-from ...core.registry import check_finite, check_keywords, whole_number
-from ...detectors import detector_in_world
-from ...spoofers import Spoofer
-from ...spoofers.learned import ModelPolicy, trained_in
-from ...spoofers.scaled import AMPLITUDE, SMALLEST, Scaled
+from ...core.registry import check_keywords, whole_number
+from ...spoofers.scaled import AMPLITUDE, Scaled
 from ...tasks import task_of
 from ..runs.panel import Attack, Panel
-from ..runs.play import displacement_of
-from ..runs.players import (
-    Entry,
-    build_spoofer,
-    detector_entry,
-    fitted,
-    refuse_oracles,
-    spoofer_entry,
-)
+from ..runs.players import FITTED, PlayerSpec, refuse_oracles, specify_detector, specify_policy
 from ..runs.world import WORLD, World
-from ..scores.scores import clusters_of, stealth_of
+from ..scores.scores import clusters_of
 from ..scores.spoofer import Score
 from ..scores.statistics import BUDGET, bootstrap_mean, fewest_runs, resamples_of, wilson
 from ..search.amplitude import TuningResult, fit, with_rates
@@ -34,69 +21,16 @@ from ..search.bounds import Brackets
 from ..search.open_loop import Optima
 from ..search.settings import Tuning
 
-FITTED = "fitted"
-"""Amplitude that is fitted to the alarm budget on training runs, which are not scored."""
 RUNS, FIT_RUNS = 400, 128
 """Evaluation runs and training runs by default."""
 SIFTED = 16
 """Share of the training runs that sift the amplitudes, as one in so many."""
 
 
-@dataclass(frozen=True)
-class LiveEntry(Entry):
-    """A spoofer that is an object, which no text describes; its amplitude is fitted, or given.
-
-    `largest`: largest amplitude that is tried; None for the usual one.
-    """
-
-    spoofer: Spoofer
-    fits: bool
-    largest: float | None = None
-
-    @property
-    def tuned(self) -> str | None:
-        return AMPLITUDE if self.fits else None
-
-    @property
-    def searched(self) -> bool:
-        return False
-
-    @property
-    def untuned(self) -> Any:
-        return self.spoofer
-
-    def with_value(self, value: float) -> Any:
-        return Scaled(self.spoofer, value)
-
-
 class Evaluator:
     """Scores spoofers on the same runs, whose warm-up and clean twins are simulated once.
 
-    Parameters
-    ----------
-    task : str, optional
-        ``"T1"`` to ``"T6"``; or the settings of a world and its detector in its place.
-    runs : int
-        Evaluation runs, which decide nothing.
-    fit_runs : int
-        Training runs, on which an amplitude is fitted; at least 59, since fewer can't show that a
-        budget of 5 % is kept.  With more of them scores of other runs lie closer together, and
-        everybody gets farther: 128 allow 2 alarms, 1024 allow 39.
-    entropy : int
-        Seed of all of them.
-    threads : int, optional
-        Threads of the engine.
-    progress : ProgressCallback, optional
-        Shows how far it is.
-    **world
-        Without a task: ``detector``, and settings of the environment as `World.of` takes them,
-        such as ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``.
-
-    Raises
-    ------
-    ValueError
-        When the detector is asked for a rate of false alarms that it is not calibrated for here;
-        the message has the command that does so.
+    Its arguments are those of `evaluate`, but for the spoofer's.
 
     Examples
     --------
@@ -126,64 +60,47 @@ class Evaluator:
             detector = world.pop("detector")
             check_keywords("evaluate", world, (*WORLD, "env", "settings"))
         self.world = World.of(task, **world)
-        self.detector = detector_entry(detector if task is None else task_of(task).detector)
+        self.detector = specify_detector(detector if task is None else task_of(task).detector)
         refuse_oracles((self.detector,))
         fit_runs = whole_number("`fit_runs`", fit_runs, fewest_runs(BUDGET))
         self.runs = whole_number("`runs`", runs, 2)
         self.entropy = whole_number("`entropy`", entropy)
-        tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1))
+        self.tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1))
         self.task, self.threads, self.progress = task, threads, progress or NullProgress()
         self.world.check_fit([self.detector])
-        brackets = Brackets(self.world, [self.detector], self.entropy)
-        self.optima = Optima(brackets, tuning, threads=threads)
         self._panels: dict[tuple[str, tuple[type, ...]], Panel] = {}
 
-    def _panel(self, split: str, entry: Entry) -> Panel:
+    @cached_property
+    def optima(self) -> Optima:
+        """Searches for blind optima."""
+        brackets = Brackets(self.world, [self.detector], self.entropy)
+        return Optima(brackets, self.tuning, threads=self.threads)
+
+    def _panel(self, split: str, entry: PlayerSpec) -> Panel:
         """Runs of a split, kept for all spoofers that need the same to be watched."""
         watched = self.world.watched_for([entry])
         key = split, tuple(map(type, watched))
         if key not in self._panels:
-            runs = self.optima.tuning.runs if split == "training" else self.runs
+            runs = self.tuning.runs if split == "training" else self.runs
             self.progress.advance(0.0, f"{self.detector.label}: {split} runs")
-            judges = [detector_in_world(self.detector.spec)]
+            judges = [self.detector.build()]
             rngs = lambda: self.world.generators(self.entropy, split, runs)  # noqa: E731
             self._panels[key] = Panel(self.world.setup, judges, rngs, self.threads, watched)
         return self._panels[key]
 
-    def _fitted(self, entry: Entry) -> TuningResult:
+    def _fitted(self, entry: PlayerSpec) -> TuningResult:
         panel, now = self._panel("training", entry), f"{self.detector.label}: tuning {entry.label}"
         tick = lambda work: self.progress.advance(work, now)  # noqa: E731
-        return next(fit(panel, {0: self.detector}, entry, self.optima, tick))
+        optima = lambda: self.optima  # noqa: E731
+        return next(fit(panel, {0: self.detector}, entry, self.tuning, optima, tick))
 
     def fit(self, policy: Any, *, knowledge: str | None = None) -> TuningResult:
-        """Fit the amplitude of a spoofer on the training runs; its `score` is of these.
-
-        Parameters
-        ----------
-        policy, knowledge : optional
-            As in `evaluate`.
-
-        Returns
-        -------
-        TuningResult
-            ``value``, ``within_budget``, ``score`` [m] and all that was tried.
-        """
-        return self._fitted(entry_of(policy, FITTED, knowledge))
+        """Fit the amplitude of a spoofer on the training runs; its `score` is of these."""
+        return self._fitted(specify_policy(policy, FITTED, knowledge))
 
     def check(self, policy: Any) -> None:
-        """Raise where a spoofer does not fit this world, before anything is played.
-
-        Parameters
-        ----------
-        policy : str or mapping
-            Its name, name and settings, or the path of an ``.onnx`` file.
-
-        Raises
-        ------
-        ValueError
-            When there is none of that name, or it needs another world.
-        """
-        self.world.check_fit([self.detector], [entry_of(policy, FITTED, None)])
+        """Raise where a spoofer, in text or a file, does not fit this world, before it plays."""
+        self.world.check_fit([self.detector], [specify_policy(policy, FITTED)])
 
     def score(
         self,
@@ -194,56 +111,43 @@ class Evaluator:
         label: str | None = None,
         largest_amplitude: float | None = None,
     ) -> Score:
-        """Score of one spoofer.
-
-        Parameters
-        ----------
-        policy, amplitude, knowledge, label, largest_amplitude : optional
-            As in `evaluate`.
-
-        Returns
-        -------
-        Score
-            Of the evaluation runs.
-        """
-        entry = entry_of(policy, amplitude, knowledge, label, largest_amplitude)
+        """Score of one spoofer on the evaluation runs, as `evaluate` returns it."""
+        entry = specify_policy(policy, amplitude, knowledge, label, largest_amplitude)
         setting, spec, within, value = entry.tuned, entry.untuned, None, None
         if setting is not None:
             found = self._fitted(entry)
             if found.found is not None:
                 entry = with_rates(entry, found.found["played"]["rates_mps"])
             spec, within, value = entry.with_value(found.value), found.within_budget, found.value
-        elif isinstance(entry, LiveEntry) and isinstance(entry.spoofer, Scaled):
-            setting, value = AMPLITUDE, entry.spoofer.amplitude
+        elif isinstance(entry.thing, Scaled):
+            setting, value = AMPLITUDE, entry.thing.amplitude
         panel, now = self._panel("evaluation", entry), f"{entry.label}: evaluation runs"
-        twin, counts, setup = panel.clean[0], panel.counts[:, 0], panel.setup
         tick = lambda work: self.progress.advance(work, now)  # noqa: E731
         (attacked,) = panel.play([(Attack(spec, self.runs), 0)], drop=False, tick=tick)
-        moved = displacement_of(setup, attacked, twin)
-        alarmed = attacked.first_alarm > 0
-        stealth = stealth_of(moved, alarmed, counts)
-        samples = resamples_of(clusters_of(panel.sky)[counts])
-        budget = self.optima.tuning.budget
+        record = panel.record(0, attacked, {})
+        moved, counts, stealth = record.displacement_m, record.counts, record.stealth
+        samples = resamples_of(clusters_of(record.sky)[counts])
+        budget = self.tuning.budget
         return Score(
             task=self.task,
             detector=self.detector.label,
             spoofer=entry.label,
-            knowledge=build_spoofer(entry.untuned).knowledge,
+            knowledge=entry.build().knowledge,
             setting=setting,
             value=value,
             runs=self.runs,
             counted=stealth.runs,
             stealthy_displacement_m=bootstrap_mean(moved[counts], samples),
             alarm_rate=wilson(stealth.alarms, stealth.runs),
-            clean_alarm_rate=float((twin.first_alarm > 0).mean()),
+            clean_alarm_rate=float((panel.twin_alarm[:, 0] > 0).mean()),
             budget=budget,
             within_budget=stealth.seems_to_keep(budget),
             fit_within_budget=within,
             displacement_m=moved,
-            alarmed=alarmed,
+            alarmed=record.alarmed,
             counts=counts,
-            sky=panel.sky,
-            twins=hashlib.sha256(twin.position.tobytes()).hexdigest(),
+            sky=record.sky,
+            twins=hashlib.sha256(panel.clean[0].position.tobytes()).hexdigest(),
         )
 
 
@@ -280,8 +184,12 @@ def evaluate(
         its name, or name and settings; or the path of an ``.onnx`` file with its card.
     task : str, optional
         ``"T1"`` to ``"T6"``; without one, ``detector`` and its world are given by name.
-    runs, fit_runs, entropy, threads, progress : optional
-        As in `Evaluator`.
+    runs : int
+        Evaluation runs, which decide nothing.
+    fit_runs : int
+        Training runs, on which an amplitude is fitted; at least 59, since fewer can't show that a
+        budget of 5 % is kept.  With more of them scores of other runs lie closer together, and
+        everybody gets farther: 128 allow 2 alarms, 1024 allow 39.
     amplitude : {"fitted"}, float or None
         Factor on all commands, fitted by default; None for the commands as they are.  A scripted
         spoofer by its name alone has its usual setting fitted, as a ramp its rate.
@@ -293,8 +201,15 @@ def evaluate(
     largest_amplitude : float, optional
         Of a model whose amplitude is fitted, the largest one that is tried; 10 by default.  A
         network that has not learned answers by some hundredths, and needs a thousand.
+    entropy : int
+        Seed of all of them.
+    threads : int, optional
+        Threads of the engine.
+    progress : ProgressCallback, optional
+        Shows how far it is.
     **world
-        As in `Evaluator`.
+        Without a task: ``detector``, and settings of the environment as `World.of` takes them,
+        such as ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``.
 
     Returns
     -------
@@ -306,7 +221,9 @@ def evaluate(
     TypeError
         When the policy is something else.
     ValueError
-        When it does not fit the task, returns NaN or infinity, remembers, or is a pickled file.
+        When it does not fit the task, returns NaN or infinity, remembers, or is a pickled file; or
+        the detector is asked for a rate of false alarms that it is not calibrated for here; the
+        message has the command that does so.
 
     Examples
     --------
@@ -337,52 +254,3 @@ def evaluate(
         label=label,
         largest_amplitude=largest_amplitude,
     )
-
-
-def entry_of(
-    policy: Any,
-    amplitude: float | str | None,
-    knowledge: str | None,
-    label: str | None = None,
-    largest: float | None = None,
-) -> Entry:
-    """Entry of a spoofer of any form, and what of it is to be fitted, up to which amplitude."""
-    fits = _is_fitted(amplitude, largest)
-    if isinstance(policy, str | os.PathLike | Mapping):
-        if knowledge is not None or label is not None:
-            raise ValueError("`knowledge` and `label` are for models; this spoofer has its own")
-        if largest is not None:
-            raise ValueError(
-                "`largest_amplitude` is for models; this spoofer has a range of its own"
-            )
-        spec = dict(policy) if isinstance(policy, Mapping) else {"name": os.fspath(policy)}
-        if not fits and amplitude is not None:
-            spec = {**spec, AMPLITUDE: amplitude}
-        return spoofer_entry(fitted(spec) if fits else spec)
-    spoofer = policy
-    if not isinstance(policy, Spoofer):
-        known = {**trained_in(policy), **({} if knowledge is None else {"knowledge": knowledge})}
-        spoofer = ModelPolicy(policy, label=label, **known)
-    name = str(spoofer.label or type(spoofer).__name__)
-    if isinstance(spoofer, Scaled) and amplitude is not None:
-        raise ValueError(f"{name} has an amplitude already, {spoofer.amplitude:g}: give None")
-    if not fits and amplitude is not None:
-        spoofer = Scaled(spoofer, float(amplitude))
-    return LiveEntry(name, {"name": name}, spoofer, fits and spoofer.transmits, largest)
-
-
-def _is_fitted(amplitude: float | str | None, largest: float | None) -> bool:
-    """Whether an amplitude is to be fitted; raises where it, or the largest one, is none."""
-    fits = amplitude == FITTED
-    if isinstance(amplitude, str) and not fits:
-        raise ValueError(f"`amplitude` must be {FITTED!r}, a number or None, got {amplitude!r}")
-    if not fits and amplitude is not None:
-        check_finite("amplitude", amplitude, "> 0")
-    if largest is None:
-        return fits
-    check_finite("largest_amplitude", largest)
-    if largest <= SMALLEST:
-        raise ValueError(f"`largest_amplitude` must be above {SMALLEST:g}, got {largest!r}")
-    if not fits:
-        raise ValueError(f"`largest_amplitude` is for `amplitude={FITTED!r}`, got {amplitude!r}")
-    return fits

@@ -25,17 +25,17 @@ from ...calibration.clean_runs import weighs
 from ...core.progress import NullProgress, ProgressCallback
 from ...core.registry import check_choice, check_keywords, whole_number
 from ...core.settings import digest_of, outside_sources
-from ...detectors import Detector, detector_in_world
-from ...detectors.calibrated import factors_of, resolve
+from ...detectors import Detector
+from ...detectors.calibrated import factors_of
 from ...envs.terms.observation import REPORTED
 from ...simulation.monitors import PastPositions
 from ...simulation.setup import SPLITS, Setup
 from ...tasks import task_of
 from ..runs.panel import Attack, Panel
-from ..runs.play import displacement_of
+from ..runs.players import DETECTOR, SPOOFER, Mixture, PlayerSpec, Strategy, specify_strategy
+from ..runs.record import RunRecord
 from ..runs.world import WORLD, World
-from ..scores.matrix_game import PayoffMatrix, Played, RunPayoff
-from .members import DETECTOR, SPOOFER, Member, Mixture, Strategy, strategy_of
+from ..scores.matrix_game import PayoffMatrix, RunPayoff
 from .runner import Context, Experiment, run
 from .store import Cell, MemoryStore, Reader, Result, Store
 
@@ -55,8 +55,8 @@ class Pairs(Experiment):
     name: ClassVar[str] = "game"
     game: Game
     strategies: tuple[Sequence[Strategy], Sequence[Strategy]]
-    spoofers: Sequence[Member]
-    detectors: Sequence[Member]
+    spoofers: Sequence[PlayerSpec]
+    detectors: Sequence[PlayerSpec]
     mixes: tuple[FloatArray, FloatArray]
 
     @property
@@ -69,7 +69,7 @@ class Pairs(Experiment):
         return {**named, "outside": outside_sources(*world.parts)}
 
     @cached_property
-    def pairs(self) -> dict[str, tuple[Cell, Member, Member]]:
+    def pairs(self) -> dict[str, tuple[Cell, PlayerSpec, PlayerSpec]]:
         """Cells by key, with who meets whom; shared passes come first."""
         passive = sum(map(self.game.is_passive, self.detectors))
         found = {}
@@ -81,11 +81,13 @@ class Pairs(Experiment):
             found[key] = cell, a, b
         return found
 
-    def _is_alone(self, pair: tuple[Member, Member]) -> bool:
+    def _is_alone(self, pair: tuple[PlayerSpec, PlayerSpec]) -> bool:
         detector, spoofer = pair
         return spoofer.sees_statistics or not self.game.is_passive(detector)
 
-    def _identity(self, spoofer: Member, detector: Member) -> tuple[str, dict[str, Any] | None]:
+    def _identity(
+        self, spoofer: PlayerSpec, detector: PlayerSpec
+    ) -> tuple[str, dict[str, Any] | None]:
         """Key of a pair, and all that it depends on; None where no text says that."""
         judge, runs = self.game.detector(detector), [self.game.runs, *self.game.seeds]
         key = " ".join(map(str, (*runs, spoofer.label, detector.label)))
@@ -113,14 +115,12 @@ class Pairs(Experiment):
         work, alone = sum(cell.work for cell in cells), self._is_alone((detectors[0], spoofer))
         panel = self._panel(detectors, alone, context)
         tick = lambda part: context.tick(part * work / panel.runs / len(cells))  # noqa: E731
-        attack = Attack(spoofer.given, panel.runs)
+        attack = Attack(spoofer.untuned, panel.runs)
         asked = [(attack, k) for k in range(len(detectors))]
         for k, runs in enumerate(panel.play(asked, drop=False, tick=tick)):
-            moved = displacement_of(panel.setup, runs, panel.clean[k])
-            played = Played(moved, runs.first_alarm > 0, panel.counts[:, k])
-            yield Result({**played._asdict(), "sky": panel.sky})
+            yield Result(*panel.record(k, runs, {}).parts())
 
-    def _panel(self, detectors: Sequence[Member], alone: bool, context: Context) -> Panel:
+    def _panel(self, detectors: Sequence[PlayerSpec], alone: bool, context: Context) -> Panel:
         """Runs at the onset in front of detectors that share them."""
         panels, game = context.cache, self.game
         key = (alone, *(each.label for each in detectors))
@@ -141,10 +141,12 @@ class Pairs(Experiment):
         """Payoffs of all pairs."""
         keys = {(a.label, b.label): key for key, (_, a, b) in self.pairs.items()}
         found = [
-            [results[keys[a.label, b.label]].arrays for b in self.detectors] for a in self.spoofers
+            [RunRecord.of_parts(*results[keys[a.label, b.label]][:2]) for b in self.detectors]
+            for a in self.spoofers
         ]
         moved, alarmed, counts = (
-            np.array([[each[name] for each in row] for row in found]) for name in Played._fields
+            np.array([[getattr(each, name) for each in row] for row in found])
+            for name in ("displacement_m", "alarmed", "counts")
         )
         spoofers, detectors = self.strategies
         return PayoffMatrix(
@@ -155,7 +157,7 @@ class Pairs(Experiment):
             moved,
             alarmed,
             counts[0],
-            found[0][0]["sky"],
+            found[0][0].sky,
             self.game.seeds,
         )
 
@@ -236,7 +238,7 @@ class Game:
         self.store = MemoryStore(None if folder is None else Store(folder))
         self.threads, self.progress = threads, progress or NullProgress()
         self._judges: dict[str, tuple[Detector, bool]] = {}
-        self._members: dict[tuple[str, str], Member] = {}
+        self._members: dict[tuple[str, str], PlayerSpec] = {}
 
     @property
     def setup(self) -> Setup:
@@ -244,29 +246,16 @@ class Game:
         return self.world.setup
 
     def on(self, split: str, runs: int | None = None, entropy: int | None = None) -> Game:
-        """The same game on runs of another split.
-
-        Parameters
-        ----------
-        split : str
-            What they are for.
-        runs, entropy : int, optional
-            How many, and their seed; those of this one by default.
-
-        Returns
-        -------
-        Game
-            With the same folder and payoff.
-        """
+        """The same game, with its folder and payoff, on runs of another split, number or seed."""
         count = self.runs if runs is None else runs
         seed = self.seeds[0] if entropy is None else entropy
         return Game(**self._world, runs=count, entropy=seed, split=split)
 
-    def detector(self, member: Member) -> Detector:
+    def detector(self, member: PlayerSpec) -> Detector:
         """Detector of a member, with the thresholds that it has in this world."""
         return self._judge(member)[0]
 
-    def is_passive(self, member: Member) -> bool:
+    def is_passive(self, member: PlayerSpec) -> bool:
         """Whether a detector leaves the filter alone."""
         return not self._judge(member)[1]
 
@@ -278,8 +267,8 @@ class Game:
         Parameters
         ----------
         spoofers, detectors : sequence
-            Names, names with settings, paths of ``.onnx`` files, objects, `Member`, `Mixture`, or
-            mixes as mappings of names to weights.
+            Names, names with settings, paths of ``.onnx`` files, objects, `PlayerSpec`, `Mixture`,
+            or mixes as mappings of names to weights.
         oracles : bool
             Whether spoofers that observe the detector's statistics may be compared with others.
 
@@ -302,8 +291,8 @@ class Game:
         self, spoofers: Sequence[Any], detectors: Sequence[Any], *, oracles: bool = False
     ) -> Pairs:
         """Experiment of a `matrix`."""
-        rows = [strategy_of(each, SPOOFER) for each in _listed(spoofers, SPOOFER)]
-        columns = [strategy_of(each, DETECTOR) for each in _listed(detectors, DETECTOR)]
+        rows = [specify_strategy(each, SPOOFER) for each in _listed(spoofers, SPOOFER)]
+        columns = [specify_strategy(each, DETECTOR) for each in _listed(detectors, DETECTOR)]
         for each in (*rows, *columns):
             self._check_fresh(each)
         who, of_rows = self._pure_of(rows)
@@ -320,13 +309,13 @@ class Game:
                 f"entropy {entropy}: it can't be scored on them; take another split or entropy"
             )
 
-    def _pure_of(self, strategies: Sequence[Strategy]) -> tuple[list[Member], FloatArray]:
+    def _pure_of(self, strategies: Sequence[Strategy]) -> tuple[list[PlayerSpec], FloatArray]:
         """All pure members, each once, and their weights in every strategy."""
         parts = [
-            ((each,), (1.0,)) if isinstance(each, Member) else (each.members, each.weights)
+            ((each,), (1.0,)) if isinstance(each, PlayerSpec) else (each.members, each.weights)
             for each in strategies
         ]
-        everyone: dict[str, Member] = {}
+        everyone: dict[str, PlayerSpec] = {}
         for members, _ in parts:
             for member in members:
                 known = self._members.setdefault((member.side, member.label), member)
@@ -340,24 +329,23 @@ class Game:
                 row[where[member.label]] += chance
         return list(everyone.values()), weights
 
-    def _judge(self, member: Member) -> tuple[Detector, bool]:
+    def _judge(self, member: PlayerSpec) -> tuple[Detector, bool]:
         """Detector with its thresholds, and whether it takes weight off measurements."""
         if member.label not in self._judges:
-            made = detector_in_world(member.given)
-            resolve(made, self.setup)
+            made = self.world.judge(member)
             self._judges[member.label] = made, weighs(self.setup, made)
         return self._judges[member.label]
 
 
 def _listed(given: Any, side: str) -> list[Any]:
-    if isinstance(given, str | Mapping | Member | Mixture) or not isinstance(given, Sequence):
+    if isinstance(given, str | Mapping | PlayerSpec | Mixture) or not isinstance(given, Sequence):
         raise TypeError(f"`{side}s` must be a list, got {given!r}")
     if not given:
         raise ValueError(f"`{side}s` must have at least one strategy, got none")
     return list(given)
 
 
-def _check_oracles(spoofers: Sequence[Member]) -> None:
+def _check_oracles(spoofers: Sequence[PlayerSpec]) -> None:
     """Raise where spoofers that observe the detector's statistics are compared with others."""
     seeing = [each.label for each in spoofers if each.sees_statistics]
     others = [each for each in spoofers if not each.sees_statistics and each.label != "none"]

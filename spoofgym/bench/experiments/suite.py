@@ -18,7 +18,7 @@ from ... import __version__
 from ...attacks import Attack
 from ...core.registry import whole_number
 from ...core.settings import digest_of, outside_sources
-from ...detectors import Detector, OperatingPoint, detector_in_world
+from ...detectors import Detector, OperatingPoint
 from ...envs.spoofer_binding import ENV_ID
 from ...policies.onnx_file import SUFFIX
 from ...simulation.domain import Domain
@@ -27,18 +27,17 @@ from ...spoofers import Spoofer
 from ...truth.scenario import Scenario
 from ..runs.players import (
     DEFAULT_SPOOFERS,
-    Entry,
-    build_spoofer,
+    PlayerSpec,
     check_labels,
-    detector_entry,
     fitted,
     fitting,
     oracle_labels,
     refuse_oracles,
-    spoofer_entry,
+    specify_detector,
+    specify_spoofer,
 )
 from ..runs.world import VICTIMS, WORLD, World
-from ..search.attack_suite import NAME, VERSION, Member, fitting_members, suite_digest
+from ..search.attack_suite import NAME, VERSION, SuiteAttack, fitting_members, suite_digest
 from ..search.bounds import Brackets
 from ..search.open_loop import Optima
 from ..search.settings import Selection, Tuning
@@ -65,9 +64,9 @@ class Suite:
     settings : mapping
         Further settings of the victim.
     detectors : sequence, optional
-        As `detector_entry` takes them; by default those that suit the victim.
+        As `specify_detector` takes them; by default those that suit the victim.
     spoofers : sequence, optional
-        As `spoofer_entry` takes them; ``none`` is always among them.  By default
+        As `specify_spoofer` takes them; ``none`` is always among them.  By default
         `DEFAULT_SPOOFERS` and the shipped spoofers that were made for such attacks.
     runs : int
         Evaluation runs of every cell, the same for all.
@@ -126,10 +125,10 @@ class Suite:
         return World.of(**named)
 
     @cached_property
-    def detector_entries(self) -> tuple[Entry, ...]:
+    def detector_entries(self) -> tuple[PlayerSpec, ...]:
         """Detectors in their order."""
         specs = VICTIMS[self.env].detectors if self.detectors is None else self.detectors
-        return tuple(detector_entry(spec) for spec in specs)
+        return tuple(specify_detector(spec) for spec in specs)
 
     @property
     def alert_limits_m(self) -> list[float]:
@@ -143,13 +142,13 @@ class Suite:
         return tuple(f"{label} is an oracle: it knows the attack" for label in labels)
 
     @cached_property
-    def spoofer_entries(self) -> tuple[Entry, ...]:
+    def spoofer_entries(self) -> tuple[PlayerSpec, ...]:
         """Spoofers in their order, ``none`` first."""
         specs = self.spoofers
         if specs is None:
             specs = (*DEFAULT_SPOOFERS, *map(fitted, self._shipped[0]))
-        entries = [spoofer_entry(spec) for spec in specs]
-        none = spoofer_entry("none")
+        entries = [specify_spoofer(spec) for spec in specs]
+        none = specify_spoofer("none")
         return (none, *(entry for entry in entries if entry != none))
 
     @cached_property
@@ -166,7 +165,7 @@ class Suite:
         """As `World.check_fit`, of everybody who plays."""
         self.world.check_fit(self.detector_entries, self.spoofer_entries)
 
-    def setup(self, detector: Entry, spoofers: Sequence[Entry] | None = None) -> Setup:
+    def setup(self, detector: PlayerSpec, spoofers: Sequence[PlayerSpec] | None = None) -> Setup:
         """As `World.setup_of`. `spoofers`: who plays, all of the suite's by default."""
         return self.world.setup_of(detector, self.spoofer_entries if spoofers is None else spoofers)
 
@@ -200,7 +199,7 @@ class Suite:
     def _calibrations(self) -> dict[str, Any]:
         """Scales of the detectors that ask for a rate, for `config`, and who never alarms."""
         named = {label: [p._asdict() for p in points] for label, points in self._points.items()}
-        never = [e.label for e in self.detector_entries if not detector_in_world(e.spec).calibrates]
+        never = [e.label for e in self.detector_entries if not e.build().calibrates]
         return {"calibrations": named, "never_alarm": never}
 
     @cached_property
@@ -208,8 +207,8 @@ class Suite:
         """Everything that the results depend on, JSON-able. What comes from outside of spoofgym is
         there by digests of its sources. Where one can't be read, a number of this suite alone is in
         its place, so that no other one takes up its results; this is warned of."""
-        judges = [detector_in_world(entry.spec) for entry in self.detector_entries]
-        players = [build_spoofer(entry.untuned) for entry in self.spoofer_entries]
+        judges = [entry.build() for entry in self.detector_entries]
+        players = [entry.build() for entry in self.spoofer_entries]
         outside = outside_sources(*judges, *players, *self.world.parts)
         unknown = [
             f"the source of {name} can't be read: its results are never taken up again"
@@ -244,7 +243,7 @@ class Suite:
         }
 
     @cached_property
-    def members(self) -> tuple[Member, ...]:
+    def members(self) -> tuple[SuiteAttack, ...]:
         """Attacks of the attack suite that fit the victim."""
         return fitting_members(self.world.setup, self.world.context)
 

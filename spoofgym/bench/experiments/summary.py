@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.settings import digest_of
-from ..runs.players import TUNED
+from ..runs.players import PlayerSpec
 from ..runs.record import Aim, Protection, RunRecord, Winner
-from ..scores.bounds import bracket_of
-from ..scores.clean import number, operating_point, score_detector
-from ..scores.paired import compare
+from ..scores.campaign import bracket_of, compare, number, operating_point, score_detector
 from ..scores.scores import (
     ALIKE,
     bootstrap_exceeded,
@@ -39,36 +37,29 @@ from .store import Cell, Result, Store
 
 TABLE, SUMMARY, PICTURE = OUTPUTS = "results.md", "summary.json", "campaign.png"
 """Files beside the cells of a campaign."""
-FLOOR, ATTACK_SUITE = "floor", "attack suite"
+FLOOR, SEARCH, RUNS, PROTECTION, BOUND = "floor", "search", "runs", "protection", "bound"
+"""Kinds of cells: of the world, of a detector and a spoofer, of a detector."""
+ATTACK_SUITE = "attack suite"
+Labelled = PlayerSpec | str | None
 
 SURVIVAL_TIMES = 8
 """At how many times the share of undetected attacks is told."""
 
 
-def keys_of(config: Mapping[str, Any]) -> dict[str, tuple[str, str | None, str | None]]:
-    """Kind, detector and spoofer of every cell of a campaign, by its key."""
-    found: dict[str, tuple[str, str | None, str | None]] = {FLOOR: ("floor", None, None)}
-    for detector in (each["label"] for each in config["detectors"]):
-        for spoofer in config["spoofers"]:
-            label = spoofer["label"]
-            found[f"{detector} / {label}"] = "runs", detector, label
-            if TUNED in spoofer["spec"].values():
-                found[f"{detector} / {label}, search"] = "search", detector, label
-        if config["attack_suite"] is not None:
-            found[f"{detector} / {ATTACK_SUITE}"] = "protection", detector, None
-        found[f"{detector} / zero-alarm bound"] = "bound", detector, None
-    return found
+def key_of(kind: str, detector: Labelled = None, spoofer: Labelled = None) -> str:
+    """Key of a cell."""
+    labels = (each if isinstance(each, str) else each.label for each in (detector, spoofer) if each)
+    return " / ".join((*labels, kind))
 
 
 class CampaignResults:
-    """What the finished cells of a campaign hold.
+    """What the finished cells of a campaign hold; None of what is not finished.
 
     - `store`: its folder; `config`: of the campaign.
     """
 
     def __init__(self, store: Store, config: Mapping[str, Any]) -> None:
         self.store, self.config = store, config
-        self.keys = {part: key for key, part in keys_of(config).items()}
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> CampaignResults:
@@ -82,35 +73,28 @@ class CampaignResults:
         """The folder."""
         return self.store.path
 
-    def _get(
-        self, kind: str, detector: str | None = None, spoofer: str | None = None
-    ) -> Result | None:
-        key = self.keys.get((kind, detector, spoofer))
-        return None if key is None else self.store.get(Cell(key, {}))
+    def _get(self, kind: str, *labels: str) -> Result | None:
+        return self.store.get(Cell(key_of(kind, *labels), {}))
 
     def runs(self, detector: str, spoofer: str) -> RunRecord | None:
-        """What a pair did; None where that is not finished."""
-        found = self._get("runs", detector, spoofer)
+        """What a pair did."""
+        found = self._get(RUNS, detector, spoofer)
         return None if found is None else RunRecord.of_parts(found.arrays, found.record)
 
     def search(self, detector: str, spoofer: str) -> TuningResult | None:
         """What was found for a spoofer against a detector."""
-        found = self._get("search", detector, spoofer)
+        found = self._get(SEARCH, detector, spoofer)
         return None if found is None else TuningResult.from_dict(found.record)
 
     def protection(self, detector: str) -> Protection | None:
         """What the worst attacks of the suite did against a detector."""
-        found = self._get("protection", detector)
+        found = self._get(PROTECTION, detector)
         return None if found is None else Protection.of_parts(found.arrays, found.record)
 
-    def limits(self, detector: str | None = None) -> dict[str, Any] | None:
+    def limits(self, *detector: str) -> dict[str, Any] | None:
         """Zero-alarm bound of a detector, or the floor of the world."""
-        found = self._get("floor" if detector is None else "bound", detector)
+        found = self._get(BOUND if detector else FLOOR, *detector)
         return None if found is None else dict(found.record)
-
-    def summary(self) -> dict[str, Any]:
-        """As of `summarize`."""
-        return summarize(self)
 
 
 def summarize(results: CampaignResults) -> dict[str, Any]:
@@ -133,14 +117,14 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
     detectors = [entry["label"] for entry in config["detectors"]]
     pairs = [(label, entry["label"]) for label in detectors for entry in config["spoofers"]]
     records = {pair: found for pair in pairs if (found := results.runs(*pair)) is not None}
-    known = [found for each in detectors if (found := results.protection(each)) is not None]
+    known = [worst for each in detectors if (worst := results.protection(each)) is not None]
     limits = sorted({*config["alert_limits_m"], config["alert_limit_m"]})
     points = {label: operating_point(config, label) for label in detectors}
     budget = float(config["tuning"]["budget"])
     scores = [score_runs(found, limits, budget) for found in records.values()]
     protected = [score_protection(found, limits) for found in known]
-    tuned = [found.as_dict() for pair in pairs if (found := results.search(*pair)) is not None]
-    bounds = {each: found for each in detectors if (found := results.limits(each)) is not None}
+    tuned = [search.as_dict() for pair in pairs if (search := results.search(*pair)) is not None]
+    bounds = {each: bound for each in detectors if (bound := results.limits(each)) is not None}
     bracket = {"floor": results.limits(), "zero_alarm": bounds}
 
     def bracketed(label: str) -> dict[str, Any]:

@@ -25,10 +25,9 @@ from ...envs.terms.action import CommandMap
 from ...envs.terms.observation import default_terms
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
-from ...spoofers import Spoofer, SpooferContext
+from ...spoofers import Spoofer, SpooferContext, make_spoofer
 from ...spoofers.aim import has_heading
 from ...spoofers.scaled import AMPLITUDE
-from ..runs.players import build_spoofer
 from ..search.attack_suite import KNOTS, SHAPES
 
 FloatArray = NDArray[np.float64]
@@ -70,7 +69,7 @@ class TrainingAttacks:
     `setup`: victim and attack, with the detector in the loop; `reach_m`: what `REACH` is in parts
     of: an alert limit; `families`: some of `FAMILIES`; `optima`: rates of blind optima at their
     knots, for the family of that name [m/s]; `spoofers`: names and settings of further spoofers,
-    each a family of its own, as `build_spoofer` takes them; an ONNX file, too.
+    each a family of its own, as `make_spoofer` takes them; an ONNX file, too.
     """
 
     def __init__(
@@ -82,7 +81,7 @@ class TrainingAttacks:
         spoofers: Sequence[Spec] = (),
     ) -> None:
         for spec in spoofers:
-            made = build_spoofer(spec)
+            made = make_spoofer(spec)
             if not made.transmits:
                 raise ValueError(f"the spoofer {spec['name']!r} transmits nothing: it is no attack")
             watched = setup.altered(monitors=monitors_for([made], setup))
@@ -175,7 +174,7 @@ def check_not_held_out(attack: Any, task: str | None) -> None:
 
 
 def label_of(spec: Spec) -> str:
-    return str(build_spoofer(spec).label or spec["name"])
+    return str(make_spoofer(spec).label or spec["name"])
 
 
 def log_uniform(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
@@ -199,7 +198,7 @@ class Attackers:
         self._engine, self._observers = engine, observers
         self._members: list[tuple[Spoofer, CommandMap, Decisions, Any]] = []
         for row, spec in enumerate(specs):
-            spoofer = build_spoofer(spec)
+            spoofer = make_spoofer(spec)
             commands = commands_of(spoofer, setup)
             seen = spoofer.knowledge, commands.along_target
             if seen not in observers:

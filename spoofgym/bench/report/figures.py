@@ -16,12 +16,13 @@ from ...core.registry import whole_number
 from ...envs.core import SpoofCore
 from ...envs.rendering import CoreRecorder, Screen
 from ...envs.spoofer_binding import commands_of
+from ...spoofers import make_spoofer
 from ..experiments.suite import Suite
 from ..experiments.summary import PICTURE, CampaignResults
 from ..runs.play import Attacker
-from ..runs.players import Entry, build_spoofer
+from ..runs.players import PlayerSpec
 from ..runs.record import RunRecord
-from ..scores.bounds import STEALTHY
+from ..scores.campaign import STEALTHY
 from .table import number
 
 if TYPE_CHECKING:
@@ -301,13 +302,13 @@ def _key(ax: Axes, label: str, look: Look) -> Line2D:
 
 
 def play_frames(
-    suite: Suite, detector: Entry, spoofer: Entry, run: int = 0, *, every: int = 1
+    suite: Suite, detector: PlayerSpec, spoofer: PlayerSpec, run: int = 0, *, every: int = 1
 ) -> Iterator[NDArray[np.uint8]]:
     """Play one of the evaluation runs, and draw it; an alarm does not end it. Yields (H, W, 3)
     uint8."""
     run, every = whole_number("`run`", run), whole_number("`every`", every, 1)
     setup = suite.setup(detector, [spoofer])
-    action = commands_of(build_spoofer(spoofer.spec), setup).terms
+    action = commands_of(make_spoofer(spoofer.spec), setup).terms
     core = SpoofCore(1, setup, action=action, end_at_alarm=False, threads=1)
     screen = Screen("rgb_array", CoreRecorder(core))
     core.reset(suite.generators("evaluation", run + 1, run))
@@ -324,7 +325,7 @@ def play_frames(
     core.close()
 
 
-def frame_count(suite: Suite, detector: Entry, every: int = 1) -> int:
+def frame_count(suite: Suite, detector: PlayerSpec, every: int = 1) -> int:
     """How many frames `play_frames` yields."""
     setup = suite.setup(detector)
     return 1 + -(-(setup.steps // setup.repeat) // every)

@@ -33,7 +33,7 @@ from ...limits.power import check_no_latent, kl_of
 from ...simulation.setup import Setup
 from ...simulation.tight import TightlyCoupledSetup
 from ..experiments.suite import Suite
-from ..runs.players import Entry, build_spoofer
+from ..runs.players import PlayerSpec
 from ..search.bounds import floors_m, purposes
 from .table import Table, metres, texts
 
@@ -138,12 +138,12 @@ def add_bounds(record: Record, suite: Suite, show: ProgressBar) -> None:
 
 
 def divergence_record(
-    setup: Setup, frontier: Frontier, player: Entry, p_fa: float, budget: float
+    setup: Setup, frontier: Frontier, player: PlayerSpec, p_fa: float, budget: float
 ) -> Record:
     """What no test exceeds against a spoofer, by divergence; or why there is no such bound. For
     each probability of detection: the divergence D below which no test reaches it, and the mean
     displacement that D allows."""
-    spoofer = build_spoofer(player.untuned)
+    spoofer = player.build()
     names = Observer(default_terms(setup, spoofer.knowledge), setup).names
     found: Record = {"spoofer": player.label, "knowledge": spoofer.knowledge}
     try:

@@ -17,7 +17,7 @@ from ...simulation.setup import Setup
 from ...spoofers.base import AXES
 from ..scores.scores import undetected_displacement
 from .play import Attacker, epochs_of, to_local
-from .players import Entry
+from .players import PlayerSpec
 from .world import World
 
 
@@ -119,8 +119,8 @@ class Episode:
     """
 
     setup: Setup
-    detector: Entry
-    spoofer: Entry
+    detector: PlayerSpec
+    spoofer: PlayerSpec
     entropy: int
     run: int
     time: FloatArray
@@ -184,7 +184,7 @@ class Episode:
 
 
 def play_episode(
-    world: World, detector: Entry, spoofer: Entry, run: int = 0, entropy: int = 0
+    world: World, detector: PlayerSpec, spoofer: PlayerSpec, run: int = 0, entropy: int = 0
 ) -> Episode:
     run = whole_number("`run`", run)
     setup = world.setup_of(detector, [spoofer])

@@ -19,9 +19,8 @@ from ...simulation.engine import Engine
 from ...simulation.monitors import Monitored, PassiveDetectors
 from ...simulation.setup import Setup
 from ...simulation.simulator import Simulator
-from ...spoofers import Spoofer
+from ...spoofers import Spoofer, make_spoofer
 from ..scores.scores import undetected_displacement
-from .players import build_spoofer
 
 FloatArray = NDArray[np.float64]
 
@@ -30,7 +29,7 @@ def make_bound_spoofer(
     spec: Any, setup: Setup, receivers: int
 ) -> tuple[Spoofer, Observer, CommandMap]:
     """Spoofer that is ready for a batch, what it observes, and what its actions command."""
-    spoofer = build_spoofer(spec)
+    spoofer = make_spoofer(spec)
     context, observer, commands = bound_spoofer(spoofer, setup, receivers)
     spoofer.bind(context)
     spoofer.reset()
@@ -60,7 +59,7 @@ class Attacker:
         which = np.zeros(engine.receivers, dtype=np.intp) if which is None else which
         rows = [np.flatnonzero(which == k) for k in range(len(specs))]
         self._parts = [
-            _Part(spec, build_spoofer(spec), own)
+            _Part(spec, make_spoofer(spec), own)
             for spec, own in zip(specs, rows, strict=True)
             if len(own)
         ]
@@ -109,7 +108,7 @@ class Attacker:
         parts = zip(before, own, strict=True)
         left = [(part, among) for part, among in parts if len(among)]
         self._parts = [
-            _Part(part.spec, build_spoofer(part.spec), np.searchsorted(rows, part.rows[among]))
+            _Part(part.spec, make_spoofer(part.spec), np.searchsorted(rows, part.rows[among]))
             for part, among in left
         ]
         self._bind()
@@ -265,7 +264,7 @@ class PanelDetectors(PassiveDetectors):
         """Take over receivers of a panel that has these detectors among others."""
         place = [other.numbers.index(k) for k in self.numbers]
         for name, array in self.memory.items():
-            array[to] = other.memory[name][np.ix_(rows, place)]
+            array[to] = other.memory[name][rows][:, place]
         for detector, k in zip(self.detectors, place, strict=True):
             detector.memory.copy_rows(to, other.detectors[k].memory, rows)
 

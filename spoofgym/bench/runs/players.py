@@ -1,23 +1,36 @@
-"""Specs of detectors, spoofers and mixes, their labels."""
+"""What a detector or a spoofer is: text, settings, a file, a class, an object or a mixture."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from ...attacks import ATTACKS
-from ...core.registry import Spec, label_of, make, slug, spec_of
-from ...core.settings import describe
-from ...detectors import DETECTORS, Calibrated, Detector, LearnedDetector, detector_in_world
-from ...detectors.build import asked_by_default, spec_of_judge
-from ...envs.spoofer_binding import bound_spoofer, monitors_for, setup_of_card
-from ...simulation.setup import Setup
-from ...spoofers import SPOOFERS, Spoofer, resolve
-from ...spoofers.card import Card
-from ...spoofers.scaled import AMPLITUDE, Scaled, split_amplitude, with_amplitude
-from ...spoofers.zoo import card_of, shipped
+import numpy as np
+from numpy.typing import ArrayLike
 
+from ...attacks import ATTACKS
+from ...core.registry import Spec, check_finite, label_of, slug, spec_of
+from ...core.settings import describe
+from ...detectors import DETECTORS, Calibrated, Detector, detector_in_world
+from ...detectors.build import asked_by_default, spec_of_judge
+from ...detectors.pool import checked_weights
+from ...envs.spoofer_binding import bound_spoofer, monitors_for, setup_of_card
+from ...simulation.setup import SPLITS, Setup
+from ...spoofers import SPOOFERS, Spoofer, card_of, make_spoofer, shipped
+from ...spoofers.base import sees_statistics
+from ...spoofers.build import card_behind, spec_of_spoofer
+from ...spoofers.card import Card
+from ...spoofers.learned import ModelPolicy, trained_in
+from ...spoofers.scaled import AMPLITUDE, SMALLEST, Scaled
+
+Seeds = frozenset[tuple[int, str]]
+"""Entropy and split of runs."""
+SPOOFER, DETECTOR, ATTACK = "spoofer", "detector", "attack"
+"""Sides; an attack needs no spoofer, and its setting is the distance of an antenna."""
+OUT = 1e-6
+"""Probability below which a strategy is taken to be out of a mix."""
 TUNED = "tuned"
 """Value of a spoofer's setting that is to be searched for."""
 DEFAULT_DETECTORS: tuple[Spec, ...] = ({"name": "snapshot-chi2"}, {"name": "ewma"})
@@ -29,6 +42,8 @@ DEFAULT_SPOOFERS: tuple[Spec, ...] = (
     {"name": "blind-optimum", AMPLITUDE: TUNED},
 )
 """With them, a campaign plays the shipped spoofers that fit it."""
+FITTED = "fitted"
+"""Amplitude that is fitted to the alarm budget on training runs, which are not scored."""
 
 
 def fitted(spec: Any) -> Spec:
@@ -45,70 +60,145 @@ def fitted(spec: Any) -> Spec:
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A detector or a spoofer of a campaign."""
+class PlayerSpec:
+    """A detector or a spoofer with all its settings.
+
+    - `label`: unique among those that play; `side`: of `SPOOFER`, `DETECTOR` and `ATTACK`;
+    - `spec`: name and settings, JSON-able; None of an object that no text describes, the `thing`;
+    - `tuned`: setting that is to be searched for, None for none, and its `largest` value, None for
+      the usual one;
+    - `knowledge`: what a spoofer observes while it attacks;
+    - `decided_on`: entropy and split of the runs that it was trained, fitted or chosen on.
+    """
 
     label: str
-    spec: Spec
-
-    @property
-    def tuned(self) -> str | None:
-        return next((key for key, value in self.spec.items() if value == TUNED), None)
-
-    @property
-    def largest(self) -> float | None:
-        """Largest value that is tried of that setting; None for the spoofer's own range."""
-        return None
+    side: str
+    spec: Any
+    tuned: str | None = None
+    knowledge: str = ""
+    decided_on: Seeds = frozenset()
+    thing: Any = field(default=None, repr=False, compare=False)
+    largest: float | None = None
 
     @property
     def searched(self) -> bool:
         """Whether the spoofer's curve is to be searched for, too: a blind optimum."""
-        return self.spec["name"] == "blind-optimum" and not self.spec["rates_mps"]
+        spec = self.spec or {"name": ""}
+        return bool(spec["name"] == "blind-optimum" and not spec["rates_mps"])
 
     @property
-    def untuned(self) -> Spec:
-        """Settings without the one that is to be searched for."""
+    def untuned(self) -> Any:
+        """The object, or its settings without the one that is to be searched for."""
+        if self.thing is not None:
+            return self.thing
         return {key: value for key, value in self.spec.items() if key != self.tuned}
 
-    def with_value(self, value: float) -> Spec:
-        return {**self.spec, str(self.tuned): value}
+    @property
+    def sees_statistics(self) -> bool:
+        """Whether the spoofer's commands depend on the detector."""
+        return sees_statistics(self.knowledge)
+
+    def with_value(self, value: float) -> Any:
+        """What `make_spoofer` takes, with a value of the tuned setting."""
+        if self.thing is not None:
+            return Scaled(self.thing, value)
+        east = [0.0, value, 0.0]
+        return {**self.spec, str(self.tuned): east if self.side == ATTACK else value}
+
+    def build(self) -> Any:
+        """Detector, or spoofer without its tuned setting; not bound yet."""
+        return (detector_in_world if self.side == DETECTOR else make_spoofer)(self.untuned)
+
+    def as_config(self) -> dict[str, Any]:
+        """What a campaign is known by."""
+        return {"label": self.label, "spec": self.spec}
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "label": self.label,
+            **({"knowledge": self.knowledge} if self.side == SPOOFER else {}),
+            "spec": self.spec,
+            "decided_on": sorted([entropy, split] for entropy, split in self.decided_on),
+        }
+
+    @classmethod
+    def from_json(cls, side: str, data: Mapping[str, Any]) -> PlayerSpec:
+        """Inverse of `as_json`."""
+        seeds = frozenset((int(entropy), str(split)) for entropy, split in data["decided_on"])
+        known = data.get("knowledge", "")
+        return cls(data["label"], side, data["spec"], knowledge=known, decided_on=seeds)
 
 
-def build_spoofer(spec: Any) -> Spoofer:
-    plain, amplitude = split_amplitude(spec)
-    resolved = resolve(plain)
-    spoofer: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolved, shipped())
-    return with_amplitude(spoofer, amplitude)
+@dataclass(frozen=True)
+class Mixture:
+    """A mixed strategy: one member is drawn for every episode.
+
+    - `weights`: probabilities; `decided_on`: as of a `PlayerSpec`, the runs of the matrix in which
+      the mix was solved among them.
+    """
+
+    label: str
+    members: tuple[PlayerSpec, ...]
+    weights: tuple[float, ...]
+    decided_on: Seeds = frozenset()
+
+    @property
+    def side(self) -> str:
+        return self.members[0].side
+
+    @property
+    def knowledge(self) -> str:
+        return ", ".join(dict.fromkeys(each.knowledge for each in self.members))
+
+    def as_json(self) -> dict[str, Any]:
+        each = [member.as_json() for member in self.members]
+        return {"label": self.label, "weights": list(self.weights), "members": each}
+
+    def pool(self) -> dict[str, Any]:
+        """Mix for an environment, JSON-able. Returns a ``pool``: of detectors as `make_detector`
+        takes it, of spoofers ``pool`` and ``weights`` as `DetectorView` takes them."""
+        nameless = [each.label for each in self.members if each.spec is None]
+        if nameless:
+            raise TypeError(f"{', '.join(nameless)}: an object, which no text describes")
+        members, weights = [each.spec for each in self.members], list(self.weights)
+        if self.side == DETECTOR:
+            return {"name": "pool", "members": members, "weights": weights}
+        return {"pool": members, "weights": weights}
 
 
-def spec_of_spoofer(spoofer: Spoofer) -> Spec:
-    if isinstance(spoofer, Scaled):
-        return {**spec_of_spoofer(spoofer.spoofer), AMPLITUDE: spoofer.amplitude}
-    return spec_of("spoofer", SPOOFERS, spoofer)
+Strategy = PlayerSpec | Mixture
 
 
-def detector_entry(spec: str | Mapping[str, Any] | Detector) -> Entry:
-    """Detector of a campaign, at the default rate of false alarms where it asks for nothing."""
+def specify_detector(spec: str | Mapping[str, Any] | Detector) -> PlayerSpec:
+    """Detector, at the default rate of false alarms where it asks for nothing."""
     detector = detector_in_world(spec)
-    full = spec_of_judge(detector)
+    full, default = spec_of_judge(detector), asked_by_default()
     inner = detector.detector if isinstance(detector, Calibrated) else detector
-    if isinstance(inner, LearnedDetector):
+    if inner.card is None:
+        label = _label("detector", DETECTORS, inner, full, default)
+    else:
         shown = {key: value for key, value in full.items() if key != "sha256"}
-        return Entry(label_of({**shown, "name": inner.label}, asked_by_default()), full)
-    default = _default("detector", DETECTORS, type(inner))
-    if default is not None:
-        default |= asked_by_default()
-    return Entry(label_of(full, default), full)
+        label = label_of({**shown, "name": inner.label}, default)
+    return PlayerSpec(label, DETECTOR, full, decided_on=_seeds_of(detector))
 
 
-def spoofer_entry(spec: str | Mapping[str, Any] | Spoofer) -> Entry:
+def _seeds_of(detector: Detector) -> Seeds:
+    """Runs that decided on a detector, or on the members of a pool, as far as a card says."""
+    if isinstance(detector, Calibrated):
+        return _seeds_of(detector.detector)
+    own = frozenset() if detector.card is None else detector.card.decided_on
+    return own.union(*map(_seeds_of, detector.judges))
+
+
+def specify_spoofer(spec: str | Mapping[str, Any] | Spoofer) -> PlayerSpec:
+    """Spoofer, one setting of which may be `TUNED`; a TypeError where no text describes it."""
     settings: Any = dict(spec) if isinstance(spec, Mapping) else spec
     tuned = (
-        [key for key, value in settings.items() if value == TUNED] if settings is not spec else []
+        [key for key, value in settings.items() if value == TUNED] if spec is not settings else []
     )
     for key in tuned:
         del settings[key]
-    spoofer = build_spoofer(settings)
+    spoofer = make_spoofer(settings)
     valid = [name for name in (spoofer.tunable, AMPLITUDE) if name and spoofer.transmits]
     for key in tuned:
         if key not in valid:
@@ -121,20 +211,34 @@ def spoofer_entry(spec: str | Mapping[str, Any] | Spoofer) -> Entry:
     full = {**spec_of_spoofer(spoofer), **dict.fromkeys(tuned, TUNED)}
     if isinstance(spec, Spoofer):
         _check_pace(spec, full)
-    if spoofer.label is not None:
+    if spoofer.label is None:
+        inner = spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer
+        label = _label("spoofer", SPOOFERS, inner, full, {AMPLITUDE: TUNED})
+    else:
         fixed = full.get(AMPLITUDE, TUNED)
-        word = "" if fixed == TUNED else f"(amplitude={fixed:g})"
-        return Entry(f"{spoofer.label}{word}", full)
-    inner = spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer
-    default = _default("spoofer", SPOOFERS, type(inner))
-    if default is not None:
-        default |= {AMPLITUDE: TUNED}
-    return Entry(label_of(full, default), full)
+        label = spoofer.label + ("" if fixed == TUNED else f"(amplitude={fixed:g})")
+    card = card_behind(spoofer)
+    return PlayerSpec(
+        label,
+        SPOOFER,
+        full,
+        tuned[0] if tuned else None,
+        spoofer.knowledge,
+        frozenset() if card is None else card.decided_on,
+    )
+
+
+def _label(word: str, kinds: Mapping[str, type], thing: Any, full: Spec, usual: Spec) -> str:
+    """Name, with the settings that are not the class's defaults or the usual ones of all."""
+    try:
+        return label_of(full, {**spec_of(word, kinds, type(thing)()), **usual})
+    except TypeError:  # a setting has no default
+        return label_of(full, None)
 
 
 def _check_pace(spoofer: Spoofer, spec: Spec) -> None:
     """Raise where an object decides at a pace that the one of its settings would not have."""
-    again = build_spoofer(spec)
+    again = make_spoofer(spec)
     for name in ("decision_interval_s", "between"):
         value = getattr(spoofer, name)
         if getattr(again, name) != value:
@@ -145,21 +249,193 @@ def _check_pace(spoofer: Spoofer, spec: Spec) -> None:
             )
 
 
-def _default(word: str, kinds: Mapping[str, type[Any]], kind: type[Any]) -> Spec | None:
-    """Settings of a kind by default; None where some have none."""
+def specify_policy(
+    policy: Any,
+    amplitude: float | str | None = None,
+    knowledge: str | None = None,
+    label: str | None = None,
+    largest: float | None = None,
+) -> PlayerSpec:
+    """Spoofer of any form, and what of it is to be fitted, up to which amplitude."""
+    fits = _is_fitted(amplitude, largest)
+    if isinstance(policy, str | os.PathLike | Mapping):
+        if knowledge is not None or label is not None:
+            raise ValueError("`knowledge` and `label` are for models; this spoofer has its own")
+        if largest is not None:
+            raise ValueError(
+                "`largest_amplitude` is for models; this spoofer has a range of its own"
+            )
+        spec = dict(policy) if isinstance(policy, Mapping) else {"name": os.fspath(policy)}
+        if not fits and amplitude is not None:
+            spec = {**spec, AMPLITUDE: amplitude}
+        return specify_spoofer(fitted(spec) if fits else spec)
+    spoofer = policy
+    if not isinstance(policy, Spoofer):
+        known = {**trained_in(policy), **({} if knowledge is None else {"knowledge": knowledge})}
+        spoofer = ModelPolicy(policy, label=label, **known)
+    name = str(spoofer.label or type(spoofer).__name__)
+    if isinstance(spoofer, Scaled) and amplitude is not None:
+        raise ValueError(f"{name} has an amplitude already, {spoofer.amplitude:g}: give None")
+    if not fits and amplitude is not None:
+        spoofer = Scaled(spoofer, float(amplitude))
+    tuned = AMPLITUDE if fits and spoofer.transmits else None
+    return PlayerSpec(name, SPOOFER, None, tuned, spoofer.knowledge, thing=spoofer, largest=largest)
+
+
+def _is_fitted(amplitude: float | str | None, largest: float | None) -> bool:
+    """Whether an amplitude is to be fitted; raises where it, or the largest one, is none."""
+    fits = amplitude == FITTED
+    if isinstance(amplitude, str) and not fits:
+        raise ValueError(f"`amplitude` must be {FITTED!r}, a number or None, got {amplitude!r}")
+    if not fits and amplitude is not None:
+        check_finite("amplitude", amplitude, "> 0")
+    if largest is None:
+        return fits
+    check_finite("largest_amplitude", largest)
+    if largest <= SMALLEST:
+        raise ValueError(f"`largest_amplitude` must be above {SMALLEST:g}, got {largest!r}")
+    if not fits:
+        raise ValueError(f"`largest_amplitude` is for `amplitude={FITTED!r}`, got {amplitude!r}")
+    return fits
+
+
+def specify_player(given: Any, side: str) -> PlayerSpec:
+    """Pure strategy of any form, with all of its settings."""
+    if isinstance(given, PlayerSpec):
+        return given
+    if isinstance(given, Mixture):
+        raise ValueError("a mixture can't be a member of a mixture; list its members")
+    if side == DETECTOR:
+        given = os.fspath(given) if isinstance(given, os.PathLike) else given
+        try:
+            player = specify_detector(given)
+        except TypeError:
+            if not isinstance(given, Detector):
+                raise
+            if given.oracle:
+                raise ValueError(
+                    f"{type(given).__name__} is given what no receiver can know: no member of a "
+                    "game"
+                ) from None
+            name, seeds = type(given).__name__, _seeds_of(given)
+            return PlayerSpec(name, DETECTOR, None, decided_on=seeds, thing=given)
+        refuse_oracles((player,))
+        return player
     try:
-        return spec_of(word, kinds, kind())
-    except TypeError:
-        return None
+        player = (specify_spoofer if isinstance(given, Spoofer) else specify_policy)(given)
+    except TypeError:  # no text describes it
+        player = specify_policy(given)
+    if player.tuned or player.searched:
+        raise ValueError(
+            f"{player.label}: a strategy of a game has all of its settings; fit "
+            f"`{player.tuned or 'rates_mps'}` first, as by spoofgym.evaluate or best_response"
+        )
+    return player
 
 
-def oracle_labels(entries: tuple[Entry, ...]) -> list[str]:
+def member_of(
+    given: Any,
+    side: str,
+    *,
+    label: str | None = None,
+    decided_on: Iterable[tuple[int, str]] = (),
+) -> PlayerSpec:
+    """Pure strategy of a spoofer or a detector, with what it was decided on.
+
+    Parameters
+    ----------
+    given : str, path, mapping or object
+        A spoofer as `spoofgym.evaluate` takes one, a detector as `make_detector` does, or an
+        ``.onnx`` file.
+    side : {"spoofer", "detector"}
+        Which of them it is.
+    label : str, optional
+        Name in tables.
+    decided_on : iterable of (int, str)
+        Entropy and split of the runs that it was trained, fitted or chosen on, besides those that
+        its card names.
+
+    Returns
+    -------
+    PlayerSpec
+        Refused by games on these runs.
+
+    Raises
+    ------
+    ValueError
+        When the name, a setting or a split is unknown, or a setting is still to be fitted.
+    """
+    player = specify_player(given, side)
+    seeds = player.decided_on.union((int(entropy), str(split)) for entropy, split in decided_on)
+    for _, split in seeds:
+        if split not in SPLITS:
+            raise ValueError(f"unknown split {split!r}; valid: {', '.join(SPLITS)}")
+    return replace(player, label=label or player.label, decided_on=seeds)
+
+
+def mixture(
+    label: str, members: Sequence[PlayerSpec], weights: ArrayLike, decided_on: Seeds = frozenset()
+) -> Mixture:
+    """Mix of members; those with no probability are left out.
+
+    Parameters
+    ----------
+    label : str
+        Name in tables.
+    members : sequence of PlayerSpec
+        Pure strategies of one side.
+    weights : array_like
+        Their probabilities, or numbers in proportion to them.
+    decided_on : frozenset of (int, str)
+        Entropy and split of the runs that decided on the weights; those of the members are added.
+
+    Returns
+    -------
+    Mixture
+        Refused by games on these runs.
+
+    Raises
+    ------
+    ValueError
+        When the weights do not fit.
+
+    Examples
+    --------
+    >>> from spoofgym.bench.runs.players import member_of, mixture
+    >>> guards = [member_of(name, "detector") for name in ("solution-separation", "cusum", "aime")]
+    >>> mix = mixture("mine", guards, [3, 1, 0])
+    >>> mix.weights, mix.pool()["name"]
+    ((0.75, 0.25), 'pool')
+    """
+    chances = checked_weights(len(members), np.asarray(weights, dtype=np.float64).tolist())
+    chances = np.where(chances < OUT, 0.0, chances)
+    kept = [(m, p) for m, p in zip(members, chances.tolist(), strict=True) if p > 0.0]
+    seeds = decided_on.union(*(member.decided_on for member, _ in kept))
+    total = sum(p for _, p in kept)
+    return Mixture(label, tuple(m for m, _ in kept), tuple(p / total for _, p in kept), seeds)
+
+
+def specify_strategy(given: Any, side: str) -> Strategy:
+    """Strategy of any form; a mapping of names or paths to weights is a mixture."""
+    if isinstance(given, PlayerSpec | Mixture):
+        if given.side != side:
+            raise ValueError(f"{given.label} is a {given.side}, and no {side}")
+        return given
+    if isinstance(given, Mapping) and "name" not in given:
+        if not given:
+            raise ValueError("a mixture must have at least one member, got none")
+        members = [specify_player(each, side) for each in given]
+        label = " + ".join(f"{w:g} {m.label}" for m, w in zip(members, given.values(), strict=True))
+        return mixture(label, members, list(given.values()))
+    return specify_player(given, side)
+
+
+def oracle_labels(entries: tuple[PlayerSpec, ...]) -> list[str]:
     """Labels of the detectors that know the attack."""
-    made = [(entry, detector_in_world(entry.spec)) for entry in entries]
-    return [entry.label for entry, detector in made if detector.oracle]
+    return [entry.label for entry in entries if entry.build().oracle]
 
 
-def refuse_oracles(entries: tuple[Entry, ...]) -> None:
+def refuse_oracles(entries: tuple[PlayerSpec, ...]) -> None:
     """Raise where a detector knows the attack."""
     labels = oracle_labels(entries)
     if labels:
@@ -171,8 +447,8 @@ def refuse_oracles(entries: tuple[Entry, ...]) -> None:
         )
 
 
-def check_labels(entries: tuple[Entry, ...]) -> None:
-    """Raise where two entries would share their files."""
+def check_labels(entries: tuple[PlayerSpec, ...]) -> None:
+    """Raise where two of them would share their files."""
     files = [slug(entry.label) for entry in entries]
     twice = [entry for entry in entries if files.count(slug(entry.label)) > 1]
     if twice:
@@ -183,14 +459,18 @@ def check_labels(entries: tuple[Entry, ...]) -> None:
 
 
 def fitting(env: str, setup: Setup) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Shipped spoofers of an environment whose actions and observations mean what they meant. Each
-    is asked as a campaign plays it, by its own actions and at its own pace. Returns their names,
-    and why others of it are left out."""
+    """Names of the shipped spoofers of an environment that fit, as a campaign plays them: by their
+    own actions and at their own pace. Also why others of it are left out."""
     names, notes = [], []
     for name in shipped():
-        if card_of(name).env_id != env:
+        if (card := card_of(name)).env_id != env:
             continue
-        differences = _unlike_card(name, setup)
+        spoofer = make_spoofer(name)
+        watched = setup.altered(monitors=monitors_for([spoofer], setup))
+        try:
+            differences = card.differences(bound_spoofer(spoofer, watched, 1)[0])
+        except ValueError as error:
+            differences = [str(error)]
         if differences:
             notes.append(f"shipped spoofer {name} is left out: {'; '.join(differences)}")
         else:
@@ -198,67 +478,37 @@ def fitting(env: str, setup: Setup) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(names), tuple(notes)
 
 
-def _unlike_card(name: str, setup: Setup) -> list[str]:
-    """What is another one for a shipped spoofer in a world than on its card."""
-    spoofer = build_spoofer(name)
-    watched = setup.altered(monitors=monitors_for([spoofer], setup))
-    try:
-        context, _, _ = bound_spoofer(spoofer, watched, 1)
-    except ValueError as error:
-        return [str(error)]
-    return card_of(name).differences(context)
+def knowledge_of(entry: PlayerSpec, setup: Setup, detector: PlayerSpec) -> dict[str, Any]:
+    """What a spoofer knows: at ``run_time`` and ``design_time``; the label of the ``detector`` that
+    it was made for, None where it was made for none, or has no card that says so; and
+    ``transfer``, what is another one here than where it was made."""
+    spoofer = entry.build()
+    card, made_for, designed = card_behind(spoofer), None, spoofer.designed_on
+    differences: list[str] = []
+    if card is not None:
+        made_for, differences = _transferred(card, setup, detector)
+    elif entry.tuned:
+        made_for, designed = detector.label, "detector, receiver and scenario, by tuning"
+    return {
+        "run_time": spoofer.knowledge,
+        "design_time": designed,
+        "detector": made_for,
+        "transfer": differences,
+    }
 
 
-def card_behind(spoofer: Spoofer) -> Card | None:
-    card = getattr(spoofer, "card", None)
-    if isinstance(card, Card):
-        return card
-    settings, _ = split_amplitude(spec_of_spoofer(spoofer))
-    for name in shipped():
-        if spoofer.label == name and settings == spec_of_spoofer(build_spoofer(name)):
-            return card_of(name)
-    return None
-
-
-def _attack_of(setup: Setup) -> dict[str, Any]:
-    """What an attack does; a threat by name does what the same options do."""
-    spec = spec_of("attack", ATTACKS, setup.attack)
-    return {key: value for key, value in spec.items() if key != "threat"}
-
-
-def transferred(card: Card, setup: Setup, detector: Entry) -> tuple[str, list[str]]:
+def _transferred(card: Card, setup: Setup, detector: PlayerSpec) -> tuple[str, list[str]]:
     """What a spoofer was made for, and what is another one in a campaign."""
     made = setup_of_card(card)
-    label = detector_entry(made.detector).label
+    label = specify_detector(made.detector).label
     if type(made) is not type(setup):
         return label, ["environment"]
     found = [] if label == detector.label else ["detector"]
-    if _attack_of(made) != _attack_of(setup):
+    own, here = (spec_of("attack", ATTACKS, each.attack) for each in (made, setup))
+    if {**own, "threat": None} != {**here, "threat": None}:  # by name, or by the same options
         found.append("attack")
     return label, found + [
         name
         for name in ("scenario", "receiver", "timeline")
         if describe(getattr(made, name)) != describe(getattr(setup, name))
     ]
-
-
-def knowledge_of(entry: Entry, setup: Setup, detector: Entry) -> dict[str, Any]:
-    """What a spoofer knows: while it attacks, and when it was designed. Returns ``run_time``;
-    ``design_time``; ``detector``, the label of the one that it was made for, None where it was made
-    for none, or has no card that says so; ``transfer``, what is another one here than where it was
-    made."""
-    spoofer = build_spoofer(entry.untuned)
-    known: dict[str, Any] = {
-        "run_time": spoofer.knowledge,
-        "design_time": spoofer.designed_on,
-        "detector": None,
-        "transfer": [],
-    }
-    card = card_behind(spoofer)
-    if entry.tuned and card is None:
-        designed = "detector, receiver and scenario, by tuning"
-        return {**known, "design_time": designed, "detector": detector.label}
-    if card is None:
-        return known
-    made_for, differences = transferred(card, setup, detector)
-    return {**known, "detector": made_for, "transfer": differences}

@@ -12,8 +12,8 @@ import numpy as np
 from ...attacks import ATTACKS
 from ...core.registry import check_choice, refuse_given, settings_of, spec_of
 from ...core.settings import describe
-from ...detectors import Calibrated, OperatingPoint, PooledDetector, detector_in_world
-from ...detectors.calibrated import resolve
+from ...detectors import Detector, OperatingPoint
+from ...detectors.calibrated import calibrated_parts, resolve
 from ...envs.factory import make_setup
 from ...envs.spoofer_binding import (
     ENV_ID,
@@ -29,10 +29,10 @@ from ...simulation import robot as wheeled_robot
 from ...simulation.monitors import Monitor
 from ...simulation.setup import Setup, generators_of, seed_sequences
 from ...simulation.simulator import run_serially
-from ...spoofers import Scaled, SpooferContext
+from ...spoofers import Scaled, SpooferContext, make_spoofer
 from ...tasks import task_of
 from .play import make_bound_spoofer
-from .players import DEFAULT_DETECTORS, Entry, build_spoofer
+from .players import DEFAULT_DETECTORS, PlayerSpec
 
 
 class Victim(NamedTuple):
@@ -123,14 +123,14 @@ class World:
     def altered(self, **settings: Any) -> World:
         return replace(self, given={**self.given, **settings})
 
-    def setup_of(self, detector: Entry, spoofers: Iterable[Entry] = ()) -> Setup:
+    def setup_of(self, detector: PlayerSpec, spoofers: Iterable[PlayerSpec] = ()) -> Setup:
         """What all receivers share, with a detector; what the spoofers observe is watched."""
-        judge, watched = detector_in_world(detector.spec), self.watched_for(spoofers)
-        return self.setup.altered(detector=judge, monitors=watched)
+        watched = self.watched_for(spoofers)
+        return self.setup.altered(detector=detector.build(), monitors=watched)
 
-    def watched_for(self, spoofers: Iterable[Entry]) -> list[Monitor]:
+    def watched_for(self, spoofers: Iterable[PlayerSpec]) -> list[Monitor]:
         """What has to look at the victim's epochs, for spoofers to observe what they know."""
-        return monitors_for((build_spoofer(each.untuned) for each in spoofers), self.setup)
+        return monitors_for((each.build() for each in spoofers), self.setup)
 
     def generators(
         self, entropy: int, split: str, runs: int, first: int = 0
@@ -138,15 +138,20 @@ class World:
         """Generators of the runs of a split, from `first` on."""
         return generators_of(seed_sequences(entropy, split, self.setup.name, runs, first))
 
-    def points(self, detector: Entry) -> list[OperatingPoint]:
-        """Where a detector works that asks for a rate, or the members of a pool; else nothing."""
-        judge = detector_in_world(detector.spec)
+    def judge(self, detector: PlayerSpec) -> Detector:
+        """Detector with its thresholds of this world."""
+        judge: Detector = detector.build()
         resolve(judge, self.setup)
-        parts = judge.judges if isinstance(judge, PooledDetector) else (judge,)
-        found = [part.point for part in parts if isinstance(part, Calibrated)]
-        return [point for point in found if point is not None]
+        return judge
 
-    def check_fit(self, detectors: Iterable[Entry], spoofers: Sequence[Entry] = ()) -> None:
+    def points(self, detector: PlayerSpec) -> list[OperatingPoint]:
+        """Where a detector works that asks for a rate, or the members of a pool; else nothing."""
+        parts = calibrated_parts(self.judge(detector))
+        return [part.point for part in parts if part.point is not None]
+
+    def check_fit(
+        self, detectors: Iterable[PlayerSpec], spoofers: Sequence[PlayerSpec] = ()
+    ) -> None:
         """Raise where a detector or a spoofer does not fit, before anything is played. Spoofers
         that ignore a target direction that is drawn are warned of."""
         for entry in detectors:
@@ -158,17 +163,16 @@ class World:
                 ) from error
         bound = []
         for entry in spoofers:
-            spec = entry.spec
+            spec = entry.untuned
             if entry.searched:
                 if not entry.tuned:
                     raise ValueError(
                         f"{entry.label}: a blind optimum is looked for under the alarm budget, so "
                         "that its amplitude must be tuned: give it amplitude=tuned, or rates_mps"
                     )
-                spec = {**spec, "rates_mps": [0.0, 1e-3]}
-                entry = replace(entry, spec=spec)
+                entry = replace(entry, spec={**entry.spec, "rates_mps": [0.0, 1e-3]})
             if entry.tuned:
-                low, _ = tuning_range_of(build_spoofer(entry.with_value(1.0)), self.setup)
+                low, _ = tuning_range_of(make_spoofer(entry.with_value(1.0)), self.setup)
                 spec = entry.with_value(low)
             setup = self.setup.altered(monitors=self.watched_for([entry]))
             spoofer = make_bound_spoofer(spec, setup, 1)[0]

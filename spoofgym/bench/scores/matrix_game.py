@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.registry import check_choice, check_finite
-from ..experiments.members import Member, Mixture, Strategy, mixture
+from ..runs.players import Mixture, PlayerSpec, Strategy, mixture
 from .scores import clusters_of
 from .statistics import Estimate, FloatArray, percentiles, resamples_of
 
@@ -293,8 +293,8 @@ class PayoffMatrix:
         }
 
 
-def _pure(strategies: Sequence[Strategy]) -> list[Member]:
-    found = [each for each in strategies if isinstance(each, Member)]
+def _pure(strategies: Sequence[Strategy]) -> list[PlayerSpec]:
+    found = [each for each in strategies if isinstance(each, PlayerSpec)]
     if len(found) < len(strategies):
         raise ValueError("a mix of mixtures is not made: solve the game of their members")
     return found

@@ -22,9 +22,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from ...envs.spoofer_binding import tuning_range_of
+from ...spoofers import make_spoofer
 from ..runs.panel import Attack, Panel, Search, play_searches
 from ..runs.play import displacement_of
-from ..runs.players import Entry, build_spoofer
+from ..runs.players import PlayerSpec
 from ..scores.scores import Stealth, stealth_of
 from .open_loop import Optima
 from .settings import Tuning, log_spaced, rounded_down
@@ -109,7 +110,7 @@ class TuningResult:
 class _Search:
     """Trials of one spoofer against one of a panel's detectors."""
 
-    def __init__(self, panel: Panel, number: int, entry: Entry, settings: Tuning) -> None:
+    def __init__(self, panel: Panel, number: int, entry: PlayerSpec, settings: Tuning) -> None:
         self.panel, self.number, self.entry, self.settings = panel, number, entry, settings
         self.counts = panel.counts[:, number]
         self.trials: list[Trial] = []
@@ -155,13 +156,13 @@ def _best(trials: list[Trial]) -> Trial | None:
 
 
 def tune(
-    panel: Panel, number: int, entry: Entry, detector: str, settings: Tuning
+    panel: Panel, number: int, entry: PlayerSpec, detector: str, settings: Tuning
 ) -> Search[TuningResult]:
     """Search for the value of a spoofer's tunable setting against one of a panel's detectors."""
     setting = entry.tuned
     if setting is None:
         raise ValueError(f"{entry.label!r} has no setting that is to be tuned")
-    any_value = build_spoofer(entry.with_value(1.0))
+    any_value = make_spoofer(entry.with_value(1.0))
     low, high = tuning_range_of(any_value, panel.setup)
     high = high if entry.largest is None else entry.largest
     grid = log_spaced(low, high, settings.values)
@@ -205,22 +206,22 @@ def search_work(settings: Tuning) -> float:
 
 def fit(
     panel: Panel,
-    detectors: Mapping[int, Entry],
-    entry: Entry,
-    optima: Optima,
+    detectors: Mapping[int, PlayerSpec],
+    entry: PlayerSpec,
+    settings: Tuning,
+    optima: Callable[[], Optima],
     tick: Callable[[float], None] = lambda _: None,
 ) -> Iterator[TuningResult]:
     """Search for a spoofer's setting against detectors of a panel, in their order; of a blind
     optimum for its curve before that."""
-    settings = optima.tuning
     if not entry.searched:
         searches = [(k, tune(panel, k, entry, d.label, settings)) for k, d in detectors.items()]
         yield from play_searches(panel, searches, tick)
         return
     for number, detector in detectors.items():
         share = 0.25 * search_work(settings)
-        found = optima.find(detector, entry, lambda part: tick(share * part))  # noqa: B023
-        curves = optima.curves_to_fit(found)
+        found = optima().find(detector, entry, lambda part: tick(share * part))  # noqa: B023
+        curves = optima().curves_to_fit(found)
         own = {name: with_rates(entry, rates) for name, rates in curves.items()}
         searches = [
             (number, tune(panel, number, x, detector.label, settings)) for x in own.values()
@@ -232,6 +233,6 @@ def fit(
         yield replace(fits[best], found=found)
 
 
-def with_rates(entry: Entry, rates_mps: list[float]) -> Entry:
+def with_rates(entry: PlayerSpec, rates_mps: list[float]) -> PlayerSpec:
     """A blind optimum with the rates of a curve."""
-    return Entry(entry.label, {**entry.spec, "rates_mps": rates_mps})
+    return replace(entry, spec={**entry.spec, "rates_mps": rates_mps})

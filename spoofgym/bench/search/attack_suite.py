@@ -1,9 +1,9 @@
-"""The attack suite: whom every detector meets, a name and a version, and nothing to choose.
+"""The attack suite: a fixed, versioned list of attacks that every detector is scored against.
 
-It is a floor and no proof: what no member of it achieves, another attack may.  Every member has one
-setting that is searched for, the same as in a campaign.  With them play the blind optima (letter c)
-that a campaign has found against the detector, where that is among its spoofers.  A member whose
-spoofer is not registered is left out, which the digest tells.
+What no member of it achieves, another attack may.  Every member has one setting that is searched
+for, the same as in a campaign.  With them play the blind optima (letter c) that a campaign has
+found against the detector, where that is among its spoofers.  A member whose spoofer is not
+registered is left out, which changes the digest.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from ...core.registry import Spec
 from ...core.settings import digest_of
 from ...simulation.setup import Setup
-from ...spoofers import SPOOFERS, SpooferContext
+from ...spoofers import SPOOFERS, SpooferContext, make_spoofer
 from ...spoofers.scaled import AMPLITUDE
 from ..runs.play import make_bound_spoofer
-from ..runs.players import TUNED, Entry, build_spoofer, spoofer_entry
+from ..runs.players import TUNED, PlayerSpec, specify_spoofer
 from .settings import log_spaced
 
 FloatArray = NDArray[np.float64]
@@ -53,15 +53,15 @@ LAST_PARTS = (0.15, 0.4)
 
 
 @dataclass(frozen=True)
-class Member:
+class SuiteAttack:
     """One attack of the suite; `budgeted` where a campaign plays it under the alarm budget, too."""
 
     letter: str
-    entry: Entry
+    player: PlayerSpec
     budgeted: bool
 
 
-def members_of(context: SpooferContext) -> tuple[Member, ...]:
+def members_of(context: SpooferContext) -> tuple[SuiteAttack, ...]:
     """All attacks, by an attack's limits and the length of its window."""
     found = [
         ("a", {"name": "ramp", "rate_mps": TUNED}),
@@ -71,18 +71,18 @@ def members_of(context: SpooferContext) -> tuple[Member, ...]:
         *(("h", _dash(part, context)) for part in LAST_PARTS),
     ]
     return tuple(
-        Member(letter, spoofer_entry(spec), letter != "h")
+        SuiteAttack(letter, specify_spoofer(spec), letter != "h")
         for letter, spec in found
         if spec["name"] in SPOOFERS
     )
 
 
-def fitting_members(setup: Setup, context: SpooferContext) -> tuple[Member, ...]:
+def fitting_members(setup: Setup, context: SpooferContext) -> tuple[SuiteAttack, ...]:
     """Those that this attack can be commanded by: feedback needs its victim's statistics."""
     found = []
     for member in members_of(context):
         try:
-            make_bound_spoofer(member.entry.with_value(1e-3), setup, 1)
+            make_bound_spoofer(member.player.with_value(1e-3), setup, 1)
         except ValueError:
             if member.letter not in ORACLES:  # of the others each must fit
                 raise
@@ -91,17 +91,17 @@ def fitting_members(setup: Setup, context: SpooferContext) -> tuple[Member, ...]
     return tuple(found)
 
 
-def suite_digest(members: Sequence[Member]) -> str:
-    specs = [[member.letter, member.entry.spec] for member in members]
+def suite_digest(members: Sequence[SuiteAttack]) -> str:
+    specs = [[member.letter, member.player.spec] for member in members]
     return digest_of({"name": NAME, "version": VERSION, "members": specs})
 
 
-def grid_of(member: Member, context: SpooferContext, values: int) -> list[float]:
+def grid_of(member: SuiteAttack, context: SpooferContext, values: int) -> list[float]:
     """Log-spaced values of a member's setting over its whole range. Of a blind optimum around the
     amplitude that it was found at."""
     if member.letter == "c":
         return log_spaced(*AROUND_FOUND, values)
-    kind = type(build_spoofer(member.entry.with_value(1.0)))
+    kind = type(make_spoofer(member.player.with_value(1.0)))
     return log_spaced(*kind.tuning_range(context), values)
 
 

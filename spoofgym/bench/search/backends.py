@@ -1,8 +1,8 @@
 """What plays the candidates of a blind optimum: response replay, or the engine itself.
 
-A player has `runs` N that count, silent without an attack, `steps` of a sampled curve, and `limits`
-of its rate.  ``play(curves, rows)`` returns the largest ratios (P, n) of curves (P, steps) on n of
-the runs, and the farthest error (P,) in their mean [m].
+A backend plays sampled curves of `steps` values on `runs` that count, which are silent without an
+attack, within `limits`: the largest rate, and its largest change between two values, which may be
+infinite [m/s].
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def pushed(setup: Setup, heading_deg: float | str, target: FloatArray) -> FloatA
     return np.stack([parts.get(axis, np.zeros(len(target))) for axis in axes_of(names)], axis=1)
 
 
-class ReplayPlayer:
+class ReplayBackend:
     """One of the detectors of a replay, against attacks along a heading."""
 
     def __init__(self, replay: Replay, number: int, heading_deg: float | str = EAST_DEG) -> None:
@@ -65,26 +65,26 @@ class ReplayPlayer:
         return found.peak, error.max(axis=0).mean(axis=1)
 
 
-class MixedPlayer:
-    """Several players, each of which plays its share of the runs: a pool of their detectors."""
+class MixedBackend:
+    """Several backends, each of which plays its share of the runs: a pool of their detectors."""
 
-    def __init__(self, players: Sequence[ReplayPlayer], weights: Sequence[float]) -> None:
-        self.players, self.steps, self.limits = players, players[0].steps, players[0].limits
-        self.runs = min(each.runs for each in players)
+    def __init__(self, backends: Sequence[ReplayBackend], weights: Sequence[float]) -> None:
+        self.backends, self.steps, self.limits = backends, backends[0].steps, backends[0].limits
+        self.runs = min(each.runs for each in backends)
         ends = np.round(np.cumsum(weights) / np.sum(weights) * self.runs).astype(int)
         self._owner = np.searchsorted(ends, np.arange(self.runs), side="right")
 
     def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
         peak, reach = np.zeros((len(curves), len(rows))), np.zeros(len(curves))
-        for k, player in enumerate(self.players):
+        for k, backend in enumerate(self.backends):
             mine = self._owner[rows] == k
             if mine.any():
-                peak[:, mine], farthest = player.play(curves, rows[mine])
+                peak[:, mine], farthest = backend.play(curves, rows[mine])
                 reach += farthest * mine.mean()
         return peak, reach
 
 
-class EnginePlayer:
+class EngineBackend:
     """A detector on the engine, which also plays those that take weight off measurements."""
 
     def __init__(self, start: WarmStart, clean: Runs, heading_deg: float | str = EAST_DEG) -> None:
@@ -115,3 +115,6 @@ class EnginePlayer:
         error = induced_error(setup, twin._replace(position=position), twin)[: setup.steps]
         shape = len(curves), runs
         return peak.reshape(shape), error.max(axis=0).reshape(shape).mean(axis=1)
+
+
+Backend = ReplayBackend | MixedBackend | EngineBackend

@@ -12,14 +12,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from ...detectors import detector_in_world
-from ...detectors.calibrated import STANDARD_RATE, resolve
+from ...detectors.calibrated import STANDARD_RATE
 from ...detectors.calibration_file import run_probability
 from ...limits import Frontier, deflection_for, frontier_of
 from ...limits.bounds import Case, Tick, ZeroAlarm, cases_of, zero_alarm_bounds
 from ...limits.floor import QUANTILES, check_linear_victim
 from ...simulation.tight import TightlyCoupledSetup
-from ..runs.players import Entry
+from ..runs.players import PlayerSpec
 from ..runs.world import World
 from ..scores.statistics import BUDGET
 
@@ -78,7 +77,7 @@ class Brackets:
     def __init__(
         self,
         world: World,
-        detectors: Sequence[Entry],
+        detectors: Sequence[PlayerSpec],
         entropy: int = 0,
         budget: float = BUDGET,
         worlds: int = WORLDS,
@@ -109,13 +108,12 @@ class Brackets:
         found = dict.fromkeys(float(point.per_run) for each in points for point in each)
         return list(found) or [run_probability(STANDARD_RATE, self.world.setup.window_s)]
 
-    def zero_alarm(self, detector: Entry, tick: Tick | None = None) -> ZeroAlarm:
+    def zero_alarm(self, detector: PlayerSpec, tick: Tick | None = None) -> ZeroAlarm:
         if self.setup is None:
             why = f"no limit is known for {self.world.setup.whose}"
             return ZeroAlarm(None, None, "", why, [])
         if detector.label not in self._bounds:
-            judge = detector_in_world(detector.spec)
-            resolve(judge, self.setup)
+            judge = self.world.judge(detector)
             found = zero_alarm_bounds(self.setup, judge, self.cases(), tick)
             self._bounds[detector.label] = found
         return self._bounds[detector.label]

@@ -27,16 +27,14 @@ from scipy import special
 
 from ...calibration.clean_runs import weighs
 from ...core.registry import whole_number
-from ...detectors import Detector, detector_in_world
-from ...detectors.calibrated import resolve
 from ...limits.response import NotReplayable, Replay, check_replayable
 from ...simulation.setup import Setup, seed_sequences
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.profile import MOST_KNOTS, sampled
 from ..runs.play import Runs, WarmStart, induced_error, play
-from ..runs.players import Entry
+from ..runs.players import PlayerSpec
 from ..scores.statistics import aim
-from .backends import EnginePlayer, FloatArray, MixedPlayer, ReplayPlayer, Rows, limits_of
+from .backends import Backend, EngineBackend, FloatArray, ReplayBackend, Rows, limits_of
 from .bounds import Brackets
 from .settings import Tuning
 
@@ -107,11 +105,9 @@ class BlindOptimum(NamedTuple):
 class BlindOptimizer:
     """Search for the curve that gets farthest while some share of the runs may alarm."""
 
-    def __init__(
-        self, player: ReplayPlayer | MixedPlayer | EnginePlayer, share: float, settings: BlindSearch
-    ) -> None:
-        self.player, self.share, self.settings = player, share, settings
-        self.everyone = np.arange(player.runs)
+    def __init__(self, backend: Backend, share: float, settings: BlindSearch) -> None:
+        self.backend, self.share, self.settings = backend, share, settings
+        self.everyone = np.arange(backend.runs)
 
     def search(
         self, others: Mapping[str, FloatArray] | None = None, tick: Tick | None = None
@@ -120,13 +116,13 @@ class BlindOptimizer:
         fewer than two runs nothing can be told of any share of them: that is the slowest of the
         first curves. The rates are within the attack's limit, as they were judged."""
         advance = tick or (lambda part: None)
-        found, (limit, _) = self._search(others or {}, advance), self.player.limits
+        found, (limit, _) = self._search(others or {}, advance), self.backend.limits
         return found._replace(rates_mps=np.clip(found.rates_mps, -limit, limit))
 
     def _search(self, others: Mapping[str, FloatArray], advance: Tick) -> BlindOptimum:
         t = np.linspace(0.0, 1.0, self.settings.knots)
-        if self.player.runs < FEWEST:
-            slowest = np.full(len(t), LADDER[0] * self.player.limits[0])
+        if self.backend.runs < FEWEST:
+            slowest = np.full(len(t), LADDER[0] * self.backend.limits[0])
             return BlindOptimum(slowest, 0.0, "constant", 0.0)
         if (fastest := self._unseen(len(t))) is not None:
             return fastest
@@ -148,14 +144,14 @@ class BlindOptimizer:
 
     def _unseen(self, knots: int) -> BlindOptimum | None:
         """The fastest curve of all, where no run alarms at it: nothing gets farther."""
-        fastest = np.full(knots, self.player.limits[0])
+        fastest = np.full(knots, self.backend.limits[0])
         peak, reach = self._judge(fastest[None], self._batch(0))
         if (peak > 1.0).any():
             return None
         return BlindOptimum(fastest, float(reach[0]), "constant", float(reach[0]), True)
 
     def _ladder(self, shapes: dict[str, FloatArray]) -> tuple[BlindOptimum, bool]:
-        limit, _ = self.player.limits
+        limit, _ = self.backend.limits
         scales, count = LADDER * limit, len(LADDER)
         tried = [scale * shape for shape in shapes.values() for scale in scales]
         peak, reach = self._judge(np.array(tried), self._batch(0))
@@ -189,13 +185,13 @@ class BlindOptimizer:
         """Play (P, knots) rates, as the attack's limits let them be followed."""
         curves = self.curves(rates)
         starts = range(0, len(rates), AT_ONCE)
-        parts = [self.player.play(curves[k : k + AT_ONCE], rows) for k in starts]
+        parts = [self.backend.play(curves[k : k + AT_ONCE], rows) for k in starts]
         peak, reach = (np.concatenate(each) for each in zip(*parts, strict=True))
         return peak, reach
 
     def curves(self, rates: FloatArray) -> FloatArray:
         """Sampled curves (P, steps) of rates at knots (P, knots), within the attack's limits."""
-        steps, (limit, most) = self.player.steps, self.player.limits
+        steps, (limit, most) = self.backend.steps, self.backend.limits
         wanted = np.array([sampled(tuple(rate.tolist()), steps) for rate in rates])
         wanted = np.clip(wanted, -limit, limit)
         if math.isinf(most):
@@ -286,7 +282,7 @@ class Optima:
         self,
         brackets: Brackets,
         tuning: Tuning,
-        spoofers: Sequence[Entry] = (),
+        spoofers: Sequence[PlayerSpec] = (),
         threads: int | None = None,
     ) -> None:
         self.brackets, self.tuning, self.spoofers = brackets, tuning, spoofers
@@ -301,12 +297,12 @@ class Optima:
         start = WarmStart(setup, rngs, threads=self.threads)
         return start, play(start, "none")
 
-    def find(self, detector: Entry, spoofer: Entry, tick: Tick) -> dict[str, Any]:
+    def find(self, detector: PlayerSpec, spoofer: PlayerSpec, tick: Tick) -> dict[str, Any]:
         """Curves by `AIMS`, ``aims``, with their ``rates_mps``; ``by``, what played the candidates.
         `spoofer`: a blind optimum without rates, for its heading."""
         heading_deg = spoofer.spec["heading_deg"]
         shape = self._zero_alarm(detector)
-        replayed, why = self._player(detector, heading_deg)
+        replayed, why = self._replay_backend(detector, heading_deg)
         error = None
         if replayed is not None:
             found = self._search(replayed, tick)
@@ -318,7 +314,7 @@ class Optima:
                 return {"by": REPLAY, "linear_error": error, "aims": found, "shapes": shape}
             why = f"the displacement by replay is off by {100.0 * error:.1f} %"
         start = self._start(self.world.setup_of(detector, self.spoofers))
-        found = self._search(EnginePlayer(*start, heading_deg), tick)
+        found = self._search(EngineBackend(*start, heading_deg), tick)
         return {
             "by": ENGINE,
             "why": why,
@@ -327,7 +323,7 @@ class Optima:
             "shapes": shape,
         }
 
-    def _search(self, player: ReplayPlayer | EnginePlayer, tick: Tick) -> dict[str, Any]:
+    def _search(self, backend: Backend, tick: Tick) -> dict[str, Any]:
         found: dict[str, Any] = {}
         best: BlindOptimum | None = None
         least = 1.0
@@ -336,7 +332,7 @@ class Optima:
             # what gets as far as any attack at few alarms does so at more of them
             if best is None or not best.free or share < least:
                 others = {} if best is None else {BEFORE: best.rates_mps}
-                best = BlindOptimizer(player, share, self.settings).search(others, tick)
+                best = BlindOptimizer(backend, share, self.settings).search(others, tick)
                 least = share
             found[name] = {
                 "share": share,
@@ -347,7 +343,7 @@ class Optima:
             }
         return found
 
-    def _zero_alarm(self, detector: Entry) -> dict[str, list[float]]:
+    def _zero_alarm(self, detector: PlayerSpec) -> dict[str, list[float]]:
         """Shape of the attack that gets farthest without an alarm of its own doing, if known. It is
         fitted, and no start of the search, which got less far from there in its few generations: 49
         m against `cusum` of range rates, and 54 m from plain shapes."""
@@ -355,31 +351,28 @@ class Optima:
         shape = np.mean(rates, axis=0) if rates else np.zeros(1)
         return {ZERO_ALARM: shape.tolist()} if np.any(shape > 0.0) else {}
 
-    def _player(self, detector: Entry, heading_deg: float | str) -> tuple[ReplayPlayer | None, str]:
+    def _replay_backend(
+        self, detector: PlayerSpec, heading_deg: float | str
+    ) -> tuple[ReplayBackend | None, str]:
         """The detector on the shared replay; None, and why, where it has none."""
         setup = self.world.setup
         if not isinstance(setup, TightlyCoupledSetup):
             return None, f"{setup.whose} has no linear response here"
         try:
-            judge = self._judge(detector)
+            judge = self.world.judge(detector)
             check_replayable(judge)
             if weighs(setup, judge):
                 return None, "the detector takes weight off measurements"
             replay, numbers = self._recorded(setup)
         except NotReplayable as error:
             return None, str(error)
-        return ReplayPlayer(replay, numbers[detector.label], heading_deg), ""
-
-    def _judge(self, detector: Entry) -> Detector:
-        judge = detector_in_world(detector.spec)
-        resolve(judge, self.world.setup)
-        return judge
+        return ReplayBackend(replay, numbers[detector.label], heading_deg), ""
 
     def _recorded(self, setup: TightlyCoupledSetup) -> tuple[Replay, dict[str, int]]:
         if self._replay is None or self._numbers is None:
             judges = {}
             for entry in self.brackets.detectors:
-                judge = self._judge(entry)
+                judge = self.world.judge(entry)
                 try:
                     check_replayable(judge)
                 except NotReplayable:
@@ -417,16 +410,16 @@ class Optima:
 
 
 def linear_error(
-    player: ReplayPlayer, spec: dict[str, Any], start: WarmStart, clean: Runs
+    backend: ReplayBackend, spec: dict[str, Any], start: WarmStart, clean: Runs
 ) -> float:
     """How far the engine displaces from what the replay says, as a part of it, in the mean."""
     attacked, still = play(start, spec), clean
     if not start.setup.attack.idle_is_clean:  # what is commanded displaces, not the own errors
         still = play(start, {**spec, "rates_mps": [IDLE * rate for rate in spec["rates_mps"]]})
     engine = induced_error(start.setup, attacked, still)[: start.setup.steps]
-    optimizer = BlindOptimizer(player, 0.5, BlindSearch())
-    everyone = np.arange(min(player.replay.runs, engine.shape[1]))
+    optimizer = BlindOptimizer(backend, 0.5, BlindSearch())
+    everyone = np.arange(min(backend.replay.runs, engine.shape[1]))
     curves = optimizer.curves(np.array([spec["rates_mps"]]))
-    linear = player.replay.errors(curves, everyone)[: start.setup.steps, 0]
+    linear = backend.replay.errors(curves, everyone)[: start.setup.steps, 0]
     size = float(linear.max(axis=0).mean())
     return float(np.abs(engine[:, everyone] - linear).max(axis=0).mean() / max(size, 1e-9))

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -25,14 +24,13 @@ from numpy.typing import NDArray
 from ...attacks import make_attack
 from ...core.registry import Spec
 from ...envs.spoofer_binding import spoofer_context
-from ...simulation.setup import Setup
 from ...spoofers.scaled import LARGEST, SMALLEST
 from ..runs.panel import Attack, Panel, Search
-from ..runs.play import Runs, horizontal, induced, off_truth
-from ..runs.players import Entry
-from ..runs.record import MEASURES, Aim, Winner
-from ..scores.scores import SHARES, undetected_displacement, worst_skies
-from .attack_suite import Member, grid_of
+from ..runs.play import Runs
+from ..runs.players import ATTACK
+from ..runs.record import MEASURES, Aim, Winner, measured
+from ..scores.scores import SHARES, worst_skies
+from .attack_suite import SuiteAttack, grid_of
 from .settings import Selection, log_spaced, rounded_down
 
 FloatArray = NDArray[np.float64]
@@ -46,23 +44,6 @@ AT_ONCE = 8
 """Worst attacks whose runs are held together."""
 ALIKE = 0.002
 """Amplitudes that differ by less, in parts, are not both played."""
-
-
-def measured(
-    setup: Setup, attacked: Runs, twin: Runs, measures: Sequence[str] = MEASURES
-) -> dict[str, FloatArray]:
-    """Undetected displacement of every run by some measures, as far as a victim has them."""
-    moved, off = induced(setup, attacked, twin), off_truth(setup, attacked)
-    sizes = [horizontal(moved), None, horizontal(off), None]
-    if moved.shape[2] == 3:
-        sizes[1], sizes[3] = np.abs(moved[..., 2]), np.abs(off[..., 2])
-    return {
-        name: np.round(
-            undetected_displacement(size[: setup.steps], attacked.first_alarm, setup.hold), 6
-        )
-        for name, size in zip(MEASURES, sizes, strict=True)
-        if size is not None and name in measures
-    }
 
 
 def aims_of(measures: Sequence[str], limits: Sequence[float], skies: bool) -> tuple[Aim, ...]:
@@ -91,7 +72,7 @@ class WorstAttacks:
     """How often the gaps beside the best values are halved before that."""
 
     def __init__(
-        self, panel: Panel, number: int, members: Sequence[Member], settings: Selection
+        self, panel: Panel, number: int, members: Sequence[SuiteAttack], settings: Selection
     ) -> None:
         self.panel, self.number = panel, number
         self.members, self.settings = members, settings
@@ -133,9 +114,9 @@ class WorstAttacks:
 
     def attack(self, member: int, value: float, runs: int) -> Attack:
         """A member with a value of its setting."""
-        entry = self.members[member].entry
+        entry = self.members[member].player
         spec = entry.with_value(value)
-        if isinstance(entry, AntennaEntry):
+        if entry.side == ATTACK:
             return Attack(IDLE, runs, make_attack(spec))
         return Attack(spec, runs)
 
@@ -151,15 +132,15 @@ class WorstAttacks:
         member, value = self.members[key[0]], key[1]
         return Winner(
             letter=member.letter,
-            spoofer=member.entry.label,
-            setting=str(member.entry.tuned),
+            spoofer=member.player.label,
+            setting=str(member.player.tuned),
             value=value,
-            spec=member.entry.with_value(value),
+            spec=member.player.with_value(value),
             aims=tuple(aims),
             displacement=displacement,
         )
 
-    def _grid(self, member: Member) -> list[float]:
+    def _grid(self, member: SuiteAttack) -> list[float]:
         return grid_of(member, self.context, self.settings.values)
 
     def _beyond_ends(
@@ -260,15 +241,6 @@ IDLE: Spec = {"name": "profile", "rates_mps": [0.0, 0.0]}
 """A spoofer that commands nothing, and transmits."""
 
 
-@dataclass(frozen=True)
-class AntennaEntry(Entry):
-    """A meaconer whose antenna's distance is looked for; its settings are those of the attack."""
-
-    def with_value(self, value: float) -> Spec:
-        """Meaconer with its antenna so far to the east [m]."""
-        return {**self.spec, str(self.tuned): [0.0, value, 0.0]}
-
-
 class FamilyAttacks(WorstAttacks):
     """The search for the worst attacks of a family. `antenna_m`: range of a meaconer's antenna."""
 
@@ -279,8 +251,8 @@ class FamilyAttacks(WorstAttacks):
         super().__init__(*panel)
         self._antenna_m = antenna_m
 
-    def _grid(self, member: Member) -> list[float]:
-        if isinstance(member.entry, AntennaEntry):
+    def _grid(self, member: SuiteAttack) -> list[float]:
+        if member.player.side == ATTACK:
             return log_spaced(*self._antenna_m, self.settings.values)
         return super()._grid(member)
 

@@ -6,7 +6,6 @@ For every one there is a card, NAME.json; a learned one also has its policy, NAM
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from ...core.registry import check_choice
 from ..card import Card
@@ -40,11 +39,3 @@ def card_of(name: str) -> Card:
     """
     check_choice("shipped spoofer", name, shipped())
     return Card.load(ZOO_FOLDER / f"{name}.json")
-
-
-def spec_of_shipped(name: str) -> dict[str, Any]:
-    """Registered name and settings of a shipped spoofer."""
-    card = card_of(name)
-    if card.file is None:
-        return {"name": card.kind, **card.settings, "label": name}
-    return {"name": card.kind, "file": name, "sha256": card.file.sha256}

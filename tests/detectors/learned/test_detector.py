@@ -15,7 +15,7 @@ import spoofgym
 from spoofgym import duel_v0
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.runs.players import detector_entry
+from spoofgym.bench.runs.players import specify_detector
 from spoofgym.calibration import calibrate
 from spoofgym.calibration.clean_runs import Player
 from spoofgym.cli.app import app
@@ -227,14 +227,14 @@ def test_what_was_made_for_another_receiver_is_refused(guard):
 
 
 def test_a_campaign_names_it_by_content(guard, tmp_path):
-    entry = detector_entry(str(guard))
+    entry = specify_detector(str(guard))
     assert entry.label.startswith("guard")
     assert entry.spec["sha256"] == LearnedDetector(str(guard)).sha256
     again = detector_in_world(json.loads(json.dumps(entry.spec)))
     assert (again.scale, again.detector.sha256) == (0.9, entry.spec["sha256"])
     text = parse_spec(f"{guard}:threshold=0.5")
-    assert detector_entry(text).spec["threshold_scale"] == 0.5
-    plain = detector_entry(LearnedDetector(str(guard)))
+    assert specify_detector(text).spec["threshold_scale"] == 0.5
+    plain = specify_detector(LearnedDetector(str(guard)))
     assert detector_in_world(plain.spec).scale == 1.0
     moved = tmp_path / "moved"
     moved.mkdir()

@@ -31,16 +31,14 @@ from ...limits.response import NotReplayable, Replay, check_replayable
 from ...simulation.setup import seed_sequences
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.scaled import AMPLITUDE, split_amplitude
-from ..experiments.game import Game
-from ..experiments.members import DETECTOR, SPOOFER, Member, Mixture, member_of
-from ..runs.players import TUNED, Entry, spoofer_entry
+from ..runs.players import DETECTOR, SPOOFER, TUNED, Mixture, PlayerSpec, member_of, specify_spoofer
 from ..scores.statistics import Estimate
-from .attack_suite import Member as Attack
-from .attack_suite import fitting_members, grid_of
-from .backends import MixedPlayer, ReplayPlayer
-from .bounds import WORLDS
-from .open_loop import SPLIT as SEARCH
-from .open_loop import BlindOptimizer, BlindSearch
+from ..search.attack_suite import SuiteAttack, fitting_members, grid_of
+from ..search.backends import MixedBackend, ReplayBackend
+from ..search.bounds import WORLDS
+from ..search.open_loop import SPLIT as SEARCH
+from ..search.open_loop import BlindOptimizer, BlindSearch
+from .game import Game
 
 FloatArray = NDArray[np.float64]
 SELECTION = "selection"
@@ -104,10 +102,10 @@ class Response(NamedTuple):
     - `notes`: what the search left out.
     """
 
-    member: Member
+    member: PlayerSpec
     value: float
     best: dict[str, float]
-    by_family: dict[str, Member]
+    by_family: dict[str, PlayerSpec]
     notes: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
@@ -122,8 +120,8 @@ def best_spoofer(
     budget: AttackBudget,
     *,
     entropy: int,
-    given: Sequence[Member] = (),
-    warm: Sequence[Member] = (),
+    given: Sequence[PlayerSpec] = (),
+    warm: Sequence[PlayerSpec] = (),
     label: str | None = None,
 ) -> Response:
     """Look for the spoofer that gets most against a mix of detectors.
@@ -138,9 +136,9 @@ def best_spoofer(
         How much is tried.
     entropy : int
         Seed of the runs that decide; nobody in the mix may have been chosen on them.
-    given : sequence of Member
+    given : sequence of PlayerSpec
         Further spoofers, which are tried as they are, and keep their names.
-    warm : sequence of Member
+    warm : sequence of PlayerSpec
         Curves from which the search for blind optima may start, besides plain shapes.
     label : str, optional
         Name of what is found, which its family follows.
@@ -156,43 +154,42 @@ def best_spoofer(
     attacks = [
         each
         for each in fitting_members(game.setup, context)
-        if budget.oracles or not member_of(each.entry.with_value(1e-3), SPOOFER).sees_statistics
+        if budget.oracles or not member_of(each.player.with_value(1e-3), SPOOFER).sees_statistics
     ]
     curves, notes = ([], ()) if budget.blind is None else _curves(game, mix, budget, warm, entropy)
-    attacks += [Attack("c", _blind_optimum(rates), True) for rates in curves]
-    tried = [dataclasses.replace(each, decided_on=each.decided_on | seeds) for each in given]
+    attacks += [SuiteAttack("c", _blind_optimum(rates), True) for rates in curves]
     known = {each.label for each in given}
-    family = {label: label for label in known}
+    tried = [
+        (each.label, dataclasses.replace(each, decided_on=each.decided_on | seeds))
+        for each in given
+    ]
     for number, attack in enumerate(attacks):
-        name = attack.entry.label.removesuffix("(tuned)").replace("tuned,", "")
+        player = attack.player
+        family = player.label.removesuffix("(tuned)").replace("tuned,", "")
         for value in grid_of(attack, context, budget.values):
-            made = member_of(
-                attack.entry.with_value(value),
-                SPOOFER,
-                label=f"{name} {number}, {attack.entry.tuned} {value:g}",
-                decided_on=seeds,
-            )
-            tried.append(made)
-            family[made.label] = name
-    sifted = _against(game.on(SELECTION, budget.sift_runs, entropy), tried, mix)
+            name = f"{family} {number}, {player.tuned} {value:g}"
+            spec = player.with_value(value)
+            tried.append((family, member_of(spec, SPOOFER, label=name, decided_on=seeds)))
+    few, all_runs = (game.on(SELECTION, n, entropy) for n in (budget.sift_runs, budget.runs))
+    sifted = _against(few, [player for _, player in tried], mix)
     order = np.argsort(-sifted, kind="stable")
     finalists = [tried[k] for k in order[: budget.kept]]
-    found = _against(game.on(SELECTION, budget.runs, entropy), finalists, mix)
+    found = _against(all_runs, [player for _, player in finalists], mix)
     best: dict[str, float] = {}
-    by_family: dict[str, Member] = {}
+    by_family: dict[str, PlayerSpec] = {}
     for k in order:
-        name = family[tried[k].label]
-        best.setdefault(name, float(sifted[k]))
-        by_family.setdefault(name, tried[k])
-    winner = finalists[int(np.argmax(found))]
-    name = family[winner.label] if label is None else f"{label}: {family[winner.label]}"
+        family, player = tried[k]
+        best.setdefault(family, float(sifted[k]))
+        by_family.setdefault(family, player)
+    family, winner = finalists[int(np.argmax(found))]
     if winner.label not in known:
+        name = family if label is None else f"{label}: {family}"
         winner = dataclasses.replace(winner, label=name)
     return Response(winner, float(found.max()), best, by_family, notes)
 
 
 def best_detector(
-    game: Game, mix: Mixture, detectors: Sequence[Member], *, runs: int, entropy: int
+    game: Game, mix: Mixture, detectors: Sequence[PlayerSpec], *, runs: int, entropy: int
 ) -> Response:
     """Detector, of given ones, against which a mix of spoofers gets least.
 
@@ -200,7 +197,7 @@ def best_detector(
     ----------
     game, mix : optional
         As in `best_spoofer`; the mix is of spoofers.
-    detectors : sequence of Member
+    detectors : sequence of PlayerSpec
         Whom to choose from.
     runs, entropy : int
         Runs of the selection, and their seed.
@@ -218,19 +215,19 @@ def best_detector(
     return Response(detectors[k], float(values[k]), best, by_family)
 
 
-def _against(game: Game, spoofers: Sequence[Member], mix: Mixture) -> FloatArray:
+def _against(game: Game, spoofers: Sequence[PlayerSpec], mix: Mixture) -> FloatArray:
     """Payoffs (S,) of candidates against a mix, to choose by: they may have been chosen here."""
     open_ = [dataclasses.replace(each, decided_on=frozenset()) for each in spoofers]
     return game.matrix(open_, [mix], oracles=True).values[:, 0]
 
 
-def _blind_optimum(rates: FloatArray) -> Entry:
+def _blind_optimum(rates: FloatArray) -> PlayerSpec:
     rounded = [float(f"{rate:.6g}") for rate in rates]
-    return spoofer_entry({"name": "blind-optimum", "rates_mps": rounded, AMPLITUDE: TUNED})
+    return specify_spoofer({"name": "blind-optimum", "rates_mps": rounded, AMPLITUDE: TUNED})
 
 
 def _curves(
-    game: Game, mix: Mixture, budget: AttackBudget, warm: Sequence[Member], entropy: int
+    game: Game, mix: Mixture, budget: AttackBudget, warm: Sequence[PlayerSpec], entropy: int
 ) -> tuple[list[FloatArray], tuple[str, ...]]:
     """Blind optima against a mix, by response replay; and whom the search has left out."""
     assert budget.blind is not None  # as the caller has seen
@@ -254,17 +251,17 @@ def _curves(
         return [], tuple(notes)
     seeds = seed_sequences(entropy, SEARCH, setup.name, budget.blind.runs)
     replay = Replay(setup, members, seeds, threads=game.threads)
-    player = MixedPlayer([ReplayPlayer(replay, k) for k in range(len(members))], weights)
+    backend = MixedBackend([ReplayBackend(replay, k) for k in range(len(members))], weights)
     starts = {each.label: curve for each in warm if (curve := _curve_of(each)) is not None}
     curves = []
     for share in SHARES:
         game.progress.advance(0.0, f"blind optimum, {100 * share:g} % alarms")
-        found = BlindOptimizer(player, share, budget.blind).search(starts)
+        found = BlindOptimizer(backend, share, budget.blind).search(starts)
         curves.append(found.rates_mps)
     return curves, tuple(notes)
 
 
-def _curve_of(member: Member) -> FloatArray | None:
+def _curve_of(member: PlayerSpec) -> FloatArray | None:
     """Rates at knots of a curve along one line; None of any other spoofer."""
     spec, amplitude = split_amplitude(member.spec)
     rates = spec.get("rates_mps") if isinstance(spec, dict) else None
@@ -308,7 +305,7 @@ class Exploitability(NamedTuple):
 
 
 def exploitability(
-    game: Game, spoofers: Mixture, detectors: Mixture, answer: Member, guard: Member
+    game: Game, spoofers: Mixture, detectors: Mixture, answer: PlayerSpec, guard: PlayerSpec
 ) -> Exploitability:
     """Score responses to a pair of mixes on fresh runs.
 
@@ -318,9 +315,9 @@ def exploitability(
         On runs that have decided on nobody, which is checked.
     spoofers, detectors : Mixture
         The pair.
-    answer : Member
+    answer : PlayerSpec
         Response to the detectors, as of `best_spoofer`.
-    guard : Member
+    guard : PlayerSpec
         Response to the spoofers, as of `best_detector`.
 
     Returns

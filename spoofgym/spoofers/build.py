@@ -1,0 +1,107 @@
+"""Spoofers from specs, files and objects, and back; their cards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..core.registry import Spec, make, spec_of
+from ..policies.onnx_file import SUFFIX
+from .base import Spoofer
+from .card import Card
+from .feedback import Feedback, FeedbackProfile, ThresholdRider
+from .learned import OnnxPolicy
+from .profile import BlindOptimum, Profile
+from .ramps import AcceleratingRamp, Dash, Intermittent, NoSpoofer, Ramp, Step
+from .scaled import AMPLITUDE, Scaled, split_amplitude
+from .zoo import card_of, shipped
+
+SPOOFERS: dict[str, type[Spoofer]] = {
+    "accelerating-ramp": AcceleratingRamp,
+    "blind-optimum": BlindOptimum,
+    "feedback": Feedback,
+    "feedback-profile": FeedbackProfile,
+    "dash": Dash,
+    "intermittent": Intermittent,
+    "none": NoSpoofer,
+    "onnx-policy": OnnxPolicy,
+    "profile": Profile,
+    "ramp": Ramp,
+    "step": Step,
+    "threshold-rider": ThresholdRider,
+}
+"""Spoofers by name."""
+
+
+def resolve(spec: Any) -> Any:
+    """Registered name and settings behind the name of a shipped spoofer or of an ONNX file; any
+    other spec as it is."""
+    settings = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
+    name = settings.pop("name", None)
+    if not isinstance(name, str):
+        return spec
+    if name.endswith(SUFFIX):
+        return {"name": "onnx-policy", "file": name, **settings}
+    if name not in shipped():
+        return spec
+    if settings:
+        raise ValueError(
+            f"the shipped spoofer {name!r} is as it is, and has no setting "
+            f"{', '.join(map(repr, settings))}"
+        )
+    card = card_of(name)
+    if card.file is None:
+        return {"name": card.kind, **card.settings, "label": name}
+    return {"name": card.kind, "file": name, "sha256": card.file.sha256}
+
+
+def make_spoofer(spec: str | Mapping[str, Any] | Spoofer) -> Spoofer:
+    """Spoofer by name, by name and settings, by file, or a copy of an object.
+
+    Parameters
+    ----------
+    spec : str, mapping or Spoofer
+        A name in `SPOOFERS`, of a shipped spoofer, or the path of an ``.onnx`` file with its card
+        in the same folder; ``{"name": ..., "setting": value, ...}``; or a spoofer, which is copied.
+        With a name, ``"amplitude"`` is a factor on all that it commands (`Scaled`).
+
+    Returns
+    -------
+    Spoofer
+        Not bound yet.
+
+    Raises
+    ------
+    ValueError
+        When the name or a setting is unknown, the valid ones are listed; or a file does not fit
+        its card.
+    TypeError
+        When `spec` is something else.
+
+    Examples
+    --------
+    >>> from spoofgym.spoofers import make_spoofer
+    >>> make_spoofer({"name": "ramp", "rate_mps": 0.2})
+    Ramp(heading_deg=90.0, rate_mps=0.2)
+    """
+    plain, amplitude = split_amplitude(spec)
+    made: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolve(plain), shipped())
+    return made if amplitude is None else Scaled(made, amplitude)
+
+
+def spec_of_spoofer(spoofer: Spoofer) -> Spec:
+    """Name and all settings; a TypeError where it does not keep them under their names."""
+    if isinstance(spoofer, Scaled):
+        return {**spec_of_spoofer(spoofer.spoofer), AMPLITUDE: spoofer.amplitude}
+    return spec_of("spoofer", SPOOFERS, spoofer)
+
+
+def card_behind(spoofer: Spoofer) -> Card | None:
+    """Card of a policy, or of the shipped profile that this is; None of any other spoofer."""
+    card, name = getattr(spoofer, "card", None), spoofer.label
+    if isinstance(card, Card):
+        return card
+    inner = spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer
+    if name not in shipped() or spec_of_spoofer(inner) != spec_of_spoofer(make_spoofer(name)):
+        return None
+    return card_of(name)
