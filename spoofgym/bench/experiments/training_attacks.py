@@ -25,7 +25,7 @@ from ...envs.terms.observation import default_terms
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
 from ...spoofers import Spoofer, SpooferContext, make_spoofer
-from ...spoofers.aim import has_heading
+from ...spoofers.base import has_heading
 from ...spoofers.scaled import AMPLITUDE
 from ..search.attack_suite import KNOTS, SHAPES
 
