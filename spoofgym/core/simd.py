@@ -304,9 +304,14 @@ _define(
     _emit_store,
     3,
 )
-
-
-_define(load_pair, _pair_kind, lambda *lowering: _emit_load(*lowering, _pair_kind(*lowering[2])), 2)
+_define(
+    load_pair,
+    _pair_kind,
+    lambda context, builder, given, values: _emit_load(
+        context, builder, given, values, _pair_kind(*given)
+    ),
+    2,
+)
 _define(
     pair_of,
     lambda vector: _KINDS[vector.element, 2 * LANES] if isinstance(vector, _Vector) else None,

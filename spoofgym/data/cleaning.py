@@ -22,6 +22,8 @@ from ..earth.wgs84 import EQUATORIAL_RADIUS, dcm_e_from_n, geodetic_to_ecef
 from .track_fit import MINIMUM_FIXES, Track
 from .tracks import KNOT, RawTrack
 
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 POSITION_SD = 100.0  # standard deviation of a fix, mostly the lateness of its time [m]
 LARGEST_GAP_S = 30.0  # longest time between distinct fixes of a stretch [s]
 COURSE_TOLERANCE = math.radians(20.0)  # between a reported course and the course made good [rad]
@@ -29,6 +31,8 @@ INTERPOLATION_TOLERANCE = 0.5  # from the line between its neighbours, of an int
 STALE_SHARE = 0.1  # rejected share of a run of one value above which the whole run counts as stale
 CHORD_S = 4.0  # time to either side over which course and speed made good are taken, at least [s]
 HIGHEST_SPEED = 350.0  # highest speed believed between two fixes [m/s]
+AIRBORNE_SPEED = 60.0 * KNOT  # speed over ground above which a fix counts as airborne [m/s]
+DEFAULT_DURATION_S = 600.0  # duration of a track where none is asked for [s]
 
 
 def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask:
@@ -207,13 +211,6 @@ def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int
     return sorted(found, key=lambda pair: float(time[pair[0]] - time[pair[1]]))
 
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-AIRBORNE_SPEED = 60.0 * KNOT  # speed over ground above which a fix counts as airborne [m/s]
-DEFAULT_DURATION_S = 600.0  # duration of a track where none is asked for [s]
-
-
 class CleaningReport(SimpleNamespace):
     """What cleaning found and dropped; counts are rows of the file unless said otherwise.
 
@@ -343,10 +340,12 @@ def _distinct_fixes(raw: RawTrack, counts: dict[str, int], drop_interpolated: bo
     fixes = fixes[~late]
     between = interpolated_positions(fixes.time, fixes.latitude, fixes.longitude)
     between &= drop_interpolated
-    counts["incomplete"] = int((~complete).sum())
-    counts["repeated"] = int(again.sum())
-    counts["late"] = int(late.sum())
-    counts["interpolated"] = int(between.sum())
+    counts.update(
+        incomplete=int((~complete).sum()),
+        repeated=int(again.sum()),
+        late=int(late.sum()),
+        interpolated=int(between.sum()),
+    )
     return fixes[~between]
 
 
@@ -370,10 +369,12 @@ def _trusted_velocities(fixes: _Fixes, counts: dict[str, int]) -> tuple[Floats, 
     rejected = np.isfinite(fixes.track_deg) & np.isnan(angle)
     rejected |= stale_runs(fixes.track_deg, rejected)
     angle[rejected] = np.nan
-    counts["speeds_rejected"] = int(wrong.sum())
-    counts["angles_as_given"] = int((np.isfinite(angle) & ~unwrapped).sum())
-    counts["angles_unwrapped"] = int((np.isfinite(angle) & unwrapped).sum())
-    counts["angles_rejected"] = int(rejected.sum())
+    counts.update(
+        speeds_rejected=int(wrong.sum()),
+        angles_as_given=int((np.isfinite(angle) & ~unwrapped).sum()),
+        angles_unwrapped=int((np.isfinite(angle) & unwrapped).sum()),
+        angles_rejected=int(rejected.sum()),
+    )
     return angle, np.where(np.isnan(fixes.groundspeed), made.speed, fixes.groundspeed)
 
 
@@ -384,8 +385,7 @@ def _airborne_stretches(
     airborne = (speed > AIRBORNE_SPEED) & (fixes.altitude > 0.0)
     found = stretches(fixes.time, broken_links(fixes.time, fixes.position_e), airborne)
     found = [(first, last) for first, last in found if last - first + 1 >= MINIMUM_FIXES]
-    counts["grounded"] = int((~airborne).sum())
-    counts["stretches"] = len(found)
+    counts.update(grounded=int((~airborne).sum()), stretches=len(found))
     if not found:
         tally = ", ".join(f"{key} {value}" for key, value in counts.items())
         raise ValueError(

@@ -34,6 +34,8 @@ ORBIT_FIELDS = (  # the 16 Keplerian parameters of a record
     *("cuc", "cus", "cic", "cis", "crc", "crs", "time_of_ephemeris"),
 )
 KEPLER_ITERATIONS = 6
+DISAGREEMENT_TOLERANCE = 100.0  # distance of two records from which one of them is wrong [m]
+DUPLICATE_RTOL = 1e-10  # what rounding to 12 decimals may leave between copies of a record
 
 LEAP_SECOND_DATES = (
     *((year, 7, 1) for year in (1981, 1982, 1983, 1985)),
@@ -280,10 +282,6 @@ class BroadcastConstellation:
         elapsed = t[:, None] - schedule.epoch[satellite, column]
         elapsed[np.abs(elapsed) > VALIDITY] = np.nan
         return propagate(self.ephemerides, schedule.record[satellite, column], elapsed)
-
-
-DISAGREEMENT_TOLERANCE = 100.0  # distance of two records from which one of them is wrong [m]
-DUPLICATE_RTOL = 1e-10  # what rounding to 12 decimals may leave between copies of a record
 
 
 class Rejection(NamedTuple):

@@ -180,8 +180,8 @@ class CredibleBatch:
     ) -> None:
         b = memory.receivers
         self.settings, self.memory, self.interval_s = settings, memory, interval_s
-        noise = settings.process_noise(interval_s), settings.drift_rate_mps
-        self._rules: Rules = interval_s, *map(float, noise), settings.noise_variance
+        noise = float(settings.process_noise(interval_s)), float(settings.drift_rate_mps)
+        self._rules: Rules = interval_s, *noise, settings.noise_variance
         covariance = np.tile(settings.noise_variance * np.eye(AXES), (b, 1, 1))
         places = np.zeros((b, 3)), covariance, np.zeros((b, 3)), np.zeros(b), np.zeros(b)
         memory.declare_all(**CredibleState(*places)._asdict())

@@ -14,10 +14,10 @@ from ..core.registry import require, whole_number
 from ..core.simd import LANES
 from ..detectors import Verdict
 from ..receiver.epoch import Epoch
-from .domain import draw, given_choice
+from .domain import FloatArray, draw, given_choice
 from .prefetch import PIECE, STOCK, NextEpisodes
 from .setup import Setup
-from .simulator import FloatArray, Given, Rngs, Rows, Sequel, Simulator, run_serially
+from .simulator import Given, Rngs, Rows, Sequel, Simulator, run_serially
 from .threads import Workers
 
 T = TypeVar("T")

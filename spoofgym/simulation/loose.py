@@ -19,9 +19,9 @@ from ..truth.gnss_errors import PositionErrors
 from ..truth.noise import padded
 from ..truth.run import SOURCES, InertialErrors, flown_world
 from ..truth.scenario import at_rate
-from .domain import Choice, Domain
+from .domain import Choice, Domain, FloatArray
 from .setup import RateCommands, Run, Setup, Timeline
-from .simulator import FloatArray, Rngs, Rows, Simulator, domain_keys, episode_seeds
+from .simulator import Rngs, Rows, Simulator, domain_keys, episode_seeds
 
 
 class RateSimulator(Simulator):
@@ -210,7 +210,8 @@ class LooselyCoupledSimulator(RateSimulator):
         return DetectorContext(self.receivers, 0, INTERVAL_S, variance, ())
 
     def _keys(self, episode: np.random.SeedSequence) -> NDArray[np.uint64]:
-        return episode.generate_state(2 * SOURCES, np.uint64).reshape(-1, 2)
+        state = episode.generate_state(2 * SOURCES, np.uint64)
+        return np.asarray(state, dtype=np.uint64).reshape(-1, 2)
 
     def _start(self, choice: Choice) -> None:
         super()._start(choice)

@@ -11,7 +11,8 @@ from ..core.registry import require
 from ..receiver import NavState, Recording
 from ..truth._kernels import CHUNK, sense
 from ..truth.noise import deviates, padded
-from .simulator import FloatArray, run_serially
+from .domain import FloatArray
+from .simulator import run_serially
 from .tight import TightlyCoupledSetup, TightlyCoupledSimulator
 
 RANGES = "pseudorange", "range_rate"  # fields of an epoch that a recording keeps

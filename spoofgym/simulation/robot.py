@@ -30,10 +30,10 @@ from ..truth.robot import (
     RobotLoop,
     episode_keys,
 )
-from .domain import Choice, Domain
+from .domain import Choice, Domain, FloatArray
 from .loose import RateSimulator
 from .setup import MOST_EPOCHS, RateCommands, Run, Setup, Timeline
-from .simulator import FloatArray, Written
+from .simulator import Written
 
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "acna", "variant": "production"}
 

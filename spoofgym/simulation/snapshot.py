@@ -27,10 +27,10 @@ from ..truth._kernels import measure_snapshot
 from ..truth.noise import padded
 from ..truth.run import chain_skies, make_sky
 from ..truth.satellites import CircularConstellation
-from .domain import Choice, Domain
+from .domain import Choice, Domain, FloatArray
 from .loose import RateSimulator
 from .setup import RateCommands, Run, Setup, Timeline
-from .simulator import FloatArray, SkyData, Written
+from .simulator import SkyData, Written
 
 AXES = ("north", "east", "down", "clock")
 CLOCK_SD = (1e4, 10.0)  # standard deviation of the receiver's clock offset [m] and drift [m/s]

@@ -35,9 +35,9 @@ from ..truth.sensors import SensorBuffers
 from ..truth.signal_errors import MAPPINGS, mappings_of
 from . import _kernels
 from ._kernels import JUDGE, REMEMBER, displace
-from .domain import Choice, Combinations, Domain, worlds_of
+from .domain import Choice, Combinations, Domain, FloatArray, worlds_of
 from .setup import Run, SequelKernel, Setup, Timeline
-from .simulator import FloatArray, Rngs, Rows, Sequel, Simulator, SkyData
+from .simulator import Rngs, Rows, Sequel, Simulator, SkyData
 
 # Victims by name: the noise that they assume as the papers print it, or as the world has it.
 RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in TUNINGS}
@@ -232,7 +232,7 @@ class TightlyCoupledSimulator(Simulator):
             self.augmented = AugmentedFilter(*known, self.fields)
         self._predicted: Predicted | None = None
         self.epoch = self._view()
-        self.attack = copy.deepcopy(self.setup.attack)
+        self.attack: Attack = copy.deepcopy(self.setup.attack)
         self.attack.bind(AttackContext(receivers, world))
         self._hold_arguments()
 

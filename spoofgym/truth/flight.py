@@ -307,4 +307,4 @@ def inverse_kinematics(
         f"a flight must turn by at most {math.degrees(largest):g} deg in a sample, "
         f"got {math.degrees(turn):.3g} deg",
     )
-    return Trajectory(flight.name, flight.time, *motion, *samples, decimation)
+    return Trajectory(flight.name, flight.time, *motion, samples[0], samples[1], decimation)

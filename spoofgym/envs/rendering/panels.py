@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.plots import BLUE, GREEN, GREY, GRID, ORANGE, RED, style
-from ...simulation.simulator import EpisodeLayout, FloatArray, SkyData
+from ...simulation.domain import FloatArray
+from ...simulation.simulator import EpisodeLayout, SkyData
 from .history import RenderHistory
 
 if TYPE_CHECKING:
