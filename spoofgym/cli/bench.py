@@ -135,8 +135,8 @@ def bench(
     at_once = jobs or (processors() if suite_name else 1)
     if not as_json:
         print_lines((*(() if task else suite.notes), *suite.captions, *suite.left_out))
-    settings: dict[str, Any] = {"jobs": at_once, "backend": backend, "shard": shard}
-    results = opt.finished(campaign, out, threads=threads, overwrite=overwrite, **settings)
+    handed: dict[str, Any] = {"jobs": at_once, "backend": backend, "shard": shard}
+    results = opt.finished(campaign, out, threads=threads, overwrite=overwrite, **handed)
     _report(campaign.results(results), as_json, reports)
 
 

@@ -18,8 +18,6 @@ from .output import progress
 
 if TYPE_CHECKING:
     from ..bench.experiments import Experiment, Reader
-    from ..bench.runs.players import PlayerSpec
-    from ..bench.runs.world import World as Played
 
 ENV = "spoofgym/TightlyCoupled-v0"
 LARGEST_RUNS = 1_000_000
@@ -100,35 +98,6 @@ Oracles = Annotated[
         help="Let detectors play that know the attack by their settings; the results say so.",
     ),
 ]
-
-
-def specs_of(texts: Sequence[str]) -> list[dict[str, Any]]:
-    """Names and settings; a class of the user's may lie in the working directory."""
-    from ..core.registry import parse_spec
-
-    specs = [parse_spec(text) for text in texts]
-    if any(":" in spec["name"] for spec in specs) and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    return specs
-
-
-def calibrate_with_progress(
-    world: Played,
-    entries: Sequence[PlayerSpec],
-    threads: int | None,
-    optional: Collection[str] = (),
-) -> dict[str, str]:
-    """Calibrate the detectors that ask for a rate of false alarms, and show how far that is.
-
-    `optional`: labels of those that may have no calibration; returns why, by their labels.
-    """
-    from ..bench.experiments.calibration import calibrate_entries, missing_runs
-
-    settings: dict[str, Any] = {"threads": threads, "optional": optional}
-    if left := missing_runs(world, entries):
-        with progress(left) as bar:
-            return calibrate_entries(world, entries, progress=bar, **settings)
-    return calibrate_entries(world, entries, **settings)
 
 
 def finished(

@@ -59,7 +59,7 @@ def tune(
             for entry in entries:
                 now = f"{judge.label}: tuning {entry.label}"
                 tick = functools.partial(bar.advance, now=now)
-                results += fit(panel, {0: judge}, entry, optima, tick)
+                results += fit(panel, {0: judge}, entry, suite.tuning, lambda: optima, tick)
     if as_json:
         print_json([result.as_dict() for result in results])
         return

@@ -15,7 +15,7 @@ from ...calibration.clean_runs import CleanRuns, Numbers, Player, joined
 from ...core.progress import ProgressBar, ProgressCallback
 from ...core.settings import digest_of
 from ...detectors import Calibrated, Detector
-from ...detectors.calibrated import identity_of
+from ...detectors.calibrated import calibrated_parts, identity_of
 from ...detectors.calibration_file import user_folder
 from ..runs.players import PlayerSpec
 from ..runs.world import World

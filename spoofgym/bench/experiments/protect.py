@@ -41,9 +41,9 @@ from ..scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
 from ..search.attack_suite import SuiteAttack, fitting_members
 from ..search.settings import Selection
 from ..search.worst_attack import ROUNDS, FamilyAttacks, expected_plays, play_winners
-from .dataset import QUIET_TASKS
 from .runner import Context, Experiment, run
 from .store import Cell, MemoryStore, Reader, Result, Store
+from .training_attacks import QUIET_TASKS
 
 RUNS, SELECTION_RUNS = 400, 96
 """Evaluation runs of every family, and runs that its attacks are chosen on."""

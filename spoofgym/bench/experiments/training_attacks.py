@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from ...attacks import Meaconer
 from ...attacks.equipment import QUIET, CounterfeitErrors
 from ...core.registry import Spec
-from ...envs.decisions import Decisions
 from ...envs.observer import Observer
 from ...envs.options import checked_action
 from ...envs.spoofer_binding import bound_spoofer, commands_of, monitors_for, paced, spoofer_context
-from ...envs.terms.action import CommandMap
+from ...envs.terms.action import CommandMap, Decisions
 from ...envs.terms.observation import default_terms
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
