@@ -186,11 +186,8 @@ def load_record(file: Path) -> Columns:
 
 @dataclass(frozen=True)
 class Deviation:
-    """By how much the floating-point numbers of a column differ at most, where they may.
-
-    - `ratio`: of the largest absolute value of the column in its case;
-    - `absolute`: in the column's own unit.
-    """
+    """By how much the numbers of a column differ at most, where they may: as a part of the largest
+    absolute value of the column in its case, and in the column's own unit."""
 
     case: str
     key: str
@@ -201,13 +198,8 @@ class Deviation:
 
 @dataclass
 class Tolerance:
-    """What floating-point numbers may differ by, and the largest deviations found so far.
-
-    - `relative`: part of the largest absolute value of the column in its case;
-    - `absolute`: in the column's own unit;
-    - `worst`: by column, of all cases;
-    - `inexact`: cases in which a number differs at all.
-    """
+    """What floating-point numbers may differ by, as in `Deviation`, the `worst` of each column so
+    far, and the cases in which a number differs at all."""
 
     relative: float = 0.0
     absolute: float = 0.0

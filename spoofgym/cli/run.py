@@ -56,8 +56,7 @@ def run(
     if as_json:
         print_json({**summary, "input": reports})
         return
-    rows = [(key, "-" if value is None else str(value)) for key, value in summary.items()]
-    FIELDS.print(f"{player.label} against {judge.label}", rows)
+    FIELDS.print(f"{player.label} against {judge.label}", summary.items())
 
 
 @with_options
