@@ -22,11 +22,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from spoofgym.bench.experiments.versions import versions
-
 from agents.folder import error_lines
 from agents.seeds import marked
 from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.identity import versions
 from spoofgym.bench.report.table import interval, number, titled
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.scores.campaign import bound_of

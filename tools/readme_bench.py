@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from spoofgym.bench.experiments.summary import PICTURE, CampaignResults, summarize
+from spoofgym.bench.experiments.campaign import PICTURE, CampaignResults, summarize
 from spoofgym.bench.report import table as tables
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.scores.campaign import HALF, STEALTHY, headline

@@ -28,12 +28,12 @@ from .output import print_json, print_lines, print_table, progress
 if TYPE_CHECKING:
     from datetime import date
 
+    from ..bench.experiments.campaign import CampaignResults
     from ..bench.experiments.suite import Suite
-    from ..bench.experiments.summary import CampaignResults
     from ..bench.runs.players import PlayerSpec
     from ..bench.runs.world import World as Played
-    from ..bench.search.amplitude import TuningResult
-    from ..bench.search.settings import Selection, Tuning
+    from ..bench.search.amplitude import Tuning, TuningResult
+    from ..bench.search.attack_suite import Selection
     from ..core.progress import ProgressCallback
     from ..core.registry import Spec
     from ..truth.scenario import Scenario
@@ -138,7 +138,7 @@ def standard_players(
 
     Raises where there is no such suite, or where an option is given that it decides.
     """
-    from ..bench.experiments.campaign import SIZES, SPOOFERS, SUITES
+    from ..bench.experiments.suite import SIZES, SPOOFERS, SUITES
     from ..core.registry import check_choice
 
     check_choice("suite", name, SUITES)
@@ -149,14 +149,7 @@ def standard_players(
 
 def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) -> Suite:
     """The standard suite, with all detectors, or with those that are given and the controls."""
-    from ..bench.experiments.campaign import (
-        RATE,
-        TASK,
-        everyone_in,
-        in_order,
-        standard_kwargs,
-    )
-    from ..bench.experiments.suite import Suite
+    from ..bench.experiments.suite import RATE, TASK, Suite, everyone_in, in_order, standard_kwargs
     from ..bench.runs.world import CONTROLS
     from ..bench.runs.world import World as Played
 
@@ -206,7 +199,7 @@ def _with_controls(
 ) -> list[dict[str, Any]]:
     """Detectors of a headline: the usual ones and the controls by default, `all` for all.
     `rescaled`: whether tests with a drift term are among all a second time, rescaled."""
-    from ..bench.experiments.campaign import everyone_in
+    from ..bench.experiments.suite import everyone_in
     from ..bench.runs.world import CONTROLS, VICTIMS
     from ..core.registry import check_choice
 
@@ -223,7 +216,7 @@ def _with_controls(
 
 def tuning_of(runs: int, budget: float) -> Tuning:
     """A search on so many training runs, of which a sixteenth sifts."""
-    from ..bench.search.settings import Tuning
+    from ..bench.search.amplitude import Tuning
 
     try:
         return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget)
@@ -234,7 +227,7 @@ def tuning_of(runs: int, budget: float) -> Tuning:
 
 def selection_of(runs: int) -> Selection | None:
     """A search for the worst attack on so many runs, of which a quarter sifts; None for none."""
-    from ..bench.search.settings import Selection
+    from ..bench.search.attack_suite import Selection
 
     return Selection(runs=runs, sift_runs=max(runs // 4, 1)) if runs else None
 
@@ -529,7 +522,7 @@ def report(
     as_json: opt.Json = False,
 ) -> None:
     """Score the finished cells of a folder again, with table and picture."""
-    from ..bench.experiments.summary import CampaignResults
+    from ..bench.experiments.campaign import CampaignResults
 
     _report(CampaignResults.load(folder), as_json, None)
 
@@ -547,7 +540,7 @@ def _advance(bar: ProgressCallback, now: str, work: float) -> None:
 
 def _report(results: CampaignResults, as_json: bool, reports: Reports) -> None:
     """Write table, scores and picture, and print the tables."""
-    from ..bench.experiments.summary import SUMMARY, TABLE, summarize
+    from ..bench.experiments.campaign import SUMMARY, TABLE, summarize
     from ..bench.report import table as tables
     from ..bench.report.bounds import bound_notes, floor_notes
     from ..bench.report.campaign import markdown
