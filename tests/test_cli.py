@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from spoofgym import __version__
 from spoofgym.bench.experiments import Store
-from spoofgym.bench.experiments.summary import CampaignResults
+from spoofgym.bench.experiments.campaign import CampaignResults
 from spoofgym.cli import app
 from spoofgym.cli.options import ENV, WorldOptions, with_options
 from spoofgym.detectors import DETECTORS

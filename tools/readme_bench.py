@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.folder import write_json
-from spoofgym.bench.experiments.summary import PICTURE, CampaignResults, summarize
+from spoofgym.bench.experiments.campaign import PICTURE, CampaignResults, summarize
 from spoofgym.bench.report.campaign import bound_text
 from spoofgym.bench.report.table import Table, metres, number
 from spoofgym.bench.scores.campaign import HALF, STEALTHY, headline

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from spoofgym.bench.experiments import Store, run
 from spoofgym.bench.experiments.calibration import calibrate_entries
-from spoofgym.bench.experiments.campaign import Campaign
+from spoofgym.bench.experiments.campaign import Campaign, CampaignResults, summarize
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.experiments.summary import CampaignResults, summarize
 from spoofgym.bench.report.tasks import (
     ADMISSION,
     FILE,
@@ -33,7 +32,8 @@ from spoofgym.bench.report.tasks import (
 )
 from spoofgym.bench.runs.players import fitted, specify_detector
 from spoofgym.bench.scores.campaign import name_of
-from spoofgym.bench.search.settings import Selection, Tuning
+from spoofgym.bench.search.amplitude import Tuning
+from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.cli.output import progress
 from spoofgym.core.settings import describe
 from spoofgym.detectors.calibrated import STANDARD_RATE

@@ -43,8 +43,8 @@ from spoofgym.bench.experiments.best_response import (
     exploitability,
 )
 from spoofgym.bench.experiments.calibration import calibrate
-from spoofgym.bench.experiments.campaign import everyone_in, in_order
 from spoofgym.bench.experiments.game import Game
+from spoofgym.bench.experiments.suite import everyone_in, in_order
 from spoofgym.bench.runs.players import (
     DETECTOR,
     SPOOFER,

@@ -24,7 +24,7 @@ from .suites import (
 )
 
 if TYPE_CHECKING:
-    from ..bench.experiments.summary import CampaignResults
+    from ..bench.experiments.campaign import CampaignResults
 
 
 @with_options
@@ -107,7 +107,8 @@ def bench(
     given, in a world whose sky, heading, onset and turn-on constants of the sensors are drawn for
     every run, unless --set domain=... says otherwise.
     """
-    from ..bench.experiments.campaign import SIZES, SPOOFERS, SUITES, Campaign
+    from ..bench.experiments.campaign import Campaign
+    from ..bench.experiments.suite import SIZES, SPOOFERS, SUITES
     from ..bench.runs.players import fitted
     from ..core.registry import check_choice
     from ..simulation.engine import processors
@@ -145,14 +146,14 @@ def report(
     as_json: opt.Json = False,
 ) -> None:
     """Score the finished cells of a folder again, with table and picture."""
-    from ..bench.experiments.summary import CampaignResults
+    from ..bench.experiments.campaign import CampaignResults
 
     _report(CampaignResults.load(folder), as_json, None)
 
 
 def _report(results: CampaignResults, as_json: bool, reports: Reports) -> None:
     """Write table, scores and picture, and print the tables."""
-    from ..bench.experiments.summary import SUMMARY, TABLE, summarize
+    from ..bench.experiments.campaign import SUMMARY, TABLE, summarize
     from ..bench.report.campaign import markdown, print_campaign
     from ..bench.report.figures import draw_campaign
 

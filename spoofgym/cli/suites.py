@@ -22,7 +22,8 @@ from .output import progress
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
     from ..bench.runs.world import World
-    from ..bench.search.settings import Selection, Tuning
+    from ..bench.search.amplitude import Tuning
+    from ..bench.search.attack_suite import Selection
     from ..core.registry import Spec
     from ..truth.scenario import Scenario
 
@@ -111,7 +112,7 @@ def _detectors(
 ) -> list[dict[str, Any]] | None:
     """Detectors with the thresholds that are asked for; of a headline the usual ones and the
     controls by default, and `all` for all, tests with a drift term a second time, rescaled."""
-    from ..bench.experiments.campaign import everyone_in
+    from ..bench.experiments.suite import everyone_in
     from ..bench.runs.world import CONTROLS, VICTIMS, World
     from ..core.registry import check_choice
     from ..detectors.build import asks
@@ -136,8 +137,7 @@ def _detectors(
 
 def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) -> Suite:
     """The standard suite, with all detectors, or with those that are given and the controls."""
-    from ..bench.experiments.campaign import RATE, TASK, everyone_in, in_order, standard_kwargs
-    from ..bench.experiments.suite import Suite
+    from ..bench.experiments.suite import RATE, TASK, Suite, everyone_in, in_order, standard_kwargs
     from ..bench.runs.world import CONTROLS, World
 
     if detectors is None:
@@ -177,7 +177,7 @@ def calibrated(suite: Suite, detectors: Sequence[str] | None, threads: int | Non
 
 def tuning_of(runs: int, budget: float) -> Tuning:
     """A search on so many training runs, of which a sixteenth sifts."""
-    from ..bench.search.settings import Tuning
+    from ..bench.search.amplitude import Tuning
 
     try:
         return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget)
@@ -188,7 +188,7 @@ def tuning_of(runs: int, budget: float) -> Tuning:
 
 def selection_of(runs: int) -> Selection | None:
     """A search for the worst attack on so many runs, of which a quarter sifts; None for none."""
-    from ..bench.search.settings import Selection
+    from ..bench.search.attack_suite import Selection
 
     return Selection(runs=runs, sift_runs=max(runs // 4, 1)) if runs else None
 

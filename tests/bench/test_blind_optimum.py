@@ -19,7 +19,7 @@ from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.search import open_loop as optima_module
 from spoofgym.bench.search.amplitude import fit
-from spoofgym.bench.search.attack_suite import AROUND_FOUND, grid_of
+from spoofgym.bench.search.attack_suite import AROUND_FOUND, Selection, grid_of
 from spoofgym.bench.search.backends import EngineBackend, ReplayBackend, limits_of, pushed
 from spoofgym.bench.search.open_loop import (
     AIMS,
@@ -32,7 +32,6 @@ from spoofgym.bench.search.open_loop import (
     Optima,
     crossing,
 )
-from spoofgym.bench.search.settings import Selection
 from spoofgym.detectors import detector_in_world
 from spoofgym.envs.factory import make_setup
 from spoofgym.limits import Replay

@@ -11,7 +11,6 @@ import pytest
 
 from spoofgym.bench import run_campaign, summarize
 from spoofgym.bench.experiments.calibration import calibrate_entries
-from spoofgym.bench.experiments.summary import times_of
 from spoofgym.bench.report.campaign import (
     ATTACKS,
     attack_rows,
@@ -24,8 +23,9 @@ from spoofgym.bench.report.campaign import (
     DETECTORS as TABLE,
 )
 from spoofgym.bench.runs.record import MEASURES
-from spoofgym.bench.scores.campaign import compare
-from spoofgym.bench.search.settings import Selection, Tuning
+from spoofgym.bench.scores.campaign import compare, times_of
+from spoofgym.bench.search.amplitude import Tuning
+from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.detectors import DETECTORS, Detector, Verdict
 
 from .support import small_suite

@@ -13,8 +13,7 @@ from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.scores.scores import counted, stealth_of
 from spoofgym.bench.scores.statistics import most_alarms
 from spoofgym.bench.search import amplitude as module
-from spoofgym.bench.search.amplitude import RESOLUTION, Trial, TuningResult, fit, tune
-from spoofgym.bench.search.settings import Tuning
+from spoofgym.bench.search.amplitude import RESOLUTION, Trial, Tuning, TuningResult, fit, tune
 from spoofgym.detectors import Ewma, SnapshotChi2
 
 from .support import small_suite

@@ -1,12 +1,7 @@
-"""A campaign: detectors x spoofers, the worst attacks of the suite, and limits; the standard suite.
+"""A campaign: detectors x spoofers, the worst attacks of the suite, and limits.
 
 Passive detectors share the passes of the engine, a few of them at a time.  A detector that takes
 weight off measurements has passes of its own.
-
-The standard suite is every detector that suits one task's world, against the usual spoofers.  Tests
-of range rates are there a second time where their defaults test pseudoranges, or both.  World and
-alert limit are those of the task, the rate of false alarms is the standard one, and the sizes are
-such that two idle cores play it in a quarter of an hour.
 """
 
 from __future__ import annotations
@@ -17,42 +12,159 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 from ...calibration.clean_runs import weighs
-from ...calibration.thresholds import suitable_detectors
 from ...core.progress import ProgressCallback
-from ...detectors.build import spec_of_judge
-from ...detectors.calibrated import STANDARD_RATE, resolve
-from ...simulation.setup import Setup
-from ...tasks import RANGE_RATE_TESTS, SUITE, task_of
+from ...core.settings import digest_of
+from ...detectors.calibrated import resolve
 from ..runs.panel import Attack, Panel, play_searches
 from ..runs.players import PlayerSpec, knowledge_of
 from ..runs.record import Protection, RunRecord, record_runs
-from ..runs.world import CONTROLS
-from ..search.amplitude import fit, search_work, with_rates
+from ..scores.campaign import (
+    bracket_of,
+    compare,
+    operating_point,
+    score_detector,
+    score_protection,
+    score_runs,
+)
+from ..search.amplitude import TuningResult, fit, search_work, with_rates
 from ..search.attack_suite import SuiteAttack
 from ..search.open_loop import AIMS, Optima
 from ..search.worst_attack import WorstAttacks, expected_plays, play_winners
 from .runner import Context, Experiment, run
 from .store import Cell, Reader, Result, Store
 from .suite import Suite
-from .summary import (
-    BOUND,
-    FLOOR,
-    OUTPUTS,
-    PROTECTION,
-    RUNS,
-    SEARCH,
-    CampaignResults,
-    key_of,
-    summarize,
-)
 
+TABLE, SUMMARY, PICTURE = OUTPUTS = "results.md", "summary.json", "campaign.png"
+"""Files beside the cells of a campaign."""
+FLOOR, SEARCH, RUNS, PROTECTION, BOUND = "floor", "search", "runs", "protection", "bound"
+"""Kinds of cells: of the world, of a detector and a spoofer, of a detector."""
+ATTACK_SUITE = "attack suite"
+Labelled = PlayerSpec | str | None
 PANEL = 4
 """Passive detectors that share passes; they are finished together, and by one process."""
 WARM_UP = 2.0
 """Work of a warm-up and of the clean twins, in runs of an attack."""
+
+
+def key_of(kind: str, detector: Labelled = None, spoofer: Labelled = None) -> str:
+    """Key of a cell."""
+    labels = (each if isinstance(each, str) else each.label for each in (detector, spoofer) if each)
+    return " / ".join((*labels, kind))
+
+
+class CampaignResults:
+    """What the finished cells of a campaign hold; None of what is not finished.
+
+    - `store`: its folder; `config`: of the campaign.
+    """
+
+    def __init__(self, store: Store, config: Mapping[str, Any]) -> None:
+        self.store, self.config = store, config
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> CampaignResults:
+        """Results in a folder, whatever plays there."""
+        store = Store(path)
+        store.reopen("campaign")
+        return cls(store, store.config["config"])
+
+    @property
+    def path(self) -> Path:
+        """The folder."""
+        return self.store.path
+
+    def _get(self, kind: str, *labels: str) -> Result | None:
+        return self.store.get(Cell(key_of(kind, *labels), {}))
+
+    def runs(self, detector: str, spoofer: str) -> RunRecord | None:
+        """What a pair did."""
+        found = self._get(RUNS, detector, spoofer)
+        return None if found is None else RunRecord.of_parts(found.arrays, found.record)
+
+    def search(self, detector: str, spoofer: str) -> TuningResult | None:
+        """What was found for a spoofer against a detector."""
+        found = self._get(SEARCH, detector, spoofer)
+        return None if found is None else TuningResult.from_dict(found.record)
+
+    def protection(self, detector: str) -> Protection | None:
+        """What the worst attacks of the suite did against a detector."""
+        found = self._get(PROTECTION, detector)
+        return None if found is None else Protection.of_parts(found.arrays, found.record)
+
+    def limits(self, *detector: str) -> dict[str, Any] | None:
+        """Zero-alarm bound of a detector, or the floor of the world."""
+        found = self._get(BOUND if detector else FLOOR, *detector)
+        return None if found is None else dict(found.record)
+
+
+def summarize(results: CampaignResults) -> dict[str, Any]:
+    """Scores of all finished cells.
+
+    Parameters
+    ----------
+    results : CampaignResults
+        Of a campaign.
+
+    Returns
+    -------
+    dict
+        JSON-able: ``scenario``, ``runs``, ``detectors`` (rates of false alarms, price,
+        ``bracket``), ``cells`` (spoofers), ``protection`` (detectors), ``comparisons``
+        (detectors with the negative controls at the same rate, run by run), ``limits`` (``floor``
+        of the world, ``zero_alarm`` bounds by detector), ``tuning``, ``missing`` (cells).
+    """
+    config = results.config
+    detectors = [entry["label"] for entry in config["detectors"]]
+    pairs = [(label, entry["label"]) for label in detectors for entry in config["spoofers"]]
+    records = {pair: found for pair in pairs if (found := results.runs(*pair)) is not None}
+    known = [worst for each in detectors if (worst := results.protection(each)) is not None]
+    limits = sorted({*config["alert_limits_m"], config["alert_limit_m"]})
+    points = {label: operating_point(config, label) for label in detectors}
+    budget = float(config["tuning"]["budget"])
+    scores = [score_runs(found, limits, budget) for found in records.values()]
+    protected = [score_protection(found, limits) for found in known]
+    tuned = [search.as_dict() for pair in pairs if (search := results.search(*pair)) is not None]
+    bounds = {each: bound for each in detectors if (bound := results.limits(each)) is not None}
+    bracket = {"floor": results.limits(), "zero_alarm": bounds}
+
+    def bracketed(label: str) -> dict[str, Any]:
+        point = {"detector": label, **points[label]}
+        own = [[row for row in rows if row["detector"] == label] for rows in (scores, tuned)]
+        worst = next((row for row in protected if row["detector"] == label), None)
+        return bracket_of(point, bracket, own[0], worst, own[1])
+
+    missing = [f"{detector} / {spoofer}" for detector, spoofer in pairs]
+    if config["attack_suite"] is not None:
+        missing += [f"{detector} / {ATTACK_SUITE}" for detector in detectors]
+    finished = {f"{d} / {s}" for d, s in records} | {
+        f"{x.detector} / {ATTACK_SUITE}" for x in known
+    }
+    return {
+        "campaign": digest_of(results.store.config) if records else None,
+        "scenario": config["scenario"]["name"],
+        "runs": config["runs"],
+        "entropy": config["entropy"],
+        "budget": budget,
+        "alert_limit_m": config["alert_limit_m"],
+        "attack_suite": config["attack_suite"],
+        "detectors": [
+            {**score_detector(records[label, "none"]), **points[label], "bracket": bracketed(label)}
+            for label in detectors
+            if (label, "none") in records
+        ],
+        "cells": scores,
+        "protection": protected,
+        "comparisons": compare(
+            list(records.values()), known, {k: p["footing"] for k, p in points.items()}
+        ),
+        "limits": bracket,
+        "tuning": tuned,
+        "missing": [each for each in missing if each not in finished],
+    }
 
 
 def run_campaign(
@@ -290,42 +402,3 @@ def found_optima(suite: Suite, results: CampaignResults, detector: PlayerSpec) -
             own = [curve for k, curve in enumerate(curves) if curve not in curves[:k]]
             members += [SuiteAttack("c", curve, True) for curve in own]
     return members
-
-
-STANDARD = "standard"
-SUITES = (STANDARD,)
-"""Names of `spoofgym bench --suite`."""
-TASK = "T3"
-RATE = STANDARD_RATE
-"""False alarms an hour of all detectors."""
-SPOOFERS = ("ramp", "accelerating-ramp", "snapshot-chi2-profile", "blind-optimum", "feedback")
-"""Each is fitted to the alarm budget."""
-SIZES = {"seeds": 400, "training_seeds": 128, "selection_seeds": 48}
-"""Evaluation, training and selection runs, where no others are given."""
-
-
-def everyone_in(setup: Setup, rescaled: bool = False) -> list[dict[str, Any]]:
-    """The controls and all classics that suit a world; `rescaled`: also with their innovations."""
-    found = [dict(each) for each in CONTROLS]
-    for each in suitable_detectors(setup):
-        own = {"name": spec_of_judge(each)["name"]}
-        if own not in found:
-            found.append(own)
-        if rescaled and each.drifts:
-            found.append({**own, "thresholds": "rescaled"})
-    return found
-
-
-def in_order(everyone: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Controls, solution separation, tests of range rates, which are added, and the others."""
-    controls = [dict(spec) for spec in CONTROLS]
-    first = [*controls, {"name": "solution-separation"}, *map(dict, RANGE_RATE_TESTS)]
-    return [*first, *(dict(spec) for spec in everyone if spec not in first)]
-
-
-def standard_kwargs() -> dict[str, Any]:
-    """Keyword arguments of a `Suite`, but for its detectors."""
-    task = task_of(TASK)
-    limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
-    note = f"suite {STANDARD}: the world of task {task.key} of {SUITE}"
-    return {**task.world_kwargs, **limit, "notes": (note,)}

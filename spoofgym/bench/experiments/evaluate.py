@@ -16,10 +16,9 @@ from ..runs.world import WORLD, World
 from ..scores.scores import clusters_of
 from ..scores.spoofer import Score
 from ..scores.statistics import BUDGET, bootstrap_mean, fewest_runs, resamples_of, wilson
-from ..search.amplitude import TuningResult, fit, with_rates
+from ..search.amplitude import Tuning, TuningResult, fit, with_rates
 from ..search.bounds import Brackets
 from ..search.open_loop import Optima
-from ..search.settings import Tuning
 
 RUNS, FIT_RUNS = 400, 128
 """Evaluation runs and training runs by default."""

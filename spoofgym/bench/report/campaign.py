@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from ...detectors.calibrated import NOISY_WARMUP
 from ...spoofers.base import sees_statistics
-from ..experiments.summary import CampaignResults
+from ..experiments.campaign import CampaignResults
 from ..scores.campaign import CONTROLS, FREE, HALF, NOMINAL, STEALTHY, headline, name_of
 from ..search.attack_suite import FAMILIES as FAMILIES
 from ..search.attack_suite import ORACLES

@@ -28,17 +28,28 @@ from numpy.typing import NDArray
 
 from ...detectors.calibration_file import hourly_rate
 from ...spoofers.base import sees_statistics
-from ..runs.record import MEASURES, Aim, Protection, RunRecord
-from .scores import ALIKE, SHARES, clusters_of, exceeded
+from ..runs.record import MEASURES, Aim, Protection, RunRecord, Winner
+from .scores import (
+    ALIKE,
+    SHARES,
+    bootstrap_exceeded,
+    by_chance,
+    clusters_of,
+    exceeded,
+    missed_in_time,
+    survival,
+)
 from .statistics import (
     NOTHING,
     Estimate,
     bootstrap_mean,
     clopper_pearson,
     clustered_proportion,
+    exceedance,
     largest_of_share,
     percentiles,
     resamples_of,
+    wilson,
 )
 
 NOMINAL = "nominal"
@@ -347,3 +358,137 @@ def _above(reached: Row, bound: Row) -> bool:
         return False
     error = (float(ends[1]) - float(ends[0])) / (2.0 * NORMAL_95)
     return float(reached["value"]) - value > max(ERRORS * error, FIRST_ORDER * value)
+
+
+SURVIVAL_TIMES = 8
+"""At how many times the share of undetected attacks is told."""
+
+
+def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[str, Any]:
+    """Scores of one cell; `limits` of the P_HMI curve [m]."""
+    counts, stealth = cell.counts, cell.stealth
+    kept = cell.displacement_m[counts]
+    zeroed = np.where(cell.alarmed[counts], 0.0, kept)
+    samples = resamples_of(clusters_of(cell.sky)[counts])
+    return {
+        "detector": cell.detector,
+        "spoofer": cell.spoofer,
+        "spoofer_settings": cell.head["spoofer_settings"],
+        "tuned_within_budget": cell.head["tuned_within_budget"],
+        "knowledge": cell.head["knowledge"],
+        "attack": cell.head["attack"],
+        "runs": cell.runs,
+        "counted": stealth.runs,
+        "silent_before_onset": float((~cell.records["warmup_alarm"]).mean().round(6)),
+        "alarm_rate": wilson(stealth.alarms, stealth.runs).as_json(),
+        "within_budget": stealth.seems_to_keep(budget),
+        "stealthy_displacement_m": bootstrap_mean(kept, samples).as_json(),
+        "median_m": number(np.median(kept)) if len(kept) else None,
+        "alarmed_as_0_m": bootstrap_mean(zeroed, samples).as_json(),
+        "largest_error_m": float(cell.records["largest_error_m"].mean().round(4)),
+        "p_hmi": [
+            {"alert_limit_m": limit, **estimate.as_json()}
+            for limit, estimate in zip(limits, exceedance(kept, limits), strict=True)
+        ],
+        **times_of(cell),
+    }
+
+
+def times_of(cell: RunRecord) -> dict[str, Any]:
+    """When the attack was noticed, of the runs that are silent before the onset.
+
+    ``missed``: of the runs that count whose error crosses the alert limit, those without an alarm
+    up to the time to alert after; ``after_crossing_s``: of the same, median from the crossing to
+    the alarm; ``detected`` and ``chance``: alarms by the end, by what raised them; ``delay_s``:
+    median from the onset to a detection; ``survival``: share still undetected by time.
+    """
+    records, step = cell.records, cell.interval_s
+    silent = ~records["warmup_alarm"]
+    first, twin = records["first_alarm"][silent], records["twin_alarm"][silent]
+    chance = by_chance(first, twin)
+    detected = (first > 0) & ~chance
+    alarm, crossing = records["first_alarm"][cell.counts], records["crossing"][cell.counts]
+    missed = missed_in_time(alarm, crossing, int(cell.head["hold"]))
+    horizon = cell.window * step
+    # a run is observed up to its alarm by chance, or up to that of its twin
+    seen = np.where(twin > 0, twin * step, horizon)
+    delay = np.where(detected, first * step, seen)
+    times = np.linspace(0.0, horizon, SURVIVAL_TIMES + 1)[1:]
+    late = (alarm - crossing)[(alarm > 0) & (crossing > 0)] * step
+    found: dict[str, Any] = {
+        "missed": wilson(int(missed.sum()), len(missed)).as_json(),
+        "detected": wilson(int(detected.sum()), len(first)).as_json(),
+        "chance": wilson(int(chance.sum()), len(first)).as_json(),
+        "delay_s": _median(
+            first[detected] * step, clusters_of(cell.sky)[silent][detected]
+        ).as_json(),
+        "after_crossing_s": number(np.median(late)) if len(late) else None,
+        "horizon_s": horizon,
+        "survival": [],
+    }
+    if len(first) and cell.spoofer != "none":
+        curve = survival(delay, detected, times)
+        rows = zip(*curve, strict=True)
+        found["survival"] = [
+            dict(zip(curve._fields, map(number, row), strict=True)) for row in rows
+        ]
+    return found
+
+
+def _median(x: NDArray[Any], clusters: NDArray[np.int64]) -> Estimate:
+    """Median with a percentile interval, by resamples of these runs alone."""
+    if not len(x):
+        return NOTHING
+    drawn = largest_of_share(x, 0.5, resamples_of(clusters))
+    return percentiles(float(np.median(x)), drawn)
+
+
+def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, Any]:
+    """Protection of a detector: what the worst attacks exceed, and P(HMI | attack). The worst of
+    all winners counts, whatever each was chosen for, so that P(HMI | attack) never grows with the
+    limit, nor does what is exceeded with the share, and neither contradicts the other."""
+    aims = [aim for winner in found.winners for aim in winner.aims]
+    searched = sorted({aim.limit_m for aim in aims if aim.limit_m is not None} & set(limits))
+    skies = None if found.skies is None else len(found.skies)
+    return {
+        "detector": found.detector,
+        "counted": int(found.counts.sum()),
+        "exceeded": [_exceeded(found, aim) for aim in aims if aim.share is not None],
+        "p_hmi": [
+            _hazardous(found, measure, limit)
+            for measure in found.winners[0].displacement
+            for limit in searched
+        ],
+        "worst_skies": skies,
+    }
+
+
+def _exceeded(found: Protection, aim: Aim) -> dict[str, Any]:
+    """What the worst attack exceeds in a share of the runs."""
+    assert aim.share is not None  # as chosen by the caller
+    winner, rows = found.worst(aim), found.rows(aim)
+    x = winner.displacement[aim.measure][rows]
+    # the worst skies are few, and the interval is for these alone
+    alike = np.arange(len(found.sky)) if aim.skies else clusters_of(found.sky)
+    estimate = bootstrap_exceeded(x, aim.share, resamples_of(alike[rows]))
+    if aim.skies:
+        everywhere = aim._replace(skies=False)
+        attack = found.worst(everywhere).displacement[aim.measure][found.counts]
+        if estimate.value < (1.0 - ALIKE) * everywhere.reached(attack):
+            estimate = NOTHING  # the few runs of the choice have not found the worst skies
+    value = estimate.as_json()
+    named = {"measure": aim.measure, "share": aim.share, "worst_skies": aim.skies}
+    return {**named, "runs": len(x), **value, **_attack(winner)}
+
+
+def _hazardous(found: Protection, measure: str, limit: float) -> dict[str, Any]:
+    """P(HMI | attack) at an alert limit [m]."""
+    aim = Aim(measure, limit_m=limit)
+    winner = found.worst(aim)
+    (p,) = exceedance(winner.displacement[measure][found.counts], [limit])
+    return {"measure": measure, "alert_limit_m": limit, **p.as_json(), **_attack(winner)}
+
+
+def _attack(winner: Winner) -> dict[str, Any]:
+    named = {"letter": winner.letter, "spoofer": winner.spoofer}
+    return {**named, "setting": winner.setting, "at": winner.value}

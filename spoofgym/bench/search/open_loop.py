@@ -34,9 +34,9 @@ from ...spoofers.profile import MOST_KNOTS, sampled
 from ..runs.play import Runs, WarmStart, induced_error, play
 from ..runs.players import PlayerSpec
 from ..scores.statistics import aim
+from .amplitude import Tuning
 from .backends import Backend, EngineBackend, FloatArray, ReplayBackend, Rows, limits_of
 from .bounds import Brackets
-from .settings import Tuning
 
 Tick = Callable[[float], None]
 LADDER = np.geomspace(1e-3, 1.0, 13)
