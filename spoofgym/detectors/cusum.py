@@ -234,7 +234,11 @@ class LagCusum(InnovationTest):
             self.lag,
             self.baseline,
             self.drift,
-            *(self.memory[name] for name in ("ring", "base", "above", "below", "count")),
+            self.memory["ring"],
+            self.memory["base"],
+            self.memory["above"],
+            self.memory["below"],
+            self.memory["count"],
             statistic,
         )
         return compare(statistic, self.threshold)

@@ -248,7 +248,9 @@ class _Glr(InnovationTest):
             self.window,
             self._quantiles,
             self._scratch,
-            *(self.memory[name] for name in ("sums", "areas", "count")),
+            self.memory["sums"],
+            self.memory["areas"],
+            self.memory["count"],
             statistic,
             threshold,
         )

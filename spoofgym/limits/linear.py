@@ -173,13 +173,13 @@ def record_from(
         gain = np.linalg.solve(S, H @ P).transpose(0, 2, 1)
         visible, axes = epoch.visible.astype(np.bool_), setup.C_en[simulator.epochs]
         parts = epoch.transition, H, gain, S, visible, axes
-        epochs.append(LinearRun(*(np.array(each) for each in parts)))
+        epochs.append(LinearRun._make((*map(np.array, parts), 0)))
         simulator.update(None)
         if look is not None:
             look(epochs[-1])
     arrays = [np.stack(each, axis=1) for each in zip(*(part[:6] for part in epochs), strict=True)]
     onsets = simulator.onset.tolist()
-    return [LinearRun(*(each[b] for each in arrays), onset) for b, onset in enumerate(onsets)]
+    return [LinearRun._make((*(each[b] for each in arrays), k)) for b, k in enumerate(onsets)]
 
 
 def respond(run: LinearRun, offsets: FloatArray) -> Response:
