@@ -15,7 +15,6 @@ from ..simulation.engine import Engine
 from ..simulation.monitors import PassiveDetectors, needed_monitors
 from ..simulation.setup import FloatArray, Setup
 from ..simulation.simulator import Given, Rngs, Rows, run_serially
-from ..spoofers.base import KNOWLEDGE
 from ._kernels import ALARM, COST, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
 from .observer import Observer
 from .scoring import (
@@ -32,7 +31,7 @@ from .scoring import (
 )
 from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
 from .terms.action import CommandMap, Decisions, default_action
-from .terms.observation import Snapshot, default_terms
+from .terms.observation import KNOWLEDGE, Snapshot, default_terms
 from .terms.reward import Outcome, default_rewards, named_terms, reward_of, shares_of
 from .terms.termination import AtAlarm, Ends, EpochState
 

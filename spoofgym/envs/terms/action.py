@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from ...core.registry import check_finite
 from ...simulation.setup import FloatArray, Setup
-from ...spoofers.base import axes_of
 from .._kernels import follow_rate
 
 
@@ -30,8 +29,13 @@ class ActionTerm(Protocol):
         """(B, a, k): the command is its product with the k elements; (B,) headings in radians."""
 
 
+def command_axes(setup: Setup) -> list[str]:
+    """Axes or satellites that the attack commands, (a,): its names without their unit."""
+    return [name.rsplit("_", 1)[0] for name in setup.action_names]
+
+
 def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:
-    stems = axes_of(setup.action_names)
+    stems = command_axes(setup)
     for stem in wanted:
         if stem not in stems:
             raise ValueError(
@@ -220,7 +224,7 @@ def default_action(setup: Setup) -> tuple[ActionTerm, ...]:
     """Action of an environment that is given none: the rate set-point of a victim that follows one,
     along the target direction or, where that is ``"worst"``, north and east; else what the attack
     takes."""
-    if not (setup.follows_setpoint and {"north", "east"} <= {*axes_of(setup.action_names)}):
+    if not (setup.follows_setpoint and {"north", "east"} <= {*command_axes(setup)}):
         return (FullCommand(),)
     return (RateSetpoint(2 if setup.target_heading_deg == "worst" else 1),)
 

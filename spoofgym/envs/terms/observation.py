@@ -20,11 +20,12 @@ from ...simulation.divergence import Divergence
 from ...simulation.monitors import KEPT, PastPositions, reports
 from ...simulation.setup import FloatArray, Setup
 from ...simulation.simulator import Simulator
-from ...spoofers.base import KNOWLEDGE, axes_of
 from .._kernels import own_command, time_fractions
+from .action import command_axes
 
 LEVELS = ("blind", "tracking", "oracle")
 REPORTED = "reported"
+KNOWLEDGE = (*LEVELS, *(f"{level}+{REPORTED}" for level in LEVELS))
 
 
 class Snapshot(NamedTuple):
@@ -109,7 +110,7 @@ class OwnCommand(_Term):
     limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        axes = axes_of(setup.action_names)
+        axes = command_axes(setup)
         if self.along_target:
             lacking = [axis for axis in ("north", "east") if axis not in axes]
             if lacking:
@@ -123,7 +124,7 @@ class OwnCommand(_Term):
     def factors(self, setup: Setup) -> tuple[float, FloatArray, int, int]:
         """Factors on displacement and on the rate of every axis; columns north and east, where only
         their parts along the target direction are observed, else -1."""
-        axes = axes_of(setup.action_names)
+        axes = command_axes(setup)
         columns = (axes.index("north"), axes.index("east")) if self.along_target else (-1, -1)
         return 1.0 / self.scale_m, np.full(len(axes), 1.0 / self.rate_scale_mps), *columns
 
