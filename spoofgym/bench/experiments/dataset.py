@@ -51,18 +51,17 @@ from ...detectors.build import spec_of_judge
 from ...detectors.calibrated import factors_of
 from ...detectors.learned import DetectorAgent
 from ...detectors.observation import make_detector_terms, written_terms
-from ...envs.decisions import Decisions
 from ...envs.observer import Observer
 from ...envs.options import checked_action
 from ...envs.spoofer_binding import bound_spoofer, commands_of, monitors_for, paced, spoofer_context
-from ...envs.terms.action import CommandMap
+from ...envs.terms.action import CommandMap, Decisions
 from ...envs.terms.observation import default_terms
 from ...simulation.engine import Engine, available_threads
 from ...simulation.monitors import PassiveDetectors
 from ...simulation.setup import SPLITS, Setup, generators_of, seeds_of_runs
 from ...simulation.simulator import Simulator, run_serially
 from ...spoofers import Spoofer, SpooferContext
-from ...spoofers.aim import has_heading
+from ...spoofers.base import has_heading
 from ...spoofers.scaled import AMPLITUDE
 from ..runs.play import epochs_of, horizontal, to_local
 from ..runs.players import build_spoofer

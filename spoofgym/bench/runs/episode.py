@@ -14,7 +14,7 @@ from ...core.plots import BLUE, GREEN, GREY, ORANGE, figure_class, save_figure, 
 from ...core.registry import whole_number
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
-from ...spoofers.aim import AXES
+from ...spoofers.base import AXES
 from ..scores.scores import undetected_displacement
 from .play import Attacker, epochs_of, to_local
 from .players import Entry

@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.decisions import Decisions
 from ...envs.observer import Observer
 from ...envs.spoofer_binding import bound_spoofer, paced
-from ...envs.terms.action import CommandMap
+from ...envs.terms.action import CommandMap, Decisions
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
 from ...simulation.simulator import Simulator

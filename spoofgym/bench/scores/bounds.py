@@ -16,16 +16,12 @@ from typing import Any
 
 STEALTHY, HALF = "stealthy displacement", "exceeded in 50 %"
 """Scores that have a floor, as the marks name them."""
-PURPOSES = {STEALTHY: "stealthy", HALF: "half"}
-"""Which floor is each score's."""
-ERRORS = 2.0
-"""Standard errors by which a mean has to lie above a bound."""
+PURPOSES = {STEALTHY: "stealthy", HALF: "half"}  # which floor is each score's
+ERRORS = 2.0  # standard errors by which a mean has to lie above a bound
 FIRST_ORDER = 0.01
 """Part of a bound by which it has to do so, too: bounds are of first order, at one heading."""
 NORMAL_95 = 1.96
-"""Half width of a 95 % interval, in standard errors."""
-SAME_RATE = 1e-6
-"""Relative difference of two rates of false alarms that are the same one."""
+SAME_RATE = 1e-6  # relative difference of two rates of false alarms that are the same one
 Limits = dict[str, Any]
 Row = dict[str, Any]
 
@@ -107,7 +103,6 @@ def _reached(cell: Row) -> Row:
 
 
 def _optimum(cells: Sequence[Row], searches: Sequence[Row]) -> Row | None:
-    """The blind optimum that gets farthest, one within the budget before others."""
     curves = [cell for cell in cells if cell["spoofer_settings"]["name"] == "blind-optimum"]
     found = [each for each in map(_reached, curves) if each["value"] is not None]
     if not found:

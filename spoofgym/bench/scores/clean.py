@@ -12,8 +12,7 @@ from ..runs.record import Cell
 from .paired import FREE
 from .statistics import Estimate, clopper_pearson, clustered_proportion
 
-NOMINAL = "nominal"
-"""Footing of detectors that were asked for no rate."""
+NOMINAL = "nominal"  # footing of detectors that were asked for no rate
 
 
 def operating_point(config: dict[str, Any], detector: str) -> dict[str, Any]:
@@ -61,7 +60,6 @@ def score_detector(clean: Cell) -> dict[str, Any]:
 
 
 def _per_hour(per_run: Estimate, window_s: float) -> dict[str, float | None]:
-    """Rate of a probability for a run; None where every run alarms, and nothing is known."""
     rates = (hourly_rate(each, window_s) for each in per_run)
     return {
         name: round(rate, 6) if np.isfinite(rate) else None

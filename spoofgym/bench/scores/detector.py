@@ -14,19 +14,15 @@ from numpy.typing import NDArray
 from ...detectors.calibration_file import hourly_rate
 from ..runs.record import MEASURES, Aim, Protection, Winner
 from .scores import SHARES, bootstrap_exceeded, clusters_of
-from .statistics import Estimate, clopper_pearson, exceedance, percentiles, resamples_of
+from .statistics import Estimate, FloatArray, clopper_pearson, exceedance, percentiles, resamples_of
 
-FloatArray = NDArray[np.float64]
 WINDOW, CLEAN = "clean, judged window", "clean"
 """Names of false alarms without an event: in the judged window alone, and in all monitored time."""
 
 
 class FamilyScore(NamedTuple):
-    """One family of attacks against one detector.
-
-    - `family`, `held_out`: which one, and whether no detector may have met it;
-    - `found`: its worst attacks, and how far each came in every evaluation run.
-    """
+    """One family of attacks against one detector; `found`: the worst, and how far each came in each
+    run."""
 
     family: str
     held_out: bool
@@ -47,7 +43,6 @@ class FamilyScore(NamedTuple):
 
     @property
     def p_hmi(self) -> Estimate:
-        """P(HMI | attack) at the alert limit, with Wilson's 95 % interval."""
         moved = self.attack.displacement[MEASURES[0]][self.found.counts]
         return exceedance(moved, [self.alert_limit_m])[0]
 
@@ -122,7 +117,6 @@ class DetectorScore:
         return max(found, key=lambda each: -math.inf if math.isnan(each.value) else each.value)
 
     def family(self, key: str) -> FamilyScore:
-        """Score of one family; a ValueError where it has not been played."""
         for each in self.families:
             if each.family == key:
                 return each

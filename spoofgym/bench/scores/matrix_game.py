@@ -1,13 +1,7 @@
-"""Payoff matrix and equilibrium.
+"""Zero-sum matrix games of spoofers and detectors: payoffs, equilibria, and how sure they are.
 
-Zero-sum matrix games: equilibria by linear programming, and how sure they are.
-
-Rows are spoofers, who want a large payoff, columns detectors, who want a small one.  Payoffs that
-are estimated from runs are noisy, and so are the equilibrium and its value: the runs are drawn
-again, and the game is solved in each of the samples (`efron1979`).
-
-Matrices of payoffs: what every spoofer gets against every detector, on the same runs.
-
+Rows are spoofers, which want a large payoff, columns detectors, which want a small one, all on the
+same runs.  The runs are drawn again, and the game is solved in each of the samples (`efron1979`).
 The payoff needs no alarm budget, which would depend on the detectors that are met: so it is a
 number for every pair, and a mix is worth what its members are on average.
 """
@@ -24,20 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.registry import check_choice, check_finite
 from ..experiments.members import Member, Mixture, Strategy, mixture
 from .scores import clusters_of
-from .statistics import Estimate, percentiles, resamples_of
+from .statistics import Estimate, FloatArray, percentiles, resamples_of
 
-FloatArray = NDArray[np.float64]
-GAP = 1e-7
-"""Largest part of the range of the payoffs by which both sides' guarantees may differ."""
+GAP = 1e-7  # largest part of the range of the payoffs by which both sides' guarantees may differ
 
 
 class Equilibrium(NamedTuple):
-    """Mixes of both sides from which neither gains by leaving.
-
-    - `spoofer` (m,) probability of every row, `detector` (n,) of every column;
-    - `value`: expected payoff;
-    - `pure`: whether one row and one column solve the game.
-    """
+    """Mixes (m,) of rows and (n,) of columns from which neither gains by leaving; `pure`: of one
+    each."""
 
     spoofer: FloatArray
     detector: FloatArray
@@ -110,12 +98,8 @@ def gains(payoff: ArrayLike, spoofer: ArrayLike, detector: ArrayLike) -> tuple[f
 
 
 class Spread(NamedTuple):
-    """An equilibrium with intervals over bootstrap samples.
-
-    - `value`, and `spoofer` and `detector`, one estimate for each probability;
-    - `pure`: part of the samples that a pure pair solves;
-    - `samples`: how many were solved.
-    """
+    """An equilibrium with intervals over bootstrap samples; `pure`: part of them with a pure
+    one."""
 
     value: Estimate
     spoofer: tuple[Estimate, ...]
@@ -189,10 +173,8 @@ RESAMPLES = 400
 
 
 class Played(NamedTuple):
-    """R runs of a spoofer against a detector.
-
-    - `displacement` undetected [m], `alarmed` in the judged window, `counts` whether the run does.
-    """
+    """R runs of a pair: displacement undetected [m], alarm in the judged window, whether it
+    counts."""
 
     displacement: FloatArray
     alarmed: NDArray[np.bool_]
@@ -274,7 +256,6 @@ class PayoffMatrix:
         return spread(self._finite(), self.resampled(self.samples(count)))
 
     def mixes(self, found: Equilibrium) -> tuple[Mixture, Mixture]:
-        """Mixes of an equilibrium as strategies, which these runs have decided on."""
         seeds = frozenset({self.seeds})
         return (
             mixture("spoofers' mix", _pure(self.spoofers), found.spoofer, seeds),

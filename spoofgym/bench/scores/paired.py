@@ -12,26 +12,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ...spoofers.base import sees_statistics
 from ..runs.record import MEASURES, Aim, Cell, Protection
 from .scores import ALIKE, SHARES, clusters_of, exceeded
 from .statistics import (
     NOTHING,
     Estimate,
+    FloatArray,
     bootstrap_mean,
     largest_of_share,
     percentiles,
     resamples_of,
 )
 
-FloatArray = NDArray[np.float64]
-CONTROLS = ("never", "lottery")
-"""Names of the detectors that chance must not be told from."""
-FREE = "any"
-"""Footing of a detector that never alarms: it has none, and goes with any rate."""
+CONTROLS = ("never", "lottery")  # names of the detectors that chance must not be told from
+FREE = "any"  # footing of a detector that never alarms: it has none, and goes with any rate
 Footings = Mapping[str, str]
 
 
@@ -121,7 +116,6 @@ def _row(
     difference: Estimate,
     size: float,
 ) -> dict[str, Any]:
-    """A difference, and on which side of 0 its interval lies; `size` of the control's [m]."""
     return {
         "score": score,
         "spoofer": spoofer,

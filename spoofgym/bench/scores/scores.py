@@ -32,16 +32,20 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from ...envs import _kernels
-from .statistics import CONFIDENCE, NOTHING, Estimate, alarm_limit, largest_of_share, percentiles
+from .statistics import (
+    CONFIDENCE,
+    NOTHING,
+    Estimate,
+    FloatArray,
+    alarm_limit,
+    largest_of_share,
+    percentiles,
+)
 
-FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-SHARES = (0.5, 0.05)
-"""Shares of the runs in which the headlines' displacements are exceeded."""
-WORST_SKIES = 0.1
-"""Part of the skies from which an attacker picks the day."""
-FEWEST_SKIES = 10
-"""With fewer of them there is no worst tenth."""
+SHARES = (0.5, 0.05)  # shares of the runs in which the headlines' displacements are exceeded
+WORST_SKIES = 0.1  # part of the skies from which an attacker picks the day
+FEWEST_SKIES = 10  # with fewer of them there is no worst tenth
 ALIKE = 1e-3
 """Part of a displacement by which another one has to differ from it: what attacks that come as far
 differ by is nobody's merit."""
@@ -75,11 +79,7 @@ def counted(warmup_alarm: ArrayLike, twin_alarm: ArrayLike) -> Mask:
 
 
 class Stealth(NamedTuple):
-    """A spoofer on the runs that count.
-
-    - `runs`, `alarms`: how many count, and those among them with an alarm;
-    - `displacement_m`: mean undetected displacement; NaN where no run counts.
-    """
+    """A spoofer on the `runs` that count; mean undetected displacement, NaN where none does."""
 
     runs: int
     alarms: int

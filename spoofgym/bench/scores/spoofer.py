@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from ...spoofers.base import sees_statistics
 from ..report.table import interval
 from .scores import clusters_of
-from .statistics import Estimate, percentiles, resamples_of
-
-FloatArray = NDArray[np.float64]
+from .statistics import Estimate, FloatArray, percentiles, resamples_of
 
 
 @dataclass(frozen=True)

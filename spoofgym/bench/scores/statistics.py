@@ -1,21 +1,17 @@
-r"""Intervals, bootstrap, alarm budget.
-
-Statistics of arrays over runs: proportions and means with their intervals.
+r"""Intervals of proportions and means over runs, bootstrap, and the alarm budget.
 
 Intervals are two-sided with 95 % confidence unless another one is asked for.  Sources, keys in
 references.bib: `wilson1927` (proportions), `clopper1934` (exact, for rare alarms), `korn1998`
 (epochs that come in runs), `efron1979` (bootstrap).
 
-The alarm budget: how often a spoofer may be noticed where chance alone would be silent.
-
-What counts are runs that are silent without the spoofer (`scores.counted`).  With k alarms in n of
-them, the largest probability of an alarm that is not refuted at the level :math:`\alpha` is
-(one-sided, `clopper1934`)
+The alarm budget says how often a spoofer may be noticed where chance alone would be silent.  With k
+alarms in n runs that count (`scores.counted`), the largest probability of an alarm that is not
+refuted at the level :math:`\alpha` is (one-sided, `clopper1934`)
 
 .. math:: \bar p = B_{1 - \alpha}(k + 1, n - k)
 
-a quantile of the beta distribution, and who is chosen on these runs keeps the budget b where
-:math:`\bar p \le b`, so that other runs, most likely, keep it too.
+a quantile of the beta distribution.  A spoofer that is chosen on these runs keeps the budget b
+where :math:`\bar p \le b`, so that other runs, most likely, keep it too.
 """
 
 from __future__ import annotations
@@ -180,8 +176,7 @@ def exceedance(
 
 BUDGET = 0.05
 """Default: an alarm in at most five of a hundred runs that are silent without the spoofer."""
-LEVEL = 0.05
-"""Probability with which the limit of an alarm rate is too low."""
+LEVEL = 0.05  # probability with which the limit of an alarm rate is too low
 
 
 def alarm_limit(alarms: int, runs: int) -> float:

@@ -1,4 +1,9 @@
-"""Who plays the candidates of a blind optimum: response replay, or the engine itself."""
+"""What plays the candidates of a blind optimum: response replay, or the engine itself.
+
+A player has `runs` N that count, silent without an attack, `steps` of a sampled curve, and `limits`
+of its rate.  ``play(curves, rows)`` returns the largest ratios (P, n) of curves (P, steps) on n of
+the runs, and the farthest error (P,) in their mean [m].
+"""
 
 from __future__ import annotations
 
@@ -11,14 +16,13 @@ from numpy.typing import NDArray
 
 from ...limits.response import Replay
 from ...simulation.setup import Setup
-from ...spoofers.aim import axes_of, direction, has_heading
+from ...spoofers.base import axes_of, direction, has_heading
 from ..runs.play import Runs, WarmStart, induced_error
 from ..scores.scores import counted
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]
-EAST_DEG = 90.0
-"""Heading of scripted spoofers by default."""
+EAST_DEG = 90.0  # heading of scripted spoofers by default
 
 
 def limits_of(setup: Setup) -> tuple[float, float]:

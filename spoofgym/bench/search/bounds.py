@@ -23,10 +23,8 @@ from ..runs.players import Entry
 from ..runs.world import World
 from ..scores.statistics import BUDGET
 
-WORLDS = 4
-"""Drawn worlds over which floors and bounds are taken."""
-HEADING = "unknown"
-"""What a perfect detector knows of the attack's heading; it knows the rest."""
+WORLDS = 4  # drawn worlds over which floors and bounds are taken
+HEADING = "unknown"  # what a perfect detector knows of the attack's heading; it knows the rest
 
 
 def purposes(p_fa: float, budget: float) -> dict[str, float]:
@@ -39,7 +37,6 @@ def purposes(p_fa: float, budget: float) -> dict[str, float]:
 
 
 def floor_of(frontier: Frontier, p_fa: float, budget: float) -> dict[str, Any]:
-    """What even a perfect detector allows, and under which assumptions."""
     return {
         "p_fa": p_fa,
         "heading": HEADING,
@@ -66,7 +63,6 @@ def floors_m(
 
 
 def floors_at(frontier: Frontier, rates: Sequence[float], budget: float) -> dict[str, Any]:
-    """Floors at several probabilities of a false alarm, ``rates``, and those at the first."""
     each = [floor_of(frontier, p_fa, budget) for p_fa in rates]
     return {**each[0], "rates": [{key: x[key] for key in ("p_fa", "floor_m")} for x in each]}
 
@@ -105,10 +101,6 @@ class Brackets:
         except ValueError as error:
             return {"why": str(error)}
         return floors_at(frontier, self.rates, self.budget)
-
-    @property
-    def p_fa(self) -> float:
-        return self.rates[0]
 
     @property
     def rates(self) -> list[float]:

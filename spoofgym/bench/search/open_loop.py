@@ -1,29 +1,18 @@
-r"""CMA-ES over rate profiles.
+"""The blind optimum: the best open-loop attack found against a detector, by CMA-ES over curves.
 
-The blind optimum: the best open-loop attack found against a detector.
-
-A curve of the rate through knots is looked for by CMA-ES (`hansen2006`).  Its candidates are played
-on response replay, which adds an attack to recorded clean runs and asks the detector itself; on the
-engine where a detector de-weights, so that replay does not hold.
-
-Every generation is played on another part of the runs, so that the mean of the search does not
-learn the noise of a few of them by heart.  Every candidate is scored at the amplitude that its
+Candidates (`hansen2006`) are played on response replay, which adds an attack to recorded clean runs
+and asks the detector itself; on the engine where a detector de-weights, so that replay does not
+hold.  Every generation is played on another part of the runs, so that the mean of the search does
+not learn the noise of a few of them by heart.  Every candidate is scored at the amplitude that its
 share of alarms allows.  For each run the amplitude at which its largest ratio of statistic to
 threshold comes to 1 is interpolated between two that are judged; the score is the displacement at
 the quantile of these, by a line through the smaller ones against normal scores, which a single run
 moves less than the quantile itself.
 
-What comes out is a curve.  Its amplitude is fitted on the engine, as that of every spoofer.
-
-Blind optima of a campaign: the curves that are found against each detector.
-
-Passive detectors share one response replay of runs that play nothing else.  A detector that
-de-weights, or a victim or an attack that has no replay, is searched against on the engine, and the
-result says so.  A curve found by replay is played on the engine, too, and where its displacement is
-another one there, the search is done again on the engine.
-
-The amplitude is fitted on training runs, where a few alarms decide.  So the plain curves and the
-campaign's own profiles are fitted like the one that was found, and the best of them is played.
+In a campaign passive detectors share one response replay.  A curve found by replay is played on the
+engine, too, and where its displacement is another one there, the search is done again on the
+engine.  The amplitude is fitted on training runs, where a few alarms decide: so the plain curves
+and the campaign's own profiles are fitted like the one that was found, and the best one is played.
 """
 
 from __future__ import annotations
@@ -31,10 +20,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from ...calibration.clean_runs import weighs
@@ -48,28 +36,22 @@ from ...spoofers.profile import MOST_KNOTS, sampled
 from ..runs.play import Runs, WarmStart, induced_error, play
 from ..runs.players import Entry
 from ..scores.statistics import aim
-from .backends import EnginePlayer, ReplayPlayer, limits_of
+from .backends import EnginePlayer, FloatArray, MixedPlayer, ReplayPlayer, Rows, limits_of
 from .bounds import Brackets
 from .settings import Tuning
 
-FloatArray = NDArray[np.float64]
-Rows = NDArray[np.intp]
 Tick = Callable[[float], None]
 LADDER = np.geomspace(1e-3, 1.0, 13)
 """Parts of the largest rate at which the first curves are tried."""
-PAIR = (0.93, 1.075)
-"""Amplitudes at which a candidate is judged, around that of the best so far."""
+PAIR = (0.93, 1.075)  # amplitudes at which a candidate is judged, around that of the best so far
 STEEPEST, FLATTEST = 4.0, 0.1
 """Largest and smallest power of the amplitude by which a largest ratio is taken to grow."""
-FEWEST = 2
-"""Runs that a search takes."""
-AT_ONCE = 24
-"""Attacks that are judged together."""
+FEWEST = 2  # runs that a search takes
+AT_ONCE = 24  # attacks that are judged together
 SPREAD, SMOOTH_LENGTH, SMOOTH = 0.035, 0.2, 0.98
 """Standard deviation of the first candidates, in units of the largest rate; part of the window over
 which neighbouring knots vary together, and for how much of the variance."""
-LOWER_PART = 0.3
-"""Part of the runs above the share whose amplitudes decide on the quantile, too."""
+LOWER_PART = 0.3  # part of the runs above the share whose amplitudes decide on the quantile, too
 FREE = 0.95
 """Part of the farthest reach of the attack from which on a search is over before it begins."""
 SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
@@ -106,25 +88,6 @@ class BlindSearch:
             raise ValueError(f"`blind_search.knots` must be at most {MOST_KNOTS}, got {self.knots}")
 
 
-class Player(Protocol):
-    """Plays sampled curves on runs that count, which are silent without an attack."""
-
-    @property
-    def runs(self) -> int:
-        """N."""
-
-    @property
-    def steps(self) -> int:
-        """Values of a sampled curve."""
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Largest rate, and its largest change between two values, which may be infinite [m/s]."""
-
-    def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
-        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
-
-
 class BlindOptimum(NamedTuple):
     """A curve that a search has found.
 
@@ -144,7 +107,9 @@ class BlindOptimum(NamedTuple):
 class BlindOptimizer:
     """Search for the curve that gets farthest while some share of the runs may alarm."""
 
-    def __init__(self, player: Player, share: float, settings: BlindSearch) -> None:
+    def __init__(
+        self, player: ReplayPlayer | MixedPlayer | EnginePlayer, share: float, settings: BlindSearch
+    ) -> None:
         self.player, self.share, self.settings = player, share, settings
         self.everyone = np.arange(player.runs)
 
@@ -190,7 +155,6 @@ class BlindOptimizer:
         return BlindOptimum(fastest, float(reach[0]), "constant", float(reach[0]), True)
 
     def _ladder(self, shapes: dict[str, FloatArray]) -> tuple[BlindOptimum, bool]:
-        """Best of some shapes over all amplitudes, and whether it gets as far as any attack."""
         limit, _ = self.player.limits
         scales, count = LADDER * limit, len(LADDER)
         tried = [scale * shape for shape in shapes.values() for scale in scales]
@@ -306,8 +270,7 @@ LINEAR_ERROR = 0.02
 """How far the displacement on the engine may be from that of the replay, as a part of it."""
 SPLIT = "search"
 """Runs that are searched on: an amplitude that is fitted on the same ones would be too large."""
-IDLE = 1e-9
-"""Part of its rates at which an attack is commanded nothing."""
+IDLE = 1e-9  # part of its rates at which an attack is commanded nothing
 REPLAY, ENGINE = "response replay", "engine"
 FOUND, PLAIN = "found", ("constant", "linear")
 """Curves whose amplitude is fitted: the one that was found, and shapes of the rate."""
