@@ -6,7 +6,8 @@ import copy
 import dataclasses
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,15 +38,12 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     - offsets are the commanded motion, within the limits of rate and acceleration, and without a
       command they keep their rate;
     - range rates are the derivative of the ranges where they are coherent, and untouched else;
-    - a receiver's offsets don't depend on the batch or the slice that it is in, bit for bit;
-    - there is no chance, and all that it remembers is in its `memory`, so that some receivers can
-      be reset, moved, copied and pickled.
+    - it keeps receivers and slices apart, has no chance, and remembers in its `memory` alone, as in
+      `check_detector`.
 
     An attack with imperfect equipment has to show all of this with perfect equipment, and the rest
-    with its own, where two rules cannot hold: it changes measurements without a command, where its
-    errors, its clock or its idea of the target's position do (`idle_is_clean` says so); and its
-    range rates are the derivatives of ranges that noise moves between the epochs, which no
-    trapezoid follows.
+    with its own: errors, a clock or a wrong target position change measurements without a command
+    (`idle_is_clean` says so), and no trapezoid follows ranges that noise moves between the epochs.
 
     Parameters
     ----------
@@ -67,13 +65,15 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     truth = _fingerprint(world)
     perfect = unbound.equipment.perfect
     if not perfect:
-        check_attack(_perfected(unbound))
+        own = ("tracking", "spoofer_clock", "capture")
+        ideal: dict[str, Any] = {**dict.fromkeys(own), "errors": "inherited", "threat": ""}
+        check_attack(dataclasses.replace(unbound, **ideal))
     axes = _check_declarations(unbound, world)
     _check_begin(unbound, world, axes)
     if unbound.idle_is_clean:
         _check_idle(unbound, world, axes)
     trial = _AttackTrial(unbound, world, _actions(axes))
-    steps = [Step(**_filled(record)) for record in run_trial(trial)]
+    steps = [SimpleNamespace(**record) for record in run_trial(trial)]
     _check_motion(unbound, steps, trial.actions)
     _check_channels(unbound, world, steps)
     _check_slices(trial, steps)
@@ -85,44 +85,6 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
         _fingerprint(world) == truth,
         "the attack has changed the arrays of the `World`, which all receivers share; copy them",
     )
-
-
-def _perfected(attack: Attack) -> Attack:
-    return dataclasses.replace(
-        attack,
-        errors="inherited",
-        tracking=None,
-        spoofer_clock=None,
-        capture=None,
-        threat="",
-    )
-
-
-class Step(NamedTuple):
-    """What one command brought about.
-
-    Attributes
-    ----------
-    d_range, d_rate : ndarray
-        (B, n) offsets [m], [m/s].
-    displacement, rate : ndarray
-        (B, a) of the memory [m], [m/s].
-    interval : ndarray
-        (B,) length of the epoch [s].
-    visible : ndarray
-        (B, n) bool.
-    """
-
-    d_range: FloatArray
-    d_rate: FloatArray
-    displacement: FloatArray
-    rate: FloatArray
-    interval: FloatArray
-    visible: NDArray[np.bool_]
-
-
-def _filled(record: Record) -> dict[str, NDArray[Any]]:
-    return {name: array for name, array in record.items() if array is not None}
 
 
 def _begin(bound: Attack, whose: NDArray[np.intp], rows: NDArray[np.intp] | None = None) -> None:
@@ -159,11 +121,7 @@ class _AttackTrial(Trial[Attack]):
         _begin(bound, rows, rows if mask is None else rows[mask])
 
     def command(
-        self,
-        bound: Attack,
-        number: int,
-        rows: NDArray[np.intp],
-        slices: Sequence[tuple[int, int]],
+        self, bound: Attack, number: int, rows: NDArray[np.intp], slices: Sequence[tuple[int, int]]
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         """Offsets of ranges and range rates, NaN where nothing was written, and the action."""
         given = self.actions[number]
@@ -182,6 +140,8 @@ class _AttackTrial(Trial[Attack]):
         return d_range, d_rate, action
 
     def turn(self, bound: Attack, number: int, rows: NDArray[np.intp], spoil: bool) -> Record:
+        """Offsets (B, n) [m], [m/s]; displacement and rate (B, a) of the memory; the epoch's length
+        (B,) [s]; and what is visible (B, n)."""
         d_range, d_rate, action = self.command(bound, number, rows, [(0, len(rows))])
         for name, array in (("d_range", d_range), ("d_rate", d_rate)):
             require(
@@ -201,14 +161,13 @@ class _AttackTrial(Trial[Attack]):
             "visible": self.world.visible[after],
         }
 
-    def steps(self) -> list[Step]:
+    def steps(self) -> list[SimpleNamespace]:
         everyone = np.arange(self.receivers)
         records = self.play(self.bind(everyone), everyone, range(self.turns))
-        return [Step(**_filled(record)) for record in records]
+        return [SimpleNamespace(**record) for record in records]
 
 
 def _actions(axes: int) -> list[FloatArray | None]:
-    """Commands, also outside of [-1, 1], with a hold amid them."""
     rng = np.random.default_rng(3)
     actions: list[FloatArray | None] = [
         rng.uniform(-1.5, 1.5, (len(STARTS), axes)) for _ in range(COMMANDS)
@@ -239,10 +198,7 @@ def _check_declarations(attack: Attack, world: World) -> int:
         captured.shape == (world.channels,) and captured.dtype == np.bool_,
         f"`captured` must return ({world.channels},) bool, got {captured.shape} {captured.dtype}",
     )
-    require(
-        not (captured & ~named).any(),
-        "`captured` must not name an empty slot, whose id is ''",
-    )
+    require(not (captured & ~named).any(), "`captured` must not name an empty slot, whose id is ''")
     names = attack.action_names(world)
     require(
         isinstance(names, tuple)
@@ -280,7 +236,7 @@ def _check_idle(attack: Attack, world: World, axes: int) -> None:
 
 
 def _check_motion(
-    attack: Attack, steps: Sequence[Step], actions: Sequence[FloatArray | None]
+    attack: Attack, steps: Sequence[SimpleNamespace], actions: Sequence[FloatArray | None]
 ) -> None:
     displacement = np.zeros_like(steps[0].displacement)
     rate = np.zeros_like(displacement)
@@ -348,7 +304,7 @@ def _check_limits(attack: Attack, world: World, axes: int) -> None:
     )
 
 
-def _check_channels(attack: Attack, world: World, steps: Sequence[Step]) -> None:
+def _check_channels(attack: Attack, world: World, steps: Sequence[SimpleNamespace]) -> None:
     captured = attack.captured(world)
     for step in steps:
         require(
@@ -384,7 +340,7 @@ def _check_rates(attack: Attack, world: World, axes: int) -> None:
         )
 
 
-def _check_slices(trial: _AttackTrial, steps: Sequence[Step]) -> None:
+def _check_slices(trial: _AttackTrial, steps: Sequence[SimpleNamespace]) -> None:
     everyone = np.arange(trial.receivers)
     bound = trial.bind(everyone)
     for number, step in enumerate(steps):

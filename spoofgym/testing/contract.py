@@ -6,7 +6,7 @@ import copy
 import pickle
 import random
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -29,10 +29,7 @@ def same_bits(first: NDArray[Any] | None, second: NDArray[Any] | None) -> bool:
 
 
 def first_difference(first: NDArray[Any] | None, second: NDArray[Any] | None) -> str:
-    """Where two arrays differ first, for messages.
-
-    Returns for example ``"[2, 0]: 1.0 and 1.5"``.
-    """
+    """Where two arrays differ first, for messages: ``"[2, 0]: 1.0 and 1.5"``."""
     if first is None or second is None or first.shape != second.shape:
         shapes = ["None" if a is None else f"shape {a.shape}" for a in (first, second)]
         return " and ".join(shapes)
@@ -47,10 +44,7 @@ def first_difference(first: NDArray[Any] | None, second: NDArray[Any] | None) ->
 def require_fresh(
     what: str, array: NDArray[Any], owners: dict[str, NDArray[Any]], until: str
 ) -> None:
-    """Raise when an array that was handed out belongs to somebody else.
-
-    `owners`: arrays that it must not share memory with, by name.
-    """
+    """Raise when an array that was handed out shares memory with one of `owners`, by name."""
     for owner, other in owners.items():
         require(
             not np.may_share_memory(array, other),
@@ -73,7 +67,6 @@ def read_only_given(word: str, given: str) -> Iterator[None]:
 
 @contextmanager
 def no_global_chance(word: str) -> Iterator[None]:
-    """Raise when the block draws from, or seeds, the global generators."""
     before = random.getstate(), _numpy_state()
     yield
     require(
@@ -90,8 +83,7 @@ def _numpy_state() -> tuple[Any, ...]:
 
 Record = dict[str, NDArray[Any] | None]
 """What one turn brought about: arrays with a leading axis of receivers."""
-MANY = 33
-"""Receivers of a large batch: whole vectors of the processor, and a remainder."""
+MANY = 33  # receivers of a large batch: whole vectors of the processor, and a remainder
 KEEP = "keep everything in arrays declared by `self.memory.declare` in `bind`"
 
 
@@ -118,26 +110,14 @@ class Trial(ABC, Generic[T]):
 
     @abstractmethod
     def turn(self, bound: T, number: int, rows: NDArray[np.intp], spoil: bool) -> Record:
-        """Let a bound subject take one turn.
-
-        `bound`: bound to as many receivers as there are rows.
-        """
+        """Let a subject that is bound to as many receivers as there are rows take one turn."""
 
     def reset(self, bound: T, mask: NDArray[np.bool_] | None) -> None:
         bound.memory.reset(mask)
 
     def play(
-        self,
-        bound: T,
-        rows: NDArray[np.intp],
-        turns: range,
-        *,
-        spoil: bool = False,
+        self, bound: T, rows: NDArray[np.intp], turns: range, *, spoil: bool = False
     ) -> list[Record]:
-        """Let a bound subject take some turns.
-
-        `bound`: bound to as many receivers as there are rows.
-        """
         records = []
         for number in turns:
             records.append(self.turn(bound, number, rows, spoil))
@@ -287,11 +267,9 @@ def _check_copies(trial: Trial[T], records: Sequence[Record]) -> None:
     late = range(half, trial.turns)
     bound = trial.bind(everyone)
     trial.play(bound, everyone, range(half))
-    for way, copied in (
-        ("deep-copied", _copy(bound, trial.word)),
-        ("pickled", _pickle(bound, trial.word)),
-        ("copied and pickled", bound),
-    ):
+    ways = {"deep-copied": copy.deepcopy, "pickled": lambda x: pickle.loads(pickle.dumps(x))}
+    copies = {way: _copied(bound, trial.word, way, how) for way, how in ways.items()}
+    for way, copied in {**copies, "copied and pickled": bound}.items():
         _require_same(
             records[half:],
             trial.play(copied, everyone, late),
@@ -299,24 +277,12 @@ def _check_copies(trial: Trial[T], records: Sequence[Record]) -> None:
         )
 
 
-def _copy(subject: T, word: str) -> T:
+def _copied(subject: T, word: str, way: str, how: Callable[[T], T]) -> T:
     try:
-        return copy.deepcopy(subject)
+        return how(subject)
     except Exception as error:
-        raise AssertionError(_uncopied(word, "deep-copied", error)) from error
-
-
-def _pickle(subject: T, word: str) -> T:
-    try:
-        unpickled: T = pickle.loads(pickle.dumps(subject))
-    except Exception as error:
-        raise AssertionError(_uncopied(word, "pickled", error)) from error
-    return unpickled
-
-
-def _uncopied(word: str, way: str, error: Exception) -> str:
-    return (
-        f"the {word} cannot be {way} ({type(error).__name__}: {error}), but environments copy it "
-        "and send it to other processes; define its class at the top of a module, and leave what "
-        "cannot be copied (files, sessions, lambdas) out by `__getstate__`"
-    )
+        raise AssertionError(
+            f"the {word} cannot be {way} ({type(error).__name__}: {error}), but environments copy "
+            "it and send it to other processes; define its class at the top of a module, and leave "
+            "what cannot be copied (files, sessions, lambdas) out by `__getstate__`"
+        ) from error

@@ -28,9 +28,6 @@ from .contract import (
 )
 from .epochs import CHANNELS, COORDINATES, Script, engine_script, position_script, trying_script
 
-SCOPES = ("channel", "receiver")
-MEASURED = ("satellites", "position", "any")
-
 
 def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     """Check that a detector keeps its contract.
@@ -77,10 +74,8 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
 
 
 def scripts_of(measures: str, card: DetectorCard | None = None) -> list[Script]:
-    """Epochs of what a detector measures; for one in a file with as many slots as it was made for.
-
-    A run is left out that has another number of them.
-    """
+    """Epochs of what a detector measures; for one in a file with as many slots as it was made for:
+    a run is left out that has another number of them."""
     scripts = []
     if measures != "position" and card is None:
         scripts += [engine_script(), trying_script()]
@@ -153,7 +148,6 @@ class _DetectorTrial(Trial[Detector]):
 
 
 def judged_traced(detector: Detector, epoch: TracedEpoch) -> Verdict:
-    """Verdict of a detector that reads no more than it declares; an AssertionError otherwise."""
     try:
         verdict = detector.judge(epoch)
     except UndeclaredFieldError as error:  # of a detector in a pool
@@ -176,11 +170,11 @@ def _check_declarations(detector: Detector) -> None:
         f"`{kind}.paper` must be a key in references.bib, for a classic too, got {paper!r}",
     )
     require(
-        detector.scope in SCOPES,
+        detector.scope in ("channel", "receiver"),
         f"`{kind}.scope` must be 'channel' (c = n) or 'receiver' (c = 1), got {detector.scope!r}",
     )
     require(
-        detector.measures in MEASURED,
+        detector.measures in ("satellites", "position", "any"),
         f"`{kind}.measures` must be 'satellites', 'position' or 'any', got {detector.measures!r}",
     )
     require(
@@ -238,14 +232,11 @@ def _check_arrays(detector: Detector, verdict: Verdict, own: Mapping[str, NDArra
         require_fresh(f"the verdict's `{name}`", array, owners, "the next epoch")
 
 
-def _at(script: Script, number: int) -> str:
-    return f"on {script.name}, at {script.epochs[number].time[0]:g} s,"
-
-
 def _check_invisible(detector: Detector, script: Script, number: int, verdict: Verdict) -> None:
     if not script.context.channels:
         return
-    absent, where = ~script.epochs[number].visible, _at(script, number)
+    epoch = script.epochs[number]
+    absent, where = ~epoch.visible, f"on {script.name}, at {epoch.time[0]:g} s,"
     if detector.scope == "channel":
         require(
             not verdict.statistic[absent].any(),

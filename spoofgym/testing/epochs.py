@@ -15,17 +15,12 @@ from ..receiver.epoch import OPTIONAL, Epoch
 from ..simulation import Engine, TightlyCoupledSetup, Timeline
 from ..truth.scenario import Scenario
 
+FloatArray = NDArray[np.float64]
 RECEIVERS = 5
-ATTACK_S = 10.0
 
 
 class Script(NamedTuple):
-    """What a detector gets to see, in order.
-
-    - `name`: of the script, for messages;
-    - `context`: what the detector is bound with;
-    - `epochs`: all optional fields are filled in.
-    """
+    """Epochs that a detector sees, in order, with all optional fields."""
 
     name: str
     context: DetectorContext
@@ -43,7 +38,7 @@ class Script(NamedTuple):
 
 @lru_cache(maxsize=1)
 def engine_script() -> Script:
-    timeline = Timeline(warmup_s=5.0, live_s=5.0, attack_s=ATTACK_S, time_to_alert_s=0.0)
+    timeline = Timeline(warmup_s=5.0, live_s=5.0, attack_s=10.0, time_to_alert_s=0.0)
     setup = TightlyCoupledSetup(
         scenario=Scenario(), attack=FalsePosition(), detector=Never(), timeline=timeline
     )
@@ -68,10 +63,7 @@ def engine_script() -> Script:
 
 
 def with_optional_fields(epoch: Epoch, rng: np.random.Generator) -> Epoch:
-    """Copy of an epoch, with what is missing made up.
-
-    `epoch`: some of its optional fields may be None.
-    """
+    """Copy of an epoch, with optional fields that are None made up."""
     b, n = epoch.visible.shape
     fields = {name: np.array(array) for name, array in epoch._asdict().items()}
     made_up = {
@@ -87,8 +79,7 @@ def with_optional_fields(epoch: Epoch, rng: np.random.Generator) -> Epoch:
 
 CHANNELS = 7
 COUNT = 60
-INTERVALS = (0.5, 0.5, 1.0, 0.1, 0.5, 5.0)
-"""Times between made-up epochs, over and over [s]."""
+INTERVALS = (0.5, 0.5, 1.0, 0.1, 0.5, 5.0)  # times between made-up epochs, over and over [s]
 _EMPTY = CHANNELS - 1
 ALL_MISSING = (24, 25)
 ZERO = 14
@@ -130,6 +121,20 @@ def _visible(k: int, channels: int) -> NDArray[np.bool_]:
     return visible
 
 
+def _innovation(
+    k: int, belief: FloatArray, attacked_from: int, rng: np.random.Generator
+) -> FloatArray:
+    """(B, m) drawn from the covariance (B, m, m) that it is said to have, and what happens then."""
+    root = np.linalg.cholesky(belief)
+    innovation: FloatArray = np.einsum("bij,bj->bi", root, rng.standard_normal(belief.shape[:2]))
+    if k == ZERO:
+        innovation[:] = 0.0
+    if k == OUTLIER:
+        innovation[:, 1] += 1e3 * np.sqrt(belief[:, 1, 1])
+    innovation[:, 0] += 0.5 * max(0, k - attacked_from)
+    return innovation
+
+
 def _made_up(
     k: int,
     time: NDArray[np.float64],
@@ -157,14 +162,7 @@ def _made_up(
     design *= seen[:, :, None]
     belief = np.einsum("bik,bkl,bjl->bij", design, covariance, design)
     belief += np.where(seen, noise, 1.0)[:, :, None] * np.eye(2 * n)
-    innovation = np.einsum(
-        "bij,bj->bi", np.linalg.cholesky(belief), rng.standard_normal((b, 2 * n))
-    )
-    if k == ZERO:
-        innovation[:] = 0.0
-    if k == OUTLIER:
-        innovation[:, 1] += 1e3 * np.sqrt(belief[:, 1, 1])
-    innovation[:, 0] += 0.5 * max(0, k - ATTACKED_FROM)
+    innovation = _innovation(k, belief, ATTACKED_FROM, rng)
     innovation[~seen] = 0.0
     position = np.array([6_378_137.0, 0.0, 0.0]) + np.outer(time, [0.0, 100.0, 0.0])
     satellites = position[:, None, :] + 2.2e7 * u
@@ -191,26 +189,20 @@ def _made_up(
     )
 
 
-FloatArray = NDArray[np.float64]
-
-COORDINATES = (2, 3)
-"""Of a robot on a plane, and of a position in space."""
+COORDINATES = (2, 3)  # of a robot on a plane, and of a position in space
 STATES = {2: 4, 3: 15}
 """Position and velocity in the plane; attitude, velocity, position and sensor biases in space."""
 POSITION_COUNT = 80
-RETURNED = (44, 50)
-"""Epochs, ends excluded, in which a jump of some metres comes and goes."""
+RETURNED = (44, 50)  # epochs, ends excluded, in which a jump of some metres comes and goes
 POSITION_ATTACKED_FROM = 55
 
 
 @lru_cache(maxsize=len(COORDINATES))
 def position_script(coordinates: int) -> Script:
-    """Made-up epochs of a receiver whose measurement is a position.
+    """Made-up epochs of a receiver whose measurement is a position: no channels, m innovations.
 
-    There are no channels, n = 0, and m innovations, one a coordinate.  Intervals differ; once all
-    innovations are zero, once there is an outlier of a thousand standard deviations; a jump comes
-    and goes, and in the end the position drifts away.  Innovations are drawn from the covariance
-    that they are said to have; they are the GNSS position minus the predicted one.
+    As in `trying_script`; a jump comes and goes, and in the end the position drifts away.  The
+    innovations are the GNSS position minus the predicted one.
     """
     rng = np.random.default_rng(2 + coordinates)
     noise = np.array([1.0, 1.5, 4.0])[:coordinates]
@@ -237,18 +229,12 @@ def _made_up_positions(
     design = np.zeros((b, m, s))
     design[:, np.arange(m), first + np.arange(m)] = 1.0
     belief = covariance[:, first : first + m, first : first + m] + noise * np.eye(m)
-    innovation = np.einsum("bij,bj->bi", np.linalg.cholesky(belief), rng.standard_normal((b, m)))
-    if k == ZERO:
-        innovation[:] = 0.0
-    if k == OUTLIER:
-        innovation[:, 1] += 1e3 * np.sqrt(belief[:, 1, 1])
+    innovation = _innovation(k, belief, POSITION_ATTACKED_FROM, rng)
     if RETURNED[0] <= k < RETURNED[1]:
         innovation += 20.0
-    innovation[:, 0] += 0.5 * max(0, k - POSITION_ATTACKED_FROM)
     position = np.outer(time, [3.0, -4.0, 0.0])
     fix = position.copy()
     fix[:, :m] += innovation
-    transition = np.tile(np.eye(s), (b, 1, 1))
     nothing, no_vector = np.zeros((b, 0)), np.zeros((b, 0, 3))
     return with_optional_fields(
         Epoch(
@@ -259,7 +245,7 @@ def _made_up_positions(
             innovation_cov=np.ascontiguousarray(belief),
             predicted_cov=covariance,
             design=design,
-            transition=transition,
+            transition=np.tile(np.eye(s), (b, 1, 1)),
             imu_delta=rng.standard_normal((b, 6)) * np.repeat([0.1, 1e-3], 3),
             pseudorange=nothing,
             range_rate=nothing,

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from ..attacks import Attack
 from ..core.registry import is_number
-from ..envs.decisions import Decisions
 from ..envs.observer import Observer
 from ..envs.spoofer_binding import bound_spoofer, paced, setup_of_card
-from ..envs.terms.action import CommandMap
+from ..envs.terms.action import CommandMap, Decisions
 from ..simulation import Engine, Setup, TightlyCoupledSetup, Timeline
 from ..spoofers import KNOWLEDGE, Spoofer, SpooferContext, make_spoofer
-from ..spoofers.aim import TARGET
+from ..spoofers.base import TARGET, FloatArray
 from .contract import (
     Record,
     Trial,
@@ -32,14 +31,11 @@ from .contract import (
     run_trial,
 )
 
-FloatArray = NDArray[np.float64]
 Observation = NDArray[np.float32]
 RECEIVERS = 5
 TIMELINE = Timeline(warmup_s=3.0, live_s=1.0, attack_s=12.0, time_to_alert_s=0.0)
-COMMANDS = 24
-"""As many are tried of an episode."""
-LONGEST_S = 60.0
-"""Of decisions; the default scenario has no room for longer ones."""
+COMMANDS = 24  # as many are tried of an episode
+LONGEST_S = 60.0  # of decisions; the default scenario has no room for longer ones
 
 
 def check_spoofer(
@@ -54,11 +50,9 @@ def check_spoofer(
 
     - it states its knowledge, and its tunable setting, if any, has a range;
     - actions have the right shape and type, are finite, and lie within -1 and 1;
-    - it neither writes to an observation nor keeps it, nor hands out an array that it goes on
-      using;
-    - a receiver's actions don't depend on the batch that it is in, bit for bit;
-    - there is no chance, and all that it remembers is in its `memory`, so that some receivers can
-      be reset, moved, copied and pickled.
+    - observations are neither written to nor kept, and what it hands out is not used again;
+    - it keeps receivers apart, has no chance, and remembers in its `memory` alone, as in
+      `check_detector`.
 
     Parameters
     ----------
@@ -89,10 +83,8 @@ def check_spoofer(
 
 
 def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) -> Setup:
-    """Where a spoofer is tried: at the time on its card, or else after a short warm-up.
-
-    When the attack window is decides which elements of the target's motion are observed.
-    """
+    """Where a spoofer is tried: at the time on its card, or else after a short warm-up; the window
+    decides which elements of the target's motion are observed."""
     card = getattr(spoofer, "card", None)
     if card is None:
         attack = "false-position" if attack is None else attack
