@@ -25,13 +25,7 @@ from .duel.calibrate import calibrate
 from .duel.calibration import Calibration
 from .duel.duel import duel_signature
 from .duel.payoff import NeymanPearson, Weighted
-from .duel.views import (
-    DetectorVectorView,
-    DetectorView,
-    SpooferVectorView,
-    SpooferView,
-    write_card,
-)
+from .duel.views import DetectorVectorView, DetectorView, SpooferVectorView, SpooferView, write_card
 from .policies.detector_policy import DetectorPolicy, FunctionPolicy
 
 __all__ = [

@@ -54,12 +54,7 @@ from .spoofers.scaled import own_columns
 __all__ = ["detector", "onnx", "traced"]
 
 
-OWN_NAMES = ("observation", "action")
-"""Names of the first input and output of a file, which no state may have."""
-
-
 def check_training(training: Any, name: str) -> None:
-    """Raise unless `training` is a mapping, and names runs that there are."""
     if training is None:
         return
     if not isinstance(training, Mapping):
@@ -69,7 +64,6 @@ def check_training(training: Any, name: str) -> None:
 
 
 def checked_states(state: Any) -> dict[str, int]:
-    """Size of each state by its name; a ValueError where one can't be."""
     if state is None:
         return {}
     if not isinstance(state, Mapping):
@@ -77,7 +71,7 @@ def checked_states(state: Any) -> dict[str, int]:
     for name, size in state.items():
         with one_line(f"state {name!r} of size {size!r}"):
             State(name=name, size=size)
-        if name in OWN_NAMES:
+        if name in ("observation", "action"):  # the first input and output of a file
             raise ValueError(f"a state can't have the name {name!r}, which the file has already")
     return {str(name): int(size) for name, size in state.items()}
 
@@ -98,7 +92,6 @@ def trial_of(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def one_line(what: str) -> Iterator[None]:
-    """Say in one line what is wrong with a part of a card."""
     try:
         yield
     except ValidationError as error:
@@ -114,11 +107,8 @@ GAUSSIANS = (
 
 
 class Actor(torch.nn.Module):
-    """Deterministic action of a model, of observations that nothing has normalized.
-
-    Scaled by an amplitude as `spoofgym.spoofers.Scaled` does it; `own`: elements of the `size`
-    observations that are the spoofer's own commands.
-    """
+    """Deterministic action of a model, of observations that nothing has normalized, scaled as
+    `Scaled` does it; `own`: elements of the `size` that are the spoofer's own commands."""
 
     def __init__(
         self, model: Any, found: Normalization | None, amplitude: float, size: int, own: list[int]
@@ -191,10 +181,8 @@ def _mean_of(model: Any) -> torch.nn.Module:
     )
 
 
-TOLERANCE = 1e-5
-"""Largest difference of an action between the model and its file."""
-TRIED = 1024
-"""Random observations on which they are compared."""
+TOLERANCE = 1e-5  # largest difference of an action between the model and its file
+TRIED = 1024  # random observations on which they are compared
 
 
 @contextmanager
@@ -270,10 +258,8 @@ def library_versions() -> dict[str, str]:
     return found
 
 
-EPOCHS = 4
-"""Epochs in a row on which a recurrent one is compared."""
-CHANNELS = 12
-"""Slots of a receiver by default."""
+EPOCHS = 4  # epochs in a row on which a recurrent one is compared
+CHANNELS = 12  # slots of a receiver by default
 
 
 def detector(
@@ -367,10 +353,9 @@ def detector(
                     threshold=threshold,
                     training={"versions": library_versions(), **(training or {})},
                 )
-            card.save(card_path(trial))
+            _write(trial, content, card)
             _compare_sequences(judge, OnnxDetector(trial), observer)
-    write_file(path, content)
-    card.save(card_path(path))
+    _write(path, content, card)
     return card
 
 
@@ -389,7 +374,6 @@ class _Judge(torch.nn.Module):
 
 
 def _check_states(judge: _Judge, observed: int, decided: int, states: Mapping[str, int]) -> None:
-    """Raise unless a module takes observations and states, and returns actions and states."""
     given = [torch.zeros(2, size) for size in (observed, *states.values())]
     form = ", ".join(f"(B, {size})" for size in (observed, *states.values()))
     wanted = ", ".join(f"(B, {size})" for size in (decided, *states.values()))
@@ -411,7 +395,6 @@ def _check_states(judge: _Judge, observed: int, decided: int, states: Mapping[st
 
 
 def _compare_sequences(judge: _Judge, policy: OnnxDetector, observer: DetectorObserver) -> None:
-    """Raise unless a file acts as its module over some epochs in a row."""
     rng = np.random.default_rng(0)
     states = [np.zeros((TRIED, each.size), np.float32) for each in policy.card.state]
     for k in range(EPOCHS):
@@ -511,18 +494,22 @@ def onnx(
         _check_sizes(actor, len(low), len(inner.core.action_names))
         content = traced(actor, len(low))
     details = {**_training_of(model), "amplitude": amplitude, **(training or {})}
-    if judges:
-        return _write_detector(model, normalization, inner, path, content, details)
-    card = _card_of(inner, path, content, details, designed_on)
     with trial_of(path) as trial:
-        _write(trial, content, card)
-        _compare(model, normalization, OnnxPolicy(str(trial)).model.act, low, high, amplitude, own)
+        card: Card | DetectorCard
+        if judges:
+            trial.write_bytes(content)
+            card = write_card(trial, inner, name=path.stem, training=details)
+            act = OnnxDetector(trial).model.act
+        else:
+            card = _card_of(inner, path, content, details, designed_on)
+            _write(trial, content, card)
+            act = OnnxPolicy(str(trial)).model.act
+        _compare(model, normalization, act, low, high, amplitude, own)
     _write(path, content, card)
     return card
 
 
 def _check_sizes(actor: torch.nn.Module, observed: int, commanded: int) -> None:
-    """Raise unless a network takes the observations of an environment and returns its actions."""
     try:
         with torch.no_grad():
             found = actor(torch.zeros(2, observed))
@@ -556,7 +543,9 @@ def _card_of(
         )
     env_id, env_kwargs = _named(inner)
     context = spoofer_context(core.setup, 1, core.observer, core.commands)
-    met = designed_on or f"{_label(env_kwargs)} and its world, by training"
+    detector = env_kwargs.get("detector", "the default detector")
+    name = detector["name"] if isinstance(detector, Mapping) else detector
+    met = designed_on or f"{name} and its world, by training"
     with one_line(f"card of {path}"):
         return Card(
             name=path.stem,
@@ -591,11 +580,6 @@ def _named(inner: Any) -> tuple[str, dict[str, Any]]:
         ) from error
 
 
-def _label(env_kwargs: Mapping[str, Any]) -> str:
-    met = env_kwargs.get("detector", "the default detector")
-    return str(met["name"]) if isinstance(met, Mapping) else str(met)
-
-
 def _normalization_around(model: Any, env: Any) -> Normalization | None:
     """That of a `VecNormalize` around an environment, which a model does not have itself."""
     while env is not None and not getattr(env, "norm_obs", False):
@@ -612,24 +596,6 @@ def _normalization_around(model: Any, env: Any) -> Normalization | None:
     return None
 
 
-def _write_detector(
-    model: Any,
-    normalization: Normalization | None,
-    inner: Any,
-    path: Path,
-    content: bytes,
-    training: dict[str, Any],
-) -> Any:
-    low, high = inner.core.bounds
-    with trial_of(path) as trial:
-        trial.write_bytes(content)
-        write_card(trial, inner, name=path.stem, training=training)
-        _compare(model, normalization, OnnxDetector(trial).model.act, low, high, 1.0, [])
-    write_file(path, content)
-    card_path(path).unlink(missing_ok=True)
-    return write_card(path, inner, name=path.stem, training=training)
-
-
 def _compare(
     model: Any,
     normalization: Normalization | None,
@@ -639,7 +605,6 @@ def _compare(
     amplitude: float,
     own: list[int],
 ) -> None:
-    """Raise unless a file acts as its model, all over the space of its card."""
     drawn = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
     seen = np.vstack([drawn, 0.1 * drawn]).astype(np.float32)
     planned = seen.copy()
@@ -656,7 +621,7 @@ def _compare(
         )
 
 
-def _write(path: Path, content: bytes, card: Card) -> None:
+def _write(path: Path, content: bytes, card: Card | DetectorCard) -> None:
     """File first: what is interrupted in between does not fit its card, and is refused."""
     write_file(path, content)
-    card.save(path.with_suffix(".json"))
+    card.save(card_path(path))

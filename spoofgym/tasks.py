@@ -1,6 +1,4 @@
-"""T1-T6 and D1-D4, frozen settings.
-
-The tasks of `spoofgym-bench-v1`: environments whose settings never change.
+"""T1-T6 and D1-D4 of `spoofgym-bench-v1`: environments whose settings never change.
 
 A task is an environment, whose detectors have a stated rate of false alarms, and an alarm budget.
 What a spoofer scores is its stealthy displacement by the rules of the benchmark; it is read
@@ -8,11 +6,9 @@ together with what ramps and the blind optimum get there, and with the task's fl
 bound.  T1 and T2 are historical: the world of the papers.  T3 to T6 had to pass the admission test
 of `docs/tasks.md`.
 
-Tasks for detectors, D1 to D4: the worlds of T3 to T6, and whom a detector meets in each.
-
-Detectors may be trained and tuned on the public families of attacks.  They are scored by the worst
-of all families, most of which they have never met, and by their false alarms, also where something
-happens that looks like spoofing.
+D1 to D4 are for detectors, in the worlds of T3 to T6.  They may be trained and tuned on the public
+families of attacks, and are scored by the worst of all families, most of which they have never met,
+and by their false alarms, also where something happens that looks like spoofing.
 """
 
 from __future__ import annotations
@@ -23,12 +19,10 @@ from typing import Any
 
 from .core.registry import check_choice
 
-SUITE = "spoofgym-bench-v1"
-"""Name of the tasks together; a change of any of them makes another one."""
+SUITE = "spoofgym-bench-v1"  # name of the tasks together; a change of any of them makes another one
 ALARM_PRICE = 1.5
 """What an alarm costs in the reward of the environments, as by default elsewhere, in lengths."""
-BUDGET = 0.05
-"""Largest P(alarm | silent twin) of a spoofer that scores."""
+BUDGET = 0.05  # largest P(alarm | silent twin) of a spoofer that scores
 
 
 @dataclass(frozen=True)
@@ -37,11 +31,10 @@ class Task:
 
     - `title`: what it asks for, in a line;
     - `settings`: keyword arguments of `SpoofEnv`, JSON-able, but for the detector;
-    - `detectors`: whom the spoofer meets, as `make_detector` takes them; more than one are a pool,
-      from which every episode draws, and the spoofer does not know which it is;
-    - `alert_limit_m`: error that the navigation must not exceed unnoticed, where the task names
-      one;
-    - `historical`: whether it is kept for what was published on its world, and is solved there.
+    - `detectors`: those that the spoofer meets, as `make_detector` takes them; of more than one
+      every episode draws one, which the spoofer does not know;
+    - `alert_limit_m`: error that the navigation must not exceed unnoticed, where there is one;
+    - `historical`: kept for what was published on its world, and solved there.
     """
 
     key: str
@@ -80,15 +73,13 @@ class Task:
 
     @property
     def suite_kwargs(self) -> dict[str, Any]:
-        """Keyword arguments of a benchmark's `Suite`; a copy."""
         limit = {} if self.alert_limit_m is None else {"alert_limit_m": self.alert_limit_m}
         return {**self.world_kwargs, "detectors": (self.detector,), **limit}
 
 
 RATE = {"false_alarms_per_hour": 0.2}
 """Of every detector of the tasks, but for the hidden ones of T6."""
-NOMINAL = {"thresholds": "nominal"}
-"""Thresholds of the papers, as their own environments have them."""
+NOMINAL = {"thresholds": "nominal"}  # thresholds of the papers, as their own environments have them
 EWMA = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
 DRAWN = {
     "start_s": [0.0, None],
@@ -243,14 +234,11 @@ PAPERS: dict[str, tuple[str, dict[str, Any]]] = {
 """Environments of the papers' scenarios: id and keyword arguments, by the keys of the papers."""
 
 
-TURNING_DEGPS = 0.3
-"""A flight turns where its track turns faster than this."""
-SWITCH_WITHIN_S = 10.0
-"""Time before or after the onset at which a satellite rises or sets."""
+TURNING_DEGPS = 0.3  # A flight turns where its track turns faster than this
+SWITCH_WITHIN_S = 10.0  # time before or after the onset at which a satellite rises or sets
 NEAR_ALARM_S = 60.0
 """Last part of the monitored warm-up, in which a detector came closest to an alarm."""
-CANDIDATES = 4
-"""Of so many runs, those closest to an alarm are one: the closest quarter."""
+CANDIDATES = 4  # of so many runs, those closest to an alarm are one: the closest quarter
 ONSETS = ("turn", "satellite-switch", "chance-alarm")
 """Conditions on the onset of an attack; runs are chosen by them, and nothing else is changed."""
 ANTENNA_PARTS = (0.25, 4.0)
@@ -261,20 +249,17 @@ EVENTS = ("clock_step", "satellite_loss", "front")
 """What looks like spoofing and is none, as `spoofgym.truth.events` has it."""
 MEAN_GROWTH = 2.375
 """Mean rate of feedback over a window, in parts of its first one, while there is room."""
-RATE_LIMIT_MPS = 5.0
-"""Of the tasks' attacks."""
+RATE_LIMIT_MPS = 5.0  # of the tasks' attacks
 
 
 @dataclass(frozen=True)
 class AttackFamily:
     """Attacks that have something in common, of which the worst one counts.
 
-    - `key`, `title`: its name, and what it does, in a line;
-    - `letters`: which attacks of the suite it has (`FAMILIES`); ``"c"``
-      are the shipped profiles, ``"m"`` is a meaconer, whose antenna's distance is looked for;
+    - `letters`: attacks of the suite; ``"c"`` are the shipped profiles, ``"m"`` is a meaconer at
+      the worst distance of its antenna;
     - `held_out`: whether no detector may be trained or tuned on it;
-    - `attack`, `timeline`: in place of those of the task's world; None to leave them;
-    - `onset`: condition on it, one of `ONSETS`, or None.
+    - `attack`, `timeline`: in place of those of the task's world; `onset`: one of `ONSETS`.
     """
 
     key: str
@@ -293,11 +278,8 @@ class AttackFamily:
 
 @dataclass(frozen=True)
 class DetectorTask:
-    """A task for detectors.
-
-    - `world_of`: the task of `spoofgym.tasks` whose world it has, and whose alert limit;
-    - `families`: whom a detector meets.
-    """
+    """A task for detectors: the world and the alert limit of another task, and families of
+    attacks."""
 
     key: str
     title: str
@@ -314,7 +296,6 @@ class DetectorTask:
 
     @property
     def alert_limit_m(self) -> float:
-        """Error that must not be exceeded unnoticed [m]."""
         limit = self.task.alert_limit_m
         assert limit is not None  # as all tasks that are not historical have one
         return limit
@@ -339,44 +320,39 @@ class DetectorTask:
     @property
     def pool(self) -> list[dict[str, Any]]:
         """Spoofers of the public families for a learner, with their settings; a new list."""
-        timeline = self.world_kwargs.get("timeline", {})
-        return learners_pool(self.alert_limit_m, float(timeline.get("attack_s", 150.0)))
+        attack_s = float(self.world_kwargs.get("timeline", {}).get("attack_s", 150.0))
+        found: list[dict[str, Any]] = []
+        for part in PARTS:  # of the alert limit, by which each would displace; each once
+            mean = part * self.alert_limit_m / attack_s
+            several: list[dict[str, Any]] = [
+                {"name": "ramp", "rate_mps": _rate(mean)},
+                {"name": "accelerating-ramp", "acceleration_mps2": _rounded(2.0 * mean / attack_s)},
+                {
+                    "name": "profile",
+                    "rates_mps": [_rate(3.0 * mean * (k / 12) ** 2) for k in range(13)],
+                    "label": f"quadratic-{part:g}",
+                },
+                *(
+                    {"name": "dash", "rate_mps": _rate(mean / x), "last_s": _rounded(x * attack_s)}
+                    for x in (0.4, 0.15)
+                ),
+                # which reads the learner's statistic, and gets so far where it had room throughout
+                {"name": "feedback", "rate_mps": _rounded(mean / MEAN_GROWTH)},
+            ]
+            found += [spec for spec in several if spec not in found]
+        return found
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
-        """Keyword arguments of the detector's side of the duel; a new dict."""
         return {**self.world_kwargs, "pool": self.pool}
-
-
-def learners_pool(alert_limit_m: float, attack_s: float) -> list[dict[str, Any]]:
-    """Spoofers of the public families that would displace by `PARTS` of an alert limit, each once.
-    Feedback reads the statistic of the learner, and would come so far where it had room
-    throughout."""
-    found: list[dict[str, Any]] = []
-    for part in PARTS:
-        mean = part * alert_limit_m / attack_s
-        several: list[dict[str, Any]] = [
-            {"name": "ramp", "rate_mps": _rate(mean)},
-            {"name": "accelerating-ramp", "acceleration_mps2": _rounded(2.0 * mean / attack_s)},
-            {
-                "name": "profile",
-                "rates_mps": [_rate(3.0 * mean * (k / 12) ** 2) for k in range(13)],
-                "label": f"quadratic-{part:g}",
-            },
-            {"name": "dash", "rate_mps": _rate(mean / 0.4), "last_s": _rounded(0.4 * attack_s)},
-            {"name": "dash", "rate_mps": _rate(mean / 0.15), "last_s": _rounded(0.15 * attack_s)},
-            {"name": "feedback", "rate_mps": _rounded(mean / MEAN_GROWTH)},
-        ]
-        found += [spec for spec in several if spec not in found]
-    return found
-
-
-def _rate(value: float) -> float:
-    return _rounded(min(value, RATE_LIMIT_MPS))
 
 
 def _rounded(value: float) -> float:
     return float(f"{value:.4g}")
+
+
+def _rate(value: float) -> float:
+    return _rounded(min(value, RATE_LIMIT_MPS))
 
 
 PUBLIC = (
@@ -394,7 +370,6 @@ receiver has been on for a minute less, and the onset is as early as 140 s."""
 
 
 def _held_out(quiet: bool, timeline: dict[str, float] | None) -> tuple[AttackFamily, ...]:
-    """Families that are never trained on; `quiet`: whether the world's counterfeit is."""
     plain = {"name": "false-position"}
     own = {**plain, "errors": "quiet"} if quiet else plain
     errors = (
@@ -444,10 +419,7 @@ DETECTOR_TASKS: dict[str, DetectorTask] = {
     task.key: task
     for task in (
         DetectorTask(
-            "D1",
-            "drawn worlds, alert limit 20 m",
-            "T3",
-            (*PUBLIC, *_held_out(False, EARLY)),
+            "D1", "drawn worlds, alert limit 20 m", "T3", (*PUBLIC, *_held_out(False, EARLY))
         ),
         DetectorTask(
             "D2",
@@ -462,10 +434,7 @@ DETECTOR_TASKS: dict[str, DetectorTask] = {
             (*PUBLIC, *_held_out(True, EARLY)),
         ),
         DetectorTask(
-            "D4",
-            "drawn worlds, alert limit 40 m",
-            "T6",
-            (*PUBLIC, *_held_out(False, EARLY)),
+            "D4", "drawn worlds, alert limit 40 m", "T6", (*PUBLIC, *_held_out(False, EARLY))
         ),
     )
 }
@@ -473,28 +442,6 @@ DETECTOR_TASKS: dict[str, DetectorTask] = {
 
 
 def detector_task_of(key: str) -> DetectorTask:
-    """Task for detectors by its key.
-
-    Parameters
-    ----------
-    key : str
-        ``"D1"`` to ``"D4"``.
-
-    Returns
-    -------
-    DetectorTask
-        The task.
-
-    Raises
-    ------
-    ValueError
-        When there is none; the valid ones are listed.
-
-    Examples
-    --------
-    >>> from spoofgym.tasks import detector_task_of
-    >>> [family.key for family in detector_task_of("D3").held_out][:2]
-    ['inherited', 'subset']
-    """
+    """Task for detectors by its key, ``"D1"`` to ``"D4"``; a ValueError lists the valid ones."""
     check_choice("task for detectors", key, DETECTOR_TASKS)
     return DETECTOR_TASKS[key]

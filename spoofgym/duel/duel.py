@@ -15,20 +15,18 @@ from ..detectors.learned import EXCLUSION_S, DetectorAgent, check_delay
 from ..detectors.pool import NATURE, uniforms
 from ..envs import _kernels
 from ..envs.core import NOTHING_SEEN, SpoofCore
-from ..envs.decisions import Decisions
 from ..envs.factory import make_setup
-from ..envs.scoring import DisplacementScore, FusedStep
-from ..envs.step_result import StepResult
-from ..envs.terms.base import Snapshot
-from ..envs.terms.registry import ActionSpec
+from ..envs.scoring import DisplacementScore, FusedStep, StepResult
+from ..envs.terms import ActionSpec
+from ..envs.terms.action import Decisions
+from ..envs.terms.observation import Snapshot
 from ..simulation.monitors import Monitor
-from ..simulation.simulator import Simulator
+from ..simulation.simulator import FloatArray, Simulator
 from ..simulation.tight import TightlyCoupledSetup
 from ..tasks import task_of
 from .calibration import Calibration
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
 
-FloatArray = NDArray[np.float64]
 GAME = "T3"
 """Task in whose world a duel is played by default: the best detector that is known there still
 concedes part of the alert limit (docs/game.md)."""
@@ -52,12 +50,8 @@ def with_world(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class DuelStep(NamedTuple):
-    """What an epoch returns.
-
-    - `spoofer_reward`, `detector_reward` (B,) float64;
-    - `terminated` (B,) bool, the same for both;
-    - `info`: arrays with a leading axis of receivers; not for the detector.
-    """
+    """What an epoch returns: rewards (B,); `terminated` (B,), the same for both; information by
+    key, which is not for the detector."""
 
     spoofer_reward: FloatArray
     detector_reward: FloatArray
@@ -140,8 +134,7 @@ class Duel:
     @property
     def deciding(self) -> NDArray[np.bool_]:
         """(B,) bool, whose spoofer decides before the coming epoch."""
-        now: NDArray[np.bool_] = self._decisions.due(self.score.step_count)
-        return now
+        return np.asarray(self._decisions.due(self.score.step_count))
 
     def reset(
         self,
@@ -234,9 +227,6 @@ class Duel:
     def snapshot(self) -> Snapshot:
         return self.core.snapshot()._replace(step=self.score.step_count)
 
-    def observe_spoofer(self) -> NDArray[np.float32]:
-        return self.core.observer.observe(self.snapshot())
-
     def observe_detector(self) -> NDArray[np.float32]:
         """What the detector observes of the last epoch that has arrived, (B, o), a new array."""
         return self.agent.memory["observation"].copy()
@@ -264,13 +254,9 @@ def _parameters(subject: Any, *without: str) -> dict[str, inspect.Parameter]:
     return {k: p for k, p in inspect.signature(subject).parameters.items() if k not in without}
 
 
-_OF_SETUP = {
-    **_parameters(TightlyCoupledSetup, "detector"),
-    **_parameters(duel_setup, "settings"),
-}
+_OF_SETUP = {**_parameters(TightlyCoupledSetup, "detector"), **_parameters(duel_setup, "settings")}
 _OF_DUEL = _parameters(Duel, "receivers", "setup", "threads")
 SETTINGS = (*_OF_SETUP, *_OF_DUEL)
-"""All settings of a duel."""
 
 
 def duel_signature() -> inspect.Signature:
@@ -294,11 +280,7 @@ def refuse_to_draw(whose: str, render_mode: object) -> None:
 
 
 def make_duel(
-    receivers: int,
-    *,
-    threads: int | None = None,
-    monitors: Sequence[Monitor] = (),
-    **settings: Any,
+    receivers: int, *, threads: int | None = None, monitors: Sequence[Monitor] = (), **settings: Any
 ) -> Duel:
     """Duel from settings that fit into JSON; `monitors` look at its epochs besides."""
     check_keywords("the duel", settings, SETTINGS)

@@ -17,9 +17,8 @@ from ..envs.spoofer_binding import ENV_ID, SETUPS
 from ..simulation.setup import Setup
 from ..simulation.tight import TightlyCoupledSetup
 from ..tasks import DETECTOR_TASKS, detector_task_of, task_of
-from .detector_core import DetectorCore
 from .duel import SETTINGS, default_opponent, own_settings, with_world
-from .views import SpooferSide, SpooferView, check_settings
+from .views import DetectorCore, SpooferSide, SpooferView, check_settings
 
 SPOOFER, DETECTOR = "spoofer", "detector"
 VIEWS, RAMP = ("SpooferView", "DetectorView"), "ramp"
@@ -127,7 +126,6 @@ def _registered(env_id: str) -> tuple[type[Setup], str, dict[str, Any]]:
 def _check_opponents(
     env_id: str, side: str, setup: type[Setup], pool: Any, weights: Any, detector: Any
 ) -> None:
-    """Raise where opponents contradict each other, or the victim has no duel."""
     if side == DETECTOR and detector is not None:
         raise ValueError("the detector is the learner: `detector` can't be given as well")
     if weights is not None and pool is None:

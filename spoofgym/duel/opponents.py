@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from ..detectors import Calibrated, Detector, detector_in_world
 from ..detectors.learned import LearnedDetector, PolicyDetector
 from ..detectors.pool import PooledDetector, checked_weights, drawn
-from ..envs.decisions import Decisions
 from ..envs.observer import Observer
 from ..envs.options import checked_action
 from ..envs.spoofer_binding import bound_spoofer, card_behind, paced, warn_of_headings
-from ..envs.terms.action import CommandMap
-from ..envs.terms.base import Snapshot
+from ..envs.terms.action import CommandMap, Decisions
+from ..envs.terms.observation import Snapshot
 from ..simulation.setup import Setup
 from ..spoofers import Spoofer, make_spoofer
 

@@ -4,28 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.registry import build, is_number
-from .calibration import Calibration
+from .calibration import Calibration, FloatArray
 
-FloatArray = NDArray[np.float64]
 LEAST_THRESHOLD = 1e-3
 RUNNING = "running"
 
 
 class DuelOutcome(NamedTuple):
-    """What a step has brought.
-
-    - `gain` (B,) increase of the displacement that would count if no alarm followed [m], >= 0;
-    - `retraction` (B,) what an alarm takes back of it [m], <= 0;
-    - `first` (B,) bool, whether this step brought the first alarm;
-    - `attacked` (B,) bool, what nature has drawn;
-    - `undetected` (B,) bool, whether there has been no alarm yet, this step included.
-    """
+    """What a step has brought, (B,) each: gain and retraction as in `reward.Outcome`; whether it
+    brought the `first` alarm; whether nature drew an attack; and whether none has alarmed yet."""
 
     gain: FloatArray
     retraction: FloatArray
@@ -35,20 +28,13 @@ class DuelOutcome(NamedTuple):
     interval_s: float
 
 
-class Payoff(Protocol):
-    """Rewards of both agents."""
-
-    def __call__(self, outcome: DuelOutcome) -> tuple[FloatArray, FloatArray]:
-        """Rewards of the spoofer and of the detector, (B,) each; that of the spoofer is 0 in clean
-        episodes."""
-
-
 @dataclass(frozen=True)
 class NeymanPearson:
-    """Undetected displacement, to the spoofer from the detector; clean episodes pay nothing.
+    """Undetected displacement D_u, to the spoofer from the detector; clean episodes pay nothing.
 
-    The undiscounted returns are D_u and -D_u in attacked episodes.  False alarms have no price:
-    their rate is fixed by the threshold, which is calibrated on clean episodes.
+    False alarms have no price: their rate is fixed by the threshold, which is calibrated on clean
+    episodes.  A payoff returns the rewards (B,) of the spoofer, 0 in clean episodes, and of the
+    detector.
     """
 
     described_as = "NeymanPearson"
@@ -94,14 +80,12 @@ class Weighted:
 
 
 PAYOFFS: dict[str, type[Any]] = {"neyman-pearson": NeymanPearson, "weighted": Weighted}
-"""Payoffs by name."""
 
 
-def make_payoff(spec: str | Mapping[str, Any]) -> Payoff:
+def make_payoff(spec: str | Mapping[str, Any]) -> NeymanPearson | Weighted:
     if isinstance(spec, NeymanPearson | Weighted):
         return spec
-    payoff: Payoff = build("payoff", PAYOFFS, Weighted, spec)
-    return payoff
+    return cast("NeymanPearson | Weighted", build("payoff", PAYOFFS, Weighted, spec))
 
 
 class FixedThreshold:

@@ -27,8 +27,7 @@ from .duel import SETTINGS, DuelStep, make_duel, refuse_to_draw
 Observation = NDArray[np.float32]
 SPOOFER, DETECTOR = "spoofer_0", "detector_0"
 AGENTS = (SPOOFER, DETECTOR)
-FORMS = ("env", "parallel_env")
-"""Forms of the duel, by their `decision_delay`."""
+FORMS = ("env", "parallel_env")  # forms of the duel, by their `decision_delay`
 SEEN = ("time_s", "alarm", "statistic", "threshold", "decision_delay")
 """Information of a step that the detector gets: nothing that it can't see itself."""
 
@@ -74,7 +73,6 @@ class _Form:
 
     @property
     def decides(self) -> bool:
-        """Whether a decision of the spoofer is due."""
         return bool(self.duel.deciding[0])
 
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
@@ -101,8 +99,8 @@ class _Form:
             raise ValueError(f"{agent}: {error}") from error
 
     def _observed(self) -> dict[str, Observation]:
-        detector = self.duel.observe_detector()[0]
-        return {SPOOFER: self.duel.observe_spoofer()[0], DETECTOR: detector}
+        spoofer = self.duel.core.observer.observe(self.duel.snapshot())
+        return {SPOOFER: spoofer[0], DETECTOR: self.duel.observe_detector()[0]}
 
     def _due(self) -> dict[str, bool]:
         """Whether the spoofer's next action is a decision, where it acts without one, too."""

@@ -5,38 +5,38 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
+import numpy as np
 from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
 
 from ..core.registry import check_keywords
 from ..detectors import Detector
 from ..detectors.learned import detector_card
 from ..detectors.learned_card import DetectorCard, card_path
-from ..envs.core import SpoofCore
-from ..envs.env import C, CoreEnv
+from ..envs.core import SingleStep, SpoofCore
+from ..envs.env import C, CoreEnv, CoreVectorEnv
 from ..envs.factory import CORE, make_setup
 from ..envs.options import Array, InfoSpec, check_vector_settings, mask_of
-from ..envs.vector_env import CoreVectorEnv
+from ..envs.scoring import Info, PlainResult
+from ..simulation.monitors import FloatArray, PastPositions
 from ..simulation.tight import TightlyCoupledSetup
 from .calibration import Calibration
-from .detector_core import DetectorCore
-from .duel import SETTINGS, default_opponent, refuse_to_draw, with_world
-from .opponents import DetectorSpec, SpooferSpec, label_of, members_of, pooled_detector
+from .duel import SETTINGS, default_opponent, make_duel, refuse_to_draw, with_world
+from .opponents import DetectorSpec, SpooferPool, SpooferSpec, label_of, members_of, pooled_detector
 
 DetectorPool = Sequence[DetectorSpec] | DetectorSpec
 SpooferPoolSpec = Sequence[SpooferSpec] | SpooferSpec
 Weights = Sequence[float] | None
 WORLD = tuple(n for n in inspect.signature(TightlyCoupledSetup).parameters if n != "detector")
-RULES = (*CORE, "prefetch")
-"""Settings of the core beside those of its world."""
+RULES = (*CORE, "prefetch")  # settings of the core beside those of its world
 OF_DETECTOR = tuple(name for name in SETTINGS if name not in ("knowledge", "action"))
 """Settings of a view of the detector's side: each spoofer has knowledge and actions of its own."""
 POOL_CHANGED = "the pool has changed"
 
 
 def check_settings(kind: type, settings: Mapping[str, Any], pool: DetectorPool) -> None:
-    """Raise unless all settings of a view of the spoofer's side are known."""
     if settings.get("detector") is not None:
         labels = ", ".join(label_of(spec) for spec in members_of(pool, Detector))
         raise ValueError(
@@ -86,6 +86,106 @@ class SpooferSide:
         return [self.labels[k] for k in drawn]
 
 
+class DetectorCore:
+    """Episodes of B receivers, in which the learner is the detector. With ``decision_delay=0`` an
+    observation is of the epoch that the next action judges; with 1 it is of the epoch before. A
+    step is an epoch, however seldom the spoofers decide. `settings` are those of `make_duel`.
+    `reset_names`, `info_names`: keys of `reset_info`, and of the information of a step."""
+
+    reset_names: tuple[str, ...] = ("time_s", "decision_delay")
+    info_names: tuple[str, ...] = (
+        "time_s",
+        "alarm",
+        "statistic",
+        "threshold",
+        "decision_delay",
+        "attacked",
+        "undetected_displacement_m",
+    )
+
+    def __init__(
+        self,
+        receivers: int,
+        pool: Sequence[SpooferSpec] | SpooferSpec,
+        weights: Sequence[float] | None = None,
+        *,
+        threads: int | None = None,
+        **settings: Any,
+    ) -> None:
+        given: dict[str, Any] = {"action": "full-command", **settings}
+        # for spoofers of the pool that know what the victim reports
+        duel = make_duel(receivers, threads=threads, monitors=[PastPositions()], **given)
+        self.duel = duel
+        self.change(pool, weights)
+        observer, self.action_names = duel.agent.observer, duel.agent.action_names
+        self.observation_names, self.bounds = observer.names, (observer.low, observer.high)
+        self.receivers, self.episode_steps = duel.receivers, duel.epochs
+        self._everyone = np.arange(duel.receivers)
+
+    def change(
+        self, pool: Sequence[SpooferSpec] | SpooferSpec, weights: Sequence[float] | None = None
+    ) -> Self:
+        self.pool = SpooferPool(pool, weights, self.duel.setup, self.duel.receivers)
+        return self
+
+    def opponents(self) -> list[str]:
+        return [self.pool.labels[k] for k in self.pool.opponent]
+
+    def reset(
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: NDArray[np.intp] | None = None,
+        given: Mapping[str, Any] | None = None,
+    ) -> None:
+        where = self._everyone if rows is None else rows
+        self.duel.reset(rngs, rows, given)
+        self.pool.begin(where, self.duel.core.engine.simulator.memory["key"][where])
+        if self.duel.decision_delay == 0:
+            self._arrive(where)
+
+    def _arrive(self, rows: NDArray[np.intp]) -> None:
+        due = rows[self.duel.deciding[rows]]
+        action = self.pool.act(self.duel.snapshot(), due) if len(due) else None
+        self.duel.arrive(action, rows)
+
+    def step(self, action: FloatArray) -> tuple[PlainResult, NDArray[np.float32]]:
+        if self.duel.decision_delay == 0:
+            # the world may end one epoch after an episode
+            playing = np.flatnonzero(~self.duel.over)
+            done = self.duel.decide(action)
+            if len(playing):
+                self._arrive(playing)
+        else:
+            self._arrive(self._everyone)
+            done = self.duel.decide(action)
+        over, all_ = done.terminated, done.info
+        info: Info = {
+            "time_s": all_["time_s"],
+            "alarm": all_["alarm"],
+            "statistic": all_["statistic"],
+            "threshold": all_["threshold"],
+            "decision_delay": np.full(self.receivers, self.duel.decision_delay),
+            "attacked": all_["attacked"] & over,
+            "undetected_displacement_m": np.where(over, all_["undetected_displacement_m"], 0.0),
+        }
+        result = PlainResult(done.detector_reward, over, np.zeros_like(over), info)
+        return result, self.observe()
+
+    def single(self, action: FloatArray) -> SingleStep:
+        result, observation = self.step(action)
+        return observation[0], *result.single()
+
+    def observe(self) -> NDArray[np.float32]:
+        return self.duel.observe_detector()
+
+    def reset_info(self) -> Info:
+        delay = np.full(self.receivers, self.duel.decision_delay)
+        return {"time_s": self.duel.time_s(), "decision_delay": delay}
+
+    def close(self) -> None:
+        self.duel.close()
+
+
 class PooledView(CoreEnv[C]):
     """Environment of one side of the duel, of one receiver."""
 
@@ -94,8 +194,7 @@ class PooledView(CoreEnv[C]):
     @property
     def opponent(self) -> str:
         """Label of the opponent of the running episode, in a clean one too."""
-        label: str = self._side.opponents()[0]
-        return label
+        return str(self._side.opponents()[0])
 
     def set_pool(self, pool: Any, weights: Weights = None) -> None:
         """Take other opponents; the running episode is over, and `reset` has to follow."""
@@ -115,8 +214,7 @@ class PooledVectorView(CoreVectorEnv[C]):
     @property
     def opponents(self) -> list[str]:
         """Label of the opponent of every receiver, in clean episodes too."""
-        labels: list[str] = self._side.opponents()
-        return labels
+        return list(self._side.opponents())
 
     def set_pool(self, pool: Any, weights: Weights = None) -> None:
         """Take other opponents; the running episodes are over, and `reset` has to follow."""
@@ -188,8 +286,8 @@ class SpooferView(PooledView[SpoofCore]):
 class SpooferVectorView(PooledVectorView[SpoofCore]):
     """Vector environment of `SpooferView`; receiver i is the single one seeded with ``seed + i``.
 
-    Each receiver has an opponent of its own.  Arguments are as in `SpooferView`, and the others as
-    in `SpoofVectorEnv`.
+    Each receiver has an opponent of its own.  Arguments are as in `SpooferView`, all others
+    as in `SpoofVectorEnv`.
     """
 
     def __init__(
@@ -279,8 +377,8 @@ class DetectorView(PooledView[DetectorCore]):
 class DetectorVectorView(PooledVectorView[DetectorCore]):
     """Vector environment of `DetectorView`; receiver i is the single one seeded with ``seed + i``.
 
-    Each receiver has an opponent of its own.  Arguments are as in `DetectorView`, and the others as
-    in `SpoofVectorEnv`.
+    Each receiver has an opponent of its own.  Arguments are as in `DetectorView`, all others
+    as in `SpoofVectorEnv`.
     """
 
     def __init__(

@@ -367,18 +367,7 @@ def play(
     others as `run_epochs` takes them, which does it all without `SCORE`; returns what it found, or
     `HOLDS` where receivers have to run the time to alert before their step is settled."""
     found = run_epochs(
-        table,
-        memories,
-        action,
-        weights,
-        work,
-        attack,
-        hold,
-        detector,
-        what,
-        count,
-        lo,
-        hi,
+        table, memories, action, weights, work, attack, hold, detector, what, count, lo, hi
     )
     if found or not what & SCORE:
         return found

@@ -13,30 +13,34 @@ from ..core.registry import check_choice, check_finite, check_truth
 from ..detectors import Detector, Verdict, detector_in_world
 from ..simulation.engine import Engine
 from ..simulation.monitors import PassiveDetectors, needed_monitors
-from ..simulation.setup import Setup
+from ..simulation.setup import FloatArray, Setup
 from ..simulation.simulator import Given, Rngs, Rows, run_serially
 from ._kernels import ALARM, COST, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
-from .decisions import Decisions
 from .observer import Observer
-from .scoring import PLAY, DisplacementScore, FusedStep, ScoredStep
-from .step_result import MARK_NAMES, VALUE_NAMES, Info, PlainResult, StepResult
-from .terms.action import CommandMap, default_action
-from .terms.base import Snapshot
-from .terms.observation import KNOWLEDGE, default_terms
-from .terms.registry import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
+from .scoring import (
+    MARK_NAMES,
+    PLAY,
+    VALUE_NAMES,
+    DisplacementScore,
+    FusedStep,
+    Info,
+    Mask,
+    PlainResult,
+    ScoredStep,
+    StepResult,
+)
+from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
+from .terms.action import CommandMap, Decisions, default_action
+from .terms.observation import KNOWLEDGE, Snapshot, default_terms
 from .terms.reward import Outcome, default_rewards, named_terms, reward_of, shares_of
 from .terms.termination import AtAlarm, Ends, EpochState
 
-FloatArray = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Listener = Callable[["SpoofCore", EpochState, Verdict], None]
 """Called after every epoch of a command, before the time to alert, if it was the last."""
 WatchSpec = str | Mapping[str, Any] | Detector | Sequence[str | Mapping[str, Any] | Detector]
 """Passive detectors: they judge the same epochs as the one in the loop, and change nothing."""
 SingleStep = tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]
 """Observation, reward, terminated, truncated, and information, of a batch of one."""
-RESET_NAMES: tuple[str, ...] = ("time_s", "warmup_alarm", "coasting")
-"""Keys of the information of a reset."""
 ALARM_PRICE = 1.5
 """Price of an alarm, in lengths; that of `tasks`, which is no source of what is compiled."""
 NOTHING_SEEN = np.empty(0, dtype=np.float32)
@@ -78,7 +82,7 @@ class Core(Protocol):
 
 
 class SpoofCore:
-    r"""Episodes of B receivers in which the learner is the spoofer.
+    """Episodes of B receivers in which the learner is the spoofer.
 
     The displacement of a step is the position error of the victim along the target direction, less
     what it was at the onset, or, with twins, the distance from the clean twin along it.  What of it
@@ -99,18 +103,12 @@ class SpoofCore:
     ----------
     observation_names, action_names, reset_names, bounds, episode_steps
         As in `Core`.
-    engine : Engine
-        The receivers.
-    commands : CommandMap
-        What actions command.
-    score : DisplacementScore
-        What counts of the running episodes.
-    end_at_alarm : bool
-        Whether an alarm ends the episode.
+    engine, commands, score : Engine, CommandMap, DisplacementScore
+        The receivers, what actions command, and what counts of the running episodes.
     settings : dict
         Arguments as they were given, for `altered`.
-    listeners : list of callable
-        Each a `Listener`.
+    listeners : list of Listener
+        Called at every epoch.
     """
 
     def __init__(
@@ -169,7 +167,7 @@ class SpoofCore:
         monitors = needed_monitors([*seen, *self._ends.terms])
         passive = self.settings["watch"]
         self._passive = PassiveInfo(PassiveDetectors(passive), receivers) if passive else None
-        self.reset_names = RESET_NAMES
+        self.reset_names: tuple[str, ...] = ("time_s", "warmup_alarm", "coasting")
         if self._passive is not None:
             monitors.append(self._passive.monitor)
             self.reset_names += self._passive.reset_names
@@ -219,10 +217,6 @@ class SpoofCore:
             *passive,
         )
 
-    @property
-    def step_count(self) -> NDArray[np.int64]:
-        return self.score.step_count
-
     def set_rewards(self, terms: Sequence[Any]) -> None:
         self._reward_parts = named_terms(terms)
         shares = shares_of(terms)
@@ -253,7 +247,6 @@ class SpoofCore:
         return SpoofCore(self.receivers, chosen, **{**self.settings, **changes})
 
     def close(self) -> None:
-        """End the threads; they are started again when they are needed."""
         self.engine.close()
 
     def snapshot(self) -> Snapshot:
@@ -262,11 +255,9 @@ class SpoofCore:
         return Snapshot(self.setup, engine.simulator, self.score.step_count, engine.twin)
 
     def observe(self) -> NDArray[np.float32]:
-        """Observe all receivers, (B, o), a new array."""
         return self.observer.observe(self.snapshot())
 
     def reset(self, rngs: Rngs, rows: Rows | None = None, given: Given | None = None) -> None:
-        """Start new episodes, and run their warm-up up to the onset; as `Engine.reset`."""
         where = self._everyone if rows is None else rows
         self.engine.reset(rngs, rows, given)
         self.score.reset(where)
@@ -304,11 +295,13 @@ class SpoofCore:
             result = StepResult(self._fused.layout)
             observation = self._epoch(action, result)
         if self._reports_more:
-            self._report_more(result)
+            if self.setup.attack.capture is not None:
+                result.extra["captured_channels"] = self.engine.simulator.captured_channels()
+            if self._passive is not None:
+                result.extra.update(self._passive.step_info(self._passive_memory))
         return result, observation
 
     def single(self, action: FloatArray) -> SingleStep:
-        """`step` of the only receiver, as an environment returns it."""
         if self._needs_arrays or self.listeners:
             result, observation = self.step(action)
             return observation[0], *result.single()
@@ -378,12 +371,6 @@ class SpoofCore:
         self._done.restore()
         return result
 
-    def _report_more(self, result: StepResult) -> None:
-        if self.setup.attack.capture is not None:
-            result.extra["captured_channels"] = self.engine.simulator.captured_channels()
-        if self._passive is not None:
-            result.extra.update(self._passive.step_info(self._passive_memory))
-
     def _reward(self, result: StepResult, action: FloatArray) -> None:
         values, marks = result.values, result.marks
         moved = values[GAIN], values[RETRACTION]
@@ -394,7 +381,7 @@ class SpoofCore:
 
     def _judge_ends(self, result: StepResult, verdict: Verdict) -> Mask:
         """(B,) who has given the last command before the end of the window; calls the listeners."""
-        snapshot = self.snapshot()._replace(step=self.step_count + 1)
+        snapshot = self.snapshot()._replace(step=self.score.step_count + 1)
         state = EpochState(snapshot, result.values[DISPLACEMENT])
         for listener in self.listeners:
             listener(self, state, verdict)
@@ -466,7 +453,6 @@ class PassiveInfo:
         return {name: self._warmup_alarm[:, k].copy() for k, name in enumerate(self.reset_names)}
 
     def step_info(self, memory: Memory) -> Info:
-        """Information of a step, the time to alert included."""
         alarms = {name: memory["alarmed"][:, k].copy() for k, name in enumerate(self._alarm_names)}
         ratios = {name: memory["ratio"][:, k].copy() for k, name in enumerate(self._ratio_names)}
         return {**self.reset_info(), **alarms, **ratios}
@@ -487,7 +473,6 @@ def _check_overruled(
     end_at_alarm: bool,
     end: Sequence[Any] | None,
 ) -> None:
-    """Raise where lists of terms leave a setting without an effect."""
     if reward is not None and not (length_m is None and alarm_price == ALARM_PRICE):
         raise ValueError(
             "`alarm_price` and `length_m` make the default reward, and `reward` is given: list "

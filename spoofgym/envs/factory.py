@@ -10,7 +10,7 @@ from ..core.registry import check_keywords
 from ..detectors import Detector, detector_in_world
 from ..simulation.setup import Setup
 from .core import SpoofCore, WatchSpec, make_watch
-from .terms.registry import EndSpec, make_terms
+from .terms import EndSpec, make_terms
 from .terms.termination import AtAlarm
 
 S = TypeVar("S", bound=Setup)

@@ -9,12 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..simulation.engine import Engine
-from ..simulation.setup import Setup
+from ..simulation.setup import FloatArray, Setup
 from ._kernels import COMMAND_COLUMN, clip_columns, observe
-from .terms.base import Snapshot, holds_for_call
-from .terms.observation import LEVELS, REPORTED, DynamicTerm, ObservationTerm, split_knowledge
-
-FloatArray = NDArray[np.float64]
+from .terms.observation import (
+    LEVELS,
+    REPORTED,
+    DynamicTerm,
+    ObservationTerm,
+    Snapshot,
+    holds_for_call,
+    split_knowledge,
+)
 
 
 class Observer:
@@ -36,16 +41,11 @@ class Observer:
     knowledge : str
         The highest level that any term takes, and ``+reported`` where one takes that.
     table : ndarray
-        (K, o) float32, what is observed at every epoch, within the bounds; 0 where a term that
-        depends on what has happened writes later.
-    command : tuple of float
-        First column of the commanded displacement and rate, -1 for none; factor on the
-        displacement; bounds of both; axes north and east where they are observed along the target,
-        or -1.
-    per_rate : ndarray
-        (a,) factor on the rate of every axis.
+        (K, o) float32 at every epoch, within the bounds; 0 where a dynamic term writes later.
+    command, per_rate : tuple of float, ndarray
+        Last elements of the rules of `_kernels.observe`, and (a,) factor on the rate of every axis.
     dynamic : bool
-        Whether there are further terms, which depend on what has happened.
+        Whether there are terms that depend on what has happened, apart from the own command.
     """
 
     def __init__(self, terms: Sequence[ObservationTerm], setup: Setup) -> None:

@@ -20,9 +20,7 @@ from .core import Core
 Array = NDArray[Any]
 RESET_MASK = "reset_mask"
 InfoSpec = str | Sequence[str]
-WORDS = ("all", "none")
-TOLERANCE = 1e-6
-"""How far an action may lie outside of [-1, 1], by rounding."""
+TOLERANCE = 1e-6  # how far an action may lie outside of [-1, 1], by rounding
 HALFWAY = (
     "an interrupt or error has left the last step or reset halfway: call reset() before step()"
 )
@@ -80,6 +78,18 @@ def seeds_of(seed: Any, receivers: int) -> list[int | None]:
     if len(seeds) != receivers:
         raise ValueError(f"`seed` must have {receivers} elements, got {len(seeds)}")
     return seeds
+
+
+def reseeded(
+    rngs: Sequence[np.random.Generator], seeds: Sequence[int | None], mask: NDArray[np.bool_]
+) -> list[np.random.Generator]:
+    """A generator a receiver: new ones at first, and where a receiver of the mask has a seed."""
+    if not rngs:
+        return [np.random.default_rng(seed) for seed in seeds]
+    return [
+        rng if seed is None or not fresh else np.random.default_rng(seed)
+        for rng, seed, fresh in zip(rngs, seeds, mask, strict=True)
+    ]
 
 
 def checked_seed(seed: Any) -> int | None:
@@ -143,7 +153,7 @@ def check_vector_settings(num_envs: int, render_mode: object) -> None:
 
 def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
     if isinstance(spec, str):
-        check_choice("choice of infos", spec, WORDS)
+        check_choice("choice of infos", spec, ("all", "none"))
         return None if spec == "all" else frozenset()
     keys = tuple(spec)
     for key in keys:

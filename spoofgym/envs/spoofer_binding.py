@@ -24,17 +24,16 @@ from ..spoofers import (
     make_spoofer,
     shipped,
 )
-from ..spoofers.aim import TARGET, has_heading
+from ..spoofers.base import TARGET, has_heading
 from .core import SpoofCore
 from .factory import composable, make_setup, settings_of
 from .observer import Observer
 from .options import action_space, observation_space
+from .terms import make_terms
 from .terms.action import ActionTerm, CommandMap, default_action
 from .terms.observation import REPORTED, default_terms
-from .terms.registry import make_terms
 
-ENV_ID = "spoofgym/TightlyCoupled-v0"
-"""Environment of the headlines."""
+ENV_ID = "spoofgym/TightlyCoupled-v0"  # environment of the headlines
 SETUPS: dict[str, type[Setup]] = {
     ENV_ID: TightlyCoupledSetup,
     "spoofgym/LooselyCoupled-v0": LooselyCoupledSetup,
@@ -91,7 +90,10 @@ def attach(
     if card is not None:
         found = _wrapped(env, core, card) + card.differences(context)
         if not transfer:
-            found += unlike(_settings(_made_for(card)), _settings(core.setup))
+            made_for = setup_of_card(card)
+            with suppress(ValueError):  # without a calibration there is no such environment, either
+                resolve(made_for.detector, made_for)  # which looks its thresholds up by a rate
+            found += unlike(_settings(made_for), _settings(core.setup))
         if found:
             hint = "" if transfer else " (`transfer=True` allows for other settings alone)"
             raise ValueError(
@@ -112,7 +114,6 @@ def attach(
 
 
 def _check_heading(spoofer: Spoofer, core: SpoofCore) -> None:
-    """Raise where a spoofer has a heading that actions along the target direction can't have."""
     if not (core.commands.along_target and isinstance(spoofer, ScriptedSpoofer)):
         return
     target, own = core.setup.target_heading_deg, spoofer.heading_deg
@@ -128,7 +129,6 @@ def _check_heading(spoofer: Spoofer, core: SpoofCore) -> None:
 
 
 def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
-    """Warn of spoofers that push along a fixed heading where the target direction is drawn."""
     commands = setup.action_names
     if setup.target_heading_deg != "random" or not has_heading(commands):
         return
@@ -264,14 +264,6 @@ def setup_of_card(card: Card) -> Setup:
         raise ValueError(f"card of {card.name!r}: `env_kwargs`: {error}") from error
 
 
-def _made_for(card: Card) -> Setup:
-    """`setup_of_card`, with thresholds as an environment looks them up by a rate."""
-    made = setup_of_card(card)
-    with suppress(ValueError):  # without a calibration there is no such environment, either
-        resolve(made.detector, made)
-    return made
-
-
 def card_behind(spec: Spoofer | Mapping[str, Any] | str, made: Spoofer) -> Card | None:
     name = spec.get("name") if isinstance(spec, Mapping) else spec
     if isinstance(name, str) and name in shipped():
@@ -292,7 +284,6 @@ def _wrapped(env: Any, core: SpoofCore, card: Card) -> list[str]:
 
 
 def _settings(setup: Setup) -> dict[str, Any]:
-    """Everything that decides what a spoofer meets, JSON-able."""
     found = {}
     for name, parameter in inspect.signature(type(setup)).parameters.items():
         # not every victim keeps a setting as it was given

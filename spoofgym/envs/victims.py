@@ -13,10 +13,9 @@ from ..simulation.setup import Setup
 from ..simulation.snapshot import SnapshotSetup
 from ..simulation.tight import TightlyCoupledSetup
 from .core import SpoofCore
-from .env import CoreEnv
+from .env import CoreEnv, CoreVectorEnv
 from .factory import make_core, signature_of
 from .options import InfoSpec, check_vector_settings
-from .vector_env import CoreVectorEnv
 
 
 class _Victim:

@@ -17,7 +17,7 @@ from ..bench.experiments.evaluate import FIT_RUNS, Evaluator
 from ..bench.search.amplitude import TuningResult
 from ..core.progress import ProgressCallback
 from ..core.registry import check_finite, refuse_given, whole_number
-from ..envs.recorder import EpochRecorder
+from ..envs.wrappers import EpochRecorder
 from ..policies.card import DECIDED_ON
 from ..policies.contract import NotFinite
 from ..policies.onnx_file import checked_path
@@ -60,24 +60,12 @@ class RecordEpochs(VecEnvWrapper):
         inner.core.listeners.append(self.recorder)
 
     def reset(self) -> Any:
-        """Start episodes; those that are not over are written as they are.
-
-        Returns
-        -------
-        ndarray
-            (B, o) of the environment.
-        """
+        """Start episodes; those that are not over are written as they are."""
         self.recorder.finish(np.arange(self.num_envs), complete=False)
         return self.venv.reset()
 
     def step_wait(self) -> tuple[Any, Array, Array, list[dict[str, Any]]]:
-        """Run one step, and write the episodes that it has ended.
-
-        Returns
-        -------
-        observations, rewards, dones, infos
-            Of the environment.
-        """
+        """Run one step, the environment's own, and write the episodes that it has ended."""
         result: tuple[Any, Array, Array, list[dict[str, Any]]] = self.venv.step_wait()
         if result[2].any():
             self.recorder.finish(np.flatnonzero(result[2]), complete=True)
@@ -90,21 +78,10 @@ class RecordEpochs(VecEnvWrapper):
 
 
 class WeightAverage:
-    r"""Exponential average of the weights of a model's policy.
+    """Exponential average of the weights of a model's policy, w <- a w + (1 - a) w_now.
 
-    .. math:: \bar{w}_k = a\,\bar{w}_{k-1} + (1 - a)\,w_k
-
-    Single updates of a policy jitter, and so do its scores; those of the average do not.
-
-    Parameters
-    ----------
-    keeps : float
-        a, in [0, 1): how much of the average stays at every update.
-
-    Notes
-    -----
-    Polyak and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM Journal on
-    Control and Optimization 30 (1992).
+    Single updates of a policy jitter, and so do its scores; those of the average do not (Polyak
+    and Juditsky, SIAM Journal on Control and Optimization 30, 1992).  `keeps`: a, in [0, 1).
     """
 
     def __init__(self, keeps: float) -> None:
@@ -112,13 +89,7 @@ class WeightAverage:
         self.weights: dict[str, NDArray[np.float64]] = {}
 
     def update(self, model: Any) -> None:
-        """Take the weights of a model into the average; the first ones are the average.
-
-        Parameters
-        ----------
-        model : BaseAlgorithm
-            A model of stable-baselines3.
-        """
+        """Take the weights of a model into the average; the first ones are the average."""
         for name, weight in model.policy.named_parameters():
             now = weight.detach().cpu().numpy().astype(np.float64)
             before = self.weights.get(name, now)
@@ -126,18 +97,7 @@ class WeightAverage:
 
     @contextmanager
     def applied(self, model: Any) -> Iterator[None]:
-        """Let a model have the average as its weights for a while.
-
-        Parameters
-        ----------
-        model : BaseAlgorithm
-            The model that was averaged; it has its own weights again afterwards.
-
-        Yields
-        ------
-        None
-            Meanwhile it acts by the average.
-        """
+        """Let the model have the average as its weights, and its own ones again afterwards."""
         parameters = dict(model.policy.named_parameters())
         own = {name: weight.detach().clone() for name, weight in parameters.items()}
         for name, average in self.weights.items():
@@ -153,13 +113,7 @@ class WeightAverage:
         return {name: weight.tolist() for name, weight in self.weights.items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a checkpoint.
-
-        Parameters
-        ----------
-        state : mapping
-            From `state`.
-        """
+        """Go on from what `state` returned."""
         self.weights = {name: np.array(values) for name, values in state.items()}
 
 
@@ -288,13 +242,7 @@ class ScoreCallback(BaseCallback):
 
     @contextmanager
     def averaged(self) -> Iterator[None]:
-        """Let the model act by the average of its weights for a while.
-
-        Yields
-        ------
-        None
-            Afterwards it has its own weights again; without ``average`` it keeps them.
-        """
+        """Let the model act by the average of its weights for a while, where there is one."""
         if not self._average.weights:  # nothing is averaged, or nothing has been learned
             yield
             return
@@ -302,38 +250,20 @@ class ScoreCallback(BaseCallback):
             yield
 
     def state(self) -> dict[str, Any]:
-        """What it has found so far, JSON-able, for a checkpoint.
-
-        Returns
-        -------
-        dict
-            For `restore`.
-        """
+        """What it has found so far, JSON-able, for `restore` from a checkpoint."""
         own = {name: getattr(self, name) for name in STATE}
         history = [[step, found.as_dict()] for step, found in self.history]
         return {**own, "history": history, "average": self._average.state()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a checkpoint; the file of the best policy is kept by whoever wrote it.
-
-        Parameters
-        ----------
-        state : mapping
-            From `state`.
-        """
+        """Go on from a `state`; the file of the best policy is kept by whoever wrote it."""
         for name in STATE:
             setattr(self, name, state[name])
         self._average.restore(state["average"])
         self.history = [(step, TuningResult.from_dict(found)) for step, found in state["history"]]
 
     def give_up(self, why: str) -> None:
-        """End the training as diverged, with a warning; the best policy is kept.
-
-        Parameters
-        ----------
-        why : str
-            What has happened.
-        """
+        """End the training as diverged, with a warning that says why; the best policy is kept."""
         kept = "none before it was within the budget"
         if self.best_step >= 0:
             best = f"the best one was that of step {self.best_step:,} with {self.best_m:.2f} m"

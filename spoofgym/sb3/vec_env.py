@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from ..core.registry import whole_number
@@ -17,6 +16,7 @@ from ..duel.learner import LearnersSide
 from ..envs.factory import signature_of
 from ..envs.options import (
     HALFWAY,
+    Array,
     InfoSpec,
     action_space,
     check_vector_settings,
@@ -25,14 +25,14 @@ from ..envs.options import (
     domain_option,
     info_keys,
     observation_space,
+    reseeded,
     warn_unknown,
     whole_reset,
 )
-from ..envs.step_result import PlainResult, StepResult
-from ..envs.terms.registry import RewardSpec, make_terms
+from ..envs.scoring import PlainResult, StepResult
+from ..envs.terms import RewardSpec, make_terms
 from ..simulation.tight import TightlyCoupledSetup
 
-Array = NDArray[Any]
 AT_THE_END = (
     "undetected_displacement_m",
     "detected",
@@ -145,23 +145,8 @@ class SpoofVecEnv(VecEnv):
             self.seed(seed)
 
     def reset(self) -> Array:
-        """Start a new episode in every receiver.
-
-        Receivers are seeded where `seed` has been called since the last reset, and go on to their
-        next episodes otherwise.
-
-        Returns
-        -------
-        ndarray
-            (B, o) float32.
-        """
-        if not self._rngs:
-            self._rngs = [np.random.default_rng(seed) for seed in self._seeds]
-        else:
-            self._rngs = [
-                rng if seed is None else np.random.default_rng(seed)
-                for rng, seed in zip(self._rngs, self._seeds, strict=True)
-            ]
+        """Start a new episode in every receiver, seeded as `seed` said since the last: (B, o)."""
+        self._rngs = reseeded(self._rngs, self._seeds, np.ones(self.num_envs, dtype=np.bool_))
         given = self._given()
         self._reset_seeds()
         self._reset_options()
@@ -172,13 +157,7 @@ class SpoofVecEnv(VecEnv):
         return np.asarray(self.core.observe())
 
     def step_async(self, actions: Array) -> None:
-        """Take the commands of the next step.
-
-        Parameters
-        ----------
-        actions : ndarray
-            (B, a) in [-1, 1].
-        """
+        """Take the commands (B, a) in [-1, 1] of the next step."""
         if not self._rngs:
             raise RuntimeError("call reset() before step()")
         if self._halfway:
@@ -187,19 +166,7 @@ class SpoofVecEnv(VecEnv):
         self._actions = checked_action(actions, shape, self.action_names)
 
     def step_wait(self) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
-        """Run one epoch.
-
-        Returns
-        -------
-        observations : ndarray
-            (B, o) float32; the first of the next episode where one has ended.
-        rewards : ndarray
-            (B,) float32.
-        dones : ndarray
-            (B,) bool.
-        infos : list of dict
-            One per receiver.
-        """
+        """Run one epoch; where an episode has ended, the next one is observed."""
         if self._actions is None:
             raise RuntimeError("call step_async() before step_wait()")
         self._halfway = True
@@ -228,7 +195,11 @@ class SpoofVecEnv(VecEnv):
                 "l": int(self._lengths[row]),
                 "t": round(time.perf_counter() - self._began, 6),
             },
-            **{name: info[name][row].item() for name in info if _is_of_the_end(name)},
+            **{
+                name: info[name][row].item()
+                for name in info
+                if name in AT_THE_END or name.startswith("watch_")
+            },
         }
 
     def _each(self, result: StepResult | PlainResult) -> list[dict[str, Any]]:
@@ -239,7 +210,6 @@ class SpoofVecEnv(VecEnv):
         return [{name: lists[name][row] for name in lists} for row in range(self.num_envs)]
 
     def _given(self) -> dict[str, list[Any]] | None:
-        """Circumstances that `set_options` gives for every receiver."""
         for options in self._options:
             warn_unknown(options, ("domain",))
         given = [domain_option(options) or {} for options in self._options]
@@ -252,13 +222,7 @@ class SpoofVecEnv(VecEnv):
         return {name: [each[name] for each in given] for name in given[0]} or None
 
     def set_rewards(self, terms: RewardSpec) -> None:
-        """Reward otherwise from the next step on, such as with another alarm penalty.
-
-        Parameters
-        ----------
-        terms : str, mapping, path, RewardTerm or sequence of them
-            As ``reward=`` of `SpoofEnv`.
-        """
+        """Reward by other terms from the next step on, as ``reward=`` of `SpoofEnv` takes them."""
         if self.side == "detector":
             raise ValueError("a detector is paid by the rules of the duel: see its settings")
         self.core.set_rewards(make_terms("reward", terms))
@@ -268,34 +232,11 @@ class SpoofVecEnv(VecEnv):
         self.core.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Attribute of the environment, once for every receiver.
-
-        Parameters
-        ----------
-        attr_name : str
-            Its name.
-        indices : int or sequence of int, optional
-            Which receivers.
-
-        Returns
-        -------
-        list
-            The same value for all, since they share it.
-        """
+        """Attribute of the environment, the same once for every receiver."""
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of all receivers.
-
-        Parameters
-        ----------
-        attr_name : str
-            Its name.
-        value : object
-            For all of them.
-        indices : None
-            Some of them can't have a value of their own.
-        """
+        """Set an attribute of all receivers, which share it."""
         if indices is not None:
             raise ValueError(f"`indices` must be None, receivers share attributes; got {indices!r}")
         setattr(self, attr_name, value)
@@ -303,51 +244,17 @@ class SpoofVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of the environment, once for all receivers.
-
-        Parameters
-        ----------
-        method_name : str
-            Its name.
-        *method_args
-            Its arguments.
-        indices : None
-            There is one environment for all of them.
-        **method_kwargs
-            Its named arguments.
-
-        Returns
-        -------
-        list
-            The result, once for every receiver.
-        """
+        """Call a method of the environment once; its result once for every receiver."""
         if indices is not None:
             raise ValueError(f"`indices` must be None, receivers are one batch; got {indices!r}")
         result = getattr(self, method_name)(*method_args, **method_kwargs)
         return [result] * self.num_envs
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Whether receivers are wrapped.
-
-        Parameters
-        ----------
-        wrapper_class : type
-            Any.
-        indices : int or sequence of int, optional
-            Which receivers.
-
-        Returns
-        -------
-        list of bool
-            False: a batch can't be wrapped one by one.
-        """
+        """False for every receiver: a batch can't be wrapped one by one."""
         return [False for _ in self._get_indices(indices)]
 
 
 SpoofVecEnv.__signature__ = signature_of(
     TightlyCoupledSetup, inspect.signature(SpoofVecEnv.__init__)
 )
-
-
-def _is_of_the_end(name: str) -> bool:
-    return name in AT_THE_END or name.startswith("watch_")

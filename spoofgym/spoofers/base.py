@@ -1,17 +1,18 @@
-"""The contract of a spoofer: an observation in, an action out."""
+"""The contract of a spoofer: what it knows, an observation in, an action out along its heading."""
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.registry import check_finite
 from ..policies.contract import Policy
-from .aim import Aim, check_heading
-from .context import SpooferContext as SpooferContext
 
 FloatArray = NDArray[np.float64]
 KNOWLEDGE = (
@@ -22,6 +23,58 @@ KNOWLEDGE = (
     "tracking+reported",
     "oracle+reported",
 )
+AXES = ("north", "east", "down", "clock")
+"""Axes by which the actions of a false position are named; a heading leaves the last two alone."""
+TARGET = "target"  # heading that follows the target direction
+TARGET_NAMES = ("target_direction_north", "target_direction_east")
+"""Elements of an observation that give the target direction."""
+UNIT = 1e-3  # how much the length of an observed direction may differ from 1
+
+
+class SpooferContext(NamedTuple):
+    """What a spoofer is given once, before the first command.
+
+    Attributes
+    ----------
+    receivers : int
+        B.
+    interval_s : float
+        Time between commands.
+    steps : int
+        Commands of an episode.
+    control : {"rate", "acceleration", "setpoint"}
+        What an action of 1 commands: the limit of the rate or of the acceleration, or a wanted rate
+        that the acceleration follows.
+    acceleration_limit_mps2, rate_limit_mps : float
+        Of the attack; with control by rate the first one does not bind.
+    action_names : tuple of str
+        (a,) name of every element of an action, as the attack gives them.
+    observation_names : tuple of str
+        (o,) name of every element of an observation.
+    observation_low, observation_high : tuple of float
+        (o,) bounds of every element; empty where they are not known.
+    setpoint_mps : float or None
+        Rate that an action of 1 asks for, with control by set-point.
+    """
+
+    receivers: int
+    interval_s: float
+    steps: int
+    control: str
+    acceleration_limit_mps2: float
+    rate_limit_mps: float
+    action_names: tuple[str, ...]
+    observation_names: tuple[str, ...] = ()
+    observation_low: tuple[float, ...] = ()
+    observation_high: tuple[float, ...] = ()
+    setpoint_mps: float | None = None
+
+    @property
+    def largest_rate(self) -> tuple[str, float]:
+        """Largest rate that actions can ask for [m/s], after the name of what limits it."""
+        if self.setpoint_mps is not None and self.setpoint_mps < self.rate_limit_mps:
+            return "full_scale_mps` of the action `rate-setpoint", self.setpoint_mps
+        return "rate_limit_mps", self.rate_limit_mps
 
 
 def sees_statistics(knowledge: str) -> bool:
@@ -72,39 +125,107 @@ class Spoofer(Policy[SpooferContext]):
 
     @abstractmethod
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command the attack for the coming epoch.
-
-        Parameters
-        ----------
-        observation : ndarray
-            (B, o) of all receivers.
-
-        Returns
-        -------
-        ndarray
-            (B, a) in [-1, 1], C-contiguous.
-        """
+        """Command the coming epoch: (B, a) in [-1, 1], C-contiguous, of observations (B, o)."""
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """Range of the tunable setting that is worth a search.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Limits of the attack.
-
-        Returns
-        -------
-        low, high : float
-            Both above 0.
-
-        Raises
-        ------
-        ValueError
-            When the spoofer has nothing to tune.
-        """
+        """Range of the tunable setting that is worth a search, both above 0."""
         raise ValueError(f"{cls.__name__} has no setting to tune")
+
+
+def axes_of(action_names: tuple[str, ...]) -> list[str]:
+    """Axes or channels of an action, (a,): its names without their unit."""
+    return [name.rsplit("_", 1)[0] for name in action_names]
+
+
+def has_heading(action_names: tuple[str, ...]) -> bool:
+    return set(axes_of(action_names)) <= set(AXES)
+
+
+def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
+    """Unit command along a heading, or the same command for every channel: (a,) in [-1, 1]."""
+    axes = axes_of(action_names)
+    if not has_heading(action_names):
+        return np.ones(len(axes))
+    heading = math.radians(heading_deg % 360.0)
+    wanted = {"north": math.cos(heading), "east": math.sin(heading), "down": 0.0, "clock": 0.0}
+    for name, part in wanted.items():
+        if abs(part) < 1e-12:
+            wanted[name] = 0.0
+        elif name not in axes:
+            raise ValueError(
+                f"`heading_deg` = {heading_deg:g} needs a command to the {name}, but the attack "
+                f"commands {', '.join(action_names)}"
+            )
+    return np.array([wanted[name] for name in axes])
+
+
+def check_heading(heading_deg: float | str) -> None:
+    if isinstance(heading_deg, str):
+        right = heading_deg == TARGET
+    else:
+        number = isinstance(heading_deg, int | float) and not isinstance(heading_deg, bool)
+        right = number and math.isfinite(heading_deg)
+    if not right:
+        raise ValueError(f"`heading_deg` must be a finite number or 'target', got {heading_deg!r}")
+
+
+class Aim:
+    """Unit command along a heading, clockwise from north, or that of every observation, turned by
+    `turned_deg`; or the same command for every channel."""
+
+    def __init__(
+        self, context: SpooferContext, heading_deg: float | str, turned_deg: float = 0.0
+    ) -> None:
+        names = context.action_names
+        self._columns: list[int] = []
+        self._size, self._turned = len(names), math.radians(turned_deg)
+        if isinstance(heading_deg, str) and has_heading(names):
+            self._columns, self._places = _columns(context), _places(names)
+        else:
+            fixed = 0.0 if isinstance(heading_deg, str) else heading_deg
+            self._fixed = direction(names, fixed + turned_deg)
+
+    def __call__(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Unit command (B, a), or (a,) where no observation (B, o) gives the target direction."""
+        if not self._columns:
+            return self._fixed
+        north, east = (observation[:, k].astype(np.float64) for k in self._columns)
+        right = np.abs(np.hypot(north, east) - 1.0) < UNIT
+        if not right.all():
+            row = np.flatnonzero(~right)[0]
+            raise ValueError(
+                f"the target direction that receiver {row} observes, ({north[row]:g}, "
+                f"{east[row]:g}), has not the length 1: `heading_deg` = 'target' needs "
+                "observations as the environment makes them"
+            )
+        cosine, sine = math.cos(self._turned), math.sin(self._turned)
+        command = np.zeros((len(observation), self._size))
+        command[:, self._places[0]] = cosine * north - sine * east
+        command[:, self._places[1]] = sine * north + cosine * east
+        return np.clip(command, -1.0, 1.0)
+
+
+def _columns(context: SpooferContext) -> list[int]:
+    seen = context.observation_names
+    if not set(TARGET_NAMES) <= set(seen):
+        raise ValueError(
+            f"`heading_deg` = 'target' needs {' and '.join(TARGET_NAMES)} among the observations: "
+            "they are there with target_heading_deg='random', and with the observation term "
+            "'target-direction'"
+        )
+    return [seen.index(name) for name in TARGET_NAMES]
+
+
+def _places(action_names: tuple[str, ...]) -> list[int]:
+    axes = axes_of(action_names)
+    for name in AXES[:2]:
+        if name not in axes:
+            raise ValueError(
+                f"`heading_deg` = 'target' needs a command to the {name}, but the attack commands "
+                f"{', '.join(action_names)}"
+            )
+    return [axes.index(name) for name in AXES[:2]]
 
 
 @dataclass(kw_only=True)
@@ -130,18 +251,16 @@ class ScriptedSpoofer(Spoofer):
     heading_deg: float | str = 90.0
 
     knowledge = "blind"
+    checks: ClassVar[Mapping[str, str]] = {}
+    """Settings that must be finite numbers, and a bound of each, as `check_finite` takes it."""
 
     def __post_init__(self) -> None:
         check_heading(self.heading_deg)
+        for name, bound in self.checks.items():
+            check_finite(name, getattr(self, name), bound)
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Sizes, limits and names.
-        """
+        """Prepare for a batch of receivers, by its sizes, limits and names."""
         super().bind(context)
         self._aim = Aim(context, self.heading_deg)
         for name in ("step", "rate", "displacement"):
@@ -149,20 +268,7 @@ class ScriptedSpoofer(Spoofer):
 
     @abstractmethod
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch.
-
-        Parameters
-        ----------
-        step : ndarray
-            (B,) commands given so far.
-        rate, displacement : ndarray
-            (B,) commanded so far [m/s], [m].
-
-        Returns
-        -------
-        ndarray
-            (B,) [m/s]; cut to what the attack's limits allow.
-        """
+        """Rate (B,) that is wanted at the end of the coming epoch [m/s], of those so far (B,)."""
 
     def wanted_rate(self, observation: NDArray[np.float32]) -> FloatArray:
         """(B,) `next_rate` of all receivers [m/s]; a spoofer that is not blind looks here."""
@@ -170,36 +276,32 @@ class ScriptedSpoofer(Spoofer):
         return self.next_rate(memory["step"], memory["rate"], memory["displacement"])
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command the attack for the coming epoch.
-
-        Parameters
-        ----------
-        observation : ndarray
-            (B, o); a blind one looks at the target direction alone, where that is the heading.
-
-        Returns
-        -------
-        ndarray
-            (B, a) in [-1, 1].
-        """
-        context, memory = self.context, self.memory
-        rate = memory["rate"]
-        wanted = self.wanted_rate(observation)
-        _, limit = context.largest_rate
-        after = np.clip(wanted, -limit, limit)
-        if context.control == "rate":
-            size, mean = after / limit, after
-        else:
-            most = context.acceleration_limit_mps2 * context.interval_s
-            asked, size = after, np.clip((after - rate) / most, -1.0, 1.0)
-            after = rate + size * most
-            mean = 0.5 * (rate + after)
-            if context.setpoint_mps is not None:
-                size = asked / context.setpoint_mps
-        memory["displacement"] = memory["displacement"] + mean * context.interval_s
-        memory["rate"] = after
+        """Command the coming epoch: (B, a) in [-1, 1], within the limits of the attack."""
+        memory, wanted = self.memory, self.wanted_rate(observation)
+        size, rate, mean = self._follow(
+            memory["rate"], wanted, lambda vector, most: np.clip(vector, -most, most)
+        )
+        memory["displacement"] = memory["displacement"] + mean * self.context.interval_s
+        memory["rate"] = rate
         memory["step"] = memory["step"] + 1.0
         return np.ascontiguousarray(size[:, None] * self._aim(observation))
+
+    def _follow(
+        self, rate: FloatArray, wanted: FloatArray, shorten: Callable[..., FloatArray]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Size of the command from one rate towards another, and the rate after and the mean rate
+        of the epoch; ``shorten(vector, most)`` keeps the attack's limits."""
+        context = self.context
+        _, limit = context.largest_rate
+        allowed = shorten(wanted, limit)
+        if context.control == "rate":
+            return allowed / limit, allowed, allowed
+        most = context.acceleration_limit_mps2 * context.interval_s
+        size = shorten((allowed - rate) / most, 1.0)
+        after = rate + size * most
+        mean = 0.5 * (rate + after)
+        setpoint = context.setpoint_mps
+        return size if setpoint is None else allowed / setpoint, after, mean
 
 
 def check_limit(spoofer: Spoofer, name: str, limit_name: str, limit: float) -> None:

@@ -18,15 +18,12 @@ from ..core.settings import unlike
 from ..policies.card import PolicyCard, PolicyFile, Record, Space, spaces_of, unlike_spaces
 from .base import SpooferContext
 
-NAME = r"[A-Za-z0-9][A-Za-z0-9._-]*"
-"""What a spoofer with a card may be called."""
+NAME = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # what a spoofer with a card may be called
 
 
 class Conditions(Record):
-    """What an attack has to be like for the actions to mean what they meant.
-    `acceleration_limit_mps2`, `rate_limit_mps`: of the attack; with control by rate the first one
-    does not matter, and may be None; `setpoint_mps`: rate that an action of 1 asks for, with
-    control by set-point."""
+    """What an attack has to be like for the actions to mean what they meant; with control by rate
+    the limit of the acceleration does not matter, and may be None."""
 
     interval_s: PositiveFloat
     steps: PositiveInt
@@ -37,29 +34,20 @@ class Conditions(Record):
 
 
 class Knowledge(Record):
-    """What a spoofer knows. `run_time`: what it observes during an attack; `design_time`: what it
-    was optimised on before: detector, receiver, scenario."""
+    """What a spoofer observes during an attack, and what it was optimised on before."""
 
     run_time: Literal[
-        "blind",
-        "tracking",
-        "oracle",
-        "blind+reported",
-        "tracking+reported",
-        "oracle+reported",
+        "blind", "tracking", "oracle", "blind+reported", "tracking+reported", "oracle+reported"
     ]
     design_time: str = Field(min_length=1)
 
 
 class Score(Record):
-    """What a spoofer reached against one detector.
+    """What a spoofer reached against one detector, with the 95 % interval of the mean [m].
 
-    - `split`: which seeds: those of training, calibration or evaluation;
     - `counted`: runs that are silent before the onset and without attack, over which displacement
-      and `alarm_rate` are taken; None on a card that was scored before that was the rule, over all
-      runs;
-    - `low`, `high`: 95 % interval of the mean [m];
-    - `alarm_rate`: part of these runs with an alarm; `clean_alarm_rate`: of all without attack;
+      and `alarm_rate` are taken; None on a card from before that was the rule, over all runs;
+    - `clean_alarm_rate`: of all runs without attack;
     - `budget`: largest `alarm_rate`, by its upper limit on the runs of the choice; without
       `counted`, how far it may be above the clean one.
     """
@@ -163,7 +151,6 @@ class Card(PolicyCard):
         return self
 
     def differences(self, context: SpooferContext) -> list[str]:
-        """What an attack is like here, and not on the card."""
         on_card, of_attack = self.conditions.model_dump(), _conditions_of(context)
         if self.conditions.control == of_attack["control"] == "rate":
             del on_card["acceleration_limit_mps2"], of_attack["acceleration_limit_mps2"]

@@ -25,7 +25,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_finite
 from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_limit
 from .profile import check_fastest, checked_rates, sampled
 from .ramps import Ramp
@@ -101,11 +100,10 @@ class HeldBack(ByStatistic):
     zero_ratio: float = 1.03
     back: float = -0.79
 
+    checks: ClassVar = {"full_ratio": ">= 0", "zero_ratio": "> 0", "back": ""}
+
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_finite("full_ratio", self.full_ratio, ">= 0")
-        check_finite("zero_ratio", self.zero_ratio, "> 0")
-        check_finite("back", self.back)
         if self.zero_ratio <= self.full_ratio:
             raise ValueError(
                 f"`zero_ratio` must be above `full_ratio` = {self.full_ratio:g}, got "
@@ -145,11 +143,7 @@ class Feedback(HeldBack):
     growth: float = 3.75
 
     tunable: ClassVar[str | None] = "rate_mps"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_finite("rate_mps", self.rate_mps)
-        check_finite("growth", self.growth, ">= 0")
+    checks: ClassVar = {**HeldBack.checks, "rate_mps": "", "growth": ">= 0"}
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
@@ -184,14 +178,10 @@ class FeedbackProfile(HeldBack, AlongCurve):
     described_as = "FeedbackProfile"
 
 
-UNKNOWN = (0.1, 0.3, 1.0)
-"""Prior standard deviations of c, rho and b [s/m]."""
-DEVIATION = 0.1
-"""Standard deviation of the prediction at first."""
-MEAN_OF = 50
-"""Epochs over which the variance of the prediction is averaged."""
-LEAST, MOST = 0.1, 2.0
-"""Range of a search for the margin."""
+UNKNOWN = (0.1, 0.3, 1.0)  # prior standard deviations of c, rho and b [s/m]
+DEVIATION = 0.1  # standard deviation of the prediction at first
+MEAN_OF = 50  # epochs over which the variance of the prediction is averaged
+LEAST, MOST = 0.1, 2.0  # range of a search for the margin
 
 
 @dataclass(kw_only=True)
@@ -228,12 +218,7 @@ class ThresholdRider(AlongCurve):
     band: float = 0.4
 
     tunable: ClassVar[str | None] = "margin"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("margin", "horizon_s", "band"):
-            check_finite(name, getattr(self, name), "> 0")
-        check_finite("deviations", self.deviations, ">= 0")
+    checks: ClassVar = {"margin": "> 0", "horizon_s": "> 0", "band": "> 0", "deviations": ">= 0"}
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)

@@ -88,8 +88,7 @@ def path_of(file: str) -> Path:
     return ZOO_FOLDER / f"{file}{SUFFIX}"
 
 
-Function = Callable[[NDArray[np.float32]], Any]
-"""(B, o) observations in, (B, a) actions out."""
+Function = Callable[[NDArray[np.float32]], Any]  # (B, o) observations in, (B, a) actions out
 FORMS = (
     "a model of stable-baselines3, a torch module, a function of (B, o) observations that returns "
     "(B, a) actions, a Spoofer, its name, or the path of an .onnx file"
@@ -100,12 +99,8 @@ class ModelPolicy(Spoofer):
     """Acts as a model does, by its deterministic action.
 
     The model is neither copied nor changed, but for the mode in which a network is evaluated.
-
-    `model`: as `function_of` takes it; `knowledge`: what it observes, one of `KNOWLEDGE`; `action`:
-    how its actions command the attack, as ``action=`` of `SpoofEnv`; `observation`: what it has
-    been trained to observe; anything else is refused then; `decision_interval_s`, `between`: how
-    often it decides, and what it commands in between, as in environments; `label`: short name in
-    results; by default that of its class.
+    Settings are as in `Spoofer`; `observation`: what it was trained to observe, anything else is
+    refused then.
     """
 
     def __init__(
@@ -172,7 +167,6 @@ def function_of(model: Any) -> Function:
 
 
 def refuse_state(policy: Any) -> None:
-    """Raise for a policy of stable-baselines3 that remembers, since nobody keeps its state."""
     if hasattr(policy, "lstm_actor"):
         raise ValueError(
             f"{type(policy).__name__} is recurrent: it needs its state from step to step, which "
@@ -201,13 +195,11 @@ class Normalization(NamedTuple):
         return cls(mean, scale, float(envs.clip_obs))
 
     def __call__(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Observations (B, o) as a policy sees them."""
         scaled = (seen - self.mean) / self.scale
         return np.asarray(np.clip(scaled, -self.clip, self.clip), dtype=np.float32)
 
 
 def normalization_of(model: Any) -> Normalization | None:
-    """Normalization of the observations of a model of stable-baselines3, if it has one."""
     found = model.get_vec_normalize_env() if hasattr(model, "get_vec_normalize_env") else None
     return Normalization.of(found)
 
@@ -288,7 +280,7 @@ def inner_env(env: Any) -> Any:
 
 
 def trained_in(model: Any) -> Mapping[str, Any]:
-    """What a model's own environment says of it: arguments of `ModelPolicy`. Warns of a model of
+    """Arguments of `ModelPolicy` by a model's own environment; warns of a model of
     stable-baselines3 whose environment can't be read."""
     if not hasattr(model, "get_env"):
         return {}
@@ -305,8 +297,8 @@ def trained_in(model: Any) -> Mapping[str, Any]:
 
 
 def describe_env(env: Any) -> Mapping[str, Any]:
-    """What a spoofer knows and commands in an environment: arguments of `ModelPolicy`. `env`: any
-    that has a core of the spoofer's side, in wrappers of stable-baselines3 or Gymnasium."""
+    """Arguments of `ModelPolicy` by an environment with a core of the spoofer's side, in
+    wrappers."""
     inner = inner_env(env)
     settings = None if inner is None else getattr(inner.core, "settings", None)
     if inner is None or settings is None:

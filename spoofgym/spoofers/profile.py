@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.registry import check_finite
-from .aim import Aim, has_heading
-from .base import FloatArray, ScriptedSpoofer, SpooferContext
+from .base import Aim, FloatArray, ScriptedSpoofer, SpooferContext, has_heading
 
 FEWEST_KNOTS, MOST_KNOTS = 2, 64
 
@@ -63,20 +62,17 @@ class Profile(ScriptedSpoofer):
         super().bind(context)
         self._along = sampled(self.rates_mps, context.steps)
         self._across = sampled(self.cross_rates_mps or (0.0, 0.0), context.steps)
-        self._check_limit(*context.largest_rate)
-        if self.cross_rates_mps:
-            self._right = _to_the_right(context, self.heading_deg)
-            for name in ("cross_rate", "cross_displacement"):
-                self.memory.declare(name, np.zeros(context.receivers))
-
-    def _check_limit(self, limit_name: str, limit: float) -> None:
         fastest = {
             "`rates_mps`": np.abs(self.rates_mps).max(),
             "`cross_rates_mps`": np.abs((*self.cross_rates_mps, 0.0)).max(),
             "`rates_mps` and `cross_rates_mps` together": np.hypot(self._along, self._across).max(),
         }
         for name, rate in fastest.items():
-            check_fastest(name, rate, limit_name, limit)
+            check_fastest(name, rate, *context.largest_rate)
+        if self.cross_rates_mps:
+            self._right = _to_the_right(context, self.heading_deg)
+            for name in ("cross_rate", "cross_displacement"):
+                self.memory.declare(name, np.zeros(context.receivers))
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         return self._along[self._row(step)]
@@ -87,20 +83,10 @@ class Profile(ScriptedSpoofer):
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
         if not self.cross_rates_mps:
             return super().act(observation)
-        context, memory = self.context, self.memory
-        row, tau = self._row(memory["step"]), context.interval_s
-        before = np.stack([memory["rate"], memory["cross_rate"]])
-        _, limit = context.largest_rate
-        after = shortened(np.stack([self._along[row], self._across[row]]), limit)
-        if context.control == "rate":
-            size, mean = after / limit, after
-        else:
-            most = context.acceleration_limit_mps2 * tau
-            asked, size = after, shortened((after - before) / most, 1.0)
-            after = before + size * most
-            mean = 0.5 * (before + after)
-            if context.setpoint_mps is not None:
-                size = asked / context.setpoint_mps
+        memory, tau, row = self.memory, self.context.interval_s, self._row(self.memory["step"])
+        rates = np.stack([memory["rate"], memory["cross_rate"]])
+        wanted = np.stack([self._along[row], self._across[row]])
+        size, after, mean = self._follow(rates, wanted, shortened)
         memory["rate"], memory["cross_rate"] = after[0].copy(), after[1].copy()
         memory["displacement"] = memory["displacement"] + mean[0] * tau
         memory["cross_displacement"] = memory["cross_displacement"] + mean[1] * tau
@@ -153,8 +139,8 @@ def check_fastest(name: str, rate: float, limit_name: str, limit: float) -> None
 
 
 def sampled(rates_mps: tuple[float, ...], steps: int) -> FloatArray:
-    """Curve through equally spaced knots at the ends of the epochs. `rates_mps` (n,) at the knots,
-    the first one at the onset, the last one at the end of the window; returns (steps,) [m/s]."""
+    """Curve (steps,) [m/s] through equally spaced knots (n,), from the onset to the end of the
+    window, at the ends of the epochs."""
     from scipy.interpolate import PchipInterpolator  # half of the start of an environment
 
     knots = np.linspace(0.0, 1.0, len(rates_mps))

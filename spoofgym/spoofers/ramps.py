@@ -1,9 +1,6 @@
 r"""None, step, ramp, accelerating ramp, dash, intermittent.
 
-A step: to a fixed displacement as quickly as the attack's limits allow, and there it stays.
-
-Commanded by rate, it moves at the limit.  Commanded by acceleration, it accelerates and brakes at
-the limit.  In epochs of length :math:`\tau`, with the limit a, a rate
+A step accelerates and brakes at the attack's limit a.  In epochs of length :math:`\tau` a rate
 
 .. math:: v = (m + r) \, a \tau, \qquad m = 0, 1, \dots, \quad 0 \le r < 1
 
@@ -14,17 +11,6 @@ is braked to zero, by m full epochs and a part of one, over at least
 so that the largest rate from which the rest R of the way still suffices follows from
 :math:`\tfrac12 (v_0 + v) \tau + b(v) = R`, in which the braking distance is linear in v within
 each m.
-
-A dash: nothing for most of the window, then as fast as allowed, to be away before the alert.
-
-It has no alarm budget in mind.  What it gains lies between the alarm and the time to alert before
-it: against a detector that needs long to be sure, that is far.
-
-Bursts with pauses: an offset that comes and goes, so that a detector has to see ends, too.
-
-In a burst of length :math:`t_{on}` the offset grows at the rate :math:`s / t_{on}`, a ramp, or is
-set to s as quickly as the attack's limits allow, a step.  In the pause after it, it goes back to
-zero as quickly as the limits allow, and stays there.
 """
 
 from __future__ import annotations
@@ -38,8 +24,7 @@ from numpy.typing import NDArray
 from ..core.registry import check_finite
 from .base import FloatArray, ScriptedSpoofer, Spoofer, SpooferContext, check_limit
 
-SLOWEST = 1e-3
-"""Slowest rate of a search, as a part of the attack's limit."""
+SLOWEST = 1e-3  # slowest rate of a search, as a part of the attack's limit
 
 
 @dataclass(kw_only=True)
@@ -58,10 +43,7 @@ class Ramp(ScriptedSpoofer):
     rate_mps: float = 0.5
 
     tunable: ClassVar[str | None] = "rate_mps"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_finite("rate_mps", self.rate_mps)
+    checks: ClassVar = {"rate_mps": ""}
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
@@ -72,8 +54,7 @@ class Ramp(ScriptedSpoofer):
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """Up to the limit of the rate, or what the episode allows to reach. Returns `low`, `high`
-        [m/s]."""
+        """Up to the limit of the rate, or what the episode allows to reach [m/s]."""
         _, high = context.largest_rate
         if context.control != "rate":
             reached = context.acceleration_limit_mps2 * context.steps * context.interval_s
@@ -97,10 +78,7 @@ class AcceleratingRamp(ScriptedSpoofer):
     acceleration_mps2: float = 0.005
 
     tunable: ClassVar[str | None] = "acceleration_mps2"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_finite("acceleration_mps2", self.acceleration_mps2)
+    checks: ClassVar = {"acceleration_mps2": ""}
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
@@ -113,16 +91,14 @@ class AcceleratingRamp(ScriptedSpoofer):
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """Up to the limit of the acceleration; by rate, to its limit within ten epochs. Returns
-        `low`, `high` [m/s^2]."""
+        """Up to the limit of the acceleration; by rate, to its limit within ten epochs."""
         high = context.acceleration_limit_mps2
         if context.control == "rate":
             high = context.rate_limit_mps / (10.0 * context.interval_s)
         return SLOWEST * high, high
 
 
-SMALLEST, LARGEST = 0.1, 1000.0
-"""Range of a search [m]."""
+SMALLEST, LARGEST = 0.1, 1000.0  # range of a search [m]
 
 
 @dataclass(kw_only=True)
@@ -141,14 +117,10 @@ class Step(ScriptedSpoofer):
     size_m: float = 100.0
 
     tunable: ClassVar[str | None] = "size_m"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_finite("size_m", self.size_m)
+    checks: ClassVar = {"size_m": ""}
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
-        so far; returns (B,) the largest from which the displacement is not overshot [m/s]."""
+        """The largest rate from which the displacement is not overshot."""
         interval = self.context.interval_s
         rest = self.size_m - displacement
         if self.context.control == "rate":
@@ -163,10 +135,9 @@ class Step(ScriptedSpoofer):
 
 
 def fastest(rest: FloatArray, rate: FloatArray, gain: float, interval: float) -> FloatArray:
-    """Largest rate at the end of an epoch from which the rest of a way suffices to brake. `rest`:
-    way left [m]; what rounding made negative counts as 0; `rate`: rate at the start of the epoch
-    [m/s], of the same shape; `gain`: largest change of the rate in an epoch [m/s]; `interval`:
-    length of an epoch [s]; returns [m/s]."""
+    """Largest rate at the end of an epoch from which the rest of a way suffices to brake [m/s], by
+    the way left [m], below 0 by rounding counts as 0; the rate at the start [m/s]; gain, the
+    largest change of the rate in an epoch [m/s]; and interval, its length [s]."""
     # way beyond the first half of the present epoch, in units of a tau^2
     way = np.maximum(rest - 0.5 * rate * interval, 0.0) / (gain * interval)
     full = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * way) - 1.0))
@@ -194,11 +165,7 @@ class Dash(ScriptedSpoofer):
     last_s: float = 30.0
 
     tunable: ClassVar[str | None] = "rate_mps"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_finite("rate_mps", self.rate_mps)
-        check_finite("last_s", self.last_s, "> 0")
+    checks: ClassVar = {"rate_mps": "", "last_s": "> 0"}
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         begins = self.context.steps - round(self.last_s / self.context.interval_s)

@@ -13,19 +13,11 @@ from .base import FloatArray, Spoofer, SpooferContext
 
 AMPLITUDE = "amplitude"
 """Key of a spoofer's spec that is no setting of its class: the factor on its commands."""
-SMALLEST, LARGEST = 1e-3, 10.0
-"""Range of a search for an amplitude."""
-TAKEN_OVER = (
-    *("knowledge", "action_terms", "decision_interval_s", "between"),
-    *("label", "designed_on", "transmits"),
-)
-"""What a scaled spoofer shares with the one inside."""
-OWN = ("own_displacement", "own_rate")
-"""First words of what a spoofer observes of its own commands."""
+SMALLEST, LARGEST = 1e-3, 10.0  # range of a search for an amplitude
+OWN = ("own_displacement", "own_rate")  # first words of what a spoofer observes of its own commands
 
 
 def own_columns(names: tuple[str, ...]) -> list[int]:
-    """Elements of an observation that are the spoofer's own commands so far."""
     return [k for k, name in enumerate(names) if name.startswith(OWN)]
 
 
@@ -57,7 +49,8 @@ class Scaled(Spoofer):
             raise TypeError(f"`spoofer` must be a Spoofer that is not scaled, got {spoofer!r}")
         check_finite(AMPLITUDE, amplitude, "> 0")
         self.spoofer, self.amplitude = spoofer, float(amplitude)
-        for name in TAKEN_OVER:
+        shared = "knowledge action_terms decision_interval_s between label designed_on transmits"
+        for name in shared.split():
             setattr(self, name, getattr(spoofer, name))
         if hasattr(spoofer, "card"):
             self.card = spoofer.card

@@ -7,8 +7,7 @@ from spoofgym import duel_v0
 from spoofgym.detectors.pool import NATURE, OPPONENT, checked_weights, drawn, uniforms
 from spoofgym.duel.duel import with_world
 from spoofgym.envs import SpoofEnv
-from spoofgym.envs.scoring import DisplacementScore, FusedStep
-from spoofgym.envs.step_result import StepResult
+from spoofgym.envs.scoring import DisplacementScore, FusedStep, StepResult
 
 from .support import ALARM, BRIEF, QUIET, aec, parallel
 

@@ -122,7 +122,7 @@ def test_a_receiver_that_starts_again_leaves_the_others_alone(kind):
             if restarted and k == 6:
                 core.reset([np.random.default_rng(7)], np.array([1]))
             seen.append(core.step(action)[0].info["displacement_m"])
-        return np.array(seen), core.step_count, core.observe()
+        return np.array(seen), core.score.step_count, core.observe()
 
     plain, mixed = played(False), played(True)
     np.testing.assert_array_equal(plain[0][:, [0, 2]], mixed[0][:, [0, 2]])

@@ -32,7 +32,7 @@ def test_a_decision_that_is_held_is_the_same_command_at_every_epoch():
         np.testing.assert_array_equal(seen, parts[-1][0])
         assert over == parts[-1][2]
         assert info["cost"] == max(part[4]["cost"] for part in parts)
-    assert slow.core.step_count[0] == 40
+    assert slow.core.score.step_count[0] == 40
 
 
 def test_between_decisions_the_command_moves_along_a_line():
@@ -184,8 +184,8 @@ def test_an_episode_that_ends_within_a_decision_is_told_as_it_stood_at_its_end(t
         exact, expected = last_step(quick, seed)
         for env in (slow, quick) if twin else ():  # both have run the time to alert
             assert env.core.engine.twin.epochs[0] == env.core.engine.simulator.epochs[0]
-        count = slow.core.step_count[0]
-        assert count == quick.core.step_count[0]
+        count = slow.core.score.step_count[0]
+        assert count == quick.core.score.step_count[0]
         assert count % 10
         np.testing.assert_array_equal(seen, exact)
         for name in (name for name in expected if not name.startswith("reward")):
@@ -313,4 +313,4 @@ def test_a_number_of_commands_is_one_of_decisions():
     env.reset(seed=0)
     ends = [env.step(np.zeros(2))[3] for _ in range(3)]
     assert ends == [False, False, True]
-    assert env.core.step_count[0] == 30
+    assert env.core.score.step_count[0] == 30

@@ -11,7 +11,7 @@ import pytest
 
 from spoofgym.detectors import Detector, Verdict
 from spoofgym.envs import wrappers
-from spoofgym.envs.recorder import EpochRecorder
+from spoofgym.envs.wrappers import EpochRecorder
 from spoofgym.envs.wrappers import vector as vector_wrappers
 
 from .support import ID, LIVE, SHORT, AlarmAt, single, vector

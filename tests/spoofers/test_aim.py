@@ -11,7 +11,7 @@ import pytest
 from spoofgym import duel_v0
 from spoofgym.envs import attach
 from spoofgym.spoofers import SpooferContext, make_spoofer
-from spoofgym.spoofers.aim import TARGET_NAMES
+from spoofgym.spoofers.base import TARGET_NAMES
 from spoofgym.testing import check_spoofer
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 30.0, "time_to_alert_s": 2.0}

@@ -1,8 +1,7 @@
 """Pictures of a running episode; physics knows nothing of them."""
 
 from .animation import save_animation
-from .figure import Painter
 from .history import CoreRecorder, RenderHistory
-from .screen import RENDER_MODES, Screen
+from .screen import RENDER_MODES, Painter, Screen
 
 __all__ = ["RENDER_MODES", "CoreRecorder", "Painter", "RenderHistory", "Screen", "save_animation"]

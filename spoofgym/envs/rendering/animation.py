@@ -34,13 +34,6 @@ def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0)
     -------
     Path
         The file.
-
-    Raises
-    ------
-    ValueError
-        When the ending or `fps` is not valid, or there is no frame.
-    ImportError
-        When the library that writes the format is not installed.
     """
     path = Path(path)
     write = animation_writer(path, fps)
@@ -78,7 +71,6 @@ def _write_gif(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps:
 
 
 def ffmpeg_program() -> str:
-    """FFmpeg of this machine, or that of the package ``imageio-ffmpeg``."""
     if (found := shutil.which("ffmpeg")) is not None:
         return found
     try:
@@ -91,7 +83,6 @@ def ffmpeg_program() -> str:
 
 
 def _write_mp4(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps: float) -> None:
-    """Pipe frames into FFmpeg, which makes H.264 with even width and height of them."""
     height, width = shape
     given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}"]
     wanted = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2", "-c:v", "libx264", "-preset", "veryfast"]

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...simulation.frame import EpisodeLayout, FrameData, SkyData
+from ...simulation.frame import EpisodeLayout, FloatArray, FrameData, SkyData
 from ...simulation.simulator import Simulator, run_serially
 from ..core import SpoofCore
 
-FloatArray = NDArray[np.float64]
 NUMBERS = ("time_s", "counted_s", "ratio", "twin_ratio", "induced_m", "error_m", "undetected_m")
 """Time since the onset, and that of the last command; statistic over threshold; errors from the
 clean twin and from the truth; the undetected displacement."""
@@ -20,7 +19,7 @@ PAIRS = ("position_ne", "error_ne", "twin_error_ne", "displacement_ne")
 
 
 class RenderHistory:
-    """An episode from its onset to now; K instants of it.
+    """An episode from its onset to now; `count` K instants of it.
 
     Parameters
     ----------
@@ -28,13 +27,6 @@ class RenderHistory:
         What does not change in it.
     decision_s : float
         Time between two instants, but for the last one, which comes after the time to alert.
-
-    Attributes
-    ----------
-    count : int
-        Instants so far, K.
-    sky : SkyData or None
-        The present one.
     """
 
     def __init__(self, layout: EpisodeLayout, decision_s: float) -> None:
@@ -79,9 +71,6 @@ class RenderHistory:
         return int(self.alarm.argmax()) if self.alarm.any() else None
 
 
-FIRST = np.zeros(1, dtype=np.intp)
-
-
 class CoreRecorder:
     """Looks at the first receiver of a core of the spoofer's side, and at its clean twin.
 
@@ -107,7 +96,8 @@ class CoreRecorder:
         simulator = self._core.engine.simulator
         if self._twin is None:
             self._twin = self._core.setup.simulator(1, run_serially)
-        self._twin.copy_rows(FIRST, simulator, FIRST)
+        first = np.zeros(1, dtype=np.intp)
+        self._twin.copy_rows(first, simulator, first)
         return simulator.layout()
 
     def frames(self) -> tuple[FrameData, FrameData]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,36 +23,17 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from matplotlib.text import Text
 
-SMALL = 8.5
-"""Size of the type of labels."""
-LEAST_M = 2.0
-"""Smallest range of errors that is shown."""
-NAME_DRIFT = 0.02
-"""How far a satellite goes on a sky plot of radius 1 before its name follows."""
-NAME_SIZE = (0.2, 0.1)
-"""Width and height of a satellite's name on such a plot."""
-Box = tuple[float, float, float, float]
-"""Left, bottom, width and height."""
-MAGNIFIED = 0.2
-"""Largest error on the map, as a part of the map."""
-MOST_LINEAR = 5.0
-"""Ratio of statistic and threshold from which on the axis is logarithmic."""
+SMALL = 8.5  # size of the type of labels
+LEAST_M = 2.0  # smallest range of errors that is shown
+NAME_DRIFT = 0.02  # how far a satellite goes on a sky plot of radius 1 before its name follows
+NAME_SIZE = (0.2, 0.1)  # width and height of a satellite's name on such a plot
+Box = tuple[float, float, float, float]  # left, bottom, width and height
+MAGNIFIED = 0.2  # largest error on the map, as a part of the map
+MOST_LINEAR = 5.0  # ratio of statistic and threshold from which on the axis is logarithmic
 
 
 STEPS = (1.0, 2.0, 5.0, 10.0)
 """Round numbers, times powers of ten; axes that end there seldom change, and are seldom drawn."""
-
-
-class Panel(Protocol):
-    """One panel."""
-
-    artists: list[Artist]
-
-    def fit(self, history: RenderHistory) -> bool:
-        """Make room for the history; whether that changed what stays."""
-
-    def follow(self, history: RenderHistory) -> None:
-        """Let what moves follow the history."""
 
 
 def moving_line(ax: Axes, look: str, **settings: Any) -> Line2D:
@@ -68,7 +49,6 @@ class Way:
         self.end = moving_line(ax, "o", color=color, ms=5.5, mec="white", mew=0.8)
 
     def follow(self, way_ne: FloatArray) -> None:
-        """Draw a way (K, 2), north and east."""
         north, east = way_ne.T
         self.line.set_data(east, north)
         self.end.set_data(east[-1:], north[-1:])
@@ -237,7 +217,6 @@ class SkyPlot:
         head(ax, "Satellites", 3)
 
     def fit(self, history: RenderHistory) -> bool:
-        """Write the names again where satellites have moved, risen or set."""
         sky = history.sky
         if sky is None:
             return False
@@ -322,6 +301,23 @@ class TimePanel:
         self._first = moving_line(ax, "-", color=RED, lw=1.1)
         self._first.set_transform(ax.get_xaxis_transform())
         self.artists: list[Artist] = [self._first]
+        self._top = 0.0
+
+    def _needed(self, history: RenderHistory) -> float:
+        """Where the axis has to end."""
+        raise NotImplementedError
+
+    def fit(self, history: RenderHistory) -> bool:
+        """Raise the axis where something has grown."""
+        top = self._needed(history)
+        if top <= self._top:
+            return False
+        self._top = self._raised(top)
+        self._ax.set_ylim(0.0, self._top)
+        return True
+
+    def _raised(self, top: float) -> float:
+        return top
 
     def follow(self, history: RenderHistory) -> None:
         first = history.first_alarm
@@ -340,21 +336,18 @@ class StatisticPanel(TimePanel):
         self._attacked = moving_line(ax, "-", color=ORANGE, lw=1.6, label="attacked")
         self._alarms = moving_line(ax, "o", color=RED, ms=3.5, ls="none", label="alarm")
         self.artists += [self._twin, self._attacked, self._alarms]
-        self._top = 0.0
         head(ax, "Statistic over threshold")
 
-    def fit(self, history: RenderHistory) -> bool:
+    def _needed(self, history: RenderHistory) -> float:
         largest = max(_largest(history.number(name)) for name in ("ratio", "twin_ratio"))
-        top = 2.0 if largest < 1.8 else round_up(1.15 * largest)
-        if top <= self._top:
-            return False
-        self._top = top
-        if top > MOST_LINEAR:
-            self._ax.set_yscale("symlog", linthresh=1.0)
-            self._ax.yaxis.set_major_formatter("{x:g}")
-            self._top = top = 10.0 ** np.ceil(np.log10(top))
-        self._ax.set_ylim(0.0, top)
-        return True
+        return 2.0 if largest < 1.8 else round_up(1.15 * largest)
+
+    def _raised(self, top: float) -> float:
+        if top <= MOST_LINEAR:
+            return top
+        self._ax.set_yscale("symlog", linthresh=1.0)
+        self._ax.yaxis.set_major_formatter("{x:g}")
+        return float(10.0 ** np.ceil(np.log10(top)))
 
     def follow(self, history: RenderHistory) -> None:
         super().follow(history)
@@ -379,19 +372,13 @@ class ErrorPanel(TimePanel):
             self._commanded = moving_line(ax, "--", color=GREEN, lw=1.3, label="commanded")
             self.artists.append(self._commanded)
         self.artists += [line for _, line in self._lines]
-        self._top = 0.0
         head(ax, "Displacement of the victim [m]")
 
-    def fit(self, history: RenderHistory) -> bool:
+    def _needed(self, history: RenderHistory) -> float:
         sizes = [history.number(name) for name, _ in self._lines]
         if self._commanded is not None:
             sizes.append(_size(history.pair("displacement_ne")))
-        top = round_up(max(1.08 * max(map(_largest, sizes)), LEAST_M))
-        if top <= self._top:
-            return False
-        self._top = top
-        self._ax.set_ylim(0.0, top)
-        return True
+        return round_up(max(1.08 * max(map(_largest, sizes)), LEAST_M))
 
     def follow(self, history: RenderHistory) -> None:
         super().follow(history)
@@ -412,3 +399,6 @@ def _size(pair: FloatArray) -> FloatArray:
 def _largest(values: FloatArray) -> float:
     finite = values[np.isfinite(values)]
     return float(finite.max()) if len(finite) else 0.0
+
+
+Panel = FlightMap | ErrorPlane | SkyPlot | StatisticPanel | ErrorPanel

@@ -1,17 +1,149 @@
-"""What an environment with a render mode keeps: the history, and a window where it is shown."""
+"""The picture of an episode as an array of pixels, and the window where it is shown.
+
+What stays is drawn once and kept; a frame copies it, and draws upon it what moves.  Numbers change
+with every frame, and matplotlib lays out a text in milliseconds: their characters are drawn once,
+and put into the frames as tiles.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.plots import figure_class
+from ...core.plots import RED, figure_class
 from ...core.registry import check_choice
-from .figure import DPI, SIZE_IN, Painter
+from ...simulation.frame import EpisodeLayout
 from .history import CoreRecorder, RenderHistory
+from .panels import ErrorPanel, ErrorPlane, FlightMap, Panel, SkyPlot, StatisticPanel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SIZE_IN = (11.2, 7.0)
+DPI = 100
+NUMBERS = (
+    ("time_s", "time [s]", "{:.1f}"),
+    ("induced_m", "induced error [m]", "{:.2f}"),
+    ("undetected_m", "undetected displacement [m]", "{:.2f}"),
+    ("ratio", "statistic / threshold", "{:.3g}"),
+)
+"""Numbers of a history: name, text, format."""
+CHARACTERS = "0123456789.-+einfa "
+SIZE_PT = 10.0
+LEFT, BELOW_TOP = 0.015, 0.912  # where the numbers start, as parts of the picture
+WIDTH = 8  # characters that each of them may have
+
+
+class Tiles:
+    """Pictures of single characters.  `width`, `height`: of a tile [pixels]."""
+
+    def __init__(self, dpi: float) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        em = SIZE_PT * dpi / 72.0
+        self.width, self.height = math.ceil(0.602 * em), math.ceil(1.2 * em)
+        count = len(CHARACTERS)
+        figure = figure_class()(figsize=(count * self.width / dpi, self.height / dpi), dpi=dpi)
+        canvas: Any = FigureCanvasAgg(figure)
+        for k, letter in enumerate(CHARACTERS):
+            figure.text(
+                k / count, 0.25, letter, fontsize=SIZE_PT, family="monospace", fontweight="bold"
+            )
+        canvas.draw()
+        strip = np.asarray(canvas.buffer_rgba())[..., :3]
+        self._tiles = dict(zip(CHARACTERS, np.split(strip, count, axis=1), strict=True))
+
+    def write(self, frame: NDArray[np.uint8], x: int, y: int, text: str) -> None:
+        """Put a text into a frame, (H, W, 3); `x`, `y`: its left upper corner [pixels]."""
+        row = np.concatenate([self._tiles[letter] for letter in text], axis=1)
+        frame[y : y + row.shape[0], x : x + row.shape[1]] = row
+
+
+class Headline:
+    """Title, present numbers, and whether the detector has alarmed, on a figure with a canvas."""
+
+    def __init__(self, figure: Figure, layout: EpisodeLayout) -> None:
+        figure.text(LEFT, 0.975, layout.title, fontsize=13, fontweight="bold", va="top")
+        self._alarm = figure.text(
+            0.985, 0.975, "", fontsize=11, fontweight="bold", color=RED, ha="right", va="top"
+        )
+        self._tiles = Tiles(figure.dpi)
+        self._corners = []
+        x, height, width = LEFT, figure.bbox.height, figure.bbox.width
+        for _, text, _ in NUMBERS:
+            label = figure.text(x, BELOW_TOP, text, fontsize=SIZE_PT, va="baseline")
+            box = label.get_window_extent()
+            base = round(height * (1.0 - BELOW_TOP))
+            corner = math.ceil(box.x1), base - round(0.75 * self._tiles.height)
+            self._corners.append(corner)
+            x = (corner[0] + (WIDTH + 3) * self._tiles.width) / width
+
+    def fit(self, history: RenderHistory) -> bool:
+        first = history.first_alarm
+        if first is None or self._alarm.get_text():
+            return False
+        self._alarm.set_text(f"ALARM at {history.number('time_s')[first]:g} s")
+        return True
+
+    def write(self, history: RenderHistory, frame: NDArray[np.uint8]) -> None:
+        for (x, y), (name, _, form) in zip(self._corners, NUMBERS, strict=True):
+            number = form.format(history.number(name)[-1]).rjust(WIDTH)
+            self._tiles.write(frame, x, y, number)
+
+
+class Painter:
+    """Draws the frames of one episode.
+
+    Parameters
+    ----------
+    layout : EpisodeLayout
+        What stays the same in it.
+    """
+
+    def __init__(self, layout: EpisodeLayout) -> None:
+        figure = figure_class()(figsize=SIZE_IN, dpi=DPI)
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        self._canvas: Any = FigureCanvasAgg(figure)
+        self._figure = figure
+        grid = figure.add_gridspec(
+            2, 6, left=0.066, right=0.985, bottom=0.065, top=0.832, hspace=0.42, wspace=0.9
+        )
+        half = 2 if layout.has_sky else 3
+        self._panels: list[Panel] = [
+            FlightMap(figure.add_subplot(grid[0, :half]), layout),
+            ErrorPlane(figure.add_subplot(grid[0, half : 2 * half]), layout),
+            StatisticPanel(figure.add_subplot(grid[1, :3]), layout),
+            ErrorPanel(figure.add_subplot(grid[1, 3:]), layout),
+        ]
+        if layout.has_sky:
+            self._panels.append(SkyPlot(figure.add_subplot(grid[0, 4:])))
+        self._headline = Headline(figure, layout)
+        self._kept: Any = None
+
+    def paint(self, history: RenderHistory) -> NDArray[np.uint8]:
+        """Draw the episode so far, with at least one instant: (H, W, 3) uint8, a new array."""
+        changed = [panel.fit(history) for panel in self._panels]
+        changed.append(self._headline.fit(history))
+        if self._kept is None or any(changed):
+            self._canvas.draw()
+            self._kept = self._canvas.copy_from_bbox(self._figure.bbox)
+        self._canvas.restore_region(self._kept)
+        for panel in self._panels:
+            panel.follow(history)
+            for artist in panel.artists:
+                self._figure.draw_artist(artist)
+        pixels = np.asarray(self._canvas.buffer_rgba())
+        frame = np.empty((*pixels.shape[:2], 3), dtype=np.uint8)
+        for colour in range(3):  # ten times as fast as a copy of pixels[..., :3]
+            frame[..., colour] = pixels[..., colour]
+        self._headline.write(history, frame)
+        return frame
+
 
 RENDER_MODES = ("human", "rgb_array")
 

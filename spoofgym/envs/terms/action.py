@@ -9,16 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.registry import check_finite
-from ...simulation.setup import Setup
+from ...simulation.setup import FloatArray, Setup
 from .._kernels import follow_rate
-
-FloatArray = NDArray[np.float64]
 
 
 class ActionTerm(Protocol):
@@ -31,8 +29,13 @@ class ActionTerm(Protocol):
         """(B, a, k): the command is its product with the k elements; (B,) headings in radians."""
 
 
+def command_axes(setup: Setup) -> list[str]:
+    """Axes or satellites that the attack commands, (a,): its names without their unit."""
+    return [name.rsplit("_", 1)[0] for name in setup.action_names]
+
+
 def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:
-    stems = [name.rsplit("_", 1)[0] for name in setup.action_names]
+    stems = command_axes(setup)
     for stem in wanted:
         if stem not in stems:
             raise ValueError(
@@ -215,18 +218,13 @@ ACTION_TERMS: dict[str, type[ActionTerm]] = {
     "channels": Channels,
     "common-offset": CommonOffset,
 }
-"""Terms by name; one's own may be added."""
 
 
 def default_action(setup: Setup) -> tuple[ActionTerm, ...]:
-    """Action of an environment that is given none.
-
-    A victim with `Setup.follows_setpoint` takes the rate set-point where north and east are
-    commanded: along the target direction, in two dimensions where that is ``"worst"``.  Everything
-    else takes every element of the attack, as it is.
-    """
-    axes = {name.rsplit("_", 1)[0] for name in setup.action_names}
-    if not (setup.follows_setpoint and {"north", "east"} <= axes):
+    """Action of an environment that is given none: the rate set-point of a victim that follows one,
+    along the target direction or, where that is ``"worst"``, north and east; else what the attack
+    takes."""
+    if not (setup.follows_setpoint and {"north", "east"} <= {*command_axes(setup)}):
         return (FullCommand(),)
     return (RateSetpoint(2 if setup.target_heading_deg == "worst" else 1),)
 
@@ -234,10 +232,8 @@ def default_action(setup: Setup) -> tuple[ActionTerm, ...]:
 class CommandMap:
     """Commands of a list of terms, in the order of the action: `names` (k,) of its elements.
 
-    - `terms`: the list;
-    - `is_plain`: whether an action is the command;
-    - `along_target`: whether all that can be commanded is along the target direction;
-    - `setpoint_mps`: rate that an action of 1 asks for; None without a set-point.
+    `is_plain`: an action is the command; `along_target`: all of it is along the target direction;
+    `setpoint_mps`: rate that an action of 1 asks for, None without a set-point.
     """
 
     def __init__(self, terms: Sequence[ActionTerm], setup: Setup) -> None:
@@ -273,11 +269,8 @@ class CommandMap:
             self._out = np.empty(self._matrix.shape[:2])
 
     def command(self, action: FloatArray, rate: FloatArray) -> FloatArray:
-        """Command (B, a), C-contiguous, of an action (B, k) in [-1, 1]; the attack limits it.
-
-        `rate` (B, a) is what has been commanded so far [m/s].  The array is overwritten by the next
-        call.
-        """
+        """Command (B, a), C-contiguous, of an action (B, k), and the rate (B, a) so far [m/s]; the
+        attack limits it. The array is overwritten by the next call."""
         if self.is_plain:
             return action
         follow_rate(action, self._matrix, self._rules, rate, self._out)
@@ -297,3 +290,31 @@ def _following(setup: Setup, setpoint_mps: float) -> FloatArray:
         return np.array([setpoint_mps / limit, 0.0, 1.0])
     most = attack.acceleration_limit_mps2 * setup.interval_s
     return np.array([setpoint_mps / most, 1.0 / most, 1.0])
+
+
+class Decisions:
+    """The last two decisions (B, k) of B receivers; the setup says how often one is due."""
+
+    def __init__(self, setup: Setup, receivers: int, size: int) -> None:
+        self.setup = setup
+        self._before, self._last = np.zeros((receivers, size)), np.zeros((receivers, size))
+
+    def due(self, epoch: Any) -> Any:
+        return epoch % self.setup.repeat == 0
+
+    def take(self, action: FloatArray, rows: Any = slice(None)) -> None:
+        self._before[rows] = self._last[rows]
+        self._last[rows] = action[rows]
+
+    def action(self, epoch: int | NDArray[np.int64]) -> FloatArray:
+        """Action (B, k) of an epoch, one or (B,) of them."""
+        since = np.asarray(epoch)[..., None] % self.setup.repeat
+        return self.setup.command(self._before, self._last, since)
+
+    def forget(self, rows: Any) -> None:
+        self._before[rows] = self._last[rows] = 0.0
+
+    def of(self, rows: NDArray[np.intp]) -> Decisions:
+        part = Decisions(self.setup, len(rows), self._last.shape[1])
+        part._before, part._last = self._before[rows], self._last[rows]
+        return part

@@ -9,8 +9,6 @@ Every value is divided by a stated scale and clipped to finite bounds.
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
@@ -20,30 +18,39 @@ from numpy.typing import NDArray
 from ...core.registry import check_choice, check_finite
 from ...simulation.divergence import Divergence
 from ...simulation.monitors import KEPT, PastPositions, reports
-from ...simulation.setup import Setup
+from ...simulation.setup import FloatArray, Setup
+from ...simulation.simulator import Simulator
 from .._kernels import own_command, time_fractions
-from .base import Snapshot
+from .action import command_axes
 
-FloatArray = NDArray[np.float64]
-Units = tuple[tuple[str, float], ...]
-"""Unit of every element, and how much of it is observed as 1."""
 LEVELS = ("blind", "tracking", "oracle")
 REPORTED = "reported"
 KNOWLEDGE = (*LEVELS, *(f"{level}+{REPORTED}" for level in LEVELS))
-"""What a spoofer may know at run time."""
+
+
+class Snapshot(NamedTuple):
+    """The episodes after a step, `step` (B,) epochs after the attack started, with all truth: terms
+    choose what an agent may see.  `twin`: clean twins, if any."""
+
+    setup: Setup
+    simulator: Simulator
+    step: NDArray[np.int64]
+    twin: Simulator | None = None
+
+
+def holds_for_call(term: object, name: str) -> bool:
+    """Whether an attribute, which kernels use in place of `__call__`, is of the same class as it: a
+    subclass with another `__call__` inherits the attribute, which is not true of it any more."""
+    first = next((cls for cls in type(term).__mro__ if {name, "__call__"} & vars(cls).keys()), None)
+    return first is not None and {name, "__call__"} <= vars(first).keys()
 
 
 class ObservationTerm(Protocol):
     """One part of the observation: a `DynamicTerm`, or one with a `table`.
 
     ``table(setup)`` gives the (K, k) values at every epoch of the run, or None where they depend on
-    more than the epoch.
-
-    Attributes
-    ----------
-    knowledge : str
-        Least level of knowledge that it takes, and whether it takes ``reported``: one of
-        `KNOWLEDGE`, or ``"reported"`` at any level.
+    more than the epoch.  `knowledge` is the least level of knowledge that it takes, and whether it
+    takes ``reported``: one of `KNOWLEDGE`, or ``"reported"`` at any level.
     """
 
     knowledge: ClassVar[str]
@@ -54,15 +61,10 @@ class ObservationTerm(Protocol):
     def bounds(self, setup: Setup) -> tuple[float, float]:
         """Least and largest value of all elements, finite; the setup is not simulated yet."""
 
-    # optional: ``units(setup)`` gives the `Units` for tables
-
 
 class DynamicTerm(ObservationTerm, Protocol):
-    """A term that depends on what has happened.
-
-    One of the commanded displacement and rate, each times a factor, may have ``factors(setup)``:
-    a float [1/m], and (a,) [s/m] for the rate of every axis.  A kernel then writes it.
-    """
+    """A term that depends on what has happened. One of the commanded displacement and rate may have
+    ``factors(setup)``, by which a kernel writes it."""
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the values into `out` (B, k); clipping follows."""
@@ -72,15 +74,10 @@ class _Term:
     """What the terms below share: fixed bounds, and settings that are scales above 0."""
 
     limits: ClassVar[tuple[float, float]] = (-10.0, 10.0)
-    unit: ClassVar[str] = "1"
     may_be_0: ClassVar[tuple[str, ...]] = ()
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         raise NotImplementedError
-
-    def units(self, setup: Setup) -> Units:
-        """Unit of every element, and how much of it is observed as 1."""
-        return ((self.unit, 1.0),) * len(self.names(setup))
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -113,7 +110,7 @@ class OwnCommand(_Term):
     limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        axes = self._axes(setup)
+        axes = command_axes(setup)
         if self.along_target:
             lacking = [axis for axis in ("north", "east") if axis not in axes]
             if lacking:
@@ -124,29 +121,17 @@ class OwnCommand(_Term):
             axes = ["along_target"]
         return (*(f"own_displacement_{a}" for a in axes), *(f"own_rate_{a}" for a in axes))
 
-    def units(self, setup: Setup) -> Units:
-        count = len(self.names(setup)) // 2
-        return (("m", self.scale_m),) * count + (("m/s", self.rate_scale_mps),) * count
-
-    @staticmethod
-    def _axes(setup: Setup) -> list[str]:
-        return [name.rsplit("_", 1)[0] for name in setup.action_names]
-
     def factors(self, setup: Setup) -> tuple[float, FloatArray, int, int]:
-        """What kernels need that write both.
-
-        Factors on displacement and on the rate of every axis; columns north and east, where only
-        their parts along the target direction are observed, else -1.
-        """
-        axes = self._axes(setup)
+        """Factors on displacement and on the rate of every axis; columns north and east, where only
+        their parts along the target direction are observed, else -1."""
+        axes = command_axes(setup)
         columns = (axes.index("north"), axes.index("east")) if self.along_target else (-1, -1)
         return 1.0 / self.scale_m, np.full(len(axes), 1.0 / self.rate_scale_mps), *columns
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         _, _, displacement, rate, direction = snapshot.simulator.step_arrays()
         per_displacement, per_rate, north, east = self.factors(snapshot.setup)
-        columns = north, east
-        own_command(displacement, rate, direction, *columns, per_displacement, per_rate, out)
+        own_command(displacement, rate, direction, north, east, per_displacement, per_rate, out)
 
 
 @dataclass(frozen=True)
@@ -160,17 +145,12 @@ class Time(_Term):
     def names(self, setup: Setup) -> tuple[str, ...]:
         return ("time_since_onset", "time_left")
 
-    def units(self, setup: Setup) -> Units:
-        """Seconds, the window for 1."""
-        return (("s", setup.steps * setup.interval_s),) * 2
-
     def table(self, setup: Setup) -> NDArray[np.float32] | None:
         onsets = setup.onsets
         if onsets is None:
             return None
-        epochs = len(setup.epoch_time)
-        table = np.empty((epochs, 2), dtype=np.float32)
-        time_fractions(np.arange(epochs), onsets, setup.steps, table)
+        table = np.empty((len(setup.epoch_time), 2), dtype=np.float32)
+        time_fractions(np.arange(len(table)), onsets, setup.steps, table)
         return table
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
@@ -186,8 +166,29 @@ def _varying(setup: Setup, table: NDArray[Any], least: float) -> NDArray[np.intp
     return np.flatnonzero(np.ptp(windows.reshape(-1, table.shape[1]), axis=0) >= least)
 
 
+class _Tabled(_Term):
+    """Terms that leave out what changes by less than `least_change`, where windows are fixed."""
+
+    least_change: float
+    may_be_0: ClassVar[tuple[str, ...]] = ("least_change",)
+
+    def _whole(self, setup: Setup) -> tuple[tuple[str, ...], NDArray[Any] | None]:
+        """All names, and (K, k) their values at every epoch, where each belongs to one onset."""
+        raise NotImplementedError
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        names, table = self._whole(setup)
+        if table is None:
+            return names
+        return tuple(names[k] for k in _varying(setup, table, self.least_change))
+
+    def table(self, setup: Setup) -> NDArray[Any] | None:
+        _, table = self._whole(setup)
+        return None if table is None else table[:, _varying(setup, table, self.least_change)]
+
+
 @dataclass(frozen=True)
-class TargetMotion(_Term):
+class TargetMotion(_Tabled):
     """True position since the onset, and true velocity, in local axes at the onset.
 
     Parameters
@@ -204,26 +205,11 @@ class TargetMotion(_Term):
     velocity_scale_mps: float = 100.0
     least_change: float = 0.05
     knowledge: ClassVar[str] = "tracking"
-    may_be_0: ClassVar[tuple[str, ...]] = ("least_change",)
 
-    def names(self, setup: Setup) -> tuple[str, ...]:
+    def _whole(self, setup: Setup) -> tuple[tuple[str, ...], NDArray[Any] | None]:
+        scales = 1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps
         names = tuple(f"target_{name}" for name in setup.motion_names)
-        table = self._table(setup)
-        if table is None:
-            return names
-        return tuple(names[k] for k in _varying(setup, table, self.least_change))
-
-    def units(self, setup: Setup) -> Units:
-        scales = {"position": ("m", self.position_scale_m)}
-        velocity = "m/s", self.velocity_scale_mps
-        return tuple(scales.get(name.split("_")[1], velocity) for name in self.names(setup))
-
-    def _table(self, setup: Setup) -> NDArray[np.float32] | None:
-        return setup.motion_table(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps)
-
-    def table(self, setup: Setup) -> NDArray[np.float32] | None:
-        table = self._table(setup)
-        return None if table is None else table[:, _varying(setup, table, self.least_change)]
+        return names, setup.motion_table(*scales)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         snapshot.simulator.motion(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps, out)
@@ -246,7 +232,7 @@ class TargetDirection(_Term):
 
 
 @dataclass(frozen=True)
-class SatelliteGeometry(_Term):
+class SatelliteGeometry(_Tabled):
     """Line of sight to every slot in local axes, then whether it is visible, or spoofed.
 
     Parameters
@@ -260,20 +246,11 @@ class SatelliteGeometry(_Term):
     least_change: float = 0.05
     knowledge: ClassVar[str] = "tracking"
     limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
-    may_be_0: ClassVar[tuple[str, ...]] = ("least_change",)
 
-    def names(self, setup: Setup) -> tuple[str, ...]:
+    def _whole(self, setup: Setup) -> tuple[tuple[str, ...], NDArray[Any] | None]:
         if not setup.geometry_names:
             raise ValueError(f"{setup.whose} has no satellites to observe")
-        table = setup.geometry_table()
-        if table is None:
-            return setup.geometry_names
-        return tuple(setup.geometry_names[k] for k in _varying(setup, table, self.least_change))
-
-    def table(self, setup: Setup) -> FloatArray | None:
-        """Unit vectors, 0 where not visible, then 1 or 0."""
-        table = setup.geometry_table()
-        return None if table is None else table[:, _varying(setup, table, self.least_change)]
+        return setup.geometry_names, setup.geometry_table()
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         snapshot.simulator.geometry(out)
@@ -343,9 +320,6 @@ class EstimateError(_Term):
     def names(self, setup: Setup) -> tuple[str, ...]:
         return tuple(f"error_{name}" for name in setup.error_names)
 
-    def units(self, setup: Setup) -> Units:
-        return (("m", self.scale_m),) * len(setup.error_names)
-
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         out[:] = snapshot.simulator.error_n() * (1.0 / self.scale_m)
 
@@ -368,9 +342,6 @@ class DivergenceSpent(_Term):
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         return ("divergence_spent",)
-
-    def units(self, setup: Setup) -> Units:
-        return (("nat", self.budget_nats),)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         spent = snapshot.simulator.monitor(Divergence).memory["divergence"]
@@ -415,9 +386,6 @@ class ReportedPosition(_Term):
                 f"{self.interval_s:g} and {self.latency_s:g}"
             )
         return (*(f"reported_{self.word}_{axis}" for axis in ("north", "east")), "report_age")
-
-    def units(self, setup: Setup) -> Units:
-        return ("m", self.scale_m), ("m", self.scale_m), ("s", 1.0)
 
     def _epochs(self, setup: Setup) -> tuple[int, float]:
         interval = setup.interval_s
@@ -478,7 +446,6 @@ OBSERVATION_TERMS: dict[str, type[ObservationTerm]] = {
     "reported-position": ReportedPosition,
     "reported-deviation": ReportedDeviation,
 }
-"""Terms by name; one's own may be added."""
 
 
 def default_terms(
@@ -486,17 +453,14 @@ def default_terms(
 ) -> tuple[ObservationTerm, ...]:
     """Terms that a level of knowledge allows, with the scales of the victim.
 
-    The target direction is among them where it differs from episode to episode.
-
     Parameters
     ----------
     setup : Setup
-        Of any victim.
+        Of any victim; the target direction is observed where it differs between episodes.
     knowledge : str
         One of `KNOWLEDGE`: the level, and ``+reported`` for what the victim broadcasts.
     along_target : bool
-        Whether all commands are along the target direction, so that there is nothing else of the
-        own ones to observe.
+        Whether all commands are along the target direction, so that only that of them is observed.
 
     Returns
     -------
@@ -520,63 +484,6 @@ def default_terms(
     ]
     known = [term for term in terms if LEVELS.index(term.knowledge) <= level]
     return (*known, report) if reported else tuple(known)
-
-
-class ObservationRow(NamedTuple):
-    """One line of a table of observations: elements `first` to `last`, which are alike.
-
-    `scale` of the unit is observed as 1; the slots of satellites are written as ``slotJJ``.
-    """
-
-    first: int
-    last: int
-    name: str
-    unit: str
-    scale: float
-    knowledge: str
-
-
-def observation_table(terms: Sequence[ObservationTerm], setup: Setup) -> list[ObservationRow]:
-    """Index, name, unit and scale of all elements that terms observe, those of slots together.
-
-    Parameters
-    ----------
-    terms : sequence of ObservationTerm
-        In the order of the observation.
-    setup : Setup
-        Of any victim.
-
-    Returns
-    -------
-    list of ObservationRow
-        In the order of the observation.
-    """
-    rows: list[ObservationRow] = []
-    start = 0
-    for term in terms:
-        names = term.names(setup)
-        units = term.units(setup) if hasattr(term, "units") else (("?", math.nan),) * len(names)
-        groups: dict[tuple[str, float], list[tuple[int, str]]] = {}
-        for index, (name, unit) in enumerate(zip(names, units, strict=True), start):
-            word = re.sub(r"slot\d+", "slotJJ", name)
-            if word == name:
-                rows.append(ObservationRow(index, index, name, unit[0], unit[1], term.knowledge))
-            else:
-                groups.setdefault(unit, []).append((index, word))
-        for unit, members in groups.items():
-            for words in _runs(members):
-                label = ", ".join(dict.fromkeys(word for _, word in words))
-                first, last = words[0][0], words[-1][0]
-                rows.append(ObservationRow(first, last, label, unit[0], unit[1], term.knowledge))
-        start += len(names)
-    return rows
-
-
-def _runs(members: Sequence[tuple[int, str]]) -> list[list[tuple[int, str]]]:
-    runs: dict[str, list[tuple[int, str]]] = {}
-    for index, word in members:
-        runs.setdefault(word.split("_")[0], []).append((index, word))
-    return list(runs.values())
 
 
 def split_knowledge(knowledge: str) -> tuple[int, bool]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.registry import check_finite
-from .base import holds_for_call
+from .observation import holds_for_call
 
 FloatArray = NDArray[np.float64]
 
@@ -18,24 +18,13 @@ FloatArray = NDArray[np.float64]
 class Outcome(NamedTuple):
     """What an epoch has brought; the reward of a decision over several is the sum of theirs.
 
-    Attributes
-    ----------
-    gain : ndarray
-        (B,) increase of the displacement that would count if no alarm followed [m], >= 0.
-    retraction : ndarray
-        (B,) what an alarm takes back of it [m], <= 0.
-    detected : ndarray
-        (B,) bool, whether it brought the first alarm.
-    excess : ndarray
-        (B,) bool, the same, unless a clean twin has alarmed by then.
-    alarm : ndarray
-        (B,) bool, whether there is an alarm now.
-    action : ndarray
-        (B, k) as the spoofer gave it, in [-1, 1].
-    undetected : ndarray
-        (B,) undetected displacement of the episode so far [m].
-    over : ndarray
-        (B,) bool, whether the episode has come to its end.
+    - `gain` (B,) increase of the displacement that would count if no alarm followed [m], >= 0;
+    - `retraction` (B,) what an alarm takes back of it [m], <= 0;
+    - `detected` (B,) bool, whether it brought the first alarm; `excess`, the same, unless a clean
+      twin has alarmed by then; `alarm`, whether there is one now;
+    - `action` (B, k) as the spoofer gave it, in [-1, 1];
+    - `undetected` (B,) undetected displacement of the episode so far [m];
+    - `over` (B,) bool, whether the episode has come to its end.
     """
 
     gain: FloatArray
@@ -48,19 +37,12 @@ class Outcome(NamedTuple):
     over: NDArray[np.bool_]
 
 
-Share = tuple[str, float]
 SHARED = ("gain", "retraction", "excess", "alarm")
 """Fields of `Outcome` of which a term can be a share."""
 
 
 class RewardTerm(Protocol):
-    """One part of the reward.
-
-    Attributes
-    ----------
-    name : str
-        The part is ``info["reward_<name>"]``.
-    """
+    """One part of the reward, ``info["reward_<name>"]``."""
 
     name: ClassVar[str]
 
@@ -69,10 +51,8 @@ class RewardTerm(Protocol):
 
 
 class _Shared:
-    """A term that is a factor, its first setting, times one field of the outcome.
-
-    Where all terms are such shares, the reward is computed in kernels, to the same bits.
-    """
+    """A term that is a factor, its first setting, times one field of the outcome.  Where all terms
+    are, kernels compute the reward, to the same bits."""
 
     field: ClassVar[str]
     sign: ClassVar[float] = 1.0
@@ -82,7 +62,7 @@ class _Shared:
             check_finite(name, value, ">= 0" if self.sign < 0.0 else "")
 
     @property
-    def share(self) -> Share:
+    def share(self) -> tuple[str, float]:
         return self.field, self.sign * float(next(iter(vars(self).values())))
 
     def __call__(self, outcome: Outcome) -> FloatArray:
@@ -176,8 +156,7 @@ class EffortPenalty:
 
     def __call__(self, outcome: Outcome) -> FloatArray:
         action = outcome.action
-        result: FloatArray = -self.at_full_m * (action * action).mean(axis=1)
-        return result
+        return np.asarray(-self.at_full_m * (action * action).mean(axis=1))
 
 
 @dataclass(frozen=True)
@@ -209,7 +188,6 @@ REWARD_TERMS: dict[str, type[RewardTerm]] = {
     "effort-penalty": EffortPenalty,
     "terminal-displacement": TerminalDisplacement,
 }
-"""Terms by name; one's own may be added."""
 
 
 def default_rewards(alarm_penalty_m: float) -> tuple[RewardTerm, ...]:
@@ -225,11 +203,8 @@ def named_terms(terms: Sequence[RewardTerm]) -> list[tuple[str, RewardTerm]]:
 
 
 def shares_of(terms: Sequence[RewardTerm]) -> FloatArray | None:
-    """Terms as shares of what a step has brought, for compiled code.
-
-    Returns (r, 4) factor of every term on the fields of `SHARED`; None where a term has no share,
-    or one that its own `__call__` may belie.
-    """
+    """(r, 4) factor of every term on the fields of `SHARED`, for compiled code; None where a term
+    has no share, or one that its own `__call__` may belie."""
     shares = np.zeros((len(terms), len(SHARED)))
     for row, term in zip(shares, terms, strict=True):
         if not holds_for_call(term, "share"):

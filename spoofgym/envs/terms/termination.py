@@ -16,37 +16,21 @@ from numpy.typing import NDArray
 
 from ...core.registry import check_finite, whole_number
 from ...simulation.divergence import Divergence
-from .base import Snapshot
+from .observation import Snapshot
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
 class EpochState(NamedTuple):
-    """The episodes after the epoch of a command.
-
-    Attributes
-    ----------
-    snapshot : Snapshot
-        The game; its `step` counts this command.
-    displacement : ndarray
-        (B,) of the victim along the target direction [m].
-    """
+    """The episodes after the epoch of a command; `displacement` (B,) along the target [m]."""
 
     snapshot: Snapshot
     displacement: FloatArray
 
 
 class EndTerm(Protocol):
-    """One reason to end an episode.
-
-    Attributes
-    ----------
-    name : str
-        ``info["end_<name>"]`` says where it holds.
-    truncates : bool
-        Whether it is a limit from outside the game.
-    """
+    """One reason to end an episode, ``info["end_<name>"]``; `truncates`: from outside the game."""
 
     name: ClassVar[str]
     truncates: ClassVar[bool]
@@ -67,8 +51,7 @@ class AtAlarm:
         simulator = state.snapshot.simulator
         if simulator.verdict is None:
             return np.zeros(simulator.receivers, dtype=np.bool_)
-        alarm: Mask = np.logical_or.reduce(simulator.verdict.alarm, axis=1)
-        return alarm
+        return np.asarray(simulator.verdict.alarm.any(axis=1))
 
 
 @dataclass(frozen=True)
@@ -159,14 +142,10 @@ END_TERMS: dict[str, type[EndTerm]] = {
     "at-stealth-budget": AtStealthBudget,
     "at-steps": AtSteps,
 }
-"""Terms by name; one's own may be added."""
 
 
 class Ends:
-    """Ends of a list of terms, each with a name of its own; `judge` writes the keys `info_names`.
-
-    The core itself knows of the alarm and of the last command; `judge` is for all others.
-    """
+    """Ends of a list of terms; the core itself knows of the alarm and of the last command."""
 
     def __init__(self, terms: Sequence[EndTerm]) -> None:
         names = [term.name for term in terms]

@@ -12,16 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.vector import VectorEnv, VectorWrapper
-from numpy.typing import NDArray
 
 from ...detectors import Detector
 from ..core import WatchSpec
 from ..factory import composable, compose
-from ..options import mask_of
-from ..recorder import EpochRecorder
+from ..options import Array, mask_of
 from ..terms.termination import AtStealthBudget
+from . import EpochRecorder
 
-Array = NDArray[Any]
 Envs = VectorEnv[Array, Array, Array]
 if TYPE_CHECKING:
     Wrapper = VectorWrapper[Array, Array, Array]

@@ -12,7 +12,6 @@ from ...core.registry import check_choice
 from ..card import Card
 
 ZOO_FOLDER = Path(__file__).parent
-"""Where they are."""
 
 
 def shipped() -> tuple[str, ...]:
@@ -27,7 +26,7 @@ def shipped() -> tuple[str, ...]:
 
 
 def card_of(name: str) -> Card:
-    """Card of a shipped spoofer.
+    """Card of a shipped spoofer; a ValueError lists the valid names.
 
     Parameters
     ----------
@@ -38,11 +37,6 @@ def card_of(name: str) -> Card:
     -------
     Card
         As it was written.
-
-    Raises
-    ------
-    ValueError
-        When there is no such spoofer; lists the valid names.
     """
     check_choice("shipped spoofer", name, shipped())
     return Card.load(ZOO_FOLDER / f"{name}.json")

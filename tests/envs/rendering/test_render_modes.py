@@ -14,6 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import spoofgym
+from spoofgym.duel_v0 import DetectorView
 from spoofgym.envs.env import CoreEnv
 
 pytest.importorskip("matplotlib")
@@ -127,7 +128,7 @@ def test_an_episode_goes_on_in_a_copy():
 def test_wrong_uses_are_told():
     with pytest.raises(ValueError, match=r"unknown render mode 'rgb'.*valid: human, rgb_array"):
         spoofgym.envs.SpoofEnv(render_mode="rgb", timeline=SHORT)
-    bare = CoreEnv(make().unwrapped.core)
+    bare = CoreEnv(DetectorView().core)  # of the detector's side
     assert bare.metadata["render_modes"] == []
     with pytest.raises(ValueError, match="nothing to render; got 'rgb_array'"):
         CoreEnv(bare.core, render_mode="rgb_array")

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from spoofgym.envs import make_terms
+from spoofgym.envs.terms import TERMS, written
 from spoofgym.envs.terms.action import AlongTarget, FullCommand
 from spoofgym.envs.terms.observation import OwnCommand, Time
-from spoofgym.envs.terms.registry import TERMS, term_table, written
 from spoofgym.envs.terms.reward import AlarmPenalty, DisplacementGain
 from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement
 
@@ -285,12 +285,6 @@ def test_the_reward_is_exactly_the_sum_of_its_parts():
         info["reward_terminal_displacement"], info["undetected_displacement_m"]
     )
     assert [key for key, used in seen.items() if key.startswith("reward_") and not used] == []
-
-
-def test_a_table_has_a_row_for_every_term():
-    for kind, terms in TERMS.items():
-        rows = term_table(kind).splitlines()[2:]
-        assert [row.split("`")[1] for row in rows] == list(terms)
 
 
 def test_a_plain_action_costs_nothing():
