@@ -12,7 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from spoofgym.bench.experiments.versions import versions
+from spoofgym.bench.experiments.identity import versions
 from spoofgym.core.files import remove_stale_parts, write_file
 from spoofgym.core.settings import unlike
 

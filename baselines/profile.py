@@ -23,7 +23,7 @@ import typer
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report.table import ALARMS_HEAD, alarm_texts
 from spoofgym.bench.scores.statistics import BUDGET
-from spoofgym.bench.search.settings import Tuning
+from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.cli import INTERRUPTED, clear_errors
 from spoofgym.cli.bench import calibrate_with_progress
 from spoofgym.cli.options import given_options

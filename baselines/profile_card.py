@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym.bench.experiments.versions import versions
+from spoofgym.bench.experiments.identity import versions
 from spoofgym.bench.scores.statistics import bootstrap_mean, resamples_of
 from spoofgym.bench.search.amplitude import Trial
 from spoofgym.core.settings import describe

@@ -27,7 +27,7 @@ import numpy as np
 import torch
 from pydantic import ValidationError
 
-from .bench.experiments.versions import versions
+from .bench.experiments.identity import versions
 from .core.files import write_file
 from .core.registry import check_choice, check_finite
 from .core.settings import describe

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from spoofgym import __version__
 from spoofgym.bench.experiments import Store
-from spoofgym.bench.experiments.summary import CampaignResults
+from spoofgym.bench.experiments.campaign import CampaignResults
 from spoofgym.cli import app
 from spoofgym.cli.options import ENV, World, with_world
 from spoofgym.detectors import DETECTORS
@@ -180,7 +180,7 @@ def test_an_interrupted_bench_is_kept_and_goes_on(monkeypatch: pytest.MonkeyPatc
         patch.setattr(Store, "put", interrupted)
         result = call("bench", *QUICK, *TWO, "--out", "out")
     assert result.exit_code == 130
-    assert "interrupted: 1 of 5 cells are finished in out" in result.stderr
+    assert "interrupted: 1 of 4 cells are finished in out" in result.stderr
     assert call("bench", *QUICK, *TWO, "--out", "out").exit_code == 0
     assert "other results (config.runs: 4, not 5)" in refused(
         "bench", *QUICK, *TWO, "--out", "out", "--seeds", "5"

@@ -276,9 +276,7 @@ def test_the_command_line_scores_and_goes_on(tmp_path, monkeypatch):
     assert [each["p_hmi"]["value"] for each in found] == [1.0, 1.0]
     assert found[1]["less_first"] == {"value": 0.0, "low": 0.0, "high": 0.0}
     assert len(list(tmp_path.rglob("*.npz"))) == 4  # of each, a family and false alarms
-    monkeypatch.setattr(
-        "spoofgym.bench.experiments.task_worlds.Panel", None
-    )  # nothing is played again
+    monkeypatch.setattr("spoofgym.bench.experiments.protect.Panel", None)  # nothing is played again
     table = RUNNER.invoke(app, words).stdout
     assert "paired: +0.0 % of runs" in table
     assert "ramps" in table

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
-from spoofgym.bench.experiments.protect import DetectorEvaluator
-from spoofgym.bench.experiments.task_worlds import entries_of
+from spoofgym.bench.experiments.protect import DetectorEvaluator, entries_of
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.report.tasks import (
     CARD_HEAD,
@@ -31,8 +30,8 @@ from spoofgym.bench.report.tasks import (
 )
 from spoofgym.bench.report.tasks import DETECTOR_FILE as FILE
 from spoofgym.bench.report.tasks import stored_detector_cards as stored_cards
+from spoofgym.bench.scores.campaign import CONTROLS, name_of
 from spoofgym.bench.scores.detector import DetectorScore
-from spoofgym.bench.scores.paired import CONTROLS, name_of
 from spoofgym.cli.output import progress
 from spoofgym.core.files import write_file
 from spoofgym.core.registry import check_choice, label_of

@@ -22,14 +22,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from spoofgym.bench.experiments.versions import versions
-
 from agents.folder import error_lines
 from agents.seeds import marked
 from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.identity import versions
 from spoofgym.bench.report.table import interval, number, titled
 from spoofgym.bench.runs.players import specify_detector
-from spoofgym.bench.scores.bounds import bound_of
+from spoofgym.bench.scores.campaign import bound_of
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.cli.output import print_json, print_table, progress
 from spoofgym.core.files import write_file

@@ -23,7 +23,7 @@ from typing import Any
 from spoofgym.bench.report import table as tables
 from spoofgym.bench.report.bounds import floor_notes
 from spoofgym.bench.report.campaign import markdown_table
-from spoofgym.bench.scores.bounds import bracket_of
+from spoofgym.bench.scores.campaign import bracket_of
 from spoofgym.cli.bench import LEFT_OUT, standard_suite
 from spoofgym.core.files import write_file
 from spoofgym.core.settings import digest_of

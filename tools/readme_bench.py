@@ -16,10 +16,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from spoofgym.bench.experiments.summary import PICTURE, CampaignResults, summarize
+from spoofgym.bench.experiments.campaign import PICTURE, CampaignResults, summarize
 from spoofgym.bench.report import table as tables
 from spoofgym.bench.report.campaign import markdown_table
-from spoofgym.bench.scores.bounds import HALF, STEALTHY, headline
+from spoofgym.bench.scores.campaign import HALF, STEALTHY, headline
 from spoofgym.core.files import write_file
 from tools.headlines import KEPT as FULL
 from tools.pages import put_between

@@ -22,11 +22,11 @@ from typing import Any
 import tyro
 from rich.console import Console
 from rich.markdown import Markdown
-from spoofgym.bench.experiments.versions import versions
 
 from agents.folder import error_lines
 from agents.seeds import keeps_budget, spread, value_of
 from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.identity import versions
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.report.table import titled
 from spoofgym.bench.runs.players import PlayerSpec, check_labels, fitted, specify_spoofer

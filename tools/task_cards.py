@@ -32,9 +32,8 @@ from numpy.typing import NDArray
 
 from spoofgym.bench.experiments import Store, run
 from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
-from spoofgym.bench.experiments.campaign import Campaign
+from spoofgym.bench.experiments.campaign import Campaign, CampaignResults, summarize
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.experiments.summary import CampaignResults, summarize
 from spoofgym.bench.report.campaign import markdown_table
 from spoofgym.bench.report.tasks import (
     ADMISSION_HEAD,
@@ -45,7 +44,8 @@ from spoofgym.bench.report.tasks import (
     stored_cards,
 )
 from spoofgym.bench.runs.players import fitted, specify_detector
-from spoofgym.bench.search.settings import Selection, Tuning
+from spoofgym.bench.search.amplitude import Tuning
+from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.cli.output import progress
 from spoofgym.core.files import write_file
 from spoofgym.core.settings import describe

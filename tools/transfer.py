@@ -27,10 +27,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from spoofgym.bench.experiments.versions import versions
-
 from agents.folder import error_lines
 from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.identity import versions
 from spoofgym.bench.report.table import interval
 from spoofgym.bench.runs.players import fitted, specify_spoofer
 from spoofgym.bench.scores.spoofer import Score

@@ -46,8 +46,8 @@ from spoofgym.bench.experiments.best_response import (
     best_spoofer,
     exploitability,
 )
-from spoofgym.bench.experiments.campaign import everyone_in, in_order
 from spoofgym.bench.experiments.game import Game
+from spoofgym.bench.experiments.suite import everyone_in, in_order
 from spoofgym.bench.runs.players import (
     DETECTOR,
     SPOOFER,

@@ -11,19 +11,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .experiments.campaign import run_campaign
+    from .experiments.campaign import CampaignResults, run_campaign, summarize
     from .experiments.suite import Suite
-    from .experiments.summary import CampaignResults, summarize
-    from .search.settings import Tuning
+    from .search.amplitude import Tuning
 
 __all__ = ["CampaignResults", "Suite", "Tuning", "run_campaign", "summarize"]
 
 _PLACES = {
-    "CampaignResults": "experiments.summary",
+    "CampaignResults": "experiments.campaign",
     "Suite": "experiments.suite",
-    "Tuning": "search.settings",
+    "Tuning": "search.amplitude",
     "run_campaign": "experiments.campaign",
-    "summarize": "experiments.summary",
+    "summarize": "experiments.campaign",
 }
 
 

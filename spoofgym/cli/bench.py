@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-import os
-import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,18 +12,28 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
-from .options import ENV, SCENARIO_OPTIONS, SUITE_OPTIONS, TASK_OPTIONS, TIMES, World, with_world
+from .options import (
+    ENV,
+    SCENARIO_OPTIONS,
+    SUITE_OPTIONS,
+    TASK_OPTIONS,
+    TIMES,
+    World,
+    calibrate_with_progress,
+    specs_of,
+    with_world,
+)
 from .output import print_json, print_lines, print_table, progress
 
 if TYPE_CHECKING:
     from datetime import date
 
+    from ..bench.experiments.campaign import CampaignResults
     from ..bench.experiments.suite import Suite
-    from ..bench.experiments.summary import CampaignResults
     from ..bench.runs.players import PlayerSpec
     from ..bench.runs.world import World as Played
-    from ..bench.search.amplitude import TuningResult
-    from ..bench.search.settings import Selection, Tuning
+    from ..bench.search.amplitude import Tuning, TuningResult
+    from ..bench.search.attack_suite import Selection
     from ..core.progress import ProgressCallback
     from ..core.registry import Spec
     from ..truth.scenario import Scenario
@@ -40,16 +48,6 @@ LEFT_OUT = " is left out: "
 """In a note, between the label of a detector and the reason."""
 Reports = dict[str, Any] | None
 """Of real input, as `RealInput` has them."""
-
-
-def specs_of(texts: Sequence[str]) -> list[dict[str, Any]]:
-    """Names and settings; a class of the user's may lie in the working directory."""
-    from ..core.registry import parse_spec
-
-    specs = [parse_spec(text) for text in texts]
-    if any(":" in spec["name"] for spec in specs) and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    return specs
 
 
 def suite_of(
@@ -140,7 +138,7 @@ def standard_players(
 
     Raises where there is no such suite, or where an option is given that it decides.
     """
-    from ..bench.experiments.campaign import SIZES, SPOOFERS, SUITES
+    from ..bench.experiments.suite import SIZES, SPOOFERS, SUITES
     from ..core.registry import check_choice
 
     check_choice("suite", name, SUITES)
@@ -151,14 +149,7 @@ def standard_players(
 
 def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) -> Suite:
     """The standard suite, with all detectors, or with those that are given and the controls."""
-    from ..bench.experiments.campaign import (
-        RATE,
-        TASK,
-        everyone_in,
-        in_order,
-        standard_kwargs,
-    )
-    from ..bench.experiments.suite import Suite
+    from ..bench.experiments.suite import RATE, TASK, Suite, everyone_in, in_order, standard_kwargs
     from ..bench.runs.world import CONTROLS
     from ..bench.runs.world import World as Played
 
@@ -208,7 +199,7 @@ def _with_controls(
 ) -> list[dict[str, Any]]:
     """Detectors of a headline: the usual ones and the controls by default, `all` for all.
     `rescaled`: whether tests with a drift term are among all a second time, rescaled."""
-    from ..bench.experiments.campaign import everyone_in
+    from ..bench.experiments.suite import everyone_in
     from ..bench.runs.world import CONTROLS, VICTIMS
     from ..core.registry import check_choice
 
@@ -223,28 +214,9 @@ def _with_controls(
     return [*named, *(spec for spec in found if spec["name"] not in given)]
 
 
-def calibrate_with_progress(
-    world: Played,
-    entries: Sequence[PlayerSpec],
-    threads: int | None,
-    optional: Collection[str] = (),
-) -> dict[str, str]:
-    """Calibrate the detectors that ask for a rate of false alarms, and show how far that is.
-
-    `optional`: labels of those that may have no calibration; returns why, by their labels.
-    """
-    from ..bench.experiments.calibration import calibrate_entries, missing_runs
-
-    settings: dict[str, Any] = {"threads": threads, "optional": optional}
-    if left := missing_runs(world, entries):
-        with progress(left) as bar:
-            return calibrate_entries(world, entries, progress=bar, **settings)
-    return calibrate_entries(world, entries, **settings)
-
-
 def tuning_of(runs: int, budget: float) -> Tuning:
     """A search on so many training runs, of which a sixteenth sifts."""
-    from ..bench.search.settings import Tuning
+    from ..bench.search.amplitude import Tuning
 
     try:
         return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget)
@@ -255,7 +227,7 @@ def tuning_of(runs: int, budget: float) -> Tuning:
 
 def selection_of(runs: int) -> Selection | None:
     """A search for the worst attack on so many runs, of which a quarter sifts; None for none."""
-    from ..bench.search.settings import Selection
+    from ..bench.search.attack_suite import Selection
 
     return Selection(runs=runs, sift_runs=max(runs // 4, 1)) if runs else None
 
@@ -410,7 +382,7 @@ def tune(
             for entry in entries:
                 now = f"{judge.label}: tuning {entry.label}"
                 tick = functools.partial(_advance, bar, now)
-                results += fit(panel, {0: judge}, entry, optima, tick)
+                results += fit(panel, {0: judge}, entry, suite.tuning, lambda: optima, tick)
     if as_json:
         print_json([result.as_dict() for result in results])
         return
@@ -510,7 +482,6 @@ def bench(
     given, in a world whose sky, heading, onset and turn-on constants of the sensors are drawn for
     every run, unless --set domain=... says otherwise.
     """
-    from ..bench.experiments import Store
     from ..bench.experiments.campaign import Campaign
     from ..detectors.calibrated import STANDARD_RATE
     from ..simulation.engine import processors
@@ -538,13 +509,11 @@ def bench(
         selection=selection_of(sizes["selection_seeds"]),
     )
     campaign = Campaign(suite)
-    campaign.open(Store(out), overwrite=overwrite)
     at_once = jobs or (processors() if suite_name else 1)
     if not as_json:
         print_lines((*(() if task else suite.notes), *suite.captions, *suite.left_out))
-    results = opt.finished(
-        campaign, out, jobs=at_once, backend=backend, shard=shard, threads=threads
-    )
+    settings: dict[str, Any] = {"jobs": at_once, "backend": backend, "shard": shard}
+    results = opt.finished(campaign, out, threads=threads, overwrite=overwrite, **settings)
     _report(campaign.results(results), as_json, reports)
 
 
@@ -553,7 +522,7 @@ def report(
     as_json: opt.Json = False,
 ) -> None:
     """Score the finished cells of a folder again, with table and picture."""
-    from ..bench.experiments.summary import CampaignResults
+    from ..bench.experiments.campaign import CampaignResults
 
     _report(CampaignResults.load(folder), as_json, None)
 
@@ -571,7 +540,7 @@ def _advance(bar: ProgressCallback, now: str, work: float) -> None:
 
 def _report(results: CampaignResults, as_json: bool, reports: Reports) -> None:
     """Write table, scores and picture, and print the tables."""
-    from ..bench.experiments.summary import SUMMARY, TABLE, summarize
+    from ..bench.experiments.campaign import SUMMARY, TABLE, summarize
     from ..bench.report import table as tables
     from ..bench.report.bounds import bound_notes, floor_notes
     from ..bench.report.campaign import markdown

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
-from .bench import specs_of, world_of
-from .options import World, with_world
+from .bench import world_of
+from .options import World, specs_of, with_world
 from .output import print_json, print_lines, print_table, progress
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
-from .bench import calibrate_with_progress, specs_of, world_of
-from .options import World, with_world
+from .bench import world_of
+from .options import World, calibrate_with_progress, specs_of, with_world
 from .output import print_json, print_table, progress
 
 if TYPE_CHECKING:
@@ -107,8 +107,8 @@ def _plan(
 ) -> Plan:
     """The plan of the options, its detector calibrated; `chosen`: what it takes as it is."""
     from ..bench.experiments.dataset import Plan
+    from ..bench.experiments.protect import entries_of
     from ..bench.experiments.suite import ALERT_LIMIT_M
-    from ..bench.experiments.task_worlds import entries_of
     from ..bench.report.tasks import optima_of
     from ..core.registry import check_finite
     from ..tasks import task_of

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from . import options as opt
-from .bench import specs_of
+from .options import specs_of
 from .output import print_json, print_table
 
 if TYPE_CHECKING:

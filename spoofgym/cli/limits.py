@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
-from .bench import at_rate, calibrated, specs_of, tuning_of, uncalibrated
-from .options import World, with_world
+from .bench import at_rate, calibrated, tuning_of, uncalibrated
+from .options import World, specs_of, with_world
 from .output import print_json, print_lines, print_table, progress
 
 if TYPE_CHECKING:

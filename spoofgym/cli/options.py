@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Container
+import os
+import sys
+from collections.abc import Callable, Collection, Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,6 +20,8 @@ from .output import progress
 
 if TYPE_CHECKING:
     from ..bench.experiments import Experiment, Reader
+    from ..bench.runs.players import PlayerSpec
+    from ..bench.runs.world import World as Played
 
 ENV = "spoofgym/TightlyCoupled-v0"
 LARGEST_RUNS = 1_000_000
@@ -100,6 +104,35 @@ Oracles = Annotated[
 ]
 
 
+def specs_of(texts: Sequence[str]) -> list[dict[str, Any]]:
+    """Names and settings; a class of the user's may lie in the working directory."""
+    from ..core.registry import parse_spec
+
+    specs = [parse_spec(text) for text in texts]
+    if any(":" in spec["name"] for spec in specs) and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    return specs
+
+
+def calibrate_with_progress(
+    world: Played,
+    entries: Sequence[PlayerSpec],
+    threads: int | None,
+    optional: Collection[str] = (),
+) -> dict[str, str]:
+    """Calibrate the detectors that ask for a rate of false alarms, and show how far that is.
+
+    `optional`: labels of those that may have no calibration; returns why, by their labels.
+    """
+    from ..bench.experiments.calibration import calibrate_entries, missing_runs
+
+    settings: dict[str, Any] = {"threads": threads, "optional": optional}
+    if left := missing_runs(world, entries):
+        with progress(left) as bar:
+            return calibrate_entries(world, entries, progress=bar, **settings)
+    return calibrate_entries(world, entries, **settings)
+
+
 def finished(
     experiment: Experiment,
     out: Path | None,
@@ -108,6 +141,7 @@ def finished(
     backend: str,
     shard: str | None,
     threads: int | None,
+    overwrite: bool = False,
 ) -> Reader:
     """Compute what a folder lacks; a shard that leaves cells to others ends the command here."""
     from ..bench.experiments import Interrupted, MemoryStore, Store, parse_shard, run
@@ -123,6 +157,7 @@ def finished(
             threads=threads,
             shard=None if shard is None else parse_shard(shard),
             progress=progress,
+            overwrite=overwrite,
         )
     except Interrupted:
         if out is None:  # nothing goes on

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from . import options as opt
-from .bench import calibrate_with_progress, specs_of
+from .options import calibrate_with_progress, specs_of
 from .output import print_json, print_lines, print_table
 
 
@@ -43,8 +43,7 @@ def protect(
     as_json: opt.Json = False,
 ) -> None:
     """Score detectors by the worst family of attacks of a task, most of which none has met."""
-    from ..bench.experiments.protect import DetectorEvaluator
-    from ..bench.experiments.task_worlds import entries_of
+    from ..bench.experiments.protect import DetectorEvaluator, entries_of
 
     specs = specs_of(detector)
     evaluator = DetectorEvaluator(

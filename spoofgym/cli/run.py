@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options as opt
-from .bench import Reports, at_rate, specs_of, suite_of, untuned
-from .options import World, with_world
+from .bench import Reports, at_rate, suite_of, untuned
+from .options import World, specs_of, with_world
 from .output import print_json, print_lines, print_table, progress
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.search.settings import Tuning
+from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.envs import Observer, default_terms
 from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.simulation import Timeline

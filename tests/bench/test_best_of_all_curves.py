@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from spoofgym.bench import Suite, run_campaign
-from spoofgym.bench.search.amplitude import RESOLUTION
-from spoofgym.bench.search.settings import Tuning
+from spoofgym.bench.search.amplitude import RESOLUTION, Tuning
 
 LINE = {"warmup_s": 60.0, "live_s": 40.0, "attack_s": 60.0, "time_to_alert_s": 5.0}
 RIVALS: list[dict[str, Any]] = [

@@ -19,7 +19,7 @@ from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.search import open_loop as optima_module
 from spoofgym.bench.search.amplitude import fit
-from spoofgym.bench.search.attack_suite import AROUND_FOUND, grid_of
+from spoofgym.bench.search.attack_suite import AROUND_FOUND, Selection, grid_of
 from spoofgym.bench.search.backends import EngineBackend, ReplayBackend, limits_of, pushed
 from spoofgym.bench.search.open_loop import (
     AIMS,
@@ -32,7 +32,6 @@ from spoofgym.bench.search.open_loop import (
     Optima,
     crossing,
 )
-from spoofgym.bench.search.settings import Selection
 from spoofgym.detectors import detector_in_world
 from spoofgym.envs.factory import make_setup
 from spoofgym.limits import Replay
@@ -340,7 +339,7 @@ def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(
     (detector,) = suite.detector_entries
     judges, optima = [detector_in_world(detector.spec)], suite.optima()
     panel = Panel(suite.world.setup, judges, lambda: suite.generators("training", 6), 1)
-    (result,) = fit(panel, {0: detector}, specify_spoofer(BLIND), optima)
+    (result,) = fit(panel, {0: detector}, specify_spoofer(BLIND), suite.tuning, lambda: optima)
     assert result.found is not None
     fitted = result.found["fitted_m"]
     assert set(fitted) == {"found", "constant", "linear", "mine", ZERO_ALARM}
@@ -364,7 +363,7 @@ def test_a_campaign_that_goes_on_finds_the_same(
     for file in files:
         assert (tmp_path / "cells" / file.name).read_bytes() == file.read_bytes()
     one, search = (
-        again.store.path_of(f"shewhart / blind-optimum{word}") for word in ("", ", search")
+        again.store.path_of(f"shewhart / blind-optimum / {kind}") for kind in ("runs", "search")
     )
     one.unlink()
     before = search.stat().st_mtime_ns

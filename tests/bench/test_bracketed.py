@@ -13,7 +13,7 @@ from spoofgym.bench.report.bounds import EXCEEDED, bound_cell, bracket_section, 
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.report.figures import draw_campaign
 from spoofgym.bench.report.table import DETECTORS_HEAD, attack_rows, detector_rows, groups, mark_of
-from spoofgym.bench.scores.bounds import HALF, STEALTHY, bracket_of
+from spoofgym.bench.scores.campaign import HALF, STEALTHY, bracket_of
 
 from .support import small_suite
 

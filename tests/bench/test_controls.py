@@ -11,12 +11,12 @@ import pytest
 
 from spoofgym.bench import run_campaign, summarize
 from spoofgym.bench.experiments.calibration import calibrate_entries
-from spoofgym.bench.experiments.summary import times_of
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.report.table import DETECTORS_HEAD, attack_rows, detector_rows, groups, mark_of
 from spoofgym.bench.runs.record import MEASURES
-from spoofgym.bench.scores.paired import compare
-from spoofgym.bench.search.settings import Selection, Tuning
+from spoofgym.bench.scores.campaign import compare, times_of
+from spoofgym.bench.search.amplitude import Tuning
+from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.detectors import DETECTORS, Detector, Verdict
 
 from .support import small_suite

@@ -73,11 +73,11 @@ def test_it_can_be_drawn(tmp_path: Path, attack: str) -> None:
 
 def test_its_spoofing_intervals_are_those_of_its_alarms(episode: Episode) -> None:
     alarm = np.zeros(len(episode.time), dtype=bool)
-    for one in episode.intervals:
-        alarm |= (episode.time >= one.onset_s) & (episode.time < one.end_s)
+    for onset, end in episode.intervals:
+        alarm |= (episode.time >= onset) & (episode.time < end)
     np.testing.assert_array_equal(alarm, episode.alarm[:, 0])
     told = episode.summary()["spoofing_intervals_s"]
-    assert [onset for onset, _ in told] == [one.onset_s for one in episode.intervals]
+    assert [onset for onset, _ in told] == [onset for onset, _ in episode.intervals]
 
 
 def test_the_ending_of_a_picture_is_a_format_in_any_case() -> None:

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 import spoofgym
-from spoofgym.bench.experiments.campaign import run_campaign
+from spoofgym.bench.experiments.campaign import run_campaign, summarize
 from spoofgym.bench.experiments.evaluate import Evaluator, evaluate
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.experiments.summary import summarize
-from spoofgym.bench.search.settings import Tuning
+from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.policies.contract import NotFinite
 from spoofgym.spoofers import make_spoofer
 

@@ -10,7 +10,7 @@ import pytest
 from onnx import numpy_helper
 
 import spoofgym
-from spoofgym.bench.experiments import task_worlds as module
+from spoofgym.bench.experiments import protect as module
 from spoofgym.bench.experiments.protect import DetectorEvaluator
 from spoofgym.bench.runs.record import MEASURES
 from spoofgym.bench.scores.detector import CLEAN, WINDOW

@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from spoofgym.bench.experiments import Store
-from spoofgym.bench.experiments.campaign import Campaign
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.core.settings import outside_sources
 from spoofgym.detectors import Ewma
@@ -90,16 +89,16 @@ def suites() -> dict[str, Suite]:
 )
 def test_an_edited_class_is_another_campaign(folder: Path, edit: dict[str, str]) -> None:
     for name, suite in suites().items():
-        Campaign(suite).open(Store(folder / name))
+        Store(folder / name).open("campaign", suite.config)
     write(folder, DETECTOR + "\n# a comment\n")
     for name, suite in suites().items():
-        Campaign(suite).open(Store(folder / name))
+        Store(folder / name).open("campaign", suite.config)
     write(folder, **edit)
     for name, suite in suites().items():
         with pytest.raises(
             ValueError, match=r"other results \(config\.outside\.(mine|helper)_a34: "
         ):
-            Campaign(suite).open(Store(folder / name))
+            Store(folder / name).open("campaign", suite.config)
 
 
 def test_only_what_is_the_users_counts(folder: Path) -> None:
@@ -130,15 +129,15 @@ def test_a_class_without_a_source_is_never_taken_up_again(
     monkeypatch.setattr(sys.modules["__main__"], "Typed", typed, raising=False)
     suite = small_suite(detectors=(typed(),))
     with pytest.warns(UserWarning, match="source of __main__:Typed can't be read: its results are"):
-        Campaign(suite).open(Store(tmp_path))
+        Store(tmp_path).open("campaign", suite.config)
     assert "never taken up again" in suite.config["notes"][-1]
-    Campaign(suite).open(Store(tmp_path))
+    Store(tmp_path).open("campaign", suite.config)
     again = small_suite(detectors=(typed(),))
     with (
         pytest.warns(UserWarning, match="can't be read"),
         pytest.raises(ValueError, match=r"other results \(config\.outside\.__main__:Typed: "),
     ):
-        Campaign(again).open(Store(tmp_path))
+        Store(tmp_path).open("campaign", again.config)
 
 
 def test_a_calibration_is_not_that_of_an_edited_policy(folder: Path) -> None:

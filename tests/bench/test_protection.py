@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench.experiments.summary import score_protection
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
-from spoofgym.bench.scores.paired import compare
+from spoofgym.bench.scores.campaign import compare, score_protection
 from spoofgym.bench.scores.scores import exceeded
-from spoofgym.bench.search.settings import Selection
+from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.bench.search.worst_attack import aims_of
 
 FIRST = MEASURES[0]

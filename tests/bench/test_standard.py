@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from spoofgym.bench.experiments import campaign as standard
+from spoofgym.bench.experiments import suite as standard
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.cli import app
 from spoofgym.cli.bench import standard_suite

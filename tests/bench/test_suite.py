@@ -9,7 +9,8 @@ import pytest
 
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.players import DEFAULT_DETECTORS
-from spoofgym.bench.search.settings import Selection, Tuning
+from spoofgym.bench.search.amplitude import Tuning
+from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.core.settings import digest_of
 from spoofgym.detectors import DETECTORS
 from spoofgym.simulation.setup import SPLITS, seed_sequences

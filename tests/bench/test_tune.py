@@ -13,8 +13,7 @@ from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.scores.scores import counted, stealth_of
 from spoofgym.bench.scores.statistics import most_alarms
 from spoofgym.bench.search import amplitude as module
-from spoofgym.bench.search.amplitude import RESOLUTION, Trial, TuningResult, fit, tune
-from spoofgym.bench.search.settings import Tuning
+from spoofgym.bench.search.amplitude import RESOLUTION, Trial, Tuning, TuningResult, fit, tune
 from spoofgym.detectors import Ewma, SnapshotChi2
 
 from .support import small_suite
@@ -162,7 +161,7 @@ def test_what_is_chosen_keeps_to_the_budget_when_played(detector: Any) -> None:
     suite = small_suite(detectors=(detector,), tuning=tuning)
     (judge,) = suite.detector_entries
     panel = Panel(suite.world.setup, [detector], lambda: suite.generators("training", 16), 1)
-    (result,) = fit(panel, {0: judge}, RAMP, suite.optima())
+    (result,) = fit(panel, {0: judge}, RAMP, suite.tuning, suite.optima)
     start, clean = panel.start, panel.clean[0]
     attacked = play(start, RAMP.with_value(result.value))
     counts = counted(start.warmup_alarm, clean.first_alarm)

@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from spoofgym.bench.experiments.campaign import SPOOFERS as STANDARD
+from spoofgym.bench.experiments.suite import SPOOFERS as STANDARD
 from spoofgym.core.settings import digest_of
 from tools.headlines import BEGIN, END, KEPT, SPOOFERS, WORLDS, shown
 from tools.pages import part_between

@@ -1,12 +1,7 @@
-"""A campaign: detectors x spoofers, the worst attacks of the suite, and limits; the standard suite.
+"""A campaign: detectors x spoofers, the worst attacks of the suite, and limits.
 
 Passive detectors share the passes of the engine, a few of them at a time.  A detector that takes
 weight off measurements has passes of its own.
-
-The standard suite is every detector that suits one task's world, against the usual spoofers.  Tests
-of range rates are there a second time where their defaults test pseudoranges, or both.  World and
-alert limit are those of the task, the rate of false alarms is the standard one, and the sizes are
-such that two idle cores play it in a quarter of an hour.
 """
 
 from __future__ import annotations
@@ -17,19 +12,24 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
 
 from ...calibration.clean_runs import weighs
-from ...calibration.thresholds import suitable_detectors
 from ...core.progress import ProgressCallback
-from ...detectors.build import spec_of_judge
-from ...detectors.calibrated import STANDARD_RATE, resolve
-from ...simulation.setup import Setup
-from ...tasks import RANGE_RATE_TESTS, SUITE, task_of
+from ...core.settings import digest_of
+from ...detectors.calibrated import resolve
 from ..runs.panel import Attack, Panel, play_searches
 from ..runs.players import PlayerSpec, knowledge_of
 from ..runs.record import Protection, RunRecord, record_runs
-from ..runs.world import CONTROLS
+from ..scores.campaign import (
+    bracket_of,
+    compare,
+    operating_point,
+    score_detector,
+    score_protection,
+    score_runs,
+)
 from ..search.amplitude import TuningResult, fit, search_work, with_rates
 from ..search.attack_suite import SuiteAttack
 from ..search.open_loop import AIMS, Optima
@@ -37,12 +37,134 @@ from ..search.worst_attack import WorstAttacks, expected_plays, play_winners
 from .runner import Context, Experiment, run
 from .store import Cell, Reader, Result, Store
 from .suite import Suite
-from .summary import OUTPUTS, CampaignResults, keys_of
 
+TABLE, SUMMARY, PICTURE = OUTPUTS = "results.md", "summary.json", "campaign.png"
+"""Files beside the cells of a campaign."""
+FLOOR, SEARCH, RUNS, PROTECTION, BOUND = "floor", "search", "runs", "protection", "bound"
+"""Kinds of cells: of the world, of a detector and a spoofer, of a detector."""
+ATTACK_SUITE = "attack suite"
+Labelled = PlayerSpec | str | None
 PANEL = 4
 """Passive detectors that share passes; they are finished together, and by one process."""
 WARM_UP = 2.0
 """Work of a warm-up and of the clean twins, in runs of an attack."""
+
+
+def key_of(kind: str, detector: Labelled = None, spoofer: Labelled = None) -> str:
+    """Key of a cell."""
+    labels = (each if isinstance(each, str) else each.label for each in (detector, spoofer) if each)
+    return " / ".join((*labels, kind))
+
+
+class CampaignResults:
+    """What the finished cells of a campaign hold; None of what is not finished.
+
+    - `store`: its folder; `config`: of the campaign.
+    """
+
+    def __init__(self, store: Store, config: Mapping[str, Any]) -> None:
+        self.store, self.config = store, config
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> CampaignResults:
+        """Results in a folder, whatever plays there."""
+        store = Store(path)
+        store.reopen("campaign")
+        return cls(store, store.config["config"])
+
+    @property
+    def path(self) -> Path:
+        """The folder."""
+        return self.store.path
+
+    def _get(self, kind: str, *labels: str) -> Result | None:
+        return self.store.get(Cell(key_of(kind, *labels), {}))
+
+    def runs(self, detector: str, spoofer: str) -> RunRecord | None:
+        """What a pair did."""
+        found = self._get(RUNS, detector, spoofer)
+        return None if found is None else RunRecord.of_parts(found.arrays, found.record)
+
+    def search(self, detector: str, spoofer: str) -> TuningResult | None:
+        """What was found for a spoofer against a detector."""
+        found = self._get(SEARCH, detector, spoofer)
+        return None if found is None else TuningResult.from_dict(found.record)
+
+    def protection(self, detector: str) -> Protection | None:
+        """What the worst attacks of the suite did against a detector."""
+        found = self._get(PROTECTION, detector)
+        return None if found is None else Protection.of_parts(found.arrays, found.record)
+
+    def limits(self, *detector: str) -> dict[str, Any] | None:
+        """Zero-alarm bound of a detector, or the floor of the world."""
+        found = self._get(BOUND if detector else FLOOR, *detector)
+        return None if found is None else dict(found.record)
+
+
+def summarize(results: CampaignResults) -> dict[str, Any]:
+    """Scores of all finished cells.
+
+    Parameters
+    ----------
+    results : CampaignResults
+        Of a campaign.
+
+    Returns
+    -------
+    dict
+        JSON-able: ``scenario``, ``runs``, ``detectors`` (rates of false alarms, price,
+        ``bracket``), ``cells`` (spoofers), ``protection`` (detectors), ``comparisons``
+        (detectors with the negative controls at the same rate, run by run), ``limits`` (``floor``
+        of the world, ``zero_alarm`` bounds by detector), ``tuning``, ``missing`` (cells).
+    """
+    config = results.config
+    detectors = [entry["label"] for entry in config["detectors"]]
+    pairs = [(label, entry["label"]) for label in detectors for entry in config["spoofers"]]
+    records = {pair: found for pair in pairs if (found := results.runs(*pair)) is not None}
+    known = [worst for each in detectors if (worst := results.protection(each)) is not None]
+    limits = sorted({*config["alert_limits_m"], config["alert_limit_m"]})
+    points = {label: operating_point(config, label) for label in detectors}
+    budget = float(config["tuning"]["budget"])
+    scores = [score_runs(found, limits, budget) for found in records.values()]
+    protected = [score_protection(found, limits) for found in known]
+    tuned = [search.as_dict() for pair in pairs if (search := results.search(*pair)) is not None]
+    bounds = {each: bound for each in detectors if (bound := results.limits(each)) is not None}
+    bracket = {"floor": results.limits(), "zero_alarm": bounds}
+
+    def bracketed(label: str) -> dict[str, Any]:
+        point = {"detector": label, **points[label]}
+        own = [[row for row in rows if row["detector"] == label] for rows in (scores, tuned)]
+        worst = next((row for row in protected if row["detector"] == label), None)
+        return bracket_of(point, bracket, own[0], worst, own[1])
+
+    missing = [f"{detector} / {spoofer}" for detector, spoofer in pairs]
+    if config["attack_suite"] is not None:
+        missing += [f"{detector} / {ATTACK_SUITE}" for detector in detectors]
+    finished = {f"{d} / {s}" for d, s in records} | {
+        f"{x.detector} / {ATTACK_SUITE}" for x in known
+    }
+    return {
+        "campaign": digest_of(results.store.config) if records else None,
+        "scenario": config["scenario"]["name"],
+        "runs": config["runs"],
+        "entropy": config["entropy"],
+        "budget": budget,
+        "alert_limit_m": config["alert_limit_m"],
+        "attack_suite": config["attack_suite"],
+        "detectors": [
+            {**score_detector(records[label, "none"]), **points[label], "bracket": bracketed(label)}
+            for label in detectors
+            if (label, "none") in records
+        ],
+        "cells": scores,
+        "protection": protected,
+        "comparisons": compare(
+            list(records.values()), known, {k: p["footing"] for k, p in points.items()}
+        ),
+        "limits": bracket,
+        "tuning": tuned,
+        "missing": [each for each in missing if each not in finished],
+    }
 
 
 def run_campaign(
@@ -76,11 +198,9 @@ def run_campaign(
     CampaignResults
         What `summarize` takes.
     """
-    campaign, store = Campaign(suite), Store(path)
-    if overwrite:
-        campaign.open(store, overwrite=True)
-    show = None if progress is None else lambda _: nullcontext(progress)
-    return campaign.results(run(campaign, store, jobs=jobs, threads=threads, progress=show))
+    campaign, show = Campaign(suite), None if progress is None else lambda _: nullcontext(progress)
+    settings: dict[str, Any] = {"jobs": jobs, "threads": threads, "overwrite": overwrite}
+    return campaign.results(run(campaign, Store(path), progress=show, **settings))
 
 
 @dataclass(frozen=True)
@@ -96,24 +216,18 @@ class Campaign(Experiment):
         """Everything that the results depend on; nothing is left for single cells to say."""
         return self.suite.config
 
-    def open(self, store: Store, *, overwrite: bool = False) -> None:
-        """Start in a folder, or go on there."""
-        store.open(self.name, self.config, outputs=self.outputs, overwrite=overwrite)
-
     def results(self, reader: Reader) -> CampaignResults:
         """What cells hold, by detector and spoofer."""
         return CampaignResults(reader.store, self.config)
 
     def report(self, results: Reader) -> dict[str, Any]:
         """Scores of all finished cells."""
-        return self.results(results).summary()
+        return summarize(self.results(results))
 
     @cached_property
     def panels(self) -> list[list[PlayerSpec]]:
         """Detectors that are played together."""
-        setup = self.suite.world.setup
-        passive: list[PlayerSpec] = []
-        others: list[PlayerSpec] = []
+        setup, passive, others = self.suite.world.setup, list[PlayerSpec](), list[PlayerSpec]()
         for entry in self.suite.detector_entries:
             judge = entry.build()
             resolve(judge, setup)
@@ -122,59 +236,38 @@ class Campaign(Experiment):
         return [*(passive[k::count] for k in range(count)), *([entry] for entry in others)]
 
     @cached_property
-    def parts(self) -> dict[str, tuple[str, PlayerSpec | None, PlayerSpec | None]]:
-        """Kind, detector and spoofer of every cell, by its key."""
-        suite = self.suite
-        detectors: dict[str | None, PlayerSpec] = {
-            each.label: each for each in suite.detector_entries
-        }
-        spoofers: dict[str | None, PlayerSpec] = {
-            each.label: each for each in suite.spoofer_entries
-        }
-        return {
-            key: (kind, detectors.get(detector), spoofers.get(spoofer))
-            for key, (kind, detector, spoofer) in keys_of(self.config).items()
-        }
-
-    def cells(self) -> Iterator[Cell]:
-        """Detectors of a panel are a group: searches, runs, worst attacks, bounds of each."""
-        suite, keys = self.suite, {part: key for key, part in keys_of(self.config).items()}
-        searches = [each for each in suite.spoofer_entries if each.tuned]
-        yield Cell(keys["floor", None, None], {}, 1.0)
+    def parts(self) -> dict[str, _Part]:
+        """Cells by key; those of detectors that are played together are a group."""
+        suite, found = self.suite, {key_of(FLOOR): _Part(Cell(key_of(FLOOR), {}), FLOOR)}
+        players = suite.spoofer_entries
+        steps: list[tuple[str, PlayerSpec | None]] = [(SEARCH, x) for x in players if x.tuned]
+        steps += [(RUNS, each) for each in players]
+        steps += [] if suite.selection is None else [(PROTECTION, None)]
         for panel in self.panels:
             group = ", ".join(each.label for each in panel)
-            found = tuple(
-                keys["search", detector.label, spoofer.label]
-                for spoofer in searches
-                for detector in panel
-                if spoofer.searched
-            )
-            for kind, several in (
-                ("search", searches),
-                ("runs", suite.spoofer_entries),
-                ("protection", () if suite.selection is None else (None,)),
-                ("bound", (None,)),
-            ):
-                for spoofer in several:
-                    label = None if spoofer is None else spoofer.label
-                    for detector in panel:
-                        after = found if kind == "protection" else ()
-                        if kind == "runs" and spoofer in searches:
-                            after = (keys["search", detector.label, label],)
-                        key = keys[kind, detector.label, label]
-                        yield Cell(key, {}, self._work(kind, spoofer), after, group)
+            for kind, spoofer in (*steps, (BOUND, None)):
+                for detector in panel:
+                    before = [each for each in players if each.searched and kind == PROTECTION]
+                    before += [spoofer] if spoofer and spoofer.tuned and kind == RUNS else []
+                    after = tuple(key_of(SEARCH, detector, each) for each in before)
+                    key, work = key_of(kind, detector, spoofer), self._work(kind, spoofer)
+                    cell = Cell(key, {}, work, after, group)
+                    found[key] = _Part(cell, kind, detector, spoofer, panel)
+        return found
+
+    def cells(self) -> Iterator[Cell]:
+        """Searches, runs, worst attacks and a bound of every detector, and the floor."""
+        return (part.cell for part in self.parts.values())
 
     def _work(self, kind: str, spoofer: PlayerSpec | None) -> float:
         """Work of a cell, in runs of an attack, roughly."""
-        suite, settings = self.suite, self.suite.selection
-        if kind == "search":
-            assert spoofer is not None  # of whom it is
-            return search_work(suite.tuning) * (5.25 if spoofer.searched else 1.0)
-        if kind == "runs":
-            assert spoofer is not None
-            return suite.runs * (1.0 if spoofer.label != "none" else WARM_UP)
-        if kind == "protection" and settings is not None:
-            return expected_plays(len(suite.members), settings, suite.runs)
+        suite = self.suite
+        if kind == SEARCH:
+            return search_work(suite.tuning) * (5.25 if spoofer and spoofer.searched else 1.0)
+        if kind == RUNS:
+            return suite.runs * (WARM_UP if spoofer and spoofer.label == "none" else 1.0)
+        if kind == PROTECTION and suite.selection is not None:
+            return expected_plays(len(suite.members), suite.selection, suite.runs)
         return 1.0
 
     def run(self, cell: Cell, results: Reader, context: Context) -> Result:
@@ -186,108 +279,115 @@ class Campaign(Experiment):
     ) -> Iterator[Result]:
         """Compute cells of detectors that are played together."""
         optima: Optima = context.cache.setdefault("optima", self.suite.optima(context.threads))
-        labels = {entry.label: entry for cell in cells if (entry := self.parts[cell.key][1])}
-        play = _Players(self.suite, list(labels.values()), self.results(results), context, optima)
-        for (kind, spoofer), some in groupby(cells, lambda cell: self.parts[cell.key][::2]):
-            detectors = [entry for cell in some if (entry := self.parts[cell.key][1])]
-            if kind == "floor":
+        parts = [self.parts[cell.key] for cell in cells]
+        play = _Players(self.suite, parts[0].panel, self.results(results), context)
+        for (kind, spoofer), some in groupby(parts, lambda part: (part.kind, part.spoofer)):
+            numbers = {play.detectors.index(each): each for _, _, each, *_ in some if each}
+            if kind == FLOOR:
                 yield Result(record=optima.brackets.floor())
-            elif kind == "bound":
-                for each in detectors:
-                    yield Result(record=optima.brackets.zero_alarm(each).as_json())
-            elif kind == "protection":
-                yield from (Result(*each.parts()) for each in play.protections(detectors))
-            elif spoofer is not None and kind == "search":
-                yield from (Result(record=x.as_dict()) for x in play.searches(detectors, spoofer))
-            elif spoofer is not None:
-                yield from (Result(*each.parts()) for each in play.records(detectors, spoofer))
+            elif kind == BOUND:
+                bounds = map(optima.brackets.zero_alarm, numbers.values())
+                yield from (Result(record=each.as_json()) for each in bounds)
+            elif spoofer is None:
+                yield from (Result(*each.parts()) for each in play.protections(numbers))
+            elif kind == SEARCH:
+                panel, tuning = play.panel("training", self.suite.tuning.runs), self.suite.tuning
+                found = fit(panel, numbers, spoofer, tuning, lambda: optima, context.tick)
+                yield from (Result(record=each.as_dict()) for each in found)
+            else:
+                yield from (Result(*each.parts()) for each in play.records(numbers, spoofer))
 
 
-class _Players:
-    """Detectors that are played together, at the onsets of the runs of every split."""
+class _Part(NamedTuple):
+    """A cell, what it is of, and which detectors are played together."""
 
-    def __init__(
-        self,
-        suite: Suite,
-        detectors: list[PlayerSpec],
-        results: CampaignResults,
-        context: Context,
-        optima: Optima,
-    ) -> None:
-        self.suite, self.detectors, self.results = suite, detectors, results
-        self.context, self.optima = context, optima
-        self._panels: dict[str, Panel] = {}
+    cell: Cell
+    kind: str
+    detector: PlayerSpec | None = None
+    spoofer: PlayerSpec | None = None
+    panel: Sequence[PlayerSpec] = ()
 
-    def _panel(self, split: str, runs: int) -> Panel:
-        """Runs of a split at their onset."""
-        if split not in self._panels:
-            suite, world = self.suite, self.suite.world
-            self._panels[split] = Panel(
-                world.setup,
+
+class _Players(NamedTuple):
+    """Detectors that are played together."""
+
+    suite: Suite
+    detectors: Sequence[PlayerSpec]
+    results: CampaignResults
+    context: Context
+
+    def panel(self, split: str, runs: int) -> Panel:
+        """Runs of a split at their onset; those of the last detectors are kept."""
+        suite, panels = self.suite, self.context.cache.setdefault("panels", {})
+        labels = tuple(each.label for each in self.detectors)
+        if (labels, split) not in panels:
+            for key in [key for key in panels if key[0] != labels]:
+                del panels[key]
+            panels[labels, split] = Panel(
+                suite.world.setup,
                 [each.build() for each in self.detectors],
                 lambda: suite.generators(split, runs),
                 self.context.threads,
-                world.watched_for(suite.spoofer_entries),
+                suite.world.watched_for(suite.spoofer_entries),
             )
-        return self._panels[split]
+        found: Panel = panels[labels, split]
+        return found
 
-    def _numbers(self, detectors: Sequence[PlayerSpec]) -> dict[int, PlayerSpec]:
-        return {self.detectors.index(each): each for each in detectors}
-
-    def searches(
-        self, detectors: Sequence[PlayerSpec], spoofer: PlayerSpec
-    ) -> Iterator[TuningResult]:
-        """What is found for a spoofer against each detector."""
-        panel = self._panel("training", self.suite.tuning.runs)
-        return fit(panel, self._numbers(detectors), spoofer, self.optima, self.context.tick)
-
-    def records(self, detectors: Sequence[PlayerSpec], spoofer: PlayerSpec) -> Iterator[RunRecord]:
-        """What a spoofer does in the evaluation runs of each detector."""
-        suite, panel = self.suite, self._panel("evaluation", self.suite.runs)
-        numbers, specs, within = self._numbers(detectors), [], []
-        for detector in detectors:
-            found = self.results.search(detector.label, spoofer.label) if spoofer.tuned else None
-            specs.append(spoofer.spec if found is None else played_spec(spoofer, found))
-            within.append(None if found is None else found.within_budget)
-        played = [panel.clean[k] for k in numbers]
+    def records(self, detectors: Mapping[int, PlayerSpec], spoofer: PlayerSpec) -> list[RunRecord]:
+        """What a spoofer does in the evaluation runs of detectors, by their numbers."""
+        suite, panel = self.suite, self.panel("evaluation", self.suite.runs)
+        heads = [self._head(panel, number, spoofer) for number in detectors]
+        played = [panel.clean[number] for number in detectors]
         if spoofer.label != "none":
-            asked = [(Attack(x, suite.runs), k) for x, k in zip(specs, numbers, strict=True)]
+            attacks = [Attack(head["spoofer_settings"], suite.runs) for head in heads]
+            asked = list(zip(attacks, detectors, strict=True))
             played = panel.play(asked, drop=False, tick=self.context.tick)
-        players = zip(numbers.items(), specs, within, played, strict=True)
-        for (number, detector), spec, keeps, attacked in players:
-            head = {
-                "detector": detector.label,
-                "spoofer": spoofer.label,
-                "detector_settings": detector.spec,
-                "spoofer_settings": spec,
-                "knowledge": knowledge_of(spoofer, panel.setup, detector),
-                "attack": panel.setup.attack.label,
-                "tuned_within_budget": keeps,
-                "judges_channels": panel.judges[number].scope == "channel",
-            }
-            early = panel.warmup_alarm[:, number]
-            twin, limit_m = panel.clean[number], suite.alert_limit_m
-            yield record_runs(panel.setup, head, early, attacked, twin, limit_m)
+        return [
+            record_runs(
+                panel.setup,
+                head,
+                panel.warmup_alarm[:, number],
+                attacked,
+                panel.clean[number],
+                suite.alert_limit_m,
+            )
+            for number, head, attacked in zip(detectors, heads, played, strict=True)
+        ]
 
-    def protections(self, detectors: Sequence[PlayerSpec]) -> Iterator[Protection]:
-        """What the worst attacks of the suite do against each detector."""
+    def _head(self, panel: Panel, number: int, spoofer: PlayerSpec) -> dict[str, Any]:
+        """Who plays, and how."""
+        detector, spec, within = self.detectors[number], spoofer.spec, None
+        found = self.results.search(detector.label, spoofer.label) if spoofer.tuned else None
+        if found is not None:
+            chosen = spoofer
+            if found.found is not None:
+                chosen = with_rates(spoofer, found.found["played"]["rates_mps"])
+            spec, within = chosen.with_value(found.value), found.within_budget
+        return {
+            "detector": detector.label,
+            "spoofer": spoofer.label,
+            "detector_settings": detector.spec,
+            "spoofer_settings": spec,
+            "knowledge": knowledge_of(spoofer, panel.setup, detector),
+            "attack": panel.setup.attack.label,
+            "tuned_within_budget": within,
+            "judges_channels": panel.judges[number].scope == "channel",
+        }
+
+    def protections(self, detectors: Mapping[int, PlayerSpec]) -> Iterator[Protection]:
+        """What the worst attacks of the suite do against detectors, by their numbers."""
         suite, tick = self.suite, self.context.tick
         assert suite.selection is not None  # as the cell says
-        panel, numbers = self._panel("selection", suite.selection.runs), self._numbers(detectors)
-        searches = [
-            WorstAttacks(
-                panel,
-                k,
-                (*suite.members, *found_optima(suite, self.results, each)),
-                suite.selection,
-            )
-            for k, each in numbers.items()
-        ]
+        panel = self.panel("selection", suite.selection.runs)
+        searches = []
+        for number, each in detectors.items():
+            members = *suite.members, *found_optima(suite, self.results, each)
+            searches.append(WorstAttacks(panel, number, members, suite.selection))
         asked = [(each.number, each.winners(suite.alert_limits_m)) for each in searches]
         found = list(zip(searches, play_searches(panel, asked, tick), strict=True))
-        panel = self._panel("evaluation", suite.runs)
+        panel = self.panel("evaluation", suite.runs)
         for (search, _), winners in zip(found, play_winners(panel, found, tick), strict=True):
-            head, counts = {"detector": numbers[search.number].label}, panel.counts
+            head, counts = {"detector": detectors[search.number].label}, panel.counts
             yield Protection(head, winners, counts[:, search.number], panel.sky, search.skies)
 
 
@@ -302,49 +402,3 @@ def found_optima(suite: Suite, results: CampaignResults, detector: PlayerSpec) -
             own = [curve for k, curve in enumerate(curves) if curve not in curves[:k]]
             members += [SuiteAttack("c", curve, True) for curve in own]
     return members
-
-
-def played_spec(spoofer: PlayerSpec, found: TuningResult) -> dict[str, Any]:
-    """A spoofer with what a search has found for it."""
-    if found.found is not None:
-        spoofer = with_rates(spoofer, found.found["played"]["rates_mps"])
-    return spoofer.with_value(found.value)
-
-
-STANDARD = "standard"
-SUITES = (STANDARD,)
-"""Names of `spoofgym bench --suite`."""
-TASK = "T3"
-RATE = STANDARD_RATE
-"""False alarms an hour of all detectors."""
-SPOOFERS = ("ramp", "accelerating-ramp", "snapshot-chi2-profile", "blind-optimum", "feedback")
-"""Each is fitted to the alarm budget."""
-SIZES = {"seeds": 400, "training_seeds": 128, "selection_seeds": 48}
-"""Evaluation, training and selection runs, where no others are given."""
-
-
-def everyone_in(setup: Setup, rescaled: bool = False) -> list[dict[str, Any]]:
-    """The controls and all classics that suit a world; `rescaled`: also with their innovations."""
-    found = [dict(each) for each in CONTROLS]
-    for each in suitable_detectors(setup):
-        own = {"name": spec_of_judge(each)["name"]}
-        if own not in found:
-            found.append(own)
-        if rescaled and each.drifts:
-            found.append({**own, "thresholds": "rescaled"})
-    return found
-
-
-def in_order(everyone: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Controls, solution separation, tests of range rates, which are added, and the others."""
-    controls = [dict(spec) for spec in CONTROLS]
-    first = [*controls, {"name": "solution-separation"}, *map(dict, RANGE_RATE_TESTS)]
-    return [*first, *(dict(spec) for spec in everyone if spec not in first)]
-
-
-def standard_kwargs() -> dict[str, Any]:
-    """Keyword arguments of a `Suite`, but for its detectors."""
-    task = task_of(TASK)
-    limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
-    note = f"suite {STANDARD}: the world of task {task.key} of {SUITE}"
-    return {**task.world_kwargs, **limit, "notes": (note,)}

@@ -78,7 +78,7 @@ from .dataset_files import (
     read_manifest,
     whole,
 )
-from .versions import versions
+from .identity import versions
 
 __all__ = ["Dataset", "Episodes", "Plan", "load", "make_room", "play", "write"]
 

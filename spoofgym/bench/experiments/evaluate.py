@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import cached_property
 from typing import Any
 
 from ...core.progress import NullProgress, ProgressCallback
@@ -10,16 +11,14 @@ from ...core.registry import check_keywords, whole_number
 from ...spoofers.scaled import AMPLITUDE, Scaled
 from ...tasks import task_of
 from ..runs.panel import Attack, Panel
-from ..runs.play import displacement_of
 from ..runs.players import FITTED, PlayerSpec, refuse_oracles, specify_detector, specify_policy
 from ..runs.world import WORLD, World
-from ..scores.scores import clusters_of, stealth_of
+from ..scores.scores import clusters_of
 from ..scores.spoofer import Score
 from ..scores.statistics import BUDGET, bootstrap_mean, fewest_runs, resamples_of, wilson
-from ..search.amplitude import TuningResult, fit, with_rates
+from ..search.amplitude import Tuning, TuningResult, fit, with_rates
 from ..search.bounds import Brackets
 from ..search.open_loop import Optima
-from ..search.settings import Tuning
 
 RUNS, FIT_RUNS = 400, 128
 """Evaluation runs and training runs by default."""
@@ -65,19 +64,23 @@ class Evaluator:
         fit_runs = whole_number("`fit_runs`", fit_runs, fewest_runs(BUDGET))
         self.runs = whole_number("`runs`", runs, 2)
         self.entropy = whole_number("`entropy`", entropy)
-        tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1))
+        self.tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1))
         self.task, self.threads, self.progress = task, threads, progress or NullProgress()
         self.world.check_fit([self.detector])
-        brackets = Brackets(self.world, [self.detector], self.entropy)
-        self.optima = Optima(brackets, tuning, threads=threads)
         self._panels: dict[tuple[str, tuple[type, ...]], Panel] = {}
+
+    @cached_property
+    def optima(self) -> Optima:
+        """Searches for blind optima."""
+        brackets = Brackets(self.world, [self.detector], self.entropy)
+        return Optima(brackets, self.tuning, threads=self.threads)
 
     def _panel(self, split: str, entry: PlayerSpec) -> Panel:
         """Runs of a split, kept for all spoofers that need the same to be watched."""
         watched = self.world.watched_for([entry])
         key = split, tuple(map(type, watched))
         if key not in self._panels:
-            runs = self.optima.tuning.runs if split == "training" else self.runs
+            runs = self.tuning.runs if split == "training" else self.runs
             self.progress.advance(0.0, f"{self.detector.label}: {split} runs")
             judges = [self.detector.build()]
             rngs = lambda: self.world.generators(self.entropy, split, runs)  # noqa: E731
@@ -87,7 +90,8 @@ class Evaluator:
     def _fitted(self, entry: PlayerSpec) -> TuningResult:
         panel, now = self._panel("training", entry), f"{self.detector.label}: tuning {entry.label}"
         tick = lambda work: self.progress.advance(work, now)  # noqa: E731
-        return next(fit(panel, {0: self.detector}, entry, self.optima, tick))
+        optima = lambda: self.optima  # noqa: E731
+        return next(fit(panel, {0: self.detector}, entry, self.tuning, optima, tick))
 
     def fit(self, policy: Any, *, knowledge: str | None = None) -> TuningResult:
         """Fit the amplitude of a spoofer on the training runs; its `score` is of these."""
@@ -117,14 +121,12 @@ class Evaluator:
         elif isinstance(entry.thing, Scaled):
             setting, value = AMPLITUDE, entry.thing.amplitude
         panel, now = self._panel("evaluation", entry), f"{entry.label}: evaluation runs"
-        twin, counts, setup = panel.clean[0], panel.counts[:, 0], panel.setup
         tick = lambda work: self.progress.advance(work, now)  # noqa: E731
         (attacked,) = panel.play([(Attack(spec, self.runs), 0)], drop=False, tick=tick)
-        moved = displacement_of(setup, attacked, twin)
-        alarmed = attacked.first_alarm > 0
-        stealth = stealth_of(moved, alarmed, counts)
-        samples = resamples_of(clusters_of(panel.sky)[counts])
-        budget = self.optima.tuning.budget
+        record = panel.record(0, attacked, {})
+        moved, counts, stealth = record.displacement_m, record.counts, record.stealth
+        samples = resamples_of(clusters_of(record.sky)[counts])
+        budget = self.tuning.budget
         return Score(
             task=self.task,
             detector=self.detector.label,
@@ -136,15 +138,15 @@ class Evaluator:
             counted=stealth.runs,
             stealthy_displacement_m=bootstrap_mean(moved[counts], samples),
             alarm_rate=wilson(stealth.alarms, stealth.runs),
-            clean_alarm_rate=float((twin.first_alarm > 0).mean()),
+            clean_alarm_rate=float((panel.twin_alarm[:, 0] > 0).mean()),
             budget=budget,
             within_budget=stealth.seems_to_keep(budget),
             fit_within_budget=within,
             displacement_m=moved,
-            alarmed=alarmed,
+            alarmed=record.alarmed,
             counts=counts,
-            sky=panel.sky,
-            twins=hashlib.sha256(twin.position.tobytes()).hexdigest(),
+            sky=record.sky,
+            twins=hashlib.sha256(panel.clean[0].position.tobytes()).hexdigest(),
         )
 
 

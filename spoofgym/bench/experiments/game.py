@@ -32,10 +32,10 @@ from ...simulation.monitors import PastPositions
 from ...simulation.setup import SPLITS, Setup
 from ...tasks import task_of
 from ..runs.panel import Attack, Panel
-from ..runs.play import displacement_of
 from ..runs.players import DETECTOR, SPOOFER, Mixture, PlayerSpec, Strategy, specify_strategy
+from ..runs.record import RunRecord
 from ..runs.world import WORLD, World
-from ..scores.matrix_game import PayoffMatrix, Played, RunPayoff
+from ..scores.matrix_game import PayoffMatrix, RunPayoff
 from .runner import Context, Experiment, run
 from .store import Cell, MemoryStore, Reader, Result, Store
 
@@ -122,9 +122,7 @@ class Pairs(Experiment):
         attack = Attack(spoofer.untuned, panel.runs)
         asked = [(attack, k) for k in range(len(detectors))]
         for k, runs in enumerate(panel.play(asked, drop=False, tick=tick)):
-            moved = displacement_of(panel.setup, runs, panel.clean[k])
-            played = Played(moved, runs.first_alarm > 0, panel.counts[:, k])
-            yield Result({**played._asdict(), "sky": panel.sky})
+            yield Result(*panel.record(k, runs, {}).parts())
 
     def _panel(self, detectors: Sequence[PlayerSpec], alone: bool, context: Context) -> Panel:
         """Runs at the onset in front of detectors that share them."""
@@ -147,10 +145,12 @@ class Pairs(Experiment):
         """Payoffs of all pairs."""
         keys = {(a.label, b.label): key for key, (_, a, b) in self.pairs.items()}
         found = [
-            [results[keys[a.label, b.label]].arrays for b in self.detectors] for a in self.spoofers
+            [RunRecord.of_parts(*results[keys[a.label, b.label]][:2]) for b in self.detectors]
+            for a in self.spoofers
         ]
         moved, alarmed, counts = (
-            np.array([[each[name] for each in row] for row in found]) for name in Played._fields
+            np.array([[getattr(each, name) for each in row] for row in found])
+            for name in ("displacement_m", "alarmed", "counts")
         )
         spoofers, detectors = self.strategies
         return PayoffMatrix(
@@ -161,7 +161,7 @@ class Pairs(Experiment):
             moved,
             alarmed,
             counts[0],
-            found[0][0]["sky"],
+            found[0][0].sky,
             self.game.seeds,
         )
 

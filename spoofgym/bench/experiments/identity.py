@@ -11,6 +11,7 @@ from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
+from ... import __version__
 from ...core.compile import cache_parent
 from ...core.files import write_file
 from ...core.settings import digest_of, digest_of_bytes, digest_of_code
@@ -33,6 +34,11 @@ def code_identity(packages: Iterable[str] = (), sources: Iterable[Path] = ()) ->
         "python": platform.python_version(),
         **{name: version(name) for name in (*PACKAGES, *packages)},
     }
+
+
+def versions() -> dict[str, str]:
+    """What a card or a manifest says that it was made with."""
+    return {"spoofgym": __version__, **code_identity()}
 
 
 @functools.cache

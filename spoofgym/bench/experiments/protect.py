@@ -7,59 +7,166 @@ the ones found play the evaluation runs, which have decided nothing.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
+from ...calibration.clean_runs import weighs
 from ...core.progress import NullProgress, ProgressBar, ProgressCallback
 from ...core.registry import whole_number
 from ...core.settings import describe, digest_of, outside_sources
-from ...detectors.calibrated import factors_of
-from ...tasks import ANTENNA_PARTS, EVENTS, AttackFamily, DetectorTask, detector_task_of
-from ..runs.panel import play_searches
+from ...detectors import Calibrated, Detector, LearnedDetector, detector_in_world
+from ...detectors.calibrated import factors_of, resolve
+from ...envs.spoofer_binding import spoofer_context
+from ...simulation.setup import Setup
+from ...tasks import ANTENNA_PARTS, CANDIDATES, EVENTS, AttackFamily, DetectorTask, detector_task_of
+from ..runs.panel import NearAlarm, Panel, generators, in_any_world, numbers_of, play_searches
+from ..runs.players import (
+    ATTACK,
+    TUNED,
+    PlayerSpec,
+    check_labels,
+    fitted,
+    refuse_oracles,
+    specify_detector,
+    specify_spoofer,
+)
 from ..runs.record import Protection
+from ..runs.world import World
 from ..scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
-from ..search.settings import Selection
+from ..search.attack_suite import Selection, SuiteAttack, fitting_members
 from ..search.worst_attack import ROUNDS, FamilyAttacks, expected_plays, play_winners
+from .dataset import QUIET_TASKS
 from .runner import Context, Experiment, run
 from .store import Cell, MemoryStore, Reader, Result, Store
-from .task_worlds import Defence, Worlds, sharing
 
 RUNS, SELECTION_RUNS = 400, 96
 """Evaluation runs of every family, and runs that its attacks are chosen on."""
 SIFTED = 4
 """Part of the selection that sifts, as one in so many."""
+SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
+"""Profiles of the letter c."""
+KEPT_PANELS = 24
+"""Panels that are held in memory, the youngest ones."""
+NEAR_ALARM = "chance-alarm"
+"""Onset of which every detector has its own runs."""
+
+
+class Defence(NamedTuple):
+    """A detector with its thresholds, and whether it shares passes of the engine."""
+
+    entry: PlayerSpec
+    judge: Detector
+    passive: bool
+
+
+def entries_of(detectors: Iterable[Any]) -> tuple[PlayerSpec, ...]:
+    """Detectors that may be scored together."""
+    entries = tuple(map(specify_detector, detectors))
+    if not entries:
+        raise ValueError("no detector is given")
+    check_labels(entries)
+    refuse_oracles(entries)
+    return entries
+
+
+def held_out_but_met(judge: Detector, task: DetectorTask) -> str | None:
+    """Family that a task holds out, and that a detector has learned from, as its card has it."""
+    inner = judge.detector if isinstance(judge, Calibrated) else judge
+    training = inner.card.training if isinstance(inner, LearnedDetector) else {}
+    if "held_out" not in training:  # not learned, or not from a data set of spoofgym
+        return None
+    met = "quiet" if training.get("task") in QUIET_TASKS else "inherited"
+    return met if met in {family.key for family in task.held_out} else None
+
+
+class Worlds:
+    """Worlds of one task, with and without an attack, and runs in them at their onsets."""
+
+    def __init__(self, task: DetectorTask, entropy: int, threads: int | None) -> None:
+        self.task, self.entropy, self.threads = task, entropy, threads
+        self._setups: dict[str, Setup] = {}
+        self._panels: dict[Any, Panel] = {}
+
+    @cached_property
+    def world(self) -> World:
+        """The task's world."""
+        return World(given=self.task.world_kwargs)
+
+    def setup(self, **overrides: Any) -> Setup:
+        """World of a family, or with an event, without a defence."""
+        key = digest_of(describe(overrides))
+        if key not in self._setups:
+            self._setups[key] = self.world.altered(**overrides).setup
+        return self._setups[key]
+
+    def defences(self, detectors: Iterable[Any]) -> list[Defence]:
+        """Detectors with their thresholds of the task's world; warns of one that has learned from
+        what the task holds out, as its card has it."""
+        specs = list(detectors)
+        entries, world, found = entries_of(specs), self.world.setup, []
+        for entry, spec in zip(entries, specs, strict=True):
+            judge = detector_in_world(spec)
+            resolve(judge, world)
+            if met := held_out_but_met(judge, self.task):
+                warnings.warn(
+                    f"{entry.label} has learned from {met} counterfeits, which {self.task.key} "
+                    "holds out: its score is not that of a detector that has never met them",
+                    UserWarning,
+                    stacklevel=2,
+                )
+            settled = in_any_world(judge)
+            found.append(Defence(entry, settled, not weighs(world, settled)))
+        return found
+
+    def panel(
+        self,
+        group: Sequence[Defence],
+        split: str,
+        runs: int,
+        onset: str | None = None,
+        **overrides: Any,
+    ) -> Panel:
+        """Runs of a split at their onsets, for detectors that share them, in an altered world."""
+        # two files may have one label; a panel keeps its judges, and so their ids
+        judged = tuple(id(each.judge) for each in group)
+        key = digest_of(describe({"of": overrides, "onset": onset})), judged, split, runs
+        if key not in self._panels:
+            while len(self._panels) >= KEPT_PANELS:  # families in the same world share theirs
+                del self._panels[next(iter(self._panels))]
+            setup, judges = self.setup(**overrides), [each.judge for each in group]
+            near = onset == NEAR_ALARM
+            count, condition = (CANDIDATES * runs, None) if near else (runs, onset)
+            numbers = numbers_of(setup, self.entropy, split, count, condition)
+            rngs = lambda: generators(setup, self.entropy, split, numbers)  # noqa: E731
+            self._panels[key] = (
+                NearAlarm(setup, judges[0], rngs, self.threads)
+                if near
+                else Panel(setup, judges, rngs, self.threads)
+            )
+        return self._panels[key]
+
+    def members(self, family: AttackFamily) -> tuple[SuiteAttack, ...]:
+        """Attacks of a family, each with one setting that is looked for."""
+        if family.letters == "m":
+            spec = {**(family.attack or {}), "antenna_m": TUNED}
+            return (SuiteAttack("m", PlayerSpec("meaconer", ATTACK, spec, "antenna_m"), False),)
+        setup = self.setup(**family.overrides)
+        suite = fitting_members(setup, spoofer_context(setup))
+        found = [member for member in suite if member.letter in family.letters]
+        if "c" in family.letters:
+            found += [SuiteAttack("c", specify_spoofer(fitted(name)), False) for name in SHIPPED]
+        return tuple(found)
 
 
 class DetectorEvaluator:
     """Scores detectors of one task on the same runs; those that only look share their passes.
 
-    Parameters
-    ----------
-    task : str or DetectorTask
-        ``"D1"`` to ``"D4"``, or one of your own.
-    runs : int
-        Evaluation runs of every family, which decide nothing.
-    selection_runs : int
-        Runs that each family's attacks are chosen on.
-    families : sequence of str, optional
-        Keys of those that are played; by default all of the task.
-    entropy : int
-        Seed of all of them.
-    threads : int, optional
-        Threads of the engine.
-    progress : ProgressCallback, optional
-        Shows how far it is.
-    folder : path-like, optional
-        Whose folder of the task has what is finished; a killed process goes on from there.
-
-    Raises
-    ------
-    ValueError
-        When a task or a family is unknown, or a number is out of range.
+    Its arguments are those of `evaluate_detector`, but for the detector.
     """
 
     def __init__(
@@ -90,20 +197,7 @@ class DetectorEvaluator:
     def scores(
         self, detectors: Iterable[Any], *, show: ProgressBar | None = None
     ) -> list[DetectorScore]:
-        """Score detectors.
-
-        Parameters
-        ----------
-        detectors : iterable
-            As of `evaluate_detector`.
-        show : ProgressBar, optional
-            Opens a bar in place of `progress`.
-
-        Returns
-        -------
-        list of DetectorScore
-            In their order; paired with one another.
-        """
+        """Scores in the order of the detectors; `show` opens a bar in place of `progress`."""
         found = self.protections(detectors)
         store = MemoryStore(None if self.folder is None else Store(self.folder))
         show = show or (lambda _: nullcontext(self.progress))
@@ -135,20 +229,17 @@ class Protections(Experiment):
     @cached_property
     def parts(self) -> dict[str, tuple[Cell, AttackFamily | None, Defence]]:
         """Cells by key, of which family, and of whom; no family for false alarms."""
-        found = {}
+        found, passive = {}, sum(each.passive for each in self.defences)
         for family in (*self.of.families, None):
-            for group in sharing(self.defences, family):
-                work = float(self.of.runs)
-                if family is not None:
-                    members, seeds = self.of.worlds.members(family), self.of.selection
-                    plays = expected_plays(len(members), seeds, self.of.runs, ROUNDS)
-                    work = plays * (0.75 + 0.25 * len(group)) / len(group)
-                name = "false alarms" if family is None else family.key
-                names = [each.entry.label for each in group]
-                label = f"{name}: {', '.join([*names[:3], *(['...'] if names[3:] else [])])}"
-                for each in group:
-                    key, identity = self._identity(name, family, each)
-                    found[key] = Cell(key, identity, work, group=label), family, each
+            name, plays = "false alarms", float(self.of.runs)
+            if family is not None:
+                name, members = family.key, len(self.of.worlds.members(family))
+                plays = expected_plays(members, self.of.selection, self.of.runs, ROUNDS)
+            for each in self.defences:
+                shared = each.passive and (family is None or family.onset != NEAR_ALARM)
+                group = f"{name}: {f'{passive} detectors' if shared else each.entry.label}"
+                key, identity = self._identity(name, family, each)
+                found[key] = Cell(key, identity, plays, group=group), family, each
         return found
 
     def _identity(
@@ -178,39 +269,38 @@ class Protections(Experiment):
     def run_group(
         self, cells: Sequence[Cell], results: Reader, context: Context
     ) -> Iterator[Result]:
-        """Search against detectors that share their runs."""
+        """Search against detectors that share their runs, and play what was found."""
         _, (family, *_), group = zip(*(self.parts[cell.key] for cell in cells), strict=True)
-        self.of.worlds.threads = context.threads
-        if family is None:
-            return self._false_alarms(group)
-        return self._searched(family, group, context.tick)
-
-    def _searched(
-        self, family: AttackFamily, group: Sequence[Defence], tick: Callable[[float], None]
-    ) -> Iterator[Result]:
-        """Search for the worst attacks on detectors, and let them play the evaluation runs."""
         worlds, limit, settings = self.of.worlds, self.of.task.alert_limit_m, self.of.selection
+        worlds.threads = context.threads
+        if family is None:
+            yield from self._false_alarms(group)
+            return
+        where = {"onset": family.onset, **family.overrides}
+        panel, members = (
+            worlds.panel(group, "selection", settings.runs, **where),
+            worlds.members(family),
+        )
         antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
-        members = worlds.members(family)
-        panel = worlds.panel(family, group, "selection", settings.runs)
         searches = [
             FamilyAttacks(panel, k, members, settings, antenna_m=antenna) for k in range(len(group))
         ]
         asked = [(each.number, each.winners([limit])) for each in searches]
-        found = list(zip(searches, play_searches(panel, asked, tick), strict=True))
-        panel = worlds.panel(family, group, "evaluation", self.of.runs)
-        for k, winners in enumerate(play_winners(panel, found, tick)):
+        found = list(zip(searches, play_searches(panel, asked, context.tick), strict=True))
+        panel = worlds.panel(group, "evaluation", self.of.runs, **where)
+        for k, winners in enumerate(play_winners(panel, found, context.tick)):
             head = {"detector": group[k].entry.label}
             worst = Protection(head, winners, panel.counts[:, k], panel.sky, None)
             yield Result(*worst.parts())
 
     def _false_alarms(self, group: Sequence[Defence]) -> Iterator[Result]:
         """Alarms of detectors in runs without an attack, with an event and without."""
-        clean = self.of.worlds.panel(None, group, "evaluation", self.of.runs)
-        window = clean.twin_alarm > 0
-        alarms = {WINDOW: window, CLEAN: clean.warmup_alarm | window}
-        for event in EVENTS:
-            panel = self.of.worlds.with_event(event, group, self.of.runs)
+        worlds, runs = self.of.worlds, (group, "evaluation", self.of.runs)
+        clean = worlds.panel(*runs)
+        alarms = {WINDOW: clean.twin_alarm > 0, CLEAN: clean.warmup_alarm | (clean.twin_alarm > 0)}
+        for event in EVENTS:  # all runs have it; their noise is the same
+            domain = {**self.of.task.world_kwargs["domain"], "events": {event: 1.0}}
+            panel = worlds.panel(*runs, domain=domain)
             alarms[event] = panel.warmup_alarm | (panel.twin_alarm > 0)
         for k in range(len(group)):
             yield Result({name: alarmed[:, k] for name, alarmed in alarms.items()})
@@ -275,8 +365,19 @@ def evaluate_detector(
         thresholds are those of the task's world everywhere.
     task : str or DetectorTask
         ``"D1"`` to ``"D4"``, or one of your own.
-    runs, selection_runs, families, entropy, threads, progress, folder : optional
-        As in `DetectorEvaluator`.
+    runs, selection_runs : int
+        Evaluation runs of every family, which decide nothing, and runs that its attacks are chosen
+        on.
+    families : sequence of str, optional
+        Keys of those that are played; by default all of the task.
+    entropy : int
+        Seed of all of them.
+    threads : int, optional
+        Threads of the engine.
+    progress : ProgressCallback, optional
+        Shows how far it is.
+    folder : path-like, optional
+        Whose folder of the task has what is finished; a killed process goes on from there.
 
     Returns
     -------
@@ -287,7 +388,7 @@ def evaluate_detector(
     ------
     ValueError
         When the detector is not calibrated for the task's world; the message has the command that
-        does so; and as in `DetectorEvaluator`.
+        does so; or when a task or a family is unknown, or a number is out of range.
 
     Examples
     --------

@@ -104,6 +104,7 @@ def run(
     threads: int | None = None,
     shard: tuple[int, int] | None = None,
     progress: ProgressBar | None = None,
+    overwrite: bool = False,
 ) -> Reader:
     """Compute the cells that are not finished; results of all cells, other shards' too.
 
@@ -116,7 +117,8 @@ def run(
     check_choice("backend", kind, BACKENDS)
     if kind != "local":
         _installed(kind)
-    store.open(experiment.name, experiment.config, outputs=experiment.outputs)
+    outputs = experiment.outputs
+    store.open(experiment.name, experiment.config, outputs=outputs, overwrite=overwrite)
     cells = list(experiment.cells())
     plan = _Plan(cells, store, None if shard is None else _checked(*shard))
     results = Reader(store, cells)

@@ -16,14 +16,18 @@ import numpy as np
 
 from ... import __version__
 from ...attacks import Attack
+from ...calibration.thresholds import suitable_detectors
 from ...core.registry import whole_number
 from ...core.settings import digest_of, outside_sources
 from ...detectors import Detector, OperatingPoint
+from ...detectors.build import spec_of_judge
+from ...detectors.calibrated import STANDARD_RATE
 from ...envs.spoofer_binding import ENV_ID
 from ...policies.onnx_file import SUFFIX
 from ...simulation.domain import Domain
 from ...simulation.setup import SPLITS, Setup, Timeline
 from ...spoofers import Spoofer
+from ...tasks import RANGE_RATE_TESTS, SUITE, task_of
 from ...truth.scenario import Scenario
 from ..runs.players import (
     DEFAULT_SPOOFERS,
@@ -36,11 +40,18 @@ from ..runs.players import (
     specify_detector,
     specify_spoofer,
 )
-from ..runs.world import VICTIMS, WORLD, World
-from ..search.attack_suite import NAME, VERSION, SuiteAttack, fitting_members, suite_digest
+from ..runs.world import CONTROLS, VICTIMS, WORLD, World
+from ..search.amplitude import Tuning
+from ..search.attack_suite import (
+    NAME,
+    VERSION,
+    Selection,
+    SuiteAttack,
+    fitting_members,
+    suite_digest,
+)
 from ..search.bounds import Brackets
 from ..search.open_loop import Optima
-from ..search.settings import Selection, Tuning
 
 ALERT_LIMIT_M = 40.0
 """Horizontal alert limit of an approach with vertical guidance (`icao-annex10`)."""
@@ -273,3 +284,42 @@ def _without_folders(value: Any) -> Any:
     if isinstance(value, Iterable) and not isinstance(value, str):
         return [_without_folders(item) for item in value]
     return PurePath(value).name if isinstance(value, str) and value.endswith(SUFFIX) else value
+
+
+STANDARD = "standard"
+SUITES = (STANDARD,)
+"""Names of `spoofgym bench --suite`."""
+TASK = "T3"
+RATE = STANDARD_RATE
+"""False alarms an hour of all detectors."""
+SPOOFERS = ("ramp", "accelerating-ramp", "snapshot-chi2-profile", "blind-optimum", "feedback")
+"""Each is fitted to the alarm budget."""
+SIZES = {"seeds": 400, "training_seeds": 128, "selection_seeds": 48}
+"""Evaluation, training and selection runs, where no others are given."""
+
+
+def everyone_in(setup: Setup, rescaled: bool = False) -> list[dict[str, Any]]:
+    """The controls and all classics that suit a world; `rescaled`: also with their innovations."""
+    found = [dict(each) for each in CONTROLS]
+    for each in suitable_detectors(setup):
+        own = {"name": spec_of_judge(each)["name"]}
+        if own not in found:
+            found.append(own)
+        if rescaled and each.drifts:
+            found.append({**own, "thresholds": "rescaled"})
+    return found
+
+
+def in_order(everyone: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Controls, solution separation, tests of range rates, which are added, and the others."""
+    controls = [dict(spec) for spec in CONTROLS]
+    first = [*controls, {"name": "solution-separation"}, *map(dict, RANGE_RATE_TESTS)]
+    return [*first, *(dict(spec) for spec in everyone if spec not in first)]
+
+
+def standard_kwargs() -> dict[str, Any]:
+    """Keyword arguments of a `Suite`, but for its detectors."""
+    task = task_of(TASK)
+    limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
+    note = f"suite {STANDARD}: the world of task {task.key} of {SUITE}"
+    return {**task.world_kwargs, **limit, "notes": (note,)}

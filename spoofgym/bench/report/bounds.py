@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from ..scores.bounds import HALF, STEALTHY
+from ..scores.campaign import HALF, STEALTHY
 from ..search.open_loop import FOUND
 
 Row = dict[str, Any]

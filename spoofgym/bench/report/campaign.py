@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..experiments.summary import CampaignResults
+from ..experiments.campaign import CampaignResults
 from ..search.attack_suite import FAMILIES
 from . import table as tables
 from .bounds import bracket_section

@@ -17,12 +17,12 @@ from ...envs.core import SpoofCore
 from ...envs.rendering import CoreRecorder, Screen
 from ...envs.spoofer_binding import commands_of
 from ...spoofers import make_spoofer
+from ..experiments.campaign import PICTURE, CampaignResults
 from ..experiments.suite import Suite
-from ..experiments.summary import PICTURE, CampaignResults
 from ..runs.play import Attacker
 from ..runs.players import PlayerSpec
 from ..runs.record import RunRecord
-from ..scores.bounds import STEALTHY
+from ..scores.campaign import STEALTHY
 from .table import number
 
 if TYPE_CHECKING:

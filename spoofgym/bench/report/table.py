@@ -13,9 +13,7 @@ from typing import Any, NamedTuple
 
 from ...detectors.calibrated import NOISY_WARMUP
 from ...spoofers.base import sees_statistics
-from ..scores.bounds import HALF, STEALTHY, headline
-from ..scores.clean import NOMINAL
-from ..scores.paired import CONTROLS, FREE, name_of
+from ..scores.campaign import CONTROLS, FREE, HALF, NOMINAL, STEALTHY, headline, name_of
 from ..search.attack_suite import ORACLES
 from .bounds import ABOVE_BOUND, bound_cell, bracket_marks, floor_cell
 

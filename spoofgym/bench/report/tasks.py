@@ -10,7 +10,7 @@ from ...core.registry import label_of
 from ...detectors import zoo
 from ...detectors.learned_card import DetectorCard, card_path
 from ...tasks import DETECTOR_TASKS, SUITE, TASKS, DetectorTask, task_of
-from ..experiments.campaign import everyone_in, in_order
+from ..experiments.suite import everyone_in, in_order
 from ..runs.world import World
 from .table import attack_of_suite, interval, number, titled
 

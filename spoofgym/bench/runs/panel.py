@@ -28,6 +28,7 @@ from ...tasks import CANDIDATES, NEAR_ALARM_S, SWITCH_WITHIN_S, TURNING_DEGPS
 from ...truth.sensors import keys_of
 from ..scores.scores import counted
 from .play import PanelDetectors, Runs, WarmStart, displacement_of, play_side_by_side, traits_of
+from .record import RunRecord
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -259,10 +260,17 @@ class Panel:
             self._alone[numbers[0]] = WarmStart(setup, self.rngs(), threads=self.threads)
         return self._alone[numbers[0]].take(rows)
 
-    def in_front_of(self, number: int) -> WarmStart:
-        """Runs at the onset with one of the detectors in the loop."""
-        every = np.arange(self.runs)
-        return self._start((number,), len(self.judges) > 1, Attack("none", self.runs), every)
+    def record(self, number: int, attacked: Runs, head: dict[str, Any]) -> RunRecord:
+        """What a detector makes of an attack on all runs."""
+        moved = displacement_of(self.setup, attacked, self.clean[number])
+        records = {
+            "warmup_alarm": self.warmup_alarm[:, number],
+            "first_alarm": attacked.first_alarm,
+            "twin_alarm": self.twin_alarm[:, number],
+            "undetected_displacement_m": moved,
+            "sky": self.sky,
+        }
+        return RunRecord(head, records)
 
     def displacement(self, attack: Attack) -> FloatArray:
         """(D, R') undetected displacement under an attack [m]."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -97,6 +97,32 @@ class RunRecord:
         return cls(record["head"], dict(arrays), record["series"])
 
 
+MEASURES = (
+    "undetected_displacement_m",
+    "undetected_vertical_m",
+    "undetected_total_m",
+    "undetected_total_vertical_m",
+)
+"""Induced and total error, horizontal and vertical; a victim in the plane has no vertical ones."""
+
+
+def measured(
+    setup: Setup, attacked: Runs, twin: Runs, measures: Sequence[str] = MEASURES
+) -> dict[str, FloatArray]:
+    """Undetected displacement of every run by some measures, as far as a victim has them."""
+    moved, off = induced(setup, attacked, twin), off_truth(setup, attacked)
+    sizes = [horizontal(moved), None, horizontal(off), None]
+    if moved.shape[2] == 3:
+        sizes[1], sizes[3] = np.abs(moved[..., 2]), np.abs(off[..., 2])
+    return {
+        name: np.round(
+            undetected_displacement(size[: setup.steps], attacked.first_alarm, setup.hold), 6
+        )
+        for name, size in zip(MEASURES, sizes, strict=True)
+        if size is not None and name in measures
+    }
+
+
 def record_runs(
     setup: Setup,
     head: dict[str, Any],
@@ -111,24 +137,17 @@ def record_runs(
     commanded, first = error[: setup.steps], attacked.first_alarm
     above = commanded > alert_limit_m
 
-    def undetected(size: FloatArray) -> FloatArray:
-        return undetected_displacement(size[: setup.steps], first, setup.hold)
-
     numbers = {
-        "undetected_displacement_m": undetected(error),
-        "undetected_total_m": undetected(total),
         "largest_error_m": commanded.max(axis=0),
         "final_error_m": commanded[-1],
         "navigation_rms_m": np.sqrt((total * total).mean(axis=0)),
         "coasting_error_m": np.where(attacked.coasting, total, 0.0).max(axis=0),
         "peak_ratio": attacked.peak,
     }
-    if moved.shape[2] == 3:
-        numbers["undetected_vertical_m"] = undetected(np.abs(moved[..., 2]))
-        numbers["undetected_total_vertical_m"] = undetected(np.abs(off[..., 2]))
     if setup.target_heading_deg != "worst":
         north, east = np.cos(attacked.heading), np.sin(attacked.heading)
-        numbers["undetected_along_m"] = undetected(moved[..., 0] * north + moved[..., 1] * east)
+        along = (moved[..., 0] * north + moved[..., 1] * east)[: setup.steps]
+        numbers["undetected_along_m"] = undetected_displacement(along, first, setup.hold)
     records: dict[str, NDArray[Any]] = {
         "warmup_alarm": warmup_alarm,
         "first_alarm": first,
@@ -140,6 +159,7 @@ def record_runs(
         "sky": attacked.onset // setup.epochs_each,
     }
     records |= {name: np.round(x, 6) for name, x in numbers.items()}
+    records |= measured(setup, attacked, twin)
     epochs = np.arange(1, len(error) + 1)
     bands = np.percentile(error, PERCENTILES, axis=1)
     series = {
@@ -151,15 +171,6 @@ def record_runs(
     }
     lengths = {"interval_s": setup.interval_s, "steps": setup.steps, "hold": setup.hold}
     return RunRecord({**head, **lengths}, records, series)
-
-
-MEASURES = (
-    "undetected_displacement_m",
-    "undetected_vertical_m",
-    "undetected_total_m",
-    "undetected_total_vertical_m",
-)
-"""Induced and total error, horizontal and vertical; a victim in the plane has no vertical ones."""
 
 
 class Aim(NamedTuple):

@@ -19,19 +19,72 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from ...core.registry import whole_number
 from ...envs.spoofer_binding import tuning_range_of
 from ...spoofers import make_spoofer
 from ..runs.panel import Attack, Panel, Search, play_searches
 from ..runs.play import displacement_of
 from ..runs.players import PlayerSpec
 from ..scores.scores import Stealth, stealth_of
-from .open_loop import Optima
-from .settings import Tuning, log_spaced, rounded_down
+from ..scores.statistics import BUDGET, fewest_runs
+
+if TYPE_CHECKING:
+    from .open_loop import Optima
 
 RESOLUTION = 1.02
 """Ratio of the smallest value known to be over the budget to the largest one known to keep it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tuning:
+    """How a spoofer's setting is searched for.
+
+    Parameters
+    ----------
+    runs : int
+        Training runs.
+    sift_runs : int
+        How many of them are enough to find the neighbourhood.
+    values : int
+        Log-spaced values over the whole range that are sifted.
+    refined : int
+        Log-spaced values around a peak within the budget, tried on all training runs.
+    budget : float
+        Largest P(alarm | silent twin), which its upper 95 % limit on the training runs keeps.
+    """
+
+    runs: int = 1024
+    sift_runs: int = 64
+    values: int = 20
+    refined: int = 5
+    budget: float = BUDGET
+
+    def __post_init__(self) -> None:
+        for name, least in (("runs", 2), ("sift_runs", 1), ("values", 3), ("refined", 2)):
+            count = whole_number(f"`tuning.{name}`", getattr(self, name), least)
+            object.__setattr__(self, name, count)
+        if not 0.0 < self.budget < 1.0:
+            raise ValueError(f"`tuning.budget` must be in (0, 1), got {self.budget}")
+        if self.runs < fewest_runs(self.budget):
+            raise ValueError(
+                f"`tuning.runs` must be at least {fewest_runs(self.budget)} for a budget of "
+                f"{self.budget:g}: with fewer, not even runs without any alarm show that it is "
+                f"kept; got {self.runs}"
+            )
+
+
+def log_spaced(low: float, high: float, count: int) -> list[float]:
+    return [rounded_down(value) for value in np.geomspace(low, high, count)]
+
+
+def rounded_down(value: float) -> float:
+    """Number rounded down to four digits, so that a choice can be written down."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 3.0)
+    return float(f"{math.floor(value / digit + 1e-6) * digit:.6g}")
 
 
 @dataclass(frozen=True)
@@ -208,20 +261,20 @@ def fit(
     panel: Panel,
     detectors: Mapping[int, PlayerSpec],
     entry: PlayerSpec,
-    optima: Optima,
+    settings: Tuning,
+    optima: Callable[[], Optima],
     tick: Callable[[float], None] = lambda _: None,
 ) -> Iterator[TuningResult]:
     """Search for a spoofer's setting against detectors of a panel, in their order; of a blind
     optimum for its curve before that."""
-    settings = optima.tuning
     if not entry.searched:
         searches = [(k, tune(panel, k, entry, d.label, settings)) for k, d in detectors.items()]
         yield from play_searches(panel, searches, tick)
         return
     for number, detector in detectors.items():
         share = 0.25 * search_work(settings)
-        found = optima.find(detector, entry, lambda part: tick(share * part))  # noqa: B023
-        curves = optima.curves_to_fit(found)
+        found = optima().find(detector, entry, lambda part: tick(share * part))  # noqa: B023
+        curves = optima().curves_to_fit(found)
         own = {name: with_rates(entry, rates) for name, rates in curves.items()}
         searches = [
             (number, tune(panel, number, x, detector.label, settings)) for x in own.values()

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.registry import Spec
+from ...core.registry import Spec, whole_number
 from ...core.settings import digest_of
 from ...simulation.setup import Setup
 from ...spoofers import SPOOFERS, SpooferContext, make_spoofer
 from ...spoofers.scaled import AMPLITUDE
 from ..runs.play import make_bound_spoofer
 from ..runs.players import TUNED, PlayerSpec, specify_spoofer
-from .settings import log_spaced
+from .amplitude import log_spaced
 
 FloatArray = NDArray[np.float64]
 NAME, VERSION = "spoofgym-scripted", 2
@@ -50,6 +50,22 @@ AROUND_FOUND = (0.5, 2.0)
 """Amplitudes of a blind optimum that are tried first, in parts of that at which it was found."""
 LAST_PARTS = (0.15, 0.4)
 """Parts of the attack window in which a dash takes place."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Selection:
+    """How the worst attack of the suite is looked for. `runs`: runs of the split `selection`;
+    `sift_runs`: how many of them play the whole suite; `values`: log-spaced values of every
+    member's setting."""
+
+    runs: int = 192
+    sift_runs: int = 48
+    values: int = 10
+
+    def __post_init__(self) -> None:
+        for name, least in (("runs", 1), ("sift_runs", 1), ("values", 2)):
+            count = whole_number(f"`selection.{name}`", getattr(self, name), least)
+            object.__setattr__(self, name, count)
 
 
 @dataclass(frozen=True)

@@ -46,9 +46,9 @@ from ...spoofers.profile import MOST_KNOTS, sampled
 from ..runs.play import Runs, WarmStart, induced_error, play
 from ..runs.players import PlayerSpec
 from ..scores.statistics import aim
+from .amplitude import Tuning
 from .backends import Backend, EngineBackend, ReplayBackend, limits_of
 from .bounds import Brackets
-from .settings import Tuning
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]

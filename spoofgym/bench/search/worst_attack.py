@@ -24,15 +24,14 @@ from numpy.typing import NDArray
 from ...attacks import make_attack
 from ...core.registry import Spec
 from ...envs.spoofer_binding import spoofer_context
-from ...simulation.setup import Setup
 from ...spoofers.scaled import LARGEST, SMALLEST
 from ..runs.panel import Attack, Panel, Search
-from ..runs.play import Runs, horizontal, induced, off_truth
+from ..runs.play import Runs
 from ..runs.players import ATTACK
-from ..runs.record import MEASURES, Aim, Winner
-from ..scores.scores import SHARES, undetected_displacement, worst_skies
-from .attack_suite import SuiteAttack, grid_of
-from .settings import Selection, log_spaced, rounded_down
+from ..runs.record import MEASURES, Aim, Winner, measured
+from ..scores.scores import SHARES, worst_skies
+from .amplitude import log_spaced, rounded_down
+from .attack_suite import Selection, SuiteAttack, grid_of
 
 FloatArray = NDArray[np.float64]
 NEIGHBOURS = (-0.35, 0.35)
@@ -45,23 +44,6 @@ AT_ONCE = 8
 """Worst attacks whose runs are held together."""
 ALIKE = 0.002
 """Amplitudes that differ by less, in parts, are not both played."""
-
-
-def measured(
-    setup: Setup, attacked: Runs, twin: Runs, measures: Sequence[str] = MEASURES
-) -> dict[str, FloatArray]:
-    """Undetected displacement of every run by some measures, as far as a victim has them."""
-    moved, off = induced(setup, attacked, twin), off_truth(setup, attacked)
-    sizes = [horizontal(moved), None, horizontal(off), None]
-    if moved.shape[2] == 3:
-        sizes[1], sizes[3] = np.abs(moved[..., 2]), np.abs(off[..., 2])
-    return {
-        name: np.round(
-            undetected_displacement(size[: setup.steps], attacked.first_alarm, setup.hold), 6
-        )
-        for name, size in zip(MEASURES, sizes, strict=True)
-        if size is not None and name in measures
-    }
 
 
 def aims_of(measures: Sequence[str], limits: Sequence[float], skies: bool) -> tuple[Aim, ...]:

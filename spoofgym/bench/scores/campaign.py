@@ -1,0 +1,494 @@
+"""Scores of a campaign's detectors: what they cost without attack, compared with the negative
+controls, and between their limits.
+
+`never` does not alarm, and `lottery` alarms by chance at the rate that all are asked for.  A
+detector against which a spoofer comes farther than against them has done harm, and is marked: its
+interval lies above 0.  Detectors at different rates are never compared, and none at its nominal
+thresholds is.  A spoofer that reads the detector's statistic obeys that of a lottery, too, which it
+could ignore: against such a one `never` alone is a control.
+
+The bracket of a detector:
+
+1. The *floor* is what even a perfect detector would allow at the same rate of false alarms.
+2. The *blind optimum* is the best open-loop attack that was found within the alarm budget.
+3. The *zero-alarm bound* is what no attack exceeds in the mean without an alarm of its own doing.
+
+The best attack below the floor says that the search has failed; its whole interval has to lie
+there, so that chance alone does not say it.  A mean may lie above the zero-alarm bound, since the
+budget pays for some alarms; it is marked where it does by more than two standard errors and 1 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...detectors.calibration_file import hourly_rate
+from ...spoofers.base import sees_statistics
+from ..runs.record import MEASURES, Aim, Protection, RunRecord, Winner
+from .scores import (
+    ALIKE,
+    SHARES,
+    bootstrap_exceeded,
+    by_chance,
+    clusters_of,
+    exceeded,
+    missed_in_time,
+    survival,
+)
+from .statistics import (
+    NOTHING,
+    Estimate,
+    bootstrap_mean,
+    clopper_pearson,
+    clustered_proportion,
+    exceedance,
+    largest_of_share,
+    percentiles,
+    resamples_of,
+    wilson,
+)
+
+NOMINAL = "nominal"
+"""Footing of detectors that were asked for no rate."""
+
+
+def operating_point(config: Mapping[str, Any], detector: str) -> dict[str, Any]:
+    """What a detector was asked for: ``claimed``, and the ``footing`` on which it is compared. The
+    footing is the rate; ``"nominal"`` where none was asked for, and ``"any"`` of a detector that
+    never alarms."""
+    found = config["calibrations"].get(detector, [])
+    rates = {point["false_alarms_per_hour"] for point in found}
+    claimed = None
+    if found:
+        first = found[0]
+        names = ("per_run", "false_alarms_per_hour", "runs", "extrapolated", "warmup_alarms")
+        claimed = {name: first[name] for name in names}
+    if len(rates) == 1:
+        footing = f"{rates.pop():g}"
+    else:
+        footing = FREE if detector in config["never_alarm"] else NOMINAL
+    return {"claimed": claimed, "footing": footing}
+
+
+def score_detector(clean: RunRecord) -> dict[str, Any]:
+    """False alarms of a detector and their price, from its runs without attack. Per run, per hour,
+    and per epoch of the window, which is the availability that is lost; in the warm-up; satellites
+    that are blamed though nobody attacks, in satellite seconds an hour, None where channels are not
+    judged; RMS distance from the truth, and the largest while coasting."""
+    records, window_s = clean.records, clean.window * clean.interval_s
+    warm = int(records["warmup_alarm"].sum())
+    per_run = clopper_pearson(int(clean.alarmed.sum()), clean.runs)
+    hours = clean.runs * window_s / 3600.0
+    blamed = float(records["blamed"].sum()) * clean.interval_s / hours
+    coasting = records["coasting_epochs"] > 0
+    return {
+        "detector": clean.detector,
+        "window_s": window_s,
+        "false_alarm_per_run": per_run.as_json(),
+        "false_alarms_per_hour": _per_hour(per_run, window_s),
+        "false_alarm_per_epoch": clustered_proportion(
+            records["alarm_epochs"], clean.window
+        ).as_json(),
+        "warmup_alarm_per_run": clopper_pearson(warm, clean.runs).as_json(),
+        "blamed_s_per_hour": round(blamed, 4) if clean.head["judges_channels"] else None,
+        "navigation_rms_m": float(np.sqrt(np.mean(records["navigation_rms_m"] ** 2)).round(4)),
+        "coasting_error_m": mean_of(records["coasting_error_m"][coasting]),
+    }
+
+
+def _per_hour(per_run: Estimate, window_s: float) -> dict[str, float | None]:
+    """Rate of a probability for a run; None where every run alarms, and nothing is known."""
+    rates = (hourly_rate(each, window_s) for each in per_run)
+    return {
+        name: round(rate, 6) if np.isfinite(rate) else None
+        for name, rate in zip(Estimate._fields, rates, strict=True)
+    }
+
+
+def number(value: Any) -> float:
+    """Number as it is written down."""
+    return round(float(value), 4)
+
+
+def mean_of(x: NDArray[Any]) -> float | None:
+    """Mean as it is written down; None of nothing."""
+    return number(x.mean()) if len(x) else None
+
+
+FloatArray = NDArray[np.float64]
+CONTROLS = ("never", "lottery")
+"""Names of the detectors that chance must not be told from."""
+FREE = "any"
+"""Footing of a detector that never alarms: it has none, and goes with any rate."""
+Footings = Mapping[str, str]
+
+
+def compare(
+    cells: Sequence[RunRecord],
+    protections: Sequence[Protection],
+    footings: Footings,
+) -> list[dict[str, Any]]:
+    """Paired differences, detector less control, over the runs that count for both. Returns a row
+    for each score: ``score``, ``spoofer`` or None, ``detector``, ``control``, ``difference_m``,
+    ``above`` where its interval lies above 0, ``below`` where it lies below by more than `ALIKE` of
+    what the control lets through."""
+    found = []
+    for control in controls(footings):
+        for detector in footings:
+            if comparable(footings, detector, control):
+                found += _displacements(cells, detector, control)
+                found += _protections(protections, detector, control)
+    return found
+
+
+def controls(footings: Footings) -> list[str]:
+    """Labels of the negative controls that were played."""
+    return [label for label in footings if name_of(label) in CONTROLS]
+
+
+def name_of(label: str) -> str:
+    return label.partition("(")[0]
+
+
+def comparable(footings: Footings, detector: str, other: str) -> bool:
+    """Whether two detectors were asked for one rate, and are not the same."""
+    mine, theirs = footings[detector], footings[other]
+    if detector == other or "nominal" in (mine, theirs):
+        return False
+    return mine == theirs or FREE in (mine, theirs)
+
+
+def _displacements(cells: Sequence[RunRecord], detector: str, control: str) -> list[dict[str, Any]]:
+    by_pair = {(cell.detector, cell.spoofer): cell for cell in cells}
+    found = []
+    for (label, spoofer), mine in by_pair.items():
+        theirs = by_pair.get((control, spoofer))
+        if label != detector or spoofer == "none" or theirs is None:
+            continue
+        obeys = sees_statistics(str(mine.head["knowledge"]["run_time"]))
+        if obeys and "lottery" in (name_of(detector), name_of(control)):
+            continue
+        gap = mine.displacement_m - theirs.displacement_m
+        both = mine.counts & theirs.counts
+        samples = resamples_of(clusters_of(mine.sky)[both])
+        difference = bootstrap_mean(gap[both], samples)
+        size = float(theirs.displacement_m[both].mean()) if both.any() else 0.0
+        found.append(_row("stealthy displacement", spoofer, detector, control, difference, size))
+    return found
+
+
+def _protections(
+    protections: Sequence[Protection], detector: str, control: str
+) -> list[dict[str, Any]]:
+    """Displacement that the worst attack exceeds, by share."""
+    by_label = {each.detector: each for each in protections}
+    mine, theirs = by_label.get(detector), by_label.get(control)
+    if mine is None or theirs is None:
+        return []
+    found = []
+    for share in SHARES:
+        aim = Aim(MEASURES[0], share)
+        x, y = (each.worst(aim).displacement[aim.measure] for each in (mine, theirs))
+        both = mine.counts & theirs.counts
+        samples = resamples_of(clusters_of(mine.sky)[both])
+        difference = _paired_exceeded(x[both], y[both], samples, share)
+        word, size = f"protection {100 * share:g} %", exceeded(y[both], share)
+        found.append(_row(word, None, detector, control, difference, size))
+    return found
+
+
+def _paired_exceeded(x: FloatArray, y: FloatArray, samples: FloatArray, share: float) -> Estimate:
+    if not len(x):
+        return NOTHING
+    drawn = [largest_of_share(each, share, samples) for each in (x, y)]
+    return percentiles(exceeded(x, share) - exceeded(y, share), drawn[0] - drawn[1])
+
+
+def _row(
+    score: str,
+    spoofer: str | None,
+    detector: str,
+    control: str,
+    difference: Estimate,
+    size: float,
+) -> dict[str, Any]:
+    """A difference, and on which side of 0 its interval lies; `size` of the control's [m]."""
+    return {
+        "score": score,
+        "spoofer": spoofer,
+        "detector": detector,
+        "control": control,
+        "difference_m": difference.as_json(),
+        "above": bool(difference.low > 0.0),
+        "below": bool(difference.high < -ALIKE * size),
+    }
+
+
+STEALTHY, HALF = "stealthy displacement", "exceeded in 50 %"
+"""Scores that have a floor, as the marks name them."""
+PURPOSES = {STEALTHY: "stealthy", HALF: "half"}
+"""Which floor is each score's."""
+ERRORS = 2.0
+"""Standard errors by which a mean has to lie above a bound."""
+FIRST_ORDER = 0.01
+"""Part of a bound by which it has to do so, too: bounds are of first order, at one heading."""
+NORMAL_95 = 1.96
+"""Half width of a 95 % interval, in standard errors."""
+SAME_RATE = 1e-6
+"""Relative difference of two rates of false alarms that are the same one."""
+Limits = dict[str, Any]
+Row = dict[str, Any]
+
+
+def bracket_of(
+    point: Row,
+    limits: Limits,
+    cells: Sequence[Row],
+    protection: Row | None,
+    searches: Sequence[Row],
+) -> Row:
+    """Bracket of a detector, JSON-able.
+
+    `point`: ``detector``, and the ``claimed`` rate and ``footing`` of `operating_point`; `limits`:
+    of the campaign; `cells`, `protection`, `searches`: scores of the detector's cells, of its
+    protection, and what was tuned against it.
+
+    Returns ``floor_m`` by score, None where it has none; ``best_attack`` within the budget and
+    ``blind_optimum``; ``zero_alarm``; ``search_failed``, scores below their floor; and
+    ``above_zero_alarm``, attacks whose mean is above the bound.
+    """
+    floors = floors_of(point, limits["floor"])
+    attacks = [cell for cell in cells if cell["spoofer"] != "none"]
+    found = [_reached(cell) for cell in attacks]
+    within = [each for each in found if each["within_budget"] and each["value"] is not None]
+    best = max(within, key=lambda each: float(each["value"]), default=None)
+    bound = bound_of(limits["zero_alarm"].get(point["detector"]))
+    # where no setting of any spoofer is within the budget, nothing was achieved
+    nothing = attacks and all(cell["tuned_within_budget"] is False for cell in attacks)
+    achieved = {STEALTHY: {"high": 0.0} if nothing else best, HALF: headline(protection, 0.5)}
+    return {
+        "floor_m": floors,
+        "best_attack": best,
+        "blind_optimum": _optimum(cells, searches),
+        "zero_alarm": bound,
+        "search_failed": [
+            score for score, reached in achieved.items() if _below(reached, floors[score])
+        ],
+        "above_zero_alarm": [each for each in within if _above(each, bound)],
+    }
+
+
+def floors_of(point: Row, floor: Row | None) -> dict[str, float | None]:
+    """Floors at a detector's rate of false alarms; none at nominal thresholds or for a pool. A
+    detector that never alarms has those of the others in its table, the first rate's."""
+    nothing = dict.fromkeys(PURPOSES)
+    if floor is None or "why" in floor:
+        return nothing
+    if point["claimed"] is None:
+        if point["footing"] != "any":
+            return nothing
+        rate = floor["p_fa"]
+    else:
+        rate = point["claimed"]["per_run"]
+    for each in floor["rates"]:
+        if abs(each["p_fa"] - rate) <= SAME_RATE * rate:
+            return {score: each["floor_m"][name]["value"] for score, name in PURPOSES.items()}
+    return nothing
+
+
+def headline(protection: Row | None, share: float, *, skies: bool = False) -> Row | None:
+    """Row of the induced horizontal error that is exceeded in a share of the runs."""
+    for row in [] if protection is None else protection["exceeded"]:
+        wanted = ("undetected_displacement_m", share, skies)
+        if (row["measure"], row["share"], row["worst_skies"]) == wanted:
+            return dict(row)
+    return None
+
+
+def _reached(cell: Row) -> Row:
+    """Stealthy displacement of an attack, and whether it keeps the budget."""
+    tuned = cell["tuned_within_budget"]
+    keeps = bool(cell["within_budget"]) and tuned is not False
+    return {
+        "spoofer": cell["spoofer"],
+        **cell["stealthy_displacement_m"],
+        "within_budget": keeps,
+        "tuned_within_budget": tuned,
+    }
+
+
+def _optimum(cells: Sequence[Row], searches: Sequence[Row]) -> Row | None:
+    """The blind optimum that gets farthest, one within the budget before others."""
+    curves = [cell for cell in cells if cell["spoofer_settings"]["name"] == "blind-optimum"]
+    found = [each for each in map(_reached, curves) if each["value"] is not None]
+    if not found:
+        return None
+    best = max(found, key=lambda each: (each["within_budget"], float(each["value"])))
+    found_by = {each["spoofer"]: each["found"] or {} for each in searches}
+    search = found_by.get(best["spoofer"], {})
+    return {**best, "by": search.get("by"), "curve": search.get("played", {}).get("curve")}
+
+
+def bound_of(found: Row | None) -> Row:
+    """Zero-alarm bound of the attack within its limits where there is one, else of a free one."""
+    if found is None:
+        return {"value": None, "kind": "", "attacker": "", "why": "not computed"}
+    attacker = "free" if found["restricted_m"] is None else "restricted"
+    value = found[f"{attacker}_m"]
+    if value is None:
+        return {"value": None, "kind": "", "attacker": "", "why": found["why"]}
+    return {"value": value, "kind": found["kind"], "attacker": attacker, "why": ""}
+
+
+def _below(reached: Row | None, floor: float | None) -> bool:
+    """Whether the whole interval of what was achieved lies below its floor."""
+    if reached is None or floor is None or reached["high"] is None:
+        return False
+    return float(reached["high"]) < floor
+
+
+def _above(reached: Row, bound: Row) -> bool:
+    """Whether a mean lies above a bound by more than some standard errors, and by a part of it."""
+    value, ends = bound["value"], (reached["low"], reached["high"])
+    if not isinstance(value, float | int) or None in ends:
+        return False
+    error = (float(ends[1]) - float(ends[0])) / (2.0 * NORMAL_95)
+    return float(reached["value"]) - value > max(ERRORS * error, FIRST_ORDER * value)
+
+
+SURVIVAL_TIMES = 8
+"""At how many times the share of undetected attacks is told."""
+
+
+def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[str, Any]:
+    """Scores of one cell; `limits` of the P_HMI curve [m]."""
+    counts, stealth = cell.counts, cell.stealth
+    kept = cell.displacement_m[counts]
+    zeroed = np.where(cell.alarmed[counts], 0.0, kept)
+    samples = resamples_of(clusters_of(cell.sky)[counts])
+    return {
+        "detector": cell.detector,
+        "spoofer": cell.spoofer,
+        "spoofer_settings": cell.head["spoofer_settings"],
+        "tuned_within_budget": cell.head["tuned_within_budget"],
+        "knowledge": cell.head["knowledge"],
+        "attack": cell.head["attack"],
+        "runs": cell.runs,
+        "counted": stealth.runs,
+        "silent_before_onset": float((~cell.records["warmup_alarm"]).mean().round(6)),
+        "alarm_rate": wilson(stealth.alarms, stealth.runs).as_json(),
+        "within_budget": stealth.seems_to_keep(budget),
+        "stealthy_displacement_m": bootstrap_mean(kept, samples).as_json(),
+        "median_m": number(np.median(kept)) if len(kept) else None,
+        "alarmed_as_0_m": bootstrap_mean(zeroed, samples).as_json(),
+        "largest_error_m": float(cell.records["largest_error_m"].mean().round(4)),
+        "p_hmi": [
+            {"alert_limit_m": limit, **estimate.as_json()}
+            for limit, estimate in zip(limits, exceedance(kept, limits), strict=True)
+        ],
+        **times_of(cell),
+    }
+
+
+def times_of(cell: RunRecord) -> dict[str, Any]:
+    """When the attack was noticed, of the runs that are silent before the onset.
+
+    ``missed``: of the runs that count whose error crosses the alert limit, those without an alarm
+    up to the time to alert after; ``after_crossing_s``: of the same, median from the crossing to
+    the alarm; ``detected`` and ``chance``: alarms by the end, by what raised them; ``delay_s``:
+    median from the onset to a detection; ``survival``: share still undetected by time.
+    """
+    records, step = cell.records, cell.interval_s
+    silent = ~records["warmup_alarm"]
+    first, twin = records["first_alarm"][silent], records["twin_alarm"][silent]
+    chance = by_chance(first, twin)
+    detected = (first > 0) & ~chance
+    alarm, crossing = records["first_alarm"][cell.counts], records["crossing"][cell.counts]
+    missed = missed_in_time(alarm, crossing, int(cell.head["hold"]))
+    horizon = cell.window * step
+    # a run is observed up to its alarm by chance, or up to that of its twin
+    seen = np.where(twin > 0, twin * step, horizon)
+    delay = np.where(detected, first * step, seen)
+    times = np.linspace(0.0, horizon, SURVIVAL_TIMES + 1)[1:]
+    late = (alarm - crossing)[(alarm > 0) & (crossing > 0)] * step
+    found: dict[str, Any] = {
+        "missed": wilson(int(missed.sum()), len(missed)).as_json(),
+        "detected": wilson(int(detected.sum()), len(first)).as_json(),
+        "chance": wilson(int(chance.sum()), len(first)).as_json(),
+        "delay_s": _median(
+            first[detected] * step, clusters_of(cell.sky)[silent][detected]
+        ).as_json(),
+        "after_crossing_s": number(np.median(late)) if len(late) else None,
+        "horizon_s": horizon,
+        "survival": [],
+    }
+    if len(first) and cell.spoofer != "none":
+        curve = survival(delay, detected, times)
+        rows = zip(*curve, strict=True)
+        found["survival"] = [
+            dict(zip(curve._fields, map(number, row), strict=True)) for row in rows
+        ]
+    return found
+
+
+def _median(x: NDArray[Any], clusters: NDArray[np.int64]) -> Estimate:
+    """Median with a percentile interval, by resamples of these runs alone."""
+    if not len(x):
+        return NOTHING
+    drawn = largest_of_share(x, 0.5, resamples_of(clusters))
+    return percentiles(float(np.median(x)), drawn)
+
+
+def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, Any]:
+    """Protection of a detector: what the worst attacks exceed, and P(HMI | attack). The worst of
+    all winners counts, whatever each was chosen for, so that P(HMI | attack) never grows with the
+    limit, nor does what is exceeded with the share, and neither contradicts the other."""
+    aims = [aim for winner in found.winners for aim in winner.aims]
+    searched = sorted({aim.limit_m for aim in aims if aim.limit_m is not None} & set(limits))
+    skies = None if found.skies is None else len(found.skies)
+    return {
+        "detector": found.detector,
+        "counted": int(found.counts.sum()),
+        "exceeded": [_exceeded(found, aim) for aim in aims if aim.share is not None],
+        "p_hmi": [
+            _hazardous(found, measure, limit)
+            for measure in found.winners[0].displacement
+            for limit in searched
+        ],
+        "worst_skies": skies,
+    }
+
+
+def _exceeded(found: Protection, aim: Aim) -> dict[str, Any]:
+    """What the worst attack exceeds in a share of the runs."""
+    assert aim.share is not None  # as chosen by the caller
+    winner, rows = found.worst(aim), found.rows(aim)
+    x = winner.displacement[aim.measure][rows]
+    # the worst skies are few, and the interval is for these alone
+    alike = np.arange(len(found.sky)) if aim.skies else clusters_of(found.sky)
+    estimate = bootstrap_exceeded(x, aim.share, resamples_of(alike[rows]))
+    if aim.skies:
+        everywhere = aim._replace(skies=False)
+        attack = found.worst(everywhere).displacement[aim.measure][found.counts]
+        if estimate.value < (1.0 - ALIKE) * everywhere.reached(attack):
+            estimate = NOTHING  # the few runs of the choice have not found the worst skies
+    value = estimate.as_json()
+    named = {"measure": aim.measure, "share": aim.share, "worst_skies": aim.skies}
+    return {**named, "runs": len(x), **value, **_attack(winner)}
+
+
+def _hazardous(found: Protection, measure: str, limit: float) -> dict[str, Any]:
+    """P(HMI | attack) at an alert limit [m]."""
+    aim = Aim(measure, limit_m=limit)
+    winner = found.worst(aim)
+    (p,) = exceedance(winner.displacement[measure][found.counts], [limit])
+    return {"measure": measure, "alert_limit_m": limit, **p.as_json(), **_attack(winner)}
+
+
+def _attack(winner: Winner) -> dict[str, Any]:
+    named = {"letter": winner.letter, "spoofer": winner.spoofer}
+    return {**named, "setting": winner.setting, "at": winner.value}
