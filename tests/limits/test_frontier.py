@@ -58,8 +58,8 @@ def toy_frontier(traces):
 
 def test_a_command_that_nobody_sees_and_that_moves_the_victim_has_no_end():
     found = toy_frontier([1.0, 1.0, 1.0])
-    assert np.isfinite(found.per_deflection_of()).all()
-    assert np.isinf(toy_frontier([1.0, 0.0, 1.0]).per_deflection_of()).all()
+    assert np.isfinite(found.per_deflection()).all()
+    assert np.isinf(toy_frontier([1.0, 0.0, 1.0]).per_deflection()).all()
 
 
 def test_the_best_commands_leave_alone_what_does_nothing():
@@ -74,7 +74,7 @@ def test_the_best_commands_have_the_deflection_and_come_as_far_as_the_frontier(d
     found = short_frontier()
     u = best_commands(found, direction, 1.5)
     far = direction @ found.victim.position[found.last, :2] @ u
-    assert far == pytest.approx(1.5 * np.sqrt(direction @ found.per_deflection_of() @ direction))
+    assert far == pytest.approx(1.5 * np.sqrt(direction @ found.per_deflection() @ direction))
     d = deflection_of(found, u)
     assert len(d) == len(found.whitened)
     assert (np.diff(d) >= 0.0).all()
@@ -87,16 +87,16 @@ def test_the_best_commands_have_the_deflection_and_come_as_far_as_the_frontier(d
 def test_later_epochs_and_a_tested_hold_can_only_help_the_detector():
     found = short_frontier()
     hold = len(found.whitened) - found.last - 1
-    sizes = [EAST @ found.per_deflection_of(hold=each) @ EAST for each in (0, hold // 2, hold)]
+    sizes = [EAST @ found.per_deflection(hold=each) @ EAST for each in (0, hold // 2, hold)]
     assert sizes[0] > sizes[1] > sizes[2]
-    assert sizes[2] == pytest.approx(EAST @ found.per_deflection_of() @ EAST)
-    earlier = EAST @ found.per_deflection_of(last=found.last // 2, hold=0) @ EAST
+    assert sizes[2] == pytest.approx(EAST @ found.per_deflection() @ EAST)
+    earlier = EAST @ found.per_deflection(last=found.last // 2, hold=0) @ EAST
     assert earlier < sizes[0]
 
 
 def test_the_more_an_attack_can_command_the_farther_it_gets():
     one, each = short_frontier(), short_frontier("per-channel")
-    sizes = [np.linalg.eigvalsh(M) for M in (one.per_deflection_of(), each.per_deflection_of())]
+    sizes = [np.linalg.eigvalsh(M) for M in (one.per_deflection(), each.per_deflection())]
     free = np.linalg.eigvalsh(one.coasting)
     assert (sizes[0] < sizes[1]).all()
     assert (sizes[1] < free * (1.0 + 1e-9)).all()
@@ -112,7 +112,7 @@ def test_a_meaconer_that_commands_its_delay_alone_moves_no_position():
     commands = unit_commands(setup, victim.onset).in_hats(20)
     meaconer = world_frontier(commands, victim, its.linear, its.coasting, setup.steps - 1)
     sizes = [
-        np.sqrt(np.linalg.eigvalsh(each.per_deflection_of())[-1])
+        np.sqrt(np.linalg.eigvalsh(each.per_deflection())[-1])
         for each in (meaconer, short_frontier())
     ]
     assert sizes[0] < 0.05 * sizes[1]
@@ -130,5 +130,5 @@ def test_the_frontier_needs_the_analyst_of_the_world():
     # by what the victim believes, an attack seems harder to see than it is
     believed = world_frontier(commands, victim, victim, its.coasting, setup.steps - 1)
     real = world_frontier(commands, victim, its.linear, its.coasting, setup.steps - 1)
-    believed, real = (np.sqrt(EAST @ each.per_deflection_of() @ EAST) for each in (believed, real))
+    believed, real = (np.sqrt(EAST @ each.per_deflection() @ EAST) for each in (believed, real))
     assert believed > 2.0 * real
