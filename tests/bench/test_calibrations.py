@@ -2,11 +2,11 @@
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from spoofgym.bench import CampaignResults
 from spoofgym.bench.experiments.calibration import calibrate_entries, missing_runs
 from spoofgym.bench.experiments.campaign import run_campaign
 from spoofgym.bench.experiments.suite import Suite
@@ -90,8 +90,8 @@ def test_of_all_detectors_those_without_a_calibration_are_left_out(monkeypatch):
     assert "cusum(false_alarms_per_hour=20)" not in labels
     assert any("cusum" in label and "rescaled" in label for label in labels)
     assert any("snapshot-chi2" in label for label in labels)
-    config = json.loads((Path(summary["folder"]) / "config.json").read_text())
-    assert any("cusum" in note and "is left out" in note for note in config["notes"])
+    notes = CampaignResults.load(summary["folder"]).config["notes"]
+    assert any("cusum" in note and "is left out" in note for note in notes)
 
 
 @pytest.mark.usefixtures("default_rate")
@@ -101,7 +101,7 @@ def test_nominal_is_what_it_says_whatever_the_default(monkeypatch, tmp_path):
     asked = f"bench {times} --nominal --selection-seeds 0 --spoofer none --set domain={{}}".split()
     found = CliRunner().invoke(app, asked)
     assert found.exit_code == 0, found.output
-    config = json.loads((tmp_path / "results" / "config.json").read_text())
+    config = CampaignResults.load(tmp_path / "results").config
     assert config["calibrations"] == {}
     labels = [entry["label"] for entry in config["detectors"]]
     assert "ewma(thresholds=nominal)" in labels

@@ -116,7 +116,7 @@ def test_runs_of_another_seed_or_world_are_not_the_same_ones_though_all_count():
 
 
 def test_whether_a_spoofer_fits_is_told_before_anything_is_played(judge, monkeypatch):
-    monkeypatch.setattr("spoofgym.bench.experiments.evaluate.start_of", None)
+    monkeypatch.setattr("spoofgym.bench.experiments.evaluate.Panel", None)
     for fits in ("ramp", {"name": "step"}, "blind-optimum"):
         judge.check(fits)
     with pytest.raises(ValueError, match="does not fit this attack"):

@@ -154,10 +154,13 @@ def best_spoofer(
     attacks = [
         each
         for each in fitting_members(game.setup, context)
-        if budget.oracles or not member_of(each.player.with_value(1e-3), SPOOFER).sees_statistics
+        if budget.oracles or not each.player.sees_statistics
     ]
     curves, notes = ([], ()) if budget.blind is None else _curves(game, mix, budget, warm, entropy)
-    attacks += [SuiteAttack("c", _blind_optimum(rates), True) for rates in curves]
+    for rates in curves:
+        rounded = [float(f"{rate:.6g}") for rate in rates]
+        spec = {"name": "blind-optimum", "rates_mps": rounded, AMPLITUDE: TUNED}
+        attacks.append(SuiteAttack("c", specify_spoofer(spec), True))
     known = {each.label for each in given}
     tried = [
         (each.label, dataclasses.replace(each, decided_on=each.decided_on | seeds))
@@ -219,11 +222,6 @@ def _against(game: Game, spoofers: Sequence[PlayerSpec], mix: Mixture) -> FloatA
     """Payoffs (S,) of candidates against a mix, to choose by: they may have been chosen here."""
     open_ = [dataclasses.replace(each, decided_on=frozenset()) for each in spoofers]
     return game.matrix(open_, [mix], oracles=True).values[:, 0]
-
-
-def _blind_optimum(rates: FloatArray) -> PlayerSpec:
-    rounded = [float(f"{rate:.6g}") for rate in rates]
-    return specify_spoofer({"name": "blind-optimum", "rates_mps": rounded, AMPLITUDE: TUNED})
 
 
 def _curves(
