@@ -20,8 +20,9 @@ from ..envs.scoring import DisplacementScore, FusedStep, StepResult
 from ..envs.terms import ActionSpec
 from ..envs.terms.action import Decisions
 from ..envs.terms.observation import Snapshot
+from ..simulation.domain import FloatArray
 from ..simulation.monitors import Monitor
-from ..simulation.simulator import FloatArray, Simulator
+from ..simulation.simulator import Simulator
 from ..simulation.tight import TightlyCoupledSetup
 from ..tasks import task_of
 from .calibration import Calibration

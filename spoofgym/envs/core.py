@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from ..core.memory import Memory
 from ..core.registry import check_choice, check_finite, check_truth
 from ..detectors import Detector, Verdict, detector_in_world
+from ..simulation.domain import FloatArray
 from ..simulation.engine import Engine
 from ..simulation.monitors import PassiveDetectors, needed_monitors
-from ..simulation.setup import FloatArray, Setup
+from ..simulation.setup import Setup
 from ..simulation.simulator import Given, Rngs, Rows, run_serially
 from ._kernels import ALARM, COST, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
 from .observer import Observer

@@ -8,8 +8,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from ..simulation.domain import FloatArray
 from ..simulation.engine import Engine
-from ..simulation.setup import FloatArray, Setup
+from ..simulation.setup import Setup
 from ._kernels import COMMAND_COLUMN, clip_columns, observe
 from .terms.observation import (
     LEVELS,

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ..core.simd import ArrayTable
 from ..detectors import Verdict
-from ..simulation.setup import FloatArray, SequelKernel
+from ..simulation.domain import FloatArray
+from ..simulation.setup import SequelKernel
 from ..simulation.simulator import Simulator
 from ..simulation.tight import TightlyCoupledSimulator
 from . import _kernels

@@ -8,14 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...simulation.simulator import (
-    EpisodeLayout,
-    FloatArray,
-    FrameData,
-    Simulator,
-    SkyData,
-    run_serially,
-)
+from ...simulation.domain import FloatArray
+from ...simulation.simulator import EpisodeLayout, FrameData, Simulator, SkyData, run_serially
 from ..core import SpoofCore
 
 NUMBERS = ("time_s", "counted_s", "ratio", "twin_ratio", "induced_m", "error_m", "undetected_m")

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.registry import check_finite
-from ...simulation.setup import FloatArray, Setup
+from ...simulation.domain import FloatArray
+from ...simulation.setup import Setup
 from .._kernels import follow_rate
 
 

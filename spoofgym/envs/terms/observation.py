@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from ...core.registry import check_choice, check_finite
 from ...simulation.divergence import Divergence
+from ...simulation.domain import FloatArray
 from ...simulation.monitors import KEPT, PastPositions, reports
-from ...simulation.setup import FloatArray, Setup
+from ...simulation.setup import Setup
 from ...simulation.simulator import Simulator
 from .._kernels import own_command, time_fractions
 from .action import command_axes
