@@ -21,8 +21,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ...core.registry import whole_number
 from ...envs.spoofer_binding import tuning_range_of
 from ...spoofers import make_spoofer
@@ -31,6 +29,7 @@ from ..runs.play import displacement_of
 from ..runs.players import PlayerSpec
 from ..scores.scores import Stealth, stealth_of
 from ..scores.statistics import BUDGET, fewest_runs
+from .attack_suite import log_spaced, rounded_down
 
 if TYPE_CHECKING:
     from .open_loop import Optima
@@ -75,16 +74,6 @@ class Tuning:
                 f"{self.budget:g}: with fewer, not even runs without any alarm show that it is "
                 f"kept; got {self.runs}"
             )
-
-
-def log_spaced(low: float, high: float, count: int) -> list[float]:
-    return [rounded_down(value) for value in np.geomspace(low, high, count)]
-
-
-def rounded_down(value: float) -> float:
-    """Number rounded down to four digits, so that a choice can be written down."""
-    digit = 10.0 ** (math.floor(math.log10(value)) - 3.0)
-    return float(f"{math.floor(value / digit + 1e-6) * digit:.6g}")
 
 
 @dataclass(frozen=True)

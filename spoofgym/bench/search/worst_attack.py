@@ -30,8 +30,7 @@ from ..runs.play import Runs
 from ..runs.players import ATTACK
 from ..runs.record import MEASURES, Aim, Winner, measured
 from ..scores.scores import SHARES, worst_skies
-from .amplitude import log_spaced, rounded_down
-from .attack_suite import Selection, SuiteAttack, grid_of
+from .attack_suite import Selection, SuiteAttack, grid_of, log_spaced, rounded_down
 
 FloatArray = NDArray[np.float64]
 NEIGHBOURS = (-0.35, 0.35)
