@@ -34,7 +34,8 @@ def tune(
     from ..bench.report.campaign import tuning_table
     from ..bench.runs.panel import Panel
     from ..bench.runs.players import TUNED
-    from ..bench.search.amplitude import TuningResult, fit, search_work
+    from ..bench.search.amplitude import TuningResult, search_work
+    from ..bench.search.open_loop import fit
     from ..spoofers import make_spoofer
     from ..spoofers.scaled import AMPLITUDE
 

@@ -18,7 +18,6 @@ from spoofgym.bench.runs.panel import Panel
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.search import open_loop as optima_module
-from spoofgym.bench.search.amplitude import fit
 from spoofgym.bench.search.attack_suite import AROUND_FOUND, Selection, grid_of
 from spoofgym.bench.search.backends import EngineBackend, ReplayBackend, limits_of, pushed
 from spoofgym.bench.search.open_loop import (
@@ -31,6 +30,7 @@ from spoofgym.bench.search.open_loop import (
     BlindSearch,
     Optima,
     crossing,
+    fit,
 )
 from spoofgym.detectors import detector_in_world
 from spoofgym.envs.factory import make_setup

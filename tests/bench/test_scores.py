@@ -11,15 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
+from spoofgym.bench.runs.displacement import counted, undetected_displacement
 from spoofgym.bench.scores.scores import (
     bootstrap_exceeded,
     by_chance,
-    counted,
     exceeded,
     missed_in_time,
     stealth_of,
     survival,
-    undetected_displacement,
     worst_skies,
 )
 from spoofgym.bench.scores.statistics import (

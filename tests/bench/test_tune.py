@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from spoofgym.bench.runs.displacement import counted
 from spoofgym.bench.runs.panel import Panel, play_searches
 from spoofgym.bench.runs.play import Runs, displacement_of, play
 from spoofgym.bench.runs.players import specify_spoofer
-from spoofgym.bench.scores.scores import counted, stealth_of
+from spoofgym.bench.scores.scores import stealth_of
 from spoofgym.bench.scores.statistics import most_alarms
 from spoofgym.bench.search import amplitude as module
-from spoofgym.bench.search.amplitude import RESOLUTION, Trial, Tuning, TuningResult, fit, tune
+from spoofgym.bench.search.amplitude import RESOLUTION, Trial, Tuning, TuningResult, tune
+from spoofgym.bench.search.open_loop import fit
 from spoofgym.detectors import Ewma, SnapshotChi2
 
 from .support import small_suite

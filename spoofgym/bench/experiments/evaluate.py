@@ -13,12 +13,12 @@ from ...tasks import task_of
 from ..runs.panel import Attack, Panel
 from ..runs.players import FITTED, PlayerSpec, refuse_oracles, specify_detector, specify_policy
 from ..runs.world import WORLD, World
-from ..scores.scores import clusters_of
+from ..scores.scores import clusters_of, stealth_of
 from ..scores.spoofer import Score
 from ..scores.statistics import BUDGET, bootstrap_mean, fewest_runs, resamples_of, wilson
-from ..search.amplitude import Tuning, TuningResult, fit, with_rates
+from ..search.amplitude import Tuning, TuningResult, with_rates
 from ..search.bounds import Brackets
-from ..search.open_loop import Optima
+from ..search.open_loop import Optima, fit
 
 RUNS, FIT_RUNS = 400, 128
 """Evaluation runs and training runs by default."""
@@ -124,7 +124,8 @@ class Evaluator:
         tick = lambda work: self.progress.advance(work, now)  # noqa: E731
         (attacked,) = panel.play([(Attack(spec, self.runs), 0)], drop=False, tick=tick)
         record = panel.record(0, attacked, {})
-        moved, counts, stealth = record.displacement_m, record.counts, record.stealth
+        moved, counts = record.displacement_m, record.counts
+        stealth = stealth_of(moved, record.alarmed, counts)
         samples = resamples_of(clusters_of(record.sky)[counts])
         budget = self.tuning.budget
         return Score(

@@ -20,7 +20,7 @@ from ...simulation.monitors import Monitored, PassiveDetectors
 from ...simulation.setup import Setup
 from ...simulation.simulator import Simulator
 from ...spoofers import Spoofer, make_spoofer
-from ..scores.scores import undetected_displacement
+from .displacement import undetected_displacement
 
 FloatArray = NDArray[np.float64]
 

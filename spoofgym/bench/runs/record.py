@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...simulation.setup import Setup
-from ..scores.scores import Stealth, counted, exceeded, stealth_of, undetected_displacement
+from .displacement import counted, exceeded, undetected_displacement
 from .play import Runs, horizontal, induced, off_truth
 
 FloatArray = NDArray[np.float64]
@@ -76,11 +76,6 @@ class RunRecord:
     def displacement_m(self) -> FloatArray:
         """(R,) undetected displacement [m]."""
         return np.asarray(self.records["undetected_displacement_m"], dtype=np.float64)
-
-    @property
-    def stealth(self) -> Stealth:
-        """Score of the spoofer."""
-        return stealth_of(self.displacement_m, self.alarmed, self.counts)
 
     @property
     def alarmed(self) -> NDArray[np.bool_]:

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from ...detectors.calibration_file import hourly_rate
 from ...spoofers.base import sees_statistics
+from ..runs.displacement import exceeded
 from ..runs.record import MEASURES, Aim, Protection, RunRecord, Winner
 from .scores import (
     ALIKE,
@@ -35,8 +36,8 @@ from .scores import (
     bootstrap_exceeded,
     by_chance,
     clusters_of,
-    exceeded,
     missed_in_time,
+    stealth_of,
     survival,
 )
 from .statistics import (
@@ -366,7 +367,8 @@ SURVIVAL_TIMES = 8
 
 def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[str, Any]:
     """Scores of one cell; `limits` of the P_HMI curve [m]."""
-    counts, stealth = cell.counts, cell.stealth
+    counts = cell.counts
+    stealth = stealth_of(cell.displacement_m, cell.alarmed, counts)
     kept = cell.displacement_m[counts]
     zeroed = np.where(cell.alarmed[counts], 0.0, kept)
     samples = resamples_of(clusters_of(cell.sky)[counts])

@@ -17,22 +17,19 @@ noise with those that are scored.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...core.registry import whole_number
 from ...envs.spoofer_binding import tuning_range_of
 from ...spoofers import make_spoofer
-from ..runs.panel import Attack, Panel, Search, play_searches
+from ..runs.panel import Attack, Panel, Search
 from ..runs.play import displacement_of
 from ..runs.players import PlayerSpec
 from ..scores.scores import Stealth, stealth_of
 from ..scores.statistics import BUDGET, fewest_runs
 from .attack_suite import log_spaced, rounded_down
-
-if TYPE_CHECKING:
-    from .open_loop import Optima
 
 RESOLUTION = 1.02
 """Ratio of the smallest value known to be over the budget to the largest one known to keep it."""
@@ -244,35 +241,6 @@ def tune(
 def search_work(settings: Tuning) -> float:
     """Runs that a search takes, roughly."""
     return settings.values * settings.sift_runs + (settings.refined + 2) * settings.runs
-
-
-def fit(
-    panel: Panel,
-    detectors: Mapping[int, PlayerSpec],
-    entry: PlayerSpec,
-    settings: Tuning,
-    optima: Callable[[], Optima],
-    tick: Callable[[float], None] = lambda _: None,
-) -> Iterator[TuningResult]:
-    """Search for a spoofer's setting against detectors of a panel, in their order; of a blind
-    optimum for its curve before that."""
-    if not entry.searched:
-        searches = [(k, tune(panel, k, entry, d.label, settings)) for k, d in detectors.items()]
-        yield from play_searches(panel, searches, tick)
-        return
-    for number, detector in detectors.items():
-        share = 0.25 * search_work(settings)
-        found = optima().find(detector, entry, lambda part: tick(share * part))  # noqa: B023
-        curves = optima().curves_to_fit(found)
-        own = {name: with_rates(entry, rates) for name, rates in curves.items()}
-        searches = [
-            (number, tune(panel, number, x, detector.label, settings)) for x in own.values()
-        ]
-        fits = dict(zip(own, play_searches(panel, searches, tick), strict=True))
-        best = max(fits, key=lambda name: fits[name].score)
-        found["fitted_m"] = {name: fit.score for name, fit in fits.items()}
-        found["played"] = {"curve": best, "rates_mps": curves[best]}
-        yield replace(fits[best], found=found)
 
 
 def with_rates(entry: PlayerSpec, rates_mps: list[float]) -> PlayerSpec:

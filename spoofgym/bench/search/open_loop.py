@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,10 +31,11 @@ from ...limits.response import NotReplayable, Replay, check_replayable
 from ...simulation.setup import Setup, seed_sequences
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.profile import MOST_KNOTS, sampled
+from ..runs.panel import Panel, play_searches
 from ..runs.play import Runs, WarmStart, induced_error, play
 from ..runs.players import PlayerSpec
 from ..scores.statistics import aim
-from .amplitude import Tuning
+from .amplitude import Tuning, TuningResult, search_work, tune, with_rates
 from .backends import Backend, EngineBackend, FloatArray, ReplayBackend, Rows, limits_of
 from .bounds import Brackets
 
@@ -423,3 +424,32 @@ def linear_error(
     linear = backend.replay.errors(curves, everyone)[: start.setup.steps, 0]
     size = float(linear.max(axis=0).mean())
     return float(np.abs(engine[:, everyone] - linear).max(axis=0).mean() / max(size, 1e-9))
+
+
+def fit(
+    panel: Panel,
+    detectors: Mapping[int, PlayerSpec],
+    entry: PlayerSpec,
+    settings: Tuning,
+    optima: Callable[[], Optima],
+    tick: Callable[[float], None] = lambda _: None,
+) -> Iterator[TuningResult]:
+    """Search for a spoofer's setting against detectors of a panel, in their order; of a blind
+    optimum for its curve before that."""
+    if not entry.searched:
+        searches = [(k, tune(panel, k, entry, d.label, settings)) for k, d in detectors.items()]
+        yield from play_searches(panel, searches, tick)
+        return
+    for number, detector in detectors.items():
+        share = 0.25 * search_work(settings)
+        found = optima().find(detector, entry, lambda part: tick(share * part))  # noqa: B023
+        curves = optima().curves_to_fit(found)
+        own = {name: with_rates(entry, rates) for name, rates in curves.items()}
+        searches = [
+            (number, tune(panel, number, x, detector.label, settings)) for x in own.values()
+        ]
+        fits = dict(zip(own, play_searches(panel, searches, tick), strict=True))
+        best = max(fits, key=lambda name: fits[name].score)
+        found["fitted_m"] = {name: fit.score for name, fit in fits.items()}
+        found["played"] = {"curve": best, "rates_mps": curves[best]}
+        yield replace(fits[best], found=found)
