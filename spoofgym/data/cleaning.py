@@ -9,9 +9,8 @@ kept as it is or dropped, and a course or speed is used or not.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
-from types import SimpleNamespace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -211,7 +210,8 @@ def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int
     return sorted(found, key=lambda pair: float(time[pair[0]] - time[pair[1]]))
 
 
-class CleaningReport(SimpleNamespace):
+@dataclass(frozen=True)
+class CleaningReport:
     """What cleaning found and dropped; counts are rows of the file unless said otherwise.
 
     - `name`: name of the file or flight; `rows`: all of them;
@@ -233,8 +233,28 @@ class CleaningReport(SimpleNamespace):
     - `fixes`, `angles`: fixes of the track, and those among them with a course.
     """
 
+    name: str
+    rows: int
+    incomplete: int
+    repeated: int
+    late: int
+    interpolated: int
+    position_outliers: int
+    height_outliers: int
+    grounded: int
+    speeds_rejected: int
+    angles_as_given: int
+    angles_unwrapped: int
+    angles_rejected: int
+    stretches: int
+    stretch_s: float
+    start_utc: str
+    duration_s: float
+    fixes: int
+    angles: int
+
     def as_dict(self) -> dict[str, str | int | float]:
-        return dict(vars(self))
+        return asdict(self)
 
     def lines(self) -> list[str]:
         kept = self.angles_as_given + self.angles_unwrapped

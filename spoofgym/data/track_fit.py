@@ -24,9 +24,8 @@ an aircraft could have flown, near to the fixes; how near, is in the report.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
-from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -310,7 +309,8 @@ SLOWEST = 15.0  # smallest horizontal speed [m/s]; below, the velocity doesn't g
 Floats = NDArray[np.float64]
 
 
-class FitReport(SimpleNamespace):
+@dataclass(frozen=True)
+class FitReport:
     """How near a fitted flight is to its track, and how it flies.
 
     - `name` of the track, its `fixes`, `duration_s` [s], and `start_utc` of the first, ISO 8601;
@@ -326,8 +326,25 @@ class FitReport(SimpleNamespace):
     - `rate_max_degps`: largest body rate about any axis [deg/s].
     """
 
+    name: str
+    start_utc: str
+    duration_s: float
+    fixes: int
+    doubted: int
+    position_rms_m: float
+    position_max_m: float
+    height_rms_m: float
+    speed_rms_mps: float
+    course_rms_deg: float
+    speed_min_mps: float
+    speed_max_mps: float
+    load_min_g: float
+    load_max_g: float
+    bank_max_deg: float
+    rate_max_degps: float
+
     def as_dict(self) -> dict[str, str | int | float | None]:
-        return {key: None if value != value else value for key, value in vars(self).items()}
+        return {key: None if value != value else value for key, value in asdict(self).items()}
 
     def lines(self) -> list[str]:
         return [
