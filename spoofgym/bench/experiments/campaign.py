@@ -59,7 +59,12 @@ def key_of(kind: str, detector: Labelled = None, spoofer: Labelled = None) -> st
 class CampaignResults:
     """What the finished cells of a campaign hold; None of what is not finished.
 
-    - `store`: its folder; `config`: of the campaign.
+    Parameters
+    ----------
+    store : Store
+        Its folder, opened.
+    config : mapping
+        Of the campaign.
     """
 
     def __init__(self, store: Store, config: Mapping[str, Any]) -> None:
