@@ -384,11 +384,11 @@ def test_the_blind_optimum_is_a_candidate_of_the_protection(
     each = tuning.found["played"], *(tuning.found["aims"][name] for name in AIMS)
     curves = [curve["rates_mps"] for curve in each]
     # two aims may have found the same curve, which plays once
-    assert [each.entry.spec["rates_mps"] for each in members] == [
+    assert [each.player.spec["rates_mps"] for each in members] == [
         curve for k, curve in enumerate(curves) if curve not in curves[:k]
     ]
     for member in members:
-        assert member.entry.tuned == "amplitude"
+        assert member.player.tuned == "amplitude"
         grid = grid_of(member, suite.world.context, 5)
         assert (grid[0], grid[-1]) == pytest.approx(AROUND_FOUND, rel=1e-3)
     assert summarize(folder)

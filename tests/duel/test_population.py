@@ -48,12 +48,12 @@ def test_a_shared_pass_equals_separate_ones_to_the_last_bit(played):
     found, matrix = played
     pairs = found.pairs(SPOOFERS, DETECTORS, oracles=True)
     for j, detector in enumerate(matrix.detectors):
-        field = pairs.field([detector], True, Context())
-        twin, setup = field.twin, field.start.setup
-        assert np.array_equal(matrix.counts[j], counted(field.start.warmup_alarm, twin.first_alarm))
+        panel = pairs._panel([detector], True, Context())
+        start, (twin,) = panel.start, panel.clean
+        assert np.array_equal(matrix.counts[j], counted(start.warmup_alarm, twin.first_alarm))
         for i, spoofer in enumerate(matrix.spoofers):
-            runs = play(field.start, spoofer.untuned)
-            moved = displacement_of(setup, runs, twin)
+            runs = play(start, spoofer.untuned)
+            moved = displacement_of(start.setup, runs, twin)
             assert np.array_equal(matrix.displacement[i, j], moved)
             assert np.array_equal(matrix.alarmed[i, j], runs.first_alarm > 0)
 
@@ -156,7 +156,7 @@ def test_what_is_finished_is_not_played_again_and_is_the_same(tmp_path, monkeypa
     game(folder=tmp_path).matrix(SPOOFERS[:2], DETECTORS)
     grown = game(folder=tmp_path).matrix(SPOOFERS, DETECTORS, oracles=True)
     np.testing.assert_array_equal(grown.values, matrix.values)
-    monkeypatch.setattr(population, "play", None)
+    monkeypatch.setattr(population, "Panel", None)
     again = game(folder=tmp_path).matrix(SPOOFERS, DETECTORS, oracles=True)
     assert again.as_json() == matrix.as_json()
 

@@ -48,7 +48,7 @@ def resolved(task: DetectorTask) -> dict[str, Any]:
             "attack": spec_of("attack", ATTACKS, setup.attack),
             "timeline": describe(setup.timeline),
             "members": [
-                [each.letter, each.entry.spec] for each in evaluator.worlds.members(family)
+                [each.letter, each.player.spec] for each in evaluator.worlds.members(family)
             ],
         }
     found = {
