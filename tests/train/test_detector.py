@@ -222,7 +222,7 @@ def test_a_damaged_test_split_and_a_damaged_checkpoint_are_told_at_once(
     given = arguments(data, tmp_path / "guard", passes=1)
     train(given, quiet())
     (tmp_path / "guard" / CHECKPOINT).write_bytes(b"no checkpoint")
-    with pytest.raises(ValueError, match=r"checkpoint\.pt is damaged .*: remove it"):
+    with pytest.raises(ValueError, match=r"checkpoint\.pt is damaged, .*: remove it"):
         train(given, quiet())
     copy = tmp_path / "copy"
     shutil.copytree(data, copy)
