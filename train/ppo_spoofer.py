@@ -257,7 +257,7 @@ class Training:
 
     def run(self, tick: Callable[[float], None]) -> dict[str, Any]:
         """Learn from where it is to the end, a checkpoint after every stage; what came of it."""
-        args = self.args
+        args, told = self.args, Steps(tick)
         if self.untrained is None:
             score = self.judge.score(self.model, label="untrained", largest_amplitude=LOUDEST)
             self.untrained = score.as_dict()
@@ -271,7 +271,7 @@ class Training:
             why = learn(
                 self.model,
                 until - self.model.num_timesteps,
-                callback=[self.watch, Steps(tick)],
+                callback=[self.watch, told],
                 reset_num_timesteps=False,
             )
             if why is not None:
