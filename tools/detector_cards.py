@@ -11,18 +11,7 @@ import numpy as np
 
 from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.protect import DetectorEvaluator, entries_of
-from spoofgym.bench.report.tasks import (
-    CARDS,
-    card_rows,
-    classics_of,
-    family_table,
-    learned_of,
-    missing,
-    ranked,
-    unplayed,
-)
-from spoofgym.bench.report.tasks import DETECTOR_FILE as FILE
-from spoofgym.bench.report.tasks import stored_detector_cards as stored_cards
+from spoofgym.bench.report import tasks
 from spoofgym.bench.scores.campaign import CONTROLS, name_of
 from spoofgym.bench.scores.detector import DetectorScore
 from spoofgym.cli.output import progress
@@ -31,7 +20,7 @@ from spoofgym.detectors import zoo
 from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
 from tools.pages import DOCS, ROOT, keep_cards, put_between, rendered
 
-KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, DOCS / "tasks.md"
+KEPT, PAGE = ROOT / "spoofgym" / "bench" / tasks.DETECTOR_FILE, DOCS / "tasks.md"
 BEGIN, END = "<!-- detector-cards:begin -->", "<!-- detector-cards:end -->"
 
 
@@ -39,10 +28,12 @@ def played(
     task: DetectorTask, out: Path, runs: int, selection_runs: int, only: list[str] | None
 ) -> dict[str, Any]:
     """Play a task, and return its card; `only` some detectors, and the best classic stored."""
-    everyone = {label_of(each, None): each for each in (*classics_of(task), *learned_of(task))}
+    judged = (*tasks.classics_of(task), *tasks.learned_of(task))
+    everyone = {label_of(each, None): each for each in judged}
     for label in only or ():
         check_choice("detector of this task", label, everyone)
-    best = stored_cards().get(task.key, {}).get("best_classic")  # others are compared with it
+    before = tasks.stored_detector_cards().get(task.key, {})
+    best = before.get("best_classic")  # others are compared with it
     chosen = [x for label, x in everyone.items() if only is None or label in {*only, best}]
     evaluator = DetectorEvaluator(
         task.key, runs=runs, selection_runs=selection_runs, folder=out, threads=1
@@ -92,18 +83,18 @@ def with_others(card: dict[str, Any], stored: dict[str, Any] | None) -> dict[str
 
 
 def shown() -> str:
-    cards, waiting = stored_cards(), {}
+    cards, waiting = tasks.stored_detector_cards(), {}
     for key, card in cards.items():
-        if left := unplayed(DETECTOR_TASKS[key], card):
+        if left := tasks.unplayed(DETECTOR_TASKS[key], card):
             waiting.setdefault(", ".join(left), []).append(key)
     return rendered(
         "detector_tasks.md.j2",
-        scores=CARDS.markdown(card_rows(cards)),
+        scores=tasks.CARDS.markdown(tasks.card_rows(cards)),
         cards=cards,
         waiting=waiting,
-        missing=missing(),
-        family_table=family_table,
-        ranked=ranked,
+        missing=tasks.missing(),
+        family_table=tasks.family_table,
+        ranked=tasks.ranked,
     )
 
 
@@ -119,8 +110,8 @@ def main(arguments: list[str]) -> None:
     for key in () if given.tables_only else given.tasks or DETECTOR_TASKS:
         sizes = given.runs, given.selection_runs
         card = played(detector_task_of(key), given.out, *sizes, given.only)
-        card = with_others(card, stored_cards().get(key))
-        keep_cards(KEPT, {**stored_cards(), key: card}, DETECTOR_TASKS)
+        card = with_others(card, tasks.stored_detector_cards().get(key))
+        keep_cards(KEPT, {**tasks.stored_detector_cards(), key: card}, DETECTOR_TASKS)
         for score in card["detectors"]:
             print(key, score["detector"], score["p_hmi"], score["worst_family"], flush=True)
     put_between(PAGE, BEGIN, END, shown())

@@ -28,6 +28,7 @@ import tempfile
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -40,6 +41,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
+from typer import Option
 
 from .frozen_probe import MAIN, SPEEDS, Case
 from .frozen_speed import measure, speed_table
@@ -47,6 +49,7 @@ from .frozen_speed import measure, speed_table
 ROOT = Path(__file__).parents[1]
 PROBE = Path(__file__).with_name("frozen_probe.py")
 NAMES = Path(__file__).with_name("frozen_names.toml")
+CACHE = Path(platformdirs.user_cache_dir("spoofgym")) / "frozen"
 KEPT_RESULTS = 4
 ROUNDS = 15
 FLOAT32 = np.dtype(np.float32)
@@ -60,6 +63,7 @@ SHOWN, DEVIATIONS_SHOWN = 10, 25
 """Differences of a case, and columns, that are printed; with ``--json`` all are."""
 Array = np.ndarray[Any, Any]
 Columns = dict[tuple[str, ...], "Column"]
+Replies = dict[str, dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -74,9 +78,7 @@ class Names:
 
     @classmethod
     def load(cls, file: Path) -> Names:
-        with file.open("rb") as stream:
-            given = tomllib.load(stream)
-        valid = cls.__dataclass_fields__
+        given, valid = tomllib.loads(file.read_text("utf-8")), cls.__dataclass_fields__
         for table in given:
             if table not in valid:
                 raise ValueError(f"{file.name} has the table {table!r}; valid: {', '.join(valid)}")
@@ -84,9 +86,8 @@ class Names:
             for scope, keys in given.get(table, {}).items():
                 for key, reason in keys.items():
                     if not (isinstance(reason, str) and reason.strip()):
-                        raise ValueError(
-                            f"{file.name}: {table} {scope} {key} needs a reason, got {reason!r}"
-                        )
+                        where = f"{file.name}: {table} {scope} {key}"
+                        raise ValueError(f"{where} needs a reason, got {reason!r}")
         return cls(**given)
 
     def of(self, id_: str) -> Scope:
@@ -171,14 +172,14 @@ def load_record(file: Path) -> Columns:
         columns: Columns = {}
         for i, each in enumerate(about["columns"]):
             values, path = stored[f"c{i}"], tuple(each["path"])
-            whole = Column(np.array(each["steps"]), values, tuple(each["types"]))
+            steps, types = np.array(each["steps"]), tuple(each["types"])
             keys = (ELEMENTS.get(part, part) for part in path)
             names = next((about["names"][key] for key in keys if key in about["names"]), None)
-            if names is None or not values.ndim or values.shape[-1] != len(names):
-                columns[path] = whole
-                continue
-            for k, name in enumerate(names):
-                columns[(*path, name)] = Column(whole.steps, values[..., k], whole.types)
+            if names is None or values.shape[-1:] != (len(names),):
+                columns[path] = Column(steps, values, types)
+            else:
+                for k, name in enumerate(names):
+                    columns[(*path, name)] = Column(steps, values[..., k], types)
         for key, names in about["names"].items():
             columns[("names", key)] = Column(np.array([-1]), np.array([names]), ("names",))
     return columns
@@ -267,7 +268,11 @@ def compare(
         elif path not in new:
             differs(None, key, _brief(old[before]), "missing")
         elif path[0] == "names":
-            _compare_names(path[1], old[before], new[path], scope, differs)
+            names = [(name,) for name in old[before].values[0]]
+            was = ["/".join(scope.rename(name)) for name in names if not scope.is_dropped(name)]
+            now = [str(name) for name in new[path].values[0] if not scope.is_added((name,))]
+            if was != now:
+                differs(None, f"names of the {path[1]}", ", ".join(was), ", ".join(now))
         else:
             _compare_column(case, key, old[before], new[path], tolerance, differs)
     return sorted(found, key=lambda each: -2 if each.step is None else each.step)
@@ -279,15 +284,6 @@ def _is_float(column: Column) -> bool:
 
 def _brief(column: Column) -> str:
     return f"{column.values.flat[0]} ({column.values.dtype})" if column.values.size else "empty"
-
-
-def _compare_names(key: str, old: Column, new: Column, scope: Scope, differs: Any) -> None:
-    expected = [
-        "/".join(scope.rename((name,))) for name in old.values[0] if not scope.is_dropped((name,))
-    ]
-    given = [str(name) for name in new.values[0] if not scope.is_added((name,))]
-    if expected != given:
-        differs(None, f"names of the {key}", ", ".join(expected), ", ".join(given))
 
 
 def _compare_column(
@@ -320,23 +316,18 @@ def _compare_column(
 
 
 def git(*words: str) -> str:
-    done = subprocess.run(
-        ["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=False
-    )
+    command = ["git", "-C", str(ROOT), *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise typer.BadParameter(f"git {' '.join(words)}: {done.stderr.strip()}")
     return done.stdout.strip()
-
-
-def cache_folder() -> Path:
-    return Path(platformdirs.user_cache_dir("spoofgym")) / "frozen"
 
 
 @contextlib.contextmanager
 def old_tree(commit: str, keep: bool) -> Iterator[Path]:
     """Git worktree of a commit: temporary, or one that is kept with its compiled code."""
     if keep:
-        tree = cache_folder() / "trees" / commit[:16]
+        tree = CACHE / "trees" / commit[:16]
         tree.parent.mkdir(parents=True, exist_ok=True)
         with tree.with_suffix(".lock").open("w") as lock:  # another run may want it, too
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -372,8 +363,6 @@ class Child:
             cwd=self._folder.name,
             env={**os.environ, **own, "PYTHONPATH": str(tree)},
         )
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
         self._in, self._out = self._process.stdin, self._process.stdout
 
     def ask(self, **request: Any) -> dict[str, Any]:
@@ -426,17 +415,13 @@ def results_folder(commit: str) -> Path:
         "numba": {name: os.environ[name] for name in sorted(os.environ) if "NUMBA" in name},
     }
     digest = hashlib.sha256(json.dumps(key).encode()).hexdigest()[:16]
-    folder = cache_folder() / "results" / f"{commit[:16]}-{digest}"
+    folder = CACHE / "results" / f"{commit[:16]}-{digest}"
     folder.mkdir(parents=True, exist_ok=True)
     os.utime(folder)
     used = sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
     for path in used[KEPT_RESULTS:]:
         shutil.rmtree(path, ignore_errors=True)
     return folder
-
-
-def file_of(folder: Path, case: Case) -> Path:
-    return folder / f"{case.name.replace('/', '--')}.npz"
 
 
 def is_wanted(case: Case, quick: bool, only: Sequence[str] = ()) -> bool:
@@ -477,18 +462,9 @@ def missing_cases(
     return [case for case in old if case in new], found
 
 
-def old_cases(folder: Path, child: Child | None) -> list[Case]:
-    file = folder / "cases.json"
-    if child is not None:
-        file.write_text(json.dumps(child.cases()))
-    return [Case(*each) for each in json.loads(file.read_text())]
-
-
 def examine(
     commit: str,
-    names: Names,
     wanted: Any,
-    *,
     tolerance: Tolerance,
     keep: bool,
     speeds: Sequence[str],
@@ -496,13 +472,13 @@ def examine(
     progress: Progress,
 ) -> Report:
     """Play and compare; without `wanted` only measure."""
-    report, folder = Report(commit), results_folder(commit)
+    names, report, folder = Names.load(NAMES), Report(commit), results_folder(commit)
     with contextlib.ExitStack() as stack:
         out = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         trees: list[Path] = []
 
-        def start_new() -> Child:
-            child = Child(ROOT, names.imports)
+        def start(*where: Any) -> Child:
+            child = Child(*where)
             stack.callback(child.close)
             child.cases()  # imports the package, and sees to it that it is that of the tree
             return child
@@ -510,32 +486,32 @@ def examine(
         def start_old() -> Child:
             if not trees:
                 trees.append(stack.enter_context(old_tree(commit, keep)))
-            (tree,) = trees
-            compiled = tree.parent / "compiled" if not keep else tree.parent.parent / "compiled"
-            child = Child(tree, {}, compiled)
-            stack.callback(child.close)
-            child.cases()
-            return child
+            return start(trees[0], {}, trees[0].parents[int(keep)] / "compiled")
 
+        start_new = partial(start, ROOT, names.imports)
         if speeds:
             report.speed = measure(start_old, start_new, speeds, rounds, progress)
         if wanted is None:
             return report
         new = start_new()
-        old = None if (folder / "cases.json").exists() else start_old()
-        before = [case for case in old_cases(folder, old) if wanted(case)]
+        old, known = None, folder / "cases.json"
+        if not known.exists():
+            old = start_old()
+            known.write_text(json.dumps(old.cases()))
+        before = [case for each in json.loads(known.read_text()) if wanted(case := Case(*each))]
         after = [case for case in new.cases() if wanted(case)]
         both, report.differences = missing_cases(before, after, names)
         task = progress.add_task("cases", total=len(both))
         for case in both:
             progress.update(task, description=case.name)
-            files = {"old": file_of(folder, case), "new": file_of(out, case)}
+            name = f"{case.name.replace('/', '--')}.npz"
+            files = {"old": folder / name, "new": out / name}
             children = {"new": new}
             if not files["old"].exists():
                 children["old"] = old = old or start_old()
-            for name, child in children.items():  # both at the same time
-                child.send(do="run", case=case, out=str(files[name]))
-            replies = {name: child.receive() for name, child in children.items()}
+            for tree, child in children.items():  # both at the same time
+                child.send(do="run", case=case, out=str(files[tree]))
+            replies = {tree: child.receive() for tree, child in children.items()}
             report.ends += replies["new"].get("ends", 0)
             report.differences += judge(case, files, replies, names, tolerance)
             files["new"].unlink(missing_ok=True)
@@ -547,11 +523,7 @@ def examine(
 
 
 def judge(
-    case: Case,
-    files: dict[str, Path],
-    replies: dict[str, dict[str, Any]],
-    names: Names,
-    tolerance: Tolerance,
+    case: Case, files: dict[str, Path], replies: Replies, names: Names, tolerance: Tolerance
 ) -> list[Difference]:
     """Differences of one case, an error in either tree among them."""
     errors = [replies.get(tree, {}).get("error", "plays") for tree in ("old", "new")]
@@ -566,70 +538,58 @@ app = typer.Typer(add_completion=False, context_settings={"help_option_names": [
 
 @app.command()
 def main(
-    against: Annotated[str, typer.Option(help="Commit whose behaviour is to be kept.")],
+    against: Annotated[str, Option(help="Commit whose behaviour is to be kept.")],
     quick: Annotated[
-        bool, typer.Option("--quick", help="Play a part of it, without speed: some minutes.")
+        bool, Option("--quick", help="Play a part of it, without speed: some minutes.")
     ] = False,
     only: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Only cases like this, such as 'Snapshot-v0/*', '*/sb3/17' or 'evaluate*'; may be "
             "repeated."
         ),
     ] = None,
     tolerance: Annotated[
         float,
-        typer.Option(
+        Option(
             min=0.0,
             help="What numbers of floating point may differ by in every case, relative to their "
             "column's largest absolute value; flags, counts and texts have to be equal.",
         ),
     ] = 0.0,
     absolute: Annotated[
-        float,
-        typer.Option(min=0.0, help="The same in the column's own unit; the larger of both holds."),
+        float, Option(min=0.0, help="The same in the column's own unit; the larger of both holds.")
     ] = 0.0,
     speed: Annotated[
-        bool | None,
-        typer.Option(help="Compare speed too.  Default: unless --quick or --only is given."),
+        bool | None, Option(help="Compare speed too.  Default: unless --quick or --only is given.")
     ] = None,
     speed_of: Annotated[
-        str | None,
-        typer.Option(help=f"Compare only speed, of what is like this: {', '.join(SPEEDS)}."),
+        str | None, Option(help=f"Compare only speed, of what is like this: {', '.join(SPEEDS)}.")
     ] = None,
-    rounds: Annotated[int, typer.Option(min=3, help="Pairs of rounds of the speed.")] = ROUNDS,
+    rounds: Annotated[int, Option(min=3, help="Pairs of rounds of the speed.")] = ROUNDS,
     keep: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--keep",
             help="Keep the commit's tree and its compiled code in the cache folder, and use what "
             "is there.",
         ),
     ] = False,
-    json_: Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else.")] = False,
+    json_: Annotated[bool, Option("--json", help="Print JSON, and nothing else.")] = False,
 ) -> None:
     """Compare what this working tree does with what a commit did; exit with 1 if it differs."""
     commit = git("rev-parse", "--verify", f"{against}^{{commit}}")
-    console = Console(stderr=True, quiet=json_)
-    timed = not (quick or only) if speed is None else speed
     speeds = [what for what in SPEEDS if fnmatch.fnmatchcase(what, speed_of or "*")]
     if not speeds:
-        raise typer.BadParameter(
-            f"no measurement is like {speed_of!r}; there are {', '.join(SPEEDS)}",
-            param_hint="--speed-of",
-        )
+        message = f"no measurement is like {speed_of!r}; there are {', '.join(SPEEDS)}"
+        raise typer.BadParameter(message, param_hint="--speed-of")
+    if not (speed_of or (not (quick or only) if speed is None else speed)):
+        speeds = []
+    wanted = None if speed_of else lambda case: is_wanted(case, quick, only or ())
+    allowed = Tolerance(tolerance, absolute)
     try:
-        with Progress(console=console, transient=True) as progress:
-            report = examine(
-                commit,
-                Names.load(NAMES),
-                None if speed_of else lambda case: is_wanted(case, quick, only or ()),
-                tolerance=Tolerance(tolerance, absolute),
-                keep=keep,
-                speeds=speeds if timed or speed_of else (),
-                rounds=rounds,
-                progress=progress,
-            )
+        with Progress(console=Console(stderr=True, quiet=json_), transient=True) as progress:
+            report = examine(commit, wanted, allowed, keep, speeds, rounds, progress)
     except RuntimeError as error:  # of a probe: nothing has been compared to the end
         print(error, file=sys.stderr)
         raise typer.Exit(2) from error

@@ -6,11 +6,10 @@ times of one round, taken right after one another; of their ratios the median co
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.progress import Progress
@@ -18,49 +17,30 @@ from rich.table import Table
 
 from .frozen_probe import SPEEDS
 
+if TYPE_CHECKING:
+    from .frozen import Child
+
 ENGINE = "engine 256"
 THREADS = f"{ENGINE}, 2 threads"
 """Whose ratio says what a second thread brings."""
 TREES = ("old", "new")
 
 
-class Probe(Protocol):
-    """A process that measures one tree."""
-
-    tree: Any
-
-    def ask(self, **request: Any) -> dict[str, Any]: ...
-
-    def signal(self, number: int) -> None: ...
-
-
-@contextlib.contextmanager
-def _awake(probe: Probe) -> Any:
-    """Let a process run that waits otherwise: threads of its own would compute meanwhile."""
-    probe.signal(signal.SIGCONT)
-    try:
-        yield
-    finally:
-        probe.signal(signal.SIGSTOP)
-
-
 def measure(
-    old: Callable[[], Probe],
-    new: Callable[[], Probe],
+    old: Callable[[], Child],
+    new: Callable[[], Child],
     speeds: Sequence[str],
     rounds: int,
     progress: Progress,
 ) -> dict[str, dict[str, float]]:
     """Times and ratios of `speeds` in both trees. Whole episodes are played in processes of their
     own, as what they warm up ahead would take time from what is measured after them."""
-    probes: dict[bool, tuple[Probe, Probe]] = {}
-    for whole in {SPEEDS[what].whole for what in speeds}:
-        probes[whole] = (old(), new())
+    probes = {whole: (old(), new()) for whole in {SPEEDS[what].whole for what in speeds}}
     running = [probe for pair in probes.values() for probe in pair]
     task = progress.add_task("speed", total=(rounds + 1) * len(speeds))
     taken: dict[str, list[list[dict[str, float]]]] = {what: [] for what in speeds}
     try:
-        for probe in running:
+        for probe in running:  # while they wait, threads of theirs would compute
             probe.signal(signal.SIGSTOP)
         for k in range(-1, rounds):  # the first round warms up
             for what in speeds:
@@ -68,8 +48,9 @@ def measure(
                 pair = probes[SPEEDS[what].whole]
                 times: list[dict[str, Any]] = [{}, {}]
                 for tree in (0, 1) if k % 2 else (1, 0):
-                    with _awake(pair[tree]):
-                        times[tree] = pair[tree].ask(do="speed", what=what)
+                    pair[tree].signal(signal.SIGCONT)
+                    times[tree] = pair[tree].ask(do="speed", what=what)
+                    pair[tree].signal(signal.SIGSTOP)
                     if "error" in times[tree]:
                         raise RuntimeError(f"{pair[tree].tree}: {times[tree]['traceback']}")
                 if k >= 0:
@@ -96,11 +77,8 @@ def summary(taken: dict[str, list[list[dict[str, float]]]]) -> dict[str, dict[st
             for name, value in zip(("low", "ratio", "high"), quartiles, strict=True):
                 result[what][f"{clock}_{name}"] = float(value)
             for k, tree in enumerate(TREES):
-                middle = float(np.median(times[:, k]))
-                result[what][f"{tree}_{clock}_us"] = 1e6 * middle / receivers
-                result[what][f"{tree}_{clock}_least_us"] = (
-                    1e6 * float(times[:, k].min()) / receivers
-                )
+                for name, time in (("us", np.median(times[:, k])), ("least_us", times[:, k].min())):
+                    result[what][f"{tree}_{clock}_{name}"] = 1e6 * float(time) / receivers
     if ENGINE in result and THREADS in result:
         for tree in TREES:
             one, two = (result[what][f"{tree}_wall_least_us"] for what in (ENGINE, THREADS))
@@ -126,13 +104,12 @@ def speed_table(speed: dict[str, dict[str, float]]) -> Table:
                 f"{least[0] / least[1]:.2f}",
             ]
             if clock == "wall":
+                used = (row[f"{tree}_cpu_us"] / row[f"{tree}_wall_us"] for tree in TREES)
                 scaled = [row.get(f"{tree}_over_one_thread") for tree in TREES]
                 cells += [
                     " -> ".join(f"{1e6 / row[f'{tree}_wall_us']:,.0f}" for tree in TREES),
                     " -> ".join(f"{each:.2f}" for each in scaled if each),
-                    " -> ".join(
-                        f"{row[f'{tree}_cpu_us'] / row[f'{tree}_wall_us']:.2f}" for tree in TREES
-                    ),
+                    " -> ".join(f"{each:.2f}" for each in used),
                 ]
             table.add_row(what, clock, *cells)
     return table

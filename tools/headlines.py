@@ -62,10 +62,8 @@ def options(name: str, sizes: list[str]) -> list[str]:
 
 def played(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
     given = options(name, sizes)
-    command = [sys.executable, "-W", "ignore", "-m", "spoofgym", *given]
-    done = subprocess.run(
-        [*command, "--out", str(out / name), "--json"], check=True, stdout=subprocess.PIPE
-    )
+    words = ["-W", "ignore", "-m", "spoofgym", *given, "--out", str(out / name), "--json"]
+    done = subprocess.run([sys.executable, *words], check=True, stdout=subprocess.PIPE)
     summary = json.loads(done.stdout)
     found = json.loads((out / name / "config.json").read_text())
     config = found["config"]

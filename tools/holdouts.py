@@ -13,6 +13,7 @@ import json
 import math
 import sys
 from collections.abc import Collection
+from operator import methodcaller
 from typing import Any, NamedTuple
 
 from agents.folder import write_json
@@ -132,6 +133,7 @@ def shown(kept: dict[str, Any]) -> str:
 
 def _table(world: dict[str, Any]) -> Table:
     others = ((name.removeprefix("headline-"), name) for name in world["detectors"][0]["in"])
+    rare = methodcaller("get", "rare")
     return Table(
         ("detector", "name"),
         ("calibrated on", "calibrated", "{:,}".format),
@@ -143,15 +145,11 @@ def _table(world: dict[str, Any]) -> Table:
             "in the worst sky (by chance)",
             lambda x: f"{_rate(x['worst_world_per_hour'])} ({_rate(x['worst_world_by_chance'])})",
         ),
-        (f"with an alarm at {RARE_RATE:g} an hour", _rare, lambda rare: f"{rare['alarms']:,}"),
-        ("predicted", _rare, _predicted),
+        (f"with an alarm at {RARE_RATE:g} an hour", rare, lambda found: f"{found['alarms']:,}"),
+        ("predicted", rare, _predicted),
         ("alarm before it [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),
         *((f"per hour in {short}", lambda x, n=name: _rate(x["in"][n])) for short, name in others),
     )
-
-
-def _rare(row: dict[str, Any]) -> dict[str, Any] | None:
-    return row.get("rare")
 
 
 def _predicted(row: dict[str, Any]) -> str:

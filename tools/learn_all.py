@@ -75,10 +75,8 @@ def steps_of(out: Path) -> dict[str, Step]:
             for world, detector in product(WORLDS, DETECTORS)
         },
     }
-    folders, cards = (
-        (*learners, "refits", "refits-more"),
-        [f"cards-{key}" for key in DETECTOR_TASKS],
-    )
+    folders = (*learners, "refits", "refits-more")
+    cards = [f"cards-{key}" for key in DETECTOR_TASKS]
     found = {
         **{
             f"cards-{key}": f"tools.detector_cards {key} --out OUT/cards-{key} --runs 200 "

@@ -16,16 +16,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from agents import seeds
 from agents.folder import write_json
-from agents.seeds import (
-    KIND_HEAD,
-    keeps_budget,
-    kind_cells,
-    marked,
-    middle_of,
-    reached_by,
-    value_of,
-)
+from agents.seeds import keeps_budget, marked, value_of
 from agents.spoofer_table import RIVALS, page
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.core.files import write_file
@@ -57,22 +50,22 @@ def shown_of_tasks(kept: dict[str, Any]) -> str:
 
 
 def shown(kept: dict[str, Any]) -> str:
-    seeds = sorted({row["seed"] for found in kept.values() for row in found["seeds"]})
-    every = [(task, *(_seed(found, seed) for seed in seeds)) for task, found in kept.items()]
-    table = Table.of_texts("task", *(f"seed {seed}" for seed in seeds)).markdown(every)
+    numbers = sorted({row["seed"] for found in kept.values() for row in found["seeds"]})
+    every = [(task, *(_seed(found, seed) for seed in numbers)) for task, found in kept.items()]
+    table = Table.of_texts("task", *(f"seed {seed}" for seed in numbers)).markdown(every)
     return f"{shown_of_tasks(kept)}\n{table}\n"
 
 
 def _task_cells(task: str, found: dict[str, Any]) -> tuple[str, ...]:
     bar = bar_of(found)
-    middle = middle_of(found["seeds"], bar)
+    middle = seeds.middle_of(found["seeds"], bar)
     ratio = interval(middle["ratios"][bar], 2) if middle["score"] else "0"
     return (
         *(task, f"`{found['detector'].partition('(')[0]}`"),
         *(marked(found["rivals"][name]) for name in RIVALS),
-        f"**{reached_by(found['seeds'])}**",
+        f"**{seeds.reached_by(found['seeds'])}**",
         f"{ratio} {bar}",
-        reached_by(found["seeds"], "untrained"),
+        seeds.reached_by(found["seeds"], "untrained"),
     )
 
 
@@ -92,7 +85,7 @@ def shown_of_plain(kept: dict[str, Any]) -> str:
         for task, found in kept.items()
         for kind, rows in found["kinds"].items()
     ]
-    table = Table.of_texts(*KIND_HEAD).markdown(kind_cells(*each) for each in kinds)
+    table = Table.of_texts(*seeds.KIND_HEAD).markdown(seeds.kind_cells(*each) for each in kinds)
     curves = Table.of_texts(*CURVE_HEAD).markdown((a, b, _curve(rows)) for a, b, rows, _ in kinds)
     return f"{table}\n\nMedians of the learning curves, on training runs [m]:\n\n{curves}\n"
 

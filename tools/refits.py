@@ -77,9 +77,8 @@ def specs_of(task: str, given: Sequence[str]) -> list[Any]:
 def scored(judge: Evaluator, specs: Sequence[Any]) -> list[dict[str, Any]]:
     """Scores on one set of runs, with ratios to the first one, JSON-able."""
     scores = [judge.score(spec) for spec in specs]
-    ramp = scores[0]
     return [
-        {**score.as_dict(), "of_ramp": score.ratio_to(ramp, oracles=True).as_json()}
+        {**score.as_dict(), "of_ramp": score.ratio_to(scores[0], oracles=True).as_json()}
         for score in scores
     ]
 

@@ -22,14 +22,7 @@ from spoofgym.bench.experiments import Store, run
 from spoofgym.bench.experiments.calibration import calibrate_entries
 from spoofgym.bench.experiments.campaign import Campaign, CampaignResults, summarize
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.report.tasks import (
-    ADMISSION,
-    FILE,
-    TASK_SCORES,
-    admission_rows,
-    stored_cards,
-    task_rows,
-)
+from spoofgym.bench.report import tasks
 from spoofgym.bench.runs.players import fitted, specify_detector
 from spoofgym.bench.scores.campaign import name_of
 from spoofgym.bench.search.amplitude import Tuning
@@ -40,7 +33,7 @@ from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.tasks import SUITE, TASKS, Task, task_of
 from tools.pages import DOCS, ROOT, keep_cards, put_between, rendered
 
-KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, DOCS / "tasks.md"
+KEPT, PAGE = ROOT / "spoofgym" / "bench" / tasks.FILE, DOCS / "tasks.md"
 BEGIN, END = "<!-- cards:begin -->", "<!-- cards:end -->"
 RATE = {"false_alarms_per_hour": STANDARD_RATE}
 TRIVIAL = {"name": "shewhart", "signals": "range_rate", **RATE}
@@ -60,12 +53,10 @@ FloatArray, IntArray = NDArray[np.float64], NDArray[np.int64]
 
 
 def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
-    whom: tuple[dict[str, Any], ...] = (task.detector,)
-    if not task.historical:
-        own = {specify_detector(spec).label for spec in whom}
-        # the members of a pool are its classics
-        others = (TRIVIAL,) if task.pooled else (*CLASSICS, TRIVIAL)
-        whom = (*whom, *(spec for spec in others if specify_detector(spec).label not in own))
+    own = specify_detector(task.detector).label
+    classics = () if task.pooled else CLASSICS  # the members of a pool are its classics
+    others = () if task.historical else (*classics, TRIVIAL)
+    whom = (task.detector, *(spec for spec in others if specify_detector(spec).label != own))
     limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
     return Suite(
         **task.world_kwargs,
@@ -81,8 +72,7 @@ def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
 
 def played(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
     suite = suite_of(task, sizes)
-    world, whom = suite.world, suite.detector_entries
-    calibrate_entries(world, whom, progress=progress)
+    calibrate_entries(suite.world, suite.detector_entries, progress=progress)
     suite.check_fit()
     campaign = Campaign(suite)
     reader = run(campaign, Store(out / task.key), progress=progress)
@@ -156,10 +146,8 @@ def admission(
         for cell in summary["cells"]
         if cell["detector"] == best
     }
-    limit = task.alert_limit_m
-    assert limit is not None  # as all that are not historical
-    found = results.protection(best)
-    assert found is not None  # every detector of the campaign has met the suite
+    limit = task.alert_limit_m  # as all have that are not historical
+    found = results.protection(best)  # every detector of the campaign has met the suite
     sky = found.sky[found.counts]
     moved = [winner.displacement[MEASURE][found.counts] for winner in found.winners]
     hazard = max(float((x > limit).mean()) for x in moved)
@@ -202,9 +190,9 @@ def dealt(moved: list[FloatArray], sky: IntArray) -> float:
 def shown() -> str:
     return rendered(
         "tasks.md.j2",
-        scores=TASK_SCORES.markdown(task_rows()),
-        admission=ADMISSION.markdown(admission_rows()),
-        cards=stored_cards(),
+        scores=tasks.TASK_SCORES.markdown(tasks.task_rows()),
+        admission=tasks.ADMISSION.markdown(tasks.admission_rows()),
+        cards=tasks.stored_cards(),
     )
 
 
@@ -220,7 +208,7 @@ def main(arguments: list[str]) -> None:
     sizes = {name: getattr(given, f"{name}_seeds") for name in ("training", "selection")}
     for key in () if given.tables_only else given.tasks or TASKS:
         card = played(task_of(key), given.out, {**sizes, "seeds": given.seeds})
-        keep_cards(KEPT, {**stored_cards(), key: card}, TASKS)
+        keep_cards(KEPT, {**tasks.stored_cards(), key: card}, TASKS)
         print(key, json.dumps(card.get("admission"), indent=1), flush=True)
     put_between(PAGE, BEGIN, END, shown())
 

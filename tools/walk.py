@@ -16,6 +16,7 @@ import pkgutil
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Annotated, Any
@@ -80,9 +81,7 @@ def main(
     if bool(words) == bool(call):
         raise typer.BadParameter("name either a command, after `--`, or an expression, by --call")
     import_all()
-    work = (
-        (lambda: eval(call, {"spoofgym": spoofgym})) if call else lambda: run_command(words or [])
-    )
+    work = partial(eval, call, {"spoofgym": spoofgym}) if call else partial(run_command, words)
     with contextlib.redirect_stdout(sys.stderr):
         found = walk(work, package)
     total = sum(map(len, found.values()))
