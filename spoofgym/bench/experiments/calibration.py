@@ -137,6 +137,7 @@ def calibrate_entries(
     """Calibrate the detectors that ask for a rate, and replay the first runs of their files.
     `optional`: labels of detectors that may be left out where no factor on their thresholds makes
     the rate; returns why, by their labels."""
+    setup = world.setup  # what is wrong with the world is wrong with no detector
     asked: dict[tuple[float, bool], list[Detector]] = {}
     for part in (part for entry in entries for part in calibrated_parts(entry.build())):
         rate = part.false_alarms_per_hour
@@ -144,7 +145,7 @@ def calibrate_entries(
             asked.setdefault((rate, part.rescaled), []).append(part.detector)
     for (rate, rescaled), detectors in asked.items():
         found = calibrate(
-            world.setup,
+            setup,
             detectors,
             false_alarms_per_hour=rate,
             rescaled=rescaled,
@@ -152,7 +153,7 @@ def calibrate_entries(
             progress=progress,
             strict=False,
         )
-        holdouts.check(world.setup, found, detectors, threads=threads)
+        holdouts.check(setup, found, detectors, threads=threads)
     refused = {}
     for entry in entries:
         try:

@@ -234,8 +234,8 @@ class Suite:
                 _moved(name): d or f"unknown, {uuid.uuid4().hex}" for name, d in outside.items()
             },
             **self.world.config,
-            "detectors": _without_folders(map(dataclasses.asdict, self.detector_entries)),
-            "spoofers": _without_folders(map(dataclasses.asdict, self.spoofer_entries)),
+            "detectors": _without_folders(each.as_config() for each in self.detector_entries),
+            "spoofers": _without_folders(each.as_config() for each in self.spoofer_entries),
             **self._calibrations(),
             "runs": self.runs,
             "entropy": self.entropy,
