@@ -209,8 +209,8 @@ class Calibrated(Detector):
             f"`spoofgym calibrate {conditions.options} --detector {quoted} "
             f"--false-alarms-per-hour {rate}{variant}`"
             if conditions.options
-            else "`spoofgym.calibration.calibrate(env.unwrapped.core.setup, ...)`, since no command "
-            "line can name this world"
+            else "`spoofgym.calibration.calibrate(env.unwrapped.core.setup, ...)`, since no "
+            "command line can name this world"
         )
         near = nearest(conditions, identity, self.rescaled)
         seen = ""
