@@ -14,7 +14,7 @@ from pathlib import Path
 from ... import __version__
 from ...core.compile import cache_parent
 from ...core.files import write_file
-from ...core.settings import digest_of, digest_of_bytes, digest_of_code
+from ...core.settings import digest_of, digest_of_code
 
 PACKAGES = ("numpy", "scipy", "numba", "onnxruntime")
 NOT_COMPUTING = {"cli", "report", "testing", "__main__", "progress", "files", "runner"}
@@ -74,8 +74,3 @@ def _digest_of_module(path: Path, known: dict[str, str]) -> str:
     if key not in known:
         known[key] = digest_of_code(content)
     return known[key]
-
-
-def file_identity(*paths: Path) -> dict[str, str]:
-    """Digests of files that are read, by name."""
-    return {path.name: digest_of_bytes(path.read_bytes()) for path in paths}

@@ -17,7 +17,7 @@ where :math:`\bar p \le b`, so that other runs, most likely, keep it too.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -225,37 +225,3 @@ def aim(runs: int, budget: float) -> float:
     """Alarm rate that a search or a training aims at, so that its choice on so many runs keeps it.
     At least a fifth of the budget, since there is nothing to find far below it."""
     return max(most_alarms(runs, budget) / max(runs, 1), 0.2 * budget)
-
-
-def largest_within(
-    keeps: Callable[[float], bool],
-    first: float,
-    *,
-    step: float = 1.15,
-    walks: int = 4,
-    halvings: int = 2,
-) -> None:
-    """Try factors on an attack around the largest one that keeps the budget.
-
-    From the first factor it walks in steps, up while the budget is kept and down while it is not;
-    the step over the edge is then halved.  Where alarms come the more often the larger the factor
-    is, the edge lies within ``step ** (1 / 2 ** halvings)`` of the largest one that kept it.
-
-    `first`: factor to begin at, above 0; `step`: ratio of neighbouring factors of the walk, above
-    1.
-    """
-    within, at = keeps(first), first
-    for _ in range(walks):
-        there = at * step if within else at / step
-        if keeps(there) != within:
-            halve(keeps, min(at, there), max(at, there), halvings)
-            return
-        at = there
-
-
-def halve(keeps: Callable[[float], bool], low: float, high: float, halvings: int) -> None:
-    """Try factors between one that keeps the budget and one that does not, halving their ratio.
-    `low`, `high`: the one that keeps it, above 0, and the one that does not."""
-    for _ in range(halvings):
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if keeps(middle) else (low, middle)
