@@ -39,8 +39,8 @@ from spoofgym.bench.search.amplitude import TuningResult, search_work
 from spoofgym.bench.search.backends import limits_of
 from spoofgym.bench.search.open_loop import SPLIT, BlindSearch
 from spoofgym.cli import clear_errors
+from spoofgym.cli.app import progress
 from spoofgym.cli.options import given_options
-from spoofgym.cli.output import progress
 from spoofgym.core.registry import parse_spec, refuse_given
 from spoofgym.core.settings import describe
 from spoofgym.envs.spoofer_binding import ENV_ID, spoofer_context

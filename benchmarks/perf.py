@@ -27,8 +27,8 @@ from spoofgym import __version__
 from spoofgym.attacks._kernels import Commanded
 from spoofgym.bench.report.table import Table
 from spoofgym.cli import clear_errors
+from spoofgym.cli.app import print_json, print_lines, progress
 from spoofgym.cli.options import Json
-from spoofgym.cli.output import print_json, print_lines, progress
 from spoofgym.core.lanes import LaneFields
 from spoofgym.core.progress import NullProgress, ProgressCallback
 from spoofgym.core.simd import LANES

@@ -18,7 +18,7 @@ import pytest
 from typer.testing import CliRunner
 
 from spoofgym.cli import app
-from spoofgym.cli.output import progress
+from spoofgym.cli.app import progress
 from spoofgym.core import threads as _threads
 
 SEED = 10

@@ -14,7 +14,7 @@ from spoofgym.bench.experiments.protect import DetectorEvaluator, entries_of
 from spoofgym.bench.report import tasks
 from spoofgym.bench.scores.campaign import CONTROLS, name_of
 from spoofgym.bench.scores.detector import DetectorScore
-from spoofgym.cli.output import progress
+from spoofgym.cli.app import progress
 from spoofgym.core.registry import check_choice, label_of
 from spoofgym.detectors import zoo
 from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, detector_task_of

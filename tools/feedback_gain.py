@@ -28,7 +28,7 @@ from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.scores.campaign import bound_of
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.bench.search.amplitude import TuningResult
-from spoofgym.cli.output import print_json, progress
+from spoofgym.cli.app import print_json, progress
 from spoofgym.tasks import task_of
 
 from .headlines import KEPT

@@ -15,7 +15,7 @@ from pathlib import Path
 from agents.folder import error_lines
 from agents.seeds import copy_policy, on_card
 from spoofgym.bench.experiments.evaluate import RUNS, Evaluator
-from spoofgym.cli.output import progress
+from spoofgym.cli.app import progress
 from spoofgym.spoofers.zoo import ZOO_FOLDER
 
 

@@ -27,7 +27,7 @@ from spoofgym.bench.runs.players import fitted, specify_detector
 from spoofgym.bench.scores.campaign import name_of
 from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.bench.search.attack_suite import Selection
-from spoofgym.cli.output import progress
+from spoofgym.cli.app import progress
 from spoofgym.core.settings import describe
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.tasks import SUITE, TASKS, Task, task_of

@@ -26,7 +26,7 @@ from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.runs.players import fitted, specify_spoofer
 from spoofgym.bench.search.amplitude import with_rates
-from spoofgym.cli.output import print_json, progress
+from spoofgym.cli.app import print_json, progress
 from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice, parse_spec
 from spoofgym.tasks import TASKS, task_of

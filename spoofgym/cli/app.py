@@ -1,17 +1,21 @@
-"""The program: its errors, its interrupts and its ends."""
+"""The program: its errors, interrupts and ends, and what it prints."""
 
 from __future__ import annotations
 
 import atexit
 import functools
+import json
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from typing import Annotated, Any, NoReturn, ParamSpec, TypeVar
 
 import typer
 from typer import Option
+
+from ..core.progress import ProgressCallback, show_progress
 
 signals: list[int] = []
 """What has asked the program to end."""
@@ -101,3 +105,20 @@ def main() -> None:
     finally:
         if signals:
             _leave(128 + signals[0])
+
+
+def print_json(value: Any) -> None:
+    """Print JSON; neither NaN nor infinity is."""
+    typer.echo(json.dumps(value, indent=2, allow_nan=False))
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print some lines, or nothing."""
+    for line in lines:
+        typer.echo(line)
+
+
+def progress(total: float) -> AbstractContextManager[ProgressCallback]:
+    """Show how far a command is, until it ends."""
+    start = "compiling, a minute the first time"
+    return show_progress(total, start=start, interrupted=lambda: signals)

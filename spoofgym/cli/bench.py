@@ -10,14 +10,13 @@ import typer
 from typer import Argument, Option
 
 from . import options as opt
+from .app import print_json, print_lines
 from .options import SuiteOptions, with_options
-from .output import print_json, print_lines
 from .suites import (
     Reports,
     calibrated,
     refuse_decided,
     selection_of,
-    specs_of,
     standard_suite,
     suite_of,
     tuning_of,
@@ -120,7 +119,7 @@ def bench(
         sizes = {**SIZES, **{key: sizes[key] for key in options.given(SIZES)}}
         spoofer = [*SPOOFERS]
     settings: dict[str, Any] = {
-        "spoofers": list(map(fitted, specs_of(spoofer))) if spoofer else None,
+        "spoofers": list(map(fitted, opt.specs_of(spoofer))) if spoofer else None,
         "runs": sizes["seeds"],
         "tuning": tuning_of(sizes["training_seeds"], budget),
         "selection": selection_of(sizes["selection_seeds"]),

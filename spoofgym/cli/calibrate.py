@@ -11,9 +11,9 @@ import typer
 from typer import Option
 
 from . import options as opt
+from .app import print_json, print_lines, progress
 from .options import WorldOptions, with_options
-from .output import print_json, print_lines, progress
-from .suites import specs_of, world_of
+from .suites import world_of
 
 if TYPE_CHECKING:
     from ..bench.runs.world import World
@@ -126,7 +126,7 @@ def _judges(
     from ..detectors.build import ASKED
     from ..detectors.calibrated import identity_of
 
-    specs: list[Any] = list(VICTIMS[world.env].detectors) if not texts else specs_of(texts)
+    specs: list[Any] = list(VICTIMS[world.env].detectors) if not texts else opt.specs_of(texts)
     named: list[Any] = []
     offered: list[Any] = []
     for spec in specs:
@@ -159,7 +159,7 @@ def _other(world: World, text: str) -> Any:
         except json.JSONDecodeError as error:
             raise ValueError(f"--transfer {text!r} is not JSON: {error}") from error
     else:
-        (changed,) = ({"scenario": spec} for spec in specs_of([text]))
+        (changed,) = ({"scenario": spec} for spec in opt.specs_of([text]))
     known = inspect.signature(VICTIMS[world.env].setup).parameters
     settings = [name for name in known if name != "detector"]
     check_keywords(f"the world of --transfer {text}", changed, settings)

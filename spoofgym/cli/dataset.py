@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from . import options as opt
+from .app import print_json, progress
 from .options import WorldOptions, with_options
-from .output import print_json, progress
-from .suites import specs_of, world_of
+from .suites import world_of
 
 if TYPE_CHECKING:
     from ..bench.experiments.dataset import Plan
@@ -77,9 +77,9 @@ def dataset(
 
     chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": file_runs, "task": task}
     chosen["runs"] = {"train": train, "validation": validation, "test": test}
-    chosen["spoofers"] = specs_of(spoofer or ())
+    chosen["spoofers"] = opt.specs_of(spoofer or ())
     if term:
-        chosen["terms"] = specs_of(term)
+        chosen["terms"] = opt.specs_of(term)
     plan = _plan(options, detector, alert_limit_m, chosen, threads)
     if overwrite:
         Store(out).open(plan.name, plan.config, overwrite=True)
@@ -113,7 +113,7 @@ def _plan(
     if task is not None:
         guard, limit = task_of(task).detector, task_of(task).alert_limit_m
     if detector is not None:
-        (guard,) = specs_of([detector])
+        (guard,) = opt.specs_of([detector])
     if alert_limit_m is not None:
         check_finite("alert_limit_m", alert_limit_m, "> 0")
     limit = alert_limit_m or limit or ALERT_LIMIT_M

@@ -8,8 +8,7 @@ from typing import Annotated
 from typer import Option
 
 from . import options as opt
-from .output import print_json
-from .suites import specs_of
+from .app import print_json
 
 
 def game(
@@ -44,7 +43,7 @@ def game(
     from ..bench.report.results import print_game
 
     pairs = Game(task, payoff=payoff, limit_m=limit_m, runs=runs, entropy=seed).pairs(
-        specs_of(spoofer), specs_of(detector), oracles=oracles
+        opt.specs_of(spoofer), opt.specs_of(detector), oracles=oracles
     )
     results = opt.finished(pairs, out, jobs=jobs, backend=backend, shard=shard, threads=threads)
     if as_json:

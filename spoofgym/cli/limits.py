@@ -9,9 +9,9 @@ import typer
 from typer import Option
 
 from . import options as opt
+from .app import print_json, print_lines, progress
 from .options import SuiteOptions, with_options
-from .output import print_json, print_lines, progress
-from .suites import calibrated, specs_of, suite_of, tuning_of
+from .suites import calibrated, suite_of, tuning_of
 
 MOST_WORLDS = 1024
 
@@ -91,7 +91,7 @@ def limits(
         task=task,
         nominal=nominal,
         headline=True,
-        spoofers=specs_of([spoofer] if spoofer else []),
+        spoofers=opt.specs_of([spoofer] if spoofer else []),
         tuning=tuning_of(opt.LARGEST_RUNS, budget),
     )
     setup = check_linear_victim(suite.world.setup)

@@ -7,7 +7,7 @@ from typing import Annotated
 from typer import Argument
 
 from . import options as opt
-from .output import print_json
+from .app import print_json
 
 
 def list_(

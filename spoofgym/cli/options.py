@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Container
+import os
+import sys
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -14,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 from typer import Option
 
-from .output import progress
+from .app import progress
 
 if TYPE_CHECKING:
     from ..bench.experiments import Experiment, Reader
@@ -98,6 +100,16 @@ Oracles = Annotated[
         help="Let detectors play that know the attack by their settings; the results say so.",
     ),
 ]
+
+
+def specs_of(texts: Sequence[str]) -> list[dict[str, Any]]:
+    """Names and settings; a class of the user's may lie in the working directory."""
+    from ..core.registry import parse_spec
+
+    specs = [parse_spec(text) for text in texts]
+    if any(":" in spec["name"] for spec in specs) and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    return specs
 
 
 def finished(

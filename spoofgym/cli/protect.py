@@ -8,8 +8,7 @@ from typing import Annotated
 from typer import Option
 
 from . import options as opt
-from .output import print_json, progress
-from .suites import specs_of
+from .app import print_json, progress
 
 
 def protect(
@@ -42,7 +41,7 @@ def protect(
     from ..bench.experiments.protect import DetectorEvaluator, entries_of
     from ..bench.report.tasks import print_scores
 
-    specs = specs_of(detector)
+    specs = opt.specs_of(detector)
     evaluator = DetectorEvaluator(
         task, runs=seeds, selection_runs=selection_seeds, families=family or None, entropy=seed
     )

@@ -11,9 +11,9 @@ import typer
 from typer import Option
 
 from . import options as opt
+from .app import print_json, print_lines, progress
 from .options import SuiteOptions, with_options
-from .output import print_json, print_lines, progress
-from .suites import Reports, calibrated, specs_of, suite_of
+from .suites import Reports, calibrated, suite_of
 
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
@@ -93,7 +93,7 @@ def _suite(options: RunOptions) -> tuple[Suite, PlayerSpec, PlayerSpec, Reports]
     """The suite of one pair, its detector, its spoofer, which has to know all its settings, and
     the reports of real input."""
     detectors = [options.detector] if options.detector else None
-    suite, reports = suite_of(options, detectors, spoofers=specs_of([options.spoofer]))
+    suite, reports = suite_of(options, detectors, spoofers=opt.specs_of([options.spoofer]))
     suite = calibrated(suite, detectors, None)
     player = suite.spoofer_entries[-1]
     if player.tuned:

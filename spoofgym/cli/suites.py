@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from .app import progress
 from .options import (
     ENV,
     SCENARIO_OPTIONS,
@@ -16,8 +15,8 @@ from .options import (
     WORLD_OPTIONS,
     SuiteOptions,
     WorldOptions,
+    specs_of,
 )
-from .output import progress
 
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
@@ -37,16 +36,6 @@ LEFT_OUT = " is left out: "
 """In a note, between the label of a detector and the reason."""
 Reports = dict[str, Any] | None
 """Of real input, as `RealInput` has them."""
-
-
-def specs_of(texts: Sequence[str]) -> list[dict[str, Any]]:
-    """Names and settings; a class of the user's may lie in the working directory."""
-    from ..core.registry import parse_spec
-
-    specs = [parse_spec(text) for text in texts]
-    if any(":" in spec["name"] for spec in specs) and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    return specs
 
 
 def world_of(options: WorldOptions, task: str | None = None) -> World:

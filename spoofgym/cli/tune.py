@@ -9,9 +9,9 @@ import typer
 from typer import Option
 
 from . import options as opt
+from .app import print_json, print_lines, progress
 from .options import SuiteOptions, with_options
-from .output import print_json, print_lines, progress
-from .suites import calibrated, specs_of, suite_of, tuning_of
+from .suites import calibrated, suite_of, tuning_of
 
 
 @with_options
@@ -39,7 +39,7 @@ def tune(
     from ..spoofers import make_spoofer
     from ..spoofers.scaled import AMPLITUDE
 
-    specs = specs_of(spoofer or ["ramp", "accelerating-ramp"])
+    specs = opt.specs_of(spoofer or ["ramp", "accelerating-ramp"])
     for spec in specs:
         untuned = {key: value for key, value in spec.items() if value != TUNED}
         spec[make_spoofer(untuned).tunable or AMPLITUDE] = TUNED

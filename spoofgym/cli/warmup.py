@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from typer import Argument
 
 from . import options as opt
-from .output import print_json, print_lines, progress
+from .app import print_json, print_lines, progress
 
 PREFIX = "spoofgym/"
 FORMS: dict[str, int | None] = {"single": None, "batch": 8}

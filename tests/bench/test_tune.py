@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spoofgym.bench.runs.displacement import counted
 from spoofgym.bench.runs.panel import Panel, play_searches
-from spoofgym.bench.runs.play import Runs, displacement_of, play
+from spoofgym.bench.runs.play import Runs, counted, displacement_of, play
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.scores.scores import stealth_of
 from spoofgym.bench.scores.statistics import most_alarms

@@ -15,8 +15,7 @@ from ...core.registry import whole_number
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
 from ...spoofers.base import AXES
-from .displacement import undetected_displacement
-from .play import Attacker, epochs_of, to_local
+from .play import Attacker, epochs_of, to_local, undetected_displacement
 from .players import PlayerSpec
 from .world import World
 

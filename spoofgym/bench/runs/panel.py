@@ -26,8 +26,15 @@ from ...spoofers import make_spoofer
 from ...spoofers.base import sees_statistics
 from ...tasks import CANDIDATES, NEAR_ALARM_S, SWITCH_WITHIN_S, TURNING_DEGPS
 from ...truth.sensors import keys_of
-from .displacement import counted
-from .play import PanelDetectors, Runs, WarmStart, displacement_of, play_side_by_side, traits_of
+from .play import (
+    PanelDetectors,
+    Runs,
+    WarmStart,
+    counted,
+    displacement_of,
+    play_side_by_side,
+    traits_of,
+)
 from .record import RunRecord
 
 FloatArray = NDArray[np.float64]

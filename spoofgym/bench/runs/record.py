@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...simulation.setup import Setup
-from .displacement import counted, exceeded, undetected_displacement
-from .play import Runs, horizontal, induced, off_truth
+from .play import Runs, counted, exceeded, horizontal, induced, off_truth, undetected_displacement
 
 FloatArray = NDArray[np.float64]
 PERCENTILES = (5, 50, 95)

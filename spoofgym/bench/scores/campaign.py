@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from ...detectors.calibration_file import hourly_rate
 from ...spoofers.base import sees_statistics
-from ..runs.displacement import exceeded
+from ..runs.play import exceeded
 from ..runs.record import MEASURES, Aim, Protection, RunRecord, Winner
 from .scores import (
     ALIKE,

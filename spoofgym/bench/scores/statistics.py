@@ -225,3 +225,13 @@ def aim(runs: int, budget: float) -> float:
     """Alarm rate that a search or a training aims at, so that its choice on so many runs keeps it.
     At least a fifth of the budget, since there is nothing to find far below it."""
     return max(most_alarms(runs, budget) / max(runs, 1), 0.2 * budget)
+
+
+def log_spaced(low: float, high: float, count: int) -> list[float]:
+    return [rounded_down(value) for value in np.geomspace(low, high, count)]
+
+
+def rounded_down(value: float) -> float:
+    """Number rounded down to four digits, so that a choice can be written down."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 3.0)
+    return float(f"{math.floor(value / digit + 1e-6) * digit:.6g}")

@@ -28,8 +28,7 @@ from ..runs.panel import Attack, Panel, Search
 from ..runs.play import displacement_of
 from ..runs.players import PlayerSpec
 from ..scores.scores import Stealth, stealth_of
-from ..scores.statistics import BUDGET, fewest_runs
-from .attack_suite import log_spaced, rounded_down
+from ..scores.statistics import BUDGET, fewest_runs, log_spaced, rounded_down
 
 RESOLUTION = 1.02
 """Ratio of the smallest value known to be over the budget to the largest one known to keep it."""

@@ -8,7 +8,6 @@ registered is left out, which changes the digest.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +22,7 @@ from ...spoofers import SPOOFERS, SpooferContext, make_spoofer
 from ...spoofers.scaled import AMPLITUDE
 from ..runs.play import make_bound_spoofer
 from ..runs.players import TUNED, PlayerSpec, specify_spoofer
+from ..scores.statistics import log_spaced
 
 FloatArray = NDArray[np.float64]
 NAME, VERSION = "spoofgym-scripted", 2
@@ -110,16 +110,6 @@ def fitting_members(setup: Setup, context: SpooferContext) -> tuple[SuiteAttack,
 def suite_digest(members: Sequence[SuiteAttack]) -> str:
     specs = [[member.letter, member.player.spec] for member in members]
     return digest_of({"name": NAME, "version": VERSION, "members": specs})
-
-
-def log_spaced(low: float, high: float, count: int) -> list[float]:
-    return [rounded_down(value) for value in np.geomspace(low, high, count)]
-
-
-def rounded_down(value: float) -> float:
-    """Number rounded down to four digits, so that a choice can be written down."""
-    digit = 10.0 ** (math.floor(math.log10(value)) - 3.0)
-    return float(f"{math.floor(value / digit + 1e-6) * digit:.6g}")
 
 
 def grid_of(member: SuiteAttack, context: SpooferContext, values: int) -> list[float]:

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from ...limits.response import Replay
 from ...simulation.setup import Setup
 from ...spoofers.base import axes_of, direction, has_heading
-from ..runs.displacement import counted
-from ..runs.play import Runs, WarmStart, induced_error
+from ..runs.play import Runs, WarmStart, counted, induced_error
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]

@@ -30,7 +30,8 @@ from ..runs.play import Runs
 from ..runs.players import ATTACK
 from ..runs.record import MEASURES, Aim, Winner, measured
 from ..scores.scores import SHARES, worst_skies
-from .attack_suite import Selection, SuiteAttack, grid_of, log_spaced, rounded_down
+from ..scores.statistics import log_spaced, rounded_down
+from .attack_suite import Selection, SuiteAttack, grid_of
 
 FloatArray = NDArray[np.float64]
 NEIGHBOURS = (-0.35, 0.35)
