@@ -445,7 +445,7 @@ def test_processes_of_async_vector_env_after_threads_in_the_parent() -> None:
 
 
 @pytest.mark.usefixtures("default_rate")
-@pytest.mark.parametrize("name", heavy(IDS, "spoofgym/BenchD2-v1"))
+@pytest.mark.parametrize("name", heavy(IDS, "spoofgym/BenchD2-v1", "spoofgym/BenchT4-v1"))
 def test_it_plays_as_users_have_it(name):
     """With the detector that it has by default, at the rate that is shipped."""
     env = gym.make(name)

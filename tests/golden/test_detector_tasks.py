@@ -9,6 +9,7 @@ import pytest
 
 from spoofgym.core.settings import digest_of
 from spoofgym.tasks import DETECTOR_TASKS
+from tests.nightly import heavy
 
 from .detector_tasks import KEPT, reached, resolved
 from .tasks import differences
@@ -22,7 +23,7 @@ def kept():
     return json.loads(KEPT.read_text())
 
 
-@pytest.mark.parametrize("key", DETECTOR_TASKS)
+@pytest.mark.parametrize("key", heavy(DETECTOR_TASKS, "D2"))
 def test_the_settings_of_a_task_never_change(key, kept):
     now = resolved(DETECTOR_TASKS[key])
     changed = differences(kept[key]["settings"], now)

@@ -19,7 +19,9 @@ def test_the_files_are_small_and_every_id_has_one():
     assert sum(path.stat().st_size for path in files) < 400_000
 
 
-@pytest.mark.parametrize("name", heavy(trajectories.cases(), "BenchD2-v1"))
+@pytest.mark.parametrize(
+    "name", heavy(trajectories.cases(), "BenchD1-v1", "BenchD2-v1", "BenchT4-v1")
+)
 def test_the_trajectory_is_the_stored_one(name):
     mine, stored = trajectories.cases()[name](), trajectories.load(name)
     assert set(mine) >= set(stored)  # more information may be told, none may go
