@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 
 from spoofgym.bench.experiments.dataset import Dataset, Episodes
-from spoofgym.bench.runs.play import counted, undetected_displacement
+from spoofgym.bench.runs.record import counted, undetected_displacement
 from spoofgym.detectors.calibration_file import check_runs, rank_of, run_probability
 
 FloatArray = NDArray[np.float64]

@@ -15,7 +15,8 @@ from spoofgym.bench.runs.panel import (
     in_any_world,
     numbers_of,
 )
-from spoofgym.bench.runs.play import WarmStart, displacement_of, play
+from spoofgym.bench.runs.play import WarmStart, play
+from spoofgym.bench.runs.record import displacement_of
 from spoofgym.bench.runs.world import World
 from spoofgym.detectors import Calibrated, Never, PooledDetector, SnapshotChi2, make_detector
 from spoofgym.tasks import CANDIDATES, SWITCH_WITHIN_S, TURNING_DEGPS

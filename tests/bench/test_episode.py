@@ -11,7 +11,8 @@ import pytest
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report.figures import play_frames
 from spoofgym.bench.runs.episode import TWIN, Episode, draw_episode, play_episode
-from spoofgym.bench.runs.play import WarmStart, displacement_of, induced_error, play
+from spoofgym.bench.runs.play import WarmStart, induced_error, play
+from spoofgym.bench.runs.record import displacement_of
 from spoofgym.core.plots import check_picture
 from spoofgym.detectors import Ewma
 from spoofgym.simulation.monitors import PastPositions

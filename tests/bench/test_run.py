@@ -12,14 +12,13 @@ from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.play import (
     Attacker,
     WarmStart,
-    displacement_of,
     epochs_of,
     induced_error,
     make_bound_spoofer,
     play,
     to_local,
 )
-from spoofgym.bench.runs.record import record_runs
+from spoofgym.bench.runs.record import displacement_of, record_runs
 from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofCore
 from spoofgym.simulation import Engine

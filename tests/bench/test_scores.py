@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from spoofgym.bench.runs.play import counted, undetected_displacement
+from spoofgym.bench.runs.record import counted, undetected_displacement
 from spoofgym.bench.scores.scores import (
     bootstrap_exceeded,
     by_chance,

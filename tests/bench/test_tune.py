@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from spoofgym.bench.runs.panel import Panel, play_searches
-from spoofgym.bench.runs.play import Runs, counted, displacement_of, play
+from spoofgym.bench.runs.play import Runs, play
 from spoofgym.bench.runs.players import specify_spoofer
+from spoofgym.bench.runs.record import counted, displacement_of
 from spoofgym.bench.scores.scores import stealth_of
 from spoofgym.bench.scores.statistics import most_alarms
 from spoofgym.bench.search import amplitude as module

@@ -15,13 +15,8 @@ from spoofgym.bench.experiments.campaign import knowledge_of
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.report.figures import draw_campaign
 from spoofgym.bench.runs.episode import TWIN, draw_episode, play_episode
-from spoofgym.bench.runs.play import (
-    WarmStart,
-    displacement_of,
-    induced_error,
-    make_bound_spoofer,
-    play,
-)
+from spoofgym.bench.runs.play import WarmStart, induced_error, make_bound_spoofer, play
+from spoofgym.bench.runs.record import displacement_of
 from spoofgym.bench.runs.world import VICTIMS
 from spoofgym.envs import SpoofCore
 

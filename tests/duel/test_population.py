@@ -12,8 +12,9 @@ from spoofgym.bench.experiments import game as population
 from spoofgym.bench.experiments.game import Game
 from spoofgym.bench.experiments.runner import Context
 from spoofgym.bench.report.cards import find_card
-from spoofgym.bench.runs.play import counted, displacement_of, play
+from spoofgym.bench.runs.play import play
 from spoofgym.bench.runs.players import member_of, mixture
+from spoofgym.bench.runs.record import counted, displacement_of
 from spoofgym.bench.scores.matrix_game import RunPayoff
 from spoofgym.detectors import make_detector, zoo
 from spoofgym.simulation.setup import SPLITS

@@ -26,7 +26,8 @@ from agents.detector_score import area, classics_of, scored
 from agents.record import read_record
 from spoofgym.bench.experiments import Store, run
 from spoofgym.bench.experiments.dataset import Episodes, Plan, load
-from spoofgym.bench.runs.play import WarmStart, displacement_of, play
+from spoofgym.bench.runs.play import WarmStart, play
+from spoofgym.bench.runs.record import displacement_of
 from spoofgym.bench.runs.world import World
 from spoofgym.detectors import make_detector
 from spoofgym.simulation.setup import generators_of, seeds_of_runs

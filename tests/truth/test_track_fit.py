@@ -148,8 +148,8 @@ def test_the_report_says_what_the_flight_does():
 
 def test_the_report_says_what_a_track_does_not_tell():
     _, report = fit_track(sampled(true_flight()))
-    untold = dataclasses.replace(report, speed_rms_mps=math.nan, course_rms_deg=math.nan)
-    said = " ".join(untold.lines())
+    unreported = dataclasses.replace(report, speed_rms_mps=math.nan, course_rms_deg=math.nan)
+    said = " ".join(unreported.lines())
     assert "; speed not reported; course not reported" in said
     assert "nan" not in said
 

@@ -15,8 +15,9 @@ from ...core.registry import whole_number
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
 from ...spoofers.base import AXES
-from .play import Attacker, epochs_of, to_local, undetected_displacement
+from .play import Attacker, epochs_of, to_local
 from .players import PlayerSpec
+from .record import undetected_displacement
 from .world import World
 
 FloatArray = NDArray[np.float64]

@@ -26,16 +26,8 @@ from ...spoofers import make_spoofer
 from ...spoofers.base import sees_statistics
 from ...tasks import CANDIDATES, NEAR_ALARM_S, SWITCH_WITHIN_S, TURNING_DEGPS
 from ...truth.sensors import keys_of
-from .play import (
-    PanelDetectors,
-    Runs,
-    WarmStart,
-    counted,
-    displacement_of,
-    play_side_by_side,
-    traits_of,
-)
-from .record import RunRecord
+from .play import PanelDetectors, Runs, WarmStart, play_side_by_side, traits_of
+from .record import RunRecord, counted, displacement_of
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 from ...detectors.calibration_file import hourly_rate
 from ...spoofers.base import sees_statistics
-from ..runs.play import exceeded
-from ..runs.record import MEASURES, Aim, Protection, RunRecord, Winner
+from ..runs.record import MEASURES, Aim, Protection, RunRecord, Winner, exceeded
 from .scores import (
     ALIKE,
     SHARES,

@@ -1,6 +1,6 @@
 r"""The scores: what a run, a spoofer and a detector are worth.
 
-A run is one number, the **undetected displacement** (`bench.runs.play`)
+A run is one number, the **undetected displacement** (`bench.runs.record`)
 
 .. math:: D_u = \max \{ e_k : \text{no alarm from the onset to } k + h \}
 
@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from ..runs.play import Mask, exceeded
+from ..runs.record import Mask, exceeded
 from .statistics import (
     CONFIDENCE,
     NOTHING,

@@ -25,8 +25,8 @@ from ...core.registry import whole_number
 from ...envs.spoofer_binding import tuning_range_of
 from ...spoofers import make_spoofer
 from ..runs.panel import Attack, Panel, Search
-from ..runs.play import displacement_of
 from ..runs.players import PlayerSpec
+from ..runs.record import displacement_of
 from ..scores.scores import Stealth, stealth_of
 from ..scores.statistics import BUDGET, fewest_runs, log_spaced, rounded_down
 

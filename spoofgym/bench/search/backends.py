@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from ...limits.response import Replay
 from ...simulation.setup import Setup
 from ...spoofers.base import axes_of, direction, has_heading
-from ..runs.play import Runs, WarmStart, counted, induced_error
+from ..runs.play import Runs, WarmStart, induced_error
+from ..runs.record import counted
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]
