@@ -84,13 +84,14 @@ def main(
     work = partial(eval, call, {"spoofgym": spoofgym}) if call else partial(run_command, words)
     with contextlib.redirect_stdout(sys.stderr):
         found = walk(work, package)
-    total = sum(map(len, found.values()))
+    files = [file for part in found.values() for file in part]
+    total, templates = len(files), sum(not file.endswith(".py") for file in files)
     if as_json:
-        typer.echo(json.dumps({"files": found, "total": total}, indent=1))
+        typer.echo(json.dumps({"files": found, "total": total, "templates": templates}, indent=1))
         return
-    for name, files in found.items():
-        typer.echo("\n".join([f"{name}: {len(files)} files", *(f"  {file}" for file in files)]))
-    typer.echo(f"{total} files in all")
+    for name, part in found.items():
+        typer.echo("\n".join([f"{name}: {len(part)} files", *(f"  {file}" for file in part)]))
+    typer.echo(f"{total} files in all ({templates} of them templates)")
 
 
 if __name__ == "__main__":

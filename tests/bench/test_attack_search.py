@@ -11,8 +11,13 @@ from spoofgym.bench.runs.panel import play_searches
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.runs.record import MEASURES, Aim
 from spoofgym.bench.runs.world import World
-from spoofgym.bench.search.attack_suite import AROUND_FOUND, Selection, SuiteAttack
-from spoofgym.bench.search.worst_attack import FamilyAttacks, WorstAttacks
+from spoofgym.bench.search.attack_suite import (
+    AROUND_FOUND,
+    FamilyAttacks,
+    Selection,
+    SuiteAttack,
+    WorstAttacks,
+)
 from spoofgym.spoofers import SpooferContext
 from spoofgym.spoofers.scaled import LARGEST, SMALLEST
 

@@ -11,8 +11,7 @@ import pytest
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
 from spoofgym.bench.scores.campaign import compare, score_protection
 from spoofgym.bench.scores.scores import exceeded
-from spoofgym.bench.search.attack_suite import Selection
-from spoofgym.bench.search.worst_attack import aims_of
+from spoofgym.bench.search.attack_suite import Selection, aims_of
 
 FIRST = MEASURES[0]
 

@@ -16,7 +16,7 @@ from spoofgym import tasks as detector_tasks
 from spoofgym.attacks import ATTACKS, make_attack
 from spoofgym.bench.experiments.protect import DetectorEvaluator
 from spoofgym.bench.runs.panel import Attack, Panel, generators, numbers_of
-from spoofgym.bench.search.worst_attack import IDLE
+from spoofgym.bench.search.attack_suite import IDLE
 from spoofgym.core.files import write_file
 from spoofgym.core.registry import spec_of
 from spoofgym.core.settings import describe, digest_of

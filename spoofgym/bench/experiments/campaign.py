@@ -31,9 +31,8 @@ from ..scores.campaign import (
     score_runs,
 )
 from ..search.amplitude import TuningResult, search_work, with_rates
-from ..search.attack_suite import SuiteAttack
+from ..search.attack_suite import SuiteAttack, WorstAttacks, expected_plays, play_winners
 from ..search.open_loop import AIMS, Optima, fit
-from ..search.worst_attack import WorstAttacks, expected_plays, play_winners
 from .runner import Context, Experiment, run
 from .store import Cell, Reader, Result, Store
 from .suite import Suite

@@ -38,8 +38,15 @@ from ..runs.players import (
 from ..runs.record import Protection
 from ..runs.world import World
 from ..scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
-from ..search.attack_suite import Selection, SuiteAttack, fitting_members
-from ..search.worst_attack import ROUNDS, FamilyAttacks, expected_plays, play_winners
+from ..search.attack_suite import (
+    ROUNDS,
+    FamilyAttacks,
+    Selection,
+    SuiteAttack,
+    expected_plays,
+    fitting_members,
+    play_winners,
+)
 from .runner import Context, Experiment, run
 from .store import Cell, MemoryStore, Reader, Result, Store
 from .training_attacks import QUIET_TASKS

@@ -18,7 +18,17 @@ from ..scores.campaign import CONTROLS, FREE, HALF, NOMINAL, STEALTHY, headline,
 from ..search.attack_suite import FAMILIES as FAMILIES
 from ..search.attack_suite import ORACLES
 from ..search.open_loop import FOUND
-from .table import Table, interval, metres, number, percent, rendered, share, yes_no
+from .table import (
+    Table,
+    interval,
+    metres,
+    number,
+    percent,
+    rendered,
+    rendered_block,
+    share,
+    yes_no,
+)
 
 Row = dict[str, Any]
 ORACLE = " (oracle)"
@@ -294,7 +304,8 @@ def tuning_table(search: Row) -> Table:
 
 def floor_notes(summary: Row) -> list[str]:
     """What the floors are, and under which assumptions they hold; why there are none."""
-    return rendered("floor.md.j2", {"summary": summary}).splitlines()
+    lines = rendered_block("campaign.md.j2", "floor", {"summary": summary})
+    return [line.removeprefix("- ") for line in lines]
 
 
 def bound_notes(summary: Row) -> list[str]:

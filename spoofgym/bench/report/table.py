@@ -148,6 +148,12 @@ def rendered(name: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -> 
     return _environment(folder).get_template(name).render(values).rstrip() + "\n"
 
 
+def rendered_block(name: str, block: str, values: Mapping[str, Any]) -> list[str]:
+    """Lines of one block of a template."""
+    template = _environment(TEMPLATES).get_template(name)
+    return "".join(template.blocks[block](template.new_context(dict(values)))).splitlines()
+
+
 def texts(name: str) -> Any:
     """Macros of a template, by their names."""
     return _environment(TEMPLATES).get_template(name).module
