@@ -11,9 +11,9 @@ from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import interval
 from spoofgym.bench.scores.spoofer import Score
 from spoofgym.core.files import write_file
+from spoofgym.policies import SpooferCard
+from spoofgym.policies.card import Score as CardScore
 from spoofgym.spoofers.base import sees_statistics
-from spoofgym.spoofers.card import Card
-from spoofgym.spoofers.card import Score as CardScore
 
 LOUDEST = 1e5
 """Largest amplitude that is tried of a network that has not learned, which hardly answers."""
@@ -133,7 +133,7 @@ def copy_policy(
 ) -> None:
     """Write a policy and its card under another name, with more on its training and scores."""
     content = source.read_bytes()
-    card = Card.load(source.with_suffix(".json"))
+    card = SpooferCard.load(source.with_suffix(".json"))
     if card.file is None:
         raise ValueError(f"{source} is no policy of a file: its card is of {card.kind}")
     own = {

@@ -44,10 +44,9 @@ from spoofgym.cli.options import given_options
 from spoofgym.core.registry import parse_spec, refuse_given
 from spoofgym.core.settings import describe
 from spoofgym.envs.spoofer_binding import ENV_ID, spoofer_context
-from spoofgym.policies.card import DECIDED_ON
+from spoofgym.policies import SpooferCard
+from spoofgym.policies.card import DECIDED_ON, NAME, fields_of
 from spoofgym.simulation import Timeline
-from spoofgym.spoofers import Card
-from spoofgym.spoofers.card import NAME, fields_of
 from spoofgym.tasks import task_of
 
 RIVALS = Table(
@@ -186,7 +185,7 @@ def experiment_of(judge: Evaluator, heading: float, config: dict[str, Any]) -> R
 
 def card_of(
     judge: Evaluator, fits: dict[str, TuningResult], heading: float, name: str, command: str
-) -> Card:
+) -> SpooferCard:
     """Card of what a search found, with its score."""
     best, setup = fits[SEARCHED], judge.world.setup
     if not best.within_budget or best.found is None:
@@ -227,7 +226,7 @@ def card_of(
         DECIDED_ON: [[judge.entropy, "training"], [judge.entropy, SPLIT]],
         "choice": {**asdict(best.chosen), "found": best.found},
     }
-    return Card.model_validate(
+    return SpooferCard.model_validate(
         {
             "name": name,
             "kind": "profile",

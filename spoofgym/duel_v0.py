@@ -25,13 +25,14 @@ from .bench.experiments.game import Game
 from .bench.runs.players import member_of, mixture
 from .bench.scores.matrix_game import solve
 from .detectors.learned import PolicyDetector
-from .detectors.learned_card import DetectorCard, OnnxDetector
 from .duel.calibrate import calibrate
 from .duel.calibration import Calibration
 from .duel.duel import duel_signature
 from .duel.payoff import NeymanPearson, Weighted
 from .duel.views import DetectorVectorView, DetectorView, SpooferVectorView, SpooferView, write_card
+from .policies.card import DetectorCard
 from .policies.contract import DetectorPolicy, FunctionPolicy
+from .policies.load import OnnxDetector
 
 __all__ = [
     "AttackBudget",

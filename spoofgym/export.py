@@ -13,6 +13,7 @@ torch; install it with the extra ``train``.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import tempfile
@@ -32,15 +33,24 @@ from .core.files import write_file
 from .core.registry import check_choice, check_finite
 from .core.settings import describe
 from .detectors.learned import DetectorAgent, action_names, detector_card
-from .detectors.learned_card import DetectorCard, OnnxDetector, card_path
 from .detectors.observation import DetectorObserver
 from .duel.views import write_card
 from .envs.spoofer_binding import spoofer_context
-from .policies.card import State, seeds_in, text_of
+from .policies.card import (
+    Card,
+    DetectorCard,
+    Knowledge,
+    SpooferCard,
+    State,
+    fields_of,
+    seeds_in,
+    text_of,
+)
 from .policies.contract import NotFinite
+from .policies.load import OnnxDetector, card_path
 from .policies.onnx_file import NEXT, checked_path, file_of
+from .policies.trial import trust
 from .simulation.setup import SPLITS
-from .spoofers.card import Card, Knowledge, fields_of
 from .spoofers.learned import (
     Normalization,
     OnnxPolicy,
@@ -245,7 +255,9 @@ def traced(module: torch.nn.Module, size: int, state: Mapping[str, int] | None =
         part.ClearField("doc_string")
         part.ClearField("metadata_props")
     graph.ClearField("value_info")
-    return bytes(model.SerializeToString(deterministic=True))
+    content = bytes(model.SerializeToString(deterministic=True))
+    trust(hashlib.sha256(content).hexdigest())
+    return content
 
 
 def library_versions() -> dict[str, str]:
@@ -465,7 +477,7 @@ def onnx(
 
     Returns
     -------
-    Card or DetectorCard
+    SpooferCard or DetectorCard
         As it was written, the latter where a detector learned (``side="detector"``).
 
     Raises
@@ -495,7 +507,7 @@ def onnx(
         content = traced(actor, len(low))
     details = {**_training_of(model), "amplitude": amplitude, **(training or {})}
     with trial_of(path) as trial:
-        card: Card | DetectorCard
+        card: Card
         if judges:
             trial.write_bytes(content)
             card = write_card(trial, inner, name=path.stem, training=details)
@@ -534,7 +546,7 @@ def _training_of(model: Any) -> dict[str, Any]:
 
 def _card_of(
     inner: Any, path: Path, content: bytes, training: Mapping[str, Any], designed_on: str | None
-) -> Card:
+) -> SpooferCard:
     core = inner.core
     if core.settings["observation"] is not None:
         raise ValueError(
@@ -547,7 +559,7 @@ def _card_of(
     name = detector["name"] if isinstance(detector, Mapping) else detector
     met = designed_on or f"{name} and its world, by training"
     with one_line(f"card of {path}"):
-        return Card(
+        return SpooferCard(
             name=path.stem,
             kind="onnx-policy",
             env_id=env_id,
@@ -621,7 +633,7 @@ def _compare(
         )
 
 
-def _write(path: Path, content: bytes, card: Card | DetectorCard) -> None:
+def _write(path: Path, content: bytes, card: Card) -> None:
     """File first: what is interrupted in between does not fit its card, and is refused."""
     write_file(path, content)
     card.save(card_path(path))

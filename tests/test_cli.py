@@ -22,8 +22,8 @@ from spoofgym.bench.experiments.campaign import CampaignResults
 from spoofgym.cli import app
 from spoofgym.cli.options import ENV, WorldOptions, with_options
 from spoofgym.detectors import DETECTORS
-from spoofgym.detectors.zoo import shipped as learned
-from spoofgym.spoofers import SPOOFERS, shipped
+from spoofgym.policies import shipped
+from spoofgym.spoofers import SPOOFERS
 
 from .bench.support import small_suite
 from .command_line import FIXED, QUICK, SHORT, TRAINING, TWO, call, refused
@@ -102,10 +102,10 @@ def test_it_starts_quickly_and_as_a_module() -> None:
 def test_list_names_all_there_is() -> None:
     found = json.loads(call("list", "--json").stdout)
     assert set(found) == {"envs", "scenarios", "attacks", "detectors", "spoofers", "shipped"}
-    assert {row["name"] for row in found["detectors"]} == {*DETECTORS, *learned()}
+    assert {row["name"] for row in found["detectors"]} == {*DETECTORS, *shipped("detector")}
     assert {row["name"] for row in found["spoofers"]} == set(SPOOFERS)
     assert "spoofgym/TightlyCoupled-v0" in {row["name"] for row in found["envs"]}
-    assert [row["name"] for row in found["shipped"]] == [*shipped(), *learned()]
+    assert [row["name"] for row in found["shipped"]] == [*shipped("spoofer"), *shipped("detector")]
     for rows in found.values():
         assert all(row["summary"] for row in rows)
     (ramp,) = [row for row in found["spoofers"] if row["name"] == "ramp"]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym.detectors.zoo import path_of
+from spoofgym.policies.zoo import path_of
 
 from .bench.support import small_suite, use_zoo, write_zoo
 from .command_line import QUICK, SHORT, call, refused
@@ -27,7 +27,7 @@ def test_list_and_card_show_what_is_shipped(
 ) -> None:
     use_zoo(zoo_folder, monkeypatch)
     rows = json.loads(call("list", "shipped", "--json").stdout)["shipped"]
-    assert [row["name"] for row in rows] == ["curve", "push", "track", "trolley-guard"]
+    assert [row["name"] for row in rows] == ["curve", "push", "track"]
     assert (rows[2]["knowledge"], rows[2]["designed_on"]) == ("tracking", "ewma, by hand")
     assert rows[2]["scores"][0]["undetected_displacement_m"] == 12.5
     table = " ".join(call("list").output.split())

@@ -17,8 +17,9 @@ from spoofgym.bench.report import tasks as detector_cards
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.search.attack_suite import FAMILIES
 from spoofgym.cli import app
-from spoofgym.detectors import make_detector, zoo
+from spoofgym.detectors import make_detector
 from spoofgym.duel.learner import LearnersSide
+from spoofgym.policies.zoo import path_of, shipped
 from spoofgym.spoofers import make_spoofer
 from spoofgym.tasks import DETECTOR_TASKS, ONSETS, PUBLIC, TASKS, detector_task_of
 from tests.bench.detector_support import small_task
@@ -155,7 +156,7 @@ def test_a_learned_detector_is_scored_where_it_has_learned_from_nothing_held_out
     names = [spec["name"] for spec in detector_cards.learned_of(task)]
     assert names == (["trolley-guard"] if key in ("D1", "D4") else [])
     for name in names:
-        card = json.loads(zoo.path_of(name).with_suffix(".json").read_text())
+        card = json.loads(path_of(name, "detector").with_suffix(".json").read_text())
         public = {family.key for family in task.public}
         told = {"ramp": "ramps", "accelerating-ramp": "ramps", "profile": "profiles"}
         told |= {"dash": "dashes", "blind-optimum": "blind-optima"}
@@ -213,7 +214,7 @@ def test_every_reference_has_a_score_in_d1_and_is_refused_or_named_as_unplayed_e
         assert not (key == "D1" and waiting)
         assert all(label in PAGE.read_text() for label in waiting)
     names = [each["detector"] for each in cards["D1"]["detectors"]]
-    assert len({*names} - {"never", "lottery", *zoo.shipped()}) == 27
+    assert len({*names} - {"never", "lottery", *shipped("detector")}) == 27
     assert {*cards["D1"]["left_out"]} == {"cusum", "lag-cusum"}
 
 

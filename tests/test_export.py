@@ -19,9 +19,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 import spoofgym.export
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.detectors import make_detector
-from spoofgym.detectors.learned_card import OnnxDetector
 from spoofgym.envs import attach
 from spoofgym.export import onnx
+from spoofgym.policies.load import OnnxDetector
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import OnnxPolicy
 from spoofgym.spoofers.learned import function_of
@@ -186,7 +186,7 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written(tmp_path):
         ((torch.nn.Linear(size, 1), gym.make("CartPole-v1")), TypeError, "environment of spoofgym"),
         ((torch.nn.Linear(size + 1, 1), envs), ValueError, f"can't be run with {size} obs"),
         ((torch.nn.Linear(size, 2), envs), ValueError, r"actions of shape \(B, 1\), got \(2, 2\)"),
-        ((Noisy(size), envs), ValueError, "draws random numbers"),
+        ((Noisy(size), envs), ValueError, "has the operator RandomNormalLike"),
     ]
     for given, error, message in cases:
         with pytest.raises(error, match=message):
@@ -361,7 +361,7 @@ class Dice(Recurrent):
         (Recurrent(OBSERVED), {"state": [6]}, "`state` must be sizes by name"),
         (Recurrent(OBSERVED), {"threshold": 2.0}, r"card of .*guard\.onnx: `threshold`"),
         (Recurrent(OBSERVED), {"training": {"decided_on": [[0, "x"]]}}, "unknown split 'x'"),
-        (Dice(OBSERVED), {}, "draws random numbers by RandomNormalLike"),
+        (Dice(OBSERVED), {}, "has the operator RandomNormalLike"),
     ],
     ids=[
         *("no state", "size", "observations", "state", "undeclared", "terms", "name", "negative"),

@@ -29,12 +29,13 @@ from spoofgym.attacks.equipment import CounterfeitErrors
 from spoofgym.calibration.holdouts import check
 from spoofgym.calibration.thresholds import inner_detectors
 from spoofgym.core.settings import describe, kind_of
-from spoofgym.detectors import Calibration, Detector, zoo
+from spoofgym.detectors import Calibration, Detector
 from spoofgym.detectors.calibrated import identity_of
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, stored
 from spoofgym.envs import attach
+from spoofgym.policies import SpooferCard, card_of, shipped
+from spoofgym.policies.zoo import ZOO_FOLDER
 from spoofgym.simulation.setup import Timeline
-from spoofgym.spoofers import card_of, shipped
 from spoofgym.tasks import TASKS
 from tools.calibrations import WORLDS, detectors_of
 
@@ -45,12 +46,12 @@ SLOW, SLOW_FOLDER = "T4", "8bcd426310fa6fe1"
 """World that takes a minute to make, and the folder of its calibrations."""
 QUICK = [world for world in WORLDS if world != SLOW]
 NETWORKS = {
-    "detectors/zoo/trolley-guard": "e70ee24d0d0d1bac",
-    "spoofers/zoo/ewma-ppo": "b828df12b2c955a9",
-    "spoofers/zoo/hidden-pool-ppo": "54ad560b6bd39705",
-    "spoofers/zoo/snapshot-chi2-ppo": "22d458821e397451",
-    "spoofers/zoo/solution-separation-ppo": "67a12047cfef36e0",
-    "spoofers/zoo/solution-separation-quiet-ppo": "6b08ec0d449ffdbd",
+    "policies/zoo/trolley-guard": "e70ee24d0d0d1bac",
+    "policies/zoo/ewma-ppo": "b828df12b2c955a9",
+    "policies/zoo/hidden-pool-ppo": "54ad560b6bd39705",
+    "policies/zoo/snapshot-chi2-ppo": "22d458821e397451",
+    "policies/zoo/solution-separation-ppo": "67a12047cfef36e0",
+    "policies/zoo/solution-separation-quiet-ppo": "6b08ec0d449ffdbd",
 }
 """First digits of the SHA-256 of the shipped files."""
 PACKAGE = Path(spoofgym.__file__).parent
@@ -67,7 +68,7 @@ def shipped_of(world: str) -> list[tuple[Calibration, Detector]]:
     setup = setup_of(world)
     return [
         (found, each)
-        for each in inner_detectors([*detectors_of(world, setup), *zoo.shipped()])
+        for each in inner_detectors([*detectors_of(world, setup), *shipped("detector")])
         for rescaled in (False, True)[: 1 + each.drifts]
         for found in stored(setup.conditions, identity_of(each), rescaled, SHIPPED_FOLDER)
     ]
@@ -111,18 +112,18 @@ def test_shipped_networks_are_unchanged():
     assert digests == NETWORKS
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", shipped("spoofer"))
 def test_every_shipped_spoofer_meets_the_environment_of_its_card(name):
-    card = card_of(name)
+    card = card_of(name, SpooferCard)
     profile = {} if card.file else {"action": "full-command"}
     env = gym.make(card.env_id, **{**profile, **card.env_kwargs})
     attach(name, env)
     env.close()
 
 
-@pytest.mark.parametrize("name", zoo.shipped())
+@pytest.mark.parametrize("name", shipped("detector"))
 def test_every_shipped_detector_is_bound_in_the_world_of_its_task(name):
-    card = json.loads((zoo.ZOO_FOLDER / f"{name}.json").read_text())
+    card = json.loads((ZOO_FOLDER / f"{name}.json").read_text())
     task = TASKS[card["training"]["task"]]
     env = gym.make(task.env_id, **{**task.env_kwargs, "detector": name})
     env.reset(seed=1)

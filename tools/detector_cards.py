@@ -16,7 +16,7 @@ from spoofgym.bench.scores.campaign import CONTROLS, name_of
 from spoofgym.bench.scores.detector import DetectorScore
 from spoofgym.cli.app import progress
 from spoofgym.core.registry import check_choice, label_of
-from spoofgym.detectors import zoo
+from spoofgym.policies import shipped
 from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
 from tools.pages import DOCS, ROOT, keep_cards, put_between, rendered
 
@@ -48,7 +48,7 @@ def played(
 
 def card_of(scores: list[DetectorScore]) -> dict[str, Any]:
     """What is kept of a task: scores, and paired differences to the best classic."""
-    others = (*CONTROLS, *zoo.shipped())
+    others = (*CONTROLS, *shipped("detector"))
     classics = [each for each in scores if name_of(each.detector) not in others]
     best = min(classics, key=lambda each: np.nan_to_num(each.p_hmi.value, nan=2.0))
     first = scores[0]

@@ -16,7 +16,7 @@ from agents.folder import error_lines
 from agents.seeds import copy_policy, on_card
 from spoofgym.bench.experiments.evaluate import RUNS, Evaluator
 from spoofgym.cli.app import progress
-from spoofgym.spoofers.zoo import ZOO_FOLDER
+from spoofgym.policies.zoo import ZOO_FOLDER
 
 
 def ship(policy: Path, name: str, judge: Evaluator, folder: Path = ZOO_FOLDER) -> Path:

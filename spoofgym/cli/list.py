@@ -40,14 +40,14 @@ def card(
     """Show the card of a spoofer or of a learned detector: what it fits, and how it was made."""
     from ..bench.report.cards import SCORES, card_rows, find_card
     from ..bench.report.table import FIELDS
-    from ..spoofers.card import Card
+    from ..policies import SpooferCard
 
     found = find_card(name)
     if as_json:
         print_json(found.model_dump(mode="json"))
         return
     FIELDS.print(found.name, card_rows(found))
-    if isinstance(found, Card) and found.scores:
+    if isinstance(found, SpooferCard) and found.scores:
         SCORES.print("scores", found.scores)
 
 

@@ -140,18 +140,19 @@ def largest_average(
     `statistic` (B,) written: largest q of the windows."""
     receivers, size = white.shape
     n, length = judged.shape[1], sums.shape[1]
+    slots = (first + np.arange(size)) % n
     for b in range(receivers):
         last = place[b]
         place[b] = now = (last + 1) % length
         for r in range(size):
             sums[b, now, r] = sums[b, last, r] + white[b, r]
-            counts[b, now, r] = counts[b, last, r] + judged[b, (first + r) % n]
+            counts[b, now, r] = counts[b, last, r] + judged[b, slots[r]]
         statistic[b] = 0.0
         for w in range(len(windows)):
             start = (now - windows[w]) % length
             q = 0.0
             for r in range(size):
-                if judged[b, (first + r) % n]:
+                if judged[b, slots[r]]:
                     total = sums[b, now, r] - sums[b, start, r]
                     q += total * total / (counts[b, now, r] - counts[b, start, r])
             statistic[b] = max(statistic[b], q)

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from ..core.registry import check_choice, is_number, make, settings_of, spec_of
+from ..policies.card import DETECTOR
+from ..policies.zoo import path_of, shipped
 from . import calibrated
 from .base import DETECTORS, Detector
 from .calibrated import STANDARD_RATE, Calibrated
 from .calibration_file import check_rate
-from .zoo import path_of, shipped
 
 THRESHOLDS = ("nominal", "calibrated", "rescaled")
 """Which thresholds a detector may be asked for with."""
@@ -140,7 +141,7 @@ def _build(spec: Any, default: float | None) -> Detector:
     is; a pool hands on to its members what they do not ask for themselves."""
     spec = _as_mapping(spec)
     if not isinstance(spec, Mapping):
-        return make("detector", DETECTORS, Detector, spec, shipped())
+        return make("detector", DETECTORS, Detector, spec, shipped(DETECTOR))
     plain, asked = split_spec(spec)
     load = _loader(plain)
     if not asked and default is not None and not has_own_threshold(plain):
@@ -149,7 +150,7 @@ def _build(spec: Any, default: float | None) -> Detector:
         return _with_own_threshold(load(plain), plain, asked)
     if plain.get("name") == "pool":
         plain["members"] = _members_asked(plain, asked)
-    made = make("detector", DETECTORS, Detector, plain, shipped())
+    made = make("detector", DETECTORS, Detector, plain, shipped(DETECTOR))
     return made if made.judges else with_thresholds(made, asked)
 
 
@@ -162,7 +163,9 @@ def _loader(spec: Any) -> Callable[[Mapping[str, Any]], Detector] | None:
     name = spec.get("name") if isinstance(spec, Mapping) else spec
     if not isinstance(name, str):
         return None
-    return next((load for end, load in LOADERS.items() if str(path_of(name)).endswith(end)), None)
+    return next(
+        (load for end, load in LOADERS.items() if str(path_of(name, DETECTOR)).endswith(end)), None
+    )
 
 
 def _with_own_threshold(

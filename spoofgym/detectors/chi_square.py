@@ -340,6 +340,15 @@ class SequentialChi2(InnovationTest):
             window = epochs_of(self.window_s, context)
             self.memory_epochs = self._bias_window + window
             self._declare_squares(b, window)
+        self._each_side = 0.5 * self.false_alarm if self.two_sided else self.false_alarm
+        self._thresholds = chi2_thresholds(self._each_side, 0)
+
+    def _thresholds_at(self, degrees: FloatArray) -> FloatArray:
+        """Thresholds (B,) by degrees of freedom, which are whole, from a table that grows."""
+        most = int(degrees.max())
+        if most >= len(self._thresholds):
+            self._thresholds = chi2_thresholds(self._each_side, 2 * most)
+        return self._thresholds[degrees.astype(np.intp)]
 
     def judge(self, epoch: Epoch) -> Verdict:
         white, judged = self._whitened(epoch)
@@ -350,7 +359,5 @@ class SequentialChi2(InnovationTest):
         else:
             total, degrees = np.empty(len(white)), np.empty(len(white))
             add_to_window(white, judged, each, *self._squares, total, degrees)
-        each_side = 0.5 * self.false_alarm if self.two_sided else self.false_alarm
-        some = np.maximum(degrees, 1.0)
-        lower = chi2_lower_thresholds(each_side, some) if self.two_sided else None
-        return chi2_verdict(total.copy(), special.chdtri(some, each_side), lower, degrees > 0.0)
+        lower = chi2_lower_thresholds(self._each_side, degrees) if self.two_sided else None
+        return chi2_verdict(total.copy(), self._thresholds_at(degrees), lower, degrees > 0.0)

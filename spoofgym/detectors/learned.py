@@ -18,13 +18,13 @@ import numpy as np
 from ..core.memory import Memory
 from ..core.registry import check_choice, is_number, whole_number
 from ..core.settings import OMITTED
-from ..policies.card import Space, State
+from ..policies.card import DetectorCard, Space, State
 from ..policies.contract import DetectorPolicy, PolicyContext
+from ..policies.load import OnnxDetector, card_path
 from ..policies.onnx_file import SUFFIX, check_signature, file_of, read_model
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
 from .build import ASKED, LOADERS
-from .learned_card import DetectorCard, OnnxDetector, card_path
 from .observation import (
     ALL_TERMS,
     DetectorObserver,

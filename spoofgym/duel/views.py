@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from ..core.registry import check_keywords
 from ..detectors import Detector
 from ..detectors.learned import detector_card
-from ..detectors.learned_card import DetectorCard, card_path
 from ..envs.core import SingleStep, SpoofCore
 from ..envs.env import C, CoreEnv, CoreVectorEnv
 from ..envs.factory import CORE, make_setup
 from ..envs.options import Array, InfoSpec, check_vector_settings, mask_of
 from ..envs.scoring import Info, PlainResult
+from ..policies.card import DetectorCard
+from ..policies.load import card_path
 from ..simulation.monitors import FloatArray, PastPositions
 from ..simulation.tight import TightlyCoupledSetup
 from .calibration import Calibration

@@ -12,11 +12,11 @@ from typing import Any
 
 from ..core.settings import describe, kind_of, unlike
 from ..detectors.calibrated import resolve
+from ..policies.card import SpooferCard
 from ..simulation import LooselyCoupledSetup, SnapshotSetup, TightlyCoupledSetup, WheeledRobotSetup
 from ..simulation.monitors import Monitor, PastPositions, needed_monitors
 from ..simulation.setup import Setup
 from ..spoofers import (
-    Card,
     ScriptedSpoofer,
     Spoofer,
     SpooferContext,
@@ -243,7 +243,7 @@ def spoofer_context(
     )
 
 
-def setup_of_card(card: Card) -> Setup:
+def setup_of_card(card: SpooferCard) -> Setup:
     if card.env_id not in SETUPS:
         raise ValueError(
             f"card of {card.name!r}: `env_id` must be one of {', '.join(SETUPS)}, got "
@@ -263,7 +263,7 @@ def setup_of_card(card: Card) -> Setup:
         raise ValueError(f"card of {card.name!r}: `env_kwargs`: {error}") from error
 
 
-def _wrapped(env: Any, core: SpoofCore, card: Card) -> list[str]:
+def _wrapped(env: Any, core: SpoofCore, card: SpooferCard) -> list[str]:
     found = []
     for word, inner in (("observation", observation_space(core)), ("action", action_space(core))):
         if word == "observation" and card.observation is None:

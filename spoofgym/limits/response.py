@@ -24,6 +24,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.compile import njit
 from ..detectors import Calibrated, Detector, PooledDetector, SolutionSeparation
 from ..detectors.base import FloatArray, IntArray, check_needs, judged
 from ..receiver.epoch import ALWAYS, Epoch
@@ -37,6 +38,18 @@ HATS = 40
 UNKNOWN_RESPONSES = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
 RUNS_AT_ONCE = 32  # whose matrices are held in memory together
 BANKS_AT_ONCE = 4
+
+
+@njit
+def turn(both: FloatArray, aim: FloatArray, runs: IntArray, out: FloatArray) -> None:
+    """Responses to the north and to the east, `both` (K, P, 2, x), along the aims (N, 2) of some
+    runs, written to `out` (K, P, N, x)."""
+    epochs, attacks, _, size = both.shape
+    for k in range(epochs):
+        for p in range(attacks):
+            for n in runs:
+                for x in range(size):
+                    out[k, p, n, x] = aim[n, 0] * both[k, p, 0, x] + aim[n, 1] * both[k, p, 1, x]
 
 
 class Replayed(NamedTuple):
@@ -346,9 +359,8 @@ class Replay:
             both = (unit.reshape(-1, 2, hats) @ u).reshape(*unit.shape[:2], 2, attacks)
             if out is None:
                 out = np.empty((len(unit), attacks, len(aim), unit.shape[1]))
-            for n in np.flatnonzero(group == g):
-                north, east = aim[n]
-                out[:, :, n] = (north * both[:, :, 0] + east * both[:, :, 1]).transpose(0, 2, 1)
+            both = np.ascontiguousarray(both.transpose(0, 3, 2, 1))  # (K, P, 2, x)
+            turn(both, aim, np.flatnonzero(group == g), out)
         assert out is not None  # there is at least one run
         return out
 

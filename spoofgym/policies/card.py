@@ -1,25 +1,40 @@
-"""The card of a policy: a JSON file with the ONNX file, that states what the policy fits."""
+"""The card of a learned policy or of a shipped profile: a JSON file that states what it fits.
+
+One format for both sides, with the field ``side``; format 1, of which the field ``kind`` alone says
+the side, is read, too.
+"""
 
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NoReturn, Self
+from typing import Annotated, Any, ClassVar, Literal, NoReturn, Self
 
 from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    NonNegativeInt,
+    PositiveFloat,
     PositiveInt,
     TypeAdapter,
     ValidationError,
+    field_validator,
     model_validator,
 )
 
 from ..core.files import write_file
 from ..core.settings import unlike
+
+SPOOFER, DETECTOR = "spoofer", "detector"
+"""Sides of a card."""
+NAME = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # what a spoofer with a card may be called
+FORMAT = 2
+SIDES = {"onnx-policy": SPOOFER, "profile": SPOOFER, "detector-policy": DETECTOR}
+"""Of the kinds of cards, which is all that format 1 has of a side."""
 
 
 class Record(BaseModel):
@@ -83,42 +98,282 @@ def seeds_in(training: Mapping[str, Any], name: str) -> frozenset[tuple[int, str
         ) from None
 
 
-class PolicyCard(Record):
-    """Base of the cards of both sides; a subclass has the fields."""
+class Card(Record):
+    """What the cards of both sides have in common; `load` reads either."""
 
-    other_kinds: ClassVar[Mapping[str, str]] = {}
-    """Other kinds of cards, by their field ``kind``, and where they belong."""
-
+    format: int
+    side: str
     name: str
+    kind: str
+    observation: Space | None
+    action: Space
+    file: PolicyFile | None
+
+    own_side: ClassVar[str | None] = None
+    where: ClassVar[str]
+    """What a card of this side is, and where it belongs, in the error where the other is needed."""
 
     @property
     def decided_on(self) -> frozenset[tuple[int, str]]:
+        """Entropy and split of the runs that it was trained, fitted or chosen on."""
         return seeds_in(getattr(self, "training", {}), self.name)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a card, of either side by `Card`; a ValueError says what is wrong with it."""
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8")
-            json.loads(text, parse_constant=_refuse)
-            return cls.model_validate_json(text, strict=True)
+            fields = json.loads(text, parse_constant=_refuse)
         except OSError as error:
             raise ValueError(f"there is no card {path} ({error.strerror})") from error
-        except ValidationError as error:
-            other = cls.other_kinds.get(_kind_of(text))
-            if other is not None:
-                raise ValueError(f"card {path} is that of {other}") from error
-            raise ValueError(f"card {path}: {text_of(error)}") from error
         except (ValueError, RecursionError) as error:
             raise ValueError(f"card {path} is not JSON: {error}") from error
+        fields = _upgraded(fields)
+        side = fields.get("side") if isinstance(fields, dict) else None
+        found = CARDS.get(side) if isinstance(side, str) else None
+        if found is None and cls is Card:
+            raise ValueError(f"card {path}: `side` must be one of {', '.join(CARDS)}, got {side!r}")
+        if found is not None and not issubclass(found, cls):
+            raise ValueError(f"card {path} is that of {found.where}")
+        try:
+            return (found or cls).model_validate_json(json.dumps(fields), strict=True)
+        except ValidationError as error:
+            raise ValueError(f"card {path}: {text_of(error)}") from error
 
     def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the card; nothing is written where it can't be read back."""
         _ = self.decided_on  # or what is wrong with it, where it can still be mended
         try:
             text = json.dumps(self.model_dump(), indent=1, allow_nan=False)
         except (TypeError, ValueError) as error:
             raise ValueError(f"card of {self.name!r} can't be written: {error}") from error
         write_file(Path(path), (text + "\n").encode())
+
+
+class Conditions(Record):
+    """What an attack has to be like for the actions to mean what they meant; with control by rate
+    the limit of the acceleration does not matter, and may be None."""
+
+    interval_s: PositiveFloat
+    steps: PositiveInt
+    control: Literal["rate", "acceleration", "setpoint"]
+    acceleration_limit_mps2: PositiveFloat | None
+    rate_limit_mps: PositiveFloat
+    setpoint_mps: PositiveFloat | None = None
+
+
+class Knowledge(Record):
+    """What a spoofer observes during an attack, and what it was optimised on before."""
+
+    run_time: Literal[
+        "blind", "tracking", "oracle", "blind+reported", "tracking+reported", "oracle+reported"
+    ]
+    design_time: str = Field(min_length=1)
+
+
+class Score(Record):
+    """What a spoofer reached against one detector, with the 95 % interval of the mean [m].
+
+    - `counted`: runs that are silent before the onset and without attack, over which displacement
+      and `alarm_rate` are taken; None on a card from before that was the rule, over all runs;
+    - `clean_alarm_rate`: of all runs without attack;
+    - `budget`: largest `alarm_rate`, by its upper limit on the runs of the choice; without
+      `counted`, how far it may be above the clean one.
+    """
+
+    detector: str
+    split: str
+    entropy: NonNegativeInt
+    runs: PositiveInt
+    counted: PositiveInt | None = None
+    undetected_displacement_m: float
+    low: float
+    high: float
+    alarm_rate: float = Field(ge=0.0, le=1.0)
+    clean_alarm_rate: float = Field(ge=0.0, le=1.0)
+    budget: float = Field(ge=0.0, lt=1.0)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not self.low <= self.undetected_displacement_m <= self.high:
+            raise ValueError(
+                "`undetected_displacement_m` must be within `low` and `high`, got "
+                f"{self.undetected_displacement_m}, {self.low} and {self.high}"
+            )
+        return self
+
+
+class SpooferCard(Card):
+    """The card of a spoofer, on disk a JSON file with its policy.
+
+    Attributes
+    ----------
+    format : int
+        Of the card: 2; cards of format 1 are read, too.
+    name : str
+        Of the spoofer.
+    kind : {"onnx-policy", "profile"}
+        Registered name of its class.
+    env_id : str
+        Environment that it was made in.
+    env_kwargs : dict
+        What `gymnasium.make` takes besides the id.
+    observation : Space or None
+        What it observes; None for a profile, which looks at nothing.
+    action : Space
+        What it commands, within -1 and 1.
+    conditions : Conditions
+        Of the attack.
+    knowledge : Knowledge
+        At run time and at design time.
+    training : dict
+        How it was made: command, arguments, seed, steps, wall time, algorithm.
+    versions : dict
+        Of the packages that it was made with.
+    scores : tuple of Score
+        What it reached.
+    rivals : tuple of dict
+        Tuning tables of those that it was compared with.
+    settings : dict
+        Settings of a profile; empty for a policy.
+    file : PolicyFile or None
+        The policy; None for a profile.
+    """
+
+    own_side: ClassVar = SPOOFER
+    where: ClassVar = (
+        "a spoofer, which is no detector policy: it belongs into the pool of a DetectorView"
+    )
+
+    format: Literal[2] = 2
+    side: Literal["spoofer"] = "spoofer"
+    name: str = Field(pattern=rf"^{NAME}$")
+    kind: Literal["onnx-policy", "profile"]
+    env_id: str = Field(min_length=1)
+    env_kwargs: dict[str, Any]
+    observation: Space | None
+    action: Space
+    conditions: Conditions
+    knowledge: Knowledge
+    training: dict[str, Any]
+    versions: dict[str, str]
+    scores: tuple[Score, ...] = ()
+    rivals: tuple[dict[str, Any], ...] = ()
+    settings: dict[str, Any] = Field(default_factory=dict)
+    file: PolicyFile | None
+
+    @field_validator("action")
+    @classmethod
+    def _check_action(cls, action: Space) -> Space:
+        if set(action.low) != {-1.0} or set(action.high) != {1.0}:
+            raise ValueError("an action lies within -1 and 1")
+        return action
+
+    @model_validator(mode="after")
+    def _check_kind(self) -> Self:
+        policy = self.kind == "onnx-policy"
+        if policy and (self.file is None or self.observation is None):
+            raise ValueError("`file` and `observation` of an onnx-policy must not be null")
+        if policy and self.settings:
+            raise ValueError(f"`settings` of an onnx-policy must be empty, got {self.settings}")
+        if not policy and self.file is not None:
+            raise ValueError("`file` of a profile must be null")
+        return self
+
+    def differences(self, context: Any) -> list[str]:
+        on_card, of_attack = self.conditions.model_dump(), _conditions_of(context)
+        if self.conditions.control == of_attack["control"] == "rate":
+            del on_card["acceleration_limit_mps2"], of_attack["acceleration_limit_mps2"]
+        found, controls = [], {on_card["control"], of_attack["control"]}
+        if self.kind == "profile" and controls == {"acceleration", "setpoint"}:
+            # the same rates come of commands of acceleration and of set-points that it follows
+            for name in ("control", "setpoint_mps"):
+                del on_card[name], of_attack[name]
+        else:
+            found = unlike_spaces(self.observation, self.action, context)
+        return found + unlike(on_card, of_attack, "conditions")
+
+
+class DetectorCard(Card):
+    """The card of a learned detector, on disk a JSON file with its ONNX file.
+
+    Attributes
+    ----------
+    format : int
+        Of the card: 2; cards of format 1 are read, too.
+    name : str
+        Of the detector.
+    kind : str
+        ``"detector-policy"``.
+    observation, action : Space
+        What it observes and decides.
+    statistic : {"receiver", "channel"}
+        One statistic, or one for every slot.
+    weighs : bool
+        Whether it weighs satellites.
+    exclusion_s : float or None
+        Allowance of exclusion in an episode.
+    decision_delay : {0, 1}
+        Whether it judges an epoch by a decision on itself, or by one on the epoch before.
+    terms : tuple of dict or None
+        What it observes, as `make_detector_terms` takes it; None for those of the duel.
+    state : tuple of State
+        What a recurrent network hands on from one epoch to the next; empty for a plain one.
+    quiet_epochs : int or None
+        Epochs after it is switched on in which it does not decide, as in the monitored warm-up of
+        the duel that it was made in.  None on older cards: the warm-up of a duel in its pools, 0
+        elsewhere.
+    channels : int or None
+        Slots of the receiver that it was made for; None on older cards.
+    interval_s : float or None
+        Time between epochs that it was made for [s]; None on older cards, for any.
+    threshold : float or None
+        Calibrated; None where that has not been done.
+    calibration : dict
+        How: interval, runs, false-alarm rate; empty without one.
+    training : dict
+        How it was made.
+    file : PolicyFile
+        The policy.
+    """
+
+    own_side: ClassVar = DETECTOR
+    where: ClassVar = (
+        "a detector policy, which is no spoofer: it is given as `detector`, or in the pool of a "
+        "SpooferView"
+    )
+
+    format: Literal[2] = 2
+    side: Literal["detector"] = "detector"
+    name: str = Field(min_length=1)
+    kind: Literal["detector-policy"] = "detector-policy"
+    observation: Space
+    action: Space
+    statistic: Literal["receiver", "channel"]
+    weighs: bool
+    exclusion_s: float | None = Field(default=None, ge=0.0)
+    decision_delay: Literal[0, 1]
+    terms: tuple[dict[str, Any], ...] | None = Field(default=None, min_length=1)
+    state: tuple[State, ...] = ()
+    quiet_epochs: int | None = Field(default=None, ge=0)
+    channels: int | None = Field(default=None, ge=1)
+    interval_s: float | None = Field(default=None, gt=0.0)
+    threshold: float | None = Field(default=None, gt=0.0, le=1.0)
+    calibration: dict[str, Any] = Field(default_factory=dict)
+    training: dict[str, Any] = Field(default_factory=dict)
+    file: PolicyFile
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        names = [each.name for each in self.state]
+        if len(set(names)) < len(names):
+            raise ValueError(f"names of `state` must differ, got {', '.join(names)}")
+        return self
+
+
+CARDS: dict[str, type[Card]] = {SPOOFER: SpooferCard, DETECTOR: DetectorCard}
+"""By side."""
 
 
 def spaces_of(given: Any) -> dict[str, Any]:
@@ -155,25 +410,28 @@ def _order(word: str, card: Space, names: tuple[str, ...]) -> list[str]:
     return lines
 
 
+def fields_of(context: Any) -> dict[str, Any]:
+    """Fields of a card that follow from the context of a spoofer. Returns ``observation`` (None
+    without names or bounds), ``action`` and ``conditions``."""
+    return {**spaces_of(context), "conditions": _conditions_of(context)}
+
+
+def _conditions_of(context: Any) -> dict[str, Any]:
+    found = {name: getattr(context, name) for name in Conditions.model_fields}
+    limit = found["acceleration_limit_mps2"]
+    return {**found, "acceleration_limit_mps2": limit if math.isfinite(limit) else None}
+
+
+def _upgraded(fields: Any) -> Any:
+    """Fields of a card of format 1 as this format has them."""
+    if not isinstance(fields, dict) or "side" in fields or fields.get("format", 1) != 1:
+        return fields
+    side = SIDES.get(str(fields.get("kind")))
+    return {**fields, "format": FORMAT, **({"side": side} if side else {})}
+
+
 def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant} is no number")
-
-
-def kind_at(path: str | os.PathLike[str]) -> str:
-    """Kind of a card in its file, such as ``"detector-policy"``; empty where it has none."""
-    try:
-        return _kind_of(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError):
-        return ""
-
-
-def _kind_of(text: str) -> str:
-    try:
-        card = json.loads(text)
-    except (ValueError, RecursionError):
-        return ""
-    kind = card.get("kind") if isinstance(card, dict) else None
-    return kind if isinstance(kind, str) else ""
 
 
 def text_of(error: ValidationError) -> str:

@@ -3,13 +3,11 @@
 from ..policies.onnx_file import SUFFIX
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
 from .build import SPOOFERS, make_spoofer
-from .card import Card
 from .feedback import Feedback, FeedbackProfile, ThresholdRider
 from .learned import OnnxPolicy
 from .profile import BlindOptimum, Profile
 from .ramps import AcceleratingRamp, Dash, Intermittent, NoSpoofer, Ramp, Step
 from .scaled import Scaled
-from .zoo import card_of, shipped
 
 __all__ = [
     "KNOWLEDGE",
@@ -17,7 +15,6 @@ __all__ = [
     "SUFFIX",
     "AcceleratingRamp",
     "BlindOptimum",
-    "Card",
     "Dash",
     "Feedback",
     "FeedbackProfile",
@@ -32,7 +29,5 @@ __all__ = [
     "SpooferContext",
     "Step",
     "ThresholdRider",
-    "card_of",
     "make_spoofer",
-    "shipped",
 ]

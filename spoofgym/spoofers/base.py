@@ -279,7 +279,7 @@ class ScriptedSpoofer(Spoofer):
         """Command the coming epoch: (B, a) in [-1, 1], within the limits of the attack."""
         memory, wanted = self.memory, self.wanted_rate(observation)
         size, rate, mean = self._follow(
-            memory["rate"], wanted, lambda vector, most: np.clip(vector, -most, most)
+            memory["rate"], wanted, lambda size, most: np.minimum(np.maximum(size, -most), most)
         )
         memory["displacement"] = memory["displacement"] + mean * self.context.interval_s
         memory["rate"] = rate

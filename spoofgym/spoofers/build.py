@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..core.registry import Spec, make, spec_of
+from ..policies.card import SPOOFER, SpooferCard
 from ..policies.onnx_file import SUFFIX
+from ..policies.zoo import card_of, shipped
 from .base import Spoofer
-from .card import Card
 from .feedback import Feedback, FeedbackProfile, ThresholdRider
 from .learned import OnnxPolicy
 from .profile import BlindOptimum, Profile
 from .ramps import AcceleratingRamp, Dash, Intermittent, NoSpoofer, Ramp, Step
 from .scaled import AMPLITUDE, Scaled, split_amplitude
-from .zoo import card_of, shipped
 
 SPOOFERS: dict[str, type[Spoofer]] = {
     "accelerating-ramp": AcceleratingRamp,
@@ -42,14 +42,14 @@ def resolve(spec: Any) -> Any:
         return spec
     if name.endswith(SUFFIX):
         return {"name": "onnx-policy", "file": name, **settings}
-    if name not in shipped():
+    if name not in shipped(SPOOFER):
         return spec
     if settings:
         raise ValueError(
             f"the shipped spoofer {name!r} is as it is, and has no setting "
             f"{', '.join(map(repr, settings))}"
         )
-    card = card_of(name)
+    card = card_of(name, SpooferCard)
     if card.file is None:
         return {"name": card.kind, **card.settings, "label": name}
     return {"name": card.kind, "file": name, "sha256": card.file.sha256}
@@ -85,7 +85,7 @@ def make_spoofer(spec: str | Mapping[str, Any] | Spoofer) -> Spoofer:
     Ramp(heading_deg=90.0, rate_mps=0.2)
     """
     plain, amplitude = split_amplitude(spec)
-    made: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolve(plain), shipped())
+    made: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolve(plain), shipped(SPOOFER))
     return made if amplitude is None else Scaled(made, amplitude)
 
 
@@ -96,12 +96,14 @@ def spec_of_spoofer(spoofer: Spoofer) -> Spec:
     return spec_of("spoofer", SPOOFERS, spoofer)
 
 
-def card_behind(spoofer: Spoofer) -> Card | None:
+def card_behind(spoofer: Spoofer) -> SpooferCard | None:
     """Card of a policy, or of the shipped profile that this is; None of any other spoofer."""
     card, name = getattr(spoofer, "card", None), spoofer.label
-    if isinstance(card, Card):
+    if isinstance(card, SpooferCard):
         return card
     inner = spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer
-    if name not in shipped() or spec_of_spoofer(inner) != spec_of_spoofer(make_spoofer(name)):
+    if name not in shipped(SPOOFER) or spec_of_spoofer(inner) != spec_of_spoofer(
+        make_spoofer(name)
+    ):
         return None
-    return card_of(name)
+    return card_of(name, SpooferCard)

@@ -7,20 +7,16 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.registry import check_choice
-from ..policies.card import Space, unlike_spaces
+from ..policies.card import Space, SpooferCard, unlike_spaces
 from ..policies.contract import NotFinite, checked_action
-from ..policies.onnx_file import SUFFIX
-from ..policies.onnx_model import OnnxModel
+from ..policies.load import load_policy
 from .base import KNOWLEDGE, FloatArray, Spoofer, SpooferContext
-from .card import Card
-from .zoo import ZOO_FOLDER, shipped
 
 
 @dataclass
@@ -36,7 +32,7 @@ class OnnxPolicy(Spoofer):
 
     Attributes
     ----------
-    card : Card
+    card : SpooferCard
         What it fits, what it knows, how it was made.
     knowledge, label, designed_on, decision_interval_s, between : optional
         Of the card.
@@ -50,15 +46,8 @@ class OnnxPolicy(Spoofer):
 
     def __post_init__(self) -> None:
         self.file = os.fspath(self.file)
-        path = path_of(self.file)
-        if not path.is_file():
-            raise ValueError(f"there is no ONNX file {path}")
-        if not path.with_suffix(".json").is_file():
-            raise ValueError(f"{path} has no card: there is no {path.with_suffix('.json')}")
-        self.card = card = Card.load(path.with_suffix(".json"))
-        if card.file is None or card.observation is None:
-            raise ValueError(f"{path} has the card of a {card.kind}, not of an onnx-policy")
-        self.model = OnnxModel(path, card.file, card.observation, card.action, self.sha256)
+        self.card, self.model = load_policy(self.file, SpooferCard, self.sha256)
+        card = self.card
         self.sha256 = self.model.sha256
         self.knowledge = card.knowledge.run_time
         self.designed_on = card.knowledge.design_time
@@ -75,17 +64,6 @@ class OnnxPolicy(Spoofer):
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
         return self.model.act(observation)
-
-
-def path_of(file: str) -> Path:
-    if file.endswith(SUFFIX):
-        return Path(file)
-    if file not in shipped():
-        raise ValueError(
-            f"`file` must be the path of an {SUFFIX} file or the name of a shipped spoofer "
-            f"({', '.join(shipped()) or 'there is none'}), got {file!r}"
-        )
-    return ZOO_FOLDER / f"{file}{SUFFIX}"
 
 
 Function = Callable[[NDArray[np.float32]], Any]  # (B, o) observations in, (B, a) actions out

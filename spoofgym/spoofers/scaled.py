@@ -69,7 +69,7 @@ class Scaled(Spoofer):
             seen = observation.copy()
             seen[:, self._own] /= np.float32(self.amplitude)
         action = self.amplitude * np.asarray(self.spoofer.act(seen), dtype=np.float64)
-        return np.ascontiguousarray(np.clip(action, -1.0, 1.0))
+        return np.ascontiguousarray(np.minimum(np.maximum(action, -1.0), 1.0))
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:

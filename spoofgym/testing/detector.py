@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..detectors import Detector, Verdict
 from ..detectors.base import UndeclaredFieldError, check_needs, checked, undeclared
 from ..detectors.build import bare_detector
-from ..detectors.learned_card import DetectorCard
+from ..policies.card import DetectorCard
 from ..receiver.epoch import TracedEpoch
 from .contract import (
     Record,

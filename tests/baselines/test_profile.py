@@ -18,7 +18,8 @@ from baselines.profile import SEARCHED, app, card_of, experiment_of
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.search.amplitude import TuningResult
 from spoofgym.bench.search.open_loop import BlindSearch
-from spoofgym.spoofers import Card, Profile, make_spoofer
+from spoofgym.policies import SpooferCard
+from spoofgym.spoofers import Profile, make_spoofer
 
 WORLD = {
     "timeline": {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0},
@@ -113,7 +114,7 @@ def test_the_command_of_a_card_makes_it_again(
     assert result.exit_code == 0, result.output
     assert "accelerating-ramp" in result.output
     assert [path.name for path in out.parent.iterdir()] == ["quick.json"]
-    card = Card.load(out)
+    card = SpooferCard.load(out)
     assert card.name == "quick"
     assert str(tmp_path) not in out.read_text()
     again = CliRunner().invoke(app, [*TINY, "--out", str(out)])

@@ -15,9 +15,12 @@ from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.envs import Observer, default_terms
 from spoofgym.envs.spoofer_binding import spoofer_context
+from spoofgym.policies import zoo
+from spoofgym.policies.card import SpooferCard, fields_of
 from spoofgym.simulation import Timeline
-from spoofgym.spoofers import SpooferContext, learned, zoo
-from spoofgym.spoofers.card import Card, fields_of
+from spoofgym.spoofers import SpooferContext
+
+from ..spoofers.policies import written
 
 OPSET = 18
 SHORT = Timeline(warmup_s=20.0, live_s=10.0, attack_s=20.0, time_to_alert_s=5.0)
@@ -38,8 +41,7 @@ def small_suite(**changes: Any) -> Suite:
 
 def use_zoo(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the files of a folder be the shipped ones."""
-    for module in (zoo, learned):
-        monkeypatch.setattr(module, "ZOO_FOLDER", folder)
+    monkeypatch.setattr(zoo, "ZOO_FOLDER", folder)
 
 
 def write_zoo(folder: Path, suite: Suite, **changes: Any) -> None:
@@ -87,13 +89,13 @@ def make_card(
     settings: dict[str, Any] | None = None,
     env: dict[str, Any] | None = None,
     **conditions: Any,
-) -> Card:
+) -> SpooferCard:
     fields = fields_of(context_of(suite, knowledge))
     score = {"undetected_displacement_m": 12.5, "low": 11.0, "high": 14.0, "runs": 5}
     rates = {"alarm_rate": 0.2, "clean_alarm_rate": 0.18, "budget": 0.05}
     world = {"detector": {"name": "ewma"}, "timeline": dataclasses.asdict(suite.timeline)}
     world |= suite.settings
-    return Card(
+    return SpooferCard(
         name=name,
         kind=kind,
         env_id="spoofgym/TightlyCoupled-v0",
@@ -124,4 +126,4 @@ def constant_policy(observations: int, action: tuple[float, ...]) -> bytes:
         ],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=10)
-    return bytes(model.SerializeToString())
+    return written(model)

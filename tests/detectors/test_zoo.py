@@ -10,12 +10,12 @@ from spoofgym.detectors import Calibrated, make_detector
 from spoofgym.detectors.calibrated import identity_of, resolve
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER
 from spoofgym.detectors.learned import LearnedDetector
-from spoofgym.detectors.zoo import ZOO_FOLDER, path_of, shipped
+from spoofgym.policies.zoo import ZOO_FOLDER, path_of, shipped
 
 LARGEST_BYTES = 200_000
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", shipped("detector"))
 def test_a_name_stands_for_its_file(name: str) -> None:
     pytest.importorskip("onnxruntime")
     made = make_detector({"name": name, "threshold": 0.9})
@@ -28,7 +28,7 @@ def test_a_name_stands_for_its_file(name: str) -> None:
     assert path_of(name).stat().st_size < LARGEST_BYTES
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", shipped("detector"))
 def test_it_has_a_threshold_in_the_world_that_it_was_made_for(name: str) -> None:
     pytest.importorskip("onnxruntime")
     made = make_detector({"name": name, "false_alarms_per_hour": 0.2})
@@ -43,8 +43,10 @@ def test_it_has_a_threshold_in_the_world_that_it_was_made_for(name: str) -> None
 
 
 def test_they_are_listed_and_their_cards_are_there() -> None:
-    assert set(shipped()) <= {row["name"] for row in KINDS["detectors"]()}
-    assert [name for name in shipped() if not (ZOO_FOLDER / f"{name}.json").is_file()] == []
+    assert set(shipped("detector")) <= {row["name"] for row in KINDS["detectors"]()}
+    assert [
+        name for name in shipped("detector") if not (ZOO_FOLDER / f"{name}.json").is_file()
+    ] == []
     assert path_of("runs/mine.onnx").as_posix() == "runs/mine.onnx"
 
 

@@ -18,8 +18,7 @@ from pathlib import Path
 import pytest
 
 from spoofgym.core import compile as compiling
-from spoofgym.detectors.zoo import shipped as shipped_detectors
-from spoofgym.spoofers import shipped
+from spoofgym.policies import shipped
 
 from .as_users import (
     BESIDE,
@@ -44,8 +43,8 @@ LEFT_BEHIND = shutil.ignore_patterns(
     ".*", "__pycache__", "build", "dist", "results", "runs", "*.egg-info"
 )
 GIVEN = {
-    "my.onnx": "spoofgym/spoofers/zoo/ewma-ppo.onnx",
-    "my.json": "spoofgym/spoofers/zoo/ewma-ppo.json",
+    "my.onnx": "spoofgym/policies/zoo/ewma-ppo.onnx",
+    "my.json": "spoofgym/policies/zoo/ewma-ppo.json",
 }
 """Files of the reader's own."""
 FLOWN = {
@@ -132,14 +131,14 @@ def test_everything_on_a_page_runs(name, tmp_path, request):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", shipped("spoofer"))
 def test_the_recipe_plays_every_shipped_spoofer(name, tmp_path):
     (code,) = (code for _, code in blocks_of("train_your_own.md") if "card_of(" in code)
     play(tmp_path, checkout(tmp_path), [(CODE, code.replace("ewma-ppo", name))])
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", shipped_detectors())
+@pytest.mark.parametrize("name", shipped("detector"))
 def test_every_shipped_detector_plays(name, tmp_path):
     code = f"import gymnasium as gym, spoofgym\ngym.make('spoofgym/BenchT3-v1', detector={name!r})"
     line = f"spoofgym protect --task D1 --detector {name} --seeds 8 --selection-seeds 4"

@@ -9,7 +9,7 @@ from spoofgym import duel_v0
 from spoofgym.detectors.learned import EXCLUSION_S
 from spoofgym.duel.payoff import RunningThreshold, Weighted
 
-from ..spoofers.policies import network
+from ..spoofers.policies import network, written
 from .pages import blocks_of, broken_links, run, text_of
 
 # as users have it
@@ -61,7 +61,7 @@ def test_a_policy_is_saved_as_the_page_says(page, tmp_path, monkeypatch):
     monkeypatch.setattr(duel_v0, "calibrate", few)
     file = tmp_path / "guard.onnx"
     sizes = page.guard.observation_space.shape[0], page.guard.action_space.shape[0]
-    file.write_bytes(network(*sizes).SerializeToString())
+    file.write_bytes(written(network(*sizes)))
     page.save(file, page.guard)
     assert calls == [200]
     assert 0.0 < duel_v0.OnnxDetector(file).card.threshold <= 1.0

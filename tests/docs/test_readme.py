@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.detectors.zoo import path_of
+from spoofgym.policies.zoo import path_of
 from spoofgym.simulation.setup import Timeline
 from spoofgym.tasks import RANGE_RATE_TESTS, task_of
 from spoofgym.testing import check_detector

@@ -14,7 +14,7 @@ from spoofgym.duel.duel import with_world
 from spoofgym.duel.opponents import make_opponent
 from spoofgym.simulation import TightlyCoupledSetup
 
-from ..spoofers.policies import network, write_policy
+from ..spoofers.policies import network, write_policy, written
 from .support import BRIEF
 
 SETTINGS = {**BRIEF, "runs": 19}
@@ -26,7 +26,7 @@ def file(tmp_path):
     view = duel_v0.DetectorView(**BRIEF)
     path = tmp_path / "guard.onnx"
     sizes = view.observation_space.shape[0], view.action_space.shape[0]
-    path.write_bytes(network(*sizes).SerializeToString())
+    path.write_bytes(written(network(*sizes)))
     duel_v0.write_card(path, view, name="guard")
     found = duel_v0.calibrate(duel_v0.OnnxDetector(path), **SETTINGS)
     card = duel_v0.write_card(path, view, name="guard", calibration=found)
@@ -154,7 +154,7 @@ def test_other_files(file, tmp_path):
     with pytest.raises(ValueError, match="has no setting 'level'; valid: threshold"):
         duel_v0.SpooferView({"name": str(file), "level": 0.2}, **BRIEF)
     small = tmp_path / "small.onnx"
-    small.write_bytes(network(3, 2).SerializeToString())
+    small.write_bytes(written(network(3, 2)))
     with pytest.raises(ValueError, match=r"float32 \(batch, 3\); the card has"):
         duel_v0.write_card(small, duel_v0.DetectorView(**BRIEF), name="small")
     with pytest.raises(ValueError, match=r"must be the path of an \.onnx file"):

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from spoofgym import duel_v0, spoofers
+from spoofgym import duel_v0
 from spoofgym.bench.experiments import game as population
 from spoofgym.bench.experiments.game import Game
 from spoofgym.bench.experiments.runner import Context
@@ -16,9 +16,10 @@ from spoofgym.bench.runs.play import play
 from spoofgym.bench.runs.players import member_of, mixture
 from spoofgym.bench.runs.record import counted, displacement_of
 from spoofgym.bench.scores.matrix_game import RunPayoff
-from spoofgym.detectors import make_detector, zoo
+from spoofgym.detectors import make_detector
+from spoofgym.policies import card_of, shipped
 from spoofgym.simulation.setup import SPLITS
-from spoofgym.spoofers import Ramp, card_of, make_spoofer
+from spoofgym.spoofers import Ramp, make_spoofer
 from spoofgym.spoofers.learned import ModelPolicy
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
@@ -219,7 +220,7 @@ def test_what_is_shipped_says_by_its_card_what_decided_on_it(played):
     assert member_of(CHI2, "detector").decided_on == frozenset()
 
 
-@pytest.mark.parametrize("name", [*spoofers.shipped(), *zoo.shipped()])
+@pytest.mark.parametrize("name", shipped())
 def test_every_learned_card_names_runs_that_decided_on_it(name):
     card = find_card(name)
     assert card.decided_on

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from spoofgym.envs.spoofer_binding import attach, setup_of_card
-from spoofgym.spoofers import Card, Ramp, card_of, shipped
+from spoofgym.policies import SpooferCard, card_of, shipped
+from spoofgym.spoofers import Ramp
 
 from ..spoofers.policies import ENV, FULL, TIMELINE, write_policy
 from .support import ID, vector
@@ -185,7 +186,7 @@ def test_a_detector_of_the_user_is_another_one(policy: str) -> None:
 def test_a_shipped_profile_is_compared_by_its_card(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("spoofgym.spoofers.zoo.ZOO_FOLDER", tmp_path)
+    monkeypatch.setattr("spoofgym.policies.zoo.ZOO_FOLDER", tmp_path)
     card = json.loads(write_policy(tmp_path).with_suffix(".json").read_text())
     settings = {"rates_mps": [0.0, 0.2], "heading_deg": 90.0}
     card |= {"name": "slow", "kind": "profile", "file": None, "observation": None}
@@ -197,7 +198,7 @@ def test_a_shipped_profile_is_compared_by_its_card(
 
 
 @pytest.mark.usefixtures("default_rate")
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", shipped("spoofer"))
 def test_a_shipped_spoofer_plays_the_environment_of_its_card(name: str) -> None:
     """Also where that looks its thresholds up by a rate of false alarms."""
     card = card_of(name)
@@ -232,6 +233,6 @@ def test_what_is_no_environment_of_ours_is_refused(policy: str) -> None:
 def test_a_card_of_no_environment_is_told(
     policy: str, changes: dict[str, Any], message: str
 ) -> None:
-    card = Card.load(Path(policy).with_suffix(".json")).model_copy(update=changes)
+    card = SpooferCard.load(Path(policy).with_suffix(".json")).model_copy(update=changes)
     with pytest.raises(ValueError, match=message):
         setup_of_card(card)

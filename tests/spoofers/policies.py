@@ -15,9 +15,10 @@ from onnx import TensorProto, helper, numpy_helper
 from spoofgym.envs.observer import Observer
 from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.envs.terms.observation import default_terms
+from spoofgym.policies.card import SpooferCard, fields_of
+from spoofgym.policies.trial import trust
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.spoofers import SpooferContext
-from spoofgym.spoofers.card import Card, fields_of
 
 TIMELINE = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 5.0}
 ENV = {"timeline": TIMELINE, "detector": "ewma"}
@@ -81,11 +82,19 @@ def network(inputs: int, outputs: int, *, batch: Any = "batch", width: int = 16)
     return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=8)
 
 
+def written(model: onnx.ModelProto) -> bytes:
+    """File of a model, which is tried in this process, as what it has exported."""
+    content = model.SerializeToString()
+    trust(hashlib.sha256(content).hexdigest())
+    return bytes(content)
+
+
 def card_fields(
     name: str, content: bytes, context: SpooferContext, knowledge: str, env: dict[str, Any]
 ) -> dict[str, Any]:
     return {
-        "format": 1,
+        "format": 2,
+        "side": "spoofer",
         "name": name,
         "kind": "onnx-policy",
         "env_id": "spoofgym/TightlyCoupled-v0",
@@ -120,11 +129,11 @@ def write_policy(
     made = network(len(context.observation_names), len(context.action_names))
     if model is not None:
         made = model(made) or made
-    content = made.SerializeToString()
+    content = written(made)
     path = folder / f"{name}.onnx"
     path.write_bytes(content)
     fields = card_fields(name, content, context, knowledge, env or {})
     if card is not None:
         card(fields)
-    Card(**fields).save(path.with_suffix(".json"))
+    SpooferCard(**fields).save(path.with_suffix(".json"))
     return path

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from spoofgym.spoofers.card import Card, fields_of
+from spoofgym.policies.card import Card, DetectorCard, SpooferCard, fields_of
 
 from .policies import BLIND, card_fields
 
@@ -40,18 +40,36 @@ def profile(**changes: Any) -> dict[str, Any]:
 
 def test_a_card_is_read_as_it_was_written(tmp_path: Path) -> None:
     for given in (fields(), profile()):
-        card = Card(**given)
+        card = SpooferCard(**given)
         card.save(tmp_path / "a" / "card.json")
-        assert Card.load(tmp_path / "a" / "card.json") == card
+        assert SpooferCard.load(tmp_path / "a" / "card.json") == card
         assert json.loads((tmp_path / "a" / "card.json").read_text()) == given
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["card.json"]
 
 
+def test_a_card_of_format_1_is_read_by_its_kind(tmp_path: Path) -> None:
+    path = tmp_path / "card.json"
+    for given in (fields(), profile()):
+        before = {key: value for key, value in given.items() if key != "side"}
+        path.write_text(json.dumps({**before, "format": 1}))
+        assert Card.load(path) == SpooferCard.load(path) == SpooferCard(**given)
+        with pytest.raises(ValueError, match="is that of a spoofer, which is no detector policy"):
+            DetectorCard.load(path)
+
+
+@pytest.mark.parametrize("made", [{"side": "referee"}, {"kind": "profile", "format": 2}, {}, [1]])
+def test_a_card_of_no_side_is_refused(made: Any, tmp_path: Path) -> None:
+    path = tmp_path / "card.json"
+    path.write_text(json.dumps(made))
+    with pytest.raises(ValueError, match=r"`side` must be one of spoofer, detector, got"):
+        Card.load(path)
+
+
 def test_a_score_by_the_definition_before_does_not_say_how_many_runs_counted() -> None:
     before = {name: value for name, value in SCORE.items() if name != "counted"}
-    (score,) = Card(**fields(scores=[before])).scores
+    (score,) = SpooferCard(**fields(scores=[before])).scores
     assert score.counted is None
-    assert Card(**fields()).scores[0].counted == 410
+    assert SpooferCard(**fields()).scores[0].counted == 410
 
 
 def _other(path: str, value: Any) -> dict[str, Any]:
@@ -69,7 +87,7 @@ def _other(path: str, value: Any) -> dict[str, Any]:
     ("made", "message"),
     [
         (fields(colour="red"), r"`colour`: Extra inputs are not permitted, got 'red'"),
-        (fields(format=2), r"`format`: Input should be 1, got 2"),
+        (fields(format=3), r"`format`: Input should be 2, got 3"),
         (fields(name="../tiny"), r"`name`: .*match pattern"),
         (fields(kind="pickle"), r"`kind`: Input should be 'onnx-policy' or 'profile'"),
         (
@@ -98,7 +116,7 @@ def test_what_is_wrong_is_named(made: dict[str, Any], message: str, tmp_path: Pa
     path = tmp_path / "tiny.json"
     path.write_text(json.dumps(made))
     with pytest.raises(ValueError, match=message) as caught:
-        Card.load(path)
+        SpooferCard.load(path)
     assert str(caught.value).startswith(f"card {path}: ")
 
 
@@ -116,19 +134,19 @@ def test_what_is_no_card_is_refused(text: str, message: str, tmp_path: Path) -> 
     path = tmp_path / "tiny.json"
     path.write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(ValueError, match=message) as caught:
-        Card.load(path)
+        SpooferCard.load(path)
     assert str(path) in str(caught.value)
 
 
 def test_a_missing_card_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"there is no card .*nothing\.json"):
-        Card.load(tmp_path / "nothing.json")
+        SpooferCard.load(tmp_path / "nothing.json")
 
 
 def test_what_is_no_json_is_not_written(tmp_path: Path) -> None:
     for value in (float("nan"), Path("a")):
         with pytest.raises(ValueError, match="card of 'tiny' can't be written"):
-            Card(**fields(training={})).model_copy(update={"training": {"x": value}}).save(
+            SpooferCard(**fields(training={})).model_copy(update={"training": {"x": value}}).save(
                 tmp_path / "tiny.json"
             )
     assert list(tmp_path.iterdir()) == []
@@ -136,12 +154,12 @@ def test_what_is_no_json_is_not_written(tmp_path: Path) -> None:
 
 def test_a_card_is_frozen() -> None:
     with pytest.raises(ValueError, match="frozen"):
-        Card(**fields()).name = "other"  # type: ignore[misc]
+        SpooferCard(**fields()).name = "other"  # type: ignore[misc]
 
 
 def test_what_it_was_made_for_does_not_differ() -> None:
-    assert Card(**fields()).differences(BLIND._replace(receivers=5)) == []
-    assert fields_of(BLIND) == Card(**fields()).model_dump(
+    assert SpooferCard(**fields()).differences(BLIND._replace(receivers=5)) == []
+    assert fields_of(BLIND) == SpooferCard(**fields()).model_dump(
         include={"observation", "action", "conditions"}
     )
 
@@ -168,22 +186,24 @@ def test_what_it_was_made_for_does_not_differ() -> None:
     ],
 )  # fmt: skip
 def test_differences_are_told(changes: dict[str, Any], lines: list[str]) -> None:
-    assert Card(**fields()).differences(BLIND._replace(**changes)) == lines
+    assert SpooferCard(**fields()).differences(BLIND._replace(**changes)) == lines
 
 
 def test_other_bounds_differ() -> None:
     context = BLIND
     wider = context._replace(observation_high=(200.0, *context.observation_high[1:]))
-    (line,) = Card(**fields()).differences(wider)
+    (line,) = SpooferCard(**fields()).differences(wider)
     assert line.startswith("observation.high: [100.0, ")
 
 
 def test_by_rate_the_limit_of_the_acceleration_does_not_matter() -> None:
     by_rate = BLIND._replace(control="rate", action_names=("north_rate", "east_rate"))
-    card = Card(**fields(**json.loads(json.dumps(fields_of(by_rate)))))
+    card = SpooferCard(**fields(**json.loads(json.dumps(fields_of(by_rate)))))
     assert card.differences(by_rate._replace(acceleration_limit_mps2=0.01)) == []
-    assert len(Card(**fields()).differences(BLIND._replace(acceleration_limit_mps2=1.0))) == 1
+    assert (
+        len(SpooferCard(**fields()).differences(BLIND._replace(acceleration_limit_mps2=1.0))) == 1
+    )
 
 
 def test_a_profile_looks_at_nothing() -> None:
-    assert Card(**profile()).differences(BLIND._replace(observation_names=("a", "b"))) == []
+    assert SpooferCard(**profile()).differences(BLIND._replace(observation_names=("a", "b"))) == []

@@ -16,8 +16,8 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
+from spoofgym.policies.card import SpooferCard
 from spoofgym.spoofers import OnnxPolicy, make_spoofer
-from spoofgym.spoofers.card import Card
 from spoofgym.testing import check_spoofer
 
 from .policies import BLIND, network, write_policy
@@ -146,4 +146,4 @@ def test_a_read_only_observation_of_another_layout_is_taken(tmp_path: Path) -> N
 
 def test_the_card_is_there_for_who_holds_the_policy(tmp_path: Path) -> None:
     path = write_policy(tmp_path)
-    assert make_spoofer(str(path)).card == Card.load(path.with_suffix(".json"))  # type: ignore[attr-defined]
+    assert make_spoofer(str(path)).card == SpooferCard.load(path.with_suffix(".json"))  # type: ignore[attr-defined]

@@ -11,9 +11,9 @@ from spoofgym.bench import Suite
 from spoofgym.bench.runs.players import fitting
 from spoofgym.bench.runs.world import World
 from spoofgym.envs.spoofer_binding import setup_of_card
-from spoofgym.spoofers import SPOOFERS, OnnxPolicy, Ramp, card_of, make_spoofer, shipped
+from spoofgym.policies.zoo import ZOO_FOLDER, card_of, shipped
+from spoofgym.spoofers import SPOOFERS, OnnxPolicy, Ramp, make_spoofer
 from spoofgym.spoofers.build import resolve
-from spoofgym.spoofers.zoo import ZOO_FOLDER
 
 from .policies import write_policy
 
@@ -21,8 +21,7 @@ from .policies import write_policy
 @pytest.fixture
 def zoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A zoo of one."""
-    monkeypatch.setattr("spoofgym.spoofers.zoo.ZOO_FOLDER", tmp_path)
-    monkeypatch.setattr("spoofgym.spoofers.learned.ZOO_FOLDER", tmp_path)
+    monkeypatch.setattr("spoofgym.policies.zoo.ZOO_FOLDER", tmp_path)
     return write_policy(tmp_path, "ewma-tiny")
 
 
@@ -73,7 +72,7 @@ def test_wrong_names_are_told_the_right_ones(zoo: Path) -> None:
     for spec in ("ewma-tyni", {"name": "ewma-tyni"}):
         with pytest.raises(ValueError, match=r"valid: .*ewma-tiny.*did you mean 'ewma-tiny'"):
             make_spoofer(spec)
-    with pytest.raises(ValueError, match=r"unknown shipped spoofer 'ramp'; valid: ewma-tiny"):
+    with pytest.raises(ValueError, match="unknown shipped spoofer or detector 'ramp'; valid: e"):
         card_of("ramp")
     with pytest.raises(ValueError, match="'ewma-tiny' is as it is, and has no setting 'rate_mps'"):
         make_spoofer({"name": "ewma-tiny", "rate_mps": 1.0})
@@ -84,16 +83,16 @@ def test_wrong_names_are_told_the_right_ones(zoo: Path) -> None:
 
 
 def test_shipped_names_are_free() -> None:
-    assert not set(shipped()) & set(SPOOFERS)
+    assert not set(shipped("spoofer")) & set(SPOOFERS)
 
 
 def test_every_file_of_the_zoo_has_its_card() -> None:
     policies = {path.stem for path in ZOO_FOLDER.glob("*.onnx")}
-    learned = {name for name in shipped() if card_of(name).kind == "onnx-policy"}
+    learned = {name for name in shipped() if card_of(name).file is not None}
     assert policies == learned
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", shipped("spoofer"))
 def test_every_shipped_spoofer_is_whole(name: str) -> None:
     card, spoofer = card_of(name), make_spoofer(name)
     assert card.name == name == spoofer.label
@@ -105,7 +104,7 @@ def test_every_shipped_spoofer_is_whole(name: str) -> None:
         assert card.file.bytes < 500_000
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", shipped("spoofer"))
 def test_every_shipped_spoofer_fits_its_own_world_and_the_default_one(name: str) -> None:
     card = card_of(name)
     for setup in (setup_of_card(card), World(card.env_id).setup):

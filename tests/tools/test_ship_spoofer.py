@@ -10,7 +10,7 @@ pytest.importorskip("rich")
 pytest.importorskip("torch")  # of the laboratory, whose copying is used
 
 from spoofgym.bench.experiments.evaluate import Evaluator
-from spoofgym.spoofers.card import Card
+from spoofgym.policies.card import SpooferCard
 from tests.spoofers.policies import TIMELINE, write_policy
 from tools.ship_spoofer import main, ship
 
@@ -26,7 +26,7 @@ def test_a_policy_is_shipped_with_its_score(judge, tmp_path):
     (tmp_path / "zoo").mkdir()
     file = ship(source, "better-name", judge, tmp_path / "zoo")
     assert file.read_bytes() == source.read_bytes()
-    card = Card.load(file.with_suffix(".json"))
+    card = SpooferCard.load(file.with_suffix(".json"))
     assert (card.name, card.file.name) == ("better-name", "better-name.onnx")
     (score,) = card.scores
     wanted = judge.score(str(source), amplitude=None)
@@ -34,7 +34,7 @@ def test_a_policy_is_shipped_with_its_score(judge, tmp_path):
     assert score.alarm_rate == wanted.alarm_rate.value
     assert score.clean_alarm_rate == wanted.clean_alarm_rate
     assert (score.runs, score.counted, score.entropy) == (40, wanted.counted, 3)
-    assert Card.load(source.with_suffix(".json")).scores == ()
+    assert SpooferCard.load(source.with_suffix(".json")).scores == ()
 
 
 def test_a_policy_over_the_budget_is_not(judge, tmp_path, monkeypatch):

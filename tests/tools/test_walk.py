@@ -8,7 +8,7 @@ import pytest
 import typer
 
 from spoofgym.core.settings import describe, digest_of
-from spoofgym.spoofers.zoo import card_of, shipped
+from spoofgym.policies.zoo import card_of, shipped
 from tools import walk
 
 
@@ -22,14 +22,14 @@ def test_functions_that_run_count_once_in_order_and_in_threads():
 
     with walk.called_files() as found:
         work()
-    assert list(found) == ["core/settings.py", "spoofers/zoo/__init__.py"]
+    assert list(found) == ["core/settings.py", "policies/zoo/__init__.py"]
     card_of(shipped()[0])  # no longer counted
     assert len(found) == 2
 
 
 def test_files_are_listed_by_package():
-    expected = {"spoofers": ["spoofers/zoo/__init__.py"], "bench": []}
-    assert walk.walk(shipped, ["spoofers", "bench"]) == expected
+    expected = {"policies": ["policies/zoo/__init__.py"], "bench": []}
+    assert walk.walk(shipped, ["policies", "bench"]) == expected
 
 
 def test_either_a_command_or_an_expression_is_walked():

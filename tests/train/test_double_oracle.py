@@ -23,7 +23,7 @@ from spoofgym.tasks import Task
 from train import double_oracle
 from train.double_oracle import RESULTS, Arguments, DoubleOracle, main, run
 
-from ..spoofers.policies import network
+from ..spoofers.policies import network, written
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
 QUICK = {
@@ -137,7 +137,7 @@ def test_a_learned_detector_is_calibrated_and_enters(tmp_path, monkeypatch):
     view = duel_v0.DetectorView(timeline=SHORT)
     sizes = view.observation_space.shape[0], view.action_space.shape[0]
     guard = tmp_path / "guard.onnx"
-    guard.write_bytes(network(*sizes).SerializeToString())
+    guard.write_bytes(written(network(*sizes)))
     duel_v0.write_card(guard, view, name="guard")
     script = tmp_path / "write.py"
     script.write_text(

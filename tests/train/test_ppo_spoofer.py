@@ -22,8 +22,9 @@ from agents.record import read_record
 from spoofgym.bench.experiments import Store
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.envs import attach
+from spoofgym.policies import SpooferCard
 from spoofgym.sb3 import SpoofVecEnv
-from spoofgym.spoofers import Card, OnnxPolicy
+from spoofgym.spoofers import OnnxPolicy
 from train import ppo_spoofer
 from train.ppo_spoofer import (
     CHECKPOINT,
@@ -105,7 +106,7 @@ def test_a_run_leaves_a_policy_that_plays(trained):
 
 def test_the_card_says_how_it_was_made(trained):
     args, _ = trained
-    card = Card.load(args.out / "tiny.json")
+    card = SpooferCard.load(args.out / "tiny.json")
     assert card.training["arguments"] == args.identity
     assert card.decided_on == {(args.entropy, "training")}
     assert str(args.out.parent) not in json.dumps(card.model_dump(mode="json"))
@@ -173,7 +174,7 @@ def test_what_is_learned_from_can_be_copies_of_a_few_warm_ups(tmp_path, monkeypa
     args = arguments(tmp_path / "whole" / "tiny", **given)
     assert "--warm-pool 6" in args.command()
     results = train(args)
-    card = Card.load(args.out / "tiny.json")
+    card = SpooferCard.load(args.out / "tiny.json")
     assert card.env_kwargs["warm_pool"] == 6
     again = arguments(tmp_path / "tiny", **given)
     (mine,), (theirs,) = (

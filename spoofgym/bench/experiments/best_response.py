@@ -28,10 +28,11 @@ from ...core.settings import digest_of
 from ...envs.spoofer_binding import spoofer_context
 from ...limits.bounds import cases_of, zero_alarm_bounds
 from ...limits.response import NotReplayable, Replay, check_replayable
+from ...policies.card import DETECTOR, SPOOFER
 from ...simulation.setup import seed_sequences
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.scaled import AMPLITUDE, split_amplitude
-from ..runs.players import DETECTOR, SPOOFER, TUNED, Mixture, PlayerSpec, member_of, specify_spoofer
+from ..runs.players import TUNED, Mixture, PlayerSpec, member_of, specify_spoofer
 from ..scores.statistics import Estimate
 from ..search.attack_suite import SuiteAttack, fitting_members, grid_of
 from ..search.backends import MixedBackend, ReplayBackend

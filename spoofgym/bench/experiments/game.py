@@ -28,11 +28,12 @@ from ...core.settings import digest_of, outside_sources
 from ...detectors import Detector
 from ...detectors.calibrated import factors_of
 from ...envs.terms.observation import REPORTED
+from ...policies.card import DETECTOR, SPOOFER
 from ...simulation.monitors import PastPositions
 from ...simulation.setup import SPLITS, Setup
 from ...tasks import task_of
 from ..runs.panel import Attack, Panel
-from ..runs.players import DETECTOR, SPOOFER, Mixture, PlayerSpec, Strategy, specify_strategy
+from ..runs.players import Mixture, PlayerSpec, Strategy, specify_strategy
 from ..runs.record import RunRecord
 from ..runs.world import WORLD, World
 from ..scores.matrix_game import PayoffMatrix, RunPayoff

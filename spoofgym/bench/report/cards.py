@@ -7,14 +7,9 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from ...core.registry import check_choice
-from ...detectors import zoo
-from ...detectors.learned_card import DetectorCard, OnnxDetector, card_path
-from ...policies.card import kind_at
+from ...policies import Card, DetectorCard, SpooferCard, card_of
+from ...policies.load import load_policy
 from ...policies.onnx_file import SUFFIX
-from ...spoofers.card import Card
-from ...spoofers.learned import OnnxPolicy
-from ...spoofers.zoo import card_of, shipped
 from .table import Table, share, yes_no
 
 SCORES = Table(
@@ -33,20 +28,17 @@ SHOWN = 60
 """Letters of a long list or text that are shown."""
 
 
-def find_card(name: str) -> Card | DetectorCard:
+def find_card(name: str) -> Card:
     """Card by the name of a shipped spoofer or detector, or by a file, which has to fit it."""
     path = Path(name)
-    is_network = path.suffix == SUFFIX
-    if is_network or path.suffix == ".json":
-        path = path.with_suffix(".json")
-        judges = kind_at(path) == "detector-policy"
-        if is_network:  # which has to fit its card
-            return OnnxDetector(name).card if judges else OnnxPolicy(name).card
-        return (DetectorCard if judges else Card).load(path)
-    check_choice("shipped spoofer or detector", name, [*shipped(), *zoo.shipped()])
-    if name in zoo.shipped():
-        return DetectorCard.load(card_path(zoo.path_of(name)))
-    return card_of(name)
+    if path.suffix not in (SUFFIX, ".json"):
+        return card_of(name)
+    if path.suffix == SUFFIX and not path.is_file():
+        raise ValueError(f"there is no ONNX file {path}")
+    card = Card.load(path.with_suffix(".json"))
+    if path.suffix == SUFFIX:  # which has to fit its card
+        load_policy(name, type(card))
+    return card
 
 
 def score_text(score: dict[str, Any]) -> str:
@@ -58,9 +50,12 @@ def score_text(score: dict[str, Any]) -> str:
     )
 
 
-def card_rows(card: Card | DetectorCard) -> list[tuple[str, str]]:
+def card_rows(card: Card) -> list[tuple[str, str]]:
     """What is on a card but its scores, field by field."""
-    rows = _spoofer_rows(card) if isinstance(card, Card) else _detector_rows(card)
+    if isinstance(card, SpooferCard):
+        rows = _spoofer_rows(card)
+    else:
+        rows = _detector_rows(card) if isinstance(card, DetectorCard) else []
     if card.file is None:
         return rows
     file = card.file
@@ -90,7 +85,7 @@ def _detector_rows(card: DetectorCard) -> list[tuple[str, str]]:
     ]
 
 
-def _spoofer_rows(card: Card) -> list[tuple[str, str]]:
+def _spoofer_rows(card: SpooferCard) -> list[tuple[str, str]]:
     conditions = card.conditions
     limits = f"{conditions.rate_limit_mps:g} m/s"
     if conditions.control != "rate":

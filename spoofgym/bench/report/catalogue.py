@@ -10,11 +10,11 @@ from ...attacks import ATTACKS
 from ...core.registry import settings_of
 from ...core.settings import describe
 from ...detectors import DETECTORS, LearnedDetector
-from ...detectors.zoo import shipped as shipped_detectors
+from ...policies import DetectorCard, SpooferCard, card_of, shipped
+from ...policies.card import DETECTOR
 from ...spoofers import SPOOFERS
-from ...spoofers.zoo import card_of, shipped
 from ...truth.scenario import SCENARIOS, Scenario
-from .cards import find_card, score_text
+from .cards import score_text
 from .table import Table
 
 
@@ -88,7 +88,7 @@ def _envs() -> list[dict[str, Any]]:
 def _detectors() -> list[dict[str, Any]]:
     """Registered detectors, and learned ones that have names, whose settings are on their cards."""
     keys = ("paper", "scope", "measures", "oracle")
-    learned = {name: LearnedDetector(name) for name in shipped_detectors()}
+    learned = {name: LearnedDetector(name) for name in shipped(DETECTOR)}
     return [
         *_classes(DETECTORS, *keys),
         *(
@@ -104,6 +104,7 @@ def _detectors() -> list[dict[str, Any]]:
 
 
 def _shipped() -> list[dict[str, Any]]:
+    cards = [card_of(name) for name in shipped()]
     spoofers = [
         {
             "name": card.name,
@@ -113,19 +114,20 @@ def _shipped() -> list[dict[str, Any]]:
             "designed_on": card.knowledge.design_time,
             "scores": [score.model_dump() for score in card.scores],
         }
-        for card in map(card_of, shipped())
+        for card in cards
+        if isinstance(card, SpooferCard)
     ]
     detectors = [
         {
-            "name": name,
+            "name": card.name,
             "summary": "learned detector",
             "kind": "detector-policy",
             "scores": [],
             "knowledge": "innovations of its receiver",
-            "designed_on": "attacks in "
-            + find_card(name).training.get("task", "a world of its own"),
+            "designed_on": "attacks in " + card.training.get("task", "a world of its own"),
         }
-        for name in shipped_detectors()
+        for card in cards
+        if isinstance(card, DetectorCard)
     ]
     return [*spoofers, *detectors]
 

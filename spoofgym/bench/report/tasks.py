@@ -9,8 +9,8 @@ from operator import itemgetter
 from typing import Any
 
 from ...core.registry import label_of
-from ...detectors import zoo
-from ...detectors.learned_card import DetectorCard, card_path
+from ...policies import DetectorCard, card_of, shipped
+from ...policies.card import DETECTOR
 from ...tasks import DETECTOR_TASKS, SUITE, TASKS, DetectorTask, task_of
 from ..experiments.suite import everyone_in, in_order
 from ..runs.world import World
@@ -134,11 +134,11 @@ def unplayed(task: DetectorTask, card: dict[str, Any]) -> list[str]:
 def learned_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
     """Shipped detectors that have learned in this world, and so from no family held out here. A
     world whose counterfeit is another one holds out what they have learned from."""
-    return tuple({"name": name} for name in zoo.shipped() if _learned_in(name, task))
+    return tuple({"name": name} for name in shipped(DETECTOR) if _learned_in(name, task))
 
 
 def _learned_in(name: str, task: DetectorTask) -> bool:
-    card = DetectorCard.load(card_path(zoo.path_of(name)))
+    card = card_of(name, DetectorCard)
     return task_of(card.training["task"]).settings == task.task.settings
 
 

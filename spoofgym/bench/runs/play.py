@@ -42,6 +42,12 @@ class _Part(NamedTuple):
     spoofer: Spoofer
     rows: NDArray[np.intp]
 
+    @property
+    def where(self) -> slice | NDArray[np.intp]:
+        """The rows, as a slice where they are side by side."""
+        first, end = int(self.rows[0]), int(self.rows[-1]) + 1
+        return slice(first, end) if end - first == len(self.rows) else self.rows
+
 
 class Attacker:
     """Spoofers that command the receivers of an engine, which are at their onset.
@@ -96,7 +102,16 @@ class Attacker:
         seen = self._observer(self.engine, epoch)
         action = np.empty((self.engine.receivers, len(self._commands.names)))
         for part in self._parts:
-            action[part.rows] = _checked_action(part.spoofer, seen[part.rows])
+            rows = part.where
+            action[rows] = _shaped_action(part.spoofer, seen[rows])
+        within = np.abs(action) <= 1.0
+        if not within.all():
+            row, column = np.argwhere(~within)[0]
+            (part,) = (each for each in self._parts if row in each.rows)
+            raise ValueError(
+                f"{type(part.spoofer).__name__} must return actions within [-1, 1], got "
+                f"{action[row, column]}"
+            )
         return action
 
     def go_on_with(self, engine: Engine, rows: NDArray[np.intp]) -> None:
@@ -116,18 +131,15 @@ class Attacker:
             mine.spoofer.memory.copy_rows(everyone, part.spoofer.memory, among)
 
 
-def _checked_action(spoofer: Spoofer, seen: NDArray[np.float32]) -> FloatArray:
+def _shaped_action(spoofer: Spoofer, seen: NDArray[np.float32]) -> FloatArray:
     """Action of a spoofer: (B, k)."""
-    action = np.ascontiguousarray(spoofer.act(seen), dtype=np.float64)
-    names, word = spoofer.context.action_names, type(spoofer).__name__
+    action = np.asarray(spoofer.act(seen), dtype=np.float64)
+    names = spoofer.context.action_names
     if action.shape != (len(seen), len(names)):
         raise ValueError(
-            f"{word} must return actions of shape {(len(seen), len(names))} "
+            f"{type(spoofer).__name__} must return actions of shape {(len(seen), len(names))} "
             f"({', '.join(names)}), got {action.shape}"
         )
-    if not (np.abs(action) <= 1.0).all():
-        worst = action.flat[int(np.argmin(np.abs(action) <= 1.0))]
-        raise ValueError(f"{word} must return actions within [-1, 1], got {worst}")
     return action
 
 

@@ -17,18 +17,19 @@ from ...detectors import DETECTORS, Calibrated, Detector, detector_in_world
 from ...detectors.build import asked_by_default, spec_of_judge
 from ...detectors.pool import checked_weights
 from ...envs.spoofer_binding import bound_spoofer, monitors_for, setup_of_card
+from ...policies import SpooferCard, card_of, shipped
+from ...policies.card import DETECTOR, SPOOFER
 from ...simulation.setup import SPLITS, Setup
-from ...spoofers import SPOOFERS, Spoofer, card_of, make_spoofer, shipped
+from ...spoofers import SPOOFERS, Spoofer, make_spoofer
 from ...spoofers.base import sees_statistics
 from ...spoofers.build import card_behind, spec_of_spoofer
-from ...spoofers.card import Card
 from ...spoofers.learned import ModelPolicy, trained_in
 from ...spoofers.scaled import AMPLITUDE, SMALLEST, Scaled
 
 Seeds = frozenset[tuple[int, str]]
 """Entropy and split of runs."""
-SPOOFER, DETECTOR, ATTACK = "spoofer", "detector", "attack"
-"""Sides; an attack needs no spoofer, and its setting is the distance of an antenna."""
+ATTACK = "attack"
+"""A third side: an attack needs no spoofer, and its setting is the distance of an antenna."""
 OUT = 1e-6
 """Probability below which a strategy is taken to be out of a mix."""
 TUNED = "tuned"
@@ -462,8 +463,8 @@ def fitting(env: str, setup: Setup) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of the shipped spoofers of an environment that fit, as a campaign plays them: by their
     own actions and at their own pace. Also why others of it are left out."""
     names, notes = [], []
-    for name in shipped():
-        if (card := card_of(name)).env_id != env:
+    for name in shipped(SPOOFER):
+        if (card := card_of(name, SpooferCard)).env_id != env:
             continue
         spoofer = make_spoofer(name)
         watched = setup.altered(monitors=monitors_for([spoofer], setup))
@@ -497,7 +498,7 @@ def knowledge_of(entry: PlayerSpec, setup: Setup, detector: PlayerSpec) -> dict[
     }
 
 
-def _transferred(card: Card, setup: Setup, detector: PlayerSpec) -> tuple[str, list[str]]:
+def _transferred(card: SpooferCard, setup: Setup, detector: PlayerSpec) -> tuple[str, list[str]]:
     """What a spoofer was made for, and what is another one in a campaign."""
     made = setup_of_card(card)
     label = specify_detector(made.detector).label

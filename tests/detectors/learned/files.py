@@ -12,8 +12,9 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from spoofgym.detectors.learned import DetectorAgent, action_names, detector_card
-from spoofgym.detectors.learned_card import DetectorCard, card_path
 from spoofgym.detectors.observation import DetectorObserver
+from spoofgym.policies.card import DetectorCard
+from spoofgym.policies.load import card_path
 
 CHANNELS = 12
 TERMS = ("innovation", "in-view", "elapsed")
@@ -67,7 +68,7 @@ def write_guard(
     edit: Callable[[onnx.ModelProto], onnx.ModelProto | None] | None = None,
 ) -> Path:
     """A detector of random weights, passive by default; `edit` changes the model or returns one."""
-    from ...spoofers.policies import network
+    from ...spoofers.policies import network, written
 
     agent = DetectorAgent(statistic, weighs, None, terms=terms)
     inputs = len(DetectorObserver(agent.observed, CHANNELS).names)
@@ -77,7 +78,7 @@ def write_guard(
         model = edit(model) or model
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}.onnx"
-    path.write_bytes(model.SerializeToString())
+    path.write_bytes(written(model))
     detector_card(
         agent,
         CHANNELS,

@@ -1,0 +1,81 @@
+"""Policies and profiles that come with the package, of both sides.
+
+For each there is a card, NAME.json; a learned one also has its network, NAME.onnx.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from pathlib import Path
+from typing import TypeVar, overload
+
+from ...core.registry import check_choice
+from ..card import SIDES, Card
+
+ZOO_FOLDER = Path(__file__).parent
+
+
+def shipped(side: str | None = None) -> tuple[str, ...]:
+    """Names of the shipped policies and profiles.
+
+    Parameters
+    ----------
+    side : {"spoofer", "detector"}, optional
+        Which ones; all by default.
+
+    Returns
+    -------
+    tuple of str
+        Sorted.
+    """
+    sides = _sides(ZOO_FOLDER, ZOO_FOLDER.stat().st_mtime_ns)
+    return tuple(name for name, of in sides.items() if side in (None, of))
+
+
+CardT = TypeVar("CardT", bound=Card)
+
+
+@overload
+def card_of(name: str) -> Card:
+    """Card of either side."""
+
+
+@overload
+def card_of(name: str, kind: type[CardT]) -> CardT:
+    """Card of one side."""
+
+
+def card_of(name: str, kind: type[Card] = Card) -> Card:
+    """Card of a shipped policy or profile; a ValueError lists the valid names.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    kind : type, optional
+        `SpooferCard` or `DetectorCard`, where it has to be one of this side.
+
+    Returns
+    -------
+    SpooferCard or DetectorCard
+        As it was written.
+    """
+    side = kind.own_side
+    check_choice(f"shipped {side or 'spoofer or detector'}", name, shipped(side))
+    return kind.load(ZOO_FOLDER / f"{name}.json")
+
+
+def path_of(file: str, side: str | None = None) -> Path:
+    """Path of the network of a shipped policy, by its name; of anything else as it is."""
+    return ZOO_FOLDER / f"{file}.onnx" if file in shipped(side) else Path(file)
+
+
+@lru_cache(maxsize=4)  # asked whenever a spoofer or a detector is made by its name
+def _sides(folder: Path, changed: int) -> dict[str, str]:
+    """Sides by name, sorted; `changed`: when a file of the folder came or went."""
+    found = {}
+    for path in sorted(folder.glob("*.json")):
+        fields = json.loads(path.read_text("utf-8"))
+        found[path.stem] = fields.get("side") or SIDES[fields["kind"]]
+    return found

@@ -1,0 +1,150 @@
+"""Foreign networks are tried in a process of their own, with limits, once for each digest."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import platformdirs
+import pytest
+from onnx import helper, numpy_helper
+
+from spoofgym.policies import trial
+from spoofgym.spoofers import OnnxPolicy
+
+from ..spoofers.policies import write_policy
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache of the test's own; nothing that this process makes is its own."""
+    monkeypatch.setattr(platformdirs, "user_cache_dir", lambda _: str(tmp_path / "cache"))
+    monkeypatch.setattr(trial, "_own", set())
+    monkeypatch.setattr(trial, "_passed", set())
+    monkeypatch.setattr("tests.spoofers.policies.trust", lambda _: None)
+    return tmp_path / "cache" / "policies"
+
+
+@pytest.fixture
+def trials(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """Commands that are started."""
+    started: list[list[str]] = []
+    run = trial.subprocess.run
+
+    def noted(words: list[str], **settings: Any) -> Any:
+        started.append(words)
+        return run(words, **settings)
+
+    monkeypatch.setattr(trial.subprocess, "run", noted)
+    return started
+
+
+def added(*nodes: onnx.NodeProto, **tensors: Any) -> Callable[[onnx.ModelProto], None]:
+    """Operators from ``z2`` to a result ``r``, whose mean is added to the actions."""
+
+    def edit(model: onnx.ModelProto) -> None:
+        for name, value in tensors.items():
+            model.graph.initializer.append(numpy_helper.from_array(np.array(value), name))
+        del model.graph.node[-1]
+        mean = helper.make_node("ReduceMean", ["r"], ["mean"], keepdims=0)
+        model.graph.node.extend([*nodes, mean, helper.make_node("Add", ["z2", "mean"], ["action"])])
+
+    return edit
+
+
+SIDE = 160_000
+LARGE = added(
+    helper.make_node("ConstantOfShape", ["shape"], ["r"]),
+    shape=np.array([SIDE, SIDE], np.int64),  # 102 GB
+)
+
+
+def endless(model: onnx.ModelProto) -> None:
+    """A thousand products of matrices of 3000 by 3000, in a file of some kilobytes."""
+    products = [helper.make_node("MatMul", [f"m{k}", "m0"], [f"m{k + 1}"]) for k in range(1000)]
+    first = helper.make_node("ConstantOfShape", ["shape"], ["zeros"])
+    noise = helper.make_node("Add", ["zeros", "seen"], ["m0"])
+    seen = helper.make_node("ReduceMean", ["observation"], ["seen"], keepdims=0)
+    last = helper.make_node("Identity", ["m1000"], ["r"])
+    added(first, seen, noise, *products, last, shape=np.array([3000, 3000], np.int64))(model)
+
+
+def less_the_mean(model: onnx.ModelProto) -> None:
+    """Centred over the batch."""
+    axes = numpy_helper.from_array(np.array([0]), "axes")
+    model.graph.initializer.append(axes)
+    mean = helper.make_node("ReduceMean", ["z2", "axes"], ["mean"], keepdims=1)
+    model.graph.node[-1].CopyFrom(mean)
+    model.graph.node.append(helper.make_node("Sub", ["z2", "mean"], ["action"]))
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (LARGE, r"tiny\.onnx needs more than 4 GiB of memory"),
+        (endless, rf"tiny\.onnx needs more than {trial.TIME_S} s for 16 observations"),
+        (less_the_mean, r"tiny\.onnx answers the same observation otherwise in another batch"),
+    ],
+)
+def test_what_a_trial_refuses(
+    edit: Any, message: str, tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_policy(tmp_path, model=edit)
+
+    def never(*_: Any) -> None:
+        raise AssertionError("a foreign file is not run in this process")
+
+    monkeypatch.setattr("spoofgym.policies.onnx_model.make_session", never)
+    with pytest.raises(ValueError, match=message) as caught:
+        OnnxPolicy(str(path))
+    assert str(path) in str(caught.value)
+    assert not cache.exists()  # it is refused again next time
+
+
+def test_a_network_is_tried_once_for_each_digest(
+    tmp_path: Path, cache: Path, trials: list[list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_policy(tmp_path)
+    OnnxPolicy(str(path))
+    assert len(trials) == 1
+    monkeypatch.setattr(trial, "_passed", set())  # as in another process
+    OnnxPolicy(str(path))
+    assert len(trials) == 1
+    assert len([*cache.iterdir()]) == 1
+    card = json.loads(path.with_suffix(".json").read_text())
+    card["observation"]["high"] = [50.0, *card["observation"]["high"][1:]]
+    path.with_suffix(".json").write_text(json.dumps(card))
+    OnnxPolicy(str(path))  # within other bounds
+    assert len(trials) == 2
+
+
+def test_what_this_process_exports_is_not_foreign(
+    tmp_path: Path, cache: Path, trials: list[list[str]]
+) -> None:
+    path = write_policy(tmp_path)
+    trial.trust(json.loads(path.with_suffix(".json").read_text())["file"]["sha256"])
+    OnnxPolicy(str(path))
+    assert trials == []
+    assert not cache.exists()
+
+
+def test_a_cache_that_cannot_be_written_costs_another_trial(
+    tmp_path: Path, cache: Path, trials: list[list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache.parent.mkdir()
+    cache.write_text("a file in place of the folder")
+    path = write_policy(tmp_path)
+    for count in (1, 2):
+        monkeypatch.setattr(trial, "_passed", set())
+        OnnxPolicy(str(path))
+        assert len(trials) == count
+
+
+def test_a_trial_that_dies_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial.sys, "executable", "/bin/false")
+    with pytest.raises(ValueError, match=r"trial of .*tiny\.onnx ended with 1 \(nothing on"):
+        OnnxPolicy(str(write_policy(tmp_path)))
