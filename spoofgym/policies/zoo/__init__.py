@@ -38,12 +38,12 @@ CardT = TypeVar("CardT", bound=Card)
 
 @overload
 def card_of(name: str) -> Card:
-    """Card of either side."""
+    """Card of either side."""  # noqa: D418
 
 
 @overload
 def card_of(name: str, kind: type[CardT]) -> CardT:
-    """Card of one side."""
+    """Card of one side."""  # noqa: D418
 
 
 def card_of(name: str, kind: type[Card] = Card) -> Card:
