@@ -37,13 +37,13 @@ CardT = TypeVar("CardT", bound=Card)
 
 
 @overload
-def card_of(name: str) -> Card:
-    """Card of either side."""  # noqa: D418
+def card_of(name: str) -> Card:  # noqa: D418
+    """Card of either side."""
 
 
 @overload
-def card_of(name: str, kind: type[CardT]) -> CardT:
-    """Card of one side."""  # noqa: D418
+def card_of(name: str, kind: type[CardT]) -> CardT:  # noqa: D418
+    """Card of one side."""
 
 
 def card_of(name: str, kind: type[Card] = Card) -> Card:
