@@ -70,7 +70,7 @@ def test_absurd_numbers_of_runs_end_at_once(command: str, option: str, largest: 
         ),
         (
             ["run", "--env", "spoofgym/WheeledRobot-v0", "--detector", "ewma"],
-            "detector ewma does not fit a wheeled robot (spoofgym/WheeledRobot-v0): ",
+            "detector ewma in spoofgym/WheeledRobot-v0: ",
         ),
         (["bench", "--set", "satellites"], "a setting is written `name=value`, got 'satellites'"),
         (["bench", "--set", "between=a", "--set", "between=b"], "--set between is given twice"),

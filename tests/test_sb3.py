@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 from spoofgym.envs import SpoofEnv
 from spoofgym.envs.terms.reward import AlarmPenalty, default_rewards
 from spoofgym.envs.wrappers import vector as vector_wrappers
-from spoofgym.sb3 import RecordEpochs, SpoofVecEnv
+from spoofgym.sb3 import DetectorWrapper, RecordEpochs, SpoofVecEnv
 
 TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 5.0, "time_to_alert_s": 1.0}
 SETTINGS = {
@@ -457,3 +457,29 @@ def test_what_belongs_to_the_spoofers_side_is_refused_on_the_other(tmp_path):
         envs.set_rewards(default_rewards(7.0))
     with pytest.raises(TypeError, match="this SpoofVecEnv has the side 'detector'"):
         RecordEpochs(envs, tmp_path)
+
+
+def test_a_wrapper_sets_the_detector_as_its_argument_does():
+    settings = {key: value for key, value in SETTINGS.items() if key != "detector"}
+    bare = SpoofVecEnv(ENVS, seed=3, **settings)
+    wrapped = DetectorWrapper(bare, SETTINGS["detector"])
+    given, commands = make(), actions(12)
+    assert np.array_equal(wrapped.reset(), given.reset())
+    assert_same(play(wrapped, commands), play(given, commands))
+    assert bare.env_kwargs == given.env_kwargs
+
+
+def test_a_wrapper_takes_the_place_of_a_tasks_detector():
+    envs = SpoofVecEnv(2, task="T1")
+    DetectorWrapper(VecMonitor(envs), "snapshot-chi2", false_alarms_per_hour=0.2)
+    rated = {"name": "snapshot-chi2", "false_alarms_per_hour": 0.2}
+    assert envs.env_kwargs["detector"] == rated
+    for refused in (envs, make(), SpoofVecEnv(2, pool=["ewma", "never"])):
+        with pytest.raises(ValueError, match="two detectors are set at once"):
+            DetectorWrapper(refused, "cusum")
+    with pytest.raises(TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofV"):
+        DetectorWrapper(SpoofVecEnv(2, side="detector"), "cusum")
+    begun = SpoofVecEnv(2, timeline=TIMELINE)
+    begun.reset()
+    with pytest.raises(RuntimeError, match="before reset"):
+        DetectorWrapper(begun, "cusum")

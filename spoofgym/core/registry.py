@@ -260,6 +260,10 @@ def load_class(path: str, base: Callable[..., T]) -> type[T]:
         raise ValueError(
             f"there is no module {error.name!r} for {path!r}; a setting is written `{path}=...`"
         ) from error
+    except Exception as error:  # of any kind, since it is another's code
+        raise ValueError(
+            f"the module of {path!r} raises {type(error).__name__} when it is imported: {error}"
+        ) from error
     found = getattr(module, name, None)
     if not (isinstance(found, type) and issubclass(found, kind)):
         raise ValueError(

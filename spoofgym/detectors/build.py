@@ -111,23 +111,50 @@ def make_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
     return _build(spec, None)
 
 
-def detector_in_world(spec: str | Mapping[str, Any] | Detector) -> Detector:
-    """Detector of an environment, a duel or a benchmark, at the default rate of false alarms.
+DetectorSpec = str | Mapping[str, Any] | Detector | type[Detector]
 
-    As `make_detector`, but that a name without a word on its thresholds has those of the default
-    rate, which are looked up when the detector is bound to a world.
+
+def detector_in_world(spec: DetectorSpec, false_alarms_per_hour: float | None = None) -> Detector:
+    """Detector of an environment, a duel or a benchmark, at a rate of false alarms.
+
+    As `make_detector`, but that a name or a class without a word on its thresholds has those of the
+    default rate, which are looked up when the detector is bound to a world.
 
     Parameters
     ----------
-    spec : str, mapping or Detector
-        As `make_detector` takes it.
+    spec : str, mapping, Detector or type
+        As `make_detector` takes it; or the class of a detector that needs no settings.
+    false_alarms_per_hour : float, optional
+        Rate in place of the default one, also of an object, which else keeps its own thresholds.
 
     Returns
     -------
     Detector
         Not bound yet.
+
+    Raises
+    ------
+    ValueError
+        As in `make_detector`; or where `spec` itself says which thresholds it has, too.
     """
-    return _build(spec, calibrated.DEFAULT_RATE)
+    rate = false_alarms_per_hour
+    if isinstance(spec, type) and issubclass(spec, Detector):
+        try:
+            made = spec()
+        except TypeError as error:
+            raise ValueError(f"detector {spec.__name__}: {error}") from error
+        return detector_in_world(made, calibrated.DEFAULT_RATE if rate is None else rate)
+    if rate is None:
+        return _build(spec, calibrated.DEFAULT_RATE)
+    given = _as_mapping(spec)
+    own = asks(given) if isinstance(given, Mapping) else isinstance(given, Calibrated)
+    if own:
+        raise ValueError(
+            f"`false_alarms_per_hour` = {rate!r} is given, but {spec!r} has thresholds of its own"
+        )
+    if isinstance(given, Mapping):
+        return _build({**given, "false_alarms_per_hour": rate}, None)
+    return with_thresholds(_build(given, None), {"false_alarms_per_hour": rate})
 
 
 def bare_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:

@@ -6,8 +6,11 @@ import inspect
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
+import gymnasium as gym
+
 from ..core.registry import check_keywords
-from ..detectors import Detector, detector_in_world
+from ..detectors import detector_in_world
+from ..detectors.build import DetectorSpec
 from ..simulation.setup import Setup
 from .core import SpoofCore, WatchSpec, make_watch
 from .terms import EndSpec, make_terms
@@ -62,11 +65,13 @@ def make_core(
 def compose(
     env: Any,
     *,
-    detector: str | Mapping[str, Any] | Detector | None = None,
+    detector: DetectorSpec | None = None,
+    false_alarms_per_hour: float | None = None,
     watch: WatchSpec = (),
     end: EndSpec = (),
 ) -> None:
-    """Set the detector, add passive detectors and end terms, of an environment not reset yet."""
+    """Set the detector, at a rate of false alarms, add passive detectors and end terms, of an
+    environment not reset yet. A detector that its id brings is replaced."""
     inner = composable(env)
     if inner.begun:
         raise RuntimeError("an episode has started: compose the environment before reset()")
@@ -74,12 +79,13 @@ def compose(
     before: SpoofCore = inner.core
     setup = before.setup
     if detector is not None:
-        if inner.given_detector is not None:
+        present = inner.given_detector
+        if present is not None and (inner.wrapped or present != _detector_of_id(inner)):
             raise ValueError(
-                f"two detectors are set at once: {inner.given_detector!r} and {detector!r}; "
+                f"two detectors are set at once: {present!r} and {detector!r}; "
                 "one alone can be in the loop, others are passive"
             )
-        setup = setup.altered(detector=detector_in_world(detector))
+        setup = setup.altered(detector=detector_in_world(detector, false_alarms_per_hour))
     if watch:
         changes["watch"] = (*before.settings["watch"], *make_watch(watch))
     if end:
@@ -92,23 +98,25 @@ def compose(
     inner.adopt(core)
     before.close()
     if detector is not None:
-        inner.given_detector = detector
+        inner.given_detector, inner.wrapped = detector, True
+
+
+def _detector_of_id(inner: Any) -> Any:
+    """Detector that the registered id of an environment brings, None for none."""
+    spec = getattr(inner, "spec", None)
+    known = None if spec is None else gym.registry.get(spec.id)
+    return None if known is None else known.kwargs.get("detector")
 
 
 def composable(env: Any, *, unset: bool = True) -> Any:
     """Environment of the spoofer's side inside all wrappers; a TypeError where there is none.
-    `unset`: only one whose detector can be set: not a view of the duel, which has a pool of them,
-    nor the adapter for stable-baselines3."""
+    `unset`: only one whose detector can be set: not a view of the duel, which has a pool of
+    them."""
     inner = getattr(env, "unwrapped", env)
     is_ours = isinstance(getattr(inner, "core", None), SpoofCore)
     if not is_ours or (unset and not hasattr(inner, "given_detector")):
-        forms = (
-            "a SpoofEnv or a SpoofVectorEnv"
-            if unset
-            else ("a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv")
-        )
         raise TypeError(
-            f"`env` must be {forms}, wrapped or not, got {env!r}; `gymnasium.make_vec` makes one "
-            "by its default vectorization mode"
+            f"`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv, wrapped or not, got "
+            f"{env!r}; `gymnasium.make_vec` makes one by its default vectorization mode"
         )
     return inner

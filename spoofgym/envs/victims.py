@@ -31,11 +31,13 @@ class _Victim:
 
 
 class VictimEnv(_Victim, CoreEnv[SpoofCore]):
-    """A spoofer against one receiver; `given_detector` is what was set, None for the default."""
+    """A spoofer against one receiver; `given_detector` is what was set, None for the default,
+    `wrapped` whether a wrapper set it."""
 
     def __init__(self, *, render_mode: str | None = None, **settings: Any) -> None:
         core = make_core(self.setup_type, 1, settings, threads=1, whose=type(self).__name__)
         self.given_detector: Any = settings.get("detector")
+        self.wrapped = False
         super().__init__(core, render_mode)
 
 
@@ -64,6 +66,7 @@ class VictimVectorEnv(_Victim, CoreVectorEnv[SpoofCore]):
             whose=type(self).__name__,
         )
         self.given_detector: Any = settings.get("detector")
+        self.wrapped = False
         super().__init__(core, autoreset_mode, infos, max_episode_steps)
 
 

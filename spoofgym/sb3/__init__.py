@@ -16,6 +16,6 @@ Install it with the extra ``train``.
 """
 
 from .callbacks import RecordEpochs, ScoreCallback
-from .vec_env import SpoofVecEnv
+from .vec_env import DetectorWrapper, SpoofVecEnv
 
-__all__ = ["RecordEpochs", "ScoreCallback", "SpoofVecEnv"]
+__all__ = ["DetectorWrapper", "RecordEpochs", "ScoreCallback", "SpoofVecEnv"]

@@ -5,15 +5,16 @@ from __future__ import annotations
 import inspect
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from ..core.registry import whole_number
+from ..detectors.build import DetectorSpec
 from ..duel.learner import LearnersSide
-from ..envs.factory import signature_of
+from ..envs.factory import compose, signature_of
 from ..envs.options import (
     HALFWAY,
     Array,
@@ -130,19 +131,31 @@ class SpoofVecEnv(VecEnv):
             sys.modules["torch"].set_num_threads(torch_threads)
         made = LearnersSide.of(env_id, task, side, pool, weights, settings)
         self.side, self.env_id, self.env_kwargs = made.side, made.card_id, made.card_kwargs()
-        self.core: Any = made.core(num_envs, threads, prefetch, type(self).__name__)
-        self.observation_names = self.core.observation_names
-        self.action_names = self.core.action_names
-        self._keys = info_keys(infos, self.core.info_names)
+        self.given_detector = settings.get("detector") if made.pool is None else made.pool
+        self.wrapped = False
+        self._infos = infos
+        self.adopt(made.core(num_envs, threads, prefetch, type(self).__name__))
         self.render_mode = None
         self._rngs: list[np.random.Generator] = []
         self._actions: Array | None = None
         self._halfway = False
         self._returns, self._lengths = np.zeros(num_envs), np.zeros(num_envs, dtype=np.int64)
         self._began = time.perf_counter()
-        super().__init__(num_envs, observation_space(self.core), action_space(self.core))
+        super().__init__(num_envs, self.observation_space, self.action_space)
         if seed is not None:
             self.seed(seed)
+
+    def adopt(self, core: Any) -> None:
+        """Take a core that has not begun, instead of the present one."""
+        self.core = core
+        self.observation_names, self.action_names = core.observation_names, core.action_names
+        self.observation_space, self.action_space = observation_space(core), action_space(core)
+        self._keys = info_keys(self._infos, core.info_names)
+
+    @property
+    def begun(self) -> bool:
+        """Whether an episode has started."""
+        return bool(self._rngs)
 
     def reset(self) -> Array:
         """Start a new episode in every receiver, seeded as `seed` said since the last: (B, o)."""
@@ -258,3 +271,33 @@ class SpoofVecEnv(VecEnv):
 SpoofVecEnv.__signature__ = signature_of(
     TightlyCoupledSetup, inspect.signature(SpoofVecEnv.__init__)
 )
+
+
+class DetectorWrapper(VecEnvWrapper):
+    """Sets the detector in the loop, as `spoofgym.envs.wrappers.DetectorWrapper` does.
+
+    Parameters
+    ----------
+    venv : SpoofVecEnv
+        Of the spoofer's side without a pool, wrapped or not, not reset yet.
+    detector, false_alarms_per_hour
+        As there.
+    """
+
+    def __init__(
+        self, venv: VecEnv, detector: DetectorSpec, *, false_alarms_per_hour: float | None = None
+    ) -> None:
+        compose(venv, detector=detector, false_alarms_per_hour=false_alarms_per_hour)
+        inner: Any = venv.unwrapped
+        rate = {"false_alarms_per_hour": false_alarms_per_hour} if false_alarms_per_hour else {}
+        spec: Any = {"name": detector} if isinstance(detector, str) and rate else detector
+        inner.env_kwargs["detector"] = {**spec, **rate} if isinstance(spec, Mapping) else spec
+        super().__init__(venv)
+
+    def reset(self) -> Any:
+        """Start a new episode in every receiver."""
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        """Run one epoch."""
+        return self.venv.step_wait()

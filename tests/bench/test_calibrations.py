@@ -47,7 +47,7 @@ def small(*detectors):
 def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
     name = f"{__name__}:Toy"
     suite = small({"name": name, "false_alarms_per_hour": 20.0}, "never")
-    with pytest.raises(ValueError, match=r"detector Toy.* does not fit .*there is no calibration"):
+    with pytest.raises(ValueError, match=r"detector Toy.* in spoofgym/.*: there is no calibration"):
         suite.check_fit()
     totals = []
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import pickle
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.detectors import Detector, Verdict
+from spoofgym.detectors import Detector, Ewma, SnapshotChi2, Verdict
+from spoofgym.detectors.build import spec_of_judge
+from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.envs import wrappers
 from spoofgym.envs.wrappers import EpochRecorder
 from spoofgym.envs.wrappers import vector as vector_wrappers
@@ -81,6 +84,79 @@ def test_two_detectors_are_refused_with_both_names(make, module):
         module.DetectorWrapper(once, {"name": "cusum"})
 
 
+BENCH = "spoofgym/BenchT3-v1"
+"""Brings a detector of its own, solution separation."""
+
+
+def inner(env):
+    """Name of the detector in the loop, and what is asked of its thresholds."""
+    spec = spec_of_judge(env.unwrapped.core.setup.detector)
+    return spec["name"], spec.get("false_alarms_per_hour")
+
+
+@pytest.mark.usefixtures("default_rate")
+@pytest.mark.parametrize(
+    ("make", "module"),
+    [
+        pytest.param(gym.make, wrappers, id="single"),
+        pytest.param(partial(gym.make_vec, num_envs=2), vector_wrappers, id="vector"),
+    ],
+)
+def test_the_detector_of_an_id_is_replaced(make, module):
+    for detector, name in (
+        ("snapshot-chi2", "snapshot-chi2"),
+        ({"name": "snapshot-chi2"}, "snapshot-chi2"),
+        (SnapshotChi2, "snapshot-chi2"),
+        ("spoofgym.detectors:SnapshotChi2", "snapshot-chi2"),
+        ("trolley-guard", "trolley-guard"),
+    ):
+        env = make(BENCH)
+        assert inner(env)[0] != name
+        env = module.DetectorWrapper(env, detector)
+        assert inner(env) == (name, STANDARD_RATE)
+        with pytest.raises(ValueError, match="two detectors are set at once"):
+            module.DetectorWrapper(env, "ewma")
+        env.close()
+    env = module.DetectorWrapper(make(BENCH), SnapshotChi2())  # keeps its own thresholds
+    assert inner(env) == ("snapshot-chi2", None)
+    with pytest.raises(ValueError, match="two detectors are set at once: 'ewma' and 'cusum'"):
+        module.DetectorWrapper(make(BENCH, detector="ewma"), "cusum")
+
+
+@pytest.mark.parametrize("detector", ["ewma", {"name": "ewma"}, Ewma, Ewma()])
+def test_a_wrapper_asks_for_a_rate(detector):
+    env = gym.make(BENCH)
+    env = wrappers.DetectorWrapper(env, detector, false_alarms_per_hour=0.5)
+    assert inner(env) == ("ewma", 0.5)
+
+
+@pytest.mark.usefixtures("default_rate")
+@pytest.mark.parametrize(
+    ("env", "detector", "rate", "message"),
+    [
+        ("LooselyCoupled", "ewma", None, "^Ewma measures satellites, but the receiver measures po"),
+        ("WheeledRobot", Ewma, None, "^Ewma measures satellites, but the receiver measures posit"),
+        ("TightlyCoupled", "rio", 0.3, "^Rio needs auxiliary_position, gnss_position, which a ti"),
+        ("TightlyCoupled", "fma", None, "^there is no calibration of fma in .*`spoofgym calibrate"),
+        ("TightlyCoupled", "ewma", -1.0, "`false_alarms_per_hour` must be"),
+        ("TightlyCoupled", "emwa", None, "unknown detector 'emwa'; .*did you mean 'ewma'"),
+        ("TightlyCoupled", {"name": "ewma", "thresholds": "nominal"}, 0.2, "thresholds of its own"),
+        (
+            "TightlyCoupled",
+            "tests.envs.raises:Mine",
+            None,
+            "tests.envs.raises:Mine. raises RuntimeError",
+        ),
+    ],
+)
+def test_a_detector_is_refused_for_its_reason(env, detector, rate, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        wrappers.DetectorWrapper(
+            gym.make(f"spoofgym/{env}-v0"), detector, false_alarms_per_hour=rate
+        )
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize(("make", "module"), MAKERS)
 def test_a_game_that_has_begun_is_left_alone(make, module):
     env = make()
@@ -93,7 +169,7 @@ def test_other_environments_are_refused():
     ids = ("spoofgym/SpooferView-v0", "spoofgym/DetectorView-v0")
     for env in (*(gym.make(name, timeline=SHORT) for name in ids), gym.make("CartPole-v1")):
         with pytest.raises(
-            TypeError, match="`env` must be a SpoofEnv or a SpoofVectorEnv, wrapped"
+            TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv"
         ):
             wrappers.WatchWrapper(env, ["cusum"])
 

@@ -158,9 +158,7 @@ class World:
             try:
                 self.setup_of(entry, spoofers).simulator(1, run_serially)
             except (TypeError, ValueError) as error:
-                raise ValueError(
-                    f"detector {entry.label} does not fit {self.setup.whose} ({self.env}): {error}"
-                ) from error
+                raise ValueError(f"detector {entry.label} in {self.env}: {error}") from error
         bound = []
         for entry in spoofers:
             spec = entry.untuned

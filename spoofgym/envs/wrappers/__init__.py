@@ -15,7 +15,6 @@ import io
 import json
 import os
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,8 @@ from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 
 from ...core.files import remove_stale_parts, write_file
-from ...detectors import Detector, Verdict
+from ...detectors import Verdict
+from ...detectors.build import DetectorSpec
 from ..core import SpoofCore, WatchSpec
 from ..factory import composable, compose
 from ..terms.termination import AtStealthBudget, EpochState
@@ -129,12 +129,27 @@ def _as_parquet(columns: dict[str, list[Array]], head: dict[str, Any]) -> bytes:
 class DetectorWrapper(_Base, RecordConstructorArgs):
     """Sets the detector in the loop, as the argument ``detector=`` does.
 
+    It takes the place of the detector that the environment's id brings.  `wrappers.vector` has the
+    same for vector environments, `spoofgym.sb3` for that of stable-baselines3.
+
     Parameters
     ----------
     env : Env
-        A `SpoofEnv`, wrapped or not, without a detector of its own, and not reset yet.
-    detector : str, mapping or Detector
-        As `make_detector` takes it.
+        A `SpoofEnv`, wrapped or not, not reset yet.
+    detector : str, mapping, Detector or type
+        Name, or name and settings; a detector, or its class; ``"module:Class"``; or the path of an
+        ``.onnx`` file with its card.  As in `make_detector`; an object keeps its own thresholds.
+    false_alarms_per_hour : float, optional
+        Rate by which thresholds are looked up; by default 0.2, and for an object none.
+
+    Raises
+    ------
+    ValueError
+        When the detector can't judge this victim; when there is no calibration for this rate in
+        this world, with the command that makes one; or when a detector was set before, by an
+        argument or another wrapper.
+    RuntimeError
+        When an episode has started.
 
     Examples
     --------
@@ -147,10 +162,14 @@ class DetectorWrapper(_Base, RecordConstructorArgs):
     >>> env.close()
     """
 
-    def __init__(self, env: Env, detector: str | Mapping[str, Any] | Detector) -> None:
-        RecordConstructorArgs.__init__(self, detector=detector)
+    def __init__(
+        self, env: Env, detector: DetectorSpec, *, false_alarms_per_hour: float | None = None
+    ) -> None:
+        RecordConstructorArgs.__init__(
+            self, detector=detector, false_alarms_per_hour=false_alarms_per_hour
+        )
         gym.Wrapper.__init__(self, env)
-        compose(env, detector=detector)
+        compose(env, detector=detector, false_alarms_per_hour=false_alarms_per_hour)
 
 
 class WatchWrapper(_Base, RecordConstructorArgs):

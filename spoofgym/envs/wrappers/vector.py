@@ -6,14 +6,14 @@ those of the same names in `wrappers`; `RecordEpochs` writes a file an episode o
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.vector import VectorEnv, VectorWrapper
 
-from ...detectors import Detector
+from ...detectors.build import DetectorSpec
 from ..core import WatchSpec
 from ..factory import composable, compose
 from ..options import Array, mask_of
@@ -30,9 +30,11 @@ else:
 class DetectorWrapper(Wrapper):
     """As `wrappers.DetectorWrapper`, of all receivers."""
 
-    def __init__(self, env: Envs, detector: str | Mapping[str, Any] | Detector) -> None:
+    def __init__(
+        self, env: Envs, detector: DetectorSpec, *, false_alarms_per_hour: float | None = None
+    ) -> None:
         super().__init__(env)
-        compose(env, detector=detector)
+        compose(env, detector=detector, false_alarms_per_hour=false_alarms_per_hour)
 
 
 class WatchWrapper(Wrapper):
