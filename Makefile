@@ -45,6 +45,7 @@ test-cpus: $(VENV)/.installed-test ## test on other kinds of processors that the
 
 test-ray: $(VENV_RAY)/.installed ## test RLlib and the oldest Gymnasium, in an environment of its own
 	$(VENV_RAY)/bin/python -m pytest $(tests_ray) $(ARGS)
+	$(VENV_RAY)/bin/python -m pytest tests/bench/experiments/test_runner.py --nightly -k ray
 
 check: $(VENV)/.installed-check ## format, lint, types, import directions, docstrings, spelling
 	$(python) -m ruff format --check .

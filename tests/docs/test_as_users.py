@@ -39,9 +39,9 @@ from .pages import ROOT, blocks_of
 
 STEPS = {name_of(page): steps_of(page) for page in PAGES}
 PLAYED = [name for name, steps in STEPS.items() if steps]
-LEFT_BEHIND = shutil.ignore_patterns(
-    ".*", "__pycache__", "build", "dist", "results", "runs", "*.egg-info"
-)
+LEFT_BEHIND = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info")
+WRITTEN = {"build", "dist", "results", "runs"}
+"""Folders beside the package that commands write, which a fresh checkout does not have."""
 GIVEN = {
     "my.onnx": "spoofgym/policies/zoo/ewma-ppo.onnx",
     "my.json": "spoofgym/policies/zoo/ewma-ppo.json",
@@ -77,7 +77,14 @@ sys.exit(bool(failed))
 def checkout(folder: Path) -> dict[str, str]:
     """A copy of the checkout with a `.venv` that make takes for installed; its environment."""
     copy, programs = folder / "checkout", folder / "checkout" / ".venv" / "bin"
-    shutil.copytree(ROOT, copy, ignore=LEFT_BEHIND)
+    shutil.copytree(
+        ROOT,
+        copy,
+        ignore=lambda at, names: {
+            *LEFT_BEHIND(at, names),
+            *(WRITTEN if Path(at) == ROOT else ()),
+        },
+    )
     programs.mkdir(parents=True)
     for name, words in {"python": "", "spoofgym": " -m spoofgym"}.items():
         (programs / name).write_text(f'#!/bin/sh\nexec {sys.executable}{words} "$@"\n')

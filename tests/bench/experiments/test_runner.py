@@ -346,6 +346,8 @@ def test_an_address_that_does_not_answer(tmp_path, monkeypatch, answers: bool) -
 @pytest.mark.nightly
 @pytest.mark.filterwarnings("default")
 def test_ray_leaves_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    """`make test-ray` has ray."""
+    pytest.importorskip("ray")
     run(Numbers(), Store(tmp_path), jobs=2, threads=1, backend="ray")
     assert content(tmp_path) == whole
     with pytest.raises(ConnectionError, match="no ray cluster answers"):
