@@ -1,0 +1,107 @@
+"""Mutants: one change of a line each, drawn by seed, and what became of them in a file."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import typer
+
+from tools import mutants
+from tools.mutants import KILLED, SURVIVED, draw_mutants, find_changes, read_mutants
+
+TEXT = """
+LIMIT: Annotated[int, 3] = 2  # a comment with 1 + 1
+
+def f(a, b):
+    if a <= b:
+        raise ValueError(f"{a + 1}")
+    return (a - b) * 1.5
+"""
+
+
+def test_what_is_changed() -> None:
+    found = [(each.line, each.kind, each.before, each.after) for each in find_changes("f", TEXT)]
+    assert sorted(found) == [
+        (2, "constant", "2", "3"),
+        (5, "comparison", "<=", "<"),
+        (7, "constant", "1.5", "1.875"),
+        (7, "operator", "*", "/"),
+        (7, "operator", "-", "+"),
+        (7, "returned value", "(a - b) * 1.5", "-((a - b) * 1.5)"),
+    ]
+
+
+def test_every_change_of_the_package_leaves_a_program() -> None:
+    drawn = draw_mutants(mutants.ROOT, 120, 40, 0)
+    assert drawn == draw_mutants(mutants.ROOT, 120, 40, 0)
+    assert len({(each.file, each.line, each.start, each.kind) for each in drawn}) == 120
+    assert sum(each.file.endswith(mutants.KERNELS) for each in drawn) == 40
+    assert {each.kind for each in drawn} == {"operator", "comparison", "constant", "returned value"}
+    for each in drawn:
+        lines = (mutants.ROOT / each.file).read_text().splitlines()
+        raw = lines[each.line - 1].encode()
+        assert raw[each.start : each.end].decode() == each.before
+        lines[each.line - 1] = (raw[: each.start] + each.after.encode() + raw[each.end :]).decode()
+        ast.parse("\n".join(lines))
+        assert all((mutants.ROOT / folder).is_dir() for folder in mutants.tests_of(each.file))
+
+
+@pytest.fixture
+def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A project of one function, with a test that notices some of its mutants."""
+    root = tmp_path / "project"
+    for folder in ("spoofgym/receiver", "tests/receiver", *mutants.ALWAYS):
+        (root / folder).mkdir(parents=True)
+        (root / folder / f"test_{folder.count('/')}_{len(folder)}.py").write_text(
+            "def test_nothing():\n    pass\n"
+        )
+    for package in ("spoofgym", "spoofgym/receiver"):
+        (root / package / "__init__.py").touch()
+    (root / "spoofgym/receiver/sums.py").write_text("def add(a, b):\n    return a + b\n")
+    (root / "tests/receiver/test_sums.py").write_text(
+        "from spoofgym.receiver.sums import add\n\n\n"
+        "def test_it_adds():\n    assert abs(add(1, 2)) == 3\n"
+    )
+    for words in (["init", "-q"], ["add", "."], ["commit", "-qm", "all"]):
+        name = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
+        subprocess.run(["git", *name, *words], cwd=root, check=True)
+    monkeypatch.setattr(mutants, "ROOT", root)
+    monkeypatch.setattr(mutants, "TESTED", {"spoofgym/receiver": "tests/receiver"})
+    return root
+
+
+def test_mutants_are_tried_and_a_run_goes_on(checkout: Path, tmp_path: Path) -> None:
+    out = tmp_path / "mutants.csv"
+    mutants.main(out, count=2, kernels=0)
+    operator, returned = sorted(read_mutants(out), key=lambda each: each.kind)
+    assert (operator.outcome, operator.test) == (
+        KILLED,
+        "tests/receiver/test_sums.py::test_it_adds",
+    )
+    assert (returned.outcome, returned.test) == (SURVIVED, "")
+    content = out.read_text()
+    mutants.main(out)  # nothing is left to do
+    assert out.read_text() == content
+
+
+def test_one_that_is_no_longer_killed_fails_the_run(checkout: Path, tmp_path: Path) -> None:
+    (found,) = (
+        each
+        for each in find_changes("spoofgym/receiver/sums.py", "def add(a, b):\n    return a + b\n")
+        if each.kind == "returned value"
+    )
+    before = tmp_path / "before.csv"
+    mutants.write_mutants(before, [replace(found, outcome=KILLED)])
+    with pytest.raises(typer.Exit):
+        mutants.main(tmp_path / "again.csv", killed_in=before)
+    assert [each.outcome for each in read_mutants(tmp_path / "again.csv")] == [SURVIVED]
+
+
+def test_a_file_that_has_changed_since_is_refused(checkout: Path) -> None:
+    (found, *_) = find_changes("spoofgym/receiver/sums.py", "def add(a, b):\n    return a - b\n")
+    with pytest.raises(ValueError, match="is not as it was when it was drawn"):
+        mutants.apply(replace(found, before="-"), checkout)
