@@ -143,7 +143,7 @@ for _detector_task in _DETECTOR_TASKS.values():
 
 
 def __getattr__(name: str) -> Any:
-    """`evaluate` and `evaluate_detector`, imported when first asked for: they take their time."""
+    """`evaluate` and `evaluate_detector`, imported on first use: their import is slow."""
     if name == "evaluate":
         from .bench.experiments.evaluate import evaluate
 

@@ -315,7 +315,7 @@ def detector(
     exclusion_s : float, optional
         Allowance of exclusion in an episode [s]; none by default.
     quiet_epochs : int
-        Epochs after it is switched on in which it is not asked.
+        Epochs after it is switched on in which it is not called.
     channels : int
         Slots of the receiver.
     interval_s : float

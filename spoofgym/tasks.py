@@ -1,6 +1,6 @@
 """T1-T6 and D1-D4 of `spoofgym-bench-v1`: environments whose settings never change.
 
-A task is an environment, whose detectors have a stated rate of false alarms, and an alarm budget.
+A task is an environment with detectors of a stated rate of false alarms, and an alarm budget.
 What a spoofer scores is its stealthy displacement by the rules of the benchmark; it is read
 together with what ramps and the blind optimum get there, and with the task's floor and zero-alarm
 bound.  T1 and T2 are historical: the world of the papers.  T3 to T6 had to pass the admission test
@@ -29,12 +29,12 @@ BUDGET = 0.05  # largest P(alarm | silent twin) of a spoofer that scores
 class Task:
     """One task.
 
-    - `title`: what it asks for, in a line;
+    - `title`: what it requires, in a line;
     - `settings`: keyword arguments of `SpoofEnv`, JSON-able, but for the detector;
-    - `detectors`: those that the spoofer meets, as `make_detector` takes them; of more than one
-      every episode draws one, which the spoofer does not know;
-    - `alert_limit_m`: error that the navigation must not exceed unnoticed, where there is one;
-    - `historical`: kept for what was published on its world, and solved there.
+    - `detectors`: those that the spoofer meets, as `make_detector` takes them; of several, every
+      episode draws one, which the spoofer does not know;
+    - `alert_limit_m`: error that the navigation must not exceed unnoticed, or None;
+    - `historical`: stays for results published on its world, and is solved there.
     """
 
     key: str
@@ -187,7 +187,7 @@ def task_of(key: str) -> Task:
     Raises
     ------
     ValueError
-        When there is none; the valid ones are listed.
+        Without such a task; the valid ones are listed.
 
     Examples
     --------
@@ -246,7 +246,7 @@ ANTENNA_PARTS = (0.25, 4.0)
 PARTS = (0.5, 1.0, 2.0)
 """Displacements of the learners' pool at the end of the attack, in parts of the alert limit."""
 EVENTS = ("clock_step", "satellite_loss", "front")
-"""What looks like spoofing and is none, as `spoofgym.truth.events` has it."""
+"""Events that look like spoofing but are not, as in `spoofgym.truth.events`."""
 MEAN_GROWTH = 2.375
 """Mean rate of feedback over a window, in parts of its first one, while there is room."""
 RATE_LIMIT_MPS = 5.0  # of the tasks' attacks

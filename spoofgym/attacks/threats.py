@@ -33,7 +33,7 @@ THREATS: dict[str, dict[str, Any]] = {
 ``quiet``
     A false position whose signals have thermal noise alone, blended in over 30 s.
 ``partial-constellation``
-    A false position by one of two constellations, that whose ids begin with E; it needs a world
+    A false position by one of two constellations, the one whose ids begin with E; it needs a world
     that has it, such as ``trolley-two-constellations``.
 ``meaconer``
     Record and replay by an antenna at the target's side, 20 m east of it.

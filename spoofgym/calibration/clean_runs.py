@@ -1,4 +1,4 @@
-"""Clean runs of a world: how large every detector's statistics become where nobody attacks.
+"""Clean runs of a world: how large every detector's statistics become without an attack.
 
 Passive detectors judge the same epochs, so that all of them take one pass; one that de-weights
 changes the epochs that it judges, and takes a pass of its own.

@@ -91,7 +91,7 @@ def calibrate(
         Whether to play again what has been calibrated.
     strict : bool
         Whether a degenerate statistic raises, after all files are written; if not, its calibration
-        says so when it is asked for an operating point.
+        raises when an operating point is requested.
     player : callable
         Makes what plays the runs, by the fields of `Player`.
 
@@ -136,7 +136,7 @@ def rates_of(given: float | Sequence[float]) -> tuple[float, ...]:
 
 
 def inner_detectors(specs: DetectorSpec | Iterable[DetectorSpec]) -> list[Detector]:
-    """Detectors without what is asked of their thresholds, pools by their members, each once."""
+    """Detectors without requests for thresholds, pools by their members, each once."""
     if isinstance(specs, str | Mapping | Detector):
         specs = [specs]
     found: dict[str, Detector] = {}
@@ -161,7 +161,7 @@ def suitable_detectors(setup: Setup) -> list[Detector]:
 
 @dataclass
 class _Work:
-    """One call of `calibrate`: what it asks for, and where the files are."""
+    """One call of `calibrate`: what it requests, and where the files are."""
 
     setup: Setup
     rates: Sequence[float]
@@ -171,7 +171,7 @@ class _Work:
     overwrite: bool
 
     def found(self, detector: Detector, runs: int | None) -> Calibration | None:
-        """A calibration with so many runs or more that has all rates; None where there is none."""
+        """A calibration with so many runs or more that has all rates; None without one."""
         if self.overwrite:
             return None
         identity = identity_of(detector)
@@ -195,7 +195,7 @@ class _Work:
         ]
         for group, count, _ in found:
             tail = not any(each.alarm_is_state for each in group)
-            for rate in self.rates:  # or that so many runs don't tell it
+            for rate in self.rates:  # an error if so many runs are too few for it
                 check_runs(rate, count, self.setup.window_s, tail=tail)
         return found
 

@@ -18,7 +18,7 @@ from typer import Option
 from ..core.progress import ProgressCallback, show_progress
 
 signals: list[int] = []
-"""What has asked the program to end."""
+"""Signals that requested the end of the program."""
 HEARD = (signal.SIGINT, signal.SIGTERM)
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -119,7 +119,7 @@ def calibrate(
 def _judges(
     texts: Sequence[str] | None, world: World, rescaled: bool
 ) -> tuple[list[Detector], set[int]]:
-    """Detectors, and which of them were named; they may not ask for thresholds. Those that never
+    """Detectors, and which of them were named; they may not request thresholds. Those that never
     alarm are left out, and of `all` those that can't be rescaled."""
     from ..bench.runs.world import VICTIMS
     from ..calibration.thresholds import inner_detectors, suitable_detectors

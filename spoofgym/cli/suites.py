@@ -61,7 +61,7 @@ def suite_of(
 ) -> tuple[Suite, Reports]:
     """The suite of the options or of a task, and the reports of real input; nothing is looked up.
 
-    `nominal`: whether detectors that ask for no thresholds have them as published; `headline`:
+    `nominal`: whether detectors that request no thresholds have them as published; `headline`:
     whether they have one rate of false alarms, in a drawn world, and controls, unless a task or an
     option decides otherwise; `settings`: those of a suite that no task decides.
     """
@@ -99,7 +99,7 @@ def _detectors(
     thresholds: Spec,
     headline: bool,
 ) -> list[dict[str, Any]] | None:
-    """Detectors with the thresholds that are asked for; of a headline the usual ones and the
+    """Detectors with the thresholds that are requested; of a headline the usual ones and the
     controls by default, and `all` for all, tests with a drift term a second time, rescaled."""
     from ..bench.experiments.suite import everyone_in
     from ..bench.runs.world import CONTROLS, VICTIMS, World

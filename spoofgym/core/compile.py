@@ -1,4 +1,4 @@
-"""The one ``njit`` of the project, and the folder in which its compiled code is kept.
+"""The one ``njit`` of the project, and the folder in which its compiled code is stored.
 
 A function is compiled in full where Python calls it.  What only compiled code calls needs no
 wrapper for Python, no machine code and no file of the cache: its callers take its intermediate code
@@ -61,7 +61,7 @@ def is_part(result: CompileResult) -> bool:
 
 
 class _Compiler(_FunctionCompiler):  # type: ignore[misc]
-    """Compiles a function in full, or as a `_Part` where that is asked for."""
+    """Compiles a function in full, or as a `_Part` where that is requested."""
 
     as_part = False
 

@@ -1,4 +1,4 @@
-"""Files that are whole or absent, whoever else writes there: the one way to write them."""
+"""Files that are whole or absent, even with other writers: the one way to write them."""
 
 from __future__ import annotations
 

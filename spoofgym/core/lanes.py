@@ -28,7 +28,8 @@ class LaneFields:
     ``fields[name] = values`` and `put` write it.
 
     `shapes`: what a receiver has of every quantity, in the order of the rows; `shared`: whether all
-    receivers have the same, which is kept once, as one group: what is put for some is so for all.
+    receivers have the same, which is stored once, as one group: what is put for some is put for
+    all.
     """
 
     def __init__(

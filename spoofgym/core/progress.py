@@ -66,7 +66,7 @@ class _Bar:
 def show_progress(
     total: float, *, start: str = "", interrupted: Callable[[], object] = lambda: False
 ) -> Iterator[ProgressCallback]:
-    """Show a bar on stderr until the block ends; `interrupted` tells of a lost Ctrl-C."""
+    """Show a bar on stderr until the block ends; `interrupted` reports a lost Ctrl-C."""
     import rich.progress as bars
     from rich.console import Console
 

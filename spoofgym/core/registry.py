@@ -309,7 +309,7 @@ def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
 
 def settings_of(kind: Callable[..., Any]) -> dict[str, Any]:
     """Settings of a class or function, with their defaults. Returns default by name;
-    `inspect.Parameter.empty` where there is none."""
+    `inspect.Parameter.empty` without one."""
     parameters = inspect.signature(kind).parameters.values()
     spread = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     return {item.name: item.default for item in parameters if item.kind not in spread}

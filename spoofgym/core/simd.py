@@ -15,8 +15,8 @@ A *pair* holds two rows of a lane array, one after the other, in a vector of six
 follows from a pair is computed for both rows side by side, so that a processor has always something
 to do while one of them waits for its last result.  Operators and functions take pairs, too.
 
-Comparisons give masks, which ``&``, ``|`` and ``^`` combine.  An ``if`` can't ask a mask: `select`
-chooses lane by lane, and `any_lane` asks whether it holds anywhere.
+Comparisons give masks, which ``&``, ``|`` and ``^`` combine.  An ``if`` can't test a mask: `select`
+chooses lane by lane, and `any_lane` tests whether it holds anywhere.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ _generation = object()
 
 
 class _Thread(threading.Thread):
-    """A thread that can tell whether it is gone, also where its start was interrupted."""
+    """A thread that reports whether it is gone, also where its start was interrupted."""
 
     _done = False
 
@@ -49,9 +49,9 @@ if hasattr(os, "register_at_fork"):  # a child inherits none of them
 
 
 def start(target: Callable[[], None], stop: Callable[[], None], name: str) -> threading.Thread:
-    """Start a thread that ends soon after `stop` has been called, be it before it has begun. It is
-    known from before its first moment until after its last one, so that none is left out by
-    `end_all`, wherever an interrupt comes."""
+    """Start a thread that ends soon after a call of `stop`, even one before its start. It is
+    known from before its first moment until after its last one, so that `end_all` misses none,
+    wherever an interrupt comes."""
     for each in list(_known):
         if each.is_over:
             _known.pop(each, None)

@@ -2,8 +2,8 @@
 
 Rules and limits follow from what recorded tracks look like: rows at a fixed rate that repeat or
 interpolate sparser fixes, fixes with about 100 m of error since their times are late by up to a
-second, courses stored in a signed byte, fields that went stale.  Nothing is smoothed over: a fix is
-kept as it is or dropped, and a course or speed is used or not.
+second, courses stored in a signed byte, fields that went stale.  Nothing is smoothed over: a fix
+stays as it is or is dropped, and a course or speed is used or not.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ STALE_SHARE = 0.1  # rejected share of a run of one value above which the whole 
 CHORD_S = 4.0  # time to either side over which course and speed made good are taken, at least [s]
 HIGHEST_SPEED = 350.0  # highest speed believed between two fixes [m/s]
 AIRBORNE_SPEED = 60.0 * KNOT  # speed over ground above which a fix counts as airborne [m/s]
-DEFAULT_DURATION_S = 600.0  # duration of a track where none is asked for [s]
+DEFAULT_DURATION_S = 600.0  # duration of a track where none is requested [s]
 
 
 def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask:
@@ -90,7 +90,7 @@ def isolated_outliers(time: Floats, value: Floats, allowance: float, acceleratio
     A row is off when it lies further from the line between its neighbours than an allowance for
     errors and half the acceleration times the product of both intervals.  Off rows go one by
     one, worst of their surroundings first, and only if that heals the surroundings: a jump that
-    lasts is none, and breaks the track instead.
+    lasts is not an outlier, and breaks the track instead.
 
     `value` (n, k) coordinates [m]; `allowance`, `acceleration`: believed [m], [m/s^2].
     """
@@ -180,7 +180,7 @@ def resolved_courses(track_deg: Floats, course: Floats) -> tuple[Floats, Mask]:
     and 256 deg more and less are tried too.
 
     `track_deg` (n,) as recorded [deg], NaN where missing; `course` (n,) made good [rad], NaN where
-    there is none; returns `angle` (n,) course [rad] in (-pi, pi], NaN where rejected or missing;
+    missing; returns `angle` (n,) course [rad] in (-pi, pi], NaN where rejected or missing;
     `unwrapped` (n,) True where it agrees after adding or taking 256 deg, and not as it is.
     """
     finite = track_deg[np.isfinite(track_deg)]

@@ -297,10 +297,10 @@ class Rejection(NamedTuple):
 class ScreeningReport:
     """What `screen` found.
 
-    - `unhealthy`: records that are marked unhealthy, copies not counted; they are kept;
+    - `unhealthy`: records that are marked unhealthy, copies not counted; they remain;
     - `rejections`: records rejected, by satellite and time;
-    - `unchecked`: records kept without a neighbour near enough to compare with;
-    - `unresolved`: pairs of neighbours that were kept although they disagree: it is not known which
+    - `unchecked`: remaining records without a neighbour near enough to compare with;
+    - `unresolved`: pairs of neighbours that remain although they disagree: it is not known which
       is wrong.
     """
 
@@ -329,7 +329,7 @@ def screen(ephemerides: Ephemerides) -> tuple[Ephemerides, ScreeningReport]:
        more than 100 m away from it while the neighbour agrees with its own next one.
     3. Everything else stays: a record without neighbours (`unchecked`), and a pair that disagrees
        with no third record to decide (`unresolved`).  Records that are wrong in the same way
-       confirm each other, so that a run of them is kept, its borders counted as unresolved.
+       confirm each other, so that a run of them remains, its borders counted as unresolved.
     """
     distinct = _without_copies(ephemerides)
     kept = np.ones(len(distinct), dtype=np.bool_)

@@ -49,7 +49,7 @@ class Track:
     - `time` (K,) time since `start_utc` [s], rising;
     - `latitude`, `longitude` (K,) geodetic [rad];
     - `height` (K,) height above the ellipsoid [m];
-    - `groundspeed` (K,) speed over ground [m/s], NaN where there is none to be trusted;
+    - `groundspeed` (K,) speed over ground [m/s], NaN where none can be trusted;
     - `track_angle` (K,) course over ground, clockwise from north [rad], NaN likewise.
     """
 
@@ -106,8 +106,8 @@ class Track:
 POSITION_SD = 100.0  # of a fix, north and east [m]: its time is late by up to a second
 VELOCITY_SD = 2.0  # standard deviation of a reported velocity [m/s]: steps of 1 kt and 1 deg
 HEIGHT_SD = 10.0  # standard deviation of a height [m]: steps of 25 ft, and up to a second of climb
-TURN_JERK_PSD = 0.2  # density of the jerk across the path [m^2/s^5]: 0.3 m/s^3 kept up for 2 s
-SPEED_JERK_PSD = 0.005  # density of the jerk along the path [m^2/s^5]: 0.05 m/s^3 kept up for 2 s
+TURN_JERK_PSD = 0.2  # density of the jerk across the path [m^2/s^5]: 0.3 m/s^3 for 2 s
+SPEED_JERK_PSD = 0.005  # density of the jerk along the path [m^2/s^5]: 0.05 m/s^3 for 2 s
 CLIMB_JERK_PSD = 0.005  # spectral density of the vertical jerk [m^2/s^5]
 HUBER_LIMIT = 3.0  # misfit in standard deviations beyond which a measurement is doubted
 KNOT_INTERVAL = 3.0  # interval of the knots of the splines [s]

@@ -18,7 +18,7 @@ SINGULAR = 1e-9
 
 @inlined
 def age_of(epochs: int, number: int, spacing: int, bank: int) -> int:
-    """Age of a solution in its bank at the epoch after so many [epochs]; 0 before it has begun."""
+    """Age of a solution in its bank at the epoch after so many [epochs]; 0 before its start."""
     since = epochs - number * spacing
     return since % (bank * spacing) + 1 if since >= 0 else 0
 

@@ -58,8 +58,8 @@ Deviations:
 **Clock monitor** (`hwang2014`): a spoofer whose own clock differs in offset or rate from the
 authentic system's moves all pseudoranges, or all range rates, by the same amount, and geometry
 can't separate that from the receiver's clock.  A known oscillator can: its states are predicted,
-and the correction that an epoch asks for has to stay within the predicted spread.  The common part
-of the innovations is that correction, the generalized least-squares estimate (`barshalom2001`),
+and the correction that an epoch needs has to stay within the predicted spread.  The common part of
+the innovations is that correction, the generalized least-squares estimate (`barshalom2001`),
 normalized,
 
 .. math:: n_k = M^{-1} A^T S_k^{-1} z_k \sim N(0, I), \qquad M M^T = A^T S_k^{-1} A

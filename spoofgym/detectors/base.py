@@ -105,7 +105,7 @@ class Detector(ABC):
     paper : str
         Key in references.bib.
     needs : frozenset of str
-        Optional fields of `Epoch` that it reads; those that nobody names are None.
+        Optional fields of `Epoch` that it reads; a field is None unless some `needs` names it.
     scope : {"channel", "receiver"}
         Whether it judges every channel, c = n (every coordinate of a position, c = m), or the
         receiver as a whole, c = 1.

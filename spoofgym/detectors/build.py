@@ -1,4 +1,4 @@
-"""Detectors from specs, files and objects; what a spec asks of the thresholds.
+"""Detectors from specs, files and objects; which thresholds a spec requests.
 
 Nominal thresholds, those of a calibration at a rate of false alarms, rescaled innovations, a factor
 of the user's own, or a file: `calibrated` has what they mean.
@@ -19,17 +19,17 @@ from .calibrated import STANDARD_RATE, Calibrated
 from .calibration_file import check_rate
 
 THRESHOLDS = ("nominal", "calibrated", "rescaled")
-"""Which thresholds a detector may be asked for with."""
+"""Valid values of a spec's `thresholds`."""
 ASKED = ("false_alarms_per_hour", "thresholds", "threshold_scale", "calibration")
 """Keys of a detector's spec that are not settings of its class."""
 
 
 NOMINAL: tuple[dict[str, Any], ...] = ({}, {"thresholds": "nominal"})
-"""What is asked where a detector keeps the thresholds of its class, or of its card."""
+"""Requests with which a detector keeps the thresholds of its class, or of its card."""
 
 
 def split_spec(spec: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A detector's spec without what it asks of the thresholds, and that."""
+    """A detector's spec without its request for thresholds, and that request."""
     plain = {key: value for key, value in spec.items() if key not in ASKED}
     asked = {key: spec[key] for key in ASKED if spec.get(key) is not None}
     if "thresholds" in asked:
@@ -50,7 +50,7 @@ def split_spec(spec: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]
 
 
 def with_thresholds(detector: Detector, asked: Mapping[str, Any]) -> Detector:
-    """A detector with the thresholds that are asked for; one that never alarms has but its own."""
+    """A detector with the requested thresholds; one that never alarms has only its own."""
     rate, scale = asked.get("false_alarms_per_hour"), asked.get("threshold_scale")
     if asked in NOMINAL:
         return detector
@@ -75,7 +75,7 @@ def make_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
     A name may be the path of an ``.onnx`` file with its card (`LearnedDetector`), whose nominal
     threshold is that of the card, or ``"threshold"`` in (0, 1].
 
-    Besides the settings of its class a detector can be asked for its thresholds:
+    Besides the settings of the detector's class a spec can request thresholds:
     ``"false_alarms_per_hour"`` is a rate by which a world looks up the factor on them
     (`Calibrated`), ``"thresholds"`` is ``"nominal"``, ``"calibrated"`` or ``"rescaled"``,
     ``"threshold_scale"`` a factor of one's own, and ``"calibration"`` a file.  A pool hands them on
@@ -158,14 +158,14 @@ def detector_in_world(spec: DetectorSpec, false_alarms_per_hour: float | None = 
 
 
 def bare_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
-    """As `make_detector`, but that a file needs no threshold: what is asked of it is ignored."""
+    """As `make_detector`, but a file needs no threshold: its request for one is ignored."""
     load = _loader(spec)
     return make_detector(spec) if load is None else load(_as_mapping(spec))
 
 
 def _build(spec: Any, default: float | None) -> Detector:
-    """Detector of a spec, at the `default` rate where it asks for nothing. An object plays as it
-    is; a pool hands on to its members what they do not ask for themselves."""
+    """Detector of a spec, at the `default` rate where it requests no thresholds. An object plays as
+    it is; a pool hands its request on to members without one."""
     spec = _as_mapping(spec)
     if not isinstance(spec, Mapping):
         return make("detector", DETECTORS, Detector, spec, shipped(DETECTOR))
@@ -241,7 +241,7 @@ def _members_asked(pool: Mapping[str, Any], asked: Mapping[str, Any]) -> Any:
 
 
 def asked_by_default() -> dict[str, Any]:
-    """What a spec without a word on its thresholds asks for in a world, by the keys of `ASKED`."""
+    """What a spec without thresholds requests in a world, by the keys of `ASKED`."""
     return {**dict.fromkeys(ASKED), "false_alarms_per_hour": calibrated.DEFAULT_RATE}
 
 
@@ -263,7 +263,7 @@ def spec_with_thresholds(detector: Detector, spec_of: Callable[[Any], Any]) -> d
 
 
 def spec_of_judge(detector: Detector) -> dict[str, Any]:
-    """Name and all settings of a detector, and what it asks of its thresholds."""
+    """Name and all settings of a detector, and its request for thresholds."""
     if detector.card is not None:  # as it is, not as its card has it
         return {**_spec_of_detector(detector), "threshold_scale": 1.0}
     return spec_with_thresholds(detector, _spec_of_detector)

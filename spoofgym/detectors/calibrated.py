@@ -43,7 +43,7 @@ from .calibration_file import (
 )
 
 STANDARD_RATE = 0.2
-"""False alarms an hour where calibrated thresholds are asked for without a rate."""
+"""False alarms an hour where calibrated thresholds are requested without a rate."""
 DEFAULT_RATE: float | None = STANDARD_RATE
 """False alarms an hour of a detector in a world whose spec has no thresholds; None for nominal."""
 NOISY_WARMUP = 0.2

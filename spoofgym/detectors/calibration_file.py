@@ -70,7 +70,7 @@ class OperatingPoint(NamedTuple):
     Attributes
     ----------
     false_alarms_per_hour : float
-        Rate that was asked for.
+        Requested rate.
     per_run : float
         Probability of an alarm in a clean run.
     scale : float
@@ -206,7 +206,7 @@ class Calibration:
         Factors on the innovations, of the variant `rescaled`: common mode and complement of the
         pseudoranges, then of the range rates.
     bisected : bool
-        Whether the alarm is a state, and `largest` has only the ranks that were asked for.
+        Whether the alarm is a state, and `largest` has only the requested ranks.
     seed_name : str
         Name of the world in the seeds.
     path : Path or None
@@ -354,7 +354,7 @@ def stored(
 def nearest(
     conditions: Conditions, detector: Mapping[str, Any], rescaled: bool
 ) -> tuple[Path, list[str]] | None:
-    """The stored calibration with the fewest differences, and these; None where there is none."""
+    """The stored calibration with the fewest differences, and these; None if none is stored."""
     paths = [p for each in folders() for p in sorted(each.glob(f"*/{_kind(detector)}-*.json"))]
     found = [
         (path, Calibration.load(path).differences(conditions.settings, detector))

@@ -5,7 +5,7 @@ measure the same position and clock leave only noise of a least-squares fit:
 
 .. math:: s^2 = y^T \left(I - G (G^T G)^{-1} G^T\right) y \sim \sigma^2 \chi^2(n - 4)
 
-A search asks this of many subsets, by the sums of `receiver.snapshot`.  The clock is one: with
+A search computes this for many subsets, by the sums of `receiver.snapshot`.  The clock is one: with
 several constellations, the offsets between their times are removed before.  Positions are
 linearized about a predicted one, which is good to 0.3 m where it is 4 km away.
 

@@ -72,7 +72,7 @@ def split_factors(count: int, onsets: int, baseline: int, ramp: bool, factors: F
 
 @inlined
 def latest(ring: FloatArray, last: int, count: int) -> FloatArray:
-    """View of values ``last - count + 1`` to `last`, of a ring that is kept twice, one after it."""
+    """View of values ``last - count + 1`` to `last`, of a ring that is stored twice, end to end."""
     length = ring.shape[0] // 2
     end = length + last % length + 1
     return ring[end - count : end]
@@ -124,8 +124,8 @@ def largest_evidence(
 
     .. math:: \sum y = P_k - P_{k-n}, \qquad \sum_i i \, y_i = n P_k - (A_k - A_{k-n})
 
-    `sums` (2 L,) P, L = W + baseline + 1, value k at ``k % L`` and once more L later, 0 where there
-    is none yet; `areas` (2 W + 2,) A likewise, for a ramp; `factors` (3, W) of `split_factors`;
+    `sums` (2 L,) P, L = W + baseline + 1, value k at ``k % L`` and once more L later, 0 before it
+    is stored; `areas` (2 W + 2,) A likewise, for a ramp; `factors` (3, W) of `split_factors`;
     `scratch` (2, W), overwritten.
     """
     first, second, inverse = factors[0], factors[1], factors[2]

@@ -53,7 +53,7 @@ def check_delay(decision_delay: int) -> None:
 
 @dataclass
 class DetectorAgent(Detector):
-    """Observes every epoch; its decisions are actions; by itself it is quiet, with weights 1.
+    """Observes every epoch; its decisions are actions; without them: no alarm, weights 1.
 
     - `statistic`: one statistic, or one for every slot;
     - `weighs`: whether the agent weighs satellites;
@@ -306,7 +306,7 @@ class LearnedDetector(Detector):
 
 
 def load_detector(spec: Mapping[str, Any]) -> LearnedDetector:
-    """Detector of an ONNX file, without what is asked of its thresholds."""
+    """Detector of an ONNX file; a request for thresholds is ignored."""
     settings = dict(spec)
     name = settings.pop("name")
     valid = ("threshold", *FILE_SETTINGS, *ASKED)

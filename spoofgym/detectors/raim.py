@@ -407,9 +407,9 @@ def leave_out(
     chosen: IntArray,
 ) -> tuple[bool, int, int]:
     """Leave out all subsets of one size, in lexicographic order. `kept`, `left` (size + 1,
-    PRODUCTS) scratch, a stack: in row d, sums of what is kept before the last of the first d that
-    are left out, and of these d; `after` (n + 1, PRODUCTS) sums of the rows from i on, 0 in the
-    last one; `chosen` (size,) scratch, rows that are left out."""
+    PRODUCTS) scratch, a stack: in row d, sums of what stays before the last of the first d that are
+    left out, and of these d; `after` (n + 1, PRODUCTS) sums of the rows from i on, 0 in the last
+    one; `chosen` (size,) scratch, rows that are left out."""
     tests = 2 if size >= MIN_SATELLITES else 1
     last_first = 0 if 2 * size == n else n - size
     fits, d = 0, 0

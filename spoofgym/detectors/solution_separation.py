@@ -172,7 +172,7 @@ class SolutionSeparation(Detector):
         -------
         ndarray
             (B,) :math:`\sqrt{T \lambda_{\max}(V_h)}` of the solutions that are at least as old as
-            the attack, the smallest [m]; infinite where there is none.  With a factor on the
+            the attack, the smallest [m]; infinite without one.  With a factor on the
             threshold (`Calibrated`) it is its root times as much.
         """
         epochs, bank = self.memory["epochs"], self.memory["largest_sd"].shape[1]

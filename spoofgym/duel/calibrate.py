@@ -35,7 +35,7 @@ def calibrate(
     """Threshold of a frozen detector policy for a run-level false-alarm rate.
 
     Clean episodes are played to their end without a threshold, and the largest statistic of each is
-    kept; see `quantile_of`.  The weights of the policy are in the loop meanwhile.
+    stored; see `quantile_of`.  The weights of the policy are in the loop meanwhile.
 
     Parameters
     ----------
@@ -55,8 +55,8 @@ def calibrate(
     decision_delay : {0, 1}
         Of the game that the threshold is for.
     store : path-like, optional
-        Folder in which calibrations are kept, by a digest of policy, game and request: what is
-        there is not computed again.
+        Folder in which calibrations are stored, by a digest of policy, game and request; a stored
+        one is not computed again.
     **settings
         ``scenario``, ``receiver``, ``attack``, ``timeline``, ``statistic``, ``weighs``,
         ``exclusion_s``, as in `spoofgym.duel_v0.env`.
@@ -69,7 +69,7 @@ def calibrate(
     Raises
     ------
     ValueError
-        When the runs are too few, or a store is asked for a policy without a digest.
+        When the runs are too few, or `store` is given for a policy without a digest.
     """
     _check(false_alarm, runs, confidence, receivers)
     frozen = as_policy(policy)

@@ -29,7 +29,7 @@ from .calibration import Calibration
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
 
 GAME = "T3"
-"""Task in whose world a duel is played by default: the best detector that is known there still
+"""Task that gives a duel its world by default: the best detector that is known there still
 concedes part of the alert limit (docs/game.md)."""
 OPPONENT, ELSEWHERE = "solution-separation", "ewma"
 """Detector that a spoofer meets by default there, the best of `GAME`, and in any other scenario."""
@@ -134,7 +134,7 @@ class Duel:
 
     @property
     def deciding(self) -> NDArray[np.bool_]:
-        """(B,) bool, whose spoofer decides before the coming epoch."""
+        """(B,) bool, whether the spoofer decides before the coming epoch."""
         return np.asarray(self._decisions.due(self.score.step_count))
 
     def reset(
@@ -143,7 +143,7 @@ class Duel:
         rows: NDArray[np.intp] | None = None,
         given: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin new episodes, and run their warm-up, in which the detector agent is not asked.
+        """Begin new episodes, and run their warm-up, in which the detector agent is not called.
         `rngs`: one per row; one that a receiver has not had before restarts a running threshold."""
         where = self._everyone if rows is None else rows
         self.core.reset(rngs, rows, given)

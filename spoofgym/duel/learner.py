@@ -22,11 +22,11 @@ from .views import DetectorCore, SpooferSide, SpooferView, check_settings
 
 SPOOFER, DETECTOR = "spoofer", "detector"
 VIEWS, RAMP = ("SpooferView", "DetectorView"), "ramp"
-"""Views of one side of the duel, and whom the detector's meets by default."""
+"""Views of one side of the duel, and the default opponent of the detector's view."""
 SPOOFERS_OWN = frozenset(CORE).difference(SETTINGS)
-"""Settings of an id by which a spoofer is rewarded and looks on, which a duel does not have."""
+"""Settings of an id for a spoofer's reward and view, which a duel does not have."""
 SCENARIO = inspect.signature(TightlyCoupledSetup).parameters["scenario"].default
-"""Of an environment that is named and has none of its own, with a pool, too."""
+"""Scenario of an environment that is named and sets none, with a pool, too."""
 
 
 class LearnersSide(NamedTuple):
@@ -67,8 +67,8 @@ class LearnersSide(NamedTuple):
         _check_opponents(name, side, setup, pool, weights, settings.get("detector"))
         if pool is None:
             return cls(name, side, setup, pool, weights, {**merged, **settings})
-        merged.pop("detector", None)  # of the id, in whose place the pool or the learner is
-        if side == DETECTOR:  # whose payoff is that of the duel
+        merged.pop("detector", None)  # of the id; the pool or the learner replaces it
+        if side == DETECTOR:  # its payoff is that of the duel
             merged = {name: x for name, x in merged.items() if name not in SPOOFERS_OWN}
         if env_id is not None and view not in VIEWS:
             merged.setdefault("scenario", SCENARIO)

@@ -43,9 +43,9 @@ def label_of(spec: Any) -> str:
 
 
 def make_opponent(spec: DetectorSpec, quiet_epochs: int = 0) -> Detector:
-    """Detector of a pool, at the default rate of false alarms where it asks for nothing.
-    `quiet_epochs`: of the monitored warm-up, in which a policy is not asked that does not say when
-    it is to be."""
+    """Detector of a pool, at the default rate of false alarms where it requests no thresholds.
+    `quiet_epochs`: of the monitored warm-up, in which a policy without a number of its own is not
+    called."""
     made = detector_in_world(spec)
     inner: Any = made.detector if isinstance(made, Calibrated) else made
     policy = getattr(inner, "judge_by", inner)

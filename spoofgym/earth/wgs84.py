@@ -56,7 +56,7 @@ def geocentric_surface_radius(x: Any, y: Any, z: Any) -> Any:
     """
     p = sqrt(x * x + y * y)
     polar_radius = EQUATORIAL_RADIUS * POLAR_RATIO
-    # tan of the parametric latitude, kept as a sine-cosine pair so that poles are no exception
+    # tan of the parametric latitude, stored as a sine-cosine pair so that poles are no exception
     a = z * EQUATORIAL_RADIUS
     b = p * polar_radius
     h = sqrt(a * a + b * b)
@@ -157,7 +157,7 @@ def dcm_e_from_n(latitude: ArrayLike, longitude: ArrayLike) -> NDArray[np.float6
 
 
 def turning_of_local_axes(position_e: ArrayLike, velocity_e: ArrayLike) -> NDArray[np.float64]:
-    r"""Rate of change of the local axes of somebody who moves, `C_en` by time.
+    r"""Rate of change of the local axes of a moving point, `C_en` by time.
 
     .. math:: \dot C_{en} = C_{en} [\omega_{en}^n \times], \qquad \omega_{en}^n =
         \left(\tfrac{v_E}{R_E + h}, -\tfrac{v_N}{R_N + h},

@@ -130,15 +130,15 @@ RULES = 12
 
 @njit
 def last_counted(first_alarm, hold, steps):
-    """Last of so many epochs whose displacement counts, by that of the first alarm, 0 for none."""
+    """Last of `steps` epochs whose displacement counts; `first_alarm`: epoch, 0 without one."""
     return min(max(first_alarm - hold - 1, 0), steps) if first_alarm > 0 else steps
 
 
 @njit
 def undetected_displacement(largest, first_alarm, hold):
     """Undetected displacement: (R,) [m]. `largest` (K + 1, R) displacement so far, from the onset
-    on, which may be NaN after an alarm [m]; `first_alarm` (R,) epoch of it, from 1 on, 0 where
-    there is none up to epoch K + `hold`."""
+    on, which may be NaN after an alarm [m]; `first_alarm` (R,) its epoch, from 1 on, 0 without
+    one up to epoch K + `hold`."""
     out = np.empty(len(first_alarm))
     for r in range(len(out)):
         out[r] = largest[last_counted(first_alarm[r], hold, len(largest) - 1), r]
@@ -154,10 +154,11 @@ def score(
     With M_j the largest displacement in steps 0 to j, the undetected displacement is M_N without an
     alarm, and M_(a-h-1) with the first alarm at epoch a, h being the epochs of the time to alert.
     After the last command nothing more is gained; where the `WINDOW` of an episode ends there,
-    those that have not alarmed run the time to alert at once.
+    receivers without an alarm run the time to alert at once.
 
-    `alarms` (B, c) of the verdict; `early` (B,) whose last command this was; the others as in
-    `DisplacementScore` and `StepResult`, of which displacement and truncation are read.
+    `alarms` (B, c) of the verdict; `early` (B,) whether this was the last command before the end
+    of the window; the others as in `DisplacementScore` and `StepResult`, of which displacement and
+    truncation are read.
     """
     steps, hold, window = int(rules[STEPS]), int(rules[HOLD]), int(rules[WINDOW])
     held = False
@@ -208,7 +209,7 @@ def settle(
 ):
     """Write what is reported of a step whose score is settled, and its reward; lo to hi. `rules`
     end with (r, 4) shares of every term of the reward in gain, retraction, cost and alarm, and (K,)
-    times of the epochs [s]; `ended` (B,) gets those whose episode is over now."""
+    times of the epochs [s]; `ended` (B,) is set where the episode is over now."""
     terms = int(rules[SHARES])
     shares = rules[RULES : RULES + 4 * terms].reshape((terms, 4))
     time = rules[RULES + 4 * terms :]

@@ -243,7 +243,7 @@ class SpoofCore:
         )
 
     def altered(self, setup: Setup | None = None, **changes: Any) -> SpoofCore:
-        """A new core, not begun yet, with another setup or other arguments, without listeners."""
+        """A new core, not started yet, with another setup or other arguments, without listeners."""
         chosen = self.setup if setup is None else setup
         return SpoofCore(self.receivers, chosen, **{**self.settings, **changes})
 
@@ -306,7 +306,7 @@ class SpoofCore:
         if self._needs_arrays or self.listeners:
             result, observation = self.step(action)
             return observation[0], *result.single()
-        # nobody keeps its arrays: their values are handed out as numbers
+        # its arrays are not stored: their values are returned as numbers
         return self._epoch(action, self._scratch)[0], *self._scratch.single()
 
     def _epoch(
@@ -381,7 +381,7 @@ class SpoofCore:
         values[REWARD] = reward_of(self._reward_parts, outcome, result.extra)
 
     def _judge_ends(self, result: StepResult, verdict: Verdict) -> Mask:
-        """(B,) who has given the last command before the end of the window; calls the listeners."""
+        """(B,) whether the last command came before the end of the window; calls the listeners."""
         snapshot = self.snapshot()._replace(step=self.score.step_count + 1)
         state = EpochState(snapshot, result.values[DISPLACEMENT])
         for listener in self.listeners:
@@ -403,8 +403,8 @@ class SpoofCore:
 
 
 class _DoneRows:
-    """Receivers whose episodes end within a decision, kept as they were then. The engine runs all
-    of its receivers in step; these are put back when the others have come to the next decision."""
+    """Receivers whose episodes end within a decision, stored as they are then. The engine runs all
+    of its receivers in step; these are put back when the others reach the next decision."""
 
     def __init__(self, engine: Engine) -> None:
         whole = [engine.simulator] if engine.twin is None else [engine.simulator, engine.twin]

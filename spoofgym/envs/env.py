@@ -73,7 +73,7 @@ class HasSpec:
 
 
 class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
-    """Environment of one receiver, from a core of one, not begun yet."""
+    """Environment of one receiver, from a core of one, not started yet."""
 
     core: C
     metadata: dict[str, Any] = {  # noqa: RUF012  (Gymnasium's)
@@ -87,7 +87,7 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
         self.adopt(core)
 
     def adopt(self, core: C) -> None:
-        """Take a core that has not begun, instead of the present one."""
+        """Take a core that has not started, instead of the present one."""
         if self._screen is not None:
             self._screen.close()
         self.core = core
@@ -174,7 +174,7 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
 
 class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
     """Environment of B receivers; receiver i is the single one seeded with ``seed + i``. `core` is
-    of B receivers, not begun yet; the others are as in `SpoofVectorEnv`."""
+    of B receivers, not started yet; the others are as in `SpoofVectorEnv`."""
 
     core: C
     metadata: dict[str, Any] = {  # noqa: RUF012  (declared so by Gymnasium)

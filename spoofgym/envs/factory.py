@@ -109,7 +109,7 @@ def _detector_of_id(inner: Any) -> Any:
 
 
 def composable(env: Any, *, unset: bool = True) -> Any:
-    """Environment of the spoofer's side inside all wrappers; a TypeError where there is none.
+    """Environment of the spoofer's side inside all wrappers; a TypeError without one.
     `unset`: only one whose detector can be set: not a view of the duel, which has a pool of
     them."""
     inner = getattr(env, "unwrapped", env)

@@ -60,7 +60,7 @@ class PlainResult(NamedTuple):
 class StepResult:
     """Rewards, ends and information of a step, in arrays that are new for every step.
 
-    The kernels write the rows, and nothing is taken out of them before it is asked for: with a
+    The kernels write the rows, and nothing is read out of them before it is requested: with a
     batch of one, making the arrays would cost more than the kernels do.
 
     - `numbers` ((k + 3) B,) `values` in one row;
@@ -173,7 +173,7 @@ class DisplacementScore:
     - `undetected` (B,) undetected displacement so far [m];
     - `largest` (steps + 1, B) largest displacement so far after each epoch [m];
     - `detected` (B,) bool, whether the attack has raised an alarm;
-    - `ended` (B,) bool, whose episode is over, so that nothing more counts;
+    - `ended` (B,) bool, whether the episode is over, so that nothing more counts;
     - `nobody` (B,) bool, False;
     - `twin_alarmed` (B,) bool, whether the clean twin has alarmed since the onset; False without.
     """
@@ -281,9 +281,9 @@ class FusedStep:
         hold: Hold,
     ) -> None:
         """Score an epoch whose displacement is in `result`, and write all that is reported of it.
-        `alarm` (B, c) of the verdict; `early` (B,) bool, for whom this was the last command before
+        `alarm` (B, c) of the verdict; `early` (B,) bool, whether this was the last command before
         the end of the window; `seen` (B o,) is observed, unless it has no element; `hold` runs the
-        time to alert of those that have given the last command without an alarm."""
+        time to alert of receivers that have had the last command without an alarm."""
         given = (
             *self._fixed,
             np.ascontiguousarray(alarm),

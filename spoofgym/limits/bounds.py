@@ -205,7 +205,7 @@ class Case(NamedTuple):
 class ZeroAlarm(NamedTuple):
     """Bounds of one detector.
 
-    - `free_m`, `restricted_m`: means over the worlds [m]; infinite where there is none; None where
+    - `free_m`, `restricted_m`: means over the worlds [m]; infinite without a bound; None where
       nothing is known;
     - `kind`: of the restricted one, or of the free one where there is no other: ``"exact"``,
       ``"upper"`` or ``"unbounded"``;
@@ -264,7 +264,7 @@ def zero_alarm_bounds(
     cases: Sequence[Case],
     tick: Tick | None = None,
 ) -> ZeroAlarm:
-    """Bounds of a detector whose factors are known; why there are none is in the result."""
+    """Bounds of a detector whose factors are known; if absent, the result states why."""
     advance = tick or (lambda part: None)
     inner = detector.detector if isinstance(detector, Calibrated) else detector
     if isinstance(inner, SolutionSeparation):

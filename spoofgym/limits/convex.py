@@ -33,7 +33,7 @@ class Rows(NamedTuple):
 
 
 class Optimum(NamedTuple):
-    """Largest value, infinite where there is none, and where it is attained. With a note it is an
+    """Largest value, infinite without one, and where it is attained. With a note it is an
     upper bound, which is attained nowhere, and the note says why."""
 
     value: float
@@ -103,9 +103,9 @@ class Program:
         self._second_order.append(_rows(columns[:, None], values[:, None], rhs))
 
     def lazily(self, cuts: Cuts, ids: IntArray, far: float) -> None:
-        """Hold rows that are so many that they are added where they are violated. Some variables
-        are held below a size that is far away, so that there is an optimum while rows are missing;
-        where one gets there in the end, there is none."""
+        """Hold many rows, which are added when they are violated. Some variables are held below
+        a large size, so that there is an optimum while rows are missing; if one of them reaches
+        that size in the end, there is no optimum."""
         self._cuts.append(cuts)
         self._far.append((ids[ids >= 0], far))
         for sign in (1.0, -1.0):

@@ -103,7 +103,7 @@ class Replay:
     Parameters
     ----------
     setup : TightlyCoupledSetup
-        World, attack, timeline and target direction; its detector is not asked.
+        World, attack, timeline and target direction; its detector is not used.
     detectors : sequence of Detector
         Passive ones, in one list so that they share the runs; copied.
     seeds : sequence of SeedSequence
@@ -240,7 +240,7 @@ class Replay:
         in_bank = isinstance(_inner(self.detectors[number]), SolutionSeparation)
         one = self._play_bank if in_bank else self._play
         if in_bank:
-            self._bank(number)  # once, before threads ask for it
+            self._bank(number)  # once, before threads use it
         parts = np.array_split(rates, min(self.threads, len(rates)))
         if len(parts) == 1:
             return one(number, rates, rows)

@@ -45,7 +45,7 @@ class Bound:
     Attributes
     ----------
     value_m : float
-        The bound [m]; infinite where there is none.
+        The bound [m]; infinite without one.
     kind : {"exact", "upper", "unbounded"}
         Whether an attack attains it, none exceeds it, or there is no finite one.
     epoch : int

@@ -19,8 +19,8 @@ Q returns; and where :math:`\mathrm{tr}\,C_\gamma < \mathrm{tr}\,R_k`, which cor
 about some dozen times in 30 s, the root is not real.
 
 A fix that a detector rejects goes into the window like any other: the noise then grows until
-fixes are believed again.  A filter that did not adapt meanwhile would be kept from adapting for
-ever by one false alarm.
+fixes are believed again.  In a filter that did not adapt meanwhile, one false alarm would stop
+the adaptation for ever.
 
 Source: `shadmehri2025`, eqs. 8 to 13; the covariance matching is from `ding2007`.
 """

@@ -76,7 +76,7 @@ def predict_positions(
     rules: Rules, increment: FloatArray, fix: FloatArray, state: CredibleState, seen: Innovations
 ) -> None:
     """First half of an epoch: dead reckoning, interruption check, innovation. `increment`, `fix`
-    (B, 2) u and g [m]; a fix that is not finite is none; `state`, `seen` are overwritten."""
+    (B, 2) u and g [m]; a fix that is not finite is missing; `state`, `seen` are overwritten."""
     interval, noise, drift_rate, noise_variance = rules
     position, covariance, odometry, outage, interrupted = state
     innovation, innovation_cov, design, gnss_position = seen

@@ -16,7 +16,7 @@ from .states import INDEX, PACKED, STATES
 
 
 def receiver_shapes(channels: int) -> dict[str, tuple[int, ...]]:
-    """What is kept of every receiver from epoch to epoch, in the order of the lane array.
+    """What is stored of every receiver from epoch to epoch, in the order of the lane array.
 
     - `C_eb` (3, 3) estimated attitude, to ECEF from body axes;
     - `velocity_e`, `position_e` (3,) estimated, ECEF [m/s], [m];
@@ -84,8 +84,8 @@ class ReceiverBuffers:
     - `time`, `interval` (B,) time of the epoch and time since the last one [s];
     - `position_e`, `velocity_e` (B, 3) estimated, ECEF [m], [m/s], as the last kernel left them;
     - `visible` (B, n) bool; `coasting` (B,) bool, whether the last epoch had no update;
-    - `seen`: fields of `SEEN` that somebody looks at, (B, ...) each; `places` (11,) where in
-      `seen_floats` each lies, -1 where nobody does.
+    - `seen`: fields of `SEEN` that are in use, (B, ...) each; `places` (11,) where in
+      `seen_floats` each lies, -1 if unused.
     """
 
     def __init__(
@@ -251,7 +251,7 @@ class Epoch(NamedTuple):
     cn0_dbhz: FloatArray | None = None
 
 
-OPTIONAL = tuple(Epoch._field_defaults)  # None unless somebody's `needs` names them
+OPTIONAL = tuple(Epoch._field_defaults)  # None unless some `needs` names them
 ALWAYS = frozenset(Epoch._fields).difference(OPTIONAL)  # the others
 
 

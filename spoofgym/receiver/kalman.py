@@ -247,7 +247,7 @@ def _subtract_square(P, first, work):
 
 @inlined
 def _lower(work, first, i, j):
-    """Element of a symmetric block-diagonal matrix that is kept as two lower triangles."""
+    """Element of a symmetric block-diagonal matrix that is stored as two lower triangles."""
     high, low = max(i, j) % 4, min(i, j) % 4
     return load(work, first + 10 * (i // 4) + 4 * low - low * (low - 1) // 2 + high - low)
 

@@ -182,7 +182,7 @@ def iterate(
     distances: FloatArray,
     sums: FloatArray,
 ) -> int:
-    """Fix of one receiver; it keeps position and clock where there is none. `pseudorange`,
+    """Fix of one receiver; without a fix it keeps position and clock. `pseudorange`,
     `satellites`, `weights` (n,), (n, 3), (n,); what isn't finite has no weight; `position`, `clock`
     (3,) ECEF and (1,) [m], guess, overwritten by the fix; `lines`, `distances` (n, 3), (n,)
     scratch; `sums` (2, PRODUCTS) scratch."""

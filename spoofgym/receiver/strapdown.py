@@ -31,8 +31,8 @@ def rotation_coefficients(squared_angle: float) -> tuple[float, float, float]:
     Notes
     -----
     Up to 1 rad the Taylor series are exact to rounding, do not cancel as the closed forms do, and
-    vectorize.  Below 1e-4 rad two conventions of the reference software are kept, since a
-    quantized gyro is there for most samples: up to 1e-8 rad a sample does not turn, and
+    vectorize.  Below 1e-4 rad two conventions of the reference software apply, since
+    most samples of a quantized gyro lie there: up to 1e-8 rad a sample does not turn, and
     ``1 - cos a`` is rounded as double precision rounds it.  Either moves the specific force by at
     most 5e-9 of itself, which shows at 1e-8 m/s in a tactical golden run.
     """

@@ -129,14 +129,14 @@ class ScoreCallback(BaseCallback):
     ``spoofer/amplitude``, ``spoofer/alarm_rate`` and ``spoofer/best_m``.  A figure to report is
     that of `spoofgym.evaluate` afterwards, on runs that decided nothing.
 
-    With ``average``, what is scored and kept is an exponential average of the policy's weights over
-    its updates, which jitters less than the policy that learns.  The policy itself goes on with its
-    own weights; `averaged` lends it the average, such as for a last score.
+    With ``average``, what is scored and stored is an exponential average of the policy's weights
+    over its updates, which jitters less than the policy that learns.  The policy itself goes on
+    with its own weights; `averaged` lends it the average, such as for a last score.
 
-    A policy whose weights or actions are NaN or infinite ends the training; the best one is kept,
+    A policy whose weights or actions are NaN or infinite ends the training; the best one stays,
     and the model has the weights of the last rollout before.  Where they become so within an
     update, before its last minibatch, torch raises a ValueError out of ``learn``: no callback is
-    asked there.  The file of the best policy is whole then, too.
+    called there.  The file of the best policy is whole then, too.
 
     Parameters
     ----------
@@ -256,14 +256,14 @@ class ScoreCallback(BaseCallback):
         return {**own, "history": history, "average": self._average.state()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state`; the file of the best policy is kept by whoever wrote it."""
+        """Go on from a `state`; the file of the best policy is left to its writer."""
         for name in STATE:
             setattr(self, name, state[name])
         self._average.restore(state["average"])
         self.history = [(step, TuningResult.from_dict(found)) for step, found in state["history"]]
 
     def give_up(self, why: str) -> None:
-        """End the training as diverged, with a warning that says why; the best policy is kept."""
+        """End the training as diverged, with a warning that says why; the best policy stays."""
         kept = "none before it was within the budget"
         if self.best_step >= 0:
             best = f"the best one was that of step {self.best_step:,} with {self.best_m:.2f} m"
@@ -309,7 +309,7 @@ class ScoreCallback(BaseCallback):
     def _keep(self, found: TuningResult) -> None:
         from ..export import onnx  # torch, which the engine does not need
 
-        assert self.path is not None  # else nothing is kept
+        assert self.path is not None  # else nothing is stored
         with self.averaged():
             seeds = {DECIDED_ON: [[self.judge.entropy, "training"]]}
             onnx(self.model, path=self.path, amplitude=found.value, training=seeds)

@@ -50,7 +50,7 @@ class SpoofVecEnv(VecEnv):
 
     A finished receiver starts its next episode within the same step: what `step` returns is the
     first observation of that episode, and ``infos[i]["terminal_observation"]`` the last one of the
-    old.  ``infos[i]`` holds what `infos` asks for, and in the step that ends an episode also
+    old.  ``infos[i]`` holds what `infos` requests, and in the step that ends an episode also
 
     - ``terminal_observation``, and ``TimeLimit.truncated``, which is False unless an end term
       truncates, since the time left is observed and an alarm is an end;
@@ -146,7 +146,7 @@ class SpoofVecEnv(VecEnv):
             self.seed(seed)
 
     def adopt(self, core: Any) -> None:
-        """Take a core that has not begun, instead of the present one."""
+        """Take a core that has not started, instead of the present one."""
         self.core = core
         self.observation_names, self.action_names = core.observation_names, core.action_names
         self.observation_space, self.action_space = observation_space(core), action_space(core)

@@ -41,8 +41,8 @@ NOTHING_REMEMBERED = (
     *(ONE, ONE, np.zeros(0), np.zeros(6), np.zeros(4), ONE, ONE),
     *(ONE, ONE, NO_ALARM, NO_ALARM),
 )  # arrays of that table for a kernel without an attack and a detector of its own
-# What a kernel finds in a slice: a verdict that is none; receivers that have to run the time to
-# alert, if it scores them.
+# What a kernel finds in a slice: an invalid verdict; receivers that have to run the time to alert,
+# if it scores them.
 UNSOUND, HOLDS = 1, 2
 
 

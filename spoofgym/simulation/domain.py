@@ -61,7 +61,7 @@ class Domain:
     turn_on : {"specimen", "drawn"}, optional
         Constants of the inertial sensors; as in the scenario by default.
     events : mapping or BenignEvents, optional
-        What looks like spoofing and is none; as in the scenario by default.
+        Events that look like spoofing but are not; as in the scenario by default.
     """
 
     described_as = "Domain"

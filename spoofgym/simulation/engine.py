@@ -24,7 +24,7 @@ T = TypeVar("T")
 RECEIVERS_PER_THREAD = 16
 SLICES_PER_THREAD, LEAST_SLICE = 4, 32  # of a step, so that none waits long; least receivers of one
 POOL_SEED = 0x9A57  # receiver k of every pool is seeded ``SeedSequence(POOL_SEED, spawn_key=(k,))``
-KEPT = 8  # largest size of the simulators that are kept for the time to alert of a few receivers
+KEPT = 8  # largest size of the simulators stored for the time to alert of a few receivers
 
 
 def _warming(setup: Setup, rngs: Rngs) -> Iterator[Simulator]:
@@ -51,7 +51,7 @@ class Engine:
         time of the same threads; with ``threads=1`` by one more, which does nothing else.  They
         have the same bits, but for a detector whose bits depend on the size of the batch: which
         receivers are warmed up together depends on timing, so its runs cannot be reproduced
-        (`check_detector` checks that it is none).
+        (`check_detector` rejects such a detector).
     twin : bool
         Whether a clean twin of every receiver runs, too: the same flight, noise and detector, but
         no attack.  It shares the warm-up.

@@ -114,7 +114,7 @@ def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:
     return tuple(f"{word}_{count + 1}" if count else word for word, count in before)
 
 
-KEPT = 64  # epochs of which positions are kept
+KEPT = 64  # epochs whose positions are stored
 
 
 class PastPositions(Monitor):

@@ -68,7 +68,7 @@ class Group:
             self.batch = next(self._pieces)
         except StopIteration:
             self.over = True
-        except BaseException as error:  # raised to who needs it
+        except BaseException as error:  # raised where the batch is needed
             self.failure, self.over = error, True
 
 
@@ -101,7 +101,7 @@ class NextEpisodes:
         self._workers.pieces[:] = self._groups
 
     def _open(self, groups: Iterable[Group]) -> dict[int, None]:
-        """Slots of groups for which nothing else has been asked meanwhile."""
+        """Slots of groups for which nothing else has been requested meanwhile."""
         pairs = ((group.slots[i], i, group) for group in groups for i in range(len(group.slots)))
         return {
             slot: None for slot, i, group in pairs if self._episodes.get(slot) is group.episodes[i]

@@ -30,7 +30,7 @@ def record_run(
     Parameters
     ----------
     setup : TightlyCoupledSetup
-        World, victim, attack and timeline.  Its detector is not asked, since a recording has no
+        World, victim, attack and timeline.  Its detector is not called, since a recording has no
         place for weights.
     rng : Generator
         Of the receiver, as `Engine.reset` takes it.

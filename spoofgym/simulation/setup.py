@@ -338,7 +338,7 @@ class Setup(ABC):
 
     @abstractmethod
     def simulator(self, receivers: int, run: Run) -> Any:
-        """`Simulator` of B receivers of this victim, not begun yet."""
+        """`Simulator` of B receivers of this victim, not started yet."""
 
     def check_fit(self, detector: Detector) -> None:
         fitted = self.altered(detector=detector, monitors=())

@@ -87,7 +87,7 @@ class Sequel(Protocol):
         """First arguments of `Setup.kernel`."""
 
     def hold(self, simulator: Any, verdict: Verdict) -> None:
-        """Run the time to alert of those who have to, and do what is left."""
+        """Run the time to alert of the receivers that need it, and do what is left."""
 
     def __call__(self, simulator: Any, verdict: Verdict) -> None:
         """Do all of it."""
@@ -469,7 +469,7 @@ class Simulator(ABC):
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
         self.memory.copy_rows(to, other.memory, rows)
         self.detector.memory.copy_rows(to, other.detector.memory, rows)
-        if self.monitors:  # nobody monitors a clean twin
+        if self.monitors:  # a clean twin has no monitors
             for mine, theirs in zip(self.monitors, other.monitors, strict=True):
                 mine.copy_rows(to, theirs, rows)
         weights = self.weights.copy()

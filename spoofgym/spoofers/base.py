@@ -54,7 +54,7 @@ class SpooferContext(NamedTuple):
     observation_low, observation_high : tuple of float
         (o,) bounds of every element; empty where they are not known.
     setpoint_mps : float or None
-        Rate that an action of 1 asks for, with control by set-point.
+        Rate that an action of 1 requests, with control by set-point.
     """
 
     receivers: int
@@ -71,14 +71,14 @@ class SpooferContext(NamedTuple):
 
     @property
     def largest_rate(self) -> tuple[str, float]:
-        """Largest rate that actions can ask for [m/s], after the name of what limits it."""
+        """Largest rate that actions can request [m/s], after the name of what limits it."""
         if self.setpoint_mps is not None and self.setpoint_mps < self.rate_limit_mps:
             return "full_scale_mps` of the action `rate-setpoint", self.setpoint_mps
         return "rate_limit_mps", self.rate_limit_mps
 
 
 def sees_statistics(knowledge: str) -> bool:
-    """Whether who observes this is an oracle: it has the victim's statistics, as nobody can."""
+    """Whether this knowledge is an oracle's: the victim's statistics, which no spoofer can have."""
     return knowledge.startswith("oracle")
 
 
@@ -237,7 +237,7 @@ class ScriptedSpoofer(Spoofer):
     .. math:: D^+ = D + \tfrac12 (v + v^+) \tau \quad\text{by acceleration}, \qquad
         D^+ = D + v^+ \tau \quad\text{by rate}
 
-    and a subclass chooses the rate it wants next; limits are kept here.
+    and a subclass chooses the rate it wants next; limits are enforced here.
 
     Parameters
     ----------

@@ -204,7 +204,7 @@ class ThresholdRider(AlongCurve):
     margin : float
         m, ratio of the statistic to its threshold below which the prediction stays.
     deviations : float
-        :math:`\kappa`, standard deviations of the prediction that are kept in reserve.
+        :math:`\kappa`, standard deviations of the prediction held in reserve.
     horizon_s : float
         How far it looks ahead, rounded to whole commands, at least one.
     band : float

@@ -183,7 +183,7 @@ def normalization_of(model: Any) -> Normalization | None:
 
 
 def _of_stable_baselines(model: Any, policy: Any) -> Function:
-    """Deterministic action of a policy, without what `predict` does anew at every call."""
+    """Deterministic action of a policy, without what `predict` repeats at every call."""
     refuse_state(policy)
     torch: Any = sys.modules["torch"]
     if not hasattr(policy.action_space, "low"):
@@ -249,7 +249,7 @@ def _of_module(torch: Any, module: Any) -> Function:
 
 
 def inner_env(env: Any) -> Any:
-    """Environment with a core inside all wrappers; None where there is none. Of several that run in
+    """Environment with a core inside all wrappers; None without one. Of several that run in
     this process side by side it is the first one."""
     while env is not None and getattr(env, "core", None) is None:
         several = getattr(env, "envs", None) or [None]

@@ -88,7 +88,7 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
 
 
 def _begin(bound: Attack, whose: NDArray[np.intp], rows: NDArray[np.intp] | None = None) -> None:
-    """Start an episode in all rows, or in some; their keys follow from whose episodes they are."""
+    """Start an episode in all rows, or in some; their keys follow from `whose`."""
     where = np.arange(len(whose)) if rows is None else rows
     keys = np.stack([whose, whose + 1], axis=1).astype(np.uint64)[where]
     bound.begin(where, keys, np.full(len(where), ONSET))

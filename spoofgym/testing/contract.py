@@ -126,7 +126,7 @@ class Trial(ABC, Generic[T]):
 
 
 def run_trial(trial: Trial[T]) -> list[Record]:
-    """Check what has nothing to do with what the subject is for."""
+    """Check what does not depend on the purpose of the subject."""
     everyone, turns = np.arange(trial.receivers), range(trial.turns)
     bound = trial.bind(everyone)
     check_memory(bound, trial.receivers, trial.word)

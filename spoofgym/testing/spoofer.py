@@ -50,7 +50,7 @@ def check_spoofer(
 
     - it states its knowledge, and its tunable setting, if any, has a range;
     - actions have the right shape and type, are finite, and lie within -1 and 1;
-    - observations are neither written to nor kept, and what it hands out is not used again;
+    - observations are neither written to nor stored, and what it returns is not used again;
     - it keeps receivers apart, has no chance, and remembers in its `memory` alone, as in
       `check_detector`.
 
@@ -109,7 +109,7 @@ def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) ->
 def _window_s(spoofer: Spoofer) -> float:
     every = spoofer.decision_interval_s
     if every is None or not (is_number(every) and 0.0 < every < LONGEST_S):
-        return TIMELINE.attack_s  # or a message by whoever takes it
+        return TIMELINE.attack_s  # or an error where it is used
     return every * max(math.ceil(TIMELINE.attack_s / every), 2)
 
 

@@ -521,8 +521,8 @@ def measure_fix(
     that at which the episode starts; `position_ne` (K, 2) true position at every epoch [m];
     `available` (L,) whether there is a fix at all, from the start on; `sd` of the correlated error
     [m]; `offset` (B, 2) what the spoofer adds [m]; `noise` (`BLOCK`,), work space; `correlated` (B,
-    2) Gauss-Markov error [m], overwritten; `fix` (B, 2) north and east [m], written; NaN where
-    there is none.
+    2) Gauss-Markov error [m], overwritten; `fix` (B, 2) north and east [m], written; NaN
+    without a fix.
     """
     drive = math.sqrt(1.0 - decay * decay)
     for b in range(epoch.shape[0]):

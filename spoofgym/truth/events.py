@@ -1,4 +1,4 @@
-"""What looks like spoofing and is none: a step of the clock, a lost satellite, a front above."""
+"""Events that only look like spoofing: a step of the clock, a lost satellite, a front above."""
 
 from __future__ import annotations
 

@@ -170,7 +170,7 @@ def flight_from_geodetic(
 ) -> Flight:
     """Flight from geodetic positions, north-east-down velocities and Euler angles.
 
-    The positions turn velocity and attitude to ECEF axes; of them, only the first one is kept
+    The positions turn velocity and attitude to ECEF axes; of them, only the first one is used
     as it is, and the others follow from the velocities.
 
     `latitude`, `longitude`, `height` (N+1,) [rad, rad, m]; `velocity_n` (N+1, 3) north-east-down

@@ -39,12 +39,12 @@ class Scenario:
       None for those that the world has;
     - `turn_on`: ``"specimen"`` for inertial sensors with the constants of the grade's data sheet,
       ``"drawn"`` for others in every episode, as large in the mean;
-    - `events`: what looks like spoofing and is none; None for nothing.
+    - `events`: events that only look like spoofing; None for no events.
 
     Notes
     -----
-    At a lower `imu_rate_hz` a step costs less.  Velocity and attitude of the flight are kept at the
-    samples that are left, its position is their integral again (millimetres apart), and the true
+    At a lower `imu_rate_hz` a step costs less.  Velocity and attitude are the flight's at the
+    remaining samples, its position is their integral again (millimetres apart), and the true
     specific force and angular rate over each longer sample are those from which the receiver's
     mechanization gets there, so that coning and sculling leave no error.  Sensor errors are those
     of a sensor whose increments are summed up: the same biases, scale factors and noise densities,

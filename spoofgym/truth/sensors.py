@@ -139,7 +139,7 @@ SOURCES = ("imu", "clock", "gnss", "bias", "trajectory", "domain", "spoofer", "c
 
 
 def sensor_shapes(channels: int) -> dict[str, tuple[int, ...]]:
-    """What is kept of every receiver's sensors, in the order of the lane array.
+    """What is stored of every receiver's sensors, in the order of the lane array.
 
     - `residual` (6,) what quantization carries to the next sample;
     - `clock` (2,) true clock bias [m] and drift [m/s];
@@ -189,7 +189,7 @@ class SensorBuffers:
     - `authentic` (B, 2n) part of the errors of the authentic signals that stays, pseudoranges
       first: 1, or down to 0 where a counterfeit signal has taken their place, and -1 where the
       receiver's own noise is replaced, too; without any row where no attack replaces errors;
-    - `signals`: of `signal_shapes`, or without any row where nobody has such errors.
+    - `signals`: of `signal_shapes`, or without any row where no receiver has such errors.
     """
 
     def __init__(

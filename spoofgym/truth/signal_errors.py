@@ -138,7 +138,7 @@ def mappings_of(elevation: FloatArray, interval_s: float, epochs_each: int) -> F
 
 
 def signal_shapes(channels: int) -> dict[str, tuple[int, ...]]:
-    """What is kept of every receiver's signals, in the order of the lane array.
+    """What is stored of every receiver's signals, in the order of the lane array.
 
     - `processes` (3, 7) of ionosphere, troposphere, orbit and clock: transition of value and rate,
       row by row, and Cholesky factor of the driving noise, 00 10 11, over one interval;
@@ -241,7 +241,7 @@ def begin_signals(
     fields_.put("zenith", rows, drawn[:, :4] * np.ravel(sds[:2]))
     own = drawn[:, 4:].reshape(len(rows), 5, n)
     fields_.put("orbit_clock", rows, (own[:, :2] * np.array(sds[2])[:, None]).reshape(-1, 2 * n))
-    # the smoothed errors are kept as standard normal: their size follows the elevation
+    # the smoothed errors are stored as standard normal: their size follows the elevation
     fields_.put("multipath", rows, own[:, 2])
     fields_.put("noise", rows, own[:, 3])
     fields_.put("reading", rows, errors.carrier_sd_m * own[:, 4])

@@ -1,4 +1,4 @@
-"""Experiments: cells that are computed in any order, on any machine, and kept one file each.
+"""Experiments: cells that are computed in any order, on any machine, and stored one file each.
 
 store      a folder of results, complete or absent, of one experiment
 runner     what is missing, computed here, in processes, or on a cluster

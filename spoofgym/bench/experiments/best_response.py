@@ -5,7 +5,7 @@ optima that are searched for against this mix, and given policies: each family p
 range on a few runs of the split `selection`, and the best of them play all of these.  A detector's
 is the best of given ones.  What is chosen is then scored on runs that have decided nothing.
 
-That is one end of the exploitability, from below: somebody else may find more.  The other one, from
+That is one end of the exploitability, from below: another search may find more.  The other, from
 above, is the zero-alarm bound of every detector, weighted by the mix, where each of them has one.
 It bounds the mean displacement E, and with the alert limit L both payoffs: a mean of
 :math:`\min(d, L) / L` is at most :math:`\min(E / L, 1)`, by Jensen's inequality, and so is
@@ -97,9 +97,9 @@ class AttackBudget:
 class Response(NamedTuple):
     """A best response that was found.
 
-    - `member`: who, and what decided on it; `value`: payoff on the runs of the selection;
+    - `member`: the player, and what decided on it; `value`: payoff on the runs of the selection;
     - `best`: payoff of the best of every family on the first of these runs, by name; `by_family`:
-      who that is;
+      the best players themselves;
     - `notes`: what the search left out.
     """
 
@@ -136,7 +136,7 @@ def best_spoofer(
     budget : AttackBudget
         How much is tried.
     entropy : int
-        Seed of the runs that decide; nobody in the mix may have been chosen on them.
+        Seed of the runs that decide; no member of the mix may have been chosen on them.
     given : sequence of PlayerSpec
         Further spoofers, which are tried as they are, and keep their names.
     warm : sequence of PlayerSpec
@@ -202,7 +202,7 @@ def best_detector(
     game, mix : optional
         As in `best_spoofer`; the mix is of spoofers.
     detectors : sequence of PlayerSpec
-        Whom to choose from.
+        Detectors to choose from.
     runs, entropy : int
         Runs of the selection, and their seed.
 
@@ -228,7 +228,7 @@ def _against(game: Game, spoofers: Sequence[PlayerSpec], mix: Mixture) -> FloatA
 def _curves(
     game: Game, mix: Mixture, budget: AttackBudget, warm: Sequence[PlayerSpec], entropy: int
 ) -> tuple[list[FloatArray], tuple[str, ...]]:
-    """Blind optima against a mix, by response replay; and whom the search has left out."""
+    """Blind optima against a mix, by response replay; and the members that the search left out."""
     assert budget.blind is not None  # as the caller has seen
     setup, notes = game.setup, []
     if not isinstance(setup, TightlyCoupledSetup):
@@ -273,8 +273,8 @@ class Ends(NamedTuple):
     """What one side gains by leaving a pair of mixes.
 
     - `below`: gain of the response that was found, on fresh runs, with its 95 % interval; negative
-      where the mix of the own side is better; `member`: whose it is;
-    - `above`: largest gain of anybody; None where none is known, and `why`.
+      where the mix of the own side is better; `member`: label of that response;
+    - `above`: largest gain of any response; None where no bound is known, and `why`.
     """
 
     below: Estimate
@@ -311,7 +311,7 @@ def exploitability(
     Parameters
     ----------
     game : Game
-        On runs that have decided on nobody, which is checked.
+        On runs that have decided on no member, which is checked.
     spoofers, detectors : Mixture
         The pair.
     answer : PlayerSpec
@@ -346,8 +346,8 @@ def exploitability(
 
 
 def upper_end(game: Game, mix: Mixture) -> tuple[float | None, str]:
-    """Payoff that no spoofer exceeds against a mix of detectors. Returns `bound`, none where a
-    member has no bound; returns `why`, bounds by member, or whose is missing and why."""
+    """Payoff that no spoofer exceeds against a mix of detectors. Returns `bound`, None where a
+    member has no bound; and `why`, bounds by member, or which is missing and why."""
     setup = game.setup
     if mix.side != DETECTOR:
         raise ValueError(f"a mix of detectors has bounds, got one of {mix.side}s")

@@ -134,7 +134,7 @@ def calibrate_entries(
     progress: ProgressBar | None = None,
     optional: Collection[str] = (),
 ) -> dict[str, str]:
-    """Calibrate the detectors that ask for a rate, and replay the first runs of their files.
+    """Calibrate the detectors that request a rate, and replay the first runs of their files.
     `optional`: labels of detectors that may be left out where no factor on their thresholds makes
     the rate; returns why, by their labels."""
     setup = world.setup  # what is wrong with the world is wrong with no detector

@@ -321,7 +321,7 @@ class _Players(NamedTuple):
     context: Context
 
     def panel(self, split: str, runs: int) -> Panel:
-        """Runs of a split at their onset; those of the last detectors are kept."""
+        """Runs of a split at their onset; those of the last detectors stay in the cache."""
         suite, panels = self.suite, self.context.cache.setdefault("panels", {})
         labels = tuple(each.label for each in self.detectors)
         if (labels, split) not in panels:
@@ -359,7 +359,7 @@ class _Players(NamedTuple):
         ]
 
     def _head(self, panel: Panel, number: int, spoofer: PlayerSpec) -> dict[str, Any]:
-        """Who plays, and how."""
+        """The pair that plays, and its settings."""
         detector, spec, within = self.detectors[number], spoofer.spec, None
         found = self.results.search(detector.label, spoofer.label) if spoofer.tuned else None
         if found is not None:

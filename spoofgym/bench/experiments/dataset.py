@@ -1,7 +1,7 @@
 """Data sets to train a detector on: labelled episodes of one world, from its switch-on on.
 
-Every run is played twice, with the same noise: attacked, and not.  Both are episodes, in which is
-kept what a learned detector observes at each epoch, whether an attack is on, and how far it has
+Every run is played twice, with the same noise: attacked, and not.  Both are episodes, which
+record what a learned detector observes at each epoch, whether an attack is on, and how far it has
 moved the solution.  Runs of the splits of a data set share no noise with each other, nor with those
 of a campaign, a calibration or a search (`simulation.setup`).
 
@@ -86,7 +86,7 @@ class Episodes(NamedTuple):
     displacement_m : ndarray
         (E, L) float32, horizontal distance of the solution from that of the clean twin [m].
     clean : ndarray
-        (E,) bool, whether nobody attacks.
+        (E,) bool, whether the episode is without an attack.
     family : ndarray
         (E,) number of the attack's family in the settings' ``families``; -1 where it is clean.
     setting : ndarray
@@ -121,7 +121,7 @@ class Plan(Experiment):
     length_m : float
         Alert limit, which attacks are drawn around [m].
     detector : str, dict or Detector, optional
-        Whose statistic the family ``"feedback"`` sees; passive.  None leaves that family out.
+        Its statistic is what the family ``"feedback"`` sees; passive.  None leaves that family out.
     terms : sequence
         What is observed, as `spoofgym.detectors.observation.make_detector_terms` takes it.
     families : sequence of str, optional
@@ -137,7 +137,7 @@ class Plan(Experiment):
     shard : int
         Runs of a file.
     task : str, optional
-        Task whose world it is.
+        Task that the world belongs to.
 
     Raises
     ------
@@ -200,7 +200,7 @@ class Plan(Experiment):
 
     @cached_property
     def attacks(self) -> TrainingAttacks:
-        """Who attacks."""
+        """Spoofers that attack."""
         named = self.families or ()
         return TrainingAttacks(self.world, self.length_m, named, self.optima, self.spoofers)
 
@@ -269,7 +269,7 @@ class Plan(Experiment):
     ) -> Episodes:
         """Play some runs of a split, attacked and not: two episodes each, the clean one first.
 
-        `observers`: what spoofers observe by, kept from one call to the next; `stopped`: set where
+        `observers`: what spoofers observe by, reused from call to call; `stopped`: set where
         another thread has failed.
         """
         setup, runs = self.world, len(numbers)
@@ -372,7 +372,7 @@ def _observed(simulator: Simulator) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class Dataset:
-    """A data set on disk; its files are read, and checked, when they are asked for.
+    """A data set on disk; its files are read, and checked, when they are requested.
 
     Attributes
     ----------
@@ -444,7 +444,7 @@ def load(folder: str | os.PathLike[str]) -> Dataset:
     Raises
     ------
     ValueError
-        Where there is none, or it is of another format.
+        If the data set is absent, or of another format.
     """
     store = Store(folder)
     return Dataset(store, store.reopen(Plan.name))

@@ -27,7 +27,7 @@ SIFTED = 16
 
 
 class Evaluator:
-    """Scores spoofers on the same runs, whose warm-up and clean twins are simulated once.
+    """Scores spoofers on the same runs; their warm-up and clean twins are simulated once.
 
     Its arguments are those of `evaluate`, but for the spoofer's.
 
@@ -76,7 +76,7 @@ class Evaluator:
         return Optima(brackets, self.tuning, threads=self.threads)
 
     def _panel(self, split: str, entry: PlayerSpec) -> Panel:
-        """Runs of a split, kept for all spoofers that need the same to be watched."""
+        """Runs of a split, shared by all spoofers that need the same to be watched."""
         watched = self.world.watched_for([entry])
         key = split, tuple(map(type, watched))
         if key not in self._panels:
@@ -188,8 +188,8 @@ def evaluate(
         Evaluation runs, which decide nothing.
     fit_runs : int
         Training runs, on which an amplitude is fitted; at least 59, since fewer can't show that a
-        budget of 5 % is kept.  With more of them scores of other runs lie closer together, and
-        everybody gets farther: 128 allow 2 alarms, 1024 allow 39.
+        budget of 5 % is met.  With more of them scores of other runs lie closer together, and every
+        spoofer gets farther: 128 allow 2 alarms, 1024 allow 39.
     amplitude : {"fitted"}, float or None
         Factor on all commands, fitted by default; None for the commands as they are.  A scripted
         spoofer by its name alone has its usual setting fitted, as a ramp its rate.
@@ -214,7 +214,7 @@ def evaluate(
     Returns
     -------
     Score
-        Also whether the budget is kept; a displacement over it is no score.
+        Also whether the budget is met; a displacement over it is no score.
 
     Raises
     ------
@@ -222,7 +222,7 @@ def evaluate(
         When the policy is something else.
     ValueError
         When it does not fit the task, returns NaN or infinity, remembers, or is a pickled file; or
-        the detector is asked for a rate of false alarms that it is not calibrated for here; the
+        the rate of false alarms requested of the detector is one it is not calibrated for here; the
         message has the command that does so.
 
     Examples

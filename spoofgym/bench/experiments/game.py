@@ -71,7 +71,7 @@ class Pairs(Experiment):
 
     @cached_property
     def pairs(self) -> dict[str, tuple[Cell, PlayerSpec, PlayerSpec]]:
-        """Cells by key, with who meets whom; shared passes come first."""
+        """Cells by key, each with its spoofer and detector; shared passes come first."""
         passive = sum(map(self.game.is_passive, self.detectors))
         found = {}
         for b, a in sorted(product(self.detectors, self.spoofers), key=self._is_alone):
@@ -174,7 +174,7 @@ class Game:
     Parameters
     ----------
     task : str, optional
-        ``"T1"`` to ``"T6"``, whose world and alert limit it takes; not its detector.
+        ``"T1"`` to ``"T6"``; its world and alert limit are used, not its detector.
     payoff : {"stealth", "hmi"}
         As in `RunPayoff`.
     limit_m : float, optional
@@ -182,7 +182,7 @@ class Game:
     runs, entropy, split : optional
         Evaluation runs, their seed, and what they are for, of `SPLITS`.
     folder : path, optional
-        Where every entry is kept as soon as it is finished; a killed process goes on from there.
+        Where every entry is stored as soon as it is finished; a killed process goes on from there.
     threads : int, optional
         Threads of the engine.
     progress : ProgressCallback, optional
@@ -282,7 +282,7 @@ class Game:
         ------
         ValueError
             When a list is empty, a name is unknown, a member does not fit the world, oracles and
-            others meet without `oracles`, or somebody was trained or chosen on these runs.
+            others meet without `oracles`, or a member was trained or chosen on these runs.
         """
         pairs = self.pairs(spoofers, detectors, oracles=oracles)
         show = lambda _: nullcontext(self.progress)  # noqa: E731

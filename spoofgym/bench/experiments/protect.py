@@ -235,7 +235,7 @@ class Protections(Experiment):
 
     @cached_property
     def parts(self) -> dict[str, tuple[Cell, AttackFamily | None, Defence]]:
-        """Cells by key, of which family, and of whom; no family for false alarms."""
+        """Cells by key, each with its family and defence; no family for false alarms."""
         found, passive = {}, sum(each.passive for each in self.defences)
         for family in (*self.of.families, None):
             name, plays = "false alarms", float(self.of.runs)
@@ -368,7 +368,7 @@ def evaluate_detector(
     Parameters
     ----------
     detector : str, mapping or Detector
-        As `make_detector` takes it, at 0.2 false alarms an hour where it asks for nothing; the
+        As `make_detector` takes it, at 0.2 false alarms an hour where it requests none; the
         thresholds are those of the task's world everywhere.
     task : str or DetectorTask
         ``"D1"`` to ``"D4"``, or one of your own.
@@ -384,7 +384,7 @@ def evaluate_detector(
     progress : ProgressCallback, optional
         Shows how far it is.
     folder : path-like, optional
-        Whose folder of the task has what is finished; a killed process goes on from there.
+        Its folder of the task holds what is finished; a killed process goes on from there.
 
     Returns
     -------

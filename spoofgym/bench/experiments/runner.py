@@ -56,7 +56,7 @@ class Context:
     """What a process has for the cells that it computes.
 
     - `threads`: of the engine; None for all useful ones;
-    - `cache`: kept from cell to cell, such as runs at the onset;
+    - `cache`: shared from cell to cell, such as runs at the onset;
     - `tick`: may be called with a part of the cells' `work` when it is done.
     """
 
@@ -211,7 +211,7 @@ class _Plan:
         self.remaining = sum(task.work for task in self._tasks.values())
 
     def next(self) -> tuple[str, _Task] | None:
-        """The largest task that is ready; None where there is none, now or at all."""
+        """The largest task that is ready; None if no task is ready, now or at all."""
         while names := self._order.get_ready():
             for name in names:
                 task = self._tasks[name]
@@ -250,7 +250,7 @@ def _shard(
     return (name for name, k in place.items() if shard_of[part[k]] == i - 1)
 
 
-# --- who computes it -------------------------------------------------------------------------
+# --- workers ---------------------------------------------------------------------------------
 
 
 class _Workers(NamedTuple):
@@ -369,7 +369,7 @@ def _ctrl_c_blocked() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):  # on Windows
         yield
         return
-    resource_tracker.ensure_running()  # whose start unblocks it
+    resource_tracker.ensure_running()  # its start unblocks Ctrl-C
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield

@@ -38,13 +38,13 @@ DAMAGED = (
 
 
 class Cell(NamedTuple):
-    """A part of an experiment that is computed and kept as one.
+    """A part of an experiment that is computed and stored as one.
 
     - `key`: its name in the experiment;
     - `identity`: all that its result depends on and `config` of the experiment doesn't say, JSON;
       None where no text says that, of what is held in memory alone;
     - `work`: how long it takes, in a unit of the experiment's; not of what is finished;
-    - `after`: keys of cells that have to be finished before, whose results it may read;
+    - `after`: keys of cells that have to be finished before; it may read their results;
     - `group`: cells of one group are computed in one call, such as detectors in one pass.
     """
 
@@ -150,7 +150,7 @@ class Store:
             )
 
     def _remove(self, outputs: Iterable[str]) -> None:
-        """Remove what an experiment writes, and nothing else; what says whose it is comes last."""
+        """Remove what an experiment writes, and nothing else; its configuration comes last."""
         if (self.path / CELLS).is_dir():
             shutil.rmtree(self.path / CELLS)
         for name in (*outputs, CONFIG):

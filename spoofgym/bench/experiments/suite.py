@@ -1,4 +1,4 @@
-"""What a campaign runs: who meets whom in which world, and how settings are searched for."""
+"""What a campaign runs: detectors and spoofers, their world, and how settings are searched for."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Suite:
     Parameters
     ----------
     env : str
-        Environment whose victim it is, in `VICTIMS`.
+        Environment of the victim, in `VICTIMS`.
     scenario, receiver, attack, timeline, domain : optional
         Settings of the victim, as its environment takes them; an attack and a scenario only where
         it has them.
@@ -148,7 +148,7 @@ class Suite:
 
     @property
     def _oracle_notes(self) -> tuple[str, ...]:
-        """Which detectors are none; a line each."""
+        """Which detectors are oracles; a line each."""
         labels = oracle_labels(self.detector_entries)
         return tuple(f"{label} is an oracle: it knows the attack" for label in labels)
 
@@ -173,11 +173,11 @@ class Suite:
         return self._shipped[1] if self.spoofers is None else ()
 
     def check_fit(self) -> None:
-        """As `World.check_fit`, of everybody who plays."""
+        """As `World.check_fit`, of all detectors and spoofers."""
         self.world.check_fit(self.detector_entries, self.spoofer_entries)
 
     def setup(self, detector: PlayerSpec, spoofers: Sequence[PlayerSpec] | None = None) -> Setup:
-        """As `World.setup_of`. `spoofers`: who plays, all of the suite's by default."""
+        """As `World.setup_of`. `spoofers`: those that play, all of the suite's by default."""
         return self.world.setup_of(detector, self.spoofer_entries if spoofers is None else spoofers)
 
     def generators(self, split: str, runs: int, first: int = 0) -> list[np.random.Generator]:
@@ -195,20 +195,20 @@ class Suite:
 
     @cached_property
     def _points(self) -> dict[str, list[OperatingPoint]]:
-        """Where the detectors work that ask for a rate."""
+        """Operating points of the detectors that request a rate."""
         found = {entry.label: self.world.points(entry) for entry in self.detector_entries}
         return {label: points for label, points in found.items() if points}
 
     @property
     def captions(self) -> tuple[str, ...]:
-        """Where the detectors work that ask for a rate: per hour and per run; a line each."""
+        """Operating points of detectors that request a rate: per hour and per run; a line each."""
         return tuple(
             f"{label}: {'; '.join(sorted({str(point) for point in points}))}"
             for label, points in self._points.items()
         )
 
     def _calibrations(self) -> dict[str, Any]:
-        """Scales of the detectors that ask for a rate, for `config`, and who never alarms."""
+        """Scales of the detectors that request a rate, for `config`, and those that never alarm."""
         named = {label: [p._asdict() for p in points] for label, points in self._points.items()}
         never = [e.label for e in self.detector_entries if not e.build().calibrates]
         return {"calibrations": named, "never_alarm": never}

@@ -57,7 +57,7 @@ REACH = (0.125, 5.0)
 AMPLITUDES = (0.25, 2.0)
 """Range of the factor on spoofers that are given, or were found by a search; log-uniform."""
 POWERS = (0.3, 4.0)
-"""Range of the power of time in a profile that is none of the attack suite's."""
+"""Range of the power of time in a profile that is not one of the attack suite's."""
 LAST_PARTS = (0.1, 0.6)
 """Range of the part of the window in which a dash takes place."""
 
@@ -188,7 +188,7 @@ def rounded(value: float) -> float:
 
 class Attackers:
     """Spoofers each of which commands one receiver of an engine, which are at their onset. `specs`:
-    one a receiver; `observers` are kept from one engine to the next."""
+    one a receiver; `observers` are reused from one engine to the next."""
 
     def __init__(
         self, specs: Sequence[Spec], engine: Engine, observers: dict[Any, Observer]

@@ -32,7 +32,7 @@ from .table import (
 
 Row = dict[str, Any]
 ORACLE = " (oracle)"
-"""Behind the name of a spoofer that sees the detector's statistics, as nobody can in practice."""
+"""Behind the name of a spoofer that sees the detector's statistics, impossible in practice."""
 HIDDEN_SETTINGS = {"name", "heading_deg", "label", "designed_on", "file"}
 """Settings that a table leaves out: they are in other columns, or in the results only."""
 OVER, NONE_WITHIN = ", over budget", " (none within the budget)"
@@ -94,13 +94,13 @@ def _optimum(reached: Row) -> str:
 
 
 def bound_text(bound: Row, unknown: str = "none") -> str:
-    """Zero-alarm bound, ``<=`` before an upper one; `unknown` where there is none."""
+    """Zero-alarm bound, ``<=`` before an upper one; `unknown` if absent."""
     sign = "<= " if bound["kind"] == "upper" else ""
     return unknown if bound["value"] is None else sign + metres(bound["value"])
 
 
 def bound_cell(bracket: Row) -> str:
-    """Zero-alarm bound; ``none`` where it is known that there is none."""
+    """Zero-alarm bound; ``none`` if it is known not to exist."""
     bound = bracket["zero_alarm"]
     return bound_text(bound, "none" if bound["why"] else "-")
 
@@ -153,10 +153,10 @@ def bracket_marks(bracket: Row) -> list[str]:
 
 
 def mark_of(summary: Row, detector: str) -> str:
-    """What is to be known of a detector. Whether and where it is worse than one that never alarms,
-    or by chance; whether the worst attack comes as far as against one that never alarms; whether it
-    alarms before the onset in more runs than a calibration can stand for; whether the search for
-    attacks has failed, and which attacks are above its zero-alarm bound."""
+    """Remarks on a detector. Whether and where it is worse than one that never alarms, or alarms by
+    chance; whether the worst attack moves it as far as one that never alarms; whether it alarms
+    before the onset in more runs than a calibration can stand for; whether the search for attacks
+    has failed, and which attacks are above its zero-alarm bound."""
     (row,) = (row for row in summary["detectors"] if row["detector"] == detector)
     if name_of(detector) in CONTROLS:
         return "; ".join(["control", *bracket_marks(row["bracket"])])
@@ -303,7 +303,7 @@ def tuning_table(search: Row) -> Table:
 
 
 def floor_notes(summary: Row) -> list[str]:
-    """What the floors are, and under which assumptions they hold; why there are none."""
+    """What the floors are, and under which assumptions they hold; or why they are absent."""
     lines = rendered_block("campaign.md.j2", "floor", {"summary": summary})
     return [line.removeprefix("- ") for line in lines]
 

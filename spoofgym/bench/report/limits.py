@@ -50,7 +50,7 @@ DRAWN = {
     "half": (BLUE, "found in half of the runs"),
     "certain": (ORANGE, "missed in one of a thousand"),
 }
-"""Purposes whose floors are drawn over time, in which colour, and as what."""
+"""Purposes with floors that are drawn over time, their colours and labels."""
 UNBOUNDED = "unbounded"
 NO_POSITION = "the restricted attack is a false position, which this one does not command"
 
@@ -190,7 +190,7 @@ def spread_text(cell: Mapping[str, Any]) -> str:
 
 
 def _heads(record: Record, cells: Mapping[str, Any]) -> dict[str, str]:
-    """What is asked of a perfect detector, by purpose."""
+    """What a perfect detector has to achieve, by purpose."""
     said = {"stealthy": f" (budget {100 * record['budget']:.3g} %)", "certain": " (P_MD 1e-3)"}
     return {
         name: f"P_D {100 * cell['p_d']:.3g} %{said.get(name, '')}" for name, cell in cells.items()

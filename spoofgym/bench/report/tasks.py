@@ -27,7 +27,7 @@ SCORES = {
     "blind-optimum": "blind",
     "feedback": "oracle",
 }
-"""Spoofers whose scores are known, each fitted to the alarm budget, and what they observe."""
+"""Spoofers with known scores, each fitted to the alarm budget, and what they observe."""
 FIGURES = {
     "over_floor": "(i) over the floor",
     "optimum_over_ramp": "(ii) optimum over ramp",
@@ -133,7 +133,7 @@ def unplayed(task: DetectorTask, card: dict[str, Any]) -> list[str]:
 
 def learned_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
     """Shipped detectors that have learned in this world, and so from no family held out here. A
-    world whose counterfeit is another one holds out what they have learned from."""
+    world with another counterfeit holds out what they have learned from."""
     return tuple({"name": name} for name in shipped(DETECTOR) if _learned_in(name, task))
 
 

@@ -38,7 +38,7 @@ class Episode:
     """A run under attack and its clean twin.
 
     Times are since the onset, negative in the last part of the warm-up; L epochs of it and K from
-    the onset to the end are kept.
+    the onset to the end are recorded.
 
     - `setup`: world and detector; `entropy`, `run`: which of the evaluation runs;
     - `time` (L + K,) [s];
@@ -121,7 +121,7 @@ def play_episode(
     setup = world.setup_of(detector, [spoofer])
     engine = Engine(1, setup, threads=1, twin=True)
     simulator, twin = engine.simulator, engine.twin
-    assert twin is not None  # as was asked for
+    assert twin is not None  # `twin=True` above
     everyone, epochs = np.zeros(1, dtype=np.intp), setup.steps + setup.hold
     ratio = np.zeros((setup.live + epochs, 2))
     alarm = np.zeros(ratio.shape, dtype=np.bool_)

@@ -69,8 +69,8 @@ CONDITIONS: dict[str, Callable[[Setup], Mask]] = {
 def numbers_of(
     setup: Setup, entropy: int, split: str, runs: int, condition: str | None
 ) -> NDArray[np.int64]:
-    """(R,) the first runs of a split whose onset is as a condition has it; any without one. Each
-    draws its world and its start as ever; which of them are played is all that is chosen."""
+    """(R,) the first runs of a split with an onset that meets a condition; any run without one.
+    Each draws its world and its start as ever; only which of them are played is chosen."""
     if condition is None:
         return np.arange(runs)
     holds, found = CONDITIONS[condition](setup), np.zeros(0, dtype=np.int64)

@@ -91,7 +91,7 @@ class Attacker:
         return self._commands.command(self.action(epoch), self.engine.simulator.commanded_rate)
 
     def action(self, epoch: int) -> FloatArray:
-        """Action (B, k) of an epoch, on the way from one decision to the next. Asks the spoofers
+        """Action (B, k) of an epoch, on the way from one decision to the next. Calls the spoofers
         where a decision is due."""
         if self._decisions.due(epoch):
             self._decisions.take(self.decide(epoch))
@@ -191,7 +191,7 @@ class Runs(NamedTuple):
 
     @property
     def first_alarm(self) -> NDArray[np.int64]:
-        """(R,) epoch of the first alarm, from 1 on; 0 where there is none."""
+        """(R,) epoch of the first alarm, from 1 on; 0 without an alarm."""
         first = self.alarm.argmax(axis=0) + 1
         return np.where(self.alarm.any(axis=0), first, 0)
 
@@ -212,11 +212,11 @@ class WarmStart:
 
     @property
     def simulator(self) -> Simulator:
-        """The receivers at the onset, which nobody may change."""
+        """The receivers at the onset, which must not be changed."""
         return self._engine.simulator
 
     def under(self, setup: Setup) -> WarmStart:
-        """The same receivers, whose runs have other monitors."""
+        """The same receivers; their runs have other monitors."""
         part = copy.copy(self)
         part.setup = setup
         return part

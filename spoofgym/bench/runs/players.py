@@ -171,7 +171,7 @@ Strategy = PlayerSpec | Mixture
 
 
 def specify_detector(spec: str | Mapping[str, Any] | Detector) -> PlayerSpec:
-    """Detector, at the default rate of false alarms where it asks for nothing."""
+    """Detector, at the default rate of false alarms where it requests none."""
     detector = detector_in_world(spec)
     full, default = spec_of_judge(detector), asked_by_default()
     inner = detector.detector if isinstance(detector, Calibrated) else detector
@@ -284,7 +284,7 @@ def specify_policy(
 
 
 def _is_fitted(amplitude: float | str | None, largest: float | None) -> bool:
-    """Whether an amplitude is to be fitted; raises where it, or the largest one, is none."""
+    """Whether an amplitude is to be fitted; raises where it, or the largest one, is not valid."""
     fits = amplitude == FITTED
     if isinstance(amplitude, str) and not fits:
         raise ValueError(f"`amplitude` must be {FITTED!r}, a number or None, got {amplitude!r}")

@@ -195,8 +195,8 @@ class Aim(NamedTuple):
 
     def worth(self, displacement: FloatArray) -> float:
         """How good a displacement of the runs that count is, to choose by. Of attacks that exceed a
-        limit equally often, that whose weakest such run is the farthest above it, as it will most
-        surely do so again; of those that never do, that which comes nearest."""
+        limit equally often, the best is the one whose weakest such run exceeds it most: it most
+        surely exceeds it again. Of those that never do, the one that comes nearest."""
         reached = self.reached(displacement)
         if self.limit_m is None or not len(displacement):
             return reached
@@ -248,7 +248,7 @@ class Protection:
         return str(self.head["detector"])
 
     def winner(self, aim: Aim) -> Winner | None:
-        """Who is the worst for an aim; None where nobody was looked for."""
+        """The worst attack for an aim; None if none was searched for."""
         return next((each for each in self.winners if aim in each.aims), None)
 
     def worst(self, aim: Aim) -> Winner:

@@ -80,7 +80,7 @@ WORLD = (
 class World:
     """Where detectors and spoofers meet.
 
-    - `env`: environment whose victim it is, in `VICTIMS`;
+    - `env`: environment of the victim, in `VICTIMS`;
     - `given`: settings of the victim that are not its defaults.
     """
 
@@ -145,7 +145,7 @@ class World:
         return judge
 
     def points(self, detector: PlayerSpec) -> list[OperatingPoint]:
-        """Where a detector works that asks for a rate, or the members of a pool; else nothing."""
+        """Operating points of a detector that requests a rate, or of a pool's members, if any."""
         parts = calibrated_parts(self.judge(detector))
         return [part.point for part in parts if part.point is not None]
 

@@ -1,7 +1,7 @@
 """Scores of a campaign's detectors: what they cost without attack, compared with the negative
 controls, and between their limits.
 
-`never` does not alarm, and `lottery` alarms by chance at the rate that all are asked for.  A
+`never` does not alarm, and `lottery` alarms by chance at the rate requested of all.  A
 detector against which a spoofer comes farther than against them has done harm, and is marked: its
 interval lies above 0.  Detectors at different rates are never compared, and none at its nominal
 thresholds is.  A spoofer that reads the detector's statistic obeys that of a lottery, too, which it
@@ -53,12 +53,12 @@ from .statistics import (
 )
 
 NOMINAL = "nominal"
-"""Footing of detectors that were asked for no rate."""
+"""Footing of detectors of which no rate was requested."""
 
 
 def operating_point(config: Mapping[str, Any], detector: str) -> dict[str, Any]:
-    """What a detector was asked for: ``claimed``, and the ``footing`` on which it is compared. The
-    footing is the rate; ``"nominal"`` where none was asked for, and ``"any"`` of a detector that
+    """What was requested of a detector: ``claimed``, and the ``footing`` of its comparisons. The
+    footing is the rate; ``"nominal"`` where none was requested, and ``"any"`` of a detector that
     never alarms."""
     found = config["calibrations"].get(detector, [])
     rates = {point["false_alarms_per_hour"] for point in found}
@@ -77,7 +77,7 @@ def operating_point(config: Mapping[str, Any], detector: str) -> dict[str, Any]:
 def score_detector(clean: RunRecord) -> dict[str, Any]:
     """False alarms of a detector and their price, from its runs without attack. Per run, per hour,
     and per epoch of the window, which is the availability that is lost; in the warm-up; satellites
-    that are blamed though nobody attacks, in satellite seconds an hour, None where channels are not
+    that are blamed without an attack, in satellite seconds an hour, None where channels are not
     judged; RMS distance from the truth, and the largest while coasting."""
     records, window_s = clean.records, clean.window * clean.interval_s
     warm = int(records["warmup_alarm"].sum())
@@ -121,9 +121,9 @@ def mean_of(x: NDArray[Any]) -> float | None:
 
 FloatArray = NDArray[np.float64]
 CONTROLS = ("never", "lottery")
-"""Names of the detectors that chance must not be told from."""
+"""Names of the negative controls."""
 FREE = "any"
-"""Footing of a detector that never alarms: it has none, and goes with any rate."""
+"""Footing of a detector that never alarms: it has no rate, and is compared at any."""
 Footings = Mapping[str, str]
 
 
@@ -155,7 +155,7 @@ def name_of(label: str) -> str:
 
 
 def comparable(footings: Footings, detector: str, other: str) -> bool:
-    """Whether two detectors were asked for one rate, and are not the same."""
+    """Whether two detectors have the same requested rate, and are not the same."""
     mine, theirs = footings[detector], footings[other]
     if detector == other or "nominal" in (mine, theirs):
         return False
@@ -361,7 +361,7 @@ def _above(reached: Row, bound: Row) -> bool:
 
 
 SURVIVAL_TIMES = 8
-"""At how many times the share of undetected attacks is told."""
+"""At how many times the share of undetected attacks is reported."""
 
 
 def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[str, Any]:

@@ -49,7 +49,7 @@ def solve(payoff: ArrayLike) -> Equilibrium:
     Raises
     ------
     ValueError
-        When the matrix is empty, is none, or has an entry that is no finite number.
+        When the matrix is empty, is not two-dimensional, or has an entry that is not finite.
     RuntimeError
         When the solver fails.
 

@@ -17,8 +17,8 @@ chance from being worth anything: a detector that alarms by lottery scores as on
   alert limit AL, over the runs that count, the largest over the attack suite at every AL, without a
   budget; and the displacement that the worst attack exceeds in half of the runs, and in 5 % of
   them.
-- **Times** tell an alarm that the attack raised from one of chance by the twin: where the twin has
-  alarmed too by then, it was chance (two competing risks).
+- **Times** separate an alarm that the attack raised from one of chance by the twin: where the twin
+  has alarmed too by then, it was chance (two competing risks).
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ SHARES = (0.5, 0.05)  # shares of the runs in which the headlines' displacements
 WORST_SKIES = 0.1  # part of the skies from which an attacker picks the day
 FEWEST_SKIES = 10  # with fewer of them there is no worst tenth
 ALIKE = 1e-3
-"""Part of a displacement by which another one has to differ from it: what attacks that come as far
-differ by is nobody's merit."""
+"""Part of a displacement by which another one has to differ from it: a smaller difference between
+attacks is no merit of a detector."""
 
 
 class Stealth(NamedTuple):
@@ -69,7 +69,7 @@ class Stealth(NamedTuple):
         return self.alarm_limit <= budget + 1e-9
 
     def seems_to_keep(self, budget: float) -> bool:
-        """Whether a budget is kept by the rate itself, on runs that are too few for its limit."""
+        """Whether the rate itself is within a budget, on runs that are too few for its limit."""
         return self.runs > 0 and self.alarm_rate <= budget + 1e-9
 
 
@@ -111,8 +111,8 @@ def bootstrap_exceeded(displacement: ArrayLike, share: float, samples: FloatArra
 
 
 def by_chance(first_alarm: ArrayLike, twin_alarm: ArrayLike) -> Mask:
-    """Whose first alarm was chance: the twin has alarmed by then. `first_alarm`, `twin_alarm` (R,)
-    epochs of the first alarms after the onset, 0 for none."""
+    """Whether the first alarm was chance: the twin has alarmed by then. `first_alarm`,
+    `twin_alarm` (R,) epochs of the first alarms after the onset, 0 for none."""
     mine, twin = np.asarray(first_alarm), np.asarray(twin_alarm)
     return np.asarray((mine > 0) & (twin > 0) & (twin <= mine))
 
@@ -143,7 +143,7 @@ class Survival(NamedTuple):
 def survival(delay_s: ArrayLike, detected: ArrayLike, times_s: ArrayLike) -> Survival:
     """Kaplan-Meier estimate, in which alarms by chance and missed runs are censored. `delay_s` (R,)
     from the onset to the alarm, or to where the run was observed last; `detected` (R,) bool,
-    whether that is an alarm that the attack raised; `times_s` (T,) at which it is told."""
+    whether that is an alarm that the attack raised; `times_s` (T,) at which it is evaluated."""
     t, seen = np.asarray(delay_s, dtype=np.float64), np.asarray(detected, dtype=np.bool_)
     times = np.asarray(times_s, dtype=np.float64)
     at_risk = (t[None, :] >= times[:, None]).sum(axis=1)

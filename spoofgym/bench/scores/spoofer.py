@@ -18,7 +18,7 @@ from .statistics import Estimate, FloatArray, interval, percentiles, resamples_o
 class Score:
     """What a spoofer is worth against one detector; paired with every other one of the same runs.
 
-    - `task`, `detector`, `spoofer`: whom it met, and its name;
+    - `task`, `detector`, `spoofer`: what it met, and its name;
     - `knowledge`: what it observes while it attacks;
     - `setting`, `value`: what was fitted, or given, and to what; None where nothing can be;
     - `runs`, `counted`: evaluation runs, and those that are silent before the onset and without an
@@ -26,7 +26,7 @@ class Score:
     - `stealthy_displacement_m`: mean undetected displacement with its 95 % interval [m];
     - `alarm_rate`: part of the runs with an alarm, with its 95 % interval; `clean_alarm_rate`, of
       all runs without an attack;
-    - `budget`: largest rate that is allowed; `within_budget`, whether it is kept on the evaluation
+    - `budget`: largest rate that is allowed; `within_budget`, whether it is met on the evaluation
       runs, by the rate itself;
     - `fit_within_budget`: the same on the training runs, by the upper 95 % limit of the rate; None
       where nothing was fitted;
@@ -56,12 +56,12 @@ class Score:
 
     @property
     def keeps_budget(self) -> bool:
-        """Whether the displacement is a score: the budget is kept wherever it was looked at."""
+        """Whether the displacement is a score: the budget is met wherever it was checked."""
         return self.within_budget and self.fit_within_budget is not False
 
     @property
     def oracle(self) -> bool:
-        """Whether it sees the detector's statistics while it attacks, as nobody can in practice."""
+        """Whether it sees the detector's statistics while it attacks, impossible in practice."""
         return sees_statistics(self.knowledge)
 
     def ratio_to(self, other: Score, *, oracles: bool = False) -> Estimate:

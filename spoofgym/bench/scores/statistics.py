@@ -1,6 +1,6 @@
 r"""Intervals of proportions and means over runs, bootstrap, and the alarm budget.
 
-Intervals are two-sided with 95 % confidence unless another one is asked for.  Sources, keys in
+Intervals are two-sided with 95 % confidence unless another one is requested.  Sources, keys in
 references.bib: `wilson1927` (proportions), `clopper1934` (exact, for rare alarms), `korn1998`
 (epochs that come in runs), `efron1979` (bootstrap).
 

@@ -2,9 +2,9 @@
 the search for the worst of them, or of a family, on runs of its own.
 
 What no member of the suite achieves, another attack may.  Every member has one setting that is
-searched for, the same as in a campaign.  With them play the blind optima (letter c) that a campaign
-has found against the detector, where that is among its spoofers.  A member whose spoofer is not
-registered is left out, which changes the digest.
+searched for, the same as in a campaign.  The blind optima (letter c) that a campaign has found
+against the detector play with them, where that is among its spoofers.  A member whose spoofer is
+not registered is left out, which changes the digest.
 
 The search:
 
@@ -56,7 +56,7 @@ FAMILIES = {
 }
 """What the letters of the members mean."""
 ORACLES = "e"
-"""Letters of those that see the detector's statistics, as nobody can in practice."""
+"""Letters of those that see the detector's statistics, which is impossible in practice."""
 KNOTS = 13
 SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
     "smooth-entry": lambda t: np.where(t < 0.5, t * t * (12.0 - 16.0 * t), 1.0),

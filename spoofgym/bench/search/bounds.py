@@ -1,7 +1,7 @@
 """The bracket of a campaign: floor, blind optimum and zero-alarm bound of every detector.
 
 The floor is what even a perfect detector would allow at the same rate of false alarms, for what
-each figure asks of it: to miss an attack that keeps the alarm budget, to find half of the attacks,
+each figure requires: to miss an attack that keeps the alarm budget, to find half of the attacks,
 or 95 % of them.  It is the same for all detectors.  The zero-alarm bound is what no attack exceeds
 in the mean without an alarm of its own doing.  Between them lies what was found.
 """

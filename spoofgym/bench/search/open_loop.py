@@ -1,7 +1,7 @@
 """The blind optimum: the best open-loop attack found against a detector, by CMA-ES over curves.
 
 Candidates (`hansen2006`) are played on response replay, which adds an attack to recorded clean runs
-and asks the detector itself; on the engine where a detector de-weights, so that replay does not
+and calls the detector itself; on the engine where a detector de-weights, so that replay does not
 hold.  Every generation is played on another part of the runs, so that the mean of the search does
 not learn the noise of a few of them by heart.  Every candidate is scored at the amplitude that its
 share of alarms allows.  For each run the amplitude at which its largest ratio of statistic to
@@ -50,7 +50,7 @@ AT_ONCE = 24  # attacks that are judged together
 SPREAD, SMOOTH_LENGTH, SMOOTH = 0.035, 0.2, 0.98
 """Standard deviation of the first candidates, in units of the largest rate; part of the window over
 which neighbouring knots vary together, and for how much of the variance."""
-LOWER_PART = 0.3  # part of the runs above the share whose amplitudes decide on the quantile, too
+LOWER_PART = 0.3  # part of the runs above the share; their amplitudes decide on the quantile, too
 FREE = 0.95
 """Part of the farthest reach of the attack from which on a search is over before it begins."""
 SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
@@ -114,7 +114,7 @@ class BlindOptimizer:
         self, others: Mapping[str, FloatArray] | None = None, tick: Tick | None = None
     ) -> BlindOptimum:
         """Search, from the best of some shapes, with `others` (n,) among them, by their names. With
-        fewer than two runs nothing can be told of any share of them: that is the slowest of the
+        fewer than two runs no share of them can be estimated: the result is the slowest of the
         first curves. The rates are within the attack's limit, as they were judged."""
         advance = tick or (lambda part: None)
         found, (limit, _) = self._search(others or {}, advance), self.backend.limits
@@ -276,8 +276,8 @@ ZERO_ALARM, BEFORE = "zero-alarm shape", "found before"
 
 
 class Optima:
-    """Searches in the world of some brackets, against their detectors. `spoofers`: who plays there
-    besides; profiles among them are candidates."""
+    """Searches in the world of some brackets, against their detectors. `spoofers`: those that also
+    play there; profiles among them are candidates."""
 
     def __init__(
         self,

@@ -19,7 +19,7 @@ Frame = NDArray[np.uint8]
 
 
 def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0) -> Path:
-    """Write frames as they come; none is kept.
+    """Write frames as they come; none is stored.
 
     Parameters
     ----------

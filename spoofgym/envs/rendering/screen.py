@@ -1,8 +1,8 @@
 """The picture of an episode as an array of pixels, and the window where it is shown.
 
-What stays is drawn once and kept; a frame copies it, and draws upon it what moves.  Numbers change
-with every frame, and matplotlib lays out a text in milliseconds: their characters are drawn once,
-and put into the frames as tiles.
+The fixed part is drawn once and stored; a frame copies it, and draws the moving part on it.
+Numbers change with every frame, and matplotlib lays out a text in milliseconds: their characters
+are drawn once, and put into the frames as tiles.
 """
 
 from __future__ import annotations

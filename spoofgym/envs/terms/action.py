@@ -181,7 +181,7 @@ class RateSetpoint:
     dimensions : {1, 2}
         Along the target direction, or north and east.
     full_scale_mps : float
-        Rate that an action of 1 asks for, above 0.  1 m/s over the default window of 150 s are
+        Rate that an action of 1 requests, above 0.  1 m/s over the default window of 150 s are
         150 m; the attacks that go unnoticed there are at 0.02 to 0.9 m/s.
     """
 
@@ -234,7 +234,7 @@ class CommandMap:
     """Commands of a list of terms, in the order of the action: `names` (k,) of its elements.
 
     `is_plain`: an action is the command; `along_target`: all of it is along the target direction;
-    `setpoint_mps`: rate that an action of 1 asks for, None without a set-point.
+    `setpoint_mps`: rate that an action of 1 requests, None without a set-point.
     """
 
     def __init__(self, terms: Sequence[ActionTerm], setup: Setup) -> None:

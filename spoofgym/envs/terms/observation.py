@@ -198,7 +198,7 @@ class TargetMotion(_Tabled):
         What is observed as 1, above 0.
     least_change : float
         An element that changes by less than this, in units of its scale, over the attack windows
-        of all episodes tells nothing, and is left out, where these windows are fixed; 0 for all.
+        of all episodes is uninformative, and left out, where these windows are fixed; 0 for all.
     """
 
     described_as = "TargetMotion"

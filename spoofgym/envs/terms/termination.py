@@ -114,7 +114,7 @@ class AtStealthBudget:
 
 @dataclass(frozen=True)
 class AtSteps:
-    """Number of commands after which somebody outside wants no more; truncates.
+    """Number of commands after which a caller stops the episode; truncates.
 
     Parameters
     ----------

@@ -71,7 +71,7 @@ def path_of(file: str, side: str | None = None) -> Path:
     return ZOO_FOLDER / f"{file}.onnx" if file in shipped(side) else Path(file)
 
 
-@lru_cache(maxsize=4)  # asked whenever a spoofer or a detector is made by its name
+@lru_cache(maxsize=4)  # called whenever a spoofer or a detector is made by its name
 def _sides(folder: Path, changed: int) -> dict[str, str]:
     """Sides by name, sorted; `changed`: when a file of the folder came or went."""
     found = {}
