@@ -24,10 +24,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.compile import njit
 from ..detectors import Calibrated, Detector, PooledDetector, SolutionSeparation
 from ..detectors.base import FloatArray, IntArray, check_needs, judged
 from ..receiver.epoch import ALWAYS, Epoch
+from ..simulation._kernels import turn
 from ..simulation.engine import available_threads
 from ..simulation.setup import generators_of
 from ..simulation.tight import TightlyCoupledSetup
@@ -38,18 +38,6 @@ HATS = 40
 UNKNOWN_RESPONSES = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
 RUNS_AT_ONCE = 32  # whose matrices are held in memory together
 BANKS_AT_ONCE = 4
-
-
-@njit
-def turn(both: FloatArray, aim: FloatArray, runs: IntArray, out: FloatArray) -> None:
-    """Responses to the north and to the east, `both` (K, P, 2, x), along the aims (N, 2) of some
-    runs, written to `out` (K, P, N, x)."""
-    epochs, attacks, _, size = both.shape
-    for k in range(epochs):
-        for p in range(attacks):
-            for n in runs:
-                for x in range(size):
-                    out[k, p, n, x] = aim[n, 0] * both[k, p, 0, x] + aim[n, 1] * both[k, p, 1, x]
 
 
 class Replayed(NamedTuple):

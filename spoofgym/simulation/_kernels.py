@@ -264,3 +264,15 @@ def latest_reports(epochs, onset, keys, every, latency, out):
                 break
             newest -= every
         out[b] = newest
+
+
+@njit
+def turn(both, aim, runs, out):
+    """Responses to the north and to the east, `both` (K, P, 2, x), along the aims (N, 2) of some
+    runs, written to `out` (K, P, N, x)."""
+    epochs, attacks, _, size = both.shape
+    for k in range(epochs):
+        for p in range(attacks):
+            for n in runs:
+                for x in range(size):
+                    out[k, p, n, x] = aim[n, 0] * both[k, p, 0, x] + aim[n, 1] * both[k, p, 1, x]

@@ -32,7 +32,6 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     r"pip install ": (None, "the tests' environment has them; test_readme compares the extras"),
     r"make test$": (None, "the other list, which is run beside this one"),
     r"python -m tools\.frozen ": (None, "needs a commit; tests/tools has tests of it"),
-    r"python -m tools\.mutants ": (None, "hours; tests/tools has tests of it"),
     r"python -m tools\.transfer ": (
         None,
         "asks for two calibrations first, and takes 14 minutes; tests/tools has tests of it",
