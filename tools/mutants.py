@@ -32,6 +32,11 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
+from spoofgym.core.compile import CACHE_VARIABLE
+from spoofgym.core.files import write_file
+
+from .size import count_statements
+
 ROOT = Path(__file__).resolve().parents[1]
 TESTED = {
     "spoofgym/receiver": "tests/receiver",
@@ -136,10 +141,6 @@ def _another(value: Any) -> str:
     return repr(1.0 if value == 0.0 else 1.25 * value)
 
 
-def count_statements(text: str) -> int:
-    return sum(isinstance(node, ast.stmt) for node in ast.walk(ast.parse(text)))
-
-
 def draw_mutants(root: Path, count: int, kernels: int, seed: int) -> list[Mutant]:
     """Different mutants, `kernels` of them in kernels, the others anywhere else."""
     files = sorted({p for place in TESTED for p in _files_in(root / place)})
@@ -194,7 +195,7 @@ def try_mutant(mutant: Mutant, root: Path, limit_s: float) -> Mutant:
         copy = Path(folder) / "checkout"
         subprocess.run(["git", "clone", "-q", str(root), str(copy)], check=True)
         apply(mutant, copy)
-        own = {"PYTHONPATH": str(copy), "SPOOFGYM_CACHE_DIR": str(Path(folder) / "cache")}
+        own = {"PYTHONPATH": str(copy), CACHE_VARIABLE: str(Path(folder) / "cache")}
         data = os.environ.get("SPOOFGYM_DATA", str(root.parent / "shared" / "data"))
         began = time.monotonic()
         words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
@@ -230,8 +231,6 @@ def read_mutants(file: Path) -> list[Mutant]:
 
 
 def write_mutants(file: Path, mutants: list[Mutant]) -> None:
-    from spoofgym.core.files import write_file
-
     text = io.StringIO()
     writer = csv.DictWriter(text, [each.name for each in fields(Mutant)], lineterminator="\n")
     writer.writeheader()

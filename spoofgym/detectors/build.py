@@ -190,9 +190,8 @@ def _loader(spec: Any) -> Callable[[Mapping[str, Any]], Detector] | None:
     name = spec.get("name") if isinstance(spec, Mapping) else spec
     if not isinstance(name, str):
         return None
-    return next(
-        (load for end, load in LOADERS.items() if str(path_of(name, DETECTOR)).endswith(end)), None
-    )
+    path = str(path_of(name, DETECTOR))
+    return next((load for end, load in LOADERS.items() if path.endswith(end)), None)
 
 
 def _with_own_threshold(

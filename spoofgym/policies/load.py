@@ -19,13 +19,13 @@ from .zoo import path_of, shipped
 CardT = TypeVar("CardT", bound=Card)
 
 
-def card_path(file: str | os.PathLike[str], side: str = "") -> Path:
+def card_path(file: str | os.PathLike[str], side: str | None = None) -> Path:
     """Where the card of an ONNX file lies; a ValueError where the file has another ending. `side`:
     whose shipped policies are named then."""
     path = Path(file)
     if path.suffix != SUFFIX:
         names = ", ".join(shipped(side)) or "there is none"
-        further = f" or the name of a shipped {side} ({names})" if side else ""
+        further = "" if side is None else f" or the name of a shipped {side} ({names})"
         raise ValueError(
             f"`file` must be the path of an {SUFFIX} file{further}, got {os.fspath(file)!r}"
         )
@@ -35,10 +35,10 @@ def card_path(file: str | os.PathLike[str], side: str = "") -> Path:
 def load_policy(
     file: str | os.PathLike[str], kind: type[CardT], sha256: str | None = None
 ) -> tuple[CardT, OnnxModel]:
-    """Card and network of an ONNX file, or of a shipped policy by its name; `kind`: of the card."""
-    side = str(kind.own_side)
-    path = path_of(os.fspath(file), side)
-    beside = card_path(path, side)
+    """Card and network of an ONNX file, or of a shipped policy by its name; `kind`: of the card,
+    `Card` for either side."""
+    path = path_of(os.fspath(file), kind.own_side)
+    beside = card_path(path, kind.own_side)
     if not path.is_file():
         raise ValueError(f"there is no ONNX file {path}")
     if not beside.is_file():

@@ -2,8 +2,8 @@
 
 It is parsed first, nothing is unpickled, and nothing outside of it is read.  Operators are allowed
 by name, and no tensor may be larger than in proportion to the batch; what a network needs of time
-and memory, `trial` limits.  ``onnx`` takes a third of a second to import, hence
-inside of functions.
+and memory, `trial` limits.  ``onnx`` takes a third of a second to import, hence inside of
+functions.
 """
 
 from __future__ import annotations

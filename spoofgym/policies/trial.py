@@ -7,6 +7,7 @@ What this process has exported, and what comes with the package, is tried here.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
@@ -14,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -54,15 +56,13 @@ class Claim(Record):
     @property
     def key(self) -> str:
         """Digest of all that the outcome of a trial depends on."""
-        import onnxruntime
-
         fields = self.model_dump(exclude={"path"})
-        return digest_of({**fields, "checks": VERSION, "onnxruntime": onnxruntime.__version__})
+        return digest_of({**fields, "checks": VERSION, "onnxruntime": version("onnxruntime")})
 
 
-def trust(sha256: str) -> None:
-    """Note that this process has made the network of a digest."""
-    _own.add(sha256)
+def trust(content: bytes) -> None:
+    """Note that this process has made a network."""
+    _own.add(hashlib.sha256(content).hexdigest())
 
 
 def check_policy(model: OnnxModel, claim: Claim) -> None:

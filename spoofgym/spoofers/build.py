@@ -102,8 +102,8 @@ def card_behind(spoofer: Spoofer) -> SpooferCard | None:
     if isinstance(card, SpooferCard):
         return card
     inner = spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer
-    if name not in shipped(SPOOFER) or spec_of_spoofer(inner) != spec_of_spoofer(
-        make_spoofer(name)
-    ):
+    if name not in shipped(SPOOFER):
+        return None
+    if spec_of_spoofer(inner) != spec_of_spoofer(make_spoofer(name)):
         return None
     return card_of(name, SpooferCard)

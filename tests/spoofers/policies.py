@@ -82,11 +82,40 @@ def network(inputs: int, outputs: int, *, batch: Any = "batch", width: int = 16)
     return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=8)
 
 
+Edit = Callable[[onnx.ModelProto], onnx.ModelProto | None]
+
+
+def behind(*nodes: onnx.NodeProto, **tensors: Any) -> Edit:
+    """The mean of a result ``r``, cut, added to the actions; all of `tensors` by their names."""
+
+    def edit(model: onnx.ModelProto) -> None:
+        for name, value in tensors.items():
+            model.graph.initializer.append(numpy_helper.from_array(np.array(value), name))
+        del model.graph.node[-1]
+        model.graph.node.extend(nodes)
+        model.graph.node.append(helper.make_node("ReduceMean", ["r"], ["mean"], keepdims=0))
+        model.graph.node.append(helper.make_node("Clip", ["mean", "low", "high"], ["cut"]))
+        model.graph.node.append(helper.make_node("Add", ["z2", "cut"], ["action"]))
+        for name, bound in (("low", -0.1), ("high", 0.1)):
+            tensor = numpy_helper.from_array(np.array(bound, np.float32), name)
+            model.graph.initializer.append(tensor)
+
+    return edit
+
+
+def less_the_mean(model: onnx.ModelProto) -> None:
+    """Centred over the batch, as a normalization in training mode does."""
+    model.graph.initializer.append(numpy_helper.from_array(np.array([0]), "axes"))
+    mean = helper.make_node("ReduceMean", ["z2", "axes"], ["mean"], keepdims=1)
+    model.graph.node[-1].CopyFrom(mean)
+    model.graph.node.append(helper.make_node("Sub", ["z2", "mean"], ["action"]))
+
+
 def written(model: onnx.ModelProto) -> bytes:
     """File of a model, which is tried in this process, as what it has exported."""
-    content = model.SerializeToString()
-    trust(hashlib.sha256(content).hexdigest())
-    return bytes(content)
+    content = bytes(model.SerializeToString())
+    trust(content)
+    return content
 
 
 def card_fields(
@@ -121,7 +150,7 @@ def write_policy(
     *,
     knowledge: str = "blind",
     env: dict[str, Any] | None = None,
-    model: Callable[[onnx.ModelProto], onnx.ModelProto | None] | None = None,
+    model: Edit | None = None,
     card: Callable[[dict[str, Any]], None] | None = None,
 ) -> Path:
     """Write a policy and its card; the callables edit the model and the card's fields."""

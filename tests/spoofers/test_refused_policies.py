@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,7 @@ from onnx import TensorProto, helper, numpy_helper
 from spoofgym.policies.onnx_file import LARGEST_BYTES, MOST_OPERATORS
 from spoofgym.spoofers import OnnxPolicy, make_spoofer
 
-from .policies import BLIND, network, write_policy
-
-Edit = Callable[[onnx.ModelProto], onnx.ModelProto | None]
+from .policies import BLIND, Edit, behind, less_the_mean, network, write_policy
 
 
 def replaced(op_type: str, **changes: Any) -> Edit:
@@ -273,14 +270,6 @@ def infinite(model: onnx.ModelProto) -> None:
     model.graph.node[-1].CopyFrom(helper.make_node("Add", ["z2", "inf"], ["action"]))
 
 
-def less_the_mean(model: onnx.ModelProto) -> None:
-    """Centred over the batch, as a normalization in training mode does."""
-    model.graph.initializer.append(numpy_helper.from_array(np.array([0]), "axes"))
-    mean = helper.make_node("ReduceMean", ["z2", "axes"], ["mean"], keepdims=1)
-    model.graph.node[-1].CopyFrom(mean)
-    model.graph.node.append(helper.make_node("Sub", ["z2", "mean"], ["action"]))
-
-
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
@@ -311,24 +300,6 @@ def heavy(model: onnx.ModelProto) -> None:
     """A tensor that nothing needs, larger than a policy may be."""
     weight = np.zeros(LARGEST_BYTES // 4 + 1, dtype=np.float32)
     model.graph.initializer.append(numpy_helper.from_array(weight, "ballast"))
-
-
-def behind(*nodes: onnx.NodeProto, **tensors: Any) -> Edit:
-    """The mean of a result ``r``, cut, added to the actions; all of `tensors` by their names."""
-
-    def edit(model: onnx.ModelProto) -> None:
-        for name, value in tensors.items():
-            model.graph.initializer.append(numpy_helper.from_array(np.array(value), name))
-        del model.graph.node[-1]
-        model.graph.node.extend(nodes)
-        model.graph.node.append(helper.make_node("ReduceMean", ["r"], ["mean"], keepdims=0))
-        model.graph.node.append(helper.make_node("Clip", ["mean", "low", "high"], ["cut"]))
-        model.graph.node.append(helper.make_node("Add", ["z2", "cut"], ["action"]))
-        for name, bound in (("low", -0.1), ("high", 0.1)):
-            tensor = numpy_helper.from_array(np.array(bound, np.float32), name)
-            model.graph.initializer.append(tensor)
-
-    return edit
 
 
 def ramp_of(length: str) -> list[onnx.NodeProto]:

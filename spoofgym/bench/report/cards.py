@@ -31,14 +31,9 @@ SHOWN = 60
 def find_card(name: str) -> Card:
     """Card by the name of a shipped spoofer or detector, or by a file, which has to fit it."""
     path = Path(name)
-    if path.suffix not in (SUFFIX, ".json"):
-        return card_of(name)
-    if path.suffix == SUFFIX and not path.is_file():
-        raise ValueError(f"there is no ONNX file {path}")
-    card = Card.load(path.with_suffix(".json"))
     if path.suffix == SUFFIX:  # which has to fit its card
-        load_policy(name, type(card))
-    return card
+        return load_policy(name, Card)[0]
+    return Card.load(path) if path.suffix == ".json" else card_of(name)
 
 
 def score_text(score: dict[str, Any]) -> str:
@@ -55,7 +50,8 @@ def card_rows(card: Card) -> list[tuple[str, str]]:
     if isinstance(card, SpooferCard):
         rows = _spoofer_rows(card)
     else:
-        rows = _detector_rows(card) if isinstance(card, DetectorCard) else []
+        assert isinstance(card, DetectorCard)
+        rows = _detector_rows(card)
     if card.file is None:
         return rows
     file = card.file

@@ -213,7 +213,7 @@ class WorstAttacks:
 
     def winners(self, limits: Sequence[float]) -> Search[Found]:
         """Member and value of the worst attacks, each with its aims."""
-        few, everyone = min(self.settings.sift_runs, self.panel.runs), self.panel.runs
+        few, all_runs = min(self.settings.sift_runs, self.panel.runs), self.panel.runs
         grids = [self._grid(each) for each in self.members]
         sifted = yield from self._play(((m, v) for m, grid in enumerate(grids) for v in grid), few)
         measures = list(next(iter(sifted.values())))
@@ -226,15 +226,15 @@ class WorstAttacks:
         near = {(m, v) for m, value in wanted for v in _around(value, grids[m], steps)}
         if self.rounds:
             near |= {key for key, _ in self._peaks(sifted, aims, few)}
-        played = yield from self._play(sorted(near), everyone)
+        played = yield from self._play(sorted(near), all_runs)
         if self.by_skies:
-            worst = self._best(played, aims[0], everyone)
+            worst = self._best(played, aims[0], all_runs)
             moved = played[worst][MEASURES[0]]
             self.skies = worst_skies(moved[self.counts], self.sky[self.counts])
         aims = aims_of(measures, limits, skies=self.skies is not None)
         found: Found = {}
         for aim in aims:
-            found.setdefault(self._best(played, aim, everyone), []).append(aim)
+            found.setdefault(self._best(played, aim, all_runs), []).append(aim)
         return found
 
     def _play(self, keys: Iterable[tuple[int, float]], runs: int) -> Search[Played]:
@@ -385,13 +385,13 @@ def play_winners(
     panel: Panel, found: Sequence[tuple[WorstAttacks, Found]], tick: Callable[[float], None]
 ) -> list[tuple[Winner, ...]]:
     """Let the worst attacks on detectors play all runs of a panel."""
-    asked = [
+    attacks = [
         (search.attack(*key, panel.runs), search, key) for search, aims in found for key in aims
     ]
-    asked.sort(key=lambda each: each[0].key)  # equal ones are played together
+    attacks.sort(key=lambda each: each[0].key)  # equal ones are played together
     moved: dict[tuple[int, tuple[int, float]], dict[str, FloatArray]] = {}
-    for first in range(0, len(asked), AT_ONCE):
-        some = asked[first : first + AT_ONCE]
+    for first in range(0, len(attacks), AT_ONCE):
+        some = attacks[first : first + AT_ONCE]
         played = panel.play([(attack, search.number) for attack, search, _ in some], tick=tick)
         for (_, search, key), runs in zip(some, played, strict=True):
             moved[search.number, key] = search.measured(panel, runs)
