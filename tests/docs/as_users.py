@@ -28,6 +28,7 @@ BESIDE = {
 """Commands that a page gives but for the words that do not change."""
 LEARNING = "--steps 200 --num-envs 4 --batch-size 400 --stages 1 --fit-runs 80 --runs 20 --rivals"
 CAMPAIGN = "--seeds 8 --training-seeds 80 --selection-seeds 12"
+PROTECTION = "--seeds 8 --selection-seeds 4"
 SMALLER: dict[str, tuple[str | None, str]] = {
     r"pip install ": (None, "the tests' environment has them; test_readme compares the extras"),
     r"make test$": (None, "the other list, which is run beside this one"),
@@ -57,6 +58,10 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     r"python -m tools\.detector_cards ": (None, "over an hour; tests/tools plays it small"),
     r"spoofgym bench --detector all ": (CAMPAIGN, "1000 runs against every detector"),
     r"spoofgym bench --suite standard$": (CAMPAIGN, "searches against every detector"),
+    r"spoofgym bench --suite standard --detector my_detector": (CAMPAIGN, "ten minutes"),
+    r"make bench$": (f'ARGS="{CAMPAIGN}"', "a quarter of an hour; a fresh checkout runs it"),
+    r"python -m baselines\.papers all$": (None, "the five papers, which have a page each"),
+    r"spoofgym protect (?!.*--selection-seeds)": (PROTECTION, "1000 runs of every attack"),
 }
 """How commands begin that would take more than some ten minutes or can't run here; with what
 options they run instead, None where they do not; and why."""

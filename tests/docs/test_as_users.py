@@ -53,11 +53,12 @@ FLOWN = {
 }
 """Those that are in the folder of real data."""
 PLAYER = """
-import json, subprocess, sys, traceback
+import json, subprocess, sys, time, traceback
 
 failed, scope = 0, {"__name__": "__main__"}
 for number, (kind, text) in enumerate(json.load(open(sys.argv[1]))):
     print(f"--- {number}: {text}", flush=True)
+    began = time.perf_counter()
     try:
         if kind == "python":
             exec(compile(text, f"block {number}", "exec"), scope)
@@ -69,6 +70,7 @@ for number, (kind, text) in enumerate(json.load(open(sys.argv[1]))):
         failed += 1
         traceback.print_exc()
         print(f"=== {number} FAILED", flush=True)
+    print(f"=== {number} {time.perf_counter() - began:.0f} s", flush=True)
 sys.exit(bool(failed))
 """
 """Runs the steps of a page in their order, its code in one session; goes on after a failure."""
@@ -109,7 +111,7 @@ def checkout(folder: Path) -> dict[str, str]:
 
 
 def play(folder: Path, environment: dict[str, str], steps: list[tuple[str, str]]) -> None:
-    """Run steps, and fail with all that was said where one of them fails."""
+    """Run steps and print what they print and how long each takes, which `-rP` shows."""
     (folder / "steps.json").write_text(json.dumps(steps))
     done = subprocess.run(
         [sys.executable, "-c", PLAYER, str(folder / "steps.json")],
@@ -119,6 +121,7 @@ def play(folder: Path, environment: dict[str, str], steps: list[tuple[str, str]]
         stderr=subprocess.STDOUT,
         text=True,
     )
+    print(done.stdout)
     assert done.returncode == 0, done.stdout
 
 

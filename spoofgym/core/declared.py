@@ -1,0 +1,312 @@
+"""Settings that are declared once: their bounds, units and meaning, where the field stands.
+
+A record's class is decorated by `record`, and its fields are made by `setting`.  From these come
+the checks of a new record, the parameters of the docstring and the rows of listings.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import inspect
+import math
+import numbers
+import re
+import textwrap
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import MISSING, dataclass, field
+from itertools import pairwise
+from typing import Any, TypeVar, dataclass_transform, overload
+
+import numpy as np
+
+from .settings import OMITTED
+
+T = TypeVar("T")
+NUMBERS = {"float": "number", "int": "whole number"}
+SECTION = re.compile(r"^(Attributes|Returns|Raises|See Also|Notes|References|Examples)\n-+$", re.M)
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What is valid for a setting: limits of numbers, also of a list's, and words."""
+
+    above: float | None = None
+    least: float | None = None
+    below: float | None = None
+    most: float | None = None
+    one_of: tuple[str, ...] = ()
+    increasing: bool = False
+    infinite: bool = False
+
+    def hold(self, value: Any, whole: bool = False) -> bool:
+        """Whether a value is a number within the limits; `whole`: and a whole one."""
+        if not isinstance(value, numbers.Real) or isinstance(value, bool | np.bool_):
+            return False
+        size = float(value)
+        if math.isnan(size) or (math.isinf(size) and not self.infinite):
+            return False
+        if whole and not size.is_integer():
+            return False
+        return (
+            (self.above is None or size > self.above)
+            and (self.least is None or size >= self.least)
+            and (self.below is None or size < self.below)
+            and (self.most is None or size <= self.most)
+        )
+
+    def words(self, kind: str, plural: bool = False) -> str:
+        """Valid numbers of a kind in words, ``"a number above 0 and at most 1"``."""
+        name = f"{NUMBERS[kind]}s" if plural else f"a {NUMBERS[kind]}"
+        if not self.infinite and kind == "float":
+            name = name.replace("number", "finite number") if self._is_open() else name
+        if self.least is not None and self.most is not None:
+            return f"{name} from {self.least:g} to {self.most:g}"
+        limits = {
+            "above": self.above,
+            "of at least": self.least,
+            "below": self.below,
+            "of at most": self.most,
+        }
+        parts = [f"{word} {limit:g}" for word, limit in limits.items() if limit is not None]
+        return " ".join([name, " and ".join(parts)]).rstrip()
+
+    def _is_open(self) -> bool:
+        return self.above is self.least is self.below is self.most is None
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Declaration of a field: what is valid for it, its unit, and what it means."""
+
+    bounds: Bounds
+    unit: str = ""
+    help: str = ""
+
+    def check(self, name: str, value: Any, annotation: str) -> None:
+        """Raise ValueError, with the name, the value and what is valid, unless a value is."""
+        kinds = set(split_union(annotation))
+        if (value is None and "None" in kinds) or self._is_valid(value, kinds):
+            return
+        near = difflib.get_close_matches(str(value), self.bounds.one_of, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"`{name}` must be {self.valid(annotation)}, got {value!r}{hint}")
+
+    def _is_valid(self, value: Any, kinds: set[str]) -> bool:
+        if not {*NUMBERS, "bool"} & kinds and not self.bounds.one_of and not lists_in(kinds):
+            return True  # a record or a text, which its own class checks
+        if "bool" in kinds and isinstance(value, bool | np.bool_):
+            return True
+        if isinstance(value, str):
+            return value in self.bounds.one_of or (not self.bounds.one_of and "str" in kinds)
+        if any(self.bounds.hold(value, whole=kind == "int") for kind in NUMBERS if kind in kinds):
+            return True
+        items = lists_in(kinds)
+        if items and isinstance(value, Sequence | np.ndarray):
+            return self._are_valid(list(value), items)
+        return bool(kinds - {*NUMBERS, "bool", "str", "None"} - {f"tuple[{i}, ...]" for i in items})
+
+    def _are_valid(self, values: list[Any], items: list[str]) -> bool:
+        good = all(self.bounds.hold(each, whole="float" not in items) for each in values)
+        ordered = not self.bounds.increasing or all(a < b for a, b in pairwise(values))
+        return bool(values) and good and ordered
+
+    def valid(self, annotation: str) -> str:
+        """What is valid, in words."""
+        kinds = split_union(annotation)
+        words = [self.bounds.words(kind) for kind in NUMBERS if kind in kinds]
+        for item in lists_in(kinds):
+            order = " in increasing order" if self.bounds.increasing else ""
+            words.append(f"a list of {self.bounds.words(item, plural=True)}{order}")
+        words += ["True or False"] if "bool" in kinds else []
+        words += map(repr, self.bounds.one_of)
+        words += ["None"] if "None" in kinds and words else []
+        return f"{', '.join(words[:-1])} or {words[-1]}" if len(words) > 1 else "".join(words)
+
+
+def setting(
+    *,
+    default: Any = MISSING,
+    above: float | None = None,
+    least: float | None = None,
+    below: float | None = None,
+    most: float | None = None,
+    one_of: Iterable[str] = (),
+    increasing: bool = False,
+    infinite: bool = False,
+    unit: str = "",
+    help: str = "",
+    default_factory: Any = MISSING,
+    kw_only: Any = MISSING,
+    omitted: bool = False,
+) -> Any:
+    """Field of a record, with what is valid for it.
+
+    Parameters
+    ----------
+    default : object
+        Default; none by default, so that it must be given.
+    above, least, below, most : float or None
+        Limits of a number, or of every number of a list: excluded (`above`, `below`) or included.
+    one_of : iterable of str
+        Words that are valid; beside numbers where the annotation names numbers, too.
+    increasing : bool
+        Whether a list must be in increasing order.
+    infinite : bool
+        Whether infinity is valid.
+    unit : str
+        Unit, ``"m/s"``.
+    help : str
+        What it means: a sentence or two, shown in docstrings and listings.
+    default_factory : callable
+        What makes the default, as for `dataclasses.field`.
+    kw_only : bool
+        Whether it can be given by its name alone, as for `dataclasses.field`.
+    omitted : bool
+        Whether its default is not written down, because what is stored is older than the field.
+
+    Returns
+    -------
+    field : dataclasses.Field
+        For the body of a class that `record` decorates.
+    """
+    bounds = Bounds(above, least, below, most, tuple(one_of), increasing, infinite)
+    metadata = {"setting": Setting(bounds, unit, help), **(OMITTED if omitted else {})}
+    given = {"default": default, "default_factory": default_factory, "kw_only": kw_only}
+    options = {name: value for name, value in given.items() if value is not MISSING}
+    return field(metadata=metadata, **options)
+
+
+@overload
+def record(kind: type[T], /) -> type[T]: ...
+@overload
+def record(**options: bool) -> Callable[[type[T]], type[T]]: ...
+@dataclass_transform(field_specifiers=(setting, field))
+def record(kind: type[T] | None = None, /, **options: bool) -> Any:
+    """Dataclass whose settings are checked before its own `__post_init__`, and documented.
+
+    Parameters
+    ----------
+    kind : type
+        Class to decorate.
+    **options : bool
+        Those of `dataclasses.dataclass`.
+
+    Returns
+    -------
+    kind : type
+        Dataclass; its docstring has the parameters.
+    """
+
+    def build(kind: type[T]) -> type[T]:
+        finish = getattr(kind, "__post_init__", None)
+
+        def __post_init__(self: Any, *rest: Any) -> None:
+            check_settings(self)
+            if finish is not None:
+                finish(self, *rest)
+
+        kind.__post_init__ = __post_init__  # type: ignore[attr-defined]
+        made = dataclass(**options)(kind)
+        made.__doc__ = document(made)
+        return made
+
+    return build if kind is None else build(kind)
+
+
+def check_settings(record: Any) -> None:
+    """Raise ValueError unless all declared settings of a record are valid.
+
+    Lists become tuples where the annotation says so, numbers of NumPy those of Python, and whole
+    numbers ints, so that equal settings are stored alike.
+    """
+    for name, (declared, annotation) in settings_in(type(record)).items():
+        value = getattr(record, name)
+        declared.check(name, value, annotation)
+        plain = _as_plain(value, annotation)
+        if plain is not value:
+            object.__setattr__(record, name, plain)
+
+
+def _as_plain(value: Any, annotation: str) -> Any:
+    kinds = split_union(annotation)
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, list) and any(kind.startswith("tuple[") for kind in kinds):
+        return tuple(value)
+    if "int" in kinds and "float" not in kinds and isinstance(value, float):
+        return int(value)
+    return value
+
+
+def check_number(
+    name: str,
+    value: Any,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    below: float | None = None,
+    most: float | None = None,
+    whole: bool = False,
+) -> None:
+    """Raise ValueError, as a record does, unless an argument is a finite number within limits."""
+    declared = Setting(Bounds(above, least, below, most))
+    declared.check(name, value, "int" if whole else "float")
+
+
+def check_word(name: str, value: Any, valid: Iterable[str]) -> None:
+    """Raise ValueError, as a record does, unless an argument is one of the valid words."""
+    Setting(Bounds(one_of=tuple(valid))).check(name, value, "str")
+
+
+def settings_in(kind: type) -> dict[str, tuple[Setting, str]]:
+    """Declared settings of a record's class, and their annotations, by name."""
+    return {
+        each.name: (each.metadata["setting"], str(getattr(each.type, "__name__", each.type)))
+        for each in dataclasses.fields(kind)
+        if "setting" in each.metadata
+    }
+
+
+def document(kind: type) -> str:
+    """Docstring of a record's class, with the parameters that its settings declare."""
+    text = inspect.cleandoc(kind.__doc__ or "")
+    lines = [line for each in dataclasses.fields(kind) for line in _document_field(each)]
+    if not lines:
+        return text
+    section = "\n".join(["Parameters", "----------", *lines])
+    following = SECTION.search(text)
+    at = following.start() if following else len(text)
+    return f"{text[:at].rstrip()}\n\n{section}\n\n{text[at:]}".rstrip() + "\n"
+
+
+def _document_field(each: dataclasses.Field[Any]) -> list[str]:
+    """Lines of a parameter: name, type and default; meaning, unit and what is valid."""
+    declared = each.metadata.get("setting")
+    if declared is None or not each.init:
+        return []
+    annotation = str(getattr(each.type, "__name__", each.type))
+    kinds = [
+        kind for kind in split_union(annotation) if kind != "str" or not declared.bounds.one_of
+    ]
+    words = " or ".join([*map(repr, declared.bounds.one_of), *kinds])
+    default = "" if each.default is MISSING else f", default {each.default!r}"
+    unit = f" [{declared.unit}]" if declared.unit else ""
+    meaning = re.sub(r"(?=[.;:])|$", unit, declared.help, count=1)
+    closed = declared.bounds == Bounds(one_of=declared.bounds.one_of)
+    valid = "" if closed else f" Valid: {declared.valid(annotation)}."
+    return [f"{each.name} : {words}{default}", *textwrap.wrap(meaning + valid, 92, **INDENT)]
+
+
+INDENT: dict[str, Any] = {"initial_indent": "    ", "subsequent_indent": "    "}
+
+
+def split_union(annotation: str) -> list[str]:
+    """Members of a union as it is written, ``"float | None"``."""
+    return re.split(r" \| (?![^\[]*\])", annotation)
+
+
+def lists_in(kinds: Iterable[str]) -> list[str]:
+    """Kinds of number of which a member of a union is a tuple of any length."""
+    found = (re.fullmatch(r"tuple\[(float|int), \.\.\.\]", kind) for kind in kinds)
+    return [match[1] for match in found if match]

@@ -1,0 +1,118 @@
+"""Every declared bound of every setting: what is at, below and above it, and what is no number.
+
+Bounds and annotations come from the classes, so that a new setting is tried without a word here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+
+import numpy as np
+import pytest
+
+from spoofgym.core.declared import lists_in, settings_in, split_union
+
+from . import sources
+from .examples import EXAMPLES
+
+RECORDS = sorted(
+    {
+        kind
+        for module in sources.modules()
+        for kind in vars(module).values()
+        if inspect.isclass(kind) and dataclasses.is_dataclass(kind) and settings_in(kind)
+        if kind.__module__ == module.__name__ and not inspect.isabstract(kind)
+    },
+    key=lambda kind: f"{kind.__module__}.{kind.__qualname__}",
+)
+CASES = [(kind, name) for kind in RECORDS for name in settings_in(kind)]
+IDS = [f"{kind.__name__}-{name}" for kind, name in CASES]
+
+
+def bad_numbers(declared, whole):
+    """Numbers that a setting refuses: at a bound that is excluded, and beyond each."""
+    bounds, step = declared.bounds, 1 if whole else None
+    yield from (b for b in (bounds.above, bounds.below) if b is not None)
+    if bounds.least is not None:
+        yield bounds.least - (step or max(abs(bounds.least), 1.0) * 1e-9)
+    if bounds.most is not None:
+        yield bounds.most + (step or max(abs(bounds.most), 1.0) * 1e-9)
+    if bounds.above is not None:
+        yield bounds.above - 1
+    if bounds.below is not None:
+        yield bounds.below + 1
+    yield math.nan
+    yield True
+    if not bounds.infinite:
+        yield from (math.inf, -math.inf)
+    if whole:
+        yield (bounds.least or bounds.above or 0) + 0.5
+
+
+def bad_values(declared, annotation):
+    kinds = set(split_union(annotation))
+    if "bool" in kinds:
+        return ["yes", 2.0]
+    found = []
+    if {"int", "float"} & kinds:
+        found += bad_numbers(declared, whole="float" not in kinds)
+    for item in lists_in(kinds):
+        found += [[each] for each in bad_numbers(declared, whole=item == "int")]
+        found += [[]] + ([[2, 2]] if declared.bounds.increasing else [])
+    if declared.bounds.one_of:
+        found += ["no such word"]
+    return found
+
+
+def example_of(kind):
+    """A record of a class: by its defaults, or as in `EXAMPLES`."""
+    if kind in EXAMPLES:
+        return EXAMPLES[kind]()
+    needed = [
+        each.name
+        for each in dataclasses.fields(kind)
+        if each.default is each.default_factory is dataclasses.MISSING and each.init
+    ]
+    assert not needed, f"tests/conformance/examples.py needs a {kind.__name__} with {needed}"
+    return kind()
+
+
+@pytest.mark.parametrize(("kind", "name"), CASES, ids=IDS)
+def test_what_is_not_valid_is_refused_by_name_and_value(kind, name):
+    declared, annotation = settings_in(kind)[name]
+    example = example_of(kind)
+    for bad in bad_values(declared, annotation):
+        with pytest.raises(ValueError, match=f"^`{name}` must be ") as raised:
+            dataclasses.replace(example, **{name: bad})
+        said = str(raised.value)
+        assert said.startswith(f"`{name}` must be {declared.valid(annotation)}, got {bad!r}")
+
+
+@pytest.mark.parametrize(("kind", "name"), CASES, ids=IDS)
+def test_bounds_that_are_included_are_valid(kind, name):
+    declared, annotation = settings_in(kind)[name]
+    bounds, kinds = declared.bounds, set(split_union(annotation))
+    numbers = [each for each in (bounds.least, bounds.most) if each is not None]
+    if {"int", "float"} & kinds:
+        for value in [*numbers, *map(np.float64, numbers)]:
+            declared.check(name, value, annotation)
+    for word in bounds.one_of:
+        declared.check(name, word, annotation)
+    if "None" in kinds:
+        declared.check(name, None, annotation)
+
+
+@pytest.mark.parametrize("kind", RECORDS, ids=lambda kind: kind.__name__)
+def test_defaults_are_valid_and_documented(kind):
+    for each in dataclasses.fields(kind):
+        if "setting" in each.metadata and each.default is not dataclasses.MISSING:
+            declared, annotation = settings_in(kind)[each.name]
+            declared.check(each.name, each.default, annotation)
+    text = inspect.getdoc(kind)
+    for name, (declared, _) in settings_in(kind).items():
+        assert f"\n{name} : " in text
+        assert declared.help
+        assert declared.help[0].isupper()
+        assert declared.help.endswith(".")
