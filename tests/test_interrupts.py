@@ -202,3 +202,30 @@ def test_progress_leaves_no_thread_that_nobody_waits_for() -> None:
         assert set(threading.enumerate()) - before
         _threads.end_all()
         assert not set(threading.enumerate()) - before
+
+
+WITHIN_A_DEL = """
+import os, signal, sys, time
+from spoofgym.cli.app import app, main
+
+class Closed:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+@app.command()
+def closes():
+    Closed()
+    time.sleep(60.0)
+    print("it was dropped")
+
+sys.argv[1:] = ["closes"]
+main()
+"""
+
+
+def test_an_interrupt_within_a_del_is_not_dropped(tmp_path: Path) -> None:
+    process = started("-c", WITHIN_A_DEL, folder=tmp_path)
+    printed, said = process.communicate(timeout=120.0)
+    assert process.returncode == 130, said.decode()
+    assert (printed, said) == (b"", b"")
