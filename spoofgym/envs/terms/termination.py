@@ -80,7 +80,7 @@ class AtDisplacement:
 
 @record(frozen=True)
 class AtStealthBudget:
-    """Divergence that the attack may cause: half the sum of rho' S^-1 rho, as the filter sees it."""
+    """Divergence that the attack may cause: half the sum of rho' S^-1 rho, as the filter has it."""
 
     described_as = "AtStealthBudget"
     budget_nats: float = setting(
