@@ -17,27 +17,27 @@ from spoofgym.simulation.snapshot import SnapshotSimulator
 from spoofgym.simulation.tight import TightlyCoupledSimulator
 
 TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 1.0}
+BRIEF = {"timeline": TIMELINE, "domain": {"turn_on": "drawn"}}
 FORMS = {
     "single": lambda: gym.make("spoofgym/TightlyCoupled-v0", timeline=TIMELINE).unwrapped,
     "small": lambda: gym.make("spoofgym/Snapshot-v0").unwrapped,
-    "spoofer's view": lambda: gym.make("spoofgym/SpooferView-v0", timeline=TIMELINE).unwrapped,
-    "detector's view": lambda: gym.make("spoofgym/DetectorView-v0", timeline=TIMELINE).unwrapped,
+    "detector's view": lambda: gym.make("spoofgym/DetectorView-v0", **BRIEF).unwrapped,
     **{
         mode: lambda mode=mode: gym.make_vec(
-            "spoofgym/TightlyCoupled-v0", 40, timeline=TIMELINE, autoreset_mode=mode, threads=2
+            "spoofgym/TightlyCoupled-v0", 17, timeline=TIMELINE, autoreset_mode=mode, threads=2
         )
         for mode in ("next_step", "same_step", "disabled")
     },
     "SB3": lambda: sb3_env(),
-    "duel": lambda: duel("env", timeline=TIMELINE),
-    "parallel duel": lambda: duel("parallel_env", timeline=TIMELINE),
+    "duel": lambda: duel("env", **BRIEF),
+    "parallel duel": lambda: duel("parallel_env", **BRIEF),
 }
 
 
 def sb3_env():
     from spoofgym.sb3 import SpoofVecEnv
 
-    return SpoofVecEnv(40, timeline=TIMELINE, threads=2)
+    return SpoofVecEnv(17, timeline=TIMELINE, threads=2)
 
 
 def duel(form, **settings):
@@ -118,7 +118,7 @@ def test_some_receivers_are_not_enough_for_the_reset_after_an_interrupt(monkeypa
     with pytest.raises(KeyboardInterrupt):
         act(env)
     with pytest.raises(ValueError, match="must be that of all receivers"):
-        env.reset(options={"reset_mask": np.arange(40) < 3})
+        env.reset(options={"reset_mask": np.arange(17) < 3})
     env.reset()
     act(env)
     env.close()

