@@ -1,8 +1,6 @@
-"""Vector environments: seeds, masks, final observations, and the information that is asked for."""
+"""Vector environments: seeds of some, final observations, and the information that is asked for."""
 
 from __future__ import annotations
-
-import warnings
 
 import gymnasium as gym
 import numpy as np
@@ -18,10 +16,6 @@ SMALL = "spoofgym/Snapshot-v0"
 def make(name, mode="next_step", **kwargs):
     settings = early(name, knowledge="blind", **kwargs)
     return gym.make_vec(name, num_envs=COUNT, autoreset_mode=mode, **settings)
-
-
-def actions(envs, rng):
-    return rng.uniform(-0.2, 0.2, envs.action_space.shape).astype(np.float32)
 
 
 def types(info):
@@ -40,14 +34,14 @@ def test_the_last_information_is_that_of_gymnasium(name):
     )
     ours.reset(seed=4)
     theirs.reset(seed=4)
-    rng = np.random.default_rng(0)
-    ends = 0
+    rng, ends = np.random.default_rng(0), 0
     while ends < 3:
-        given = actions(ours, rng)
+        given = rng.uniform(-0.2, 0.2, ours.action_space.shape).astype(np.float32)
         *_, terminated, truncated, told = ours.step(given)
         expected = theirs.step(given)[4]
         over = terminated | truncated
         ends += over.any()
+        assert ("final_obs" in told) == over.any()
         if over.any():
             np.testing.assert_array_equal(told["_final_obs"], over)
             np.testing.assert_array_equal(told["_final_info"], over)
@@ -73,32 +67,10 @@ def test_a_finished_receiver_must_be_reset():
         envs.step(np.zeros(envs.action_space.shape))
 
 
-@pytest.mark.parametrize(
-    ("mask", "error", "message"),
-    [
-        ([True, False, False], TypeError, "must be an array of dtype bool"),
-        (np.array([1, 0, 0]), TypeError, "got dtype int64"),
-        (np.array([True, False]), ValueError, r"must have shape \(3,\), got \(2,\)"),
-        (np.zeros(3, dtype=bool), ValueError, "True for at least one"),
-    ],
-)
-def test_a_wrong_mask_is_refused(mask, error, message):
-    envs = make(SMALL, "disabled")
-    envs.reset(seed=0)
-    with pytest.raises(error, match=message):
-        envs.reset(options={"reset_mask": mask})
-
-
 def test_a_part_of_the_receivers_can_be_seeded():
-    envs = make(SMALL, "disabled")
-    with pytest.raises(ValueError, match="first reset must be that of all"):
-        envs.reset(options={"reset_mask": np.array([True, False, False])})
-    with pytest.raises(ValueError, match="must have 3 elements, got 2"):
-        envs.reset(seed=[1, 2])
+    envs, plain = make(SMALL, "disabled"), make(SMALL, "disabled")
     envs.reset(seed=5)
-    zeros = np.zeros(envs.action_space.shape)
-    envs.step(zeros)
-    first, *_ = envs.step(zeros)
+    first, *_ = envs.step(np.zeros(envs.action_space.shape))
     options = {"reset_mask": np.array([False, True, False])}
     mixed, info = envs.reset(seed=100, options=options)
     assert "reset_mask" in options  # the user's own dictionary is left alone
@@ -106,12 +78,11 @@ def test_a_part_of_the_receivers_can_be_seeded():
     np.testing.assert_array_equal(mixed[1], envs.reset(seed=100)[0][1])
     assert info["_time_s"].tolist() == [False, True, False]
     # the streams of the others go on as if nothing had been
-    plain = make(SMALL, "disabled")
     for each, seed in ((plain, None), (envs, 100)):
         each.reset(seed=5)
-        each.reset(seed=seed, options={"reset_mask": np.array([False, True, False])})
+        each.reset(seed=seed, options=options)
         each.reset()
-    expected, found = (each.core.engine.simulator.position for each in (plain, envs))
+    expected, found = (each.unwrapped.core.engine.simulator.position for each in (plain, envs))
     np.testing.assert_array_equal(found[[0, 2]], expected[[0, 2]])
     assert not np.array_equal(found[1], expected[1])
 
@@ -140,37 +111,20 @@ def test_the_information_of_a_reset_is_the_users_own():
         np.testing.assert_array_equal(mine[key], array, err_msg=key)
 
 
-def test_unknown_options_are_warned_of():
-    envs, env = make(SMALL), gym.make(SMALL, **early(SMALL, knowledge="blind"))
-    with pytest.warns(UserWarning, match=r"no option 'speed'; valid: domain, reset_mask"):
-        envs.reset(seed=0, options={"speed": 2})
-    with pytest.warns(UserWarning, match=r"no option 'speed'; valid: domain"):
-        env.reset(seed=0, options={"speed": 2})
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        envs.reset(seed=0, options={})
-        env.reset(seed=0, options=None)
-
-
 @pytest.mark.parametrize("mode", MODES)
 def test_only_the_information_that_was_asked_for(mode):
-    every = make(ID, mode)
+    every = make(SMALL, mode)
     every.reset(seed=3)
     info = every.step(np.zeros(every.action_space.shape))[4]
-    assert set(every.core.info_names) == {key for key in info if not key.startswith("_")}
+    assert set(every.unwrapped.core.info_names) == {key for key in info if key[0] != "_"}
     for asked, names in (("none", set()), (("alarm", "time_s"), {"alarm", "time_s"})):
-        envs = make(ID, mode, infos=asked)
+        envs = make(SMALL, mode, infos=asked)
         begun = envs.reset(seed=3)[1]
-        assert {key for key in begun if not key.startswith("_")} <= names
+        assert {key for key in begun if key[0] != "_"} <= names
         over = np.zeros(COUNT, dtype=bool)
         while not over.any():
-            *_, terminated, _, info = envs.step(np.zeros(envs.action_space.shape))
-            over = terminated
-            told = {key for key in info if not key.startswith("_")}
+            *_, over, _, info = envs.step(np.zeros(envs.action_space.shape))
+            told = {key for key in info if key[0] != "_"}
             assert told - {"final_obs", "final_info"} == names
         if mode == "same_step":
-            assert {key for key in info["final_info"] if not key.startswith("_")} == names
-    with pytest.raises(ValueError, match=r"unknown info 'alarms'; valid: alarm.*did you mean"):
-        make(ID, infos=("alarms",))
-    with pytest.raises(ValueError, match="`infos` must be 'all' or 'none', got 'some'"):
-        make(ID, infos="some")
+            assert {key for key in info["final_info"] if key[0] != "_"} == names
