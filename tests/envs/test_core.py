@@ -80,21 +80,21 @@ def test_an_alarm_in_the_warmup_is_latched_and_does_not_end_anything(kind):
     assert not terminated
 
 
+def test_own_reward_terms_and_a_price_of_an_alarm():
+    *_, infos = play("Snapshot", AlarmAt(LIVE + 3), alarm_price=2.5, length_m=10.0)
+    assert infos[-1]["reward_alarm"] == -25.0
+    env = victim("Snapshot", reward=[DisplacementGain(per_m=2.0)], detector=Never())
+    env.reset(seed=1)
+    _, reward, _, _, info = env.step(np.full(env.action_space.shape, 0.5))
+    assert reward == info["reward_displacement"]
+    assert not any(name in info for name in ("reward_retraction", "reward_alarm"))
+
+
 def test_the_target_direction_counts(kind):
     east = play(kind, Never(), target_heading_deg=90.0)[0]
     west = play(kind, Never(), target_heading_deg=270.0)[0]
     np.testing.assert_allclose(east, -west, atol=1e-9)
     assert east[-1] > 1.0
-
-
-def test_own_reward_terms_and_a_price_of_an_alarm(kind):
-    *_, infos = play(kind, AlarmAt(LIVE + 3), alarm_price=2.5, length_m=10.0)
-    assert infos[-1]["reward_alarm"] == -25.0
-    env = victim(kind, reward=[DisplacementGain(per_m=2.0)], detector=Never())
-    env.reset(seed=1)
-    _, reward, _, _, info = env.step(np.full(env.action_space.shape, 0.5))
-    assert reward == info["reward_displacement"]
-    assert not any(name in info for name in ("reward_retraction", "reward_alarm"))
 
 
 def test_fewer_than_four_satellites_coast_and_say_so():

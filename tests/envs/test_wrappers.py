@@ -17,7 +17,7 @@ from spoofgym.envs import wrappers
 from spoofgym.envs.wrappers import EpochRecorder
 from spoofgym.envs.wrappers import vector as vector_wrappers
 
-from .support import ID, LIVE, SHORT, AlarmAt, single, vector
+from .support import ID, LIVE, SHORT, AlarmAt, single, vector, victims
 
 
 def transitions(env, steps=36, seed=4):
@@ -42,10 +42,19 @@ def assert_same(mine, theirs):
         np.testing.assert_array_equal(a, b)
 
 
+VECTOR = partial(gym.make_vec, num_envs=2)
+BENCH = "spoofgym/BenchT3-v1"
+"""Brings a detector of its own, solution separation."""
 MAKERS = [
     pytest.param(single, wrappers, id="single"),
     pytest.param(lambda **kwargs: vector(2, **kwargs), vector_wrappers, id="vector"),
 ]
+
+
+def inner(env):
+    """Name of the detector in the loop, and what is asked of its thresholds."""
+    spec = spec_of_judge(env.unwrapped.core.setup.detector)
+    return spec["name"], spec.get("false_alarms_per_hour")
 
 
 @pytest.mark.parametrize(("make", "module"), MAKERS)
@@ -63,36 +72,28 @@ def test_a_wrapper_is_the_same_as_its_argument(make, module):
     mine, theirs = transitions(wrapped), transitions(given)
     assert_same(mine[0], theirs[0])
     assert set(mine[1][0]) == set(theirs[1][0])
-
-
-@pytest.mark.parametrize(("make", "module"), MAKERS)
-@pytest.mark.parametrize(("end_at_alarm", "over"), [(True, True), (False, False)])
-def test_an_end_that_is_added_leaves_that_by_an_alarm_as_it_was(make, module, end_at_alarm, over):
-    env = make(detector=AlarmAt(LIVE + 3), end_at_alarm=end_at_alarm)
-    env = module.StealthBudget(env, 1e9)
-    env.reset(seed=1)
-    ends = [env.step(np.zeros(env.action_space.shape))[2] for _ in range(3)]
-    assert [np.all(end) for end in ends] == [False, False, over]
-
-
-@pytest.mark.parametrize(("make", "module"), MAKERS)
-def test_two_detectors_are_refused_with_both_names(make, module):
+    with pytest.raises(RuntimeError, match="before reset"):
+        module.WatchWrapper(wrapped, ["cusum"])
     with pytest.raises(ValueError, match="'ewma' and 'cusum'"):
         module.DetectorWrapper(make(detector="ewma"), "cusum")
-    once = module.DetectorWrapper(make(), "ewma")
-    with pytest.raises(ValueError, match=r"two detectors are set at once: 'ewma' and \{'name'"):
-        module.DetectorWrapper(once, {"name": "cusum"})
+    for end_at_alarm in (True, False):
+        env = make(detector=AlarmAt(LIVE + 3), end_at_alarm=end_at_alarm)
+        env = module.StealthBudget(env, 1e9)  # leaves the end by an alarm as it was
+        env.reset(seed=1)
+        ends = [env.step(np.zeros(env.action_space.shape))[2] for _ in range(3)]
+        assert [np.all(end) for end in ends] == [False, False, end_at_alarm]
 
 
-VECTOR = partial(gym.make_vec, num_envs=2)
-BENCH = "spoofgym/BenchT3-v1"
-"""Brings a detector of its own, solution separation."""
-
-
-def inner(env):
-    """Name of the detector in the loop, and what is asked of its thresholds."""
-    spec = spec_of_judge(env.unwrapped.core.setup.detector)
-    return spec["name"], spec.get("false_alarms_per_hour")
+def test_the_spec_of_a_wrapped_environment_makes_it_again():
+    env = wrappers.StealthBudget(wrappers.DetectorWrapper(single(), "snapshot-chi2"), 3.0)
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert type(again.unwrapped.core.setup.detector).__name__ == "SnapshotChi2"
+    assert_same(transitions(env)[0], transitions(again)[0])
+    with pytest.raises(gym.error.Error, match="vector_entry_point"):  # hence the twins
+        gym.make_vec(ID, num_envs=2, timeline=SHORT, wrappers=[wrappers.StealthBudget])
+    for other in (gym.make("spoofgym/SpooferView-v0", timeline=SHORT), gym.make("CartPole-v1")):
+        with pytest.raises(TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or a Sp"):
+            wrappers.WatchWrapper(other, ["cusum"])
 
 
 @pytest.mark.usefixtures("default_rate")
@@ -100,8 +101,7 @@ def inner(env):
     ("make", "module", "detector", "rate", "found"),
     [
         (VECTOR, vector_wrappers, {"name": "snapshot-chi2"}, None, STANDARD_RATE),
-        (gym.make, wrappers, "snapshot-chi2", 0.5, 0.5),
-        (gym.make, wrappers, SnapshotChi2, None, STANDARD_RATE),
+        (gym.make, wrappers, SnapshotChi2, 0.5, 0.5),
         (gym.make, wrappers, "spoofgym.detectors:SnapshotChi2", None, STANDARD_RATE),
         (gym.make, wrappers, "trolley-guard", None, STANDARD_RATE),
         (gym.make, wrappers, SnapshotChi2(), None, None),  # keeps its own thresholds
@@ -118,6 +118,9 @@ def test_the_detector_of_an_id_is_replaced(make, module, detector, rate, found):
     env.close()
 
 
+RAISES = "tests.envs.raises:Mine"
+
+
 @pytest.mark.usefixtures("default_rate")
 @pytest.mark.parametrize(
     ("env", "detector", "rate", "message"),
@@ -126,50 +129,14 @@ def test_the_detector_of_an_id_is_replaced(make, module, detector, rate, found):
         ("TightlyCoupled", "rio", 0.3, "^Rio needs auxiliary_position, gnss_position, which a ti"),
         ("TightlyCoupled", "fma", None, "^there is no calibration of fma in .*`spoofgym calibrate"),
         ("TightlyCoupled", {"name": "ewma", "thresholds": "nominal"}, 0.2, "thresholds of its own"),
-        (
-            "TightlyCoupled",
-            "tests.envs.raises:Mine",
-            None,
-            "tests.envs.raises:Mine. raises RuntimeError",
-        ),
+        ("TightlyCoupled", RAISES, None, f"{RAISES}. raises RuntimeError"),
     ],
 )
 def test_a_detector_is_refused_for_its_reason(env, detector, rate, message):
+    env = gym.make(f"spoofgym/{env}-v0")
     with pytest.raises(ValueError, match=message) as caught:
-        wrappers.DetectorWrapper(
-            gym.make(f"spoofgym/{env}-v0"), detector, false_alarms_per_hour=rate
-        )
+        wrappers.DetectorWrapper(env, detector, false_alarms_per_hour=rate)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(("make", "module"), MAKERS)
-def test_a_game_that_has_begun_is_left_alone(make, module):
-    env = make()
-    env.reset(seed=0)
-    with pytest.raises(RuntimeError, match="before reset"):
-        module.WatchWrapper(env, ["cusum"])
-
-
-def test_other_environments_are_refused():
-    ids = ("spoofgym/SpooferView-v0", "spoofgym/DetectorView-v0")
-    for env in (*(gym.make(name, timeline=SHORT) for name in ids), gym.make("CartPole-v1")):
-        with pytest.raises(
-            TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv"
-        ):
-            wrappers.WatchWrapper(env, ["cusum"])
-
-
-def test_make_vec_refuses_wrappers_where_there_is_a_vector_form():
-    """Hence the twins; the page on terms says so."""
-    with pytest.raises(gym.error.Error, match="vector_entry_point"):
-        gym.make_vec(ID, num_envs=2, timeline=SHORT, wrappers=[wrappers.StealthBudget])
-
-
-def test_the_spec_of_a_wrapped_environment_makes_it_again():
-    env = wrappers.StealthBudget(wrappers.DetectorWrapper(single(), "snapshot-chi2"), 3.0)
-    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    assert type(again.unwrapped.core.setup.detector).__name__ == "SnapshotChi2"
-    assert_same(transitions(env)[0], transitions(again)[0])
 
 
 class Nervous(Detector):
@@ -184,6 +151,19 @@ class Nervous(Detector):
         statistic = np.abs(epoch.innovation[:, :1]) * 1e4 % 1.0
         threshold = np.full_like(statistic, 79 / 80)
         return Verdict(statistic, threshold, statistic > threshold)
+
+
+ACNA = {"name": "acna", "variant": "production"}
+
+
+def test_a_detector_that_watches_a_small_victim_sees_what_the_loop_sees():
+    kwargs = {"end": ["at-window-end"], "detector": ACNA, "rate_limit_mps": 1.0}
+    plain, passive = (victims("WheeledRobot", 2, **kwargs, **w) for w in ({}, {"watch": [ACNA]}))
+    mine, theirs = transitions(plain, 30), transitions(passive, 30)
+    assert_same(mine[0], theirs[0])
+    alarms = [info["alarm"] for info in theirs[1]]
+    assert_same(alarms[:-1], [info["watch_acna_alarm"] for info in theirs[1]][:-1])
+    assert np.any(alarms)
 
 
 @pytest.mark.parametrize("prefetch", [False, True])
@@ -263,24 +243,6 @@ def test_every_epoch_of_every_episode_is_written(tmp_path, mode):
     assert not list(tmp_path.glob("*.part"))
 
 
-def test_a_reset_of_some_goes_on_with_the_files_of_the_others(tmp_path):
-    pytest.importorskip("pyarrow")
-    envs = vector(2, autoreset_mode="disabled", detector="never")
-    envs = vector_wrappers.RecordEpochs(envs, tmp_path)
-    envs.reset(seed=3)
-    for steps in (2, 3):
-        for _ in range(steps):
-            envs.step(np.zeros((2, 2)))
-        envs.reset(options={"reset_mask": np.array([True, False])})
-    envs.close()
-    counts = {path.stem: read(path)[0].num_rows for path in tmp_path.iterdir()}
-    assert counts == {
-        "receiver-000-episode-000000": 2,
-        "receiver-000-episode-000001": 3,
-        "receiver-001-episode-000000": 5,
-    }
-
-
 @pytest.mark.parametrize(
     ("decision_interval_s", "at", "warmup_alarm", "alarm"),
     [(None, -5, True, False), (2.5, 33, False, True)],
@@ -308,6 +270,37 @@ def test_what_is_written_are_the_epochs_of_the_commands_and_no_others(
     assert (begun["time_s"], info["time_s"]) == (20.0, 40.0)
 
 
+def test_what_can_not_be_recorded_is_refused_at_birth(monkeypatch, tmp_path):
+    path = tmp_path / "file"
+    path.write_text("")
+    for folder in (path, path / "deeper"):
+        with pytest.raises(ValueError, match=r"`folder` .*file.* can't be made"):
+            wrappers.RecordEpochs(single(), folder)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ImportError, match="extra `flights`"):
+        EpochRecorder(tmp_path, 1)
+
+
+def test_a_reset_of_some_and_a_copy_go_on_with_the_files_of_the_others(tmp_path):
+    pytest.importorskip("pyarrow")
+    envs = vector(2, autoreset_mode="disabled", detector="never", watch=["cusum"])
+    envs = vector_wrappers.RecordEpochs(envs, tmp_path)
+    envs.reset(seed=3)
+    for steps in (2, 3):
+        for _ in range(steps):
+            copy = pickle.loads(pickle.dumps(envs))
+            mine, theirs = (each.step(np.ones((2, 2))) for each in (envs, copy))
+            np.testing.assert_array_equal(mine[0], theirs[0])
+        envs.reset(options={"reset_mask": np.array([True, False])})
+    envs.close()
+    counts = {path.stem: read(path)[0].num_rows for path in tmp_path.glob("*.parquet")}
+    assert counts == {
+        "receiver-000-episode-000000": 2,
+        "receiver-000-episode-000001": 3,
+        "receiver-001-episode-000000": 5,
+    }
+
+
 def test_a_later_run_counts_on_and_a_broken_episode_says_so(tmp_path):
     pytest.importorskip("pyarrow")
     for _ in range(2):
@@ -324,28 +317,3 @@ def test_a_later_run_counts_on_and_a_broken_episode_says_so(tmp_path):
     assert not told["complete"]
     offsets = np.array(table["range_offset_m"].to_pylist())
     assert offsets[1].any()
-
-
-def test_recording_without_its_package_says_what_to_install(monkeypatch, tmp_path):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ImportError, match="extra `flights`"):
-        EpochRecorder(tmp_path, 1)
-
-
-def test_a_folder_that_nothing_can_be_written_into_is_refused_at_birth(tmp_path):
-    path = tmp_path / "file"
-    path.write_text("")
-    for folder in (path, path / "deeper"):
-        with pytest.raises(ValueError, match=r"`folder` .*file.* can't be made"):
-            wrappers.RecordEpochs(single(), folder)
-
-
-def test_an_unfinished_wrapped_episode_survives_pickling(tmp_path):
-    pytest.importorskip("pyarrow")
-    env = wrappers.RecordEpochs(wrappers.WatchWrapper(single(), ["cusum"]), tmp_path)
-    env.reset(seed=1)
-    env.step([0.0, 0.1])
-    copy = pickle.loads(pickle.dumps(env))
-    mine, theirs = env.step([0.0, 0.2]), copy.step([0.0, 0.2])
-    np.testing.assert_array_equal(mine[0], theirs[0])
-    assert mine[1:] == theirs[1:]

@@ -10,17 +10,7 @@ import pytest
 
 from spoofgym.envs.core import ALARM_PRICE
 
-from ..support import (
-    HOLD,
-    LIVE,
-    SMALL,
-    STEPS,
-    VICTIMS,
-    AlarmAt,
-    single,
-    victim,
-    victims,
-)
+from ..support import HOLD, LIVE, STEPS, VICTIMS, AlarmAt, single, victim, victims
 
 LIMITS_M = {"TightlyCoupled": 0.5, "LooselyCoupled": 1.0, "Snapshot": 15.0, "WheeledRobot": 4.0}
 """Displacements that a full push comes to in some epochs of an episode."""
@@ -56,8 +46,6 @@ def test_a_displacement_ends_the_episode_and_is_held_to(kind):
     assert info["displacement_m"] >= LIMITS_M[kind]
     # the receiver has run the time to alert
     assert info["time_s"] == pytest.approx(VICTIMS[kind] * (2 * LIVE + steps + HOLD))
-    with pytest.raises(RuntimeError, match="call reset"):
-        env.step(np.zeros(env.action_space.shape))
 
 
 def test_an_alarm_after_an_early_end_takes_back_what_was_gained(kind):
@@ -80,14 +68,6 @@ def test_an_alarm_after_an_early_end_takes_back_what_was_gained(kind):
             assert info["undetected_displacement_m"] == kept["undetected_displacement_m"]
 
 
-def test_an_alarm_ends_it_only_where_it_is_listed():
-    kind = "Snapshot"
-    for end, steps in ((["at-alarm"], 4), ("at-window-end", STEPS), ([], STEPS)):
-        env = victim(kind, end=end, detector=AlarmAt(LIVE + 4))
-        env.reset(seed=1)
-        assert until_the_end(env)[0] == steps
-
-
 def test_a_limit_from_outside_truncates_and_holds_nothing(kind):
     env = victim(kind, end=["at-alarm", {"name": "at-steps", "steps": 7}], detector="never")
     env.reset(seed=1)
@@ -96,13 +76,6 @@ def test_a_limit_from_outside_truncates_and_holds_nothing(kind):
     assert info["time_s"] == pytest.approx(VICTIMS[kind] * (2 * LIVE + 7))
     with pytest.raises(RuntimeError, match="call reset"):
         env.step(np.zeros(env.action_space.shape))
-
-
-def test_the_last_command_is_an_end_and_no_truncation():
-    kind = "WheeledRobot"
-    env = victim(kind, end=[{"name": "at-steps", "steps": STEPS}], detector="never")
-    env.reset(seed=1)
-    assert until_the_end(env)[3:5] == (True, False)
 
 
 @pytest.mark.parametrize("steps", [STEPS - 1, STEPS])
@@ -123,6 +96,22 @@ def test_a_receiver_that_is_over_is_not_held_to_twice(steps):
     assert ends[0] > ends[1]
 
 
+@pytest.mark.parametrize(
+    ("kind", "end", "steps"),
+    [
+        ("Snapshot", ["at-alarm"], 4),
+        ("Snapshot", "at-window-end", STEPS),
+        ("Snapshot", [], STEPS),
+        ("WheeledRobot", [{"name": "at-steps", "steps": STEPS}], STEPS),  # no truncation
+    ],
+)
+def test_an_alarm_ends_it_only_where_it_is_listed_and_the_last_command_always(kind, end, steps):
+    env = victim(kind, end=end, detector=AlarmAt(LIVE + 4))
+    env.reset(seed=1)
+    taken, _, _, terminated, truncated, _ = until_the_end(env)
+    assert (taken, terminated, truncated) == (steps, True, False)
+
+
 @dataclass(frozen=True)
 class AtCommanded:
     """An end of one's own, which looks at the simulator."""
@@ -135,27 +124,12 @@ class AtCommanded:
         return state.snapshot.simulator.commanded_displacement[:, 1] >= self.limit_m
 
 
-def test_an_end_of_ones_own_sees_the_simulator(kind):
-    limit_m = {"TightlyCoupled": 2.0, "LooselyCoupled": 2.0}.get(kind, 8.0)
-    env = victim(kind, end=AtCommanded(limit_m), detector="never")
+def test_an_end_of_ones_own_sees_the_simulator():
+    env = victim("Snapshot", end=AtCommanded(8.0), detector="never")
     env.reset(seed=1)
     steps, *_, info = until_the_end(env)
     assert info["end_commanded"]
     assert 1 < steps < STEPS
-
-
-@pytest.mark.parametrize("kind", SMALL)
-def test_the_stealth_budget_needs_a_filter_of_the_tightly_coupled_receiver(kind):
-    for terms in (
-        {"end": {"name": "at-stealth-budget", "budget_nats": 2.0}},
-        {"observation": ["time", "divergence-spent"]},
-    ):
-        with pytest.raises(
-            ValueError,
-            match=r"the divergence of an attack needs the filter of a tightly coupled receiver, "
-            r"which a .* does not have",
-        ):
-            victim(kind, **terms)
 
 
 def test_the_stealth_budget_ends_when_it_is_spent():
