@@ -123,8 +123,7 @@ def test_in_the_parallel_form_actions_between_are_not_looked_at():
     assert set(never) == {None}
 
 
-@pytest.mark.parametrize("delay", [0, 1])
-@pytest.mark.parametrize("between", ["hold", "linear"])
+@pytest.mark.parametrize(("delay", "between"), [(0, "linear"), (1, "hold")])
 def test_the_spoofers_view_is_the_same_game_with_a_step_a_decision(delay, between):
     policy = duel_v0.FunctionPolicy(wary)
     opponent = duel_v0.PolicyDetector(policy=policy, threshold=0.2, decision_delay=delay)
