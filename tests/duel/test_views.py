@@ -126,7 +126,31 @@ def test_the_spoofers_view_of_one_detector_is_the_env_with_it():
         assert mine[1:] == other[1:]
 
 
-@pytest.mark.parametrize(("delay", "live_s"), [(0, 10.0), (1, 0.0)])
+def play(duel, delay, seed, push_of, decide):
+    """Displacements of a duel, and what the spoofer is told at its end."""
+    own, last = [], {}
+    if delay:
+        observations, _ = duel.reset(seed=seed)
+        while duel.agents:
+            actions = {"spoofer_0": push_of(len(own)), "detector_0": decide(observations)}
+            observations, *_, infos = duel.step(actions)
+            last = infos["spoofer_0"]
+            own.append(last["displacement_m"])
+        return own, last
+    duel.reset(seed=seed)
+    for name in duel.agent_iter():
+        observation, _, over, _, info = duel.last()
+        if name == "spoofer_0" and "displacement_m" in info:
+            last = info
+            own.append(info["displacement_m"])
+        if name == "spoofer_0":
+            duel.step(None if over else push_of(len(own)))
+        else:
+            duel.step(None if over else decide({name: observation}))
+    return own, last
+
+
+@pytest.mark.parametrize(("delay", "live_s"), [(0, 10.0), (1, 10.0), (1, 0.0)])
 def test_a_policy_in_a_pool_plays_as_its_agent_does_in_the_duel(delay, live_s):
     timeline = {**SHORT, "live_s": live_s}
     policy = duel_v0.FunctionPolicy(wary)
@@ -134,82 +158,41 @@ def test_a_policy_in_a_pool_plays_as_its_agent_does_in_the_duel(delay, live_s):
     view = duel_v0.SpooferView(opponent, **{**FULL, "timeline": timeline})
     settings = {"timeline": timeline, "attack": STRONG, "threshold": 0.4, "attack_probability": 1.0}
     duel = (parallel if delay else aec)(**settings)
+    detected = set()
     for seed, push in ((3, np.array([0.0, 0.4])), (4, np.array([0.0, 0.01]))):
         view.reset(seed=seed)
         over, expected = False, []
         while not over:
             _, _, over, _, info = view.step(push)
             expected.append(info["displacement_m"])
-        own, last = play(duel, delay, seed, push)
+        detected.add(info["detected"])
+        own, last = play(
+            duel, delay, seed, lambda k, p=push: p, lambda seen: wary(seen["detector_0"][None])[0]
+        )
         np.testing.assert_array_equal(own[: len(expected)], expected)
         assert last["undetected_displacement_m"] == info["undetected_displacement_m"]
-
-
-def play(duel, delay, seed, push):
-    """Displacements of a duel in which the detector is wary."""
-    own, last = [], {}
-    if delay:
-        observations, _ = duel.reset(seed=seed)
-        while duel.agents:
-            decision = wary(observations["detector_0"][None])[0]
-            observations, *_, infos = duel.step({"spoofer_0": push, "detector_0": decision})
-            last = infos["spoofer_0"]
-            own.append(last["displacement_m"])
-        return own, last
-    duel.reset(seed=seed)
-    for name in duel.agent_iter():
-        observation, _, over, _, info = duel.last()
-        if name == "spoofer_0":
-            if "displacement_m" in info:
-                last = info
-                own.append(info["displacement_m"])
-            duel.step(None if over else push)
-        else:
-            duel.step(None if over else wary(observation[None])[0])
-    return own, last
+    assert detected == {False, True}
 
 
 @pytest.mark.parametrize("delay", [0, 1])
 def test_the_detectors_view_is_the_duel_against_that_spoofer(delay):
     kwargs = {**BRIEF, "attack": STRONG, "threshold": 1.0}
     view = duel_v0.DetectorView({"name": "ramp", "rate_mps": 0.5}, decision_delay=delay, **kwargs)
-    duel = (parallel if delay else aec)(**kwargs)
-    attacked = set()
+    duel, attacked = (parallel if delay else aec)(**kwargs), set()
     for seed in range(3):
         view.reset(seed=seed)
         over, total = False, 0.0
         while not over:
             _, reward, over, _, info = view.step(QUIET)
             total += reward
-        # a ramp of 0.5 m/s at 1 m/s^2 and epochs of 0.5 s is at its rate after one command
         attacked.add(info["attacked"])
         lost = info["undetected_displacement_m"] if info["attacked"] else 0.0
         assert total == pytest.approx(-lost, abs=1e-9)
-        infos = scripted(duel, delay, seed)
-        assert infos["attacked"] == info["attacked"]
-        assert infos["undetected_displacement_m"] == info["undetected_displacement_m"]
+        # a ramp of 0.5 m/s at 1 m/s^2 and epochs of 0.5 s is at its rate after one command
+        _, last = play(duel, delay, seed, lambda k: np.array([0.0, float(k == 0)]), lambda _: QUIET)
+        assert last["attacked"] == info["attacked"]
+        assert last["undetected_displacement_m"] == info["undetected_displacement_m"]
     assert attacked == {False, True}
-
-
-def scripted(duel, delay, seed):
-    """Information at the end of a duel with one push, and a detector that is quiet."""
-    commands = iter([np.array([0.0, 1.0])])
-    if delay:
-        duel.reset(seed=seed)
-        while duel.agents:
-            push = next(commands, np.zeros(2))
-            *_, infos = duel.step({"spoofer_0": push, "detector_0": QUIET})
-        return infos["spoofer_0"]
-    duel.reset(seed=seed)
-    for name in duel.agent_iter():
-        _, _, over, _, info = duel.last()
-        if over:
-            duel.step(None)
-        else:
-            duel.step(next(commands, np.zeros(2)) if name == "spoofer_0" else QUIET)
-        if over and name == "spoofer_0":
-            last = info
-    return last
 
 
 @pytest.mark.parametrize(

@@ -1,17 +1,13 @@
-"""Rewards, ends and warm-up of every victim."""
-
-import dataclasses
+"""Rewards, ends and warm-up of every victim, and what an alarm costs."""
 
 import numpy as np
 import pytest
 
-from spoofgym.detectors import Never
-from spoofgym.envs import SpoofCore
+from spoofgym.detectors import Never, Verdict
 from spoofgym.envs.core import ALARM_PRICE
 from spoofgym.envs.terms.reward import DisplacementGain
-from spoofgym.simulation import TightlyCoupledSetup
 
-from .support import HOLD, LIVE, SHORT, SMALL, STEPS, VICTIMS, AlarmAt, victim
+from .support import HOLD, LIVE, SMALL, STEPS, VICTIMS, AlarmAt, victim
 
 
 @pytest.fixture(params=VICTIMS)
@@ -97,26 +93,74 @@ def test_the_target_direction_counts(kind):
     assert east[-1] > 1.0
 
 
-def test_fewer_than_four_satellites_coast_and_say_so():
-    """Satellites that sink after the first fix: the receiver coasts, and the detector is quiet."""
-    setup = TightlyCoupledSetup(timeline=SHORT, detector="ewma")
-    visible, satellites = setup.world.visible.copy(), setup.world.satellites.copy()
-    visible[45:60, 3:] = False
-    satellites[45:60, 3:, 6:] = 0.0
-    setup.world = dataclasses.replace(setup.world, visible=visible, satellites=satellites)
-    core = SpoofCore(2, setup, action="full-command")
-    core.reset([np.random.default_rng(i) for i in range(2)])
-    buffers = core.engine.simulator.buffers
-    before = np.sqrt(buffers.covariance[:, 6, 6])
-    coasting, spread = [], []
-    for _ in range(25):
-        result, observation = core.step(np.zeros((2, 2)))
-        coasting.append(result.info["coasting"])
-        spread.append(np.sqrt(buffers.covariance[:, 6, 6]))
-    coasting, spread = np.array(coasting), np.array(spread)
-    assert not coasting[:4].any()
-    assert coasting[4:19].all()
-    assert not coasting[19:].any()
-    assert (np.diff(spread[5:19], axis=0) > 0.0).all()
-    assert (spread[-1] < 2.0 * before).all()
-    assert np.isfinite(observation).all()
+# --- with a clean twin an alarm costs only where that one has not alarmed so far ---------------
+
+
+class AlarmOfMoved(AlarmAt):
+    """Alarms at one epoch for every receiver, at an earlier one for those that are spoofed."""
+
+    def __init__(self, epoch: int, moved: int) -> None:
+        super().__init__(epoch)
+        self.moved = moved
+
+    def judge(self, epoch) -> Verdict:
+        verdict = super().judge(epoch)
+        innovation = np.abs(epoch.innovation).max(axis=1, keepdims=True)
+        hit = (self.memory["seen"][:, None] == self.moved) & (innovation > 30.0)
+        alarm = verdict.alarm | hit
+        return verdict._replace(statistic=alarm * 2.0, alarm=alarm)
+
+
+PUSH = {"name": "false-position", "acceleration_limit_mps2": 50.0, "rate_limit_mps": 500.0}
+
+
+def play_twins(detector, **settings):
+    env = victim("TightlyCoupled", detector=detector, twin=True, attack=PUSH, **settings)
+    env.reset(seed=1)
+    infos, total, over = [], 0.0, False
+    while not over:
+        _, reward, over, _, info = env.step(np.array([0.0, 1.0]))
+        infos.append(info)
+        total += reward
+    return infos, total
+
+
+@pytest.mark.parametrize("at", [5, STEPS + 3])
+def test_an_alarm_of_both_is_chance(at):
+    infos, total = play_twins(AlarmAt(LIVE + at))
+    assert infos[-1]["detected"]
+    assert infos[-1]["twin_alarm"]
+    assert sum(info["cost"] for info in infos) == 0.0
+    assert total == pytest.approx(infos[-1]["undetected_displacement_m"])
+
+
+def test_an_alarm_before_that_of_the_twin_is_paid():
+    infos, total = play_twins(AlarmOfMoved(LIVE + 15, LIVE + 9))
+    assert len(infos) == 9
+    assert not infos[-1]["twin_alarm"]
+    assert infos[-1]["cost"] == 1.0
+    price = ALARM_PRICE * 40.0
+    assert infos[-1]["reward_alarm"] == -price
+    assert total == pytest.approx(infos[-1]["undetected_displacement_m"] - price)
+
+
+def test_an_alarm_in_the_time_to_alert_before_the_twins_is_paid():
+    infos, _ = play_twins(AlarmOfMoved(LIVE + STEPS + HOLD - 1, LIVE + STEPS + 2))
+    assert len(infos) == STEPS
+    assert infos[-1]["detected"]
+    assert infos[-1]["cost"] == 1.0
+    assert not infos[-1]["twin_alarm"]
+
+
+def test_a_twins_alarm_is_remembered_for_the_episode():
+    infos, _ = play_twins(AlarmAt(LIVE + 5), end_at_alarm=False)
+    said = [info["twin_alarm"] for info in infos]
+    assert said == [False] * 4 + [True] * (STEPS - 4)
+
+
+def test_without_a_twin_every_first_alarm_costs():
+    env = victim("TightlyCoupled", detector=AlarmAt(LIVE + 5))
+    env.reset(seed=1)
+    infos = [env.step(np.zeros(2))[4] for _ in range(5)]
+    assert [info["cost"] for info in infos] == [0.0] * 4 + [1.0]
+    assert "twin_alarm" not in infos[-1]
