@@ -81,21 +81,6 @@ def test_clean_runs_are_those_of_the_duel(delay):
     np.testing.assert_array_equal(found.judged[:, 0], largest)
 
 
-def test_fresh_clean_episodes_keep_the_rate():
-    found = duel_v0.calibrate(wary, **SETTINGS)
-    envs = duel_v0.DetectorVectorView(64, "none", threshold=found, attack_probability=0.0, **BRIEF)
-    observation, _ = envs.reset(seed=500)
-    alarmed = np.zeros(64, dtype=bool)
-    for _ in range(envs.core.duel.epochs):
-        observation, reward, over, _, info = envs.step(wary(observation))
-        alarmed |= info["alarm"] & info["_alarm"]
-        assert not reward.any()
-        if over.any():
-            break
-    # from here on receivers begin anew; the rate so far is a lower bound
-    assert alarmed.mean() < 0.1 + 3.0 * np.sqrt(0.1 * 0.9 * (1 / 64 + 1 / 60))
-
-
 def test_alarming_at_once_does_not_pay():
     def always(observation):
         return np.tile(ALARM, (len(observation), 1))

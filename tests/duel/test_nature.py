@@ -64,11 +64,8 @@ def test_the_detector_is_not_told():
         assert "attacked" not in told["detector_0"]
 
 
-@pytest.mark.parametrize("delay", [0, 1])
-def test_a_learning_detector_sees_only_at_the_end_that_it_was_attacked(delay):
-    view = duel_v0.DetectorView(
-        "none", **BRIEF, attack_probability=1.0, decision_delay=delay, threshold=1.0
-    )
+def test_a_learning_detector_sees_only_at_the_end_that_it_was_attacked():
+    view = duel_v0.DetectorView("none", **BRIEF, attack_probability=1.0, threshold=1.0)
     _, info = view.reset(seed=3)
     over = False
     while not over:

@@ -134,10 +134,12 @@ def test_an_interrupted_decision_of_several_epochs_leaves_nothing_behind(monkeyp
     env, fresh = (gym.make_vec(TIGHT, 9, **settings, autoreset_mode="same_step") for _ in range(2))
     env.reset(seed=5)
     interrupt_once(monkeypatch, _DoneRows, "keep")
+
+    def played(env):
+        return [env.step(np.full((9, 2), 0.5))[0] for _ in range(3)]
+
     with pytest.raises(KeyboardInterrupt):
-        for _ in range(3):
-            env.step(np.full((9, 2), 0.5))
+        played(env)
     for each in (env, fresh):
         each.reset(seed=7)
-    for _ in range(3):
-        assert np.array_equal(*(each.step(np.full((9, 2), 0.5))[0] for each in (env, fresh)))
+    assert np.array_equal(played(env), played(fresh))

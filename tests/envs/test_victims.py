@@ -146,6 +146,9 @@ def test_a_reset_may_be_given_the_circumstances(kind):
     np.testing.assert_allclose(np.hypot(*shown.T), 1.0, atol=1e-6)
     memory = envs.core.engine.simulator.memory
     assert len(set(memory["first"])) > 1
+    np.testing.assert_allclose(
+        np.arctan2(*shown.T[::-1]) % (2 * np.pi), envs.core.heading_rad % (2 * np.pi), atol=1e-6
+    )
     _, info = envs.reset(options={"domain": {**given, "target_heading_deg": 45.0}})
     np.testing.assert_allclose(envs.core.heading_rad, np.radians(45.0))
     assert len(set(memory["first"])) == 1

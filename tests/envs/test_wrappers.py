@@ -17,7 +17,8 @@ from spoofgym.envs import wrappers
 from spoofgym.envs.wrappers import EpochRecorder
 from spoofgym.envs.wrappers import vector as vector_wrappers
 
-from .support import ID, LIVE, SHORT, AlarmAt, single, vector, victims
+from .players import Player, Sooner
+from .support import ID, LIVE, SHORT, STEPS, AlarmAt, single, vector, victims
 
 
 def transitions(env, steps=36, seed=4):
@@ -144,9 +145,6 @@ class Nervous(Detector):
 
     paper = "groves2013"
 
-    def bind(self, context):
-        super().bind(context)
-
     def judge(self, epoch):
         statistic = np.abs(epoch.innovation[:, :1]) * 1e4 % 1.0
         threshold = np.full_like(statistic, 79 / 80)
@@ -207,36 +205,24 @@ def read(path):
 @pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
 def test_every_epoch_of_every_episode_is_written(tmp_path, mode):
     pytest.importorskip("pyarrow")
-    envs = vector_wrappers.RecordEpochs(vector(2, autoreset_mode=mode, detector="ewma"), tmp_path)
-    envs.reset(seed=3)
-    rows, lengths, over = [[], []], [[], []], np.zeros(2, dtype=bool)
-    while len(lengths[0]) < 2 or len(lengths[1]) < 2:
-        before = over
-        *_, terminated, truncated, info = envs.step([[0.0, 1.0], [0.0, 0.0]])
-        over = terminated | truncated
-        told = info
-        for i in range(2):
-            if mode == "next_step" and before[i]:
-                continue
-            if mode == "same_step" and over[i]:
-                told = info["final_info"]
-            rows[i].append(told["displacement_m"][i])
-            told = info
-            if over[i]:
-                lengths[i].append(len(rows[i]))
-        if mode == "disabled" and over.any():
-            envs.reset(options={"reset_mask": over})
-            over = np.zeros(2, dtype=bool)
-    envs.close()
-    for i in range(2):
-        found = []
-        for episode in range(2):
+    envs = vector(2, autoreset_mode=mode, detector=Sooner())
+    played = Player(vector_wrappers.RecordEpochs(envs, tmp_path), mode).begin(3)
+    rows = played.go(2 * STEPS)
+    played.env.close()
+    for i, row in enumerate(rows):
+        episodes = []
+        for each in row:
+            if "reward" in each:
+                episodes[-1].append(each["info"]["displacement_m"])
+            else:
+                episodes.append([])
+        assert len(episodes) > 2  # the third is not over
+        for episode, expected in enumerate(episodes[:2]):
             table, told = read(tmp_path / f"receiver-00{i}-episode-00000{episode}.parquet")
             assert told["complete"]
             assert (told["receiver"], told["episode"]) == (i, episode)
             assert table["step"].to_pylist() == list(range(1, table.num_rows + 1))
-            found += table["displacement_m"].to_pylist()
-        assert found == rows[i][: lengths[i][1]]
+            assert table["displacement_m"].to_pylist() == expected
     names = set(table.column_names)
     assert {"time_s", "innovation", "innovation_variance", "statistic", "alarm"} <= names
     assert np.array(table["innovation"].to_pylist()).shape == (table.num_rows, 24)
@@ -281,16 +267,14 @@ def test_what_can_not_be_recorded_is_refused_at_birth(monkeypatch, tmp_path):
         EpochRecorder(tmp_path, 1)
 
 
-def test_a_reset_of_some_and_a_copy_go_on_with_the_files_of_the_others(tmp_path):
+def test_a_reset_of_some_goes_on_with_the_files_of_the_others(tmp_path):
     pytest.importorskip("pyarrow")
-    envs = vector(2, autoreset_mode="disabled", detector="never", watch=["cusum"])
+    envs = vector(2, autoreset_mode="disabled", detector="never")
     envs = vector_wrappers.RecordEpochs(envs, tmp_path)
     envs.reset(seed=3)
     for steps in (2, 3):
         for _ in range(steps):
-            copy = pickle.loads(pickle.dumps(envs))
-            mine, theirs = (each.step(np.ones((2, 2))) for each in (envs, copy))
-            np.testing.assert_array_equal(mine[0], theirs[0])
+            envs.step(np.zeros((2, 2)))
         envs.reset(options={"reset_mask": np.array([True, False])})
     envs.close()
     counts = {path.stem: read(path)[0].num_rows for path in tmp_path.glob("*.parquet")}
@@ -304,10 +288,13 @@ def test_a_reset_of_some_and_a_copy_go_on_with_the_files_of_the_others(tmp_path)
 def test_a_later_run_counts_on_and_a_broken_episode_says_so(tmp_path):
     pytest.importorskip("pyarrow")
     for _ in range(2):
-        env = wrappers.RecordEpochs(single(), tmp_path)
+        env = wrappers.RecordEpochs(wrappers.WatchWrapper(single(), ["cusum"]), tmp_path)
         env.reset(seed=1)
         env.step([0.0, 0.1])
-        env.step([0.0, 0.1])
+        copy = pickle.loads(pickle.dumps(env))
+        mine, theirs = (each.step([0.0, 0.2]) for each in (env, copy))
+        np.testing.assert_array_equal(mine[0], theirs[0])
+        assert mine[1:] == theirs[1:]
         env.reset()
         env.close()
     names = sorted(path.name for path in tmp_path.iterdir())
