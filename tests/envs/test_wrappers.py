@@ -178,7 +178,9 @@ def test_detectors_that_watch_change_nothing_and_see_everything(prefetch):
     ]
     mine, theirs = transitions(alone, 70), transitions(watched, 70)
     assert_same(mine[0], theirs[0])
-    assert max(np.max(info["watch_ewma_ratio"]) for info in theirs[1]) > 0.0  # with weights
+    assert (
+        max(np.max(info.get("watch_ewma_ratio", 0.0)) for info in theirs[1]) > 0.0
+    )  # with weights
     warmup, alarmed = [], []
     for info in theirs[1]:
         watching = info["watch_nervous_warmup_alarm"]

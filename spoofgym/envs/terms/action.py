@@ -177,7 +177,7 @@ class RateSetpoint:
         default=1,
         least=1,
         most=2,
-        help="1: along the target direction; 2: north and east.",
+        help="Along the target direction (1), or north and east (2).",
     )
     full_scale_mps: float = setting(
         default=1.0,
