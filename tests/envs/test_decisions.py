@@ -98,29 +98,6 @@ def test_a_twin_is_the_run_without_attack(kind):
         np.testing.assert_array_equal(twin.ratio(), alone.ratio())
 
 
-def test_the_next_episode_has_a_twin_of_its_own():
-    envs = gym.make_vec(
-        ID,
-        num_envs=3,
-        autoreset_mode="same_step",
-        timeline=SHORT,
-        detector="ewma",
-        twin=True,
-        **FULL,
-    )
-    envs.reset(seed=4)
-    rng = np.random.default_rng(1)
-    ends = 0
-    for _ in range(85):
-        _, _, over, _, _ = envs.step(rng.uniform(-1.0, 1.0, (3, 2)))
-        ends += over.sum()
-        for row in np.flatnonzero(over):
-            engine = envs.unwrapped.core.engine
-            ours, theirs = engine.simulator.buffers, engine.twin.buffers
-            np.testing.assert_array_equal(ours.position_e[row], theirs.position_e[row])
-    assert ends > 5
-
-
 COARSE = {
     "detector": "snapshot-chi2",
     "attack": {"name": "false-position", "acceleration_limit_mps2": 5.0, "rate_limit_mps": 50.0},
@@ -136,25 +113,6 @@ def last_step(env, seed, push=1.0):
         observation, _, terminated, truncated, info = env.step(np.array([0.0, push]))
         if terminated or truncated:
             return observation, info
-
-
-@pytest.mark.parametrize(
-    ("settings", "twin"), [(EARLY, False), (EARLY, True), (COARSE, False)], ids=str
-)
-def test_an_episode_that_ends_within_a_decision_is_told_as_it_stood_at_its_end(settings, twin):
-    settings = {"twin": twin, **settings}
-    slow, quick = make(decision_interval_s=5.0, **settings), make(**settings)
-    for seed in range(2):
-        seen, info = last_step(slow, seed)
-        exact, expected = last_step(quick, seed)
-        for env in (slow, quick) if twin else ():  # both have run the time to alert
-            assert env.core.engine.twin.epochs[0] == env.core.engine.simulator.epochs[0]
-        count = slow.core.score.step_count[0]
-        assert count == quick.core.score.step_count[0]
-        assert count % 10
-        np.testing.assert_array_equal(seen, exact)
-        for name in (name for name in expected if not name.startswith("reward")):
-            assert info[name] == expected[name], name
 
 
 def test_those_that_end_with_the_flight_wait_there_for_the_others():
@@ -235,19 +193,33 @@ def test_the_first_alarm_costs_at_whichever_epoch_of_a_decision_it_comes():
     assert slow.core.score.step_count[0] == 30
 
 
-def test_in_a_batch_those_that_end_wait_for_the_others():
-    settings = {"decision_interval_s": 5.0, "watch": "snapshot-chi2", "twin": True, **EARLY, **FULL}
-    settings |= {"timeline": SHORT, "knowledge": "oracle"}
-    envs = gym.make_vec(ID, num_envs=3, autoreset_mode="same_step", **settings)
+@pytest.mark.parametrize("settings", [{**EARLY, "twin": True}, EARLY, COARSE], ids=str)
+def test_an_episode_that_ends_within_a_decision_is_told_as_it_stood_at_its_end(settings):
+    """Also in a batch, where it waits for the others."""
+    given = {"timeline": SHORT, "knowledge": "oracle", "decision_interval_s": 5.0, **FULL}
+    given |= {"watch": "snapshot-chi2", **settings}
+    envs = gym.make_vec(ID, num_envs=3, autoreset_mode="same_step", **given).unwrapped
+    slow, quick = gym.make(ID, **given).unwrapped, make(watch="snapshot-chi2", **settings)
     envs.reset(seed=7)
-    pushes = np.array([[0.0, 0.6], [0.0, 1.0], [0.0, 0.3]])
-    alone, told = gym.make(ID, **settings), set()
+    pushes, told = np.array([0.6, 1.0, 0.3]), set()
     while len(told) < 3:
-        _, _, terminated, truncated, info = envs.step(pushes)
+        _, _, terminated, truncated, info = envs.step(np.outer(pushes, [0.0, 1.0]))
         for row in {*np.flatnonzero(terminated | truncated).tolist()} - told:
             told.add(row)
-            exact, expected = last_step(alone, 7 + row, pushes[row, 1])
-            np.testing.assert_array_equal(info["final_obs"][row], exact)
-            for name, value in expected.items():
-                assert info["final_info"][name][row] == value, name
+            last = {name: values[row] for name, values in info["final_info"].items()}
+            exact, expected = last_step(quick, 7 + row, pushes[row])
+            for seen, found in (
+                (info["final_obs"][row], last),
+                last_step(slow, 7 + row, pushes[row]),
+            ):
+                np.testing.assert_array_equal(seen, exact)
+                for name in (name for name in expected if not name.startswith("reward")):
+                    assert found[name] == expected[name], name
+            assert slow.core.score.step_count == quick.core.score.step_count
+            for env in (slow, quick) if "twin" in settings else ():  # through the time to alert
+                assert env.core.engine.twin.epochs[0] == env.core.engine.simulator.epochs[0]
+        for row in np.flatnonzero(terminated | truncated) if "twin" in settings else ():
+            engine = envs.core.engine  # the next episode has a twin of its own
+            ours, theirs = engine.simulator.buffers, engine.twin.buffers
+            np.testing.assert_array_equal(ours.position_e[row], theirs.position_e[row])
     envs.close()

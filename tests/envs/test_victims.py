@@ -83,22 +83,6 @@ def test_knowledge_only_grows(kind):
     assert {"error_north", "error_east"} < {*names[2]}
 
 
-@every_victim
-def test_a_push_without_a_defence_moves_the_victim(kind):
-    env = victim(kind, detector="never", target_heading_deg=0.0)
-    moved = []
-    for push in (0.0, 0.5):
-        env.reset(seed=2)
-        action = np.zeros(env.action_space.shape)
-        action[0] = push
-        for _ in range(STEPS):
-            *_, terminated, _, info = env.step(action)
-        assert terminated
-        moved.append(info["displacement_m"])
-    assert moved[1] > moved[0] + 0.1 * VICTIMS[kind]
-    assert info["undetected_displacement_m"] >= info["displacement_m"]
-
-
 @every_small_one
 def test_actions_along_and_across_the_target_are_those_of_the_axes(kind):
     heading = np.radians(30.0)

@@ -13,8 +13,6 @@ from ..support import ID, SHORT
 ATTACK = {"name": "false-position", "acceleration_limit_mps2": 0.2, "rate_limit_mps": 0.5}
 STEP = 0.2 * 0.5
 """Largest change of the rate in an epoch [m/s]."""
-
-
 WORLD = ("target_heading_deg", "decision_interval_s")
 
 

@@ -36,22 +36,16 @@ def until_the_end(env, push=1.0):
             return steps, observation, reward, terminated, truncated, info
 
 
-def test_a_displacement_ends_the_episode_and_is_held_to(kind):
-    env = victim(kind, end=[far(kind)], detector="never")
-    env.reset(seed=1)
-    steps, *_, terminated, truncated, info = until_the_end(env)
-    assert 2 < steps < 30
-    assert (terminated, truncated) == (True, False)
-    assert info["end_displacement"]
-    assert info["displacement_m"] >= LIMITS_M[kind]
-    # the receiver has run the time to alert
-    assert info["time_s"] == pytest.approx(VICTIMS[kind] * (2 * LIVE + steps + HOLD))
-
-
-def test_an_alarm_after_an_early_end_takes_back_what_was_gained(kind):
+def test_a_displacement_ends_the_episode_and_an_alarm_that_follows_takes_back_what_was_gained(kind):
     quiet = victim(kind, end=[far(kind)], detector="never")
     quiet.reset(seed=1)
-    steps, *_, kept = until_the_end(quiet)
+    steps, *_, terminated, truncated, kept = until_the_end(quiet)
+    assert 2 < steps < 30
+    assert (terminated, truncated) == (True, False)
+    assert kept["end_displacement"]
+    assert kept["displacement_m"] >= LIMITS_M[kind]
+    # the receiver has run the time to alert
+    assert kept["time_s"] == pytest.approx(VICTIMS[kind] * (2 * LIVE + steps + HOLD))
     for after, taken in ((1, True), (HOLD, True), (HOLD + 1, False)):
         detector = AlarmAt(LIVE + steps + after)
         env = victim(kind, end=[far(kind), "at-alarm"], detector=detector)
