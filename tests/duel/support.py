@@ -33,3 +33,37 @@ def wary(observation: np.ndarray) -> np.ndarray:
     average = np.abs(observation[:, 24 : 24 + SATELLITES].astype(np.float64))
     statistic = average.max(axis=1, keepdims=True) / 15.0 - 1.0
     return np.clip(np.hstack([statistic, 1.5 - average]), -1.0, 1.0)
+
+
+def aec_epochs(duel, seed, push_of, decide):
+    """Whose turns there were, displacements by epoch, and rewards of the spoofer at its turns."""
+    turns, own, paid, last = [], [], [], {}
+    duel.reset(seed=seed)
+    for name in duel.agent_iter():
+        observation, reward, over, _, _ = duel.last()
+        if name == "spoofer_0":
+            paid.append(reward)
+        if over:
+            duel.step(None)
+            continue
+        turns.append(name)
+        if name == "spoofer_0":
+            duel.step(push_of(len(own)))
+        else:
+            duel.step(decide(len(own), observation))
+            last = duel.infos["spoofer_0"]
+            own.append(last["displacement_m"])
+    return turns, np.array(own), np.array(paid[1:]), last
+
+
+def parallel_epochs(duel, seed, push_of, decide):
+    """Whether the spoofer decides, displacements by epoch, and what it is told at the end."""
+    own, due = [], []
+    observations, infos = duel.reset(seed=seed)
+    while duel.agents:
+        due.append(infos["spoofer_0"].get("decides"))
+        decision = decide(len(own), observations["detector_0"])
+        actions = {"spoofer_0": push_of(len(own)), "detector_0": decision}
+        observations, *_, infos = duel.step(actions)
+        own.append(infos["spoofer_0"]["displacement_m"])
+    return due, np.array(own), None, infos["spoofer_0"]

@@ -174,15 +174,13 @@ def test_bad_policies(policy, message):
         duel_v0.calibrate(policy, **SETTINGS)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"false_alarm": "x"}, r"`false_alarm` must be in \(0, 1\), got 'x'"),
-        ({"runs": 19.5}, "`runs` must be a whole number, got 19.5"),
-        ({"receivers": "x"}, "`receivers` must be a whole number, got 'x'"),
-        ({"exclusion_s": "x"}, "`exclusion_s` must be finite and >= 0, or None, got 'x'"),
-    ],
-)
-def test_bad_requests(settings, message):
-    with pytest.raises(ValueError, match=message):
-        duel_v0.calibrate(wary, **{**SETTINGS, **settings})
+def test_bad_requests():
+    for settings, message in (
+        ({"false_alarm": "x"}, "`false_alarm` must be a number above 0 and below 1, got 'x'"),
+        ({"confidence": 1.0}, "`confidence` must be a number above 0 and below 1, got 1.0"),
+        ({"runs": 19.5}, "`runs` must be a whole number .*got 19.5"),
+        ({"receivers": 0}, "`receivers` must be a whole number of at least 1, got 0"),
+        ({"exclusion_s": "x"}, "`exclusion_s` must be .*got 'x'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            duel_v0.calibrate(wary, **{**SETTINGS, **settings})

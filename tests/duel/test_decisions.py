@@ -7,7 +7,7 @@ import pytest
 
 from spoofgym import duel_v0
 
-from .support import ALARM, PAPERS, QUIET, SHORT, aec, parallel, wary
+from .support import ALARM, PAPERS, QUIET, SHORT, aec, aec_epochs, parallel, parallel_epochs, wary
 
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 EVERY = 3
@@ -37,39 +37,6 @@ def commands(decisions, between):
             found.append(decision if between == "hold" else on_the_way)
         before = decision
     return np.array(found)
-
-
-def aec_epochs(duel, seed, push_of, decide):
-    """Whose turns there were, displacements by epoch, and rewards of the spoofer at its turns."""
-    turns, own, paid, last = [], [], [], {}
-    duel.reset(seed=seed)
-    for name in duel.agent_iter():
-        observation, reward, over, _, _ = duel.last()
-        if name == "spoofer_0":
-            paid.append(reward)
-        if over:
-            duel.step(None)
-            continue
-        turns.append(name)
-        if name == "spoofer_0":
-            duel.step(push_of(len(own)))
-        else:
-            duel.step(decide(len(own), observation))
-            last = duel.infos["spoofer_0"]
-            own.append(last["displacement_m"])
-    return turns, np.array(own), np.array(paid[1:]), last
-
-
-def parallel_epochs(duel, seed, push_of, decide):
-    own, due = [], []
-    observations, infos = duel.reset(seed=seed)
-    while duel.agents:
-        due.append(infos["spoofer_0"].get("decides"))
-        decision = decide(len(own), observations["detector_0"])
-        actions = {"spoofer_0": push_of(len(own)), "detector_0": decision}
-        observations, *_, infos = duel.step(actions)
-        own.append(infos["spoofer_0"]["displacement_m"])
-    return due, np.array(own), None, infos["spoofer_0"]
 
 
 def by_epoch(k, observation):

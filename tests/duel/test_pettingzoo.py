@@ -13,7 +13,8 @@ from spoofgym import duel_v0
 
 from .support import QUIET, aec, parallel
 
-harmless = pytest.mark.filterwarnings("ignore::UserWarning:pettingzoo")
+KNOWN = "reset has no option|Agents have diff|Observations are diff|Environment has not defined"
+harmless = pytest.mark.filterwarnings(f"ignore:({KNOWN}):UserWarning")
 
 
 @harmless

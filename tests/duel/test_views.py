@@ -10,7 +10,7 @@ from spoofgym.duel.duel import with_world
 from spoofgym.envs import SpoofEnv
 from spoofgym.spoofers import Ramp
 
-from .support import BRIEF, PAPERS, QUIET, SHORT, aec, parallel, wary
+from .support import BRIEF, PAPERS, QUIET, SHORT, aec, aec_epochs, parallel, parallel_epochs, wary
 
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 SPOOFERS = [{"name": "ramp", "rate_mps": 0.5}, "none", Ramp(rate_mps=3.0)]
@@ -126,59 +126,37 @@ def test_the_spoofers_view_of_one_detector_is_the_env_with_it():
         assert mine[1:] == other[1:]
 
 
-def play(duel, delay, seed, push_of, decide):
-    """Displacements of a duel, and what the spoofer is told at its end."""
-    own, last = [], {}
-    if delay:
-        observations, _ = duel.reset(seed=seed)
-        while duel.agents:
-            actions = {"spoofer_0": push_of(len(own)), "detector_0": decide(observations)}
-            observations, *_, infos = duel.step(actions)
-            last = infos["spoofer_0"]
-            own.append(last["displacement_m"])
-        return own, last
-    duel.reset(seed=seed)
-    for name in duel.agent_iter():
-        observation, _, over, _, info = duel.last()
-        if name == "spoofer_0" and "displacement_m" in info:
-            last = info
-            own.append(info["displacement_m"])
-        if name == "spoofer_0":
-            duel.step(None if over else push_of(len(own)))
-        else:
-            duel.step(None if over else decide({name: observation}))
-    return own, last
+FORMS = (aec, aec_epochs), (parallel, parallel_epochs)
+"""Without and with a delay."""
 
 
 @pytest.mark.parametrize(("delay", "live_s"), [(0, 10.0), (1, 10.0), (1, 0.0)])
 def test_a_policy_in_a_pool_plays_as_its_agent_does_in_the_duel(delay, live_s):
     timeline = {**SHORT, "live_s": live_s}
     policy = duel_v0.FunctionPolicy(wary)
-    opponent = duel_v0.PolicyDetector(policy=policy, threshold=0.4, decision_delay=delay)
+    opponent = duel_v0.PolicyDetector(policy=policy, threshold=0.1, decision_delay=delay)
     view = duel_v0.SpooferView(opponent, **{**FULL, "timeline": timeline})
-    settings = {"timeline": timeline, "attack": STRONG, "threshold": 0.4, "attack_probability": 1.0}
-    duel = (parallel if delay else aec)(**settings)
+    settings = {"timeline": timeline, "attack": STRONG, "threshold": 0.1, "attack_probability": 1.0}
+    duel, run = FORMS[delay][0](**settings), FORMS[delay][1]
     detected = set()
-    for seed, push in ((3, np.array([0.0, 0.4])), (4, np.array([0.0, 0.01]))):
+    for seed, push in ((3, np.array([0.0, 1.0])), (4, np.array([0.0, 0.01]))):
         view.reset(seed=seed)
         over, expected = False, []
         while not over:
             _, _, over, _, info = view.step(push)
             expected.append(info["displacement_m"])
         detected.add(info["detected"])
-        own, last = play(
-            duel, delay, seed, lambda k, p=push: p, lambda seen: wary(seen["detector_0"][None])[0]
-        )
+        _, own, _, last = run(duel, seed, lambda k, p=push: p, lambda k, seen: wary(seen[None])[0])
         np.testing.assert_array_equal(own[: len(expected)], expected)
         assert last["undetected_displacement_m"] == info["undetected_displacement_m"]
-    assert detected == {False, True}
+    assert detected == ({False, True} if live_s else {False})
 
 
 @pytest.mark.parametrize("delay", [0, 1])
 def test_the_detectors_view_is_the_duel_against_that_spoofer(delay):
     kwargs = {**BRIEF, "attack": STRONG, "threshold": 1.0}
     view = duel_v0.DetectorView({"name": "ramp", "rate_mps": 0.5}, decision_delay=delay, **kwargs)
-    duel, attacked = (parallel if delay else aec)(**kwargs), set()
+    duel, run, attacked = FORMS[delay][0](**kwargs), FORMS[delay][1], set()
     for seed in range(3):
         view.reset(seed=seed)
         over, total = False, 0.0
@@ -189,7 +167,7 @@ def test_the_detectors_view_is_the_duel_against_that_spoofer(delay):
         lost = info["undetected_displacement_m"] if info["attacked"] else 0.0
         assert total == pytest.approx(-lost, abs=1e-9)
         # a ramp of 0.5 m/s at 1 m/s^2 and epochs of 0.5 s is at its rate after one command
-        _, last = play(duel, delay, seed, lambda k: np.array([0.0, float(k == 0)]), lambda _: QUIET)
+        *_, last = run(duel, seed, lambda k: np.array([0.0, float(k == 0)]), lambda k, seen: QUIET)
         assert last["attacked"] == info["attacked"]
         assert last["undetected_displacement_m"] == info["undetected_displacement_m"]
     assert attacked == {False, True}
