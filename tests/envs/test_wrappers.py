@@ -145,6 +145,9 @@ class Nervous(Detector):
 
     paper = "groves2013"
 
+    def bind(self, context):
+        super().bind(context)
+
     def judge(self, epoch):
         statistic = np.abs(epoch.innovation[:, :1]) * 1e4 % 1.0
         threshold = np.full_like(statistic, 79 / 80)
