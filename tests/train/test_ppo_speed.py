@@ -92,7 +92,7 @@ def test_settings_are_checked(name):
     [
         (("--rounds", "0"), "`rounds` must be a whole number of at least 1, got 0"),
         (("--detector", "ewna"), "did you mean 'ewma'"),
-        (("--knowledge", "clairvoyant"), "`knowledge` must be 'blind'"),
+        (("--knowledge", "clairvoyant"), "unknown knowledge 'clairvoyant'"),
     ],
 )
 def test_bad_settings_are_told_without_a_traceback(call, capsys, given, message):
