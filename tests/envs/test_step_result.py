@@ -17,6 +17,7 @@ from spoofgym.envs.terms.reward import (
     Retraction,
     shares_of,
 )
+from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement, EpochState
 from spoofgym.simulation import TightlyCoupledSetup
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
@@ -38,6 +39,16 @@ class Own:
 
     def __call__(self, outcome: Outcome) -> Any:
         return self.term(outcome)
+
+
+@dataclass(frozen=True)
+class Nowhere(AtDisplacement):
+    """An end that never comes, for which a step hands out its arrays."""
+
+    name = "nowhere"
+
+    def __call__(self, state: EpochState) -> Any:
+        return state.displacement >= np.inf
 
 
 @dataclass(frozen=True)
@@ -83,6 +94,36 @@ def test_compiled_rewards_are_those_of_the_terms_and_their_sum() -> None:
         for term in TERMS:
             total += step[f"reward_{term.name}"]
         np.testing.assert_array_equal(step["reward"], total)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"target_heading_deg": "worst"},
+        {"knowledge": "oracle", "reward": TERMS, "detector": NERVOUS},
+        {"domain": {"start_s": (0.0, 10.0)}, "target_heading_deg": "random"},
+    ],
+    ids=str,
+)
+def test_a_step_that_is_scored_at_once_has_the_bits_of_one_scored_apart(
+    settings: dict[str, Any],
+) -> None:
+    ends = None, [AtAlarm(), Nowhere(1.0)]
+    name = "spoofgym/TightlyCoupled-v0"
+    plain, apart = (gym.make(name, timeline=SHORT, end=end, **settings) for end in ends)
+    seed, rng = 4, np.random.default_rng(1)
+    for _ in range(60):
+        if seed is not None:
+            plain.reset(seed=seed)
+            apart.reset(seed=seed)
+        action = rng.uniform(0.5, 1.0, plain.action_space.shape)
+        mine, theirs = plain.step(action), apart.step(action)
+        np.testing.assert_array_equal(mine[0], theirs[0], strict=True)
+        assert mine[1:4] == theirs[1:4]
+        assert not theirs[4].pop("end_nowhere")
+        assert mine[4] == theirs[4]
+        assert [*map(type, mine[4].values())] == [*map(type, theirs[4].values())]
+        seed = 5 if mine[2] else None
 
 
 def test_a_step_hands_out_arrays_that_share_nothing() -> None:
