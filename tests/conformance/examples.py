@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from spoofgym.envs.terms.action import Channels
+from spoofgym.envs.terms.termination import AtDisplacement, AtStealthBudget, AtSteps
+
 EXAMPLES: dict[type, Callable[[], Any]] = {
     # truth, data
     # -
@@ -19,7 +22,10 @@ EXAMPLES: dict[type, Callable[[], Any]] = {
     # -
     # -
     # envs, duel
-    # -
+    Channels: lambda: Channels(("north",)),
+    AtDisplacement: lambda: AtDisplacement(50.0),
+    AtStealthBudget: lambda: AtStealthBudget(2.0),
+    AtSteps: lambda: AtSteps(7),
     # -
     # bench, limits, cli
     # -
