@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from spoofgym.bench.experiments.dataset import Plan
+from spoofgym.bench.runs.world import World
+
 EXAMPLES: dict[type, Callable[[], Any]] = {
     # truth, data
     # -
@@ -22,6 +25,7 @@ EXAMPLES: dict[type, Callable[[], Any]] = {
     # -
     # -
     # bench, limits, cli
+    Plan: lambda: Plan(World().setup, 40.0),
     # -
     # -
 }
