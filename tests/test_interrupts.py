@@ -169,8 +169,10 @@ def test_an_error_within_a_campaign_ends_it_with_1(tmp_path: Path) -> None:
     assert "ArithmeticError: on purpose" in said
 
 
-@pytest.mark.parametrize("fraction", [0.1, 0.5])
-@pytest.mark.parametrize(("end", "expected"), [("interrupt", 130), ("error", 1), ("end", 0)])
+@pytest.mark.parametrize(
+    ("end", "expected", "fraction"),
+    [("interrupt", 130, 0.1), ("interrupt", 130, 0.5), ("error", 1, 0.1), ("end", 0, 0.5)],
+)
 def test_an_environment_with_warm_ups_in_the_background_ends(
     end: str, expected: int, fraction: float, tmp_path: Path
 ) -> None:

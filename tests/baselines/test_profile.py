@@ -134,7 +134,7 @@ def test_the_command_of_a_card_makes_it_again(
     ("options", "message"),
     [
         (["--detector", "ewmaa"], "did you mean 'ewma'"),
-        (["--knots", "1"], "`blind_search.knots` must be a whole number of at least 2, got 1"),
+        (["--knots", "1"], "`knots` must be a whole number from 2 to 64, got 1"),
         (["--select-runs", "20"], "`fit_runs` must be a whole number of at least 59, got 20"),
         (["--task", "T3"], "--task"),
         (["--out", "card.txt"], "`out` must be a .json file"),

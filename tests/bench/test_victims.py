@@ -67,10 +67,9 @@ def test_a_campaign_is_scored_tabled_and_drawn(env: str, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("env", SMALL)
-@pytest.mark.parametrize("between", ["hold", "linear"])
-def test_a_cell_scores_what_the_environment_pays(env: str, between: str) -> None:
+def test_a_cell_scores_what_the_environment_pays(env: str) -> None:
     suite = suite_of(
-        env, target_heading_deg="worst", decision_interval_s=2.0, between=between, runs=5
+        env, target_heading_deg="worst", decision_interval_s=2.0, between="linear", runs=5
     )
     setup = suite.setup(suite.detector_entries[-1])
     start = WarmStart(setup, suite.generators("evaluation", 5), threads=1)

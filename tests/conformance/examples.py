@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from spoofgym.bench.experiments.dataset import Plan
+from spoofgym.bench.runs.world import World
 from spoofgym.envs.terms.action import Channels
 from spoofgym.envs.terms.termination import AtDisplacement, AtStealthBudget, AtSteps
 
@@ -28,6 +30,7 @@ EXAMPLES: dict[type, Callable[[], Any]] = {
     AtSteps: lambda: AtSteps(7),
     # -
     # bench, limits, cli
+    Plan: lambda: Plan(World().setup, 40.0),
     # -
     # -
 }
