@@ -10,7 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.registry import check_choice, is_number, make, settings_of, spec_of
+from ..core.declared import check_word
+from ..core.registry import is_number, make, settings_of, spec_of
 from ..policies.card import DETECTOR
 from ..policies.zoo import path_of, shipped
 from . import calibrated
@@ -33,7 +34,7 @@ def split_spec(spec: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]
     plain = {key: value for key, value in spec.items() if key not in ASKED}
     asked = {key: spec[key] for key in ASKED if spec.get(key) is not None}
     if "thresholds" in asked:
-        check_choice("choice of `thresholds`", asked["thresholds"], THRESHOLDS)
+        check_word("thresholds", asked["thresholds"], THRESHOLDS)
     for key, stated, what in (
         ("thresholds", asked.get("thresholds") == "nominal", "`thresholds` 'nominal'"),
         ("threshold_scale", "threshold_scale" in asked, "`threshold_scale`, a factor of your own,"),
