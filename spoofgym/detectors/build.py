@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.declared import check_word
-from ..core.registry import is_number, make, settings_of, spec_of
+from ..core.declared import check_number, check_word
+from ..core.registry import make, settings_of, spec_of
 from ..policies.card import DETECTOR
 from ..policies.zoo import path_of, shipped
 from . import calibrated
@@ -202,8 +202,7 @@ def _with_own_threshold(
     that is a threshold; the nominal one is that of the card."""
     name, own = plain["name"], plain.get("threshold")
     if own is not None:
-        if not (is_number(own) and 0.0 < own <= 1.0):
-            raise ValueError(f"`threshold` must be a number in (0, 1], got {own!r}")
+        check_number("threshold", own, above=0.0, most=1.0)
         if asked not in NOMINAL:
             raise ValueError(
                 f"detector {name!r} is given a `threshold` of its own, and asked for another one: "

@@ -288,8 +288,8 @@ class Classic(_Term):
     detector: str | Mapping[str, Any] = setting(
         default="snapshot-chi2",
         help="As `make_detector` takes it, without a word on thresholds, such as "
-        '``{"name": "solution-separation"}``.  It must not take weight off measurements: for `ewma` '
-        'that is ``{"name": "ewma", "weight_scale": None}``.',
+        '``{"name": "solution-separation"}``.  It must not take weight off measurements: for '
+        '`ewma` that is ``{"name": "ewma", "weight_scale": None}``.',
     )
     label: str | None = setting(
         default=None,

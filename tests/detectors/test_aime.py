@@ -71,9 +71,3 @@ def test_it_sees_a_small_offset_that_a_sum_of_squares_does_not():
         found = [detector.judge(seen).alarm.mean() for detector in (average, squares)]
     assert found[0] > 0.95
     assert found[1] < 0.5
-
-
-@pytest.mark.parametrize("windows", [(), (5.0, 5.0), (0.0, 1.0), (1.0, np.inf)])
-def test_settings_are_checked_at_birth(windows):
-    with pytest.raises(ValueError, match="`windows_s` must be lengths > 0 in increasing order"):
-        Aime(windows_s=windows)

@@ -86,9 +86,3 @@ def test_a_short_window_is_quick_and_a_long_one_sees_little_faults():
     loud, faint = found_after(3, 1.9), found_after(100, 0.55)
     assert min(loud["short"], loud["both"], faint["long"], faint["both"]) > 0.8
     assert max(loud["long"], faint["short"]) < 0.2
-
-
-@pytest.mark.parametrize("windows", [(), (5.0, 5.0), (0.0, 1.0), (1.0, np.inf), 5.0])
-def test_settings_are_checked_at_birth(windows):
-    with pytest.raises(ValueError, match="`windows_s` must be"):
-        CumulativeBank(windows_s=windows)

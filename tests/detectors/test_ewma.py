@@ -125,19 +125,3 @@ def test_weights_forget_a_satellite_that_drifts_before_it_alarms():
     assert (np.diff(weights) <= 0.0).all()
     assert np.argmax(weights == 0.0) < np.argmax(alarms)
     assert alarms[-1]
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"smoothing": 0.0}, r"`smoothing` must be in \(0, 1\], got 0.0"),
-        ({"smoothing": 1.1}, r"`smoothing` must be in \(0, 1\], got 1.1"),
-        ({"smoothing": math.nan}, r"`smoothing` must be in \(0, 1\], got nan"),
-        ({"false_alarm": 0.0}, "`false_alarm` must lie between 0 and 1"),
-        ({"weight_scale": 0.0}, r"`weight_scale` must be in \(0, 1\] or None, got 0.0"),
-        ({"weight_scale": 2.0}, r"`weight_scale` must be in \(0, 1\] or None, got 2.0"),
-    ],
-)
-def test_settings_are_checked_at_birth(settings, said):
-    with pytest.raises(ValueError, match=said):
-        Ewma(**settings)

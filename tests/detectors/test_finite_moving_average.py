@@ -95,16 +95,3 @@ def test_an_old_fault_is_forgotten_with_the_window():
     assert detector.judge(epoch(z, S)).alarm[0, 0]
     sizes = [detector.judge(epoch(0.0 * z, S)).statistic[0, 0] for _ in range(6)]
     np.testing.assert_allclose(sizes, [*(100.0 / np.sqrt(range(2, 7))), 0.0])
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"window_s": 0.0}, "`window_s` must be finite and >= 0.001, got 0.0"),
-        ({"shape": "jump"}, "unknown shape 'jump'; valid: ramp, step"),
-        ({"signals": "phase"}, "`signals` must be one of"),
-    ],
-)
-def test_settings_are_checked_at_birth(settings, message):
-    with pytest.raises(ValueError, match=message):
-        FiniteMovingAverage(**settings)

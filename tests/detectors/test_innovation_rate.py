@@ -227,23 +227,3 @@ def test_as_many_satellites_as_needed_keep_a_weight():
         if least == 4:  # the two that are let in are the least suspicious ones
             np.testing.assert_array_equal(used[:, 2], True)
         assert all(verdict.alarm[0, :4].all() for verdict in verdicts)
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"false_alarm": 1.0}, "`false_alarm` must lie between 0 and 1"),
-        ({"weight_scale": 1.5}, r"`weight_scale` must be in \(0, 1\] or None, got 1.5"),
-        ({"threshold": 0.0}, "`threshold` must be finite and > 0 or None, got 0.0"),
-        ({"memory_s": math.inf}, "`memory_s` must be finite and > 0 or None, got inf"),
-        ({"max_exclusion_s": -1.0}, "`max_exclusion_s` must be finite and > 0, or None"),
-        ({"correlation_per_s": 0.0}, "`correlation_per_s` must be finite and > 0, got 0.0"),
-        ({"noise": math.nan}, "`noise` must be finite and >= 0, got nan"),
-        ({"settled_s": -1.0}, "`settled_s` must be finite and >= 0, got -1.0"),
-        ({"min_satellites": 2.5}, "`min_satellites` must be a whole number, got 2.5"),
-        ({"min_satellites": -1}, "`min_satellites` must be at least 0, got -1"),
-    ],
-)
-def test_settings_are_checked_at_birth(settings, said):
-    with pytest.raises(ValueError, match=said):
-        InnovationRate(**settings)

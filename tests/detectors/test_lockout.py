@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spoofgym.detectors import Ewma, JointChart, Shewhart, make_detector
+from spoofgym.detectors import Ewma, JointChart, Shewhart
 
 from .support import context, epoch
 
@@ -91,15 +91,3 @@ def test_exclusions_are_counted_where_they_are_limited(settings, remembers):
 def test_the_joint_chart_is_limited_by_default_and_the_ewma_chart_is_not():
     assert (JointChart().max_exclusion_s, JointChart().min_satellites) == (60.0, 5)
     assert (Ewma().max_exclusion_s, Ewma().min_satellites) == (None, 0)
-
-
-@pytest.mark.parametrize("name", ["ewma", "innovation-rate", "joint-chart", "shewhart"])
-def test_settings_are_checked_at_birth(name):
-    with pytest.raises(
-        ValueError, match="`max_exclusion_s` must be finite and > 0, or None, got 0"
-    ):
-        make_detector({"name": name, "max_exclusion_s": 0.0})
-    with pytest.raises(ValueError, match="`min_satellites` must be at least 0, got -1"):
-        make_detector({"name": name, "min_satellites": -1})
-    with pytest.raises(ValueError, match=r"`min_satellites` must be a whole number, got 4\.5"):
-        make_detector({"name": name, "min_satellites": 4.5})

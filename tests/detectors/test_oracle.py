@@ -1,7 +1,5 @@
 """The oracles alarm at what they are told, whether it is there or not."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -71,23 +69,3 @@ def test_without_names_it_is_told_of_every_channel():
 def test_an_unknown_satellite_is_refused(kind):
     with pytest.raises(ValueError, match="`channels` names S99; the receiver has G00, G01"):
         kind(channels=("S99",)).bind(context(1, CHANNELS))
-
-
-def test_they_say_what_they_are():
-    assert OracleStep.oracle
-    assert OracleRamp.oracle
-    assert not InnovationRate.oracle
-
-
-@pytest.mark.parametrize(
-    ("kind", "settings", "said"),
-    [
-        (OracleStep, {"size_m": math.inf}, "`size_m` must be finite, got inf"),
-        (OracleRamp, {"rate_mps": math.nan}, "`rate_mps` must be finite, got nan"),
-        (OracleRamp, {"onset_s": -1.0}, "`onset_s` must be finite and >= 0, got -1.0"),
-        (OracleStep, {"false_alarm": 0.0}, "`false_alarm` must lie between 0 and 1"),
-    ],
-)
-def test_settings_are_checked_at_birth(kind, settings, said):
-    with pytest.raises(ValueError, match=said):
-        kind(**settings)

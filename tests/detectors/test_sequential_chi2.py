@@ -50,8 +50,3 @@ def test_a_window_forgets_what_all_history_keeps():
         alarms[window_s] = [bool(detector.judge(epoch(s * z, S)).alarm[0, 0]) for s in sizes]
     assert alarms[None] == [False] * 5 + [True] * 11
     assert alarms[2.0] == [False] * 5 + [True] * 4 + [False] * 7
-
-
-def test_settings_are_checked_at_birth():
-    with pytest.raises(ValueError, match="`window_s` must be finite and > 0, or None, got 0"):
-        SequentialChi2(window_s=0.0)

@@ -55,10 +55,3 @@ def test_it_remembers_nothing():
     chart.bind(context(B, N))
     chart.judge(epoch(1e3 * z, S))
     np.testing.assert_array_equal(chart.judge(epoch(z, S)).statistic, judged(z, S).statistic)
-
-
-def test_settings_are_checked_at_birth():
-    with pytest.raises(ValueError, match=r"`weight_scale` must be in \(0, 1\] or None, got 2"):
-        Shewhart(weight_scale=2.0)
-    with pytest.raises(ValueError, match="`false_alarm` must lie between 0 and 1"):
-        Shewhart(false_alarm=0.0)
