@@ -103,21 +103,3 @@ def test_a_bias_is_no_change_and_a_change_is_found(kind):
     assert not alarms[:400].any()
     assert not alarms[:, [0, 2, 3, 4]].any()
     assert np.argmax(alarms[400:, 1]) in (range(8) if kind is GlrStep else range(10, 60))
-
-
-def test_rates_are_looked_at_where_they_are_asked_for():
-    rng = np.random.default_rng(3)
-    found = {}
-    for signals in ("pseudorange", "range_rate", "both"):
-        detector = GlrStep(signals=signals)
-        detector.bind(context(1, 2))
-        for k in range(200):
-            z = rng.standard_normal((1, 4))
-            z[0, 3] += 6.0 * (k >= 150)
-            alarm = detector.judge(epoch(z, np.eye(4)[None])).alarm
-        found[signals] = alarm[0].tolist()
-    assert found == {
-        "pseudorange": [False, False],
-        "range_rate": [False, True],
-        "both": [False, True],
-    }

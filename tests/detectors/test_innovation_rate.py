@@ -73,8 +73,7 @@ def quiet(detector, epochs, receivers=1, channels=8):
     )
 
 
-@pytest.mark.parametrize("alpha", [0.5, 0.7, 0.9])
-@pytest.mark.parametrize("noise", [1e-9, 1e-8])
+@pytest.mark.parametrize(("alpha", "noise"), [(0.5, 1e-9), (0.9, 1e-8)])
 def test_the_printed_threshold_is_that_of_330_samples(alpha, noise):
     # 8 satellites and 4e-6 an epoch: z = 5.026; the prototype of the notes found 326 to 334
     thresholds = quiet(InnovationRate(correlation_per_s=alpha, noise=noise), 400)

@@ -42,6 +42,8 @@ def test_its_alarm_begins_with_the_ewma_charts_and_ends_with_the_offset(seed):
 
 def test_chart_and_time_index_begin_anew_at_the_end():
     verdicts = run(JointChart(), ENDED)
+    for verdict in verdicts:
+        np.testing.assert_array_equal(verdict.alarm, verdict.statistic > verdict.threshold)
     assert verdicts[99].alarm[0, 0]
     assert verdicts[100].statistic[0, 0] == 0.0
     fresh = run(JointChart(), np.zeros(5))
@@ -62,11 +64,6 @@ def test_until_its_first_end_it_says_what_the_ewma_chart_says():
         a, b = (detector.judge(epoch(z, S)) for detector in (mine, ewma))
         for name in ("statistic", "threshold", "alarm", "weights"):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-
-
-def test_the_alarm_is_where_the_statistic_exceeds_the_threshold():
-    for verdict in run(JointChart(), ENDED, 7):
-        np.testing.assert_array_equal(verdict.alarm, verdict.statistic > verdict.threshold)
 
 
 def test_an_offset_that_only_grows_is_no_end():
