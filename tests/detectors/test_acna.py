@@ -106,9 +106,6 @@ def test_an_exclusion_has_an_end_in_production():
     assert not weight[6:].any()
     assert alarm[6:].all()
 
-
-def test_the_end_of_an_exclusion_is_in_seconds():
-    drifts = [0.3] * 5 + [30.0] * 80
     _, _, weight = told(judge_drifts(Acna(max_exclusion_s=10.0), drifts, interval_s=0.5))
     assert weight[6:, 0].tolist().index(1.0) == 21
 

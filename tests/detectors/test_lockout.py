@@ -61,13 +61,10 @@ def test_the_satellites_that_deviate_least_are_kept(kind):
     np.testing.assert_array_equal(found == 1.0, ratios <= 6.0)
 
 
-def test_no_more_are_readmitted_than_there_are():
+def test_no_more_are_readmitted_than_there_are_and_without_limits_none():
     detector = JointChart(min_satellites=32)
     found = weights(detector, np.full(N, offset(3.0, detector)), 5)
     np.testing.assert_array_equal(found, 1.0)
-
-
-def test_without_limits_all_can_be_locked_out_for_good():
     for detector in (Ewma(), JointChart(max_exclusion_s=None, min_satellites=0)):
         found = weights(detector, np.full(N, offset(0.7, detector)), 400)
         assert np.all(found[20:] == 0.0)
@@ -86,8 +83,3 @@ def test_exclusions_are_counted_where_they_are_limited(settings, remembers):
     detector = Ewma(**settings)
     detector.bind(context(3, N))
     assert ("excluded" in detector.memory) == remembers
-
-
-def test_the_joint_chart_is_limited_by_default_and_the_ewma_chart_is_not():
-    assert (JointChart().max_exclusion_s, JointChart().min_satellites) == (60.0, 5)
-    assert (Ewma().max_exclusion_s, Ewma().min_satellites) == (None, 0)

@@ -131,13 +131,9 @@ def test_a_run_says_who_forgets(kind):
     judged(detector, epoch_of(script, 3, OPTIONAL))  # where others need it, it is there
 
 
-def test_other_failures_stay_what_they_are():
-    script = trying_script()
+def test_other_failures_stay_what_they_are_and_the_member_of_a_pool_is_named():
     with pytest.raises(KeyError, match="of another kind"):
-        judged(bound(Broken(), script), epoch_of(script, 3, ()))
-
-
-def test_the_member_of_a_pool_is_named():
+        judged(bound(Broken(), trying_script()), epoch_of(trying_script(), 3, ()))
     pool, script = PooledDetector([Forgetful(), "never"], [1.0, 0.0]), trying_script()
     with pytest.raises(UndeclaredFieldError, match=MESSAGES[Forgetful]):
         judged(bound(pool, script), epoch_of(script, 3, pool.needs))

@@ -60,12 +60,9 @@ def test_it_alarms_without_an_attack(kind):
     assert not run(InnovationRate(weight_scale=1.0), clean())[1].any()
 
 
-def test_without_names_it_is_told_of_every_channel():
+@pytest.mark.parametrize("kind", [OracleStep, OracleRamp])
+def test_without_names_every_channel_is_attacked_and_unknown_names_are_refused(kind):
     _, alarms = run(OracleStep(size_m=20.0, onset_s=150.0), clean())
     assert alarms.any(axis=0).all()
-
-
-@pytest.mark.parametrize("kind", [OracleStep, OracleRamp])
-def test_an_unknown_satellite_is_refused(kind):
     with pytest.raises(ValueError, match="`channels` names S99; the receiver has G00, G01"):
         kind(channels=("S99",)).bind(context(1, CHANNELS))

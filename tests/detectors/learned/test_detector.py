@@ -162,7 +162,7 @@ def test_it_is_calibrated_by_the_command_that_the_error_names(guard, folder, tmp
 
 
 def test_a_calibration_does_not_depend_on_the_threshold_of_the_card(guard, folder, tmp_path):
-    settings = {"runs": 40, "false_alarms_per_hour": RATE}
+    settings = {"runs": 24, "false_alarms_per_hour": RATE}
     (by_card,) = calibrate(tight(), str(guard), **settings)
     fresh = write_guard(tmp_path / "fresh")
     assert identity_of(LearnedDetector(str(fresh))) == identity_of(LearnedDetector(str(guard)))
