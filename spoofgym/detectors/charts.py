@@ -95,7 +95,7 @@ from .innovation import (
 
 class WeighingChart(Detector):
     """Base of charts that judge every satellite, and weigh its pseudorange by the same statistic.
-    A subclass is a record with these settings, which `Ewma` describes."""
+    A subclass is a dataclass with these settings, which `Ewma` describes."""
 
     false_alarm: float
     weight_scale: float | None

@@ -195,11 +195,11 @@ class Acna(Detector):
     variant: str = setting(
         default="production", one_of=VARIANTS, help="What becomes of rejected fixes; see above."
     )
-    jump_window: int = window_epochs(2, "Length n_j.", most=1000)
+    jump_window: int = window_epochs(2, "Length n_j of the window of the jump rule.", most=1000)
     jump_threshold_m: float | None = setting(
         default=1.5, above=0.0, unit="m", help="Threshold Th_j; None switches the rule off."
     )
-    slow_window: int = window_epochs(5, "Length n_s.", most=1000)
+    slow_window: int = window_epochs(5, "Length n_s of the window of the slow rule.", most=1000)
     slow_threshold_m: float | None = setting(
         default=1.28, above=0.0, unit="m", help="Threshold Th_s; None switches the rule off."
     )
@@ -216,7 +216,7 @@ class Acna(Detector):
         help="Rate c; of ``production`` alone, as are the others below.",
     )
     readmission_cap_m: float = setting(default=5.0, least=0.0, unit="m", help="Limit c_max.")
-    readmission_fixes: int = window_epochs(3, "Number n_r.", most=1000)
+    readmission_fixes: int = window_epochs(3, "Passes n_r that end an exclusion.", most=1000)
     max_exclusion_s: float | None = setting(
         default=300.0,
         above=0.0,

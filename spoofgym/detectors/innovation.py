@@ -278,7 +278,7 @@ def remember_squares(
 
 class InnovationTest(Detector):
     """Base of the tests of innovations, less their mean over a first window if there is one. A
-    subclass is a record with the settings below, and with `false_alarm` where it has one."""
+    subclass is a dataclass with the settings below, and with `false_alarm` where it has one."""
 
     signals: str
     bias_window_s: float = 0.0

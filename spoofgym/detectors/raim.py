@@ -83,7 +83,7 @@ LARGEST_GROUP = 6  # half of 12 satellites
 
 class ConsistencyTest(Detector):
     """Residual test of all satellites in view; after an alarm, a search of groups that agree. A
-    subclass is a record with the settings below, which `Raim` describes."""
+    subclass is a dataclass with the settings below, which `Raim` describes."""
 
     sigma_m: float | None
     confidence: float

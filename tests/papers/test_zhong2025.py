@@ -25,7 +25,7 @@ from spoofgym.receiver import TightlyCoupled
 from spoofgym.simulation import Engine, TightlyCoupledSetup, Timeline
 from spoofgym.truth.scenario import SCENARIOS
 
-RUNS = 24
+RUNS = 50
 EPOCH = 0.5  # s
 SPOOFED = 300  # epochs, 150 s
 AFTERWARDS = 60  # epochs
