@@ -7,8 +7,11 @@ from typing import Any
 
 from spoofgym.bench.experiments.dataset import Plan
 from spoofgym.bench.runs.world import World
+from spoofgym.detectors import Calibrated, LearnedDetector, SnapshotChi2
+from spoofgym.detectors.learned import PolicyDetector
 from spoofgym.envs.terms.action import Channels
 from spoofgym.envs.terms.termination import AtDisplacement, AtStealthBudget, AtSteps
+from spoofgym.policies.contract import FunctionPolicy
 
 EXAMPLES: dict[type, Callable[[], Any]] = {
     # truth, data
@@ -21,8 +24,9 @@ EXAMPLES: dict[type, Callable[[], Any]] = {
     # -
     # -
     # detectors
-    # -
-    # -
+    Calibrated: lambda: Calibrated(SnapshotChi2(), scale=1.0),
+    LearnedDetector: lambda: LearnedDetector("trolley-guard"),
+    PolicyDetector: lambda: PolicyDetector(policy=FunctionPolicy(abs)),
     # envs, duel
     Channels: lambda: Channels(("north",)),
     AtDisplacement: lambda: AtDisplacement(50.0),
