@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from spoofgym.spoofers.learned import OnnxPolicy
+
 EXAMPLES: dict[type, Callable[[], Any]] = {
     # truth, data
     # -
     # -
     # attacks, spoofers
-    # -
+    OnnxPolicy: lambda: OnnxPolicy("ewma-ppo"),
     # -
     # receiver, simulation, calibration
     # -
