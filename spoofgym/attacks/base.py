@@ -102,9 +102,9 @@ class Attack(ABC):
     errors: str | Mapping[str, Any] | CounterfeitErrors = setting(
         default="inherited",
         one_of=ERRORS,
-        help='``"inherited"``: the authentic errors stay in the counterfeit measurements, which is '
-        'idealised; ``"replaced"``: at the capture the noise of the receiver alone takes their '
-        'place; ``"quiet"``: the same, blended in over 30 s, which a test for too large '
+        help='Errors of the counterfeit measurements.  ``"inherited"``: the authentic ones stay, '
+        'which is idealised; ``"replaced"``: at the capture the noise of the receiver alone takes '
+        'their place; ``"quiet"``: the same, blended in over 30 s, which a test for too large '
         "innovations never sees; else settings of what takes their place.",
     )
     tracking: Mapping[str, Any] | TrackingError | None = setting(

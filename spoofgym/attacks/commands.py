@@ -108,7 +108,7 @@ class Meaconer(Attack):
     antenna_m: tuple[float, float, float] = setting(
         default=(0.0, 0.0, 0.0),
         unit="m",
-        help="(3,) north, east, down from the target's to the meaconer's antenna at the onset.",
+        help="Way (3,) north, east, down from the target's to the meaconer's antenna at the onset.",
     )
     follows: bool = setting(
         default=True,

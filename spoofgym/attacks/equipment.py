@@ -95,7 +95,7 @@ class TrackingError:
     bias_m: tuple[float, float, float] = setting(
         default=(0.0, 0.0, 0.0),
         unit="m",
-        help="(3,) constant error, north, east, down at the true position of the epoch.",
+        help="Constant error (3,), north, east, down at the true position of the epoch.",
     )
 
     def __post_init__(self) -> None:

@@ -60,11 +60,10 @@ class AlongCurve(ByStatistic):
     rates_mps: tuple[float, ...] = setting(
         default=(0.24, 0.9),
         unit="m/s",
-        help="(n,) rate at equally spaced knots, as of a `Profile`: the fastest that it ever goes.",
+        help="Rate (n,) at equally spaced knots, as of a `Profile`: the fastest that it ever goes.",
     )
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         self.rates_mps = checked_rates("rates_mps", self.rates_mps)
 
     def bind(self, context: SpooferContext) -> None:
@@ -104,7 +103,6 @@ class HeldBack(ByStatistic):
     )
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.zero_ratio <= self.full_ratio:
             raise ValueError(
                 f"`zero_ratio` must be above `full_ratio` = {self.full_ratio:g}, got "
@@ -162,6 +160,10 @@ class FeedbackProfile(HeldBack, AlongCurve):
     """
 
     described_as = "FeedbackProfile"
+
+    def __post_init__(self) -> None:
+        HeldBack.__post_init__(self)
+        AlongCurve.__post_init__(self)
 
 
 UNKNOWN = (0.1, 0.3, 1.0)  # prior standard deviations of c, rho and b [s/m]

@@ -36,13 +36,13 @@ class Profile(ScriptedSpoofer):
     rates_mps: tuple[float, ...] = setting(
         default=(0.0, 0.2),
         unit="m/s",
-        help="(n,) rate of the false position along the heading at equally spaced knots, from the "
+        help="Rate (n,) of the false position along the heading at equally spaced knots, from the "
         "onset to the end of the attack window; 2 to 64 of them.",
     )
     cross_rates_mps: Rates = setting(
         default=(),
         unit="m/s",
-        help="(l,) the same for the rate to the right of the heading; none for a straight line.  "
+        help="The same (l,) for the rate to the right of the heading; none for a straight line.  "
         "With them, the attack's limits apply to the size of both together.",
     )
     label: str | None = setting(default="profile", help="Short name in results.")
@@ -51,7 +51,6 @@ class Profile(ScriptedSpoofer):
     )
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         self.rates_mps = checked_rates("rates_mps", self.rates_mps)
         self.cross_rates_mps = checked_rates("cross_rates_mps", self.cross_rates_mps, none=True)
 
@@ -105,7 +104,7 @@ class BlindOptimum(Profile):
     rates_mps: Rates = setting(
         default=(),
         unit="m/s",
-        help="(n,) rates at equally spaced knots, as in `Profile`; none where they are still to be "
+        help="Rates (n,) at equally spaced knots, as in `Profile`; none where they are still to be "
         "found.",
     )
     label: str | None = setting(default="blind-optimum", help="Short name in results.")

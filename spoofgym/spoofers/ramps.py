@@ -197,7 +197,6 @@ class Intermittent(ScriptedSpoofer):
     tunable: ClassVar[str | None] = "scale"
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         self.shapes, self.sizes_m = tuple(self.shapes), tuple(self.sizes_m)
         for shape in self.shapes:
             check_word("shapes", shape, SHAPES)

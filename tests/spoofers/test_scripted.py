@@ -168,9 +168,7 @@ def test_reset_of_some_receivers_begins_anew_there_only() -> None:
     [
         ("rampe", r"unknown spoofer 'rampe'; valid: .*did you mean 'ramp'"),
         ({"name": "ramp", "rate": 1.0}, "no setting 'rate'; valid: heading_deg, rate_mps"),
-        ({"name": "ramp", "rate_mps": float("nan")}, "`rate_mps` must be a finite number"),
         ({"name": "step", "size_m": "far"}, "`size_m` must be a number, got 'far'"),
-        ({"name": "step", "heading_deg": float("inf")}, "`heading_deg` must be a finite number"),
     ],
 )
 def test_bad_settings_are_refused_at_birth(spec: Any, message: str) -> None:

@@ -1,7 +1,6 @@
 """The threshold rider learns how the statistic follows its rate, and stays below the margin."""
 
 import numpy as np
-import pytest
 
 from spoofgym.envs.spoofer_binding import bound_spoofer
 from spoofgym.simulation import TightlyCoupledSetup
@@ -88,17 +87,3 @@ def test_receivers_that_start_later_learn_for_themselves():
     spoofer.reset(np.array([False, True]))
     np.testing.assert_array_equal(spoofer.memory["found"][1], [0.0, 1.0, 0.0])
     np.testing.assert_array_equal(spoofer.memory["found"][0], alone)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"margin": 0.0}, "`margin` must be finite and > 0"),
-        ({"horizon_s": -1.0}, "`horizon_s` must be finite and > 0"),
-        ({"band": np.nan}, "`band` must be finite and > 0"),
-        ({"deviations": -1.0}, "`deviations` must be finite and >= 0"),
-    ],
-)
-def test_a_wrong_setting_says_what_is_valid(settings, message):
-    with pytest.raises(ValueError, match=message):
-        ThresholdRider(**settings)
