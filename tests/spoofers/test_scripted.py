@@ -153,16 +153,6 @@ def test_single_channels_are_all_commanded_alike() -> None:
     assert np.ptp(displacement, axis=1).max() == 0.0
 
 
-def test_reset_of_some_receivers_begins_anew_there_only() -> None:
-    spoofer = make_spoofer("step")
-    spoofer.bind(context())
-    first = [spoofer.act(NOTHING) for _ in range(5)]
-    spoofer.reset(np.array([True, False, True]))
-    again = spoofer.act(NOTHING)
-    np.testing.assert_array_equal(again[[0, 2]], first[0][[0, 2]])
-    np.testing.assert_array_equal(spoofer.memory["step"], [1.0, 6.0, 1.0])
-
-
 @pytest.mark.parametrize(
     ("spec", "message"),
     [
