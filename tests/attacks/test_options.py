@@ -300,7 +300,7 @@ def test_labels_tell_the_options():
     [
         ({"errors": "own"}, "`errors` must be 'inherited', 'replaced' or 'quiet', got 'own'"),
         ({"errors": {"sd": 1.0}}, "`errors` has no setting 'sd'; valid: code_sd_m"),
-        ({"tracking": {"bias_m": [1.0, 2.0]}}, r"three finite numbers: .*got \[1.0, 2.0\]"),
+        ({"tracking": {"bias_m": [1.0, 2.0]}}, r"three finite numbers: .*got \(1.0, 2.0\)"),
         ({"tracking": {"bias_m": 3.0}}, "three finite numbers: north, east, down; got 3.0"),
         ({"capture": {"delay_s": -1.0}}, "`delay_s` must be a number of at least 0, got -1"),
     ],
