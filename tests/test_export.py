@@ -49,7 +49,10 @@ def observations(envs, count=300):
     return (0.3 * drawn).astype(np.float32)
 
 
-@pytest.mark.parametrize("kind", [PPO, A2C, SAC, TD3, DDPG])
+NIGHTLY = [pytest.param(kind, marks=pytest.mark.nightly) for kind in (A2C, TD3, DDPG)]
+
+
+@pytest.mark.parametrize("kind", [PPO, SAC, *NIGHTLY])
 def test_a_file_acts_as_its_model_of_stable_baselines3(kind, tmp_path):
     further = {"learning_starts": 8} if kind in (SAC, TD3, DDPG) else {"n_steps": 16}
     envs = make()

@@ -12,13 +12,14 @@ from spoofgym.detectors.learned import PolicyDetector
 from spoofgym.envs.terms.action import Channels
 from spoofgym.envs.terms.termination import AtDisplacement, AtStealthBudget, AtSteps
 from spoofgym.policies.contract import FunctionPolicy
+from spoofgym.spoofers.learned import OnnxPolicy
 
 EXAMPLES: dict[type, Callable[[], Any]] = {
     # truth, data
     # -
     # -
     # attacks, spoofers
-    # -
+    OnnxPolicy: lambda: OnnxPolicy("ewma-ppo"),
     # -
     # receiver, simulation, calibration
     # -
