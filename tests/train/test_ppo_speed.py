@@ -18,13 +18,6 @@ from train import ppo_speed
 from train.ppo_speed import Nothing, Settings, main
 
 
-@pytest.fixture(autouse=True)
-def torch_threads():
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.fixture
 def call(monkeypatch, capsys):
     """Runs the command here, since another process would load torch anew: what it prints."""
@@ -39,14 +32,9 @@ def call(monkeypatch, capsys):
 
 def test_the_ratio_is_that_of_the_speeds(call):
     found = json.loads(call("--rounds", "1", "--rollouts", "1", "--num-envs", "2", "--json"))
-    assert (found["num_envs"], found["detector"], found["knowledge"]) == (
-        2,
-        "ewma:thresholds=nominal",
-        "blind",
-    )
+    assert [found[key] for key in ("num_envs", "detector")] == [2, "ewma:thresholds=nominal"]
     engine, nothing = found["engine_steps_per_s"], found["without_physics_steps_per_s"]
-    assert engine > 0.0
-    assert nothing > 0.0
+    assert min(engine, nothing) > 0.0
     assert found["ratio"] == found["ratios"][0] == pytest.approx(engine / nothing, abs=1e-3)
 
 
@@ -81,22 +69,12 @@ def test_the_environment_without_physics_looks_like_the_engine():
         assert all({"terminal_observation", "TimeLimit.truncated"} <= set(info) for info in infos)
 
 
-@pytest.mark.parametrize("name", ["rounds", "rollouts", "num_envs"])
-def test_settings_are_checked(name):
-    with pytest.raises(ValueError, match=f"`{name}` must be a whole number of at least 1, got 0"):
-        Settings(**{name: 0})
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (("--rounds", "0"), "`rounds` must be a whole number of at least 1, got 0"),
-        (("--detector", "ewna"), "did you mean 'ewma'"),
-        (("--knowledge", "clairvoyant"), "unknown knowledge 'clairvoyant'"),
-    ],
-)
-def test_bad_settings_are_told_without_a_traceback(call, capsys, given, message):
-    with pytest.raises(SystemExit) as told:
-        call(*given)
-    assert told.value.code not in (None, 0)
-    assert message in f"{told.value.code} {capsys.readouterr().err}"  # a word is printed by Python
+def test_bad_settings_are_told_without_a_traceback(call, capsys):
+    for name in ("rounds", "rollouts", "num_envs"):
+        with pytest.raises(ValueError, match=f"`{name}`"):
+            Settings(**{name: 0})
+    for given, message in ((("--rounds", "0"), "`rounds`"), (("--detector", "ewna"), "'ewma'")):
+        with pytest.raises(SystemExit) as told:
+            call(*given)
+        assert told.value.code not in (None, 0)
+        assert message in f"{told.value.code} {capsys.readouterr().err}"  # Python prints a word
