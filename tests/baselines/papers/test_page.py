@@ -56,12 +56,6 @@ def test_a_page_is_made_of_a_stored_full_run(tmp_path, monkeypatch):
     assert json.loads((tmp_path / "toy2025.json").read_text()) == stored
 
 
-def test_an_unknown_key_lists_the_valid_ones():
-    result = CliRunner().invoke(page.app, ["zhong"])
-    assert result.exit_code == 2
-    assert "valid: all, ke2022" in result.stderr
-
-
 @pytest.mark.parametrize(
     ("low", "high", "text"),
     [(None, None, "-"), (1.0, None, "at least 1"), (None, 2.0, "at most 2"), (1, 2.5, "1 to 2.5")],
