@@ -73,6 +73,10 @@ def test_a_table_can_go_into_a_page(monkeypatch):
     assert "| part | B = 1 |" in lines
     rows = {line.split(" | ")[0] for line in lines}
     assert {f"| {name}" for name in (*perf.PARTS, perf.EPISODE, perf.TOTAL)} <= rows
+    refused = CliRunner().invoke(perf.app, ["--receivers", "8", "--threads", "2"])
+    assert refused.exit_code == 2
+    said = "spoofgym: error: no batch of [8] receivers has a group of 8 for each of 2"
+    assert said in refused.stderr
 
 
 def test_every_array_of_a_receiver_counts_once():
@@ -85,16 +89,4 @@ def test_every_array_of_a_receiver_counts_once():
     score = found.pop("score of the episode")
     assert found.pop(perf.TOTAL) == pytest.approx(sum(found.values()))
     assert score > 0.0
-
-
-def test_a_step_reads_and_writes_less_than_four_kilobytes_a_receiver():
-    rig = perf.Rig(64, 1)
-    assert perf.bytes_by_owner(rig.core)[perf.TOTAL] < 4000.0
-
-
-def test_threads_without_a_group_are_refused():
-    result = CliRunner().invoke(perf.app, ["--receivers", "8", "--threads", "2"])
-    assert result.exit_code == 2
-    assert "spoofgym: error: no batch of [8] receivers has a group of 8 for each of 2" in (
-        result.stderr
-    )
+    assert perf.bytes_by_owner(perf.Rig(64, 1).core)[perf.TOTAL] < 4000.0
