@@ -1,7 +1,5 @@
 """The measurement of speed measures what a step is made of, and nothing else."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An environment goes to another process as it is: files, joblib, SubprocVecEnv."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import subprocess

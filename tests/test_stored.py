@@ -4,8 +4,6 @@ Calibrations are found by a digest of settings and of the words that stand for c
 class that is renamed must keep its word.  `tests/golden` compares the tasks.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import importlib

@@ -1,7 +1,5 @@
 """The page on calibration: its code runs, and what it says of numbers of runs is so."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """The catalogue leaves nothing out."""
 
-from __future__ import annotations
-
 import re
 
 import gymnasium as gym

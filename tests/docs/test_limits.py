@@ -1,7 +1,5 @@
 """The page on limits: its code runs, its figures are those of the package, its list is complete."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """What all pages of the docs name exists: modules and what is in them, and other pages."""
 
-from __future__ import annotations
-
 import pkgutil
 import re
 import shlex

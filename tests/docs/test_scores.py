@@ -1,7 +1,5 @@
 """The page on scores shows what is kept of the three worlds, and the file is as it was made."""
 
-from __future__ import annotations
-
 import itertools
 import json
 

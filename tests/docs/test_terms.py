@@ -1,7 +1,5 @@
 """The tables of the page on terms are those of the registry."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 

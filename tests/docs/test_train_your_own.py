@@ -1,7 +1,5 @@
 """The page on training one's own spoofer: its commands and its code run, with small settings."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The page on training one's own detector: its commands and its code run, with small settings."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import sys

@@ -1,7 +1,5 @@
 """All trainings by one command: what has ended is not run again, and every command is one."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

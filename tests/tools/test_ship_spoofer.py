@@ -1,7 +1,5 @@
 """Shipping: a policy goes to the zoo with the score that it has, or not at all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """What trainings leave behind is put back."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

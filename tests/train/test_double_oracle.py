@@ -1,7 +1,5 @@
 """The double oracle, end to end, in a world that takes seconds."""
 
-from __future__ import annotations
-
 import json
 import sys
 from functools import partial
@@ -113,14 +111,6 @@ def test_a_misspelt_detector_does_not_occupy_the_folder(tmp_path, monkeypatch):
         main()
     assert "\n" not in found.value.code
     assert not out.exists()
-    monkeypatch.setattr(DoubleOracle, "_classics", lambda self: ([], []))
-
-    def interrupted(self, progress):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(DoubleOracle, "play", interrupted)
-    with pytest.raises(SystemExit, match="interrupted; the same command goes on"):
-        main()
 
 
 def test_a_policy_that_diverges_takes_no_part_and_stops_no_game(tmp_path, monkeypatch, capsys):

@@ -1,7 +1,5 @@
 """Plain PPO with few steps."""
 
-from __future__ import annotations
-
 import pytest
 
 # ruff: noqa: E402 - the packages of the laboratory may be missing

@@ -1,7 +1,5 @@
 """The measure of PPO's speed, with settings that take seconds."""
 
-from __future__ import annotations
-
 import json
 import sys
 

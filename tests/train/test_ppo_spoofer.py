@@ -1,7 +1,5 @@
 """The training script, end to end, with settings that take seconds."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

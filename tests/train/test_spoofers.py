@@ -1,7 +1,5 @@
 """Many trainings in one command, with settings that take seconds."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A page tells what its JSON file and the texts of its paper's module say."""
 
-from __future__ import annotations
-
 import json
 import sys
 

@@ -1,7 +1,5 @@
 """All five papers keep the frame, and their pages tell what their JSON files say."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

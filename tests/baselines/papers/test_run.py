@@ -1,7 +1,5 @@
 """A reproduction runs in processes, goes on where it was, and prints what the house expects."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys
