@@ -98,9 +98,9 @@ def test_a_part_that_fails_is_named_and_those_before_it_are_kept(
         PaperRun(toy.KEY, QUICK, tmp_path).stored()
 
 
-def test_json_has_the_fields_that_were_agreed_on(dice, tmp_path):
-    arguments = [toy.KEY, "--quick", "--json", "--jobs", "1", "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(command.app, arguments)
+def test_a_run_prints_json_or_tables_and_draws_figures(dice, tmp_path):
+    arguments = [toy.KEY, "--quick", "--jobs", "1", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(command.app, [*arguments, "--json"])
     assert result.exit_code == 0
     told = json.loads(result.stdout)
     assert list(told) == ["paper", "runs", "seed", "origins", "rows"]
@@ -117,12 +117,8 @@ def test_json_has_the_fields_that_were_agreed_on(dice, tmp_path):
     assert columns == {name: [row[name] for row in told["rows"]] for name in columns}
     kinds = {letter: origin["kind"] for letter, origin in told["origins"].items()}
     assert kinds == {"A": "tolerance", "B": "independent", "C": "bound"}
-    every = CliRunner().invoke(command.app, ["all", *arguments[1:]])
+    every = CliRunner().invoke(command.app, ["all", *arguments[1:], "--json"])
     assert json.loads(every.stdout) == [told]
-
-
-def test_tables_and_figures(dice, tmp_path):
-    arguments = [toy.KEY, "--quick", "--jobs", "1", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(command.app, [*arguments, "--figures", str(tmp_path / "fig")])
     assert result.exit_code == 0
     assert "Dice et al. (2025), Table 2" in result.stdout
@@ -176,19 +172,16 @@ def test_rows_and_bands_are_checked():
     assert Origin("bound", "Some\n   text.").text == "Some text."
 
 
-@pytest.mark.parametrize(
-    ("low", "value", "high", "inside"),
-    [
+def test_a_band_has_its_ends_and_may_be_open():
+    for low, value, high, inside in (
         (1.0, 1.0, 2.0, True),
         (1.0, 2.5, 2.0, False),
         (None, 2.0, 2.0, True),
         (2.0, 1.0, None, False),
         (1.0, None, 2.0, False),
         (0.0, 0.0, 0.0, True),
-    ],
-)
-def test_a_band_has_its_ends_and_may_be_open(low, value, high, inside):
-    assert Band(low, high, toy.NEAR).holds(value) is inside
+    ):
+        assert Band(low, high, toy.NEAR).holds(value) is inside
 
 
 @pytest.mark.parametrize(
@@ -223,9 +216,6 @@ def test_rows_come_back_from_their_record():
     )
     assert rows[0].band.origin.text == "Half an eye to either side; seed 4."
     assert rows_from_record(json.loads(json.dumps(rows_record(rows)))) == rows
-
-
-def test_origins_are_named_by_letters():
     assert [letter_of(n) for n in (0, 25, 26, 51, 52)] == ["A", "Z", "AA", "AZ", "BA"]
 
 
