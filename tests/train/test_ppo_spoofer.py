@@ -58,6 +58,11 @@ def arguments(out, **settings):
     return Arguments(out=out, **{**QUICK, **settings})
 
 
+def heavy(*case):
+    """A case whose world takes a minute to make."""
+    return pytest.param(*case, marks=pytest.mark.nightly)
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     args = arguments(tmp_path_factory.mktemp("runs") / "tiny")
@@ -163,15 +168,14 @@ def test_what_is_learned_from_can_be_copies_of_a_few_warm_ups(tmp_path):
         reward = dict(training.envs.venv.core._reward_parts)["reward_alarm"]
         prices.append(reward.penalty_m / 40.0)
         found = learn(*given, **named)
-        if len(prices) == 2:
-            with torch.no_grad():
-                training.model.policy.action_net.weight.fill_(float("nan"))
+        with torch.no_grad():
+            training.model.policy.action_net.weight.fill_(float("nan"))
         return found
 
     training.model.learn = learn_and_break
-    with pytest.warns(UserWarning, match="training has diverged after 200 steps"):
+    with pytest.warns(UserWarning, match="training has diverged after 100 steps"):
         found = training.run(taken.append)
-    assert sum(taken) == args.steps
+    assert sum(taken) == training.model.num_timesteps >= 100
     (_, scored_once) = training.watch.history[1]
     expected = next_price(6.0, scored_once.value, args.price_gain)
     assert prices == pytest.approx([6.0, expected])
@@ -190,7 +194,7 @@ def test_what_is_learned_from_can_be_copies_of_a_few_warm_ups(tmp_path):
     [
         ({"full_scale_mps": 3.0}, {"name": "rate-setpoint", "full_scale_mps": 3.0}, 40.0),
         ({}, {"name": "rate-setpoint", "full_scale_mps": 5.0}, 40.0),  # of a short attack
-        ({"task": "T4", "detector": "never"}, {"full_scale_mps": 5.0}, 556.0),
+        heavy({"task": "T4", "detector": "never"}, {"full_scale_mps": 5.0}, 556.0),
         ({"task": "T3", "detector": "never"}, {"full_scale_mps": 4 * 20.0 / 150.0}, 20.0),
         ({"task": "T3", "detector": "never", "length_m": 30.0}, {"full_scale_mps": 0.8}, 30.0),
         ({"settings": '{"target_heading_deg": "worst"}'}, {"dimensions": 2}, 40.0),
@@ -262,7 +266,7 @@ def test_the_command_prints_help(monkeypatch, capsys):
         ({}, 1),
         ({"settings": json.dumps({**WORLD, "decision_interval_s": 5.0})}, 2),  # as the world has it
         ({"task": "T1", "settings": "{}"}, 15),
-        ({"task": "T4", "settings": "{}"}, 26),
+        heavy({"task": "T4", "settings": "{}"}, 26),
         ({"task": "T6", "settings": "{}"}, 15),
     ],
 )
