@@ -88,7 +88,7 @@ def test_another_seed_and_the_full_run_have_results_of_their_own(dice, tmp_path)
 def test_a_part_that_fails_is_named_and_those_before_it_are_kept(
     dice, tmp_path, monkeypatch, place
 ):
-    parts = toy.parts(QUICK)
+    parts = [replace(part, weight=1.0) for part in toy.parts(QUICK)]
     parts.insert(place, Part("odd", toy.fail, {"seed": 0}))
     monkeypatch.setattr(toy, "parts", lambda settings: parts)
     with pytest.raises(PartError, match=r"part 'odd' of toy2025 has failed: no die"):
