@@ -46,25 +46,20 @@ def test_the_speeds_are_medians_each_of_its_environment(call, monkeypatch):
 
 def test_the_environment_without_physics_looks_like_the_engine():
     kwargs = {"timeline": {"warmup_s": 6.0, "live_s": 3.0, "attack_s": 10.0}, "prefetch": False}
-    engine, nothing = (kind(2, seed=0, threads=1, **kwargs) for kind in (SpoofVecEnv, Nothing))
-    assert nothing.observation_space == engine.observation_space
-    assert nothing.action_space == engine.action_space
-    actions = np.zeros((2, *engine.action_space.shape), dtype=np.float32)
-    steps = engine.core.setup.steps
-    results = []
-    for envs in (engine, nothing):
+    looks = []
+    for kind in (SpoofVecEnv, Nothing):
+        envs = kind(2, seed=0, threads=1, **kwargs)
         seen = [envs.reset()]
-        for _ in range(steps):
+        for _ in range(envs.core.setup.steps):
+            actions = np.zeros((2, *envs.action_space.shape), dtype=np.float32)
             observation, reward, over, infos = envs.step(actions)
             seen.append(observation)
-        results.append((seen, reward, over, infos))
-        envs.close()
-    for ours, theirs in zip(*(found[:3] for found in results), strict=True):
-        ours, theirs = np.asarray(ours), np.asarray(theirs)
-        assert (ours.shape, ours.dtype) == (theirs.shape, theirs.dtype)
-    assert results[1][2].all()
-    for infos in (results[0][3], results[1][3]):
+        arrays = [(array.shape, array.dtype) for array in (*seen, reward, over)]
+        looks.append((envs.observation_space, envs.action_space, arrays))
         assert all({"terminal_observation", "TimeLimit.truncated"} <= set(info) for info in infos)
+        envs.close()
+    assert looks[0] == looks[1]
+    assert over.all()
 
 
 def test_bad_settings_are_told_without_a_traceback(call, capsys):

@@ -210,6 +210,7 @@ def test_the_full_scale_fits_the_attack_and_the_alert_limit_of_the_task(given, a
 
 
 def test_an_attack_without_a_wanted_rate_is_commanded_as_it_is():
+    assert arguments(Path("x"), detector="", settings="{}").world == {"task": "T1"}
     settings = json.dumps({**WORLD, "attack": "paper-ideal"})
     envs = arguments(Path("x"), settings=settings, full_scale_mps=None).make_envs()
     assert "action" not in envs.env_kwargs
