@@ -5,13 +5,19 @@ import shlex
 
 import pytest
 
+import spoofgym.tasks
 from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.tasks import Task
 from tools.refits import RESULTS, options, play, specs_of, table
 
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 QUICK = shlex.split("--task T1 --entropies 3 4 --fit-runs 80 --runs 10 --threads 1 --spoofer dash")
 
 
 def test_every_set_is_fitted_and_scored_by_itself(tmp_path, monkeypatch):
+    met = {"name": "snapshot-chi2", "thresholds": "nominal"}
+    short = Task("T1", "short", {"timeline": SHORT}, (met,), 5.0)
+    monkeypatch.setitem(spoofgym.tasks.TASKS, "T1", short)
     settings = options([*QUICK, "--out", str(tmp_path)])
     found = play(settings)
     rows = found["T1/80"]["spoofers"]
