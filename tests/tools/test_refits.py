@@ -15,8 +15,8 @@ QUICK = shlex.split("--task T1 --entropies 3 4 --fit-runs 80 --runs 10 --threads
 
 
 def test_every_set_is_fitted_and_scored_by_itself(tmp_path, monkeypatch):
-    met = {"name": "snapshot-chi2", "thresholds": "nominal"}
-    short = Task("T1", "short", {"timeline": SHORT}, (met,), 5.0)
+    met = {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"}
+    short = Task("T1", "short", {"timeline": SHORT, "receiver": "matched"}, (met,), 5.0)
     monkeypatch.setitem(spoofgym.tasks.TASKS, "T1", short)
     settings = options([*QUICK, "--out", str(tmp_path)])
     found = play(settings)
