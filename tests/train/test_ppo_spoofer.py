@@ -175,7 +175,7 @@ def test_what_is_learned_from_can_be_copies_of_a_few_warm_ups(tmp_path):
     training.model.learn = learn_and_break
     with pytest.warns(UserWarning, match="training has diverged after 100 steps"):
         found = training.run(taken.append)
-    assert sum(taken) == training.model.num_timesteps >= 100
+    assert sum(taken) == 100  # of rollouts that have ended
     (_, scored_once) = training.watch.history[1]
     expected = next_price(6.0, scored_once.value, args.price_gain)
     assert prices == pytest.approx([6.0, expected])
