@@ -11,6 +11,7 @@ import inspect
 import json
 import pkgutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -141,14 +142,23 @@ def test_no_two_classes_have_one_word():
     assert sorted({word for word in words if words.count(word) > 1}) == []
 
 
-def test_a_renamed_class_keeps_its_word(monkeypatch):
+@contextmanager
+def renamed(cls: type[Any], name: str) -> Iterator[None]:
+    before = cls.__qualname__
+    cls.__qualname__ = name  # which monkeypatch would delete
+    try:
+        yield
+    finally:
+        cls.__qualname__ = before
+
+
+def test_a_renamed_class_keeps_its_word():
     before = describe(Timeline())
     assert before["kind"] == "Timeline"
-    monkeypatch.setattr(Timeline, "__qualname__", "Phases")
-    monkeypatch.setattr(CounterfeitErrors, "__qualname__", "CopyErrors")
-    assert describe(Timeline()) == before
     errors = {"kind": "CounterfeitErrors", "bias_sd_m": 0.25}
-    assert PerChannel(errors=errors).errors.bias_sd_m == 0.25
+    with renamed(Timeline, "Phases"), renamed(CounterfeitErrors, "CopyErrors"):
+        assert describe(Timeline()) == before
+        assert PerChannel(errors=errors).errors.bias_sd_m == 0.25
 
 
 def test_a_class_of_the_package_must_have_a_word_and_a_user_s_has_its_name():
