@@ -34,7 +34,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
-from ..core.registry import check_choice, check_finite, require
+from ..core.declared import check_number
+from ..core.registry import check_choice, require
 
 FloatArray = NDArray[np.float64]
 FIXED, RAW, SKIP, CLAMPED = 0, 1, 2, 3
@@ -71,7 +72,7 @@ class SelfTuning:
             2 <= self.window <= 100_000, f"`window` must be 2 to 100000 epochs, got {self.window}"
         )
         check_choice("process", self.process, PROCESS)
-        check_finite("floor_m", self.floor_m, ">= 0")
+        check_number("floor_m", self.floor_m, least=0.0)
 
 
 @njit

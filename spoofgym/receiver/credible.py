@@ -39,8 +39,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..core.compile import njit
+from ..core.declared import check_number
 from ..core.memory import Memory
-from ..core.registry import check_finite, require
+from ..core.registry import require
 from .epoch import OPTIONAL, Epoch, EpochMaker, FloatArray, without_channels
 
 AXES = 2
@@ -143,8 +144,8 @@ class CredibleFilter:
             0.0 < self.gain < 1.0,
             f"`gain` must lie between 0 and 1, both excluded, got {self.gain}",
         )
-        check_finite("noise_sd_m", self.noise_sd_m, "> 0")
-        check_finite("drift_rate_mps", self.drift_rate_mps, ">= 0")
+        check_number("noise_sd_m", self.noise_sd_m, above=0.0)
+        check_number("drift_rate_mps", self.drift_rate_mps, least=0.0)
 
     @property
     def noise_variance(self) -> float:

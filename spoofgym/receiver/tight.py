@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.registry import check_finite, require
+from ..core.declared import check_number
+from ..core.registry import require
 from ..earth.wgs84 import DEGREE, MICRO_G
 from .kalman import COVARIANCE_UPDATES
 from .states import SIZES
@@ -162,7 +163,7 @@ class TightlyCoupled:
             if inertial is not None:
                 values |= {f"inertial.{name}": x for name, x in inertial._asdict().items()}
             for name, value in values.items():
-                check_finite(f"noise.{name}", value, ">= 0")
+                check_number(f"noise.{name}", value, least=0.0)
             require(
                 min(self.noise.pseudorange_sd, self.noise.range_rate_sd) > 0.0,
                 "`noise` standard deviations must be > 0",

@@ -16,7 +16,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import build_record, check_choice, check_finite, is_number, require
+from ..core.declared import check_number
+from ..core.registry import build_record, check_choice, is_number, require
 from ..detectors import Detector, detector_in_world
 from ..detectors.calibration_file import Conditions, described
 from ..receiver.epoch import OPTIONAL
@@ -54,7 +55,8 @@ class Timeline:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            check_finite(name, value, "> 0" if name == "attack_s" else ">= 0")
+            above, least = (0.0, None) if name == "attack_s" else (None, 0.0)
+            check_number(name, value, above=above, least=least)
         require(
             self.live_s <= self.warmup_s,
             f"`live_s` must be at most `warmup_s` = {self.warmup_s}, got {self.live_s}",
@@ -210,7 +212,7 @@ class Setup(ABC):
         self.repeat, interval_s = 1, self.interval_s
         if decision_interval_s is None:
             return
-        check_finite("decision_interval_s", decision_interval_s, "> 0")
+        check_number("decision_interval_s", decision_interval_s, above=0.0)
         self.repeat = repeat = round(decision_interval_s / interval_s)
         require(
             repeat >= 1 and abs(repeat * interval_s - decision_interval_s) <= 1e-6 * interval_s,

@@ -12,7 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_finite, is_number, require
+from ..core.declared import check_number
+from ..core.registry import is_number, require
 from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch, EpochMaker
@@ -106,14 +107,14 @@ class SnapshotSetup(Setup):
         decision_interval_s: float | None = None,
         between: str = "hold",
     ) -> None:
-        check_finite("interval_s", interval_s, "> 0")
-        check_finite("noise_m", noise_m, "> 0")
+        check_number("interval_s", interval_s, above=0.0)
+        check_number("noise_m", noise_m, above=0.0)
         require(
             isinstance(satellites, int | np.integer) and satellites >= 4,
             f"`satellites` must be a whole number >= 4, got {satellites!r}",
         )
-        check_finite("speed_mps", speed_mps)
-        check_finite("heading_deg", heading_deg)
+        check_number("speed_mps", speed_mps)
+        check_number("heading_deg", heading_deg)
         self.name = self.kind
         self._flown = {
             "satellites": satellites,
@@ -181,7 +182,7 @@ def _rates(rate_limit_mps: float | Sequence[float]) -> tuple[float, ...]:
     limits = np.asarray(rate_limit_mps if numbers else np.nan, dtype=np.float64)
     require(
         limits.shape in ((), (4,)) and (np.isfinite(limits) & (limits > 0.0)).all(),
-        "`rate_limit_mps` must be finite and > 0, one number or one for each of "
+        "`rate_limit_mps` must be a number above 0, one number or one for each of "
         f"{', '.join(AXES)}, got {rate_limit_mps!r}",
     )
     return tuple(np.broadcast_to(limits, 4).tolist())

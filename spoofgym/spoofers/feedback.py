@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ..core.declared import record, setting
 from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_limit
-from .profile import check_fastest, checked_rates, sampled
+from .profile import check_fastest, check_knots, sampled
 from .ramps import Ramp
 
 RATIO = "statistic_ratio"
@@ -64,7 +64,7 @@ class AlongCurve(ByStatistic):
     )
 
     def __post_init__(self) -> None:
-        self.rates_mps = checked_rates("rates_mps", self.rates_mps)
+        check_knots("rates_mps", self.rates_mps)
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)

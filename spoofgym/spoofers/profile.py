@@ -9,12 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import check_number, record, setting
+from ..core.declared import record, setting
 from .base import Aim, FloatArray, ScriptedSpoofer, SpooferContext, has_heading
 
 FEWEST_KNOTS, MOST_KNOTS = 2, 64
-Rates = tuple[float, ...]
-"""Rates at knots [m/s], of which there may be none."""
 
 
 @record(kw_only=True)
@@ -39,8 +37,9 @@ class Profile(ScriptedSpoofer):
         help="Rate (n,) of the false position along the heading at equally spaced knots, from the "
         "onset to the end of the attack window; 2 to 64 of them.",
     )
-    cross_rates_mps: Rates = setting(
+    cross_rates_mps: tuple[float, ...] = setting(
         default=(),
+        empty=True,
         unit="m/s",
         help="The same (l,) for the rate to the right of the heading; none for a straight line.  "
         "With them, the attack's limits apply to the size of both together.",
@@ -51,8 +50,8 @@ class Profile(ScriptedSpoofer):
     )
 
     def __post_init__(self) -> None:
-        self.rates_mps = checked_rates("rates_mps", self.rates_mps)
-        self.cross_rates_mps = checked_rates("cross_rates_mps", self.cross_rates_mps, none=True)
+        check_knots("rates_mps", self.rates_mps)
+        check_knots("cross_rates_mps", self.cross_rates_mps)
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
@@ -101,8 +100,9 @@ class BlindOptimum(Profile):
     """
 
     described_as = "BlindOptimum"
-    rates_mps: Rates = setting(
+    rates_mps: tuple[float, ...] = setting(
         default=(),
+        empty=True,
         unit="m/s",
         help="Rates (n,) at equally spaced knots, as in `Profile`; none where they are still to be "
         "found.",
@@ -112,14 +112,6 @@ class BlindOptimum(Profile):
         default="detector, receiver and scenario, by a search",
         help="What the curve was optimised on.",
     )
-
-    def __post_init__(self) -> None:
-        found = self.rates_mps
-        if not len(found):
-            self.rates_mps = (0.0, 0.0)
-        super().__post_init__()
-        if not len(found):
-            self.rates_mps = ()
 
     def bind(self, context: SpooferContext) -> None:
         if not self.rates_mps:
@@ -170,18 +162,8 @@ def _to_the_right(context: SpooferContext, heading_deg: float | str) -> Aim:
         ) from error
 
 
-def checked_rates(
-    name: str, rates_mps: tuple[float, ...], *, none: bool = False
-) -> tuple[float, ...]:
-    if isinstance(rates_mps, str) or not hasattr(rates_mps, "__len__"):
-        raise ValueError(f"`{name}` must be a sequence of numbers, got {rates_mps!r}")
-    if none and not len(rates_mps):
-        return ()
-    if not FEWEST_KNOTS <= len(rates_mps) <= MOST_KNOTS:
-        raise ValueError(
-            f"`{name}` must have {FEWEST_KNOTS} to {MOST_KNOTS} rates, got {len(rates_mps)}"
-        )
-    rates = tuple(rates_mps)
-    for i, rate in enumerate(rates):
-        check_number(f"{name}[{i}]", rate)
-    return rates
+def check_knots(name: str, rates_mps: tuple[float, ...]) -> None:
+    """Raise unless a curve has as many rates as it can; none at all, where that is valid."""
+    if rates_mps and not FEWEST_KNOTS <= len(rates_mps) <= MOST_KNOTS:
+        valid = f"{FEWEST_KNOTS} to {MOST_KNOTS} rates"
+        raise ValueError(f"`{name}` must have {valid}, got {len(rates_mps)}")

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined
-from ..core.declared import record, setting
-from ..core.registry import build_record, check_fields, check_finite, require
+from ..core.declared import check_number, record, setting
+from ..core.registry import build_record, check_fields, require
 from ..core.settings import OMITTED
 from .clock import TCXO, ReceiverClock
 from .signal_errors import SIGNAL_ERRORS, SignalErrors
@@ -70,7 +70,7 @@ class GnssErrors:
         )
         names = [item.name for item in fields(self) if item.name not in ("clock", "signals")]
         check_fields(self, ">= 0", *names)
-        check_finite("correlation_s", self.correlation_s, "> 0")
+        check_number("correlation_s", self.correlation_s, above=0.0)
 
     @property
     def carrier_sd_m(self) -> float:

@@ -185,8 +185,8 @@ def test_detectors_that_do_not_fit_are_refused(env: str, detector: Any, message:
         ({"settings": {"timeline": {}}}, "`settings` has 'timeline', which is given by name, too"),
         ({"settings": {"detector": "never"}}, "has no setting 'detector', got 'never'"),
         ({"settings": {"satellites": 3}}, "`satellites` must be a whole number >= 4, got 3"),
-        ({"settings": {"noise_m": "much"}}, "`noise_m` must be finite and > 0, got 'much'"),
-        ({"settings": {"rate_limit_mps": "5"}}, "`rate_limit_mps` must be finite and > 0, .*'5'"),
+        ({"settings": {"noise_m": "much"}}, "`noise_m` must be a number above 0, got 'much'"),
+        ({"settings": {"rate_limit_mps": "5"}}, "`rate_limit_mps` must be a number above 0, .*'5'"),
         (
             {"settings": {"speed_mps": None, "heading_deg": "n"}},
             "`heading_deg` must be a finite number, got 'n'",

@@ -105,8 +105,12 @@ def test_a_line_that_was_moved_is_found_and_one_that_is_gone_is_counted_apart(
     checkout: Path, tmp_path: Path
 ) -> None:
     moved, gone = (
-        next(find_changes("spoofgym/receiver/sums.py", f"def add(a, b):\n    return a {sign} b\n"))
+        each
         for sign in "+-"
+        for each in find_changes(
+            "spoofgym/receiver/sums.py", f"def add(a, b):\n    return a {sign} b\n"
+        )
+        if each.kind == "operator"
     )
     path = checkout / "spoofgym/receiver/sums.py"
     path.write_text("def add(a, b):\n    if True:\n        return a + b\n")
