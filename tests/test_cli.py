@@ -189,6 +189,27 @@ def test_an_interrupted_bench_is_kept_and_goes_on(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.slow
+def test_the_settings_of_one_name_are_listed_with_what_is_valid() -> None:
+    rows = json.loads(call("list", "detectors", "ewma", "--json").stdout)
+    assert rows[1] == {
+        "name": "false_alarm",
+        "needed": False,
+        "default": 1e-5,
+        "unit": "",
+        "valid": "a number above 0 and below 1",
+        "help": "Alpha: probability of an alarm of one satellite in one epoch.",
+    }
+    table = " ".join(call("list", "attacks", "false-position").output.split())
+    assert "acceleration_limit_mps2 0.05 m/s^2 a number above 0" in table
+    for words, message in (
+        (["detectors", "ewmo"], "did you mean 'ewma'?"),
+        (["envs", "x"], "unknown kind with settings 'envs'; valid: attacks, detectors, spoofers"),
+    ):
+        result = call("list", *words)
+        assert result.exit_code == 2
+        assert message in result.stderr
+
+
 def test_ctrl_c_keeps_what_is_finished() -> None:
     command = [*QUICK, "--detector", "ewma", "--spoofer", "ramp:rate_mps=0.4", "--out", "out"]
     long = ["bench", *command, "--seeds", "2000", "--attack-s", "100"]

@@ -15,14 +15,25 @@ def list_(
         str | None,
         Argument(help="envs, scenarios, attacks, detectors, spoofers or shipped; all of them."),
     ] = None,
+    name: Annotated[
+        str | None,
+        Argument(help="An attack, detector or spoofer, whose settings are listed: what is valid."),
+    ] = None,
     as_json: opt.Json = False,
 ) -> None:
     """List what there is: environments, scenarios, attacks, detectors, spoofers, shipped ones."""
-    from ..bench.report.catalogue import KINDS, table_of
+    from ..bench.report.catalogue import KINDS, SETTINGS, list_settings, table_of
     from ..core.registry import check_choice
 
     if kind is not None:
         check_choice("kind", kind, KINDS)
+    if kind is not None and name is not None:
+        rows = list_settings(kind, name)
+        if as_json:
+            print_json(rows)
+        else:
+            SETTINGS.print(name, rows)
+        return
     found = {name: rows() for name, rows in KINDS.items() if kind in {None, name}}
     if as_json:
         print_json(found)

@@ -65,12 +65,13 @@ class Bounds:
             return f"{name} from {self.least:g} to {self.most:g}"
         limits = {
             "above": self.above,
-            "of at least": self.least,
+            "at least": self.least,
             "below": self.below,
-            "of at most": self.most,
+            "at most": self.most,
         }
         parts = [f"{word} {limit:g}" for word, limit in limits.items() if limit is not None]
-        return " ".join([name, " and ".join(parts)]).rstrip()
+        joined = " and ".join(parts)
+        return f"{name} {'of ' if joined.startswith('at') else ''}{joined}".rstrip()
 
     def _is_open(self) -> bool:
         return self.above is self.least is self.below is self.most is None

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ...attacks import ATTACKS
-from ...core.registry import settings_of
+from ...core.declared import settings_in
+from ...core.registry import check_choice, settings_of
 from ...core.settings import describe
 from ...detectors import DETECTORS, LearnedDetector
 from ...policies import DetectorCard, SpooferCard, card_of, shipped
@@ -169,6 +170,49 @@ SHIPPED = Table(
     ("was designed on", "designed_on"),
     ("reached", lambda row: "; ".join(map(score_text, row["scores"])) or "-"),
 )
+
+
+CLASSES: dict[str, Mapping[str, type[Any]]] = {
+    "attacks": ATTACKS,
+    "detectors": DETECTORS,
+    "spoofers": SPOOFERS,
+}
+"""Kinds whose settings are declared by classes."""
+SETTINGS = Table(
+    ("setting", "name"),
+    ("default", lambda row: "needed" if row["needed"] else str(row["default"])),
+    ("unit", "unit"),
+    ("valid", "valid"),
+    ("what it means", "help"),
+)
+
+
+def list_settings(kind: str, name: str) -> list[dict[str, Any]]:
+    """Rows of `SETTINGS`, as the class of a registered name declares them.
+
+    Raises
+    ------
+    ValueError
+        For a kind whose settings no class declares, or an unknown name.
+    """
+    check_choice("kind with settings", kind, CLASSES)
+    check_choice(kind.removesuffix("s"), name, CLASSES[kind])
+    of = CLASSES[kind][name]
+    defaults = settings_of(of)
+    return [
+        {
+            "name": key,
+            "needed": defaults[key] is inspect.Parameter.empty,
+            "default": None
+            if defaults[key] is inspect.Parameter.empty
+            else describe(defaults[key]),
+            "unit": declared.unit,
+            "valid": declared.valid(annotation),
+            "help": declared.help,
+        }
+        for key, (declared, annotation) in settings_in(of).items()
+        if key in defaults
+    ]
 
 
 def table_of(kind: str) -> Table:

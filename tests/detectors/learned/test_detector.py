@@ -77,7 +77,7 @@ def test_a_name_makes_a_detector_with_the_threshold_of_its_card(guard):
         ValueError, match=r"no setting 'level'; valid: threshold, quiet_epochs, sha"
     ):
         make_detector({"name": str(guard), "level": 1.0})
-    with pytest.raises(ValueError, match="must be a number above 0 and of at most 1, got 2"):
+    with pytest.raises(ValueError, match="must be a number above 0 and at most 1, got 2"):
         make_detector({"name": str(guard), "threshold": 2})
     with pytest.raises(ValueError, match=r"given a `threshold` of its own, and asked for another"):
         make_detector({"name": str(guard), "threshold": 0.5, "false_alarms_per_hour": 1.0})

@@ -60,8 +60,8 @@ def test_what_ffmpeg_lacks_is_told_and_leaves_no_file(tmp_path, monkeypatch):
 def test_wrong_settings_are_told(tmp_path):
     for name, fps, message in (
         ("run.avi", 25.0, "unknown ending of an animation '.avi'; valid: .gif, .mp4"),
-        ("run.gif", 0.0, "`fps` must be a number above 0 and of at most 100, got 0"),
-        ("run.gif", 1000.0, "`fps` must be a number above 0 and of at most 100, got 1000"),
+        ("run.gif", 0.0, "`fps` must be a number above 0 and at most 100, got 0"),
+        ("run.gif", 1000.0, "`fps` must be a number above 0 and at most 100, got 1000"),
     ):
         with pytest.raises(ValueError, match=message):
             save_animation(frames(), tmp_path / name, fps)
