@@ -72,7 +72,13 @@ SMALLER: dict[str, tuple[str | None, str]] = {
 }
 """How commands begin that would take more than some ten minutes or can't run here; with what
 options they run instead, None where they do not; and why."""
-SMALLER_CODE = {"calibrate(setup, [": "calibrate(setup, runs=2000, detectors=["}
+SMALLER_CODE = {
+    "calibrate(setup, [": "calibrate(setup, runs=2000, detectors=[",
+    "TURNS, STEPS, RUNS = 4, 20_000, 200": "TURNS, STEPS, RUNS = 1, 1_024, 19",
+    "learn(100_000": "learn(9_600",
+    "learn(1_000_000": "learn(9_600",
+    "= 16, 128, 60, 4, 0.2": "= 16, 128, 4, 4, 0.2",
+}
 """What stands in place of a part of a block of Python that would take as long."""
 SPAN = re.compile(r"(?<!`)`((?:spoofgym|python -m|make) [^`\n]* ?--[^`\n]*)`(?!`)")
 """A command within a sentence, with options: one without is the name of a program."""
