@@ -1,6 +1,6 @@
 """Ctrl-C, SIGTERM, errors and ends at random moments: an exit code in time, and results that go on.
 
-``--interrupts 200`` tries more moments than the usual ones.
+Some moments are tried always, others by `make test-nightly`; ``--interrupts 200`` tries more.
 """
 
 from __future__ import annotations
@@ -20,8 +20,11 @@ from typer.testing import CliRunner
 from spoofgym.cli import app
 from spoofgym.cli.app import progress
 from spoofgym.core import threads as _threads
+from tests.nightly import heavy
 
 SEED = 10
+USUAL = 4
+"""Moments that are tried always."""
 IN_TIME_S = 10.0 if os.getloadavg()[0] <= (os.cpu_count() or 1) else 300.0
 """On a machine that does nothing else; what is looked for under load is one that never ends."""
 TIMES = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "60", "--time-to-alert-s", "5"]
@@ -85,7 +88,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("default_rate")]
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "moment" in metafunc.fixturenames:
-        metafunc.parametrize("moment", range(metafunc.config.getoption("--interrupts")))
+        moments = range(metafunc.config.getoption("--interrupts"))
+        metafunc.parametrize("moment", heavy(moments, *moments[USUAL:]))
 
 
 def started(*arguments: str, folder: Path) -> subprocess.Popen[bytes]:
