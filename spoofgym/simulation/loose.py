@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import build_record, check_finite
+from ..core.declared import check_number
+from ..core.registry import build_record
 from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch
@@ -158,7 +159,7 @@ class LooselyCoupledSetup(Setup):
         between: str = "hold",
         imu_rate_hz: float | None = None,
     ) -> None:
-        check_finite("rate_limit_mps", rate_limit_mps, "> 0")
+        check_number("rate_limit_mps", rate_limit_mps, above=0.0)
         self.attack = RateCommands(
             self.kind, ("north_rate", "east_rate"), (float(rate_limit_mps),) * 2
         )

@@ -15,7 +15,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import build_record, check_finite, require
+from ..core.declared import check_number
+from ..core.registry import build_record, require
 from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
@@ -124,7 +125,7 @@ class WheeledRobotSetup(Setup):
             "velocity_scale_mps": velocity_scale_mps,
         }
         for name, value in positive.items():
-            check_finite(name, value, "> 0")
+            check_number(name, value, above=0.0)
         self.name = self.kind
         self.attack = RateCommands(
             self.kind, ("north_rate", "east_rate"), (float(rate_limit_mps),) * 2

@@ -12,7 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_finite, is_number, require
+from ..core.declared import check_number
+from ..core.registry import is_number, require
 from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch, EpochMaker
@@ -106,14 +107,14 @@ class SnapshotSetup(Setup):
         decision_interval_s: float | None = None,
         between: str = "hold",
     ) -> None:
-        check_finite("interval_s", interval_s, "> 0")
-        check_finite("noise_m", noise_m, "> 0")
+        check_number("interval_s", interval_s, above=0.0)
+        check_number("noise_m", noise_m, above=0.0)
         require(
             isinstance(satellites, int | np.integer) and satellites >= 4,
             f"`satellites` must be a whole number >= 4, got {satellites!r}",
         )
-        check_finite("speed_mps", speed_mps)
-        check_finite("heading_deg", heading_deg)
+        check_number("speed_mps", speed_mps)
+        check_number("heading_deg", heading_deg)
         self.name = self.kind
         self._flown = {
             "satellites": satellites,
