@@ -28,8 +28,9 @@ import torch
 from pydantic import ValidationError
 
 from .bench.experiments.identity import versions
+from .core.declared import check_number
 from .core.files import write_file
-from .core.registry import check_choice, check_finite
+from .core.registry import check_choice
 from .core.settings import describe
 from .detectors.learned import DetectorAgent, action_names, detector_card
 from .detectors.observation import DetectorObserver
@@ -489,7 +490,7 @@ def onnx(
     """
     path = checked_path(path)
     check_training(training, path.stem)
-    check_finite("amplitude", amplitude, "> 0")
+    check_number("amplitude", amplitude, above=0.0)
     env = model.get_env() if env is None and hasattr(model, "get_env") else env
     inner = inner_env(env)
     if inner is None:

@@ -1,7 +1,5 @@
 """Clean runs of many receivers, and their errors as the filter defines them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from spoofgym.detectors import Never

@@ -6,8 +6,6 @@ the kinds, to the last bit (`tests.digests`); with ``--compare`` that is all tha
 compiled code is for another kind: NumPy, BLAS and the C library choose by the processor itself.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -4,8 +4,6 @@
 SHA-256 of all numbers of the field over the run.  `tests.cpus` compares those of every kind.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections import defaultdict

@@ -123,8 +123,8 @@ def test_the_line_of_the_error_is_a_line_that_helps():
     [
         (["--runs", "5"], "5 clean runs are too few: it takes at least 7"),
         (["--detector", "never"], "one that never alarms has no rate"),
-        (["--false-alarms-per-hour", "0"], "must be a finite number > 0, got 0.0"),
-        (["--false-alarms-per-hour", "-1"], "must be a finite number > 0, got -1.0"),
+        (["--false-alarms-per-hour", "0"], "must be a number above 0, got 0.0"),
+        (["--false-alarms-per-hour", "-1"], "must be a number above 0, got -1.0"),
         (["--rescaled"], "'rescaled' is for detectors with a drift term"),
         (["--detector", "ewmo"], "did you mean 'ewma'?"),
     ],

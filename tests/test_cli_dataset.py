@@ -96,7 +96,7 @@ def test_who_can_not_be_watched_is_refused_before_anything_is_calibrated(few, tm
         (["--task", "T3", "--imu", "tactical"], "--imu can't be given with --task"),
         (["--spoofer", "none"], "transmits nothing"),
         (["--family", "feedback"], "needs a detector"),
-        (["--alert-limit-m", "0"], "`alert_limit_m` must be finite and > 0, got 0"),
+        (["--alert-limit-m", "0"], "`alert_limit_m` must be a number above 0, got 0"),
     ],
 )
 def test_wrong_input_gets_one_clear_line(more, message):

@@ -137,7 +137,7 @@ def test_a_world_without_a_limit_says_why():
         (["--sensors", "maybe"], "constants 'maybe'; valid: known, unknown"),
         (["--figure", "floor.foo"], "unknown ending of a picture '.foo'; valid: "),
         (["--set", "domain={}", "--false-alarms-per-hour", "1000"], "valid: below 15.6 an hour"),
-        (["--false-alarms-per-hour", "0"], "must be a finite number > 0, got 0.0"),
+        (["--false-alarms-per-hour", "0"], "must be a number above 0, got 0.0"),
         (["--false-alarms-per-hour", "1", "--nominal"], "can't both be given"),
         (["--budget", "2"], "--budget must be"),
         (["--detector", "ewmo"], "did you mean 'ewma'?"),

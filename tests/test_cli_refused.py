@@ -44,7 +44,7 @@ def test_absurd_numbers_of_runs_end_at_once(command: str, option: str, largest: 
         (["run", "--attack", "radio"], "unknown attack 'radio'; valid: "),
         (["run", "--spoofer", "ramp:rate_mps=nan"], "`rate_mps` must be a finite number"),
         (["run", "--spoofer", "ramp:rate_mps=9"], "`rate_mps` = 9 is more than the attack allows"),
-        (["run", "--attack-s", "nan"], "`attack_s` must be finite"),
+        (["run", "--attack-s", "nan"], "`attack_s` must be a number above 0"),
         (["run", "--attack-s", "900"], "an episode takes"),
         (["run", "--detector", "nowhere:Thing"], "there is no module 'nowhere'"),
         (["run", "--spoofer", "ramp:rate_mps=tuned"], "needs a search"),

@@ -87,52 +87,41 @@ def test_a_kind_is_skipped_that_the_processor_cannot_run():
     assert "avx512f" in cpus.missing("znver4", features)
 
 
-def test_an_unknown_kind_is_named_with_the_valid_ones():
+def test_an_unknown_kind_is_named_and_none_that_can_run_is_no_success(monkeypatch, capsys):
     with pytest.raises(SystemExit, match="'pentium'; valid are generic, nehalem"):
         cpus.main(["pentium"])
-
-
-def test_where_no_kind_can_run_that_is_no_success(monkeypatch, capsys):
     monkeypatch.setattr(cpus, "host_features", set)
     assert cpus.main([]) == 1
     assert "generic         skipped: this processor lacks sse2" in capsys.readouterr().out
 
 
-def compare(monkeypatch, **computed):
-    """Exit code where every kind has computed something, or failed to."""
+ONE = {"default: B=1": {"position": "aa", "innovation": "bb"}, "default: B=3": {"x": "cc"}}
+
+
+@pytest.mark.parametrize(
+    ("last", "code", "printed"),
+    [
+        (ONE, 0, "the same bits in 3 fields: generic, haswell, znver4"),
+        (None, 1, "znver4          FAILED"),
+        ({"default: B=3": ONE["default: B=3"]}, 1, "default: B=1: position, innovation\n"),
+        (
+            {**ONE, "default: B=1": {"position": "aa", "innovation": "b0"}},
+            1,
+            "znver4 differs from generic: default: B=1: innovation\n",
+        ),
+    ],
+)
+def test_kinds_with_other_bits_fail_and_their_fields_are_named(
+    last, code, printed, monkeypatch, capsys
+):
+    computed = {"generic": ONE, "haswell": dict(ONE), "znver4": last}
     monkeypatch.setattr(cpus, "missing", lambda kind, features: [])
     monkeypatch.setattr(cpus, "digests", lambda kind, cache: computed[kind])
-    return cpus.main([*computed, cpus.COMPARE])
-
-
-def test_kinds_with_other_bits_fail_and_their_runs_and_fields_are_named(monkeypatch, capsys):
-    one = {
-        "default: B=1": {"position": "aa", "epoch.innovation": "bb"},
-        "default: B=3": {"x": "cc"},
-    }
-    other = {**one, "default: B=1": {"position": "aa", "epoch.innovation": "b0"}}
-    assert compare(monkeypatch, generic=one, haswell=one, znver4=other) == 1
-    printed = capsys.readouterr().out
-    assert "znver4 differs from generic: default: B=1: epoch.innovation\n" in printed
-    assert "haswell         passed" in printed
-    assert "znver4          FAILED: other bits" in printed
-    assert "the same bits" not in printed
-
-
-def test_a_kind_that_computes_less_differs(monkeypatch):
-    one = {"default: B=1": {"position": "aa"}, "default: B=3": {"position": "bb"}}
-    assert compare(monkeypatch, generic=one, haswell={"default: B=1": {"position": "aa"}}) == 1
-
-
-def test_a_kind_whose_process_fails_fails(monkeypatch):
-    one = {"default: B=1": {"position": "aa"}}
-    assert compare(monkeypatch, generic=one, haswell=None) == 1
-
-
-def test_kinds_with_the_same_bits_pass(monkeypatch, capsys):
-    one = {"default: B=1": {"position": "aa", "x": "bb"}}
-    assert compare(monkeypatch, generic=one, haswell=dict(one)) == 0
-    assert "the same bits in 2 fields: generic, haswell" in capsys.readouterr().out
+    assert cpus.main([*computed, cpus.COMPARE]) == code
+    shown = capsys.readouterr().out
+    assert printed in shown
+    assert "haswell         passed" in shown
+    assert ("znver4          FAILED" in shown) == bool(code)
 
 
 def test_digests_are_of_every_bit():

@@ -1,7 +1,5 @@
 """What is installed with spoofgym is pinned, and the extras hold what they are for."""
 
-from __future__ import annotations
-
 import ast
 import sys
 import tomllib

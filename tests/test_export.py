@@ -49,7 +49,10 @@ def observations(envs, count=300):
     return (0.3 * drawn).astype(np.float32)
 
 
-@pytest.mark.parametrize("kind", [PPO, A2C, SAC, TD3, DDPG])
+NIGHTLY = [pytest.param(kind, marks=pytest.mark.nightly) for kind in (A2C, TD3, DDPG)]
+
+
+@pytest.mark.parametrize("kind", [PPO, SAC, *NIGHTLY])
 def test_a_file_acts_as_its_model_of_stable_baselines3(kind, tmp_path):
     further = {"learning_starts": 8} if kind in (SAC, TD3, DDPG) else {"n_steps": 16}
     envs = make()
@@ -194,7 +197,7 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written(tmp_path):
     net = torch.nn.Linear(size, 1)
     with pytest.raises(ValueError, match=r"`path` must end in \.onnx"):
         onnx(net, envs, tmp_path / "x.pt")
-    with pytest.raises(ValueError, match="`amplitude` must be finite and > 0, got 0"):
+    with pytest.raises(ValueError, match="`amplitude` must be a number above 0, got 0"):
         onnx(net, envs, tmp_path / "x.onnx", amplitude=0.0)
     for training, message in (
         ([1], r"`training` must be a mapping, got \[1\]"),

@@ -169,8 +169,10 @@ def test_an_error_within_a_campaign_ends_it_with_1(tmp_path: Path) -> None:
     assert "ArithmeticError: on purpose" in said
 
 
-@pytest.mark.parametrize("fraction", [0.1, 0.5])
-@pytest.mark.parametrize(("end", "expected"), [("interrupt", 130), ("error", 1), ("end", 0)])
+@pytest.mark.parametrize(
+    ("end", "expected", "fraction"),
+    [("interrupt", 130, 0.1), ("interrupt", 130, 0.5), ("error", 1, 0.1), ("end", 0, 0.5)],
+)
 def test_an_environment_with_warm_ups_in_the_background_ends(
     end: str, expected: int, fraction: float, tmp_path: Path
 ) -> None:
@@ -202,3 +204,30 @@ def test_progress_leaves_no_thread_that_nobody_waits_for() -> None:
         assert set(threading.enumerate()) - before
         _threads.end_all()
         assert not set(threading.enumerate()) - before
+
+
+WITHIN_A_DEL = """
+import os, signal, sys, time
+from spoofgym.cli.app import app, main
+
+class Closed:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+@app.command()
+def closes():
+    Closed()
+    time.sleep(60.0)
+    print("it was dropped")
+
+sys.argv[1:] = ["closes"]
+main()
+"""
+
+
+def test_an_interrupt_within_a_del_is_not_dropped(tmp_path: Path) -> None:
+    process = started("-c", WITHIN_A_DEL, folder=tmp_path)
+    printed, said = process.communicate(timeout=120.0)
+    assert process.returncode == 130, said.decode()
+    assert (printed, said) == (b"", b"")

@@ -1,7 +1,5 @@
 """An environment goes to another process as it is: files, joblib, SubprocVecEnv."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import subprocess
@@ -40,16 +38,6 @@ def under_way(env: Any) -> Any:
     return env
 
 
-def flat(seen: list[Any]) -> list[Any]:
-    return [part for each in seen for part in (each if isinstance(each, tuple) else [each])]
-
-
-def make_all() -> dict[str, Any]:
-    found: dict[str, Any] = {kind: victim(kind) for kind in VICTIMS}
-    found |= {f"{kind} of 3": victims(kind, 3) for kind in ("TightlyCoupled", "Snapshot")}
-    return {name: under_way(env) for name, env in found.items()}
-
-
 CHILD = """
 import pickle, sys
 from pathlib import Path
@@ -60,17 +48,8 @@ envs = pickle.loads((folder / "envs.pkl").read_bytes())
 """
 
 
-def played_in_a_child(envs: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """What environments show in a fresh process that reads them from a file."""
-    (folder / "envs.pkl").write_bytes(pickle.dumps(envs))
-    done = subprocess.run(
-        [sys.executable, "-c", CHILD, str(folder)],
-        cwd=Path(__file__).parents[1],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    return pickle.loads((folder / "seen.pkl").read_bytes())
+def flat(seen: list[Any]) -> list[Any]:
+    return [part for each in seen for part in (each if isinstance(each, tuple) else [each])]
 
 
 def assert_same(seen: list[Any], expected: list[Any], name: str = "") -> None:
@@ -79,8 +58,13 @@ def assert_same(seen: list[Any], expected: list[Any], name: str = "") -> None:
 
 
 def test_a_file_of_environments_goes_on_in_a_fresh_process_with_the_same_bits(tmp_path):
-    envs = make_all()
-    seen = played_in_a_child(envs, tmp_path)
+    envs = {kind: under_way(victim(kind)) for kind in VICTIMS}
+    envs |= {f"{kind} of 3": under_way(victims(kind, 3)) for kind in ("TightlyCoupled", "Snapshot")}
+    (tmp_path / "envs.pkl").write_bytes(pickle.dumps(envs))
+    child = [sys.executable, "-c", CHILD, str(tmp_path)]
+    done = subprocess.run(child, cwd=Path(__file__).parents[1], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    seen = pickle.loads((tmp_path / "seen.pkl").read_bytes())
     assert list(seen) == list(envs)
     for name, env in envs.items():
         assert_same(seen[name], go_on(env), name)

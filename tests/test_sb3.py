@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import pickle
 import sys
 
@@ -125,12 +124,11 @@ def test_a_reset_goes_on_and_a_seeded_one_begins_anew():
     assert np.array_equal(envs.reset(), first)
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-def test_a_copy_goes_on_with_the_same_bits(copied):
+def test_a_copy_goes_on_with_the_same_bits():
     envs = make()
     envs.reset()
     play(envs, actions(7))
-    twin = copied(envs)
+    twin = pickle.loads(pickle.dumps(envs))
     assert_same(play(envs, actions(15)), play(twin, actions(15)))
 
 
@@ -168,32 +166,23 @@ def test_rewards_can_change_between_steps():
     assert {price for price, detected in prices if not detected} == {0.0}
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
+def test_bad_actions_are_refused_and_change_nothing():
+    envs, fresh = make(), make()
+    envs.reset(), fresh.reset()
+    for wrong, message in (
         (np.full((ENVS, 2), np.nan), "must be finite"),
         (np.zeros((ENVS, 3)), r"shape \(5, 2\)"),
         (np.full((ENVS, 2), 1.5), r"in \[-1, 1\]"),
-    ],
-)
-def test_bad_actions_are_refused(wrong, message):
-    envs = make()
-    envs.reset()
-    with pytest.raises(ValueError, match=message):
-        envs.step(wrong)
-    assert_same(play(envs, actions(3)), _fresh_course(3))  # nothing has happened meanwhile
-
-
-def _fresh_course(steps):
-    envs = make()
-    envs.reset()
-    return play(envs, actions(steps))
+    ):
+        with pytest.raises(ValueError, match=message):
+            envs.step(wrong)
+    assert_same(play(envs, actions(3)), play(fresh, actions(3)))
 
 
 def test_bad_calls_are_refused():
     with pytest.raises(ValueError, match="`num_envs` must be a whole number of at least 1, got 0"):
         SpoofVecEnv(0)
-    with pytest.raises(ValueError, match="`torch_threads` must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="`torch_threads` must be a whole number of at least 1, "):
         make(torch_threads=0)
     envs = make()
     with pytest.raises(RuntimeError, match=r"call reset\(\)"):
@@ -432,7 +421,7 @@ def test_a_side_or_a_pool_alone_chooses_the_view():
         ({"env_id": "CartPole-v1"}, ValueError, "CartPole-v1 is no environment of a spoofer"),
         ({"env_id": "a", "task": "T1"}, ValueError, "`env_id` can't be given with task T1"),
         ({"task": "T9"}, ValueError, "unknown task 'T9'"),
-        ({"side": "referee"}, ValueError, "unknown side 'referee'; valid: detector, spoofer"),
+        ({"side": "referee"}, ValueError, "`side` must be 'spoofer' or 'detector', got 'referee'"),
         ({"side": "detector", "detector": "ewma"}, ValueError, "the detector is the learner"),
         ({"weights": [1.0]}, ValueError, "`weights` are those of a `pool`, and there is none"),
         ({"env_id": "spoofgym/Snapshot-v0", "side": "detector"}, ValueError, "has none"),

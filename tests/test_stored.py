@@ -4,8 +4,6 @@ Calibrations are found by a digest of settings and of the words that stand for c
 class that is renamed must keep its word.  `tests/golden` compares the tasks.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import importlib
@@ -112,22 +110,18 @@ def test_shipped_networks_are_unchanged():
     assert digests == NETWORKS
 
 
-@pytest.mark.parametrize("name", shipped("spoofer"))
-def test_every_shipped_spoofer_meets_the_environment_of_its_card(name):
-    card = card_of(name, SpooferCard)
-    profile = {} if card.file else {"action": "full-command"}
-    env = gym.make(card.env_id, **{**profile, **card.env_kwargs})
-    attach(name, env)
-    env.close()
-
-
-@pytest.mark.parametrize("name", shipped("detector"))
-def test_every_shipped_detector_is_bound_in_the_world_of_its_task(name):
-    card = json.loads((ZOO_FOLDER / f"{name}.json").read_text())
-    task = TASKS[card["training"]["task"]]
-    env = gym.make(task.env_id, **{**task.env_kwargs, "detector": name})
-    env.reset(seed=1)
-    assert env.unwrapped.core.setup.detector.detector.label == name
+@pytest.mark.parametrize("name", shipped())
+def test_what_is_shipped_meets_the_world_of_its_card(name):
+    if name in shipped("spoofer"):
+        card = card_of(name, SpooferCard)
+        profile = {} if card.file else {"action": "full-command"}
+        env = gym.make(card.env_id, **{**profile, **card.env_kwargs})
+        attach(name, env)
+    else:
+        task = TASKS[json.loads((ZOO_FOLDER / f"{name}.json").read_text())["training"]["task"]]
+        env = gym.make(task.env_id, **{**task.env_kwargs, "detector": name})
+        env.reset(seed=1)
+        assert env.unwrapped.core.setup.detector.detector.label == name
     env.close()
 
 
@@ -151,7 +145,7 @@ def test_no_two_classes_have_one_word():
 @contextmanager
 def renamed(cls: type[Any], name: str) -> Iterator[None]:
     before = cls.__qualname__
-    cls.__qualname__ = name
+    cls.__qualname__ = name  # which monkeypatch would delete
     try:
         yield
     finally:

@@ -7,7 +7,8 @@ A mutant changes one operator, comparison, number or returned value.  They are d
 files weighted by their statements, and over the four kinds; a third are in kernels.  Each is tried
 in a copy of the checked-out commit, by the tests of its package, then the golden and the
 conformance tests, up to the first failure.  The CSV is written when a mutant is done, so that a run
-that is broken off goes on with the next one.
+that is broken off goes on with the next one.  A later commit may have moved a mutant's line, which
+is found by its text; a mutant whose line is no longer there is counted apart.
 """
 
 from __future__ import annotations
@@ -27,12 +28,13 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import joblib
 import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import track
 
-from spoofgym.core.compile import CACHE_VARIABLE
+from spoofgym.core.compile import CACHE_VARIABLE, cache_parent
 from spoofgym.core.files import write_file
 
 from .size import count_statements
@@ -52,7 +54,7 @@ TESTED = {
 ALWAYS = ("tests/golden", "tests/conformance")
 KERNELS = "kernels.py"
 """What the names of files with kernels end in."""
-KILLED, SURVIVED, LATE = "killed", "survived", "out of time"
+KILLED, SURVIVED, LATE, GONE = "killed", "survived", "out of time", "line is gone"
 OPERATORS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorDiv: "/"}
 VALUES = (ast.BinOp, ast.Compare, ast.Name, ast.Subscript)
 """Returned values that are changed: to their negative, or the opposite."""
@@ -78,6 +80,7 @@ class Mutant:
     kind: str
     before: str
     after: str
+    text: str
     outcome: str = ""
     seconds: float = 0.0
     test: str = ""
@@ -93,7 +96,8 @@ def find_changes(file: str, text: str) -> Iterator[Mutant]:
             continue
         raw = lines[number - 1].encode()
         for start, end, kind, after in _changes_of(node, raw):
-            yield Mutant(0, file, number, start, end, kind, raw[start:end].decode(), after)
+            before = raw[start:end].decode()
+            yield Mutant(0, file, number, start, end, kind, before, after, lines[number - 1])
 
 
 def _changes_of(node: ast.AST, raw: bytes) -> Iterator[tuple[int, int, str, str]]:
@@ -177,16 +181,29 @@ def tests_of(file: str) -> list[str]:
     return [first, *ALWAYS]
 
 
-def apply(mutant: Mutant, root: Path) -> None:
-    """Change the line of a mutant in a checkout."""
+def apply(mutant: Mutant, root: Path) -> bool:
+    """Change the line of a mutant in a checkout; False where no line with its text is there."""
     path = root / mutant.file
-    lines = path.read_text("utf-8").splitlines(keepends=True)
-    raw = lines[mutant.line - 1].encode()
-    if raw[mutant.start : mutant.end].decode() != mutant.before:
-        raise ValueError(f"{mutant.file}:{mutant.line} is not as it was when it was drawn")
-    changed = raw[: mutant.start] + mutant.after.encode() + raw[mutant.end :]
-    lines[mutant.line - 1] = changed.decode()
+    lines = path.read_text("utf-8").splitlines(keepends=True) if path.is_file() else []
+    places = [k for k, line in enumerate(lines) if line.strip() == mutant.text.strip()]
+    if not places:
+        return False
+    place = min(places, key=lambda k: abs(k + 1 - mutant.line))
+    raw = lines[place].encode()
+    moved = len(raw) - len(raw.lstrip()) - (len(mutant.text) - len(mutant.text.lstrip()))
+    start, end = mutant.start + moved, mutant.end + moved
+    lines[place] = (raw[:start] + mutant.after.encode() + raw[end:]).decode()
     path.write_text("".join(lines), "utf-8")
+    return True
+
+
+def lend_cache(folder: Path) -> Path:
+    """Folder of compiled code of its own, with what is compiled already: layers that a mutant does
+    not touch."""
+    folder.mkdir(mode=0o700)
+    for compiled in cache_parent().iterdir():
+        (folder / compiled.name).symlink_to(compiled)
+    return folder
 
 
 def try_mutant(mutant: Mutant, root: Path, limit_s: float) -> Mutant:
@@ -194,8 +211,9 @@ def try_mutant(mutant: Mutant, root: Path, limit_s: float) -> Mutant:
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
         copy = Path(folder) / "checkout"
         subprocess.run(["git", "clone", "-q", str(root), str(copy)], check=True)
-        apply(mutant, copy)
-        own = {"PYTHONPATH": str(copy), CACHE_VARIABLE: str(Path(folder) / "cache")}
+        if not apply(mutant, copy):
+            return replace(mutant, outcome=GONE)
+        own = {"PYTHONPATH": str(copy), CACHE_VARIABLE: str(lend_cache(Path(folder) / "cache"))}
         data = os.environ.get("SPOOFGYM_DATA", str(root.parent / "shared" / "data"))
         began = time.monotonic()
         words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
@@ -245,6 +263,7 @@ def main(
     seed: Annotated[int, typer.Option(min=0, help="Of the draw.")] = 0,
     limit_s: Annotated[float, typer.Option(min=1.0, help="Longest time of one [s].")] = 180.0,
     killed_in: Annotated[Path | None, typer.Option(help="Try those that were killed here.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Mutants that are tried at once.")] = 1,
 ) -> None:
     """Try mutants that are not done yet; exit with 1 where one that was killed before is not."""
     if out.is_file():
@@ -255,14 +274,21 @@ def main(
     else:
         mutants = draw_mutants(ROOT, count, kernels, seed)
     write_mutants(out, mutants)
-    for k in track(range(len(mutants)), "mutants", console=Console(stderr=True)):
-        if not mutants[k].outcome:
-            mutants[k] = try_mutant(mutants[k], ROOT, limit_s)
-            write_mutants(out, mutants)
-    counts = {each: sum(m.outcome == each for m in mutants) for each in (KILLED, SURVIVED, LATE)}
-    typer.echo(", ".join(f"{count} {outcome}" for outcome, count in counts.items()))
-    if killed_in is not None and counts[KILLED] < len(mutants):
+    missing = [k for k, each in enumerate(mutants) if not each.outcome]
+    pool = joblib.Parallel(jobs, backend="threading", return_as="generator_unordered")
+    tried = pool(joblib.delayed(_try_at)(k, mutants[k], ROOT, limit_s) for k in missing)
+    for k, each in track(tried, "mutants", total=len(missing), console=Console(stderr=True)):
+        mutants[k] = each
+        write_mutants(out, mutants)
+    outcomes = (KILLED, SURVIVED, LATE, GONE)
+    counts = {each: sum(m.outcome == each for m in mutants) for each in outcomes}
+    typer.echo(", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count))
+    if killed_in is not None and counts[KILLED] + counts[GONE] < len(mutants):
         raise typer.Exit(1)
+
+
+def _try_at(place: int, mutant: Mutant, root: Path, limit_s: float) -> tuple[int, Mutant]:
+    return place, try_mutant(mutant, root, limit_s)
 
 
 if __name__ == "__main__":

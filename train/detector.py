@@ -39,8 +39,9 @@ from agents.record import read_record, write_record
 from spoofgym import export
 from spoofgym.bench.experiments import Store
 from spoofgym.bench.experiments.dataset import Dataset, Episodes, load
+from spoofgym.core.declared import check_number
 from spoofgym.core.progress import show_progress
-from spoofgym.core.registry import check_finite, whole_number
+from spoofgym.core.registry import whole_number
 from spoofgym.detectors.calibration_file import check_runs
 from spoofgym.policies.card import DECIDED_ON
 
@@ -71,9 +72,9 @@ class Arguments:
         for name in ("passes", "patience", "batch_size", "width", "projections", "threads"):
             whole_number(f"`{name}`", getattr(self, name), 1)
         for name in ("learning_rate", "clip_norm", "false_alarms_per_hour", "least_live_s"):
-            check_finite(name, getattr(self, name), "> 0")
+            check_number(name, getattr(self, name), above=0.0)
         for name in ("emphasis", "weight_decay", "seed"):
-            check_finite(name, getattr(self, name), ">= 0")
+            check_number(name, getattr(self, name), least=0.0)
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", self.out.name):
             raise ValueError(f"the last part of `out` names the detector, got {str(self.out)!r}")
 

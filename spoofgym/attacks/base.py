@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import record, setting
 from ..core.memory import Memory
-from ..core.registry import build_record, check_choice, check_finite, require
+from ..core.registry import build_record, require
 from ..core.settings import kind_of
 from ..truth.run import World
 from ._kernels import Commanded
@@ -56,7 +56,7 @@ def _record(name: str, kind: type[Any], given: Any) -> Any:
     return build_record(name, kind, given)
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class Attack(ABC):
     r"""An attack commanded by rate or by acceleration of its offsets.
 
@@ -67,34 +67,6 @@ class Attack(ABC):
     where a command of acceleration is limited in size, and shortened where the rate would exceed
     its limit; a command of rate is held over the interval, :math:`D^+ = D + v^+ \tau`.
 
-    Parameters
-    ----------
-    control : {"acceleration", "rate"}
-        What an action of 1 commands: the limit of acceleration or of rate.
-    acceleration_limit_mps2 : float
-        Largest acceleration of the offset, above 0; not used with ``control="rate"``.
-    rate_limit_mps : float
-        Largest rate of the offset, above 0.
-    coherent : bool
-        Whether the range rates follow the commanded ranges.  If not, the code drifts away from the
-        carrier, which a receiver could see: the attack is labelled ``pseudorange-only``.
-    channels : "all", str or tuple of str
-        Which satellites are counterfeited: ids, or patterns such as ``"E*"`` for a whole
-        constellation.
-    errors : {"inherited", "replaced", "quiet"}, mapping or CounterfeitErrors
-        ``"inherited"``: the authentic errors stay in the counterfeit measurements, which is
-        idealised; ``"replaced"``: at the capture the noise of the receiver alone takes their place;
-        ``"quiet"``: the same, blended in over 30 s, which a test for too large innovations never
-        sees; else settings of what takes their place.
-    tracking : mapping or TrackingError, optional
-        How badly the spoofer knows the target's position; perfectly by default.
-    spoofer_clock : mapping or SpooferClock, optional
-        Clock of the spoofer; perfect by default.
-    capture : mapping or Capture, optional
-        When channels follow the counterfeit signals; all of them at the onset by default.
-    threat : str
-        Name in `THREATS` that the settings belong to, for results; `make_attack` sets it.
-
     Attributes
     ----------
     one_sided : bool
@@ -102,24 +74,56 @@ class Attack(ABC):
     """
 
     one_sided: ClassVar[bool] = False
-    control: str = "acceleration"
-    acceleration_limit_mps2: float = 0.05
-    rate_limit_mps: float = 5.0
-    coherent: bool = True
-    channels: str | tuple[str, ...] = "all"
-    errors: str | Mapping[str, Any] | CounterfeitErrors = "inherited"
-    tracking: Mapping[str, Any] | TrackingError | None = None
-    spoofer_clock: Mapping[str, Any] | SpooferClock | None = None
-    capture: Mapping[str, Any] | Capture | None = None
-    threat: str = ""
+    control: str = setting(
+        default="acceleration",
+        one_of=CONTROLS,
+        help="What an action of 1 commands: the limit of acceleration or of rate.",
+    )
+    acceleration_limit_mps2: float = setting(
+        default=0.05,
+        above=0.0,
+        unit="m/s^2",
+        help='Largest acceleration of the offset; not used with ``control="rate"``.',
+    )
+    rate_limit_mps: float = setting(
+        default=5.0, above=0.0, unit="m/s", help="Largest rate of the offset."
+    )
+    coherent: bool = setting(
+        default=True,
+        help="Whether the range rates follow the commanded ranges.  If not, the code drifts away "
+        "from the carrier, which a receiver could see: the attack is labelled "
+        "``pseudorange-only``.",
+    )
+    channels: str | tuple[str, ...] = setting(
+        default="all",
+        help='Which satellites are counterfeited: ``"all"``, ids, or patterns such as ``"E*"`` for '
+        "a whole constellation.",
+    )
+    errors: str | Mapping[str, Any] | CounterfeitErrors = setting(
+        default="inherited",
+        one_of=ERRORS,
+        help='Errors of the counterfeit measurements.  ``"inherited"``: the authentic ones stay, '
+        'which is idealised; ``"replaced"``: at the capture the noise of the receiver alone takes '
+        'their place; ``"quiet"``: the same, blended in over 30 s, which a test for too large '
+        "innovations never sees; else settings of what takes their place.",
+    )
+    tracking: Mapping[str, Any] | TrackingError | None = setting(
+        default=None,
+        help="How badly the spoofer knows the target's position; perfectly by default.",
+    )
+    spoofer_clock: Mapping[str, Any] | SpooferClock | None = setting(
+        default=None, help="Clock of the spoofer; perfect by default."
+    )
+    capture: Mapping[str, Any] | Capture | None = setting(
+        default=None,
+        help="When channels follow the counterfeit signals; all of them at the onset by default.",
+    )
+    threat: str = setting(
+        default="",
+        help="Name in `THREATS` that the settings belong to, for results; `make_attack` sets it.",
+    )
 
     def __post_init__(self) -> None:
-        require(
-            self.control in CONTROLS,
-            f"`control` must be one of {', '.join(map(repr, CONTROLS))}, got {self.control!r}",
-        )
-        for name in ("acceleration_limit_mps2", "rate_limit_mps"):
-            check_finite(name, getattr(self, name), "> 0")
         if isinstance(self.channels, str):
             require(
                 self.channels == "all" or "*" in self.channels,
@@ -137,7 +141,6 @@ class Attack(ABC):
 
     def _check_options(self) -> None:
         if isinstance(self.errors, str):
-            check_choice("`errors`", self.errors, ERRORS)
             self.errors = ERRORS[self.errors] or "inherited"
         else:
             self.errors = _record("errors", CounterfeitErrors, self.errors)

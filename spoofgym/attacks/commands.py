@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import record, setting
 from ..core.registry import require
 from ..truth.run import World
 from ._kernels import Commanded, displaced_ranges, false_position, meaconer, per_channel
@@ -17,7 +17,7 @@ from .equipment import checked_vector
 AXES = {"n": "north", "e": "east", "d": "down"}
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class FalsePosition(Attack):
     r"""Counterfeit position, displaced from the true one.
 
@@ -30,20 +30,14 @@ class FalsePosition(Attack):
     far the target flies.  The velocity of the counterfeit has the turning of the axes in it, so
     that range rates remain the derivatives of the ranges.  The limits apply to the size of the
     vector.
-
-    Parameters
-    ----------
-    control, acceleration_limit_mps2, rate_limit_mps, coherent, channels, errors, tracking
-        As in `Attack`.
-    spoofer_clock, capture, threat
-        As in `Attack`.
-    axes : str
-        Letters of the commanded axes, from ``"n"``, ``"e"`` and ``"d"``, in the order of the
-        action.  Displacement is scored horizontally, hence the default ``"ne"``.
     """
 
     described_as = "FalsePosition"
-    axes: str = "ne"
+    axes: str = setting(
+        default="ne",
+        help='Letters of the commanded axes, from ``"n"``, ``"e"`` and ``"d"``, in the order of '
+        'the action.  Displacement is scored horizontally, hence the default ``"ne"``.',
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -70,20 +64,13 @@ class FalsePosition(Attack):
         false_position(commanded, self.axes_e, self.memory["target_error"], *rest)
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class PerChannel(Attack):
     """Offset added to the pseudorange of every captured satellite, as in the five papers.
 
     What the spoofer changes is the authentic range itself; with `tracking`, the range that it takes
     for the authentic one, at a wrong position.  The limits apply to each channel for itself.
     Offsets of satellites that are not in view have no effect.
-
-    Parameters
-    ----------
-    control, acceleration_limit_mps2, rate_limit_mps, coherent, channels, errors, tracking
-        As in `Attack`.
-    spoofer_clock, capture, threat
-        As in `Attack`.
     """
 
     described_as = "PerChannel"
@@ -103,7 +90,7 @@ class PerChannel(Attack):
             displaced_ranges(self.memory["target_error"], self.coherent, *rest)
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class Meaconer(Attack):
     r"""Record and replay: the ranges of the meaconer's antenna, and one delay.
 
@@ -112,27 +99,22 @@ class Meaconer(Attack):
     and the range rates are the derivatives.  The victim's position becomes that of the antenna at
     :math:`r_m`; the way from there to the victim and the delay D, the one command, are common to
     all channels and go into its clock.  There is no freedom per axis or per satellite.  Within a
-    delay of D the satellites move by less than 4 mm per kilometre of D, which is left out.
-
-    Parameters
-    ----------
-    control, acceleration_limit_mps2, rate_limit_mps, coherent, channels, errors
-        As in `Attack`, for the delay in metres.
-    tracking : None
-        A meaconer needs no position; anything else is refused.
-    spoofer_clock, capture, threat
-        As in `Attack`.
-    antenna_m : tuple of float
-        (3,) north, east, down from the target's to the meaconer's antenna at the onset.
-    follows : bool
-        Whether the antenna stays there, in the axes at the target's true position; if not, it stays
-        where it was on the Earth.
+    delay of D the satellites move by less than 4 mm per kilometre of D, which is left out.  A
+    meaconer needs no position, so that it takes no `tracking`.
     """
 
     described_as = "Meaconer"
     one_sided: ClassVar[bool] = True
-    antenna_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    follows: bool = True
+    antenna_m: tuple[float, float, float] = setting(
+        default=(0.0, 0.0, 0.0),
+        unit="m",
+        help="Way (3,) north, east, down from the target's to the meaconer's antenna at the onset.",
+    )
+    follows: bool = setting(
+        default=True,
+        help="Whether the antenna stays there, in the axes at the target's true position; if not, "
+        "it stays where it was on the Earth.",
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

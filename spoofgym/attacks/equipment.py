@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import record, setting
 from ..core.memory import Memory
-from ..core.registry import check_fields, check_finite, require
+from ..core.registry import require
 from ..truth.noise import padded
 from ..truth.run import World
 from . import _kernels as kernels
@@ -18,7 +19,7 @@ CHIP_M = 293.05  # length of a chip of the GPS C/A code [m], c / 1.023 MHz (`is-
 MOST_DELAY_S = 10.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class CounterfeitErrors:
     """Errors of the counterfeit signals, in place of the authentic ones.
 
@@ -26,30 +27,37 @@ class CounterfeitErrors:
     reflected where the authentic one was: constants of satellites, and errors that wander, go with
     the capture.  What is left is the noise of the receiver itself, which is that of its world, and
     what the spoofer does not know of each satellite.
-
-    Parameters
-    ----------
-    code_sd_m, range_rate_sd_mps : float or None
-        White noise of pseudoranges and range rates in place of the receiver's own; None leaves that
-        as the world has it.
-    bias_sd_m : float
-        Constant of every channel for an episode.
-    blend_s : float
-        Time from the capture of a channel in which the authentic errors fade linearly, and that
-        constant comes; 0 for a step of their size.  It takes the receiver's own noise.
     """
 
     described_as = "CounterfeitErrors"
-    code_sd_m: float | None = None
-    range_rate_sd_mps: float | None = None
-    bias_sd_m: float = 0.0
-    blend_s: float = 0.0
+    code_sd_m: float | None = setting(
+        default=None,
+        least=0.0,
+        unit="m",
+        help="White noise of pseudoranges in place of the receiver's own; None leaves that as the "
+        "world has it.",
+    )
+    range_rate_sd_mps: float | None = setting(
+        default=None,
+        least=0.0,
+        unit="m/s",
+        help="White noise of range rates in place of the receiver's own; None leaves that as the "
+        "world has it.",
+    )
+    bias_sd_m: float = setting(
+        default=0.0, least=0.0, unit="m", help="Constant of every channel for an episode."
+    )
+    blend_s: float = setting(
+        default=0.0,
+        least=0.0,
+        unit="s",
+        help="Time from the capture of a channel in which the authentic errors fade linearly, and "
+        "that constant comes; 0 for a step of their size.  It takes the receiver's own noise.",
+    )
 
     def __post_init__(self) -> None:
-        unset = [item.name for item in fields(self) if getattr(self, item.name) is None]
-        check_fields(self, ">= 0", *(item.name for item in fields(self) if item.name not in unset))
         require(
-            not (self.blend_s > 0.0 and len(unset) < 2),
+            self.blend_s == 0.0 or (self.code_sd_m is None and self.range_rate_sd_mps is None),
             f"`blend_s` {self.blend_s} takes the receiver's own noise: leave out `code_sd_m` "
             "and `range_rate_sd_mps`",
         )
@@ -59,7 +67,7 @@ REPLACED = CounterfeitErrors()  # a step at the capture, to the noise of the rec
 QUIET = CounterfeitErrors(blend_s=30.0)  # blended in: no step, and better than authentic
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class TrackingError:
     r"""How badly a spoofer knows where its target is; it moves the counterfeit position.
 
@@ -70,94 +78,83 @@ class TrackingError:
         \sigma_{\dot x} = \beta \sigma, \qquad \beta = 1 / T
 
     so that its rate is finite, and the range rates follow it.
-
-    Parameters
-    ----------
-    sd_m : float
-        Standard deviation along each axis.
-    correlation_s : float
-        T, above 0.
-    delay_s : float
-        Age of the position that the spoofer takes for the present one, at most 10 s.
-    bias_m : tuple of float
-        (3,) constant error, north, east, down at the true position of the epoch.
     """
 
     described_as = "TrackingError"
-    sd_m: float = 0.0
-    correlation_s: float = 5.0
-    delay_s: float = 0.0
-    bias_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sd_m: float = setting(
+        default=0.0, least=0.0, unit="m", help="Standard deviation along each axis."
+    )
+    correlation_s: float = setting(default=5.0, above=0.0, unit="s", help="Correlation time T.")
+    delay_s: float = setting(
+        default=0.0,
+        least=0.0,
+        most=MOST_DELAY_S,
+        unit="s",
+        help="Age of the position that the spoofer takes for the present one.",
+    )
+    bias_m: tuple[float, float, float] = setting(
+        default=(0.0, 0.0, 0.0),
+        unit="m",
+        help="Constant error (3,), north, east, down at the true position of the epoch.",
+    )
 
     def __post_init__(self) -> None:
-        check_fields(self, ">= 0", "sd_m", "delay_s")
-        check_finite("correlation_s", self.correlation_s, "> 0")
-        require(
-            self.delay_s <= MOST_DELAY_S,
-            f"`delay_s` must be at most {MOST_DELAY_S:g}, got {self.delay_s}",
-        )
         object.__setattr__(self, "bias_m", checked_vector("bias_m", self.bias_m))
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class SpooferClock:
-    """Clock of the spoofer against that of the authentic signals, common to all its signals.
-
-    Parameters
-    ----------
-    offset_m, drift_mps : float
-        At the onset.
-    offset_sd_m, drift_sd_mps : float
-        What is drawn for every episode on top.
-    phase_psd, frequency_psd : float
-        Noise, as of `ReceiverClock` [m^2/s], [m^2/s^3].
-    """
+    """Clock of the spoofer against that of the authentic signals, common to all its signals."""
 
     described_as = "SpooferClock"
-    offset_m: float = 0.0
-    drift_mps: float = 0.0
-    offset_sd_m: float = 0.0
-    drift_sd_mps: float = 0.0
-    phase_psd: float = 0.0
-    frequency_psd: float = 0.0
+    offset_m: float = setting(default=0.0, unit="m", help="Offset at the onset.")
+    drift_mps: float = setting(default=0.0, unit="m/s", help="Drift at the onset.")
+    offset_sd_m: float = setting(
+        default=0.0,
+        least=0.0,
+        unit="m",
+        help="Standard deviation of what is drawn for every episode on top of the offset.",
+    )
+    drift_sd_mps: float = setting(
+        default=0.0,
+        least=0.0,
+        unit="m/s",
+        help="Standard deviation of what is drawn for every episode on top of the drift.",
+    )
+    phase_psd: float = setting(
+        default=0.0, least=0.0, unit="m^2/s", help="Noise of the phase, as of `ReceiverClock`."
+    )
+    frequency_psd: float = setting(
+        default=0.0,
+        least=0.0,
+        unit="m^2/s^3",
+        help="Noise of the frequency, as of `ReceiverClock`.",
+    )
 
-    def __post_init__(self) -> None:
-        check_fields(self, ">= 0", "offset_sd_m", "drift_sd_mps", "phase_psd", "frequency_psd")
-        for name in ("offset_m", "drift_mps"):
-            require(
-                math.isfinite(getattr(self, name)),
-                f"`{name}` must be finite, got {getattr(self, name)}",
-            )
 
-
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class Capture:
     """When the receiver's channels follow the counterfeit signals.
 
     A channel is captured at the first epoch, not before `delay_s`, at which its satellite is in
     view and the counterfeit code lies within `alignment_m` of the authentic one; it stays captured.
     Until then it measures the authentic signal.
-
-    Parameters
-    ----------
-    delay_s : float
-        Time from the onset of the attack to the first capture.
-    alignment_m : float or None
-        Largest difference of the two pseudoranges at the capture, the errors of single channels
-        left out, above 0; None for no limit.  Half a chip of the GPS C/A code by default.
     """
 
     described_as = "Capture"
-    delay_s: float = 0.0
-    alignment_m: float | None = 0.5 * CHIP_M
-
-    def __post_init__(self) -> None:
-        check_finite("delay_s", self.delay_s, ">= 0")
-        limit = self.alignment_m
-        require(
-            limit is None or (math.isfinite(limit) and limit > 0.0),
-            f"`alignment_m` must be finite and > 0, or None, got {limit}",
-        )
+    delay_s: float = setting(
+        default=0.0,
+        least=0.0,
+        unit="s",
+        help="Time from the onset of the attack to the first capture.",
+    )
+    alignment_m: float | None = setting(
+        default=0.5 * CHIP_M,
+        above=0.0,
+        unit="m",
+        help="Largest difference of the two pseudoranges at the capture, the errors of single "
+        "channels left out; None for no limit.  Half a chip of the GPS C/A code by default.",
+    )
 
 
 def checked_vector(name: str, value: tuple[float, ...]) -> tuple[float, float, float]:

@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from typing import Annotated, Any, NoReturn, ParamSpec, TypeVar
@@ -20,6 +21,7 @@ from ..core.progress import ProgressCallback, show_progress
 signals: list[int] = []
 """Signals that requested the end of the program."""
 HEARD = (signal.SIGINT, signal.SIGTERM)
+REPEAT_S = 0.05
 P = ParamSpec("P")
 R = TypeVar("R")
 TRACEBACK_VARIABLE = "SPOOFGYM_TRACEBACK"
@@ -76,6 +78,16 @@ def _interrupt(number: int, _: Any) -> None:
     raise KeyboardInterrupt
 
 
+def _repeat_interrupt(lost: sys.UnraisableHookArgs) -> None:
+    """Interrupt again, once this returns, where Python drops an interrupt: within a `__del__`."""
+    if signals and issubclass(lost.exc_type, KeyboardInterrupt):
+        repeat = threading.Timer(REPEAT_S, os.kill, (os.getpid(), signals[0]))
+        repeat.daemon = True
+        repeat.start()
+    else:
+        sys.__unraisablehook__(lost)
+
+
 def _leave(code: int) -> NoReturn:
     """End the process without taking the interpreter down first; another interrupt ends it at once.
 
@@ -100,6 +112,7 @@ def main() -> None:
     for number in HEARD:
         if signal.getsignal(number) != signal.SIG_IGN:  # as in the background of a shell
             signal.signal(number, _interrupt)
+    sys.unraisablehook = _repeat_interrupt
     try:
         app()
     finally:

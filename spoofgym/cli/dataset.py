@@ -105,7 +105,7 @@ def _plan(
     from ..bench.experiments.protect import entries_of
     from ..bench.experiments.suite import ALERT_LIMIT_M
     from ..bench.report.tasks import optima_of
-    from ..core.registry import check_finite
+    from ..core.declared import check_number
     from ..tasks import task_of
 
     task = chosen["task"]
@@ -115,7 +115,7 @@ def _plan(
     if detector is not None:
         (guard,) = opt.specs_of([detector])
     if alert_limit_m is not None:
-        check_finite("alert_limit_m", alert_limit_m, "> 0")
+        check_number("alert_limit_m", alert_limit_m, above=0.0)
     limit = alert_limit_m or limit or ALERT_LIMIT_M
     optima = optima_of(task) if task else ()
     plan = Plan(played.setup, limit, detector=guard, optima=optima, **chosen)

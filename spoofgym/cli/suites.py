@@ -171,8 +171,8 @@ def tuning_of(runs: int, budget: float) -> Tuning:
     try:
         return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget)
     except ValueError as error:  # it knows its fields, not the options
-        text = str(error).replace("`tuning.runs`", "--training-seeds")
-        raise ValueError(text.replace("`tuning.budget`", "--budget")) from error
+        text = str(error).replace("`runs`", "--training-seeds")
+        raise ValueError(text.replace("`budget`", "--budget")) from error
 
 
 def selection_of(runs: int) -> Selection | None:

@@ -38,6 +38,7 @@ class Bounds:
     one_of: tuple[str, ...] = ()
     increasing: bool = False
     infinite: bool = False
+    empty: bool = False
 
     def hold(self, value: Any, whole: bool = False) -> bool:
         """Whether a value is a number within the limits; `whole`: and a whole one."""
@@ -109,7 +110,7 @@ class Setting:
     def _are_valid(self, values: list[Any], items: list[str]) -> bool:
         good = all(self.bounds.hold(each, whole="float" not in items) for each in values)
         ordered = not self.bounds.increasing or all(a < b for a, b in pairwise(values))
-        return bool(values) and good and ordered
+        return (bool(values) or self.bounds.empty) and good and ordered
 
     def valid(self, annotation: str) -> str:
         """What is valid, in words."""
@@ -134,6 +135,7 @@ def setting(
     one_of: Iterable[str] = (),
     increasing: bool = False,
     infinite: bool = False,
+    empty: bool = False,
     unit: str = "",
     help: str = "",
     default_factory: Any = MISSING,
@@ -152,8 +154,8 @@ def setting(
         Words that are valid; beside numbers where the annotation names numbers, too.
     increasing : bool
         Whether a list must be in increasing order.
-    infinite : bool
-        Whether infinity is valid.
+    infinite, empty : bool
+        Whether infinity is valid, and whether an empty list is.
     unit : str
         Unit, ``"m/s"``.
     help : str
@@ -170,7 +172,7 @@ def setting(
     field : dataclasses.Field
         For the body of a class that `record` decorates.
     """
-    bounds = Bounds(above, least, below, most, tuple(one_of), increasing, infinite)
+    bounds = Bounds(above, least, below, most, tuple(one_of), increasing, infinite, empty)
     metadata = {"setting": Setting(bounds, unit, help), **(OMITTED if omitted else {})}
     given = {"default": default, "default_factory": default_factory, "kw_only": kw_only}
     options = {name: value for name, value in given.items() if value is not MISSING}
@@ -230,13 +232,16 @@ def check_settings(record: Any) -> None:
 
 def _as_plain(value: Any, annotation: str) -> Any:
     kinds = split_union(annotation)
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, list) and any(kind.startswith("tuple[") for kind in kinds):
-        return tuple(value)
+    value = _to_python(value)
+    if isinstance(value, list | np.ndarray) and any(kind.startswith("tuple[") for kind in kinds):
+        return tuple(value.tolist() if isinstance(value, np.ndarray) else map(_to_python, value))
     if "int" in kinds and "float" not in kinds and isinstance(value, float):
         return int(value)
     return value
+
+
+def _to_python(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def check_number(
@@ -293,7 +298,7 @@ def _document_field(each: dataclasses.Field[Any]) -> list[str]:
     default = "" if each.default is MISSING else f", default {each.default!r}"
     unit = f" [{declared.unit}]" if declared.unit else ""
     meaning = re.sub(r"(?=[.;:])|$", unit, declared.help, count=1)
-    closed = declared.bounds == Bounds(one_of=declared.bounds.one_of)
+    closed = declared.bounds == Bounds(one_of=declared.bounds.one_of, empty=declared.bounds.empty)
     valid = "" if closed else f" Valid: {declared.valid(annotation)}."
     return [f"{each.name} : {words}{default}", *textwrap.wrap(meaning + valid, 92, **INDENT)]
 

@@ -8,7 +8,6 @@ import difflib
 import importlib
 import inspect
 import json
-import math
 import numbers
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -16,6 +15,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from .declared import check_number
 from .settings import describe
 
 T = TypeVar("T")
@@ -139,20 +139,12 @@ def is_number(value: object) -> bool:
     return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
 
 
-def check_finite(name: str, value: Any, bound: str = "") -> None:
-    """Raise unless a setting is a finite number within a `bound`, ``"> 0"`` or ``">= 0"``."""
-    good = is_number(value) and math.isfinite(float(value))
-    if good and bound:
-        good = value > 0 if bound == "> 0" else value >= 0
-    if not good:
-        must = f"finite and {bound}" if bound else "a finite number"
-        raise ValueError(f"`{name}` must be {must}, got {value!r}")
-
-
 def check_fields(record: object, bound: str, *names: str) -> None:
-    """`check_finite` for the fields of a record with these names, all of them by default."""
+    """Raise unless fields of a record, all by default, are finite numbers within a `bound`:
+    ``"> 0"`` or ``">= 0"``."""
+    above, least = (0.0 if bound == each else None for each in ("> 0", ">= 0"))
     for name in names or tuple(field.name for field in dataclasses.fields(record)):  # type: ignore[arg-type]
-        check_finite(name, getattr(record, name), bound)
+        check_number(name, getattr(record, name), above=above, least=least)
 
 
 def check_truth(name: str, value: Any) -> None:

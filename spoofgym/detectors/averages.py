@@ -76,24 +76,23 @@ monitor tests the filter's innovations, and needs no solution of its own.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar, cast
 
 import numpy as np
 
 from ..core.compile import njit
-from ..core.registry import check_choice
+from ..core.declared import record, setting
 from ..receiver.epoch import Epoch
 from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import (
     InnovationTest,
-    check_all,
-    check_length,
-    checked_windows,
+    alarm_probability,
     chi2_thresholds,
     cholesky_of_rows,
     epochs_of,
+    first_window,
     remember_squares,
+    signals_to_test,
     two_sided_quantile,
 )
 
@@ -107,10 +106,6 @@ class WindowsTest(InnovationTest):
     windows_s: tuple[float, ...]
 
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
-
-    def __post_init__(self) -> None:
-        self.windows_s = checked_windows(self.windows_s)
-        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
@@ -158,27 +153,25 @@ def largest_average(
             statistic[b] = max(statistic[b], q)
 
 
-@dataclass
+@record
 class Aime(WindowsTest):
-    """Chi-square of the average innovation over several windows, for the whole receiver.
-
-    Parameters
-    ----------
-    false_alarm : float
-        Probability of an alarm in one epoch where the filter's belief is right, in (0, 1); shared
-        out to the windows, so that the true one is somewhat smaller.
-    windows_s : tuple of float
-        Lengths of the windows, increasing.  While a run is younger than a window the test takes
-        what there is.
-    signals, bias_window_s
-        As in `SnapshotChi2`.
-    """
+    """Chi-square of the average innovation over several windows, for the whole receiver."""
 
     described_as = "Aime"
-    false_alarm: float = 1e-5
-    windows_s: tuple[float, ...] = (5.0, 25.0, 75.0)
-    signals: str = "pseudorange"
-    bias_window_s: float = 0.0
+    false_alarm: float = alarm_probability(
+        help="Probability of an alarm in one epoch where the filter's belief is right; shared "
+        "out to the windows, so that the true one is somewhat smaller."
+    )
+    windows_s: tuple[float, ...] = setting(
+        default=(5.0, 25.0, 75.0),
+        above=0.0,
+        increasing=True,
+        unit="s",
+        help="Lengths of the windows.  While a run is younger than a window the test takes what "
+        "there is.",
+    )
+    signals: str = signals_to_test("pseudorange")
+    bias_window_s: float = first_window()
 
     paper: ClassVar[str] = "diesel1995"
 
@@ -231,21 +224,25 @@ def largest_ratio(
                 statistic[b] = max(statistic[b], total / thresholds[int(degrees)])
 
 
-@dataclass
+@record
 class CumulativeBank(WindowsTest):
-    """Chi-square of the innovations of windows of several lengths, for the whole receiver.
-
-    Parameters
-    ----------
-    false_alarm, windows_s, signals, bias_window_s
-        As in `Aime`.
-    """
+    """Chi-square of the innovations of windows of several lengths, for the whole receiver."""
 
     described_as = "CumulativeBank"
-    false_alarm: float = 1e-5
-    windows_s: tuple[float, ...] = (5.0, 15.0, 30.0, 75.0, 150.0)
-    signals: str = "both"
-    bias_window_s: float = 0.0
+    false_alarm: float = alarm_probability(
+        help="Probability of an alarm in one epoch where the filter's belief is right; shared "
+        "out to the windows, so that the true one is somewhat smaller."
+    )
+    windows_s: tuple[float, ...] = setting(
+        default=(5.0, 15.0, 30.0, 75.0, 150.0),
+        above=0.0,
+        increasing=True,
+        unit="s",
+        help="Lengths of the windows.  While a run is younger than a window the test takes what "
+        "there is.",
+    )
+    signals: str = signals_to_test("both")
+    bias_window_s: float = first_window()
 
     paper: ClassVar[str] = "quartararo2022"
 
@@ -304,37 +301,29 @@ def largest_moving_sum(
             statistic[b, j] = max(statistic[b, j], abs(total) / math.sqrt(squares))
 
 
-@dataclass
+@record
 class FiniteMovingAverage(InnovationTest):
-    """Normalized sum of every satellite's innovations over a window; monitor only.
-
-    Parameters
-    ----------
-    false_alarm : float
-        Probability of an alarm of one satellite in one epoch where the filter's belief is right, in
-        (0, 1).
-    window_s : float
-        Length of the window, > 0: the time within which an attack is to be found.
-    shape : {"step", "ramp"}
-        What of the innovation the window is matched to.
-    signals, bias_window_s
-        As in `SnapshotChi2`.
-    """
+    """Normalized sum of every satellite's innovations over a window; monitor only."""
 
     described_as = "FiniteMovingAverage"
-    false_alarm: float = 1e-5
-    window_s: float = 10.0
-    shape: str = "step"
-    signals: str = "pseudorange"
-    bias_window_s: float = 0.0
+    false_alarm: float = alarm_probability(
+        help="Probability of an alarm of one satellite in one epoch where the filter's belief is "
+        "right."
+    )
+    window_s: float = setting(
+        default=10.0,
+        least=1e-3,
+        unit="s",
+        help="Length of the window: the time within which an attack is to be found.",
+    )
+    shape: str = setting(
+        default="step", one_of=SHAPES, help="What of the innovation the window is matched to."
+    )
+    signals: str = signals_to_test("pseudorange")
+    bias_window_s: float = first_window()
 
     paper: ClassVar[str] = "egearoca2018"
     scope: ClassVar[str] = "channel"
-
-    def __post_init__(self) -> None:
-        check_length("window_s", self.window_s, least=1e-3)
-        check_choice("shape", self.shape, SHAPES)
-        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
@@ -447,33 +436,26 @@ def window_average(
             statistic[b] += total * total / count
 
 
-@dataclass
+@record
 class ClockDrift(InnovationTest):
-    """Chi-square of the average common part of the innovations; monitor only.
-
-    Parameters
-    ----------
-    window_s : float
-        Length that the common part is averaged over, above 0.  While a run is younger the test
-        takes what there is.
-    signals : {"both", "pseudorange", "range_rate"}
-        Innovations to test: pseudoranges show the clock's offset, range rates its drift.
-    false_alarm, bias_window_s
-        As in `SnapshotChi2`.
-    """
+    """Chi-square of the average common part of the innovations; monitor only."""
 
     described_as = "ClockDrift"
-    false_alarm: float = 1e-5
-    window_s: float = 10.0
-    signals: str = "both"
-    bias_window_s: float = 0.0
+    false_alarm: float = alarm_probability()
+    window_s: float = setting(
+        default=10.0,
+        above=0.0,
+        unit="s",
+        help="Length that the common part is averaged over.  While a run is younger the test "
+        "takes what there is.",
+    )
+    signals: str = signals_to_test(
+        "both", "Innovations to test: pseudoranges show the clock's offset, range rates its drift."
+    )
+    bias_window_s: float = first_window()
 
     paper: ClassVar[str] = "hwang2014"
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
-
-    def __post_init__(self) -> None:
-        check_all(self, "> 0", "window_s")
-        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)

@@ -10,7 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.registry import check_choice, is_number, make, settings_of, spec_of
+from ..core.declared import check_number, check_word
+from ..core.registry import make, settings_of, spec_of
 from ..policies.card import DETECTOR
 from ..policies.zoo import path_of, shipped
 from . import calibrated
@@ -33,7 +34,7 @@ def split_spec(spec: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]
     plain = {key: value for key, value in spec.items() if key not in ASKED}
     asked = {key: spec[key] for key in ASKED if spec.get(key) is not None}
     if "thresholds" in asked:
-        check_choice("choice of `thresholds`", asked["thresholds"], THRESHOLDS)
+        check_word("thresholds", asked["thresholds"], THRESHOLDS)
     for key, stated, what in (
         ("thresholds", asked.get("thresholds") == "nominal", "`thresholds` 'nominal'"),
         ("threshold_scale", "threshold_scale" in asked, "`threshold_scale`, a factor of your own,"),
@@ -201,8 +202,7 @@ def _with_own_threshold(
     that is a threshold; the nominal one is that of the card."""
     name, own = plain["name"], plain.get("threshold")
     if own is not None:
-        if not (is_number(own) and 0.0 < own <= 1.0):
-            raise ValueError(f"`threshold` must be a number in (0, 1], got {own!r}")
+        check_number("threshold", own, above=0.0, most=1.0)
         if asked not in NOMINAL:
             raise ValueError(
                 f"detector {name!r} is given a `threshold` of its own, and asked for another one: "

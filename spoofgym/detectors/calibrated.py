@@ -19,16 +19,14 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import json
-import math
 import shlex
 import warnings
-from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from ..core.compile import njit
-from ..core.registry import check_finite
+from ..core.declared import record, setting
 from ..core.settings import outside_sources
 from ..receiver.epoch import Epoch
 from .base import DETECTORS, BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
@@ -60,25 +58,9 @@ class World(Protocol):
         """Raise a ValueError where a detector, with any thresholds, can't judge here."""
 
 
-@dataclass
+@record
 class Calibrated(Detector):
     """A detector with scaled thresholds; its weights stay as they are.
-
-    Parameters
-    ----------
-    detector : Detector
-        Any but a pool, which calibrates its members; copied with this one.
-    scale : float, optional
-        Factor on its thresholds, above 0; None to look it up where the world is known.
-    false_alarms_per_hour : float, optional
-        Rate by which to look it up, above 0.
-    rescaled : bool
-        Whether innovations are scaled before they are judged; for detectors with a drift term.
-    rescale : sequence of float, optional
-        Four factors on innovations: common mode and complement of the pseudoranges, then of the
-        range rates; None to look them up.
-    calibration : str, optional
-        File to take instead of those of the package and of the user.
 
     Attributes
     ----------
@@ -93,12 +75,31 @@ class Calibrated(Detector):
     """
 
     described_as = "Calibrated"
-    detector: Detector
-    scale: float | None = None
-    false_alarms_per_hour: float | None = None
-    rescaled: bool = False
-    rescale: tuple[float, ...] | None = None
-    calibration: str | None = None
+    detector: Detector = setting(
+        help="Any but a pool, which calibrates its members; copied with this one."
+    )
+    scale: float | None = setting(
+        default=None,
+        above=0.0,
+        help="Factor on its thresholds; None to look it up where the world is known.",
+    )
+    false_alarms_per_hour: float | None = setting(
+        default=None, above=0.0, help="Rate by which to look it up."
+    )
+    rescaled: bool = setting(
+        default=False,
+        help="Whether innovations are scaled before they are judged; for detectors with a drift "
+        "term.",
+    )
+    rescale: tuple[float, ...] | None = setting(
+        default=None,
+        above=0.0,
+        help="Four factors on innovations: common mode and complement of the pseudoranges, then "
+        "of the range rates; None to look them up.",
+    )
+    calibration: str | None = setting(
+        default=None, help="File to take instead of those of the package and of the user."
+    )
 
     paper: ClassVar[str] = "vovk2005"
     measures: ClassVar[str] = "any"
@@ -113,15 +114,13 @@ class Calibrated(Detector):
             raise TypeError("a pool calibrates its members: ask them for the rate, one by one")
         if self.scale is None and self.false_alarms_per_hour is None:
             raise ValueError("a calibrated detector needs `scale` or `false_alarms_per_hour`")
-        if self.scale is not None:
-            check_finite("threshold_scale", self.scale, "> 0")
         if self.false_alarms_per_hour is not None:
-            self.false_alarms_per_hour = check_rate(self.false_alarms_per_hour)
+            self.false_alarms_per_hour = float(self.false_alarms_per_hour)
         if self.rescaled:
             check_drifts(inner)
         if self.rescale is not None:
             self.rescale = tuple(float(factor) for factor in self.rescale)
-            if len(self.rescale) != 4 or not all(0.0 < x < math.inf for x in self.rescale):
+            if len(self.rescale) != 4:
                 raise ValueError(f"`rescale` must be four factors above 0, got {self.rescale}")
         for name in ("paper", "needs", "scope", "measures", "oracle"):
             setattr(self, name, getattr(inner, name))

@@ -28,8 +28,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import platformdirs
 
+from ..core.declared import check_number
 from ..core.files import write_file
-from ..core.registry import is_number
 from ..core.settings import describe, differences, digest_of
 from .base import FloatArray
 
@@ -103,11 +103,7 @@ class OperatingPoint(NamedTuple):
 
 
 def check_rate(rate: Any) -> float:
-    if not (is_number(rate) and math.isfinite(rate) and rate > 0.0):
-        raise ValueError(
-            f"`false_alarms_per_hour` must be a finite number > 0, got {rate!r}; thresholds as "
-            "the detector has them are `thresholds` 'nominal'"
-        )
+    check_number("false_alarms_per_hour", rate, above=0.0)
     return float(rate)
 
 

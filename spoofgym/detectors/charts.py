@@ -67,28 +67,29 @@ over.  Deviations:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
 from ..core.compile import inlined, njit
-from ..core.settings import OMITTED
+from ..core.declared import record, setting
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import (
     InnovationTest,
-    check_all,
-    check_limits,
-    check_one_of,
-    check_probability,
-    check_smoothing,
-    check_weight_scale,
+    alarm_probability,
+    average_smoothing,
     epochs_to_settle,
     ewma_threshold,
+    factor_on_alarm,
+    fewest_weighed,
+    first_window,
     igg3_weight,
     limit_exclusions,
+    longest_exclusion,
+    signals_to_test,
     two_sided_quantile,
+    weight_limit,
 )
 
 
@@ -103,11 +104,6 @@ class WeighingChart(Detector):
 
     paper: ClassVar[str] = "zhong2025"
     scope: ClassVar[str] = "channel"
-
-    def __post_init__(self) -> None:
-        check_probability("false_alarm", self.false_alarm)
-        check_weight_scale(self.weight_scale)
-        check_limits(self.max_exclusion_s, self.min_satellites)
 
     def _declare_exclusions(self, context: DetectorContext) -> None:
         limit_s, interval_s = self.max_exclusion_s, context.epoch_interval_s
@@ -159,36 +155,20 @@ def judge_channels(
             weights[b, visible.shape[1] + j] = 1.0
 
 
-@dataclass
+@record
 class Ewma(WeighingChart):
-    """EWMA chart of every satellite's pseudorange innovation, with robust weights in the loop.
-
-    Parameters
-    ----------
-    smoothing : float
-        Lambda, in (0, 1].
-    false_alarm : float
-        Alpha, probability of an alarm of one satellite in one epoch, in (0, 1).
-    weight_scale : float or None
-        m, in (0, 1]: the weight thresholds are m T and m T / 2.  None for a passive
-        chart.
-    max_exclusion_s : float or None
-        Longest time that a satellite can have weight 0 without an alarm, above 0; None for no
-        limit.
-    min_satellites : int
-        Fewest satellites that keep a weight above 0, where as many are in view; 0 for none.
-    """
+    """EWMA chart of every satellite's pseudorange innovation, with robust weights in the loop."""
 
     described_as = "Ewma"
-    smoothing: float = 0.1
-    false_alarm: float = 1e-5
-    weight_scale: float | None = 0.3
-    max_exclusion_s: float | None = None
-    min_satellites: int = 0
-
-    def __post_init__(self) -> None:
-        check_smoothing(self.smoothing)
-        super().__post_init__()
+    smoothing: float = average_smoothing()
+    false_alarm: float = alarm_probability(
+        help="Alpha: probability of an alarm of one satellite in one epoch."
+    )
+    weight_scale: float | None = weight_limit(
+        0.3, "Factor m: the weight thresholds are m T and m T / 2.  None for a passive chart."
+    )
+    max_exclusion_s: float | None = longest_exclusion(None)
+    min_satellites: int = fewest_weighed(0)
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
@@ -297,40 +277,29 @@ def chart_weights(statistic: FloatArray, reject: FloatArray) -> FloatArray:
     return out
 
 
-@dataclass
+@record
 class JointChart(WeighingChart):
-    """EWMA chart whose alarm ends with the offset, with robust weights in the loop.
-
-    Parameters
-    ----------
-    smoothing, false_alarm, weight_scale, max_exclusion_s, min_satellites
-        As in `Ewma`.
-    drop : float
-        T_3, in (0, 1): fall of the ratio that ends an alarm.
-    end_rule : {"drop", "literal"}
-        The rule above, or the printed one.
-    alarm_scale : float
-        Factor on the threshold of the alarm, above 0; weights go by the threshold without it.
-    """
+    """EWMA chart whose alarm ends with the offset, with robust weights in the loop."""
 
     described_as = "JointChart"
-    smoothing: float = 0.1
-    false_alarm: float = 1e-5
-    weight_scale: float | None = 0.3
-    drop: float = 0.6
-    end_rule: str = "drop"
-    max_exclusion_s: float | None = 60.0
-    min_satellites: int = 5
-    alarm_scale: float = field(default=1.0, kw_only=True, metadata=OMITTED)
+    smoothing: float = average_smoothing()
+    false_alarm: float = alarm_probability(
+        help="Alpha: probability of an alarm of one satellite in one epoch."
+    )
+    weight_scale: float | None = weight_limit(
+        0.3, "Factor m: the weight thresholds are m T and m T / 2.  None for a passive chart."
+    )
+    drop: float = setting(
+        default=0.6, above=0.0, below=1.0, help="T_3: fall of the ratio that ends an alarm."
+    )
+    end_rule: str = setting(
+        default="drop", one_of=("drop", "literal"), help="The rule above, or the printed one."
+    )
+    max_exclusion_s: float | None = longest_exclusion(60.0)
+    min_satellites: int = fewest_weighed(5)
+    alarm_scale: float = factor_on_alarm()
 
     alarm_is_state: ClassVar[bool] = True  # type: ignore[misc]  # it stays up until the offset ends
-
-    def __post_init__(self) -> None:
-        check_smoothing(self.smoothing)
-        check_probability("drop", self.drop)
-        check_one_of("end_rule", self.end_rule, ("drop", "literal"))
-        check_all(self, "> 0", "alarm_scale")
-        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
@@ -391,32 +360,23 @@ def largest_normalized(
     return out
 
 
-@dataclass
+@record
 class Shewhart(WeighingChart, InnovationTest):
-    """Every satellite's innovation against its own standard deviation.
-
-    Parameters
-    ----------
-    weight_scale : float or None
-        m, in (0, 1]: the pseudorange gets no weight from m times the threshold on, and less than 1
-        from half of that.  None for a passive chart.
-    signals, bias_window_s
-        As in `SnapshotChi2`.
-    false_alarm, max_exclusion_s, min_satellites
-        As in `Ewma`.
-    """
+    """Every satellite's innovation against its own standard deviation."""
 
     described_as = "Shewhart"
-    false_alarm: float = 1e-5
-    weight_scale: float | None = None
-    signals: str = "pseudorange"
-    bias_window_s: float = 0.0
-    max_exclusion_s: float | None = 60.0
-    min_satellites: int = 5
-
-    def __post_init__(self) -> None:
-        InnovationTest.__post_init__(self)
-        super().__post_init__()
+    false_alarm: float = alarm_probability(
+        help="Alpha: probability of an alarm of one satellite in one epoch."
+    )
+    weight_scale: float | None = weight_limit(
+        None,
+        "Factor m: the pseudorange gets no weight from m times the threshold on, and less than 1 "
+        "from half of that.  None for a passive chart.",
+    )
+    signals: str = signals_to_test("pseudorange")
+    bias_window_s: float = first_window()
+    max_exclusion_s: float | None = longest_exclusion(60.0)
+    min_satellites: int = fewest_weighed(5)
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)

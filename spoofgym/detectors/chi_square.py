@@ -47,25 +47,27 @@ the same :math:`\alpha`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import ClassVar, cast
 
 import numpy as np
 from scipy import special
 
 from ..core.compile import njit
-from ..core.settings import OMITTED
+from ..core.declared import record, setting
 from ..receiver.epoch import Epoch
 from ..receiver.kalman import normalized_innovation_squared
 from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import (
     InnovationTest,
-    check_epochs,
-    check_one_of,
+    alarm_probability,
+    both_sides,
     chi2_lower_thresholds,
     chi2_thresholds,
     epochs_of,
+    first_window,
     remember_squares,
+    signals_to_test,
+    window_epochs,
 )
 
 
@@ -82,30 +84,15 @@ def chi2_verdict(
     return compare(np.where(judged, ratio, 0.0)[:, None], 1.0)
 
 
-@dataclass
+@record
 class SnapshotChi2(InnovationTest):
-    """Chi-square test of the present epoch, for the whole receiver; monitor only.
-
-    Parameters
-    ----------
-    false_alarm : float
-        Probability of an alarm in one epoch where the filter's belief is right, in (0, 1).
-    signals : {"both", "pseudorange", "range_rate"}
-        Innovations to test.
-    bias_window_s : float
-        Length of the first window whose mean innovation is taken away from every channel, which is
-        not judged before; 0 for none.
-    two_sided : bool
-        Whether innovations that are too small alarm, too, each side with half of `false_alarm`: a
-        counterfeit signal may have less noise than nature.  The statistic is then the ratio to the
-        limit that is nearer, and the threshold 1.
-    """
+    """Chi-square test of the present epoch, for the whole receiver; monitor only."""
 
     described_as = "SnapshotChi2"
-    false_alarm: float = 1e-5
-    signals: str = "both"
-    bias_window_s: float = 0.0
-    two_sided: bool = field(default=False, metadata=OMITTED)
+    false_alarm: float = alarm_probability()
+    signals: str = signals_to_test("both")
+    bias_window_s: float = first_window()
+    two_sided: bool = both_sides()
 
     paper: ClassVar[str] = "barshalom2001"
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
@@ -173,42 +160,31 @@ def window_sum(
         total[b] = value if seen[b] > hold else 0.0
 
 
-@dataclass
+@record
 class WindowedChi2(InnovationTest):
-    """Chi-square test of a window of epochs, for the whole receiver; monitor only.
-
-    Parameters
-    ----------
-    window : int
-        N, epochs of the sum, 1 to 100000.
-    false_alarm : float
-        Probability of an alarm in one epoch where the filter's belief is right, in (0, 1).
-    signals : {"both", "pseudorange", "range_rate"}
-        Innovations to test, of a receiver that measures ranges.
-    covariance : {"known", "estimated"}
-        Whether the innovation covariance is known or the mean of a window of epochs.
-    covariance_window : int
-        w, that window of a self-tuning receiver; only with ``covariance="estimated"``.
-    two_sided : bool
-        As in `SnapshotChi2`; it takes a known covariance.
-    """
+    """Chi-square test of a window of epochs, for the whole receiver; monitor only."""
 
     described_as = "WindowedChi2"
-    window: int = 10
-    false_alarm: float = 1e-5
-    signals: str = "both"
-    covariance: str = "known"
-    covariance_window: int = 100
-    two_sided: bool = field(default=False, metadata=OMITTED)
+    window: int = window_epochs(10, "N: length of the sum.")
+    false_alarm: float = alarm_probability()
+    signals: str = signals_to_test(
+        "both", "Innovations to test, of a receiver that measures ranges."
+    )
+    covariance: str = setting(
+        default="known",
+        one_of=("known", "estimated"),
+        help="Whether the innovation covariance is known or the mean of a window of epochs.",
+    )
+    covariance_window: int = window_epochs(
+        100, 'Window w of a self-tuning receiver; only with ``covariance="estimated"``.'
+    )
+    two_sided: bool = both_sides("  It takes a known covariance.")
 
     paper: ClassVar[str] = "shadmehri2025"
     needs: ClassVar[frozenset[str]] = frozenset({"design", "innovation_cov"})
     measures: ClassVar[str] = "any"
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        check_epochs(self, "window", "covariance_window")
-        check_one_of("covariance", self.covariance, ("known", "estimated"))
         if self.two_sided and self.covariance != "known":
             raise ValueError(
                 f"`two_sided` takes a known covariance, got `covariance` {self.covariance!r}"
@@ -303,33 +279,25 @@ def add_to_window(
             degrees[b] += counts[b, i]
 
 
-@dataclass
+@record
 class SequentialChi2(InnovationTest):
-    """Chi-square of all innovations so far, or of a window, for the whole receiver.
-
-    Parameters
-    ----------
-    window_s : float or None
-        Length of the window; None for all history.  While a run is younger than its window the
-        test takes what there is.
-    false_alarm, signals, bias_window_s, two_sided
-        As in `SnapshotChi2`.
-    """
+    """Chi-square of all innovations so far, or of a window, for the whole receiver."""
 
     described_as = "SequentialChi2"
-    false_alarm: float = 1e-5
-    window_s: float | None = None
-    signals: str = "pseudorange"
-    bias_window_s: float = 0.0
-    two_sided: bool = field(default=False, metadata=OMITTED)
+    false_alarm: float = alarm_probability()
+    window_s: float | None = setting(
+        default=None,
+        above=0.0,
+        unit="s",
+        help="Length of the window; None for all history.  While a run is younger than its "
+        "window the test takes what there is.",
+    )
+    signals: str = signals_to_test("pseudorange")
+    bias_window_s: float = first_window()
+    two_sided: bool = both_sides()
 
     paper: ClassVar[str] = "mehra1971"
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
-
-    def __post_init__(self) -> None:
-        if self.window_s is not None and not (np.isfinite(self.window_s) and self.window_s > 0.0):
-            raise ValueError(f"`window_s` must be finite and > 0, or None, got {self.window_s}")
-        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)

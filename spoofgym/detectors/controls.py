@@ -24,7 +24,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_finite
+from ..core.declared import record, setting
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, FloatArray, Verdict, compare
 
@@ -45,25 +45,22 @@ class Never(Detector):
         return compare(np.zeros((len(epoch.time), 1)), 1.0)
 
 
-@dataclass
+@record
 class Lottery(Detector):
-    """Alarms by chance, at the same rate at any time, and stays alarmed.
-
-    Parameters
-    ----------
-    mean_wait_s : float
-        Mean waiting time from the first epoch to the alarm, T [s]; by default 0.2 alarms an hour.
-    """
+    """Alarms by chance, at the same rate at any time, and stays alarmed."""
 
     described_as = "Lottery"
-    mean_wait_s: float = 18_000.0
+    mean_wait_s: float = setting(
+        default=18_000.0,
+        above=0.0,
+        unit="s",
+        help="Mean waiting time from the first epoch to the alarm, T; by default 0.2 alarms an "
+        "hour.",
+    )
 
     paper: ClassVar[str] = "lipsitch2010"
     measures: ClassVar[str] = "any"
     draws: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        check_finite("mean_wait_s", self.mean_wait_s, "> 0")
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)

@@ -38,15 +38,15 @@ world.  A satellite that sets and rises starts again.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from ..core.compile import njit
+from ..core.declared import record, setting
 from ..receiver.epoch import Epoch
 from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict, compare
-from .innovation import InnovationTest, check_all, check_epochs
+from .innovation import InnovationTest, first_window, signals_to_test, window_epochs
 
 
 @njit
@@ -77,35 +77,22 @@ def advance_sums(
     return out
 
 
-@dataclass
+@record
 class Cusum(InnovationTest):
-    """Cumulative sum of every satellite's innovation; monitor only.
-
-    Parameters
-    ----------
-    allowance : float
-        Kappa, above 0 [standard deviations].
-    limit : float
-        h, above 0 [standard deviations].
-    signals : {"pseudorange", "range_rate", "both"}
-        Innovations to add up; of ``"both"`` a satellite's statistic is the larger sum.
-    bias_window_s : float
-        As in `SnapshotChi2`.
-    """
+    """Cumulative sum of every satellite's innovation; monitor only."""
 
     described_as = "Cusum"
-    allowance: float = 0.5
-    limit: float = 12.4
-    signals: str = "pseudorange"
-    bias_window_s: float = 0.0
+    allowance: float = setting(default=0.5, above=0.0, unit="standard deviations", help="Kappa.")
+    limit: float = setting(default=12.4, above=0.0, unit="standard deviations", help="Limit h.")
+    signals: str = signals_to_test(
+        "pseudorange",
+        'Innovations to add up; of ``"both"`` a satellite\'s statistic is the larger sum.',
+    )
+    bias_window_s: float = first_window()
 
     paper: ClassVar[str] = "page1954"
     scope: ClassVar[str] = "channel"
     drifts: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        check_all(self, "> 0", "allowance", "limit")
-        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
@@ -176,39 +163,25 @@ def sum_channels(
                 statistic[b, j] = max(statistic[b, j], max(above[b, s], below[b, s]))
 
 
-@dataclass
+@record
 class LagCusum(InnovationTest):
-    """Two-sided cumulative sum of every innovation against its own past; monitor only.
-
-    Parameters
-    ----------
-    drift : float
-        Kappa, above 0: half of the change, in standard deviations, that is looked for.
-    threshold : float
-        h, above 0.
-    lag : int
-        How far back the baseline ends, in epochs.
-    baseline : int
-        Its greatest length, in epochs.
-    signals : {"pseudorange", "range_rate", "both"}
-        Innovations to sum.
-    """
+    """Two-sided cumulative sum of every innovation against its own past; monitor only."""
 
     described_as = "LagCusum"
-    drift: float = 0.5
-    threshold: float = 13.3
-    lag: int = 150
-    baseline: int = 300
-    signals: str = "pseudorange"
+    drift: float = setting(
+        default=0.5,
+        above=0.0,
+        unit="standard deviations",
+        help="Kappa: half of the change that is looked for.",
+    )
+    threshold: float = setting(default=13.3, above=0.0, unit="standard deviations", help="Limit h.")
+    lag: int = window_epochs(150, "How far back the baseline ends.")
+    baseline: int = window_epochs(300, "Greatest length of the baseline.")
+    signals: str = signals_to_test("pseudorange", "Innovations to sum.")
 
     paper: ClassVar[str] = "page1954"
     scope: ClassVar[str] = "channel"
     drifts: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        check_all(self, "> 0", "drift", "threshold")
-        check_epochs(self, "lag", "baseline")
-        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)

@@ -64,15 +64,15 @@ much less than D during the run.  Nothing promises a false-alarm rate.  Deviatio
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar, cast
 
 import numpy as np
 
 from ..core.compile import inlined, njit
+from ..core.declared import record, setting
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
-from .innovation import check_all, check_epochs, check_one_of
+from .innovation import window_epochs
 
 VARIANTS = ("literal", "held", "production")
 NO_RULE = 1e12
@@ -187,57 +187,46 @@ def judge_fixes(
             weights[b, :] = 0.0
 
 
-@dataclass
+@record
 class Acna(Detector):
-    """Credible verification of a position, with rejection of fixes in the loop.
-
-    Parameters
-    ----------
-    variant : {"production", "held", "literal"}
-        What becomes of rejected fixes; see above.
-    jump_window : int
-        n_j, 1 to 1000.
-    jump_threshold_m : float or None
-        Th_j, above 0; None switches the rule off.
-    slow_window : int
-        n_s, 1 to 1000.
-    slow_threshold_m : float or None
-        Th_s, above 0; None switches the rule off.
-    drift_cap_m : float
-        Largest drift that the slow window takes, above 0; not used by ``literal``.
-    readmission_rate_mps : float
-        c, at least 0; of ``production`` alone, as are the others below.
-    readmission_cap_m : float
-        c_max, at least 0.
-    readmission_fixes : int
-        n_r, 1 to 1000.
-    max_exclusion_s : float or None
-        Longest exclusion, above 0; None for no end, with which GNSS can be locked out for good.
-    """
+    """Credible verification of a position, with rejection of fixes in the loop."""
 
     described_as = "Acna"
-    variant: str = "production"
-    jump_window: int = 2
-    jump_threshold_m: float | None = 1.5
-    slow_window: int = 5
-    slow_threshold_m: float | None = 1.28
-    drift_cap_m: float = 2.5
-    readmission_rate_mps: float = 0.08
-    readmission_cap_m: float = 5.0
-    readmission_fixes: int = 3
-    max_exclusion_s: float | None = 300.0
+    variant: str = setting(
+        default="production", one_of=VARIANTS, help="What becomes of rejected fixes; see above."
+    )
+    jump_window: int = window_epochs(2, "Length n_j of the window of the jump rule.", most=1000)
+    jump_threshold_m: float | None = setting(
+        default=1.5, above=0.0, unit="m", help="Threshold Th_j; None switches the rule off."
+    )
+    slow_window: int = window_epochs(5, "Length n_s of the window of the slow rule.", most=1000)
+    slow_threshold_m: float | None = setting(
+        default=1.28, above=0.0, unit="m", help="Threshold Th_s; None switches the rule off."
+    )
+    drift_cap_m: float = setting(
+        default=2.5,
+        above=0.0,
+        unit="m",
+        help="Largest drift that the slow window takes; not used by ``literal``.",
+    )
+    readmission_rate_mps: float = setting(
+        default=0.08,
+        least=0.0,
+        unit="m/s",
+        help="Rate c; of ``production`` alone, as are the others below.",
+    )
+    readmission_cap_m: float = setting(default=5.0, least=0.0, unit="m", help="Limit c_max.")
+    readmission_fixes: int = window_epochs(3, "Passes n_r that end an exclusion.", most=1000)
+    max_exclusion_s: float | None = setting(
+        default=300.0,
+        above=0.0,
+        unit="s",
+        help="Longest exclusion; None for no end, with which GNSS can be locked out for good.",
+    )
 
     paper: ClassVar[str] = "song2021"
     needs: ClassVar[frozenset[str]] = frozenset({"design", "gnss_position"})
     measures: ClassVar[str] = "position"
-
-    def __post_init__(self) -> None:
-        check_one_of("variant", self.variant, VARIANTS)
-        check_epochs(self, "jump_window", "slow_window", "readmission_fixes", most=1000)
-        for name in ("jump_threshold_m", "slow_threshold_m", "drift_cap_m", "max_exclusion_s"):
-            if getattr(self, name) is not None:
-                check_all(self, "> 0", name)
-        check_all(self, ">= 0", "readmission_rate_mps", "readmission_cap_m")
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
@@ -309,28 +298,17 @@ def constrain_fixes(
             weights[b, :] = 0.0
 
 
-@dataclass
+@record
 class Rio(Detector):
-    """Distance constraint with a latch.
-
-    Parameters
-    ----------
-    limit_m : float
-        D, above 0.
-    readmission_m : float
-        D_r, above 0.
-    """
+    """Distance constraint with a latch."""
 
     described_as = "Rio"
-    limit_m: float = 16.5
-    readmission_m: float = 5.0
+    limit_m: float = setting(default=16.5, above=0.0, unit="m", help="Limit D.")
+    readmission_m: float = setting(default=5.0, above=0.0, unit="m", help="Limit D_r.")
 
     paper: ClassVar[str] = "song2021"
     needs: ClassVar[frozenset[str]] = frozenset({"auxiliary_position", "design", "gnss_position"})
     measures: ClassVar[str] = "position"
-
-    def __post_init__(self) -> None:
-        check_all(self, "> 0", "limit_m", "readmission_m")
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)

@@ -33,15 +33,21 @@ Source: `willsky1976`; the use as what `ke2022` lacks, a test that is not given 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from ..core.compile import inlined, njit
+from ..core.declared import record
 from ..receiver.epoch import Epoch
 from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict
-from .innovation import InnovationTest, check_epochs, two_sided_quantile
+from .innovation import (
+    InnovationTest,
+    alarm_probability,
+    signals_to_test,
+    two_sided_quantile,
+    window_epochs,
+)
 
 
 @njit
@@ -206,20 +212,22 @@ def scan_channels(
                 statistic[b, j] = max(statistic[b, j], found)
 
 
-@dataclass
+@record
 class _Glr(InnovationTest):
-    false_alarm: float = 4e-6
-    window: int = 150
-    baseline: int = 300
-    signals: str = "pseudorange"
+    false_alarm: float = alarm_probability(
+        4e-6,
+        "Bound on the probability of an alarm in one epoch of the receiver, where the filter's "
+        "belief is right.",
+    )
+    window: int = window_epochs(150, "W: longest time since the onset.")
+    baseline: int = window_epochs(
+        300, "Most epochs before the onset that give the mean without attack."
+    )
+    signals: str = signals_to_test("pseudorange")
 
     scope: ClassVar[str] = "channel"
     paper: ClassVar[str] = "willsky1976"
     ramp: ClassVar[bool]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_epochs(self, "window", "baseline")
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
@@ -257,36 +265,17 @@ class _Glr(InnovationTest):
         return Verdict(statistic, threshold, statistic > threshold)
 
 
-@dataclass
+@record
 class GlrStep(_Glr):
-    """Likelihood-ratio scan over all onsets for a step of every innovation; monitor only.
-
-    Parameters
-    ----------
-    false_alarm : float
-        Bound on the probability of an alarm in one epoch of the receiver, in (0, 1), where the
-        filter's belief is right.
-    window : int
-        W, longest time since the onset, in epochs.
-    baseline : int
-        Most epochs before the onset that give the mean without attack.
-    signals : {"pseudorange", "range_rate", "both"}
-        Innovations to test.
-    """
+    """Likelihood-ratio scan over all onsets for a step of every innovation; monitor only."""
 
     described_as = "GlrStep"
     ramp: ClassVar[bool] = False
 
 
-@dataclass
+@record
 class GlrRamp(_Glr):
-    """Likelihood-ratio scan over all onsets for a ramp of every innovation; monitor only.
-
-    Parameters
-    ----------
-    false_alarm, window, baseline, signals
-        As in `GlrStep`.
-    """
+    """Likelihood-ratio scan over all onsets for a ramp of every innovation; monitor only."""
 
     described_as = "GlrRamp"
     ramp: ClassVar[bool] = True

@@ -26,64 +26,87 @@ satellite stays out without an alarm, until only the inertial sensors are left. 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from itertools import pairwise
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from scipy import special
 
 from ..core.compile import inlined, njit
-from ..core.registry import check_finite
+from ..core.declared import setting
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray
 
 SIGNALS = ("pseudorange", "range_rate", "both")
 
 
-def check_probability(name: str, value: float) -> None:
-    if not 0.0 < value < 1.0:
-        raise ValueError(f"`{name}` must lie between 0 and 1, both excluded, got {value}")
+def alarm_probability(
+    default: float = 1e-5,
+    help: str = "Probability of an alarm in one epoch where the filter's belief is right.",
+) -> Any:
+    return setting(default=default, above=0.0, below=1.0, help=help)
 
 
-def check_epochs(detector: Detector, *names: str, most: int = 100_000) -> None:
-    for name in names:
-        value = getattr(detector, name)
-        if not 1 <= value <= most:
-            raise ValueError(f"`{name}` must be 1 to {most} epochs, got {value}")
-        if isinstance(value, bool) or int(value) != value:
-            raise ValueError(f"`{name}` must be a whole number of epochs, got {value}")
+def signals_to_test(default: str, help: str = "Innovations to test.") -> Any:
+    return setting(default=default, one_of=SIGNALS, help=help)
 
 
-def check_one_of(name: str, value: str, valid: Sequence[str]) -> None:
-    if value not in valid:
-        names = ", ".join(map(repr, valid))
-        raise ValueError(f"`{name}` must be one of {names}, got {value!r}")
+def first_window() -> Any:
+    return setting(
+        default=0.0,
+        least=0.0,
+        unit="s",
+        help="Length of the first window whose mean innovation is taken away from every channel, "
+        "which is not judged before; 0 for none.",
+    )
 
 
-def check_smoothing(smoothing: float) -> None:
-    if not 0.0 < smoothing <= 1.0:
-        raise ValueError(f"`smoothing` must be in (0, 1], got {smoothing}")
+def both_sides(help: str = "") -> Any:
+    return setting(
+        default=False,
+        omitted=True,
+        help="Whether innovations that are too small alarm, too, each side with half of "
+        "`false_alarm`: a counterfeit signal may have less noise than nature.  The statistic is "
+        f"then the ratio to the limit that is nearer, and the threshold 1.{help}",
+    )
 
 
-def check_length(name: str, value: float, least: float = 0.0) -> None:
-    if not (math.isfinite(value) and value >= least):
-        raise ValueError(f"`{name}` must be finite and >= {least:g}, got {value}")
+def weight_limit(default: float | None, help: str) -> Any:
+    return setting(default=default, above=0.0, most=1.0, help=help)
 
 
-def check_all(detector: Detector, bound: str, *names: str) -> None:
-    for name in names:
-        check_finite(name, getattr(detector, name), bound)
+def longest_exclusion(default: float | None) -> Any:
+    return setting(
+        default=default,
+        above=0.0,
+        unit="s",
+        help="Longest time that a satellite can have weight 0 without an alarm; None for no limit.",
+    )
 
 
-def checked_windows(windows_s: Sequence[float]) -> tuple[float, ...]:
-    if isinstance(windows_s, int | float | str):
-        raise ValueError(f"`windows_s` must be a list of lengths, got {windows_s!r}")
-    windows = tuple(windows_s)
-    increasing = all(a < b for a, b in pairwise(windows))
-    if not (windows and increasing and all(math.isfinite(w) and w > 0.0 for w in windows)):
-        raise ValueError(f"`windows_s` must be lengths > 0 in increasing order, got {windows}")
-    return windows
+def fewest_weighed(default: int) -> Any:
+    return setting(
+        default=default,
+        least=0,
+        help="Fewest satellites that have a weight above 0, where as many are in view; 0 for none.",
+    )
+
+
+def average_smoothing(help: str = "Lambda.") -> Any:
+    return setting(default=0.1, above=0.0, most=1.0, help=help)
+
+
+def factor_on_alarm() -> Any:
+    return setting(
+        default=1.0,
+        above=0.0,
+        kw_only=True,
+        omitted=True,
+        help="Factor on the threshold of the alarm; weights go by the threshold without it.",
+    )
+
+
+def window_epochs(default: int, help: str, most: int = 100_000) -> Any:
+    return setting(default=default, least=1, most=most, unit="epochs", help=help)
 
 
 def epochs_of(length_s: float, context: DetectorContext) -> int:
@@ -260,12 +283,6 @@ class InnovationTest(Detector):
     signals: str
     bias_window_s: float = 0.0
 
-    def __post_init__(self) -> None:
-        if hasattr(self, "false_alarm"):
-            check_probability("false_alarm", self.false_alarm)
-        check_one_of("signals", self.signals, SIGNALS)
-        check_length("bias_window_s", self.bias_window_s)
-
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         b, n = context.receivers, context.channels
@@ -307,22 +324,6 @@ class InnovationTest(Detector):
     @property
     def _squares(self) -> tuple[FloatArray, FloatArray, IntArray]:
         return self.memory["squares"], self.memory["counts"], self.memory["place"]
-
-
-def check_limits(max_exclusion_s: float | None, min_satellites: int) -> None:
-    if max_exclusion_s is not None and not (math.isfinite(max_exclusion_s) and max_exclusion_s > 0):
-        raise ValueError(
-            f"`max_exclusion_s` must be finite and > 0, or None, got {max_exclusion_s}"
-        )
-    if isinstance(min_satellites, bool) or int(min_satellites) != min_satellites:
-        raise ValueError(f"`min_satellites` must be a whole number, got {min_satellites!r}")
-    if min_satellites < 0:
-        raise ValueError(f"`min_satellites` must be at least 0, got {min_satellites}")
-
-
-def check_weight_scale(weight_scale: float | None) -> None:
-    if weight_scale is not None and not 0.0 < weight_scale <= 1.0:
-        raise ValueError(f"`weight_scale` must be in (0, 1] or None, got {weight_scale}")
 
 
 @njit

@@ -68,24 +68,22 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
 from ..core.compile import inlined, njit
-from ..core.settings import OMITTED
+from ..core.declared import record, setting
 from ..receiver.epoch import Epoch
 from ..truth.noise import exponential
 from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict
 from .innovation import (
-    check_all,
-    check_limits,
-    check_probability,
-    check_weight_scale,
+    alarm_probability,
+    factor_on_alarm,
     igg3_weight,
     readmit_nearest,
     two_sided_quantile,
+    weight_limit,
 )
 
 FIRST_COVARIANCE = (2.0, 0.0, 0.0, 1.0, 0.0, 1.0)
@@ -250,62 +248,62 @@ SETTLING_S = 180.0
 and 6 % of runs when it has been live for 20, 60 and 180 s."""
 
 
-@dataclass
+@record
 class InnovationRate(Detector):
-    """Test of the rate of every satellite's normalized pseudorange innovation.
-
-    Parameters
-    ----------
-    false_alarm : float
-        Probability of an alarm in one epoch of the receiver, in (0, 1), where the filter's belief
-        is right.
-    threshold : float or None
-        Constant threshold [1/s], 0.0029517 in the paper; None for that of the filter's variance.
-    weight_scale : float or None
-        m, in (0, 1]: the weight thresholds are m T and m T / 2, 1 in the paper's M2.  None for a
-        passive test, M1.
-    correlation_per_s : float
-        Alpha [1/s], above 0; the paper has 0.5 to 0.9, which makes no difference.
-    noise : float
-        Epsilon [1/s^3], at least 0; the paper has 1e-9 to 1e-7.
-    memory_s : float or None
-        Time in which the filter forgets the past [s]; None to forget nothing.
-    start_s, settled_s : float
-        Time of the run at which the filter starts, and from which on it alarms and weighs [s].
-    max_exclusion_s : float or None
-        Longest time that a satellite has no weight [s]; None for no limit.
-    min_satellites : int
-        How many visible satellites have a weight at least, at least 0.
-    alarm_scale : float
-        Factor on the threshold of the alarm, above 0; weights go by the threshold without it.
-    """
+    """Test of the rate of every satellite's normalized pseudorange innovation."""
 
     described_as = "InnovationRate"
-    false_alarm: float = 4e-6
-    threshold: float | None = None
-    weight_scale: float | None = None
-    correlation_per_s: float = 0.7
-    noise: float = 1e-9
-    memory_s: float | None = None
-    start_s: float = 0.0
-    settled_s: float = 0.0
-    max_exclusion_s: float | None = 120.0
-    min_satellites: int = 5
-    alarm_scale: float = field(default=1.0, kw_only=True, metadata=OMITTED)
+    false_alarm: float = alarm_probability(
+        4e-6,
+        "Probability of an alarm in one epoch of the receiver, where the filter's belief is right.",
+    )
+    threshold: float | None = setting(
+        default=None,
+        above=0.0,
+        unit="1/s",
+        help="Constant threshold: 0.0029517 in the paper; None for that of the filter's variance.",
+    )
+    weight_scale: float | None = weight_limit(
+        None,
+        "Factor m: the weight thresholds are m T and m T / 2, 1 in the paper's M2.  None for a "
+        "passive test, M1.",
+    )
+    correlation_per_s: float = setting(
+        default=0.7,
+        above=0.0,
+        unit="1/s",
+        help="Alpha; the paper has 0.5 to 0.9, which makes no difference.",
+    )
+    noise: float = setting(
+        default=1e-9, least=0.0, unit="1/s^3", help="Epsilon; the paper has 1e-9 to 1e-7."
+    )
+    memory_s: float | None = setting(
+        default=None,
+        above=0.0,
+        unit="s",
+        help="Time in which the filter forgets the past; None to forget nothing.",
+    )
+    start_s: float = setting(
+        default=0.0, least=0.0, unit="s", help="Time of the run at which the filter starts."
+    )
+    settled_s: float = setting(
+        default=0.0, least=0.0, unit="s", help="Time of the run from which on it alarms and weighs."
+    )
+    max_exclusion_s: float | None = setting(
+        default=120.0,
+        above=0.0,
+        unit="s",
+        help="Longest time that a satellite has no weight; None for no limit.",
+    )
+    min_satellites: int = setting(
+        default=5, least=0, help="How many visible satellites have a weight at least."
+    )
+    alarm_scale: float = factor_on_alarm()
 
     paper: ClassVar[str] = "ke2022"
     scope: ClassVar[str] = "channel"
 
     def __post_init__(self) -> None:
-        check_probability("false_alarm", self.false_alarm)
-        check_weight_scale(self.weight_scale)
-        for name in ("threshold", "memory_s"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < math.inf:
-                raise ValueError(f"`{name}` must be finite and > 0 or None, got {value}")
-        check_all(self, "> 0", "correlation_per_s", "alarm_scale")
-        check_all(self, ">= 0", "noise", "start_s", "settled_s")
-        check_limits(self.max_exclusion_s, self.min_satellites)
         self.alarm_is_state = self.settled_s > 0.0  # before which it is off
 
     def armed(self, epoch: Epoch) -> BoolArray:
@@ -376,20 +374,24 @@ class InnovationRate(Detector):
         return Verdict(size, limit, alarm, weights)
 
 
-@dataclass
+@record
 class _Oracle(InnovationRate):
-    weight_scale: float | None = 1.0
-    channels: tuple[str, ...] | None = None
-    onset_s: float = 350.0
+    weight_scale: float | None = weight_limit(
+        1.0,
+        "Factor m: the weight thresholds are m T and m T / 2, 1 in the paper's M3 and M4.  None "
+        "for a passive test.",
+    )
+    channels: tuple[str, ...] | None = setting(
+        default=None, help="Satellites that are attacked; None for all."
+    )
+    onset_s: float = setting(
+        default=350.0, least=0.0, unit="s", help="Time of the run at which the attack starts."
+    )
 
     oracle: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_all(self, ">= 0", "onset_s")
-        for name in ("size_m", "rate_mps"):
-            if not math.isfinite(getattr(self, name, 0.0)):
-                raise ValueError(f"`{name}` must be finite, got {getattr(self, name)}")
         if self.channels is not None:
             self.channels = tuple(self.channels)
 
@@ -414,49 +416,23 @@ class _Oracle(InnovationRate):
         """Offset of the attack (B,) [m] after a time since the onset (B,) [s]."""
 
 
-@dataclass
+@record
 class OracleStep(_Oracle):
-    """Oracle, no detector: the innovation-rate test with a step's true size added a second time.
-
-    Parameters
-    ----------
-    false_alarm, threshold, weight_scale, correlation_per_s, noise, memory_s
-        As in `InnovationRate`; M3 weighs as M2 does.
-    start_s, settled_s, max_exclusion_s, min_satellites, alarm_scale
-        As in `InnovationRate`.
-    channels : tuple of str or None
-        Satellites that are attacked; None for all.
-    onset_s : float
-        Time of the run at which the attack starts [s].
-    size_m : float
-        B [m].
-    """
+    """Oracle, no detector: the innovation-rate test with a step's true size added a second time."""
 
     described_as = "OracleStep"
-    size_m: float = 10.0
+    size_m: float = setting(default=10.0, unit="m", help="Size B.")
 
     def offset_m(self, since_s: FloatArray) -> FloatArray:
         return np.full_like(since_s, self.size_m)
 
 
-@dataclass
+@record
 class OracleRamp(_Oracle):
-    """Oracle, no detector: the innovation-rate test with a ramp's true offset added once more.
-
-    Parameters
-    ----------
-    false_alarm, threshold, weight_scale, correlation_per_s, noise, memory_s
-        As in `InnovationRate`; M4 weighs as M2 does.
-    start_s, settled_s, max_exclusion_s, min_satellites, alarm_scale
-        As in `InnovationRate`.
-    channels, onset_s
-        As in `OracleStep`.
-    rate_mps : float
-        a [m/s].
-    """
+    """Oracle, no detector: the innovation-rate test with a ramp's true offset added once more."""
 
     described_as = "OracleRamp"
-    rate_mps: float = 0.1
+    rate_mps: float = setting(default=0.1, unit="m/s", help="Rate a.")
 
     def offset_m(self, since_s: FloatArray) -> FloatArray:
         return self.rate_mps * since_s

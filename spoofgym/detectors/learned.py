@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
+from ..core.declared import check_number, record, setting
 from ..core.memory import Memory
-from ..core.registry import check_choice, is_number, whole_number
-from ..core.settings import OMITTED
 from ..policies.card import DetectorCard, Space, State
 from ..policies.contract import DetectorPolicy, PolicyContext
 from ..policies.load import OnnxDetector, card_path
@@ -47,38 +45,39 @@ def action_names(statistic: str, weighs: bool, channels: int) -> tuple[str, ...]
 
 
 def check_delay(decision_delay: int) -> None:
-    if isinstance(decision_delay, bool) or decision_delay not in (0, 1):
-        raise ValueError(f"`decision_delay` must be 0 or 1, got {decision_delay!r}")
+    check_number("decision_delay", decision_delay, least=0, most=1, whole=True)
 
 
-@dataclass
+@record
 class DetectorAgent(Detector):
-    """Observes every epoch; its decisions are actions; without them: no alarm, weights 1.
-
-    - `statistic`: one statistic, or one for every slot;
-    - `weighs`: whether the agent weighs satellites;
-    - `exclusion_s`: allowance of exclusion in an episode, None for no limit: an epoch costs its
-      interval times what the weights of the visible satellites lack, on average, of 1. An epoch
-      that would exceed it is used with all weights 1;
-    - `terms`: what it observes, as `make_detector_terms` takes it; None for `ALL_TERMS`, and what
-      is left of the allowance.
-    """
+    """Observes every epoch; its decisions are actions; without them: no alarm, weights 1."""
 
     described_as = "DetectorAgent"
-    statistic: str = "receiver"
-    weighs: bool = True
-    exclusion_s: float | None = EXCLUSION_S
-    terms: Sequence[Any] | None = field(default=None, metadata=OMITTED, kw_only=True)
+    statistic: str = setting(
+        default="receiver",
+        one_of=("receiver", "channel"),
+        help="One statistic, or one for every slot.",
+    )
+    weighs: bool = setting(default=True, help="Whether the agent weighs satellites.")
+    exclusion_s: float | None = setting(
+        default=EXCLUSION_S,
+        least=0.0,
+        unit="s",
+        help="Allowance of exclusion in an episode, None for no limit: an epoch costs its "
+        "interval times what the weights of the visible satellites lack, on average, of 1. An "
+        "epoch that would exceed it is used with all weights 1.",
+    )
+    terms: Sequence[Any] | None = setting(
+        default=None,
+        omitted=True,
+        kw_only=True,
+        help="What it observes, as `make_detector_terms` takes it; None for `ALL_TERMS`, and "
+        "what is left of the allowance.",
+    )
 
     paper: ClassVar[str] = "groves2013"
 
     def __post_init__(self) -> None:
-        check_choice("statistic", self.statistic, ("receiver", "channel"))
-        if not isinstance(self.weighs, bool | np.bool_):
-            raise ValueError(f"`weighs` must be True or False, got {self.weighs!r}")
-        limit_s = self.exclusion_s
-        if limit_s is not None and not (is_number(limit_s) and 0.0 <= limit_s < np.inf):
-            raise ValueError(f"`exclusion_s` must be finite and >= 0, or None, got {limit_s!r}")
         if self.terms is not None:
             self.terms = make_detector_terms(self.terms)
         # these are the object's choice, not the class's
@@ -146,41 +145,37 @@ class DetectorAgent(Detector):
         return Verdict(statistic, limit, statistic > limit, weights)
 
 
-@dataclass
+@record
 class PolicyDetector(DetectorAgent):
-    """A frozen policy as a detector like any other, with its threshold.
-
-    Parameters
-    ----------
-    statistic, weighs, exclusion_s
-        As in `DetectorAgent`.
-    policy : DetectorPolicy
-        What decides; copied.
-    threshold : float
-        What the statistic is compared with, in (0, 1]; of a calibration of this policy.
-    decision_delay : {0, 1}
-        Whether an epoch is judged by a decision on itself, or by one on the epoch before.
-    quiet_epochs : int, optional
-        Epochs after it is switched on in which it does not decide: statistic 0 and all weights 1,
-        as an agent of the duel in the monitored warm-up.  By default it decides at once; only a
-        pool of the duel then takes its own warm-up.
-    """
+    """A frozen policy as a detector like any other, with its threshold."""
 
     described_as = "PolicyDetector"
-    policy: DetectorPolicy = None  # type: ignore[assignment]  # which is refused
-    threshold: float = 1.0
-    decision_delay: int = 0
-    quiet_epochs: int | None = None
+    policy: DetectorPolicy = setting(default=None, help="What decides; copied.")
+    threshold: float = setting(
+        default=1.0,
+        above=0.0,
+        most=1.0,
+        help="What the statistic is compared with; of a calibration of this policy.",
+    )
+    decision_delay: int = setting(
+        default=0,
+        least=0,
+        most=1,
+        help="Whether an epoch is judged by a decision on itself, 0, or by one on the epoch "
+        "before.",
+    )
+    quiet_epochs: int | None = setting(
+        default=None,
+        least=0,
+        help="Epochs after it is switched on in which it does not decide: statistic 0 and all "
+        "weights 1, as an agent of the duel in the monitored warm-up.  By default it decides at "
+        "once; only a pool of the duel then takes its own warm-up.",
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not isinstance(self.policy, DetectorPolicy):
             raise TypeError(f"`policy` must be a DetectorPolicy, got {self.policy!r}")
-        check_delay(self.decision_delay)
-        if not (is_number(self.threshold) and 0.0 < self.threshold <= 1.0):
-            raise ValueError(f"`threshold` must be a number in (0, 1], got {self.threshold!r}")
-        if self.quiet_epochs is not None:
-            self.quiet_epochs = whole_number("`quiet_epochs`", self.quiet_epochs)
 
     def identity(self) -> dict[str, Any]:
         """Settings to which its calibration belongs: all but the threshold."""
@@ -231,19 +226,9 @@ class PolicyDetector(DetectorAgent):
 FILE_SETTINGS = ("quiet_epochs", "sha256")
 
 
-@dataclass
+@record
 class LearnedDetector(Detector):
     """Judges as the network in an ONNX file does; its statistic is within 0 and 1, its threshold 1.
-
-    Parameters
-    ----------
-    file : str or path-like
-        Path of the ONNX file, whose card has the same name and lies in the same folder; or the name
-        of a shipped detector.
-    sha256 : str, optional
-        Digest that the file must have; by default the card's.
-    quiet_epochs : int, optional
-        Epochs after it is switched on in which it does not decide; by default those of the card.
 
     Attributes
     ----------
@@ -254,9 +239,19 @@ class LearnedDetector(Detector):
     """
 
     described_as = "LearnedDetector"
-    file: str
-    sha256: str | None = None
-    quiet_epochs: int | None = None
+    file: str = setting(
+        help="Path of the ONNX file, whose card has the same name and lies in the same folder; "
+        "or the name of a shipped detector."
+    )
+    sha256: str | None = setting(
+        default=None, help="Digest that the file must have; by default the card's."
+    )
+    quiet_epochs: int | None = setting(
+        default=None,
+        least=0,
+        help="Epochs after it is switched on in which it does not decide; by default those of "
+        "the card.",
+    )
 
     paper: ClassVar[str] = PolicyDetector.paper
 

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import record, setting
 from ..core.memory import Memory
 from ..core.registry import build, spec_of
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
@@ -22,7 +23,7 @@ from ..receiver.kalman import normalized_innovation_squared
 from .base import DETECTORS, Detector, DetectorContext, FloatArray, judged
 from .build import make_detector
 from .calibrated import Calibrated
-from .innovation import check_smoothing
+from .innovation import average_smoothing
 
 Written = NDArray[np.float32]
 LOCAL_AXES, BODY_AXES = ("north", "east", "down"), ("forward", "right", "below")
@@ -92,17 +93,12 @@ class Innovation(_Term):
         np.divide(epoch.innovation, np.sqrt(epoch.innovation_variance), out=out, casting="unsafe")
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class AverageInnovation(_Term):
     r"""Exponentially weighted average of the same, over its standard deviation if it were white.
 
     .. math:: \Lambda_k = \lambda z_k / \sigma_k + (1 - \lambda) \Lambda_{k-1}, \qquad
         \Lambda_k / \sqrt{\lambda / (2 - \lambda)}
-
-    Parameters
-    ----------
-    smoothing : float
-        Lambda, in (0, 1]; the default averages over some ten epochs.
 
     Notes
     -----
@@ -112,10 +108,7 @@ class AverageInnovation(_Term):
     described_as = "AverageInnovation"
     words: ClassVar[tuple[str, ...]] = ("range_average", "rate_average")
     limits: ClassVar[tuple[float, float]] = (-30.0, 30.0)
-    smoothing: float = 0.1
-
-    def __post_init__(self) -> None:
-        check_smoothing(self.smoothing)
+    smoothing: float = average_smoothing("Lambda; the default averages over some ten epochs.")
 
     def declare(self, memory: Memory, channels: int) -> None:
         memory.declare("average", np.zeros((memory.receivers, 2 * channels)))
@@ -131,21 +124,19 @@ class AverageInnovation(_Term):
         )
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class InnovationSd(_Term):
-    """Standard deviations of the innovations.
-
-    Parameters
-    ----------
-    range_scale_m, rate_scale_mps : float
-        What is observed as 1.
-    """
+    """Standard deviations of the innovations."""
 
     described_as = "InnovationSd"
     words: ClassVar[tuple[str, ...]] = ("range_sd", "rate_sd")
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
-    range_scale_m: float = 10.0
-    rate_scale_mps: float = 1.0
+    range_scale_m: float = setting(
+        default=10.0, above=0.0, unit="m", help="What is observed as 1 of ranges."
+    )
+    rate_scale_mps: float = setting(
+        default=1.0, above=0.0, unit="m/s", help="What is observed as 1 of range rates."
+    )
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         n, sd = epoch.visible.shape[1], np.sqrt(epoch.innovation_variance)
@@ -184,15 +175,9 @@ class InView(_Term):
         out[:] = epoch.visible
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class PredictedMotion(_Term):
-    """Velocity that the filter predicts, in local axes, and what the inertial sensors measure.
-
-    Parameters
-    ----------
-    velocity_scale_mps, force_scale_mps2, rate_scale_rps : float
-        What is observed as 1: velocity, specific force, angular rate.
-    """
+    """Velocity that the filter predicts, in local axes, and what the inertial sensors measure."""
 
     described_as = "PredictedMotion"
     words: ClassVar[tuple[str, ...]] = (
@@ -202,9 +187,15 @@ class PredictedMotion(_Term):
     )
     limits: ClassVar[tuple[float, float]] = (-10.0, 10.0)
     per_slot: ClassVar[bool] = False
-    velocity_scale_mps: float = 100.0
-    force_scale_mps2: float = 10.0
-    rate_scale_rps: float = 0.1
+    velocity_scale_mps: float = setting(
+        default=100.0, above=0.0, unit="m/s", help="Velocity that is observed as 1."
+    )
+    force_scale_mps2: float = setting(
+        default=10.0, above=0.0, unit="m/s^2", help="Specific force that is observed as 1."
+    )
+    rate_scale_rps: float = setting(
+        default=0.1, above=0.0, unit="rad/s", help="Angular rate that is observed as 1."
+    )
 
     needs: ClassVar[frozenset[str]] = frozenset({"imu_delta"})
 
@@ -218,21 +209,15 @@ class PredictedMotion(_Term):
         out[:, 6:] = mean[:, 3:] * (1.0 / self.rate_scale_rps)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Elapsed(_Term):
-    """Time since the detector was switched on, in the last part of the warm-up.
-
-    Parameters
-    ----------
-    scale_s : float
-        What is observed as 1.
-    """
+    """Time since the detector was switched on, in the last part of the warm-up."""
 
     described_as = "Elapsed"
     words: ClassVar[tuple[str, ...]] = ("elapsed",)
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
     per_slot: ClassVar[bool] = False
-    scale_s: float = 600.0
+    scale_s: float = setting(default=600.0, above=0.0, unit="s", help="Time that is observed as 1.")
 
     def declare(self, memory: Memory, channels: int) -> None:
         memory.declare("elapsed", np.zeros(memory.receivers))
@@ -242,21 +227,20 @@ class Elapsed(_Term):
         out[:, 0] = memory["elapsed"] * (1.0 / self.scale_s)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class ExclusionLeft(_Term):
-    """Part of the allowance of exclusion that is left.
-
-    Parameters
-    ----------
-    exclusion_s : float or None
-        The allowance, that of the detector; without a limit all is left.
-    """
+    """Part of the allowance of exclusion that is left."""
 
     described_as = "ExclusionLeft"
     words: ClassVar[tuple[str, ...]] = ("exclusion_left",)
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
     per_slot: ClassVar[bool] = False
-    exclusion_s: float | None = None
+    exclusion_s: float | None = setting(
+        default=None,
+        least=0.0,
+        unit="s",
+        help="The allowance, that of the detector; without a limit all is left.",
+    )
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         out[:, 0] = 1.0
@@ -289,7 +273,7 @@ class LineOfSight(_Term):
             out[:, axis * n : (axis + 1) * n] = sight_n[:, :, axis]
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Classic(_Term):
     r"""Logarithm of a passive detector's statistic over its nominal threshold.
 
@@ -297,21 +281,20 @@ class Classic(_Term):
 
     One value where it judges the receiver as a whole, else one for every slot; -5 where the
     statistic is 0, as where a slot is invisible.
-
-    Parameters
-    ----------
-    detector : str or mapping
-        As `make_detector` takes it, without a word on thresholds, such as
-        ``{"name": "solution-separation"}``.  It must not take weight off measurements: for `ewma`
-        that is ``{"name": "ewma", "weight_scale": None}``.
-    label : str, optional
-        What it is called in the names of the observation; by default as its detector.
     """
 
     described_as = "Classic"
     limits: ClassVar[tuple[float, float]] = (-5.0, 5.0)
-    detector: str | Mapping[str, Any] = "snapshot-chi2"
-    label: str | None = None
+    detector: str | Mapping[str, Any] = setting(
+        default="snapshot-chi2",
+        help="As `make_detector` takes it, without a word on thresholds, such as "
+        '``{"name": "solution-separation"}``.  It must not take weight off measurements: for '
+        '`ewma` that is ``{"name": "ewma", "weight_scale": None}``.',
+    )
+    label: str | None = setting(
+        default=None,
+        help="What it is called in the names of the observation; by default as its detector.",
+    )
 
     _judge: ClassVar[Detector]
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import record, setting
 from ..core.memory import Memory
 from ..receiver.epoch import Epoch
 from .base import (
@@ -99,7 +99,7 @@ def _spec_of(member: Any, detector: Detector) -> Any:
     return spec_with_thresholds(detector, named)
 
 
-@dataclass
+@record
 class PooledDetector(Detector):
     """A hidden pool: one of its detectors, drawn for every episode, judges it from start to end.
 
@@ -107,21 +107,19 @@ class PooledDetector(Detector):
     Where tests of channels and of whole receivers meet in one pool, the statistic is the largest
     ratio of statistic and threshold of a receiver.
 
-    Parameters
-    ----------
-    members : sequence
-        As `make_detector` takes them; objects are copied.
-    weights : sequence of float, optional
-        Probability of each; all alike by default.
-
     Notes
     -----
     Training against a mixture of frozen opponents is what `lanctot2017` calls an oracle's response.
     """
 
     described_as = "PooledDetector"
-    members: Sequence[str | Mapping[str, Any] | Detector] = ("snapshot-chi2", "ewma")
-    weights: Sequence[float] | None = None
+    members: Sequence[str | Mapping[str, Any] | Detector] = setting(
+        default=("snapshot-chi2", "ewma"),
+        help="Detectors as `make_detector` takes them; objects are copied.",
+    )
+    weights: Sequence[float] | None = setting(
+        default=None, help="Probability of each; all alike by default."
+    )
 
     paper: ClassVar[str] = "lanctot2017"
     measures: ClassVar[str] = "any"

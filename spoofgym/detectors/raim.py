@@ -56,14 +56,13 @@ Both search only after an alarm; ``false_alarm = 0.05`` is the paper's confidenc
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
 from itertools import product
 from typing import ClassVar, cast
 
 import numpy as np
 
 from ..core.compile import njit
-from ..core.registry import check_choice, check_finite
+from ..core.declared import record, setting
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.epoch import Epoch
 from ..receiver.snapshot import PRODUCTS, add, solve, squared_residual, squared_residual_of_both
@@ -76,7 +75,7 @@ from .consistency import (
     search_data,
     write_groups,
 )
-from .innovation import check_probability
+from .innovation import alarm_probability
 
 MAX_SATELLITES = 63  # as many fit into a mask
 LARGEST_GROUP = 6  # half of 12 satellites
@@ -93,12 +92,6 @@ class ConsistencyTest(Detector):
     frame: str = "ecef"
 
     needs: ClassVar[frozenset[str]] = frozenset({"pseudorange", "satellite_position"})
-
-    def __post_init__(self) -> None:
-        if self.sigma_m is not None:
-            check_finite("sigma_m", self.sigma_m, "> 0")
-        for name in ("confidence", "false_alarm"):
-            check_probability(name, getattr(self, name))
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
@@ -177,21 +170,9 @@ def blame_all(data: SearchData, limit: FloatArray) -> None:
                 data.mask[b] -= 1 << worst
 
 
-@dataclass
+@record
 class Raim(ConsistencyTest):
     """Least-squares residual of all satellites in view.
-
-    Parameters
-    ----------
-    sigma_m : float or None
-        Noise of a pseudorange [m]; None takes what the receiver assumes.
-    confidence : float
-        Probability that satellites that agree pass for it in the search, in (0, 1).
-    false_alarm : float
-        Probability of an alarm in one epoch, in (0, 1).
-    exclude : bool
-        Give the satellite to blame weights 0, pseudorange and range rate, as long as the alarm
-        lasts.
 
     Notes
     -----
@@ -200,10 +181,24 @@ class Raim(ConsistencyTest):
     """
 
     described_as = "Raim"
-    sigma_m: float | None = None
-    confidence: float = 0.95
-    false_alarm: float = 1e-5
-    exclude: bool = False
+    sigma_m: float | None = setting(
+        default=None,
+        above=0.0,
+        unit="m",
+        help="Noise of a pseudorange; None takes what the receiver assumes.",
+    )
+    confidence: float = setting(
+        default=0.95,
+        above=0.0,
+        below=1.0,
+        help="Probability that satellites that agree pass for it in the search.",
+    )
+    false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
+    exclude: bool = setting(
+        default=False,
+        help="Whether the satellite to blame has weights 0, pseudorange and range rate, as long "
+        "as the alarm lasts.",
+    )
 
     paper: ClassVar[str] = "brown1992"
 
@@ -358,19 +353,9 @@ def search_all(data: SearchData, limit: FloatArray, vectors: FloatArray) -> None
             )
 
 
-@dataclass
+@record
 class SrvRaim(ConsistencyTest):
     """Residual test of all satellites in view; after an alarm, two groups by residual vectors.
-
-    Parameters
-    ----------
-    sigma_m, confidence, false_alarm
-        As in `Raim`.
-    frame : {"ned", "ecef"}
-        Axes of the search vectors.
-    exclude : bool
-        Give the second group weights 0, pseudoranges and range rates, as long as the alarm lasts.
-        It may be the authentic one.
 
     Notes
     -----
@@ -379,17 +364,27 @@ class SrvRaim(ConsistencyTest):
     """
 
     described_as = "SrvRaim"
-    sigma_m: float | None = None
-    confidence: float = 0.95
-    false_alarm: float = 1e-5
-    frame: str = "ned"
-    exclude: bool = False
+    sigma_m: float | None = setting(
+        default=None,
+        above=0.0,
+        unit="m",
+        help="Noise of a pseudorange; None takes what the receiver assumes.",
+    )
+    confidence: float = setting(
+        default=0.95,
+        above=0.0,
+        below=1.0,
+        help="Probability that satellites that agree pass for it in the search.",
+    )
+    false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
+    frame: str = setting(default="ned", one_of=("ned", "ecef"), help="Axes of the search vectors.")
+    exclude: bool = setting(
+        default=False,
+        help="Whether the second group has weights 0, pseudoranges and range rates, as long as "
+        "the alarm lasts.  It may be the authentic one.",
+    )
 
     paper: ClassVar[str] = "wu2024"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_choice("frame", self.frame, ("ecef", "ned"))
 
     def search(self, data: SearchData) -> None:
         search_all(data, self._limit, SEARCH_VECTORS)
@@ -481,16 +476,9 @@ def search_all_paths(data: SearchData, limit: FloatArray, largest_group: int) ->
             )
 
 
-@dataclass
+@record
 class TraversalRaim(ConsistencyTest):
     """Residual test of all satellites in view; after an alarm, the smallest group to leave out.
-
-    Parameters
-    ----------
-    largest_group : int
-        Most satellites to leave out.
-    sigma_m, confidence, false_alarm, exclude
-        As in `SrvRaim`, of which the second group are those left out.
 
     Notes
     -----
@@ -498,18 +486,29 @@ class TraversalRaim(ConsistencyTest):
     """
 
     described_as = "TraversalRaim"
-    sigma_m: float | None = None
-    confidence: float = 0.95
-    false_alarm: float = 1e-5
-    largest_group: int = LARGEST_GROUP
-    exclude: bool = False
+    sigma_m: float | None = setting(
+        default=None,
+        above=0.0,
+        unit="m",
+        help="Noise of a pseudorange; None takes what the receiver assumes.",
+    )
+    confidence: float = setting(
+        default=0.95,
+        above=0.0,
+        below=1.0,
+        help="Probability that satellites that agree pass for it in the search.",
+    )
+    false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
+    largest_group: int = setting(
+        default=LARGEST_GROUP, least=1, help="Most satellites to leave out."
+    )
+    exclude: bool = setting(
+        default=False,
+        help="Whether those left out have weights 0, pseudoranges and range rates, as long as "
+        "the alarm lasts.  They may be the authentic ones.",
+    )
 
     paper: ClassVar[str] = "wu2024"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.largest_group < 1:
-            raise ValueError(f"`largest_group` must be at least 1, got {self.largest_group}")
 
     def search(self, data: SearchData) -> None:
         search_all_paths(data, self._limit, self.largest_group)

@@ -52,41 +52,43 @@ signals, which move no other state, are left out of s and V.  A solution is not 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar, cast
 
 import numpy as np
 from scipy import special
 
+from ..core.declared import record, setting
 from ..receiver.augmented import FIRST
 from ..receiver.epoch import Epoch
 from ._solution_separation_kernels import advance_bank, judge_bank, whiten_bank
 from .base import Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
-from .innovation import check_length, check_probability, epochs_of
+from .innovation import alarm_probability, epochs_of
 
 MOST_SOLUTIONS = 100
 
 
-@dataclass
+@record
 class SolutionSeparation(Detector):
-    """Separation of the filter from solutions that coast since several times; monitor only.
-
-    Parameters
-    ----------
-    false_alarm : float
-        Probability of an alarm in one epoch where the filter's belief is right, in (0, 1); shared
-        out to the solutions of the bank, so that the true one is smaller.
-    longest_s : float
-        Length of the longest attack whose displacement is to be bounded, > 0.
-    spacing_s : float
-        Time between two restarts in the bank, > 0: by at most this a solution is older than an
-        attack.  The bank has `longest_s` / `spacing_s` + 1 solutions.
-    """
+    """Separation of the filter from solutions that coast since several times; monitor only."""
 
     described_as = "SolutionSeparation"
-    false_alarm: float = 1e-5
-    longest_s: float = 160.0
-    spacing_s: float = 20.0
+    false_alarm: float = alarm_probability(
+        help="Probability of an alarm in one epoch where the filter's belief is right; shared "
+        "out to the solutions of the bank, so that the true one is smaller."
+    )
+    longest_s: float = setting(
+        default=160.0,
+        least=1e-3,
+        unit="s",
+        help="Length of the longest attack whose displacement is to be bounded.",
+    )
+    spacing_s: float = setting(
+        default=20.0,
+        least=1e-3,
+        unit="s",
+        help="Time between two restarts in the bank: by at most this a solution is older than an "
+        "attack.  The bank has `longest_s` / `spacing_s` + 1 solutions.",
+    )
 
     paper: ClassVar[str] = "tanil2018"
     needs: ClassVar[frozenset[str]] = frozenset(
@@ -94,9 +96,6 @@ class SolutionSeparation(Detector):
     )
 
     def __post_init__(self) -> None:
-        check_probability("false_alarm", self.false_alarm)
-        for name in ("longest_s", "spacing_s"):
-            check_length(name, getattr(self, name), least=1e-3)
         if self.longest_s > MOST_SOLUTIONS * self.spacing_s:
             raise ValueError(
                 f"`longest_s` must be at most {MOST_SOLUTIONS} times `spacing_s`, got "

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..calibration.clean_runs import Player
-from ..core.registry import is_number, whole_number
+from ..core.declared import check_number
+from ..core.registry import whole_number
 from ..core.settings import describe, digest_of
 from ..detectors.calibration_file import fewest_runs
 from ..detectors.learned import DetectorAgent, PolicyDetector
@@ -120,19 +121,15 @@ def calibrate(
 
 def _check(false_alarm: float, runs: int, confidence: float, receivers: int) -> None:
     """Raise unless the request makes sense."""
-    for name, value in (("false_alarm", false_alarm), ("confidence", confidence)):
-        if not (is_number(value) and 0.0 < value < 1.0):
-            raise ValueError(f"`{name}` must be in (0, 1), got {value!r}")
-    for name, count in (("runs", runs), ("receivers", receivers)):
-        if not isinstance(count, int | np.integer) or isinstance(count, bool):
-            raise ValueError(f"`{name}` must be a whole number, got {count!r}")
+    check_number("false_alarm", false_alarm, above=0.0, below=1.0)
+    check_number("confidence", confidence, above=0.0, below=1.0)
+    whole_number("`runs`", runs)
+    whole_number("`receivers`", receivers, 1)
     if runs < fewest_runs(false_alarm):
         raise ValueError(
             f"`runs` must be at least {fewest_runs(false_alarm)} for `false_alarm` = "
             f"{false_alarm:g}, got {runs}"
         )
-    if receivers < 1:
-        raise ValueError(f"`receivers` must be at least 1, got {receivers}")
 
 
 def _conditions(setup: Setup, agent: DetectorAgent, decision_delay: int) -> dict[str, Any]:

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_keywords, is_number
+from ..core.declared import check_number
+from ..core.registry import check_keywords
 from ..detectors.base import checked
 from ..detectors.learned import EXCLUSION_S, DetectorAgent, check_delay
 from ..detectors.pool import NATURE, uniforms
@@ -98,10 +99,7 @@ class Duel:
         check_delay(decision_delay)
         if type(setup.detector) is not DetectorAgent:
             raise TypeError(f"the detector of `setup` must be an agent, got {setup.detector!r}")
-        if not (is_number(attack_probability) and 0.0 <= attack_probability <= 1.0):
-            raise ValueError(
-                f"`attack_probability` must be a number in [0, 1], got {attack_probability!r}"
-            )
+        check_number("attack_probability", attack_probability, least=0.0, most=1.0)
         self.setup, self.receivers = setup, receivers
         self.decision_delay, self.attack_probability = decision_delay, attack_probability
         self.payoff = make_payoff(payoff)

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple, Self
 
 import gymnasium as gym
 
-from ..core.registry import check_choice, refuse_given
+from ..core.declared import check_word
+from ..core.registry import refuse_given
 from ..detectors.pool import checked_weights
 from ..envs.core import SpoofCore
 from ..envs.factory import CORE, make_core
@@ -50,7 +51,7 @@ class LearnersSide(NamedTuple):
         settings: Mapping[str, Any],
     ) -> Self:
         """Look the id up, and put its settings below those that are given."""
-        check_choice("side", side, (SPOOFER, DETECTOR))
+        check_word("side", side, (SPOOFER, DETECTOR))
         if task is not None and env_id is not None:
             refuse_given(f"task {task}", ["`env_id`"])
         name = _task_id(task, side) if task is not None else env_id or ENV_ID

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import check_number, record, setting
 from ..core.registry import build, is_number
 from .calibration import Calibration, FloatArray
 
@@ -28,7 +28,7 @@ class DuelOutcome(NamedTuple):
     interval_s: float
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class NeymanPearson:
     """Undetected displacement D_u, to the spoofer from the detector; clean episodes pay nothing.
 
@@ -44,31 +44,27 @@ class NeymanPearson:
         return won, 0.0 - won
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Weighted:
-    """Weighted sum of false alarms, delay and error, from the detector.
-
-    Parameters
-    ----------
-    false_alarm : float
-        Price of an alarm in a clean episode.
-    delay_per_s : float
-        Price of a second under attack without an alarm.
-    error_per_m : float
-        Price of a metre of undetected displacement; in a clean episode of any displacement, where
-        an alarm takes nothing back.
-    """
+    """Weighted sum of false alarms, delay and error, from the detector."""
 
     described_as = "Weighted"
-    false_alarm: float = 100.0
-    delay_per_s: float = 0.1
-    error_per_m: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name in ("false_alarm", "delay_per_s", "error_per_m"):
-            value = getattr(self, name)
-            if not (is_number(value) and np.isfinite(value) and value >= 0.0):
-                raise ValueError(f"`{name}` must be finite and >= 0, got {value!r}")
+    false_alarm: float = setting(
+        default=100.0, least=0.0, help="Price of an alarm in a clean episode."
+    )
+    delay_per_s: float = setting(
+        default=0.1,
+        least=0.0,
+        unit="1/s",
+        help="Price of a second under attack without an alarm.",
+    )
+    error_per_m: float = setting(
+        default=1.0,
+        least=0.0,
+        unit="1/m",
+        help="Price of a metre of undetected displacement; in a clean episode of any displacement, "
+        "where an alarm takes nothing back.",
+    )
 
     def __call__(self, outcome: DuelOutcome) -> tuple[FloatArray, FloatArray]:
         """Rewards of the spoofer and of the detector; they add up to 0 under attack only."""
@@ -141,14 +137,14 @@ class RunningThreshold:
 def make_threshold(
     threshold: float | str | Calibration, false_alarm: float, receivers: int
 ) -> FixedThreshold | RunningThreshold:
-    if not (is_number(false_alarm) and 0.0 < false_alarm < 1.0):
-        raise ValueError(f"`false_alarm` must be in (0, 1), got {false_alarm!r}")
+    check_number("false_alarm", false_alarm, above=0.0, below=1.0)
     if isinstance(threshold, Calibration):
         threshold = threshold.threshold
     if isinstance(threshold, str) and threshold == RUNNING:
         return RunningThreshold(false_alarm, receivers)
     if isinstance(threshold, str) or not (is_number(threshold) and 0.0 < threshold <= 1.0):
         raise ValueError(
-            f"`threshold` must be 'running', a number in (0, 1] or a calibration, got {threshold!r}"
+            "`threshold` must be 'running', a number above 0 and at most 1, or a calibration, got "
+            f"{threshold!r}"
         )
     return FixedThreshold(float(threshold), receivers)

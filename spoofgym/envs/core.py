@@ -8,8 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import check_number, check_word
 from ..core.memory import Memory
-from ..core.registry import check_choice, check_finite, check_truth
+from ..core.registry import check_truth
 from ..detectors import Detector, Verdict, detector_in_world
 from ..simulation.domain import FloatArray
 from ..simulation.engine import Engine
@@ -131,15 +132,15 @@ class SpoofCore:
         threads: int | None = None,
         prefetch: bool = False,
     ) -> None:
-        check_choice("knowledge", knowledge, KNOWLEDGE)
+        check_word("knowledge", knowledge, KNOWLEDGE)
         check_truth("end_at_alarm", end_at_alarm)
         check_truth("twin", twin)
         check_truth("prefetch", prefetch)
         ends = None if end is None else make_terms("end", end)
         _check_overruled(length_m, alarm_price, reward, end_at_alarm, ends)
         self.length_m = float(setup.scales["length_m"] if length_m is None else length_m)
-        check_finite("length_m", self.length_m, "> 0")
-        check_finite("alarm_price", alarm_price, ">= 0")
+        check_number("length_m", self.length_m, above=0.0)
+        check_number("alarm_price", alarm_price, least=0.0)
         actions = default_action(setup) if action is None else make_terms("action", action)
         self.commands = CommandMap(actions, setup)
         seen = default_terms(setup, knowledge, along_target=self.commands.along_target)

@@ -12,6 +12,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from ..core.declared import check_word
 from ..core.registry import check_choice, whole_number
 from ..simulation.domain import each_of
 from ._kernels import within
@@ -138,7 +139,7 @@ def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
     if isinstance(given, AutoresetMode):
         return given
     word = str(given).lower().removeprefix("autoresetmode.")
-    check_choice("autoreset mode", word, [mode.name.lower() for mode in AutoresetMode])
+    check_word("autoreset_mode", word, [mode.name.lower() for mode in AutoresetMode])
     return AutoresetMode[word.upper()]
 
 
@@ -153,7 +154,7 @@ def check_vector_settings(num_envs: int, render_mode: object) -> None:
 
 def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
     if isinstance(spec, str):
-        check_choice("choice of infos", spec, ("all", "none"))
+        check_word("infos", spec, ("all", "none"))
         return None if spec == "all" else frozenset()
     keys = tuple(spec)
     for key in keys:

@@ -21,20 +21,10 @@ from collections.abc import Sequence
 from scipy import special, stats
 from scipy.optimize import brentq
 
-from ..core.registry import check_finite
+from ..core.declared import check_number, check_word
 
 LEAST_DEFLECTION = 1e-9
 """Below it the square is lost in rounding, and SciPy's noncentral chi-square fails."""
-
-
-def _check_probability(name: str, value: float) -> None:
-    if not 0.0 < value < 1.0:
-        raise ValueError(f"`{name}` must be above 0 and below 1, got {value}")
-
-
-def _check_heading(headings: str) -> None:
-    if headings not in ("known", "unknown"):
-        raise ValueError(f"`heading` must be 'known' or 'unknown', got {headings!r}")
 
 
 def power(deflection: float, p_fa: float, *, heading: str = "known") -> float:
@@ -60,9 +50,9 @@ def power(deflection: float, p_fa: float, *, heading: str = "known") -> float:
     >>> round(power(2.0, 0.05), 2)
     0.64
     """
-    check_finite("deflection", deflection, ">= 0")
-    _check_probability("p_fa", p_fa)
-    _check_heading(heading)
+    check_number("deflection", deflection, least=0.0)
+    check_number("p_fa", p_fa, above=0.0, below=1.0)
+    check_word("heading", heading, ("known", "unknown"))
     if heading == "known":
         return float(special.ndtr(deflection + special.ndtri(p_fa)))
     if deflection < LEAST_DEFLECTION:
@@ -94,9 +84,9 @@ def deflection_for(p_fa: float, p_d: float, *, heading: str = "known") -> float:
     >>> round(deflection_for(0.01, 0.06, heading="unknown"), 2)
     1.22
     """
-    _check_probability("p_fa", p_fa)
-    _check_probability("p_d", p_d)
-    _check_heading(heading)
+    check_number("p_fa", p_fa, above=0.0, below=1.0)
+    check_number("p_d", p_d, above=0.0, below=1.0)
+    check_word("heading", heading, ("known", "unknown"))
     if p_d < p_fa:
         raise ValueError(f"`p_d` must be at least `p_fa` = {p_fa}, got {p_d}")
     if heading == "known":

@@ -32,6 +32,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.declared import check_number
 from ..detectors.base import FloatArray
 from .linear import PLACE, LinearRun
 
@@ -105,8 +106,7 @@ class Sensitivity(NamedTuple):
 
 def sensitivity(run: LinearRun, epoch: int, direction: ArrayLike) -> Sensitivity:
     epochs = len(run.gain)
-    if not 0 <= epoch < epochs:
-        raise ValueError(f"`epoch` must be 0 to {epochs - 1}, got {epoch}")
+    check_number("epoch", epoch, least=0, most=epochs - 1, whole=True)
     north, east = checked_direction(direction)
     v = np.zeros(run.transition.shape[1])
     v[PLACE] = run.axes[epoch] @ np.array([north, east, 0.0])

@@ -15,8 +15,9 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from ..bench.experiments.evaluate import FIT_RUNS, Evaluator
 from ..bench.search.amplitude import TuningResult
+from ..core.declared import check_number
 from ..core.progress import ProgressCallback
-from ..core.registry import check_finite, refuse_given, whole_number
+from ..core.registry import refuse_given, whole_number
 from ..envs.wrappers import EpochRecorder
 from ..policies.card import DECIDED_ON
 from ..policies.contract import NotFinite
@@ -192,9 +193,7 @@ class ScoreCallback(BaseCallback):
             refuse_given("`judge`", (f"`{name}`" for name in given))
         self.every = whole_number("`every`", every, 1)
         self.path = None if path is None else checked_path(path)
-        check_finite("average", average)
-        if not 0.0 <= average < 1.0:
-            raise ValueError(f"`average` must be in [0, 1), got {average}")
+        check_number("average", average, least=0.0, below=1.0)
         self._average = WeightAverage(average)
         self.judge = judge or Evaluator(
             task, fit_runs=fit_runs, entropy=entropy, threads=threads, progress=progress, **world

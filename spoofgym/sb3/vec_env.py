@@ -125,8 +125,7 @@ class SpoofVecEnv(VecEnv):
         if seed is not None:
             seed = whole_number("`seed`", seed)
         if torch_threads is not None:
-            if torch_threads < 1:
-                raise ValueError(f"`torch_threads` must be at least 1, got {torch_threads}")
+            torch_threads = whole_number("`torch_threads`", torch_threads, 1)
             # stable-baselines3 has loaded it; nothing here needs it otherwise
             sys.modules["torch"].set_num_threads(torch_threads)
         made = LearnersSide.of(env_id, task, side, pool, weights, settings)

@@ -182,7 +182,7 @@ def _rates(rate_limit_mps: float | Sequence[float]) -> tuple[float, ...]:
     limits = np.asarray(rate_limit_mps if numbers else np.nan, dtype=np.float64)
     require(
         limits.shape in ((), (4,)) and (np.isfinite(limits) & (limits > 0.0)).all(),
-        "`rate_limit_mps` must be finite and > 0, one number or one for each of "
+        "`rate_limit_mps` must be a number above 0, one number or one for each of "
         f"{', '.join(AXES)}, got {rate_limit_mps!r}",
     )
     return tuple(np.broadcast_to(limits, 4).tolist())

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_finite
+from ..core.declared import record, setting
 from ..policies.contract import Policy
 
 FloatArray = NDArray[np.float64]
@@ -160,16 +159,6 @@ def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
     return np.array([wanted[name] for name in axes])
 
 
-def check_heading(heading_deg: float | str) -> None:
-    if isinstance(heading_deg, str):
-        right = heading_deg == TARGET
-    else:
-        number = isinstance(heading_deg, int | float) and not isinstance(heading_deg, bool)
-        right = number and math.isfinite(heading_deg)
-    if not right:
-        raise ValueError(f"`heading_deg` must be a finite number or 'target', got {heading_deg!r}")
-
-
 class Aim:
     """Unit command along a heading, clockwise from north, or that of every observation, turned by
     `turned_deg`; or the same command for every channel."""
@@ -228,7 +217,7 @@ def _places(action_names: tuple[str, ...]) -> list[int]:
     return [axes.index(name) for name in AXES[:2]]
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class ScriptedSpoofer(Spoofer):
     r"""Pushes along one line by a rule for the rate of every epoch, blind for what comes of it.
 
@@ -238,26 +227,19 @@ class ScriptedSpoofer(Spoofer):
         D^+ = D + v^+ \tau \quad\text{by rate}
 
     and a subclass chooses the rate it wants next; limits are enforced here.
-
-    Parameters
-    ----------
-    heading_deg : float or "target"
-        Direction of a false position, clockwise from north; or the target direction, where it is
-        observed: ``target_heading_deg="random"`` draws it for every episode.  An attack on single
-        channels has no heading: there all channels are commanded alike, which moves the receiver's
-        clock alone if they are all that it sees.
     """
 
-    heading_deg: float | str = 90.0
+    heading_deg: float | str = setting(
+        default=90.0,
+        one_of=(TARGET,),
+        unit="deg",
+        help="Direction of a false position, clockwise from north; or the target direction, where "
+        'it is observed: ``target_heading_deg="random"`` draws it for every episode.  An attack on '
+        "single channels has no heading: there all channels are commanded alike, which moves the "
+        "receiver's clock alone if they are all that it sees.",
+    )
 
     knowledge = "blind"
-    checks: ClassVar[Mapping[str, str]] = {}
-    """Settings that must be finite numbers, and a bound of each, as `check_finite` takes it."""
-
-    def __post_init__(self) -> None:
-        check_heading(self.heading_deg)
-        for name, bound in self.checks.items():
-            check_finite(name, getattr(self, name), bound)
 
     def bind(self, context: SpooferContext) -> None:
         """Prepare for a batch of receivers, by its sizes, limits and names."""

@@ -19,24 +19,23 @@ whole rate is commanded, even where b is found to be small.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import record, setting
 from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_limit
-from .profile import check_fastest, checked_rates, sampled
+from .profile import check_fastest, check_knots, sampled
 from .ramps import Ramp
 
 RATIO = "statistic_ratio"
 """Element of an observation that is the largest statistic over its threshold."""
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class ByStatistic(ScriptedSpoofer):
-    """Base of spoofers that see the detector's statistic, and nothing else of the victim.
-    `heading_deg`: as in `ScriptedSpoofer`."""
+    """Base of spoofers that see the detector's statistic, and nothing else of the victim."""
 
     knowledge = "oracle"
 
@@ -54,16 +53,18 @@ class ByStatistic(ScriptedSpoofer):
         return observation[:, self._column].astype(np.float64)
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class AlongCurve(ByStatistic):
-    """Base of those that have a curve of the rate for what they would do unseen. `rates_mps`: (n,)
-    rate at equally spaced knots, as of a `Profile`; `heading_deg`: as in `ScriptedSpoofer`."""
+    """Base of those that have a curve of the rate for what they would do unseen."""
 
-    rates_mps: tuple[float, ...] = (0.24, 0.9)
+    rates_mps: tuple[float, ...] = setting(
+        default=(0.24, 0.9),
+        unit="m/s",
+        help="Rate (n,) at equally spaced knots, as of a `Profile`: the fastest that it ever goes.",
+    )
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        self.rates_mps = checked_rates("rates_mps", self.rates_mps)
+        check_knots("rates_mps", self.rates_mps)
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
@@ -74,7 +75,7 @@ class AlongCurve(ByStatistic):
         return np.asarray(self._curve[np.minimum(step.astype(np.int64), len(self._curve) - 1)])
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class HeldBack(ByStatistic):
     r"""Base of those that multiply a rate by the room that the statistic leaves.
 
@@ -84,40 +85,36 @@ class HeldBack(ByStatistic):
     .. math:: w = v \, \mathrm{clip}\left(\frac{m_1 - q}{m_1 - m_0}, \beta, 1\right)
 
     and the rate follows within the attack's limits.
-
-    Parameters
-    ----------
-    full_ratio, zero_ratio : float
-        :math:`m_0` up to which nothing is held back, and :math:`m_1` at which the wanted rate is 0;
-        the second one is above the first.
-    back : float
-        :math:`\beta`, how fast it goes back at most, in parts of the rate forward; -1 to 0.
-    heading_deg : float or "target"
-        As in `ScriptedSpoofer`.
     """
 
-    full_ratio: float = 0.47
-    zero_ratio: float = 1.03
-    back: float = -0.79
-
-    checks: ClassVar = {"full_ratio": ">= 0", "zero_ratio": "> 0", "back": ""}
+    full_ratio: float = setting(
+        default=0.47, least=0.0, help="Ratio :math:`m_0` up to which nothing is held back."
+    )
+    zero_ratio: float = setting(
+        default=1.03,
+        above=0.0,
+        help="Ratio :math:`m_1` at which the wanted rate is 0; above `full_ratio`.",
+    )
+    back: float = setting(
+        default=-0.79,
+        least=-1.0,
+        most=0.0,
+        help=r"How fast it goes back at most, :math:`\beta`, in parts of the rate forward.",
+    )
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.zero_ratio <= self.full_ratio:
             raise ValueError(
                 f"`zero_ratio` must be above `full_ratio` = {self.full_ratio:g}, got "
                 f"{self.zero_ratio:g}"
             )
-        if not -1.0 <= self.back <= 0.0:
-            raise ValueError(f"`back` must be in [-1, 0], got {self.back:g}")
 
     def wanted_rate(self, observation: NDArray[np.float32]) -> FloatArray:
         room = (self.zero_ratio - self.ratio(observation)) / (self.zero_ratio - self.full_ratio)
         return super().wanted_rate(observation) * np.clip(room, self.back, 1.0)
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class Feedback(HeldBack):
     r"""Pushes at a rate that grows with time, as far as the detector's statistic leaves room.
 
@@ -125,25 +122,21 @@ class Feedback(HeldBack):
     `HeldBack` leaves a part is
 
     .. math:: v = a \left(1 + (g - 1) \frac tT\right)
-
-    Parameters
-    ----------
-    rate_mps : float
-        a, rate at the onset while there is room; negative against the heading.
-    growth : float
-        g, how many times as fast it is at the end of the window, at least 0.
-    full_ratio, zero_ratio, back : float
-        As in `HeldBack`.
-    heading_deg : float or "target"
-        As in `ScriptedSpoofer`.
     """
 
     described_as = "Feedback"
-    rate_mps: float = 0.24
-    growth: float = 3.75
+    rate_mps: float = setting(
+        default=0.24,
+        unit="m/s",
+        help="Rate a at the onset while there is room; negative against the heading.",
+    )
+    growth: float = setting(
+        default=3.75,
+        least=0.0,
+        help="How many times as fast it is at the end of the window, g.",
+    )
 
     tunable: ClassVar[str | None] = "rate_mps"
-    checks: ClassVar = {**HeldBack.checks, "rate_mps": "", "growth": ">= 0"}
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
@@ -158,24 +151,19 @@ class Feedback(HeldBack):
         return Ramp.tuning_range(context)
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class FeedbackProfile(HeldBack, AlongCurve):
     """Pushes along a curve of the rate, as of a blind optimum, as far as the statistic leaves room.
 
     With `full_ratio` 1 it plays the curve as it is up to the first alarm, which is all that counts:
     fitted, it is no worse than the curve.
-
-    Parameters
-    ----------
-    rates_mps : tuple of float
-        (n,) rate at equally spaced knots, as of a `Profile`, of which `HeldBack` leaves a part.
-    full_ratio, zero_ratio, back : float
-        As in `HeldBack`.
-    heading_deg : float or "target"
-        As in `ScriptedSpoofer`.
     """
 
     described_as = "FeedbackProfile"
+
+    def __post_init__(self) -> None:
+        HeldBack.__post_init__(self)
+        AlongCurve.__post_init__(self)
 
 
 UNKNOWN = (0.1, 0.3, 1.0)  # prior standard deviations of c, rho and b [s/m]
@@ -184,7 +172,7 @@ MEAN_OF = 50  # epochs over which the variance of the prediction is averaged
 LEAST, MOST = 0.1, 2.0  # range of a search for the margin
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class ThresholdRider(AlongCurve):
     r"""Goes as fast as the predicted statistic allows, and no faster than a curve of the rate.
 
@@ -194,31 +182,32 @@ class ThresholdRider(AlongCurve):
         \frac{m - \hat q - \kappa \sigma}{\max(b v, \beta m)}, 0, 1\right)
 
     It knows the victim's statistics (oracle), and nothing of the detector.
-
-    Parameters
-    ----------
-    rates_mps : tuple of float
-        (n,) rate at equally spaced knots, as of a `Profile`: the fastest that it ever goes.
-    heading_deg : float or "target"
-        As in `ScriptedSpoofer`.
-    margin : float
-        m, ratio of the statistic to its threshold below which the prediction stays.
-    deviations : float
-        :math:`\kappa`, standard deviations of the prediction held in reserve.
-    horizon_s : float
-        How far it looks ahead, rounded to whole commands, at least one.
-    band : float
-        :math:`\beta`, part of m below which the whole rate is commanded at the latest.
     """
 
     described_as = "ThresholdRider"
-    margin: float = 1.15
-    deviations: float = 0.0
-    horizon_s: float = 20.0
-    band: float = 0.4
+    margin: float = setting(
+        default=1.15,
+        above=0.0,
+        help="Ratio m of the statistic to its threshold below which the prediction stays.",
+    )
+    deviations: float = setting(
+        default=0.0,
+        least=0.0,
+        help=r"Standard deviations of the prediction held in reserve, :math:`\kappa`.",
+    )
+    horizon_s: float = setting(
+        default=20.0,
+        above=0.0,
+        unit="s",
+        help="How far it looks ahead, rounded to whole commands, at least one.",
+    )
+    band: float = setting(
+        default=0.4,
+        above=0.0,
+        help=r"Part :math:`\beta` of m below which the whole rate is commanded at the latest.",
+    )
 
     tunable: ClassVar[str | None] = "margin"
-    checks: ClassVar = {"margin": "> 0", "horizon_s": "> 0", "band": "> 0", "deviations": ">= 0"}
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)

@@ -6,12 +6,12 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import record, setting
 from ..core.registry import check_choice
 from ..policies.card import Space, SpooferCard, unlike_spaces
 from ..policies.contract import NotFinite, checked_action
@@ -19,16 +19,9 @@ from ..policies.load import load_policy
 from .base import KNOWLEDGE, FloatArray, Spoofer, SpooferContext
 
 
-@dataclass
+@record
 class OnnxPolicy(Spoofer):
     """Acts as a network in an ONNX file does; the card of the same name is in the same folder.
-
-    Parameters
-    ----------
-    file : str or path-like
-        Name of a shipped one, or path of an ``.onnx`` file.
-    sha256 : str, optional
-        Digest that the file must have; by default the card's.
 
     Attributes
     ----------
@@ -39,8 +32,10 @@ class OnnxPolicy(Spoofer):
     """
 
     described_as = "OnnxPolicy"
-    file: str
-    sha256: str | None = None
+    file: str = setting(help="Name of a shipped one, or path of an ``.onnx`` file.")
+    sha256: str | None = setting(
+        default=None, help="Digest that the file must have; by default the card's."
+    )
 
     knowledge = "of its card"
 

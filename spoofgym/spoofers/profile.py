@@ -6,18 +6,16 @@ the range of two neighbouring knots and has no overshoot.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_finite
+from ..core.declared import record, setting
 from .base import Aim, FloatArray, ScriptedSpoofer, SpooferContext, has_heading
 
 FEWEST_KNOTS, MOST_KNOTS = 2, 64
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class Profile(ScriptedSpoofer):
     r"""Follows a smooth curve of the rate over the attack window, whatever happens.
 
@@ -30,33 +28,30 @@ class Profile(ScriptedSpoofer):
 
     where the slopes m are the weighted harmonic means of `fritsch1980`, zero where the rates turn.
     The attack's limits hold as for every spoofer: what is wanted faster comes later.
-
-    Parameters
-    ----------
-    heading_deg : float
-        As in `ScriptedSpoofer`.
-    rates_mps : tuple of float
-        (n,) rate of the false position along the heading at equally spaced knots, from the onset
-        to the end of the attack window; 2 to 64 of them.
-    cross_rates_mps : tuple of float
-        (l,) the same for the rate to the right of the heading; none for a straight line.  With
-        them, the attack's limits apply to the size of both together.
-    label : str
-        Short name in results.
-    designed_on : str
-        What the curve was optimised on; or nothing.
     """
 
     described_as = "Profile"
-    rates_mps: tuple[float, ...] = (0.0, 0.2)
-    cross_rates_mps: tuple[float, ...] = ()
-    label: str | None = "profile"
-    designed_on: str = "nothing"
+    rates_mps: tuple[float, ...] = setting(
+        default=(0.0, 0.2),
+        unit="m/s",
+        help="Rate (n,) of the false position along the heading at equally spaced knots, from the "
+        "onset to the end of the attack window; 2 to 64 of them.",
+    )
+    cross_rates_mps: tuple[float, ...] = setting(
+        default=(),
+        empty=True,
+        unit="m/s",
+        help="The same (l,) for the rate to the right of the heading; none for a straight line.  "
+        "With them, the attack's limits apply to the size of both together.",
+    )
+    label: str | None = setting(default="profile", help="Short name in results.")
+    designed_on: str = setting(
+        default="nothing", help="What the curve was optimised on; or nothing."
+    )
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        self.rates_mps = checked_rates("rates_mps", self.rates_mps)
-        self.cross_rates_mps = checked_rates("cross_rates_mps", self.cross_rates_mps, none=True)
+        check_knots("rates_mps", self.rates_mps)
+        check_knots("cross_rates_mps", self.cross_rates_mps)
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
@@ -96,31 +91,27 @@ class Profile(ScriptedSpoofer):
         return np.ascontiguousarray(np.clip(action, -1.0, 1.0))
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class BlindOptimum(Profile):
     """The best open-loop curve of the rate that a search finds against one detector.
 
     Without rates it is what the benchmark looks for, against each of its detectors, by
     `spoofgym.bench.search.open_loop`; with rates it plays them.
-
-    Parameters
-    ----------
-    heading_deg, rates_mps, cross_rates_mps, label, designed_on
-        As in `Profile`; no rates where they are still to be found.
     """
 
     described_as = "BlindOptimum"
-    rates_mps: tuple[float, ...] = ()
-    label: str | None = "blind-optimum"
-    designed_on: str = "detector, receiver and scenario, by a search"
-
-    def __post_init__(self) -> None:
-        found = self.rates_mps
-        if not len(found):
-            self.rates_mps = (0.0, 0.0)
-        super().__post_init__()
-        if not len(found):
-            self.rates_mps = ()
+    rates_mps: tuple[float, ...] = setting(
+        default=(),
+        empty=True,
+        unit="m/s",
+        help="Rates (n,) at equally spaced knots, as in `Profile`; none where they are still to be "
+        "found.",
+    )
+    label: str | None = setting(default="blind-optimum", help="Short name in results.")
+    designed_on: str = setting(
+        default="detector, receiver and scenario, by a search",
+        help="What the curve was optimised on.",
+    )
 
     def bind(self, context: SpooferContext) -> None:
         if not self.rates_mps:
@@ -171,18 +162,8 @@ def _to_the_right(context: SpooferContext, heading_deg: float | str) -> Aim:
         ) from error
 
 
-def checked_rates(
-    name: str, rates_mps: tuple[float, ...], *, none: bool = False
-) -> tuple[float, ...]:
-    if isinstance(rates_mps, str) or not hasattr(rates_mps, "__len__"):
-        raise ValueError(f"`{name}` must be a sequence of numbers, got {rates_mps!r}")
-    if none and not len(rates_mps):
-        return ()
-    if not FEWEST_KNOTS <= len(rates_mps) <= MOST_KNOTS:
-        raise ValueError(
-            f"`{name}` must have {FEWEST_KNOTS} to {MOST_KNOTS} rates, got {len(rates_mps)}"
-        )
-    rates = tuple(rates_mps)
-    for i, rate in enumerate(rates):
-        check_finite(f"{name}[{i}]", rate)
-    return rates
+def check_knots(name: str, rates_mps: tuple[float, ...]) -> None:
+    """Raise unless a curve has as many rates as it can; none at all, where that is valid."""
+    if rates_mps and not FEWEST_KNOTS <= len(rates_mps) <= MOST_KNOTS:
+        valid = f"{FEWEST_KNOTS} to {MOST_KNOTS} rates"
+        raise ValueError(f"`{name}` must have {valid}, got {len(rates_mps)}")

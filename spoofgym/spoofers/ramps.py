@@ -21,29 +21,24 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_finite
+from ..core.declared import check_word, record, setting
 from .base import FloatArray, ScriptedSpoofer, Spoofer, SpooferContext, check_limit
 
 SLOWEST = 1e-3  # slowest rate of a search, as a part of the attack's limit
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class Ramp(ScriptedSpoofer):
-    """Pushes at a constant rate, reached at the largest acceleration that the attack allows.
-
-    Parameters
-    ----------
-    rate_mps : float
-        Rate; negative against the heading, or to shorter ranges.
-    heading_deg : float or "target"
-        As in `ScriptedSpoofer`.
-    """
+    """Pushes at a constant rate, reached at the largest acceleration that the attack allows."""
 
     described_as = "Ramp"
-    rate_mps: float = 0.5
+    rate_mps: float = setting(
+        default=0.5,
+        unit="m/s",
+        help="Rate; negative against the heading, or to shorter ranges.",
+    )
 
     tunable: ClassVar[str | None] = "rate_mps"
-    checks: ClassVar = {"rate_mps": ""}
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
@@ -62,23 +57,18 @@ class Ramp(ScriptedSpoofer):
         return SLOWEST * high, high
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class AcceleratingRamp(ScriptedSpoofer):
-    """Pushes ever faster, until the attack's limit of the rate.
-
-    Parameters
-    ----------
-    acceleration_mps2 : float
-        Acceleration; negative against the heading, or to shorter ranges.
-    heading_deg : float or "target"
-        As in `ScriptedSpoofer`.
-    """
+    """Pushes ever faster, until the attack's limit of the rate."""
 
     described_as = "AcceleratingRamp"
-    acceleration_mps2: float = 0.005
+    acceleration_mps2: float = setting(
+        default=0.005,
+        unit="m/s^2",
+        help="Acceleration; negative against the heading, or to shorter ranges.",
+    )
 
     tunable: ClassVar[str | None] = "acceleration_mps2"
-    checks: ClassVar = {"acceleration_mps2": ""}
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
@@ -101,23 +91,18 @@ class AcceleratingRamp(ScriptedSpoofer):
 SMALLEST, LARGEST = 0.1, 1000.0  # range of a search [m]
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class Step(ScriptedSpoofer):
-    """Moves to a displacement as quickly as the attack allows, without overshoot, and holds it.
-
-    Parameters
-    ----------
-    size_m : float
-        Displacement; negative against the heading, or to shorter ranges.
-    heading_deg : float or "target"
-        As in `ScriptedSpoofer`.
-    """
+    """Moves to a displacement as quickly as the attack allows, without overshoot, and holds it."""
 
     described_as = "Step"
-    size_m: float = 100.0
+    size_m: float = setting(
+        default=100.0,
+        unit="m",
+        help="Displacement; negative against the heading, or to shorter ranges.",
+    )
 
     tunable: ClassVar[str | None] = "size_m"
-    checks: ClassVar = {"size_m": ""}
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         """The largest rate from which the displacement is not overshot."""
@@ -144,28 +129,26 @@ def fastest(rest: FloatArray, rate: FloatArray, gain: float, interval: float) ->
     return np.asarray(gain * (way + 0.5 * full * (full + 1.0)) / (full + 1.0))
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class Dash(ScriptedSpoofer):
-    """Waits, then pushes at a rate that it reaches at the largest acceleration.
-
-    Parameters
-    ----------
-    rate_mps : float
-        Rate of the dash; negative against the heading, or to shorter ranges.  More than the attack
-        allows is cut to that.
-    last_s : float
-        How long before the end of the attack window it begins, above 0 [s]; from the onset on
-        where the window is shorter.
-    heading_deg : float or "target"
-        As in `ScriptedSpoofer`.
-    """
+    """Waits, then pushes at a rate that it reaches at the largest acceleration."""
 
     described_as = "Dash"
-    rate_mps: float = 10.0
-    last_s: float = 30.0
+    rate_mps: float = setting(
+        default=10.0,
+        unit="m/s",
+        help="Rate of the dash; negative against the heading, or to shorter ranges.  More than the "
+        "attack allows is cut to that.",
+    )
+    last_s: float = setting(
+        default=30.0,
+        above=0.0,
+        unit="s",
+        help="How long before the end of the attack window it begins; from the onset on where the "
+        "window is shorter.",
+    )
 
     tunable: ClassVar[str | None] = "rate_mps"
-    checks: ClassVar = {"rate_mps": "", "last_s": "> 0"}
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         begins = self.context.steps - round(self.last_s / self.context.interval_s)
@@ -179,61 +162,49 @@ class Dash(ScriptedSpoofer):
 SHAPES = ("ramp", "step")
 
 
-@dataclass(kw_only=True)
+@record(kw_only=True)
 class Intermittent(ScriptedSpoofer):
-    """Ramps and steps of the displacement, one after the other, with pauses between them.
-
-    Parameters
-    ----------
-    shapes : tuple of {"ramp", "step"}
-        Shape of each burst; after the last one it starts again with the first one.
-    sizes_m : tuple of float
-        Displacement at the end of each burst, as many as shapes; negative against the heading, or
-        to shorter ranges.
-    on_s, off_s : float
-        Lengths of a burst, above 0, and of a pause, at least 0; rounded to epochs, a burst to at
-        least one.
-    bursts : int or None
-        How many bursts there are, at least 1; None for as many as the episode has time for.
-    scale : float
-        Factor of all sizes.
-    heading_deg : float or "target"
-        As in `ScriptedSpoofer`.
-    """
+    """Ramps and steps of the displacement, one after the other, with pauses between them."""
 
     described_as = "Intermittent"
-    shapes: tuple[str, ...] = ("ramp",)
-    sizes_m: tuple[float, ...] = (20.0,)
-    on_s: float = 40.0
-    off_s: float = 10.0
-    bursts: int | None = None
-    scale: float = 1.0
+    shapes: tuple[str, ...] = setting(
+        default=("ramp",),
+        help='Shape of each burst, ``"ramp"`` or ``"step"``; after the last one it starts again '
+        "with the first one.",
+    )
+    sizes_m: tuple[float, ...] = setting(
+        default=(20.0,),
+        unit="m",
+        help="Displacement at the end of each burst, as many as shapes; negative against the "
+        "heading, or to shorter ranges.",
+    )
+    on_s: float = setting(
+        default=40.0,
+        above=0.0,
+        unit="s",
+        help="Length of a burst; rounded to epochs, to at least one.",
+    )
+    off_s: float = setting(
+        default=10.0, least=0.0, unit="s", help="Length of a pause; rounded to epochs."
+    )
+    bursts: int | None = setting(
+        default=None,
+        least=1,
+        help="How many bursts there are; None for as many as the episode has time for.",
+    )
+    scale: float = setting(default=1.0, help="Factor of all sizes.")
 
     tunable: ClassVar[str | None] = "scale"
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         self.shapes, self.sizes_m = tuple(self.shapes), tuple(self.sizes_m)
         for shape in self.shapes:
-            if shape not in SHAPES:
-                raise ValueError(
-                    f"`shapes` must be among {', '.join(map(repr, SHAPES))}, got {shape!r}"
-                )
+            check_word("shapes", shape, SHAPES)
         if not self.shapes or len(self.shapes) != len(self.sizes_m):
             raise ValueError(
                 "`shapes` and `sizes_m` must be as many, at least one, got "
                 f"{len(self.shapes)} and {len(self.sizes_m)}"
             )
-        for size in self.sizes_m:
-            check_finite("sizes_m", size)
-        for name in ("on_s", "off_s", "scale"):
-            check_finite(name, getattr(self, name))
-        if self.on_s <= 0.0:
-            raise ValueError(f"`on_s` must be > 0, got {self.on_s}")
-        if self.off_s < 0.0:
-            raise ValueError(f"`off_s` must be >= 0, got {self.off_s}")
-        if self.bursts is not None and self.bursts < 1:
-            raise ValueError(f"`bursts` must be at least 1 or None, got {self.bursts}")
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_finite
+from ..core.declared import check_number
 from .base import FloatArray, Spoofer, SpooferContext
 
 AMPLITUDE = "amplitude"
@@ -47,7 +47,7 @@ class Scaled(Spoofer):
     def __init__(self, spoofer: Spoofer, amplitude: float) -> None:
         if isinstance(spoofer, Scaled) or not isinstance(spoofer, Spoofer):
             raise TypeError(f"`spoofer` must be a Spoofer that is not scaled, got {spoofer!r}")
-        check_finite(AMPLITUDE, amplitude, "> 0")
+        check_number(AMPLITUDE, amplitude, above=0.0)
         self.spoofer, self.amplitude = spoofer, float(amplitude)
         shared = "knowledge action_terms decision_interval_s between label designed_on transmits"
         for name in shared.split():

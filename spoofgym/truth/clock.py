@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
 
 from ..core.compile import inlined
-from ..core.registry import require
+from ..core.declared import record, setting
 from ..core.simd import sqrt
 from ..earth.wgs84 import SPEED_OF_LIGHT
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class ReceiverClock:
     """Two-state clock in units of range.
-
-    `phase_psd`, `frequency_psd`: power spectral densities of phase [m^2/s] and frequency noise
-    [m^2/s^3].
 
     Notes
     -----
@@ -24,18 +20,14 @@ class ReceiverClock:
     """
 
     described_as = "ReceiverClock"
-    offset_m: float = 10_000.0
-    drift_mps: float = 100.0
-    phase_psd: float = 0.0
-    frequency_psd: float = 0.0
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            require(
-                math.isfinite(value) and not (item.name.endswith("psd") and value < 0.0),
-                f"`{item.name}` must be finite, a PSD also >= 0, got {value}",
-            )
+    offset_m: float = setting(default=10_000.0, unit="m", help="Offset at the start.")
+    drift_mps: float = setting(default=100.0, unit="m/s", help="Drift at the start.")
+    phase_psd: float = setting(
+        default=0.0, least=0.0, unit="m^2/s", help="Power spectral density of phase noise."
+    )
+    frequency_psd: float = setting(
+        default=0.0, least=0.0, unit="m^2/s^3", help="Power spectral density of frequency noise."
+    )
 
 
 def clock_of_allan(h0: float, h_2: float) -> ReceiverClock:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined
-from ..core.registry import build_record, check_fields, check_finite, require
+from ..core.declared import check_number, record, setting
+from ..core.registry import build_record, check_fields, require
 from ..core.settings import OMITTED
 from .clock import TCXO, ReceiverClock
 from .signal_errors import SIGNAL_ERRORS, SignalErrors
@@ -69,7 +70,7 @@ class GnssErrors:
         )
         names = [item.name for item in fields(self) if item.name not in ("clock", "signals")]
         check_fields(self, ">= 0", *names)
-        check_finite("correlation_s", self.correlation_s, "> 0")
+        check_number("correlation_s", self.correlation_s, above=0.0)
 
     @property
     def carrier_sd_m(self) -> float:
@@ -152,17 +153,12 @@ ERRORS: dict[str, GnssErrors] = {
 RENAMED = {"realistic": "trolley"}  # errors, and what scenarios begin with, by their old names
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class PositionErrors:
     r"""Gauss-Markov GNSS position errors.
 
     .. math:: e_k = \beta e_{k-1} + \sigma \sqrt{1 - \beta^2} \, n_k, \qquad
         e_0 = \sigma n_0, \qquad n_k \sim N(0, 1)
-
-    - `horizontal_sd_m`: standard deviation of the errors to the east and to the north [m];
-    - `vertical_sd_m`: standard deviation of the error upwards [m];
-    - `decay`: :math:`\beta`, correlation of one epoch's error with the next one's, in [0, 1); 0 for
-      white noise.
 
     Notes
     -----
@@ -171,13 +167,21 @@ class PositionErrors:
     """
 
     described_as = "PositionErrors"
-    horizontal_sd_m: float = 1.6
-    vertical_sd_m: float = 3.0
-    decay: float = 0.999
-
-    def __post_init__(self) -> None:
-        check_fields(self, ">= 0", "horizontal_sd_m", "vertical_sd_m")
-        require(0.0 <= self.decay < 1.0, f"`decay` must be in [0, 1), got {self.decay}")
+    horizontal_sd_m: float = setting(
+        default=1.6,
+        least=0.0,
+        unit="m",
+        help="Standard deviation of the errors to the east and to the north.",
+    )
+    vertical_sd_m: float = setting(
+        default=3.0, least=0.0, unit="m", help="Standard deviation of the error upwards."
+    )
+    decay: float = setting(
+        default=0.999,
+        least=0.0,
+        below=1.0,
+        help="Correlation of one epoch's error with the next one's, beta; 0 for white noise.",
+    )
 
     @property
     def sd(self) -> NDArray[np.float64]:

@@ -38,7 +38,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_fields, check_finite, require
+from ..core.declared import check_number
+from ..core.registry import check_fields, require
 from .noise import BLOCK
 
 FloatArray = NDArray[np.float64]
@@ -212,7 +213,7 @@ class FixErrors:
 
     def __post_init__(self) -> None:
         check_fields(self, ">= 0", "correlated_sd_m", "white_sd_m")
-        check_finite("correlation_time_s", self.correlation_time_s, "> 0")
+        check_number("correlation_time_s", self.correlation_time_s, above=0.0)
 
     def decay(self, interval_s: float) -> float:
         return math.exp(-interval_s / self.correlation_time_s)

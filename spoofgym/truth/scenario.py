@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache, partial
 from typing import Any, TypeGuard
 
-from ..core.registry import build_record, check_choice, check_finite, require
+from ..core.declared import check_number
+from ..core.registry import build_record, check_choice, require
 from ..core.settings import OMITTED
 from .events import BenignEvents
 from .flight import Flight, trajectory_at, turned
@@ -82,7 +83,7 @@ class Scenario:
             math.isfinite(self.turned_deg), f"`turned_deg` must be finite, got {self.turned_deg}"
         )
         if self.imu_rate_hz is not None:
-            check_finite("imu_rate_hz", self.imu_rate_hz, "> 0")
+            check_number("imu_rate_hz", self.imu_rate_hz, above=0.0)
 
     @property
     def label(self) -> str:

@@ -22,20 +22,11 @@ def test_what_is_made_is_not_made_again_and_reads_what_came_before(tmp_path):
     found = counted(calls, a=1, b=2).play(tmp_path)
     assert found == {"a": 1, "b": 2, "sum": 3}
     assert counted(calls, a=1, b=2).play(tmp_path) == found
-    assert calls == ["a", "b"]
-
-
-def test_what_depends_on_something_else_stands_beside_it(tmp_path):
-    calls = []
-    counted(calls, a=1).play(tmp_path)
+    # what depends on something else stands beside it
     assert counted(calls, a=2).play(tmp_path)["a"] == 2
     counted(calls, a=1).play(tmp_path)
-    assert calls == ["a", "a"]
-
-
-def test_another_experiment_is_refused_in_one_line(tmp_path):
-    counted([], {"width": 8}, a=1).play(tmp_path)
-    with pytest.raises(ValueError, match=r"holds other results \(config\.width: 8, not 9\)"):
+    assert calls == ["a", "b", "a"]
+    with pytest.raises(ValueError, match=r"holds other results"):
         counted([], {"width": 9}, a=1).play(tmp_path)
 
 
@@ -44,9 +35,8 @@ def test_a_mistake_is_one_line_and_a_fault_of_ours_is_not(tmp_path):
         raise ValueError("a\n b")
     with pytest.raises(SystemExit, match=r"^error: .*nowhere"), error_lines():
         (tmp_path / "nowhere").read_text()
-    with pytest.raises(SystemExit, match="the same command goes on"), error_lines():
-        raise KeyboardInterrupt
-    with pytest.raises(SystemExit, match=r"^1 of 2 cells$"), error_lines():
-        raise KeyboardInterrupt("1 of 2 cells")
+    for word, said in (("", "the same command goes on"), ("1 of 2 cells", "^1 of 2 cells$")):
+        with pytest.raises(SystemExit, match=said), error_lines():
+            raise KeyboardInterrupt(*filter(None, [word]))
     with pytest.raises(AssertionError), error_lines():
         raise AssertionError

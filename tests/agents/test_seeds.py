@@ -1,18 +1,18 @@
-"""The table of a training says what everybody observes, and oracles are compared with oracles."""
+"""Tables of trainings say what everybody observes, and which seeds are over the budget."""
 
 import pytest
 
 from agents.seeds import comparable, table_of
+from agents.spoofer_table import page
 
 
-def score(knowledge, value):
-    estimate = {"value": value, "low": value, "high": value}
+def score(knowledge, value, within=True):
     return {
         "knowledge": knowledge,
-        "stealthy_displacement_m": estimate,
-        "alarm_rate": {**estimate, "value": 0.0},
-        "within_budget": True,
-        "fit_within_budget": None,
+        "stealthy_displacement_m": {"value": value, "low": value - 1.0, "high": value + 1.0},
+        "alarm_rate": {"value": 0.0, "low": 0.0, "high": 0.0},
+        "within_budget": within,
+        "fit_within_budget": True,
     }
 
 
@@ -28,13 +28,43 @@ def test_the_table_says_what_everybody_observes():
 
 @pytest.mark.parametrize(
     ("knowledge", "names"),
-    [
-        ("blind", ["ramp"]),
-        ("tracking+reported", ["ramp"]),
-        ("oracle", ["ramp", "feedback", "both"]),
-        ("oracle+reported", ["ramp", "feedback", "both"]),
-    ],
+    [("tracking+reported", ["ramp"]), ("oracle+reported", ["ramp", "feedback", "both"])],
 )
 def test_oracles_are_compared_with_oracles(knowledge, names):
     known = {"ramp": "blind", "feedback": "oracle", "both": "oracle+reported"}
     assert comparable(known, knowledge) == names
+
+
+def cell(*values, over=(), optimum=None):
+    rows = [
+        {
+            "score": None if value is None else score("blind", value, value not in over),
+            "ratios": {"blind-optimum": {"value": (value or 0.0) / 10.0, "low": 0.0, "high": 2.0}},
+        }
+        for value in values
+    ]
+    rivals = {} if optimum is None else {"blind-optimum": score("blind", optimum)}
+    return {"seeds": rows, "rivals": rivals}
+
+
+def row_of(text):
+    head, _, *lines = [[x.strip() for x in y.strip("|").split(" | ")] for y in text.splitlines()]
+    return dict(zip(head, lines[-1], strict=True))
+
+
+def test_a_line_of_the_page_has_what_is_there_and_a_dash_for_the_rest():
+    row = row_of(page({"T3/ewma/blind": cell(9.0, 12.0, 8.0, optimum=10.0)}))
+    assert row["world"] == "T3"
+    assert row["PPO (blind)"] == "9.0 [8.0, 12.0]"
+    assert row["of the blind-optimum"] == "0.90 (0.00 to 2.00)"
+    assert row["blind-optimum (blind)"] == "10.0 (9.0 to 11.0)"
+    assert row["PPO (oracle)"] == row["PPO (blind+reported)"] == row["feedback"] == "-"
+    # seeds over the budget are counted, and one without a policy is nothing
+    row = row_of(page({"T5/aime/oracle": cell(9.0, None, 8.0, over=(9.0,))}))
+    assert row["PPO (oracle)"] == "8.0 [0.0, 9.0], 1 over"
+    assert row["PPO (blind)"] == "-"
+
+
+def test_a_line_for_each_detector_in_a_world():
+    table = {f"T3/{name}/{known}": cell(1.0) for name in "ab" for known in ("blind", "oracle")}
+    assert [line.split(" | ")[1] for line in page(table).splitlines()[2:]] == ["a", "b"]

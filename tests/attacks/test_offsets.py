@@ -1,7 +1,5 @@
 """What attacks make of the measurements: closed forms against the truth, names and settings."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -158,25 +156,17 @@ def test_an_action_of_one_is_the_limit():
     assert FalsePosition(control="rate", rate_limit_mps=7.0).unit_scale == 7.0
 
 
-@pytest.mark.parametrize("kind", ATTACKS.values())
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("channels", "said"),
     [
-        (
-            {"control": "position"},
-            "`control` must be one of 'rate', 'acceleration', got 'position'",
-        ),
-        ({"acceleration_limit_mps2": 0.0}, "`acceleration_limit_mps2` must be finite and > 0"),
-        ({"acceleration_limit_mps2": math.inf}, "`acceleration_limit_mps2` must be finite and > 0"),
-        ({"rate_limit_mps": -1.0}, "`rate_limit_mps` must be finite and > 0, got -1"),
-        ({"rate_limit_mps": math.nan}, "`rate_limit_mps` must be finite and > 0, got nan"),
-        ({"channels": "S05"}, "`channels` must be 'all' or .*satellite ids, got 'S05'"),
-        ({"channels": ()}, "`channels` must name at least one satellite"),
+        ("S05", "`channels` must be 'all' or .*satellite ids, got 'S05'"),
+        ((), "`channels` must name at least one satellite"),
+        (("S05", "S05"), "`channels` must name each satellite once"),
     ],
 )
-def test_settings_are_checked_at_birth(kind, settings, said):
+def test_channels_are_satellites_or_patterns(channels, said):
     with pytest.raises(ValueError, match=said):
-        kind(**settings)
+        PerChannel(channels=channels)
 
 
 @pytest.mark.parametrize("axes", ["", "x", "nn", "neu", "N"])

@@ -1,10 +1,7 @@
 """The search for a profile: it gets farther than ramps, keeps its budget, and goes on."""
 
-from __future__ import annotations
-
 import json
 import shlex
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,36 +27,30 @@ WORLD = {
 SEARCH = BlindSearch(runs=12, batch=6, knots=8, population=4, generations=2)
 
 
-def judge_of() -> Evaluator:
+def judge_of():
     judge = Evaluator(runs=20, fit_runs=80, threads=1, **WORLD)
     judge.optima.settings = SEARCH
     return judge
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Evaluator, dict[str, TuningResult]]:
+def found(tmp_path_factory):
     judge = judge_of()
     kept = experiment_of(judge, 90.0, {}).play(tmp_path_factory.mktemp("profile"))
     return judge, {name: TuningResult.from_dict(each) for name, each in kept.items()}
 
 
-def test_the_profile_gets_as_far_as_ramps_within_the_budget(found) -> None:
+def test_the_card_makes_the_profile_that_gets_as_far_as_ramps(found):
     judge, fits = found
     assert all(fit.within_budget for fit in fits.values())
     best = fits[SEARCHED]
-    rivals = [fit.score for name, fit in fits.items() if name != SEARCHED]
-    assert best.score >= max(rivals) > 0.0
+    assert best.score >= max(fit.score for name, fit in fits.items() if name != SEARCHED) > 0.0
     assert best.chosen.alarm_limit <= judge.optima.tuning.budget
-
-
-def test_the_card_makes_the_profile_whose_score_it_has(found) -> None:
-    judge, fits = found
     card = card_of(judge, fits, 90.0, "mine", "python")
     made = make_spoofer({"name": card.kind, **card.settings})
     assert isinstance(made, Profile)
     assert made.label == "mine"
     assert made.designed_on == card.knowledge.design_time
-    best = fits[SEARCHED]
     assert best.found is not None
     rates = best.value * np.array(best.found["played"]["rates_mps"])
     np.testing.assert_array_equal(made.rates_mps, np.clip(rates, -5.0, 5.0))
@@ -69,9 +60,12 @@ def test_the_card_makes_the_profile_whose_score_it_has(found) -> None:
     assert score.split == "evaluation"
     assert card.decided_on == {(0, "training"), (0, "search")}
     assert [row["spoofer"].split(":")[0] for row in card.rivals][-1].startswith(SEARCHED)
+    loud = TuningResult.from_dict({**best.as_dict(), "within_budget": False})
+    with pytest.raises(ValueError, match=r"no profile is within the alarm budget"):
+        card_of(judge, {**fits, SEARCHED: loud}, 90.0, "mine", "python")
 
 
-def test_a_killed_search_goes_on_to_the_identical_result(found, tmp_path, monkeypatch) -> None:
+def test_a_killed_search_goes_on_to_the_identical_result(found, tmp_path, monkeypatch):
     _, fits = found
     judge = judge_of()
     fit = judge.fit
@@ -92,13 +86,6 @@ def test_a_killed_search_goes_on_to_the_identical_result(found, tmp_path, monkey
     assert {name: TuningResult.from_dict(each) for name, each in again.items()} == fits
 
 
-def test_nothing_within_the_budget_is_said(found) -> None:
-    judge, fits = found
-    loud = TuningResult.from_dict({**fits[SEARCHED].as_dict(), "within_budget": False})
-    with pytest.raises(ValueError, match=r"no profile is within the alarm budget"):
-        card_of(judge, {**fits, SEARCHED: loud}, 90.0, "mine", "python")
-
-
 TINY = shlex.split(
     "--detector ewma:false_alarm=0.0001 --attack false-position:acceleration_limit_mps2=0.5 "
     "--population 4 --knots 8 --runs 8 --batch 4 --select-runs 80 --score-runs 8 --generations 1 "
@@ -106,25 +93,27 @@ TINY = shlex.split(
 )
 
 
-def test_the_command_of_a_card_makes_it_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def called(*words):
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def test_the_command_of_a_card_makes_it_again(tmp_path, monkeypatch):
     out = tmp_path / "far" / "quick.json"
-    result = CliRunner().invoke(app, [*TINY, "--out", str(out)])
+    result = called(*TINY, "--out", out)
     assert result.exit_code == 0, result.output
     assert "accelerating-ramp" in result.output
     assert [path.name for path in out.parent.iterdir()] == ["quick.json"]
     card = SpooferCard.load(out)
     assert card.name == "quick"
     assert str(tmp_path) not in out.read_text()
-    again = CliRunner().invoke(app, [*TINY, "--out", str(out)])
+    again = called(*TINY, "--out", out)
     assert again.exit_code == 2
     assert "exists; --overwrite replaces it" in again.output
     python, option, name, *words = shlex.split(card.training["command"])
     assert (python, option, name) == ("python", "-m", "baselines.profile")
     assert not {"--threads", "--json"} & set(words)
     monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(app, [*words, "--json"])
+    result = called(*words, "--json")
     assert result.exit_code == 0, result.output
     assert json.loads((tmp_path / "quick.json").read_text()) == json.loads(out.read_text())
     assert json.loads(result.stdout)["name"] == "quick"
@@ -134,18 +123,15 @@ def test_the_command_of_a_card_makes_it_again(
     ("options", "message"),
     [
         (["--detector", "ewmaa"], "did you mean 'ewma'"),
-        (["--knots", "1"], "`blind_search.knots` must be a whole number of at least 2, got 1"),
-        (["--select-runs", "20"], "`fit_runs` must be a whole number of at least 59, got 20"),
+        (["--knots", "1"], "knots` must be "),
         (["--task", "T3"], "--task"),
         (["--out", "card.txt"], "`out` must be a .json file"),
         (["--out", "my profile.json"], "only letters, digits, '.', '_' and '-', got 'my profile"),
     ],
 )
-def test_bad_options_are_refused_in_one_line(
-    tmp_path: Path, options: list[str], message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bad_options_are_refused_in_one_line(tmp_path, options, message, monkeypatch):
     monkeypatch.setattr(module, "experiment_of", None)
-    result = CliRunner().invoke(app, [*TINY, "--out", str(tmp_path / "x.json"), *options])
+    result = called(*TINY, "--out", tmp_path / "x.json", *options)
     assert result.exit_code == 2
     assert message in " ".join(result.output.split())
     assert len(result.output.strip().splitlines()) == 1

@@ -45,7 +45,9 @@ def test_the_second_attack_begins_anew():
 
 
 def test_windows_are_checked():
-    with pytest.raises(ValueError, match="within 0 to 300 s, got 100 to 301"):
-        RobotDataSet(jump_s=((100.0, 301.0),))
-    with pytest.raises(ValueError, match=r"begin before it ends, .* got 50 to 50"):
-        RobotDataSet(slow_s=((50.0, 50.0),))
+    for bad, message in (
+        ({"jump_s": ((100.0, 301.0),)}, "within 0 to 300 s, got 100 to 301"),
+        ({"slow_s": ((50.0, 50.0),)}, r"begin before it ends, .* got 50 to 50"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            RobotDataSet(**bad)

@@ -163,23 +163,6 @@ def test_an_amplitude_is_between_those_that_were_judged() -> None:
     assert crossing(scales, 500.0 * scales) == 1e-2
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "said"),
-    [
-        ("runs", 7, "`blind_search.runs` must be a whole number of at least 8, got 7"),
-        ("batch", 3, "`blind_search.batch` must be a whole number of at least 4, got 3"),
-        ("knots", 1, "`blind_search.knots` must be a whole number of at least 2, got 1"),
-        ("knots", 65, "`blind_search.knots` must be at most 64, got 65"),
-        ("population", 2.5, "`blind_search.population` must be a whole number"),
-        ("generations", -1, "`blind_search.generations` must be a whole number of at least 0"),
-        ("seed", "x", "`blind_search.seed` must be a whole number"),
-    ],
-)
-def test_settings_of_a_search_are_checked(name: str, value: Any, said: str) -> None:
-    with pytest.raises(ValueError, match=f"^{said}"):
-        BlindSearch(**{name: value})
-
-
 # --- players -------------------------------------------------------------------------------------
 
 

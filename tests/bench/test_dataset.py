@@ -200,8 +200,6 @@ def test_optima_are_those_of_the_card() -> None:
         ({"families": ["ramps"]}, "unknown family of attacks 'ramps'"),
         ({"families": ["feedback"]}, "needs a detector"),
         ({"families": ["blind-optimum"]}, "needs curves"),
-        ({"length_m": 0.0}, "`length_m` must be"),
-        ({"shard": 0}, "`shard` must be"),
         ({"spoofers": [{"name": "none"}]}, "transmits nothing"),
         ({"detector": {"name": "ewma", "thresholds": "nominal"}}, "must be passive"),
         ({"world": {"decision_interval_s": 5.0}}, "decision_interval_s"),

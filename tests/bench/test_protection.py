@@ -11,7 +11,7 @@ import pytest
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
 from spoofgym.bench.scores.campaign import compare, score_protection
 from spoofgym.bench.scores.scores import exceeded
-from spoofgym.bench.search.attack_suite import Selection, aims_of
+from spoofgym.bench.search.attack_suite import aims_of
 
 FIRST = MEASURES[0]
 
@@ -200,16 +200,3 @@ def test_detectors_are_compared_over_the_runs_that_count_for_both() -> None:
         # never at different rates, and never as published
         assert ("mine", "lottery", score) not in found
         assert ("as-is", "never", score) not in found
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"runs": 0}, "`selection.runs` must be a whole number of at least 1"),
-        ({"sift_runs": 1.5}, "`selection.sift_runs` must be a whole number"),
-        ({"values": 1}, "`selection.values` must be a whole number of at least 2"),
-    ],
-)
-def test_bad_selections_are_refused(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises((ValueError, TypeError), match=message):
-        Selection(**settings)

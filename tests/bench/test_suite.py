@@ -89,9 +89,6 @@ def test_the_clean_twin_is_always_played_first() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"runs": 1}, "`runs` must be a whole number of at least 2, got 1"),
-        ({"entropy": -1}, "`entropy` must be a whole number of at least 0"),
-        ({"alert_limit_m": 0.0}, "`alert_limit_m` must be finite and > 0, got 0.0"),
         ({"detectors": ()}, "at least one detector"),
         ({"detectors": ("ewma", "ewma")}, "listed twice: ewma"),
         ({"detectors": ("emwa",)}, "unknown detector 'emwa'; valid: .*did you mean 'ewma'"),
@@ -103,18 +100,9 @@ def test_bad_suites_are_refused(changes: dict[str, Any], message: str) -> None:
         Suite(**changes)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"budget": 1.0}, r"`tuning.budget` must be in \(0, 1\)"),
-        ({"budget": float("nan")}, r"`tuning.budget` must be in \(0, 1\)"),
-        ({"runs": 58}, "`tuning.runs` must be at least 59 for a budget of 0.05: .*; got 58"),
-        ({"values": 2}, "`tuning.values` must be a whole number of at least 3"),
-    ],
-)
-def test_bad_searches_are_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Tuning(**changes)
+def test_a_search_needs_runs_that_can_show_its_budget() -> None:
+    with pytest.raises(ValueError, match=r"`runs` must be at least 59 for a budget of 0.05: .* 58"):
+        Tuning(runs=58)
 
 
 def test_oracles_are_refused_unless_they_are_asked_for() -> None:

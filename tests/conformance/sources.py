@@ -11,8 +11,6 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
-import pytest
-
 import spoofgym
 
 ROOT = Path(spoofgym.__file__).parent
@@ -57,12 +55,12 @@ def modules() -> Iterator[ModuleType]:
                 raise
 
 
-def public_classes() -> list:
-    """Public classes, each with the module that defines it."""
-    found = []
-    for module in modules():
-        for name, member in vars(module).items():
-            own = inspect.isclass(member) and member.__module__ == module.__name__
-            if own and not name.startswith("_"):
-                found.append(pytest.param(member, id=f"{module.__name__}.{name}"))
-    return found
+def public_classes() -> list[type]:
+    """Public classes, in the modules that define them."""
+    return [
+        member
+        for module in modules()
+        for name, member in vars(module).items()
+        if inspect.isclass(member) and member.__module__ == module.__name__
+        if not name.startswith("_")
+    ]

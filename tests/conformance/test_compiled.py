@@ -5,8 +5,6 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-import pytest
-
 from spoofgym.core.compile import COMPILED_LAYERS, layer_of
 from spoofgym.core.compile import FOUNDATION as FOUNDATION_FILES
 
@@ -19,13 +17,9 @@ FOUNDATION = {Path(name).stem for name in FOUNDATION_FILES}
 """Modules of `core` that are in every digest."""
 OF_NUMBA = {"core/compile.py", "core/simd.py"}
 """The decorator, how it compiles, and the types of vectors."""
-BRIDGES = {"envs/spoofer_binding.py": ("spoofgym.envs", "spoofer_binding")}
+DECORATORS = {"njit", "inlined", "joined"}
+BRIDGES = {"envs/spoofer_binding.py"}
 """Files of compiled layers that may know of other packages, since nothing compiled imports them."""
-
-
-@pytest.fixture(params=sources.files(), ids=sources.name_of)
-def source(request):
-    return request.param
 
 
 def test_imports_are_told_by_their_absolute_names():
@@ -44,76 +38,67 @@ def test_imports_are_told_by_their_absolute_names():
     assert outside == [("spoofgym", ["core"])]
 
 
-def test_numba_is_used_by_the_one_decorator_alone(source):
-    tree = sources.tree_of(source)
-    used = [name for name, _ in sources.imported(tree, source) if name.split(".")[0] == "numba"]
-    assert sources.name_of(source) in OF_NUMBA or not used
+def imports_of(path):
+    return list(sources.imported(sources.tree_of(path), path))
 
 
-def test_compiled_functions_stand_in_compiled_layers(source):
-    tree = sources.tree_of(source)
-    parts = source.relative_to(sources.ROOT).parts
-    takes = [
-        (module, names)
-        for module, names in sources.imported(tree, source)
-        if module == "spoofgym.core.compile"
-    ]
-    decorators = {"njit", "inlined", "joined"}
-    for name in decorators:
-        assert f"compile.{name}" not in source.read_text().replace("spoofgym.core.compile", ""), (
-            "by its name"
-        )
-    if parts == ("core", "compile.py") or not any(decorators & set(names) for _, names in takes):
-        return
-    assert len(parts) > 1, "only packages are compiled"
-    assert parts[0] in COMPILED_LAYERS, f"{parts[0]} must be named in `compile.COMPILED_LAYERS`"
-    for module, names in takes:
-        assert module == "spoofgym.core.compile", (
-            "import the decorator itself, so that its use shows"
-        )
-        assert set(names) <= decorators
+def in_layer(path):
+    """Place of a file's package among the layers with compiled code, None for others."""
+    parts = path.relative_to(sources.ROOT).parts
+    known = len(parts) > 1 and parts[0] in COMPILED_LAYERS
+    return COMPILED_LAYERS.index(parts[0]) if known else None
 
 
-def test_decorators_are_bare(source):
-    """``@njit(...)`` would have settings of its own."""
-    tree = sources.tree_of(source)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef):
-            for decorator in node.decorator_list:
+def test_numba_is_used_by_the_one_decorator_alone():
+    users = {
+        sources.name_of(path)
+        for path in sources.files()
+        for name, _ in imports_of(path)
+        if name.split(".")[0] == "numba"
+    }
+    assert users <= OF_NUMBA
+
+
+def test_compiled_functions_stand_in_compiled_layers_and_decorators_are_bare():
+    """``@njit(...)`` would have settings of its own, and a use by module or alias be hidden."""
+    for path in sources.files():
+        where, text = sources.name_of(path), path.read_text().replace("spoofgym.core.compile", "")
+        takes = {
+            name
+            for module, names in imports_of(path)
+            if module == "spoofgym.core.compile"
+            for name in names
+        }
+        assert not any(f"compile.{name}" in text for name in DECORATORS), where
+        if where != "core/compile.py" and DECORATORS & takes:
+            assert in_layer(path) is not None, f"{where}: add its package to COMPILED_LAYERS"
+            assert takes <= DECORATORS, where
+        for node in ast.walk(sources.tree_of(path)):
+            for decorator in getattr(node, "decorator_list", ()):
                 called = isinstance(decorator, ast.Call) and ast.unparse(decorator.func)
-                assert called not in {"njit", "inlined", "joined"}, node.name
+                assert called not in DECORATORS, (where, node.name)
 
 
-def test_compiled_layers_import_only_from_those_whose_sources_count(source):
+def test_compiled_layers_import_only_from_those_whose_sources_count():
     """A constant or a function of a layer that isn't in the digest would go stale."""
-    parts = source.relative_to(sources.ROOT).parts
-    if len(parts) < 2 or parts[0] not in COMPILED_LAYERS or sources.name_of(source) in BRIDGES:
-        return
-    counted = COMPILED_LAYERS[: COMPILED_LAYERS.index(parts[0]) + 1]
-    tree = sources.tree_of(source)
-    for module, names in sources.imported(tree, source):
-        path = module.split(".")
-        if path[0] != "spoofgym":
+    for path in sources.files():
+        where, layer = sources.name_of(path), in_layer(path)
+        if layer is None:
             continue
-        for package in path[1:2] or names:
-            assert package in PLAIN | FOUNDATION or package in counted, (
-                f"{package} is not in its digest"
-            )
+        counted = {*PLAIN, *FOUNDATION, *COMPILED_LAYERS[: layer + 1]}
+        for module, names in imports_of(path):
+            package = module.split(".")
+            if package[0] == "spoofgym" and where not in BRIDGES:
+                assert {*(package[1:2] or names)} <= counted, (where, module)
+            for bridge in BRIDGES if path.name != "__init__.py" else ():
+                room, name = bridge.removesuffix(".py").split("/")
+                assert module != f"spoofgym.{room}.{name}", where
+                assert module != f"spoofgym.{room}" or name not in names, where
 
 
-def test_no_module_of_a_compiled_layer_imports_a_bridge(source):
-    parts = source.relative_to(sources.ROOT).parts
-    if parts[0] not in COMPILED_LAYERS or source.name == "__init__.py":
-        return
-    for module, names in sources.imported(sources.tree_of(source), source):
-        for package, bridge in BRIDGES.values():
-            assert module != f"{package}.{bridge}"
-            assert module != package or bridge not in names
-
-
-def test_no_layer_reaches_for_threads_of_its_own(source):
+def test_no_layer_reaches_for_threads_of_its_own():
     """After a parallel region of GNU OpenMP, a forked child dies."""
-    assert "prange" not in source.read_text()
+    assert [path for path in sources.files() if "prange" in path.read_text()] == []
 
 
 def test_every_layer_is_a_package_in_the_order_of_the_imports():

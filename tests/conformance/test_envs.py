@@ -111,11 +111,14 @@ VARIED = [
         for word, kwargs in small_variants(name).items()
     ),
 ]
+CODE_IDS = [name for name in IDS if "/Bench" not in name]
+"""Ids that differ in code; a task is one of them at other settings, which is made and played."""
 every_id = pytest.mark.parametrize("name", IDS)
+every_code = pytest.mark.parametrize("name", CODE_IDS)
 every_victim = pytest.mark.parametrize("name", VICTIM_IDS)
 every_variant = pytest.mark.parametrize(("name", "kwargs"), VARIED)
 every_form = pytest.mark.parametrize(
-    ("name", "form"), [(name, form) for name in IDS for form in forms_of(name)]
+    ("name", "form"), [(name, form) for name in CODE_IDS for form in forms_of(name)]
 )
 every_mode = pytest.mark.parametrize("mode", MODES)
 every_duel = pytest.mark.parametrize("form", DUELS)
@@ -184,19 +187,19 @@ def test_gymnasium_check_env_at(name: str, kwargs: dict[str, Any]) -> None:
     check_env(gym.make(name, **short(name, **kwargs)).unwrapped, skip_render_check=True)
 
 
-@every_id
+@every_code
 def test_stable_baselines3_check_env(name: str) -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     checker.check_env(gym.make(name, **short(name)).unwrapped, warn=True)
 
 
-@every_id
+@every_code
 def test_gymnasium_finds_the_vector_env_of_one_and_the_single_env_alike(name: str) -> None:
     env = gym.make(name, **short(name)).unwrapped
     check_environments_match(env, Squeezed(name, **short(name)), num_steps=30, seed=7)
 
 
-@every_id
+@every_code
 @every_mode
 def test_spaces_types_and_masks_of_a_vector_env(name: str, mode: str) -> None:
     envs = make(name, mode, **early(name))
@@ -224,6 +227,15 @@ def test_spaces_types_and_masks_of_a_vector_env(name: str, mode: str) -> None:
     assert ended.min() >= 2
     for given, kept in held:  # nothing that was handed out is written again
         np.testing.assert_array_equal(given, kept)
+
+
+@pytest.mark.parametrize("name", [name for name in IDS if name not in CODE_IDS])
+def test_a_task_plays_in_every_form_alike(name: str) -> None:
+    first, *others = (
+        Player(make(name, form, **early(name)), form).begin(5).go(2) for form in forms_of(name)
+    )
+    for found in others:
+        np.testing.assert_allclose(rewards(found)[0], rewards(first)[0], rtol=1e-6)
 
 
 # --- determinism and pickling ----------------------------------------------------------------
@@ -304,7 +316,8 @@ def assert_receivers_are_single(name: str, form: str, **settings: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "form"), [(name, form) for name in IDS for form in forms_of(name) if form != "single"]
+    ("name", "form"),
+    [(name, form) for name in CODE_IDS for form in forms_of(name) if form != "single"],
 )
 def test_every_receiver_of_a_batch_is_the_single_env(name: str, form: str) -> None:
     assert_receivers_are_single(name, form, **early(name))
@@ -344,7 +357,7 @@ def remade(env: Any) -> Any:
     return make_it(EnvSpec.from_json(env.spec.to_json()))
 
 
-@every_id
+@every_code
 @pytest.mark.parametrize("form", ["single", *MODES])
 def test_a_spec_makes_the_same_environment_again(name: str, form: str) -> None:
     """To the last step: with an episode's length as its limit a `TimeLimit` would truncate it."""
@@ -379,7 +392,7 @@ def test_a_spec_makes_the_same_environment_again_at(name: str, kwargs: dict[str,
     assert_same(mine, theirs, name)
 
 
-@every_id
+@every_code
 def test_a_limit_that_would_cut_an_episode_is_refused(name: str) -> None:
     steps = gym.make(name, **short(name)).unwrapped.core.episode_steps
     for limit in (steps, 1.5):
@@ -387,7 +400,7 @@ def test_a_limit_that_would_cut_an_episode_is_refused(name: str) -> None:
             gym.make_vec(name, num_envs=2, max_episode_steps=limit, **short(name))
 
 
-@every_id
+@every_code
 def test_a_seed_may_be_one_of_numpy(name: str) -> None:
     env, envs = gym.make(name, **short(name)), gym.make_vec(name, num_envs=2, **short(name))
     expected = env.reset(seed=3)[0]

@@ -60,7 +60,9 @@ def bad_values(declared, annotation):
         found += bad_numbers(declared, whole="float" not in kinds)
     for item in lists_in(kinds):
         found += [[each] for each in bad_numbers(declared, whole=item == "int")]
-        found += [[]] + ([[2, 2]] if declared.bounds.increasing else [])
+        found += ([] if declared.bounds.empty else [[]]) + (
+            [[2, 2]] if declared.bounds.increasing else []
+        )
     if declared.bounds.one_of:
         found += ["no such word"]
     return found

@@ -70,6 +70,10 @@ def test_a_word_that_is_near_is_suggested():
 def test_what_is_valid_is_stored_in_one_form():
     push = Push(np.float64(2.0), 5.0, [1, 2.5], np.inf, "target")
     assert push == Push(2.0, 5, (1, 2.5), np.inf, "target")
+    for windows in (np.array([1.0, 2.5]), [np.float64(1.0), np.float64(2.5)]):
+        stored = Push(windows_s=windows).windows_s
+        assert stored == (1.0, 2.5)
+        assert [*map(type, stored)] == [float, float]
     assert [type(push.rate_mps), type(push.epochs), type(push.windows_s)] == [float, int, tuple]
 
 

@@ -133,10 +133,8 @@ def test_identities_are_resolved_settings():
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"false_alarms_per_hour": 0}, "must be a finite number > 0, got 0; thresholds as"),
-        ({"false_alarms_per_hour": -1.0}, "must be a finite number > 0, got -1.0"),
-        ({"threshold_scale": 0.0}, "`threshold_scale` must be finite and > 0, got 0.0"),
-        ({"thresholds": "usual"}, "unknown choice of `thresholds` 'usual'; valid: calibrated, nom"),
+        ({"threshold_scale": 0.0}, "`scale` must be a number above 0 or None, got 0.0"),
+        ({"thresholds": "usual"}, "`thresholds` must be 'nominal', 'calibrated' or 'rescaled', go"),
         ({"thresholds": "rescaled", **RATE}, "'rescaled' is for detectors with a drift term"),
         ({"thresholds": "nominal", **RATE}, "asked for `thresholds` 'nominal' and for `false_ala"),
         ({"threshold_scale": 1.0, **RATE}, "a factor of your own, and for `false_alarms_per_hour`"),

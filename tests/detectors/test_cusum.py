@@ -52,10 +52,3 @@ def test_false_alarms_are_as_far_apart_as_stated():
 
 def test_the_default_promises_one_false_alarm_in_1e5_epochs_of_eight_satellites():
     assert run_length(0.5, 12.4) / 16.0 == pytest.approx(1e5, rel=0.05)
-
-
-def test_settings_are_checked_at_birth():
-    with pytest.raises(ValueError, match="`limit` must be finite and > 0, got -1"):
-        Cusum(limit=-1.0)
-    with pytest.raises(ValueError, match="`allowance` must be finite and > 0, got 0"):
-        Cusum(allowance=0.0)

@@ -81,11 +81,10 @@ def test_a_chart_that_only_watches_says_the_same_without_weights():
         np.testing.assert_array_equal(watches.alarm, defends.alarm)
 
 
-@pytest.mark.parametrize("epochs", [1, 4, 60])
-@pytest.mark.parametrize("smoothing", [0.1, 0.6])
+@pytest.mark.parametrize(("epochs", "smoothing"), [(1, 0.1), (4, 0.6), (30, 0.1)])
 def test_where_the_belief_is_right_alarms_are_as_rare_as_stated(epochs, smoothing):
     """At every epoch, from the first on: the threshold widens as the average does."""
-    receivers, alpha = 20_000, 0.01
+    receivers, alpha = 10_000, 0.01
     rng = np.random.default_rng(epochs)
     chart = Ewma(smoothing=smoothing, false_alarm=alpha, weight_scale=None)
     chart.bind(context(receivers, 1))
@@ -94,50 +93,3 @@ def test_where_the_belief_is_right_alarms_are_as_rare_as_stated(epochs, smoothin
         alarms = chart.judge(epoch(drawn(rng, S), S)).alarm
     low, high = scipy.stats.binom.ppf([1e-4, 1.0 - 1e-4], receivers, alpha)
     assert low <= alarms.sum() <= high
-
-
-def test_it_falls_below_the_threshold_when_it_says_it_will():
-    chart = Ewma(smoothing=0.1, false_alarm=1e-5, weight_scale=None)
-    chart.bind(context(1, 1))
-    S = np.diag([1.0, 1.0])[None]
-    offset = np.array([[20.0, 0.0]])
-    for _ in range(300):
-        verdict = chart.judge(epoch(offset, S))
-    assert verdict.statistic[0, 0] == pytest.approx(20.0, rel=1e-9)
-    settling = math.log(verdict.threshold[0, 0] / 20.0) / math.log(1.0 - chart.smoothing)
-    alarms = 0
-    while chart.judge(epoch(0.0 * offset, S)).alarm[0, 0]:
-        alarms += 1
-    assert alarms == math.floor(settling)
-
-
-def test_weights_forget_a_satellite_that_drifts_before_it_alarms():
-    chart = Ewma()
-    chart.bind(context(1, 2))
-    S = np.eye(4)[None]
-    seen = []
-    for k in range(200):
-        verdict = chart.judge(epoch(np.array([[0.02 * k, 0.0, 0.0, 0.0]]), S))
-        seen.append((verdict.weights[0, 0], verdict.alarm[0, 0]))
-        assert verdict.weights[0, 1] == 1.0
-        assert not verdict.alarm[0, 1]
-    weights, alarms = np.array(seen).T
-    assert (np.diff(weights) <= 0.0).all()
-    assert np.argmax(weights == 0.0) < np.argmax(alarms)
-    assert alarms[-1]
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"smoothing": 0.0}, r"`smoothing` must be in \(0, 1\], got 0.0"),
-        ({"smoothing": 1.1}, r"`smoothing` must be in \(0, 1\], got 1.1"),
-        ({"smoothing": math.nan}, r"`smoothing` must be in \(0, 1\], got nan"),
-        ({"false_alarm": 0.0}, "`false_alarm` must lie between 0 and 1"),
-        ({"weight_scale": 0.0}, r"`weight_scale` must be in \(0, 1\] or None, got 0.0"),
-        ({"weight_scale": 2.0}, r"`weight_scale` must be in \(0, 1\] or None, got 2.0"),
-    ],
-)
-def test_settings_are_checked_at_birth(settings, said):
-    with pytest.raises(ValueError, match=said):
-        Ewma(**settings)

@@ -1,7 +1,5 @@
 """The likelihood-ratio scans against regressions, their bound on false alarms, and biases."""
 
-import math
-
 import numpy as np
 import pytest
 import scipy.stats
@@ -105,36 +103,3 @@ def test_a_bias_is_no_change_and_a_change_is_found(kind):
     assert not alarms[:400].any()
     assert not alarms[:, [0, 2, 3, 4]].any()
     assert np.argmax(alarms[400:, 1]) in (range(8) if kind is GlrStep else range(10, 60))
-
-
-def test_rates_are_looked_at_where_they_are_asked_for():
-    rng = np.random.default_rng(3)
-    found = {}
-    for signals in ("pseudorange", "range_rate", "both"):
-        detector = GlrStep(signals=signals)
-        detector.bind(context(1, 2))
-        for k in range(200):
-            z = rng.standard_normal((1, 4))
-            z[0, 3] += 6.0 * (k >= 150)
-            alarm = detector.judge(epoch(z, np.eye(4)[None])).alarm
-        found[signals] = alarm[0].tolist()
-    assert found == {
-        "pseudorange": [False, False],
-        "range_rate": [False, True],
-        "both": [False, True],
-    }
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"false_alarm": 0.0}, "`false_alarm` must lie between 0 and 1"),
-        ({"window": 0}, "`window` must be 1 to 100000 epochs, got 0"),
-        ({"baseline": math.inf}, "`baseline` must be 1 to 100000 epochs, got inf"),
-        ({"signals": "code"}, "`signals` must be one of 'pseudorange', 'range_rate', 'both'"),
-    ],
-)
-def test_settings_are_checked_at_birth(settings, said):
-    for kind in (GlrStep, GlrRamp):
-        with pytest.raises(ValueError, match=said):
-            kind(**settings)

@@ -100,11 +100,3 @@ def test_a_bias_window_longer_than_the_run_never_judges(name):
     assert not verdict.alarm.any()
     assert not verdict.statistic.any()
     assert np.isfinite(verdict.threshold).all()
-
-
-@pytest.mark.parametrize("name", WITH_BIAS_WINDOW)
-def test_settings_are_checked_at_birth(name):
-    with pytest.raises(ValueError, match="`signals` must be one of 'pseudorange', 'range_rate', "):
-        make_detector({"name": name, "signals": "code"})
-    with pytest.raises(ValueError, match="`bias_window_s` must be finite and >= 0, got -1"):
-        make_detector({"name": name, "bias_window_s": -1.0})

@@ -1,7 +1,6 @@
 """Alarms by chance: drawn from the first epoch, at a constant hazard."""
 
 import numpy as np
-import pytest
 import scipy.stats
 
 from spoofgym.detectors import Lottery
@@ -64,9 +63,3 @@ def test_the_hazard_is_the_same_at_any_time():
         events = (alarms[start + 1 : end + 1] & ~alarms[start:end]).sum()
         test = scipy.stats.binomtest(int(events), int(at_risk), promised)
         assert test.pvalue > 0.01
-
-
-@pytest.mark.parametrize("wait", [0.0, -1.0, float("nan"), "long"])
-def test_a_waiting_time_is_a_positive_number(wait):
-    with pytest.raises((ValueError, TypeError), match="`mean_wait_s`"):
-        Lottery(wait)

@@ -38,6 +38,8 @@ def test_every_run_is_judged_by_the_detector_that_was_drawn():
         own = opponent == k
         np.testing.assert_array_equal(pooled.alarm[:, own], alone.alarm[:, own])
         np.testing.assert_array_equal(pooled.position[:, own], alone.position[:, own])
+    _, weighed = played({**POOL, "weights": [0.0, 1.0, 0.0]})
+    assert (weighed["opponent"] == 1).all()
     some, few = played(POOL, rows=[7, 2])
     np.testing.assert_array_equal(few["opponent"], opponent[[7, 2]])
     np.testing.assert_array_equal(some.position, pooled.position[:, [7, 2]])
@@ -81,11 +83,6 @@ def test_a_detector_knows_whom_it_judges_only_while_a_pool_asks():
     (judge, _) = simulator.detector.judges
     assert judge.judged_rows is None
     assert judge.detector.judged_rows is None
-
-
-def test_weights_decide_how_often():
-    _, memory = played({**POOL, "weights": [0.0, 1.0, 0.0]})
-    assert (memory["opponent"] == 1).all()
 
 
 def test_the_view_of_the_spoofer_meets_the_same_opponents():
@@ -143,8 +140,5 @@ def test_what_a_pool_has_in_common():
 def test_what_no_pool_is(settings, told):
     with pytest.raises(ValueError, match=told):
         make_detector({"name": "pool", **settings})
-
-
-def test_a_single_name_is_no_list():
     with pytest.raises(TypeError, match="`members` must be a list of detectors, got 'ewma'"):
         PooledDetector("ewma")

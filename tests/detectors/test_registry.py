@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
-from spoofgym.detectors import DETECTORS, Detector, Ewma, Never, make_detector
+from spoofgym.detectors import Ewma, Never, make_detector
 
 from .support import belief, context, epoch
-
-
-@pytest.mark.parametrize("name", DETECTORS)
-def test_every_name_makes_its_detector(name):
-    detector = make_detector(name)
-    assert type(detector) is DETECTORS[name]
-    assert isinstance(detector, Detector)
 
 
 def test_settings_and_copies():
@@ -22,8 +15,6 @@ def test_settings_and_copies():
     assert make_detector(mine) is not mine
     with pytest.raises(ValueError, match="detector 'ewma' has no setting 'lambda'; valid: smooth"):
         make_detector({"name": "ewma", "lambda": 0.1})
-    with pytest.raises(ValueError, match=r"`smoothing` must be in \(0, 1\], got 7"):
-        make_detector({"name": "ewma", "smoothing": 7})
 
 
 def test_without_a_defence_nothing_alarms():

@@ -34,9 +34,3 @@ def test_a_missing_fix_changes_nothing():
     assert alarm[:, 0].tolist() == [True, False, True, False, False]
     assert not statistic[[1, 3]].any()
     assert weight[:, 0].tolist() == [0.0, 1.0, 0.0, 1.0, 1.0]
-
-
-@pytest.mark.parametrize("name", ["limit_m", "readmission_m"])
-def test_settings_are_checked(name):
-    with pytest.raises(ValueError, match=f"`{name}` must be finite and > 0, got nan"):
-        Rio(**{name: np.nan})

@@ -37,21 +37,3 @@ def test_sums_and_degrees_are_those_of_the_epochs(window, signals, rows):
         d = np.maximum(np.sum(degrees[last], axis=0), 1)
         np.testing.assert_allclose(found.threshold[:, 0], scipy.stats.chi2.isf(0.01, d), rtol=1e-9)
         np.testing.assert_array_equal(found.alarm, found.statistic > found.threshold)
-
-
-def test_a_window_forgets_what_all_history_keeps():
-    S = np.tile(np.eye(2 * N), (1, 1, 1))
-    alarms = {}
-    for window_s in (None, 2.0):
-        detector = SequentialChi2(window_s=window_s)
-        detector.bind(context(1, N))
-        z = np.ones((1, 2 * N))
-        sizes = [1.0] * 5 + [30.0] + [1.0] * 10
-        alarms[window_s] = [bool(detector.judge(epoch(s * z, S)).alarm[0, 0]) for s in sizes]
-    assert alarms[None] == [False] * 5 + [True] * 11
-    assert alarms[2.0] == [False] * 5 + [True] * 4 + [False] * 7
-
-
-def test_settings_are_checked_at_birth():
-    with pytest.raises(ValueError, match="`window_s` must be finite and > 0, or None, got 0"):
-        SequentialChi2(window_s=0.0)

@@ -45,20 +45,3 @@ def test_it_weighs_pseudoranges_down_where_it_is_told_to():
     # full weight up to 1.25, none from 2.5 on
     want = [1.0, 1.25 / 1.8 * (0.7 / 1.25) ** 2, 0.0, *np.ones(2 * N - 3)]
     np.testing.assert_allclose(found.weights, np.tile(want, (B, 1)))
-
-
-def test_it_remembers_nothing():
-    rng = np.random.default_rng(1)
-    S = belief(rng, B, N)
-    z = drawn(rng, S)
-    chart = Shewhart()
-    chart.bind(context(B, N))
-    chart.judge(epoch(1e3 * z, S))
-    np.testing.assert_array_equal(chart.judge(epoch(z, S)).statistic, judged(z, S).statistic)
-
-
-def test_settings_are_checked_at_birth():
-    with pytest.raises(ValueError, match=r"`weight_scale` must be in \(0, 1\] or None, got 2"):
-        Shewhart(weight_scale=2.0)
-    with pytest.raises(ValueError, match="`false_alarm` must lie between 0 and 1"):
-        Shewhart(false_alarm=0.0)

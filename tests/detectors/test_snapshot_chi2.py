@@ -55,10 +55,3 @@ def test_where_the_belief_is_right_alarms_are_as_rare_as_stated(signals, alpha):
         alarms += detector.judge(epoch(drawn(rng, S), S, visible)).alarm.sum()
     low, high = scipy.stats.binom.ppf([1e-4, 1.0 - 1e-4], receivers * epochs, alpha)
     assert low <= alarms <= high
-
-
-def test_settings_are_checked_at_birth():
-    with pytest.raises(ValueError, match="`signals` must be one of 'pseudorange', 'range_rate', "):
-        SnapshotChi2(signals="code")
-    with pytest.raises(ValueError, match="`false_alarm` must lie between 0 and 1"):
-        SnapshotChi2(false_alarm=1.0)

@@ -1,7 +1,5 @@
 """Thresholds against scipy.stats, weights against their definition."""
 
-import math
-
 import numpy as np
 import pytest
 import scipy.stats
@@ -9,36 +7,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spoofgym.detectors.innovation import (
-    check_probability,
     chi2_thresholds,
     igg3_weight,
     two_sided_quantile,
 )
 
-PROBABILITIES = [1e-9, 1e-5, 1e-3, 0.05, 0.5, 0.999]
+PROBABILITIES = [1e-9, 1e-3, 0.5, 0.999]
 
 
 @pytest.mark.parametrize("alpha", PROBABILITIES)
-def test_the_two_sided_quantile_is_that_of_the_normal_distribution(alpha):
+def test_quantiles_are_those_of_the_distributions(alpha):
     z = two_sided_quantile(alpha)
     assert z == pytest.approx(scipy.stats.norm.isf(alpha / 2.0), rel=1e-12)
     assert 2.0 * scipy.stats.norm.sf(z) == pytest.approx(alpha, rel=1e-9)
-
-
-@pytest.mark.parametrize("alpha", PROBABILITIES)
-def test_chi_square_thresholds_are_those_of_the_distribution(alpha):
     thresholds = chi2_thresholds(alpha, 24)
     want = scipy.stats.chi2.isf(alpha, np.arange(1, 25))
     np.testing.assert_allclose(thresholds[1:], want, rtol=1e-9)
     assert thresholds[0] == thresholds[1]  # finite where there is nothing to exceed it
     assert (np.diff(thresholds[1:]) > 0.0).all()
-
-
-@pytest.mark.parametrize("value", [0.0, 1.0, -0.1, 2.0, math.nan])
-def test_a_probability_lies_between_0_and_1(value):
-    with pytest.raises(ValueError, match="`alpha` must lie between 0 and 1, both excluded, got"):
-        check_probability("alpha", value)
-    check_probability("alpha", 1e-300)
 
 
 @pytest.mark.nojit

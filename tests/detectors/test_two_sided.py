@@ -80,12 +80,9 @@ def test_without_satellites_nothing_is_too_small(kind):
         assert not verdict.statistic.any()
 
 
-def test_before_its_window_is_full_nothing_is_too_small():
+def test_a_window_is_full_and_its_covariance_known_before_anything_is_too_small():
     quiet = ratios(KINDS["windowed"](two_sided=True), 3, 12, 1e-3)
     assert not quiet[:9].any()
     assert (quiet[9:] > 1.0).all()
-
-
-def test_an_estimated_covariance_is_refused():
     with pytest.raises(ValueError, match="`two_sided` takes a known covariance, got `covariance`"):
         WindowedChi2(covariance="estimated", two_sided=True)

@@ -135,21 +135,6 @@ def test_where_the_belief_is_right_alarms_are_as_rare_as_stated(measures, window
     assert low <= alarms <= high
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"window": 0}, "`window` must be 1 to 100000 epochs, got 0"),
-        ({"covariance_window": -1}, "`covariance_window` must be 1 to 100000 epochs, got -1"),
-        ({"false_alarm": 1.0}, "`false_alarm` must lie between 0 and 1"),
-        ({"signals": "phase"}, "`signals` must be one of .* got 'phase'"),
-        ({"covariance": "guessed"}, "`covariance` must be one of .* got 'guessed'"),
-    ],
-)
-def test_settings_are_checked_at_birth(settings, message):
-    with pytest.raises(ValueError, match=message):
-        WindowedChi2(**settings)
-
-
 def test_what_the_receiver_cannot_give_is_refused():
     with pytest.raises(ValueError, match="`signals` must be 'both' for a receiver that measures"):
         WindowedChi2(signals="pseudorange").bind(position_context(1))

@@ -56,8 +56,15 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     r"python -m tools\.refits ": (None, "hours; tests/tools plays it small"),
     r"python -m tools\.task_cards ": (None, "hours; tests/tools plays it small"),
     r"python -m tools\.detector_cards ": (None, "over an hour; tests/tools plays it small"),
-    r"spoofgym bench --detector all ": (CAMPAIGN, "1000 runs against every detector"),
-    r"spoofgym bench --suite standard$": (CAMPAIGN, "searches against every detector"),
+    r"spoofgym bench --detector all ": (
+        f"--detector ewma {CAMPAIGN}",
+        "1000 runs against every detector",
+    ),
+    r"spoofgym bench --suite standard$": (
+        f"--detector ewma {CAMPAIGN}",
+        "searches against every detector, two minutes each",
+    ),
+    r"spoofgym calibrate ": ("--runs 2000", "20,000 runs of its world"),
     r"spoofgym bench --suite standard --detector my_detector": (CAMPAIGN, "ten minutes"),
     r"make bench$": (f'ARGS="{CAMPAIGN}"', "a quarter of an hour; a fresh checkout runs it"),
     r"python -m baselines\.papers all$": (None, "the five papers, which have a page each"),
@@ -65,6 +72,8 @@ SMALLER: dict[str, tuple[str | None, str]] = {
 }
 """How commands begin that would take more than some ten minutes or can't run here; with what
 options they run instead, None where they do not; and why."""
+SMALLER_CODE = {"calibrate(setup, [": "calibrate(setup, runs=2000, detectors=["}
+"""What stands in place of a part of a block of Python that would take as long."""
 SPAN = re.compile(r"(?<!`)`((?:spoofgym|python -m|make) [^`\n]* ?--[^`\n]*)`(?!`)")
 """A command within a sentence, with options: one without is the name of a program."""
 PLACEHOLDER = re.compile(r"\b(NAME|COMMIT|KEY)\b")
@@ -125,6 +134,13 @@ def form_of(command: str) -> str | None:
         if re.match(begin, plain):
             return None if options is None else with_options(command, options)
     return command
+
+
+def code_of(block: str) -> str:
+    """What is run of a block of Python."""
+    for part, smaller in SMALLER_CODE.items():
+        block = block.replace(part, smaller)
+    return block
 
 
 def with_options(command: str, options: str) -> str:

@@ -29,6 +29,8 @@ from .as_users import (
     PAGES,
     SHOWN,
     SMALLER,
+    SMALLER_CODE,
+    code_of,
     form_of,
     languages_of,
     name_of,
@@ -113,16 +115,17 @@ def checkout(folder: Path) -> dict[str, str]:
 def play(folder: Path, environment: dict[str, str], steps: list[tuple[str, str]]) -> None:
     """Run steps and print what they print and how long each takes, which `-rP` shows."""
     (folder / "steps.json").write_text(json.dumps(steps))
-    done = subprocess.run(
-        [sys.executable, "-c", PLAYER, str(folder / "steps.json")],
-        cwd=folder / "checkout",
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    print(done.stdout)
-    assert done.returncode == 0, done.stdout
+    printed = folder / "printed.txt"
+    with printed.open("w") as stream:
+        done = subprocess.run(
+            [sys.executable, "-c", PLAYER, str(folder / "steps.json")],
+            cwd=folder / "checkout",
+            env=environment,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+        )
+    print(printed.read_text())
+    assert done.returncode == 0, printed.read_text()
 
 
 @pytest.mark.nightly
@@ -130,7 +133,7 @@ def play(folder: Path, environment: dict[str, str], steps: list[tuple[str, str]]
 def test_everything_on_a_page_runs(name, tmp_path, request):
     environment, steps = checkout(tmp_path), []
     for step in STEPS[name]:
-        text = form_of(step.text) if step.kind == "command" else step.text
+        text = form_of(step.text) if step.kind == "command" else code_of(step.text)
         if text is not None and step.needs not in NEEDS:
             steps.append((step.kind, text))
     for file, source in FLOWN.items():
@@ -172,6 +175,8 @@ def test_what_is_declared_is_on_the_pages():
     ]
     for begin in SMALLER:
         assert any(re.match(begin, command) for command in commands), begin
+    for part in SMALLER_CODE:
+        assert any(part in step.text for steps in STEPS.values() for step in steps), part
     needs = {step.needs for steps in STEPS.values() for step in steps}
     assert {*NEEDS} <= needs
     assert {*SHOWN} <= set().union(*map(languages_of, PAGES))

@@ -1,7 +1,5 @@
 """The page on limits: its code runs, its figures are those of the package, its list is complete."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -10,7 +8,7 @@ from spoofgym.detectors import DETECTORS, SolutionSeparation
 from spoofgym.limits import deflection_for
 from spoofgym.limits.no_alarm import check_convex
 
-from .pages import blocks_of, broken_links, run, text_of
+from .pages import blocks_of, run, text_of
 
 PAGE = "limits.md"
 KINDS = {
@@ -60,7 +58,3 @@ def test_every_detector_is_in_the_row_that_it_belongs_to():
     rows = re.findall(r"^\| (exact|upper|none: \w+) \| (.*?) \|", text_of(PAGE), re.MULTILINE)
     said = {name: kind for kind, names in rows for name in re.findall(r"`([\w-]+)`", names)}
     assert said == {name: kind_of(name) for name in DETECTORS}
-
-
-def test_links_lead_somewhere():
-    assert broken_links(PAGE) == []

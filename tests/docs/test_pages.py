@@ -1,7 +1,5 @@
 """What all pages of the docs name exists: modules and what is in them, and other pages."""
 
-from __future__ import annotations
-
 import pkgutil
 import re
 import shlex
@@ -25,13 +23,9 @@ INVENTED = {"spoofgym.detectors.your_name"}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_a_dotted_name_on_a_page_exists(page):
+def test_a_dotted_name_on_a_page_exists_and_its_links_lead_somewhere(page):
     for name in sorted(set(NAME.findall(page.read_text())) - INVENTED):
         assert pkgutil.resolve_name(name) is not None, name
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_a_link_on_a_page_leads_somewhere(page):
     targets = re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text())
     assert [target for target in targets if not (page.parent / target).exists()] == []
 
@@ -57,13 +51,11 @@ def my_detector(monkeypatch):
 COMMANDS = [(page, line) for page in PAGES for line in commands_of(page)]
 
 
-def test_there_are_commands_on_the_pages():
-    assert len(COMMANDS) > 15
+IDS = [f"{page.name}-{k}" for k, (page, _) in enumerate(COMMANDS)]
+assert len(COMMANDS) > 15
 
 
-@pytest.mark.parametrize(
-    ("page", "line"), COMMANDS, ids=[f"{page.name}-{k}" for k, (page, _) in enumerate(COMMANDS)]
-)
+@pytest.mark.parametrize(("page", "line"), COMMANDS, ids=IDS)
 def test_a_command_on_a_page_is_understood(page, line, my_detector):
     """Its options exist and take these values; its scenario and detectors do, too."""
     words = shlex.split(line, comments=True)[1:]

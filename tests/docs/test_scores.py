@@ -1,7 +1,5 @@
 """The page on scores shows what is kept of the three worlds, and the file is as it was made."""
 
-from __future__ import annotations
-
 import itertools
 import json
 
@@ -12,7 +10,7 @@ from spoofgym.core.settings import digest_of
 from tools.headlines import BEGIN, END, KEPT, SPOOFERS, WORLDS, shown
 from tools.pages import part_between
 
-from .pages import broken_links, text_of
+from .pages import text_of
 
 PAGE = "scores.md"
 
@@ -24,9 +22,6 @@ def kept():
 
 def test_the_tables_are_those_of_the_file(kept):
     assert part_between(text_of(PAGE), BEGIN, END) == f"\n{shown(kept)}"
-
-
-def test_the_digest_is_that_of_the_worlds(kept):
     assert kept["digest"] == digest_of(kept["worlds"])
 
 
@@ -87,7 +82,3 @@ def test_chance_is_worth_nothing(kept, name):
     for row in rows:
         low, high = row["difference_m"]["low"], row["difference_m"]["high"]
         assert low <= 0.0 <= high, row
-
-
-def test_links_lead_somewhere():
-    assert broken_links(PAGE) == []

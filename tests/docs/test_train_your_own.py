@@ -1,113 +1,88 @@
 """The page on training one's own spoofer: its commands and its code run, with small settings."""
 
-from __future__ import annotations
-
-import json
-import os
 import re
 import shlex
-import subprocess
 import sys
 import types
-from pathlib import Path
+from dataclasses import fields
 
 import pytest
 
+# ruff: noqa: E402 - the packages of the laboratory may be missing
 torch = pytest.importorskip("torch")
 for name in ("stable_baselines3", "onnxscript", "tyro", "tensorboard", "cmaes"):
     pytest.importorskip(name)
 
+from agents import curve
+from spoofgym import cli
+from spoofgym.calibration import thresholds
+from train import ppo_spoofer
+
+from .pages import blocks_of, run, text_of
+
 # as users have it
 pytestmark = pytest.mark.usefixtures("default_rate")
-ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "train_your_own.md").read_text()
-CODE = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
-COMMANDS = [
-    line
-    for block in re.findall(r"```console\n(.*?)```", PAGE, flags=re.DOTALL)
-    for line in block.splitlines()
-]
+NAME = "train_your_own.md"
+PAGE = text_of(NAME)
+COMMANDS = "\n".join(re.findall(r"```console\n(.*?)```", PAGE, flags=re.DOTALL)).split("\n")
+PROGRAMS = {
+    "make": ppo_spoofer.main,  # train
+    "train.ppo_spoofer": ppo_spoofer.main,
+    "agents.curve": curve.app,
+    "spoofgym": cli.main,
+}
 SMALL = {
-    "train.ppo_spoofer": "--steps 200 --num-envs 4 --batch-size 400 --stages 1 --fit-runs 80 "
-    "--runs 20 --threads 1 --rivals",
+    "make": "--steps 200 --num-envs 4 --batch-size 400 --stages 1 --fit-runs 80 --runs 20 "
+    "--threads 1 --rivals",
     "bench": "--seeds 4 --training-seeds 60",
 }
-"""What is appended to a command; the last of an option counts."""
-IN_ONE_PROCESS = """
-import json, runpy, sys
-from spoofgym.calibration import thresholds
-
-thresholds.PASSIVE_RUNS = 3000
-for words in json.load(sys.stdin):
-    sys.argv = words
-    try:
-        runpy.run_module(words[0], run_name="__main__", alter_sys=True)
-    except SystemExit as end:
-        if end.code:
-            sys.exit(f"{' '.join(words)}: {end.code}")
-"""
-"""Runs modules as ``python -m`` does; libraries are loaded once, which takes longest."""
+"""What is appended to a command, and taken from it before."""
 
 
-def words_of(line: str) -> list[str]:
-    """Module of a command of the page and its arguments, with small settings."""
-    words = shlex.split(line)
-    if words[:2] == ["make", "train"]:
-        given = shlex.split(words[2].removeprefix("ARGS="))
-        words = [".venv/bin/python", "-m", "train.ppo_spoofer", *given]
-    if words[0] == ".venv/bin/spoofgym":
-        words[:1] = [".venv/bin/python", "-m", "spoofgym"]
-    assert words[:2] == [".venv/bin/python", "-m"], line
-    small = shlex.split(SMALL.get(words[2], SMALL.get(words[3], "")))
-    flags = [word for word in words if word.startswith("--") and word in small]
-    for flag in flags:  # typer would take the last one of two; tyro refuses two
+def words_of(line):
+    """Program of a command of the page and its arguments, with small settings."""
+    program, *words = shlex.split(line.removeprefix(".venv/bin/").removeprefix("python -m "))
+    if program == "make":
+        assert words[0] == "train"
+        words = shlex.split(words[1].removeprefix("ARGS="))
+    small = shlex.split(SMALL.get(program, SMALL.get(words[0], "")))
+    for flag in {word for word in words if word.startswith("--")} & {*small}:
         at = words.index(flag)
         del words[at : at + 2]
-    return [*words[2:], *small]
+    return [program, *words, *small]
 
 
 @pytest.mark.slow
-def test_the_commands_run_in_their_order(tmp_path):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    commands = [words_of(line) for line in COMMANDS]
-    done = subprocess.run(
-        [sys.executable, "-c", IN_ONE_PROCESS],
-        input=json.dumps(commands),
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=3600,
-    )
-    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+def test_the_commands_run_in_their_order(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(thresholds, "PASSIVE_RUNS", 3000)
+    threads = torch.get_num_threads()
+    for line in filter(None, COMMANDS):
+        words = words_of(line)
+        monkeypatch.setattr(sys, "argv", words)
+        try:
+            PROGRAMS[words[0]]()
+        except SystemExit as end:
+            if end.code:
+                pytest.fail(f"{line}: {end.code} {capsys.readouterr()}")
+    torch.set_num_threads(threads)
     folder = tmp_path / "runs" / "my-first"
-    for name in (
-        "my-first.onnx",
-        "my-first.json",
-        "results.json",
-        "curve.png",
-        "seed.png",
-        "attack.png",
-    ):
-        assert (folder / name).exists(), name
+    written = {path.name for path in folder.iterdir()}
+    assert {"my-first.onnx", "my-first.json", "results.json"} <= written
+    assert {"curve.png", "seed.png", "attack.png"} <= written
     assert "my-first" in (folder / "bench" / "results.md").read_text()
 
 
-@pytest.mark.parametrize("number", range(len(CODE)))
+@pytest.mark.parametrize("number", range(len(blocks_of(NAME))))
 def test_every_block_of_code_runs(number, monkeypatch):
-    threads = torch.get_num_threads()
     module = types.ModuleType("page")
     monkeypatch.setitem(sys.modules, "page", module)  # pickle looks classes up
-    exec(compile(CODE[number], f"train_your_own.md block {number}", "exec"), module.__dict__)
-    torch.set_num_threads(threads)
+    run(blocks_of(NAME)[number][1], f"{NAME} block {number}", module.__dict__)
 
 
 def test_every_setting_of_the_table_exists():
-    from dataclasses import fields
-
-    from train.ppo_spoofer import Arguments
-
-    known = {f"--{field.name.replace('_', '-')}" for field in fields(Arguments)}
+    known = {f"--{field.name.replace('_', '-')}" for field in fields(ppo_spoofer.Arguments)}
     for row in re.findall(r"^\| `--.*$", PAGE, flags=re.MULTILINE):
         named = re.findall(r"`(--[a-z-]+)`", row.split("|")[1])
         assert named

@@ -7,7 +7,7 @@ import pytest
 
 from spoofgym import duel_v0
 
-from .support import ALARM, PAPERS, QUIET, SHORT, aec, parallel, wary
+from .support import ALARM, PAPERS, QUIET, SHORT, aec, aec_epochs, parallel, parallel_epochs, wary
 
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 EVERY = 3
@@ -20,10 +20,7 @@ SLOW = {
 }
 QUICK = {**SLOW, "decision_interval_s": None}
 EPOCHS, HOLD = 30, 4
-
-
-def pushes(count):
-    return np.random.default_rng(7).uniform(-1.0, 1.0, (count, 2))
+DECISIONS = np.random.default_rng(7).uniform(-1.0, 1.0, ((EPOCHS + HOLD) // EVERY + 1, 2))
 
 
 def trusting(k):
@@ -42,37 +39,19 @@ def commands(decisions, between):
     return np.array(found)
 
 
-def aec_epochs(duel, seed, push_of):
-    """Whose turns there were, displacements by epoch, and rewards of the spoofer at its turns."""
-    turns, own, paid, last = [], [], [], {}
-    duel.reset(seed=seed)
-    for name in duel.agent_iter():
-        _, reward, over, _, _ = duel.last()
-        if name == "spoofer_0":
-            paid.append(reward)
-        if over:
-            duel.step(None)
-            continue
-        turns.append(name)
-        if name == "spoofer_0":
-            duel.step(push_of(len(own)))
-        else:
-            duel.step(trusting(len(own)))
-            last = duel.infos["spoofer_0"]
-            own.append(last["displacement_m"])
-    return turns, np.array(own), np.array(paid[1:]), last
+def by_epoch(k, observation):
+    return trusting(k)
 
 
 @pytest.mark.parametrize("between", ["hold", "linear"])
 def test_in_the_aec_form_the_detector_has_the_turns_between(between):
-    decisions = pushes((EPOCHS + HOLD) // EVERY + 1)
-    given = commands(decisions, between)
+    given = commands(DECISIONS, between)
     turns, own, paid, last = aec_epochs(
-        aec(**SLOW, between=between), 4, lambda epoch: decisions[epoch // EVERY]
+        aec(**SLOW, between=between), 4, lambda epoch: DECISIONS[epoch // EVERY], by_epoch
     )
-    _, expected, each, same = aec_epochs(aec(**QUICK), 4, lambda epoch: given[epoch])
+    _, expected, each, same = aec_epochs(aec(**QUICK), 4, lambda epoch: given[epoch], by_epoch)
     cycle = ["spoofer_0", *["detector_0"] * EVERY]
-    assert turns == (cycle * (len(decisions)))[: len(turns)]
+    assert turns == (cycle * (len(DECISIONS)))[: len(turns)]
     assert turns.count("detector_0") == EPOCHS + HOLD
     if between == "hold":
         np.testing.assert_array_equal(own, expected)
@@ -98,50 +77,31 @@ def test_an_alarm_between_two_decisions_ends_the_episode():
     assert not duel.agents
 
 
-def parallel_epochs(duel, seed, push_of):
-    own, due = [], []
-    _, infos = duel.reset(seed=seed)
-    while duel.agents:
-        due.append(infos["spoofer_0"].get("decides"))
-        actions = {"spoofer_0": push_of(len(own)), "detector_0": trusting(len(own))}
-        *_, infos = duel.step(actions)
-        own.append(infos["spoofer_0"]["displacement_m"])
-    return np.array(own), due
-
-
 def test_in_the_parallel_form_actions_between_are_not_looked_at():
-    decisions = pushes((EPOCHS + HOLD) // EVERY + 1)
     noise = np.random.default_rng(1)
 
     def push(epoch):
-        return noise.uniform(-1.0, 1.0, 2) if epoch % EVERY else decisions[epoch // EVERY]
+        return noise.uniform(-1.0, 1.0, 2) if epoch % EVERY else DECISIONS[epoch // EVERY]
 
-    own, due = parallel_epochs(parallel(**SLOW), 4, push)
-    expected, never = parallel_epochs(parallel(**QUICK), 4, lambda k: decisions[k // EVERY])
+    due, own, *_ = parallel_epochs(parallel(**SLOW), 4, push, by_epoch)
+    never, expected, *_ = parallel_epochs(
+        parallel(**QUICK), 4, lambda k: DECISIONS[k // EVERY], by_epoch
+    )
     np.testing.assert_array_equal(own, expected)
     assert due == [k % EVERY == 0 for k in range(EPOCHS + HOLD)]
     assert set(never) == {None}
 
 
-@pytest.mark.parametrize("delay", [0, 1])
-@pytest.mark.parametrize("between", ["hold", "linear"])
+@pytest.mark.parametrize(("delay", "between"), [(0, "linear"), (1, "hold")])
 def test_the_spoofers_view_is_the_same_game_with_a_step_a_decision(delay, between):
     policy = duel_v0.FunctionPolicy(wary)
     opponent = duel_v0.PolicyDetector(policy=policy, threshold=0.2, decision_delay=delay)
-    view = duel_v0.SpooferView(
-        opponent,
-        **PAPERS,
-        timeline=SHORT,
-        attack=STRONG,
-        action="full-command",
-        decision_interval_s=1.5,
-        between=between,
-    )
-    settings = {**SLOW, "threshold": 0.2, "between": between}
-    duel = (parallel if delay else aec)(**settings)
-    detected = set()
+    world = {**PAPERS, "attack": STRONG, "decision_interval_s": 1.5, "between": between}
+    view = duel_v0.SpooferView(opponent, timeline=SHORT, action="full-command", **world)
+    duel = (parallel if delay else aec)(**{**SLOW, **world, "threshold": 0.2})
+    run, detected = parallel_epochs if delay else aec_epochs, set()
     for size in (0.002, 0.8):
-        decisions = size * np.abs(pushes(12))
+        decisions = size * np.abs(DECISIONS)
         view.reset(seed=3)
         over, expected, total = False, [], 0.0
         while not over:
@@ -149,40 +109,14 @@ def test_the_spoofers_view_is_the_same_game_with_a_step_a_decision(delay, betwee
             total += reward
             expected.append(info["displacement_m"])
         detected.add(info["detected"])
-        own, last = wary_run(duel, delay, decisions)
+        _, own, _, last = run(
+            duel, 3, lambda k, d=decisions: d[k // EVERY], lambda k, seen: wary(seen[None])[0]
+        )
         ends = own[EVERY - 1 :: EVERY][: len(expected)]
         np.testing.assert_array_equal(ends, expected[: len(ends)])
         assert last["undetected_displacement_m"] == info["undetected_displacement_m"]
         assert total == pytest.approx(last["undetected_displacement_m"])
     assert detected == {False, True}
-
-
-def wary_run(duel, delay, decisions):
-    """Displacements of the epochs of a duel against a wary detector."""
-    own, last = [], {}
-    if delay:
-        observations, _ = duel.reset(seed=3)
-        while duel.agents:
-            actions = {
-                "spoofer_0": decisions[len(own) // EVERY],
-                "detector_0": wary(observations["detector_0"][None])[0],
-            }
-            observations, *_, infos = duel.step(actions)
-            last = infos["spoofer_0"]
-            own.append(last["displacement_m"])
-        return own, last
-    duel.reset(seed=3)
-    for name in duel.agent_iter():
-        observation, _, over, _, _ = duel.last()
-        if over:
-            duel.step(None)
-        elif name == "spoofer_0":
-            duel.step(decisions[len(own) // EVERY])
-        else:
-            duel.step(wary(observation[None])[0])
-            last = duel.infos["spoofer_0"]
-            own.append(last["displacement_m"])
-    return own, last
 
 
 @pytest.mark.parametrize("delay", [0, 1])
@@ -239,11 +173,10 @@ def test_a_duel_that_is_pickled_between_two_decisions_goes_on_identically():
     assert duel.infos == copy.infos
 
 
-def test_a_calibration_holds_however_often_a_spoofer_decides(tmp_path):
+def test_a_calibration_holds_however_often_a_spoofer_decides():
     settings = {**PAPERS, "false_alarm": 0.5, "runs": 2, "timeline": SHORT}
     policy = duel_v0.FunctionPolicy(wary, "wary")
-    quick = duel_v0.calibrate(policy, **settings, store=tmp_path / "quick")
-    slow = duel_v0.calibrate(policy, **settings, store=tmp_path / "slow", decision_interval_s=1.5)
-    # nobody attacks in a clean episode, however seldom
-    assert (slow.threshold, slow.threshold_low) == (quick.threshold, quick.threshold_low)
-    assert slow.settings == quick.settings
+    quick = duel_v0.calibrate(policy, **settings)
+    slow = duel_v0.calibrate(policy, **settings, decision_interval_s=1.5)
+    # a clean episode has no attack, however seldom it is commanded
+    assert slow == quick

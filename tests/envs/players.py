@@ -135,12 +135,14 @@ class Player:
         self.rows: list[list[dict[str, Any]]] = [[] for _ in range(self.count)]
         self.told = [0] * self.count
         self.steps = np.zeros(self.count, dtype=int)
-        self.over = np.zeros(self.count, dtype=bool)
+        self.due, self.over = np.zeros_like(self.steps), np.zeros(self.count, dtype=bool)
+        kinds = {"single": self._single, "SB3": self._adapted}
+        self.advance = self._vector if form in MODES else kinds.get(form, self._duel)
 
     def begin(self, seed: int) -> Player:
         """Start the first episode of a seed."""
         self.rows, self.told = [[] for _ in range(self.count)], [0] * self.count
-        self.steps[:], self.over[:] = 0, False
+        self.steps[:], self.due[:], self.over[:] = 0, 0, False
         if self.form == "single":
             self._start(0, *self.env.reset(seed=seed))
         elif self.form in MODES:
@@ -157,24 +159,9 @@ class Player:
 
     def go(self, steps: int) -> list[list[dict[str, Any]]]:
         """Run so many steps of every receiver; these, and what has started before and between."""
-        due = (
-            np.array(
-                [
-                    sum("reward" in each for each in row[:end])
-                    for row, end in zip(self.rows, self.told, strict=True)
-                ]
-            )
-            + steps
-        )
-        while (self.steps < due).any():
-            if self.form == "single":
-                self._single()
-            elif self.form in MODES:
-                self._vector()
-            elif self.form == "SB3":
-                self._adapted()
-            else:
-                self._duel()
+        self.due += steps
+        while (self.steps < self.due).any():
+            self.advance()
         found = []
         for i, row in enumerate(self.rows):
             left, end = steps, self.told[i]

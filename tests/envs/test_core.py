@@ -1,18 +1,13 @@
-"""Rewards, ends and warm-up of every victim."""
-
-import dataclasses
+"""Rewards, ends and warm-up of every victim, and what an alarm costs."""
 
 import numpy as np
 import pytest
 
-from spoofgym.detectors import Never
-from spoofgym.envs import SpoofCore
+from spoofgym.detectors import Never, Verdict
 from spoofgym.envs.core import ALARM_PRICE
-from spoofgym.envs.terms.observation import OwnCommand, Time
 from spoofgym.envs.terms.reward import DisplacementGain
-from spoofgym.simulation import Engine, TightlyCoupledSetup
 
-from .support import HOLD, LIVE, SHORT, STEPS, VICTIMS, AlarmAt, single, victim, victims
+from .support import HOLD, LIVE, SMALL, STEPS, VICTIMS, AlarmAt, victim
 
 
 @pytest.fixture(params=VICTIMS)
@@ -43,36 +38,22 @@ def play(kind, detector, **kwargs):
     return np.array(displacement), np.array(reward), infos
 
 
-def test_without_alarm_the_return_is_the_largest_displacement(kind):
-    displacement, reward, infos = play(kind, Never())
-    assert len(reward) == STEPS
-    assert sum(reward) == pytest.approx(displacement.max())
-    assert infos[-1]["undetected_displacement_m"] == pytest.approx(displacement.max())
-    assert not infos[-1]["detected"]
+EDGES = [1, HOLD, HOLD + 1, HOLD + 2, STEPS, STEPS + 1, STEPS + HOLD, STEPS + HOLD + 1]
+"""Epochs of an alarm: with all taken back, a part, and after the last command; then too late."""
 
 
-@pytest.mark.parametrize("at", [1, 5, HOLD, HOLD + 1, HOLD + 2, 20, STEPS])
+@pytest.mark.parametrize(
+    ("kind", "at"),
+    [*(("TightlyCoupled", at) for at in EDGES), *((kind, at) for kind in SMALL for at in (20, 44))],
+)
 def test_an_alarm_takes_back_the_time_to_alert(kind, at):
     displacement, reward, infos = play(kind, AlarmAt(LIVE + at))
-    assert len(reward) == at
+    detected = at <= STEPS + HOLD
+    assert len(reward) == min(at, STEPS)
     kept = displacement[: max(at - HOLD - 1, 0) + 1].max()
-    assert sum(reward) == pytest.approx(kept - price_of(kind))
+    assert sum(reward) == pytest.approx(kept - detected * price_of(kind))
     assert infos[-1]["undetected_displacement_m"] == pytest.approx(kept)
-    assert infos[-1]["detected"]
-
-
-@pytest.mark.parametrize("late", [1, 4, HOLD])
-def test_an_alarm_after_the_last_command_still_counts(kind, late):
-    displacement, reward, infos = play(kind, AlarmAt(LIVE + STEPS + late))
-    assert len(reward) == STEPS
-    kept = displacement[: STEPS + late - HOLD].max()
-    assert sum(reward) == pytest.approx(kept - price_of(kind))
-    assert infos[-1]["alarm"]
-
-
-def test_an_alarm_after_the_time_to_alert_comes_too_late(kind):
-    displacement, reward, _ = play(kind, AlarmAt(LIVE + STEPS + HOLD + 1))
-    assert sum(reward) == pytest.approx(displacement.max())
+    assert infos[-1]["detected"] == infos[-1]["alarm"] == detected
 
 
 def test_without_end_at_alarm_the_rest_is_without_reward(kind):
@@ -84,9 +65,8 @@ def test_without_end_at_alarm_the_rest_is_without_reward(kind):
     assert all(info["detected"] for info in infos[14:])
 
 
-@pytest.mark.parametrize("at", [1, LIVE])
-def test_an_alarm_in_the_warmup_is_latched_and_does_not_end_anything(kind, at):
-    env = victim(kind, detector=AlarmAt(at)).unwrapped
+def test_an_alarm_in_the_warmup_is_latched_and_does_not_end_anything(kind):
+    env = victim(kind, detector=AlarmAt(LIVE if kind in SMALL[:2] else 1)).unwrapped
     _, info = env.reset(seed=1)
     assert info["warmup_alarm"]
     assert info["time_s"] == pytest.approx(2 * LIVE * VICTIMS[kind])
@@ -96,6 +76,16 @@ def test_an_alarm_in_the_warmup_is_latched_and_does_not_end_anything(kind, at):
     assert not terminated
 
 
+def test_own_reward_terms_and_a_price_of_an_alarm():
+    *_, infos = play("Snapshot", AlarmAt(LIVE + 3), alarm_price=2.5, length_m=10.0)
+    assert infos[-1]["reward_alarm"] == -25.0
+    env = victim("Snapshot", reward=[DisplacementGain(per_m=2.0)], detector=Never())
+    env.reset(seed=1)
+    _, reward, _, _, info = env.step(np.full(env.action_space.shape, 0.5))
+    assert reward == info["reward_displacement"]
+    assert not any(name in info for name in ("reward_retraction", "reward_alarm"))
+
+
 def test_the_target_direction_counts(kind):
     east = play(kind, Never(), target_heading_deg=90.0)[0]
     west = play(kind, Never(), target_heading_deg=270.0)[0]
@@ -103,84 +93,74 @@ def test_the_target_direction_counts(kind):
     assert east[-1] > 1.0
 
 
-def test_own_reward_terms_and_a_price_of_an_alarm(kind):
-    *_, infos = play(kind, AlarmAt(LIVE + 3), alarm_price=2.5, length_m=10.0)
-    assert infos[-1]["reward_alarm"] == -25.0
-    env = victim(kind, reward=[DisplacementGain(per_m=2.0)], detector=Never())
+# --- with a clean twin an alarm costs only where that one has not alarmed so far ---------------
+
+
+class AlarmOfMoved(AlarmAt):
+    """Alarms at one epoch for every receiver, at an earlier one for those that are spoofed."""
+
+    def __init__(self, epoch: int, moved: int) -> None:
+        super().__init__(epoch)
+        self.moved = moved
+
+    def judge(self, epoch) -> Verdict:
+        verdict = super().judge(epoch)
+        innovation = np.abs(epoch.innovation).max(axis=1, keepdims=True)
+        hit = (self.memory["seen"][:, None] == self.moved) & (innovation > 30.0)
+        alarm = verdict.alarm | hit
+        return verdict._replace(statistic=alarm * 2.0, alarm=alarm)
+
+
+PUSH = {"name": "false-position", "acceleration_limit_mps2": 50.0, "rate_limit_mps": 500.0}
+
+
+def play_twins(detector, **settings):
+    env = victim("TightlyCoupled", detector=detector, twin=True, attack=PUSH, **settings)
     env.reset(seed=1)
-    _, reward, _, _, info = env.step(np.full(env.action_space.shape, 0.5))
-    assert reward == info["reward_displacement"]
-    assert not any(name in info for name in ("reward_retraction", "reward_alarm"))
+    infos, total, over = [], 0.0, False
+    while not over:
+        _, reward, over, _, info = env.step(np.array([0.0, 1.0]))
+        infos.append(info)
+        total += reward
+    return infos, total
 
 
-def test_a_receiver_that_starts_again_leaves_the_others_alone(kind):
-    def played(restarted):
-        core = victims(kind, 3, knowledge="oracle", detector=Never()).core
-        core.reset([np.random.default_rng(i) for i in range(3)])
-        action, seen = np.full((3, len(core.action_names)), 0.3), []
-        for k in range(12):
-            if restarted and k == 6:
-                core.reset([np.random.default_rng(7)], np.array([1]))
-            seen.append(core.step(action)[0].info["displacement_m"])
-        return np.array(seen), core.score.step_count, core.observe()
-
-    plain, mixed = played(False), played(True)
-    np.testing.assert_array_equal(plain[0][:, [0, 2]], mixed[0][:, [0, 2]])
-    np.testing.assert_array_equal(plain[2][[0, 2]], mixed[2][[0, 2]])
-    assert not np.array_equal(plain[0][6:, 1], mixed[0][6:, 1])
-    assert mixed[1].tolist() == [12, 6, 12]
-    # the restarted one is a receiver of that generator from its start on
-    own = victim(kind, knowledge="oracle", detector=Never()).unwrapped.core
-    own.reset([np.random.default_rng(7)])
-    for k in range(6):
-        result, _ = own.step(np.full((1, len(own.action_names)), 0.3))
-        assert result.info["displacement_m"] == mixed[0][6 + k, 1]
+@pytest.mark.parametrize("at", [5, STEPS + 3])
+def test_an_alarm_of_both_is_chance(at):
+    infos, total = play_twins(AlarmAt(LIVE + at))
+    assert infos[-1]["detected"]
+    assert infos[-1]["twin_alarm"]
+    assert sum(info["cost"] for info in infos) == 0.0
+    assert total == pytest.approx(infos[-1]["undetected_displacement_m"])
 
 
-def test_knowledge_only_grows():
-    names = [
-        single(knowledge=k).unwrapped.observation_names for k in ("blind", "tracking", "oracle")
-    ]
-    assert set(names[0]) < set(names[1]) < set(names[2])
-    assert all(name.startswith(("own_", "time_")) for name in names[0])
-    assert not any("statistic" in name or "error" in name for name in names[1])
+def test_an_alarm_before_that_of_the_twin_is_paid():
+    infos, total = play_twins(AlarmOfMoved(LIVE + 15, LIVE + 9))
+    assert len(infos) == 9
+    assert not infos[-1]["twin_alarm"]
+    assert infos[-1]["cost"] == 1.0
+    price = ALARM_PRICE * 40.0
+    assert infos[-1]["reward_alarm"] == -price
+    assert total == pytest.approx(infos[-1]["undetected_displacement_m"] - price)
 
 
-def test_an_own_list_of_terms():
-    env = single(observation=(Time(), OwnCommand(scale_m=1.0))).unwrapped
-    assert env.observation_names[0] == "time_since_onset"
-    with pytest.raises(ValueError, match="two terms write the same"):
-        single(observation=(Time(), Time()))
+def test_an_alarm_in_the_time_to_alert_before_the_twins_is_paid():
+    infos, _ = play_twins(AlarmOfMoved(LIVE + STEPS + HOLD - 1, LIVE + STEPS + 2))
+    assert len(infos) == STEPS
+    assert infos[-1]["detected"]
+    assert infos[-1]["cost"] == 1.0
+    assert not infos[-1]["twin_alarm"]
 
 
-def test_fewer_than_four_satellites_coast_and_say_so():
-    """Satellites that sink after the first fix: the receiver coasts, and the detector is quiet."""
-    setup = TightlyCoupledSetup(timeline=SHORT, detector="ewma")
-    visible, satellites = setup.world.visible.copy(), setup.world.satellites.copy()
-    visible[45:60, 3:] = False
-    satellites[45:60, 3:, 6:] = 0.0
-    setup.world = dataclasses.replace(setup.world, visible=visible, satellites=satellites)
-    core = SpoofCore(2, setup, action="full-command")
-    core.reset([np.random.default_rng(i) for i in range(2)])
-    buffers = core.engine.simulator.buffers
-    before = np.sqrt(buffers.covariance[:, 6, 6])
-    coasting, spread = [], []
-    for _ in range(25):
-        result, observation = core.step(np.zeros((2, 2)))
-        coasting.append(result.info["coasting"])
-        spread.append(np.sqrt(buffers.covariance[:, 6, 6]))
-    coasting, spread = np.array(coasting), np.array(spread)
-    assert not coasting[:4].any()
-    assert coasting[4:19].all()
-    assert not coasting[19:].any()
-    assert (np.diff(spread[5:19], axis=0) > 0.0).all()
-    assert (spread[-1] < 2.0 * before).all()
-    assert np.isfinite(observation).all()
+def test_a_twins_alarm_is_remembered_for_the_episode():
+    infos, _ = play_twins(AlarmAt(LIVE + 5), end_at_alarm=False)
+    said = [info["twin_alarm"] for info in infos]
+    assert said == [False] * 4 + [True] * (STEPS - 4)
 
 
-def test_receivers_and_threads_are_checked():
-    setup = TightlyCoupledSetup(timeline=SHORT)
-    with pytest.raises(ValueError, match="`receivers` must be at least 1, got 0"):
-        Engine(0, setup)
-    with pytest.raises(ValueError, match="`threads` must be at least 1, got 0"):
-        Engine(1, setup, threads=0)
+def test_without_a_twin_every_first_alarm_costs():
+    env = victim("TightlyCoupled", detector=AlarmAt(LIVE + 5))
+    env.reset(seed=1)
+    infos = [env.step(np.zeros(2))[4] for _ in range(5)]
+    assert [info["cost"] for info in infos] == [0.0] * 4 + [1.0]
+    assert "twin_alarm" not in infos[-1]

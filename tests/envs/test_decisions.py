@@ -6,9 +6,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import spoofgym  # noqa: F401  (registers the ids)
+from .support import ID, STEPS, VICTIMS, victim
 
-ID = "spoofgym/TightlyCoupled-v0"
 FULL = {"action": "full-command"}
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 
@@ -18,145 +17,85 @@ def make(**kwargs):
     return gym.make(ID, **given).unwrapped
 
 
-def test_a_decision_that_is_held_is_the_same_command_at_every_epoch():
-    slow, quick = make(decision_interval_s=2.0), make()
+@pytest.fixture(params=VICTIMS)
+def kind(request):
+    return request.param
+
+
+def pushed(env, east):
+    action = np.zeros(env.action_space.shape)
+    action[..., 1] = east
+    return action
+
+
+def test_a_decision_that_is_held_is_the_same_command_at_every_epoch(kind):
+    interval_s = round(3.0 * VICTIMS[kind], 6)
+    slow, quick = victim(kind, decision_interval_s=interval_s), victim(kind)
+    assert slow.unwrapped.core.episode_steps == STEPS // 3
     slow.reset(seed=5)
     quick.reset(seed=5)
-    rng = np.random.default_rng(0)
-    over = False
+    rng, over = np.random.default_rng(0), False
     while not over:
-        action = rng.uniform(-1.0, 1.0, 2)
+        action = rng.uniform(-0.3, 0.3, slow.action_space.shape)
         seen, reward, over, _, info = slow.step(action)
-        parts = [quick.step(action) for _ in range(4)]
+        parts = [quick.step(action)]
+        while len(parts) < 3 and not parts[-1][2]:
+            parts.append(quick.step(action))
         assert reward == pytest.approx(sum(part[1] for part in parts), abs=1e-9)
         np.testing.assert_array_equal(seen, parts[-1][0])
         assert over == parts[-1][2]
         assert info["cost"] == max(part[4]["cost"] for part in parts)
-    assert slow.core.score.step_count[0] == 40
+    steps = [env.unwrapped.core.score.step_count[0] for env in (slow, quick)]
+    assert steps[0] == steps[1]
 
 
-def test_between_decisions_the_command_moves_along_a_line():
-    env = make(
-        decision_interval_s=2.0,
-        between="linear",
-        detector="never",
-        attack={"name": "false-position", "control": "rate"},
-    )
+def test_between_decisions_a_rate_moves_along_a_line(kind):
+    attack = {"attack": {"name": "false-position", "control": "rate"}}
+    settings = {"decision_interval_s": round(3.0 * VICTIMS[kind], 6), "between": "linear"}
+    settings |= attack if kind == "TightlyCoupled" else {}
+    env = victim(kind, detector="never", **settings).unwrapped
     env.reset(seed=5)
-    rates = []
-    inner = env.core.engine.step
-
-    def watched(action, sequel):
-        verdict = inner(action, sequel)
-        rates.append(env.core.engine.simulator.attack.memory["rate"][0, 1])
-        return verdict
-
-    env.core.engine.step = watched
+    simulator, moved = env.core.engine.simulator, []
+    limit = np.broadcast_to(env.core.setup.attack.rate_limit_mps, len(env.action_names))[1]
     for east in (0.4, -0.4):
-        env.step(np.array([0.0, east]))
-    np.testing.assert_allclose(rates, 5.0 * np.array([0.1, 0.2, 0.3, 0.4, 0.2, 0.0, -0.2, -0.4]))
+        env.step(pushed(env, east))
+        moved.append(simulator.commanded_displacement[0, 1])
+        assert simulator.commanded_rate[0, 1] == pytest.approx(limit * east)
+    # by thirds: 0.4 (1 + 2 + 3) / 3, then 0.4 - 0.8 / 3, 0.4 - 1.6 / 3 and -0.4
+    np.testing.assert_allclose(moved, limit * VICTIMS[kind] * np.array([0.8, 0.4]))
     env.reset(seed=6)
-    env.step(np.array([0.0, 1.0]))
-    assert rates[8] == pytest.approx(1.25)  # from zero again
+    env.step(pushed(env, 1.0))  # from zero again
+    moved = simulator.commanded_displacement[0, 1]
+    assert moved == pytest.approx(2.0 * limit * VICTIMS[kind])
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"decision_interval_s": 0.7}, "must be a multiple of the interval between epochs, 0.5 s"),
-        ({"decision_interval_s": 0.0}, "`decision_interval_s` must be finite and > 0"),
-        ({"decision_interval_s": 3.0}, "attack window of 20 s must hold a whole number"),
-        ({"between": "spline"}, "unknown between 'spline'; valid: hold, linear"),
-        ({"target_heading_deg": "east"}, "unknown target_heading_deg 'east'; valid: random, worst"),
-    ],
-)
-def test_a_wrong_decision_says_what_is_valid(settings, message):
-    with pytest.raises(ValueError, match=message):
-        make(**settings)
-
-
-@pytest.mark.parametrize("detector", ["ewma", "never"])
-def test_a_twin_is_the_run_without_attack_bit_for_bit(detector):
-    env, clean = make(twin=True, detector=detector), make(detector=detector)
-    env.reset(seed=11)
-    clean.reset(seed=11)
-    rng = np.random.default_rng(0)
-    for _ in range(25):
-        _, _, over, _, _ = env.step(rng.uniform(-1.0, 1.0, 2))
-        clean.step(np.zeros(2))
-        ours, theirs = env.core.engine.twin.buffers, clean.core.engine.simulator.buffers
-        np.testing.assert_array_equal(ours.fields.data, theirs.fields.data)
-        np.testing.assert_array_equal(ours.seen_floats, theirs.seen_floats)
-        if over:
-            break
-
-
-def test_with_a_twin_displacement_is_what_the_attack_has_induced_and_nothing_else():
-    env = make(twin=True, detector="never", target_heading_deg="worst")
+def test_with_a_twin_displacement_is_what_the_attack_has_induced_and_nothing_else(kind):
+    env = victim(kind, twin=True, detector="never", target_heading_deg="worst").unwrapped
     env.reset(seed=2)
-    for _ in range(10):
-        _, reward, _, _, info = env.step(np.zeros(2))
-        assert reward == info["displacement_m"] == 0.0
     total = 0.0
-    for _ in range(20):
-        _, reward, _, _, info = env.step(np.array([1.0, 0.0]))
+    for _ in range(5):
+        _, reward, _, _, info = env.step(np.zeros(env.action_space.shape))
+        assert reward == info["displacement_m"] == 0.0
+    for _ in range(STEPS - 6):
+        _, reward, _, _, info = env.step(pushed(env, 1.0))
         total += reward
-    batch, twin = env.core.engine.simulator, env.core.engine.twin
-    apart = batch.buffers.position_e - twin.buffers.position_e
-    north, east, _ = apart[0] @ env.core.setup.world.C_en[batch.epochs[0]]
+    simulator, twin = env.core.engine.simulator, env.core.engine.twin
+    north, east = (simulator.error_n() - twin.error_n())[0, :2]
     assert info["displacement_m"] == pytest.approx(np.hypot(north, east), rel=1e-9)
     assert total == pytest.approx(info["undetected_displacement_m"])
     assert total > 1.0
 
 
-def test_the_next_episode_has_a_twin_of_its_own():
-    envs = gym.make_vec(
-        ID,
-        num_envs=3,
-        autoreset_mode="same_step",
-        timeline=SHORT,
-        detector="ewma",
-        twin=True,
-        **FULL,
-    )
-    envs.reset(seed=4)
-    rng = np.random.default_rng(1)
-    ends = 0
-    for _ in range(85):
-        _, _, over, _, _ = envs.step(rng.uniform(-1.0, 1.0, (3, 2)))
-        ends += over.sum()
-        for row in np.flatnonzero(over):
-            engine = envs.unwrapped.core.engine
-            ours, theirs = engine.simulator.buffers, engine.twin.buffers
-            np.testing.assert_array_equal(ours.position_e[row], theirs.position_e[row])
-    assert ends > 5
-
-
-def test_a_drawn_direction_is_observed_and_rewarded():
-    env = make(target_heading_deg="random", twin=True, detector="never")
-    pushed = []
-    for seed in range(4):
-        observation, _ = env.reset(seed=seed)
-        names = env.observation_names
-        toward = np.array(
-            [observation[names.index(f"target_direction_{a}")] for a in ("north", "east")]
-        )
-        for _ in range(30):
-            _, _, _, _, info = env.step(toward)
-        along = info["displacement_m"]
-        env.reset(seed=seed)
-        for _ in range(30):
-            _, _, _, _, info = env.step(np.array([-toward[1], toward[0]]))
-        pushed.append(along)
-        assert abs(info["displacement_m"]) < 0.2 * along
-    assert min(pushed) > 1.0
-
-
-def test_the_cost_is_the_first_alarm():
-    env = make(end_at_alarm=False, detector={"name": "snapshot-chi2", "false_alarm": 0.2})
-    env.reset(seed=0)
-    costs = [env.step(np.ones(2))[4]["cost"] for _ in range(40)]
-    assert sum(costs) == 1.0
+def test_a_twin_is_the_run_without_attack(kind):
+    env, clean = (victim(kind, twin=twin, end_at_alarm=False).unwrapped for twin in (True, False))
+    env.reset(seed=11)
+    clean.reset(seed=11)
+    for _ in range(STEPS - 1):
+        env.step(pushed(env, 1.0))
+        clean.step(pushed(clean, 0.0))
+        twin, alone = env.core.engine.twin, clean.core.engine.simulator
+        np.testing.assert_array_equal(twin.error_n(), alone.error_n())
+        np.testing.assert_array_equal(twin.ratio(), alone.ratio())
 
 
 COARSE = {
@@ -176,80 +115,13 @@ def last_step(env, seed, push=1.0):
             return observation, info
 
 
-@pytest.mark.parametrize("twin", [False, True])
-def test_an_episode_that_ends_within_a_decision_is_told_as_it_stood_at_its_end(twin):
-    slow, quick = make(decision_interval_s=5.0, twin=twin, **EARLY), make(twin=twin, **EARLY)
-    for seed in range(3):
-        seen, info = last_step(slow, seed)
-        exact, expected = last_step(quick, seed)
-        for env in (slow, quick) if twin else ():  # both have run the time to alert
-            assert env.core.engine.twin.epochs[0] == env.core.engine.simulator.epochs[0]
-        count = slow.core.score.step_count[0]
-        assert count == quick.core.score.step_count[0]
-        assert count % 10
-        np.testing.assert_array_equal(seen, exact)
-        for name in (name for name in expected if not name.startswith("reward")):
-            assert info[name] == expected[name], name
-
-
-def test_an_alarm_within_a_decision_is_told_at_its_own_time():
-    slow, quick = make(decision_interval_s=5.0, **COARSE), make(**COARSE)
-    for seed in range(3):
-        seen, info = last_step(slow, seed)
-        exact, expected = last_step(quick, seed)
-        assert expected["detected"]
-        assert info["time_s"] == expected["time_s"]
-        np.testing.assert_array_equal(seen, exact)
-
-
-def test_the_first_alarm_costs_at_whichever_epoch_of_a_decision_it_comes():
-    settings = {"end_at_alarm": False, **COARSE}
-    slow, quick = make(decision_interval_s=5.0, **settings), make(**settings)
-    slow.reset(seed=3)
-    quick.reset(seed=3)
-    costs = np.array([quick.step(np.ones(2))[4]["cost"] for _ in range(40)])
-    assert costs.argmax() % 10 != 9  # not at the last epoch of a decision
-    assert costs.sum() == 1.0
-    found = [slow.step(np.ones(2))[4]["cost"] for _ in range(4)]
-    np.testing.assert_array_equal(found, costs.reshape(4, 10).max(axis=1))
-
-
-def test_in_a_batch_those_that_end_wait_for_the_others():
-    settings = {"decision_interval_s": 5.0, "watch": "snapshot-chi2", "twin": True, **EARLY, **FULL}
-    envs = gym.make_vec(
-        ID,
-        num_envs=3,
-        autoreset_mode="same_step",
-        timeline=SHORT,
-        knowledge="oracle",
-        **settings,
-    )
-    envs.reset(seed=7)
-    pushes = np.array([[0.0, 0.6], [0.0, 1.0], [0.0, 0.3]])
-    alone = make(**settings)
-    told = {}
-    while len(told) < 3:
-        _, _, terminated, truncated, info = envs.step(pushes)
-        for row in np.flatnonzero(terminated | truncated):
-            if row not in told:
-                last = info["final_info"]
-                told[int(row)] = info["final_obs"][row], {k: last[k][row] for k in last}
-    for row, (seen, final) in told.items():
-        exact, expected = last_step(alone, 7 + row, pushes[row, 1])
-        np.testing.assert_array_equal(seen, exact)
-        for name, value in expected.items():
-            assert final[name] == value, name
-    envs.close()
-
-
-@pytest.mark.parametrize("mode", ["next_step", "same_step"])
-def test_those_that_end_with_the_flight_wait_there_for_the_others(mode):
+def test_those_that_end_with_the_flight_wait_there_for_the_others():
     """Receivers whose episodes began at different times, all of them as late as they can."""
     late = make(detector="never").core.setup
     start_s = 0.5 * late._starts(late.epochs_each, "")[1]
     settings = {"domain": {"start_s": [start_s, start_s]}, "timeline": SHORT, **EARLY}
     settings = {**settings, **FULL, "decision_interval_s": 5.0, "twin": True, "knowledge": "blind"}
-    envs = gym.make_vec(ID, num_envs=3, autoreset_mode=mode, **settings)
+    envs = gym.make_vec(ID, num_envs=3, autoreset_mode="same_step", **settings)
     core = envs.unwrapped.core
     simulator, epoch, reached = core.engine.simulator, core._epoch, []
 
@@ -269,7 +141,7 @@ def test_those_that_end_with_the_flight_wait_there_for_the_others(mode):
         since += 1
         for row in np.flatnonzero(over):
             lengths[int(row)].append(int(since[row]))
-        since[over] = 0 if mode == "same_step" else -1
+        since[over] = 0
     # every episode of a receiver has the same start and push, and so the same length
     assert [set(found) for found in lengths.values()] == [{1}, {4}, {2}]
     assert max(reached) <= late.length  # the world has no epoch after that
@@ -279,9 +151,7 @@ def test_those_that_end_with_the_flight_wait_there_for_the_others(mode):
 @pytest.mark.parametrize(
     "reward",
     [
-        ["alarmed-epochs"],
         ["displacement-gain", "retraction", "alarmed-epochs"],
-        ["effort-penalty", "alarmed-epochs"],
         ["terminal-displacement", "effort-penalty"],
     ],
 )
@@ -307,10 +177,49 @@ def test_the_reward_of_a_decision_is_the_sum_of_those_of_its_epochs(reward, end_
     assert totals[1] != 0.0
 
 
-def test_a_number_of_commands_is_one_of_decisions():
-    end = {"name": "at-steps", "steps": 3}
-    env = make(decision_interval_s=5.0, end=end, detector="never")
-    env.reset(seed=0)
-    ends = [env.step(np.zeros(2))[3] for _ in range(3)]
-    assert ends == [False, False, True]
-    assert env.core.score.step_count[0] == 30
+def test_the_first_alarm_costs_at_whichever_epoch_of_a_decision_it_comes():
+    settings = {"end_at_alarm": False, **COARSE}
+    end = {"name": "at-steps", "steps": 3}  # of decisions
+    slow, quick = make(decision_interval_s=5.0, end=end, **settings), make(**settings)
+    slow.reset(seed=3)
+    quick.reset(seed=3)
+    costs = np.array([quick.step(np.ones(2))[4]["cost"] for _ in range(40)])
+    assert costs.argmax() % 10 != 9  # not at the last epoch of a decision
+    assert costs.sum() == 1.0
+    found = [slow.step(np.ones(2)) for _ in range(3)]
+    costs = costs.reshape(4, 10)[:3].max(axis=1)
+    np.testing.assert_array_equal([info["cost"] for *_, info in found], costs)
+    assert [truncated for *_, truncated, _ in found] == [False, False, True]
+    assert slow.core.score.step_count[0] == 30
+
+
+@pytest.mark.parametrize("settings", [{**EARLY, "twin": True}, EARLY, COARSE], ids=str)
+def test_an_episode_that_ends_within_a_decision_is_told_as_it_stood_at_its_end(settings):
+    """Also in a batch, where it waits for the others."""
+    given = {"timeline": SHORT, "knowledge": "oracle", "decision_interval_s": 5.0, **FULL}
+    given |= {"watch": "snapshot-chi2", **settings}
+    envs = gym.make_vec(ID, num_envs=3, autoreset_mode="same_step", **given).unwrapped
+    slow, quick = gym.make(ID, **given).unwrapped, make(watch="snapshot-chi2", **settings)
+    envs.reset(seed=7)
+    pushes, told = np.array([0.6, 1.0, 0.3]), set()
+    while len(told) < 3:
+        _, _, terminated, truncated, info = envs.step(np.outer(pushes, [0.0, 1.0]))
+        for row in {*np.flatnonzero(terminated | truncated).tolist()} - told:
+            told.add(row)
+            last = {name: values[row] for name, values in info["final_info"].items()}
+            exact, expected = last_step(quick, 7 + row, pushes[row])
+            for seen, found in (
+                (info["final_obs"][row], last),
+                last_step(slow, 7 + row, pushes[row]),
+            ):
+                np.testing.assert_array_equal(seen, exact)
+                for name in (name for name in expected if not name.startswith("reward")):
+                    assert found[name] == expected[name], name
+            assert slow.core.score.step_count == quick.core.score.step_count
+            for env in (slow, quick) if "twin" in settings else ():  # through the time to alert
+                assert env.core.engine.twin.epochs[0] == env.core.engine.simulator.epochs[0]
+        for row in np.flatnonzero(terminated | truncated) if "twin" in settings else ():
+            engine = envs.core.engine  # the next episode has a twin of its own
+            ours, theirs = engine.simulator.buffers, engine.twin.buffers
+            np.testing.assert_array_equal(ours.position_e[row], theirs.position_e[row])
+    envs.close()

@@ -1,54 +1,71 @@
-"""The environments of all victims: settings, names, and what is refused."""
+"""The environments of all victims: settings, names, commands, circumstances and records."""
 
 from __future__ import annotations
 
-import inspect
+import itertools
+import json
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from spoofgym.detectors import Ewma
-from spoofgym.envs import SpoofEnv
-from spoofgym.envs.core import ALARM_PRICE
+from spoofgym.envs import SpoofEnv, wrappers
 from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.loose import DEFAULT_DETECTOR as LOOSE
+from spoofgym.simulation.robot import DEFAULT_DETECTOR as ROBOT
 
-from .support import ID, SMALL, STEPS, VICTIMS, single, vector, victim, victims
+from .support import HOLD, ID, LIVE, SMALL, STEPS, VICTIMS, victim, victims
+
+LOOPS: dict[str, Any] = {
+    "Snapshot": "srv-raim",
+    "WheeledRobot": ROBOT,
+    "LooselyCoupled": {"name": "windowed-chi2", "window": 8},
+}
+"""The detector in the loop."""
+every_victim = pytest.mark.parametrize("kind", VICTIMS)
+every_small_one = pytest.mark.parametrize("kind", SMALL)
 
 
-@pytest.fixture(params=VICTIMS)
-def kind(request):
-    return request.param
+def pushed(env, east):
+    action = np.zeros(env.action_space.shape)
+    action[..., 1] = east
+    return action
 
 
-def test_the_default_is_what_the_architecture_says():
+def trace(env, actions, seed=2):
+    """What is seen and paid."""
+    rows = [env.reset(seed=seed)[0]]
+    for action in actions:
+        observation, reward, *_, info = env.step(action)
+        rows += [observation, reward, info["displacement_m"]]
+    return rows
+
+
+def assert_same(mine, theirs):
+    for a, b in zip(mine, theirs, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_the_defaults_are_what_the_architecture_says():
     env = gym.make(ID).unwrapped
     setup = env.core.setup
     assert (setup.onset, setup.steps, setup.hold) == (400, 300, 20)
     assert setup.detector.weight_scale == 0.3
     assert env.action_names == ("along_target_setpoint",)
     assert gym.spec(ID).max_episode_steps is None
-
-
-def test_a_signature_shows_all_settings(kind):
-    env, envs = victim(kind).unwrapped, victims(kind, 2)
-    single, vector = (inspect.signature(type(each)).parameters for each in (env, envs))
-    assert next(iter(vector)) == "num_envs"
-    for parameters in (single, vector):
-        assert "settings" not in parameters
-        assert parameters["between"].default == "hold"
-        assert parameters["alarm_price"].default == ALARM_PRICE
-        assert {"timeline", "domain", "twin", "watch"} < set(parameters)
-    assert ("rate_limit_mps" in single) == (kind in SMALL)
-
-
-def test_none_is_the_default_of_a_setting():
+    made = {kind: gym.make(f"spoofgym/{kind}-v0").unwrapped.core.setup.detector for kind in SMALL}
+    names = [type(detector).__name__ for detector in made.values()]
+    assert names == ["WindowedChi2", "SrvRaim", "Acna"]
+    assert made["LooselyCoupled"].window == LOOSE["window"]
     env = SpoofEnv(detector=None, attack=None, knowledge=None, timeline=None)
     assert isinstance(env.core.setup.detector, Ewma)
     assert env.core.setup.timeline == TightlyCoupledSetup().timeline
     assert env.given_detector is None
 
 
+@every_victim
 def test_knowledge_only_grows(kind):
     names = []
     for knowledge in ("blind", "tracking", "oracle"):
@@ -58,136 +75,111 @@ def test_knowledge_only_grows(kind):
         assert np.isfinite(env.observation_space.low).all()
         assert np.isfinite(env.observation_space.high).all()
         assert len(set(env.observation_names)) == len(env.observation_names)
-        names.append(set(env.observation_names))
-    assert names[0] < names[1] < names[2]
+        names.append(env.observation_names)
+    for less, more in itertools.pairwise(names):
+        assert more[: len(less)] == less != more
     assert all(name.startswith(("own_", "time_")) for name in names[0])
     assert not any(name.startswith(("statistic_", "error_", "weight_")) for name in names[1])
-    assert {"error_north", "error_east"} < names[2]
+    assert {"error_north", "error_east"} < {*names[2]}
 
 
-def test_a_push_without_a_defence_moves_the_victim(kind):
-    env = victim(kind, detector="never", target_heading_deg=0.0)
-    moved = []
-    for push in (0.0, 0.5):
-        env.reset(seed=2)
-        action = np.zeros(env.action_space.shape)
-        action[0] = push
-        for _ in range(STEPS):
-            *_, terminated, _, info = env.step(action)
-        assert terminated
-        moved.append(info["displacement_m"])
-    assert moved[1] > moved[0] + 0.1 * VICTIMS[kind]
-    assert info["undetected_displacement_m"] >= info["displacement_m"]
-
-
-@pytest.mark.parametrize(
-    "bad", [np.array([np.nan, 0.0]), np.array([0.0, 1.5]), np.array([np.inf, 0])]
-)
-def test_a_bad_action_names_element_and_value(kind, bad):
-    env, envs = victim(kind).unwrapped, victims(kind, 2)
-    env.reset(seed=0)
-    envs.reset(seed=0)
-    axes = env.action_space.shape[0]
-    given = np.append(bad, np.zeros(axes - 2))
-    with pytest.raises(ValueError, match=r"finite and in \[-1, 1\].*(acceleration|rate).*is"):
-        env.step(given)
-    with pytest.raises(ValueError, match=rf"shape \({axes},\) .*got \(5,\)"):
-        env.step(np.zeros(5))
-    with pytest.raises(ValueError, match="of receiver 1 is"):
-        envs.step(np.stack([np.zeros(axes), given]))
-    with pytest.raises(ValueError, match=rf"shape \(2, {axes}\)"):
-        envs.step(np.zeros(axes))
+@every_small_one
+def test_actions_along_and_across_the_target_are_those_of_the_axes(kind):
+    heading = np.radians(30.0)
+    kwargs = {"detector": "never", "target_heading_deg": 30.0}
+    axes = victim(kind, **kwargs)
+    both = victim(kind, **kwargs, action=["along-target", "across-target"])
+    assert both.unwrapped.action_names == ("along_target_rate", "across_target_rate")
+    parts = np.random.default_rng(0).uniform(-0.6, 0.6, (5, 2))
+    north_east = np.zeros((5, axes.action_space.shape[0]))
+    north_east[:, 0] = parts[:, 0] * np.cos(heading) + parts[:, 1] * np.cos(heading + np.pi / 2)
+    north_east[:, 1] = parts[:, 0] * np.sin(heading) + parts[:, 1] * np.sin(heading + np.pi / 2)
+    assert_same(trace(both, parts), trace(axes, north_east))
 
 
 @pytest.mark.parametrize(
-    ("kwargs", "message"),
+    ("kind", "action", "given", "rate"),
     [
-        ({"detector": "ewna"}, "valid: acna, .*; did you mean 'ewma'"),
-        ({"detector": {"name": "ewma", "lambda": 1}}, "no setting 'lambda'; valid: smoothing"),
-        (
-            {"detector": {"name": "windowed-chi2", "window": 5000}},
-            "WindowedChi2 can't alarm in its first 4999 epochs, and an episode has 60",
-        ),
-        (
-            {"detector": {"name": "cusum", "bias_window_s": 220.0}},
-            "Cusum can't alarm in its first 440 epochs",
-        ),
-        ({"attack": "meaconner"}, "unknown attack .*did you mean 'meaconer'"),
-        ({"scenario": "mars"}, "unknown scenario"),
-        ({"scenario": {"imu": "toy"}}, "unknown imu grade"),
-        ({"receiver": {"tunes": "paper"}}, "no setting 'tunes'"),
-        ({"knowledge": "omniscient"}, "unknown knowledge"),
-        ({"timeline": {"warmup_s": 500.0}}, "lasts 418 s"),
-        (
-            {"timeline": {"warmup_s": 400.0}, "decision_interval_s": 5.0},
-            r"takes 560.5 s .warm-up 400 s, .* 10 s, and one epoch of 0.5 s in reserve.",
-        ),
-        ({"attack": {"name": "per-channel", "channels": ["S05", "S05"]}}, "each satellite once"),
-        ({"timeline": {"attack_s": -1.0}}, "`attack_s` must be"),
-        ({"alarm_price": -1.0}, "`alarm_price` must be finite and >= 0"),
-        ({"length_m": 0.0}, "`length_m` must be finite and > 0"),
-        ({"target_heading_deg": np.nan}, "`target_heading_deg` must be a finite number"),
-        ({"attack": {"name": "per-channel", "channels": ["S99"]}}, "'S99' is not in view"),
-        ({"autoreset_mode": "sometimes"}, "unknown autoreset mode"),
-        ({"render_mode": "rgb_array"}, "nothing to render"),
+        ("WheeledRobot", ["full-command", "along-target"], [-0.2, 1.0, 1.0], [-0.2, 1.0]),
+        ("Snapshot", {"name": "channels", "ids": ["east", "clock"]}, [0.5, -1], [0, 2.5, 0, -5]),
     ],
 )
-def test_a_wrong_setting_says_what_is_valid(kwargs, message):
-    with pytest.raises(ValueError, match=message):
-        vector(2, **kwargs)
+def test_a_sum_of_commands_is_cut_to_what_the_victim_takes(kind, action, given, rate):
+    env = victim(kind, action=action, detector="never")
+    env.reset(seed=1)
+    env.step(given)
+    found = env.unwrapped.core.engine.simulator.commanded_rate[0]
+    np.testing.assert_allclose(found, rate, atol=1e-12)
 
 
-def test_a_finished_episode_must_be_reset():
-    env = single().unwrapped
-    with pytest.raises(RuntimeError, match="call reset"):
-        env.step(np.zeros(2))
+GIVEN = {
+    "LooselyCoupled": ({"domain": {"start_s": [0.0, 5.0]}}, {"start_s": 2.5}),
+    "Snapshot": ({"domain": {"turned_deg": [0.0, 360.0], "worlds": 3}}, {"world": 2}),
+    "WheeledRobot": ({"domain": {"start_s": [0.0, None]}}, {"start_s": 7.0}),
+}
 
 
-@pytest.mark.parametrize(
-    ("settings", "error", "message"),
-    [
-        ({"receivers": 4}, TypeError, "has no argument 'receivers'; valid: "),
-        (
-            {"alarm_penalty": 4},
-            TypeError,
-            "no argument 'alarm_penalty'; valid: .*alarm_price",
-        ),
-        ({"knowledge": "omniscient"}, ValueError, "unknown knowledge 'omniscient'"),
-        ({"target_heading_deg": np.inf}, ValueError, "`target_heading_deg` must be a finite"),
-        ({"alarm_price": -1.0}, ValueError, "`alarm_price` must be finite"),
-        ({"reward": ["retraction"] * 2}, ValueError, "two reward terms have the same name"),
-        ({"between": "spline"}, ValueError, "unknown between 'spline'; valid: hold, linear"),
-        ({"timeline": {"attack_s": 0.0}}, ValueError, "`attack_s` must be finite and > 0"),
-    ],
-)
-def test_a_wrong_setting_of_any_victim_says_what_is_valid(kind, settings, error, message):
-    for made in (victim, lambda kind, **given: victims(kind, 2, **given)):
-        with pytest.raises(error, match=message):
-            made(kind, **settings)
+@every_small_one
+def test_a_reset_may_be_given_the_circumstances(kind):
+    settings, given = GIVEN[kind]
+    settings = {**settings, "target_heading_deg": "random", "knowledge": "tracking"}
+    envs, other = victims(kind, 6, **settings), victims(kind, 6, **settings)
+    drawn, _ = envs.reset(seed=1)
+    names = envs.observation_names
+    shown = drawn[:, [names.index(f"target_direction_{axis}") for axis in ("north", "east")]]
+    np.testing.assert_allclose(np.hypot(*shown.T), 1.0, atol=1e-6)
+    memory = envs.core.engine.simulator.memory
+    assert len(set(memory["first"])) > 1
+    np.testing.assert_allclose(
+        np.arctan2(*shown.T[::-1]) % (2 * np.pi), envs.core.heading_rad % (2 * np.pi), atol=1e-6
+    )
+    _, info = envs.reset(options={"domain": {**given, "target_heading_deg": 45.0}})
+    np.testing.assert_allclose(envs.core.heading_rad, np.radians(45.0))
+    assert len(set(memory["first"])) == 1
+    if "start_s" in given:
+        np.testing.assert_allclose(info["time_s"], given["start_s"] + 2 * LIVE * VICTIMS[kind])
+    # the next episodes draw again, and are those of an environment that was given nothing
+    other.reset(seed=1)
+    other.reset()
+    np.testing.assert_array_equal(other.reset()[0], envs.reset()[0])
 
 
-@pytest.mark.parametrize("kind", SMALL)
-@pytest.mark.parametrize("rate", [0.0, np.nan])
-def test_a_limit_of_the_rate_is_above_zero(kind, rate):
-    with pytest.raises(ValueError, match=rf"`rate_limit_mps` must be .* got .*{rate}"):
-        victim(kind, rate_limit_mps=rate)
+@every_small_one
+def test_own_observations_are_those_of_the_simulator(kind):
+    own = ["own-command", "time", "estimate-error", {"name": "statistic-ratio", "largest": True}]
+    env = victim(kind, observation=own, detector=LOOPS[kind]).unwrapped
+    seen, _ = env.reset(seed=3)
+    for k in range(4):
+        named = dict(zip(env.observation_names, seen.tolist(), strict=True))
+        assert named["time_since_onset"] == pytest.approx(k / STEPS)
+        assert named["time_left"] == pytest.approx(1.0 - k / STEPS)
+        error = env.core.engine.simulator.error_n()[0] / 40.0
+        first = env.observation_names.index("error_north")
+        np.testing.assert_allclose(seen[first : first + len(error)], error, rtol=1e-6)
+        ratio = env.core.engine.simulator.ratio()[0]
+        assert seen[-1] == pytest.approx(min(ratio, 10.0), rel=1e-6)
+        seen = env.step(pushed(env, 0.1))[0]
 
 
-def test_what_a_reset_does_not_take_is_told_by_its_name():
-    env, envs = single(), vector(2)
-    with pytest.raises(RuntimeError, match="no episode has started: call reset"):
-        env.unwrapped.step(np.zeros(2))
-    for made in (env, envs):
-        with pytest.raises(
-            TypeError, match=r"`options` of a reset must be a dict, got \['domain'\]"
-        ):
-            made.reset(options=["domain"])
-        for seed in ("abc", 1.5, -1):
-            with pytest.raises(ValueError, match=f"a seed must be a whole number.* got {seed!r}"):
-                made.reset(seed=seed)
-    with pytest.raises(ValueError, match=r"must be a whole number of at least 0, got 0\.5"):
-        envs.reset(seed=[1, 0.5])
-    with pytest.raises(
-        ValueError, match=r"`num_envs` must be a whole number of at least 1, got 1\.5"
-    ):
-        vector(1.5)
+@every_small_one
+def test_every_epoch_of_the_commands_is_written(kind, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    interval_s = round(3.0 * VICTIMS[kind], 6)
+    env = victim(kind, detector="never", decision_interval_s=interval_s)
+    env = wrappers.RecordEpochs(env, tmp_path)
+    env.reset(seed=3)
+    over = False
+    while not over:
+        *_, over, _, info = env.step(pushed(env, 0.2))
+    env.close()
+    table = parquet.read_table(tmp_path / "receiver-000-episode-000000.parquet")
+    assert json.loads(table.schema.metadata[b"spoofgym"])["complete"]
+    assert table["step"].to_pylist() == list(range(1, STEPS + 1))
+    time_s = VICTIMS[kind] * (2 * LIVE + np.arange(1, STEPS + 1))
+    np.testing.assert_allclose(table["time_s"].to_pylist(), time_s)
+    assert info["time_s"] == pytest.approx(time_s[-1] + HOLD * VICTIMS[kind])
+    commanded = np.array(table["commanded_displacement_m"].to_pylist())
+    assert (np.diff(commanded[:, 1]) > 0.0).all()
+    assert ("visible" in table.column_names) == (kind == "Snapshot")
+    width = {"Snapshot": 24, "WheeledRobot": 2, "LooselyCoupled": 3}[kind]
+    assert np.array(table["innovation"].to_pylist()).shape == (STEPS, width)

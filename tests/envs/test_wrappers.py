@@ -10,14 +10,15 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.detectors import Detector, Ewma, SnapshotChi2, Verdict
+from spoofgym.detectors import Detector, SnapshotChi2, Verdict
 from spoofgym.detectors.build import spec_of_judge
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.envs import wrappers
 from spoofgym.envs.wrappers import EpochRecorder
 from spoofgym.envs.wrappers import vector as vector_wrappers
 
-from .support import ID, LIVE, SHORT, AlarmAt, single, vector
+from .players import Player, Sooner
+from .support import ID, LIVE, SHORT, STEPS, AlarmAt, single, vector, victims
 
 
 def transitions(env, steps=36, seed=4):
@@ -42,10 +43,19 @@ def assert_same(mine, theirs):
         np.testing.assert_array_equal(a, b)
 
 
+VECTOR = partial(gym.make_vec, num_envs=2)
+BENCH = "spoofgym/BenchT3-v1"
+"""Brings a detector of its own, solution separation."""
 MAKERS = [
     pytest.param(single, wrappers, id="single"),
     pytest.param(lambda **kwargs: vector(2, **kwargs), vector_wrappers, id="vector"),
 ]
+
+
+def inner(env):
+    """Name of the detector in the loop, and what is asked of its thresholds."""
+    spec = spec_of_judge(env.unwrapped.core.setup.detector)
+    return spec["name"], spec.get("false_alarms_per_hour")
 
 
 @pytest.mark.parametrize(("make", "module"), MAKERS)
@@ -63,121 +73,16 @@ def test_a_wrapper_is_the_same_as_its_argument(make, module):
     mine, theirs = transitions(wrapped), transitions(given)
     assert_same(mine[0], theirs[0])
     assert set(mine[1][0]) == set(theirs[1][0])
-
-
-@pytest.mark.parametrize(("make", "module"), MAKERS)
-@pytest.mark.parametrize(("end_at_alarm", "over"), [(True, True), (False, False)])
-def test_an_end_that_is_added_leaves_that_by_an_alarm_as_it_was(make, module, end_at_alarm, over):
-    env = make(detector=AlarmAt(LIVE + 3), end_at_alarm=end_at_alarm)
-    env = module.StealthBudget(env, 1e9)
-    env.reset(seed=1)
-    ends = [env.step(np.zeros(env.action_space.shape))[2] for _ in range(3)]
-    assert [np.all(end) for end in ends] == [False, False, over]
-
-
-@pytest.mark.parametrize(("make", "module"), MAKERS)
-def test_two_detectors_are_refused_with_both_names(make, module):
+    with pytest.raises(RuntimeError, match="before reset"):
+        module.WatchWrapper(wrapped, ["cusum"])
     with pytest.raises(ValueError, match="'ewma' and 'cusum'"):
         module.DetectorWrapper(make(detector="ewma"), "cusum")
-    once = module.DetectorWrapper(make(), "ewma")
-    with pytest.raises(ValueError, match=r"two detectors are set at once: 'ewma' and \{'name'"):
-        module.DetectorWrapper(once, {"name": "cusum"})
-
-
-BENCH = "spoofgym/BenchT3-v1"
-"""Brings a detector of its own, solution separation."""
-
-
-def inner(env):
-    """Name of the detector in the loop, and what is asked of its thresholds."""
-    spec = spec_of_judge(env.unwrapped.core.setup.detector)
-    return spec["name"], spec.get("false_alarms_per_hour")
-
-
-@pytest.mark.usefixtures("default_rate")
-@pytest.mark.parametrize(
-    ("make", "module"),
-    [
-        pytest.param(gym.make, wrappers, id="single"),
-        pytest.param(partial(gym.make_vec, num_envs=2), vector_wrappers, id="vector"),
-    ],
-)
-def test_the_detector_of_an_id_is_replaced(make, module):
-    for detector, name in (
-        ("snapshot-chi2", "snapshot-chi2"),
-        ({"name": "snapshot-chi2"}, "snapshot-chi2"),
-        (SnapshotChi2, "snapshot-chi2"),
-        ("spoofgym.detectors:SnapshotChi2", "snapshot-chi2"),
-        ("trolley-guard", "trolley-guard"),
-    ):
-        env = make(BENCH)
-        assert inner(env)[0] != name
-        env = module.DetectorWrapper(env, detector)
-        assert inner(env) == (name, STANDARD_RATE)
-        with pytest.raises(ValueError, match="two detectors are set at once"):
-            module.DetectorWrapper(env, "ewma")
-        env.close()
-    env = module.DetectorWrapper(make(BENCH), SnapshotChi2())  # keeps its own thresholds
-    assert inner(env) == ("snapshot-chi2", None)
-    with pytest.raises(ValueError, match="two detectors are set at once: 'ewma' and 'cusum'"):
-        module.DetectorWrapper(make(BENCH, detector="ewma"), "cusum")
-
-
-@pytest.mark.parametrize("detector", ["ewma", {"name": "ewma"}, Ewma, Ewma()])
-def test_a_wrapper_asks_for_a_rate(detector):
-    env = gym.make(BENCH)
-    env = wrappers.DetectorWrapper(env, detector, false_alarms_per_hour=0.5)
-    assert inner(env) == ("ewma", 0.5)
-
-
-@pytest.mark.usefixtures("default_rate")
-@pytest.mark.parametrize(
-    ("env", "detector", "rate", "message"),
-    [
-        ("LooselyCoupled", "ewma", None, "^Ewma measures satellites, but the receiver measures po"),
-        ("WheeledRobot", Ewma, None, "^Ewma measures satellites, but the receiver measures posit"),
-        ("TightlyCoupled", "rio", 0.3, "^Rio needs auxiliary_position, gnss_position, which a ti"),
-        ("TightlyCoupled", "fma", None, "^there is no calibration of fma in .*`spoofgym calibrate"),
-        ("TightlyCoupled", "ewma", -1.0, "`false_alarms_per_hour` must be"),
-        ("TightlyCoupled", "emwa", None, "unknown detector 'emwa'; .*did you mean 'ewma'"),
-        ("TightlyCoupled", {"name": "ewma", "thresholds": "nominal"}, 0.2, "thresholds of its own"),
-        (
-            "TightlyCoupled",
-            "tests.envs.raises:Mine",
-            None,
-            "tests.envs.raises:Mine. raises RuntimeError",
-        ),
-    ],
-)
-def test_a_detector_is_refused_for_its_reason(env, detector, rate, message):
-    with pytest.raises(ValueError, match=message) as caught:
-        wrappers.DetectorWrapper(
-            gym.make(f"spoofgym/{env}-v0"), detector, false_alarms_per_hour=rate
-        )
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(("make", "module"), MAKERS)
-def test_a_game_that_has_begun_is_left_alone(make, module):
-    env = make()
-    env.reset(seed=0)
-    with pytest.raises(RuntimeError, match="before reset"):
-        module.WatchWrapper(env, ["cusum"])
-
-
-def test_other_environments_are_refused():
-    ids = ("spoofgym/SpooferView-v0", "spoofgym/DetectorView-v0")
-    for env in (*(gym.make(name, timeline=SHORT) for name in ids), gym.make("CartPole-v1")):
-        with pytest.raises(
-            TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv"
-        ):
-            wrappers.WatchWrapper(env, ["cusum"])
-
-
-def test_make_vec_refuses_wrappers_where_there_is_a_vector_form():
-    """Hence the twins; the page on terms says so."""
-    with pytest.raises(gym.error.Error, match="vector_entry_point"):
-        gym.make_vec(ID, num_envs=2, timeline=SHORT, wrappers=[wrappers.StealthBudget])
+    for end_at_alarm in (True, False):
+        env = make(detector=AlarmAt(LIVE + 3), end_at_alarm=end_at_alarm)
+        env = module.StealthBudget(env, 1e9)  # leaves the end by an alarm as it was
+        env.reset(seed=1)
+        ends = [env.step(np.zeros(env.action_space.shape))[2] for _ in range(3)]
+        assert [np.all(end) for end in ends] == [False, False, end_at_alarm]
 
 
 def test_the_spec_of_a_wrapped_environment_makes_it_again():
@@ -185,6 +90,54 @@ def test_the_spec_of_a_wrapped_environment_makes_it_again():
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     assert type(again.unwrapped.core.setup.detector).__name__ == "SnapshotChi2"
     assert_same(transitions(env)[0], transitions(again)[0])
+    with pytest.raises(gym.error.Error, match="vector_entry_point"):  # hence the twins
+        gym.make_vec(ID, num_envs=2, timeline=SHORT, wrappers=[wrappers.StealthBudget])
+    for other in (gym.make("spoofgym/SpooferView-v0", timeline=SHORT), gym.make("CartPole-v1")):
+        with pytest.raises(TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or a Sp"):
+            wrappers.WatchWrapper(other, ["cusum"])
+
+
+@pytest.mark.usefixtures("default_rate")
+@pytest.mark.parametrize(
+    ("make", "module", "detector", "rate", "found"),
+    [
+        (VECTOR, vector_wrappers, {"name": "snapshot-chi2"}, None, STANDARD_RATE),
+        (gym.make, wrappers, SnapshotChi2, 0.5, 0.5),
+        (gym.make, wrappers, "spoofgym.detectors:SnapshotChi2", None, STANDARD_RATE),
+        (gym.make, wrappers, "trolley-guard", None, STANDARD_RATE),
+        (gym.make, wrappers, SnapshotChi2(), None, None),  # keeps its own thresholds
+    ],
+)
+def test_the_detector_of_an_id_is_replaced(make, module, detector, rate, found):
+    env = make(BENCH)
+    name = "trolley-guard" if detector == "trolley-guard" else "snapshot-chi2"
+    assert inner(env)[0] != name
+    env = module.DetectorWrapper(env, detector, false_alarms_per_hour=rate)
+    assert inner(env) == (name, found)
+    with pytest.raises(ValueError, match="two detectors are set at once"):
+        module.DetectorWrapper(env, "ewma")
+    env.close()
+
+
+RAISES = "tests.envs.raises:Mine"
+
+
+@pytest.mark.usefixtures("default_rate")
+@pytest.mark.parametrize(
+    ("env", "detector", "rate", "message"),
+    [
+        ("LooselyCoupled", "ewma", None, "^Ewma measures satellites, but the receiver measures po"),
+        ("TightlyCoupled", "rio", 0.3, "^Rio needs auxiliary_position, gnss_position, which a ti"),
+        ("TightlyCoupled", "fma", None, "^there is no calibration of fma in .*`spoofgym calibrate"),
+        ("TightlyCoupled", {"name": "ewma", "thresholds": "nominal"}, 0.2, "thresholds of its own"),
+        ("TightlyCoupled", RAISES, None, f"{RAISES}. raises RuntimeError"),
+    ],
+)
+def test_a_detector_is_refused_for_its_reason(env, detector, rate, message):
+    env = gym.make(f"spoofgym/{env}-v0")
+    with pytest.raises(ValueError, match=message) as caught:
+        wrappers.DetectorWrapper(env, detector, false_alarms_per_hour=rate)
+    assert "\n" not in str(caught.value)
 
 
 class Nervous(Detector):
@@ -201,6 +154,19 @@ class Nervous(Detector):
         return Verdict(statistic, threshold, statistic > threshold)
 
 
+ACNA = {"name": "acna", "variant": "production"}
+
+
+def test_a_detector_that_watches_a_small_victim_sees_what_the_loop_sees():
+    kwargs = {"end": ["at-window-end"], "detector": ACNA, "rate_limit_mps": 1.0}
+    plain, passive = (victims("WheeledRobot", 2, **kwargs, **w) for w in ({}, {"watch": [ACNA]}))
+    mine, theirs = transitions(plain, 30), transitions(passive, 30)
+    assert_same(mine[0], theirs[0])
+    alarms = [info["alarm"] for info in theirs[1]]
+    assert_same(alarms[:-1], [info["watch_acna_alarm"] for info in theirs[1]][:-1])
+    assert np.any(alarms)
+
+
 @pytest.mark.parametrize("prefetch", [False, True])
 def test_detectors_that_watch_change_nothing_and_see_everything(prefetch):
     """Warm-up, commands and time to alert, over episodes that end by themselves."""
@@ -215,6 +181,9 @@ def test_detectors_that_watch_change_nothing_and_see_everything(prefetch):
     ]
     mine, theirs = transitions(alone, 70), transitions(watched, 70)
     assert_same(mine[0], theirs[0])
+    assert (
+        max(np.max(info.get("watch_ewma_ratio", 0.0)) for info in theirs[1]) > 0.0
+    )  # with weights
     warmup, alarmed = [], []
     for info in theirs[1]:
         watching = info["watch_nervous_warmup_alarm"]
@@ -232,18 +201,6 @@ def test_detectors_that_watch_change_nothing_and_see_everything(prefetch):
         assert not found.all()
 
 
-def test_weights_of_a_detector_that_watches_are_not_used():
-    plain, watched = vector(2, detector="never"), vector(2, detector="never", watch="ewma")
-    assert_same(transitions(plain)[0], transitions(watched)[0])
-    ratio = [info["watch_ewma_ratio"] for info in transitions(watched, 20)[1]]
-    assert np.array(ratio).max() > 0.0
-
-
-def test_a_watching_detector_that_can_never_alarm_is_refused():
-    with pytest.raises(ValueError, match="can't alarm in its first"):
-        single(watch=[{"name": "windowed-chi2", "window": 5000}])
-
-
 def read(path):
     parquet = pytest.importorskip("pyarrow.parquet")
     table = parquet.read_table(path)
@@ -253,62 +210,34 @@ def read(path):
 @pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
 def test_every_epoch_of_every_episode_is_written(tmp_path, mode):
     pytest.importorskip("pyarrow")
-    envs = vector_wrappers.RecordEpochs(vector(2, autoreset_mode=mode, detector="ewma"), tmp_path)
-    envs.reset(seed=3)
-    rows, lengths, over = [[], []], [[], []], np.zeros(2, dtype=bool)
-    while len(lengths[0]) < 2 or len(lengths[1]) < 2:
-        before = over
-        *_, terminated, truncated, info = envs.step([[0.0, 1.0], [0.0, 0.0]])
-        over = terminated | truncated
-        told = info
-        for i in range(2):
-            if mode == "next_step" and before[i]:
-                continue
-            if mode == "same_step" and over[i]:
-                told = info["final_info"]
-            rows[i].append(told["displacement_m"][i])
-            told = info
-            if over[i]:
-                lengths[i].append(len(rows[i]))
-        if mode == "disabled" and over.any():
-            envs.reset(options={"reset_mask": over})
-            over = np.zeros(2, dtype=bool)
-    envs.close()
-    for i in range(2):
-        found = []
-        for episode in range(2):
+    envs = vector(2, autoreset_mode=mode, detector=Sooner())
+    played = Player(vector_wrappers.RecordEpochs(envs, tmp_path), mode).begin(3)
+    rows = played.go(2 * STEPS)
+    played.env.close()
+    for i, row in enumerate(rows):
+        episodes = []
+        for each in row:
+            if "reward" in each:
+                episodes[-1].append(each["info"]["displacement_m"])
+            else:
+                episodes.append([])
+        assert len(episodes) > 2  # the third is not over
+        for episode, expected in enumerate(episodes[:2]):
             table, told = read(tmp_path / f"receiver-00{i}-episode-00000{episode}.parquet")
             assert told["complete"]
             assert (told["receiver"], told["episode"]) == (i, episode)
             assert table["step"].to_pylist() == list(range(1, table.num_rows + 1))
-            found += table["displacement_m"].to_pylist()
-        assert found == rows[i][: lengths[i][1]]
+            assert table["displacement_m"].to_pylist() == expected
     names = set(table.column_names)
     assert {"time_s", "innovation", "innovation_variance", "statistic", "alarm"} <= names
     assert np.array(table["innovation"].to_pylist()).shape == (table.num_rows, 24)
     assert not list(tmp_path.glob("*.part"))
 
 
-def test_a_reset_of_some_goes_on_with_the_files_of_the_others(tmp_path):
-    pytest.importorskip("pyarrow")
-    envs = vector(2, autoreset_mode="disabled", detector="never")
-    envs = vector_wrappers.RecordEpochs(envs, tmp_path)
-    envs.reset(seed=3)
-    for steps in (2, 3):
-        for _ in range(steps):
-            envs.step(np.zeros((2, 2)))
-        envs.reset(options={"reset_mask": np.array([True, False])})
-    envs.close()
-    counts = {path.stem: read(path)[0].num_rows for path in tmp_path.iterdir()}
-    assert counts == {
-        "receiver-000-episode-000000": 2,
-        "receiver-000-episode-000001": 3,
-        "receiver-001-episode-000000": 5,
-    }
-
-
-@pytest.mark.parametrize("decision_interval_s", [None, 2.5])
-@pytest.mark.parametrize(("at", "warmup_alarm", "alarm"), [(-5, True, False), (33, False, True)])
+@pytest.mark.parametrize(
+    ("decision_interval_s", "at", "warmup_alarm", "alarm"),
+    [(None, -5, True, False), (2.5, 33, False, True)],
+)
 def test_what_is_written_are_the_epochs_of_the_commands_and_no_others(
     tmp_path, decision_interval_s, at, warmup_alarm, alarm
 ):
@@ -332,13 +261,45 @@ def test_what_is_written_are_the_epochs_of_the_commands_and_no_others(
     assert (begun["time_s"], info["time_s"]) == (20.0, 40.0)
 
 
+def test_what_can_not_be_recorded_is_refused_at_birth(monkeypatch, tmp_path):
+    path = tmp_path / "file"
+    path.write_text("")
+    for folder in (path, path / "deeper"):
+        with pytest.raises(ValueError, match=r"`folder` .*file.* can't be made"):
+            wrappers.RecordEpochs(single(), folder)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ImportError, match="extra `flights`"):
+        EpochRecorder(tmp_path, 1)
+
+
+def test_a_reset_of_some_goes_on_with_the_files_of_the_others(tmp_path):
+    pytest.importorskip("pyarrow")
+    envs = vector(2, autoreset_mode="disabled", detector="never")
+    envs = vector_wrappers.RecordEpochs(envs, tmp_path)
+    envs.reset(seed=3)
+    for steps in (2, 3):
+        for _ in range(steps):
+            envs.step(np.zeros((2, 2)))
+        envs.reset(options={"reset_mask": np.array([True, False])})
+    envs.close()
+    counts = {path.stem: read(path)[0].num_rows for path in tmp_path.glob("*.parquet")}
+    assert counts == {
+        "receiver-000-episode-000000": 2,
+        "receiver-000-episode-000001": 3,
+        "receiver-001-episode-000000": 5,
+    }
+
+
 def test_a_later_run_counts_on_and_a_broken_episode_says_so(tmp_path):
     pytest.importorskip("pyarrow")
     for _ in range(2):
-        env = wrappers.RecordEpochs(single(), tmp_path)
+        env = wrappers.RecordEpochs(wrappers.WatchWrapper(single(), ["cusum"]), tmp_path)
         env.reset(seed=1)
         env.step([0.0, 0.1])
-        env.step([0.0, 0.1])
+        copy = pickle.loads(pickle.dumps(env))
+        mine, theirs = (each.step([0.0, 0.2]) for each in (env, copy))
+        np.testing.assert_array_equal(mine[0], theirs[0])
+        assert mine[1:] == theirs[1:]
         env.reset()
         env.close()
     names = sorted(path.name for path in tmp_path.iterdir())
@@ -348,28 +309,3 @@ def test_a_later_run_counts_on_and_a_broken_episode_says_so(tmp_path):
     assert not told["complete"]
     offsets = np.array(table["range_offset_m"].to_pylist())
     assert offsets[1].any()
-
-
-def test_recording_without_its_package_says_what_to_install(monkeypatch, tmp_path):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ImportError, match="extra `flights`"):
-        EpochRecorder(tmp_path, 1)
-
-
-def test_a_folder_that_nothing_can_be_written_into_is_refused_at_birth(tmp_path):
-    path = tmp_path / "file"
-    path.write_text("")
-    for folder in (path, path / "deeper"):
-        with pytest.raises(ValueError, match=r"`folder` .*file.* can't be made"):
-            wrappers.RecordEpochs(single(), folder)
-
-
-def test_an_unfinished_wrapped_episode_survives_pickling(tmp_path):
-    pytest.importorskip("pyarrow")
-    env = wrappers.RecordEpochs(wrappers.WatchWrapper(single(), ["cusum"]), tmp_path)
-    env.reset(seed=1)
-    env.step([0.0, 0.1])
-    copy = pickle.loads(pickle.dumps(env))
-    mine, theirs = env.step([0.0, 0.2]), copy.step([0.0, 0.2])
-    np.testing.assert_array_equal(mine[0], theirs[0])
-    assert mine[1:] == theirs[1:]

@@ -50,7 +50,7 @@ def test_backwards_is_what_the_filter_does(epoch, direction):
 
 
 def test_sensitivity_names_what_is_out_of_range():
-    with pytest.raises(ValueError, match="`epoch` must be 0 to 49, got 50"):
+    with pytest.raises(ValueError, match="`epoch` must be a whole number from 0 to 49, got 50"):
         sensitivity(RUN, 50, EAST)
     with pytest.raises(ValueError, match="`direction` must be a unit vector"):
         sensitivity(RUN, 0, (1.0, 1.0))

@@ -67,43 +67,27 @@ def outside(found):
     ]
 
 
-def test_tables_3_to_5_lie_within_a_spread_of_a_second_program():
-    assert outside(accuracy_rows(tables())) == []
-
-
-def test_table_6_and_7_lie_within_the_bands():
-    assert outside(deterioration_rows(tables())) == []
+def test_tables_3_to_7_lie_within_the_bands_of_a_second_program():
+    assert outside([*accuracy_rows(tables()), *deterioration_rows(tables())]) == []
     assert outside(latency_rows(tables())) == []
 
 
 @pytest.mark.parametrize("data_set", ATTACKED)
-@pytest.mark.parametrize("word", FILTERS)
-def test_sigma_over_that_of_gnss_run_by_run(word, data_set):
-    low, high = published.SIGMA_RATIO[word][data_set]
-    ratio = pooled(f"{data_set}/{word}/sigma") / pooled(f"{data_set}/GNSS/sigma")
-    # 1 to 99 % of another course's runs; 90 % leaves room for the difference of the courses
-    assert np.mean((ratio > low) & (ratio < high)) >= 0.9
-    assert low < np.median(ratio) < high
-
-
-@pytest.mark.parametrize("data_set", ATTACKED)
-@pytest.mark.parametrize("word", ["RIO", "ACNA, production"])
-def test_zeta_run_by_run(word, data_set):
-    low, high = published.ZETA[word][data_set]
-    gamma = {
-        name: pooled(f"{data_set}/{name}/sigma") / pooled(f"psi2/{name}/sigma")
-        for name in (word, "GNSS")
-    }
-    zeta = credibility(gamma[word], gamma["GNSS"])
-    assert np.mean((zeta > low) & (zeta < high)) >= 0.9
-
-
-@pytest.mark.parametrize("data_set", ATTACKED)
-def test_the_order_of_the_algorithms(data_set):
+def test_sigma_and_zeta_run_by_run_and_the_order_of_the_algorithms(data_set):
     sigma = {word: pooled(f"{data_set}/{word}/sigma") for word in ("GNSS", *FILTERS)}
+    gamma = {word: each / pooled(f"psi2/{word}/sigma") for word, each in sigma.items()}
+    for word in FILTERS:
+        low, high = published.SIGMA_RATIO[word][data_set]
+        ratio = sigma[word] / sigma["GNSS"]
+        # 1 to 99 % of another course's runs; 90 % leaves room for the difference of the courses
+        assert np.mean((ratio > low) & (ratio < high)) >= 0.9, word
+        assert low < np.median(ratio) < high, word
+    for word in ("RIO", "ACNA, production"):
+        low, high = published.ZETA[word][data_set]
+        zeta = credibility(gamma[word], gamma["GNSS"])
+        assert np.mean((zeta > low) & (zeta < high)) >= 0.9, word
     assert (sigma["EKF"] < sigma["GNSS"]).all()
-    assert (sigma["ACNA"] < sigma["EKF"]).all()
-    assert (sigma["ACNA, production"] < sigma["EKF"]).all()
+    assert (np.maximum(sigma["ACNA"], sigma["ACNA, production"]) < sigma["EKF"]).all()
     # with both attacks and 6 deg, RIO may see the slow change so late that it is no better
     assert np.mean(sigma["RIO"] < sigma["EKF"]) >= (0.98 if data_set == "both" else 1.0)
     if data_set == "jump":
@@ -114,11 +98,7 @@ def test_the_order_of_the_algorithms(data_set):
 
 
 def test_gnss_is_as_the_attack_makes_it():
-    for data_set, expected, spread in (
-        ("jump", 13.5, 1.1),
-        ("slow", 34.0, 3.0),
-        ("both", 11.6, 1.1),
-    ):
+    for data_set, expected, spread in (("jump", 13.5, 1.1), ("slow", 34, 3), ("both", 11.6, 1.1)):
         sigma = nominal(f"{data_set}/GNSS/sigma")
         assert np.mean(np.abs(sigma - expected) < spread) >= 0.97  # three standard deviations
 
@@ -134,12 +114,9 @@ def test_latencies():
     assert np.isnan(nominal("both/EKF/slow latency")).all()
 
 
-def test_rio_is_locked_out_by_the_slow_change_and_so_its_rows_are_equal():
+def test_the_slow_change_locks_out_all_but_production():
     assert pooled("both/RIO/alarm at the end").all()
     assert abs(np.median(nominal("slow/RIO/sigma") - nominal("both/RIO/sigma"))) < 1.0
-
-
-def test_production_lets_gnss_in_again_where_the_literal_detector_is_locked_out():
     assert nominal("both/ACNA/alarm at the end").mean() > 0.5
     assert pooled("both/ACNA, production/alarm at the end").mean() < 0.02
     assert np.nanmedian(pooled("both/ACNA, production/slow recovery")) <= 5.0
@@ -175,9 +152,7 @@ def test_figs_10_and_12():
     assert outside(sweep_rows(sweeps())) == []
     slow = joined_sweep(sweeps(), "slow")
     assert (slow["P_D"][:, -1] == 0.5).all()  # never detected beyond rate / gain
-
-
-def test_sums_of_the_error_rates_do_not_reach_zero_with_a_window():
+    # sums of the error rates do not reach zero with a window
     jump = joined_sweep(sweeps(), "jump")
     sums = (jump["P_FA"] + jump["P_MD"]).min(axis=1)
     for window, least in zip(jump["windows"], sums, strict=True):

@@ -120,7 +120,7 @@ def test_the_paper_s_process_noise_has_no_rest_under_white_noise():
     [
         ({"window": 100_001}, "`window` must be 2 to 100000 epochs, got 100001"),
         ({"process": "raws"}, "unknown process 'raws'.*did you mean 'raw'"),
-        ({"floor_m": -0.1}, "`floor_m` must be finite and >= 0, got -0.1"),
+        ({"floor_m": -0.1}, "`floor_m` must be a number of at least 0, got -0.1"),
     ],
 )
 def test_settings_are_checked_at_birth(settings, message):

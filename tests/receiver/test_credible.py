@@ -126,8 +126,8 @@ def test_the_belief_holds_in_a_world_as_it_assumes():
     ("settings", "message"),
     [
         ({"gain": 1.0}, "`gain` must lie between 0 and 1, both excluded, got 1"),
-        ({"noise_sd_m": 0.0}, "`noise_sd_m` must be finite and > 0, got 0"),
-        ({"drift_rate_mps": -1.0}, "`drift_rate_mps` must be finite and >= 0, got -1"),
+        ({"noise_sd_m": 0.0}, "`noise_sd_m` must be a number above 0, got 0"),
+        ({"drift_rate_mps": -1.0}, "`drift_rate_mps` must be a number of at least 0, got -1"),
         ({"drift_rate_mps": 1.0}, "`drift_rate_mps` must be at most 0.178.* for a gain of 0.16"),
     ],
 )

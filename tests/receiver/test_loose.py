@@ -197,7 +197,7 @@ def test_a_position_s_latitude_longitude_and_height():
     ("settings", "message"),
     [
         ({"horizontal_sd_m": 0.0}, "`horizontal_sd_m` must be > 0, got 0"),
-        ({"accel_bias_ug": -1.0}, "`accel_bias_ug` must be finite and >= 0, got -1"),
+        ({"accel_bias_ug": -1.0}, "`accel_bias_ug` must be a number of at least 0, got -1"),
         ({"initial_factor": np.nan}, "`initial_factor` must be finite"),
         ({"self_tuning": {"window": 1}}, "`window` must be 2 to 100000 epochs, got 1"),
     ],

@@ -82,8 +82,8 @@ def test_increments_are_rounded_before_they_are_summed_up(grade):
         ({"imu_rate_hz": 30}, r"flight's 100 Hz .* epochs of 0.5 s: 100, 50, 20, 10, 4, 2; got 30"),
         ({"imu_rate_hz": 200}, "got 200"),
         ({"imu_rate_hz": 20, "epoch_interval_s": 0.13}, "epochs of 0.13 s: 100, 7.69231; got 20"),
-        ({"imu_rate_hz": 0}, "`imu_rate_hz` must be finite and > 0, got 0"),
-        ({"imu_rate_hz": "20"}, "`imu_rate_hz` must be finite and > 0, got '20'"),
+        ({"imu_rate_hz": 0}, "`imu_rate_hz` must be a number above 0, got 0"),
+        ({"imu_rate_hz": "20"}, "`imu_rate_hz` must be a number above 0, got '20'"),
     ],
 )
 def test_rates_that_fit_no_sample_are_refused(scenario, said):

@@ -102,7 +102,7 @@ class Compass(Weigher):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"rate_limit_mps": 0.0}, "`rate_limit_mps` must be finite and > 0, got 0"),
+        ({"rate_limit_mps": 0.0}, "`rate_limit_mps` must be a number above 0, got 0"),
         ({"errors": {"decays": 0.1}}, "`errors` has no setting 'decays'; valid: horizontal_sd_m"),
         ({"receiver": {"window": 1}}, "`receiver` has no setting 'window'"),
         ({"timeline": {"attack_s": 50.0}}, "an episode takes 75.1 s .* 'shadmehri2025' lasts"),

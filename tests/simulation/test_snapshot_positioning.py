@@ -124,10 +124,10 @@ def test_false_alarms_come_as_promised():
         ({"spoofed": 2.5}, "`spoofed` must be a whole number of satellites, or a list"),
         ({"spoofed": [1, 1]}, r"slots within 0..11, each once, got \[1, 1\]"),
         ({"spoofed": [12]}, r"slots within 0..11, each once, got \[12\]"),
-        ({"noise_m": 0.0}, "`noise_m` must be finite and > 0, got 0.0"),
-        ({"interval_s": -1.0}, "`interval_s` must be finite and > 0, got -1.0"),
+        ({"noise_m": 0.0}, "`noise_m` must be a number above 0, got 0.0"),
+        ({"interval_s": -1.0}, "`interval_s` must be a number above 0, got -1.0"),
         ({"rate_limit_mps": [1.0, 2.0]}, "one for each of north, east, down, clock, got"),
-        ({"rate_limit_mps": 0.0}, "`rate_limit_mps` must be finite and > 0"),
+        ({"rate_limit_mps": 0.0}, "`rate_limit_mps` must be a number above 0"),
         ({"speed_mps": np.nan}, "`speed_mps` must be a finite number, got nan"),
     ],
 )

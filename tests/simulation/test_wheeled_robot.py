@@ -101,12 +101,12 @@ class Antenna(Acna):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"rate_limit_mps": 0.0}, "`rate_limit_mps` must be finite and > 0, got 0"),
+        ({"rate_limit_mps": 0.0}, "`rate_limit_mps` must be a number above 0, got 0"),
         ({"interval_s": 0.25}, "`interval_s` must be 1 to 64 times the sample interval"),
         ({"interval_s": 10.0}, "`interval_s` must be 1 to 64 times the sample interval"),
         ({"loop": {"speed": 1.0}}, "`loop` has no setting 'speed'; valid: length_m, "),
         ({"receiver": {"gain": 2.0}}, "`gain` must lie between 0 and 1"),
-        ({"timeline": {"attack_s": -1.0}}, "`attack_s` must be finite and > 0, got -1"),
+        ({"timeline": {"attack_s": -1.0}}, "`attack_s` must be a number above 0, got -1"),
         ({"interruptions_s": [[5.0, 4.0]]}, "must be pairs .* got \\[\\[5.0, 4.0\\]\\]"),
         ({"interruptions_s": [5.0]}, "must be pairs .* got \\[5.0\\]"),
         ({"detector": "ewma"}, "Ewma measures satellites, but the receiver measures position"),

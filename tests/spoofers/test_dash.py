@@ -19,12 +19,3 @@ def test_it_begins_so_long_before_the_end(last_s, waits):
     assert not east[:waits].any()
     # 2 m/s are 80 epochs at the largest acceleration
     np.testing.assert_array_equal(east[waits:], 1.0)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [({"last_s": 0.0}, "`last_s`"), ({"rate_mps": float("inf")}, "`rate_mps`")],
-)
-def test_bad_settings_are_refused(settings, message):
-    with pytest.raises(ValueError, match=message):
-        Dash(**settings)

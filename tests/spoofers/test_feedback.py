@@ -78,20 +78,10 @@ def test_a_blind_view_is_refused():
         Feedback().bind(context._replace(observation_names=("time_left",)))
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"zero_ratio": 0.4}, "`zero_ratio` must be above `full_ratio` = 0.47, got 0.4"),
-        ({"back": 0.5}, r"`back` must be in \[-1, 0\], got 0.5"),
-        ({"growth": -1.0}, "`growth` must be finite and >= 0"),
-        ({"rate_mps": np.nan}, "`rate_mps` must be a finite number"),
-    ],
-)
-def test_a_wrong_setting_says_what_is_valid(settings, message):
-    with pytest.raises(ValueError, match=message):
-        Feedback(**settings)
-
-
-def test_a_curve_beyond_the_limit_is_refused():
+def test_what_cannot_be_played_is_refused():
+    with pytest.raises(
+        ValueError, match=r"`zero_ratio` must be above `full_ratio` = 0\.47, got 0\.4"
+    ):
+        Feedback(zero_ratio=0.4)
     with pytest.raises(ValueError, match="`rates_mps` = 7 is more than the attack allows"):
         bound(kind=FeedbackProfile, rates_mps=(0.1, 7.0))

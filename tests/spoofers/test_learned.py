@@ -86,9 +86,8 @@ def test_the_bits_do_not_depend_on_the_batch(inputs: int, width: int, tmp_path: 
             assert part.tobytes() == whole[begin : begin + size].tobytes(), (size, begin)
 
 
-@pytest.mark.parametrize("knowledge", ["blind", "tracking", "oracle"])
-def test_it_keeps_the_contract_of_spoofers(knowledge: str, tmp_path: Path) -> None:
-    check_spoofer(str(write_policy(tmp_path, knowledge=knowledge)))
+def test_it_keeps_the_contract_of_spoofers(tmp_path: Path) -> None:
+    check_spoofer(str(write_policy(tmp_path, knowledge="tracking")))
 
 
 def test_it_keeps_the_contract_with_another_attack(tmp_path: Path) -> None:

@@ -1,12 +1,10 @@
 """The threshold rider learns how the statistic follows its rate, and stays below the margin."""
 
 import numpy as np
-import pytest
 
 from spoofgym.envs.spoofer_binding import bound_spoofer
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.spoofers import ThresholdRider
-from spoofgym.testing import check_spoofer
 
 RESPONSE, RHO, QUIET = 0.9, 0.6, 0.2
 """Of a statistic that a horizon later is QUIET (1 - RHO) + RHO q + RESPONSE u, u the mean rate."""
@@ -74,31 +72,3 @@ def test_without_room_it_waits_and_never_goes_back():
     seen = np.zeros((2, len(names)), dtype=np.float32)
     seen[:, names.index("statistic_ratio")] = [0.0, 5.0]
     np.testing.assert_array_equal(spoofer.wanted_rate(seen), [0.3, 0.0])
-
-
-def test_it_keeps_the_contract_of_spoofers():
-    spoofer, _ = bound()
-    check_spoofer(spoofer)
-
-
-def test_receivers_that_start_later_learn_for_themselves():
-    spoofer, names = bound(rates_mps=(0.1, 0.5), horizon_s=5.0)
-    ridden(spoofer, names, epochs=40)
-    alone = spoofer.memory["found"][0].copy()
-    spoofer.reset(np.array([False, True]))
-    np.testing.assert_array_equal(spoofer.memory["found"][1], [0.0, 1.0, 0.0])
-    np.testing.assert_array_equal(spoofer.memory["found"][0], alone)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"margin": 0.0}, "`margin` must be finite and > 0"),
-        ({"horizon_s": -1.0}, "`horizon_s` must be finite and > 0"),
-        ({"band": np.nan}, "`band` must be finite and > 0"),
-        ({"deviations": -1.0}, "`deviations` must be finite and >= 0"),
-    ],
-)
-def test_a_wrong_setting_says_what_is_valid(settings, message):
-    with pytest.raises(ValueError, match=message):
-        ThresholdRider(**settings)

@@ -1,7 +1,5 @@
 """What is calibrated for the package is what its tasks for detectors name."""
 
-from __future__ import annotations
-
 import pytest
 
 from spoofgym.bench.report.tasks import classics_of

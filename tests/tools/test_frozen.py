@@ -55,10 +55,6 @@ def one_bit(array):
     return changed
 
 
-def test_equal_records_are_equal(tmp_path):
-    assert differences(tmp_path, steps()) == []
-
-
 @pytest.mark.parametrize(
     ("key", "change", "named"),
     [
@@ -75,6 +71,7 @@ def test_equal_records_are_equal(tmp_path):
     ],
 )
 def test_one_bit_is_found_and_named(tmp_path, key, change, named):
+    assert differences(tmp_path, steps()) == []
     (found,) = differences(tmp_path, steps(**{key: change}))
     assert found.step == 3
     assert found.key.startswith(named)
@@ -82,27 +79,19 @@ def test_one_bit_is_found_and_named(tmp_path, key, change, named):
     assert str(found).startswith("spoofgym/Snapshot-v0 same_step B=3 step 3 info/")
 
 
-def test_a_sign_of_zero_differs_and_nan_is_nan():
-    old, new = np.array([0.0, np.nan, 1.0]), np.array([-0.0, np.nan, 1.0])
-    np.testing.assert_array_equal(Tolerance().unequal(old, new), [True, False, False])
-    found = Tolerance(1e-3).unequal(old, np.array([0.0, 2.0, 1.0]))
-    assert found.tolist() == [False, True, False]
-
-
-def test_the_tolerance_is_relative_to_the_largest_value():
-    old = np.array([1000.0, 1.0])
-    assert not Tolerance(1e-6).unequal(old, old + np.array([0.0, 0.9e-3])).any()
-    assert Tolerance(1e-6).unequal(old, old + np.array([0.0, 1.1e-3])).tolist() == [False, True]
-    assert not Tolerance(1e-6, absolute=2e-3).unequal(old, old + np.array([0.0, 1.1e-3])).any()
-
-
-def test_no_tolerance_takes_nan_for_a_number_or_an_infinity_for_another():
-    old = np.array([1.0, np.nan, np.inf, np.inf, 1.0])
-    new = np.array([np.nan, np.nan, -np.inf, np.inf, np.inf])
-    assert Tolerance(1.0).unequal(old, new).tolist() == [True, False, True, False, True]
-
-
-def test_single_precision_may_have_been_rounded_to_the_next_number():
+def test_the_tolerance_is_relative_to_the_largest_value_and_takes_nan_for_no_number():
+    nan, inf = np.nan, np.inf
+    for tolerance, old, new, differ in (
+        (Tolerance(), [0.0, nan, 1.0], [-0.0, nan, 1.0], [True, False, False]),
+        (Tolerance(1e-3), [0.0, nan, 1.0], [0.0, 2.0, 1.0], [False, True, False]),
+        (Tolerance(1e-6), [1000.0, 1.0], [1000.0, 1.0 + 0.9e-3], [False, False]),
+        (Tolerance(1e-6), [1000.0, 1.0], [1000.0, 1.0 + 1.1e-3], [False, True]),
+        (Tolerance(1e-6, absolute=2e-3), [1000.0, 1.0], [1000.0, 1.0 + 1.1e-3], [False, False]),
+        (Tolerance(1.0), [1.0, nan, inf, inf], [nan, nan, -inf, inf], [True, False, True, False]),
+        (Tolerance(1.0), [1.0], [inf], [True]),
+    ):
+        assert tolerance.unequal(np.array(old), np.array(new)).tolist() == differ
+    # single precision may have been rounded to the next number
     old = np.float32([1.0, 100.0])
     nexts = np.nextafter(old, np.float32(np.inf))
     assert not Tolerance(1e-12).unequal(old, nexts).any()
@@ -146,18 +135,16 @@ def test_the_worst_deviation_of_every_column_is_reported(tmp_path):
     assert tolerance.inexact == {CASE.name}
 
 
-def test_a_value_that_comes_at_another_step_differs(tmp_path):
+def test_another_type_and_another_step_differ(tmp_path):
     new = steps()
     del new[2]["count"]
     (found,) = differences(tmp_path, new)
     assert (found.step, found.key, found.old, found.new) == (2, "info/count", "there", "missing")
-
-
-@pytest.mark.parametrize("change", [np.float32, float, lambda x: np.int64(x)])
-def test_another_type_differs(tmp_path, change):
-    new = [{**each, "count": change(each["count"])} for each in steps()]
-    (found,) = differences(tmp_path, new)
-    assert found.key == "info/count"
+    for change in (np.float32, float, np.int64):
+        (found,) = differences(
+            tmp_path, [{**each, "count": change(each["count"])} for each in steps()]
+        )
+        assert found.key == "info/count"
 
 
 def renamed(step):
@@ -180,10 +167,7 @@ def test_a_part_of_a_name_is_not_renamed():
     assert scope.rename(("info", "cost_m")) == ("info", "cost_m")
     assert scope.rename(("info", "true_cost", "_cost")) == ("info", "true_cost", "_price")
     assert scope.rename(("a", "b", "cost f()")) == ("c", "price f()")
-
-
-def test_a_slash_within_a_part_is_not_between_parts():
-    path = ("json", "[spoofgym/Snapshot-v0]", "pool")
+    path = ("json", "[spoofgym/Snapshot-v0]", "pool")  # a slash within is not between parts
     assert Scope({"pool": "opponents"}).rename(path) == (*path[:2], "opponents")
     assert Scope(added={"[spoofgym/Snapshot-v0]/pool": "said why"}).is_added(path)
 
@@ -195,16 +179,11 @@ def test_added_and_dropped_keys_have_to_be_declared(tmp_path):
     assert {each.key for each in differences(tmp_path, new)} == {"info/count", "info/more"}
     scope = Scope(added={"more": "said why"}, dropped={"count": "said why"})
     assert differences(tmp_path, new, scope) == []
-
-
-def test_a_declaration_that_is_wrong_is_found(tmp_path):
-    (found,) = differences(tmp_path, steps(), Scope(added={"count": "said why"}))
-    assert found.new == "declared as added"
-    (found,) = differences(tmp_path, steps(), Scope(dropped={"count": "said why"}))
-    assert found.new == "still there"
-
-
-def test_what_is_added_and_dropped_has_other_values(tmp_path):
+    # a declaration that is wrong is found; what is both has other values
+    why = {"count": "said why"}
+    for scope, said in ((Scope(added=why), "declared as added"), (Scope(dropped=why), "still")):
+        (found,) = differences(tmp_path, steps(), scope)
+        assert found.new.startswith(said)
     both = Scope(added={"label": "reworded"}, dropped={"label": "reworded"})
     assert differences(tmp_path, steps(label=lambda _: "step"), both) == []
 
@@ -225,13 +204,10 @@ def test_elements_of_an_observation_are_named_and_mapped(tmp_path):
     more = [{"observation": np.float32([[k, 1.0, 9.0, 2.0]])} for k in range(4)]
     names = ["east", "north", "new", "up"]
     assert found(more, names, Scope(added={"new": "said why"})) == []
-
-
-@pytest.mark.parametrize("key", ["final_obs", "terminal_observation"])
-def test_elements_of_a_last_observation_have_the_same_names(tmp_path, key):
-    values = np.array([None, np.float32([1.0, 2.0])], dtype=object)
-    columns = recorded(tmp_path, [{key: values}], {"observation": ["east", "north"]})
-    assert columns[("info", key, "[1]", "north")].values.tolist() == [2.0]
+    for key in ("final_obs", "terminal_observation"):
+        last = np.array([None, np.float32([1.0, 2.0])], dtype=object)
+        columns = recorded(tmp_path, [{key: last}], {"observation": ["east", "north"]})
+        assert columns[("info", key, "[1]", "north")].values.tolist() == [2.0]
 
 
 def test_scopes_are_ids_and_patterns_without_variants():
@@ -265,19 +241,16 @@ def test_an_error_of_either_tree_is_a_difference():
     assert frozen.judge(CASE, {}, same, Names(), Tolerance())
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_the_name_map_is_checked(tmp_path):
+    file = tmp_path / "names.toml"
+    for text, message in (
         ("[rename]\n", "'rename'"),
         ('[dropped."*"]\nkey = ""\n', r"dropped \* key needs a reason"),
         ('[volatile.bench]\nkey = ""\n', "volatile bench key needs a reason"),
-    ],
-)
-def test_the_name_map_is_checked(tmp_path, text, message):
-    file = tmp_path / "names.toml"
-    file.write_text(text)
-    with pytest.raises(ValueError, match=message):
-        Names.load(file)
+    ):
+        file.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            Names.load(file)
 
 
 def test_what_is_volatile_in_the_repository_is_the_digests_and_nothing_beside():
@@ -292,9 +265,9 @@ def test_what_is_volatile_in_the_repository_is_the_digests_and_nothing_beside():
 
 def test_what_is_volatile_is_not_compared_in_either_tree(tmp_path):
     scope = Scope({"count": "number"}, volatile={"number": "the clock's"})
-    new = [
-        {**{key: x for key, x in step.items() if key != "count"}, "number": 9.0} for step in steps()
-    ]
+    new = steps()
+    for step in new:
+        step["number"] = 9.0 + step.pop("count")
     assert differences(tmp_path, new, scope) == []
     for step in new:
         del step["number"]
@@ -302,14 +275,6 @@ def test_what_is_volatile_is_not_compared_in_either_tree(tmp_path):
     new[3]["cost"] = one_bit(new[3]["cost"])
     (found,) = differences(tmp_path, new, scope)
     assert found.key == "info/cost[2]"
-
-
-@pytest.mark.parametrize("use", ["default_rate", "own_calibrations"])
-@pytest.mark.parametrize("at", ["spoofgym.nowhere:RATE", "spoofgym.detectors:NO_SUCH_RATE"])
-def test_what_is_patched_has_to_be_there(use, at):
-    error = ModuleNotFoundError if "nowhere" in at else AttributeError
-    with pytest.raises(error, match=at.partition(":")[2] if error is AttributeError else "nowhere"):
-        frozen_probe.set_thresholds({**IMPORTS, use: at}, usual=False)
 
 
 def test_thresholds_are_as_published_or_those_that_users_have(tmp_path, monkeypatch):
@@ -324,6 +289,10 @@ def test_thresholds_are_as_published_or_those_that_users_have(tmp_path, monkeypa
         frozen_probe.set_thresholds(imports, usual=usual)
         assert getattr(owner, rate) == expected
         assert os.environ[variable] == str(tmp_path / "own")
+    for at, error in (("nowhere:RATE", ModuleNotFoundError), ("core:NO_RATE", AttributeError)):
+        for use in ("default_rate", "own_calibrations"):  # what is patched has to be there
+            with pytest.raises(error):
+                frozen_probe.set_thresholds({**imports, use: f"spoofgym.{at}"}, usual=False)
 
 
 def test_a_score_is_recorded_by_its_fields(tmp_path):

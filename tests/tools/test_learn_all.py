@@ -1,7 +1,5 @@
 """All trainings by one command: what has ended is not run again, and every command is one."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os
@@ -46,26 +44,20 @@ def test_a_killed_run_goes_on_with_the_step_that_was_not_finished(tmp_path):
 
 
 def test_every_task_and_every_page_has_its_step(tmp_path):
-    steps = steps_of(tmp_path)
+    steps, folders = steps_of(tmp_path), {}
     assert {f"ppo-{key}" for key in TASKS} | {f"cards-{key}" for key in DETECTOR_TASKS} <= {*steps}
-    for (option, module, *_), _ in steps.values():
-        assert option == "-m"
-        assert importlib.util.find_spec(module) is not None
     names = [*steps]
     for name, step in steps.items():
+        assert step.words[0] == "-m"
+        assert importlib.util.find_spec(step.words[1]) is not None
         assert all(names.index(sooner) < names.index(name) for sooner in step.after)
-    assert steps["threshold"].after == ("guard",)
-    folders = {"spoofers-T5-aime", "refits", "fresh-T1", "plain-T2", "ppo-T6"}
-    assert folders <= {*steps["page"].after}
-    assert all(str(tmp_path / name) in steps["page"].words for name in steps["page"].after)
-
-
-def test_commands_that_write_to_the_same_place_wait_for_each_other(tmp_path):
-    steps = steps_of(tmp_path)
-    folders = {}
-    for name, step in steps.items():
         if "--out" in step.words:
             folders.setdefault(step.words[step.words.index("--out") + 1], []).append(name)
+    assert steps["threshold"].after == ("guard",)
+    page = steps["page"]
+    assert {"spoofers-T5-aime", "refits", "fresh-T1", "plain-T2", "ppo-T6"} <= {*page.after}
+    assert all(str(tmp_path / name) in page.words for name in page.after)
+    # commands that write to the same place wait for each other
     alike = [names for names in folders.values() if len(names) > 1]
     assert alike == [["feedback", "feedback-T2"]]
     cards = [name for name in steps if name.startswith("cards-")]
@@ -74,18 +66,18 @@ def test_commands_that_write_to_the_same_place_wait_for_each_other(tmp_path):
 
 
 MEET = """
-import pathlib, sys, time
+import json, os, pathlib, sys, time
 mine, other = map(pathlib.Path, sys.argv[1:])
-mine.write_text("")
+mine.write_text(json.dumps(sorted(os.sched_getaffinity(0))) if sys.platform == "linux" else "")
 until = time.monotonic() + 60
 while not other.exists() and time.monotonic() < until:
     time.sleep(0.01)
 raise SystemExit(0 if other.exists() else 4)
 """
-"""Ends well only where another one runs at the same time."""
+"""Ends well only where another one runs at the same time; leaves the processors that it has."""
 
 
-def test_workers_run_at_once_and_what_is_needed_ends_before(tmp_path):
+def test_workers_run_at_once_share_the_processors_and_what_is_needed_ends_before(tmp_path):
     one, two, seen = tmp_path / "one", tmp_path / "two", tmp_path / "seen"
     last = f"import os; open({str(seen)!r}, 'w').write(str(os.path.exists({str(two)!r})))"
     steps = {
@@ -98,6 +90,12 @@ def test_workers_run_at_once_and_what_is_needed_ends_before(tmp_path):
     assert seen.read_text() == "True"
     logs = {f"{name}.log" for name in steps}
     assert {path.name for path in out.iterdir()} == {MARKS, "config.json", "cells", *logs}
+    if sys.platform == "linux":  # elsewhere the system shares them itself
+        own = sorted(os.sched_getaffinity(0))
+        first, second = (json.loads(path.read_text()) for path in (one, two))
+        assert sorted(first + second) == (own if len(own) > 1 else own * 2)
+        run(tmp_path / "alone", {"it": Step(["-c", MEET, str(tmp_path / "alone.txt"), str(one)])})
+        assert json.loads((tmp_path / "alone.txt").read_text()) == own
 
 
 def test_after_a_failure_nothing_begins_and_the_log_has_the_cause(tmp_path):
@@ -115,39 +113,16 @@ def test_after_a_failure_nothing_begins_and_the_log_has_the_cause(tmp_path):
     assert sorted(log.split("\n")) == ["", "out", "the cause"]
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the system shares the processors itself")
-def test_workers_share_the_processors(tmp_path):
-    own, told = sorted(os.sched_getaffinity(0)), tmp_path / "told"
-    line = f"import os; open({str(told)!r}, 'a').write(repr(sorted(os.sched_getaffinity(0))))"
-    run(tmp_path / "one", {"it": Step(["-c", line])})
-    assert told.read_text() == repr(own)
-    told.unlink()
-    wait = "import time; time.sleep(1.0)"
-    steps = {f"step {k}": Step(["-c", f"{line}; {wait}"]) for k in range(len(own))}
-    run(tmp_path / "all", steps, workers=len(own))
-    assert sorted(told.read_text()) == sorted("".join(repr([each]) for each in own))
-    assert sorted(os.sched_getaffinity(0)) == own
-
-
-def test_names_of_steps_are_checked(tmp_path):
-    with pytest.raises(SystemExit, match=r"^error: unknown step 'ppo-T9'"):
-        main(["--out", str(tmp_path), "--only", "ppo-T9"])
-
-
-def test_steps_can_be_listed(tmp_path, capsys):
+def test_steps_can_be_listed_and_are_checked(tmp_path, capsys):
     main(["--out", str(tmp_path), "--only", "game-page", "ppo-T6", "--list"])
     assert capsys.readouterr().out.splitlines() == [
         f"ppo-T6: python -m train.ppo_spoofer --task T6 --warm-pool 512 --out {tmp_path}/ppo-T6",
         f"game-page: python -m tools.game_page {tmp_path}/game",
     ]
-
-
-def test_a_folder_of_somebody_else_is_refused(tmp_path):
+    with pytest.raises(SystemExit, match=r"^error: unknown step 'ppo-T9'"):
+        main(["--out", str(tmp_path), "--only", "ppo-T9"])
+    with pytest.raises(ValueError, match=r"`jobs` must be .*, got 0"):
+        run(tmp_path, {}, workers=0)
     (tmp_path / MARKS).write_text("{}")
     with pytest.raises(ValueError, match=r"is not empty and holds no config\.json"):
         run(tmp_path, {})
-
-
-def test_there_is_a_worker_at_least(tmp_path):
-    with pytest.raises(ValueError, match="`jobs` must be a whole number of at least 1, got 0"):
-        run(tmp_path, {}, workers=0)

@@ -1,7 +1,5 @@
 """The page on learned spoofers shows what is kept of the trainings, and what it says is true."""
 
-from __future__ import annotations
-
 import json
 from statistics import median
 
@@ -33,13 +31,9 @@ def test_every_training_has_five_seeds_and_a_picture(kept):
         picture = f"learning_{task.lower()}.png"
         assert picture in page
         assert (DOCS / picture).is_file()
-
-
-def test_every_cell_of_the_many_trainings_has_five_seeds(kept):
     for cell, found in kept["spoofers"].items():
         assert [row["seed"] for row in found["seeds"]] == SEEDS
-        known = cell.rpartition("/")[2]
-        assert {row["score"]["knowledge"] for row in found["seeds"]} == {known}
+        assert {row["score"]["knowledge"] for row in found["seeds"]} == {cell.rpartition("/")[2]}
 
 
 def test_fresh_seeds_on_fresh_runs_share_none_with_the_others(kept):

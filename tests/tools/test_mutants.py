@@ -101,7 +101,23 @@ def test_one_that_is_no_longer_killed_fails_the_run(checkout: Path, tmp_path: Pa
     assert [each.outcome for each in read_mutants(tmp_path / "again.csv")] == [SURVIVED]
 
 
-def test_a_file_that_has_changed_since_is_refused(checkout: Path) -> None:
-    (found, *_) = find_changes("spoofgym/receiver/sums.py", "def add(a, b):\n    return a - b\n")
-    with pytest.raises(ValueError, match="is not as it was when it was drawn"):
-        mutants.apply(replace(found, before="-"), checkout)
+def test_a_line_that_was_moved_is_found_and_one_that_is_gone_is_counted_apart(
+    checkout: Path, tmp_path: Path
+) -> None:
+    moved, gone = (
+        each
+        for sign in "+-"
+        for each in find_changes(
+            "spoofgym/receiver/sums.py", f"def add(a, b):\n    return a {sign} b\n"
+        )
+        if each.kind == "operator"
+    )
+    path = checkout / "spoofgym/receiver/sums.py"
+    path.write_text("def add(a, b):\n    if True:\n        return a + b\n")
+    assert not mutants.apply(gone, checkout)
+    assert mutants.apply(moved, checkout)
+    assert path.read_text() == "def add(a, b):\n    if True:\n        return a - b\n"
+    before = tmp_path / "before.csv"
+    mutants.write_mutants(before, [replace(gone, outcome=KILLED)])
+    mutants.main(tmp_path / "again.csv", killed_in=before)
+    assert [each.outcome for each in read_mutants(tmp_path / "again.csv")] == [mutants.GONE]

@@ -1,7 +1,5 @@
 """Shipping: a policy goes to the zoo with the score that it has, or not at all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -15,13 +13,9 @@ from tests.spoofers.policies import TIMELINE, write_policy
 from tools.ship_spoofer import main, ship
 
 
-@pytest.fixture(scope="module")
-def judge():
+def test_a_policy_is_shipped_with_its_score_unless_it_is_over_the_budget(tmp_path, monkeypatch):
     detector = {"name": "snapshot-chi2", "thresholds": "nominal"}
-    return Evaluator(detector=detector, timeline=TIMELINE, runs=40, entropy=3)
-
-
-def test_a_policy_is_shipped_with_its_score(judge, tmp_path):
+    judge = Evaluator(detector=detector, timeline=TIMELINE, runs=40, entropy=3)
     source = write_policy(tmp_path, "mine")
     (tmp_path / "zoo").mkdir()
     file = ship(source, "better-name", judge, tmp_path / "zoo")
@@ -35,12 +29,7 @@ def test_a_policy_is_shipped_with_its_score(judge, tmp_path):
     assert score.clean_alarm_rate == wanted.clean_alarm_rate
     assert (score.runs, score.counted, score.entropy) == (40, wanted.counted, 3)
     assert SpooferCard.load(source.with_suffix(".json")).scores == ()
-
-
-def test_a_policy_over_the_budget_is_not(judge, tmp_path, monkeypatch):
-    source = write_policy(tmp_path, "mine")
-    quiet = judge.score(str(source), amplitude=None)
-    loud = replace(quiet, within_budget=False)
+    loud = replace(wanted, within_budget=False)
     monkeypatch.setattr(judge, "score", lambda *given, **named: loud)
     with pytest.raises(ValueError, match=r"is not shipped: .*over the budget of 5 %"):
         ship(source, "better-name", judge, tmp_path)

@@ -1,7 +1,5 @@
 """What counts as size."""
 
-from __future__ import annotations
-
 import json
 
 from typer import Typer
@@ -11,12 +9,14 @@ from tools import size
 
 
 def test_lines_statements_and_files_are_counted(tmp_path):
-    (tmp_path / "a" / "deep").mkdir(parents=True)
-    (tmp_path / "a" / "one.py").write_text('"""Doc."""\n\nif True:\n    x = [\n        1,\n    ]\n')
-    (tmp_path / "a" / "deep" / "two.py").write_text("def f(): return 1\n")
-    (tmp_path / "a" / "notes.txt").write_text("no\n" * 9)
-    (tmp_path / "b").mkdir()
-    (tmp_path / "b" / "three.py").write_text("")
+    for path, text in {
+        "a/one.py": '"""Doc."""\n\nif True:\n    x = [\n        1,\n    ]\n',
+        "a/deep/two.py": "def f(): return 1\n",
+        "a/notes.txt": "no\n" * 9,
+        "b/three.py": "",
+    }.items():
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_text(text)
     assert size.size_of("a", tmp_path) == (7, 5, 2)
     assert size.size_of("a + b", tmp_path) == (7, 5, 3)
 

@@ -1,7 +1,5 @@
 """Which files count as a part of a command's walk."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

@@ -1,15 +1,11 @@
 """Training of a detector, end to end, with settings that take seconds."""
 
-from __future__ import annotations
-
 import json
-import math
 import shutil
 import sys
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -39,53 +35,53 @@ OFTEN = 30.0
 """False alarms an hour that few clean runs can tell."""
 
 
-def setup() -> Any:
+def setup():
     return World.of(timeline=TIMES).setup
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(tmp_path_factory):
     path = tmp_path_factory.mktemp("data") / "set"
-    terms = (
-        "innovation",
-        "in-view",
-        "line-of-sight",
-        {"name": "classic", "detector": {"name": "snapshot-chi2"}},
-    )
+    classic = {"name": "classic", "detector": {"name": "snapshot-chi2"}}
+    terms = ("innovation", "in-view", "line-of-sight", classic)
     runs = {"train": 12, "validation": 8, "test": 8}
     run(Plan(setup(), length_m=10.0, terms=terms, runs=runs), Store(path), threads=1)
     return path
 
 
-@pytest.fixture(autouse=True)
-def torch_threads() -> Any:
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
-def arguments(data: Path, out: Path, **changes: Any) -> Arguments:
+def arguments(data, out, **changes):
     small = {"passes": 3, "batch_size": 8, "width": 8, "projections": 2, "least_live_s": 2.0}
     return Arguments(data=data, out=out, false_alarms_per_hour=OFTEN, **{**small, **changes})
 
 
-def quiet() -> Console:
+def quiet():
     return Console(quiet=True)
 
 
-def test_what_was_trained_is_a_detector_like_any_other(data: Path, tmp_path: Path) -> None:
-    file = train(arguments(data, tmp_path / "guard"), quiet())
-    points = read_record(tmp_path / "guard" / RECORD)
+@pytest.fixture(scope="module")
+def file(data, tmp_path_factory):
+    """What a training of three passes has written."""
+    return train(arguments(data, tmp_path_factory.mktemp("whole") / "guard"), quiet())
+
+
+@pytest.fixture
+def trainer(data, tmp_path):
+    """One that knows the scales, and has not learned yet."""
+    made = Trainer(arguments(data, tmp_path / "guard"), load(data))
+    made.normalize(made.data.episodes("train"))
+    return made
+
+
+def test_what_was_trained_is_a_detector_like_any_other(data, file):
+    points = read_record(file.parent / RECORD)
     assert [point["step"] for point in points] == [1, 2, 3]
     assert points[-1]["train_loss"] < points[0]["train_loss"]
-    card = json.loads(file.with_suffix(".json").read_text())
-    assert card["training"]["data"] == load(data).digest
-    assert "quiet" in card["training"]["held_out"]
+    card = json.loads(file.with_suffix(".json").read_text())["training"]
+    assert card["data"] == load(data).digest
+    assert "quiet" in card["held_out"]
     entropy = load(data).config["entropy"]
-    seeds = [[entropy, f"dataset-{part}"] for part in ("train", "validation")]
-    assert card["training"]["decided_on"] == seeds
-    judge = make_detector({"name": str(file), "threshold": 0.5})
-    world = setup().altered(detector=judge)
+    assert card["decided_on"] == [[entropy, f"dataset-{part}"] for part in ("train", "validation")]
+    world = setup().altered(detector=make_detector({"name": str(file), "threshold": 0.5}))
     seeds = seeds_of_runs(0, "training", world.name, range(4))
     start = WarmStart(world, generators_of(seeds), threads=1)
     runs = {name: play(start, {"name": name}) for name in ("none", "ramp")}
@@ -93,13 +89,11 @@ def test_what_was_trained_is_a_detector_like_any_other(data: Path, tmp_path: Pat
     assert (runs["ramp"].peak > runs["none"].peak).any()
 
 
-def test_in_the_loop_it_says_what_it_said_of_the_data(data: Path, tmp_path: Path) -> None:
+def test_in_the_loop_it_says_what_it_said_of_the_data(file, trainer):
     """Float16 apart: the same runs again, judged epoch by epoch by the file."""
-    file = train(arguments(data, tmp_path / "guard", passes=1), quiet())
-    set_, given = load(data), arguments(data, tmp_path / "again", passes=1)
-    trainer = Trainer(given, set_)
-    trainer.restore(tmp_path / "guard" / CHECKPOINT)
-    found = set_.episodes("validation")
+    trainer.restore(file.parent / CHECKPOINT)
+    trainer.network.load_state_dict(trainer.kept)
+    found = trainer.data.episodes("validation")
     with torch.no_grad():
         seen = torch.from_numpy(found.observation[::2].astype(np.float32))
         wanted = module.statistic_of(trainer.network.log_odds(seen).numpy())
@@ -113,51 +107,49 @@ def test_in_the_loop_it_says_what_it_said_of_the_data(data: Path, tmp_path: Path
         np.testing.assert_allclose(now, wanted[:, k], atol=0.02)
 
 
-def test_a_killed_training_comes_to_the_same_result(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = train(arguments(data, tmp_path / "whole" / "guard"), quiet())
+def test_a_killed_training_comes_to_the_same_result(data, file, trainer, tmp_path, monkeypatch):
     learn = Trainer.learn
 
-    def until_killed(self: Trainer, episodes: Episodes) -> float:
+    def until_killed(self, episodes):
         if self.done == 2:
             raise KeyboardInterrupt
         return learn(self, episodes)
 
-    monkeypatch.setattr(Trainer, "learn", until_killed)
-    given = arguments(data, tmp_path / "killed" / "guard")
-    with pytest.raises(KeyboardInterrupt):
-        train(given, quiet())
-    monkeypatch.setattr(Trainer, "learn", learn)
+    given = arguments(data, tmp_path / "guard")
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "learn", until_killed)
+        with pytest.raises(KeyboardInterrupt):
+            train(given, quiet())
+    monkeypatch.setattr(module, "_export", lambda trainer, console: trainer)
     again = train(given, quiet())
-    assert again.read_bytes() == whole.read_bytes()
-    lines = [read_record(path.parent / RECORD) for path in (whole, again)]
+    trainer.restore(file.parent / CHECKPOINT)
+    assert (again.done, again.best, again.best_pass) == (3, trainer.best, trainer.best_pass)
+    assert all(torch.equal(again.kept[name], weight) for name, weight in trainer.kept.items())
+    lines = [read_record(path / RECORD) for path in (file.parent, given.out)]
     for mine, theirs in zip(*lines, strict=True):
         assert {**mine, "wall_s": 0} == {**theirs, "wall_s": 0}
+    (given.out / CHECKPOINT).write_bytes(b"no checkpoint")
+    with pytest.raises(ValueError, match=r"checkpoint\.pt is damaged, .*: remove it"):
+        train(given, quiet())
 
 
-def test_minibatches_begin_at_drawn_moments_before_the_onset(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_minibatches_begin_at_drawn_moments_before_the_onset(trainer, monkeypatch):
     """Else a network that remembers could count the epochs to the onset of all attacks."""
     begins, lengths, loss = [], [], Trainer._loss
-    trainer = Trainer(arguments(data, tmp_path / "guard"), load(data))
     log_odds = trainer.network.log_odds
 
-    def logged(self: Trainer, some: Episodes, begin: int) -> Any:
+    def logged(self, some, begin):
         begins.append(begin)
         return loss(self, some, begin)
 
-    def measured(seen: Any) -> Any:
+    def measured(seen):
         lengths.append(seen.shape[1])
         return log_odds(seen)
 
     monkeypatch.setattr(Trainer, "_loss", logged)
     monkeypatch.setattr(trainer.network, "log_odds", measured)
-    episodes = trainer.data.episodes("train")
-    trainer.normalize(episodes)
     for _ in range(5):
-        trainer.learn(episodes)
+        trainer.learn(trainer.data.episodes("train"))
     epochs = trainer.config["epochs"]
     least = 2.0 / trainer.config["interval_s"]
     assert len(set(begins)) > 5
@@ -165,12 +157,8 @@ def test_minibatches_begin_at_drawn_moments_before_the_onset(
     assert lengths == [epochs["all"] - begin for begin in begins]
 
 
-def test_the_loss_from_a_later_moment_is_that_of_episodes_cut_there(
-    data: Path, tmp_path: Path
-) -> None:
-    trainer = Trainer(arguments(data, tmp_path / "guard"), load(data))
+def test_the_loss_from_a_later_moment_is_that_of_episodes_cut_there(trainer):
     episodes = trainer.data.episodes("train")
-    trainer.normalize(episodes)
     late = trainer._loss(episodes, 7)
     assert not torch.equal(late, trainer._loss(episodes, 0))
     cut = [part[:, 7:] if part.ndim > 1 else part for part in episodes]
@@ -179,64 +167,35 @@ def test_the_loss_from_a_later_moment_is_that_of_episodes_cut_there(
     assert torch.equal(late, trainer._loss(Episodes(*cut), 0))
 
 
-def test_the_best_is_kept_where_training_diverges(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_best_is_kept_where_training_diverges(data, tmp_path, monkeypatch):
     loss = Trainer._loss
-
-    def broken(self: Trainer, some: Episodes, begin: int) -> Any:
-        return loss(self, some, begin) * (float("nan") if self.done == 1 else 1.0)
-
+    good = 1
+    broken = lambda self, *given: loss(self, *given) * (np.nan if self.done == good else 1.0)  # noqa: E731
     monkeypatch.setattr(Trainer, "_loss", broken)
     console = Console(record=True, quiet=False, width=200, file=StringIO())
-    file = train(arguments(data, tmp_path / "guard"), console)
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "_export", lambda trainer, console: trainer.best_pass)
+        assert train(arguments(data, tmp_path / "guard"), console) == 1
     assert "pass 2 diverged" in console.export_text()
-    card = json.loads(file.with_suffix(".json").read_text())
-    assert card["training"]["best_pass"] == 1
-
-    def never(self: Trainer, some: Episodes, begin: int) -> Any:
-        return loss(self, some, begin) * float("nan")
-
-    monkeypatch.setattr(Trainer, "_loss", never)
+    good = 0
     with pytest.raises(ValueError, match="nothing to keep"):
         train(arguments(data, tmp_path / "none"), quiet())
 
 
-def test_a_network_whose_answers_are_not_finite_is_not_kept(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    trainer = Trainer(arguments(data, tmp_path / "guard"), load(data))
+def test_a_network_whose_answers_are_not_finite_is_not_kept(trainer, monkeypatch):
     validation = trainer.data.episodes("validation")
-    assert math.isfinite(trainer.score(validation).loss)
-    monkeypatch.setattr(
-        trainer.network, "log_odds", lambda seen: torch.full(seen.shape[:2], torch.inf)
-    )
+    assert np.isfinite(trainer.score(validation).loss)
+    infinite = lambda seen: torch.full(seen.shape[:2], torch.inf)  # noqa: E731
+    monkeypatch.setattr(trainer.network, "log_odds", infinite)
     found = trainer.score(validation)
-    assert found.loss == math.inf
+    assert found.loss == np.inf
     trainer.keep(found.loss)
     assert not trainer.kept
 
 
-def test_a_damaged_test_split_and_a_damaged_checkpoint_are_told_at_once(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given = arguments(data, tmp_path / "guard", passes=1)
-    train(given, quiet())
-    (tmp_path / "guard" / CHECKPOINT).write_bytes(b"no checkpoint")
-    with pytest.raises(ValueError, match=r"checkpoint\.pt is damaged, .*: remove it"):
-        train(given, quiet())
-    copy = tmp_path / "copy"
-    shutil.copytree(data, copy)
-    next(copy.glob("cells/test-*.npz")).unlink()
+def test_what_does_not_fit_is_refused_before_anything_is_written(data, file, tmp_path, monkeypatch):
     monkeypatch.setattr(Trainer, "learn", None)
-    with pytest.raises(ValueError, match=r"test-\d+\.npz is missing"):
-        train(arguments(copy, tmp_path / "late"), quiet())
-    assert not (tmp_path / "late").exists()
-
-
-def test_a_folder_of_another_training_is_refused(data: Path, tmp_path: Path) -> None:
-    given = arguments(data, tmp_path / "guard", passes=1)
-    train(given, quiet())
+    given = arguments(data, file.parent)
     with pytest.raises(ValueError, match=r"other results.*width: 8, not 9"):
         train(replace(given, width=9), quiet())
     (tmp_path / "other").mkdir()
@@ -245,77 +204,48 @@ def test_a_folder_of_another_training_is_refused(data: Path, tmp_path: Path) -> 
         train(replace(given, out=tmp_path / "other"), quiet())
     with pytest.raises(ValueError, match="clean runs are too few"):
         train(replace(given, out=tmp_path / "few", false_alarms_per_hour=0.2), quiet())
-    assert not (tmp_path / "few").exists()  # so that the name is still free
+    copy = tmp_path / "copy"
+    shutil.copytree(data, copy)
+    next(copy.glob("cells/test-*.npz")).unlink()
+    with pytest.raises(ValueError, match=r"test-\d+\.npz is missing"):
+        train(arguments(copy, tmp_path / "late"), quiet())
+    assert {path.name for path in tmp_path.iterdir()} == {"other", "copy"}  # names are still free
+    for bad in ({"passes": 0}, {"learning_rate": 0.0}, {"seed": -1}, {"out": Path("a b")}):
+        with pytest.raises(ValueError, match=f"`{next(iter(bad))}`"):
+            replace(given, **bad)
 
 
-def test_a_mistake_and_an_interrupt_are_one_line(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    command = ["detector", "--data", str(tmp_path / "no"), "--out", str(tmp_path / "guard")]
-    monkeypatch.setattr(sys, "argv", command)
+def test_a_mistake_is_one_line(tmp_path, monkeypatch):
+    words = ["detector", "--data", str(tmp_path / "no"), "--out", str(tmp_path / "guard")]
+    monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit, match=r"^error: .*no") as found:
         module.main()
     assert "\n" not in str(found.value.code)
     assert not (tmp_path / "guard").exists()
 
-    def interrupted(self: Trainer, episodes: Episodes) -> float:
-        raise KeyboardInterrupt
 
-    monkeypatch.setattr(Trainer, "learn", interrupted)
-    often = ["--false-alarms-per-hour", str(OFTEN)]
-    monkeypatch.setattr(sys, "argv", [*command[:2], str(data), *command[3:], *often])
-    with pytest.raises(SystemExit, match="interrupted; the same command goes on"):
-        module.main()
+MOVED = np.tile([0.0, 1.0, 2.0, 3.0, 4.0, 4.0], (9, 1))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"passes": 0}, "`passes` must be a whole number of at least 1"),
-        ({"learning_rate": 0.0}, "`learning_rate` must be finite and > 0"),
-        ({"out": Path("a b")}, "the last part of `out`"),
-    ],
-)
-def test_bad_arguments_are_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Arguments(**{"data": Path("data"), "out": Path("guard"), **changes})
-
-
-def made_up(clean: Any, attacked: Any, moved: Any) -> tuple[Any, Episodes, dict[str, Any]]:
+def made_up(clean, attacked):
     """Episodes of one epoch of warm-up, four of attack and one of hold."""
-    runs = len(clean)
-    statistic = np.zeros((2 * runs, 6))
-    statistic[::2], statistic[1::2] = clean, attacked
-    displacement = np.zeros((2 * runs, 6), dtype=np.float32)
-    displacement[1::2] = moved
-    attack = np.zeros((2 * runs, 6), dtype=np.bool_)
+    statistic, displacement = np.zeros((18, 6)), np.zeros((18, 6), dtype=np.float32)
+    statistic[::2], statistic[1::2], displacement[1::2] = clean, attacked, MOVED
+    attack = np.zeros((18, 6), dtype=np.bool_)
     attack[1::2, 1:] = True
-    nothing = np.zeros(2 * runs)
-    found = Episodes(
-        nothing,
-        attack,
-        displacement,
-        np.tile([True, False], runs),
-        nothing,
-        nothing,
-        nothing,
-        nothing,
-        nothing,
-    )
+    nothing = np.zeros(18)
+    found = Episodes(nothing, attack, displacement, np.tile([True, False], 9), *[nothing] * 5)
     epochs = {"live": 1, "steps": 4, "hold": 1}
     return statistic, found, {"epochs": epochs, "interval_s": 36.0, "length_m": 3.0}
 
 
-def test_a_score_is_the_displacement_before_an_alarm_at_a_quantile_of_clean_maxima() -> None:
-    clean = np.zeros((9, 6))
+def test_a_score_is_the_displacement_before_an_alarm_at_a_quantile_of_clean_maxima():
+    clean, attacked = np.zeros((9, 6)), np.zeros((9, 6))
     clean[:, 3] = np.arange(1.0, 10.0)  # maxima 1 to 9
-    attacked = np.zeros((9, 6))
-    attacked[:, 4] = 20.0  # an alarm at the fourth epoch after the onset
-    attacked[8, 4] = 0.0  # but for the last run
-    moved = np.tile([0.0, 1.0, 2.0, 3.0, 4.0, 4.0], (9, 1))
+    attacked[:8, 4] = 20.0  # an alarm at the fourth epoch after the onset, but for the last run
     # a run in five may alarm: one of nine does, and the next would with 2 of 10
     rate = -np.log(0.8) * 20.0
-    found = scored(*made_up(clean, attacked, moved), rate)
+    found = scored(*made_up(clean, attacked), rate)
     assert found.threshold == 8.0
     assert found.counted == 8  # one twin is above it
     # alarms come an epoch of hold after what counts: 2 m
@@ -323,34 +253,33 @@ def test_a_score_is_the_displacement_before_an_alarm_at_a_quantile_of_clean_maxi
     assert found.loss == pytest.approx(2.0 / 3.0)
     clean[:, 0] = 30.0  # in the warm-up, where it decides nothing but which runs count
     attacked[:, 0] = 30.0
-    nobody = scored(*made_up(clean, attacked, moved), rate)
+    nobody = scored(*made_up(clean, attacked), rate)
     assert (nobody.threshold, nobody.counted, nobody.loss) == (8.0, 0, 1.0)
 
 
-def test_the_smooth_loss_is_the_score_where_odds_are_sharp() -> None:
+def test_the_smooth_loss_is_the_score_where_odds_are_sharp():
     clean, attacked = np.zeros((9, 6)), np.zeros((9, 6))
     clean[0, 3] = 1.0  # one in twenty of nine: the largest is the threshold
     attacked[:5, 3] = 2.0  # an alarm at the third epoch of the attack, with one of hold
-    moved = np.tile([0.0, 1.0, 2.0, 3.0, 4.0, 4.0], (9, 1))
-    statistic, found, config = made_up(clean, attacked, moved)
+    statistic, found, config = made_up(clean, attacked)
     odds = torch.tensor(1000.0 * statistic, requires_grad=True)
     parts = torch.from_numpy(found.displacement_m / 3.0).clamp(max=1.0)
-    loss = undetected(odds, parts, torch.from_numpy(found.clean), config["epochs"])
+    of_clean = torch.from_numpy(found.clean)
     # one metre of three in five runs, all of it in four
+    loss = undetected(odds, parts, of_clean, config["epochs"])
     assert loss.item() == pytest.approx((5 / 3 + 4) / 9)
-    soft = undetected(odds / 1000.0, parts, torch.from_numpy(found.clean), config["epochs"])
-    soft.backward()
+    undetected(odds / 1000.0, parts, of_clean, config["epochs"]).backward()
     assert odds.grad is not None
-    assert (odds.grad[~torch.from_numpy(found.clean), 1:] <= 0.0).all()  # alarms do good
-    assert (odds.grad[torch.from_numpy(found.clean)] >= 0.0).all()
+    assert (odds.grad[~of_clean, 1:] <= 0.0).all()  # alarms do good
+    assert (odds.grad[of_clean] >= 0.0).all()
 
 
-def test_the_area_is_a_share_of_pairs() -> None:
+def test_the_area_is_a_share_of_pairs():
     statistic = np.array([[0.0, 1.0], [2.0, 1.0]])
     attack = np.array([[False, False], [True, True]])
     assert area(statistic, attack) == pytest.approx(3.5 / 4.0)
 
 
-def test_classics_among_the_observations_are_scored_too(data: Path) -> None:
+def test_classics_among_the_observations_are_scored_too(data):
     found = load(data)
     assert list(classics_of(found, found.episodes("test"), OFTEN)) == ["snapshot_chi2"]

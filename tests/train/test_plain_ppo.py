@@ -1,7 +1,5 @@
 """Plain PPO with few steps."""
 
-from __future__ import annotations
-
 import pytest
 
 # ruff: noqa: E402 - the packages of the laboratory may be missing
@@ -13,15 +11,22 @@ from dataclasses import replace
 
 from stable_baselines3 import PPO
 
+import spoofgym.tasks
 from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.tasks import Task
 from tools.learned_page import shown_of_plain
 from train import plain_ppo
 from train.plain_ppo import Settings, play, table_of
 
+SHORT = {"warmup_s": 8.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
+
 
 @pytest.fixture
 def settings(tmp_path, monkeypatch):
-    """Few runs of a short rollout."""
+    """Few runs of a short rollout, against a detector that a ramp has to obey."""
+    met = {"name": "snapshot-chi2", "thresholds": "nominal"}
+    task = Task("T1", "short", {"timeline": SHORT}, (met,), 5.0)
+    monkeypatch.setitem(spoofgym.tasks.TASKS, "T1", task)
     monkeypatch.setitem(plain_ppo.PLAIN, "n_steps", 20)
     monkeypatch.setitem(plain_ppo.PLAIN, "batch_size", 40)
     quick = {"steps": 40, "scores": 1, "fit_runs": 80, "runs": 10, "num_envs": 2}
@@ -29,9 +34,7 @@ def settings(tmp_path, monkeypatch):
 
 
 def test_a_seed_is_trained_once_and_compared_on_the_same_runs(settings, monkeypatch):
-    before = torch.get_num_threads()
     results = play(settings)
-    torch.set_num_threads(before)
     (row,) = results["kinds"]["plain"]
     assert [step for step, _ in row["curve"]] == [0, 40]
     score = row["score"]["stealthy_displacement_m"]["value"]
@@ -48,22 +51,27 @@ def test_a_seed_is_trained_once_and_compared_on_the_same_runs(settings, monkeypa
     assert play(settings) == results
     with pytest.raises(ValueError, match=r"other results \(config\.steps: 40, not 80\)"):
         play(replace(settings, steps=80))
+    # results on other runs say so, and have a folder of their own
+    assert replace(settings, entropy=1).identity == {**settings.identity, "entropy": 1}
 
 
-def test_bad_input_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="unknown kind 'fancy'; valid: defaults, plain"):
-        Settings(out=tmp_path, kinds=("fancy",))
-    with pytest.raises(ValueError, match=r"`scores` must be in \[1, 3\], the steps, got 4"):
-        Settings(out=tmp_path, steps=3, scores=4)
-    with pytest.raises(ValueError, match="`steps` must be a whole number of at least 1, got 0"):
-        Settings(out=tmp_path, steps=0)
-    with pytest.raises(ValueError, match="`entropy` must be a whole number of at least 0, got -1"):
-        Settings(out=tmp_path, entropy=-1)
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kinds": ("fancy",)}, "unknown kind 'fancy'; valid: defaults, plain"),
+        ({"steps": 3, "scores": 4}, r"`scores` must be in \[1, 3\], the steps, got 4"),
+        ({"steps": 0}, "`steps`"),
+        ({"entropy": -1}, "`entropy`"),
+    ],
+)
+def test_bad_input_is_refused(tmp_path, changes, message):
+    with pytest.raises(ValueError, match=message):
+        Settings(out=tmp_path, **changes)
 
 
 @pytest.mark.nightly
 def test_a_seed_that_diverges_has_no_score_and_stops_no_other(settings, monkeypatch):
-    """Within an update, where torch raises, and after its last minibatch, where nobody does."""
+    """Within an update, where torch raises, and after its last minibatch, where nothing does."""
     train = PPO.train
     broken = []
 
@@ -77,10 +85,8 @@ def test_a_seed_that_diverges_has_no_score_and_stops_no_other(settings, monkeypa
                 raise ValueError("Expected parameter loc to satisfy the constraint\nbut found nan")
 
     monkeypatch.setattr(PPO, "train", diverge)
-    before = torch.get_num_threads()
     with pytest.warns(UserWarning, match="training has diverged after 40 steps"):
         results = play(replace(settings, seeds=(3, 4, 5)))
-    torch.set_num_threads(before)
     assert broken == [3, 4]
     rows = results["kinds"]["plain"]
     assert [(row["score"], row["ratios"]) for row in rows[:2]] == [(None, {})] * 2
@@ -89,10 +95,4 @@ def test_a_seed_that_diverges_has_no_score_and_stops_no_other(settings, monkeypa
     assert rows[2]["diverged"] is None
     assert rows[2]["score"]["counted"] == rows[2]["untrained"]["counted"]
     assert "| T1 | plain | 3, 2 diverged | 0.0 [" in table_of(results)
-    page = shown_of_plain({"T1": results})
-    assert "| 0: " in page
-
-
-def test_results_on_other_runs_say_so_and_have_a_folder_of_their_own(tmp_path):
-    here, there = (Settings(out=tmp_path, entropy=entropy).identity for entropy in (0, 1))
-    assert there == {**here, "entropy": 1}
+    assert "| 0: " in shown_of_plain({"T1": results})

@@ -1,7 +1,5 @@
 """The measure of PPO's speed, with settings that take seconds."""
 
-from __future__ import annotations
-
 import json
 import sys
 
@@ -18,13 +16,6 @@ from train import ppo_speed
 from train.ppo_speed import Nothing, Settings, main
 
 
-@pytest.fixture(autouse=True)
-def torch_threads():
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.fixture
 def call(monkeypatch, capsys):
     """Runs the command here, since another process would load torch anew: what it prints."""
@@ -39,14 +30,9 @@ def call(monkeypatch, capsys):
 
 def test_the_ratio_is_that_of_the_speeds(call):
     found = json.loads(call("--rounds", "1", "--rollouts", "1", "--num-envs", "2", "--json"))
-    assert (found["num_envs"], found["detector"], found["knowledge"]) == (
-        2,
-        "ewma:thresholds=nominal",
-        "blind",
-    )
+    assert [found[key] for key in ("num_envs", "detector")] == [2, "ewma:thresholds=nominal"]
     engine, nothing = found["engine_steps_per_s"], found["without_physics_steps_per_s"]
-    assert engine > 0.0
-    assert nothing > 0.0
+    assert min(engine, nothing) > 0.0
     assert found["ratio"] == found["ratios"][0] == pytest.approx(engine / nothing, abs=1e-3)
 
 
@@ -60,43 +46,28 @@ def test_the_speeds_are_medians_each_of_its_environment(call, monkeypatch):
 
 def test_the_environment_without_physics_looks_like_the_engine():
     kwargs = {"timeline": {"warmup_s": 6.0, "live_s": 3.0, "attack_s": 10.0}, "prefetch": False}
-    engine, nothing = (kind(2, seed=0, threads=1, **kwargs) for kind in (SpoofVecEnv, Nothing))
-    assert nothing.observation_space == engine.observation_space
-    assert nothing.action_space == engine.action_space
-    actions = np.zeros((2, *engine.action_space.shape), dtype=np.float32)
-    steps = engine.core.setup.steps
-    results = []
-    for envs in (engine, nothing):
+    looks = []
+    for kind in (SpoofVecEnv, Nothing):
+        envs = kind(2, seed=0, threads=1, **kwargs)
         seen = [envs.reset()]
-        for _ in range(steps):
+        for _ in range(envs.core.setup.steps):
+            actions = np.zeros((2, *envs.action_space.shape), dtype=np.float32)
             observation, reward, over, infos = envs.step(actions)
             seen.append(observation)
-        results.append((seen, reward, over, infos))
-        envs.close()
-    for ours, theirs in zip(*(found[:3] for found in results), strict=True):
-        ours, theirs = np.asarray(ours), np.asarray(theirs)
-        assert (ours.shape, ours.dtype) == (theirs.shape, theirs.dtype)
-    assert results[1][2].all()
-    for infos in (results[0][3], results[1][3]):
+        arrays = [(array.shape, array.dtype) for array in (*seen, reward, over)]
+        looks.append((envs.observation_space, envs.action_space, arrays))
         assert all({"terminal_observation", "TimeLimit.truncated"} <= set(info) for info in infos)
+        envs.close()
+    assert looks[0] == looks[1]
+    assert over.all()
 
 
-@pytest.mark.parametrize("name", ["rounds", "rollouts", "num_envs"])
-def test_settings_are_checked(name):
-    with pytest.raises(ValueError, match=f"`{name}` must be a whole number of at least 1, got 0"):
-        Settings(**{name: 0})
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (("--rounds", "0"), "`rounds` must be a whole number of at least 1, got 0"),
-        (("--detector", "ewna"), "did you mean 'ewma'"),
-        (("--knowledge", "clairvoyant"), "unknown knowledge 'clairvoyant'"),
-    ],
-)
-def test_bad_settings_are_told_without_a_traceback(call, capsys, given, message):
-    with pytest.raises(SystemExit) as told:
-        call(*given)
-    assert told.value.code not in (None, 0)
-    assert message in f"{told.value.code} {capsys.readouterr().err}"  # a word is printed by Python
+def test_bad_settings_are_told_without_a_traceback(call, capsys):
+    for name in ("rounds", "rollouts", "num_envs"):
+        with pytest.raises(ValueError, match=f"`{name}`"):
+            Settings(**{name: 0})
+    for given, message in ((("--rounds", "0"), "`rounds`"), (("--detector", "ewna"), "'ewma'")):
+        with pytest.raises(SystemExit) as told:
+            call(*given)
+        assert told.value.code not in (None, 0)
+        assert message in f"{told.value.code} {capsys.readouterr().err}"  # Python prints a word

@@ -49,18 +49,8 @@ def test_without_noise_the_bias_runs_with_the_drift():
     assert advance_clock(10.0, 3.0, 0.5, 0.0, 0.0, 1.3, -0.7) == (11.5, 3.0)
 
 
-@pytest.mark.parametrize("name", ["offset_m", "drift_mps", "phase_psd", "frequency_psd"])
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_settings_must_be_finite(name, value):
-    with pytest.raises(ValueError, match=f"`{name}` must be finite"):
-        ReceiverClock(**{name: value})
-
-
-def test_only_densities_must_not_be_negative():
+def test_offset_and_drift_may_be_negative():
     assert ReceiverClock(offset_m=-5.0, drift_mps=-1.0).drift_mps == -1.0
-    for name in ("phase_psd", "frequency_psd"):
-        with pytest.raises(ValueError, match=f"`{name}` must be finite, a PSD also >= 0, got -1"):
-            ReceiverClock(**{name: -1.0})
 
 
 def test_a_crystal_oscillator_is_as_stable_as_its_coefficients():

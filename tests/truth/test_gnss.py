@@ -47,7 +47,7 @@ def test_biases_of_the_presets():
 )
 @pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
 def test_standard_deviations_must_be_finite_and_not_negative(name, value):
-    with pytest.raises(ValueError, match=f"`{name}` must be finite and >= 0, got {value}"):
+    with pytest.raises(ValueError, match=f"`{name}` must be a number of at least 0, got {value}"):
         replace(ERRORS["groves"], **{name: value})
 
 

@@ -297,10 +297,10 @@ def test_a_front_delays_codes_and_advances_carriers_one_after_the_other():
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"carrier_sd_m": -1.0}, "`carrier_sd_m` must be finite and >= 0, got -1.0"),
-        ({"smoothing_s": 0.0}, "`smoothing_s` must be finite and > 0, got 0.0"),
+        ({"carrier_sd_m": -1.0}, "`carrier_sd_m` must be a number of at least 0, got -1.0"),
+        ({"smoothing_s": 0.0}, "`smoothing_s` must be a number above 0, got 0.0"),
         ({"multipath_sd_m": (1.0,)}, "`multipath_sd_m` must be two numbers"),
-        ({"noise_sd_m": (0.1, math.nan)}, "`noise_sd_m` must be finite and >= 0"),
+        ({"noise_sd_m": (0.1, math.nan)}, "`noise_sd_m` must be a number of at least 0"),
     ],
 )
 def test_bad_settings_are_refused(settings, said):

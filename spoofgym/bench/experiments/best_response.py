@@ -17,13 +17,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.registry import whole_number
+from ...core.declared import record, setting
 from ...core.settings import digest_of
 from ...envs.spoofer_binding import spoofer_context
 from ...limits.bounds import cases_of, zero_alarm_bounds
@@ -49,41 +49,32 @@ SIGNIFICANT = 1e-3
 """Weight in a mix from which on a detector takes part in that search."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class AttackBudget:
-    """What a best response may cost, the same for every mix that it is held against.
+    """What a best response may cost, the same for every mix that it is held against."""
 
-    Parameters
-    ----------
-    runs, sift_runs : int
-        Runs of the selection, and how many of them play all candidates.
-    values : int
-        Log-spaced values of every family's setting.
-    kept : int
-        Candidates that play all of the runs.
-    blind : BlindSearch or None
-        Search for blind optima; None for none.
-    oracles : bool
-        Whether feedback, which observes the detector's statistics, is among the candidates.
-    further : mapping
-        What else is spent on every mix, JSON-able, by whoever has given candidates learn, such as
-        ``{"ppo_steps": 30_000}``; part of the digest, and nothing else.
-    """
-
-    runs: int = 96
-    sift_runs: int = 32
-    values: int = 8
-    kept: int = 6
-    blind: BlindSearch | None = field(
-        default_factory=lambda: BlindSearch(runs=64, batch=32, knots=12, generations=6)
+    runs: int = setting(default=96, least=1, help="Runs of the selection.")
+    sift_runs: int = setting(default=32, least=1, help="Runs that play all candidates.")
+    values: int = setting(default=8, least=2, help="Log-spaced values of every family's setting.")
+    kept: int = setting(default=6, least=1, help="Candidates that play all of the runs.")
+    blind: BlindSearch | None = setting(
+        default_factory=lambda: BlindSearch(runs=64, batch=32, knots=12, generations=6),
+        help="Search for blind optima; None for none.",
     )
-    oracles: bool = True
-    further: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    oracles: bool = setting(
+        default=True,
+        help="Whether feedback, which observes the detector's statistics, is among the candidates.",
+    )
+    further: Mapping[str, Any] = field(
+        default_factory=dict,
+        hash=False,
+        metadata=setting(
+            help="What else is spent on every mix, JSON-able, by candidates that learn, such as "
+            '``{"ppo_steps": 30_000}``; part of the digest, and nothing else.'
+        ).metadata,
+    )
 
     def __post_init__(self) -> None:
-        for name, least in (("runs", 1), ("sift_runs", 1), ("values", 2), ("kept", 1)):
-            count = whole_number(f"`{name}`", getattr(self, name), least)
-            object.__setattr__(self, name, count)
         object.__setattr__(self, "further", dict(self.further))
 
     def as_json(self) -> dict[str, Any]:

@@ -20,7 +20,7 @@ import json
 import os
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 
 from ...calibration.clean_runs import check_stopped, in_order, weighs
 from ...calibration.thresholds import inner_detectors
-from ...core.registry import Spec, check_choice, check_finite, whole_number
+from ...core.declared import record, setting
+from ...core.registry import Spec, check_choice, whole_number
 from ...core.settings import describe, digest_of, outside_sources
 from ...detectors import Detector, Never, detector_in_world
 from ...detectors.build import spec_of_judge
@@ -110,34 +111,9 @@ class Episodes(NamedTuple):
     onset_s: FloatArray
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Plan(Experiment):
     """What a data set is to be made of.
-
-    Parameters
-    ----------
-    setup : Setup
-        World, victim, attack and timeline; its detector does not matter.
-    length_m : float
-        Alert limit, which attacks are drawn around [m].
-    detector : str, dict or Detector, optional
-        Its statistic is what the family ``"feedback"`` sees; passive.  None leaves that family out.
-    terms : sequence
-        What is observed, as `spoofgym.detectors.observation.make_detector_terms` takes it.
-    families : sequence of str, optional
-        Some of `FAMILIES`; by default all that can be made.
-    optima : sequence of sequence of float
-        Rates of blind optima at their knots [m/s]; none leaves that family out.
-    spoofers : sequence of dict
-        Further spoofers by name and settings, such as ``{"name": "mine.onnx"}``.
-    runs : mapping
-        Runs of the splits ``"train"``, ``"validation"`` and ``"test"``.
-    entropy : int
-        Seed of the random number generators.
-    shard : int
-        Runs of a file.
-    task : str, optional
-        Task that the world belongs to.
 
     Raises
     ------
@@ -146,22 +122,40 @@ class Plan(Experiment):
     """
 
     name: ClassVar[str] = "dataset"
-    setup: Setup
-    length_m: float
-    detector: Any = None
-    terms: Sequence[Any] = TERMS
-    families: Sequence[str] | None = None
-    optima: Sequence[Sequence[float]] = ()
-    spoofers: Sequence[Spec] = ()
-    runs: Mapping[str, int] = field(default_factory=lambda: dict(RUNS))
-    entropy: int = 0
-    shard: int = 64
-    task: str | None = None
+    setup: Setup = setting(help="World, victim, attack and timeline; its detector does not matter.")
+    length_m: float = setting(
+        above=0.0, unit="m", help="Alert limit, which attacks are drawn around."
+    )
+    detector: Any = setting(
+        default=None,
+        help='Its statistic is what the family ``"feedback"`` sees; passive. None leaves that '
+        "family out.",
+    )
+    terms: Sequence[Any] = setting(
+        default=TERMS,
+        help="What is observed, as `spoofgym.detectors.observation.make_detector_terms` takes it.",
+    )
+    families: Sequence[str] | None = setting(
+        default=None, help="Some of `FAMILIES`; by default all that can be made."
+    )
+    optima: Sequence[Sequence[float]] = setting(
+        default=(),
+        unit="m/s",
+        help="Rates of blind optima at their knots; none leaves that family out.",
+    )
+    spoofers: Sequence[Spec] = setting(
+        default=(),
+        help='Further spoofers by name and settings, such as ``{"name": "mine.onnx"}``.',
+    )
+    runs: Mapping[str, int] = setting(
+        default_factory=lambda: dict(RUNS),
+        help='Runs of the splits ``"train"``, ``"validation"`` and ``"test"``.',
+    )
+    entropy: int = setting(default=0, least=0, help="Seed of the random number generators.")
+    shard: int = setting(default=64, least=1, help="Runs of a file.")
+    task: str | None = setting(default=None, help="Task that the world belongs to.")
 
     def __post_init__(self) -> None:
-        check_finite("length_m", self.length_m, "> 0")
-        for name, least in (("entropy", 0), ("shard", 1)):
-            whole_number(f"`{name}`", getattr(self, name), least)
         for part, runs in self.runs.items():
             check_choice("split of a data set", part, PARTS)
             whole_number(f"`runs[{part!r}]`", runs, 1)

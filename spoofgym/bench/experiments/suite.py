@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import uuid
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import PurePath
 from typing import Any
@@ -17,7 +15,7 @@ import numpy as np
 from ... import __version__
 from ...attacks import Attack
 from ...calibration.thresholds import suitable_detectors
-from ...core.registry import whole_number
+from ...core.declared import record, setting
 from ...core.settings import digest_of, outside_sources
 from ...detectors import Detector, OperatingPoint
 from ...detectors.build import spec_of_judge
@@ -59,70 +57,78 @@ ALERT_LIMITS_M = (5.0, 10.0, 20.0, ALERT_LIMIT_M, 80.0, 160.0, 320.0, 556.0)
 """Alert limits of a campaign besides its own; 556 m is that of a non-precision approach."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class Suite:
-    """What a campaign runs.
+    """What a campaign runs."""
 
-    Parameters
-    ----------
-    env : str
-        Environment of the victim, in `VICTIMS`.
-    scenario, receiver, attack, timeline, domain : optional
-        Settings of the victim, as its environment takes them; an attack and a scenario only where
-        it has them.
-    target_heading_deg, decision_interval_s, between : optional
-        The same; the score counts any direction.
-    settings : mapping
-        Further settings of the victim.
-    detectors : sequence, optional
-        As `specify_detector` takes them; by default those that suit the victim.
-    spoofers : sequence, optional
-        As `specify_spoofer` takes them; ``none`` is always among them.  By default
-        `DEFAULT_SPOOFERS` and the shipped spoofers that were made for such attacks.
-    runs : int
-        Evaluation runs of every cell, the same for all.
-    entropy : int
-        Seed of the random number generators.
-    tuning : Tuning
-        Search for the settings that are ``"tuned"``.
-    alert_limit_m : float
-        Undetected displacement of which tables show how often it is exceeded; by default the
-        horizontal alert limit of an approach with vertical guidance.
-    notes : sequence of str
-        Where the scenario comes from, for the report.
-    allow_oracles : bool
-        Whether detectors may play that know the attack; the report then says which ones do.
-    selection : Selection, optional
-        Search for the worst attack of the attack suite, by which detectors are protected; None for
-        none.
-    """
-
-    env: str = ENV_ID
-    scenario: str | Mapping[str, Any] | Scenario | None = None
-    receiver: str | Mapping[str, Any] | None = None
-    attack: str | Mapping[str, Any] | Attack | None = None
-    timeline: Mapping[str, float] | Timeline | None = None
-    domain: Mapping[str, Any] | Domain | None = None
-    target_heading_deg: float | str | None = None
-    decision_interval_s: float | None = None
-    between: str | None = None
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    detectors: Sequence[str | Mapping[str, Any] | Detector] | None = None
-    spoofers: Sequence[str | Mapping[str, Any] | Spoofer] | None = None
-    runs: int = 200
-    entropy: int = 0
-    tuning: Tuning = field(default_factory=Tuning)
-    alert_limit_m: float = ALERT_LIMIT_M
-    notes: Sequence[str] = ()
-    allow_oracles: bool = False
-    selection: Selection | None = None
+    env: str = setting(default=ENV_ID, help="Environment of the victim, in `VICTIMS`.")
+    scenario: str | Mapping[str, Any] | Scenario | None = setting(
+        default=None, help="Flight of the victim, where its environment has one to choose."
+    )
+    receiver: str | Mapping[str, Any] | None = setting(
+        default=None, help="Receiver, as the environment takes it."
+    )
+    attack: str | Mapping[str, Any] | Attack | None = setting(
+        default=None, help="What the spoofer can do, where the environment has it to choose."
+    )
+    timeline: Mapping[str, float] | Timeline | None = setting(
+        default=None, help="Times of a run, as the environment takes them."
+    )
+    domain: Mapping[str, Any] | Domain | None = setting(
+        default=None, help="What is drawn for every run, as the environment takes it."
+    )
+    target_heading_deg: float | str | None = setting(
+        default=None,
+        unit="deg",
+        help="Target direction, as the environment takes it; the score counts any direction.",
+    )
+    decision_interval_s: float | None = setting(
+        default=None, above=0.0, unit="s", help="Time between two decisions of the spoofer."
+    )
+    between: str | None = setting(
+        default=None, help="What is commanded between decisions, as the environment takes it."
+    )
+    settings: Mapping[str, Any] = setting(
+        default_factory=dict, help="Further settings of the victim."
+    )
+    detectors: Sequence[str | Mapping[str, Any] | Detector] | None = setting(
+        default=None,
+        help="As `specify_detector` takes them; by default those that suit the victim.",
+    )
+    spoofers: Sequence[str | Mapping[str, Any] | Spoofer] | None = setting(
+        default=None,
+        help="As `specify_spoofer` takes them; ``none`` is always among them. By default "
+        "`DEFAULT_SPOOFERS` and the shipped spoofers that were made for such attacks.",
+    )
+    runs: int = setting(
+        default=200, least=2, help="Evaluation runs of every cell, the same for all."
+    )
+    entropy: int = setting(default=0, least=0, help="Seed of the random number generators.")
+    tuning: Tuning = setting(
+        default_factory=Tuning, help='Search for the settings that are ``"tuned"``.'
+    )
+    alert_limit_m: float = setting(
+        default=ALERT_LIMIT_M,
+        above=0.0,
+        unit="m",
+        help="Undetected displacement of which tables show how often it is exceeded; by default "
+        "the horizontal alert limit of an approach with vertical guidance.",
+    )
+    notes: Sequence[str] = setting(
+        default=(), help="Where the scenario comes from, for the report."
+    )
+    allow_oracles: bool = setting(
+        default=False,
+        help="Whether detectors may play that know the attack; the report then says which ones do.",
+    )
+    selection: Selection | None = setting(
+        default=None,
+        help="Search for the worst attack of the attack suite, by which detectors are protected; "
+        "None for none.",
+    )
 
     def __post_init__(self) -> None:
         _ = self.world  # which raises where a setting is not one of the victim's
-        for name, least in (("runs", 2), ("entropy", 0)):
-            object.__setattr__(self, name, whole_number(f"`{name}`", getattr(self, name), least))
-        if not (math.isfinite(self.alert_limit_m) and self.alert_limit_m > 0.0):
-            raise ValueError(f"`alert_limit_m` must be finite and > 0, got {self.alert_limit_m}")
         for entries in (self.detector_entries, self.spoofer_entries):
             check_labels(entries)
         if not self.detector_entries:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...attacks import ATTACKS
-from ...core.registry import Spec, check_finite, label_of, slug, spec_of
+from ...core.declared import check_number
+from ...core.registry import Spec, label_of, slug, spec_of
 from ...core.settings import describe
 from ...detectors import DETECTORS, Calibrated, Detector, detector_in_world
 from ...detectors.build import asked_by_default, spec_of_judge
@@ -289,12 +290,10 @@ def _is_fitted(amplitude: float | str | None, largest: float | None) -> bool:
     if isinstance(amplitude, str) and not fits:
         raise ValueError(f"`amplitude` must be {FITTED!r}, a number or None, got {amplitude!r}")
     if not fits and amplitude is not None:
-        check_finite("amplitude", amplitude, "> 0")
+        check_number("amplitude", amplitude, above=0.0)
     if largest is None:
         return fits
-    check_finite("largest_amplitude", largest)
-    if largest <= SMALLEST:
-        raise ValueError(f"`largest_amplitude` must be above {SMALLEST:g}, got {largest!r}")
+    check_number("largest_amplitude", largest, above=SMALLEST)
     if not fits:
         raise ValueError(f"`largest_amplitude` is for `amplitude={FITTED!r}`, got {amplitude!r}")
     return fits

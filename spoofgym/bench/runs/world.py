@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...attacks import ATTACKS
+from ...core.declared import record, setting
 from ...core.registry import check_choice, refuse_given, settings_of, spec_of
 from ...core.settings import describe
 from ...detectors import Detector, OperatingPoint
@@ -76,16 +77,14 @@ WORLD = (
 """Settings of a victim that a world has by name."""
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class World:
-    """Where detectors and spoofers meet.
+    """Where detectors and spoofers meet."""
 
-    - `env`: environment of the victim, in `VICTIMS`;
-    - `given`: settings of the victim that are not its defaults.
-    """
-
-    env: str = ENV_ID
-    given: Mapping[str, Any] = field(default_factory=dict)
+    env: str = setting(default=ENV_ID, help="Environment of the victim, in `VICTIMS`.")
+    given: Mapping[str, Any] = setting(
+        default_factory=dict, help="Settings of the victim that are not its defaults."
+    )
 
     def __post_init__(self) -> None:
         check_choice("environment of the benchmark", self.env, VICTIMS)

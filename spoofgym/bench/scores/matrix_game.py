@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.registry import check_choice, check_finite
+from ...core.declared import record, setting
 from ..runs.players import Mixture, PlayerSpec, Strategy, mixture
 from .scores import clusters_of
 from .statistics import Estimate, FloatArray, percentiles, resamples_of
@@ -181,19 +181,18 @@ class Played(NamedTuple):
     counts: NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class RunPayoff:
-    """What a run is worth to the spoofer, in [0, 1]. `kind`: the undetected displacement in parts
-    of the alert limit, at most 1, and 0 in a run with an alarm from the onset to the end of the
-    time to alert; or whether the undetected displacement exceeds the limit, also where an alarm
-    follows later; `limit_m`: alert limit, or a length [m]."""
+    """What a run is worth to the spoofer, in [0, 1]."""
 
-    kind: str = "stealth"
-    limit_m: float = 40.0
-
-    def __post_init__(self) -> None:
-        check_choice("payoff", self.kind, PAYOFFS)
-        check_finite("limit_m", self.limit_m, "> 0")
+    kind: str = setting(
+        default="stealth",
+        one_of=PAYOFFS,
+        help="The undetected displacement in parts of the alert limit, at most 1, and 0 in a run "
+        "with an alarm from the onset to the end of the time to alert; or whether the undetected "
+        "displacement exceeds the limit, also where an alarm follows later.",
+    )
+    limit_m: float = setting(default=40.0, above=0.0, unit="m", help="Alert limit, or a length.")
 
     def worth(self, displacement: FloatArray, alarmed: NDArray[np.bool_]) -> FloatArray:
         """Payoff of runs by undetected displacements [m] and alarms, of any shape."""

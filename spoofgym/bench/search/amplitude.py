@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from ...core.registry import whole_number
+from ...core.declared import record, setting
 from ...envs.spoofer_binding import tuning_range_of
 from ...spoofers import make_spoofer
 from ..runs.panel import Attack, Panel, Search
@@ -34,39 +34,34 @@ RESOLUTION = 1.02
 """Ratio of the smallest value known to be over the budget to the largest one known to keep it."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class Tuning:
-    """How a spoofer's setting is searched for.
+    """How a spoofer's setting is searched for."""
 
-    Parameters
-    ----------
-    runs : int
-        Training runs.
-    sift_runs : int
-        How many of them are enough to find the neighbourhood.
-    values : int
-        Log-spaced values over the whole range that are sifted.
-    refined : int
-        Log-spaced values around a peak within the budget, tried on all training runs.
-    budget : float
-        Largest P(alarm | silent twin), which its upper 95 % limit on the training runs keeps.
-    """
-
-    runs: int = 1024
-    sift_runs: int = 64
-    values: int = 20
-    refined: int = 5
-    budget: float = BUDGET
+    runs: int = setting(default=1024, least=2, help="Training runs.")
+    sift_runs: int = setting(
+        default=64, least=1, help="Training runs that are enough to find the neighbourhood."
+    )
+    values: int = setting(
+        default=20, least=3, help="Log-spaced values over the whole range that are sifted."
+    )
+    refined: int = setting(
+        default=5,
+        least=2,
+        help="Log-spaced values around a peak within the budget, tried on all training runs.",
+    )
+    budget: float = setting(
+        default=BUDGET,
+        above=0.0,
+        below=1.0,
+        help="Largest P(alarm | silent twin), which its upper 95 % limit on the training runs "
+        "keeps.",
+    )
 
     def __post_init__(self) -> None:
-        for name, least in (("runs", 2), ("sift_runs", 1), ("values", 3), ("refined", 2)):
-            count = whole_number(f"`tuning.{name}`", getattr(self, name), least)
-            object.__setattr__(self, name, count)
-        if not 0.0 < self.budget < 1.0:
-            raise ValueError(f"`tuning.budget` must be in (0, 1), got {self.budget}")
         if self.runs < fewest_runs(self.budget):
             raise ValueError(
-                f"`tuning.runs` must be at least {fewest_runs(self.budget)} for a budget of "
+                f"`runs` must be at least {fewest_runs(self.budget)} for a budget of "
                 f"{self.budget:g}: with fewer, not even runs without any alarm show that it is "
                 f"kept; got {self.runs}"
             )

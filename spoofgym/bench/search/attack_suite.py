@@ -31,7 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...attacks import make_attack
-from ...core.registry import Spec, whole_number
+from ...core.declared import record, setting
+from ...core.registry import Spec
 from ...core.settings import digest_of
 from ...envs.spoofer_binding import spoofer_context
 from ...simulation.setup import Setup
@@ -72,20 +73,13 @@ LAST_PARTS = (0.15, 0.4)
 """Parts of the attack window in which a dash takes place."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class Selection:
-    """How the worst attack of the suite is looked for. `runs`: runs of the split `selection`;
-    `sift_runs`: how many of them play the whole suite; `values`: log-spaced values of every
-    member's setting."""
+    """How the worst attack of the suite is looked for."""
 
-    runs: int = 192
-    sift_runs: int = 48
-    values: int = 10
-
-    def __post_init__(self) -> None:
-        for name, least in (("runs", 1), ("sift_runs", 1), ("values", 2)):
-            count = whole_number(f"`selection.{name}`", getattr(self, name), least)
-            object.__setattr__(self, name, count)
+    runs: int = setting(default=192, least=1, help="Runs of the split `selection`.")
+    sift_runs: int = setting(default=48, least=1, help="Runs that play the whole suite.")
+    values: int = setting(default=10, least=2, help="Log-spaced values of every member's setting.")
 
 
 @dataclass(frozen=True)

@@ -19,14 +19,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import special
 
 from ...calibration.clean_runs import weighs
-from ...core.registry import whole_number
+from ...core.declared import record, setting
 from ...limits.response import NotReplayable, Replay, check_replayable
 from ...simulation.setup import Setup, seed_sequences
 from ...simulation.tight import TightlyCoupledSetup
@@ -65,26 +65,20 @@ SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
 """Rates over the attack window of the curves that a search starts from."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class BlindSearch:
-    """How a blind optimum is looked for. `runs`, `batch`: clean runs that it is looked for on, of a
-    split of their own, and how many of them play a generation; `knots`: of the curve, 2 to 64;
-    `population`, `generations`: of CMA-ES; no generations for the best of the first curves."""
+    """How a blind optimum is looked for."""
 
-    runs: int = 144
-    batch: int = 48
-    knots: int = 24
-    population: int = 12
-    generations: int = 12
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        leasts = {"runs": 8, "batch": 4, "knots": 2, "population": 4, "generations": 0, "seed": 0}
-        for name, least in leasts.items():
-            value = whole_number(f"`blind_search.{name}`", getattr(self, name), least)
-            object.__setattr__(self, name, value)
-        if self.knots > MOST_KNOTS:
-            raise ValueError(f"`blind_search.knots` must be at most {MOST_KNOTS}, got {self.knots}")
+    runs: int = setting(
+        default=144, least=8, help="Clean runs of the search, of a split of their own."
+    )
+    batch: int = setting(default=48, least=4, help="Runs that play a generation.")
+    knots: int = setting(default=24, least=2, most=MOST_KNOTS, help="Knots of the curve.")
+    population: int = setting(default=12, least=4, help="Population of CMA-ES.")
+    generations: int = setting(
+        default=12, least=0, help="Generations of CMA-ES; 0 for the best of the first curves."
+    )
+    seed: int = setting(default=0, least=0, help="Seed of the search.")
 
 
 class BlindOptimum(NamedTuple):

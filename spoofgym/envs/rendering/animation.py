@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.declared import check_number
 from ...core.files import whole_file
 from ...core.registry import check_choice
 
@@ -48,8 +49,7 @@ def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0)
 
 def animation_writer(path: Path, fps: float) -> Callable[..., None]:
     """What writes a format; a ValueError for an ending or a pace that `save_animation` refuses."""
-    if not (np.isfinite(fps) and 0.0 < fps <= 100.0):
-        raise ValueError(f"`fps` must be above 0 and at most 100, got {fps}")
+    check_number("fps", fps, above=0.0, most=100.0)
     writers = {".gif": _write_gif, ".mp4": _write_mp4}
     ending = path.suffix.lower()
     check_choice("ending of an animation", ending, writers)

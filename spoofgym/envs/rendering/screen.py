@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.declared import check_word
 from ...core.plots import RED, figure_class
-from ...core.registry import check_choice
 from ...simulation.simulator import EpisodeLayout
 from .history import CoreRecorder, RenderHistory
 from .panels import ErrorPanel, ErrorPlane, FlightMap, Panel, SkyPlot, StatisticPanel
@@ -160,7 +160,7 @@ class Screen:
     """
 
     def __init__(self, mode: str, recorder: CoreRecorder) -> None:
-        check_choice("render mode", mode, RENDER_MODES)
+        check_word("render_mode", mode, RENDER_MODES)
         self.mode, self._recorder = mode, recorder
         self._history: RenderHistory | None = None
         self._painter: Painter | None = None

@@ -8,13 +8,12 @@ exception: it stands alone, its elements are a wanted rate, and the acceleration
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.registry import check_finite
+from ...core.declared import record, setting
 from ...simulation.domain import FloatArray
 from ...simulation.setup import Setup
 from .._kernels import follow_rate
@@ -56,7 +55,7 @@ def _horizontal_limit(setup: Setup, whose: str) -> float:
     return float(limits[north])
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class FullCommand:
     """Every element that the attack takes, as it is."""
 
@@ -70,7 +69,7 @@ class FullCommand:
         return np.tile(np.eye(axes), (len(heading_rad), 1, 1))
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class AlongTarget:
     """One element along the direction in which displacement counts.
 
@@ -95,7 +94,7 @@ class AlongTarget:
         return result
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class AcrossTarget:
     """One element across the direction in which displacement counts, to its right.
 
@@ -112,19 +111,15 @@ class AcrossTarget:
         return AlongTarget().matrix(setup, heading_rad + np.pi / 2.0)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Channels:
-    """One element for each of some channels or axes; the others are left alone.
-
-    Parameters
-    ----------
-    ids : tuple of str
-        Satellites of an attack per channel, such as ``"S05"``, or axes of a false position, such as
-        ``"north"``.
-    """
+    """One element for each of some channels or axes; the others are left alone."""
 
     described_as = "Channels"
-    ids: tuple[str, ...]
+    ids: tuple[str, ...] = setting(
+        help='Satellites of an attack per channel, such as ``"S05"``, or axes of a false position, '
+        'such as ``"north"``; different ones.'
+    )
 
     def __post_init__(self) -> None:
         ids = (self.ids,) if isinstance(self.ids, str) else tuple(self.ids)
@@ -141,7 +136,7 @@ class Channels:
         return FullCommand().matrix(setup, heading_rad)[:, :, columns]
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class CommonOffset:
     """One element for all channels alike, which the victim's clock takes for its own.
 
@@ -162,7 +157,7 @@ class CommonOffset:
         return np.ones((len(heading_rad), len(setup.action_names), 1))
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class RateSetpoint:
     r"""Wanted rate of the displacement; the acceleration follows within the attack's limits.
 
@@ -175,24 +170,22 @@ class RateSetpoint:
     acceleration, then that of the rate.  An attack that is commanded by rate takes w at once, and
     its limit must be as large as the full scale.  The attack must be a false position with commands
     north and east.
-
-    Parameters
-    ----------
-    dimensions : {1, 2}
-        Along the target direction, or north and east.
-    full_scale_mps : float
-        Rate that an action of 1 requests, above 0.  1 m/s over the default window of 150 s are
-        150 m; the attacks that go unnoticed there are at 0.02 to 0.9 m/s.
     """
 
     described_as = "RateSetpoint"
-    dimensions: int = 1
-    full_scale_mps: float = 1.0
-
-    def __post_init__(self) -> None:
-        if self.dimensions not in (1, 2) or isinstance(self.dimensions, bool):
-            raise ValueError(f"`dimensions` must be 1 or 2, got {self.dimensions!r}")
-        check_finite("full_scale_mps", self.full_scale_mps, "> 0")
+    dimensions: int = setting(
+        default=1,
+        least=1,
+        most=2,
+        help="Along the target direction (1), or north and east (2).",
+    )
+    full_scale_mps: float = setting(
+        default=1.0,
+        above=0.0,
+        unit="m/s",
+        help="Rate that an action of 1 requests. 1 m/s over the default window of 150 s are 150 m; "
+        "the attacks that go unnoticed there are at 0.02 to 0.9 m/s.",
+    )
 
     @property
     def along_target(self) -> bool:

@@ -9,13 +9,12 @@ Every value is divided by a stated scale and clipped to finite bounds.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.registry import check_choice, check_finite
+from ...core.declared import check_word, record, setting
 from ...simulation.divergence import Divergence
 from ...simulation.domain import FloatArray
 from ...simulation.monitors import KEPT, PastPositions, reports
@@ -72,41 +71,33 @@ class DynamicTerm(ObservationTerm, Protocol):
 
 
 class _Term:
-    """What the terms below share: fixed bounds, and settings that are scales above 0."""
+    """What the terms below share: fixed bounds."""
 
     limits: ClassVar[tuple[float, float]] = (-10.0, 10.0)
-    may_be_0: ClassVar[tuple[str, ...]] = ()
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         raise NotImplementedError
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if isinstance(value, bool):
-                continue
-            check_finite(name, value, ">= 0" if name in self.may_be_0 else "> 0")
 
     def bounds(self, setup: Setup) -> tuple[float, float]:
         return self.limits
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class OwnCommand(_Term):
-    """Commanded displacement and rate.
-
-    Parameters
-    ----------
-    scale_m, rate_scale_mps : float
-        Displacement and rate that are observed as 1, above 0.
-    along_target : bool
-        Whether their parts along the target direction are observed, instead of every axis; the
-        attack must be a false position with commands north and east.
-    """
+    """Commanded displacement and rate."""
 
     described_as = "OwnCommand"
-    scale_m: float = 40.0
-    rate_scale_mps: float = 0.25
-    along_target: bool = False
+    scale_m: float = setting(
+        default=40.0, above=0.0, unit="m", help="Displacement that is observed as 1."
+    )
+    rate_scale_mps: float = setting(
+        default=0.25, above=0.0, unit="m/s", help="Rate that is observed as 1."
+    )
+    along_target: bool = setting(
+        default=False,
+        help="Whether their parts along the target direction are observed, instead of every axis; "
+        "the attack must be a false position with commands north and east.",
+    )
     knowledge: ClassVar[str] = "blind"
     limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
 
@@ -135,7 +126,7 @@ class OwnCommand(_Term):
         own_command(displacement, rate, direction, north, east, per_displacement, per_rate, out)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Time(_Term):
     """Parts of the command phase that are over, and left."""
 
@@ -171,7 +162,6 @@ class _Tabled(_Term):
     """Terms that leave out what changes by less than `least_change`, where windows are fixed."""
 
     least_change: float
-    may_be_0: ClassVar[tuple[str, ...]] = ("least_change",)
 
     def _whole(self, setup: Setup) -> tuple[tuple[str, ...], NDArray[Any] | None]:
         """All names, and (K, k) their values at every epoch, where each belongs to one onset."""
@@ -188,23 +178,24 @@ class _Tabled(_Term):
         return None if table is None else table[:, _varying(setup, table, self.least_change)]
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class TargetMotion(_Tabled):
-    """True position since the onset, and true velocity, in local axes at the onset.
-
-    Parameters
-    ----------
-    position_scale_m, velocity_scale_mps : float
-        What is observed as 1, above 0.
-    least_change : float
-        An element that changes by less than this, in units of its scale, over the attack windows
-        of all episodes is uninformative, and left out, where these windows are fixed; 0 for all.
-    """
+    """True position since the onset, and true velocity, in local axes at the onset."""
 
     described_as = "TargetMotion"
-    position_scale_m: float = 10_000.0
-    velocity_scale_mps: float = 100.0
-    least_change: float = 0.05
+    position_scale_m: float = setting(
+        default=10_000.0, above=0.0, unit="m", help="Change of position that is observed as 1."
+    )
+    velocity_scale_mps: float = setting(
+        default=100.0, above=0.0, unit="m/s", help="Velocity that is observed as 1."
+    )
+    least_change: float = setting(
+        default=0.05,
+        least=0.0,
+        help="An element that changes by less than this, in units of its scale, over the attack "
+        "windows of all episodes is uninformative, and left out, where these windows are fixed; "
+        "0 for all.",
+    )
     knowledge: ClassVar[str] = "tracking"
 
     def _whole(self, setup: Setup) -> tuple[tuple[str, ...], NDArray[Any] | None]:
@@ -216,7 +207,7 @@ class TargetMotion(_Tabled):
         snapshot.simulator.motion(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps, out)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class TargetDirection(_Term):
     """Direction in which displacement counts: its north and its east component."""
 
@@ -232,19 +223,17 @@ class TargetDirection(_Term):
             out[i, 0], out[i, 1] = math.cos(heading), math.sin(heading)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class SatelliteGeometry(_Tabled):
-    """Line of sight to every slot in local axes, then whether it is visible, or spoofed.
-
-    Parameters
-    ----------
-    least_change : float
-        As in `TargetMotion`: what changes by less is left out, such as all of it in a window of
-        minutes in one world.
-    """
+    """Line of sight to every slot in local axes, then whether it is visible, or spoofed."""
 
     described_as = "SatelliteGeometry"
-    least_change: float = 0.05
+    least_change: float = setting(
+        default=0.05,
+        least=0.0,
+        help="As in `TargetMotion`: what changes by less is left out, such as all of it in a "
+        "window of minutes in one world.",
+    )
     knowledge: ClassVar[str] = "tracking"
     limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
 
@@ -257,18 +246,14 @@ class SatelliteGeometry(_Tabled):
         snapshot.simulator.geometry(out)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class StatisticRatio(_Term):
-    """The detector's statistic over its threshold: 1 is an alarm.
-
-    Parameters
-    ----------
-    largest : bool
-        Whether only the largest of all channels is observed.
-    """
+    """The detector's statistic over its threshold: 1 is an alarm."""
 
     described_as = "StatisticRatio"
-    largest: bool = False
+    largest: bool = setting(
+        default=False, help="Whether only the largest of all channels is observed."
+    )
     knowledge: ClassVar[str] = "oracle"
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
 
@@ -289,7 +274,7 @@ class StatisticRatio(_Term):
             np.divide(verdict.statistic, verdict.threshold, out=out, casting="unsafe")
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class GainWeight(_Term):
     """The detector's weight on every pseudorange, or on the position; 1 from a monitor."""
 
@@ -304,18 +289,12 @@ class GainWeight(_Term):
         out[:] = snapshot.simulator.observed_weights()
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class EstimateError(_Term):
-    """Error of the victim's position in the local axes of the epoch.
-
-    Parameters
-    ----------
-    scale_m : float
-        What is observed as 1, above 0.
-    """
+    """Error of the victim's position in the local axes of the epoch."""
 
     described_as = "EstimateError"
-    scale_m: float = 40.0
+    scale_m: float = setting(default=40.0, above=0.0, unit="m", help="Error that is observed as 1.")
     knowledge: ClassVar[str] = "oracle"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
@@ -325,18 +304,17 @@ class EstimateError(_Term):
         out[:] = snapshot.simulator.error_n() * (1.0 / self.scale_m)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class DivergenceSpent(_Term):
-    """Divergence that the attack has caused so far, over a budget; see `Divergence`.
-
-    Parameters
-    ----------
-    budget_nats : float
-        Divergence that is observed as 1, above 0; that of `AtStealthBudget` if there is one.
-    """
+    """Divergence that the attack has caused so far, over a budget; see `Divergence`."""
 
     described_as = "DivergenceSpent"
-    budget_nats: float = 2.0
+    budget_nats: float = setting(
+        default=2.0,
+        above=0.0,
+        unit="nats",
+        help="Divergence that is observed as 1; that of `AtStealthBudget` if there is one.",
+    )
     knowledge: ClassVar[str] = "oracle"
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
     needs: ClassVar[tuple[type[Divergence], ...]] = (Divergence,)
@@ -349,31 +327,39 @@ class DivergenceSpent(_Term):
         out[:, 0] = spent / self.budget_nats
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class ReportedPosition(_Term):
     """The victim's own broadcast position since the onset, in local axes there, and its age.
 
     What the newest report says that has arrived; nothing, which is 0, before there is one.
-
-    Parameters
-    ----------
-    scale_m : float
-        What is observed as 1, above 0; of an age that is 1 s.
-    interval_s : float
-        Time between reports, above 0; at least an epoch.  Twice a second as of ADS-B.
-    latency_s : float
-        Largest latency of a report; that of each is drawn for itself between 0 and this.
-    step_m : float
-        Steps of the position; 0 for none.  An ideal link has neither latency nor steps.
     """
 
     described_as = "ReportedPosition"
-    scale_m: float = 10_000.0
-    interval_s: float = 0.5
-    latency_s: float = 0.6
-    step_m: float = 5.0
+    scale_m: float = setting(
+        default=10_000.0,
+        above=0.0,
+        unit="m",
+        help="Distance that is observed as 1; of an age that is 1 s.",
+    )
+    interval_s: float = setting(
+        default=0.5,
+        above=0.0,
+        unit="s",
+        help="Time between reports; an epoch where it is shorter. Twice a second as of ADS-B.",
+    )
+    latency_s: float = setting(
+        default=0.6,
+        least=0.0,
+        unit="s",
+        help="Largest latency of a report; that of each is drawn for itself between 0 and this.",
+    )
+    step_m: float = setting(
+        default=5.0,
+        least=0.0,
+        unit="m",
+        help="Steps of the position; 0 for none. An ideal link has neither latency nor steps.",
+    )
     knowledge: ClassVar[str] = REPORTED
-    may_be_0: ClassVar[tuple[str, ...]] = ("latency_s", "step_m")
     needs: ClassVar[tuple[type[PastPositions], ...]] = (PastPositions,)
     word: ClassVar[str] = "position"
 
@@ -408,22 +394,20 @@ class ReportedPosition(_Term):
         """Take off what the spoofer knows of it; (B, 2), overwritten."""
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class ReportedDeviation(ReportedPosition):
     """The victim's own broadcast position less the target's true one at the time of the report.
 
     The spoofer knows that time, and tracks the target; its own tracking error is not in this.
-
-    Parameters
-    ----------
-    scale_m : float
-        What is observed as 1, above 0; of an age that is 1 s.
-    interval_s, latency_s, step_m : float
-        As in `ReportedPosition`.
     """
 
     described_as = "ReportedDeviation"
-    scale_m: float = 40.0
+    scale_m: float = setting(
+        default=40.0,
+        above=0.0,
+        unit="m",
+        help="Distance that is observed as 1; of an age that is 1 s.",
+    )
     knowledge: ClassVar[str] = f"tracking+{REPORTED}"
     limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
     word: ClassVar[str] = "deviation"
@@ -468,7 +452,7 @@ def default_terms(
     tuple of ObservationTerm
         In the order of the observation.
     """
-    check_choice("knowledge", knowledge, KNOWLEDGE)
+    check_word("knowledge", knowledge, KNOWLEDGE)
     scales, whole = setup.scales, setup.detector.scope == "receiver"
     level, reported = split_knowledge(knowledge)
     report = ReportedDeviation(scales["length_m"]) if level else ReportedPosition()

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.registry import check_finite
+from ...core.declared import record, setting
 from .observation import holds_for_call
 
 FloatArray = NDArray[np.float64]
@@ -57,10 +56,6 @@ class _Shared:
     field: ClassVar[str]
     sign: ClassVar[float] = 1.0
 
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            check_finite(name, value, ">= 0" if self.sign < 0.0 else "")
-
     @property
     def share(self) -> tuple[str, float]:
         return self.field, self.sign * float(next(iter(vars(self).values())))
@@ -71,110 +66,79 @@ class _Shared:
         return np.where(values, factor, 0.0) if values.dtype == np.bool_ else factor * values
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class DisplacementGain(_Shared):
-    """Increase of the undetected displacement along the target direction.
-
-    Parameters
-    ----------
-    per_m : float
-        Reward of one metre.
-    """
+    """Increase of the undetected displacement along the target direction."""
 
     described_as = "DisplacementGain"
-    per_m: float = 1.0
+    per_m: float = setting(default=1.0, unit="1/m", help="Reward of one metre.")
     name: ClassVar[str] = "displacement"
     field: ClassVar[str] = "gain"
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Retraction(_Shared):
-    """What was gained within the time to alert of an alarm is taken back.
-
-    Parameters
-    ----------
-    per_m : float
-        Reward of one metre; that of `DisplacementGain`.
-    """
+    """What was gained within the time to alert of an alarm is taken back."""
 
     described_as = "Retraction"
-    per_m: float = 1.0
+    per_m: float = setting(
+        default=1.0, unit="1/m", help="Reward of one metre; that of `DisplacementGain`."
+    )
     name: ClassVar[str] = "retraction"
     field: ClassVar[str] = "retraction"
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class AlarmPenalty(_Shared):
-    """Price of the first alarm; with a clean twin, where that has not alarmed so far.
-
-    Parameters
-    ----------
-    penalty_m : float
-        In metres of displacement, at least 0.
-    """
+    """Price of the first alarm; with a clean twin, where that has not alarmed so far."""
 
     described_as = "AlarmPenalty"
-    penalty_m: float = 60.0
+    penalty_m: float = setting(
+        default=60.0, least=0.0, unit="m", help="Price of it, as a displacement."
+    )
     name: ClassVar[str] = "alarm"
     field: ClassVar[str] = "excess"
     sign: ClassVar[float] = -1.0
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class AlarmedEpochs(_Shared):
-    """Price of every epoch with an alarm, for episodes that go on after the first.
-
-    Parameters
-    ----------
-    per_epoch_m : float
-        In metres of displacement, at least 0.
-    """
+    """Price of every epoch with an alarm, for episodes that go on after the first."""
 
     described_as = "AlarmedEpochs"
-    per_epoch_m: float = 1.0
+    per_epoch_m: float = setting(
+        default=1.0, least=0.0, unit="m", help="Price of each, as a displacement."
+    )
     name: ClassVar[str] = "alarmed_epochs"
     field: ClassVar[str] = "alarm"
     sign: ClassVar[float] = -1.0
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class EffortPenalty:
-    """Price of the command: the mean square of its elements.
-
-    Parameters
-    ----------
-    at_full_m : float
-        Price of an epoch with all elements at their limits, in metres of displacement, at least 0.
-    """
+    """Price of the command: the mean square of its elements."""
 
     described_as = "EffortPenalty"
-    at_full_m: float = 0.1
+    at_full_m: float = setting(
+        default=0.1,
+        least=0.0,
+        unit="m",
+        help="Price of an epoch with all elements at their limits, as a displacement.",
+    )
     name: ClassVar[str] = "effort"
-
-    def __post_init__(self) -> None:
-        check_finite("at_full_m", self.at_full_m, ">= 0")
 
     def __call__(self, outcome: Outcome) -> FloatArray:
         action = outcome.action
         return np.asarray(-self.at_full_m * (action * action).mean(axis=1))
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class TerminalDisplacement:
-    """Undetected displacement of the episode, all of it at its end.
-
-    Parameters
-    ----------
-    per_m : float
-        Reward of one metre.
-    """
+    """Undetected displacement of the episode, all of it at its end."""
 
     described_as = "TerminalDisplacement"
-    per_m: float = 1.0
+    per_m: float = setting(default=1.0, unit="1/m", help="Reward of one metre.")
     name: ClassVar[str] = "terminal_displacement"
-
-    def __post_init__(self) -> None:
-        check_finite("per_m", self.per_m)
 
     def __call__(self, outcome: Outcome) -> FloatArray:
         return np.where(outcome.over, self.per_m * outcome.undetected, 0.0)

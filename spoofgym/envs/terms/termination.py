@@ -8,13 +8,12 @@ alert, in which an alarm still counts, as after the last command.  A limit from 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.registry import check_finite, whole_number
+from ...core.declared import record, setting
 from ...simulation.divergence import Divergence
 from .observation import Snapshot
 
@@ -39,7 +38,7 @@ class EndTerm(Protocol):
         """(B,) bool, which episodes it ends, a new array."""
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class AtAlarm:
     """The first alarm of the detector in the loop."""
 
@@ -54,7 +53,7 @@ class AtAlarm:
         return np.asarray(simulator.verdict.alarm.any(axis=1))
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class AtWindowEnd:
     """The last command of the attack window; ends every episode, listed or not."""
 
@@ -66,69 +65,46 @@ class AtWindowEnd:
         return state.snapshot.step >= state.snapshot.setup.steps
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class AtDisplacement:
-    """Displacement along the target direction, as far as the spoofer wants it.
-
-    Parameters
-    ----------
-    limit_m : float
-        Above 0.
-    """
+    """Displacement along the target direction, as far as the spoofer wants it."""
 
     described_as = "AtDisplacement"
-    limit_m: float
+    limit_m: float = setting(above=0.0, unit="m", help="Displacement at which the episode ends.")
     name: ClassVar[str] = "displacement"
     truncates: ClassVar[bool] = False
-
-    def __post_init__(self) -> None:
-        check_finite("limit_m", self.limit_m, "> 0")
 
     def __call__(self, state: EpochState) -> Mask:
         return state.displacement >= self.limit_m
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class AtStealthBudget:
-    """Divergence that the attack may cause: half the sum of rho' S^-1 rho, by the filter's belief.
-
-    Parameters
-    ----------
-    budget_nats : float
-        Above 0; see `Divergence`.
-    """
+    """Divergence that the attack may cause: half the sum of rho' S^-1 rho, as the filter has it."""
 
     described_as = "AtStealthBudget"
-    budget_nats: float
+    budget_nats: float = setting(
+        above=0.0,
+        unit="nats",
+        help="Largest divergence of an episode that goes on; see `Divergence`.",
+    )
     name: ClassVar[str] = "stealth_budget"
     truncates: ClassVar[bool] = False
     needs: ClassVar[tuple[type[Divergence], ...]] = (Divergence,)
-
-    def __post_init__(self) -> None:
-        check_finite("budget_nats", self.budget_nats, "> 0")
 
     def __call__(self, state: EpochState) -> Mask:
         spent = state.snapshot.simulator.monitor(Divergence).memory["divergence"]
         return spent > self.budget_nats
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class AtSteps:
-    """Number of commands after which a caller stops the episode; truncates.
-
-    Parameters
-    ----------
-    steps : int
-        Decisions, at least 1; each may last several epochs.
-    """
+    """Number of commands after which a caller stops the episode; truncates."""
 
     described_as = "AtSteps"
-    steps: int
+    steps: int = setting(least=1, help="Decisions; each may last several epochs.")
     name: ClassVar[str] = "steps"
     truncates: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        whole_number("`steps`", self.steps, 1)
 
     def __call__(self, state: EpochState) -> Mask:
         snapshot = state.snapshot

@@ -1,7 +1,5 @@
 """A page tells what its JSON file and the texts of its paper's module say."""
 
-from __future__ import annotations
-
 import json
 import sys
 
@@ -54,12 +52,6 @@ def test_a_page_is_made_of_a_stored_full_run(tmp_path, monkeypatch):
     assert CliRunner().invoke(page.app, [*arguments, "--texts-only"]).exit_code == 0
     assert "It is indeed." in (tmp_path / "toy2025.md").read_text()
     assert json.loads((tmp_path / "toy2025.json").read_text()) == stored
-
-
-def test_an_unknown_key_lists_the_valid_ones():
-    result = CliRunner().invoke(page.app, ["zhong"])
-    assert result.exit_code == 2
-    assert "valid: all, ke2022" in result.stderr
 
 
 @pytest.mark.parametrize(

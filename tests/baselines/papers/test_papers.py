@@ -1,7 +1,5 @@
 """All five papers keep the frame, and their pages tell what their JSON files say."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -30,25 +28,31 @@ def key(request):
     return request.param
 
 
-@pytest.mark.parametrize("quick", [True, False])
-def test_parts_have_names_of_their_own_and_can_be_run_elsewhere(key, quick):
-    first, other = (parts_of(load_paper(key), Settings(quick, seed)) for seed in (0, 1))
-    assert [part.name for part in first] == [part.name for part in other]
-    # all chance follows from the seed: another one changes what is run
-    assert [part.settings for part in first] != [part.settings for part in other]
+@pytest.fixture
+def stored(key):
+    return json.loads((DOCS / f"{key}.json").read_text())
 
 
-def test_the_texts_say_something_and_cite_the_paper(key):
+@pytest.fixture
+def page(key):
+    return (DOCS / f"{key}.md").read_text()
+
+
+def test_parts_have_names_of_their_own_and_can_be_run_elsewhere(key):
+    for quick in (True, False):
+        first, other = (parts_of(load_paper(key), Settings(quick, seed)) for seed in (0, 1))
+        assert [part.name for part in first] == [part.name for part in other]
+        # all chance follows from the seed: another one changes what is run
+        assert [part.settings for part in first] != [part.settings for part in other]
+
+
+def test_the_texts_say_something_and_indices_name_every_paper(key):
     paper = load_paper(key)
     for name in ("TITLE", "CLAIMS", "FOUND", "READINGS"):
         assert getattr(paper, name).strip(), name
         assert not getattr(paper, name).lstrip().startswith("#"), "headings are the page's own"
     assert key[-4:] in paper.TITLE
     assert f"{{{key}," in (ROOT / "references.bib").read_text()
-
-
-@pytest.mark.parametrize("key", KEYS)
-def test_the_index_of_the_docs_and_the_page_on_papers_name_every_paper(key):
     assert f"](papers/{key}.md)" in (DOCS.parent / "README.md").read_text()
     assert f"| `{key}` |" in (DOCS.parent / "papers.md").read_text()
 
@@ -61,64 +65,43 @@ def test_every_other_link_of_the_index_leads_somewhere():
     assert sorted(targets) == sorted(listed - {"README.md"})
 
 
-@pytest.fixture
-def stored(key):
-    return json.loads((DOCS / f"{key}.json").read_text())
-
-
-def test_a_page_agrees_with_its_json(key, stored):
-    page = (DOCS / f"{key}.md").read_text()
+def test_a_page_agrees_with_its_json_and_has_its_counts_and_pictures(key, stored, page):
     assert page == page_text(load_paper(key), stored), "run `python -m baselines.papers.page`"
-
-
-@pytest.fixture
-def rows(stored):
-    return rows_from_record(stored)
-
-
-def test_stored_rows_are_finite_and_say_what_follows_from_them(key, stored, rows):
+    rows = rows_from_record(stored)
     check_rows(rows)
     assert {**stored, **rows_record(rows)} == stored
     assert stored["paper"] == key
     assert by_table(stored["rows"])
-
-
-def test_a_band_that_excludes_the_printed_value_is_never_met(stored):
-    for row in stored["rows"]:
-        if row["paper"] is None or row["origin"] is None:
-            assert row["printed_inside"] is None
-            continue
-        low = -math.inf if row["low"] is None else row["low"]
-        high = math.inf if row["high"] is None else row["high"]
-        where = row["table"], row["row"], row["quantity"]
-        if not low <= row["paper"] <= high:
-            assert row["printed_inside"] is False, where
-        if row["ours"] is None or not low <= row["ours"] <= high:
-            assert row["printed_inside"] is False, where
-
-
-def test_an_independent_band_never_serves_as_a_margin_around_the_paper(stored):
-    for row in stored["rows"]:
-        kind = row["origin"] and stored["origins"][row["origin"]]["kind"]
-        assert (row["agrees"] is not None) == (kind == "independent")
-        assert (row["kept"] is not None) == (kind == "bound")
-
-
-def test_the_page_has_both_counts(key, stored):
-    page = (DOCS / f"{key}.md").read_text()
     for verdict, words in (
         ("printed_inside", "printed values lie inside the tolerance of the reproduction"),
         ("agrees", "of our values agree with an independent implementation"),
     ):
         told = [row[verdict] for row in stored["rows"] if row[verdict] is not None]
         assert f"- {sum(told)} of {len(told)} {words}." in page
+    assert stored["pictures"]
+    for name in stored["pictures"]:
+        assert f"(figures/{name})" in page
+        assert (DOCS / "figures" / name).read_bytes().startswith(b"\x89PNG")
+    drawn = {path.name for path in (DOCS / "figures").glob(f"{key}*")}
+    assert drawn == set(stored["pictures"])
 
 
-def test_a_row_without_a_band_says_why_and_so_does_one_that_is_not_met(stored):
+def test_a_band_that_excludes_the_printed_value_is_never_met(stored):
     for row in stored["rows"]:
-        said = [row[verdict] for verdict in COUNTS]
-        if row["origin"] is None or False in said:
-            assert row["note"], (row["table"], row["row"], row["quantity"])
+        kind = row["origin"] and stored["origins"][row["origin"]]["kind"]
+        # an independent band never serves as a margin around the paper
+        assert (row["agrees"] is not None) == (kind == "independent")
+        assert (row["kept"] is not None) == (kind == "bound")
+        where = row["table"], row["row"], row["quantity"]
+        if kind is None or False in [row[verdict] for verdict in COUNTS]:
+            assert row["note"], where  # which says why
+        if row["paper"] is None or kind is None:
+            assert row["printed_inside"] is None
+            continue
+        low = -math.inf if row["low"] is None else row["low"]
+        high = math.inf if row["high"] is None else row["high"]
+        if row["ours"] is None or not low <= row["paper"] <= high or not low <= row["ours"] <= high:
+            assert row["printed_inside"] is False, where
 
 
 def test_an_origin_says_whose_runs_and_seeds(stored):
@@ -133,20 +116,8 @@ def test_an_origin_says_whose_runs_and_seeds(stored):
 def test_no_page_names_what_its_reader_cannot_see(key):
     unseen = re.compile(r"\b(notes|prototypes?|prototype's|design notes)\b", re.IGNORECASE)
     sources = [DOCS / f"{key}.md", DOCS / f"{key}.json"]
-    sources += sorted((ROOT / "baselines" / "papers" / key).glob("*.py"))
-    for path in sources:
-        found = unseen.findall(path.read_text())
-        assert not found, (path.name, found)
-
-
-def test_every_picture_is_stored_and_shown(key, stored):
-    page = (DOCS / f"{key}.md").read_text()
-    assert stored["pictures"]
-    for name in stored["pictures"]:
-        assert f"(figures/{name})" in page
-        assert (DOCS / "figures" / name).read_bytes().startswith(b"\x89PNG")
-    drawn = {path.name for path in (DOCS / "figures").glob(f"{key}*")}
-    assert drawn == set(stored["pictures"])
+    for path in [*sources, *sorted((ROOT / "baselines" / "papers" / key).glob("*.py"))]:
+        assert not unseen.findall(path.read_text()), path.name
 
 
 def stored_rows(key):
@@ -174,9 +145,8 @@ def test_ke2022_holds_its_misses_against_all_satellites(table, told, paper):
 
 
 def test_ke2022_holds_its_position_errors_against_single_runs():
-    errors = [
-        row for key, row in stored_rows("ke2022").items() if key[0] in ("Fig. 9b", "Fig. 10b")
-    ]
+    figures = ("Fig. 9b", "Fig. 10b")
+    errors = [row for key, row in stored_rows("ke2022").items() if key[0] in figures]
     assert len(errors) == 16
     assert all(row.band is not None and row.paper is not None for row in errors)
 

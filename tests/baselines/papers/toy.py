@@ -1,7 +1,5 @@
 """A paper that throws dice."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -95,10 +95,10 @@ def test_killed_at_every_write_it_goes_on_to_the_same_bytes(
     assert content(tmp_path / str(at)) == whole
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EACCES])
 def test_a_write_that_fails_names_its_file_and_leaves_nothing_half(
-    number: int, tmp_path: Path, whole: dict[str, bytes]
+    tmp_path: Path, whole: dict[str, bytes]
 ) -> None:
+    number = errno.ENOSPC
     for at in range(0, 3 * len(whole), 4):
         path = tmp_path / str(at)
         assert interrupted_at(path, at, OSError(number, os.strerror(number)))

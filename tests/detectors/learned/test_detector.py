@@ -77,7 +77,7 @@ def test_a_name_makes_a_detector_with_the_threshold_of_its_card(guard):
         ValueError, match=r"no setting 'level'; valid: threshold, quiet_epochs, sha"
     ):
         make_detector({"name": str(guard), "level": 1.0})
-    with pytest.raises(ValueError, match=r"`threshold` must be a number in \(0, 1\], got 2"):
+    with pytest.raises(ValueError, match="must be a number above 0 and of at most 1, got 2"):
         make_detector({"name": str(guard), "threshold": 2})
     with pytest.raises(ValueError, match=r"given a `threshold` of its own, and asked for another"):
         make_detector({"name": str(guard), "threshold": 0.5, "false_alarms_per_hour": 1.0})
@@ -162,7 +162,7 @@ def test_it_is_calibrated_by_the_command_that_the_error_names(guard, folder, tmp
 
 
 def test_a_calibration_does_not_depend_on_the_threshold_of_the_card(guard, folder, tmp_path):
-    settings = {"runs": 40, "false_alarms_per_hour": RATE}
+    settings = {"runs": 24, "false_alarms_per_hour": RATE}
     (by_card,) = calibrate(tight(), str(guard), **settings)
     fresh = write_guard(tmp_path / "fresh")
     assert identity_of(LearnedDetector(str(fresh))) == identity_of(LearnedDetector(str(guard)))
@@ -249,10 +249,6 @@ def test_a_campaign_names_it_by_content(guard, tmp_path):
     edit_card(moved / guard.name, threshold=0.8)
     changed = Suite(detectors=[str(moved / guard.name)], spoofers=["none"], timeline=FAST, runs=4)
     assert changed.digest != one.digest
-
-
-def test_as_published_is_the_threshold_of_the_card(guard):
-    assert detector_in_world({"name": str(guard), "thresholds": "nominal"}).scale == 0.9
 
 
 def test_spoofers_are_scored_against_it(guard):

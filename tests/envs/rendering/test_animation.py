@@ -40,34 +40,30 @@ def test_an_mp4_is_one(tmp_path):
     assert b"ftyp" in path.read_bytes()[:16]
 
 
-def test_without_ffmpeg_it_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setattr(animation.shutil, "which", lambda name: None)
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(ImportError, match=r"spoofgym\[video\], or write a .gif"):
-        save_animation(frames(), tmp_path / "run.mp4")
+def test_what_ffmpeg_lacks_is_told_and_leaves_no_file(tmp_path, monkeypatch):
+    film = tmp_path / "run.mp4"
+    with monkeypatch.context() as patch:
+        patch.setattr(animation.shutil, "which", lambda name: None)
+        patch.setitem(sys.modules, "imageio_ffmpeg", None)
+        with pytest.raises(ImportError, match=r"spoofgym\[video\], or write a .gif"):
+            save_animation(frames(), film)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_failing_ffmpeg_is_told(tmp_path, monkeypatch):
     program = tmp_path / "ffmpeg"
     program.write_text("#!/bin/sh\necho no such codec >&2\nexit 3\n")
     program.chmod(0o755)
     monkeypatch.setattr(animation, "ffmpeg_program", lambda: str(program))
     with pytest.raises(OSError, match="code 3: no such codec"):
-        save_animation(frames(200, 200, 300), tmp_path / "run.mp4")
-    assert not (tmp_path / "run.mp4").exists()
+        save_animation(frames(200, 200, 300), film)
+    assert not film.exists()
 
 
-@pytest.mark.parametrize(
-    ("name", "kwargs", "message"),
-    [
-        ("run.avi", {}, "unknown ending of an animation '.avi'; valid: .gif, .mp4"),
-        ("run.gif", {"fps": 0.0}, "`fps` must be above 0"),
-        ("run.gif", {"fps": 1000.0}, "at most 100"),
-    ],
-)
-def test_wrong_settings_are_told(tmp_path, name, kwargs, message):
-    with pytest.raises(ValueError, match=message):
-        save_animation(frames(), tmp_path / name, **kwargs)
+def test_wrong_settings_are_told(tmp_path):
+    for name, fps, message in (
+        ("run.avi", 25.0, "unknown ending of an animation '.avi'; valid: .gif, .mp4"),
+        ("run.gif", 0.0, "`fps` must be a number above 0 and of at most 100, got 0"),
+        ("run.gif", 1000.0, "`fps` must be a number above 0 and of at most 100, got 1000"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            save_animation(frames(), tmp_path / name, fps)
     with pytest.raises(ValueError, match="at least one frame"):
         save_animation(iter(()), tmp_path / "run.gif")

@@ -9,24 +9,14 @@ from spoofgym.envs.rendering import CoreRecorder, RenderHistory
 from spoofgym.envs.rendering.panels import NAME_SIZE, beside
 from spoofgym.simulation import TightlyCoupledSetup
 
-from ..support import SMALL, victim
+from ..support import VICTIMS, victim
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
 
 
-def tight(**kwargs):
-    settings = {"timeline": SHORT, "end_at_alarm": False, **kwargs}
-    return victim("TightlyCoupled", **settings).unwrapped.core
-
-
-def small(kind):
-    return victim(kind, timeline=None, detector=None, end_at_alarm=False).unwrapped.core
-
-
-MAKES = [
-    pytest.param(tight, id="tight"),
-    *(pytest.param(lambda kind=kind: small(kind), id=kind) for kind in SMALL),
-]
+def core_of(kind="TightlyCoupled", **kwargs):
+    settings = {"timeline": SHORT} if kind == "TightlyCoupled" else {}
+    return victim(kind, **{"end_at_alarm": False, **settings, **kwargs}).unwrapped.core
 
 
 def play(core, action, steps=8, seed=3):
@@ -41,69 +31,56 @@ def play(core, action, steps=8, seed=3):
     return history
 
 
-@pytest.mark.parametrize("make", MAKES)
-def test_the_twin_is_a_run_without_attack(make):
+@pytest.mark.parametrize("kind", VICTIMS)
+def test_the_twin_is_a_run_without_attack_and_both_begin_at_the_onset(kind):
     """Bit for bit: same seed, same detector in the loop, zero action."""
-    attacked, clean = play(make(), 0.7), play(make(), 0.0)
+    core = core_of(kind)
+    attacked, clean = play(core, 0.7), play(core_of(kind), 0.0)
     np.testing.assert_array_equal(attacked.pair("twin_error_ne"), clean.pair("error_ne"))
     np.testing.assert_array_equal(attacked.number("twin_ratio"), clean.number("ratio"))
     assert attacked.number("induced_m")[-1] > 0.01
     np.testing.assert_array_equal(clean.number("induced_m"), 0.0)
-
-
-@pytest.mark.parametrize("make", MAKES)
-def test_time_and_way_begin_at_the_onset(make):
-    core = make()
-    history, interval_s = play(core, 0.3), core.setup.interval_s
-    layout = history.layout
-    np.testing.assert_allclose(history.number("time_s"), np.arange(9) * interval_s, atol=1e-9)
-    np.testing.assert_array_equal(history.pair("position_ne")[0], 0.0)
-    np.testing.assert_allclose(history.pair("position_ne"), layout.track_ne[:9], atol=1e-9)
+    layout, interval_s = attacked.layout, core.setup.interval_s
+    np.testing.assert_allclose(attacked.number("time_s"), np.arange(9) * interval_s, atol=1e-9)
+    np.testing.assert_array_equal(attacked.pair("position_ne")[0], 0.0)
+    np.testing.assert_allclose(attacked.pair("position_ne"), layout.track_ne[:9], atol=1e-9)
     assert len(layout.track_ne) == round((layout.attack_s + layout.hold_s) / interval_s) + 1
 
 
-def test_the_twin_follows_through_the_time_to_alert():
-    core = tight(detector="never")
-    history = play(core, 0.4, steps=core.setup.steps)
-    assert history.number("time_s")[-1] == pytest.approx(12.0)
-    assert np.isfinite(history.number("induced_m")).all()
-
-
-def test_the_twin_follows_over_decisions_of_several_epochs():
-    core = tight(detector="never", decision_interval_s=5.0)
+def test_over_decisions_the_twin_follows_through_the_time_to_alert_which_does_not_count():
+    core = core_of(detector="never", decision_interval_s=5.0)
     attacked, clean = play(core, 1.0, steps=2), play(core, 0.0, steps=2)
     np.testing.assert_array_equal(attacked.pair("twin_error_ne"), clean.pair("error_ne"))
     np.testing.assert_array_equal(clean.number("induced_m"), 0.0)
     assert attacked.number("induced_m")[-1] > 1.0
+    np.testing.assert_allclose(attacked.number("counted_s"), [0.0, 5.0, 10.0])
+    np.testing.assert_allclose(attacked.number("time_s"), [0.0, 5.0, 12.0])
 
 
 def test_displacement_error_and_verdict_are_those_of_the_game():
-    core = tight()
+    core = core_of(detector={"name": "ewma", "false_alarm": 1e-9})
     history = play(core, 1.0)
     moved = core.engine.simulator.attack.memory["displacement"][0]
     np.testing.assert_array_equal(history.pair("displacement_ne")[-1], moved)
     verdict = core.engine.simulator.verdict
     assert history.number("ratio")[-1] == (verdict.statistic / verdict.threshold).max()
     east = history.pair("error_ne")[:, 1]
-    undetected_m = core.score.undetected[0]
-    if not history.alarm.any():
-        assert np.maximum.accumulate(east - east[0])[-1] == pytest.approx(undetected_m)
+    assert not history.alarm.any()
+    most = np.maximum.accumulate(east - east[0])[-1]
+    assert most == pytest.approx(core.score.undetected[0])
 
 
 def test_the_sky_marks_what_is_spoofed():
     world = TightlyCoupledSetup(timeline=SHORT).world
     chosen = tuple(name for name in world.satellite_ids if name)[:3]
-    core = tight(attack={"name": "false-position", "channels": chosen})
+    core = core_of(attack={"name": "false-position", "channels": chosen})
     clean, attacked = play(core, 0.0).sky, play(core, 1.0).sky
     assert not clean.spoofed.any()
     for name, visible, spoofed in zip(
         attacked.names, attacked.visible, attacked.spoofed, strict=True
     ):
         assert spoofed == (visible and name in chosen)
-
-
-def test_the_sky_of_a_snapshot_receiver():
-    core = small("Snapshot")
+    core = core_of("Snapshot")
     sky = play(core, 1.0).sky
     np.testing.assert_array_equal(sky.spoofed, core.engine.simulator.memory["spoofed"][0])
     assert (sky.elevation > 0.0).all()
@@ -112,24 +89,12 @@ def test_the_sky_of_a_snapshot_receiver():
     np.testing.assert_allclose(np.cos(sky.elevation) * np.sin(sky.azimuth), toward[:, 1])
 
 
-def test_an_attack_on_channels_has_no_commanded_position():
-    core = tight(attack={"name": "per-channel", "control": "rate"})
-    history = play(core, 0.1, steps=2)
+def test_an_attack_on_channels_has_no_commanded_position_and_a_picture_a_title():
+    attack = {"name": "per-channel", "control": "rate"}
+    history = play(core_of(attack=attack, scenario="trolley-two-constellations"), 0.1, steps=2)
     assert not history.layout.commands_position
     assert np.isnan(history.pair("displacement_ne")).all()
-
-
-def test_a_picture_is_titled_by_its_scenario():
-    core = tight(scenario="trolley-two-constellations")
-    core.reset([np.random.default_rng(0)])
-    assert CoreRecorder(core).begin().title.startswith("trolley-two-constellations: ")
-
-
-def test_what_counts_is_drawn_up_to_the_last_command_and_not_beyond():
-    core = tight(detector="never", decision_interval_s=5.0)
-    history = play(core, 1.0, steps=2)
-    np.testing.assert_allclose(history.number("counted_s"), [0.0, 5.0, 10.0])
-    np.testing.assert_allclose(history.number("time_s"), [0.0, 5.0, 12.0])
+    assert history.layout.title.startswith("trolley-two-constellations: ")
 
 
 def test_names_of_satellites_lie_beside_one_another():

@@ -10,17 +10,7 @@ import pytest
 
 from spoofgym.envs.core import ALARM_PRICE
 
-from ..support import (
-    HOLD,
-    LIVE,
-    SMALL,
-    STEPS,
-    VICTIMS,
-    AlarmAt,
-    single,
-    victim,
-    victims,
-)
+from ..support import HOLD, LIVE, STEPS, VICTIMS, AlarmAt, single, victim, victims
 
 LIMITS_M = {"TightlyCoupled": 0.5, "LooselyCoupled": 1.0, "Snapshot": 15.0, "WheeledRobot": 4.0}
 """Displacements that a full push comes to in some epochs of an episode."""
@@ -46,24 +36,16 @@ def until_the_end(env, push=1.0):
             return steps, observation, reward, terminated, truncated, info
 
 
-def test_a_displacement_ends_the_episode_and_is_held_to(kind):
-    env = victim(kind, end=[far(kind)], detector="never")
-    env.reset(seed=1)
-    steps, *_, terminated, truncated, info = until_the_end(env)
-    assert 2 < steps < 30
-    assert (terminated, truncated) == (True, False)
-    assert info["end_displacement"]
-    assert info["displacement_m"] >= LIMITS_M[kind]
-    # the receiver has run the time to alert
-    assert info["time_s"] == pytest.approx(VICTIMS[kind] * (2 * LIVE + steps + HOLD))
-    with pytest.raises(RuntimeError, match="call reset"):
-        env.step(np.zeros(env.action_space.shape))
-
-
-def test_an_alarm_after_an_early_end_takes_back_what_was_gained(kind):
+def test_a_displacement_ends_the_episode_and_an_alarm_that_follows_takes_back_what_was_gained(kind):
     quiet = victim(kind, end=[far(kind)], detector="never")
     quiet.reset(seed=1)
-    steps, *_, kept = until_the_end(quiet)
+    steps, *_, terminated, truncated, kept = until_the_end(quiet)
+    assert 2 < steps < 30
+    assert (terminated, truncated) == (True, False)
+    assert kept["end_displacement"]
+    assert kept["displacement_m"] >= LIMITS_M[kind]
+    # the receiver has run the time to alert
+    assert kept["time_s"] == pytest.approx(VICTIMS[kind] * (2 * LIVE + steps + HOLD))
     for after, taken in ((1, True), (HOLD, True), (HOLD + 1, False)):
         detector = AlarmAt(LIVE + steps + after)
         env = victim(kind, end=[far(kind), "at-alarm"], detector=detector)
@@ -80,13 +62,6 @@ def test_an_alarm_after_an_early_end_takes_back_what_was_gained(kind):
             assert info["undetected_displacement_m"] == kept["undetected_displacement_m"]
 
 
-def test_an_alarm_ends_it_only_where_it_is_listed(kind):
-    for end, steps in ((["at-alarm"], 4), ("at-window-end", STEPS), ([], STEPS)):
-        env = victim(kind, end=end, detector=AlarmAt(LIVE + 4))
-        env.reset(seed=1)
-        assert until_the_end(env)[0] == steps
-
-
 def test_a_limit_from_outside_truncates_and_holds_nothing(kind):
     env = victim(kind, end=["at-alarm", {"name": "at-steps", "steps": 7}], detector="never")
     env.reset(seed=1)
@@ -97,15 +72,10 @@ def test_a_limit_from_outside_truncates_and_holds_nothing(kind):
         env.step(np.zeros(env.action_space.shape))
 
 
-def test_the_last_command_is_an_end_and_no_truncation(kind):
-    env = victim(kind, end=[{"name": "at-steps", "steps": STEPS}], detector="never")
-    env.reset(seed=1)
-    assert until_the_end(env)[3:5] == (True, False)
-
-
 @pytest.mark.parametrize("steps", [STEPS - 1, STEPS])
-def test_a_receiver_that_is_over_is_not_held_to_twice(kind, steps):
+def test_a_receiver_that_is_over_is_not_held_to_twice(steps):
     """Its next epoch is thrown away; it must not run out of the world."""
+    kind = "TightlyCoupled" if steps == STEPS else "LooselyCoupled"
     end = [{"name": "at-steps", "steps": steps}, far(kind)]
     envs = victims(kind, 2, end=end, detector="never")
     envs.reset(seed=1)
@@ -120,6 +90,22 @@ def test_a_receiver_that_is_over_is_not_held_to_twice(kind, steps):
     assert ends[0] > ends[1]
 
 
+@pytest.mark.parametrize(
+    ("kind", "end", "steps"),
+    [
+        ("Snapshot", ["at-alarm"], 4),
+        ("Snapshot", "at-window-end", STEPS),
+        ("Snapshot", [], STEPS),
+        ("WheeledRobot", [{"name": "at-steps", "steps": STEPS}], STEPS),  # no truncation
+    ],
+)
+def test_an_alarm_ends_it_only_where_it_is_listed_and_the_last_command_always(kind, end, steps):
+    env = victim(kind, end=end, detector=AlarmAt(LIVE + 4))
+    env.reset(seed=1)
+    taken, _, _, terminated, truncated, _ = until_the_end(env)
+    assert (taken, terminated, truncated) == (steps, True, False)
+
+
 @dataclass(frozen=True)
 class AtCommanded:
     """An end of one's own, which looks at the simulator."""
@@ -132,27 +118,12 @@ class AtCommanded:
         return state.snapshot.simulator.commanded_displacement[:, 1] >= self.limit_m
 
 
-def test_an_end_of_ones_own_sees_the_simulator(kind):
-    limit_m = {"TightlyCoupled": 2.0, "LooselyCoupled": 2.0}.get(kind, 8.0)
-    env = victim(kind, end=AtCommanded(limit_m), detector="never")
+def test_an_end_of_ones_own_sees_the_simulator():
+    env = victim("Snapshot", end=AtCommanded(8.0), detector="never")
     env.reset(seed=1)
     steps, *_, info = until_the_end(env)
     assert info["end_commanded"]
     assert 1 < steps < STEPS
-
-
-@pytest.mark.parametrize("kind", SMALL)
-def test_the_stealth_budget_needs_a_filter_of_the_tightly_coupled_receiver(kind):
-    for terms in (
-        {"end": {"name": "at-stealth-budget", "budget_nats": 2.0}},
-        {"observation": ["time", "divergence-spent"]},
-    ):
-        with pytest.raises(
-            ValueError,
-            match=r"the divergence of an attack needs the filter of a tightly coupled receiver, "
-            r"which a .* does not have",
-        ):
-            victim(kind, **terms)
 
 
 def test_the_stealth_budget_ends_when_it_is_spent():

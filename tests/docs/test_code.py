@@ -1,0 +1,93 @@
+"""The code of pages runs, block after block, and prints what they say."""
+
+import importlib.util
+import re
+import shlex
+import sys
+import types
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from spoofgym.attacks import THREATS
+from spoofgym.cli import app
+from spoofgym.envs.terms import TERMS
+
+from .pages import blocks_of, run, text_of
+
+# as users have it
+pytestmark = pytest.mark.usefixtures("default_rate_of_module", "in_tmp_path")
+
+SHORT = {"warmup_s": 10.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 1.0}
+
+
+@pytest.fixture
+def played(monkeypatch, capsys):
+    """Plays a page's blocks, apart from those that need what is not there; names, and lines."""
+
+    def play(page, *needed):
+        for module in needed:
+            pytest.importorskip(module)
+        for kind in TERMS:  # a page may add to the registry
+            monkeypatch.setitem(TERMS, kind, dict(TERMS[kind]))
+        module = types.ModuleType("page")
+        monkeypatch.setitem(sys.modules, "page", module)
+        assert blocks_of(page)
+        for needs, code in blocks_of(page):
+            if needs is None or importlib.util.find_spec(needs):
+                run(code, page, module.__dict__)
+        return module, capsys.readouterr().out.splitlines()
+
+    return play
+
+
+@pytest.mark.parametrize("page", ["game.md", "own_observation_term.md"])
+def test_the_code_of_a_page_runs(page, played):
+    played(page)
+
+
+def test_the_code_on_terms_runs(played):
+    played("terms.md", "pyarrow")  # as `RecordEpochs`
+
+
+def test_the_code_on_own_data_prints_what_the_page_says(played):
+    _, printed = played("own_data.md")
+    assert f"It prints `{printed[0]}`" in text_of("own_data.md")
+
+
+def test_the_code_on_learning_prints_what_the_page_says(played):
+    _, printed = played("learning.md", "stable_baselines3")
+    assert printed[0] == "3600 epochs, 360 decisions"
+    assert float(printed[1].split()[0]) >= 60.0
+    assert printed[1].endswith("1.0")
+    assert printed[2] == "[0. 0. 0. 0.]"
+    assert float(printed[3]) > 10.0  # full pushes alarm more often than the budget allows
+    assert printed[4] == "[85. 85. 85.]"
+
+
+def test_the_code_on_tasks_names_worlds_and_families(played):
+    _, printed = played("tasks.md")
+    assert printed[0].startswith("drawn worlds, matched receiver")
+    assert "meaconer" in printed[1]  # a family that a task for detectors holds out
+    assert len(printed) == 7
+
+
+def test_the_code_and_the_first_command_on_pictures_draw_them(played):
+    _, printed = played("rendering.md", "matplotlib")
+    assert "(700, 1120, 3) uint8" in printed
+    assert Path("ramp.gif").stat().st_size > 10_000
+    small = "--warmup-s 20 --live-s 10 --attack-s 6 --time-to-alert-s 2 --out run.gif"
+    first = re.findall(r"^spoofgym (render .*)$", text_of("rendering.md"), flags=re.MULTILINE)[0]
+    done = CliRunner().invoke(app, shlex.split(f"{first} {small}"))
+    assert done.exit_code == 0, done.output
+    assert Path("run.gif").stat().st_size > 10_000
+
+
+def test_every_threat_has_its_two_rows_and_plays(played):
+    code, _ = played("threats.md")
+    for name in THREATS:
+        assert len(re.findall(rf"^\| `{name}` \|", text_of("threats.md"), flags=re.M)) == 2
+        alarmed, east, undetected = code.play(name, runs=2, timeline=SHORT)
+        assert 0.0 <= alarmed <= 1.0
+        assert undetected >= east - 1e-9 or alarmed > 0.0
