@@ -51,7 +51,7 @@ class SelfTuning:
         least=2,
         most=100_000,
         unit="epochs",
-        help="w, length of the window of residuals. The innovation covariance is then itself an "
+        help="Length w of the window of residuals. The innovation covariance is then itself an "
         "estimate, so that short windows raise false alarms (`windowed-chi2` has a threshold for "
         "that) and take the onset of an attack for noise within w epochs.",
     )

@@ -137,7 +137,11 @@ class CredibleFilter:
     )
     noise_sd_m: float = setting(default=1.02, above=0.0, unit="m", help="Root of R.")
     drift_rate_mps: float = setting(
-        default=0.04, least=0.0, unit="m/s", help="d; less than what the gain leaves room for."
+        default=0.04,
+        least=0.0,
+        unit="m/s",
+        help="Deviation d of the rate at which dead reckoning drifts; less than what the gain "
+        "leaves room for.",
     )
 
     @property
