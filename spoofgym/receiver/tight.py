@@ -110,7 +110,7 @@ class TightlyCoupled:
     tuning: str = setting(
         default="paper",
         one_of=TUNINGS,
-        help='``"paper"``: the noise that the papers print, 2.5 m and 0.1 m/s and a clock PSD of '
+        help='Noise that the filter assumes.  ``"paper"``: the noise that the papers print, 2.5 m and 0.1 m/s and a clock PSD of '
         "1, which overstates the world's, and the inertial sensors of the book's software.  "
         '``"matched"``: GNSS noise and clock as the world has them, satellite biases that last for '
         "the run as a pseudorange noise that leaves the position their spread, and the data sheet "
@@ -131,7 +131,7 @@ class TightlyCoupled:
     conventions: str = setting(
         default="groves",
         one_of=CONVENTIONS,
-        help='``"groves"`` keeps every convention of the reference software; ``"orthonormal"`` '
+        help='Upkeep of the attitude.  ``"groves"`` keeps every convention of the reference software; ``"orthonormal"`` '
         "re-orthonormalizes the attitude matrix after each update.",
     )
     min_satellites: int = setting(
