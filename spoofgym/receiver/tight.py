@@ -110,16 +110,17 @@ class TightlyCoupled:
     tuning: str = setting(
         default="paper",
         one_of=TUNINGS,
-        help='Noise that the filter assumes.  ``"paper"``: the noise that the papers print, 2.5 m and 0.1 m/s and a clock PSD of '
-        "1, which overstates the world's, and the inertial sensors of the book's software.  "
-        '``"matched"``: GNSS noise and clock as the world has them, satellite biases that last for '
-        "the run as a pseudorange noise that leaves the position their spread, and the data sheet "
-        "of the inertial sensors with what its errors of scale make of the run's manoeuvres "
-        "(`matching` derives both).  Its covariance is that of its errors where there are no such "
-        "biases; with them it is too large early in the run, and the innovation covariance of "
-        'pseudoranges all the time. ``"augmented"``: states for all of these instead '
-        "(`spoofgym.receiver.augmented`), so that innovations are white; the covariance update is "
-        '``"unweighted"``.  A replay of measurements, which knows no world, takes `noise` instead.',
+        help='Noise that the filter assumes.  ``"paper"``: what the papers print, 2.5 m, 0.1 m/s '
+        "and a clock PSD of 1, which overstates the world's, and the inertial sensors of the "
+        'book\'s software.  ``"matched"``: GNSS noise and clock as the world has them, satellite '
+        "biases that last for the run as a pseudorange noise that leaves the position their "
+        "spread, and the data sheet of the inertial sensors with what its errors of scale make of "
+        "the run's manoeuvres (`matching` derives both).  Its covariance is that of its "
+        "errors where there are no such biases; with them it is too large early in the run, and the innovation "
+        'covariance of pseudoranges all the time.  ``"augmented"``: states for all of these '
+        "instead (`spoofgym.receiver.augmented`), so that innovations are white; the covariance "
+        'update is ``"unweighted"``.  A replay of measurements, which knows no world, takes '
+        "`noise` instead.",
     )
     covariance_update: str = setting(
         default="unweighted",
@@ -131,8 +132,8 @@ class TightlyCoupled:
     conventions: str = setting(
         default="groves",
         one_of=CONVENTIONS,
-        help='Upkeep of the attitude.  ``"groves"`` keeps every convention of the reference software; ``"orthonormal"`` '
-        "re-orthonormalizes the attitude matrix after each update.",
+        help='Upkeep of the attitude.  ``"groves"`` keeps every convention of the reference '
+        'software; ``"orthonormal"`` re-orthonormalizes the attitude matrix after each update.',
     )
     min_satellites: int = setting(
         default=4,
