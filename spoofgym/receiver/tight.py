@@ -116,10 +116,10 @@ class TightlyCoupled:
         "biases that last for the run as a pseudorange noise that leaves the position their "
         "spread, and the data sheet of the inertial sensors with what its errors of scale make of "
         "the run's manoeuvres (`matching` derives both).  Its covariance is that of its "
-        "errors where there are no such biases; with them it is too large early in the run, and the innovation "
-        'covariance of pseudoranges all the time.  ``"augmented"``: states for all of these '
-        "instead (`spoofgym.receiver.augmented`), so that innovations are white; the covariance "
-        'update is ``"unweighted"``.  A replay of measurements, which knows no world, takes '
+        "errors where there are no such biases; with them it is too large early in the run, and "
+        'the innovation covariance of pseudoranges all the time.  ``"augmented"``: states for all '
+        "of these instead (`spoofgym.receiver.augmented`), so that innovations are white; the "
+        'covariance update is ``"unweighted"``.  A replay of measurements, which knows no world, takes '
         "`noise` instead.",
     )
     covariance_update: str = setting(
