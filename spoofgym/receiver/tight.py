@@ -119,8 +119,8 @@ class TightlyCoupled:
         "errors where there are no such biases; with them it is too large early in the run, and "
         'the innovation covariance of pseudoranges all the time.  ``"augmented"``: states for all '
         "of these instead (`spoofgym.receiver.augmented`), so that innovations are white; the "
-        'covariance update is ``"unweighted"``.  A replay of measurements, which knows no world, takes '
-        "`noise` instead.",
+        'covariance update is ``"unweighted"``.  A replay of measurements, which knows no world, '
+        "takes `noise` instead.",
     )
     covariance_update: str = setting(
         default="unweighted",
