@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import check_number
 from ..core.progress import NullProgress, ProgressCallback
 from ..detectors import Calibrated, Detector, Never, PooledDetector
 from ..detectors.base import judged
@@ -125,8 +126,8 @@ class Player:
     def __post_init__(self) -> None:
         self.seed_name = self.seed_name or self.setup.name
         for name, value in (("threads", self.threads), ("chunk", self.chunk)):
-            if value is not None and value < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {value}")
+            if value is not None:
+                check_number(name, value, least=1, whole=True)
 
     def play(
         self,

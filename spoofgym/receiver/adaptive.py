@@ -28,14 +28,12 @@ Source: `shadmehri2025`, eqs. 8 to 13; the covariance matching is from `ding2007
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined, njit
-from ..core.declared import check_number
-from ..core.registry import check_choice, require
+from ..core.declared import record, setting
 
 FloatArray = NDArray[np.float64]
 FIXED, RAW, SKIP, CLAMPED = 0, 1, 2, 3
@@ -43,36 +41,34 @@ PROCESS = {"fixed": FIXED, "raw": RAW, "skip": SKIP, "clamped": CLAMPED}
 LARGEST_SCALE = 1e12  # bound of the scale of Q, so that an unstable run shows without an overflow
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class SelfTuning:
-    """Settings of the self-tuning noise.
-
-    Parameters
-    ----------
-    window : int
-        w, epochs of residuals, 2 to 100000.  The innovation covariance is then itself an estimate,
-        so that short windows raise false alarms (`windowed-chi2` has a threshold for that) and
-        take the onset of an attack for noise within w epochs.
-    process : {"fixed", "raw", "skip", "clamped"}
-        What becomes of Q.  ``"fixed"``: nothing.  ``"raw"``: the paper's rule, the root of a
-        negative number taken as 0, which Q never leaves again.  ``"skip"``: an epoch with a
-        negative ratio changes nothing.  ``"clamped"``: no epoch more than doubles or halves it.
-        None of the three is stable.
-    floor_m : float
-        Least standard deviation of a coordinate [m]; the paper has none.
-    """
+    """Settings of the self-tuning noise."""
 
     described_as = "SelfTuning"
-    window: int = 100
-    process: str = "fixed"
-    floor_m: float = 0.0
-
-    def __post_init__(self) -> None:
-        require(
-            2 <= self.window <= 100_000, f"`window` must be 2 to 100000 epochs, got {self.window}"
-        )
-        check_choice("process", self.process, PROCESS)
-        check_number("floor_m", self.floor_m, least=0.0)
+    window: int = setting(
+        default=100,
+        least=2,
+        most=100_000,
+        unit="epochs",
+        help="Length w of the window of residuals. The innovation covariance is then itself an "
+        "estimate, so that short windows raise false alarms (`windowed-chi2` has a threshold for "
+        "that) and take the onset of an attack for noise within w epochs.",
+    )
+    process: str = setting(
+        default="fixed",
+        one_of=PROCESS,
+        help='What becomes of Q.  ``"fixed"``: nothing.  ``"raw"``: the paper\'s rule, the root '
+        'of a negative number taken as 0, which Q never leaves again.  ``"skip"``: an epoch with a '
+        'negative ratio changes nothing.  ``"clamped"``: no epoch more than doubles or halves it. '
+        "None of the three is stable.",
+    )
+    floor_m: float = setting(
+        default=0.0,
+        least=0.0,
+        unit="m",
+        help="Least standard deviation of a coordinate; the paper has none.",
+    )
 
 
 @njit

@@ -33,13 +33,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ..core.compile import njit
-from ..core.declared import check_number
+from ..core.declared import record, setting
 from ..core.memory import Memory
 from ..core.registry import require
 from .epoch import OPTIONAL, Epoch, EpochMaker, FloatArray, without_channels
@@ -124,28 +123,26 @@ def update_positions(
         outage[b] = 0.0 if believed else outage[b] + interval
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class CredibleFilter:
-    """Settings of the filter.
-
-    - `gain`: K on which the filter settles, in (0, 1). 0.16 a second lets a ramp of 0.7 m/s lead by
-      the 3.9 m by which the paper's EKF lags;
-    - `noise_sd_m`: root of R, above 0;
-    - `drift_rate_mps`: d, at least 0, below what the gain leaves room for.
-    """
+    """Settings of the filter."""
 
     described_as = "CredibleFilter"
-    gain: float = 0.16
-    noise_sd_m: float = 1.02
-    drift_rate_mps: float = 0.04
-
-    def __post_init__(self) -> None:
-        require(
-            0.0 < self.gain < 1.0,
-            f"`gain` must lie between 0 and 1, both excluded, got {self.gain}",
-        )
-        check_number("noise_sd_m", self.noise_sd_m, above=0.0)
-        check_number("drift_rate_mps", self.drift_rate_mps, least=0.0)
+    gain: float = setting(
+        default=0.16,
+        above=0.0,
+        below=1.0,
+        help="K on which the filter settles. 0.16 a second lets a ramp of 0.7 m/s lead by the "
+        "3.9 m by which the paper's EKF lags.",
+    )
+    noise_sd_m: float = setting(default=1.02, above=0.0, unit="m", help="Root of R.")
+    drift_rate_mps: float = setting(
+        default=0.04,
+        least=0.0,
+        unit="m/s",
+        help="Deviation d of the rate at which dead reckoning drifts; less than what the gain "
+        "leaves room for.",
+    )
 
     @property
     def noise_variance(self) -> float:

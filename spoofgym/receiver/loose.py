@@ -9,13 +9,13 @@ covariance is Joseph's form, which is right for the weights of a verdict, too.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from ..core.declared import record, setting
 from ..core.memory import Memory
-from ..core.registry import build_record, check_fields, require
+from ..core.registry import build_record
 from ..earth.wgs84 import DEGREE, MICRO_G
 from ._loose_kernels import LooseState, first_estimate, predict, update
 from .adaptive import PROCESS, SelfTuning
@@ -23,23 +23,9 @@ from .epoch import OPTIONAL, Epoch, EpochMaker, FloatArray, without_channels
 from .loose_states import POSITION, STATES
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class LooselyCoupled:
     """Settings of the 15-state closed-loop loosely coupled receiver.
-
-    Parameters
-    ----------
-    horizontal_sd_m, vertical_sd_m : float
-        Assumed white noise of a GNSS position [m]: R of the filter, or where self-tuning
-        begins.
-    gyro_noise_deg_per_rth, accel_noise_ug_per_rthz, position_noise_m_per_rth : float
-        Root power spectral densities of the noise that drives attitude, velocity and position.
-    tilt_arcsec, heading_arcsec, velocity_mps, gyro_bias_deg_per_h, accel_bias_ug : float
-        Initial standard deviations; those of the position are R's.
-    initial_factor : float
-        What all initial standard deviations are multiplied with.
-    self_tuning : SelfTuning, mapping of its settings, or None
-        How the noise adapts; None for the conventional filter.
 
     Notes
     -----
@@ -48,23 +34,66 @@ class LooselyCoupled:
     """
 
     described_as = "LooselyCoupled"
-    horizontal_sd_m: float = 3.7
-    vertical_sd_m: float = 6.0
-    gyro_noise_deg_per_rth: float = 0.005
-    accel_noise_ug_per_rthz: float = 20.0
-    position_noise_m_per_rth: float = 1.0
-    tilt_arcsec: float = 20.0
-    heading_arcsec: float = 180.0
-    velocity_mps: float = 0.1
-    gyro_bias_deg_per_h: float = 0.01
-    accel_bias_ug: float = 100.0
-    initial_factor: float = 3.0
-    self_tuning: SelfTuning | Mapping[str, Any] | None = None
+    horizontal_sd_m: float = setting(
+        default=3.7,
+        above=0.0,
+        unit="m",
+        help="Assumed white noise of a GNSS position to the east and to the north: R of the "
+        "filter, or where self-tuning begins.",
+    )
+    vertical_sd_m: float = setting(
+        default=6.0, above=0.0, unit="m", help="Assumed white noise of a GNSS position upwards."
+    )
+    gyro_noise_deg_per_rth: float = setting(
+        default=0.005,
+        least=0.0,
+        unit="deg/sqrt(h)",
+        help="Root power spectral density of the noise that drives the attitude.",
+    )
+    accel_noise_ug_per_rthz: float = setting(
+        default=20.0,
+        least=0.0,
+        unit="ug/sqrt(Hz)",
+        help="Root power spectral density of the noise that drives the velocity.",
+    )
+    position_noise_m_per_rth: float = setting(
+        default=1.0,
+        least=0.0,
+        unit="m/sqrt(h)",
+        help="Root power spectral density of the noise that drives the position.",
+    )
+    tilt_arcsec: float = setting(
+        default=20.0, least=0.0, unit="arcsec", help="Initial standard deviation of the tilt."
+    )
+    heading_arcsec: float = setting(
+        default=180.0, least=0.0, unit="arcsec", help="Initial standard deviation of the heading."
+    )
+    velocity_mps: float = setting(
+        default=0.1,
+        least=0.0,
+        unit="m/s",
+        help="Initial standard deviation of the velocity; that of the position is R's.",
+    )
+    gyro_bias_deg_per_h: float = setting(
+        default=0.01,
+        least=0.0,
+        unit="deg/h",
+        help="Initial standard deviation of the gyros' biases.",
+    )
+    accel_bias_ug: float = setting(
+        default=100.0,
+        least=0.0,
+        unit="ug",
+        help="Initial standard deviation of the accelerometers' biases.",
+    )
+    initial_factor: float = setting(
+        default=3.0, least=0.0, help="Factor of all initial standard deviations."
+    )
+    self_tuning: SelfTuning | Mapping[str, Any] | None = setting(
+        default=None, help="How the noise adapts; None for the conventional filter."
+    )
 
     def __post_init__(self) -> None:
-        check_fields(self, ">= 0", *(name for name in vars(self) if name != "self_tuning"))
-        for name in ("horizontal_sd_m", "vertical_sd_m"):
-            require(getattr(self, name) > 0.0, f"`{name}` must be > 0, got {getattr(self, name)}")
         if self.self_tuning is not None:
             tuning = build_record("self_tuning", SelfTuning, self.self_tuning)
             object.__setattr__(self, "self_tuning", tuning)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.declared import check_number
+from ..core.declared import check_number, record, setting
 from ..core.registry import require
 from ..earth.wgs84 import DEGREE, MICRO_G
 from .kalman import COVARIANCE_UPDATES
@@ -97,77 +97,69 @@ class NoiseModel(NamedTuple):
     inertial: FilterGrade | None = None
 
 
-def _choice(name: str, value: str, valid: tuple[str, ...]) -> None:
-    require(value in valid, f"`{name}` must be one of {', '.join(map(repr, valid))}, got {value!r}")
-
-
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class TightlyCoupled:
-    """Settings of the 17-state closed-loop tightly coupled receiver.
-
-    Parameters
-    ----------
-    grade : {"aviation", "tactical", "consumer"}
-        Inertial sensors that the filter is tuned for.
-    tuning : {"paper", "matched", "augmented"}
-        ``"paper"``: the noise that the papers print, 2.5 m and 0.1 m/s and a clock PSD of 1, which
-        overstates the world's, and the inertial sensors of the book's software.  ``"matched"``:
-        GNSS noise and clock as the world has them, satellite biases that last for the run as a
-        pseudorange noise that leaves the position their spread, and the data sheet of the inertial
-        sensors with what its errors of scale make of the run's manoeuvres (`matching` derives
-        both).  Its covariance is that of its errors where there are no such biases; with them it
-        is too large early in the run, and the innovation covariance of pseudoranges all the time.
-        ``"augmented"``: states for all of these instead (`spoofgym.receiver.augmented`), so that
-        innovations are white; the covariance update is ``"unweighted"``.  A replay of measurements,
-        which knows no world, takes `noise` instead.
-    covariance_update : {"unweighted", "plain", "general"}
-        What a detector's weights W on the gain do to the covariance: nothing, ``(I - K H) P``;
-        the symmetric part of ``(I - K W H) P``; or the form right for any gain.  The three are the
-        same where all weights are 1.
-    conventions : {"groves", "orthonormal"}
-        ``"groves"`` keeps every convention of the reference software; ``"orthonormal"``
-        re-orthonormalizes the attitude matrix after each update.
-    min_satellites : int
-        With fewer visible satellites the receiver coasts on its inertial sensors, 0 to 32.
-    noise : NoiseModel, optional
-        Overrides the assumed GNSS noise and clock, and the inertial sensors where it names any.
-
-    Raises
-    ------
-    ValueError
-        When a name is unknown or a number out of range.
-    """
+    """Settings of the 17-state closed-loop tightly coupled receiver."""
 
     described_as = "TightlyCoupled"
-    grade: str = "aviation"
-    tuning: str = "paper"
-    covariance_update: str = "unweighted"
-    conventions: str = "groves"
-    min_satellites: int = 4
-    noise: NoiseModel | None = None
+    grade: str = setting(
+        default="aviation",
+        one_of=FILTER_GRADES,
+        help="Inertial sensors that the filter is tuned for.",
+    )
+    tuning: str = setting(
+        default="paper",
+        one_of=TUNINGS,
+        help='Noise that the filter assumes.  ``"paper"``: what the papers print, 2.5 m, 0.1 m/s '
+        "and a clock PSD of 1, which overstates the world's, and the inertial sensors of the "
+        'book\'s software.  ``"matched"``: GNSS noise and clock as the world has them, satellite '
+        "biases that last for the run as a pseudorange noise that leaves the position their "
+        "spread, and the data sheet of the inertial sensors with what its errors of scale make of "
+        "the run's manoeuvres (`matching` derives both).  Its covariance is that of its "
+        "errors where there are no such biases; with them it is too large early in the run, and "
+        'the innovation covariance of pseudoranges all the time.  ``"augmented"``: states for all '
+        "of these instead (`spoofgym.receiver.augmented`), so that innovations are white; the "
+        'covariance update is ``"unweighted"``.  A replay of measurements, which knows no world, '
+        "takes `noise` instead.",
+    )
+    covariance_update: str = setting(
+        default="unweighted",
+        one_of=COVARIANCE_UPDATES,
+        help="What a detector's weights W on the gain do to the covariance: nothing, "
+        "``(I - K H) P``; the symmetric part of ``(I - K W H) P``; or the form right for any gain. "
+        "The three are the same where all weights are 1.",
+    )
+    conventions: str = setting(
+        default="groves",
+        one_of=CONVENTIONS,
+        help='Upkeep of the attitude.  ``"groves"`` keeps every convention of the reference '
+        'software; ``"orthonormal"`` re-orthonormalizes the attitude matrix after each update.',
+    )
+    min_satellites: int = setting(
+        default=4,
+        least=0,
+        most=32,
+        help="With fewer visible satellites the receiver coasts on its inertial sensors.",
+    )
+    noise: NoiseModel | None = setting(
+        default=None,
+        help="Overrides the assumed GNSS noise and clock, and the inertial sensors where it names "
+        "any.",
+    )
 
     def __post_init__(self) -> None:
-        _choice("grade", self.grade, tuple(FILTER_GRADES))
-        _choice("tuning", self.tuning, TUNINGS)
-        _choice("covariance_update", self.covariance_update, tuple(COVARIANCE_UPDATES))
-        _choice("conventions", self.conventions, CONVENTIONS)
         if self.tuning == "augmented":
             self._check_augmented()
-        require(
-            0 <= self.min_satellites <= 32,
-            f"`min_satellites` must be 0 to 32, got {self.min_satellites}",
-        )
         if self.noise is not None:
             values = self.noise._asdict()
             inertial = values.pop("inertial")
             if inertial is not None:
                 values |= {f"inertial.{name}": x for name, x in inertial._asdict().items()}
             for name, value in values.items():
-                check_number(f"noise.{name}", value, least=0.0)
-            require(
-                min(self.noise.pseudorange_sd, self.noise.range_rate_sd) > 0.0,
-                "`noise` standard deviations must be > 0",
-            )
+                if name in ("pseudorange_sd", "range_rate_sd"):
+                    check_number(f"noise.{name}", value, above=0.0)
+                else:
+                    check_number(f"noise.{name}", value, least=0.0)
 
     def _check_augmented(self) -> None:
         require(

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import record, setting
 from ..core.registry import build_record, check_choice, require
-from ..core.settings import OMITTED
 from ..earth.attitude import euler_to_dcm
 from ..receiver import TightlyCoupled
 from ..receiver.augmented import SignalModel, signal_model
@@ -32,51 +32,63 @@ MOST_TIME_S = 1e8  # three years; beyond, the rounding of the time shows in posi
 CHOICES = ("world", "start_s", "imu", "errors", "target_heading_deg")  # what a reset may be given
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class Domain:
     """Ranges and lists from which every episode draws its circumstances.
 
     Every receiver draws for itself, from its own stream, uniformly.  By default nothing differs.
-
-    Parameters
-    ----------
-    start_s : tuple of float
-        Earliest and latest time of the flight at which the receiver is switched on; the attack
-        starts a warm-up later.  None as the latest: as late as the flight allows.
-    turned_deg : tuple of float
-        Range of the turn of the whole flight about the vertical where it begins, clockwise.
-    constellation_time_s : tuple of float
-        Range of what is added to the time of the constellation, within 1e8 s.
-    worlds : int, optional
-        Number of worlds, pairs of a turn and a time of the constellation, that are computed once
-        and drawn from, 1 to 256, and 1 where none of these has a range; by default 16 where one
-        has.
-    world_seed : int
-        Seed of these pairs, at least 0.
-    imu : tuple of str
-        Grades of the inertial sensors; that of the scenario alone by default.  The receiver is
-        tuned for the grade that it has.
-    errors : tuple of str
-        GNSS errors; those of the scenario alone by default.  A matched receiver assumes each.
-    turn_on : {"specimen", "drawn"}, optional
-        Constants of the inertial sensors; as in the scenario by default.
-    events : mapping or BenignEvents, optional
-        Events that look like spoofing but are not; as in the scenario by default.
     """
 
     described_as = "Domain"
-    start_s: tuple[float, float | None] = (0.0, 0.0)
-    turned_deg: tuple[float, float] = (0.0, 0.0)
-    constellation_time_s: tuple[float, float] = (0.0, 0.0)
-    worlds: int | None = None
-    world_seed: int = 0
-    imu: tuple[str, ...] = ()
-    errors: tuple[str, ...] = ()
-    turn_on: str | None = field(default=None, metadata=OMITTED)
-    events: BenignEvents | None = field(default=None, metadata=OMITTED)
+    start_s: tuple[float, float | None] = setting(
+        default=(0.0, 0.0),
+        unit="s",
+        help="Earliest and latest time of the flight at which the receiver is switched on; the "
+        "attack starts a warm-up later.  None as the latest: as late as the flight allows.",
+    )
+    turned_deg: tuple[float, float] = setting(
+        default=(0.0, 0.0),
+        unit="deg",
+        help="Range of the turn of the whole flight about the vertical where it begins, clockwise.",
+    )
+    constellation_time_s: tuple[float, float] = setting(
+        default=(0.0, 0.0),
+        unit="s",
+        help="Range of what is added to the time of the constellation; within 1e8 s.",
+    )
+    worlds: int | None = setting(
+        default=None,
+        least=1,
+        most=MOST_WORLDS,
+        help="Number of worlds, pairs of a turn and a time of the constellation, that are computed "
+        "once and drawn from; 1 where none of these has a range; by default 16 where one has.",
+    )
+    world_seed: int = setting(default=0, least=0, help="Seed of these pairs.")
+    imu: tuple[str, ...] = setting(
+        default=(),
+        help="Grades of the inertial sensors; that of the scenario alone by default.  The receiver "
+        "is tuned for the grade that it has.",
+    )
+    errors: tuple[str, ...] = setting(
+        default=(),
+        help="GNSS errors; those of the scenario alone by default.  A matched receiver assumes "
+        "each.",
+    )
+    turn_on: str | None = setting(
+        default=None,
+        one_of=TURN_ON,
+        omitted=True,
+        help="Constants of the inertial sensors; as in the scenario by default.",
+    )
+    events: BenignEvents | None = setting(
+        default=None,
+        omitted=True,
+        help="Events that look like spoofing but are not; as in the scenario by default.",
+    )
 
     def __post_init__(self) -> None:
-        self._check_options()
+        if self.events is not None:
+            object.__setattr__(self, "events", build_record("events", BenignEvents, self.events))
         for name in ("start_s", "turned_deg", "constellation_time_s"):
             object.__setattr__(self, name, _range(name, getattr(self, name), name == "start_s"))
         require(
@@ -92,10 +104,6 @@ class Domain:
                 check_choice("imu grade" if name == "imu" else name, each, valid, RENAMED)
             object.__setattr__(self, name, given)
         require(
-            self.worlds is None or 1 <= self.worlds <= MOST_WORLDS,
-            f"`worlds` must be 1 to {MOST_WORLDS}, got {self.worlds}",
-        )
-        require(
             self.worlds in (None, 1) or self.varies,
             f"`worlds` {self.worlds} would all be the same: give `turned_deg` or "
             "`constellation_time_s` a range",
@@ -105,13 +113,6 @@ class Domain:
             f"`constellation_time_s` must be -{MOST_TIME_S:g} to {MOST_TIME_S:g}, got "
             f"{self.constellation_time_s}",
         )
-        require(self.world_seed >= 0, f"`world_seed` must be at least 0, got {self.world_seed}")
-
-    def _check_options(self) -> None:
-        if self.turn_on is not None:
-            check_choice("turn_on", self.turn_on, TURN_ON)
-        if self.events is not None:
-            object.__setattr__(self, "events", build_record("events", BenignEvents, self.events))
 
     @property
     def varies(self) -> bool:

@@ -10,7 +10,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import require, whole_number
+from ..core.declared import check_number
+from ..core.registry import whole_number
 from ..core.simd import LANES
 from ..detectors import Verdict
 from ..receiver.epoch import Epoch
@@ -81,7 +82,8 @@ class Engine:
         twin: bool = False,
         warm_pool: int | None = None,
     ) -> None:
-        require(threads is None or threads >= 1, f"`threads` must be at least 1, got {threads}")
+        if threads is not None:
+            check_number("threads", threads, least=1, whole=True)
         self.receivers, self.setup = receivers, setup
         useful = available_threads(receivers) if threads is None else threads
         self.threads = useful if setup.threaded else 1

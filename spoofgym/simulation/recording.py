@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..core.registry import require
+from ..core.declared import check_number
 from ..receiver import NavState, Recording
 from ..truth._kernels import CHUNK, sense
 from ..truth.noise import deviates, padded
@@ -50,10 +50,7 @@ def record_run(
         (K, 3) estimated after every epoch, ECEF [m].
     """
     count = setup.onset + setup.steps if epochs is None else epochs
-    require(
-        1 <= count < setup.world.epochs,
-        f"`epochs` must be 1 to {setup.world.epochs - 1}, got {count}",
-    )
+    check_number("epochs", count, least=1, most=setup.world.epochs - 1, whole=True)
     told = copy.copy(setup)
     told.fields = setup.fields.union(RANGES)
     victim = told.simulator(1, run_serially)

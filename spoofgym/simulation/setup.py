@@ -16,8 +16,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import check_number
-from ..core.registry import build_record, check_choice, is_number, require
+from ..core.declared import Bounds as Limits
+from ..core.declared import Setting, check_number, check_word, record, setting
+from ..core.registry import build_record, require
 from ..detectors import Detector, detector_in_world
 from ..detectors.calibration_file import Conditions, described
 from ..receiver.epoch import OPTIONAL
@@ -28,35 +29,32 @@ from .monitors import Monitor
 MOST_EPOCHS = 100_000  # longest episode
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class Timeline:
-    """Phases of an episode.
-
-    Parameters
-    ----------
-    warmup_s : float
-        Clean run before the attack.
-    live_s : float
-        Last part of it in which the detectors judge; an alarm there is a false alarm.  By default
-        it lets the slowest memory settle, so that a detector is not better or worse for having just
-        been switched on.
-    attack_s : float
-        Command phase.
-    time_to_alert_s : float
-        Time to alert: how long the offsets hold their rate after the command phase, with alarms
-        live; what was induced within this time of an alarm does not count.
-    """
+    """Phases of an episode."""
 
     described_as = "Timeline"
-    warmup_s: float = 200.0
-    live_s: float = 180.0
-    attack_s: float = 150.0
-    time_to_alert_s: float = 10.0
+    warmup_s: float = setting(
+        default=200.0, least=0.0, unit="s", help="Clean run before the attack."
+    )
+    live_s: float = setting(
+        default=180.0,
+        least=0.0,
+        unit="s",
+        help="Last part of it in which the detectors judge; an alarm there is a false alarm.  By "
+        "default it lets the slowest memory settle, so that a detector is not better or worse for "
+        "having just been switched on.",
+    )
+    attack_s: float = setting(default=150.0, above=0.0, unit="s", help="Command phase.")
+    time_to_alert_s: float = setting(
+        default=10.0,
+        least=0.0,
+        unit="s",
+        help="Time to alert: how long the offsets hold their rate after the command phase, with "
+        "alarms live; what was induced within this time of an alarm does not count.",
+    )
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            above, least = (0.0, None) if name == "attack_s" else (None, 0.0)
-            check_number(name, value, above=above, least=least)
         require(
             self.live_s <= self.warmup_s,
             f"`live_s` must be at most `warmup_s` = {self.warmup_s}, got {self.live_s}",
@@ -202,7 +200,7 @@ class Setup(ABC):
         self.length = self.onset + self.steps + self.hold + 1
 
     def _decide_every(self, decision_interval_s: float | None, between: str) -> None:
-        check_choice("between", between, BETWEEN)
+        check_word("between", between, BETWEEN)
         require(
             between == "hold" or decision_interval_s is not None,
             f"`between` {between!r} needs a `decision_interval_s`: without one there is no "
@@ -260,13 +258,8 @@ class Setup(ABC):
     def _aim(
         self, target_heading_deg: float | str, domain: Mapping[str, Any] | Domain | None
     ) -> None:
-        if isinstance(target_heading_deg, str):
-            check_choice("target_heading_deg", target_heading_deg, TARGETS)
-        elif not (is_number(target_heading_deg) and math.isfinite(target_heading_deg)):
-            raise ValueError(
-                f"`target_heading_deg` must be a finite number, 'random' or 'worst', got "
-                f"{target_heading_deg!r}"
-            )
+        heading = Setting(Limits(one_of=TARGETS))
+        heading.check("target_heading_deg", target_heading_deg, "float | str")
         self.target_heading_deg = target_heading_deg
         self.domain = build_record("domain", Domain, domain)
         nothing = Domain()

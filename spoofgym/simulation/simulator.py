@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import check_number
 from ..core.memory import Memory
 from ..core.registry import require
 from ..detectors import DETECTORS, Calibrated, Detector, DetectorContext, PooledDetector, Verdict
@@ -116,7 +117,7 @@ class Simulator(ABC):
     epoch: Epoch
 
     def __init__(self, setup: Setup, receivers: int, run: Run) -> None:
-        require(receivers >= 1, f"`receivers` must be at least 1, got {receivers}")
+        check_number("receivers", receivers, least=1, whole=True)
         self.setup, self.receivers, self._run = setup, receivers, run
         self.memory, b = Memory(receivers), receivers
         self.memory.declare_all(

@@ -122,7 +122,11 @@ def test_a_model_takes_its_pace_from_its_environment() -> None:
         ({"decision_interval_s": "ten"}, {}, "Mirror decides by .*='ten' .*decision_interval_s"),
         ({"decision_interval_s": 0.0}, LATE, "Mirror decides by .*=0.0 .*must be a number above 0"),
         ({"between": "linear"}, {}, "needs a `decision_interval_s`"),
-        ({"decision_interval_s": 2.5, "between": "spline"}, {}, "unknown between 'spline'"),
+        (
+            {"decision_interval_s": 2.5, "between": "spline"},
+            {},
+            "`between` must be 'hold' or 'linear', got",
+        ),
         ({"decision_interval_s": 5.0}, LATE, "Mirror decides every 5 s .hold between., but this"),
         ({"decision_interval_s": 2.5}, LATE, "this world every 2.5 s .linear between."),
     ],

@@ -8,7 +8,6 @@ from spoofgym.receiver.adaptive import (
     CLAMPED,
     RAW,
     SKIP,
-    SelfTuning,
     process_factor,
     windowed_covariance,
 )
@@ -113,16 +112,3 @@ def test_the_paper_s_process_noise_has_no_rest_under_white_noise():
         batch, _ = fly(10, 300, window=30, process=process)
         assert np.median(batch.state.process_scale) > 100.0
         assert np.isfinite(batch.state.covariance).all()
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"window": 100_001}, "`window` must be 2 to 100000 epochs, got 100001"),
-        ({"process": "raws"}, "unknown process 'raws'.*did you mean 'raw'"),
-        ({"floor_m": -0.1}, "`floor_m` must be a number of at least 0, got -0.1"),
-    ],
-)
-def test_settings_are_checked_at_birth(settings, message):
-    with pytest.raises(ValueError, match=message):
-        SelfTuning(**settings)

@@ -14,6 +14,7 @@ import pytest
 from spoofgym.receiver import TightlyCoupled
 from spoofgym.truth.scenario import Scenario
 from spoofgym.truth.sensors import IMU_GRADES
+from tests.nightly import heavy
 
 from ..clean_runs import attitude_error, begin, epoch_of, position_error, velocity_error
 from ..golden import reference
@@ -55,17 +56,23 @@ def clean_run(flight, grade, errors="white", biases=None):
     return Levels(rms(position), rms(velocity), np.degrees(axes))
 
 
-@pytest.mark.parametrize("grade", GRADES)
-@pytest.mark.parametrize("flight", SECONDS)
-def test_position_with_the_references_biases(flight, grade, data_folder):
+@pytest.mark.parametrize(
+    "case",
+    heavy(
+        [(flight, grade) for flight in SECONDS for grade in GRADES],
+        *[("car", "aviation"), ("zhong2025", "tactical"), ("zhong2025", "consumer")],
+    ),
+    ids=str,
+)
+def test_position_with_the_references_biases(case, data_folder):
+    flight, grade = case
     # 4.6 to 5.9 m over the reference's flights and grades
     biases = tuple(reference.load(data_folder, "aviation")["gnss_bias"][0])
     level = clean_run(flight, grade, "groves", biases).position
     assert 4.6 < level < 5.9
 
 
-@pytest.mark.parametrize("errors", ["zhong2025", "groves"])
-@pytest.mark.parametrize("grade", ["aviation", "consumer"])
+@pytest.mark.parametrize(("grade", "errors"), [("aviation", "groves"), ("consumer", "zhong2025")])
 def test_position_errs_by_what_the_biases_make_of_a_least_squares_fix(grade, errors):
     # the biases, not the sensors, set it: what is left is white noise, 0.35 m with these epochs
     scenario = Scenario(errors=errors, imu=grade, epoch_interval_s=1.0)

@@ -26,8 +26,7 @@ def run(made, fixes, increment=0.0, weights=None):
     return np.array(out)
 
 
-@pytest.mark.parametrize("interval_s", [0.5, 1.0])
-@pytest.mark.parametrize("drift", [0.0, 0.04])
+@pytest.mark.parametrize(("interval_s", "drift"), [(0.5, 0.04), (1.0, 0.0)])
 def test_the_gain_settles_where_it_is_told(interval_s, drift):
     made = batch(interval_s=interval_s, gain=0.16, drift_rate_mps=drift)
     run(made, np.zeros((60, 2, 2)))
@@ -122,15 +121,8 @@ def test_the_belief_holds_in_a_world_as_it_assumes():
     assert np.mean(squares) == pytest.approx(1.0, abs=0.03)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"gain": 1.0}, "`gain` must lie between 0 and 1, both excluded, got 1"),
-        ({"noise_sd_m": 0.0}, "`noise_sd_m` must be a number above 0, got 0"),
-        ({"drift_rate_mps": -1.0}, "`drift_rate_mps` must be a number of at least 0, got -1"),
-        ({"drift_rate_mps": 1.0}, "`drift_rate_mps` must be at most 0.178.* for a gain of 0.16"),
-    ],
-)
-def test_settings_are_checked(settings, message):
-    with pytest.raises(ValueError, match=message):
-        batch(**settings)
+def test_the_drift_rate_must_leave_room_for_the_gain():
+    with pytest.raises(
+        ValueError, match=r"`drift_rate_mps` must be at most 0\.178.* a gain of 0\.16"
+    ):
+        batch(drift_rate_mps=1.0)

@@ -18,7 +18,7 @@ SD = np.repeat([2e-4, 0.05, 8.0, 3e-4, 5e-9, 0.0], 3)[:17].copy()
 SD[15:] = 6.0, 0.3
 """Standard deviations of the 17 states that a filter has in flight."""
 UPPER = np.triu_indices(17)
-PROPERTY = settings(max_examples=30, deadline=None)
+PROPERTY = settings(max_examples=15, deadline=None)
 
 
 def covariance(rng, scale=1.0):
@@ -143,48 +143,17 @@ SINGULAR = (
 
 
 @pytest.mark.parametrize("update", COVARIANCE_UPDATES)
-def test_singular_geometry_tells_what_it_can(update):
+def test_singular_geometry_and_sure_and_unsure_filters_side_by_side(update):
     rng, cases = np.random.default_rng(9), []
+    for scale in (1e-6, 1.0, 1e4):
+        z, R = measured(rng, 8)
+        P = covariance(rng, scale)
+        cases.append((P, sky(rng, 8), z, R, np.ones(16), np.ones(8, dtype=bool)))
     for u in (*SINGULAR, sky(rng, 8)):
         z, R = measured(rng, 8)
         w = rng.uniform(0.0, 1.0, 16)
         cases.append((covariance(rng), u, z, R, w, np.ones(8, dtype=bool)))
     check(cases, update, 1e-9)
-
-
-@pytest.mark.parametrize("update", COVARIANCE_UPDATES)
-def test_sure_and_unsure_filters_side_by_side(update):
-    rng, cases = np.random.default_rng(10), []
-    for scale in (1e-6, 1.0, 1e4):
-        z, R = measured(rng, 8)
-        P = covariance(rng, scale)
-        cases.append((P, sky(rng, 8), z, R, np.ones(16), np.ones(8, dtype=bool)))
-    check(cases, update, 1e-9)
-
-
-def test_with_all_weights_one_the_three_updates_are_the_same():
-    rng = np.random.default_rng(11)
-    z, R = measured(rng, 8)
-    case = covariance(rng), sky(rng, 8), z, R, np.ones(16), np.ones(8, dtype=bool)
-    after = [eight_sums([case], update)[0] for update in COVARIANCE_UPDATES]
-    for dx, P_after in after[1:]:
-        np.testing.assert_allclose(dx, after[0][0], rtol=1e-12)
-        np.testing.assert_allclose(P_after / np.outer(SD, SD), after[0][1] / np.outer(SD, SD), 1e-9)
-
-
-@pytest.mark.parametrize("update", ["plain", "general"])
-def test_rejected_satellites_are_as_good_as_absent_in_the_state(update):
-    """With weight 0 nothing is learned; the covariance of `unweighted` shrinks all the same."""
-    rng = np.random.default_rng(12)
-    z, R = measured(rng, 6)
-    P = covariance(rng)
-    case = P, sky(rng, 6), z, R, np.zeros(12), np.ones(6, dtype=bool)
-    ((dx, after),) = eight_sums([case], update)
-    np.testing.assert_array_equal(dx, 0.0)
-    np.testing.assert_allclose(after / np.outer(SD, SD), P / np.outer(SD, SD), atol=1e-12)
-    ((dx, after),) = eight_sums([case], "unweighted")
-    np.testing.assert_array_equal(dx, 0.0)
-    assert np.diag(after)[6:9].sum() < np.diag(P)[6:9].sum()
 
 
 @njit

@@ -22,7 +22,7 @@ STATE = ("C_eb", "velocity_e", "position_e", "accel_bias_b", "gyro_bias_b", "clo
 
 
 @pytest.mark.nojit
-@pytest.mark.parametrize("receivers", [1, 3, 9])
+@pytest.mark.parametrize("receivers", [1, 9])
 @pytest.mark.parametrize("covariance_update", COVARIANCE_UPDATES)
 def test_corrections_are_fed_back(covariance_update, receivers):
     batch, before = Batch(range(receivers)), Batch(range(receivers))
@@ -59,18 +59,17 @@ def test_corrections_are_fed_back(covariance_update, receivers):
     assert not batch.buffers.coasting.any()
 
 
-@pytest.mark.parametrize("receivers", [1, 9])
-def test_errors_that_nobody_replaces_all_stay(receivers):
-    told = Batch(range(receivers))
+def test_errors_that_nobody_replaces_all_stay():
+    told = Batch(range(9))
     told.sensors.authentic[:] = 1.0
-    untold = Batch(range(receivers), with_authentic=False)
+    untold = Batch(range(9), with_authentic=False)
     for batch in (told, untold):
         batch.run(MEASURE + PREDICT + SHOW)
-    for row in range(receivers):
+    for row in range(9):
         check_same(untold.everything(row), told.everything(row))
 
 
-@pytest.mark.parametrize("receivers", [1, 3, 17])
+@pytest.mark.parametrize("receivers", [1, 17])
 def test_what_all_assume_is_kept_once_and_used_by_all(receivers):
     each, together = Batch(range(receivers)), Batch(range(receivers), alike=True)
     assert together.buffers.assumed.groups == 1
@@ -84,11 +83,11 @@ def test_what_all_assume_is_kept_once_and_used_by_all(receivers):
         check_same(together.everything(row), each.everything(row))
 
 
-@pytest.mark.parametrize("orthonormal", [False, True])
-@pytest.mark.parametrize("covariance_update", COVARIANCE_UPDATES)
 @pytest.mark.parametrize(
-    "receivers", [2, pytest.param(3, marks=pytest.mark.nojit), *range(4, 18), 33]
+    ("covariance_update", "orthonormal"),
+    [("unweighted", False), ("plain", True), ("general", False)],
 )
+@pytest.mark.parametrize("receivers", [pytest.param(3, marks=pytest.mark.nojit), 7, 8, 9, 17])
 def test_a_receiver_is_the_same_alone_and_in_any_batch(receivers, covariance_update, orthonormal):
     """Epochs, samples, skies, grades, errors, attacks and weights of its own; some coast."""
     settings = {"update": covariance_update, "least": 4, "orthonormal": orthonormal}
@@ -189,9 +188,11 @@ def seeing(counts):
     return batch
 
 
-@pytest.mark.parametrize("orthonormal", [False, True])
-@pytest.mark.parametrize("covariance_update", COVARIANCE_UPDATES)
-@pytest.mark.parametrize("min_satellites", [0, 4, 6, 7])
+@pytest.mark.parametrize(
+    ("covariance_update", "orthonormal"),
+    [("unweighted", False), ("unweighted", True), ("plain", False), ("general", True)],
+)
+@pytest.mark.parametrize("min_satellites", [0, 4, 7])
 def test_with_fewer_satellites_than_it_wants_a_receiver_coasts(
     min_satellites, covariance_update, orthonormal
 ):
@@ -213,9 +214,8 @@ def test_with_fewer_satellites_than_it_wants_a_receiver_coasts(
         assert all(same) == (coasting[b] or count == 0)
 
 
-@pytest.mark.parametrize("receivers", [1, 2])
-def test_the_attitude_is_made_orthonormal_only_when_asked(receivers):
-    plain, orthonormal = Batch(range(receivers)), Batch(range(receivers))
+def test_the_attitude_is_made_orthonormal_only_when_wanted():
+    plain, orthonormal = Batch(range(2)), Batch(range(2))
     for batch, wanted in ((plain, False), (orthonormal, True)):
         batch.fields["C_eb"] = batch.fields["C_eb"] * (1.0 + 1e-7)
         batch.update(orthonormal=wanted)
@@ -229,16 +229,15 @@ def test_the_attitude_is_made_orthonormal_only_when_asked(receivers):
 
 
 @pytest.mark.nojit
-@pytest.mark.parametrize("receivers", [1, 9])
-def test_innovations_are_measured_less_predicted(receivers):
-    batch, before = Batch(range(receivers)), Batch(range(receivers))
+def test_innovations_are_measured_less_predicted():
+    batch, before = Batch(range(9)), Batch(range(9))
     batch.predict()
     fields, seen = batch.fields, batch.buffers.seen
     tau = batch.buffers.interval
     np.testing.assert_allclose(
         fields["clock"][:, 0], before.fields["clock"] @ [1.0, 0.0] + tau * fields["clock"][:, 1]
     )
-    for b in range(receivers):
+    for b in range(9):
         epoch = batch.sensors.epoch[b]
         assert epoch == before.sensors.epoch[b] + 1
         assert batch.buffers.time[b] == WORLD.epoch_time[epoch]
@@ -263,10 +262,9 @@ def test_innovations_are_measured_less_predicted(receivers):
 
 
 @pytest.mark.nojit
-@pytest.mark.parametrize("receivers", [1, 9])
-def test_what_is_shown_of_an_epoch_is_what_the_update_uses(receivers):
+def test_what_is_shown_of_an_epoch_is_what_the_update_uses():
     """Its equations hold among them, to rounding."""
-    batch, before = Batch(range(receivers)), Batch(range(receivers))
+    batch, before = Batch(range(9)), Batch(range(9))
     batch.predict()
     fields, seen, tau = batch.fields, batch.buffers.seen, batch.buffers.interval
     assumed = batch.buffers.assumed
@@ -278,7 +276,7 @@ def test_what_is_shown_of_an_epoch_is_what_the_update_uses(receivers):
     now = WORLD.satellites[batch.sensors.epoch]
     np.testing.assert_array_equal(seen["satellite_position"], now[:, :, :3])
     np.testing.assert_array_equal(seen["satellite_velocity"], now[:, :, 3:6])
-    for b in range(receivers):
+    for b in range(9):
         visible, R = batch.buffers.visible[b], assumed["noise_variance"][b]
         H, P, S = seen["design"][b], seen["predicted_cov"][b], seen["innovation_cov"][b]
         np.testing.assert_array_equal(H, design(fields["line_of_sight"][b], visible))
@@ -295,7 +293,7 @@ def test_what_is_shown_of_an_epoch_is_what_the_update_uses(receivers):
         )
 
 
-@pytest.mark.parametrize("wanted", [(), ("innovation_cov",), ("design", "imu_delta")])
+@pytest.mark.parametrize("wanted", [(), ("design", "imu_delta")])
 def test_what_nobody_looks_at_changes_nothing(wanted):
     few, all_of_it = Batch(range(9), wanted), Batch(range(9))
     assert set(few.buffers.seen) == {"innovation", "innovation_variance", *wanted}
@@ -308,8 +306,8 @@ def test_what_nobody_looks_at_changes_nothing(wanted):
         check_same(mine, {name: theirs[name] for name in mine})
 
 
-@pytest.mark.parametrize("covariance_update", COVARIANCE_UPDATES)
 @pytest.mark.parametrize("receivers", [1, 9])
+@pytest.mark.parametrize("covariance_update", ["unweighted", "general"])
 def test_an_invisible_slot_tells_nothing_whatever_it_holds(receivers, covariance_update):
     satellites = WORLD.satellites.copy()
     hidden = satellites[:, :, 6] == 0.0

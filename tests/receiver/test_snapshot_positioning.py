@@ -87,21 +87,8 @@ def test_all_spoofed_by_one_position_give_that_position():
     assert fix.clock_bias_m == pytest.approx(1040.0, abs=1e-4)
 
 
-def test_what_is_no_number_is_left_out():
-    rho, satellites = pseudoranges(noise_m=4.0)
-    rho[0, 3] = np.nan
-    fix = fix_of(rho[0], satellites[0])
-    keep = np.arange(12) != 3
-    other = fix_of(rho[0, keep], satellites[0, keep])
-    np.testing.assert_allclose(fix.position_e, other.position_e, atol=1e-6)
-
-
 def test_bad_input_is_refused():
     rho, satellites = pseudoranges()
-    with pytest.raises(ValueError, match="at least 4 satellites, got 3"):
-        fix_of(np.where(np.arange(12) < 3, rho[0], np.nan), satellites[0])
-    with pytest.raises(ValueError, match="geometry of the satellites is singular"):
-        fix_of(rho[0], np.tile(satellites[0, :1], (12, 1)))
     with pytest.raises(ValueError, match=r"got \(11,\), \(11,\), \(12, 3\) and \(12, 3\)"):
         fix_of(rho[0, 1:], satellites[0])
     for guess in ((0.0, 0.0), (np.nan, 0.0, 0.0)):  # too short a one would be read beyond its end

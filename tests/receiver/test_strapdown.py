@@ -62,7 +62,7 @@ def run(C, v, r, f, w, dt, count):
     return np.reshape(C, (3, 3)), np.array(v), np.array(r)
 
 
-@pytest.mark.parametrize("latitude_deg", [-90.0, -40.0, 0.0, 55.0, 90.0])
+@pytest.mark.parametrize("latitude_deg", [-90.0, 0.0, 55.0])
 def test_what_stands_still_stays_still(latitude_deg):
     """A minute on the turning Earth, with the samples that a perfect sensor gives."""
     C, v, r = at(latitude_deg)

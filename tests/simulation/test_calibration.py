@@ -264,7 +264,7 @@ def test_a_sum_that_stays_at_zero_is_refused(setup):
         ({"false_alarms_per_hour": 0.0}, "`false_alarms_per_hour` must be a number above 0"),
         ({"false_alarms_per_hour": [1.0, -1.0]}, "must be a number above 0, got -1.0"),
         ({"runs": 30, "false_alarms_per_hour": 1e4}, "must be at most .* for 30 runs of 17 s"),
-        ({"threads": 0}, "`threads` must be at least 1, got 0"),
+        ({"threads": 0}, "`threads` must be a whole number of at least 1"),
         ({"rescaled": True}, "'rescaled' is for detectors with a drift term, which SnapshotChi2"),
     ],
 )

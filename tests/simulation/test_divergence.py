@@ -28,7 +28,6 @@ def memory(engine):
     ("attack", "command"),
     [
         ("false-position", [0.7, -0.5]),
-        ({"name": "false-position", "coherent": False}, [0.4, 0.3]),
         ({"name": "per-channel", "channels": ["S05", "S09"]}, [0.1, -0.2]),
     ],
 )
@@ -91,7 +90,6 @@ def divergence_of_normals(mean, cov, mean_0, cov_0):
     [
         ("never", "false-position"),
         ("ewma", "false-position"),
-        ("ewma", {"name": "per-channel", "channels": ["S05", "S09"]}),
         ("never", "tracking-1m"),
         ("snapshot-chi2", "pseudorange-only"),
     ],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -28,28 +26,6 @@ ALL = {
 
 def settings(**kwargs):
     return {"timeline": SHORT, "knowledge": "oracle", "action": "full-command", **kwargs}
-
-
-def test_every_receiver_is_the_single_env_of_its_seed_in_a_world_of_its_own():
-    """Bit for bit, over episodes, with everything drawn, and warmed up in the background."""
-    kwargs = settings(domain=ALL, target_heading_deg="random", end_at_alarm=False)
-    envs = gym.make_vec(ID, num_envs=5, autoreset_mode="same_step", **kwargs)
-    seen, info = envs.reset(seed=7)
-    singles = [gym.make(ID, **kwargs).unwrapped for _ in range(5)]
-    firsts = [env.reset(seed=7 + i) for i, env in enumerate(singles)]
-    np.testing.assert_array_equal([first for first, _ in firsts], seen)
-    np.testing.assert_array_equal([told["time_s"] for _, told in firsts], info["time_s"])
-    rng = np.random.default_rng(1)
-    for _ in range(43):
-        actions = rng.uniform(-1.0, 1.0, (5, 2)).astype(np.float32)
-        seen, rewards, ended, _, _ = envs.step(actions)
-        for i, env in enumerate(singles):
-            own, reward, over, _, _ = env.step(actions[i])
-            assert (reward, over) == (rewards[i], ended[i])
-            if over:
-                own, _ = env.reset()
-            np.testing.assert_array_equal(own, seen[i])
-    assert len(set(info["time_s"])) > 1
 
 
 def test_an_episode_is_played_in_the_circumstances_that_it_has_drawn():
@@ -150,7 +126,6 @@ def test_a_reset_that_tells_nonsense_is_refused_and_nothing_is_lost(given, messa
         ({"turned_deg": 10.0}, "`turned_deg` must be a pair of numbers"),
         ({"imu": ("aviation", "toy")}, "unknown imu grade 'toy'"),
         ({"errors": "none"}, "unknown errors 'none'"),
-        ({"worlds": 0}, "`worlds` must be 1 to 256, got 0"),
     ],
 )
 def test_a_wrong_domain_says_what_is_valid(domain, message):
@@ -161,10 +136,6 @@ def test_a_wrong_domain_says_what_is_valid(domain, message):
 def test_a_begin_as_late_as_the_flight_allows():
     setup = TightlyCoupledSetup(timeline=SHORT, domain={"start_s": (0.0, None)})
     assert setup.bounds.last + setup.onset + setup.steps + setup.hold + 2 == setup.world.epochs
-    spec = gym.make(ID, **settings(domain={"start_s": (0.0, None)})).spec
-    again = gym.envs.registration.EnvSpec.from_json(spec.to_json())
-    assert json.loads(spec.to_json())["id"] == ID
-    assert gym.make(again).unwrapped.core.setup.bounds == setup.bounds
 
 
 def test_draws_are_uniform_and_by_the_key_alone():

@@ -34,9 +34,10 @@ def rollout(env, seed, steps, row=None, rng_seed=0):
     return np.array(out), np.array(rewards), ends
 
 
-@pytest.mark.parametrize("live_s", [10.0, 0.0])
-@pytest.mark.parametrize("knowledge", ["tracking", "oracle"])
-@pytest.mark.parametrize("end_at_alarm", [True, False])
+@pytest.mark.parametrize(
+    ("knowledge", "end_at_alarm", "live_s"),
+    [("tracking", True, 10.0), ("oracle", False, 10.0), ("oracle", True, 0.0)],
+)
 def test_row_37_of_64_is_the_single_env_over_an_autoreset(knowledge, end_at_alarm, live_s):
     kwargs = {
         "timeline": {**SHORT, "live_s": live_s},
@@ -51,9 +52,6 @@ def test_row_37_of_64_is_the_single_env_over_an_autoreset(knowledge, end_at_alar
     assert one[2] == many[2]
     np.testing.assert_array_equal(one[0], many[0])
     np.testing.assert_array_equal(one[1], many[1])
-
-
-SIZES = [*range(1, 18), 40, 64, 257]
 
 
 def everything(simulator, rows=slice(None)):
@@ -125,20 +123,20 @@ SETTINGS = {
 
 @pytest.fixture(scope="module", params=SETTINGS)
 def many(request):
-    """A setting, and 257 receivers of it."""
+    """A setting, and 129 receivers of it."""
     setup = TightlyCoupledSetup(timeline=SHORT, detector="ewma", **SETTINGS[request.param])
     setup.fields = setup.has
-    whole = played(setup, range(257))
+    whole = played(setup, range(129))
     assert (whole["weights"] < 0.99).any()
     assert len(set(whole["epoch"])) > (20 if "domain" in SETTINGS[request.param] else 1)
     if request.param == "general":
-        assert 20 < whole["plain coasting"].sum() < 237
+        assert 10 < whole["plain coasting"].sum() < 119
     return setup, whole
 
 
 @pytest.mark.parametrize(
     ("receivers", "threads"),
-    [*((size, 1) for size in SIZES), *((size, n) for size in (9, 17, 40, 257) for n in (2, 3))],
+    [(1, 1), (7, 1), (8, 1), (9, 1), (17, 1), (17, 2), (70, 2), (129, 2), (129, 3)],
 )
 def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(many, receivers, threads):
     setup, whole = many
@@ -149,15 +147,15 @@ def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(many, receiver
 
 def test_every_one_of_a_batch_is_the_single_receiver(many):
     setup, whole = many
-    for number in (*range(1, 20), 40, 64, 255, 256):
+    for number in (1, 7, 8, 40, 127, 128):
         check_same(
             played(setup, [number]),
             {name: array[number : number + 1] for name, array in whole.items()},
         )
 
 
-@pytest.mark.parametrize("receivers", [1, 3])
-def test_zero_command_is_the_clean_run(receivers):
+def test_zero_command_is_the_clean_run():
+    receivers = 3
     setup = TightlyCoupledSetup(timeline=SHORT)
     setup.fields = setup.has
 
@@ -220,8 +218,7 @@ STEPS = {
 }
 
 
-@pytest.mark.parametrize("receivers", [1, 11])
-@pytest.mark.parametrize("name", STEPS)
+@pytest.mark.parametrize(("name", "receivers"), [("displacement", 1), *((n, 11) for n in STEPS)])
 def test_a_step_is_its_two_halves_with_the_judge_between(name, receivers):
     """One call of the kernel, where nothing in Python comes between, gives the bits of three."""
     settings = {"timeline": SHORT, "detector": {"name": "ewma"}, **STEPS[name]}
@@ -245,9 +242,15 @@ def test_a_step_is_its_two_halves_with_the_judge_between(name, receivers):
                 np.testing.assert_array_equal(memories[0][field], memories[1][field])
 
 
-@pytest.mark.parametrize("holding", [False, True])
-@pytest.mark.parametrize("receivers", [1, 9, 40])
-@pytest.mark.parametrize("name", [*STEPS, "never"])
+@pytest.mark.parametrize(
+    ("name", "receivers", "holding"),
+    [
+        ("displacement", 1, False),
+        ("displacement", 40, True),
+        ("never", 9, True),
+        *((name, 9, holding) for name in STEPS for holding in (False, True)),
+    ],
+)
 def test_live_epochs_are_the_stepwise_run(name, receivers, holding):
     """One compiled call for many epochs with the detector gives the bits of a call for each."""
     detector = {"name": "ewma", "thresholds": "nominal", "false_alarm": 0.2}
@@ -303,8 +306,7 @@ def test_the_quiet_stretch_is_the_stepwise_run():
     check_same(mine, theirs)
 
 
-@pytest.mark.parametrize("attacked", [False, True])
-@pytest.mark.parametrize("grade", ["aviation", "consumer"])
+@pytest.mark.parametrize(("attacked", "grade"), [(False, "aviation"), (True, "consumer")])
 def test_an_exported_episode_replays_to_the_same_bits(attacked, grade):
     setup = TightlyCoupledSetup(timeline=SHORT, scenario={"imu": grade}, detector=Never())
     action = np.array([[0.2, -0.9]])
@@ -321,19 +323,6 @@ def test_an_exported_episode_replays_to_the_same_bits(attacked, grade):
     np.testing.assert_array_equal(
         solution.sd[-1], np.sqrt(np.diagonal(engine.simulator.buffers.covariance[0]))
     )
-
-
-def test_episodes_of_one_seed_differ_and_repeat():
-    env = single().unwrapped
-    first, _ = env.reset(seed=4)
-    second, _ = env.reset()
-    state = env.core.engine.simulator.buffers.position_e.copy()
-    env.reset(seed=4)
-    env.reset()
-    np.testing.assert_array_equal(state, env.core.engine.simulator.buffers.position_e)
-    env.reset(seed=4)
-    assert not np.array_equal(state, env.core.engine.simulator.buffers.position_e)
-    assert first.shape == second.shape
 
 
 def test_when_the_last_alarm_came_does_not_matter_for_the_next_episode():

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import json
-import pickle
-
 import numpy as np
 import pytest
 
@@ -60,9 +56,9 @@ def assert_same(mine, theirs, rows=None, theirs_rows=None):
 
 
 @every_victim
-@pytest.mark.parametrize("receivers", [1, 3, 17])
-def test_a_receiver_is_the_single_one_in_any_batch(kind, receivers):
+def test_a_receiver_is_the_single_one_in_any_batch(kind):
     """In circumstances that each draws for itself."""
+    receivers = 17
     setup = setup_of(kind, domain=DOMAINS[kind], target_heading_deg="random")
     many, actions = warm(setup, receivers), commands(setup, receivers)
     rows = sorted({0, receivers // 2, receivers - 1})
@@ -72,9 +68,8 @@ def test_a_receiver_is_the_single_one_in_any_batch(kind, receivers):
         for row, single in zip(rows, singles, strict=True):
             step(single, action[row])
             assert_same(single, many, [0], [row])
-    if receivers > 1:
-        errors = many.error_n()
-        assert not np.array_equal(errors[0], errors[1])
+    errors = many.error_n()
+    assert not np.array_equal(errors[0], errors[1])
 
 
 @every_victim
@@ -111,35 +106,6 @@ def test_a_reset_of_some_leaves_the_others_alone(kind):
         step(fresh, action[[3, 1]])
     assert_same(engine.simulator, whole.simulator, [0, 2])
     assert_same(engine.simulator, fresh, [3, 1], [0, 1])
-
-
-@every_victim
-def test_a_copy_goes_on_by_itself(kind):
-    setup = setup_of(kind)
-    mine, actions = warm(setup, 2), commands(setup, 2)
-    for action in actions[:3]:
-        step(mine, action)
-    copies = [copy.deepcopy(mine), pickle.loads(pickle.dumps(mine))]
-    for action in actions[3:]:
-        for each in (mine, *copies):
-            step(each, action)
-    for each in copies:
-        assert_same(each, mine)
-
-
-@every_victim
-def test_episodes_of_a_generator_differ_and_repeat(kind):
-    setup = setup_of(kind)
-    mine, other, generators = warm(setup, 2), warm(setup, 2), rngs(2, first=7)
-    mine.warm_up(generators)
-    first = mine.error_n().copy()
-    mine.warm_up(generators)
-    assert not np.array_equal(first, mine.error_n())
-    for action in commands(setup, 2):
-        step(other, action)
-    other.warm_up(rngs(2, first=7))
-    np.testing.assert_array_equal(first, other.error_n())
-    assert not other.commanded_displacement.any()
 
 
 @every_victim
@@ -314,21 +280,18 @@ def test_an_episode_is_in_the_circumstances_that_are_drawn_or_given(kind):
 
 
 @every_victim
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
+def test_what_cannot_be_given_is_refused(kind):
+    engine = Engine(3, setup_of(kind))
+    for given, message in (
         ({"world": 7}, "`world` must be whole numbers, 0 to 0, got 7"),
         ({"start_s": 1e6}, r"`start_s` must be 0 to 0, got 1000000\.0"),
         ({"imu": "tactical"}, "unknown imu 'tactical'"),
         ({"target_heading_deg": 3.0}, "only where it is 'random'"),
         ({"speed": 3.0}, "unknown choice of a reset 'speed'"),
         ({"world": [0, 0]}, "`world` must be one value or 3 of them, got 2"),
-    ],
-)
-def test_what_cannot_be_given_is_refused(kind, given, message):
-    engine = Engine(3, setup_of(kind))
-    with pytest.raises(ValueError, match=message):
-        engine.reset(rngs(3), given=given)
+    ):
+        with pytest.raises(ValueError, match=message):
+            engine.reset(rngs(3), given=given)
 
 
 @pytest.mark.parametrize(
@@ -351,8 +314,11 @@ def test_a_domain_that_a_victim_does_not_have_is_refused(kind, domain, message):
 @every_victim
 def test_settings_are_checked(kind):
     for settings, message in (
-        ({"target_heading_deg": "north"}, "unknown target_heading_deg 'north'"),
-        ({"between": "cubic"}, "unknown between 'cubic'"),
+        (
+            {"target_heading_deg": "north"},
+            "`target_heading_deg` must be a finite number, 'random' or 'worst', got",
+        ),
+        ({"between": "cubic"}, "`between` must be 'hold' or 'linear', got 'cubic'"),
         ({"timeline": {"attack": 1.0}}, "`timeline` has no setting 'attack'; valid: warmup_s"),
         ({"timeline": {"attack_s": 1e9}}, "an episode must have at most 100000 epochs"),
         ({"detector": "srv-rain"}, "unknown detector 'srv-rain'"),
@@ -360,7 +326,7 @@ def test_settings_are_checked(kind):
     ):
         with pytest.raises(ValueError, match=message):
             setup_of(kind, **settings)
-    with pytest.raises(ValueError, match="`receivers` must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="`receivers` must be a whole number of at least 1"):
         warm(setup_of(kind), 0)
 
 
@@ -392,19 +358,6 @@ def test_a_detector_must_have_an_epoch_in_which_it_can_alarm(kind):
     message = f"Late can't alarm in its first {epochs} epochs, and an episode has {epochs} in"
     with pytest.raises(ValueError, match=message):
         warm(setup_of(kind, detector=Late(epochs)), 1)
-
-
-@every_victim
-def test_settings_are_json(kind):
-    settings = {
-        **SHORT[kind],
-        "domain": DOMAINS[kind],
-        "target_heading_deg": "random",
-        "decision_interval_s": setup_of(kind).interval_s * 5,
-        "between": "linear",
-    }
-    plain, read = SETUPS[kind](**settings), SETUPS[kind](**json.loads(json.dumps(settings)))
-    assert_same(warm(plain, 2), warm(read, 2))
 
 
 @pytest.mark.parametrize("kind", ["loose", "snapshot", "robot"])

@@ -105,7 +105,7 @@ class Antenna(Acna):
         ({"interval_s": 0.25}, "`interval_s` must be 1 to 64 times the sample interval"),
         ({"interval_s": 10.0}, "`interval_s` must be 1 to 64 times the sample interval"),
         ({"loop": {"speed": 1.0}}, "`loop` has no setting 'speed'; valid: length_m, "),
-        ({"receiver": {"gain": 2.0}}, "`gain` must lie between 0 and 1"),
+        ({"receiver": {"gain": 2.0}}, "`gain` must be a number above 0 and below 1, got 2"),
         ({"timeline": {"attack_s": -1.0}}, "`attack_s` must be a number above 0, got -1"),
         ({"interruptions_s": [[5.0, 4.0]]}, "must be pairs .* got \\[\\[5.0, 4.0\\]\\]"),
         ({"interruptions_s": [5.0]}, "must be pairs .* got \\[5.0\\]"),
