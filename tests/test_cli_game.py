@@ -68,4 +68,6 @@ def test_wrong_input_is_named(tmp_path):
     assert "holds no config.json of an experiment (3f2a.npz)" in old.stderr
     assert "need a folder of results: --out" in called("--spoofer", "ramp", "--jobs", "2").stderr
     assert "rmap" in called("--spoofer", "rmap").stderr
-    assert "payoff" in called("--spoofer", "ramp", "--payoff", "gold").stderr
+    assert (
+        "'stealth' or 'hmi', got 'gold'" in called("--spoofer", "ramp", "--payoff", "gold").stderr
+    )

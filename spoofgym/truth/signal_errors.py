@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined
+from ..core.declared import check_number
 from ..core.registry import require
 from .noise import normals, padded
 
@@ -79,11 +80,9 @@ class SignalErrors:
                 require(len(given) == 2, f"`{item.name}` must be two numbers, got {given}")
                 object.__setattr__(self, item.name, given)
             values = given if isinstance(given, tuple) else (given,)
-            above = item.name.endswith("_s")
-            require(
-                all(math.isfinite(x) and (x > 0.0 if above else x >= 0.0) for x in values),
-                f"`{item.name}` must be finite and {'>' if above else '>='} 0, got {given}",
-            )
+            above, least = (0.0, None) if item.name.endswith("_s") else (None, 0.0)
+            for value in values:
+                check_number(item.name, value, above=above, least=least)
 
     def wandering(self, elevation: FloatArray) -> list[tuple[FloatArray, float, bool]]:
         """Standard deviation [m], time [s] and whether second-order, of what wanders in a code.

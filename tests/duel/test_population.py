@@ -254,7 +254,7 @@ def test_bad_games_are_refused():
         ({"limit_m": None}, "limit_m"),
         ({"limit_m": -1.0}, "limit_m"),
         ({"split": "calibration"}, "split"),
-        ({"payoff": "gold"}, "payoff"),
+        ({"payoff": "gold"}, "must be 'stealth' or 'hmi', got 'gold'"),
         ({"speed": 1.0}, "speed"),
         ({"task": "T3"}, "can't be given with task T3"),
     ):

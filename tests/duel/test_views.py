@@ -216,7 +216,11 @@ def test_after_a_change_of_the_pool_all_receivers_begin_anew(make, pool):
             "^DetectorVectorView has no arg.* pool,.*mean",
         ),
         (duel_v0.DetectorView, {"pool": "ramq"}, "did you mean 'ramp'"),
-        (duel_v0.DetectorView, {"decision_delay": 2}, "`decision_delay` must be 0 or 1, got 2"),
+        (
+            duel_v0.DetectorView,
+            {"decision_delay": 2},
+            "`decision_delay` must be a whole number from 0 to 1, got 2",
+        ),
         (duel_v0.DetectorView, {"pool": "ewma-profile"}, "'ewma-profile' does not fit this"),
         (duel_v0.DetectorView, {"render_mode": "rgb_array"}, "in DetectorView: .* only SpooferVi"),
     ],

@@ -241,7 +241,7 @@ def test_the_errors_on_the_trolley_are_those_that_were_measured():
 
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
 def test_a_correlation_time_must_be_above_zero(value):
-    with pytest.raises(ValueError, match=r"`correlation_s` must be finite and >=? 0, got"):
+    with pytest.raises(ValueError, match="`correlation_s` must be a number "):
         replace(ERRORS["groves"], correlation_s=value)
 
 

@@ -96,7 +96,7 @@ class Store:
             if overwrite:
                 self._found()
                 self._remove(outputs)
-        elif strange := self._content():
+        elif (strange := self._content()) and not (self.path / CONFIG).is_file():
             raise ValueError(
                 f"{self.path} is not empty and holds no {CONFIG} of an experiment "
                 f"({', '.join(strange[:SHOWN])}); choose another folder"
