@@ -206,6 +206,7 @@ def test_the_learned_detector_is_no_worse_than_the_best_classic_by_a_tenth():
     assert len(sound) >= 2
 
 
+@pytest.mark.nightly
 def test_every_reference_has_a_score_in_d1_and_is_refused_or_named_as_unplayed_elsewhere():
     cards = detector_cards.stored_detector_cards()
     for key, card in cards.items():

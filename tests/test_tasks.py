@@ -44,6 +44,7 @@ def test_a_task_can_be_played(key):
     env.close()
 
 
+@pytest.mark.nightly
 def test_the_long_task_is_covered_by_its_detector():
     task = TASKS["T4"]
     env = gym.make(task.env_id)

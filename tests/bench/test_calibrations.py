@@ -123,6 +123,7 @@ def test_specs_say_what_is_asked_of_thresholds(monkeypatch):
     assert small(entry.spec).detector_entries == (entry,)
 
 
+@pytest.mark.nightly
 def test_of_all_detectors_those_without_a_calibration_are_left_out(monkeypatch):
     """In this receiver's belief clean innovations never exceed what a CUSUM allows for."""
     monkeypatch.chdir(calibration.user_folder().parent)
