@@ -15,7 +15,6 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from .declared import check_number
 from .settings import describe
 
 T = TypeVar("T")
@@ -137,14 +136,6 @@ def is_number(value: object) -> bool:
     """Whether a setting is a real number, and no truth value. Returns True for infinite ones and
     NaN, too."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
-
-
-def check_fields(record: object, bound: str, *names: str) -> None:
-    """Raise unless fields of a record, all by default, are finite numbers within a `bound`:
-    ``"> 0"`` or ``">= 0"``."""
-    above, least = (0.0 if bound == each else None for each in ("> 0", ">= 0"))
-    for name in names or tuple(field.name for field in dataclasses.fields(record)):  # type: ignore[arg-type]
-        check_number(name, getattr(record, name), above=above, least=least)
 
 
 def check_truth(name: str, value: Any) -> None:

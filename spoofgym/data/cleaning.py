@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import check_word
 from ..core.registry import require
 from ..earth.wgs84 import EQUATORIAL_RADIUS, dcm_e_from_n, geodetic_to_ecef
 from .track_fit import MINIMUM_FIXES, Track
@@ -284,10 +285,7 @@ def clean_track(
     """Clean a recorded track and cut out a stretch that was flown without a gap: from so many
     seconds after the first row of the file, by default the start of the longest stretch, for ten
     minutes, or what the stretch offers."""
-    require(
-        interpolated in {"drop", "keep"},
-        f"`interpolated` must be 'drop' or 'keep', got {interpolated!r}",
-    )
+    check_word("interpolated", interpolated, ("drop", "keep"))
     counts: dict[str, int] = {"rows": raw.time.size}
     fixes = _distinct_fixes(raw, counts, interpolated == "drop")
     fixes = _without_outliers(fixes, counts)

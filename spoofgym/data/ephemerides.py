@@ -11,7 +11,6 @@ drops copies, and records that their neighbours in time, which describe the same
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
@@ -20,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.declared import record, setting
 from ..core.registry import require
 from ..truth.satellites import SatelliteStates, checked_time, ecef_from_orbit
 
@@ -224,24 +224,25 @@ class _Schedule(NamedTuple):
     switch: NDArray[np.float64]  # (n, m - 1) when the next record takes over, or infinity
 
 
-@dataclass(frozen=True, eq=False)
+@record(frozen=True, eq=False)
 class BroadcastConstellation:
     """GPS satellites by their broadcast ephemerides.
 
     At each time a satellite follows the record whose time of ephemeris is nearest, and is NaN
     when that one is unhealthy or more than 2 h away.  Where a record takes over from the one
     before, the orbit jumps by the broadcast errors, some metres when the records were screened.
-
-    `ephemerides`: broadcast records, best screened by `spoofgym.data.ephemerides.screen`; unhealthy
-    ones are never used; `start`: GPS seconds at time 0 of the simulation [s], see `gps_seconds`.
     """
 
     described_as = "BroadcastConstellation"
-    ephemerides: Ephemerides
-    start: float
+    ephemerides: Ephemerides = setting(
+        help="Broadcast records, best screened by `spoofgym.data.ephemerides.screen`; unhealthy "
+        "ones are never used."
+    )
+    start: float = setting(
+        unit="s", help="GPS seconds at time 0 of the simulation, see `gps_seconds`."
+    )
 
     def __post_init__(self) -> None:
-        require(math.isfinite(self.start), f"`start` must be finite, got {self.start}")
         toe = self.ephemerides.time_of_ephemeris[self.ephemerides.healthy]
         require(toe.size, f"none of the {len(self.ephemerides)} records is healthy")
         if np.abs(toe - self.start).min() > VALIDITY:

@@ -33,6 +33,7 @@ from scipy.interpolate import BSpline
 from scipy.sparse import block_diag, csc_array, csr_array, diags_array, hstack, vstack
 from scipy.sparse.linalg import splu
 
+from ..core.declared import check_number
 from ..core.registry import require
 from ..earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS, STANDARD_GRAVITY
 from ..truth.flight import Flight, flight_from_geodetic, inverse_kinematics
@@ -365,7 +366,7 @@ def _residual(name: str, value: float, unit: str) -> str:
 
 
 def fit_track(track: Track, *, rate_hz: float = 100.0) -> tuple[Flight, FitReport]:
-    require(0.0 < rate_hz < math.inf, f"`rate_hz` must be positive and finite, got {rate_hz:g}")
+    check_number("rate_hz", rate_hz, above=0.0)
     path = smooth_path(track)
     time = np.arange(int(track.duration * rate_hz + 1e-6) + 1) / rate_hz
     latitude, longitude, height = path.position(time)

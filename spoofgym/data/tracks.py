@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import check_word
 from ..core.registry import require
 
 GZIP_MAGIC = b"\x1f\x8b"
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     import pandas
 
 FOOT = 0.3048  # international foot [m]
+UNITS = {"ft": FOOT, "m": 1.0}  # of the altitude, as a user names them [m]
 KNOT = 1852.0 / 3600.0  # knot [m/s]
 MINUTE = 60.0  # minute [s]
 
@@ -170,6 +172,8 @@ def track_from_frame(
 ) -> RawTrack:
     """Take a recorded track from a table with one row per report. `altitude_unit`: unit of the
     altitude column; by default feet, unless its name ends in _m."""
+    if altitude_unit is not None:
+        check_word("altitude_unit", altitude_unit, UNITS)
     frame = frame.rename(columns=lambda column: str(column).strip().lower())
     require(not frame.empty, f"a track must have rows, got none in {name!r}")
     frame = _one_aircraft(frame, aircraft)
@@ -184,7 +188,7 @@ def track_from_frame(
     _check_range("position time", position_time, *TIMES, "s")
     columns = {quantity: _numbers(frame, names) for quantity, names in QUANTITIES.items()}
     if altitude_unit is not None:
-        factor = {"ft": FOOT, "m": 1.0}[altitude_unit]
+        factor = UNITS[altitude_unit]
         columns["altitude"] = _numbers(frame, dict.fromkeys(QUANTITIES["altitude"], factor))
     for quantity, valid in RANGES.items():
         _check_range(quantity, columns[quantity], *valid)

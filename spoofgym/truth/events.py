@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import record, setting
 from ..core.registry import require
 from .signal_errors import IONOSPHERE_HEIGHT_M, NEVER, SHELL_RADIUS_M, FloatArray
 
 STREAM = 0xBE  # key of the stream of an episode's domain from which its events are drawn
+RANGES = (
+    "clock_step_m",
+    "satellite_loss_s",
+    "front_slope_mm_per_km",
+    "front_width_km",
+    "front_speed_mps",
+)
 
 
-@dataclass(frozen=True, kw_only=True)
+def part_of_episodes(event: str) -> Any:
+    return setting(
+        default=0.0, least=0.0, most=1.0, help=f"Part of the episodes that have {event}."
+    )
+
+
+@record(frozen=True, kw_only=True)
 class BenignEvents:
     """Events that come to some episodes, each at a time that is drawn; by default none does.
 
@@ -24,17 +37,6 @@ class BenignEvents:
     it the delay grows by its slope times its speed, over its width; codes are delayed and carriers
     advanced.
 
-    Parameters
-    ----------
-    clock_step, satellite_loss, front : float
-        Part of the episodes that have such an event, 0 to 1.
-    clock_step_m : tuple of float
-        Range of the size of a step of the receiver's clock; its sign is drawn.
-    satellite_loss_s : tuple of float
-        Range of the time for which a satellite in view is lost.
-    front_slope_mm_per_km, front_width_km, front_speed_mps : tuple of float
-        Ranges of slope, width, and speed against the lines of sight.
-
     Notes
     -----
     Fronts as `dattabarua2010` describes them, whose steepest had 425 mm/km; the default slopes are
@@ -42,27 +44,34 @@ class BenignEvents:
     """
 
     described_as = "BenignEvents"
-    clock_step: float = 0.0
-    clock_step_m: tuple[float, float] = (1.0, 10.0)
-    satellite_loss: float = 0.0
-    satellite_loss_s: tuple[float, float] = (10.0, 60.0)
-    front: float = 0.0
-    front_slope_mm_per_km: tuple[float, float] = (20.0, 100.0)
-    front_width_km: tuple[float, float] = (25.0, 200.0)
-    front_speed_mps: tuple[float, float] = (100.0, 300.0)
+    clock_step: float = part_of_episodes("a step of the receiver's clock")
+    clock_step_m: tuple[float, float] = setting(
+        default=(1.0, 10.0), unit="m", help="Range of its size; its sign is drawn."
+    )
+    satellite_loss: float = part_of_episodes("a loss of a satellite in view")
+    satellite_loss_s: tuple[float, float] = setting(
+        default=(10.0, 60.0), unit="s", help="Range of the time for which it is lost."
+    )
+    front: float = part_of_episodes("a front of the ionosphere")
+    front_slope_mm_per_km: tuple[float, float] = setting(
+        default=(20.0, 100.0), unit="mm/km", help="Range of its slope."
+    )
+    front_width_km: tuple[float, float] = setting(
+        default=(25.0, 200.0), unit="km", help="Range of its width."
+    )
+    front_speed_mps: tuple[float, float] = setting(
+        default=(100.0, 300.0), unit="m/s", help="Range of its speed against the lines of sight."
+    )
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name in ("clock_step", "satellite_loss", "front"):
-                require(0.0 <= value <= 1.0, f"`{item.name}` must be 0 to 1, got {value}")
-                continue
+        for name in RANGES:
+            value = getattr(self, name)
             pair = tuple(float(x) for x in value) if np.shape(value) == (2,) else ()
             require(
                 pair and 0.0 < pair[0] <= pair[1] < math.inf,
-                f"`{item.name}` must be two numbers above 0, the least first, got {value!r}",
+                f"`{name}` must be two numbers above 0, the least first, got {value!r}",
             )
-            object.__setattr__(self, item.name, pair)
+            object.__setattr__(self, name, pair)
 
     @property
     def any(self) -> bool:

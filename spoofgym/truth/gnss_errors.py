@@ -9,20 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined
-from ..core.declared import check_number, record, setting
-from ..core.registry import build_record, check_fields, require
-from ..core.settings import OMITTED
+from ..core.declared import record, setting
+from ..core.registry import build_record, require
 from .clock import TCXO, ReceiverClock
 from .signal_errors import SIGNAL_ERRORS, SignalErrors
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class GnssErrors:
     r"""Errors of pseudoranges and range rates.
 
@@ -38,27 +37,36 @@ class GnssErrors:
     receiver takes range rates from the carrier, so that the derivative of the code error, which
     would not even be finite, is no part of them: their error is white noise of its own.
 
-    - `code_sd_m`, `range_rate_sd_mps`: white noise of pseudoranges and range rates;
-    - `correlated_sd_m`: wandering part of the pseudoranges; 0 for none;
-    - `correlation_s`: time in which its correlation falls to 1/e, above 0;
-    - `signals`: errors that come with the signals of an airborne receiver, on top; with a
-      `carrier_sd_m` the range rates are differences of carriers, and `range_rate_sd_mps` is 0.
-
     Notes
     -----
     Groves (2013), section 9.3, as its software simulates it.
     """
 
     described_as = "GnssErrors"
-    code_sd_m: float
-    range_rate_sd_mps: float
-    signal_in_space_sd_m: float
-    zenith_iono_sd_m: float
-    zenith_tropo_sd_m: float
-    correlated_sd_m: float = 0.0
-    correlation_s: float = 35.0
-    clock: ReceiverClock = field(default_factory=ReceiverClock)
-    signals: SignalErrors | None = field(default=None, metadata=OMITTED)
+    code_sd_m: float = setting(least=0.0, unit="m", help="White noise of pseudoranges.")
+    range_rate_sd_mps: float = setting(least=0.0, unit="m/s", help="White noise of range rates.")
+    signal_in_space_sd_m: float = setting(
+        least=0.0, unit="m", help="Sigma_SIS: part of the biases by orbit and satellite clock."
+    )
+    zenith_iono_sd_m: float = setting(
+        least=0.0, unit="m", help="Sigma_iono: part by the ionosphere, in the zenith."
+    )
+    zenith_tropo_sd_m: float = setting(
+        least=0.0, unit="m", help="Sigma_tropo: part by the troposphere, in the zenith."
+    )
+    correlated_sd_m: float = setting(
+        default=0.0, least=0.0, unit="m", help="Wandering part of the pseudoranges; 0 for none."
+    )
+    correlation_s: float = setting(
+        default=35.0, above=0.0, unit="s", help="Time in which its correlation falls to 1/e."
+    )
+    clock: ReceiverClock = setting(default_factory=ReceiverClock, help="The receiver's clock.")
+    signals: SignalErrors | None = setting(
+        default=None,
+        omitted=True,
+        help="Errors that come with the signals of an airborne receiver, on top; with a "
+        "`carrier_sd_m` the range rates are differences of carriers, and `range_rate_sd_mps` is 0.",
+    )
 
     def __post_init__(self) -> None:
         if isinstance(self.signals, Mapping):
@@ -68,9 +76,6 @@ class GnssErrors:
             "`range_rate_sd_mps` must be 0 where range rates are differences of carriers, got "
             f"{self.range_rate_sd_mps}",
         )
-        names = [item.name for item in fields(self) if item.name not in ("clock", "signals")]
-        check_fields(self, ">= 0", *names)
-        check_number("correlation_s", self.correlation_s, above=0.0)
 
     @property
     def carrier_sd_m(self) -> float:

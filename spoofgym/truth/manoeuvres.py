@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import check_number, record, setting
 from ..core.registry import require
 from ..earth.wgs84 import STANDARD_GRAVITY
 from .flight import Flight, flight_from_velocity
@@ -63,6 +64,11 @@ class Pulse:
 
 Axis = Literal["none", "turn", "steer", "climb", "speed"]
 
+
+def time_to_set_in(default: float, help: str) -> Any:
+    return setting(default=default, above=0.0, unit="s", help=help)
+
+
 STEEPEST_BANK_DEG = 75.0  # largest bank of a turn [deg], 3.9 g
 STEEPEST_PATH_DEG = 60.0  # largest flight-path angle of a climb [deg]
 
@@ -76,32 +82,25 @@ class Manoeuvre(Protocol):
         """Pulse of rate on the axis, entered with a speed [m/s] at a time of the flight [s]."""
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Straight:
-    """Straight and level motion for a while.  `duration_s`: duration [s]."""
+    """Straight and level motion for a while."""
 
     described_as = "Straight"
     axis: ClassVar[Axis] = "none"
-    duration_s: float
-
-    def __post_init__(self) -> None:
-        _check_between("duration_s", self.duration_s, 0.0, math.inf)
+    duration_s: float = setting(above=0.0, unit="s", help="Duration.")
 
     def pulse(self, speed: float, start: float) -> Pulse:
         return Pulse.idle(self.duration_s)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Until:
-    """Straight and level motion until a time of the flight. `time_s`: time since the start of the
-    flight [s]."""
+    """Straight and level motion until a time of the flight."""
 
     described_as = "Until"
     axis: ClassVar[Axis] = "none"
-    time_s: float
-
-    def __post_init__(self) -> None:
-        _check_between("time_s", self.time_s, 0.0, math.inf)
+    time_s: float = setting(above=0.0, unit="s", help="Time since the start of the flight.")
 
     def pulse(self, speed: float, start: float) -> Pulse:
         require(
@@ -112,33 +111,27 @@ class Until:
         return Pulse.idle(self.time_s - start)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Turn:
     r"""A coordinated level turn: no lateral specific force.
 
     .. math::
         \tan\phi = v\,\dot\psi / g
-
-    Parameters
-    ----------
-    angle_deg : float
-        Change of heading [deg], positive to the right.
-    bank_deg : float
-        Largest bank [deg], positive in either direction.
-    ramp_s : float
-        Time to roll in and to roll out [s]; the roll rate stays below
-        tan(bank) pi / (2 ramp).
     """
 
     described_as = "Turn"
     axis: ClassVar[Axis] = "turn"
-    angle_deg: float
-    bank_deg: float = 25.0
-    ramp_s: float = 5.0
-
-    def __post_init__(self) -> None:
-        _check_between("bank_deg", self.bank_deg, 0.0, STEEPEST_BANK_DEG)
-        _check_change(self, "angle_deg", "bank_deg")
+    angle_deg: float = setting(unit="deg", help="Change of heading, positive to the right.")
+    bank_deg: float = setting(
+        default=25.0,
+        above=0.0,
+        below=STEEPEST_BANK_DEG,
+        unit="deg",
+        help="Largest bank, positive in either direction.",
+    )
+    ramp_s: float = time_to_set_in(
+        5.0, "Time to roll in and to roll out; the roll rate stays below tan(bank) pi / (2 ramp)."
+    )
 
     def pulse(self, speed: float, start: float) -> Pulse:
         require(speed > 0.0, f"a banked turn needs a speed above 0 m/s, got {speed:g} m/s")
@@ -146,47 +139,44 @@ class Turn:
         return Pulse.of_area(math.radians(self.angle_deg), peak, self.ramp_s)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Steer:
-    """A turn on wheels, without bank.
-
-    - `angle_deg`: change of heading [deg], positive to the right;
-    - `rate_degps`: largest turn rate [deg/s], positive in either direction;
-    - `ramp_s`: time to turn the wheel in and back [s].
-    """
+    """A turn on wheels, without bank."""
 
     described_as = "Steer"
     axis: ClassVar[Axis] = "steer"
-    angle_deg: float
-    rate_degps: float = 7.0
-    ramp_s: float = 1.0
-
-    def __post_init__(self) -> None:
-        _check_change(self, "angle_deg", "rate_degps")
+    angle_deg: float = setting(unit="deg", help="Change of heading, positive to the right.")
+    rate_degps: float = setting(
+        default=7.0,
+        above=0.0,
+        unit="deg/s",
+        help="Largest turn rate, positive in either direction.",
+    )
+    ramp_s: float = time_to_set_in(1.0, "Time to turn the wheel in and back.")
 
     def pulse(self, speed: float, start: float) -> Pulse:
         peak = math.radians(self.rate_degps)
         return Pulse.of_area(math.radians(self.angle_deg), peak, self.ramp_s)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Climb:
-    """A change of height at constant speed along the path.
-
-    - `height_m`: change of height [m], negative to descend;
-    - `rate_mps`: largest vertical speed [m/s], positive in either direction;
-    - `ramp_s`: time to pull up and to level off [s]; the change of the normal acceleration stays
-      below about rate pi / (2 ramp).
-    """
+    """A change of height at constant speed along the path."""
 
     described_as = "Climb"
     axis: ClassVar[Axis] = "climb"
-    height_m: float
-    rate_mps: float = 10.0
-    ramp_s: float = 10.0
-
-    def __post_init__(self) -> None:
-        _check_change(self, "height_m", "rate_mps")
+    height_m: float = setting(unit="m", help="Change of height, negative to descend.")
+    rate_mps: float = setting(
+        default=10.0,
+        above=0.0,
+        unit="m/s",
+        help="Largest vertical speed, positive in either direction.",
+    )
+    ramp_s: float = time_to_set_in(
+        10.0,
+        "Time to pull up and to level off; the change of the normal acceleration stays below about "
+        "rate pi / (2 ramp).",
+    )
 
     def pulse(self, speed: float, start: float) -> Pulse:
         steepest = speed * math.sin(math.radians(STEEPEST_PATH_DEG))
@@ -198,23 +188,20 @@ class Climb:
         return Pulse.of_area(self.height_m, self.rate_mps, self.ramp_s)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Accelerate:
-    """A change of speed on a straight and level path.
-
-    - `change_mps`: change of speed [m/s], negative to slow down;
-    - `acceleration_mps2`: largest acceleration [m/s^2], positive in either direction;
-    - `ramp_s`: time for the acceleration to set in and to cease [s].
-    """
+    """A change of speed on a straight and level path."""
 
     described_as = "Accelerate"
     axis: ClassVar[Axis] = "speed"
-    change_mps: float
-    acceleration_mps2: float = 1.0
-    ramp_s: float = 2.0
-
-    def __post_init__(self) -> None:
-        _check_change(self, "change_mps", "acceleration_mps2")
+    change_mps: float = setting(unit="m/s", help="Change of speed, negative to slow down.")
+    acceleration_mps2: float = setting(
+        default=1.0,
+        above=0.0,
+        unit="m/s^2",
+        help="Largest acceleration, positive in either direction.",
+    )
+    ramp_s: float = time_to_set_in(2.0, "Time for the acceleration to set in and to cease.")
 
     def pulse(self, speed: float, start: float) -> Pulse:
         if speed + self.change_mps < -1e-9:
@@ -243,10 +230,10 @@ def fly(
     at the start, along the path [m/s]; `heading_deg`: heading at the start, clockwise from north
     [deg]; `rate_hz`: samples a second [Hz].
     """
-    _check_between("latitude_deg", latitude_deg, -90.0, 90.0)
-    _check_finite("longitude_deg", longitude_deg)
-    _check_between("rate_hz", rate_hz, 0.0, math.inf)
-    require(speed_mps >= 0.0, f"`speed_mps` must be at least 0 m/s, got {speed_mps:g} m/s")
+    check_number("latitude_deg", latitude_deg, above=-90.0, below=90.0)
+    check_number("longitude_deg", longitude_deg)
+    check_number("rate_hz", rate_hz, above=0.0)
+    check_number("speed_mps", speed_mps, least=0.0)
     require(manoeuvres, "`manoeuvres` must have at least one manoeuvre, got none")
     pulses = _chain(manoeuvres, speed_mps)
     last = pulses[-1]
@@ -301,21 +288,6 @@ def _sum(
             local = time - item.start
             value += item.pulse.total(local) if total else item.pulse.rate(local)
     return value
-
-
-def _check_finite(name: str, value: float) -> None:
-    require(math.isfinite(value), f"`{name}` must be finite, got {value:g}")
-
-
-def _check_between(name: str, value: float, low: float, high: float) -> None:
-    require(low < value < high, f"`{name}` must lie between {low:g} and {high:g}, got {value:g}")
-
-
-def _check_change(manoeuvre: Any, change: str, rate: str) -> None:
-    """Raise unless the change is finite, and its rate and time to set in are above 0."""
-    _check_finite(change, getattr(manoeuvre, change))
-    for name in (rate, "ramp_s"):
-        _check_between(name, getattr(manoeuvre, name), 0.0, math.inf)
 
 
 _CRUISE: dict[str, float] = {

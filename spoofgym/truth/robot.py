@@ -38,8 +38,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import check_number
-from ..core.registry import check_fields, require
+from ..core.declared import record, setting
+from ..core.registry import require
 from .noise import BLOCK
 
 FloatArray = NDArray[np.float64]
@@ -70,39 +70,35 @@ class RobotTrack:
         return self.distance + turned, self.distance - turned
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class RobotLoop:
-    """A rectangular course.
-
-    - `length_m`, `width_m`: sides; the first one that is driven is a long one;
-    - `corner_radius_m`: radius of the corners, above 0 and at most half the shorter side; the paper
-      does not say how its robot turns;
-    - `heading_deg`: of the first side, clockwise from north;
-    - `speed_mps`: 0 for a robot at rest.
-    """
+    """A rectangular course."""
 
     described_as = "RobotLoop"
-    length_m: float = 13.4
-    width_m: float = 6.1
-    corner_radius_m: float = 0.3
-    heading_deg: float = 248.0
-    speed_mps: float = 0.5
+    length_m: float = setting(
+        default=13.4, above=0.0, unit="m", help="Length of the side that is driven first."
+    )
+    width_m: float = setting(default=6.1, above=0.0, unit="m", help="Length of the other side.")
+    corner_radius_m: float = setting(
+        default=0.3,
+        above=0.0,
+        unit="m",
+        help="Radius of the corners, at most half the shorter side; the paper does not say how its "
+        "robot turns.",
+    )
+    heading_deg: float = setting(
+        default=248.0, unit="deg", help="Heading of the first side, clockwise from north."
+    )
+    speed_mps: float = setting(
+        default=0.5, least=0.0, most=MOST_SPEED, unit="m/s", help="Speed; 0 for a robot at rest."
+    )
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            require(math.isfinite(value), f"`{name}` must be finite, got {value}")
-            require(
-                value > 0.0 or name not in ("length_m", "width_m"),
-                f"`{name}` must be > 0, got {value}",
-            )
         most = 0.5 * min(self.length_m, self.width_m)
         require(
-            0.0 < self.corner_radius_m <= most,
-            f"`corner_radius_m` must be in (0, {most:g}], got {self.corner_radius_m}",
-        )
-        require(
-            0.0 <= self.speed_mps <= MOST_SPEED,
-            f"`speed_mps` must be in [0, {MOST_SPEED:g}], got {self.speed_mps}",
+            self.corner_radius_m <= most,
+            f"`corner_radius_m` must be at most {most:g}, half the shorter side, got "
+            f"{self.corner_radius_m}",
         )
 
     @property
@@ -163,57 +159,49 @@ SOURCES = ("yaw", "fix")  # sources of chance; each has a key of its own in ever
 MOST_SAMPLES = BLOCK  # most encoder samples between two fixes: one block of noise
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class Odometer:
-    """Encoders and heading.
-
-    - `wheel_radius_m`, `wheel_base_m`: radius of the wheels and distance between them, above 0;
-    - `sample_interval_s`: time between samples, above 0;
-    - `hard_iron_deg`: A, largest error of the heading by iron, -45 to 45;
-    - `yaw_noise_deg`: white noise of the heading at every sample, at least 0.
-    """
+    """Encoders and heading."""
 
     described_as = "Odometer"
-    counts_per_turn: int = 495
-    wheel_radius_m: float = 0.0325
-    wheel_base_m: float = 0.2
-    sample_interval_s: float = 0.1
-    hard_iron_deg: float = 4.0
-    yaw_noise_deg: float = 0.35
-
-    def __post_init__(self) -> None:
-        require(
-            self.counts_per_turn >= 1,
-            f"`counts_per_turn` must be at least 1, got {self.counts_per_turn}",
-        )
-        check_fields(self, "> 0", "wheel_radius_m", "wheel_base_m", "sample_interval_s")
-        require(
-            abs(self.hard_iron_deg) <= 45.0,
-            f"`hard_iron_deg` must be in [-45, 45], got {self.hard_iron_deg}",
-        )
-        require(
-            0.0 <= self.yaw_noise_deg <= 45.0,
-            f"`yaw_noise_deg` must be in [0, 45], got {self.yaw_noise_deg}",
-        )
+    counts_per_turn: int = setting(default=495, least=1, help="Counts of an encoder in a turn.")
+    wheel_radius_m: float = setting(
+        default=0.0325, above=0.0, unit="m", help="Radius of the wheels."
+    )
+    wheel_base_m: float = setting(
+        default=0.2, above=0.0, unit="m", help="Distance between the wheels."
+    )
+    sample_interval_s: float = setting(
+        default=0.1, above=0.0, unit="s", help="Time between samples."
+    )
+    hard_iron_deg: float = setting(
+        default=4.0, least=-45.0, most=45.0, unit="deg", help="A: error of the heading by iron."
+    )
+    yaw_noise_deg: float = setting(
+        default=0.35,
+        least=0.0,
+        most=45.0,
+        unit="deg",
+        help="White noise of the heading at every sample.",
+    )
 
     @property
     def count_m(self) -> float:
         return 2.0 * math.pi * self.wheel_radius_m / self.counts_per_turn
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class FixErrors:
-    """GNSS position errors, alike in north and east. `correlation_time_s`: its time constant, above
-    0; `white_sd_m`: white noise at every fix."""
+    """GNSS position errors, alike in north and east."""
 
     described_as = "FixErrors"
-    correlated_sd_m: float = 1.0
-    correlation_time_s: float = 60.0
-    white_sd_m: float = 0.2
-
-    def __post_init__(self) -> None:
-        check_fields(self, ">= 0", "correlated_sd_m", "white_sd_m")
-        check_number("correlation_time_s", self.correlation_time_s, above=0.0)
+    correlated_sd_m: float = setting(
+        default=1.0, least=0.0, unit="m", help="Standard deviation of the Gauss-Markov error."
+    )
+    correlation_time_s: float = setting(
+        default=60.0, above=0.0, unit="s", help="Its time constant."
+    )
+    white_sd_m: float = setting(default=0.2, least=0.0, unit="m", help="White noise at every fix.")
 
     def decay(self, interval_s: float) -> float:
         return math.exp(-interval_s / self.correlation_time_s)

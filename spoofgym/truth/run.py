@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.registry import check_choice, check_fields, require
+from ..core.declared import check_number, record, setting
+from ..core.registry import check_choice, require
 from ..earth.wgs84 import (
     DEGREE,
     MICRO_G,
@@ -28,7 +29,9 @@ from .satellites import Constellation
 
 FloatArray = NDArray[np.float64]
 CHANNELS = 12
+FEWEST_CHANNELS, MOST_CHANNELS = 4, 32
 MASK_DEG = 10.0
+HIGHEST_MASK_DEG = 60.0
 SKY_MASK_DEG = 5.0  # least elevation of a satellite that a snapshot receiver uses [deg]
 
 
@@ -127,8 +130,8 @@ def build_world(
         f"`epoch_interval_s` must be a multiple of the sample interval {step:g} s, "
         f"got {epoch_interval_s}",
     )
-    require(4 <= channels <= 32, f"`channels` must be 4 to 32, got {channels}")
-    require(0.0 <= mask_deg <= 60.0, f"`mask_deg` must be 0 to 60, got {mask_deg}")
+    check_number("channels", channels, least=FEWEST_CHANNELS, most=MOST_CHANNELS, whole=True)
+    check_number("mask_deg", mask_deg, least=0.0, most=HIGHEST_MASK_DEG)
     epoch_end = np.arange(0, len(time), per_epoch, dtype=np.int64)
     require(
         len(epoch_end) >= 2, f"a run of {time[-1]:g} s holds no epoch of {epoch_interval_s:g} s"
@@ -205,35 +208,45 @@ def _choose(visible: NDArray[np.bool_], channels: int) -> list[int]:
 SOURCES = 3  # of chance; each has a key of its own in every episode
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class InertialErrors:
     """White noise and turn-on biases of the inertial sensors, and the errors of the alignment.
 
     All are standard deviations of what is drawn for every episode, except for the noise.
-
-    - `gyro_bias_deg_per_h`, `accel_bias_ug`: turn-on biases of every axis;
-    - `tilt_arcsec`, `heading_arcsec`: initial attitude about the two horizontal axes, and about the
-      vertical one;
-    - `velocity_mps`: initial velocity of every axis;
-    - `horizontal_m`, `vertical_m`: initial position to the east and north, and upwards.
 
     The defaults are what the filter of `shadmehri2025` assumes of its sensors (section 4.2), before
     the factor of 3 of its initial covariance.
     """
 
     described_as = "InertialErrors"
-    gyro_noise_deg_per_rth: float = 0.005
-    accel_noise_ug_per_rthz: float = 20.0
-    gyro_bias_deg_per_h: float = 0.01
-    accel_bias_ug: float = 100.0
-    tilt_arcsec: float = 20.0
-    heading_arcsec: float = 180.0
-    velocity_mps: float = 0.1
-    horizontal_m: float = 3.7
-    vertical_m: float = 6.0
-
-    def __post_init__(self) -> None:
-        check_fields(self, ">= 0")
+    gyro_noise_deg_per_rth: float = setting(
+        default=0.005, least=0.0, unit="deg/h^0.5", help="White noise of the gyros."
+    )
+    accel_noise_ug_per_rthz: float = setting(
+        default=20.0, least=0.0, unit="ug/Hz^0.5", help="White noise of the accelerometers."
+    )
+    gyro_bias_deg_per_h: float = setting(
+        default=0.01, least=0.0, unit="deg/h", help="Turn-on bias of every gyro."
+    )
+    accel_bias_ug: float = setting(
+        default=100.0, least=0.0, unit="ug", help="Turn-on bias of every accelerometer."
+    )
+    tilt_arcsec: float = setting(
+        default=20.0,
+        least=0.0,
+        unit="arcsec",
+        help="Initial attitude about the two horizontal axes.",
+    )
+    heading_arcsec: float = setting(
+        default=180.0, least=0.0, unit="arcsec", help="Initial attitude about the vertical axis."
+    )
+    velocity_mps: float = setting(
+        default=0.1, least=0.0, unit="m/s", help="Initial velocity of every axis."
+    )
+    horizontal_m: float = setting(
+        default=3.7, least=0.0, unit="m", help="Initial position to the east and to the north."
+    )
+    vertical_m: float = setting(default=6.0, least=0.0, unit="m", help="Initial position upwards.")
 
     @cached_property
     def noise(self) -> FloatArray:

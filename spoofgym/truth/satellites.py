@@ -9,12 +9,12 @@ zhong2025 build on; `spoofgym.data.ephemerides` flies real broadcast ephemerides
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.declared import record, setting
 from ..core.registry import require
 from ..earth.wgs84 import EARTH_RATE, EQUATORIAL_RADIUS, GRAVITATIONAL_CONSTANT
 
@@ -87,7 +87,7 @@ def ecef_from_orbit(
     )
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class CircularConstellation:
     r"""Circular orbits on six planes, the constellation of Groves' software.
 
@@ -97,45 +97,37 @@ class CircularConstellation:
         u = \frac{2\pi (j - 1)}{N} + \omega t, \qquad
         \Omega = \frac{2\pi\,(j \bmod M)}{M} - \omega_{ie} t, \qquad
         \omega = \sqrt{\mu / r^3}
-
-    - `satellites`: number of satellites N, 1 to 99; their ids are "S01", "S02" and so on;
-    - `radius_m`: orbital radius r [m], above the Earth's surface;
-    - `inclination_deg`: inclination [deg], 0 to 180;
-    - `time_offset_s`: added to the time of the simulation [s]: another geometry over the same
-      place.  It moves the satellites and turns the Earth, while the offset of Groves' software
-      moves the satellites alone;
-    - `planes`: number of orbital planes M, 1 to 99;
-    - `prefix`: one capital letter that the ids begin with.
     """
 
     described_as = "CircularConstellation"
-    satellites: int = 30
-    radius_m: float = 2.656175e7
-    inclination_deg: float = 55.0
-    time_offset_s: float = 0.0
-    planes: int = 6
-    prefix: str = "S"
+    satellites: int = setting(
+        default=30,
+        least=1,
+        most=99,
+        help='Number of satellites N; their ids are "S01", "S02" and so on.',
+    )
+    radius_m: float = setting(
+        default=2.656175e7, above=EQUATORIAL_RADIUS, unit="m", help="Orbital radius r."
+    )
+    inclination_deg: float = setting(
+        default=55.0, least=0.0, most=180.0, unit="deg", help="Inclination."
+    )
+    time_offset_s: float = setting(
+        default=0.0,
+        unit="s",
+        help="Added to the time of the simulation: another geometry over the same place.  It moves "
+        "the satellites and turns the Earth, while the offset of Groves' software moves the "
+        "satellites alone.",
+    )
+    planes: int = setting(default=6, least=1, most=99, help="Number of orbital planes M.")
+    prefix: str = setting(
+        default="S", help="Letter that the ids begin with, a capital one, A to Z."
+    )
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("planes", 1, 99),
-            ("satellites", 1, 99),
-            ("inclination_deg", 0, 180),
-        ):
-            if not low <= getattr(self, name) <= high:
-                value = getattr(self, name)
-                raise ValueError(f"`{name}` must be within {low}..{high}, got {value}")
         require(
             len(self.prefix) == 1 and "A" <= self.prefix <= "Z",
             f"`prefix` must be a capital letter, A to Z, got {self.prefix!r}",
-        )
-        require(
-            EQUATORIAL_RADIUS < self.radius_m < math.inf,
-            f"`radius_m` must be above {EQUATORIAL_RADIUS:.0f} m, got {self.radius_m}",
-        )
-        require(
-            math.isfinite(self.time_offset_s),
-            f"`time_offset_s` must be finite, got {self.time_offset_s}",
         )
 
     @property
@@ -161,13 +153,13 @@ class CircularConstellation:
         )
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class CombinedConstellation:
-    """Several constellations as one, on one system time. `parts`: with different satellite ids; a
-    receiver hears them all, and has one clock for them."""
+    """Several constellations as one, on one system time: a receiver hears them all, and has one
+    clock for them."""
 
     described_as = "CombinedConstellation"
-    parts: tuple[Constellation, ...]
+    parts: tuple[Constellation, ...] = setting(help="Constellations with different satellite ids.")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", tuple(self.parts))

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import fields, replace
 from functools import lru_cache, partial
 from typing import Any, TypeGuard
 
-from ..core.declared import check_number
+from ..core.declared import record, setting
 from ..core.registry import build_record, check_choice, require
-from ..core.settings import OMITTED
 from .events import BenignEvents
 from .flight import Flight, trajectory_at, turned
 from .gnss_errors import ERRORS, RENAMED, GnssErrors
 from .manoeuvres import FLIGHTS
-from .run import CHANNELS, MASK_DEG, World, build_world
+from .run import (
+    CHANNELS,
+    FEWEST_CHANNELS,
+    HIGHEST_MASK_DEG,
+    MASK_DEG,
+    MOST_CHANNELS,
+    World,
+    build_world,
+)
 from .satellites import (
     TWO_CONSTELLATIONS,
     CircularConstellation,
@@ -27,20 +34,9 @@ from .sensors import IMU_GRADES
 TURN_ON = ("specimen", "drawn")  # inertial constants: of the data sheet, or drawn per episode
 
 
-@dataclass(frozen=True, kw_only=True)
+@record(frozen=True, kw_only=True)
 class Scenario:
     """The authentic world of an episode, as a recipe.
-
-    - `flight`: a name in `FLIGHTS`, or a flight;
-    - `errors`: a name in `ERRORS`, or errors;
-    - `turned_deg`: turn of the whole flight about the vertical where it begins, clockwise;
-    - `imu_rate_hz`: samples of the inertial sensors that the receiver gets per second; None for the
-      flight's own rate;
-    - `assumed`: errors that a receiver with the tuning ``"matched"`` assumes, a name or errors;
-      None for those that the world has;
-    - `turn_on`: ``"specimen"`` for inertial sensors with the constants of the grade's data sheet,
-      ``"drawn"`` for others in every episode, as large in the mean;
-    - `events`: events that only look like spoofing; None for no events.
 
     Notes
     -----
@@ -54,19 +50,65 @@ class Scenario:
     """
 
     described_as = "Scenario"
-    name: str = "custom"
-    flight: str | Flight = "zhong2025"
-    errors: str | GnssErrors = "zhong2025"
-    imu: str = "aviation"
-    constellation: Constellation = field(default_factory=CircularConstellation)
-    epoch_interval_s: float = 0.5
-    channels: int = CHANNELS
-    mask_deg: float = MASK_DEG
-    turned_deg: float = 0.0
-    imu_rate_hz: float | None = field(default=None, metadata=OMITTED)
-    assumed: str | GnssErrors | None = field(default=None, metadata=OMITTED)
-    turn_on: str = field(default="specimen", metadata=OMITTED)
-    events: BenignEvents | None = field(default=None, metadata=OMITTED)
+    name: str = setting(default="custom", help="Name for results.")
+    flight: str | Flight = setting(default="zhong2025", help="A name in `FLIGHTS`, or a flight.")
+    errors: str | GnssErrors = setting(default="zhong2025", help="A name in `ERRORS`, or errors.")
+    imu: str = setting(
+        default="aviation", help="Grade of the inertial sensors, a name in `IMU_GRADES`."
+    )
+    constellation: Constellation = setting(
+        default_factory=CircularConstellation, help="The satellites."
+    )
+    epoch_interval_s: float = setting(
+        default=0.5,
+        above=0.0,
+        unit="s",
+        help="Time between epochs, a multiple of the interval between inertial samples.",
+    )
+    channels: int = setting(
+        default=CHANNELS,
+        least=FEWEST_CHANNELS,
+        most=MOST_CHANNELS,
+        help="Number of slots for satellites.",
+    )
+    mask_deg: float = setting(
+        default=MASK_DEG,
+        least=0.0,
+        most=HIGHEST_MASK_DEG,
+        unit="deg",
+        help="Least elevation of a satellite that the receiver uses.",
+    )
+    turned_deg: float = setting(
+        default=0.0,
+        unit="deg",
+        help="Turn of the whole flight about the vertical where it begins, clockwise.",
+    )
+    imu_rate_hz: float | None = setting(
+        default=None,
+        above=0.0,
+        omitted=True,
+        unit="Hz",
+        help="Samples of the inertial sensors that the receiver gets per second; None for the "
+        "flight's own rate.",
+    )
+    assumed: str | GnssErrors | None = setting(
+        default=None,
+        omitted=True,
+        help='Errors that a receiver with the tuning ``"matched"`` assumes, a name or errors; '
+        "None for those that the world has.",
+    )
+    turn_on: str = setting(
+        default="specimen",
+        one_of=TURN_ON,
+        omitted=True,
+        help="Inertial sensors with the constants of the grade's data sheet, or with others in "
+        "every episode, as large in the mean.",
+    )
+    events: BenignEvents | None = setting(
+        default=None,
+        omitted=True,
+        help="Events that only look like spoofing; None for no events.",
+    )
 
     def __post_init__(self) -> None:
         if isinstance(self.flight, str):
@@ -76,14 +118,8 @@ class Scenario:
         if isinstance(self.assumed, str):
             check_choice("assumed errors", self.assumed, ERRORS, RENAMED)
         check_choice("imu grade", self.imu, IMU_GRADES)
-        check_choice("turn_on", self.turn_on, TURN_ON)
         if isinstance(self.events, Mapping):
             object.__setattr__(self, "events", build_record("events", BenignEvents, self.events))
-        require(
-            math.isfinite(self.turned_deg), f"`turned_deg` must be finite, got {self.turned_deg}"
-        )
-        if self.imu_rate_hz is not None:
-            check_number("imu_rate_hz", self.imu_rate_hz, above=0.0)
 
     @property
     def label(self) -> str:
@@ -222,10 +258,8 @@ def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:
     name = settings.pop("name", "zhong2025")
     check_choice("scenario", name, SCENARIOS, _RENAMED)
     valid = [item.name for item in fields(Scenario) if item.name != "name"]
-    for setting in settings:
-        require(
-            setting in valid, f"a scenario has no setting {setting!r}; valid: {', '.join(valid)}"
-        )
+    for key in settings:
+        require(key in valid, f"a scenario has no setting {key!r}; valid: {', '.join(valid)}")
     scenario = SCENARIOS[name]()
     named = sorted(settings.keys() - {"imu_rate_hz"})  # which is in the label
     changed = "".join(f" {key}={settings[key]}" for key in named)

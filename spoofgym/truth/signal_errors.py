@@ -9,14 +9,13 @@ code has been smoothed by the carrier.  Range rates are differences of carriers.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.compile import inlined
-from ..core.declared import check_number
+from ..core.declared import check_number, record, setting
 from ..core.registry import require
 from .noise import normals, padded
 
@@ -32,7 +31,15 @@ DRAWN = 1 << 41  # counter of the deviates with which an episode starts
 NEVER = 1e18  # as an epoch: after all
 
 
-@dataclass(frozen=True, kw_only=True)
+def standard_deviation(help: str) -> Any:
+    return setting(default=0.0, least=0.0, unit="m", help=help)
+
+
+def correlation_time(default: float, help: str) -> Any:
+    return setting(default=default, above=0.0, unit="s", help=help)
+
+
+@record(frozen=True, kw_only=True)
 class SignalErrors:
     r"""Errors that all signals of a receiver have in common, and those of each signal.
 
@@ -49,40 +56,36 @@ class SignalErrors:
 
     .. math:: \sigma_m = a_m + b_m e^{-E / 10^\circ}, \qquad \sigma_n = a_n + b_n e^{-E / 6.9^\circ}
 
-    - `carrier_sd_m`: noise of a reading of the carrier;
-    - `ionosphere_sd_m`, `troposphere_sd_m`: in the zenith; `orbit_clock_sd_m`: of a satellite;
-    - `ionosphere_s`, `troposphere_s`, `orbit_clock_s`: in which correlations fall to 1/e;
-    - `multipath_sd_m`, `noise_sd_m`: pairs a, b;
-    - `smoothing_s`: of the code, in which these two lose their correlation.
-
     Notes
     -----
     Obliquities and multipath: `do-229`, A.4.4.10.4, A.4.2.4 and J.2.4.
     """
 
     described_as = "SignalErrors"
-    carrier_sd_m: float = 0.0
-    ionosphere_sd_m: float = 0.0
-    ionosphere_s: float = 1800.0
-    troposphere_sd_m: float = 0.0
-    troposphere_s: float = 1800.0
-    orbit_clock_sd_m: float = 0.0
-    orbit_clock_s: float = 7200.0
-    multipath_sd_m: tuple[float, float] = (0.0, 0.0)
-    noise_sd_m: tuple[float, float] = (0.0, 0.0)
-    smoothing_s: float = 100.0
+    carrier_sd_m: float = standard_deviation("Noise of a reading of the carrier.")
+    ionosphere_sd_m: float = standard_deviation("Delay by the ionosphere, in the zenith.")
+    ionosphere_s: float = correlation_time(1800.0, "Time in which its correlation falls to 1/e.")
+    troposphere_sd_m: float = standard_deviation("Delay by the troposphere, in the zenith.")
+    troposphere_s: float = correlation_time(1800.0, "Time in which its correlation falls to 1/e.")
+    orbit_clock_sd_m: float = standard_deviation("Orbit and clock of a satellite.")
+    orbit_clock_s: float = correlation_time(7200.0, "Time in which their correlation falls to 1/e.")
+    multipath_sd_m: tuple[float, float] = setting(
+        default=(0.0, 0.0), unit="m", help="Parts a and b of multipath."
+    )
+    noise_sd_m: tuple[float, float] = setting(
+        default=(0.0, 0.0), unit="m", help="Parts a and b of the code's noise."
+    )
+    smoothing_s: float = correlation_time(
+        100.0, "Smoothing of the code, in which these two lose their correlation."
+    )
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            given = getattr(self, item.name)
-            if item.name in ("multipath_sd_m", "noise_sd_m"):
-                given = tuple(given)
-                require(len(given) == 2, f"`{item.name}` must be two numbers, got {given}")
-                object.__setattr__(self, item.name, given)
-            values = given if isinstance(given, tuple) else (given,)
-            above, least = (0.0, None) if item.name.endswith("_s") else (None, 0.0)
-            for value in values:
-                check_number(item.name, value, above=above, least=least)
+        for name in ("multipath_sd_m", "noise_sd_m"):
+            pair = tuple(getattr(self, name))
+            require(len(pair) == 2, f"`{name}` must be two numbers, got {pair}")
+            object.__setattr__(self, name, pair)
+            for value in pair:
+                check_number(name, value, least=0.0)
 
     def wandering(self, elevation: FloatArray) -> list[tuple[FloatArray, float, bool]]:
         """Standard deviation [m], time [s] and whether second-order, of what wanders in a code.

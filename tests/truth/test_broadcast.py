@@ -250,7 +250,7 @@ def test_a_time_does_not_depend_on_the_others_asked_for() -> None:
 def test_start_is_checked() -> None:
     with pytest.raises(ValueError, match=r"2024-09-14 22:00:00 .* got 0.0, .* 1980-01-06"):
         BroadcastConstellation(one_record(), 0.0)
-    with pytest.raises(ValueError, match="finite, got nan"):
+    with pytest.raises(ValueError, match="`start` must be a finite number, got nan"):
         BroadcastConstellation(one_record(), float("nan"))
     with pytest.raises(ValueError, match="none of the 1 records is healthy"):
         BroadcastConstellation(one_record(health=1.0), SATURDAY_22)

@@ -35,22 +35,6 @@ def test_biases_of_the_presets():
     np.testing.assert_array_equal(ERRORS["zhong2025"].bias_sd(elevation), 1.0)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "code_sd_m",
-        "range_rate_sd_mps",
-        "signal_in_space_sd_m",
-        "zenith_iono_sd_m",
-        "zenith_tropo_sd_m",
-    ],
-)
-@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
-def test_standard_deviations_must_be_finite_and_not_negative(name, value):
-    with pytest.raises(ValueError, match=f"`{name}` must be a number of at least 0, got {value}"):
-        replace(ERRORS["groves"], **{name: value})
-
-
 @njit
 def measured(sensors, constants, keys, epoch, tau, sky, noise, added, out):
     """Pseudoranges and range rates of a group, in all rows of `out`."""
@@ -237,12 +221,6 @@ def test_the_errors_on_the_trolley_are_those_that_were_measured():
     for lag, found in ((1.0, 0.73), (30.0, 0.32), (120.0, 0.02)):
         model = wandering * math.exp(-lag / errors.correlation_s) / (wandering + white)
         assert model == pytest.approx(found, abs=0.06)
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
-def test_a_correlation_time_must_be_above_zero(value):
-    with pytest.raises(ValueError, match="`correlation_s` must be a number "):
-        replace(ERRORS["groves"], correlation_s=value)
 
 
 @njit

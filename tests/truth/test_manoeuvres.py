@@ -124,17 +124,12 @@ def test_the_antimeridian_is_a_meridian_like_any_other():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Straight(0.0), "`duration_s` must lie between 0 and inf, got 0"),
-        (lambda: Until(-1.0), "`time_s`"),
-        (lambda: Turn(math.nan), "`angle_deg` must be finite, got nan"),
-        (lambda: Turn(10.0, bank_deg=80.0), "`bank_deg` must lie between 0 and 75, got 80"),
-        (lambda: Turn(10.0, ramp_s=0.0), "`ramp_s`"),
-        (lambda: Steer(10.0, rate_degps=-1.0), "`rate_degps`"),
-        (lambda: Climb(100.0, rate_mps=0.0), "`rate_mps`"),
-        (lambda: Accelerate(1.0, acceleration_mps2=-2.0), "`acceleration_mps2`"),
         (lambda: flown(), "at least one manoeuvre"),
         (lambda: flown(Straight(1.0), latitude_deg=91.0), "`latitude_deg`.*got 91"),
-        (lambda: flown(Straight(1.0), speed_mps=-1.0), "`speed_mps` must be at least 0 m/s"),
+        (
+            lambda: flown(Straight(1.0), speed_mps=-1.0),
+            "`speed_mps` must be a number of at least 0",
+        ),
         (lambda: flown(Straight(1.0), rate_hz=0.0), "`rate_hz`"),
         (lambda: flown(Turn(10.0), speed_mps=0.0), "speed above 0 m/s"),
         (lambda: flown(Climb(100.0, rate_mps=20.0), speed_mps=10.0), "at most 8.66 m/s"),

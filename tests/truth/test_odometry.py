@@ -145,19 +145,3 @@ def test_keys_belong_to_receivers_and_episodes():
     np.testing.assert_array_equal(phase[2], own_phase[0])
     assert len({tuple(row) for row in np.concatenate([first, second]).reshape(-1, 2)}) == 12
     assert ((phase >= 0.0) & (phase < 1.0)).all()
-
-
-@pytest.mark.parametrize(
-    ("kind", "settings", "message"),
-    [
-        (Odometer, {"counts_per_turn": 0}, "`counts_per_turn` must be at least 1, got 0"),
-        (Odometer, {"wheel_base_m": 0.0}, "`wheel_base_m` must be a number above 0, got 0"),
-        (Odometer, {"hard_iron_deg": 46.0}, r"`hard_iron_deg` must be in \[-45, 45\], got 46"),
-        (Odometer, {"yaw_noise_deg": -1.0}, r"`yaw_noise_deg` must be in \[0, 45\], got -1"),
-        (FixErrors, {"white_sd_m": -0.1}, "`white_sd_m` must be a number of at least 0, got -0.1"),
-        (FixErrors, {"correlation_time_s": 0.0}, "`correlation_time_s` must be a number above 0"),
-    ],
-)
-def test_settings_are_checked(kind, settings, message):
-    with pytest.raises(ValueError, match=message):
-        kind(**settings)

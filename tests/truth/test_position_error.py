@@ -78,14 +78,3 @@ def test_inertial_noise_and_biases_have_their_density():
     level = InertialErrors().noise.repeat(3) / np.sqrt(WORLD.imu_interval_s)
     np.testing.assert_allclose(noise.std(axis=(0, 1)), level, rtol=0.02)
     assert np.abs(np.corrcoef(noise.reshape(-1, 6).T) - np.eye(6)).max() < 0.02
-
-
-@pytest.mark.parametrize(
-    ("kind", "settings", "message"),
-    [
-        (InertialErrors, {"accel_bias_ug": np.inf}, "`accel_bias_ug` must be a number"),
-    ],
-)
-def test_settings_are_checked_at_birth(kind, settings, message):
-    with pytest.raises(ValueError, match=message):
-        kind(**settings)
