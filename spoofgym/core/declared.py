@@ -13,10 +13,10 @@ import math
 import numbers
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import MISSING, dataclass, field
 from itertools import pairwise
-from typing import Any, TypeVar, dataclass_transform, overload
+from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
 
@@ -62,14 +62,14 @@ class Bounds:
         if not self.infinite and kind == "float":
             name = name.replace("number", "finite number") if self._is_open() else name
         if self.least is not None and self.most is not None:
-            return f"{name} from {self.least:g} to {self.most:g}"
+            return f"{name} from {self.least:.10g} to {self.most:.10g}"
         limits = {
             "above": self.above,
             "at least": self.least,
             "below": self.below,
             "at most": self.most,
         }
-        parts = [f"{word} {limit:g}" for word, limit in limits.items() if limit is not None]
+        parts = [f"{word} {limit:.10g}" for word, limit in limits.items() if limit is not None]
         joined = " and ".join(parts)
         return f"{name} {'of ' if joined.startswith('at') else ''}{joined}".rstrip()
 
@@ -180,10 +180,6 @@ def setting(
     return field(metadata=metadata, **options)
 
 
-@overload
-def record(kind: type[T], /) -> type[T]: ...
-@overload
-def record(**options: bool) -> Callable[[type[T]], type[T]]: ...
 @dataclass_transform(field_specifiers=(setting, field))
 def record(kind: type[T] | None = None, /, **options: bool) -> Any:
     """Dataclass whose settings are checked before its own `__post_init__`, and documented.
