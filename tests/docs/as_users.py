@@ -64,6 +64,7 @@ SMALLER: dict[str, tuple[str | None, str]] = {
         f"--detector ewma {CAMPAIGN}",
         "searches against every detector, two minutes each",
     ),
+    r"spoofgym bench --track ": (f"--detector ewma {CAMPAIGN}", "a calibration for each detector"),
     r"spoofgym calibrate ": ("--runs 2000", "20,000 runs of its world"),
     r"spoofgym bench --suite standard --detector my_detector": (CAMPAIGN, "ten minutes"),
     r"make bench$": (f'ARGS="{CAMPAIGN}"', "a quarter of an hour; a fresh checkout runs it"),
