@@ -22,6 +22,7 @@ signals: list[int] = []
 """Signals that requested the end of the program."""
 HEARD = (signal.SIGINT, signal.SIGTERM)
 REPEAT_S = 0.05
+"""Until a dropped interrupt is sent again."""
 P = ParamSpec("P")
 R = TypeVar("R")
 TRACEBACK_VARIABLE = "SPOOFGYM_TRACEBACK"

@@ -27,19 +27,19 @@ def list_(
 
     if kind is not None:
         check_choice("kind", kind, KINDS)
-    if kind is not None and name is not None:
+    if kind and name:
         rows = list_settings(kind, name)
         if as_json:
             print_json(rows)
         else:
             SETTINGS.print(name, rows)
         return
-    found = {name: rows() for name, rows in KINDS.items() if kind in {None, name}}
+    found = {each: rows() for each, rows in KINDS.items() if kind in {None, each}}
     if as_json:
         print_json(found)
         return
-    for name, rows in found.items():
-        table_of(name).print(name, rows)
+    for each, rows in found.items():
+        table_of(each).print(each, rows)
 
 
 def card(

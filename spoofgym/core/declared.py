@@ -15,6 +15,7 @@ import re
 import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import MISSING, dataclass, field
+from functools import cache
 from itertools import pairwise
 from typing import Any, TypeVar, dataclass_transform
 
@@ -28,8 +29,11 @@ SECTION = re.compile(r"^(Attributes|Returns|Raises|See Also|Notes|References|Exa
 
 
 @dataclass(frozen=True)
-class Bounds:
-    """What is valid for a setting: limits of numbers, also of a list's, and words."""
+class Setting:
+    """Declaration of a field: what is valid for it, its unit, and what it means.
+
+    Limits hold for a number, or for every number of a list.
+    """
 
     above: float | None = None
     least: float | None = None
@@ -39,8 +43,42 @@ class Bounds:
     increasing: bool = False
     infinite: bool = False
     empty: bool = False
+    unit: str = ""
+    help: str = ""
 
-    def hold(self, value: Any, whole: bool = False) -> bool:
+    @property
+    def has_limits(self) -> bool:
+        return not (self.above is self.least is self.below is self.most is None)
+
+    def check(self, name: str, value: Any, annotation: str) -> None:
+        """Raise ValueError, with the name, the value and what is valid, unless a value is."""
+        kinds = set(split_union(annotation))
+        if (value is None and "None" in kinds) or self._is_valid(value, kinds):
+            return
+        near = difflib.get_close_matches(str(value), self.one_of, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"`{name}` must be {self.valid(annotation)}, got {value!r}{hint}")
+
+    def _is_valid(self, value: Any, kinds: set[str]) -> bool:
+        if not {*NUMBERS, "bool"} & kinds and not self.one_of and not lists_in(kinds):
+            return True  # a record or a text, which its own class checks
+        if "bool" in kinds and isinstance(value, bool | np.bool_):
+            return True
+        if isinstance(value, str):
+            return value in self.one_of or (not self.one_of and "str" in kinds)
+        if any(self._holds(value, whole=kind == "int") for kind in NUMBERS if kind in kinds):
+            return True
+        items = lists_in(kinds)
+        if items and isinstance(value, Sequence | np.ndarray):
+            return self._are_valid(list(value), items)
+        return bool(kinds - {*NUMBERS, "bool", "str", "None"} - {f"tuple[{i}, ...]" for i in items})
+
+    def _are_valid(self, values: list[Any], items: list[str]) -> bool:
+        good = all(self._holds(each, whole="float" not in items) for each in values)
+        ordered = not self.increasing or all(a < b for a, b in pairwise(values))
+        return (bool(values) or self.empty) and good and ordered
+
+    def _holds(self, value: Any, whole: bool) -> bool:
         """Whether a value is a number within the limits; `whole`: and a whole one."""
         if not isinstance(value, numbers.Real) or isinstance(value, bool | np.bool_):
             return False
@@ -56,11 +94,22 @@ class Bounds:
             and (self.most is None or size <= self.most)
         )
 
-    def words(self, kind: str, plural: bool = False) -> str:
-        """Valid numbers of a kind in words, ``"a number above 0 and at most 1"``."""
-        name = f"{NUMBERS[kind]}s" if plural else f"a {NUMBERS[kind]}"
-        if not self.infinite and kind == "float":
-            name = name.replace("number", "finite number") if self._is_open() else name
+    def valid(self, annotation: str) -> str:
+        """What is valid, in words, ``"a number above 0 and at most 1"``."""
+        kinds = split_union(annotation)
+        words = [f"a {self._numbers(kind)}" for kind in NUMBERS if kind in kinds]
+        for item in lists_in(kinds):
+            order = " in increasing order" if self.increasing else ""
+            words.append(f"a list of {self._numbers(item, 's')}{order}")
+        words += ["True or False"] if "bool" in kinds else []
+        words += map(repr, self.one_of)
+        words += ["None"] if "None" in kinds and words else []
+        return f"{', '.join(words[:-1])} or {words[-1]}" if len(words) > 1 else "".join(words)
+
+    def _numbers(self, kind: str, plural: str = "") -> str:
+        """Valid numbers of a kind, without their article."""
+        finite = kind == "float" and not self.infinite and not self.has_limits
+        name = f"{'finite ' if finite else ''}{NUMBERS[kind]}{plural}"
         if self.least is not None and self.most is not None:
             return f"{name} from {self.least:.10g} to {self.most:.10g}"
         limits = {
@@ -73,62 +122,9 @@ class Bounds:
         joined = " and ".join(parts)
         return f"{name} {'of ' if joined.startswith('at') else ''}{joined}".rstrip()
 
-    def _is_open(self) -> bool:
-        return self.above is self.least is self.below is self.most is None
-
-
-@dataclass(frozen=True)
-class Setting:
-    """Declaration of a field: what is valid for it, its unit, and what it means."""
-
-    bounds: Bounds
-    unit: str = ""
-    help: str = ""
-
-    def check(self, name: str, value: Any, annotation: str) -> None:
-        """Raise ValueError, with the name, the value and what is valid, unless a value is."""
-        kinds = set(split_union(annotation))
-        if (value is None and "None" in kinds) or self._is_valid(value, kinds):
-            return
-        near = difflib.get_close_matches(str(value), self.bounds.one_of, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"`{name}` must be {self.valid(annotation)}, got {value!r}{hint}")
-
-    def _is_valid(self, value: Any, kinds: set[str]) -> bool:
-        if not {*NUMBERS, "bool"} & kinds and not self.bounds.one_of and not lists_in(kinds):
-            return True  # a record or a text, which its own class checks
-        if "bool" in kinds and isinstance(value, bool | np.bool_):
-            return True
-        if isinstance(value, str):
-            return value in self.bounds.one_of or (not self.bounds.one_of and "str" in kinds)
-        if any(self.bounds.hold(value, whole=kind == "int") for kind in NUMBERS if kind in kinds):
-            return True
-        items = lists_in(kinds)
-        if items and isinstance(value, Sequence | np.ndarray):
-            return self._are_valid(list(value), items)
-        return bool(kinds - {*NUMBERS, "bool", "str", "None"} - {f"tuple[{i}, ...]" for i in items})
-
-    def _are_valid(self, values: list[Any], items: list[str]) -> bool:
-        good = all(self.bounds.hold(each, whole="float" not in items) for each in values)
-        ordered = not self.bounds.increasing or all(a < b for a, b in pairwise(values))
-        return (bool(values) or self.bounds.empty) and good and ordered
-
-    def valid(self, annotation: str) -> str:
-        """What is valid, in words."""
-        kinds = split_union(annotation)
-        words = [self.bounds.words(kind) for kind in NUMBERS if kind in kinds]
-        for item in lists_in(kinds):
-            order = " in increasing order" if self.bounds.increasing else ""
-            words.append(f"a list of {self.bounds.words(item, plural=True)}{order}")
-        words += ["True or False"] if "bool" in kinds else []
-        words += map(repr, self.bounds.one_of)
-        words += ["None"] if "None" in kinds and words else []
-        return f"{', '.join(words[:-1])} or {words[-1]}" if len(words) > 1 else "".join(words)
-
 
 def setting(
     *,
-    default: Any = MISSING,
     above: float | None = None,
     least: float | None = None,
     below: float | None = None,
@@ -139,16 +135,13 @@ def setting(
     empty: bool = False,
     unit: str = "",
     help: str = "",
-    default_factory: Any = MISSING,
-    kw_only: Any = MISSING,
     omitted: bool = False,
+    **options: Any,
 ) -> Any:
     """Field of a record, with what is valid for it.
 
     Parameters
     ----------
-    default : object
-        Default; none by default, so that it must be given.
     above, least, below, most : float or None
         Limits of a number, or of every number of a list: excluded (`above`, `below`) or included.
     one_of : iterable of str
@@ -161,23 +154,19 @@ def setting(
         Unit, ``"m/s"``.
     help : str
         What it means: a sentence or two, shown in docstrings and listings.
-    default_factory : callable
-        What makes the default, as for `dataclasses.field`.
-    kw_only : bool
-        Whether it can be given by its name alone, as for `dataclasses.field`.
     omitted : bool
         Whether its default is not written down, because what is stored is older than the field.
+    **options : object
+        Those of `dataclasses.field`: ``default``, ``default_factory``, ``kw_only``, ``hash``.
 
     Returns
     -------
     field : dataclasses.Field
         For the body of a class that `record` decorates.
     """
-    bounds = Bounds(above, least, below, most, tuple(one_of), increasing, infinite, empty)
-    metadata = {"setting": Setting(bounds, unit, help), **(OMITTED if omitted else {})}
-    given = {"default": default, "default_factory": default_factory, "kw_only": kw_only}
-    options = {name: value for name, value in given.items() if value is not MISSING}
-    return field(metadata=metadata, **options)
+    limits = (above, least, below, most)
+    declared = Setting(*limits, tuple(one_of), increasing, infinite, empty, unit, help)
+    return field(metadata={"setting": declared, **(OMITTED if omitted else {})}, **options)
 
 
 @dataclass_transform(field_specifiers=(setting, field))
@@ -197,7 +186,7 @@ def record(kind: type[T] | None = None, /, **options: bool) -> Any:
         Dataclass; its docstring has the parameters.
     """
 
-    def build(kind: type[T]) -> type[T]:
+    def build(kind: Any) -> Any:
         finish = getattr(kind, "__post_init__", None)
 
         def __post_init__(self: Any, *rest: Any) -> None:
@@ -205,7 +194,7 @@ def record(kind: type[T] | None = None, /, **options: bool) -> Any:
             if finish is not None:
                 finish(self, *rest)
 
-        kind.__post_init__ = __post_init__  # type: ignore[attr-defined]
+        kind.__post_init__ = __post_init__
         made = dataclass(**options)(kind)
         made.__doc__ = document(made)
         return made
@@ -252,13 +241,12 @@ def check_number(
     whole: bool = False,
 ) -> None:
     """Raise ValueError, as a record does, unless an argument is a finite number within limits."""
-    declared = Setting(Bounds(above, least, below, most))
-    declared.check(name, value, "int" if whole else "float")
+    Setting(above, least, below, most).check(name, value, "int" if whole else "float")
 
 
 def check_word(name: str, value: Any, valid: Iterable[str]) -> None:
     """Raise ValueError, as a record does, unless an argument is one of the valid words."""
-    Setting(Bounds(one_of=tuple(valid))).check(name, value, "str")
+    Setting(one_of=tuple(valid)).check(name, value, "str")
 
 
 def settings_in(kind: type) -> dict[str, tuple[Setting, str]]:
@@ -288,24 +276,23 @@ def _document_field(each: dataclasses.Field[Any]) -> list[str]:
     if declared is None or not each.init:
         return []
     annotation = str(getattr(each.type, "__name__", each.type))
-    kinds = [
-        kind for kind in split_union(annotation) if kind != "str" or not declared.bounds.one_of
-    ]
-    words = " or ".join([*map(repr, declared.bounds.one_of), *kinds])
+    kinds = [kind for kind in split_union(annotation) if kind != "str" or not declared.one_of]
+    words = " or ".join([*map(repr, declared.one_of), *kinds])
     default = "" if each.default is MISSING else f", default {each.default!r}"
     unit = f" [{declared.unit}]" if declared.unit else ""
     meaning = re.sub(r"(?=[.;:])|$", unit, declared.help, count=1)
-    closed = declared.bounds == Bounds(one_of=declared.bounds.one_of, empty=declared.bounds.empty)
-    valid = "" if closed else f" Valid: {declared.valid(annotation)}."
+    narrowed = declared.has_limits or declared.increasing or declared.infinite
+    valid = f" Valid: {declared.valid(annotation)}." if narrowed else ""
     return [f"{each.name} : {words}{default}", *textwrap.wrap(meaning + valid, 92, **INDENT)]
 
 
 INDENT: dict[str, Any] = {"initial_indent": "    ", "subsequent_indent": "    "}
 
 
-def split_union(annotation: str) -> list[str]:
+@cache
+def split_union(annotation: str) -> tuple[str, ...]:
     """Members of a union as it is written, ``"float | None"``."""
-    return re.split(r" \| (?![^\[]*\])", annotation)
+    return tuple(re.split(r" \| (?![^\[]*\])", annotation))
 
 
 def lists_in(kinds: Iterable[str]) -> list[str]:

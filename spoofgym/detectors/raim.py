@@ -57,7 +57,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from itertools import product
-from typing import ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -79,6 +79,24 @@ from .innovation import alarm_probability
 
 MAX_SATELLITES = 63  # as many fit into a mask
 LARGEST_GROUP = 6  # half of 12 satellites
+
+
+def assumed_noise() -> Any:
+    return setting(
+        default=None,
+        above=0.0,
+        unit="m",
+        help="Noise of a pseudorange; None takes what the receiver assumes.",
+    )
+
+
+def search_confidence() -> Any:
+    return setting(
+        default=0.95,
+        above=0.0,
+        below=1.0,
+        help="Probability that satellites that agree pass for it in the search.",
+    )
 
 
 class ConsistencyTest(Detector):
@@ -181,18 +199,8 @@ class Raim(ConsistencyTest):
     """
 
     described_as = "Raim"
-    sigma_m: float | None = setting(
-        default=None,
-        above=0.0,
-        unit="m",
-        help="Noise of a pseudorange; None takes what the receiver assumes.",
-    )
-    confidence: float = setting(
-        default=0.95,
-        above=0.0,
-        below=1.0,
-        help="Probability that satellites that agree pass for it in the search.",
-    )
+    sigma_m: float | None = assumed_noise()
+    confidence: float = search_confidence()
     false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
     exclude: bool = setting(
         default=False,
@@ -364,18 +372,8 @@ class SrvRaim(ConsistencyTest):
     """
 
     described_as = "SrvRaim"
-    sigma_m: float | None = setting(
-        default=None,
-        above=0.0,
-        unit="m",
-        help="Noise of a pseudorange; None takes what the receiver assumes.",
-    )
-    confidence: float = setting(
-        default=0.95,
-        above=0.0,
-        below=1.0,
-        help="Probability that satellites that agree pass for it in the search.",
-    )
+    sigma_m: float | None = assumed_noise()
+    confidence: float = search_confidence()
     false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
     frame: str = setting(default="ned", one_of=("ned", "ecef"), help="Axes of the search vectors.")
     exclude: bool = setting(
@@ -486,18 +484,8 @@ class TraversalRaim(ConsistencyTest):
     """
 
     described_as = "TraversalRaim"
-    sigma_m: float | None = setting(
-        default=None,
-        above=0.0,
-        unit="m",
-        help="Noise of a pseudorange; None takes what the receiver assumes.",
-    )
-    confidence: float = setting(
-        default=0.95,
-        above=0.0,
-        below=1.0,
-        help="Probability that satellites that agree pass for it in the search.",
-    )
+    sigma_m: float | None = assumed_noise()
+    confidence: float = search_confidence()
     false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
     largest_group: int = setting(
         default=LARGEST_GROUP, least=1, help="Most satellites to leave out."

@@ -16,7 +16,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import Bounds as Limits
 from ..core.declared import Setting, check_number, check_word, record, setting
 from ..core.registry import build_record, require
 from ..detectors import Detector, detector_in_world
@@ -258,7 +257,7 @@ class Setup(ABC):
     def _aim(
         self, target_heading_deg: float | str, domain: Mapping[str, Any] | Domain | None
     ) -> None:
-        heading = Setting(Limits(one_of=TARGETS))
+        heading = Setting(one_of=TARGETS)
         heading.check("target_heading_deg", target_heading_deg, "float | str")
         self.target_heading_deg = target_heading_deg
         self.domain = build_record("domain", Domain, domain)

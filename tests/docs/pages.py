@@ -19,12 +19,6 @@ def blocks_of(name: str) -> list[tuple[str | None, str]]:
     return [(needs or None, code) for needs, code in BLOCK.findall(text_of(name))]
 
 
-def broken_links(name: str) -> list[str]:
-    """Links of a page that lead nowhere."""
-    targets = re.findall(r"\]\(([^)#:]+)\)", text_of(name))
-    return [target for target in targets if not (ROOT / "docs" / target).exists()]
-
-
 def run(code: str, name: str, scope: dict[str, object]) -> None:
     """Run a block after those before it."""
     exec(compile(code, name, "exec"), scope)

@@ -170,7 +170,10 @@ def test_the_loss_from_a_later_moment_is_that_of_episodes_cut_there(trainer):
 def test_the_best_is_kept_where_training_diverges(data, tmp_path, monkeypatch):
     loss = Trainer._loss
     good = 1
-    broken = lambda self, *given: loss(self, *given) * (np.nan if self.done == good else 1.0)  # noqa: E731
+
+    def broken(self, *given):
+        return loss(self, *given) * (np.nan if self.done == good else 1.0)
+
     monkeypatch.setattr(Trainer, "_loss", broken)
     console = Console(record=True, quiet=False, width=200, file=StringIO())
     with monkeypatch.context() as patch:
@@ -185,8 +188,9 @@ def test_the_best_is_kept_where_training_diverges(data, tmp_path, monkeypatch):
 def test_a_network_whose_answers_are_not_finite_is_not_kept(trainer, monkeypatch):
     validation = trainer.data.episodes("validation")
     assert np.isfinite(trainer.score(validation).loss)
-    infinite = lambda seen: torch.full(seen.shape[:2], torch.inf)  # noqa: E731
-    monkeypatch.setattr(trainer.network, "log_odds", infinite)
+    monkeypatch.setattr(
+        trainer.network, "log_odds", lambda seen: torch.full(seen.shape[:2], torch.inf)
+    )
     found = trainer.score(validation)
     assert found.loss == np.inf
     trainer.keep(found.loss)

@@ -17,7 +17,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,13 +64,11 @@ class AttackBudget:
         default=True,
         help="Whether feedback, which observes the detector's statistics, is among the candidates.",
     )
-    further: Mapping[str, Any] = field(
+    further: Mapping[str, Any] = setting(
         default_factory=dict,
         hash=False,
-        metadata=setting(
-            help="What else is spent on every mix, JSON-able, by candidates that learn, such as "
-            '``{"ppo_steps": 30_000}``; part of the digest, and nothing else.'
-        ).metadata,
+        help="What else is spent on every mix, JSON-able, by candidates that learn, such as "
+        '``{"ppo_steps": 30_000}``; part of the digest, and nothing else.',
     )
 
     def __post_init__(self) -> None:

@@ -197,20 +197,18 @@ def list_settings(kind: str, name: str) -> list[dict[str, Any]]:
     """
     check_choice("kind with settings", kind, CLASSES)
     check_choice(kind.removesuffix("s"), name, CLASSES[kind])
-    of = CLASSES[kind][name]
-    defaults = settings_of(of)
+    record = CLASSES[kind][name]
+    defaults, empty = settings_of(record), inspect.Parameter.empty
     return [
         {
             "name": key,
-            "needed": defaults[key] is inspect.Parameter.empty,
-            "default": None
-            if defaults[key] is inspect.Parameter.empty
-            else describe(defaults[key]),
+            "needed": defaults[key] is empty,
+            "default": None if defaults[key] is empty else describe(defaults[key]),
             "unit": declared.unit,
             "valid": declared.valid(annotation),
             "help": declared.help,
         }
-        for key, (declared, annotation) in settings_in(of).items()
+        for key, (declared, annotation) in settings_in(record).items()
         if key in defaults
     ]
 
