@@ -10,7 +10,6 @@ import dataclasses
 import difflib
 import inspect
 import math
-import numbers
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -21,6 +20,7 @@ from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
 
+from .registry import is_number
 from .settings import OMITTED
 
 T = TypeVar("T")
@@ -80,7 +80,7 @@ class Setting:
 
     def _holds(self, value: Any, whole: bool) -> bool:
         """Whether a value is a number within the limits; `whole`: and a whole one."""
-        if not isinstance(value, numbers.Real) or isinstance(value, bool | np.bool_):
+        if not is_number(value):
             return False
         size = float(value)
         if math.isnan(size) or (math.isinf(size) and not self.infinite):

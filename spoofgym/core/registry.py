@@ -103,14 +103,12 @@ def check_plain_settings(kind: type, settings: Mapping[str, Any]) -> None:
         words.discard("None")
         if value is None and nothing:
             continue
-        truth = isinstance(value, bool | np.bool_)
         if words == {"bool"}:
-            right, must = truth, "True or False"
+            right, must = isinstance(value, bool | np.bool_), "True or False"
         elif words == {"int"}:
-            whole = isinstance(value, numbers.Real) and float(value).is_integer()
-            right, must = whole and not truth, "a whole number"
+            right, must = is_number(value) and float(value).is_integer(), "a whole number"
         elif words == {"float"}:
-            right, must = isinstance(value, numbers.Real) and not truth, "a number"
+            right, must = is_number(value), "a number"
         else:
             continue
         require(right, f"`{field.name}` must be {must}{nothing}, got {value!r}")

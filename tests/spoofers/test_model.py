@@ -14,7 +14,6 @@ from spoofgym.spoofers.learned import ModelPolicy, function_of, inner_env, train
 
 from .policies import BLIND
 
-ACTION = np.zeros((3, 2))
 SPACE = Space(names=BLIND.observation_names, low=BLIND.observation_low, high=BLIND.observation_high)
 
 
