@@ -48,7 +48,7 @@ def draw_curves(
         axes.axhline(level, color=GREY, ls="--", lw=1.0)
     axes.set(xlabel=f"steps [{word}]", ylabel="stealthy displacement on training runs [m]")
     axes.set_ylim(bottom=0.0)
-    for names, level in _grouped(levels or {}, NEAR * axes.get_ylim()[1]):
+    for names, level in _group_levels(levels or {}, NEAR * axes.get_ylim()[1]):
         axes.annotate(
             names,
             (0.0, level),
@@ -65,7 +65,7 @@ def draw_curves(
     save_figure(figure, path, dpi=110)
 
 
-def _grouped(levels: Mapping[str, float], near: float) -> list[tuple[str, float]]:
+def _group_levels(levels: Mapping[str, float], near: float) -> list[tuple[str, float]]:
     """Names of levels that lie so near each other that their texts would overlap, as one text."""
     found: list[tuple[str, float]] = []
     for name, level in sorted(levels.items(), key=lambda each: each[1]):
@@ -86,7 +86,7 @@ def _check(name: str, points: list[Point]) -> None:
             raise ValueError(f"step {point['step']} in the record of {name} lacks {missing[0]!r}")
 
 
-def names_of(paths: list[Path]) -> list[str]:
+def name_records(paths: list[Path]) -> list[str]:
     """Short name of every record, of the folder where it is called ``record.jsonl``; the whole path
     where that would stand for two."""
     if len(set(paths)) < len(paths):
@@ -106,7 +106,7 @@ def main(
     out: Annotated[Path, typer.Option(help="The picture, a .png file.")],
 ) -> None:
     """Draw what training reached over time."""
-    read = zip(names_of(records), records, strict=True)
+    read = zip(name_records(records), records, strict=True)
     draw_curves({name: read_record(path) for name, path in read}, out)
     typer.echo(f"written: {out}")
 

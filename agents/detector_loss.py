@@ -25,7 +25,7 @@ def logistic(odds: torch.Tensor, attack: torch.Tensor, moved: torch.Tensor) -> t
     return parts[0] + parts[1]
 
 
-def undetected(
+def compute_undetected(
     odds: torch.Tensor, moved: torch.Tensor, clean: torch.Tensor, epochs: Mapping[str, int]
 ) -> torch.Tensor:
     """Mean of min(D, AL) / AL, with the probability of no alarm in place of none. `clean`: (E,)

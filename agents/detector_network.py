@@ -209,11 +209,11 @@ def total(values: torch.Tensor) -> torch.Tensor:
     return first
 
 
-def statistic_of(log_odds: NDArray[np.float32]) -> NDArray[np.float64]:
+def compute_statistic(log_odds: NDArray[np.float32]) -> NDArray[np.float64]:
     """The statistic of `DetectorNetwork.forward` in [0, 1], as a receiver compares it."""
     wide = np.asarray(log_odds, dtype=np.float64)
     return 0.5 * (1.0 + wide / (1.0 + np.abs(wide)))
 
 
-def parameters_of(network: nn.Module) -> int:
+def count_parameters(network: nn.Module) -> int:
     return sum(math.prod(each.shape) for each in network.parameters())

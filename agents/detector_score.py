@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 
 from spoofgym.bench.experiments.dataset import Dataset, Episodes
-from spoofgym.bench.runs.record import counted, undetected_displacement
-from spoofgym.detectors.calibration_file import check_runs, rank_of, run_probability
+from spoofgym.bench.runs.record import mask_valid_runs, undetected_displacement
+from spoofgym.detectors.calibration_file import check_runs, compute_rank, run_probability
 
 FloatArray = NDArray[np.float64]
 CLASSIC = "classic_"
@@ -44,7 +44,7 @@ def window_s(config: Mapping[str, Any]) -> float:
     return float((epochs["steps"] + epochs["hold"]) * config["interval_s"])
 
 
-def scored(
+def score_statistic(
     statistic: FloatArray,
     episodes: Episodes,
     config: Mapping[str, Any],
@@ -57,10 +57,10 @@ def scored(
     check_runs(false_alarms_per_hour, int(clean.sum()), window_s(config), tail=False)
     maxima = np.sort(statistic[clean, live:].max(axis=1))
     p = run_probability(false_alarms_per_hour, window_s(config))
-    threshold = float(maxima[-rank_of(p, len(maxima))])
+    threshold = float(maxima[-compute_rank(p, len(maxima))])
     alarm = statistic > threshold
     # the two episodes of a run are neighbours, the clean one first
-    counts = counted(alarm[~clean, :live].any(axis=1), alarm[clean, live:].any(axis=1))
+    counts = mask_valid_runs(alarm[~clean, :live].any(axis=1), alarm[clean, live:].any(axis=1))
     raised = alarm[~clean, live:]
     first = np.where(raised.any(axis=1), raised.argmax(axis=1) + 1, 0)
     error = episodes.displacement_m[~clean, live : live + steps].T
@@ -83,12 +83,12 @@ def area(statistic: FloatArray, attack: NDArray[np.bool_]) -> float:
     return float((ranks[hits].sum() - 0.5 * positive * (positive + 1)) / (positive * negative))
 
 
-def classics_of(
+def score_non_learned(
     data: Dataset, episodes: Episodes, false_alarms_per_hour: float
 ) -> dict[str, Scored]:
     """Scores of the classic detectors whose statistics are among the observations, by name."""
     return {
-        name.removeprefix(CLASSIC): scored(
+        name.removeprefix(CLASSIC): score_statistic(
             episodes.observation[:, :, k].astype(np.float64),
             episodes,
             data.config,

@@ -12,11 +12,19 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from spoofgym.bench.experiments import Cell, Context, Experiment, Reader, Result, Store, run
+from spoofgym.bench.experiments import (
+    Cell,
+    Context,
+    Experiment,
+    Reader,
+    Result,
+    Store,
+    run_experiment,
+)
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.core.files import write_file
 from spoofgym.core.progress import ProgressBar
-from spoofgym.core.settings import describe, digest_of, outside_sources
+from spoofgym.core.settings import compute_digest, describe, outside_sources
 
 
 class Part(NamedTuple):
@@ -36,7 +44,7 @@ class Records(Experiment):
     def __init__(self, name: str, config: Mapping[str, Any], parts: Mapping[str, Part]) -> None:
         self.name, self._config, self.parts = name, config, parts
         self.keys = {
-            each: f"{each} {digest_of(part.identity)[:8]}" if part.identity else each
+            each: f"{each} {compute_digest(part.identity)[:8]}" if part.identity else each
             for each, part in parts.items()
         }
         self._names = {key: each for each, key in self.keys.items()}
@@ -63,7 +71,7 @@ class Records(Experiment):
         self, folder: Path, progress: ProgressBar | None = None, *, jobs: int = 1
     ) -> dict[str, Any]:
         """Make what is missing in a folder; all records."""
-        return self.report(run(self, Store(folder), jobs=jobs, progress=progress))
+        return self.report(run_experiment(self, Store(folder), jobs=jobs, progress=progress))
 
 
 class Ticks(NamedTuple):
@@ -75,7 +83,7 @@ class Ticks(NamedTuple):
         self.tick(amount)
 
 
-def identity_of(judge: Evaluator, *specs: Any) -> dict[str, Any]:
+def describe_identity(judge: Evaluator, *specs: Any) -> dict[str, Any]:
     """What scores of some spoofers depend on."""
     return {
         "world": judge.world.config,
@@ -118,7 +126,7 @@ def error_lines() -> Iterator[None]:
         raise SystemExit(str(error) or "interrupted; the same command goes on") from None
 
 
-def command_of(module: str, args: Any, free: Container[str], last: Sequence[str] = ()) -> str:
+def format_command(module: str, args: Any, free: Container[str], last: Sequence[str] = ()) -> str:
     """Command line of a training again: what is not a default and not `free`, and `last`."""
     words = ["--out", args.out.name]
     for item in fields(args):

@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 from spoofgym.bench.report.table import Table, interval
-from spoofgym.core.registry import settings_of
+from spoofgym.core.registry import inspect_settings
 from spoofgym.core.settings import describe
 from spoofgym.detectors import DETECTORS
 from spoofgym.spoofers.base import sees_statistics
@@ -17,8 +17,8 @@ HEAD = (
 )
 
 
-def page_of(results: dict[str, Any]) -> str:
-    found = taken(results)
+def write_page(results: dict[str, Any]) -> str:
+    found = select_results(results)
     pure = found["final"]["pure"]
     answer = "A single detector solves this game" if pure else "No single detector solves it"
     value = interval(found["iterations"][-1]["spread"], 3)
@@ -28,7 +28,7 @@ def page_of(results: dict[str, Any]) -> str:
     return "\n".join([*title, shown(found), *left]) + "\n"
 
 
-def taken(results: dict[str, Any]) -> dict[str, Any]:
+def select_results(results: dict[str, Any]) -> dict[str, Any]:
     """What the page needs of `results.json`."""
     last = results["iterations"][-1]["matrix"]
     who, whom = ([each["label"] for each in last[f"{side}s"]] for side in ("spoofer", "detector"))
@@ -44,7 +44,7 @@ def taken(results: dict[str, Any]) -> dict[str, Any]:
             for side in ("spoofer", "detector")
         }
         told = {name: ends[name] for name in ("value", "spoofer", "detector")}
-        pool = pool_of(found["detectors_mix"])
+        pool = make_pool(found["detectors_mix"])
         known = {"spread": spread["value"], "pure": spread["pure"]}
         iterations.append({**known, "mixes": mixes, "ends": told, "pool": pool})
     final = results["final"]
@@ -56,11 +56,11 @@ def taken(results: dict[str, Any]) -> dict[str, Any]:
         "detectors": whom,
         "values": dict(zip(who, last["values"], strict=True)),
         "iterations": iterations,
-        "final": {name: final[name] for name in kept} | {"pool": pool_of(final["detectors_mix"])},
+        "final": {name: final[name] for name in kept} | {"pool": make_pool(final["detectors_mix"])},
     }
 
 
-def pool_of(mix: dict[str, Any]) -> dict[str, Any]:
+def make_pool(mix: dict[str, Any]) -> dict[str, Any]:
     """A mix of detectors as a pool, without the settings that are defaults."""
     members = [_short(each["spec"]) for each in mix["members"]]
     return {"name": "pool", "members": members, "weights": [round(w, 4) for w in mix["weights"]]}
@@ -68,7 +68,7 @@ def pool_of(mix: dict[str, Any]) -> dict[str, Any]:
 
 def _short(spec: dict[str, Any]) -> dict[str, Any]:
     kind: Any = DETECTORS.get(spec["name"])
-    usual = {} if kind is None else {key: describe(x) for key, x in settings_of(kind).items()}
+    usual = {} if kind is None else {key: describe(x) for key, x in inspect_settings(kind).items()}
     return {key: x for key, x in spec.items() if key not in usual or usual[key] != x}
 
 

@@ -103,11 +103,11 @@ class Steps(BaseCallback):
 
     def __init__(self, tick: Callable[[float], None]) -> None:
         super().__init__()
-        self.tick, self.told = tick, 0
+        self.tick, self.reported = tick, 0
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_end(self) -> None:
-        self.tick(self.num_timesteps - self.told)
-        self.told = self.num_timesteps
+        self.tick(self.num_timesteps - self.reported)
+        self.reported = self.num_timesteps

@@ -9,7 +9,7 @@ from typing import Any
 
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import interval
-from spoofgym.bench.scores.spoofer import Score
+from spoofgym.bench.scores.spoofer import SpooferScore
 from spoofgym.core.files import write_file
 from spoofgym.policies import SpooferCard
 from spoofgym.policies.card import Score as CardScore
@@ -26,7 +26,7 @@ def comparable(rivals: Mapping[str, str], knowledge: str) -> list[str]:
     return [name for name, known in rivals.items() if oracle or not sees_statistics(known)]
 
 
-def value_of(score: Mapping[str, Any] | None) -> float:
+def get_displacement(score: Mapping[str, Any] | None) -> float:
     """Stealthy displacement of a score as JSON [m]; 0 where nothing kept the budget."""
     return float(score["stealthy_displacement_m"]["value"]) if score else 0.0
 
@@ -36,12 +36,12 @@ def keeps_budget(score: Mapping[str, Any]) -> bool:
     return bool(score["within_budget"]) and score["fit_within_budget"] is not False
 
 
-def marked(score: Mapping[str, Any]) -> str:
+def mark_displacement(score: Mapping[str, Any]) -> str:
     """Displacement with its interval, `*` where it is over the budget."""
     return interval(score["stealthy_displacement_m"]) + ("" if keeps_budget(score) else "*")
 
 
-def spread(values: Sequence[float]) -> str:
+def format_range(values: Sequence[float]) -> str:
     return f"{median(values):.1f} [{min(values):.1f}, {max(values):.1f}]"
 
 
@@ -49,10 +49,12 @@ def reached_by(rows: Sequence[Mapping[str, Any]], key: str = "score") -> str:
     """Median over the seeds, the least and largest of them, and how many are over the budget."""
     scores = [row[key] for row in rows]
     over = sum(1 for score in scores if score and not keeps_budget(score))
-    return spread([value_of(score) for score in scores]) + (f", {over} over" if over else "")
+    return format_range([get_displacement(score) for score in scores]) + (
+        f", {over} over" if over else ""
+    )
 
 
-def middle_of(rows: Iterable[Mapping[str, Any]], rival: str) -> Mapping[str, Any]:
+def find_median_seed(rows: Iterable[Mapping[str, Any]], rival: str) -> Mapping[str, Any]:
     """The seed whose ratio to a rival is the median one, the lower of two; 0 if it has no score."""
 
     def ratio(row: Mapping[str, Any]) -> float:
@@ -72,12 +74,12 @@ def kind_cells(
     task: str, kind: str, rows: Sequence[Mapping[str, Any]], ramp: Mapping[str, Any]
 ) -> tuple[str, ...]:
     """Trainings of one kind, in the order of `KIND_HEAD`; those that diverged count as 0 m."""
-    middle, lost = middle_of(rows, "ramp"), sum(not row["score"] for row in rows)
+    middle, lost = find_median_seed(rows, "ramp"), sum(not row["score"] for row in rows)
     ratio = interval(middle["ratios"]["ramp"], 2) if middle["score"] else "0"
     seeds = f"{len(rows)}, {lost} diverged" if lost else str(len(rows))
     return (
         *(task, kind, seeds, reached_by(rows)),
-        f"{ratio} of {value_of(ramp):.1f} m",
+        f"{ratio} of {get_displacement(ramp):.1f} m",
         reached_by(rows, "untrained"),
     )
 
@@ -88,26 +90,26 @@ TABLE_HEAD = (
 )
 
 
-def table_of(results: Mapping[str, Any]) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
+def build_table(results: Mapping[str, Any]) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
     """Title, head and rows: scores of all seeds, with what the network got before it learned, and
     of the rivals."""
-    reached = [value_of(row["score"]) for row in results["seeds"] if row["score"]]
+    reached = [get_displacement(row["score"]) for row in results["seeds"] if row["score"]]
     middle = f"; median of {len(reached)} seeds {median(reached):.2f} m" if reached else ""
     rows = [(name, x["knowledge"], *_cells(x), "", "") for name, x in results["rivals"].items()]
     for row in results["seeds"]:
         cells = _cells(row["score"]) if row["score"] else ("none within the budget", "")
         untrained = row["untrained"]
-        further = f"{value_of(untrained):.2f}", f"{row['wall_s'] / 60.0:.1f}"
+        further = f"{get_displacement(untrained):.2f}", f"{row['wall_s'] / 60.0:.1f}"
         rows.append((f"PPO, seed {row['seed']}", untrained["knowledge"], *cells, *further))
     return f"against {results['detector']}, evaluation runs{middle}", TABLE_HEAD, rows
 
 
 def _cells(score: Mapping[str, Any]) -> tuple[str, str]:
     """Displacement with its interval, marked where it is over the budget, and alarms."""
-    return marked(score), f"{100.0 * score['alarm_rate']['value']:.1f}"
+    return mark_displacement(score), f"{100.0 * score['alarm_rate']['value']:.1f}"
 
 
-def on_card(score: Score, judge: Evaluator) -> CardScore:
+def on_card(score: SpooferScore, judge: Evaluator) -> CardScore:
     """A score as a card has it."""
     moved = score.stealthy_displacement_m
     return CardScore(

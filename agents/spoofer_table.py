@@ -7,7 +7,7 @@ from typing import Any
 
 from spoofgym.bench.report.table import Table, interval
 
-from .seeds import marked, middle_of, reached_by
+from .seeds import find_median_seed, mark_displacement, reached_by
 
 KNOWLEDGE = ("blind", "blind+reported", "oracle")
 """What a trained spoofer observes, in the order of the columns."""
@@ -47,7 +47,7 @@ def _head(table: Mapping[str, Any], name: str) -> str:
 
 def _score(score: Mapping[str, Any] | None) -> str:
     """Displacement with its interval, `*` where it is over the budget; "-" where there is none."""
-    return marked(score) if score else "-"
+    return mark_displacement(score) if score else "-"
 
 
 def _seeds(results: Mapping[str, Any] | None) -> str:
@@ -58,5 +58,5 @@ def _ratio(results: Mapping[str, Any] | None) -> str:
     """The median seed's ratio to the best profile that is known, paired by runs."""
     if results is None or BEST not in results["rivals"]:
         return "-"
-    middle = middle_of(results["seeds"], BEST)
+    middle = find_median_seed(results["seeds"], BEST)
     return interval(middle["ratios"][BEST], 2) if middle["score"] else "0"

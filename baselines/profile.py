@@ -24,11 +24,11 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from agents.folder import Part, Records, Ticks, identity_of
+from agents.folder import Part, Records, Ticks, describe_identity
 from agents.seeds import on_card
 from spoofgym import __version__
 from spoofgym.bench.experiments import Context, Store
-from spoofgym.bench.experiments.calibration import calibrate_entries
+from spoofgym.bench.experiments.calibration import calibrate_players
 from spoofgym.bench.experiments.evaluate import RUNS, Evaluator
 from spoofgym.bench.experiments.identity import code_identity
 from spoofgym.bench.report.campaign import ALARMS
@@ -36,18 +36,18 @@ from spoofgym.bench.report.table import Table
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.runs.world import World
 from spoofgym.bench.search.amplitude import TuningResult, search_work
-from spoofgym.bench.search.backends import limits_of
-from spoofgym.bench.search.open_loop import SPLIT, BlindSearch
+from spoofgym.bench.search.backends import get_rate_limits
+from spoofgym.bench.search.open_loop import SPLIT, OpenLoopSearch
 from spoofgym.cli import clear_errors
 from spoofgym.cli.app import progress
-from spoofgym.cli.options import given_options
-from spoofgym.core.registry import parse_spec, refuse_given
+from spoofgym.cli.options import list_passed_options
+from spoofgym.core.registry import parse_spec, refuse_overrides
 from spoofgym.core.settings import describe
 from spoofgym.envs.spoofer_binding import ENV_ID, spoofer_context
 from spoofgym.policies import SpooferCard
-from spoofgym.policies.card import DECIDED_ON, NAME, fields_of
+from spoofgym.policies.card import DECIDED_ON, NAME, describe_context
 from spoofgym.simulation import Timeline
-from spoofgym.tasks import task_of
+from spoofgym.tasks import get_task
 
 RIVALS = Table(
     (
@@ -69,11 +69,11 @@ FITTED = {
     SEARCHED: "amplitude",
 }
 """Spoofers, and the setting of each that is fitted."""
-UNTOLD = {"threads", "resume", "as_json"}
+HIDDEN_OPTIONS = {"threads", "resume", "as_json"}
 """Options that change nothing in the card."""
 DECIDED = {"detector", "scenario", "attack", "warmup_s", "live_s", "attack_s", "time_to_alert_s"}
 """Options that a task decides."""
-DEFAULT = BlindSearch()
+DEFAULT = OpenLoopSearch()
 
 
 @app.command()
@@ -125,7 +125,7 @@ def main(
 ) -> None:
     """Search for the open-loop profile that gets farthest within an alarm budget."""
     _check_out(out, resume)
-    settings = BlindSearch(
+    settings = OpenLoopSearch(
         runs=runs,
         batch=batch,
         knots=knots,
@@ -140,22 +140,22 @@ def main(
         world = {"scenario": parse_spec(scenario), "attack": parse_spec(attack), "timeline": times}
         guard = parse_spec(detector)
     else:
-        refuse_given("--task", given_options(context, DECIDED).values())
-        world, guard = task_of(task).world_kwargs, task_of(task).detector
+        refuse_overrides("--task", list_passed_options(context, DECIDED).values())
+        world, guard = get_task(task).world_kwargs, get_task(task).detector
     entries = [specify_detector(guard)]
-    calibrate_entries(World.of(**world), entries, threads=threads, progress=progress)
+    calibrate_players(World.of(**world), entries, threads=threads, progress=progress)
     sizes = {"runs": score_runs, "fit_runs": select_runs, "entropy": seed, "threads": threads}
     judge = Evaluator(detector=guard, **sizes, **world)
     judge.optima.settings = settings
-    config = {**identity_of(judge), "search": asdict(settings), "heading_deg": heading}
+    config = {**describe_identity(judge), "search": asdict(settings), "heading_deg": heading}
     folder = out.with_suffix(".search")
     if not resume:
         Store(folder).open("profile", config, overwrite=True)
     fits = {
         name: TuningResult.from_dict(each)
-        for name, each in experiment_of(judge, heading, config).play(folder, progress).items()
+        for name, each in build_experiment(judge, heading, config).play(folder, progress).items()
     }
-    card = card_of(judge, fits, heading, out.stem, _command(context))
+    card = make_card(judge, fits, heading, out.stem, _command(context))
     card.save(out)
     shutil.rmtree(folder)
     if as_json:
@@ -170,20 +170,20 @@ def main(
     typer.echo(f"written: {out}")
 
 
-def experiment_of(judge: Evaluator, heading: float, config: dict[str, Any]) -> Records:
+def build_experiment(judge: Evaluator, heading: float, config: dict[str, Any]) -> Records:
     """A cell for every spoofer that is fitted; the search is in that of the blind optimum."""
 
-    def fitted(name: str, setting: str) -> Part:
+    def make_part(name: str, setting: str) -> Part:
         def make(_: Any, context: Context) -> dict[str, Any]:
             judge.progress = Ticks(context.tick)
             return judge.fit({"name": name, setting: "tuned", "heading_deg": heading}).as_dict()
 
         return Part({}, make, work=search_work(judge.optima.tuning))
 
-    return Records("profile", config, {each[0]: fitted(*each) for each in FITTED.items()})
+    return Records("profile", config, {each[0]: make_part(*each) for each in FITTED.items()})
 
 
-def card_of(
+def make_card(
     judge: Evaluator, fits: dict[str, TuningResult], heading: float, name: str, command: str
 ) -> SpooferCard:
     """Card of what a search found, with its score."""
@@ -194,7 +194,7 @@ def card_of(
             f"{100 * best.chosen.alarm_rate:.1f} % of the {best.counted} runs that are silent "
             f"without attack, which may be {100 * best.chosen.alarm_limit:.1f} %; choose more runs"
         )
-    limit, _ = limits_of(setup)
+    limit, _ = get_rate_limits(setup)
     rates = np.clip(best.value * np.array(best.found["played"]["rates_mps"]), -limit, limit)
     designed_on = (
         f"{judge.detector.label}, {setup.attack.label}, scenario {setup.name}, "
@@ -207,10 +207,10 @@ def card_of(
         "label": name,
         "designed_on": designed_on,
     }
-    fields, search = fields_of(spoofer_context(setup)), judge.optima.settings
+    fields, search = describe_context(spoofer_context(setup)), judge.optima.settings
     kwargs = {
         "receiver": {},
-        **describe(judge.world.given),
+        **describe(judge.world.settings),
         "detector": judge.detector.spec,
         "attack": dict(judge.world.config["attack"]),
         "action": {"name": "full-command"},  # of any rate that the attack allows
@@ -271,7 +271,7 @@ def _command(context: typer.Context) -> str:
     for option in context.command.params:
         name = str(option.name)
         source = context.get_parameter_source(name)
-        if name not in UNTOLD and source is not None and source.name == "COMMANDLINE":
+        if name not in HIDDEN_OPTIONS and source is not None and source.name == "COMMANDLINE":
             value = context.params[name]
             words += [option.opts[0], value.name if name == "out" else str(value)]
     return shlex.join(words)

@@ -51,7 +51,7 @@ class RobotDataSet:
         time = (np.arange(round(self.duration_s / interval_s)) + 1.0) * interval_s
         return np.flatnonzero((time > window[0]) & (time <= window[1]))
 
-    def attacked(self, interval_s: float = 1.0) -> NDArray[np.bool_]:
+    def mark_attacked(self, interval_s: float = 1.0) -> NDArray[np.bool_]:
         """Which fixes are attacked."""
         attacked = np.zeros(round(self.duration_s / interval_s), dtype=np.bool_)
         for window in (*self.jump_s, *self.slow_s):

@@ -6,7 +6,7 @@ import numpy as np
 
 from spoofgym.attacks._kernels import false_position
 from spoofgym.core.compile import njit
-from spoofgym.core.simd import LANES, lanes_of, load, load_pair, pair_of, splat, store
+from spoofgym.core.simd import LANES, count_lanes, load, load_pair, pair_lanes, splat, store
 from spoofgym.detectors.charts import judge_channels
 from spoofgym.receiver import _kernels as filters
 from spoofgym.receiver import kalman
@@ -30,7 +30,7 @@ def noise_in_registers(k0, k1, epoch, size, out):
     """Write the sums of the deviates of an epoch, which are not written themselves (`deviates`)."""
     rows, counters = out.reshape((out.size // LANES, LANES)), load_pair(COUNTERS_OF_EIGHT, 0)
     k0, k1, epoch = splat(k0, rows), splat(k1, rows), splat(epoch, rows)
-    k0, k1, epoch = pair_of(k0), pair_of(k1), pair_of(epoch)
+    k0, k1, epoch = pair_lanes(k0), pair_lanes(k1), pair_lanes(epoch)
     total = splat(0.0, k0)
     for q in range(0, size // 4, 2):
         x, y = threefry(counters + np.uint64(q), epoch, k0, k1)
@@ -63,8 +63,8 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
     force, active, work = work[:4], work[4:5], work[6:]
     noise, sky, work = work[:gnss_size], work[gnss_size:], work[gnss_size + world.SKY * n :]
     added, weights, precision, S = work[: 4 * n], work[4 * n :], work[6 * n :], work[8 * n :]
-    now, first = np.empty(lanes_of(x), np.int64), np.empty(lanes_of(x), np.int64)
-    for each in range(lanes_of(x)):
+    now, first = np.empty(count_lanes(x), np.int64), np.empty(count_lanes(x), np.int64)
+    for each in range(count_lanes(x)):
         now[each], first[each] = epoch, epoch_end[epoch - 1]
     count = epoch_end[epoch] - epoch_end[epoch - 1]
     tau = splat(epoch_time[epoch] - epoch_time[epoch - 1], x)
@@ -75,9 +75,9 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
         store(added, 2 * n + s, 1.0)
         store(weights, s, 1.0)
     world.gather_sky(satellites, now, sky)
-    leader = lo // lanes_of(x)
+    leader = lo // count_lanes(x)
     for _ in range(rounds):
-        for group in range(leader, -(-hi // lanes_of(x))):
+        for group in range(leader, -(-hi // count_lanes(x))):
             here = leader if part == FLOOR else group
             base, sensor_base, key = here * rows, here * sensor_rows, here * world.KEYS
             fixed = here * world.CONSTANT_ROWS % constants.shape[0]
@@ -88,7 +88,7 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
             R = believed + filters.VARIANCE
             if part in (NOISE, FLOOR):
                 k0, k1 = load(keys, key + world.IMU_KEY), load(keys, key + world.IMU_KEY + 1)
-                if part == NOISE or lanes_of(x) == 1:  # which makes vectors of one lane
+                if part == NOISE or count_lanes(x) == 1:  # which makes vectors of one lane
                     deviates(k0, k1, k, size, 6 * count, samples)
                 else:
                     noise_in_registers(k0, k1, k, size, samples)

@@ -33,7 +33,7 @@ from spoofgym.core.lanes import LaneFields
 from spoofgym.core.progress import NullProgress, ProgressCallback
 from spoofgym.core.simd import LANES
 from spoofgym.envs.core import SpoofCore
-from spoofgym.truth.noise import padded
+from spoofgym.truth.noise import pad_count
 
 from . import _perf_kernels as kernels
 
@@ -98,7 +98,7 @@ class Rig:
         _repeat(self.steps // 2, self.env.step, self.action)
         simulator, setup = self.engine.simulator, self.core.setup
         world, victim = setup.world, setup.receiver
-        sizes = padded(6 * world.most_samples), padded(2 * world.channels)
+        sizes = pad_count(6 * world.most_samples), pad_count(2 * world.channels)
         rules = victim.covariance_code, victim.min_satellites, victim.orthonormalize, *sizes
         # parts leave the receivers as they like, and so have copies
         buffers, sensors = simulator.buffers, simulator.sensors

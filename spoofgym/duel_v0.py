@@ -8,7 +8,8 @@ observes what, and when.
 A population of both sides is a matrix game, `Game`, with equilibria, best responses and their
 exploitability: docs/game.md.
 
-PettingZoo is imported when `env` or `parallel_env` is called; the views and `calibrate` do without.
+PettingZoo is imported when `env` or `parallel_env` is called; the views and `calibrate_policy` do
+without.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ from .bench.experiments.best_response import (
     exploitability,
 )
 from .bench.experiments.game import Game
-from .bench.runs.players import member_of, mixture
+from .bench.runs.players import make_player, mixture
 from .bench.scores.matrix_game import solve
 from .detectors.learned import PolicyDetector
-from .duel.calibrate import calibrate
-from .duel.calibration import Calibration
+from .duel.calibrate import calibrate_policy
+from .duel.calibration import PolicyCalibration
 from .duel.duel import duel_signature
 from .duel.payoff import NeymanPearson, Weighted
 from .duel.views import DetectorVectorView, DetectorView, SpooferVectorView, SpooferView, write_card
@@ -36,7 +37,6 @@ from .policies.load import OnnxDetector
 
 __all__ = [
     "AttackBudget",
-    "Calibration",
     "DetectorCard",
     "DetectorPolicy",
     "DetectorVectorView",
@@ -45,16 +45,17 @@ __all__ = [
     "Game",
     "NeymanPearson",
     "OnnxDetector",
+    "PolicyCalibration",
     "PolicyDetector",
     "SpooferVectorView",
     "SpooferView",
     "Weighted",
     "best_detector",
     "best_spoofer",
-    "calibrate",
+    "calibrate_policy",
     "env",
     "exploitability",
-    "member_of",
+    "make_player",
     "mixture",
     "parallel_env",
     "raw_env",
@@ -85,7 +86,7 @@ def env(*, render_mode: None = None, **settings: Any) -> Any:
           "false_alarm": ..., "delay_per_s": ..., "error_per_m": ...}``;
         - ``threshold``, "running", a float in (0, 1] or a `Calibration`: what the statistic is
           compared with.  It follows the clean episodes of this environment, or is that of
-          `calibrate` for one frozen detector;
+          `calibrate_policy` for one frozen detector;
         - ``false_alarm``: rate of clean episodes with an alarm that a running threshold keeps, in
           (0, 1);
         - ``attack_probability``: that nature draws an attack, in [0, 1].

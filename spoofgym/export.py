@@ -42,26 +42,26 @@ from .policies.card import (
     Knowledge,
     SpooferCard,
     State,
-    fields_of,
-    seeds_in,
-    text_of,
+    describe_context,
+    format_error,
+    parse_seeds,
 )
 from .policies.contract import NotFinite
 from .policies.load import OnnxDetector, card_path
-from .policies.onnx_file import NEXT, checked_path, file_of
+from .policies.onnx_file import NEXT, checked_path, describe_file
 from .policies.trial import trust
 from .simulation.setup import SPLITS
 from .spoofers.learned import (
     Normalization,
     OnnxPolicy,
-    function_of,
+    get_normalization,
     inner_env,
-    normalization_of,
+    make_function,
     refuse_state,
 )
 from .spoofers.scaled import own_columns
 
-__all__ = ["detector", "onnx", "traced"]
+__all__ = ["detector", "onnx", "trace_module"]
 
 
 def check_training(training: Any, name: str) -> None:
@@ -69,7 +69,7 @@ def check_training(training: Any, name: str) -> None:
         return
     if not isinstance(training, Mapping):
         raise ValueError(f"`training` must be a mapping, got {training!r}")
-    for _, split in sorted(seeds_in(training, name)):
+    for _, split in sorted(parse_seeds(training, name)):
         check_choice("split", split, SPLITS)
 
 
@@ -87,7 +87,7 @@ def checked_states(state: Any) -> dict[str, int]:
 
 
 @contextmanager
-def trial_of(path: Path) -> Iterator[Path]:
+def write_trial(path: Path) -> Iterator[Path]:
     """Path of a trial in a folder of its own; what is wrong with it is said of `path`."""
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / path.name
@@ -105,7 +105,7 @@ def one_line(what: str) -> Iterator[None]:
     try:
         yield
     except ValidationError as error:
-        raise ValueError(f"{what}: {text_of(error)}") from error
+        raise ValueError(f"{what}: {format_error(error)}") from error
 
 
 GAUSSIANS = (
@@ -124,7 +124,7 @@ class Actor(torch.nn.Module):
         self, model: Any, found: Normalization | None, amplitude: float, size: int, own: list[int]
     ) -> None:
         super().__init__()
-        self.mean = _mean_of(model)
+        self.mean = _extract_mean(model)
         self.clip = None if found is None else found.clip
         if found is not None:
             # in single precision the difference comes first, as in the model's own
@@ -169,7 +169,7 @@ class _Squashed(torch.nn.Module):
         return torch.tanh(self.actor.mu(self.actor.latent_pi(features)))
 
 
-def _mean_of(model: Any) -> torch.nn.Module:
+def _extract_mean(model: Any) -> torch.nn.Module:
     policy = getattr(model, "policy", model)
     refuse_state(policy)
     if hasattr(policy, "mlp_extractor") and hasattr(policy, "action_net"):
@@ -207,7 +207,9 @@ def evaluating(module: torch.nn.Module) -> Iterator[None]:
             part.training = training_mode
 
 
-def traced(module: torch.nn.Module, size: int, state: Mapping[str, int] | None = None) -> bytes:
+def trace_module(
+    module: torch.nn.Module, size: int, state: Mapping[str, int] | None = None
+) -> bytes:
     """ONNX file of a module of (B, o) observations, of any batch; its weights are its own.
 
     Parameters
@@ -345,13 +347,13 @@ def detector(
     states = checked_states(state)
     check_training(training, path.stem)
     agent = DetectorAgent(statistic, weighs, exclusion_s, terms=terms)
-    observer = DetectorObserver(agent.observed, channels)
+    observer = DetectorObserver(agent.observed_terms, channels)
     size = len(observer.names)
     judge = _Judge(module)
     with evaluating(judge):
         _check_states(judge, size, len(action_names(statistic, weighs, channels)), states)
-        content = traced(judge, size, states)
-        with trial_of(path) as trial:
+        content = trace_module(judge, size, states)
+        with write_trial(path) as trial:
             trial.write_bytes(content)
             with one_line(f"card of {path}"):
                 card = detector_card(
@@ -501,19 +503,19 @@ def onnx(
     if judges and amplitude != 1.0:
         raise ValueError(f"a detector has no commands to scale: `amplitude` = {amplitude:g}")
     own = [] if judges else own_columns(inner.core.observer.names)
-    actor = Actor(model, normalization or normalization_of(model), amplitude, len(low), own)
+    actor = Actor(model, normalization or get_normalization(model), amplitude, len(low), own)
     with evaluating(actor):
         _check_sizes(actor, len(low), len(inner.core.action_names))
-        content = traced(actor, len(low))
-    details = {**_training_of(model), "amplitude": amplitude, **(training or {})}
-    with trial_of(path) as trial:
+        content = trace_module(actor, len(low))
+    details = {**_describe_training(model), "amplitude": amplitude, **(training or {})}
+    with write_trial(path) as trial:
         card: Card
         if judges:
             trial.write_bytes(content)
             card = write_card(trial, inner, name=path.stem, training=details)
             act = OnnxDetector(trial).model.act
         else:
-            card = _card_of(inner, path, content, details, designed_on)
+            card = _make_card(inner, path, content, details, designed_on)
             _write(trial, content, card)
             act = OnnxPolicy(str(trial)).model.act
         _compare(model, normalization, act, low, high, amplitude, own)
@@ -535,7 +537,7 @@ def _check_sizes(actor: torch.nn.Module, observed: int, commanded: int) -> None:
         )
 
 
-def _training_of(model: Any) -> dict[str, Any]:
+def _describe_training(model: Any) -> dict[str, Any]:
     details: dict[str, Any] = {"algorithm": type(model).__name__}
     for key, name in (("steps", "num_timesteps"), ("seed", "seed")):
         value = getattr(model, name, None)
@@ -544,7 +546,7 @@ def _training_of(model: Any) -> dict[str, Any]:
     return details
 
 
-def _card_of(
+def _make_card(
     inner: Any, path: Path, content: bytes, training: Mapping[str, Any], designed_on: str | None
 ) -> SpooferCard:
     core = inner.core
@@ -553,7 +555,7 @@ def _card_of(
             "a spoofer in a file observes what its `knowledge` gives; the environment has an "
             f"`observation` of its own: {core.settings['observation']!r}"
         )
-    env_id, env_kwargs = _named(inner)
+    env_id, env_kwargs = _describe_env(inner)
     context = spoofer_context(core.setup, 1, core.observer, core.commands)
     detector = env_kwargs.get("detector", "the default detector")
     name = detector["name"] if isinstance(detector, Mapping) else detector
@@ -564,15 +566,15 @@ def _card_of(
             kind="onnx-policy",
             env_id=env_id,
             env_kwargs=env_kwargs,
-            **fields_of(context),
+            **describe_context(context),
             knowledge=Knowledge(run_time=core.settings["knowledge"], design_time=met),
             training=dict(training),
             versions=versions() | library_versions(),
-            file=file_of(path.name, content),
+            file=describe_file(path.name, content),
         )
 
 
-def _named(inner: Any) -> tuple[str, dict[str, Any]]:
+def _describe_env(inner: Any) -> tuple[str, dict[str, Any]]:
     env_id, given = getattr(inner, "env_id", None), getattr(inner, "env_kwargs", None)
     if env_id is None:
         spec = getattr(inner, "spec", None)
@@ -596,7 +598,7 @@ def _normalization_around(model: Any, env: Any) -> Normalization | None:
     """That of a `VecNormalize` around an environment, which a model does not have itself."""
     while env is not None and not getattr(env, "norm_obs", False):
         env = getattr(env, "venv", None)
-    found, own = Normalization.of(env), normalization_of(model)
+    found, own = Normalization.of(env), get_normalization(model)
     if found is None or own is None:
         return found
     same = np.array_equal(own.mean, found.mean) and np.array_equal(own.scale, found.scale)
@@ -622,7 +624,7 @@ def _compare(
     planned = seen.copy()
     planned[:, own] /= np.float32(amplitude)
     planned = planned if normalization is None else normalization(planned)
-    wanted = np.clip(np.asarray(function_of(model)(planned), dtype=np.float64), -1.0, 1.0)
+    wanted = np.clip(np.asarray(make_function(model)(planned), dtype=np.float64), -1.0, 1.0)
     wanted = np.clip(amplitude * wanted, -1.0, 1.0)
     apart = float(np.abs(act(seen) - wanted).max())
     allowed = TOLERANCE * max(amplitude, 1.0)

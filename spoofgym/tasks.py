@@ -171,7 +171,7 @@ RANGE_RATE_TESTS: tuple[dict[str, Any], ...] = tuple(
 """Detectors that test range rates alone, where their defaults test pseudoranges, or both."""
 
 
-def task_of(key: str) -> Task:
+def get_task(key: str) -> Task:
     """Task by its key.
 
     Parameters
@@ -192,7 +192,7 @@ def task_of(key: str) -> Task:
     Examples
     --------
     >>> from spoofgym.tasks import task_of
-    >>> task_of("T4").alert_limit_m
+    >>> get_task("T4").alert_limit_m
     556.0
     """
     check_choice("task", key, TASKS)
@@ -326,18 +326,25 @@ class DetectorTask:
             mean = part * self.alert_limit_m / attack_s
             several: list[dict[str, Any]] = [
                 {"name": "ramp", "rate_mps": _rate(mean)},
-                {"name": "accelerating-ramp", "acceleration_mps2": _rounded(2.0 * mean / attack_s)},
+                {
+                    "name": "accelerating-ramp",
+                    "acceleration_mps2": _round_setting(2.0 * mean / attack_s),
+                },
                 {
                     "name": "profile",
                     "rates_mps": [_rate(3.0 * mean * (k / 12) ** 2) for k in range(13)],
                     "label": f"quadratic-{part:g}",
                 },
                 *(
-                    {"name": "dash", "rate_mps": _rate(mean / x), "last_s": _rounded(x * attack_s)}
+                    {
+                        "name": "dash",
+                        "rate_mps": _rate(mean / x),
+                        "last_s": _round_setting(x * attack_s),
+                    }
                     for x in (0.4, 0.15)
                 ),
                 # which reads the learner's statistic, and gets so far where it had room throughout
-                {"name": "feedback", "rate_mps": _rounded(mean / MEAN_GROWTH)},
+                {"name": "feedback", "rate_mps": _round_setting(mean / MEAN_GROWTH)},
             ]
             found += [spec for spec in several if spec not in found]
         return found
@@ -347,12 +354,12 @@ class DetectorTask:
         return {**self.world_kwargs, "pool": self.pool}
 
 
-def _rounded(value: float) -> float:
+def _round_setting(value: float) -> float:
     return float(f"{value:.4g}")
 
 
 def _rate(value: float) -> float:
-    return _rounded(min(value, RATE_LIMIT_MPS))
+    return _round_setting(min(value, RATE_LIMIT_MPS))
 
 
 PUBLIC = (
@@ -441,7 +448,7 @@ DETECTOR_TASKS: dict[str, DetectorTask] = {
 """The tasks for detectors by their keys."""
 
 
-def detector_task_of(key: str) -> DetectorTask:
+def get_detector_task(key: str) -> DetectorTask:
     """Task for detectors by its key, ``"D1"`` to ``"D4"``; a ValueError lists the valid ones."""
     check_choice("task for detectors", key, DETECTOR_TASKS)
     return DETECTOR_TASKS[key]

@@ -123,7 +123,7 @@ def run_digests(setup: TightlyCoupledSetup, receivers: int) -> dict[str, str]:
             position=simulator.position,
             error_n=simulator.error_n(),
             commanded_displacement=simulator.commanded_displacement,
-            **simulator.recorded(),
+            **simulator.get_record_columns(),
         )
     engine.close()
     return digests.hex()

@@ -22,7 +22,7 @@ from spoofgym.bench.experiments.campaign import CampaignResults
 from spoofgym.cli import app
 from spoofgym.cli.options import ENV, WorldOptions, with_options
 from spoofgym.detectors import DETECTORS
-from spoofgym.policies import shipped
+from spoofgym.policies import list_shipped
 from spoofgym.spoofers import SPOOFERS
 
 from .bench.support import small_suite
@@ -72,7 +72,7 @@ def test_the_options_of_the_world_are_those_of_every_command_that_plays() -> Non
     (world,) = worlds
     assert (world.imu, world.from_s, world.settings) == ("tactical", 3.0, ["a=1", "b=2"])
     assert (world.env, world.attack_s, world.track) == (ENV, 150.0, None)
-    assert world.given(("from_s", "imu", "errors", "last")) == {
+    assert world.find_passed(("from_s", "imu", "errors", "last")) == {
         "imu": "--imu",
         "from_s": "--from",
         "last": "--last",
@@ -102,10 +102,13 @@ def test_it_starts_quickly_and_as_a_module() -> None:
 def test_list_names_all_there_is() -> None:
     found = json.loads(call("list", "--json").stdout)
     assert set(found) == {"envs", "scenarios", "attacks", "detectors", "spoofers", "shipped"}
-    assert {row["name"] for row in found["detectors"]} == {*DETECTORS, *shipped("detector")}
+    assert {row["name"] for row in found["detectors"]} == {*DETECTORS, *list_shipped("detector")}
     assert {row["name"] for row in found["spoofers"]} == set(SPOOFERS)
     assert "spoofgym/TightlyCoupled-v0" in {row["name"] for row in found["envs"]}
-    assert [row["name"] for row in found["shipped"]] == [*shipped("spoofer"), *shipped("detector")]
+    assert [row["name"] for row in found["shipped"]] == [
+        *list_shipped("spoofer"),
+        *list_shipped("detector"),
+    ]
     for rows in found.values():
         assert all(row["summary"] for row in rows)
     (ramp,) = [row for row in found["spoofers"] if row["name"] == "ramp"]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym.bench.experiments.dataset import load
+from spoofgym.bench.experiments.dataset import load_dataset
 from spoofgym.calibration import thresholds as calibration
 from spoofgym.detectors import Calibration
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
@@ -34,7 +34,7 @@ def test_a_data_set_is_written_summed_up_and_gone_on_with():
         "shards": 2,
     }
     assert sum(found["splits"]["train"]["families"].values()) == 3
-    data = load("data")
+    data = load_dataset("data")
     assert (data.digest, data.config["entropy"]) == (found["digest"], 3)
     assert data.episodes("train").run.tolist() == [0, 0, 1, 1, 2, 2]
     before = content(Path("data"))
@@ -57,7 +57,7 @@ def test_the_world_of_a_task_has_its_detector_and_its_optima(monkeypatch):
     nominal = ["--detector", "snapshot-chi2:thresholds=nominal"]
     made = call(*line, *nominal, "--json")
     assert made.exit_code == 0, made.output
-    config = load("data").config
+    config = load_dataset("data").config
     assert config["task"] == "T3"
     assert config["length_m"] == TASKS["T3"].alert_limit_m
     assert {"feedback", "blind-optimum"} <= {*config["families"]}
@@ -77,7 +77,7 @@ def test_a_calibration_that_is_missing_is_made(few, tmp_path):
     made = call(*line)
     assert made.exit_code == 0, made.output
     (file,) = (tmp_path / "own").rglob("snapshot-chi2-*.json")
-    (threshold,) = load("data").config["threshold"]
+    (threshold,) = load_dataset("data").config["threshold"]
     assert threshold[0] == Calibration.load(file).point(20.0).scale
 
 

@@ -6,11 +6,11 @@ import json
 
 import pytest
 
-from spoofgym.bench.report.table import number
+from spoofgym.bench.report.table import format_number
 from spoofgym.detectors import SnapshotChi2
 from spoofgym.detectors.calibration_file import run_probability
-from spoofgym.limits import deflection_for, frontier_of
-from spoofgym.limits.bounds import cases_of, zero_alarm_bounds
+from spoofgym.limits import compute_frontier, deflection_for
+from spoofgym.limits.bounds import draw_worlds, zero_alarm_bounds
 from spoofgym.simulation import TightlyCoupledSetup
 
 from .command_line import SHORT, call, refused
@@ -35,7 +35,7 @@ def found(*arguments):
 
 def test_the_floors_are_those_of_the_frontier(setup):
     record = found("--sensors", "known", "--budget", "0.1")
-    frontier = frontier_of(setup, sensors_known=True)
+    frontier = compute_frontier(setup, sensors_known=True)
     p_fa = run_probability(0.2, 25.0)
     assert (record["p_fa"], record["worlds"], record["sensors_known"]) == (p_fa, 1, True)
     asked = {"stealthy": 1.0 - (1.0 - p_fa) * 0.9, "half": 0.5, "few": 0.95, "certain": 0.999}
@@ -43,7 +43,7 @@ def test_the_floors_are_those_of_the_frontier(setup):
         cells = record["floors_m"][heading]
         assert {name: cell["p_d"] for name, cell in cells.items()} == pytest.approx(asked)
         for name, p_d in asked.items():
-            floor = frontier.floor_m(p_fa, p_d, heading=heading)
+            floor = frontier.lower_limit_m(p_fa, p_d, heading=heading)
             assert cells[name]["value"] == pytest.approx(floor)
             assert cells[name]["deflection"] == deflection_for(p_fa, p_d, heading=heading)
     assert record["every_channel_free_m"]["value"] == pytest.approx(frontier.sizes(free=True)[0])
@@ -59,11 +59,11 @@ def test_the_tables_are_those_of_the_json(setup):
     words = " ".join(result.stdout.split())
     for cells in record["floors_m"].values():
         for cell in cells.values():
-            assert f"{number(cell['value'])}; d = {cell['deflection']:.2f}" in words
+            assert f"{format_number(cell['value'])}; d = {cell['deflection']:.2f}" in words
     for text in (*record["assumptions"]["floor"], *record["assumptions"]["zero_alarm"]):
         assert f"- {text}" in words
     snapshot, raim = record["zero_alarm"]
-    bound = zero_alarm_bounds(setup, SnapshotChi2(), cases_of(setup, 1))
+    bound = zero_alarm_bounds(setup, SnapshotChi2(), draw_worlds(setup, 1))
     assert snapshot["free_m"] == pytest.approx(bound.free_m)
     assert snapshot["restricted_m"] == pytest.approx(bound.restricted_m, rel=1e-4)
     assert snapshot["kind"] == "exact"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym.policies.zoo import path_of
+from spoofgym.policies.zoo import resolve_path
 
 from .bench.support import small_suite, use_zoo, write_zoo
 from .command_line import QUICK, SHORT, call, refused
@@ -46,7 +46,7 @@ def test_list_and_card_show_what_is_shipped(
 
 
 def test_a_card_of_a_detector_is_shown_by_name_and_by_file() -> None:
-    file = path_of("trolley-guard")
+    file = resolve_path("trolley-guard")
     for name in ("trolley-guard", str(file), str(file.with_suffix(".json"))):
         found = call("card", name)
         assert found.exit_code == 0, found.output

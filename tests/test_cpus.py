@@ -55,7 +55,7 @@ def _played():
 @pytest.mark.usefixtures("_played")
 @pytest.mark.parametrize(
     "kernel",
-    [step.play, run_epochs, receiver.run_epoch, step.finish],
+    [step.play_epoch, run_epochs, receiver.run_epoch, step.finish],
     ids=lambda kernel: kernel.__name__,
 )
 def test_no_operations_are_fused_and_no_sums_regrouped(kernel):

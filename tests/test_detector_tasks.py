@@ -19,12 +19,12 @@ from spoofgym.bench.search.attack_suite import FAMILIES
 from spoofgym.cli import app
 from spoofgym.detectors import make_detector
 from spoofgym.duel.learner import LearnersSide
-from spoofgym.policies.zoo import path_of, shipped
+from spoofgym.policies.zoo import list_shipped, resolve_path
 from spoofgym.spoofers import make_spoofer
-from spoofgym.tasks import DETECTOR_TASKS, ONSETS, PUBLIC, TASKS, detector_task_of
+from spoofgym.tasks import DETECTOR_TASKS, ONSETS, PUBLIC, TASKS, get_detector_task
 from tests.bench.detector_support import small_task
 from tests.nightly import heavy
-from tools.detector_cards import BEGIN, END, PAGE, shown, with_others
+from tools.detector_cards import END, PAGE, START, shown, with_others
 from tools.pages import part_between
 
 RUNNER = CliRunner()
@@ -117,11 +117,11 @@ def test_a_pool_of_ones_own_takes_the_place_of_the_public_one():
 
 def test_unknown_names_are_refused():
     with pytest.raises(ValueError, match=r"unknown task for detectors 'D9'; valid: D1.*D4"):
-        detector_task_of("D9")
+        get_detector_task("D9")
     with pytest.raises(
         ValueError, match=r"unknown family of attacks of D3 'quiet'; valid: .*inher"
     ):
-        detector_task_of("D3").family("quiet")
+        get_detector_task("D3").family("quiet")
     with pytest.raises(ValueError, match="D1 is for detectors: it needs `side` 'detector'"):
         LearnersSide.of(None, "D1", "spoofer", None, None, {})
     with pytest.raises(ValueError, match="unknown task 'D1'"):
@@ -129,7 +129,7 @@ def test_unknown_names_are_refused():
 
 
 def test_copies_are_handed_out():
-    task = detector_task_of("D3")
+    task = get_detector_task("D3")
     task.family("subset").overrides["attack"]["channels"].clear()
     task.pool.clear()
     task.env_kwargs["domain"].clear()
@@ -140,7 +140,7 @@ def test_copies_are_handed_out():
 
 @pytest.mark.parametrize("key", heavy(DETECTOR_TASKS, "D2"))
 def test_classics_have_the_tasks_own_bank_and_both_controls(key):
-    specs = detector_cards.classics_of(DETECTOR_TASKS[key])
+    specs = detector_cards.list_reference_detectors(DETECTOR_TASKS[key])
     assert {"never", "lottery", "solution-separation"} <= {spec["name"] for spec in specs}
     assert len({specify_detector(spec).label for spec in specs}) == len(specs)
     (bank,) = (spec for spec in specs if spec["name"] == "solution-separation")
@@ -153,10 +153,10 @@ def test_classics_have_the_tasks_own_bank_and_both_controls(key):
 def test_a_learned_detector_is_scored_where_it_has_learned_from_nothing_held_out(key):
     """The guard has learned from counterfeits as in T3, which D3 holds out; D2 is another world."""
     task = DETECTOR_TASKS[key]
-    names = [spec["name"] for spec in detector_cards.learned_of(task)]
+    names = [spec["name"] for spec in detector_cards.list_learned(task)]
     assert names == (["trolley-guard"] if key in ("D1", "D4") else [])
     for name in names:
-        card = json.loads(path_of(name, "detector").with_suffix(".json").read_text())
+        card = json.loads(resolve_path(name, "detector").with_suffix(".json").read_text())
         public = {family.key for family in task.public}
         told = {"ramp": "ramps", "accelerating-ramp": "ramps", "profile": "profiles"}
         told |= {"dash": "dashes", "blind-optimum": "blind-optima"}
@@ -170,7 +170,7 @@ def test_a_learned_detector_is_warned_of_where_it_has_met_what_is_held_out(key, 
     guard = {"name": "trolley-guard", "false_alarms_per_hour": 0.2}
     told = pytest.warns(UserWarning, match="trolley-guard.* has learned from inherited")
     with told if warns else nullcontext():
-        DetectorEvaluator(key).worlds.defences([guard, "never"])
+        DetectorEvaluator(key).worlds.build_detectors([guard, "never"])
 
 
 def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():
@@ -199,7 +199,7 @@ def test_the_learned_detector_is_no_worse_than_the_best_classic_by_a_tenth():
     """In two of D1 to D4, by the upper end of the paired interval of the hazard."""
     stored, sound = detector_cards.stored_detector_cards(), []
     for key, task in DETECTOR_TASKS.items():
-        names = [spec["name"] for spec in detector_cards.learned_of(task)]
+        names = [spec["name"] for spec in detector_cards.list_learned(task)]
         scores = {score["detector"]: score for score in stored[key]["detectors"]}
         if names and min(scores[name]["less_best"]["high"] for name in names) <= 0.1:
             sound.append(key)
@@ -211,11 +211,11 @@ def test_every_reference_has_a_score_in_d1_and_is_refused_or_named_as_unplayed_e
     cards = detector_cards.stored_detector_cards()
     for key, card in cards.items():
         assert all("is degenerate" in why for why in card["left_out"].values())
-        waiting = detector_cards.unplayed(DETECTOR_TASKS[key], card)
+        waiting = detector_cards.list_unscored(DETECTOR_TASKS[key], card)
         assert not (key == "D1" and waiting)
         assert all(label in PAGE.read_text() for label in waiting)
     names = [each["detector"] for each in cards["D1"]["detectors"]]
-    assert len({*names} - {"never", "lottery", *shipped("detector")}) == 27
+    assert len({*names} - {"never", "lottery", *list_shipped("detector")}) == 27
     assert {*cards["D1"]["left_out"]} == {"cusum", "lag-cusum"}
 
 
@@ -235,7 +235,7 @@ def test_a_card_keeps_the_rows_of_the_same_runs_and_no_others():
 
 
 def test_the_page_has_the_tables_of_the_cards():
-    assert part_between(PAGE.read_text(), BEGIN, END) == f"\n{shown()}"
+    assert part_between(PAGE.read_text(), START, END) == f"\n{shown()}"
 
 
 def test_the_command_line_lists_them():

@@ -24,7 +24,7 @@ from spoofgym.export import onnx
 from spoofgym.policies.load import OnnxDetector
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import OnnxPolicy
-from spoofgym.spoofers.learned import function_of
+from spoofgym.spoofers.learned import make_function
 from spoofgym.testing import check_detector
 
 TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 10.0, "time_to_alert_s": 1.0}
@@ -132,7 +132,7 @@ def test_a_torch_module_of_gymnasiums_environments(vector, tmp_path):
     attach(str(tmp_path / "net.onnx"), envs)
     seen = np.random.default_rng(0).normal(size=(50, size)).astype(np.float32)
     act = OnnxPolicy(str(tmp_path / "net.onnx")).model.act
-    np.testing.assert_allclose(act(seen), np.clip(function_of(net)(seen), -1, 1), atol=1e-5)
+    np.testing.assert_allclose(act(seen), np.clip(make_function(net)(seen), -1, 1), atol=1e-5)
     assert net.training  # as it was
     envs.close()
 
@@ -253,7 +253,7 @@ def test_an_error_names_the_users_file_and_not_the_trial_of_it(tmp_path):
 def test_a_file_that_acts_otherwise_is_not_written(tmp_path, monkeypatch):
     envs = make()
     net = torch.nn.Linear(len(envs.observation_names), 1)
-    monkeypatch.setattr(spoofgym.export, "function_of", lambda _: lambda seen: seen[:, :1] * 0.0)
+    monkeypatch.setattr(spoofgym.export, "make_function", lambda _: lambda seen: seen[:, :1] * 0.0)
     with pytest.raises(ValueError, match="the exported file differs from the model by"):
         onnx(net, envs, tmp_path / "x.onnx")
     assert list(tmp_path.iterdir()) == []

@@ -144,7 +144,7 @@ def test_a_callback_scores_the_average_of_the_weights(tmp_path, judge):
     expected = seen[0]
     for now in (*seen[1:], own):
         expected = {name: 0.75 * expected[name] + 0.25 * now[name] for name in now}
-    with callback.averaged():
+    with callback.apply_average():
         inside = weights_of(model)
         refitted = judge.fit(model)
         live = judge.score(model, amplitude=callback.best_amplitude)

@@ -26,16 +26,16 @@ from spoofgym.attacks import PerChannel
 from spoofgym.attacks.equipment import CounterfeitErrors
 from spoofgym.calibration.holdouts import check
 from spoofgym.calibration.thresholds import inner_detectors
-from spoofgym.core.settings import describe, kind_of
+from spoofgym.core.settings import describe, get_kind
 from spoofgym.detectors import Calibration, Detector
-from spoofgym.detectors.calibrated import identity_of
-from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, stored
+from spoofgym.detectors.calibrated import describe_identity
+from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, load_stored
 from spoofgym.envs import attach
-from spoofgym.policies import SpooferCard, card_of, shipped
+from spoofgym.policies import SpooferCard, list_shipped, load_card
 from spoofgym.policies.zoo import ZOO_FOLDER
 from spoofgym.simulation.setup import Timeline
 from spoofgym.tasks import TASKS
-from tools.calibrations import WORLDS, detectors_of
+from tools.calibrations import WORLDS, list_detectors
 
 SHIPPED_FILES = 174
 REPLAYED = 2
@@ -57,7 +57,7 @@ PACKAGE = Path(spoofgym.__file__).parent
 pytestmark = pytest.mark.usefixtures("default_rate")
 
 
-setup_of = cache(tools.calibrations.setup_of)
+setup_of = cache(tools.calibrations.build_setup)
 
 
 @cache
@@ -66,9 +66,11 @@ def shipped_of(world: str) -> list[tuple[Calibration, Detector]]:
     setup = setup_of(world)
     return [
         (found, each)
-        for each in inner_detectors([*detectors_of(world, setup), *shipped("detector")])
+        for each in inner_detectors([*list_detectors(world, setup), *list_shipped("detector")])
         for rescaled in (False, True)[: 1 + each.drifts]
-        for found in stored(setup.conditions, identity_of(each), rescaled, SHIPPED_FOLDER)
+        for found in load_stored(
+            setup.conditions, describe_identity(each), rescaled, SHIPPED_FOLDER
+        )
     ]
 
 
@@ -110,10 +112,10 @@ def test_shipped_networks_are_unchanged():
     assert digests == NETWORKS
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", list_shipped())
 def test_what_is_shipped_meets_the_world_of_its_card(name):
-    if name in shipped("spoofer"):
-        card = card_of(name, SpooferCard)
+    if name in list_shipped("spoofer"):
+        card = load_card(name, SpooferCard)
         profile = {} if card.file else {"action": "full-command"}
         env = gym.make(card.env_id, **{**profile, **card.env_kwargs})
         attach(name, env)
@@ -138,7 +140,7 @@ def described_classes() -> Iterator[type[Any]]:
 def test_no_two_classes_have_one_word():
     classes = list(described_classes())
     assert len(classes) > 100
-    words = [kind_of(each) for each in classes]
+    words = [get_kind(each) for each in classes]
     assert sorted({word for word in words if words.count(word) > 1}) == []
 
 

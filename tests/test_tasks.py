@@ -17,10 +17,10 @@ from spoofgym.bench.runs.players import specify_detector
 from spoofgym.cli import app
 from spoofgym.detectors import make_detector
 from spoofgym.envs import core
-from spoofgym.tasks import ALARM_PRICE, DETECTOR_TASKS, PAPERS, TASKS, task_of
+from spoofgym.tasks import ALARM_PRICE, DETECTOR_TASKS, PAPERS, TASKS, get_task
 from tests.nightly import heavy
 from tools.pages import part_between
-from tools.task_cards import BEGIN, END, PAGE, dealt, shown, spread
+from tools.task_cards import END, PAGE, START, dealt, shown, spread
 
 RUNNER = CliRunner()
 
@@ -32,7 +32,7 @@ def test_a_task_is_an_environment_whose_spec_survives_json(key):
     told = json.loads(json.dumps(TASKS[key].env_kwargs))
     assert json.loads(json.dumps(again.kwargs)) == told
     make_detector(TASKS[key].detector)
-    assert Suite(**TASKS[key].suite_kwargs, runs=2).detector_entries
+    assert Suite(**TASKS[key].suite_kwargs, runs=2).detector_players
 
 
 @pytest.mark.parametrize("key", heavy(TASKS, "T4"))
@@ -70,7 +70,7 @@ def test_the_alert_limit_of_a_task_is_in_its_table():
 def test_no_task_is_won_by_full_throttle(key):
     """What pushes as hard as the attack allows is caught, in most runs of every task."""
     suite = Suite(**TASKS[key].suite_kwargs, runs=2)
-    start = WarmStart(suite.setup(suite.detector_entries[0]), suite.generators("training", 16))
+    start = WarmStart(suite.setup(suite.detector_players[0]), suite.generators("training", 16))
     hardest = play(
         start, {"name": "accelerating-ramp", "acceleration_mps2": 0.05}, drop_alarmed=True
     )
@@ -78,10 +78,10 @@ def test_no_task_is_won_by_full_throttle(key):
 
 
 def test_a_copy_of_the_settings_is_handed_out():
-    task_of("T5").env_kwargs["domain"]["worlds"] = 1
-    assert task_of("T5").env_kwargs["domain"]["worlds"] == 32
+    get_task("T5").env_kwargs["domain"]["worlds"] = 1
+    assert get_task("T5").env_kwargs["domain"]["worlds"] == 32
     with pytest.raises(ValueError, match=r"unknown task 'T7'; valid: T1, .*T6"):
-        task_of("T7")
+        get_task("T7")
 
 
 @pytest.mark.parametrize("key", PAPERS)
@@ -147,7 +147,7 @@ def test_a_figure_passes_by_its_limit(key):
 
 
 def test_the_page_has_the_tables_of_the_cards():
-    assert part_between(PAGE.read_text(), BEGIN, END) == f"\n{shown()}"
+    assert part_between(PAGE.read_text(), START, END) == f"\n{shown()}"
 
 
 def test_the_command_line_lists_the_tasks():

@@ -15,7 +15,7 @@ import sys
 from typing import Any
 
 from spoofgym.bench.experiments.calibration import calibrate
-from spoofgym.bench.report.tasks import classics_of
+from spoofgym.bench.report.tasks import list_reference_detectors
 from spoofgym.bench.runs.world import HEADLINE_DOMAIN, VICTIMS
 from spoofgym.calibration.clean_runs import weighs
 from spoofgym.calibration.thresholds import WEIGHING_RUNS, inner_detectors, suitable_detectors
@@ -51,17 +51,17 @@ WORLDS = {
 """Environments and their settings, by the names of the worlds."""
 
 
-def setup_of(name: str) -> Setup:
+def build_setup(name: str) -> Setup:
     env_id, settings = WORLDS[name]
     return make_setup(VICTIMS[env_id].setup, {**settings, "detector": "never"})
 
 
-def detectors_of(name: str, setup: Setup) -> list[Detector]:
+def list_detectors(name: str, setup: Setup) -> list[Detector]:
     """All detectors that suit a world, and those that its environment and benchmark name."""
     env_id, settings = WORLDS[name]
     if name in OWN_WORLDS:
         judged = (each for each in DETECTOR_TASKS.values() if each.world_of == name)
-        classics = [each for task in judged for each in classics_of(task)]
+        classics = [each for task in judged for each in list_reference_detectors(task)]
         return inner_detectors([*TASKS[name].detectors, *RANGE_RATE_TESTS, *classics])
     own = [settings["detector"]] if "detector" in settings else []
     return inner_detectors([*suitable_detectors(setup), *VICTIMS[env_id].detectors, *own])
@@ -78,8 +78,8 @@ def main(arguments: list[str]) -> None:
     for name in given.worlds:
         check_choice("world", name, WORLDS)
     for name in given.worlds or WORLDS:
-        setup = setup_of(name)
-        everyone = detectors_of(name, setup)
+        setup = build_setup(name)
+        everyone = list_detectors(name, setup)
         light = [each for each in everyone if not weighs(setup, each)]
         heavy = [each for each in everyone if weighs(setup, each)]
         fewer = given.weighing_runs or max(WEIGHING_RUNS, given.runs // 5)

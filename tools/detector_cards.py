@@ -9,27 +9,27 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym.bench.experiments.calibration import calibrate_entries
-from spoofgym.bench.experiments.protect import DetectorEvaluator, entries_of
+from spoofgym.bench.experiments.calibration import calibrate_players
+from spoofgym.bench.experiments.protect import DetectorEvaluator, specify_detectors
 from spoofgym.bench.report import tasks
-from spoofgym.bench.scores.campaign import CONTROLS, name_of
+from spoofgym.bench.scores.campaign import CONTROLS, extract_name
 from spoofgym.bench.scores.detector import DetectorScore
 from spoofgym.cli.app import progress
-from spoofgym.core.registry import check_choice, label_of
-from spoofgym.policies import shipped
-from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
-from tools.pages import DOCS, ROOT, keep_cards, put_between, rendered
+from spoofgym.core.registry import check_choice, format_label
+from spoofgym.policies import list_shipped
+from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, get_detector_task
+from tools.pages import DOCS, ROOT, keep_cards, put_between, render_page
 
-KEPT, PAGE = ROOT / "spoofgym" / "bench" / tasks.DETECTOR_FILE, DOCS / "tasks.md"
-BEGIN, END = "<!-- detector-cards:begin -->", "<!-- detector-cards:end -->"
+CARD_FILE, PAGE = ROOT / "spoofgym" / "bench" / tasks.DETECTOR_FILE, DOCS / "tasks.md"
+START, END = "<!-- detector-cards:begin -->", "<!-- detector-cards:end -->"
 
 
-def played(
+def play_task(
     task: DetectorTask, out: Path, runs: int, selection_runs: int, only: list[str] | None
 ) -> dict[str, Any]:
     """Play a task, and return its card; `only` some detectors, and the best classic stored."""
-    judged = (*tasks.classics_of(task), *tasks.learned_of(task))
-    everyone = {label_of(each, None): each for each in judged}
+    judged = (*tasks.list_reference_detectors(task), *tasks.list_learned(task))
+    everyone = {format_label(each, None): each for each in judged}
     for label in only or ():
         check_choice("detector of this task", label, everyone)
     before = tasks.stored_detector_cards().get(task.key, {})
@@ -38,18 +38,18 @@ def played(
     evaluator = DetectorEvaluator(
         task.key, runs=runs, selection_runs=selection_runs, folder=out, threads=1
     )
-    world, entries = evaluator.worlds.world, entries_of(chosen)
+    world, entries = evaluator.worlds.world, specify_detectors(chosen)
     labels = [each.label for each in entries]
-    refused = calibrate_entries(world, entries, progress=progress, optional=labels)
+    refused = calibrate_players(world, entries, progress=progress, optional=labels)
     whom = [spec for label, spec in zip(labels, chosen, strict=True) if label not in refused]
     scores = evaluator.scores(whom, show=progress)
-    return {**card_of(scores), "left_out": refused}
+    return {**make_card(scores), "left_out": refused}
 
 
-def card_of(scores: list[DetectorScore]) -> dict[str, Any]:
+def make_card(scores: list[DetectorScore]) -> dict[str, Any]:
     """What is kept of a task: scores, and paired differences to the best classic."""
-    others = (*CONTROLS, *shipped("detector"))
-    classics = [each for each in scores if name_of(each.detector) not in others]
+    others = (*CONTROLS, *list_shipped("detector"))
+    classics = [each for each in scores if extract_name(each.detector) not in others]
     best = min(classics, key=lambda each: np.nan_to_num(each.p_hmi.value, nan=2.0))
     first = scores[0]
     return {
@@ -85,16 +85,16 @@ def with_others(card: dict[str, Any], stored: dict[str, Any] | None) -> dict[str
 def shown() -> str:
     cards, waiting = tasks.stored_detector_cards(), {}
     for key, card in cards.items():
-        if left := tasks.unplayed(DETECTOR_TASKS[key], card):
+        if left := tasks.list_unscored(DETECTOR_TASKS[key], card):
             waiting.setdefault(", ".join(left), []).append(key)
-    return rendered(
+    return render_page(
         "detector_tasks.md.j2",
-        scores=tasks.CARDS.markdown(tasks.card_rows(cards)),
+        scores=tasks.CARDS.markdown(tasks.list_score_rows(cards)),
         cards=cards,
         waiting=waiting,
         missing=tasks.missing(),
         family_table=tasks.family_table,
-        ranked=tasks.ranked,
+        ranked=tasks.rank_scores,
     )
 
 
@@ -109,12 +109,12 @@ def main(arguments: list[str]) -> None:
     given = parser.parse_args(arguments)
     for key in () if given.tables_only else given.tasks or DETECTOR_TASKS:
         sizes = given.runs, given.selection_runs
-        card = played(detector_task_of(key), given.out, *sizes, given.only)
+        card = play_task(get_detector_task(key), given.out, *sizes, given.only)
         card = with_others(card, tasks.stored_detector_cards().get(key))
-        keep_cards(KEPT, {**tasks.stored_detector_cards(), key: card}, DETECTOR_TASKS)
+        keep_cards(CARD_FILE, {**tasks.stored_detector_cards(), key: card}, DETECTOR_TASKS)
         for score in card["detectors"]:
             print(key, score["detector"], score["p_hmi"], score["worst_family"], flush=True)
-    put_between(PAGE, BEGIN, END, shown())
+    put_between(PAGE, START, END, shown())
 
 
 if __name__ == "__main__":

@@ -20,24 +20,24 @@ from collections.abc import Sequence
 from typing import Any
 
 from agents.folder import Part, Records, error_lines
-from agents.seeds import marked
+from agents.seeds import mark_displacement
 from spoofgym.bench.experiments.evaluate import Evaluator
-from spoofgym.bench.report.campaign import bound_text, titled
+from spoofgym.bench.report.campaign import bound_text, format_spoofer
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.runs.players import specify_detector
-from spoofgym.bench.scores.campaign import bound_of
-from spoofgym.bench.scores.spoofer import Score
+from spoofgym.bench.scores.campaign import select_bound
+from spoofgym.bench.scores.spoofer import SpooferScore
 from spoofgym.bench.search.amplitude import TuningResult
 from spoofgym.cli.app import print_json, progress
-from spoofgym.tasks import task_of
+from spoofgym.tasks import get_task
 
-from .headlines import KEPT
-from .scored import parser_of, sizes_of
+from .headlines import DATA_FILE
+from .scored import get_sizes, make_parser
 
-BLIND, WORLD = "blind-optimum", "trolley"
+OPEN_LOOP, WORLD = "blind-optimum", "trolley"
 FEEDBACK, RIDER = "feedback-profile", "threshold-rider"
 TRIED: dict[str, list[dict[str, float]]] = {
-    BLIND: [{}],
+    OPEN_LOOP: [{}],
     FEEDBACK: [
         {"full_ratio": full, "zero_ratio": zero, "back": 0.0}
         for full, zero in ((0.3, 1.0), (0.7, 1.15), (0.7, 2.0))
@@ -52,16 +52,16 @@ REACHED = 0.98
 HEAD = ("detector", "blind optimum [m]", "spoofer", "settings", "[m]", "times as far", "bound [m]")
 
 
-def played(judge: Evaluator, rates_mps: list[float]) -> dict[str, Any]:
+def play_kinds(judge: Evaluator, rates_mps: list[float]) -> dict[str, Any]:
     """Gain of each kind over the blind optimum; feedback may be switched off."""
     found: dict[str, Any] = {"rates_mps": rates_mps}
-    scores: dict[str, Score] = {}
+    scores: dict[str, SpooferScore] = {}
     fits: dict[str, list[tuple[TuningResult, dict[str, float]]]] = {}
     for kind, settings in TRIED.items():
         curve = {"name": kind, "rates_mps": rates_mps}
         fits[kind] = [(judge.fit({**curve, **own}), own) for own in settings]
         if kind == FEEDBACK:
-            fits[kind].append((fits[BLIND][0][0], OFF))
+            fits[kind].append((fits[OPEN_LOOP][0][0], OFF))
         fit, own = max(fits[kind], key=lambda each: each[0].score)
         scores[kind] = judge.score({**curve, **own}, amplitude=fit.value)
         found[kind] = {
@@ -69,7 +69,7 @@ def played(judge: Evaluator, rates_mps: list[float]) -> dict[str, Any]:
             "settings": own,
             "amplitude": fit.value,
             "training_m": {_words(each): one.score for one, each in fits[kind]},
-            "ratio": scores[kind].ratio_to(scores[BLIND], oracles=True).as_json(),
+            "ratio": scores[kind].ratio_to(scores[OPEN_LOOP], oracles=True).as_json(),
         }
     return found
 
@@ -82,8 +82,8 @@ def cases(names: Sequence[str], task: str | None = None) -> dict[str, dict[str, 
     """Curve, bound and room of detectors by their labels: that of a task, or those of the standard
     suite with one of the names in it."""
     if task is not None:
-        return {specify_detector(task_of(task).detector).label: {"room": True}}
-    world = json.loads(KEPT.read_text())["worlds"][WORLD]
+        return {specify_detector(get_task(task).detector).label: {"room": True}}
+    world = json.loads(DATA_FILE.read_text())["worlds"][WORLD]
     brackets = {row["detector"]: row["bracket"] for row in world["detectors"]}
     reach = brackets["never"]["zero_alarm"]["value"]
     found = {
@@ -94,37 +94,37 @@ def cases(names: Sequence[str], task: str | None = None) -> dict[str, dict[str, 
             "room": cell["stealthy_displacement_m"]["value"] < REACHED * reach,
         }
         for cell in world["cells"]
-        if cell["spoofer"] == BLIND
+        if cell["spoofer"] == OPEN_LOOP
     }
     for name in names:
         if not any(name in label for label in found):
-            raise ValueError(f"no detector of {KEPT.name} has {name!r} in its name")
+            raise ValueError(f"no detector of {DATA_FILE.name} has {name!r} in its name")
     return {label: found[label] for name in names or [""] for label in found if name in label}
 
 
-def case_of(label: str, case: dict[str, Any], given: argparse.Namespace) -> dict[str, Any]:
+def play_case(label: str, case: dict[str, Any], given: argparse.Namespace) -> dict[str, Any]:
     if not case["room"]:
         return case
     if given.task is not None:
-        judge = Evaluator(given.task, **sizes_of(given, given.seed))
+        judge = Evaluator(given.task, **get_sizes(given, given.seed))
     else:
-        world = task_of("T3").world_kwargs
-        judge = Evaluator(detector=spec_of(label), **sizes_of(given, given.seed), **world)
+        world = get_task("T3").world_kwargs
+        judge = Evaluator(detector=find_spec(label), **get_sizes(given, given.seed), **world)
     rates = case.get("rates_mps")
     if rates is None:
-        searched = judge.fit(BLIND).found
+        searched = judge.fit(OPEN_LOOP).found
         assert searched is not None  # as of every blind optimum
         rates = searched["played"]["rates_mps"]
-        bound = judge.optima.brackets.zero_alarm(judge.detector).as_json()
-        case = {**case, "bound": bound_of(bound)}
-    return {**case, **played(judge, rates)}
+        bound = judge.optima.bounds.zero_alarm(judge.detector).as_json()
+        case = {**case, "bound": select_bound(bound)}
+    return {**case, **play_kinds(judge, rates)}
 
 
-def spec_of(label: str) -> dict[str, Any]:
+def find_spec(label: str) -> dict[str, Any]:
     from spoofgym.cli.suites import standard_suite
 
     suite = standard_suite(None, {"spoofers": []})
-    (found,) = (entry.spec for entry in suite.detector_entries if entry.label == label)
+    (found,) = (entry.spec for entry in suite.detector_players if entry.label == label)
     return dict(found)
 
 
@@ -133,27 +133,29 @@ def rows(label: str, found: dict[str, Any]) -> list[tuple[str, ...]]:
     bound = bound_text(found["bound"])
     if not found["room"]:
         return [(label, interval(found["blind_m"]), "-", "-", "-", "no room", bound)]
-    blind = marked(found[BLIND])
+    blind = mark_displacement(found[OPEN_LOOP])
     lines = []
     for kind in (FEEDBACK, RIDER):
         own = found[kind]
         settings = f"{_words(own['settings'])}, amplitude {own['amplitude']:.4g}"
-        who = titled(kind, own["knowledge"])
-        lines.append((label, blind, who, settings, marked(own), interval(own["ratio"], 2), bound))
+        who = format_spoofer(kind, own["knowledge"])
+        lines.append(
+            (label, blind, who, settings, mark_displacement(own), interval(own["ratio"], 2), bound)
+        )
     return lines
 
 
 @error_lines()
 def main(arguments: list[str]) -> None:
-    parser = parser_of(__doc__, "results/feedback")
+    parser = make_parser(__doc__, "results/feedback")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("detectors", nargs="*", help="parts of their names; by default all")
     parser.add_argument("--task", help="the detector of a task instead, T1 to T6")
     given = parser.parse_args(arguments)
-    fixed = {**sizes_of(given, given.seed), "task": given.task, "tried": [TRIED, OFF]}
+    fixed = {**get_sizes(given, given.seed), "task": given.task, "tried": [TRIED, OFF]}
     del fixed["threads"]
     parts = {
-        label: Part({**fixed, "case": case}, lambda *_, x=(label, case): case_of(*x, given))
+        label: Part({**fixed, "case": case}, lambda *_, x=(label, case): play_case(*x, given))
         for label, case in cases(given.detectors, given.task).items()
     }
     found = Records("feedback", {}, parts).play(given.out, progress)

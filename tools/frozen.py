@@ -50,7 +50,7 @@ ROOT = Path(__file__).parents[1]
 PROBE = Path(__file__).with_name("frozen_probe.py")
 NAMES = Path(__file__).with_name("frozen_names.toml")
 CACHE = Path(platformdirs.user_cache_dir("spoofgym")) / "frozen"
-KEPT_RESULTS = 4
+MAX_RESULTS = 4
 ROUNDS = 15
 FLOAT32 = np.dtype(np.float32)
 QUICK_FORMS = (("single", None), ("same_step", 3))
@@ -419,7 +419,7 @@ def results_folder(commit: str) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     os.utime(folder)
     used = sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
-    for path in used[KEPT_RESULTS:]:
+    for path in used[MAX_RESULTS:]:
         shutil.rmtree(path, ignore_errors=True)
     return folder
 

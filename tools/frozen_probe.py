@@ -146,7 +146,7 @@ class Case(NamedTuple):
         return self.id.partition("+")[0]
 
 
-def cases_of(ids: list[str]) -> list[Case]:
+def list_cases(ids: list[str]) -> list[Case]:
     """Every case of a tree with these ids."""
     made = []
     for name in ids:
@@ -183,7 +183,7 @@ class Record:
             for key, part in value.items():
                 self.add(step, (*path, str(key)), part)
         elif isinstance(value, list | tuple) or _holds_objects(value):
-            for label, part in _labelled(value):
+            for label, part in _label_elements(value):
                 self.add(step, (*path, label), part)
         else:
             array = np.array(str(value) if value is None else value)
@@ -217,7 +217,7 @@ def _holds_objects(value: Any) -> bool:
     return isinstance(value, np.ndarray) and value.dtype == object
 
 
-def _labelled(values: Any) -> Iterator[tuple[str, Any]]:
+def _label_elements(values: Any) -> Iterator[tuple[str, Any]]:
     """Elements with their place, or with their own names where all of them have one."""
     named = all(isinstance(value, Mapping) and "name" in value for value in values)
     for i, value in enumerate(values):
@@ -564,7 +564,7 @@ def answer(request: dict[str, Any], stopwatch: Stopwatch) -> dict[str, Any]:
 
         package, _ = place(imports["register"])
         ids = sorted(name for name in gym.registry if name.startswith("spoofgym/"))
-        return {"cases": cases_of(ids), "package": package.__file__}
+        return {"cases": list_cases(ids), "package": package.__file__}
     if request["do"] == "run":
         start = time.perf_counter()
         record = Player(Case(*request["case"]), imports).play()

@@ -19,14 +19,14 @@ from typing import Any
 from agents.folder import write_json
 from spoofgym.bench.report import campaign as report
 from spoofgym.bench.report.table import Table, interval
-from spoofgym.bench.scores.campaign import bracket_of, name_of
+from spoofgym.bench.scores.campaign import compute_bounds, extract_name
 from spoofgym.cli.suites import LEFT_OUT
-from spoofgym.core.settings import digest_of
+from spoofgym.core.settings import compute_digest
 from spoofgym.spoofers.base import sees_statistics
-from tools.pages import DOCS, marks, put_between, rendered
+from tools.pages import DOCS, marks, put_between, render_page
 
-KEPT, PAGE = DOCS / "headlines.json", DOCS / "scores.md"
-BEGIN, END = marks("headlines")
+DATA_FILE, PAGE = DOCS / "headlines.json", DOCS / "scores.md"
+START, END = marks("headlines")
 WORLDS = {
     "trolley": ["--suite", "standard"],
     "zhong2025": ["--scenario", "zhong2025"],
@@ -60,7 +60,7 @@ def options(name: str, sizes: list[str]) -> list[str]:
     return ["bench", "--detector", "all", *WORLDS[name], *players, *sizes]
 
 
-def played(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
+def play_world(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
     given = options(name, sizes)
     words = ["-W", "ignore", "-m", "spoofgym", *given, "--out", str(out / name), "--json"]
     done = subprocess.run([sys.executable, *words], check=True, stdout=subprocess.PIPE)
@@ -81,7 +81,7 @@ def played(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
     }
 
 
-def _bracketed(world: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
+def _add_bounds(world: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
     found = []
     for row in world["detectors"]:
         own = {
@@ -89,20 +89,20 @@ def _bracketed(world: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
             for part in ("cells", "protection")
         }
         worst = next(iter(own["protection"]), None)
-        found.append({"bracket": bracket_of(row, limits, own["cells"], worst, ()), **row})
+        found.append({"bracket": compute_bounds(row, limits, own["cells"], worst, ()), **row})
     return {**world, "limits": limits, "detectors": found}
 
 
 def shown(kept: dict[str, Any]) -> str:
     worlds = []
     for world in kept["worlds"].values():
-        world = _bracketed(world, world.get("limits", NO_LIMITS))
+        world = _add_bounds(world, world.get("limits", NO_LIMITS))
         points = (point for points in world["calibrations"].values() for point in points)
         (per_run,) = {point["per_run"] for point in points}
         notes = (note.partition(LEFT_OUT) for note in world["notes"])
         left_out = [label for label, found, _ in notes if found]
         worlds.append({**world, "tables": _tables(world), "per_run": per_run, "left_out": left_out})
-    return rendered("headlines.md.j2", worlds=worlds, floor_notes=report.floor_notes)
+    return render_page("headlines.md.j2", worlds=worlds, floor_notes=report.list_limit_notes)
 
 
 def _tables(world: dict[str, Any]) -> str:
@@ -112,13 +112,13 @@ def _tables(world: dict[str, Any]) -> str:
         for title, name in COLUMNS.items()
         if world["limits"]["floor"] or not ("floor" in title or " bound" in title)
     ]
-    cells = {(cell["detector"], name_of(cell["spoofer"])): cell for cell in world["cells"]}
-    met = {name_of(cell["spoofer"]): cell["knowledge"]["run_time"] for cell in world["cells"]}
+    cells = {(cell["detector"], extract_name(cell["spoofer"])): cell for cell in world["cells"]}
+    met = {extract_name(cell["spoofer"]): cell["knowledge"]["run_time"] for cell in world["cells"]}
     spoofers = [name for name in SPOOFERS if name in met]
     spoofers.sort(key=lambda name: sees_statistics(met[name]))  # oracles come last
     attacks = (
         (
-            f"{report.titled(name, met[name])} [m]",
+            f"{report.format_spoofer(name, met[name])} [m]",
             lambda row, name=name: cells.get((row["detector"], name)),
             _displacement,
         )
@@ -145,12 +145,12 @@ def main(arguments: list[str]) -> None:
     given = parser.parse_args(arguments)
     sizes = ["--seeds", given.seeds, "--training-seeds", given.training_seeds]
     sizes += ["--selection-seeds", given.selection_seeds]
-    worlds = json.loads(KEPT.read_text())["worlds"]
+    worlds = json.loads(DATA_FILE.read_text())["worlds"]
     for name in () if given.tables_only else given.world or WORLDS:
-        worlds[name] = played(name, given.out, sizes)
+        worlds[name] = play_world(name, given.out, sizes)
         kept = {each: worlds[each] for each in WORLDS}
-        write_json(KEPT, {"digest": digest_of(kept), "worlds": kept}, None)
-    put_between(PAGE, BEGIN, END, shown(json.loads(KEPT.read_text())))
+        write_json(DATA_FILE, {"digest": compute_digest(kept), "worlds": kept}, None)
+    put_between(PAGE, START, END, shown(json.loads(DATA_FILE.read_text())))
 
 
 if __name__ == "__main__":

@@ -23,14 +23,14 @@ from spoofgym.calibration.clean_runs import weighs
 from spoofgym.calibration.holdouts import HOLDOUT_WEIGHING
 from spoofgym.core.progress import show_progress
 from spoofgym.detectors import Calibration, Detector
-from spoofgym.detectors.calibrated import STANDARD_RATE, identity_of
-from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, hourly_rate, stored
+from spoofgym.detectors.calibrated import STANDARD_RATE, describe_identity
+from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, hourly_rate, load_stored
 from spoofgym.simulation.setup import Setup
-from tools.calibrations import HEADLINES, detectors_of, setup_of
-from tools.pages import DOCS, put_between, rendered
+from tools.calibrations import HEADLINES, build_setup, list_detectors
+from tools.pages import DOCS, put_between, render_page
 
-KEPT, PAGE = DOCS / "holdouts.json", DOCS / "calibration.md"
-BEGIN, END = "<!-- holdouts:begin -->", "<!-- holdouts:end -->"
+DATA_FILE, PAGE = DOCS / "holdouts.json", DOCS / "calibration.md"
+START, END = "<!-- holdouts:begin -->", "<!-- holdouts:end -->"
 TRANSFERRED = 1_000
 """Runs in another world."""
 RARE_RATE = 0.002
@@ -39,7 +39,7 @@ RARE_RUNS = 100_000
 """Runs of a calibration that suffice for it."""
 
 
-class World(NamedTuple):
+class HoldoutWorld(NamedTuple):
     """A world, its detectors that have a calibration, and those whose statistic is degenerate."""
 
     name: str
@@ -57,16 +57,16 @@ class World(NamedTuple):
         return [group for group in (many, few, self.rescaled, self.weighing) if group]
 
 
-def world_of(name: str, only: Collection[str] = ()) -> World:
+def load_world(name: str, only: Collection[str] = ()) -> HoldoutWorld:
     """A world with what is shipped for it; `only` these detectors, by default all."""
-    found = World(name, setup_of(name), [], [], [], [])
-    for detector in detectors_of(name, found.setup):
-        if only and identity_of(detector)["name"] not in only:
+    found = HoldoutWorld(name, build_setup(name), [], [], [], [])
+    for detector in list_detectors(name, found.setup):
+        if only and describe_identity(detector)["name"] not in only:
             continue
         alone = found.weighing if weighs(found.setup, detector) else found.passive
         for rescaled in (False, True)[: 1 + detector.drifts]:
-            what = found.setup.conditions, identity_of(detector), rescaled
-            made = next(stored(*what, SHIPPED_FOLDER), None)
+            what = found.setup.conditions, describe_identity(detector), rescaled
+            made = next(load_stored(*what, SHIPPED_FOLDER), None)
             if made is None:
                 raise SystemExit(f"{name} has no calibration of {detector}: tools.calibrations")
             try:
@@ -82,7 +82,9 @@ def _name(made: Calibration) -> str:
     return str(made.detector["name"]) + (", rescaled" if made.rescale is not None else "")
 
 
-def counted(world: World, others: list[World], runs: int, cells: int) -> dict[str, Any]:
+def count_holdouts(
+    world: HoldoutWorld, others: list[HoldoutWorld], runs: int, cells: int
+) -> dict[str, Any]:
     """Hold-out of a world, and the rate of its thresholds in the other ones."""
     rows = []
     for group in world.groups:
@@ -112,7 +114,7 @@ def counted(world: World, others: list[World], runs: int, cells: int) -> dict[st
     }
 
 
-def joined(before: dict[str, Any], later: dict[str, Any]) -> dict[str, Any]:
+def join_detectors(before: dict[str, Any], later: dict[str, Any]) -> dict[str, Any]:
     if before["settings"] != later["settings"]:
         raise SystemExit(f"{before['world']} has changed: count all of its detectors again")
     names = {row["name"] for row in later["detectors"]}
@@ -128,7 +130,7 @@ def _mean(rows: list[dict[str, Any]], window_s: float) -> float:
 
 
 def shown(kept: dict[str, Any]) -> str:
-    return rendered("holdouts.md.j2", worlds=kept["worlds"], table=_table)
+    return render_page("holdouts.md.j2", worlds=kept["worlds"], table=_table)
 
 
 def _table(world: dict[str, Any]) -> Table:
@@ -139,20 +141,20 @@ def _table(world: dict[str, Any]) -> Table:
         ("calibrated on", "calibrated", "{:,}".format),
         ("fresh runs", "runs", "{:,}".format),
         ("with an alarm", "alarms", "{:,}".format),
-        ("predicted", _predicted),
+        ("predicted", _format_interval),
         ("per hour", lambda row: _rate(row["per_hour"])),
         (
             "in the worst sky (by chance)",
             lambda x: f"{_rate(x['worst_world_per_hour'])} ({_rate(x['worst_world_by_chance'])})",
         ),
         (f"with an alarm at {RARE_RATE:g} an hour", rare, lambda found: f"{found['alarms']:,}"),
-        ("predicted", rare, _predicted),
+        ("predicted", rare, _format_interval),
         ("alarm before it [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),
         *((f"per hour in {short}", lambda x, n=name: _rate(x["in"][n])) for short, name in others),
     )
 
 
-def _predicted(row: dict[str, Any]) -> str:
+def _format_interval(row: dict[str, Any]) -> str:
     return f"{row['low']} to {row['high']}" + ("" if row["holds"] else ", outside")
 
 
@@ -167,8 +169,8 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--tables-only", action="store_true", help="count nothing")
     given = parser.parse_args(arguments)
     if not given.tables_only:
-        worlds = [world_of(name, given.only) for name in HEADLINES]
-        before = json.loads(KEPT.read_text()) if given.only else {"cells": 0, "worlds": []}
+        worlds = [load_world(name, given.only) for name in HEADLINES]
+        before = json.loads(DATA_FILE.read_text()) if given.only else {"cells": 0, "worlds": []}
         cells = before["cells"]
         for world in worlds:
             passive = [made for made, _ in (*world.passive, *world.rescaled)]
@@ -177,14 +179,14 @@ def main(arguments: list[str]) -> None:
         found = []
         for world in worlds:
             others = [other for other in worlds if other is not world]
-            found.append(counted(world, others, given.runs, cells))
+            found.append(count_holdouts(world, others, given.runs, cells))
             print(world.name, found[-1]["mean_passive_per_hour"], flush=True)
         if given.only:
-            found = [joined(*pair) for pair in zip(before["worlds"], found, strict=True)]
+            found = [join_detectors(*pair) for pair in zip(before["worlds"], found, strict=True)]
         cells = sum(1 + ("rare" in row) for world in found for row in world["detectors"])
         kept = {"rate": STANDARD_RATE, "split": "holdout", "cells": cells, "worlds": found}
-        write_json(KEPT, kept)
-    put_between(PAGE, BEGIN, END, shown(json.loads(KEPT.read_text())))
+        write_json(DATA_FILE, kept)
+    put_between(PAGE, START, END, shown(json.loads(DATA_FILE.read_text())))
 
 
 if __name__ == "__main__":

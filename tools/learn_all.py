@@ -57,7 +57,7 @@ class Step(NamedTuple):
     after: tuple[str, ...] = ()
 
 
-def steps_of(out: Path) -> dict[str, Step]:
+def list_steps(out: Path) -> dict[str, Step]:
     """Every step by its name, in the order in which they would run one by one."""
     from train.spoofers import DETECTORS, WORLDS  # torch, which workers do not need
 
@@ -151,7 +151,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--workers", type=int, default=most, help="steps at a time")
     parser.add_argument("--list", action="store_true", help="print the steps, and run none")
     given = parser.parse_args(arguments)
-    steps = steps_of(given.out)
+    steps = list_steps(given.out)
     for name in given.only:
         check_choice("step", name, steps)
     chosen = {name: step for name, step in steps.items() if name in (given.only or steps)}

@@ -18,7 +18,7 @@ from typing import Any
 
 from agents import seeds
 from agents.folder import write_json
-from agents.seeds import keeps_budget, marked, value_of
+from agents.seeds import get_displacement, keeps_budget, mark_displacement
 from agents.spoofer_table import RIVALS, page
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.core.files import write_file
@@ -27,7 +27,7 @@ from .pages import DOCS, marks, put_between
 from .refits import RESULTS as REFITS
 from .refits import table as table_of_refits
 
-PAGE, KEPT = DOCS / "learned_spoofers.md", DOCS / "learned_spoofers.json"
+PAGE, DATA_FILE = DOCS / "learned_spoofers.md", DOCS / "learned_spoofers.json"
 MANY = "spoofers.json"  # of `train.spoofers`
 TASK_HEAD = (
     *("task", "detector", "ramp [m]", "accelerating ramp [m]", "blind optimum [m]"),
@@ -38,10 +38,10 @@ TRANSFERRED = ("as fitted at home", "refitted")
 KINDS = {"plain": "five arguments", "defaults": "those of the library alone"}
 
 
-def bar_of(found: dict[str, Any]) -> str:
+def find_bar(found: dict[str, Any]) -> str:
     """The rival that gets farthest on the evaluation runs."""
     rivals = found["rivals"]
-    return max(RIVALS, key=lambda name: value_of(rivals[name]) * keeps_budget(rivals[name]))
+    return max(RIVALS, key=lambda name: get_displacement(rivals[name]) * keeps_budget(rivals[name]))
 
 
 def shown_of_tasks(kept: dict[str, Any]) -> str:
@@ -57,12 +57,12 @@ def shown(kept: dict[str, Any]) -> str:
 
 
 def _task_cells(task: str, found: dict[str, Any]) -> tuple[str, ...]:
-    bar = bar_of(found)
-    middle = seeds.middle_of(found["seeds"], bar)
+    bar = find_bar(found)
+    middle = seeds.find_median_seed(found["seeds"], bar)
     ratio = interval(middle["ratios"][bar], 2) if middle["score"] else "0"
     return (
         *(task, f"`{found['detector'].partition('(')[0]}`"),
-        *(marked(found["rivals"][name]) for name in RIVALS),
+        *(mark_displacement(found["rivals"][name]) for name in RIVALS),
         f"**{seeds.reached_by(found['seeds'])}**",
         f"{ratio} {bar}",
         seeds.reached_by(found["seeds"], "untrained"),
@@ -75,7 +75,8 @@ def _seed(found: dict[str, Any], seed: int) -> str:
     if row is None or not row["score"]:
         return "none within the budget" if row else "-"
     rate = 100.0 * row["score"]["alarm_rate"]["value"]
-    return f"{marked(row['score'])} m, {interval(row['ratios']['ramp'], 2)} ramps, {rate:.1f} %"
+    reached = mark_displacement(row["score"])
+    return f"{reached} m, {interval(row['ratios']['ramp'], 2)} ramps, {rate:.1f} %"
 
 
 def shown_of_plain(kept: dict[str, Any]) -> str:
@@ -98,7 +99,7 @@ def _curve(rows: list[dict[str, Any]]) -> str:
     )
 
 
-def taken_of_transfer(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def select_transfer(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """What the page needs of `tools.transfer --json`: by spoofer and home, by world."""
     found: dict[str, Any] = {}
     parts = ("stealthy_displacement_m", "within_budget", "fit_within_budget", "alarm_rate")
@@ -115,7 +116,10 @@ def shown_of_transfer(kept: dict[str, Any]) -> str:
     rows = [
         (
             *name.split(" | "),
-            *("; ".join(marked(cells[world][how]) for how in TRANSFERRED) for world in worlds),
+            *(
+                "; ".join(mark_displacement(cells[world][how]) for how in TRANSFERRED)
+                for world in worlds
+            ),
         )
         for name, cells in kept.items()
     ]
@@ -137,7 +141,7 @@ TABLES: dict[str, tuple[str, Callable[[dict[str, Any]], str]]] = {
 
 def take(folder: Path, kept: dict[str, Any]) -> None:
     if folder.suffix == ".json":
-        kept["transfer"] = taken_of_transfer(_read(folder))
+        kept["transfer"] = select_transfer(_read(folder))
     elif (folder / MANY).is_file():
         kept["spoofers"] |= _read(folder / MANY)
     elif (folder / REFITS).is_file():
@@ -159,11 +163,11 @@ def _read(path: Path) -> Any:
 
 
 def main() -> None:
-    kept = _read(KEPT)
+    kept = _read(DATA_FILE)
     for folder in sys.argv[1:]:
         take(Path(folder), kept)
     kept = {part: dict(sorted(found.items())) for part, found in kept.items()}
-    write_json(KEPT, kept)
+    write_json(DATA_FILE, kept)
     for mark, (part, show) in TABLES.items():
         put_between(PAGE, *marks(mark), show(kept[part]))
 

@@ -89,18 +89,18 @@ class Mutant:
 def find_changes(file: str, text: str) -> Iterator[Mutant]:
     """All mutants of a file; annotations, texts and what spans several lines have none."""
     tree, lines = ast.parse(text), text.splitlines()
-    skipped = {id(part) for node in ast.walk(tree) for part in _untouched(node)}
+    skipped = {id(part) for node in ast.walk(tree) for part in _list_skipped(node)}
     for node in ast.walk(tree):
         number = getattr(node, "lineno", 0)
         if id(node) in skipped or not number or number != getattr(node, "end_lineno", 0):
             continue
         raw = lines[number - 1].encode()
-        for start, end, kind, after in _changes_of(node, raw):
+        for start, end, kind, after in _list_changes(node, raw):
             before = raw[start:end].decode()
             yield Mutant(0, file, number, start, end, kind, before, after, lines[number - 1])
 
 
-def _changes_of(node: ast.AST, raw: bytes) -> Iterator[tuple[int, int, str, str]]:
+def _list_changes(node: ast.AST, raw: bytes) -> Iterator[tuple[int, int, str, str]]:
     """Where a node of one line is changed, its kind, and what it becomes."""
     if isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
         yield from _between(node.left, node.right, raw, rb"//|[-+*/]", OPERATORS[type(node.op)])
@@ -127,7 +127,7 @@ def _between(
         yield start + found.start(), start + found.end(), kind, after
 
 
-def _untouched(node: ast.AST) -> Iterator[ast.AST]:
+def _list_skipped(node: ast.AST) -> Iterator[ast.AST]:
     """Parts of annotations, of f-strings and of what is raised."""
     parts = [getattr(node, name, None) for name in ("annotation", "returns")]
     if isinstance(node, ast.JoinedStr | ast.Raise):
@@ -147,7 +147,7 @@ def _another(value: Any) -> str:
 
 def draw_mutants(root: Path, count: int, kernels: int, seed: int) -> list[Mutant]:
     """Different mutants, `kernels` of them in kernels, the others anywhere else."""
-    files = sorted({p for place in TESTED for p in _files_in(root / place)})
+    files = sorted({p for place in TESTED for p in _list_files(root / place)})
     texts = {path.relative_to(root).as_posix(): path.read_text("utf-8") for path in files}
     sizes = {name: count_statements(text) for name, text in texts.items()}
     rng = np.random.default_rng(seed)
@@ -171,11 +171,11 @@ def draw_mutants(root: Path, count: int, kernels: int, seed: int) -> list[Mutant
     return [replace(each, number=k) for k, each in enumerate(drawn)]
 
 
-def _files_in(place: Path) -> list[Path]:
+def _list_files(place: Path) -> list[Path]:
     return [place] if place.is_file() else sorted(place.rglob("*.py"))
 
 
-def tests_of(file: str) -> list[str]:
+def find_tests(file: str) -> list[str]:
     """Folders of tests that a mutant meets, in their order."""
     (first,) = (tests for place, tests in TESTED.items() if (file + "/").startswith(place + "/"))
     return [first, *ALWAYS]
@@ -218,7 +218,7 @@ def try_mutant(mutant: Mutant, root: Path, limit_s: float) -> Mutant:
         began = time.monotonic()
         words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
         process = subprocess.Popen(
-            [*words, *tests_of(mutant.file)],
+            [*words, *find_tests(mutant.file)],
             cwd=copy,
             env={**os.environ, **own, "SPOOFGYM_DATA": data},
             stdout=subprocess.PIPE,

@@ -33,9 +33,9 @@ def put_between(page: Path, begin: str, end: str, text: str) -> None:
     write_file(page, made.encode())
 
 
-def rendered(name: str, **values: Any) -> str:
+def render_page(name: str, **values: Any) -> str:
     """A template of the folder beside."""
-    return table.rendered(name, values, TEMPLATES)
+    return table.render_template(name, values, TEMPLATES)
 
 
 def keep_cards(file: Path, cards: Mapping[str, Any], order: Iterable[str]) -> None:

@@ -20,13 +20,13 @@ from typing import Any
 from agents.folder import write_json
 from spoofgym.bench.experiments.campaign import PICTURE, CampaignResults, summarize
 from spoofgym.bench.report.campaign import bound_text
-from spoofgym.bench.report.table import Table, metres, number
+from spoofgym.bench.report.table import Table, format_number, metres
 from spoofgym.bench.scores.campaign import HALF, STEALTHY, headline
-from tools.headlines import KEPT as FULL
-from tools.pages import DOCS, ROOT, put_between, rendered
+from tools.headlines import DATA_FILE as FULL
+from tools.pages import DOCS, ROOT, put_between, render_page
 
 README, SHARED, DRAWN = ROOT / "README.md", DOCS / "bench.json", DOCS / "campaign.png"
-BEGIN, END = "<!-- bench:start -->", "<!-- bench:end -->"
+START, END = "<!-- bench:start -->", "<!-- bench:end -->"
 WORLD = "trolley"
 """World of the full run that the README shows: that of task T3."""
 SPOOFERS = {
@@ -50,7 +50,7 @@ def label(detector: str) -> str:
     return re.sub(r"\(false_alarms_per_hour=0\.2\)|, false_alarms_per_hour=0\.2", "", detector)
 
 
-def chosen(world: dict[str, Any]) -> list[dict[str, Any]]:
+def select_rows(world: dict[str, Any]) -> list[dict[str, Any]]:
     """Rows of the detectors that the README shows, in the order of the suite."""
     names = {label(row["detector"]): row for row in world["detectors"]}
     return [row for name, row in names.items() if name in SHOWN or "range_rate" in name]
@@ -64,29 +64,33 @@ def shown(world: dict[str, Any]) -> str:
     table = Table(
         ("detector", lambda row: label(row["detector"])),
         *(
-            (title, lambda row, x=x: _value(headline(protections[row["detector"]], x)), number)
+            (
+                title,
+                lambda row, x=x: _value(headline(protections[row["detector"]], x)),
+                format_number,
+            )
             for title, x in SHARES.items()
         ),
         *(
-            (title, lambda row, name=name: cells[row["detector"], name], _reached)
+            (title, lambda row, name=name: cells[row["detector"], name], _format_displacement)
             for name, title in SPOOFERS.items()
         ),
-        ("bounds", "bracket", _bracket),
+        ("bounds", "bracket", _format_bounds),
     )
-    shown_table = table.markdown(chosen(world))
-    return rendered("bench.md.j2", world=world, per_run=per_run, table=shown_table, OVER=OVER)
+    shown_table = table.markdown(select_rows(world))
+    return render_page("bench.md.j2", world=world, per_run=per_run, table=shown_table, OVER=OVER)
 
 
 def _value(estimate: dict[str, Any] | None) -> float | None:
     return None if estimate is None else estimate["value"]
 
 
-def _reached(cell: dict[str, Any]) -> str:
+def _format_displacement(cell: dict[str, Any]) -> str:
     keeps = cell["within_budget"] and cell["tuned_within_budget"] is not False
     return metres(_value(cell["stealthy_displacement_m"])) + ("" if keeps else OVER)
 
 
-def _bracket(found: dict[str, Any]) -> str:
+def _format_bounds(found: dict[str, Any]) -> str:
     floor, best = metres(found["floor_m"][STEALTHY]), metres(_value(found["blind_optimum"]))
     return f"[{floor}, {best}, {bound_text(found['zero_alarm'])}]"
 
@@ -118,7 +122,7 @@ def main(arguments: list[str]) -> None:
         shutil.copyfile(given / PICTURE, DRAWN)
     world = json.loads(FULL.read_text())["worlds"][WORLD]
     picture = "\n![The campaign](docs/campaign.png)\n"
-    put_between(README, BEGIN, END, shown(world) + picture)
+    put_between(README, START, END, shown(world) + picture)
 
 
 if __name__ == "__main__":

@@ -22,18 +22,18 @@ from typing import Any
 from rich.console import Console
 from rich.markdown import Markdown
 
-from agents.folder import Part, Records, error_lines, identity_of, write_json
-from agents.seeds import keeps_budget, spread, value_of
+from agents.folder import Part, Records, describe_identity, error_lines, write_json
+from agents.seeds import format_range, get_displacement, keeps_budget
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.identity import code_identity
-from spoofgym.bench.report.campaign import titled
+from spoofgym.bench.report.campaign import format_spoofer
 from spoofgym.bench.report.table import Table
-from spoofgym.bench.runs.players import check_labels, fitted, specify_spoofer
+from spoofgym.bench.runs.players import add_tuned_setting, check_labels, specify_spoofer
 from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import parse_spec
-from spoofgym.tasks import task_of
+from spoofgym.tasks import get_task
 
-from .scored import parser_of, sizes_of
+from .scored import get_sizes, make_parser
 
 RESULTS = "refits.json"
 LEARNED = {
@@ -52,13 +52,13 @@ HEAD = (
 
 
 def options(arguments: list[str]) -> argparse.Namespace:
-    parser = parser_of(__doc__, "runs/refits", fit_runs=256)
+    parser = make_parser(__doc__, "runs/refits", fit_runs=256)
     parser.add_argument("--task", nargs="+", default=[*LEARNED])
     parser.add_argument("--spoofer", nargs="+", default=[], help="by default what is shipped")
     parser.add_argument("--entropies", nargs="+", type=int, default=[1, 2, 3, 4, 5])
     given = parser.parse_args(arguments)
     for name in given.task:
-        task_of(name)
+        get_task(name)
         if not given.spoofer and name not in LEARNED:
             raise ValueError(f"no learned spoofer is shipped for {name}: give `spoofer`")
     if len(set(given.entropies)) < len(given.entropies):
@@ -66,15 +66,15 @@ def options(arguments: list[str]) -> argparse.Namespace:
     return given
 
 
-def specs_of(task: str, given: Sequence[str]) -> list[Any]:
+def list_specs(task: str, given: Sequence[str]) -> list[Any]:
     names = given or ("accelerating-ramp", LEARNED[task])
     names = ["ramp", *(name for name in names if name != "ramp")]
-    entries = tuple(specify_spoofer(fitted(parse_spec(name))) for name in names)
+    entries = tuple(specify_spoofer(add_tuned_setting(parse_spec(name))) for name in names)
     check_labels(entries)
     return [entry.spec for entry in entries]
 
 
-def scored(judge: Evaluator, specs: Sequence[Any]) -> list[dict[str, Any]]:
+def score_specs(judge: Evaluator, specs: Sequence[Any]) -> list[dict[str, Any]]:
     """Scores on one set of runs, with ratios to the first one, JSON-able."""
     scores = [judge.score(spec) for spec in specs]
     return [
@@ -87,10 +87,10 @@ def play(given: argparse.Namespace, progress: ProgressBar | None = None) -> dict
     """Score what is missing; results by task and training runs, for each spoofer a list of sets."""
     parts: dict[str, Part] = {}
     for task, entropy in product(given.task, given.entropies):
-        judge = partial(Evaluator, task, **sizes_of(given, entropy))
-        specs = specs_of(task, given.spoofer)
-        make = lambda *_, judge=judge, specs=specs: scored(judge(), specs)  # noqa: E731
-        parts[f"{task} {entropy}"] = Part(identity_of(judge(), *specs), make)
+        judge = partial(Evaluator, task, **get_sizes(given, entropy))
+        specs = list_specs(task, given.spoofer)
+        make = lambda *_, judge=judge, specs=specs: score_specs(judge(), specs)  # noqa: E731
+        parts[f"{task} {entropy}"] = Part(describe_identity(judge(), *specs), make)
     found = Records("refits", {}, parts).play(given.out, progress)
     results = {}
     for task in given.task:
@@ -111,7 +111,7 @@ def table(results: Mapping[str, Any]) -> str:
     rows = [
         (
             *(found["task"], str(found["fit_runs"])),
-            titled(f"`{name.removesuffix('(tuned)')}`", scores[0]["knowledge"]),
+            format_spoofer(f"`{name.removesuffix('(tuned)')}`", scores[0]["knowledge"]),
             *(str(len(scores)), *_cells(scores)),
         )
         for found in results.values()
@@ -126,7 +126,7 @@ def _cells(scores: Sequence[Mapping[str, Any]]) -> tuple[str, str, str]:
     if None not in ratios:
         times = f"{median(ratios):.2f} [{min(ratios):.2f}, {max(ratios):.2f}]"
     over = sum(not keeps_budget(score) for score in scores)
-    return spread([value_of(score) for score in scores]), times, str(over or "")
+    return format_range([get_displacement(score) for score in scores]), times, str(over or "")
 
 
 @error_lines()

@@ -9,7 +9,7 @@ from typing import Any
 from spoofgym.bench.experiments.evaluate import RUNS
 
 
-def parser_of(text: str, out: str, fit_runs: int = 128) -> argparse.ArgumentParser:
+def make_parser(text: str, out: str, fit_runs: int = 128) -> argparse.ArgumentParser:
     """Options of a tool with a module's text, whose results are kept in `out` by default."""
     parser = argparse.ArgumentParser(description=text.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path(out))
@@ -20,6 +20,6 @@ def parser_of(text: str, out: str, fit_runs: int = 128) -> argparse.ArgumentPars
     return parser
 
 
-def sizes_of(given: argparse.Namespace, entropy: int) -> dict[str, Any]:
+def get_sizes(given: argparse.Namespace, entropy: int) -> dict[str, Any]:
     own = {name: getattr(given, name) for name in ("runs", "fit_runs", "threads")}
     return {**own, "entropy": entropy}

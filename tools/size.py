@@ -39,7 +39,7 @@ def count_statements(text: str) -> int:
     return sum(isinstance(node, ast.stmt) for node in ast.walk(ast.parse(text)))
 
 
-def size_of(part: str, root: Path = ROOT) -> Size:
+def measure_size(part: str, root: Path = ROOT) -> Size:
     """Size of the Python files of one folder, or of several that are joined by `+`."""
     texts = [p.read_text() for name in part.split(" + ") for p in (root / name).rglob("*.py")]
     statements = sum(map(count_statements, texts))
@@ -55,7 +55,7 @@ def main(
     check: Annotated[bool, typer.Option(help="Exit with 1 where over budget.")] = False,
 ) -> None:
     """Count, and compare with the budgets."""
-    sizes = {part: size_of(part) for part in BUDGETS}
+    sizes = {part: measure_size(part) for part in BUDGETS}
     over = [part for part in BUDGETS if is_over(sizes[part], BUDGETS[part])]
     if as_json:
         rows = {p: {**s._asdict(), "budget": BUDGETS[p]._asdict()} for p, s in sizes.items()}

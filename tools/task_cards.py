@@ -18,27 +18,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.bench.experiments import Store, run
-from spoofgym.bench.experiments.calibration import calibrate_entries
+from spoofgym.bench.experiments import Store, run_experiment
+from spoofgym.bench.experiments.calibration import calibrate_players
 from spoofgym.bench.experiments.campaign import Campaign, CampaignResults, summarize
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report import tasks
-from spoofgym.bench.runs.players import fitted, specify_detector
-from spoofgym.bench.scores.campaign import name_of
+from spoofgym.bench.runs.players import add_tuned_setting, specify_detector
+from spoofgym.bench.scores.campaign import extract_name
 from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.cli.app import progress
 from spoofgym.core.settings import describe
 from spoofgym.detectors.calibrated import STANDARD_RATE
-from spoofgym.tasks import SUITE, TASKS, Task, task_of
-from tools.pages import DOCS, ROOT, keep_cards, put_between, rendered
+from spoofgym.tasks import SUITE, TASKS, Task, get_task
+from tools.pages import DOCS, ROOT, keep_cards, put_between, render_page
 
-KEPT, PAGE = ROOT / "spoofgym" / "bench" / tasks.FILE, DOCS / "tasks.md"
-BEGIN, END = "<!-- cards:begin -->", "<!-- cards:end -->"
+CARD_FILE, PAGE = ROOT / "spoofgym" / "bench" / tasks.FILE, DOCS / "tasks.md"
+START, END = "<!-- cards:begin -->", "<!-- cards:end -->"
 RATE = {"false_alarms_per_hour": STANDARD_RATE}
 TRIVIAL = {"name": "shewhart", "signals": "range_rate", **RATE}
 """A threshold on each satellite's range-rate innovation of one epoch."""
-CLASSICS = tuple(
+NON_LEARNED = tuple(
     {"name": name, "signals": "range_rate", **RATE}
     for name in ("aime", "sequential-chi2", "cumulative-bank")
 )
@@ -52,9 +52,9 @@ DEALS = 200
 FloatArray, IntArray = NDArray[np.float64], NDArray[np.int64]
 
 
-def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
+def build_suite(task: Task, sizes: dict[str, int]) -> Suite:
     own = specify_detector(task.detector).label
-    classics = () if task.pooled else CLASSICS  # the members of a pool are its classics
+    classics = () if task.pooled else NON_LEARNED  # the members of a pool are its classics
     others = () if task.historical else (*classics, TRIVIAL)
     whom = (task.detector, *(spec for spec in others if specify_detector(spec).label != own))
     limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
@@ -62,7 +62,7 @@ def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
         **task.world_kwargs,
         **limit,
         detectors=whom,
-        spoofers=[fitted({"name": name}) for name in SPOOFERS],
+        spoofers=[add_tuned_setting({"name": name}) for name in SPOOFERS],
         runs=sizes["seeds"],
         tuning=Tuning(runs=sizes["training"], sift_runs=max(sizes["training"] // 16, 1)),
         selection=Selection(runs=sizes["selection"], sift_runs=max(sizes["selection"] // 4, 1)),
@@ -70,21 +70,21 @@ def suite_of(task: Task, sizes: dict[str, int]) -> Suite:
     )
 
 
-def played(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
-    suite = suite_of(task, sizes)
-    calibrate_entries(suite.world, suite.detector_entries, progress=progress)
+def play_task(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
+    suite = build_suite(task, sizes)
+    calibrate_players(suite.world, suite.detector_players, progress=progress)
     suite.check_fit()
     campaign = Campaign(suite)
-    reader = run(campaign, Store(out / task.key), progress=progress)
-    return card_of(task, campaign.results(reader))
+    reader = run_experiment(campaign, Store(out / task.key), progress=progress)
+    return make_card(task, campaign.results(reader))
 
 
-def card_of(task: Task, results: CampaignResults) -> dict[str, Any]:
+def make_card(task: Task, results: CampaignResults) -> dict[str, Any]:
     summary = summarize(results)
     own = specify_detector(task.detector).label
     detectors = {row["detector"]: row for row in summary["detectors"]}
     scores = {
-        name_of(cell["spoofer"]): score_of(cell)
+        extract_name(cell["spoofer"]): make_score(cell)
         for cell in summary["cells"]
         if cell["detector"] == own
     }
@@ -106,30 +106,30 @@ def card_of(task: Task, results: CampaignResults) -> dict[str, Any]:
             }
             for row in summary["protection"]
         },
-        "optima_mps": optima_of(summary),
+        "optima_mps": list_optima(summary),
     }
     if not task.historical:
         card["admission"] = admission(task, summary, results, card)
     return describe(card)
 
 
-def optima_of(summary: dict[str, Any]) -> dict[str, list[float]]:
+def list_optima(summary: dict[str, Any]) -> dict[str, list[float]]:
     """Rates of the blind optima at their knots, by the detectors that they were found against."""
     rates = {
         cell["detector"]: cell["spoofer_settings"]["rates_mps"]
         for cell in summary["cells"]
-        if name_of(cell["spoofer"]) == "blind-optimum"
+        if extract_name(cell["spoofer"]) == "blind-optimum"
     }
     return {label: each for label, each in rates.items() if len(set(each)) > 1}  # no mere ramps
 
 
-def score_of(cell: dict[str, Any]) -> dict[str, Any]:
+def make_score(cell: dict[str, Any]) -> dict[str, Any]:
     keeps = bool(cell["within_budget"]) and cell["tuned_within_budget"] is not False
     score = cell["stealthy_displacement_m"]
     return {**score, "alarm_rate": cell["alarm_rate"]["value"], "within_budget": keeps}
 
 
-def half_of(card: dict[str, Any], detector: str) -> float:
+def get_median_limit(card: dict[str, Any], detector: str) -> float:
     return float(card["protection_m"][detector]["0.5"]["value"])
 
 
@@ -139,10 +139,10 @@ def admission(
     """The five figures of a task, and whether each is as it has to be."""
     trivial = specify_detector(TRIVIAL).label
     classics = [name for name in card["protection_m"] if name != trivial]
-    best = min(classics, key=lambda name: half_of(card, name))
-    half, floor = half_of(card, best), card["floor_m"]
+    best = min(classics, key=lambda name: get_median_limit(card, name))
+    half, floor = get_median_limit(card, best), card["floor_m"]
     cells = {
-        name_of(cell["spoofer"]): float(cell["stealthy_displacement_m"]["value"] or 0.0)
+        extract_name(cell["spoofer"]): float(cell["stealthy_displacement_m"]["value"] or 0.0)
         for cell in summary["cells"]
         if cell["detector"] == best
     }
@@ -157,7 +157,7 @@ def admission(
         "optimum_over_ramp": (cells["blind-optimum"] / cells["ramp"], OPTIMISED, math.inf),
         "p_hmi": (hazard, *HAZARDOUS),
         "skies": (skies, 0.0, ALIKE),
-        "trivial_over_best": (half_of(card, trivial) / half, TRIVIALLY, math.inf),
+        "trivial_over_best": (get_median_limit(card, trivial) / half, TRIVIALLY, math.inf),
     }
     return {
         "best_classic": best,
@@ -188,7 +188,7 @@ def dealt(moved: list[FloatArray], sky: IntArray) -> float:
 
 
 def shown() -> str:
-    return rendered(
+    return render_page(
         "tasks.md.j2",
         scores=tasks.TASK_SCORES.markdown(tasks.task_rows()),
         admission=tasks.ADMISSION.markdown(tasks.admission_rows()),
@@ -207,10 +207,10 @@ def main(arguments: list[str]) -> None:
     given = parser.parse_args(arguments)
     sizes = {name: getattr(given, f"{name}_seeds") for name in ("training", "selection")}
     for key in () if given.tables_only else given.tasks or TASKS:
-        card = played(task_of(key), given.out, {**sizes, "seeds": given.seeds})
-        keep_cards(KEPT, {**tasks.stored_cards(), key: card}, TASKS)
+        card = play_task(get_task(key), given.out, {**sizes, "seeds": given.seeds})
+        keep_cards(CARD_FILE, {**tasks.stored_cards(), key: card}, TASKS)
         print(key, json.dumps(card.get("admission"), indent=1), flush=True)
-    put_between(PAGE, BEGIN, END, shown())
+    put_between(PAGE, START, END, shown())
 
 
 if __name__ == "__main__":

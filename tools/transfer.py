@@ -20,18 +20,18 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from agents.folder import Part, Records, error_lines, identity_of
+from agents.folder import Part, Records, describe_identity, error_lines
 from agents.seeds import keeps_budget
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import Table, interval
-from spoofgym.bench.runs.players import fitted, specify_spoofer
+from spoofgym.bench.runs.players import add_tuned_setting, specify_spoofer
 from spoofgym.bench.search.amplitude import with_rates
 from spoofgym.cli.app import print_json, progress
 from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice, parse_spec
-from spoofgym.tasks import TASKS, task_of
+from spoofgym.tasks import TASKS, get_task
 
-from .scored import parser_of, sizes_of
+from .scored import get_sizes, make_parser
 
 HOME = "home"
 HEAD = ("spoofer", "trained on", "played against", "as fitted at home", "refitted")
@@ -41,13 +41,13 @@ Row = dict[str, Any]
 def evaluators(
     task: str, changes: Mapping[str, Mapping[str, Any]], **sizes: Any
 ) -> dict[str, Evaluator]:
-    base = {**task_of(task).world_kwargs, "detector": task_of(task).detector}
+    base = {**get_task(task).world_kwargs, "detector": get_task(task).detector}
     return {name: Evaluator(**{**base, **change, **sizes}) for name, change in changes.items()}
 
 
-def trained(judge: Evaluator, spec: Row) -> Row:
+def train_spoofer(judge: Evaluator, spec: Row) -> Row:
     """Spec as it comes out of its training in a world, and the setting that is fitted, if any."""
-    entry = specify_spoofer(fitted(spec))
+    entry = specify_spoofer(add_tuned_setting(spec))
     if entry.tuned is None:
         return {"spec": entry.spec, "fitted": None}
     found = judge.fit(entry.spec)
@@ -56,7 +56,7 @@ def trained(judge: Evaluator, spec: Row) -> Row:
     return {"spec": entry.with_value(found.value), "fitted": entry.tuned}
 
 
-def case_of(judge: Evaluator, one: Row, native: Row) -> Row:
+def score_case(judge: Evaluator, one: Row, native: Row) -> Row:
     """Score of a trained spoofer in a world, its amplitude as it is and refitted."""
     spec, setting = one["spec"], one["fitted"]
     best = judge.score(native["spec"], amplitude=None)
@@ -82,21 +82,21 @@ def table(
     parts: dict[str, Part] = {}
     rows: dict[str, Row] = {}
 
-    def learned(spec: Row, judge: Evaluator) -> Part:
-        return Part(identity_of(judge, spec), lambda *_: trained(judge, spec))
+    def make_training(spec: Row, judge: Evaluator) -> Part:
+        return Part(describe_identity(judge, spec), lambda *_: train_spoofer(judge, spec))
 
-    def played(one: str, native: str, judge: Evaluator) -> Part:
+    def make_score(one: str, native: str, judge: Evaluator) -> Part:
         identity = {each: parts[each].identity for each in (one, native)}
-        make = lambda before, _: case_of(judge, before[one], before[native])  # noqa: E731
+        make = lambda before, _: score_case(judge, before[one], before[native])  # noqa: E731
         return Part(identity, make, (one, native))
 
     for spec, only in spoofers:
-        label = specify_spoofer(fitted(spec)).label
+        label = specify_spoofer(add_tuned_setting(spec)).label
         homes = {name: f"{label}, {name}" for name in worlds}
-        parts |= {key: learned(spec, worlds[name]) for name, key in homes.items()}
+        parts |= {key: make_training(spec, worlds[name]) for name, key in homes.items()}
         for home, there in product(worlds if only is None else [only], worlds):
             key = f"{label}, {home} - {there}"
-            parts[key] = played(homes[home], homes[there], worlds[there])
+            parts[key] = make_score(homes[home], homes[there], worlds[there])
             rows[key] = {"spoofer": label, "home": home, "world": there}
     found = Records("transfer", {}, parts).play(out, bar)
     return [{**row, **found[key]} for key, row in rows.items()]
@@ -136,7 +136,7 @@ def _spoofer(text: str, worlds: Mapping[str, Any]) -> tuple[Row, str | None]:
 
 @error_lines()
 def main(arguments: list[str]) -> None:
-    parser = parser_of(__doc__, "results/transfer")
+    parser = make_parser(__doc__, "results/transfer")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--task", choices=TASKS, default="T3")
     parser.add_argument("--spoofer", action="append", required=True, help="NAME[@WORLD]")
@@ -144,7 +144,7 @@ def main(arguments: list[str]) -> None:
     given = parser.parse_args(arguments)
     changes = {HOME: {}, **dict(map(_world, given.world))}
     spoofers = [_spoofer(text, changes) for text in given.spoofer]
-    worlds = evaluators(given.task, changes, **sizes_of(given, given.seed))
+    worlds = evaluators(given.task, changes, **get_sizes(given, given.seed))
     rows = table(worlds, spoofers, given.out, progress)
     if given.json:
         print_json(rows)

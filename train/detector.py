@@ -31,14 +31,14 @@ import tyro
 from rich.console import Console
 
 from agents.checkpoint import open_checkpoint, write_checkpoint
-from agents.detector_loss import logistic, undetected
-from agents.detector_network import DetectorNetwork, parameters_of, statistic_of
-from agents.detector_score import Scored, classics_of, scored, window_s
+from agents.detector_loss import compute_undetected, logistic
+from agents.detector_network import DetectorNetwork, compute_statistic, count_parameters
+from agents.detector_score import Scored, score_non_learned, score_statistic, window_s
 from agents.folder import error_lines, learning_versions
 from agents.record import read_record, write_record
 from spoofgym import export
 from spoofgym.bench.experiments import Store
-from spoofgym.bench.experiments.dataset import Dataset, Episodes, load
+from spoofgym.bench.experiments.dataset import Dataset, Episodes, load_dataset
 from spoofgym.core.declared import check_number
 from spoofgym.core.progress import show_progress
 from spoofgym.core.registry import whole_number
@@ -89,7 +89,7 @@ class Trainer:
     """One training: network, optimizer, and the best so far."""
 
     def __init__(self, given: Arguments, data: Dataset) -> None:
-        self.given, self.data, self.config = given, data, data.config
+        self.args, self.data, self.config = given, data, data.config
         torch.set_num_threads(given.threads)
         torch.manual_seed(given.seed)
         self.network = DetectorNetwork(
@@ -100,7 +100,7 @@ class Trainer:
         )
         self.schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self.optimizer, given.passes)
         self.done, self.best, self.best_pass = 0, math.inf, 0
-        self.kept: dict[str, torch.Tensor] = {}
+        self.best_weights: dict[str, torch.Tensor] = {}
 
     def normalize(self, episodes: Episodes) -> None:
         """Centre and scale, of clean training runs."""
@@ -109,9 +109,9 @@ class Trainer:
 
     def learn(self, episodes: Episodes) -> float:
         """One pass through the training episodes.  Returns the mean loss."""
-        rng = np.random.default_rng([self.given.seed, self.done])
+        rng = np.random.default_rng([self.args.seed, self.done])
         order = rng.permutation(len(episodes.clean))
-        size, losses = self.given.batch_size, []
+        size, losses = self.args.batch_size, []
         starts = range(0, len(order), size)
         with show_progress(len(starts), start=f"pass {self.done + 1}") as bar:
             for start in starts:
@@ -120,7 +120,7 @@ class Trainer:
                 loss = self._loss(Episodes(*(part[rows] for part in episodes)), begin)
                 self.optimizer.zero_grad()
                 loss.backward()
-                torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.given.clip_norm)
+                torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.args.clip_norm)
                 self.optimizer.step()
                 losses.append(float(loss.detach()))
                 bar.advance(1.0, f"pass {self.done + 1}")
@@ -132,7 +132,7 @@ class Trainer:
 
     @property
     def latest(self) -> int:
-        least = math.ceil(self.given.least_live_s / self.config["interval_s"])
+        least = math.ceil(self.args.least_live_s / self.config["interval_s"])
         return max(int(self.config["epochs"]["live"]) - least, 0)
 
     def _loss(self, some: Episodes, begin: int) -> torch.Tensor:
@@ -145,7 +145,7 @@ class Trainer:
         if clean.all() or not clean.any():  # a small rest of a pass
             return loss
         epochs = {**self.config["epochs"], "live": self.config["epochs"]["live"] - begin}
-        return loss + self.given.emphasis * undetected(odds, moved, clean, epochs)
+        return loss + self.args.emphasis * compute_undetected(odds, moved, clean, epochs)
 
     def score(self, episodes: Episodes) -> Scored:
         """Play some runs; a network whose answers are not all finite has an infinite loss."""
@@ -157,26 +157,26 @@ class Trainer:
                 )
             ]
         with np.errstate(invalid="ignore"):
-            raw = statistic_of(np.concatenate(odds))
-        statistic, rate = np.nan_to_num(raw, nan=1.0), self.given.false_alarms_per_hour
-        found = scored(statistic, episodes, self.config, rate)
+            raw = compute_statistic(np.concatenate(odds))
+        statistic, rate = np.nan_to_num(raw, nan=1.0), self.args.false_alarms_per_hour
+        found = score_statistic(statistic, episodes, self.config, rate)
         return found if np.isfinite(raw).all() else found._replace(loss=math.inf)
 
     def keep(self, loss: float) -> None:
         if loss < self.best:
             self.best, self.best_pass = loss, self.done
-            self.kept = {key: x.clone() for key, x in self.network.state_dict().items()}
+            self.best_weights = {key: x.clone() for key, x in self.network.state_dict().items()}
 
     def save(self, path: Path) -> None:
         tensors = {name: getattr(self, name).state_dict() for name in PARTS}
         state = {name: getattr(self, name) for name in COUNTS}
-        write_checkpoint(path, {**tensors, "kept": self.kept}, state)
+        write_checkpoint(path, {**tensors, "kept": self.best_weights}, state)
 
     def restore(self, path: Path) -> None:
         with open_checkpoint(path) as (tensors, state):
             for name in PARTS:
                 getattr(self, name).load_state_dict(tensors[name])
-            self.kept = tensors["kept"]
+            self.best_weights = tensors["kept"]
             for name in COUNTS:
                 setattr(self, name, state[name])
 
@@ -186,7 +186,7 @@ PARTS, COUNTS = ("network", "optimizer", "schedule"), ("done", "best", "best_pas
 
 def train(given: Arguments, console: Console) -> Path:
     """Train, or go on, and export the best.  Returns the ONNX file."""
-    data = load(given.data)
+    data = load_dataset(given.data)
     config = {**given.identity, "name": given.out.name, "data": data.digest}
     validation, episodes = data.episodes("validation"), data.episodes("train")
     data.episodes("test")  # or that it is damaged; it is used in the end
@@ -200,8 +200,8 @@ def train(given: Arguments, console: Console) -> Path:
     if trainer.done == 0:
         trainer.normalize(episodes)
     console.print(
-        f"{len(episodes.clean)} episodes, {parameters_of(trainer.network)} weights; validation on "
-        f"{clean} runs, at {given.false_alarms_per_hour:g} false alarms an hour"
+        f"{len(episodes.clean)} episodes, {count_parameters(trainer.network)} weights; validation "
+        f"on {clean} runs, at {given.false_alarms_per_hour:g} false alarms an hour"
     )
     path = given.out / RECORD
     points = read_record(path) if path.is_file() else []
@@ -231,13 +231,13 @@ def train(given: Arguments, console: Console) -> Path:
 
 def _export(trainer: Trainer, console: Console) -> Path:
     """Write the best network and its card, and play the test runs."""
-    if not trainer.kept:
+    if not trainer.best_weights:
         raise ValueError("training diverged before any pass was good: there is nothing to keep")
-    given, config = trainer.given, trainer.config
-    trainer.network.load_state_dict(trainer.kept)
+    given, config = trainer.args, trainer.config
+    trainer.network.load_state_dict(trainer.best_weights)
     episodes = trainer.data.episodes("test")
     test, rate = trainer.score(episodes), given.false_alarms_per_hour
-    classics = classics_of(trainer.data, episodes, rate)
+    classics = score_non_learned(trainer.data, episodes, rate)
     path = given.out / f"{given.out.name}.onnx"
     training = {
         "algorithm": "supervised, weighted logistic loss of every epoch",

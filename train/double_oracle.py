@@ -34,35 +34,35 @@ import numpy as np
 import tyro
 
 from agents.folder import Part, Records, error_lines, learning_versions, write_json
-from agents.game_page import page_of
+from agents.game_page import write_page
 from spoofgym.bench.experiments.best_response import (
     AttackBudget,
-    Response,
+    BestResponse,
     best_detector,
     best_spoofer,
     exploitability,
 )
 from spoofgym.bench.experiments.calibration import calibrate
 from spoofgym.bench.experiments.game import Game
-from spoofgym.bench.experiments.suite import everyone_in, in_order
+from spoofgym.bench.experiments.suite import list_world_detectors, order_detectors
 from spoofgym.bench.runs.players import (
     DETECTOR,
     SPOOFER,
     Mixture,
     PlayerSpec,
-    member_of,
+    make_player,
     mixture,
 )
 from spoofgym.bench.runs.world import CONTROLS
 from spoofgym.bench.scores.matrix_game import PAYOFFS, PayoffMatrix
-from spoofgym.bench.search.open_loop import BlindSearch
+from spoofgym.bench.search.open_loop import OpenLoopSearch
 from spoofgym.core.files import write_file
 from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice, parse_spec, whole_number
 from spoofgym.detectors import detector_in_world
-from spoofgym.detectors.build import ASKED
+from spoofgym.detectors.build import THRESHOLD_KEYS
 from spoofgym.detectors.calibrated import STANDARD_RATE
-from spoofgym.tasks import ALARM_PRICE, task_of
+from spoofgym.tasks import ALARM_PRICE, get_task
 
 RESULTS, PAGE = "results.json", "game.md"
 RESPONSES = ("none", "learned")
@@ -97,7 +97,7 @@ class Arguments:
     threads: int = 1  # Threads of the engine.
 
     def __post_init__(self) -> None:
-        task_of(self.task)
+        get_task(self.task)
         check_choice("payoff", self.payoff, PAYOFFS)
         check_choice("detector_response", self.detector_response, RESPONSES)
         for name, least in (("iterations", 1), ("ppo_steps", 0), ("search_runs", 0)):
@@ -117,7 +117,7 @@ class Arguments:
     def budget(self) -> AttackBudget:
         blind = None
         if self.search_runs:
-            blind = BlindSearch(
+            blind = OpenLoopSearch(
                 runs=self.search_runs,
                 batch=max(self.search_runs // 2, 4),
                 knots=12,
@@ -146,7 +146,7 @@ class DoubleOracle:
             threads=args.threads,
             folder=args.out / "entries",
         )
-        self.classics, self.left_out = self._classics()
+        self.non_learned, self.left_out = self._list_non_learned()
         self.fresh = self.game.on("evaluation")
         self.spoofers: list[PlayerSpec] = []
         self.detectors: list[PlayerSpec] = []
@@ -186,7 +186,7 @@ class DoubleOracle:
 
     def _start(self) -> dict[str, Any]:
         """Members at the start: calibrated detectors, and every family's best against all."""
-        detectors = self.classics
+        detectors = self.non_learned
         even = mixture("even mix", detectors, np.ones(len(detectors)))
         found = self._spoofer(even, 0, [])
         spoofers = [
@@ -199,17 +199,17 @@ class DoubleOracle:
             "left_out": [*self.left_out, *found.notes],
         }
 
-    def _classics(self) -> tuple[list[PlayerSpec], list[str]]:
+    def _list_non_learned(self) -> tuple[list[PlayerSpec], list[str]]:
         """Detectors that have a calibration in this world, and why others have none."""
         rate = {"false_alarms_per_hour": self.args.false_alarms_per_hour}
         specs: list[dict[str, Any]] = [parse_spec(text) for text in self.args.detectors]
         if not specs:
-            everyone = in_order(everyone_in(self.game.setup, rescaled=True))
+            everyone = order_detectors(list_world_detectors(self.game.setup, rescaled=True))
             specs = [{**rate, **each} for each in everyone if each not in CONTROLS]
         members, left_out = [], []
         for spec in specs:
-            asks = any(key in spec for key in ASKED)
-            member = member_of(spec if asks else {**rate, **spec}, DETECTOR)
+            asks = any(key in spec for key in THRESHOLD_KEYS)
+            member = make_player(spec if asks else {**rate, **spec}, DETECTOR)
             try:
                 self.game.detector(member)
             except ValueError as error:
@@ -228,7 +228,7 @@ class DoubleOracle:
         found, spread = matrix.solve(), matrix.spread()
         spoofers, detectors = matrix.mixes(found)
         answer = self._spoofer(detectors, k + 1, self.spoofers)
-        learned = self._learned(spoofers, k)
+        learned = self._train_detector(spoofers, k)
         guard = self._detector(spoofers, k + 1, [*self.detectors, *learned])
         ends = exploitability(self.fresh, spoofers, detectors, answer.member, guard.member)
         entered = {
@@ -278,7 +278,7 @@ class DoubleOracle:
     def _matrix(self) -> PayoffMatrix:
         return self.game.matrix(self.spoofers, self.detectors, oracles=True)
 
-    def _spoofer(self, mix: Mixture, turn: int, given: Sequence[PlayerSpec]) -> Response:
+    def _spoofer(self, mix: Mixture, turn: int, given: Sequence[PlayerSpec]) -> BestResponse:
         return best_spoofer(
             self.game,
             mix,
@@ -289,7 +289,7 @@ class DoubleOracle:
             label=f"response {turn}",
         )
 
-    def _detector(self, mix: Mixture, turn: int, detectors: Sequence[PlayerSpec]) -> Response:
+    def _detector(self, mix: Mixture, turn: int, detectors: Sequence[PlayerSpec]) -> BestResponse:
         return best_detector(
             self.game,
             mix,
@@ -308,7 +308,7 @@ class DoubleOracle:
             print(f"PPO has diverged against {mix.label}, and takes no part in response {turn}")
             return []
         return [
-            member_of({"name": str(file), "amplitude": x}, SPOOFER, label=f"PPO {turn}, {x:g}")
+            make_player({"name": str(file), "amplitude": x}, SPOOFER, label=f"PPO {turn}, {x:g}")
             for x in AMPLITUDES
         ]
 
@@ -322,7 +322,7 @@ class DoubleOracle:
         from spoofgym.sb3 import SpoofVecEnv
         from spoofgym.spoofers.learned import finite
 
-        args, pool, world = self.args, mix.pool(), task_of(self.args.task)
+        args, pool, world = self.args, mix.pool(), get_task(self.args.task)
         length = args.limit_m or world.alert_limit_m
         settings: dict[str, Any] = {
             **world.world_kwargs,
@@ -351,7 +351,7 @@ class DoubleOracle:
         env.close()
         return sound
 
-    def _learned(self, mix: Mixture, turn: int) -> list[PlayerSpec]:
+    def _train_detector(self, mix: Mixture, turn: int) -> list[PlayerSpec]:
         """Detector that a command has learned against a mix, at the rate of all others."""
         if self.args.detector_response == "none":
             return []
@@ -365,13 +365,13 @@ class DoubleOracle:
         spec = {"name": str(file), "false_alarms_per_hour": rate}
         judge: Any = detector_in_world(spec)
         calibrate(self.game.setup, [judge.detector], false_alarms_per_hour=rate)
-        return [member_of(spec, DETECTOR, label=f"learned {turn}")]
+        return [make_player(spec, DETECTOR, label=f"learned {turn}")]
 
 
 def run(args: Arguments, progress: ProgressBar | None = None) -> dict[str, Any]:
     results = DoubleOracle(args).play(progress)
     write_json(args.out / RESULTS, results)
-    write_file(args.out / PAGE, page_of(results).encode())
+    write_file(args.out / PAGE, write_page(results).encode())
     return results
 
 

@@ -27,7 +27,7 @@ from agents.learning import learn
 from agents.seeds import KIND_HEAD, LOUDEST, kind_cells
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import Table
-from spoofgym.bench.scores.spoofer import Score
+from spoofgym.bench.scores.spoofer import SpooferScore
 from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice, whole_number
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
@@ -74,7 +74,7 @@ class Settings:
 
 
 def train(
-    settings: Settings, kind: str, seed: int, judge: Evaluator, ramps: dict[str, Score]
+    settings: Settings, kind: str, seed: int, judge: Evaluator, ramps: dict[str, SpooferScore]
 ) -> dict[str, Any]:
     """One training: its score on evaluation runs, and what it was on training runs meanwhile. A
     training that has diverged has no score."""
@@ -119,7 +119,7 @@ def play(settings: Settings, progress: ProgressBar | None = None) -> dict[str, A
     return {**told, "ramps": found["ramps"], "kinds": rows}
 
 
-def table_of(results: dict[str, Any]) -> str:
+def build_table(results: dict[str, Any]) -> str:
     """A line of Markdown for each kind: the median over its seeds, and the range."""
     ramp = results["ramps"]["ramp"]
     rows = [kind_cells(results["task"], kind, of, ramp) for kind, of in results["kinds"].items()]
@@ -132,7 +132,7 @@ def main() -> None:
     torch.set_num_threads(1)
     results = play(settings, show_progress)
     write_json(settings.out / "results.json", results)
-    Console().print(table_of(results), soft_wrap=True, markup=False)
+    Console().print(build_table(results), soft_wrap=True, markup=False)
 
 
 if __name__ == "__main__":

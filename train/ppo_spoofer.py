@@ -53,36 +53,44 @@ from agents.curve import draw_curves
 from agents.folder import (
     Part,
     Records,
-    command_of,
     error_lines,
+    format_command,
     json_object,
     learning_versions,
     write_json,
 )
 from agents.learning import LEAST, MOST, Steps, for_learning, learn, next_price, set_price
 from agents.record import read_record, write_record
-from agents.seeds import LOUDEST, comparable, copy_policy, table_of, value_of
+from agents.seeds import LOUDEST, build_table, comparable, copy_policy, get_displacement
 from agents.spoofer_table import RIVALS
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.identity import code_identity
 from spoofgym.bench.report.table import Table
 from spoofgym.bench.runs.players import FITTED, specify_policy
-from spoofgym.bench.scores.spoofer import Score
+from spoofgym.bench.scores.spoofer import SpooferScore
 from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice, parse_spec
 from spoofgym.core.settings import outside_sources
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE
-from spoofgym.tasks import ALARM_PRICE, task_of
+from spoofgym.tasks import ALARM_PRICE, get_task
 
 CHECKPOINT, RECORD, RESULTS, PICTURE = "checkpoint.zip", "record.jsonl", "results.json", "curve.png"
 STATE = ("stage", "spent_s", "untrained", "price")  # what a checkpoint keeps beside model, scores
-FREE = ("out", "seeds", "rivals", "threads", "tensorboard", "json")  # may change when gone on with
+RESUME_OPTIONS = (
+    "out",
+    "seeds",
+    "rivals",
+    "threads",
+    "tensorboard",
+    "json",
+)  # may change when gone on with
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Settings of a training; all but those of `FREE` are its identity, which a folder keeps."""
+    """Settings of a training; all but those of `RESUME_OPTIONS` are its identity, which a folder
+    keeps."""
 
     out: Path  # Folder of the run; its last part is the name of the spoofer.
     task: str = "T3"  # Task, T1 to T6, whose world and detector it learns against.
@@ -118,7 +126,7 @@ class Arguments:
     def __post_init__(self) -> None:
         """Check what stable-baselines3 and the environment do not check, or only later."""
         check_choice("knowledge", self.knowledge, KNOWLEDGE)
-        task_of(self.task)  # or a message that lists them
+        get_task(self.task)  # or a message that lists them
         for name, low, high in (
             *((name, 1, math.inf) for name in ("steps", "num_envs", "batch_size", "n_epochs")),
             *((name, 1, math.inf) for name in ("stages", "fit_runs", "runs")),
@@ -149,7 +157,7 @@ class Arguments:
     @property
     def identity(self) -> dict[str, Any]:
         """What a run that is gone on with must share with the one before; JSON-able."""
-        own = {name: value for name, value in asdict(self).items() if name not in FREE}
+        own = {name: value for name, value in asdict(self).items() if name not in RESUME_OPTIONS}
         return dict(json.loads(json.dumps({"name": self.out.name, **own})))
 
     @property
@@ -171,7 +179,7 @@ class Arguments:
         given = json_object("settings", self.settings)
         if not self.detector and not given:
             return {"task": self.task}
-        task = task_of(self.task)
+        task = get_task(self.task)
         met = parse_spec(self.detector) if self.detector else task.detector
         return {**task.world_kwargs, "detector": met, **given}
 
@@ -180,14 +188,16 @@ class Arguments:
             name: getattr(self, name) for name in ("knowledge", "threads", "warm_pool")
         }
         own |= self.world
-        length_m = self.length_m or task_of(self.task).alert_limit_m
+        length_m = self.length_m or get_task(self.task).alert_limit_m
         if length_m is not None:
             own["length_m"] = length_m
         own = for_learning(own, self.full_scale_mps, self.decision_interval_s)
         return SpoofVecEnv(self.num_envs, **own)
 
     def command(self) -> str:
-        return command_of("train.ppo_spoofer", self, FREE, ["--seeds", *map(str, self.seeds)])
+        return format_command(
+            "train.ppo_spoofer", self, RESUME_OPTIONS, ["--seeds", *map(str, self.seeds)]
+        )
 
 
 def make_model(
@@ -314,8 +324,8 @@ class Training:
         save_checkpoint(self.folder / CHECKPOINT, self.model, self.envs, state, files)
 
 
-def scored(
-    args: Arguments, judge: Evaluator, found: Mapping[str, Any], rivals: Mapping[str, Score]
+def score_seed(
+    args: Arguments, judge: Evaluator, found: Mapping[str, Any], rivals: Mapping[str, SpooferScore]
 ) -> dict[str, Any]:
     """What a seed has reached on evaluation runs, JSON-able."""
     if found["chosen_at"] is None:
@@ -345,7 +355,7 @@ def train(args: Arguments, progress: ProgressBar | None = None) -> dict[str, Any
     met = cache(lambda: {name: judge.score(name) for name in args.rivals})
     parts["rivals"] = Part(whom, lambda *_: {name: x.as_dict() for name, x in met().items()})
     for key, seed in zip(scores, seeds, strict=True):
-        make = lambda before, _, k=seed: scored(args, judge, before[k], met())  # noqa: E731
+        make = lambda before, _, k=seed: score_seed(args, judge, before[k], met())  # noqa: E731
         parts[key] = Part(whom, make, (seed,))
     found = Records("ppo-spoofer", args.config, parts).play(args.out, progress)
     kept = [found[key] for key in seeds if found[key]["chosen_at"] is not None]
@@ -355,7 +365,9 @@ def train(args: Arguments, progress: ProgressBar | None = None) -> dict[str, Any
         copy_policy(args.policy(best), args.out / f"{args.out.name}.onnx", told)
     curves = {f"seed {seed}": read_record(args.folder(seed) / RECORD) for seed in args.seeds}
     known = {name: each["knowledge"] for name, each in found["rivals"].items()}
-    levels = {name: value_of(found["rivals"][name]) for name in comparable(known, args.knowledge)}
+    levels = {
+        name: get_displacement(found["rivals"][name]) for name in comparable(known, args.knowledge)
+    }
     draw_curves(curves, args.out / PICTURE, levels)
     rows = [{**found[key], **found[score]} for key, score in zip(seeds, scores, strict=True)]
     rows = [{name: x for name, x in row.items() if name != "training_m"} for row in rows]
@@ -378,7 +390,7 @@ def main() -> None:
     if args.json:
         print(json.dumps(results, indent=1, allow_nan=False))
     else:
-        title, head, rows = table_of(results)
+        title, head, rows = build_table(results)
         Table.of_texts(*head).print(title, rows)
         print(f"written: {args.out}")
 

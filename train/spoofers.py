@@ -36,7 +36,7 @@ from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.core.files import write_file
 from spoofgym.core.progress import ProgressBar, show_progress
 from spoofgym.core.registry import check_choice
-from spoofgym.tasks import task_of
+from spoofgym.tasks import get_task
 
 from .ppo_spoofer import Arguments, train
 
@@ -82,10 +82,10 @@ class Settings:
     def cells(self) -> list[tuple[str, str, str]]:
         """World, detector and knowledge of what is to be trained."""
 
-        def chosen(names: Any) -> list[str]:
+        def choose(names: Any) -> list[str]:
             return [name for name in names if name in self.only] or list(names)
 
-        worlds, detectors, known = map(chosen, (WORLDS, DETECTORS, KNOWLEDGE))
+        worlds, detectors, known = map(choose, (WORLDS, DETECTORS, KNOWLEDGE))
         return [(w, d, k) for w in worlds for d in detectors for k in known]
 
     def folder(self, world: str, detector: str, knowledge: str) -> Path:
@@ -93,7 +93,7 @@ class Settings:
 
     def arguments(self, world: str, detector: str, knowledge: str, reach_m: float) -> Arguments:
         """The training of a cell; `reach_m`: how far an accelerating ramp gets there."""
-        blind, limit_m = knowledge == "blind", task_of(world).alert_limit_m
+        blind, limit_m = knowledge == "blind", get_task(world).alert_limit_m
         given: dict[str, Any] = {
             "out": self.folder(world, detector, knowledge),
             "task": world,
@@ -107,12 +107,12 @@ class Settings:
         return Arguments(**{**given, **{name: getattr(self, name) for name in own}, **further})
 
 
-def experiment_of(settings: Settings) -> Records:
+def build_experiment(settings: Settings) -> Records:
     """A cell for every training with all its seeds, after how far the accelerating ramp gets."""
     parts: dict[str, Part] = {}
     for cell in settings.cells():
         reach, met = f"reach {'/'.join(cell[:2])}", {"detector": DETECTORS[cell[1]]}
-        parts[reach] = Part(met, lambda *_, x=cell: reach_of(settings, *x[:2]))
+        parts[reach] = Part(met, lambda *_, x=cell: measure_reach(settings, *x[:2]))
 
         def make(before: Any, context: Context, cell: Any = cell, reach: str = reach) -> Any:
             args = settings.arguments(*cell, before[reach])
@@ -128,8 +128,8 @@ def experiment_of(settings: Settings) -> Records:
 
 def play(settings: Settings, progress: ProgressBar | None = None) -> dict[str, Any]:
     """Train what is missing; results of all cells that are finished, JSON-able."""
-    experiment_of(settings).play(settings.out, progress)
-    everything, store = experiment_of(replace(settings, only=())), Store(settings.out)
+    build_experiment(settings).play(settings.out, progress)
+    everything, store = build_experiment(replace(settings, only=())), Store(settings.out)
     store.open(everything.name, everything.config)
     found = everything.report(Reader(store, everything.cells()))
     table = {name: x for name, x in found.items() if not name.startswith("reach")}
@@ -138,7 +138,7 @@ def play(settings: Settings, progress: ProgressBar | None = None) -> dict[str, A
     return table
 
 
-def reach_of(settings: Settings, world: str, detector: str) -> float:
+def measure_reach(settings: Settings, world: str, detector: str) -> float:
     """How far the accelerating ramp gets on training runs [m]."""
     args = settings.arguments(world, detector, "blind", 0.0)
     judge = Evaluator(fit_runs=args.fit_runs, threads=args.threads, **args.world)

@@ -143,27 +143,27 @@ def fill_origins(rows: Iterable[Row], **values: Any) -> list[Row]:
     """Rows whose origins of bands name the runs of this reproduction. `rows`: with texts that have
     ``{name}`` where a value belongs; `**values`: by name, such as the seed and numbers of runs."""
 
-    def filled(row: Row) -> Row:
+    def fill_origin(row: Row) -> Row:
         if row.band is None:
             return row
         origin = row.band.origin
         said = replace(origin, text=origin.text.format(**values))
         return replace(row, band=replace(row.band, origin=said))
 
-    return [filled(row) for row in rows]
+    return [fill_origin(row) for row in rows]
 
 
 class Paper(Protocol):
     """What a module of a paper has.
 
     - `TITLE`: authors and year, such as ``"Zhong et al. (2025)"``;
-    - `CLAIMS`, `FOUND`, `READINGS`: Markdown, what the paper claims, what we found, and the
+    - `CLAIMS`, `FINDINGS`, `READINGS`: Markdown, what the paper claims, what we found, and the
       readings that we took.
     """
 
     TITLE: str
     CLAIMS: str
-    FOUND: str
+    FINDINGS: str
     READINGS: str
 
     def parts(self, settings: Settings) -> list[Part]:

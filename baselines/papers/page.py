@@ -70,7 +70,7 @@ def main(
             stored = json.loads(path.read_text(encoding="utf-8"))
         else:
             run = PaperRun(each, Settings(quick=False, seed=seed), out)
-            data = run.stored()
+            data = run.load_data()
             pictures = [small_picture(path) for path in run.draw(data, docs / FIGURES)]
             stored = page_record(run, data, [path.name for path in pictures])
             content = json.dumps(stored, indent=1, allow_nan=False) + "\n"
@@ -121,7 +121,7 @@ def page_text(paper: Paper, stored: dict[str, Any]) -> str:
         "",
         "## What we found",
         "",
-        paper.FOUND.strip(),
+        paper.FINDINGS.strip(),
         "",
         *(f"- {line}" for line in counts_text(rows)),
         "",

@@ -32,7 +32,7 @@ def load_paper(key: str) -> Paper:
     return cast("Paper", module)
 
 
-def parts_of(paper: Paper, settings: Settings) -> list[Part]:
+def list_parts(paper: Paper, settings: Settings) -> list[Part]:
     """Parts of a paper, checked."""
     parts = paper.parts(settings)
     if not parts:
@@ -58,7 +58,7 @@ def parts_of(paper: Paper, settings: Settings) -> list[Part]:
     return parts
 
 
-def rows_of(paper: Paper, data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
+def list_rows(paper: Paper, data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
     """Rows of a paper, checked."""
     rows = paper.rows(data, settings)
     check_rows(rows)
@@ -74,7 +74,7 @@ def check_rows(rows: Sequence[Row]) -> None:
         if key in seen:
             raise ValueError(f"{where}: stands there twice")
         seen.add(key)
-        for name, value in numbers_of(row).items():
+        for name, value in list_numbers(row).items():
             number = isinstance(value, numbers.Real) and not isinstance(value, bool)
             if value is not None and not (number and math.isfinite(value)):
                 raise ValueError(f"{where}: `{name}` must be a finite number or None, got {value}")
@@ -85,7 +85,7 @@ def check_rows(rows: Sequence[Row]) -> None:
             raise ValueError(f"{where}: its band is empty, from {band.low} to {band.high}")
 
 
-def numbers_of(row: Row) -> dict[str, float | None]:
+def list_numbers(row: Row) -> dict[str, float | None]:
     """Numbers of a row by name: the two values, then the ends of the band."""
     band = row.band
     ends = {"low": band and band.low, "high": band and band.high}
@@ -96,7 +96,7 @@ def rows_record(rows: Sequence[Row]) -> dict[str, Any]:
     """Rows as JSON, with every origin of a band once. Returns ``origins``: kind and text by a
     letter; ``rows``: fields, ends of the band, the letter of its origin, and the verdicts."""
     letters = {row.band.origin: "" for row in rows if row.band is not None}
-    letters = {origin: letter_of(number) for number, origin in enumerate(letters)}
+    letters = {origin: format_letter(number) for number, origin in enumerate(letters)}
     return {
         "origins": {letter: asdict(origin) for origin, letter in letters.items()},
         "rows": [
@@ -106,7 +106,7 @@ def rows_record(rows: Sequence[Row]) -> dict[str, Any]:
                 "quantity": row.quantity,
                 **{
                     name: None if value is None else float(value)
-                    for name, value in numbers_of(row).items()
+                    for name, value in list_numbers(row).items()
                 },
                 "origin": None if row.band is None else letters[row.band.origin],
                 **{name: _plain_bool(getattr(row, name)) for name in VERDICTS},
@@ -129,17 +129,17 @@ def rows_from_record(record: Mapping[str, Any]) -> list[Row]:
     return rows
 
 
-def letter_of(number: int) -> str:
+def format_letter(number: int) -> str:
     """A to Z, then AA, AB and so on."""
     first, last = divmod(number, 26)
-    return (letter_of(first - 1) if first else "") + chr(ord("A") + last)
+    return (format_letter(first - 1) if first else "") + chr(ord("A") + last)
 
 
 def _plain_bool(value: bool | None) -> bool | None:
     return None if value is None else bool(value)
 
 
-def runs_of(parts: Sequence[Part], data: dict[str, dict[str, Any]]) -> int:
+def count_runs(parts: Sequence[Part], data: dict[str, dict[str, Any]]) -> int:
     """How many runs a reproduction has simulated. Returns sum over the parts of `runs` or `cases`,
     told in the result or among the settings; 1 for a part that tells none."""
     told = [{"runs": 1} | part.settings | data[part.name] for part in parts]

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym.bench.experiments.runner import Context, Experiment, run
+from spoofgym.bench.experiments.runner import Context, Experiment, run_experiment
 from spoofgym.bench.experiments.store import Cell, Reader, Result, Store
 from spoofgym.core.progress import ProgressBar
 
 from .frame import Part, Row, Settings
-from .paper import load_paper, parts_of, rows_of, rows_record, runs_of
+from .paper import count_runs, list_parts, list_rows, load_paper, rows_record
 from .sources import digest_of_modules
 
 Data = dict[str, dict[str, Any]]
@@ -31,7 +31,7 @@ class PaperRun(Experiment):
 
     def __init__(self, key: str, settings: Settings, out: Path) -> None:
         self.key, self.settings = key, settings
-        self.parts = {part.name: part for part in parts_of(load_paper(key), settings)}
+        self.parts = {part.name: part for part in list_parts(load_paper(key), settings)}
         modules = {part.function.__module__ for part in self.parts.values()}
         self._sources = digest_of_modules(modules)
         extent = "quick" if settings.quick else "full"
@@ -67,9 +67,9 @@ class PaperRun(Experiment):
         """Run what is left, or all of it, and read everything."""
         if overwrite:
             self.store.open(self.name, self.config, overwrite=True)
-        return self._data(run(self, self.store, jobs=jobs, progress=progress))
+        return self._data(run_experiment(self, self.store, jobs=jobs, progress=progress))
 
-    def stored(self) -> Data:
+    def load_data(self) -> Data:
         """Read everything; a ValueError where something has not been run."""
         self.store.open(self.name, self.config)
         results = Reader(self.store, self.cells())
@@ -83,7 +83,7 @@ class PaperRun(Experiment):
 
     def rows(self, data: Data) -> list[Row]:
         """Figures of the paper beside ours, checked."""
-        return rows_of(load_paper(self.key), data, self.settings)
+        return list_rows(load_paper(self.key), data, self.settings)
 
     def report(self, results: Reader) -> dict[str, Any]:
         """The run as JSON: ``paper``, ``runs``, ``seed``, and what `rows_record` gives."""
@@ -93,7 +93,7 @@ class PaperRun(Experiment):
         """The same from what was read."""
         return {
             "paper": self.key,
-            "runs": runs_of([*self.parts.values()], data),
+            "runs": count_runs([*self.parts.values()], data),
             "seed": self.settings.seed,
             **rows_record(self.rows(data)),
         }

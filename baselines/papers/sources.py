@@ -11,13 +11,13 @@ import ast
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from spoofgym.core.settings import digest_of, digest_of_code
+from spoofgym.core.settings import compute_digest, digest_of_code
 
 ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = "spoofgym"
 FRAME = "baselines.papers.frame"
 """Says what a part is, and computes nothing."""
-TOLD_NAMES = ("TITLE", "CLAIMS", "FOUND", "READINGS", "rows", "figures")
+REPORT_NAMES = ("TITLE", "CLAIMS", "FOUND", "READINGS", "rows", "figures")
 """Names in a module that tell or draw."""
 
 
@@ -29,16 +29,16 @@ def digest_of_modules(modules: Iterable[str]) -> str:
     waiting = set(modules)
     while waiting:
         known |= waiting
-        found = {name for module in waiting for name in _imported(module)}
+        found = {name for module in waiting for name in _list_imports(module)}
         waiting = {name for name in found if name != FRAME} - known
-    files = {module: _file_of(module) for module in sorted(known)}
+    files = {module: _find_file(module) for module in sorted(known)}
     sources = {name: file and ast.unparse(_computing(file)) for name, file in files.items()}
-    return digest_of(
+    return compute_digest(
         [(name, text and digest_of_code(text.encode())) for name, text in sources.items()]
     )
 
 
-def _file_of(module: str) -> Path | None:
+def _find_file(module: str) -> Path | None:
     """File of a module of the checkout, outside the library; None for any other."""
     if module.split(".")[0] == LIBRARY:
         return None
@@ -49,9 +49,9 @@ def _file_of(module: str) -> Path | None:
     return None
 
 
-def _imported(module: str) -> Iterator[str]:
+def _list_imports(module: str) -> Iterator[str]:
     """Modules of the checkout that a module imports, in its functions too."""
-    file = _file_of(module)
+    file = _find_file(module)
     if file is None:
         return
     package = module.split(".") if file.name == "__init__.py" else module.split(".")[:-1]
@@ -63,10 +63,10 @@ def _imported(module: str) -> Iterator[str]:
             base = ".".join([*parents, *filter(None, [node.module])])
             inner = [f"{base}.{alias.name}" for alias in node.names]
             # a name that is no module of its own is one of the package's
-            names = [name if _file_of(name) else base for name in inner]
+            names = [name if _find_file(name) else base for name in inner]
         else:
             continue
-        yield from (name for name in names if _file_of(name))
+        yield from (name for name in names if _find_file(name))
 
 
 def _computing(file: Path) -> ast.Module:
@@ -79,9 +79,9 @@ def _computing(file: Path) -> ast.Module:
 def _only_tells(node: ast.stmt) -> bool:
     """Whether a statement of a module is a text of the paper, or makes its rows or figures."""
     if isinstance(node, ast.FunctionDef):
-        return node.name in TOLD_NAMES
+        return node.name in REPORT_NAMES
     if isinstance(node, ast.AnnAssign):
-        return isinstance(node.target, ast.Name) and node.target.id in TOLD_NAMES
+        return isinstance(node.target, ast.Name) and node.target.id in REPORT_NAMES
     if isinstance(node, ast.Assign):
-        return any(isinstance(t, ast.Name) and t.id in TOLD_NAMES for t in node.targets)
+        return any(isinstance(t, ast.Name) and t.id in REPORT_NAMES for t in node.targets)
     return False

@@ -1,7 +1,7 @@
 """Compiled loops of attacks and of a spoofer's equipment, over receivers lo to hi.
 
 What they share: `commanded` as in `Commanded`; `epochs` (B,) that each receiver is at, the next one
-being measured; `truth`: `World.epoch_truth`; `captured` (n,) bool, which channels are the
+being measured; `truth`: `GroundTruth.epoch_truth`; `captured` (n,) bool, which channels are the
 spoofer's; `d_range`, `d_rate` (B, n), written: offsets [m], [m/s].
 
 The noise of epoch k belongs to the counters 2 k and 2 k + 1 of the attack's key: the first for what
@@ -14,7 +14,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from ..core.compile import inlined, njit
+from ..core.compile import inline_njit, njit
 from ..core.simd import LANES, store
 from ..earth.wgs84 import range_and_rate
 from ..truth._kernels import load3
@@ -53,7 +53,7 @@ def kinematic_step(action, hold, tau, vector, by_rate, unit_scale, rate_limit, d
         rate[i] = new
 
 
-@inlined
+@inline_njit
 def move(commanded, b, tau, vector):
     s, moved = commanded.settings, (commanded.displacement[b], commanded.rate[b])
     kinematic_step(commanded.action[b], commanded.hold, tau, vector, s[0] > 0.0, s[1], s[2], *moved)
@@ -71,7 +71,7 @@ def shrink(first, factor, second, limit):
 
 
 @njit
-def add_displaced(shift, truth, k, captured, coherent, d_range, d_rate, work):
+def add_displacement(shift, truth, k, captured, coherent, d_range, d_rate, work):
     """Add the offsets that make captured ranges those of an antenna displaced at epoch k.
 
     The true ranges come from the same operations; without displacement and rate the offset is
@@ -125,7 +125,7 @@ def false_position(
                 shift[3 + i] += moved[axis] * axes_e[k, axis, 3 + i]
         d_range[b], d_rate[b] = 0.0, 0.0
         coherent = commanded.settings[3] > 0.0
-        add_displaced(shift, truth, k, captured, coherent, d_range[b], d_rate[b], work)
+        add_displacement(shift, truth, k, captured, coherent, d_range[b], d_rate[b], work)
 
 
 @njit
@@ -148,7 +148,7 @@ def displaced_ranges(shift, coherent, epochs, truth, captured, d_range, d_rate, 
     work = np.empty((8, LANES))
     for b in range(lo, hi):
         k = epochs[b] + 1
-        add_displaced(shift[b], truth, k, captured, coherent, d_range[b], d_rate[b], work)
+        add_displacement(shift[b], truth, k, captured, coherent, d_range[b], d_rate[b], work)
 
 
 @njit
@@ -206,7 +206,7 @@ def meaconer(commanded, antenna, follows, onsets, epochs, truth, captured, d_ran
         for s in range(captured.shape[0]):
             d_range[b, s] = delay if captured[s] else 0.0
             d_rate[b, s] = change if captured[s] and coherent else 0.0
-        add_displaced(shift, truth, k, captured, coherent, d_range[b], d_rate[b], work)
+        add_displacement(shift, truth, k, captured, coherent, d_range[b], d_rate[b], work)
 
 
 MOVING = 64  # deviates of an epoch for what moves: three axes of two, and two of the clock
@@ -250,7 +250,7 @@ def wander_step(state, sd, beta, tau, first, second):
 
 
 @njit
-def delayed(k, delay, epoch_time, position_e, velocity_e, out):
+def compute_delay_error(k, delay, epoch_time, position_e, velocity_e, out):
     """Position and velocity some time ago, less those of an epoch. Between epochs the position is
     the cubic that fits position and velocity at both ends; before the first epoch of the run it
     moves straight on. `delay`: how long ago [s]; `out` (6,), written."""
@@ -276,7 +276,9 @@ def delayed(k, delay, epoch_time, position_e, velocity_e, out):
 
 
 @njit
-def advance(keys, epochs, truth, tracking, psd, bias, axes, wander, clock, target_error, lo, hi):
+def advance_spoofer_errors(
+    keys, epochs, truth, tracking, psd, bias, axes, wander, clock, target_error, lo, hi
+):
     """Error of the known position and clock of every spoofer at the coming epoch.
 
     `keys` (B, 2) of the attack's noise; `tracking`: sd [m], beta [1/s] and delay [s] of the error;
@@ -293,7 +295,9 @@ def advance(keys, epochs, truth, tracking, psd, bias, axes, wander, clock, targe
         normals(keys[b, 0], keys[b, 1], 2 * k, noise)
         error = target_error[b]
         if delay > 0.0:
-            delayed(k, delay, truth.epoch_time, truth.position_e, truth.velocity_e, error)
+            compute_delay_error(
+                k, delay, truth.epoch_time, truth.position_e, truth.velocity_e, error
+            )
         else:
             error[:] = 0.0
         for i in range(3):

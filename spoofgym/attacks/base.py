@@ -10,11 +10,11 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.memory import Memory
 from ..core.registry import build_record, require
-from ..core.settings import kind_of
-from ..truth.run import World
+from ..core.settings import get_kind
+from ..truth.run import GroundTruth
 from ._kernels import Commanded
 from .equipment import (
     QUIET,
@@ -47,16 +47,16 @@ class AttackContext(NamedTuple):
     """
 
     receivers: int
-    world: World
+    world: GroundTruth
 
 
 def _record(name: str, kind: type[Any], given: Any) -> Any:
-    if isinstance(given, Mapping) and given.get("kind") == kind_of(kind):
+    if isinstance(given, Mapping) and given.get("kind") == get_kind(kind):
         given = {key: value for key, value in given.items() if key != "kind"}
     return build_record(name, kind, given)
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class Attack(ABC):
     r"""An attack commanded by rate or by acceleration of its offsets.
 
@@ -209,7 +209,7 @@ class Attack(ABC):
         rules = (self.control == "rate", self.unit_scale, self.rate_limit_mps, self.coherent)
         return np.array(rules, dtype=np.float64)
 
-    def captured(self, world: World) -> NDArray[np.bool_]:
+    def select_channels(self, world: GroundTruth) -> NDArray[np.bool_]:
         """Which channels are counterfeited.
 
         Parameters
@@ -244,7 +244,7 @@ class Attack(ABC):
         )
 
     @abstractmethod
-    def action_names(self, world: World) -> tuple[str, ...]:
+    def action_names(self, world: GroundTruth) -> tuple[str, ...]:
         """Name of every element of an action.
 
         Parameters
@@ -267,7 +267,7 @@ class Attack(ABC):
             Sizes and world.
         """
         self.world = context.world
-        self.mask = self.captured(context.world)
+        self.mask = self.select_channels(context.world)
         axes = len(self.action_names(context.world))
         self.idle = np.zeros((context.receivers, axes))
         self.slots = np.flatnonzero(self.mask)
@@ -283,7 +283,7 @@ class Attack(ABC):
         self.is_perfect = self._equipment.perfect
         self._equipment.declare(self.memory, context.world.channels)
 
-    def begin(
+    def start_episodes(
         self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
     ) -> None:
         """Begin new episodes of some receivers; their memory has been reset before.
@@ -299,7 +299,7 @@ class Attack(ABC):
         """
         self.memory["onset"][rows] = onsets
         self.memory["key"][rows] = keys
-        self._equipment.begin(self.memory, self.world, rows, keys, onsets)
+        self._equipment.start_episodes(self.memory, self.world, rows, keys, onsets)
 
     def command(
         self,

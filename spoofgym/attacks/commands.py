@@ -7,9 +7,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.registry import require
-from ..truth.run import World
+from ..truth.run import GroundTruth
 from ._kernels import Commanded, displaced_ranges, false_position, meaconer, per_channel
 from .base import Attack, AttackContext
 from .equipment import checked_vector
@@ -17,7 +17,7 @@ from .equipment import checked_vector
 AXES = {"n": "north", "e": "east", "d": "down"}
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class FalsePosition(Attack):
     r"""Counterfeit position, displaced from the true one.
 
@@ -50,7 +50,7 @@ class FalsePosition(Attack):
     def kind(self) -> str:
         return "false-position"
 
-    def action_names(self, world: World) -> tuple[str, ...]:
+    def action_names(self, world: GroundTruth) -> tuple[str, ...]:
         return tuple(f"{AXES[letter]}_{self.control}" for letter in self.axes)
 
     def bind(self, context: AttackContext) -> None:
@@ -64,7 +64,7 @@ class FalsePosition(Attack):
         false_position(commanded, self.axes_e, self.memory["target_error"], *rest)
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class PerChannel(Attack):
     """Offset added to the pseudorange of every captured satellite, as in the five papers.
 
@@ -79,8 +79,8 @@ class PerChannel(Attack):
     def kind(self) -> str:
         return "per-channel"
 
-    def action_names(self, world: World) -> tuple[str, ...]:
-        mask = self.captured(world)
+    def action_names(self, world: GroundTruth) -> tuple[str, ...]:
+        mask = self.select_channels(world)
         ids = [name for name, taken in zip(world.satellite_ids, mask, strict=True) if taken]
         return tuple(f"{name}_{self.control}" for name in ids)
 
@@ -90,7 +90,7 @@ class PerChannel(Attack):
             displaced_ranges(self.memory["target_error"], self.coherent, *rest)
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class Meaconer(Attack):
     r"""Record and replay: the ranges of the meaconer's antenna, and one delay.
 
@@ -132,7 +132,7 @@ class Meaconer(Attack):
     def idle_is_clean(self) -> bool:
         return super().idle_is_clean and self.follows and self.antenna_m == (0.0, 0.0, 0.0)
 
-    def action_names(self, world: World) -> tuple[str, ...]:
+    def action_names(self, world: GroundTruth) -> tuple[str, ...]:
         return (f"delay_{self.control}",)
 
     def bind(self, context: AttackContext) -> None:
@@ -140,10 +140,10 @@ class Meaconer(Attack):
         none = np.zeros((context.receivers, 3))
         self.memory.declare_all(antenna=none, antenna_rate=none)
 
-    def begin(
+    def start_episodes(
         self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
     ) -> None:
-        super().begin(rows, keys, onsets)
+        super().start_episodes(rows, keys, onsets)
         self.memory["antenna"][rows] = (self.world.C_en[onsets] * self.antenna_m).sum(axis=2)
 
     def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.memory import Memory
 from ..core.registry import require
-from ..truth.noise import padded
-from ..truth.run import World
+from ..truth.noise import pad_count
+from ..truth.run import GroundTruth
 from . import _kernels as kernels
 
 CHIP_M = 293.05  # length of a chip of the GPS C/A code [m], c / 1.023 MHz (`is-gps-200`)
 MOST_DELAY_S = 10.0
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class CounterfeitErrors:
     """Errors of the counterfeit signals, in place of the authentic ones.
 
@@ -67,7 +67,7 @@ REPLACED = CounterfeitErrors()  # a step at the capture, to the noise of the rec
 QUIET = CounterfeitErrors(blend_s=30.0)  # blended in: no step, and better than authentic
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class TrackingError:
     r"""How badly a spoofer knows where its target is; it moves the counterfeit position.
 
@@ -102,7 +102,7 @@ class TrackingError:
         object.__setattr__(self, "bias_m", checked_vector("bias_m", self.bias_m))
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class SpooferClock:
     """Clock of the spoofer against that of the authentic signals, common to all its signals."""
 
@@ -132,7 +132,7 @@ class SpooferClock:
     )
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class Capture:
     """When the receiver's channels follow the counterfeit signals.
 
@@ -208,10 +208,10 @@ class Equipment:
             authentic=np.ones((b, 2 * channels)),
         )
 
-    def begin(
+    def start_episodes(
         self,
         memory: Memory,
-        world: World,
+        world: GroundTruth,
         rows: NDArray[np.intp],
         keys: NDArray[np.uint64],
         onsets: NDArray[np.int64],
@@ -222,7 +222,7 @@ class Equipment:
         errors = self.errors or CounterfeitErrors()
         sds = (tracking.sd_m, tracking.sd_m / tracking.correlation_s)
         drawn = np.empty((len(rows), 8 + world.channels))
-        kernels.first_deviates(keys, onsets, padded(drawn.shape[1]), drawn)
+        kernels.first_deviates(keys, onsets, pad_count(drawn.shape[1]), drawn)
         for axis in range(3):
             memory["wander"][rows, axis] = drawn[:, 2 * axis : 2 * axis + 2] * sds
         mean, sd = (clock.offset_m, clock.drift_mps), (clock.offset_sd_m, clock.drift_sd_mps)
@@ -230,7 +230,7 @@ class Equipment:
         memory["counterfeit_bias"][rows] = errors.bias_sd_m * drawn[:, 8:]
 
     def advance(
-        self, memory: Memory, world: World, epochs: NDArray[np.int64], lo: int, hi: int
+        self, memory: Memory, world: GroundTruth, epochs: NDArray[np.int64], lo: int, hi: int
     ) -> None:
         if self.tracking is None and self.clock is None:
             return
@@ -239,12 +239,14 @@ class Equipment:
         psd, bias = (float(clock.phase_psd), float(clock.frequency_psd)), np.array(tracking.bias_m)
         axes, moved = (world.C_en, world.axes_turning), (memory["wander"], memory["spoofer_clock"])
         truth, written = (epochs, world.epoch_truth), (*moved, memory["target_error"])
-        kernels.advance(memory["key"], *truth, error, psd, bias, axes, *written, lo, hi)
+        kernels.advance_spoofer_errors(
+            memory["key"], *truth, error, psd, bias, axes, *written, lo, hi
+        )
 
     def transmit(
         self,
         memory: Memory,
-        world: World,
+        world: GroundTruth,
         chosen: NDArray[np.bool_],
         coherent: bool,
         epochs: NDArray[np.int64],
@@ -259,7 +261,7 @@ class Equipment:
         # -1: noise of the receiver itself
         sds = [-1.0 if sd is None else sd for sd in (errors.code_sd_m, errors.range_rate_sd_mps)]
         limit = math.inf if capture.alignment_m is None else float(capture.alignment_m)
-        size = padded(2 * world.channels)
+        size = pad_count(2 * world.channels)
         rules = coherent, self.errors is not None, size, float(capture.delay_s), limit
         names = "spoofer_clock", "counterfeit_bias", "captured", "capture_time", "authentic"
         kernels.transmit(

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from ..core.declared import check_number
 from ..core.progress import NullProgress, ProgressCallback
 from ..detectors import Calibrated, Detector, Never, PooledDetector
-from ..detectors.base import judged
+from ..detectors.base import judge_epoch
 from ..simulation.engine import available_threads
 from ..simulation.monitors import Monitor, Monitored, PassiveDetectors
-from ..simulation.setup import Setup, generators_of, seeds_of_runs
+from ..simulation.setup import Setup, make_generators, seeds_of_runs
 from ..simulation.simulator import Simulator, run_serially
 
 FloatArray = NDArray[np.float64]
@@ -67,15 +67,17 @@ class RunMaxima(PassiveDetectors):
     def update(self, simulator: Any) -> None:
         ratio, alarmed = self.memory["ratio"], self.memory["alarmed"]
         for k, detector in enumerate(self.detectors or [simulator.detector]):
-            verdict = judged(detector, simulator.epoch) if self.detectors else simulator.verdict
+            verdict = (
+                judge_epoch(detector, simulator.epoch) if self.detectors else simulator.verdict
+            )
             largest = (verdict.statistic / verdict.threshold).max(axis=1)
-            armed = detector.armed(simulator.epoch)
+            armed = detector.is_armed(simulator.epoch)
             if armed is not None:
                 largest = np.where(armed, largest, 0.0)
             np.maximum(ratio[:, k], largest, out=ratio[:, k])
             alarmed[:, k] |= verdict.alarm.any(axis=1)
 
-    def taken(self) -> tuple[FloatArray, NDArray[np.bool_]]:
+    def pop_maxima(self) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Ratios and alarms so far, which are forgotten."""
         found = self.memory["ratio"].copy(), self.memory["alarmed"].copy()
         self.memory.reset()
@@ -84,13 +86,15 @@ class RunMaxima(PassiveDetectors):
 
 def weighs(setup: Setup, detector: Detector) -> bool:
     """Whether a detector de-weights measurements in this world: its first verdict says so."""
-    simulator: Simulator = setup.altered(detector=detector, monitors=()).simulator(1, run_serially)
-    simulator.begin(generators_of(seeds_of_runs(0, "calibration", setup.name, [0])))
-    simulator.quiet_epochs(setup.quiet)
+    simulator: Simulator = setup.copy_with(detector=detector, monitors=()).simulator(
+        1, run_serially
+    )
+    simulator.start_episodes(make_generators(seeds_of_runs(0, "calibration", setup.name, [0])))
+    simulator.run_filter_only(setup.filter_only)
     return simulator.step(attacked=False).weights is not None
 
 
-def passes_of(setup: Setup, detectors: Sequence[Detector]) -> list[tuple[list[int], bool]]:
+def plan_passes(setup: Setup, detectors: Sequence[Detector]) -> list[tuple[list[int], bool]]:
     """Which of some detectors are played in one pass, and whether in the loop: those that weigh."""
     heavy = [k for k, each in enumerate(detectors) if weighs(setup, each)]
     light = [k for k in range(len(detectors)) if k not in heavy]
@@ -140,38 +144,38 @@ class Player:
     ) -> CleanRuns:
         """Runs of a split by their numbers; `in_loop` takes one detector, which weighs."""
         parts = []
-        for part in self.chunks_of(detectors, self._chunks(numbers), split, in_loop):
+        for part in self.play_chunks(detectors, self._chunks(numbers), split, in_loop):
             parts.append(part)
             self.progress.advance(float(len(part.judged)), now)
-        return joined(parts)
+        return join_runs(parts)
 
     def forget(self) -> None:
         """Leave nothing of what has been played, for one that keeps it."""
 
-    def chunks_of(
+    def play_chunks(
         self, detectors: Sequence[Detector], chunks: Iterable[Numbers], split: str, in_loop: bool
     ) -> Iterator[CleanRuns]:
         """Play chunks of runs side by side, in their order."""
         monitor = RunMaxima(() if in_loop else detectors)
         judge = detectors[0] if in_loop else Never()
-        setup = self.setup.altered(detector=judge, monitors=[monitor])
+        setup = self.setup.copy_with(detector=judge, monitors=[monitor])
         work = lambda chunk, stop: _play(setup, self.generators(split, chunk), stop)  # noqa: E731
-        return in_order(work, chunks, self.threads)
+        return map_ordered(work, chunks, self.threads)
 
     def simulators(self, monitor: Monitor, numbers: range) -> Iterator[Simulator]:
         """Let a monitor look at the judged windows of runs without a defence."""
-        setup = self.setup.altered(detector=Never(), monitors=[monitor])
+        setup = self.setup.copy_with(detector=Never(), monitors=[monitor])
 
         def one(chunk: Numbers, stopped: threading.Event) -> Simulator:
             simulator: Simulator = setup.simulator(len(chunk), run_serially)
             simulator.warm_up(self.generators("calibration", chunk))
-            simulator.monitors[0].begin()
+            simulator.monitors[0].start_episodes()
             for _ in range(setup.steps + setup.hold):
                 check_stopped(stopped)
                 simulator.step(attacked=False)
             return simulator
 
-        return in_order(one, self._chunks(numbers), self.threads)
+        return map_ordered(one, self._chunks(numbers), self.threads)
 
     def _chunks(self, numbers: Numbers) -> list[Numbers]:
         return [numbers[k : k + self.chunk] for k in range(0, len(numbers), self.chunk)]
@@ -179,7 +183,7 @@ class Player:
     def generators(self, split: str, numbers: Numbers) -> list[np.random.Generator]:
         """Random numbers of some runs."""
         runs = map(int, numbers)
-        return generators_of(seeds_of_runs(self.entropy, split, self.seed_name, runs))
+        return make_generators(seeds_of_runs(self.entropy, split, self.seed_name, runs))
 
 
 class Stopped(Exception):
@@ -196,16 +200,16 @@ def _play(setup: Setup, rngs: list[np.random.Generator], stopped: threading.Even
     maxima = simulator.monitor(RunMaxima)
     for _ in simulator.warming(rngs, piece=20 * len(rngs)):
         check_stopped(stopped)
-    before, early = maxima.taken()
+    before, early = maxima.pop_maxima()
     world = simulator.onset // setup.epochs_each
     for _ in range(setup.steps + setup.hold):
         check_stopped(stopped)
         simulator.step(attacked=False)
-    judged, alarmed = maxima.taken()
+    judged, alarmed = maxima.pop_maxima()
     return CleanRuns(before, judged, early, alarmed, world)
 
 
-def in_order(
+def map_ordered(
     work: Callable[[Any, threading.Event], Any], items: Iterable[Any], threads: int | None
 ) -> Iterator[Any]:
     """Call `work` on items in threads, all useful ones by default; results in their order."""
@@ -226,6 +230,6 @@ def in_order(
                 each.cancel()
 
 
-def joined(parts: Iterable[CleanRuns]) -> CleanRuns:
+def join_runs(parts: Iterable[CleanRuns]) -> CleanRuns:
     """All runs of some chunks."""
     return CleanRuns(*map(np.concatenate, zip(*parts, strict=True)))

@@ -15,11 +15,11 @@ import numpy as np
 
 from ..core.progress import ProgressBar, no_progress
 from ..detectors import Calibrated, Detector
-from ..detectors.calibrated import identity_of
+from ..detectors.calibrated import describe_identity
 from ..detectors.calibration_file import TOLERANCE, Calibration, hourly_rate, run_probability
 from ..simulation.setup import Setup
-from .clean_runs import CleanRuns, Player, measuring, passes_of
-from .thresholds import DetectorSpec, inner_detectors, rates_of
+from .clean_runs import CleanRuns, Player, measuring, plan_passes
+from .thresholds import DetectorSpec, inner_detectors, list_rates
 
 HOLDOUT_PASSIVE, HOLDOUT_WEIGHING = 100_000, 1_000
 """Runs of a hold-out by default."""
@@ -91,7 +91,7 @@ def _finite(rate: float | None) -> float | None:
     return rate if rate is not None and math.isfinite(rate) else None
 
 
-def calibrated(calibration: Calibration, detector: Detector, rate: float) -> Calibrated:
+def apply_calibration(calibration: Calibration, detector: Detector, rate: float) -> Calibrated:
     made = Calibrated(
         detector, false_alarms_per_hour=rate, rescaled=calibration.rescale is not None
     )
@@ -123,11 +123,11 @@ def hold_out(
     whether the ranks of the calibration predict the count: they do in its own world alone; returns
     in the order of the detectors; of several rates one after the other.
     """
-    rates = rates_of(false_alarms_per_hour)
+    rates = list_rates(false_alarms_per_hour)
     parts = list(zip(calibrations, inner_detectors(detectors), strict=True))
-    made = [[calibrated(c, d, rate) for c, d in parts] for rate in rates]
+    made = [[apply_calibration(c, d, rate) for c, d in parts] for rate in rates]
     groups = []
-    for judges, (which, alone) in product(made, passes_of(setup, made[0])):
+    for judges, (which, alone) in product(made, plan_passes(setup, made[0])):
         new = judges is made[0]
         those = [judges[k] for k in which if new or judges[k].detector.alarm_is_state]
         if those:
@@ -144,7 +144,7 @@ def hold_out(
     for judges in made:
         for first, judge in zip(made[0], judges, strict=True):
             mine = played.get(id(judge)) or _at_scale(played[id(first)], first, judge)
-            held.append(_counted(judge, mine, *counted))
+            held.append(_count_alarms(judge, mine, *counted))
     runner.forget()
     return held
 
@@ -157,7 +157,7 @@ def _at_scale(found: CleanRuns, played: Calibrated, judge: Calibrated) -> CleanR
     return found._replace(early=found.before > factor, alarmed=found.judged > factor)
 
 
-def _counted(
+def _count_alarms(
     detector: Calibrated, found: CleanRuns, cells: int, predicted: bool, window_s: float
 ) -> HoldOut:
     """What has been found in a world whose judged window has this length."""
@@ -169,7 +169,7 @@ def _counted(
     alarms = int(found.alarmed.sum())
     rate = hourly_rate(alarms / runs, window_s)
     promised = run_probability(point.false_alarms_per_hour, window_s)
-    name = detector.detector.label or str(identity_of(detector.detector)["name"])
+    name = detector.detector.label or str(describe_identity(detector.detector)["name"])
     worlds = [found.world == each for each in np.unique(found.world)]
     each = tuple((int(there.sum()), int(found.alarmed[there].sum())) for there in worlds)
     early = int(found.early.sum())
@@ -214,7 +214,7 @@ def check(
     parts = inner_detectors(detectors)
     pairs = list(zip(calibrations, parts, strict=True))
     for calibration, detector in pairs:
-        unlike = calibration.differences(setup.conditions.settings, identity_of(detector))
+        unlike = calibration.diff_settings(setup.conditions.settings, describe_identity(detector))
         if unlike:
             raise ValueError(
                 f"{calibration.path} is a calibration for something else than "
@@ -228,15 +228,15 @@ def check(
             same.setdefault(key, []).append((calibration, detector))
     for (entropy, seed_name, numbers), group in same.items():
         player = Player(setup, entropy, seed_name, threads)
-        for which, alone in passes_of(setup, [detector for _, detector in group]):
-            judges = [_as_measured(*group[k]) for k in which]
+        for which, alone in plan_passes(setup, [detector for _, detector in group]):
+            judges = [_rescale_detector(*group[k]) for k in which]
             found = player.play(judges, numbers, in_loop=alone, now="replaying")
             for i, k in enumerate(which):
                 calibration, detector = group[k]
                 _compare(calibration, found.column(i), measuring(detector)[1])
 
 
-def _as_measured(calibration: Calibration, detector: Detector) -> Detector:
+def _rescale_detector(calibration: Calibration, detector: Detector) -> Detector:
     plain = measuring(detector)[0]
     if calibration.rescale is None:
         return plain

@@ -20,25 +20,25 @@ from ..core.progress import ProgressBar, no_progress
 from ..core.registry import whole_number
 from ..detectors import DETECTORS, Calibrated, Detector
 from ..detectors.build import bare_detector
-from ..detectors.calibrated import STANDARD_RATE, check_drifts, identity_of
+from ..detectors.calibrated import STANDARD_RATE, check_drifts, describe_identity
 from ..detectors.calibration_file import (
     STANDARD_RATES,
     WITNESSES,
     Calibration,
     check_rate,
     check_runs,
+    compute_rank,
     file_name,
-    kept_ranks,
-    rank_of,
-    rounded,
-    rounded_up,
+    list_stored_ranks,
+    load_stored,
+    round_digits,
+    round_digits_up,
     run_probability,
-    stored,
     user_folder,
 )
 from ..simulation.monitors import Monitor
 from ..simulation.setup import Setup
-from .clean_runs import CleanRuns, Player, measuring, passes_of
+from .clean_runs import CleanRuns, Player, measuring, plan_passes
 
 FloatArray = NDArray[np.float64]
 PASSIVE_RUNS, WEIGHING_RUNS = 20_000, 2_000
@@ -48,7 +48,7 @@ RESCALE_RUNS = 512
 DetectorSpec = str | Mapping[str, Any] | Detector
 
 
-def calibrate(
+def calibrate_detectors(
     setup: Setup,
     detectors: DetectorSpec | Sequence[DetectorSpec],
     *,
@@ -107,7 +107,7 @@ def calibrate(
     """
     from filelock import FileLock
 
-    rates = rates_of(false_alarms_per_hour)
+    rates = list_rates(false_alarms_per_hour)
     parts = inner_detectors(detectors)
     if runs is not None:
         runs = whole_number("`runs`", runs, 1)
@@ -122,7 +122,7 @@ def calibrate(
             for group, count, in_loop in groups:
                 work.play(runner, group, count, in_loop)
         work.overwrite = False
-        done = [work.found(part, runs) for part in parts]
+        done = [work.find_stored(part, runs) for part in parts]
     found = [each for each in done if each is not None]
     for each in found if strict else ():
         for rate in rates:
@@ -130,7 +130,7 @@ def calibrate(
     return found
 
 
-def rates_of(given: float | Sequence[float]) -> tuple[float, ...]:
+def list_rates(given: float | Sequence[float]) -> tuple[float, ...]:
     several = given if isinstance(given, Sequence | np.ndarray) else [given]
     return tuple(map(check_rate, several))
 
@@ -145,7 +145,7 @@ def inner_detectors(specs: DetectorSpec | Iterable[DetectorSpec]) -> list[Detect
         for each in made.judges or (made,):
             inner = each.detector if isinstance(each, Calibrated) else each
             if inner.calibrates:
-                found.setdefault(repr(identity_of(inner)), inner)
+                found.setdefault(repr(describe_identity(inner)), inner)
     return list(found.values())
 
 
@@ -170,12 +170,12 @@ class _Work:
     folder: Path | None
     overwrite: bool
 
-    def found(self, detector: Detector, runs: int | None) -> Calibration | None:
+    def find_stored(self, detector: Detector, runs: int | None) -> Calibration | None:
         """A calibration with so many runs or more that has all rates; None without one."""
         if self.overwrite:
             return None
-        identity = identity_of(detector)
-        for each in stored(self.setup.conditions, identity, self.rescaled, self.folder):
+        identity = describe_identity(detector)
+        for each in load_stored(self.setup.conditions, identity, self.rescaled, self.folder):
             enough = each.runs >= (runs or 1) and each.entropy == self.entropy
             if enough and all(each.has(rate) for rate in self.rates):
                 return each
@@ -188,10 +188,10 @@ class _Work:
         if self.rescaled:
             for part in parts:
                 check_drifts(part)
-        missing = [part for part in parts if self.found(part, runs) is None]
+        missing = [part for part in parts if self.find_stored(part, runs) is None]
         found = [
             ([missing[k] for k in which], runs or (WEIGHING_RUNS if alone else PASSIVE_RUNS), alone)
-            for which, alone in passes_of(self.setup, missing)
+            for which, alone in plan_passes(self.setup, missing)
         ]
         for group, count, _ in found:
             tail = not any(each.alarm_is_state for each in group)
@@ -206,7 +206,7 @@ class _Work:
         played = [each for each, _ in pairs]
         if rescale is not None:
             played = [Calibrated(each, 1.0, rescaled=True, rescale=rescale) for each in played]
-        names = [str(identity_of(each)["name"]) for each in group]
+        names = [str(describe_identity(each)["name"]) for each in group]
         now = f"{', '.join(names[:3])}{' ...' if len(names) > 3 else ''}: clean runs"
         found = player.play(played, range(runs), in_loop=in_loop, now=now)
         for k, (detector, (_, unit)) in enumerate(zip(group, pairs, strict=True)):
@@ -231,14 +231,14 @@ class _Work:
         conditions, runs = self.setup.conditions, len(found.judged)
         bisected = detector.alarm_is_state
         if bisected:
-            ranks, largest = self._bisected(player, detector, found, in_loop)
+            ranks, largest = self._bisect_factors(player, detector, found, in_loop)
         else:
             order = np.sort(found.judged)[::-1]
-            ranks = kept_ranks(runs, self.setup.window_s, [*STANDARD_RATES, *self.rates])
-            largest = rounded_up(order[np.array(ranks) - 1])
+            ranks = list_stored_ranks(runs, self.setup.window_s, [*STANDARD_RATES, *self.rates])
+            largest = round_digits_up(order[np.array(ranks) - 1])
         early = np.sort(found.before)[::-1]
         sparse = sorted({min(int(1.1**power), runs) for power in range(400)})
-        identity = identity_of(detector)
+        identity = describe_identity(detector)
         made = Calibration(
             world=conditions.settings,
             detector=identity,
@@ -248,9 +248,9 @@ class _Work:
             seed_name=player.seed_name,
             ranks=tuple(ranks),
             largest=tuple(largest.tolist()),
-            before=tuple((rank, rounded(early[rank - 1])) for rank in sparse),
+            before=tuple((rank, round_digits(early[rank - 1])) for rank in sparse),
             witnesses=tuple(
-                (run, rounded(found.before[run]), rounded(found.judged[run]))
+                (run, round_digits(found.before[run]), round_digits(found.judged[run]))
                 for run in range(min(WITNESSES, runs))
             ),
             rescale=rescale,
@@ -259,7 +259,7 @@ class _Work:
         folder = self.folder or user_folder()
         made.save(folder / file_name(conditions.digest, identity, self.rescaled))
 
-    def _bisected(
+    def _bisect_factors(
         self, player: Player, detector: Detector, found: CleanRuns, in_loop: bool
     ) -> tuple[list[int], FloatArray]:
         """Ranks of the rates, and the factors at which so many runs less one alarm."""
@@ -271,7 +271,7 @@ class _Work:
 
         runs, window_s = len(found.judged), self.setup.window_s
         asked = {
-            rank_of(run_probability(r, window_s), runs) for r in (*STANDARD_RATES, *self.rates)
+            compute_rank(run_probability(r, window_s), runs) for r in (*STANDARD_RATES, *self.rates)
         }
         ranks = sorted(rank for rank in asked if 1 <= rank <= runs)
         return ranks, np.array([bisect(found.before, found.judged, r, alarms) for r in ranks])
@@ -287,7 +287,7 @@ def bisect(
     `before`, `judged` (R,) largest ratios of runs without any alarm. Up to its first alarm a run is
     the same at any factor, so that only those above it before the attack are played again, by
     ``alarms(factor, runs)``."""
-    values = rounded_up(np.unique(np.concatenate([before, judged])))
+    values = round_digits_up(np.unique(np.concatenate([before, judged])))
 
     def count(scale: float) -> int:
         early = before > scale
@@ -349,4 +349,4 @@ def rescale_factors(player: Player, runs: int) -> tuple[float, ...]:
     real, believed = sums[0::2], sums[1::2]
     sound = (real > 0.0) & (believed > 0.0)
     factors = np.sqrt(np.where(sound, believed, 1.0) / np.where(sound, real, 1.0))
-    return tuple(rounded(factor) for factor in factors)
+    return tuple(round_digits(factor) for factor in factors)

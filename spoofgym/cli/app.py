@@ -20,7 +20,7 @@ from ..core.progress import ProgressCallback, show_progress
 
 signals: list[int] = []
 """Signals that requested the end of the program."""
-HEARD = (signal.SIGINT, signal.SIGTERM)
+HANDLED_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 REPEAT_S = 0.05
 """Until a dropped interrupt is sent again."""
 P = ParamSpec("P")
@@ -44,7 +44,7 @@ def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
     """Print what users did wrong in one line, and leave with exit code 2."""
 
     @functools.wraps(function)
-    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+    def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             return function(*args, **kwargs)
         except (ValueError, TypeError, ImportError, OSError) as error:
@@ -61,7 +61,7 @@ def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
             typer.echo(f"spoofgym: {error}", err=True)  # what is finished
             raise typer.Exit(INTERRUPTED) from error
 
-    return wrapped
+    return wrapper
 
 
 @app.callback(invoke_without_command=True)
@@ -98,7 +98,7 @@ def _leave(code: int) -> NoReturn:
     folders and threads, has exit hooks, which are run.
     """
     try:
-        for number in HEARD:
+        for number in HANDLED_SIGNALS:
             if signal.getsignal(number) is _interrupt:
                 signal.signal(number, signal.SIG_DFL)
         atexit._run_exitfuncs()
@@ -110,7 +110,7 @@ def _leave(code: int) -> NoReturn:
 
 def main() -> None:
     """Run the command line; Ctrl-C and SIGTERM end it in order, with 130 and 143."""
-    for number in HEARD:
+    for number in HANDLED_SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:  # as in the background of a shell
             signal.signal(number, _interrupt)
     sys.unraisablehook = _repeat_interrupt

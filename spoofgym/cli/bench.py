@@ -14,12 +14,12 @@ from .app import print_json, print_lines
 from .options import SuiteOptions, with_options
 from .suites import (
     Reports,
-    calibrated,
+    build_suite,
+    calibrate_suite,
+    make_selection,
+    make_tuning,
     refuse_decided,
-    selection_of,
     standard_suite,
-    suite_of,
-    tuning_of,
 )
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def bench(
     """
     from ..bench.experiments.campaign import Campaign
     from ..bench.experiments.suite import SIZES, SPOOFERS, SUITES
-    from ..bench.runs.players import fitted
+    from ..bench.runs.players import add_tuned_setting
     from ..core.registry import check_choice
     from ..simulation.engine import processors
 
@@ -116,27 +116,27 @@ def bench(
     if suite_name is not None:
         check_choice("suite", suite_name, SUITES)
         refuse_decided(options, "--suite", opt.SUITE_OPTIONS)
-        sizes = {**SIZES, **{key: sizes[key] for key in options.given(SIZES)}}
+        sizes = {**SIZES, **{key: sizes[key] for key in options.find_passed(SIZES)}}
         spoofer = [*SPOOFERS]
     settings: dict[str, Any] = {
-        "spoofers": list(map(fitted, opt.specs_of(spoofer))) if spoofer else None,
+        "spoofers": list(map(add_tuned_setting, opt.parse_specs(spoofer))) if spoofer else None,
         "runs": sizes["seeds"],
-        "tuning": tuning_of(sizes["training_seeds"], budget),
-        "selection": selection_of(sizes["selection_seeds"]),
+        "tuning": make_tuning(sizes["training_seeds"], budget),
+        "selection": make_selection(sizes["selection_seeds"]),
     }
     if suite_name is not None:
         settings |= {"entropy": options.seed, "allow_oracles": options.allow_oracles}
         suite, reports = standard_suite(detector, settings), None
     else:
         settings |= {"task": task, "nominal": nominal, "headline": True}
-        suite, reports = suite_of(options, detector, **settings)
-    suite = calibrated(suite, detector, threads)
+        suite, reports = build_suite(options, detector, **settings)
+    suite = calibrate_suite(suite, detector, threads)
     campaign = Campaign(suite)
     at_once = jobs or (processors() if suite_name else 1)
     if not as_json:
         print_lines((*(() if task else suite.notes), *suite.captions, *suite.left_out))
     handed: dict[str, Any] = {"jobs": at_once, "backend": backend, "shard": shard}
-    results = opt.finished(campaign, out, threads=threads, overwrite=overwrite, **handed)
+    results = opt.finish_experiment(campaign, out, threads=threads, overwrite=overwrite, **handed)
     _report(campaign.results(results), as_json, reports)
 
 

@@ -13,7 +13,7 @@ from typer import Option
 from . import options as opt
 from .app import print_json, print_lines, progress
 from .options import WorldOptions, with_options
-from .suites import world_of
+from .suites import make_world
 
 if TYPE_CHECKING:
     from ..bench.runs.world import World
@@ -76,7 +76,7 @@ def calibrate(
     from ..calibration.holdouts import check as replay
     from ..detectors.calibration_file import TOLERANCE
 
-    played = world_of(options, task)
+    played = make_world(options, task)
     setup, rate = played.setup, false_alarms_per_hour
     judges, named = _judges(detector, played, rescaled)
     others = {text: _other(played, text) for text in transfer or ()}
@@ -123,14 +123,14 @@ def _judges(
     alarm are left out, and of `all` those that can't be rescaled."""
     from ..bench.runs.world import VICTIMS
     from ..calibration.thresholds import inner_detectors, suitable_detectors
-    from ..detectors.build import ASKED
-    from ..detectors.calibrated import identity_of
+    from ..detectors.build import THRESHOLD_KEYS
+    from ..detectors.calibrated import describe_identity
 
-    specs: list[Any] = list(VICTIMS[world.env].detectors) if not texts else opt.specs_of(texts)
+    specs: list[Any] = list(VICTIMS[world.env].detectors) if not texts else opt.parse_specs(texts)
     named: list[Any] = []
     offered: list[Any] = []
     for spec in specs:
-        asked = [key for key in ASKED if key in spec]
+        asked = [key for key in THRESHOLD_KEYS if key in spec]
         if texts and asked:
             raise ValueError(
                 f"--detector {spec['name']} asks for `{asked[0]}`, but thresholds are what is "
@@ -144,8 +144,8 @@ def _judges(
     judges = inner_detectors([*named, *offered])
     if not judges:
         raise ValueError("there is no detector to calibrate: one that never alarms has no rate")
-    words = {repr(identity_of(each)) for each in inner_detectors(named)} if texts else set()
-    return judges, {k for k, each in enumerate(judges) if repr(identity_of(each)) in words}
+    words = {repr(describe_identity(each)) for each in inner_detectors(named)} if texts else set()
+    return judges, {k for k, each in enumerate(judges) if repr(describe_identity(each)) in words}
 
 
 def _other(world: World, text: str) -> Any:
@@ -159,11 +159,11 @@ def _other(world: World, text: str) -> Any:
         except json.JSONDecodeError as error:
             raise ValueError(f"--transfer {text!r} is not JSON: {error}") from error
     else:
-        (changed,) = ({"scenario": spec} for spec in opt.specs_of([text]))
+        (changed,) = ({"scenario": spec} for spec in opt.parse_specs([text]))
     known = inspect.signature(VICTIMS[world.env].setup).parameters
     settings = [name for name in known if name != "detector"]
     check_keywords(f"the world of --transfer {text}", changed, settings)
-    found = world.altered(**changed).setup
+    found = world.copy_with(**changed).setup
     if found.conditions.digest == world.setup.conditions.digest:
         raise ValueError(f"--transfer {text!r} is the same world: that is what --hold-out counts")
     return found

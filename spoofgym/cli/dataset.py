@@ -10,7 +10,7 @@ from typer import Argument, Option
 from . import options as opt
 from .app import print_json, progress
 from .options import WorldOptions, with_options
-from .suites import world_of
+from .suites import make_world
 
 if TYPE_CHECKING:
     from ..bench.experiments.dataset import Plan
@@ -77,13 +77,15 @@ def dataset(
 
     chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": file_runs, "task": task}
     chosen["runs"] = {"train": train, "validation": validation, "test": test}
-    chosen["spoofers"] = opt.specs_of(spoofer or ())
+    chosen["spoofers"] = opt.parse_specs(spoofer or ())
     if term:
-        chosen["terms"] = opt.specs_of(term)
+        chosen["terms"] = opt.parse_specs(term)
     plan = _plan(options, detector, alert_limit_m, chosen, threads)
     if overwrite:
         Store(out).open(plan.name, plan.config, overwrite=True)
-    results = opt.finished(plan, out, jobs=jobs, backend=backend, shard=shard, threads=threads)
+    results = opt.finish_experiment(
+        plan, out, jobs=jobs, backend=backend, shard=shard, threads=threads
+    )
     summary = {"folder": str(out), **plan.report(results)}
     if as_json:
         print_json(summary)
@@ -100,25 +102,25 @@ def _plan(
     threads: int | None,
 ) -> Plan:
     """The plan of the options, its detector calibrated; `chosen`: what it takes as it is."""
-    from ..bench.experiments.calibration import calibrate_entries
+    from ..bench.experiments.calibration import calibrate_players
     from ..bench.experiments.dataset import Plan
-    from ..bench.experiments.protect import entries_of
+    from ..bench.experiments.protect import specify_detectors
     from ..bench.experiments.suite import ALERT_LIMIT_M
-    from ..bench.report.tasks import optima_of
+    from ..bench.report.tasks import load_optima
     from ..core.declared import check_number
-    from ..tasks import task_of
+    from ..tasks import get_task
 
     task = chosen["task"]
-    played, guard, limit = world_of(options, task), None, None
+    played, guard, limit = make_world(options, task), None, None
     if task is not None:
-        guard, limit = task_of(task).detector, task_of(task).alert_limit_m
+        guard, limit = get_task(task).detector, get_task(task).alert_limit_m
     if detector is not None:
-        (guard,) = opt.specs_of([detector])
+        (guard,) = opt.parse_specs([detector])
     if alert_limit_m is not None:
         check_number("alert_limit_m", alert_limit_m, above=0.0)
     limit = alert_limit_m or limit or ALERT_LIMIT_M
-    optima = optima_of(task) if task else ()
+    optima = load_optima(task) if task else ()
     plan = Plan(played.setup, limit, detector=guard, optima=optima, **chosen)
     if guard is not None:
-        calibrate_entries(played, entries_of([guard]), threads=threads, progress=progress)
+        calibrate_players(played, specify_detectors([guard]), threads=threads, progress=progress)
     return plan

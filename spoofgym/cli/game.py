@@ -43,9 +43,11 @@ def game(
     from ..bench.report.results import print_game
 
     pairs = Game(task, payoff=payoff, limit_m=limit_m, runs=runs, entropy=seed).pairs(
-        opt.specs_of(spoofer), opt.specs_of(detector), oracles=oracles
+        opt.parse_specs(spoofer), opt.parse_specs(detector), oracles=oracles
     )
-    results = opt.finished(pairs, out, jobs=jobs, backend=backend, shard=shard, threads=threads)
+    results = opt.finish_experiment(
+        pairs, out, jobs=jobs, backend=backend, shard=shard, threads=threads
+    )
     if as_json:
         print_json(pairs.report(results))
         return

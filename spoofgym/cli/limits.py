@@ -11,7 +11,7 @@ from typer import Option
 from . import options as opt
 from .app import print_json, print_lines, progress
 from .options import SuiteOptions, with_options
-from .suites import calibrated, suite_of, tuning_of
+from .suites import build_suite, calibrate_suite, make_tuning
 
 MOST_WORLDS = 1024
 
@@ -79,25 +79,25 @@ def limits(
     from ..bench.report import limits as report
     from ..core.plots import check_picture
     from ..detectors.calibrated import STANDARD_RATE
-    from ..limits.floor import check_linear_victim, frontier_of
+    from ..limits.floor import check_linear_victim, compute_frontier
 
     rate = options.false_alarms_per_hour
     rate = STANDARD_RATE if rate is None else rate
-    known = report.sensors_known(sensors)
+    known = report.parse_sensor_knowledge(sensors)
     picture = None if figure is None else check_picture(figure)
-    suite, reports = suite_of(
+    suite, reports = build_suite(
         options,
         detector or ["never"],
         task=task,
         nominal=nominal,
         headline=True,
-        spoofers=opt.specs_of([spoofer] if spoofer else []),
-        tuning=tuning_of(opt.LARGEST_RUNS, budget),
+        spoofers=opt.parse_specs([spoofer] if spoofer else []),
+        tuning=make_tuning(opt.LARGEST_RUNS, budget),
     )
     setup = check_linear_victim(suite.world.setup)
     report.per_run(rate, setup)
     with progress(1.0) as bar:
-        frontier = frontier_of(
+        frontier = compute_frontier(
             setup,
             worlds=worlds,
             sensors_known=known,
@@ -105,23 +105,23 @@ def limits(
             times=0 if picture is None else report.TIMES,
             tick=lambda part: bar.advance(part, "floor"),
         )
-    record = report.floor_record(
+    record = report.build_limit_record(
         setup, frontier, false_alarms_per_hour=rate, budget=budget, seed=options.seed
     )
     if spoofer:
-        player = suite.spoofer_entries[-1]
+        player = suite.spoofer_players[-1]
         record["divergence"] = report.divergence_record(
             setup, frontier, player, record["p_fa"], budget
         )
     if detector or task:
-        suite = calibrated(suite, detector, threads)
+        suite = calibrate_suite(suite, detector, threads)
         report.add_bounds(record, suite, progress)
     notes = [*suite.notes, *suite.captions]
     if "zero_alarm" in record and nominal:
         notes.append("detectors have their thresholds as published, not the floor's rate")
     record |= {"notes": notes, "input": reports}
     if picture is not None:
-        record["figure"] = str(report.draw_floors(record, picture))
+        record["figure"] = str(report.draw_lower_limits(record, picture))
     if as_json:
         print_json(record)
         return

@@ -22,7 +22,7 @@ def list_(
     as_json: opt.Json = False,
 ) -> None:
     """List what there is: environments, scenarios, attacks, detectors, spoofers, shipped ones."""
-    from ..bench.report.catalogue import KINDS, SETTINGS, list_settings, table_of
+    from ..bench.report.catalogue import KINDS, SETTINGS, list_settings, select_table
     from ..core.registry import check_choice
 
     if kind is not None:
@@ -39,7 +39,7 @@ def list_(
         print_json(found)
         return
     for each, rows in found.items():
-        table_of(each).print(each, rows)
+        select_table(each).print(each, rows)
 
 
 def card(
@@ -67,6 +67,6 @@ def tasks(as_json: opt.Json = False) -> None:
     from ..bench.report import tasks as stored
 
     if as_json:
-        print_json(stored.listed())
+        print_json(stored.list_tasks())
     else:
         stored.print_tasks()

@@ -102,7 +102,7 @@ Oracles = Annotated[
 ]
 
 
-def specs_of(texts: Sequence[str]) -> list[dict[str, Any]]:
+def parse_specs(texts: Sequence[str]) -> list[dict[str, Any]]:
     """Names and settings; a class of the user's may lie in the working directory."""
     from ..core.registry import parse_spec
 
@@ -112,7 +112,7 @@ def specs_of(texts: Sequence[str]) -> list[dict[str, Any]]:
     return specs
 
 
-def finished(
+def finish_experiment(
     experiment: Experiment,
     out: Path | None,
     *,
@@ -123,12 +123,12 @@ def finished(
     overwrite: bool = False,
 ) -> Reader:
     """Compute what a folder lacks; a shard that leaves cells to others ends the command here."""
-    from ..bench.experiments import Interrupted, MemoryStore, Store, parse_shard, run
+    from ..bench.experiments import Interrupted, MemoryStore, Store, parse_shard, run_experiment
 
     if out is None and (jobs, backend, shard) != (1, "local", None):
         raise ValueError("--jobs, --backend and --shard need a folder of results: --out")
     try:
-        results = run(
+        results = run_experiment(
             experiment,
             MemoryStore() if out is None else Store(out),
             jobs=jobs,
@@ -210,12 +210,12 @@ class WorldOptions:
         "count.",
     )
 
-    def given(self, names: Container[str | None]) -> dict[str, str]:
+    def find_passed(self, names: Container[str | None]) -> dict[str, str]:
         """Which of some options are on the command line, as they are written there."""
-        return given_options(self.context, names)
+        return list_passed_options(self.context, names)
 
 
-def given_options(context: typer.Context, names: Container[str | None]) -> dict[str, str]:
+def list_passed_options(context: typer.Context, names: Container[str | None]) -> dict[str, str]:
     """Which of some options are on the command line, as they are written there, by their names."""
     found = {}
     for option in context.command.params:
@@ -258,10 +258,10 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
             parameters.append(parameter)
 
     @functools.wraps(command)
-    def expanded(**arguments: Any) -> None:
+    def wrapper(**arguments: Any) -> None:
         options = record.annotation(**{name: arguments.pop(name) for name in fields})
         command(**{record.name: options}, **arguments)
 
-    expanded.__annotations__ = {each.name: each.annotation for each in parameters}
-    vars(expanded)["__signature__"] = signature.replace(parameters=parameters)
-    return expanded
+    wrapper.__annotations__ = {each.name: each.annotation for each in parameters}
+    vars(wrapper)["__signature__"] = signature.replace(parameters=parameters)
+    return wrapper

@@ -37,18 +37,20 @@ def protect(
     as_json: opt.Json = False,
 ) -> None:
     """Score detectors by the worst family of attacks of a task, most of which none has met."""
-    from ..bench.experiments.calibration import calibrate_entries
-    from ..bench.experiments.protect import DetectorEvaluator, entries_of
+    from ..bench.experiments.calibration import calibrate_players
+    from ..bench.experiments.protect import DetectorEvaluator, specify_detectors
     from ..bench.report.tasks import print_scores
 
-    specs = opt.specs_of(detector)
+    specs = opt.parse_specs(detector)
     evaluator = DetectorEvaluator(
         task, runs=seeds, selection_runs=selection_seeds, families=family or None, entropy=seed
     )
-    world, entries = evaluator.worlds.world, entries_of(specs)
-    calibrate_entries(world, entries, threads=threads, progress=progress)
+    world, entries = evaluator.worlds.world, specify_detectors(specs)
+    calibrate_players(world, entries, threads=threads, progress=progress)
     found, where = evaluator.protections(specs), out / evaluator.task.key
-    results = opt.finished(found, where, jobs=jobs, backend=backend, shard=shard, threads=threads)
+    results = opt.finish_experiment(
+        found, where, jobs=jobs, backend=backend, shard=shard, threads=threads
+    )
     rows = found.report(results)["detectors"]
     if as_json:
         print_json(rows)

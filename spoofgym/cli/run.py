@@ -13,7 +13,7 @@ from typer import Option
 from . import options as opt
 from .app import print_json, print_lines, progress
 from .options import SuiteOptions, with_options
-from .suites import Reports, calibrated, suite_of
+from .suites import Reports, build_suite, calibrate_suite
 
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
@@ -93,11 +93,11 @@ def _suite(options: RunOptions) -> tuple[Suite, PlayerSpec, PlayerSpec, Reports]
     """The suite of one pair, its detector, its spoofer, which has to know all its settings, and
     the reports of real input."""
     detectors = [options.detector] if options.detector else None
-    suite, reports = suite_of(options, detectors, spoofers=opt.specs_of([options.spoofer]))
-    suite = calibrated(suite, detectors, None)
-    player = suite.spoofer_entries[-1]
+    suite, reports = build_suite(options, detectors, spoofers=opt.parse_specs([options.spoofer]))
+    suite = calibrate_suite(suite, detectors, None)
+    player = suite.spoofer_players[-1]
     if player.tuned:
         raise ValueError(
             f"`{player.tuned}` = tuned needs a search: take the value that `spoofgym tune` finds"
         )
-    return suite, suite.detector_entries[-1], player, reports
+    return suite, suite.detector_players[-1], player, reports

@@ -15,7 +15,7 @@ from .options import (
     WORLD_OPTIONS,
     SuiteOptions,
     WorldOptions,
-    specs_of,
+    parse_specs,
 )
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ Reports = dict[str, Any] | None
 """Of real input, as `RealInput` has them."""
 
 
-def world_of(options: WorldOptions, task: str | None = None) -> World:
+def make_world(options: WorldOptions, task: str | None = None) -> World:
     """The world of the options, or of a task."""
     from ..bench.runs.world import World
 
@@ -50,7 +50,7 @@ def world_of(options: WorldOptions, task: str | None = None) -> World:
     return World.of(**decided)
 
 
-def suite_of(
+def build_suite(
     options: SuiteOptions,
     detectors: Sequence[str] | None,
     *,
@@ -68,7 +68,7 @@ def suite_of(
     from ..bench.experiments.suite import Suite
     from ..bench.runs.world import HEADLINE_DOMAIN
     from ..detectors.calibrated import STANDARD_RATE
-    from ..tasks import SUITE, task_of
+    from ..tasks import SUITE, get_task
 
     rate = options.false_alarms_per_hour
     if nominal and rate is not None:
@@ -76,7 +76,7 @@ def suite_of(
     settings |= {"entropy": options.seed, "allow_oracles": options.allow_oracles}
     if task is not None:
         refuse_decided(options, "--task", TASK_OPTIONS)
-        chosen = task_of(task)
+        chosen = get_task(task)
         notes = (f"task {chosen.key} of {SUITE}: {chosen.title}",)
         return Suite(**chosen.suite_kwargs, notes=notes, **settings), None
     if rate is None and headline:
@@ -101,20 +101,20 @@ def _detectors(
 ) -> list[dict[str, Any]] | None:
     """Detectors with the thresholds that are requested; of a headline the usual ones and the
     controls by default, and `all` for all, tests with a drift term a second time, rescaled."""
-    from ..bench.experiments.suite import everyone_in
+    from ..bench.experiments.suite import list_world_detectors
     from ..bench.runs.world import CONTROLS, VICTIMS, World
     from ..core.registry import check_choice
     from ..detectors.build import asks
 
     check_choice("environment of the benchmark", options.env, VICTIMS)
-    usual, specs = VICTIMS[options.env].detectors, specs_of(texts) if texts else None
+    usual, specs = VICTIMS[options.env].detectors, parse_specs(texts) if texts else None
     if headline and specs is None:
         specs = [*CONTROLS, *usual]
     elif headline and any(spec["name"] == "all" for spec in specs or ()):
         named = [spec for spec in specs or () if spec["name"] != "all"]
         names = {spec["name"] for spec in named}
         world = World.of(**{name: x for name, x in decided.items() if name != "notes"})
-        found = everyone_in(world.setup, "false_alarms_per_hour" in thresholds)
+        found = list_world_detectors(world.setup, "false_alarms_per_hour" in thresholds)
         specs = [*named, *(spec for spec in found if spec["name"] not in names)]
     if not thresholds:
         return specs
@@ -126,13 +126,20 @@ def _detectors(
 
 def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) -> Suite:
     """The standard suite, with all detectors, or with those that are given and the controls."""
-    from ..bench.experiments.suite import RATE, TASK, Suite, everyone_in, in_order, standard_kwargs
+    from ..bench.experiments.suite import (
+        RATE,
+        TASK,
+        Suite,
+        list_world_detectors,
+        order_detectors,
+        standard_kwargs,
+    )
     from ..bench.runs.world import CONTROLS, World
 
     if detectors is None:
-        chosen = in_order(everyone_in(World.of(TASK).setup, rescaled=True))
+        chosen = order_detectors(list_world_detectors(World.of(TASK).setup, rescaled=True))
     else:
-        given = specs_of(detectors)
+        given = parse_specs(detectors)
         names = {spec["name"] for spec in given}
         chosen = [*(dict(spec) for spec in CONTROLS if spec["name"] not in names), *given]
     specs = [{"false_alarms_per_hour": RATE, **spec} for spec in chosen]
@@ -141,30 +148,30 @@ def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) ->
 
 def refuse_decided(options: WorldOptions, decider: str, names: Collection[str]) -> None:
     """Raise where an option is given that another one decides."""
-    from ..core.registry import refuse_given
+    from ..core.registry import refuse_overrides
 
-    refuse_given(decider, options.given(names).values())
+    refuse_overrides(decider, options.find_passed(names).values())
 
 
-def calibrated(suite: Suite, detectors: Sequence[str] | None, threads: int | None) -> Suite:
+def calibrate_suite(suite: Suite, detectors: Sequence[str] | None, threads: int | None) -> Suite:
     """A suite whose detectors all have thresholds; of `all`, those that can't are left out."""
-    from ..bench.experiments.calibration import calibrate_entries
+    from ..bench.experiments.calibration import calibrate_players
 
-    given = {spec["name"] for spec in specs_of(detectors or ("all",))}
-    labels = [entry.label for entry in suite.detector_entries if entry.spec["name"] not in given]
+    given = {spec["name"] for spec in parse_specs(detectors or ("all",))}
+    labels = [entry.label for entry in suite.detector_players if entry.spec["name"] not in given]
     optional = labels if "all" in given else ()
-    refused = calibrate_entries(
-        suite.world, suite.detector_entries, threads=threads, progress=progress, optional=optional
+    refused = calibrate_players(
+        suite.world, suite.detector_players, threads=threads, progress=progress, optional=optional
     )
     if refused:
-        kept = [e.spec for e in suite.detector_entries if e.label not in refused]
+        kept = [e.spec for e in suite.detector_players if e.label not in refused]
         notes = (*suite.notes, *(f"{label}{LEFT_OUT}{why}" for label, why in refused.items()))
         suite = replace(suite, detectors=kept, notes=notes)
     suite.check_fit()
     return suite
 
 
-def tuning_of(runs: int, budget: float) -> Tuning:
+def make_tuning(runs: int, budget: float) -> Tuning:
     """A search on so many training runs, of which a sixteenth sifts."""
     from ..bench.search.amplitude import Tuning
 
@@ -175,7 +182,7 @@ def tuning_of(runs: int, budget: float) -> Tuning:
         raise ValueError(text.replace("`budget`", "--budget")) from error
 
 
-def selection_of(runs: int) -> Selection | None:
+def make_selection(runs: int) -> Selection | None:
     """A search for the worst attack on so many runs, of which a quarter sifts; None for none."""
     from ..bench.search.attack_suite import Selection
 
@@ -193,7 +200,7 @@ def _victim(options: WorldOptions) -> tuple[dict[str, Any], Reports]:
             raise ValueError(f"--set {name} is given twice: {own[name]!r} and {value!r}")
         own[name] = value
     for name in {*own} & {*decided}:
-        if not options.given(OPTIONS_OF.get(name, (name,))):
+        if not options.find_passed(OPTIONS_OF.get(name, (name,))):
             del decided[name]  # its option has its default
     return {**decided, "settings": own}, reports
 
@@ -201,15 +208,15 @@ def _victim(options: WorldOptions) -> tuple[dict[str, Any], Reports]:
 def _own_options(options: WorldOptions) -> tuple[dict[str, Any], Reports]:
     """Environment and settings that have options of their own, and the reports of real input."""
     if options.env != ENV:
-        for option in options.given(SCENARIO_OPTIONS).values():
+        for option in options.find_passed(SCENARIO_OPTIONS).values():
             raise ValueError(
                 f"{option} is an option of {ENV}, not of {options.env}, whose settings are "
                 "given with --set"
             )
-        times = {name: getattr(options, name) for name in options.given(TIMES)}
+        times = {name: getattr(options, name) for name in options.find_passed(TIMES)}
         return {"env": options.env, **({"timeline": times} if times else {})}, None
     scenario, lines, reports = _scenario(options)
-    (attack,) = specs_of([options.attack])
+    (attack,) = parse_specs([options.attack])
     return {
         "env": options.env,
         "scenario": scenario,
@@ -224,11 +231,11 @@ def _scenario(options: WorldOptions) -> tuple[Scenario, tuple[str, ...], Reports
     """The scenario, and the lines and reports of real input."""
     from ..truth.scenario import make_scenario
 
-    (spec,) = specs_of([options.scenario])
+    (spec,) = parse_specs([options.scenario])
     own = {"errors": options.errors, "imu": options.imu}
     usual = make_scenario({**spec, **{key: x for key, x in own.items() if x is not None}})
     if options.track is None and options.ephemeris is None:
-        for option in options.given(("from_s", "duration", "day")).values():
+        for option in options.find_passed(("from_s", "duration", "day")).values():
             raise ValueError(f"{option} cuts a recorded track; there is no --track")
         return usual, (), None
     if options.track is None or options.ephemeris is None:

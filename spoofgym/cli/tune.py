@@ -11,7 +11,7 @@ from typer import Option
 from . import options as opt
 from .app import print_json, print_lines, progress
 from .options import SuiteOptions, with_options
-from .suites import calibrated, suite_of, tuning_of
+from .suites import build_suite, calibrate_suite, make_tuning
 
 
 @with_options
@@ -39,22 +39,22 @@ def tune(
     from ..spoofers import make_spoofer
     from ..spoofers.scaled import AMPLITUDE
 
-    specs = opt.specs_of(spoofer or ["ramp", "accelerating-ramp"])
+    specs = opt.parse_specs(spoofer or ["ramp", "accelerating-ramp"])
     for spec in specs:
         untuned = {key: value for key, value in spec.items() if value != TUNED}
         spec[make_spoofer(untuned).tunable or AMPLITUDE] = TUNED
-    tuning = tuning_of(training_seeds, budget)
-    suite, _ = suite_of(options, detector, spoofers=specs, tuning=tuning)
-    suite = calibrated(suite, detector, threads)
+    tuning = make_tuning(training_seeds, budget)
+    suite, _ = build_suite(options, detector, spoofers=specs, tuning=tuning)
+    suite = calibrate_suite(suite, detector, threads)
     if not as_json:
         print_lines((*suite.notes, *suite.captions))
-    entries = [entry for entry in suite.spoofer_entries if entry.tuned]
+    entries = [entry for entry in suite.spoofer_players if entry.tuned]
     each = 2.0 * suite.tuning.runs + len(entries) * search_work(suite.tuning)
     results: list[TuningResult] = []
     optima, watched = suite.optima(), suite.world.watched_for(entries)
     rngs = functools.partial(suite.generators, "training", suite.tuning.runs)
-    with progress(each * len(suite.detector_entries)) as bar:
-        for judge in suite.detector_entries:
+    with progress(each * len(suite.detector_players)) as bar:
+        for judge in suite.detector_players:
             judges = [judge.build()]
             panel = Panel(suite.world.setup, judges, rngs, threads, watched)
             for entry in entries:

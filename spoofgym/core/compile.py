@@ -152,8 +152,8 @@ PACKAGE = __package__.partition(".")[0]
 # Packages with compiled code, each of which calls only those before it (import-linter's order).
 COMPILED_LAYERS = ("earth", "truth", "attacks", "receiver", "detectors", "simulation", "envs")
 FOUNDATION = ("core/compile.py", "core/simd.py", "core/lanes.py")  # code of any layer may be theirs
-KEPT_DIGESTS = 16
-KEPT_S = 86_400.0  # least age of code that is pruned: what began to use it may still add to it
+MAX_DIGESTS = 16
+MIN_AGE_S = 86_400.0  # least age of code that is pruned: what began to use it may still add to it
 CHECKSUM_SIZE = 16
 NOTICE_S = 2.0
 NOTICE = "spoofgym: compiling for this machine, once; takes about a minute"
@@ -162,7 +162,7 @@ NOTICE = "spoofgym: compiling for this machine, once; takes about a minute"
 class _Notice(event.Listener):  # type: ignore[misc]
     """Says once, on stderr, what takes so long: when `NOTICE_S` have gone into compiling."""
 
-    said = False
+    shown = False
 
     def __init__(self) -> None:
         self._depth, self._spent, self._since = 0, 0.0, math.inf
@@ -183,8 +183,8 @@ class _Notice(event.Listener):  # type: ignore[misc]
 
     def _look(self) -> None:
         spent = self._spent + time.monotonic() - self._since
-        if spent >= NOTICE_S and not self.said:
-            self.said = True
+        if spent >= NOTICE_S and not self.shown:
+            self.shown = True
             print(NOTICE, file=sys.stderr, flush=True)
 
 
@@ -204,7 +204,7 @@ def compiled_functions() -> Iterator[list[Any]]:
         found += [each for _, each in recorder.buffer if each.is_start]
 
 
-def layer_of(module: str) -> int:
+def find_layer(module: str) -> int:
     parts = module.split(".")
     package = parts[1] if len(parts) > 1 else ""
     last = len(COMPILED_LAYERS) - 1
@@ -253,13 +253,13 @@ def _temporary_parent() -> Path:
 
 
 def _prune(parent: Path, keep: Path) -> None:
-    """Drop old digests but for the `KEPT_DIGESTS` last used ones; failures do not matter."""
+    """Drop old digests but for the `MAX_DIGESTS` last used ones; failures do not matter."""
     try:
         found = [path for path in parent.iterdir() if path.is_dir() and path != keep]
         found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
         os.utime(keep)
-        latest = time.time() - KEPT_S
-        old = [path for path in found[KEPT_DIGESTS - 1 :] if path.stat().st_mtime < latest]
+        latest = time.time() - MIN_AGE_S
+        old = [path for path in found[MAX_DIGESTS - 1 :] if path.stat().st_mtime < latest]
     except OSError:
         return
     for path in old:
@@ -291,7 +291,7 @@ def cache_parent() -> Path:
 def cache_folder(layer: int) -> Path:
     folder = cache_parent() / f"{COMPILED_LAYERS[layer]}-{source_digest(layer)}"
     if fault := _fault(folder):  # left from when others could write to its parent
-        _say(f"{folder} {fault}; it is removed, and its code compiled again")
+        _print_note(f"{folder} {fault}; it is removed, and its code compiled again")
         shutil.rmtree(folder)
         folder.mkdir(mode=0o700)
     _prune(cache_parent(), folder)
@@ -299,7 +299,7 @@ def cache_folder(layer: int) -> Path:
 
 
 @cache
-def _say(line: str) -> None:
+def _print_note(line: str) -> None:
     print(f"spoofgym: {line}", file=sys.stderr)
 
 
@@ -324,7 +324,9 @@ class _CheckedFiles(IndexDataCacheFile):  # type: ignore[misc]
             return False
         whole = _checksum(content[:-CHECKSUM_SIZE]) == content[-CHECKSUM_SIZE:]
         if not whole:
-            _say(f"compiled code in {cache_parent()} is damaged; it is compiled again where needed")
+            _print_note(
+                f"compiled code in {cache_parent()} is damaged; it is compiled again where needed"
+            )
         return whole
 
     def _load_index(self) -> dict[Any, str]:
@@ -357,7 +359,7 @@ def _compile(function: F, **how: Any) -> F:
     if is_disabled():
         return function
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder(layer_of(function.__module__)))
+    numba.config.CACHE_DIR = str(cache_folder(find_layer(function.__module__)))
     try:
         cache = _CheckedCache(function)
     finally:
@@ -393,7 +395,7 @@ def njit(function: F) -> F:
     return _compile(function)
 
 
-def inlined(function: F) -> F:
+def inline_njit(function: F) -> F:
     """Compile as `njit` does, and let every caller take the body in.
 
     For physics of a few numbers: a loop with a call in it is not vectorized.

@@ -1,7 +1,7 @@
 """Settings that are declared once: their bounds, units and meaning, where the field stands.
 
-A record's class is decorated by `record`, and its fields are made by `setting`.  From these come
-the checks of a new record, the parameters of the docstring and the rows of listings.
+A record's class is decorated by `settings_record`, and its fields are made by `setting`.  From
+these come the checks of a new record, the parameters of the docstring and the rows of listings.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Setting:
         raise ValueError(f"`{name}` must be {self.valid(annotation)}, got {value!r}{hint}")
 
     def _is_valid(self, value: Any, kinds: set[str]) -> bool:
-        if not {*NUMBERS, "bool"} & kinds and not self.one_of and not lists_in(kinds):
+        if not {*NUMBERS, "bool"} & kinds and not self.one_of and not parse_list_kinds(kinds):
             return True  # a record or a text, which its own class checks
         if "bool" in kinds and isinstance(value, bool | np.bool_):
             return True
@@ -68,7 +68,7 @@ class Setting:
             return value in self.one_of or (not self.one_of and "str" in kinds)
         if any(self._holds(value, whole=kind == "int") for kind in NUMBERS if kind in kinds):
             return True
-        items = lists_in(kinds)
+        items = parse_list_kinds(kinds)
         if items and isinstance(value, Sequence | np.ndarray):
             return self._are_valid(list(value), items)
         return bool(kinds - {*NUMBERS, "bool", "str", "None"} - {f"tuple[{i}, ...]" for i in items})
@@ -98,7 +98,7 @@ class Setting:
         """What is valid, in words, ``"a number above 0 and at most 1"``."""
         kinds = split_union(annotation)
         words = [f"a {self._numbers(kind)}" for kind in NUMBERS if kind in kinds]
-        for item in lists_in(kinds):
+        for item in parse_list_kinds(kinds):
             order = " in increasing order" if self.increasing else ""
             words.append(f"a list of {self._numbers(item, 's')}{order}")
         words += ["True or False"] if "bool" in kinds else []
@@ -162,7 +162,7 @@ def setting(
     Returns
     -------
     field : dataclasses.Field
-        For the body of a class that `record` decorates.
+        For the body of a class that `settings_record` decorates.
     """
     limits = (above, least, below, most)
     declared = Setting(*limits, tuple(one_of), increasing, infinite, empty, unit, help)
@@ -170,7 +170,7 @@ def setting(
 
 
 @dataclass_transform(field_specifiers=(setting, field))
-def record(kind: type[T] | None = None, /, **options: bool) -> Any:
+def settings_record(kind: type[T] | None = None, /, **options: bool) -> Any:
     """Dataclass whose settings are checked before its own `__post_init__`, and documented.
 
     Parameters
@@ -208,7 +208,7 @@ def check_settings(record: Any) -> None:
     Lists become tuples where the annotation says so, numbers of NumPy those of Python, and whole
     numbers ints, so that equal settings are stored alike.
     """
-    for name, (declared, annotation) in settings_in(type(record)).items():
+    for name, (declared, annotation) in list_declarations(type(record)).items():
         value = getattr(record, name)
         declared.check(name, value, annotation)
         plain = _as_plain(value, annotation)
@@ -249,7 +249,7 @@ def check_word(name: str, value: Any, valid: Iterable[str]) -> None:
     Setting(one_of=tuple(valid)).check(name, value, "str")
 
 
-def settings_in(kind: type) -> dict[str, tuple[Setting, str]]:
+def list_declarations(kind: type) -> dict[str, tuple[Setting, str]]:
     """Declared settings of a record's class, and their annotations, by name."""
     return {
         each.name: (each.metadata["setting"], str(getattr(each.type, "__name__", each.type)))
@@ -295,7 +295,7 @@ def split_union(annotation: str) -> tuple[str, ...]:
     return tuple(re.split(r" \| (?![^\[]*\])", annotation))
 
 
-def lists_in(kinds: Iterable[str]) -> list[str]:
+def parse_list_kinds(kinds: Iterable[str]) -> list[str]:
     """Kinds of number of which a member of a union is a tuple of any length."""
     found = (re.fullmatch(r"tuple\[(float|int), \.\.\.\]", kind) for kind in kinds)
     return [match[1] for match in found if match]

@@ -40,7 +40,7 @@ class LaneFields:
         self.groups = 1 if shared else -(-receivers // self.lanes)
         self.first = first_rows(shapes)
         self.rows = sum(int(np.prod(shape, dtype=int)) for shape in shapes.values())
-        self.data = _aligned(self.groups * self.rows * self.lanes, dtype)
+        self.data = _allocate_aligned(self.groups * self.rows * self.lanes, dtype)
         if self.lanes > 1:
             self.data = self.data.reshape(-1, self.lanes)
 
@@ -48,13 +48,13 @@ class LaneFields:
     def _grouped(self) -> NDArray[Any]:
         return self.data.reshape(self.groups, self.rows, self.lanes)
 
-    def _rows_of(self, name: str) -> slice:
+    def _find_rows(self, name: str) -> slice:
         size = int(np.prod(self.shapes[name], dtype=int))
         return slice(self.first[name], self.first[name] + size)
 
     def get(self, name: str, receivers: Any = None) -> NDArray[Any]:
         """A quantity of some receivers, all by default: (b, ...), a copy."""
-        part = self._grouped[:, self._rows_of(name)].transpose(0, 2, 1)
+        part = self._grouped[:, self._find_rows(name)].transpose(0, 2, 1)
         part = part.reshape(self.groups * self.lanes, -1)[: self.receivers]
         if self.shared:
             part = np.broadcast_to(part[0], (self.receivers, part.shape[1]))
@@ -70,7 +70,7 @@ class LaneFields:
     def put(self, name: str, receivers: Any, values: Any) -> None:
         """Write a quantity of some receivers; `values` as NumPy broadcasts them to (b, ...)."""
         index = np.arange(self.receivers)[receivers]
-        shape, rows = (len(index), *self.shapes[name]), self._rows_of(name)
+        shape, rows = (len(index), *self.shapes[name]), self._find_rows(name)
         flat = np.broadcast_to(np.asarray(values), shape).reshape(
             len(index), rows.stop - rows.start
         )
@@ -107,17 +107,17 @@ class LaneFields:
             group[:, last + 1 :] = group[:, last : last + 1]
 
     def scratch(self, rows: int) -> NDArray[Any]:
-        memory = _aligned(rows * self.lanes, np.float64)
+        memory = _allocate_aligned(rows * self.lanes, np.float64)
         return memory if self.lanes == 1 else memory.reshape(rows, self.lanes)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         data = self.data
-        self.data = _aligned(data.size, data.dtype.type).reshape(data.shape)
+        self.data = _allocate_aligned(data.size, data.dtype.type).reshape(data.shape)
         self.data[...] = data
 
 
-def _aligned(size: int, dtype: type) -> NDArray[Any]:
+def _allocate_aligned(size: int, dtype: type) -> NDArray[Any]:
     memory: NDArray[Any] = np.zeros(size + ALIGNMENT // 8, dtype=dtype)
     first = (ALIGNMENT - memory.ctypes.data % ALIGNMENT) % ALIGNMENT // 8
     return memory[first : first + size]

@@ -75,10 +75,10 @@ def build(
     if name not in kinds:
         refuse_pickle(name)
         check_choice(word, name, {*kinds, *more} - {name})
-    return _constructed(f"{word} {name!r}", kinds[name], settings)
+    return _construct(f"{word} {name!r}", kinds[name], settings)
 
 
-def _constructed(what: str, kind: type[T], settings: Mapping[str, Any]) -> T:
+def _construct(what: str, kind: type[T], settings: Mapping[str, Any]) -> T:
     """Record of a kind, after a check that its settings are known, of the right kind, and there."""
     known = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for name in settings:
@@ -127,7 +127,7 @@ def build_record(
             f"`{word}` must be a dict of settings or an instance of "
             f"{kind.__module__}.{kind.__qualname__}, got {given!r}"
         )
-    return _constructed(f"`{word}`", kind, {**(defaults or {}), **(given or {})})
+    return _construct(f"`{word}`", kind, {**(defaults or {}), **(given or {})})
 
 
 def is_number(value: object) -> bool:
@@ -149,7 +149,7 @@ def whole_number(name: str, value: Any, least: int = 0) -> int:
     return int(value)
 
 
-def refuse_given(decider: str, names: Iterable[str]) -> None:
+def refuse_overrides(decider: str, names: Iterable[str]) -> None:
     if given := ", ".join(names):
         raise ValueError(f"{given} can't be given with {decider}, which decides it")
 
@@ -275,20 +275,20 @@ def make(
     return build(word, kinds, base, spec, more=more)
 
 
-def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
+def build_spec(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
     kind = type(thing)
     registered = {cls: name for name, cls in kinds.items()}
     name = registered.get(kind, f"{kind.__module__}:{kind.__qualname__}")
-    missing = [key for key in settings_of(kind) if not hasattr(thing, key)]
+    missing = [key for key in inspect_settings(kind) if not hasattr(thing, key)]
     if missing:
         raise TypeError(
             f"{word} {name!r} must keep its settings under their names, so that results can name "
             f"them; it has no {', '.join(map(repr, missing))}"
         )
-    return {"name": name, **{key: describe(getattr(thing, key)) for key in settings_of(kind)}}
+    return {"name": name, **{key: describe(getattr(thing, key)) for key in inspect_settings(kind)}}
 
 
-def settings_of(kind: Callable[..., Any]) -> dict[str, Any]:
+def inspect_settings(kind: Callable[..., Any]) -> dict[str, Any]:
     """Settings of a class or function, with their defaults. Returns default by name;
     `inspect.Parameter.empty` without one."""
     parameters = inspect.signature(kind).parameters.values()
@@ -296,7 +296,7 @@ def settings_of(kind: Callable[..., Any]) -> dict[str, Any]:
     return {item.name: item.default for item in parameters if item.kind not in spread}
 
 
-def label_of(spec: Spec, default: Spec | None) -> str:
+def format_label(spec: Spec, default: Spec | None) -> str:
     settings = {key: value for key, value in spec.items() if key != "name"}
     if default is not None:
         settings = {key: v for key, v in settings.items() if default.get(key, v) != v}

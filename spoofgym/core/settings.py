@@ -48,7 +48,7 @@ def _describe_parts(value: Any) -> Any:
             for f in dataclasses.fields(value)
             if not (f.metadata.get("omitted") and getattr(value, f.name) == f.default)
         }
-        return {"kind": kind_of(type(value)), **named}
+        return {"kind": get_kind(type(value)), **named}
     if hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, Mapping):
@@ -60,7 +60,7 @@ def _describe_parts(value: Any) -> Any:
     )
 
 
-def kind_of(record: type) -> str:
+def get_kind(record: type) -> str:
     """Word that stands for a class in what is stored: its own `described_as`, whatever its name.
 
     A user's class has its name.  Calibrations, cards and tasks are found by these words.
@@ -74,7 +74,7 @@ def kind_of(record: type) -> str:
     return record.__qualname__ if own is None else str(own)
 
 
-def digest_of(config: Any) -> str:
+def compute_digest(config: Any) -> str:
     text = json.dumps(config, sort_keys=True, allow_nan=False, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -169,19 +169,19 @@ def _sources(kind: type) -> dict[str, str]:
     return found
 
 
-def differences(one: Any, other: Any, where: str = "") -> list[tuple[str, Any, Any]]:
+def diff_settings(one: Any, other: Any, where: str = "") -> list[tuple[str, Any, Any]]:
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         found = []
         for name in [*one, *(name for name in other if name not in one)]:
             inside = f"{where}.{name}" if where else str(name)
-            found += differences(one.get(name), other.get(name), inside)
+            found += diff_settings(one.get(name), other.get(name), inside)
         return found
     if isinstance(one, list | tuple) and isinstance(other, list | tuple):
         one, other = list(one), list(other)
     return [] if one == other else [(where, one, other)]
 
 
-def unlike(card: Any, here: Any, where: str = "") -> list[str]:
+def format_card_diff(card: Any, here: Any, where: str = "") -> list[str]:
     return [
-        f"{name}: {a!r} on the card, {b!r} here" for name, a, b in differences(card, here, where)
+        f"{name}: {a!r} on the card, {b!r} here" for name, a, b in diff_settings(card, here, where)
     ]

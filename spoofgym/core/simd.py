@@ -156,7 +156,7 @@ def _binary(
 ) -> None:
     """Define an operator of two operands by the name of LLVM's instruction for each element."""
 
-    def kind_of(x: types.Type, y: types.Type) -> types.Type | None:
+    def infer_kind(x: types.Type, y: types.Type) -> types.Type | None:
         kind = _common(x, y)
         if kind is None or kind.element not in emits:
             return None
@@ -170,7 +170,7 @@ def _binary(
         return method(predicate, *operands) if predicate else method(*operands)
 
     for function in functions:
-        _define(function, kind_of, emit, 2, of_vectors=True)
+        _define(function, infer_kind, emit, 2, of_vectors=True)
 
 
 for _name, _emits in {
@@ -258,7 +258,7 @@ def load_pair(array: Any, row: int) -> Any:
     return _python(array[row : row + 2].reshape(-1).copy())
 
 
-def pair_of(vector: Any) -> Any:
+def pair_lanes(vector: Any) -> Any:
     return _python(np.concatenate([vector, vector]))
 
 
@@ -313,7 +313,7 @@ _define(
     2,
 )
 _define(
-    pair_of,
+    pair_lanes,
     lambda vector: _KINDS[vector.element, 2 * LANES] if isinstance(vector, _Vector) else None,
     lambda context, builder, given, values: builder.shuffle_vector(
         values[0], values[0], _indices([*range(LANES), *range(LANES)])
@@ -396,7 +396,7 @@ def to_float(x: Any) -> Any:
     return x.astype(np.float64) if isinstance(x, np.ndarray) else np.float64(x)
 
 
-def bits_of(x: Any) -> Any:
+def view_bits(x: Any) -> Any:
     return _python(np.asarray(x, dtype=np.float64).view(np.uint64))
 
 
@@ -419,7 +419,7 @@ def _as_llvm(kind: types.Type) -> Any:
 _TO_REAL = {(kind.of(WORD) if isinstance(kind, _Vector) else WORD): kind for kind in _REALS}
 _unary(to_float, _TO_REAL, _convert)
 _unary(from_bits, _TO_REAL, _bitcast)
-_unary(bits_of, {real: bits for bits, real in _TO_REAL.items()}, _bitcast)
+_unary(view_bits, {real: bits for bits, real in _TO_REAL.items()}, _bitcast)
 
 
 def select(mask: Any, x: Any, y: Any) -> Any:
@@ -504,7 +504,7 @@ _define(
 # --- memory ----------------------------------------------------------------------------------
 
 
-def lanes_of(array: Any) -> int:
+def count_lanes(array: Any) -> int:
     """Lanes of a lane array: 8, or 1 where it holds a single receiver."""
     return 1 if array.ndim == 1 else LANES
 
@@ -523,7 +523,7 @@ def set_lane(array: Any, row: int, index: int, value: Any) -> None:
 def _lane_address(context: Any, builder: Any, given: Any, values: Any) -> Any:
     data = _data(context, builder, given[0], values[0])
     row, index = (context.cast(builder, values[k], given[k], types.intp) for k in (1, 2))
-    first = builder.mul(row, ir.Constant(ir.IntType(64), lanes_of(given[0])))
+    first = builder.mul(row, ir.Constant(ir.IntType(64), count_lanes(given[0])))
     return builder.gep(data, [builder.add(first, index)])
 
 
@@ -534,9 +534,9 @@ def _emit_set_lane(context: Any, builder: Any, given: Any, values: Any) -> Any:
 
 
 _define(
-    lanes_of,
+    count_lanes,
     lambda array: types.intp if isinstance(array, types.Array) else None,
-    lambda context, builder, given, values: ir.Constant(ir.IntType(64), lanes_of(given[0])),
+    lambda context, builder, given, values: ir.Constant(ir.IntType(64), count_lanes(given[0])),
     1,
 )
 _define(
@@ -610,14 +610,14 @@ def words_at(entries: Any, index: int, like: Any) -> Any:
 
 
 def _define_reader(function: Callable[..., Any], element: types.Type, arity: int) -> None:
-    def kind_of(*given: types.Type) -> types.Array:
+    def infer_kind(*given: types.Type) -> types.Array:
         return types.Array(element, given[2].ndim if arity == 3 else 1, "C")
 
     def emit(context: Any, builder: Any, given: Any, values: Any) -> Any:
         def number(value: int) -> Any:
             return ir.Constant(ir.IntType(64), value)
 
-        kind = kind_of(*given)
+        kind = infer_kind(*given)
         data = _data(context, builder, given[0], values[0])
         index = context.cast(builder, values[1], given[1], types.intp)
         place = builder.mul(index, number(2))
@@ -640,7 +640,7 @@ def _define_reader(function: Callable[..., Any], element: types.Type, arity: int
         )
         return array._getvalue()
 
-    _define(function, kind_of, emit, arity)
+    _define(function, infer_kind, emit, arity)
 
 
 for _reader, _element, _arity in (

@@ -125,7 +125,7 @@ def broken_links(time: Floats, position_e: Floats) -> Mask:
     return broken
 
 
-class MadeGood(NamedTuple):
+class GroundTrack(NamedTuple):
     """Speeds and courses that follow from positions alone.
 
     - `speed`, `path_speed` (n,) length of the chord to both sides of a fix, and of the path along
@@ -140,7 +140,7 @@ class MadeGood(NamedTuple):
     span: Floats
 
 
-def made_good(time: Floats, latitude: Floats, longitude: Floats) -> MadeGood:
+def compute_ground_track(time: Floats, latitude: Floats, longitude: Floats) -> GroundTrack:
     """Speeds and courses from positions [rad], over chords of at least `CHORD_S` to either side;
     NaN where there is no other fix within `LARGEST_GAP_S`."""
     position = geodetic_to_ecef(latitude, longitude, 0.0)
@@ -154,10 +154,10 @@ def made_good(time: Floats, latitude: Floats, longitude: Floats) -> MadeGood:
     length = np.hypot(chord_n[:, 0], chord_n[:, 1])
     path = np.cumsum(np.linalg.norm(np.diff(position, axis=0, prepend=position[:1]), axis=1))
     course = np.where(length > POSITION_SD, np.arctan2(chord_n[:, 1], chord_n[:, 0]), np.nan)
-    return MadeGood(length / span, (path[b] - path[a]) / span, course, span)
+    return GroundTrack(length / span, (path[b] - path[a]) / span, course, span)
 
 
-def contradicting_speeds(groundspeed: Floats, made: MadeGood) -> Mask:
+def contradicting_speeds(groundspeed: Floats, made: GroundTrack) -> Mask:
     """Reported speeds [m/s] that can't be true, a stale one for instance: outside chord and path
     speed by a tenth and three standard deviations."""
     margin = 3.0 * math.sqrt(2.0) * POSITION_SD / made.span
@@ -191,15 +191,15 @@ def resolved_courses(track_deg: Floats, course: Floats) -> tuple[Floats, Mask]:
     unwrapped = np.zeros(track_deg.size, dtype=np.bool_)
     for shift in (0.0, 256.0, -256.0) if is_byte else (0.0,):
         candidate = np.radians(track_deg + shift)
-        difference = np.abs(_wrapped(candidate - course))
+        difference = np.abs(_wrap_angle(candidate - course))
         better = difference <= best if shift == 0.0 else difference < best
-        angle = np.where(better, _wrapped(candidate), angle)
+        angle = np.where(better, _wrap_angle(candidate), angle)
         best = np.where(better, difference, best)
         unwrapped = np.where(better, shift != 0.0, unwrapped)
     return angle, unwrapped
 
 
-def _wrapped(angle: Floats) -> Floats:
+def _wrap_angle(angle: Floats) -> Floats:
     return np.asarray(np.pi - (np.pi - angle) % (2.0 * np.pi))
 
 
@@ -379,7 +379,7 @@ def _without_outliers(fixes: _Fixes, counts: dict[str, int]) -> _Fixes:
 def _trusted_velocities(fixes: _Fixes, counts: dict[str, int]) -> tuple[Floats, Floats]:
     """Courses to be trusted, and speeds: reported ones where trusted, else made good. Groundspeeds
     that are not to be trusted become NaN in the fixes."""
-    made = made_good(fixes.time, fixes.latitude, fixes.longitude)
+    made = compute_ground_track(fixes.time, fixes.latitude, fixes.longitude)
     wrong = contradicting_speeds(fixes.groundspeed, made)
     wrong |= stale_runs(fixes.groundspeed, wrong)
     fixes.groundspeed[wrong] = np.nan

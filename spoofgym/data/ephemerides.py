@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.registry import require
 from ..truth.satellites import SatelliteStates, checked_time, ecef_from_orbit
 
@@ -181,7 +181,9 @@ def solve_kepler(mean_anomaly: ArrayLike, eccentricity: ArrayLike) -> NDArray[np
     return np.asarray(E)
 
 
-def propagate(ephemerides: Ephemerides, record: ArrayLike, elapsed: ArrayLike) -> SatelliteStates:
+def propagate_orbits(
+    ephemerides: Ephemerides, record: ArrayLike, elapsed: ArrayLike
+) -> SatelliteStates:
     r"""Position and velocity by single records, whatever their age and health.
 
     .. math::
@@ -224,7 +226,7 @@ class _Schedule(NamedTuple):
     switch: NDArray[np.float64]  # (n, m - 1) when the next record takes over, or infinity
 
 
-@record(frozen=True, eq=False)
+@settings_record(frozen=True, eq=False)
 class BroadcastConstellation:
     """GPS satellites by their broadcast ephemerides.
 
@@ -282,7 +284,7 @@ class BroadcastConstellation:
         satellite = np.arange(len(self.satellite_ids))
         elapsed = t[:, None] - schedule.epoch[satellite, column]
         elapsed[np.abs(elapsed) > VALIDITY] = np.nan
-        return propagate(self.ephemerides, schedule.record[satellite, column], elapsed)
+        return propagate_orbits(self.ephemerides, schedule.record[satellite, column], elapsed)
 
 
 class Rejection(NamedTuple):
@@ -337,7 +339,9 @@ def screen(ephemerides: Ephemerides) -> tuple[Ephemerides, ScreeningReport]:
     rejections: list[Rejection] = []
     unchecked = unresolved = 0
     for satellite in distinct.satellite_ids:
-        rejected, gaps = _contradicted(distinct, np.flatnonzero(distinct.satellite_id == satellite))
+        rejected, gaps = _reject_contradictions(
+            distinct, np.flatnonzero(distinct.satellite_id == satellite)
+        )
         kept[list(rejected)] = False
         rejections += [
             Rejection(satellite, float(distinct.time_of_ephemeris[record]), distance)
@@ -375,13 +379,13 @@ def _disagreements(ephemerides: Ephemerides, records: NDArray[np.intp]) -> NDArr
     half = 0.5 * (toe[after] - toe[before])
     half = np.where(half <= VALIDITY, half, np.nan)
     difference = (
-        propagate(ephemerides, before, half).position_e
-        - propagate(ephemerides, after, -half).position_e
+        propagate_orbits(ephemerides, before, half).position_e
+        - propagate_orbits(ephemerides, after, -half).position_e
     )
     return np.asarray(np.linalg.norm(difference, axis=-1))
 
 
-def _contradicted(
+def _reject_contradictions(
     ephemerides: Ephemerides, records: NDArray[np.intp]
 ) -> tuple[dict[int, float], NDArray[np.float64]]:
     """Rejected records of one satellite, ordered by time, and the distances that remain."""

@@ -43,7 +43,7 @@ FIELDS = {
 }  # line and column of the fields of a record; in line 0 the satellite and epoch are column 0
 
 
-def _signed(bits: int, exponent: int, unit: float = 1.0) -> tuple[float, float]:
+def _compute_signed_range(bits: int, exponent: int, unit: float = 1.0) -> tuple[float, float]:
     """Range of a number in two's complement; files round it, which may lead just outside."""
     largest = 2.0 ** (bits - 1 + exponent) * unit * (1.0 + 1e-9)
     return -largest, largest
@@ -52,15 +52,20 @@ def _signed(bits: int, exponent: int, unit: float = 1.0) -> tuple[float, float]:
 # Valid values of the fields: what the bits of the message hold, or its narrower effective range
 # (IS-GPS-200, tables 20-I and 20-III); angles of one turn either way, since writers differ.
 RANGES = {
-    **dict(clock_bias=_signed(22, -31), clock_drift=_signed(16, -43)),
-    **dict(clock_drift_rate=_signed(8, -55), group_delay=_signed(8, -31)),
+    **dict(clock_bias=_compute_signed_range(22, -31), clock_drift=_compute_signed_range(16, -43)),
+    **dict(
+        clock_drift_rate=_compute_signed_range(8, -55), group_delay=_compute_signed_range(8, -31)
+    ),
     **dict(health=(0.0, 63.0), issue=(0.0, 255.0), second_of_week=(0.0, SECONDS_PER_WEEK)),
     **dict(root_semi_major_axis=(2530.0, 8192.0), eccentricity=(0.0, 0.03)),
     **dict.fromkeys(("mean_anomaly", "perigee", "node"), (-2.0 * math.pi, 2.0 * math.pi)),
-    **dict(inclination=(0.0, math.pi), inclination_rate=_signed(14, -43, math.pi)),
-    **dict(node_rate=_signed(24, -43, math.pi), mean_motion_correction=_signed(16, -43, math.pi)),
-    **dict.fromkeys(("cuc", "cus", "cic", "cis"), _signed(16, -29)),
-    **dict.fromkeys(("crc", "crs"), _signed(16, -5)),
+    **dict(inclination=(0.0, math.pi), inclination_rate=_compute_signed_range(14, -43, math.pi)),
+    **dict(
+        node_rate=_compute_signed_range(24, -43, math.pi),
+        mean_motion_correction=_compute_signed_range(16, -43, math.pi),
+    ),
+    **dict.fromkeys(("cuc", "cus", "cic", "cis"), _compute_signed_range(16, -29)),
+    **dict.fromkeys(("crc", "crs"), _compute_signed_range(16, -5)),
 }
 
 

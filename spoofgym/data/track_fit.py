@@ -162,7 +162,7 @@ def smooth_path(track: Track) -> SmoothPath:
     edges = np.linspace(0.0, track.duration, max(2, round(track.duration / KNOT_INTERVAL)) + 1)
     knots = np.concatenate([np.zeros(DEGREE), edges, np.full(DEGREE, track.duration)])
     node, weight = _quadrature(edges)
-    jerk = _scaled(_design(node, knots, 3), np.sqrt(weight / CLIMB_JERK_PSD))
+    jerk = _scale_rows(_design(node, knots, 3), np.sqrt(weight / CLIMB_JERK_PSD))
     place = _design(track.time, knots, 0) / HEIGHT_SD
     height = _solve([place, jerk], [track.height / HEIGHT_SD, np.zeros(node.size)])
     north, east, doubted = _Plane(track, knots, node, weight).fit()
@@ -212,7 +212,7 @@ class _Plane:
             before = solution
             rows, values = self._measurements(before)
             jerks, jerk_values = self._jerks(before)
-            trusted = _scaled(rows, np.sqrt(trust))
+            trusted = _scale_rows(rows, np.sqrt(trust))
             solution = _solve([trusted, jerks], [np.sqrt(trust) * values, jerk_values])
             trust = self._trust(rows @ solution - values)
             if np.abs(self.place @ (solution - before)).max() < PASS_STOP:
@@ -222,7 +222,7 @@ class _Plane:
 
     def _first_pass(self) -> Floats:
         scale = np.tile(np.sqrt(self.weight / TURN_JERK_PSD), 2)
-        jerks = _scaled(vstack(self.node_jerk), scale)
+        jerks = _scale_rows(vstack(self.node_jerk), scale)
         rows = [self.place / POSITION_SD, jerks]
         return _solve(rows, [self.fixes / POSITION_SD, np.zeros(jerks.shape[0])])
 
@@ -232,12 +232,12 @@ class _Plane:
         speed, course = self.track.groundspeed, self.track.track_angle
         reported = np.isfinite(course)
         flown = np.arctan2(self.rate[1] @ solution, self.rate[0] @ solution)
-        along, across = _turned(self.rate, np.where(reported, course, flown))
+        along, across = _rotate_rows(self.rate, np.where(reported, course, flown))
         rows = vstack(
             [
                 self.place / POSITION_SD,
-                _scaled(along, np.isfinite(speed) / VELOCITY_SD),
-                _scaled(across, reported / VELOCITY_SD),
+                _scale_rows(along, np.isfinite(speed) / VELOCITY_SD),
+                _scale_rows(across, reported / VELOCITY_SD),
             ]
         )
         values = [self.fixes / POSITION_SD, np.nan_to_num(speed) / VELOCITY_SD, 0.0 * course]
@@ -248,9 +248,9 @@ class _Plane:
         speed = np.maximum(np.hypot(north, east), 1.0)
         north_rate, east_rate = (row @ solution for row in self.node_acceleration)
         lateral = (north * east_rate - east * north_rate) / speed
-        along, across = _turned(self.node_jerk, np.arctan2(east, north))
+        along, across = _rotate_rows(self.node_jerk, np.arctan2(east, north))
         dear, cheap = (np.sqrt(self.weight / psd) for psd in (SPEED_JERK_PSD, TURN_JERK_PSD))
-        rows = vstack([_scaled(along, dear), _scaled(across, cheap)])
+        rows = vstack([_scale_rows(along, dear), _scale_rows(across, cheap)])
         return csr_array(rows), np.concatenate([-dear * lateral**2 / speed, 0.0 * cheap])
 
     def _trust(self, misfit: Floats) -> Floats:
@@ -263,17 +263,17 @@ class _Plane:
 
 def _pair(rows: csr_array, stretch: tuple[Floats, ...]) -> tuple[csr_array, csr_array]:
     nothing = csr_array(rows.shape)
-    north, east = (_scaled(rows, factor) for factor in stretch)
+    north, east = (_scale_rows(rows, factor) for factor in stretch)
     return csr_array(hstack([north, nothing])), csr_array(hstack([nothing, east]))
 
 
-def _turned(pair: tuple[csr_array, csr_array], course: Floats) -> tuple[csr_array, csr_array]:
+def _rotate_rows(pair: tuple[csr_array, csr_array], course: Floats) -> tuple[csr_array, csr_array]:
     cosine, sine = np.cos(course), np.sin(course)
-    along = _scaled(pair[0], cosine) + _scaled(pair[1], sine)
-    return along, _scaled(pair[1], cosine) - _scaled(pair[0], sine)
+    along = _scale_rows(pair[0], cosine) + _scale_rows(pair[1], sine)
+    return along, _scale_rows(pair[1], cosine) - _scale_rows(pair[0], sine)
 
 
-def _scaled(rows: csr_array, factor: Floats) -> csr_array:
+def _scale_rows(rows: csr_array, factor: Floats) -> csr_array:
     return csr_array(diags_array(np.asarray(factor, dtype=np.float64)) @ rows)
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..core.compile import inlined, njit
+from ..core.compile import inline_njit, njit
 from ..earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS
 from ..receiver.states import POSITION
 from .base import BoolArray, FloatArray, IntArray
@@ -16,8 +16,8 @@ SINGULAR = 1e-9
 """Determinant of a covariance over the square of its trace, below which nothing is judged."""
 
 
-@inlined
-def age_of(epochs: int, number: int, spacing: int, bank: int) -> int:
+@inline_njit
+def compute_age(epochs: int, number: int, spacing: int, bank: int) -> int:
     """Age of a solution in its bank at the epoch after so many [epochs]; 0 before its start."""
     since = epochs - number * spacing
     return since % (bank * spacing) + 1 if since >= 0 else 0
@@ -91,7 +91,7 @@ def changed_rows(
 
 
 @njit
-def propagate(
+def propagate_bank(
     V: FloatArray,
     s: FloatArray,
     count: int,
@@ -193,12 +193,12 @@ def advance_bank(
         changed = changed_rows(transition[b], kept, rows, ends, at, of)
         s, V = separation[b], covariance[b]
         for j in range(bank):
-            age = age_of(epochs[b], j, spacing, bank)
+            age = compute_age(epochs[b], j, spacing, bank)
             begun[j] = 1.0 if age > 0 else 0.0
             if age == 1:
                 s[:, j] = 0.0
                 V[:, :, j] = 0.0
-        propagate(V, s, changed, rows, ends, at, of, moved, shifted)
+        propagate_bank(V, s, changed, rows, ends, at, of, moved, shifted)
         for i in range(kept):
             for j in range(bank):
                 if begun[j] > 0.0:
@@ -227,7 +227,7 @@ def horizontal_axes(position_e: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @njit
-def along(V: FloatArray, j: int, u: FloatArray, w: FloatArray) -> float:
+def project_covariance(V: FloatArray, j: int, u: FloatArray, w: FloatArray) -> float:
     """Element u' V w of the covariance of the position of solution j; `V` (d, d, J)."""
     total = 0.0
     for i in range(3):
@@ -242,8 +242,8 @@ def horizontal_part(
 ) -> tuple[float, float, float, float, float]:
     """North and east of the separation (d, J) of solution j, and their covariance: nn, ne, ee."""
     s = separation[POSITION:, j]
-    nn, ee = along(V, j, north, north), along(V, j, east, east)
-    ne = along(V, j, north, east)
+    nn, ee = project_covariance(V, j, north, north), project_covariance(V, j, east, east)
+    ne = project_covariance(V, j, north, east)
     n = north[0] * s[0] + north[1] * s[1] + north[2] * s[2]
     e = east[0] * s[0] + east[1] * s[1] + east[2] * s[2]
     return n, e, nn, ne, ee
@@ -269,7 +269,7 @@ def judge_bank(
         statistic[b] = 0.0
         for j in range(bank):
             largest_sd[b, j] = np.inf
-            if age_of(epochs[b] - 1, j, spacing, bank) == 0:
+            if compute_age(epochs[b] - 1, j, spacing, bank) == 0:
                 continue
             n, e, nn, ne, ee = horizontal_part(separation[b], covariance[b], j, north, east)
             half, det = 0.5 * (nn + ee), nn * ee - ne * ne
@@ -298,7 +298,7 @@ def whiten_bank(
         north, east = horizontal_axes(position_e[b])
         for j in range(bank):
             whitened[b, j, :] = 0.0
-            if age_of(epochs[b] - 1, j, spacing, bank) == 0:
+            if compute_age(epochs[b] - 1, j, spacing, bank) == 0:
                 continue
             n, e, nn, ne, ee = horizontal_part(separation[b], covariance[b], j, north, east)
             half, det = 0.5 * (nn + ee), nn * ee - ne * ne

@@ -81,7 +81,7 @@ from typing import ClassVar, cast
 import numpy as np
 
 from ..core.compile import njit
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..receiver.epoch import Epoch
 from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import (
@@ -89,7 +89,7 @@ from .innovation import (
     alarm_probability,
     chi2_thresholds,
     cholesky_of_rows,
-    epochs_of,
+    count_epochs,
     first_window,
     remember_squares,
     signals_to_test,
@@ -109,7 +109,7 @@ class WindowsTest(InnovationTest):
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
-        self._windows = np.array([epochs_of(w, context) for w in self.windows_s], dtype=np.int64)
+        self._windows = np.array([count_epochs(w, context) for w in self.windows_s], dtype=np.int64)
         self._longest = int(self._windows[-1])
         self.memory_epochs = self._bias_window + self._longest
 
@@ -153,7 +153,7 @@ def largest_average(
             statistic[b] = max(statistic[b], q)
 
 
-@record
+@settings_record
 class Aime(WindowsTest):
     """Chi-square of the average innovation over several windows, for the whole receiver."""
 
@@ -187,7 +187,7 @@ class Aime(WindowsTest):
         self._thresholds = self.thresholds_to(last - first)[:: self._per_satellite]
 
     def judge(self, epoch: Epoch) -> Verdict:
-        white, judged = self._whitened(epoch)
+        white, judged = self._whiten_rows(epoch)
         statistic = np.empty((len(judged), 1))
         ring = (self.memory["sums"], self.memory["counts"], self.memory["place"])
         largest_average(white, judged, self._rows[0], self._windows, *ring, statistic[:, 0])
@@ -224,7 +224,7 @@ def largest_ratio(
                 statistic[b] = max(statistic[b], total / thresholds[int(degrees)])
 
 
-@record
+@settings_record
 class CumulativeBank(WindowsTest):
     """Chi-square of the innovations of windows of several lengths, for the whole receiver."""
 
@@ -253,7 +253,7 @@ class CumulativeBank(WindowsTest):
         self._declare_squares(context.receivers, self._longest)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        white, judged = self._whitened(epoch)
+        white, judged = self._whiten_rows(epoch)
         statistic = np.empty((len(judged), 1))
         sums = (self._per_satellite, self._windows, self._thresholds)
         largest_ratio(white, judged, *sums, *self._squares, statistic[:, 0])
@@ -301,7 +301,7 @@ def largest_moving_sum(
             statistic[b, j] = max(statistic[b, j], abs(total) / math.sqrt(squares))
 
 
-@record
+@settings_record
 class FiniteMovingAverage(InnovationTest):
     """Normalized sum of every satellite's innovations over a window; monitor only."""
 
@@ -328,9 +328,9 @@ class FiniteMovingAverage(InnovationTest):
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         b, n, (first, last) = context.receivers, context.channels, self._rows
-        window = epochs_of(self.window_s, context)
+        window = count_epochs(self.window_s, context)
         self.memory_epochs = self._bias_window + window
-        self._shape = self.weights_of(window)
+        self._shape = self.compute_weights(window)
         self._quantile = two_sided_quantile(self.false_alarm / self._per_satellite)
         self._declare(
             values=np.zeros((b, last - first, window)),
@@ -338,7 +338,7 @@ class FiniteMovingAverage(InnovationTest):
             place=np.zeros(b, dtype=np.int64),
         )
 
-    def weights_of(self, window: int) -> FloatArray:
+    def compute_weights(self, window: int) -> FloatArray:
         """(W,) weights of the epochs of a window, the newest first."""
         return np.arange(window, 0, -1) / window if self.shape == "ramp" else np.ones(window)
 
@@ -436,7 +436,7 @@ def window_average(
             statistic[b] += total * total / count
 
 
-@record
+@settings_record
 class ClockDrift(InnovationTest):
     """Chi-square of the average common part of the innovations; monitor only."""
 
@@ -461,7 +461,7 @@ class ClockDrift(InnovationTest):
         super().bind(context)
         signals = self._per_satellite
         self._threshold = float(chi2_thresholds(self.false_alarm, 2)[signals])
-        b, window = context.receivers, epochs_of(self.window_s, context)
+        b, window = context.receivers, count_epochs(self.window_s, context)
         self.memory_epochs = self._bias_window + window
         self._declare(
             past=np.zeros((b, window, signals)),

@@ -188,7 +188,7 @@ class Detector(ABC):
         for name, array in initial.items():
             self.memory.declare(name, array)
 
-    def armed(self, epoch: Epoch) -> NDArray[np.bool_] | None:
+    def is_armed(self, epoch: Epoch) -> NDArray[np.bool_] | None:
         """Whose alarms are on at an epoch.
 
         Parameters
@@ -244,20 +244,20 @@ def check_needs(reader: object) -> frozenset[str]:
 FLOAT, BOOL = np.dtype(np.float64), np.dtype(np.bool_)
 
 
-def judged(detector: Detector, epoch: Epoch, rows: NDArray[np.intp] | None = None) -> Verdict:
+def judge_epoch(detector: Detector, epoch: Epoch, rows: NDArray[np.intp] | None = None) -> Verdict:
     """Let a bound detector judge an epoch, and check its verdict. `rows`: `Detector.judged_rows`.
     A new victim calls its detector through this function alone. Where it fails on a field that is
     None since it isn't declared, an `UndeclaredFieldError` says so."""
     detector.judged_rows = rows
     try:
-        return checked(detector.judge(epoch), detector, epoch)
+        return check_verdict(detector.judge(epoch), detector, epoch)
     except UndeclaredFieldError:  # of a detector in a pool
         raise
     except Exception as error:
         traced = TracedEpoch(*epoch)
         with suppress(Exception):
             detector.judge(traced)
-        message = undeclared(detector, traced)
+        message = describe_undeclared(detector, traced)
         if message:
             raise UndeclaredFieldError(message) from error
         raise
@@ -269,9 +269,9 @@ class UndeclaredFieldError(TypeError):
     """A detector reads an optional field of an epoch that its `needs` doesn't name."""
 
 
-def undeclared(detector: Detector, epoch: TracedEpoch) -> str:
+def describe_undeclared(detector: Detector, epoch: TracedEpoch) -> str:
     absent = {name for name, array in epoch._asdict().items() if array is None}
-    read = sorted(epoch.read & absent)
+    read = sorted(epoch.read_fields & absent)
     if not read:
         return ""
     names = ", ".join(f"`epoch.{name}`" for name in read)
@@ -282,7 +282,7 @@ def undeclared(detector: Detector, epoch: TracedEpoch) -> str:
     )
 
 
-def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
+def check_verdict(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
     """Check the verdict of a bound detector; errors name detector, time, receiver, and value."""
     # one compiled pass over what has the usual form; `_examine` finds the words where it fails
     if type(verdict) is Verdict:

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ..core.declared import check_number, check_word
-from ..core.registry import make, settings_of, spec_of
+from ..core.registry import build_spec, inspect_settings, make
 from ..policies.card import DETECTOR
-from ..policies.zoo import path_of, shipped
+from ..policies.zoo import list_shipped, resolve_path
 from . import calibrated
 from .base import DETECTORS, Detector
 from .calibrated import STANDARD_RATE, Calibrated
@@ -21,7 +21,7 @@ from .calibration_file import check_rate
 
 THRESHOLDS = ("nominal", "calibrated", "rescaled")
 """Valid values of a spec's `thresholds`."""
-ASKED = ("false_alarms_per_hour", "thresholds", "threshold_scale", "calibration")
+THRESHOLD_KEYS = ("false_alarms_per_hour", "thresholds", "threshold_scale", "calibration")
 """Keys of a detector's spec that are not settings of its class."""
 
 
@@ -31,8 +31,8 @@ NOMINAL: tuple[dict[str, Any], ...] = ({}, {"thresholds": "nominal"})
 
 def split_spec(spec: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """A detector's spec without its request for thresholds, and that request."""
-    plain = {key: value for key, value in spec.items() if key not in ASKED}
-    asked = {key: spec[key] for key in ASKED if spec.get(key) is not None}
+    plain = {key: value for key, value in spec.items() if key not in THRESHOLD_KEYS}
+    asked = {key: spec[key] for key in THRESHOLD_KEYS if spec.get(key) is not None}
     if "thresholds" in asked:
         check_word("thresholds", asked["thresholds"], THRESHOLDS)
     for key, stated, what in (
@@ -169,7 +169,7 @@ def _build(spec: Any, default: float | None) -> Detector:
     it is; a pool hands its request on to members without one."""
     spec = _as_mapping(spec)
     if not isinstance(spec, Mapping):
-        return make("detector", DETECTORS, Detector, spec, shipped(DETECTOR))
+        return make("detector", DETECTORS, Detector, spec, list_shipped(DETECTOR))
     plain, asked = split_spec(spec)
     load = _loader(plain)
     if not asked and default is not None and not has_own_threshold(plain):
@@ -177,8 +177,8 @@ def _build(spec: Any, default: float | None) -> Detector:
     if load is not None:
         return _with_own_threshold(load(plain), plain, asked)
     if plain.get("name") == "pool":
-        plain["members"] = _members_asked(plain, asked)
-    made = make("detector", DETECTORS, Detector, plain, shipped(DETECTOR))
+        plain["members"] = _request_thresholds(plain, asked)
+    made = make("detector", DETECTORS, Detector, plain, list_shipped(DETECTOR))
     return made if made.judges else with_thresholds(made, asked)
 
 
@@ -191,7 +191,7 @@ def _loader(spec: Any) -> Callable[[Mapping[str, Any]], Detector] | None:
     name = spec.get("name") if isinstance(spec, Mapping) else spec
     if not isinstance(name, str):
         return None
-    path = str(path_of(name, DETECTOR))
+    path = str(resolve_path(name, DETECTOR))
     return next((load for end, load in LOADERS.items() if path.endswith(end)), None)
 
 
@@ -221,7 +221,7 @@ def _with_own_threshold(
 
 def asks(spec: Mapping[str, Any]) -> bool:
     """Whether a detector's spec says which thresholds it is to have."""
-    return bool({*ASKED} & {*spec}) or has_own_threshold(spec)
+    return bool({*THRESHOLD_KEYS} & {*spec}) or has_own_threshold(spec)
 
 
 def has_own_threshold(spec: Mapping[str, Any]) -> bool:
@@ -229,8 +229,8 @@ def has_own_threshold(spec: Mapping[str, Any]) -> bool:
     return _loader(spec) is not None and spec.get("threshold") is not None
 
 
-def _members_asked(pool: Mapping[str, Any], asked: Mapping[str, Any]) -> Any:
-    members = pool.get("members", settings_of(DETECTORS["pool"])["members"])
+def _request_thresholds(pool: Mapping[str, Any], asked: Mapping[str, Any]) -> Any:
+    members = pool.get("members", inspect_settings(DETECTORS["pool"])["members"])
     if not asked or isinstance(members, str | Mapping) or not isinstance(members, Sequence):
         return members
     return [
@@ -239,13 +239,13 @@ def _members_asked(pool: Mapping[str, Any], asked: Mapping[str, Any]) -> Any:
     ]
 
 
-def asked_by_default() -> dict[str, Any]:
-    """What a spec without thresholds requests in a world, by the keys of `ASKED`."""
-    return {**dict.fromkeys(ASKED), "false_alarms_per_hour": calibrated.DEFAULT_RATE}
+def get_default_request() -> dict[str, Any]:
+    """What a spec without thresholds requests in a world, by the keys of `THRESHOLD_KEYS`."""
+    return {**dict.fromkeys(THRESHOLD_KEYS), "false_alarms_per_hour": calibrated.DEFAULT_RATE}
 
 
 def spec_with_thresholds(detector: Detector, spec_of: Callable[[Any], Any]) -> dict[str, Any]:
-    """Spec from which an equal detector is made; `spec_of` gives that of one not calibrated."""
+    """Spec from which an equal detector is made; `build_spec` gives that of one not calibrated."""
     if not isinstance(detector, Calibrated):
         spec = dict(spec_of(detector))
         plain = calibrated.DEFAULT_RATE is None or bool(detector.judges)
@@ -271,5 +271,5 @@ def spec_of_judge(detector: Detector) -> dict[str, Any]:
 def _spec_of_detector(detector: Any) -> dict[str, Any]:
     """Name and all settings of a detector; a file also by its digest."""
     if detector.card is None:
-        return spec_of("detector", DETECTORS, detector)
+        return build_spec("detector", DETECTORS, detector)
     return {**detector.spec, "sha256": detector.sha256}

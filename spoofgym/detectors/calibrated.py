@@ -26,7 +26,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from ..core.compile import njit
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.settings import outside_sources
 from ..receiver.epoch import Epoch
 from .base import DETECTORS, BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
@@ -35,9 +35,9 @@ from .calibration_file import (
     Conditions,
     OperatingPoint,
     check_rate,
-    described,
+    describe_as_json,
+    load_stored,
     nearest,
-    stored,
 )
 
 STANDARD_RATE = 0.2
@@ -48,7 +48,7 @@ NOISY_WARMUP = 0.2
 """Share of clean runs with an alarm before the attack above which there is a warning."""
 
 
-class World(Protocol):
+class CalibrationWorld(Protocol):
     """What a calibration is looked up by: a `Setup`."""
 
     @property
@@ -58,7 +58,7 @@ class World(Protocol):
         """Raise a ValueError where a detector, with any thresholds, can't judge here."""
 
 
-@record
+@settings_record
 class Calibrated(Detector):
     """A detector with scaled thresholds; its weights stay as they are.
 
@@ -104,7 +104,7 @@ class Calibrated(Detector):
     paper: ClassVar[str] = "vovk2005"
     measures: ClassVar[str] = "any"
     point: ClassVar[OperatingPoint | None] = None
-    found_for: ClassVar[str | None] = None
+    resolved_for: ClassVar[str | None] = None
 
     def __post_init__(self) -> None:
         inner = self.detector
@@ -147,8 +147,8 @@ class Calibrated(Detector):
     def reset(self, mask: BoolArray | None = None) -> None:
         self._judge.reset(mask)
 
-    def armed(self, epoch: Epoch) -> BoolArray | None:
-        return self.detector.armed(epoch)
+    def is_armed(self, epoch: Epoch) -> BoolArray | None:
+        return self.detector.is_armed(epoch)
 
     def judge(self, epoch: Epoch) -> Verdict:
         if self.rescaled:
@@ -164,14 +164,14 @@ class Calibrated(Detector):
             return verdict
         return compare(verdict.statistic, self._scale * verdict.threshold, verdict.weights)
 
-    def look_up(self, world: World) -> None:
-        conditions, identity = world.conditions, identity_of(self.detector)
+    def look_up(self, world: CalibrationWorld) -> None:
+        conditions, identity = world.conditions, describe_identity(self.detector)
         rate = check_rate(self.false_alarms_per_hour)
         failure: ValueError | None = None
-        for found in self._found(conditions, identity):
+        for found in self._load_candidates(conditions, identity):
             try:
                 self.take(found, rate)
-                self.found_for = conditions.digest  # type: ignore[misc]
+                self.resolved_for = conditions.digest  # type: ignore[misc]
                 return
             except ValueError as error:
                 failure = error
@@ -182,14 +182,16 @@ class Calibrated(Detector):
         self.scale, self.point = point.scale, point  # type: ignore[misc]
         self.rescale = calibration.rescale if self.rescaled else None
         if point.warmup_alarms > NOISY_WARMUP:
-            name = self.detector.label or identity_of(self.detector)["name"]
+            name = self.detector.label or describe_identity(self.detector)["name"]
             warnings.warn(noisy_warmup(name, point), stacklevel=2)
 
-    def _found(self, conditions: Conditions, identity: dict[str, Any]) -> list[Calibration]:
+    def _load_candidates(
+        self, conditions: Conditions, identity: dict[str, Any]
+    ) -> list[Calibration]:
         if self.calibration is None:
-            return list(stored(conditions, identity, self.rescaled))
+            return list(load_stored(conditions, identity, self.rescaled))
         found = Calibration.load(self.calibration)
-        unlike = found.differences(conditions.settings, identity)
+        unlike = found.diff_settings(conditions.settings, identity)
         if (found.rescale is not None) != self.rescaled:
             unlike.append(f"rescaled: {found.rescale is not None} there, {self.rescaled} here")
         if unlike:
@@ -201,15 +203,15 @@ class Calibrated(Detector):
 
     def _missing(self, conditions: Conditions, identity: dict[str, Any]) -> str:
         name, rate = identity["name"], f"{self.false_alarms_per_hour:g}"
-        shown = {"name": name, **self._asked_settings()}
+        shown = {"name": name, **self._collect_settings()}
         quoted = shlex.quote(str(shown["name"]) if len(shown) == 1 else json.dumps(shown))
         variant = " --rescaled" if self.rescaled else ""
         line = (
             f"`spoofgym calibrate {conditions.options} --detector {quoted} "
             f"--false-alarms-per-hour {rate}{variant}`"
             if conditions.options
-            else "`spoofgym.calibration.calibrate(env.unwrapped.core.setup, ...)`, since no "
-            "command line can name this world"
+            else "`spoofgym.calibration.calibrate_detectors(env.unwrapped.core.setup, ...)`, "
+            "since no command line can name this world"
         )
         near = nearest(conditions, identity, self.rescaled)
         seen = ""
@@ -225,7 +227,7 @@ class Calibrated(Detector):
             f"{other}.{seen}"
         )
 
-    def _asked_settings(self) -> dict[str, Any]:
+    def _collect_settings(self) -> dict[str, Any]:
         if hasattr(self.detector, "spec"):
             return dict(self.detector.spec)
         own = inspect.signature(type(self.detector)).parameters
@@ -233,7 +235,7 @@ class Calibrated(Detector):
         if hasattr(self.detector, "identity"):
             return {}
         try:
-            return {key: described(x) for key, x in given.items() if x != own[key].default}
+            return {key: describe_as_json(x) for key, x in given.items() if x != own[key].default}
         except (TypeError, ValueError):
             return {}
 
@@ -285,12 +287,12 @@ def rescale_innovations(
                     out[b, r] = factors[2 * signal] * mean + factors[2 * signal + 1] * rest
 
 
-def identity_of(detector: Detector) -> dict[str, Any]:
+def describe_identity(detector: Detector) -> dict[str, Any]:
     """Resolved settings of a detector, JSON-able, to which its calibration belongs. Settings that
     are not its own, such as those of a policy, a class gives by a method `identity`."""
     own = getattr(detector, "identity", None)
     if own is not None:
-        return dict(described(own()))
+        return dict(describe_as_json(own()))
     kind = type(detector)
     names = {cls: name for name, cls in DETECTORS.items()}
     name = names.get(kind, f"{kind.__module__}:{kind.__qualname__}")
@@ -303,7 +305,10 @@ def identity_of(detector: Detector) -> dict[str, Any]:
             f"detector {name!r} must keep its settings under their names to be calibrated; it has "
             f"no {', '.join(map(repr, missing))}"
         )
-    found = {"name": name, **{key: described(getattr(detector, key)) for key in sorted(settings)}}
+    found = {
+        "name": name,
+        **{key: describe_as_json(getattr(detector, key)) for key in sorted(settings)},
+    }
     sources = {} if kind in names else outside_sources(detector)
     readable = {name: digest for name, digest in sources.items() if digest is not None}
     return {**found, "sources": readable} if readable else found
@@ -314,11 +319,11 @@ def calibrated_parts(detector: Detector) -> list[Calibrated]:
     return [each for each in detector.judges or (detector,) if isinstance(each, Calibrated)]
 
 
-def resolve(detector: Detector, world: World) -> None:
+def resolve_thresholds(detector: Detector, world: CalibrationWorld) -> None:
     """Look up the factors of a detector, or of the members of a pool, that are not known in a
     world. Where there are none, a detector that does not fit the world at all is refused first."""
     for part in calibrated_parts(detector):
-        if not part.resolved or part.found_for not in (None, world.conditions.digest):
+        if not part.resolved or part.resolved_for not in (None, world.conditions.digest):
             try:
                 part.look_up(world)
             except ValueError:
@@ -326,5 +331,5 @@ def resolve(detector: Detector, world: World) -> None:
                 raise
 
 
-def factors_of(detector: Detector) -> list[tuple[float | None, tuple[float, ...] | None]]:
+def list_factors(detector: Detector) -> list[tuple[float | None, tuple[float, ...] | None]]:
     return [(each.scale, each.rescale) for each in calibrated_parts(detector)]

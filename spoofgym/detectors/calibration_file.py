@@ -30,7 +30,7 @@ import platformdirs
 
 from ..core.declared import check_number
 from ..core.files import write_file
-from ..core.settings import describe, differences, digest_of
+from ..core.settings import compute_digest, describe, diff_settings
 from .base import FloatArray
 
 FORMAT = 1
@@ -61,7 +61,7 @@ class Conditions:
 
     @cached_property
     def digest(self) -> str:
-        return digest_of(self.settings)
+        return compute_digest(self.settings)
 
 
 class OperatingPoint(NamedTuple):
@@ -115,11 +115,11 @@ def hourly_rate(per_run: float, window_s: float) -> float:
     return math.inf if per_run >= 1.0 else -math.log1p(-per_run) * 3600.0 / window_s
 
 
-def fewest_runs(per_run: float) -> int:
+def compute_min_runs(per_run: float) -> int:
     return max(math.ceil(1.0 / per_run - 1e-9) - 1, 1)
 
 
-def rank_of(per_run: float, runs: int) -> int:
+def compute_rank(per_run: float, runs: int) -> int:
     """Rank from the top of the order statistic that a new run exceeds with a probability; 0 where
     even the largest is exceeded more often."""
     return runs + 1 - math.ceil((1.0 - per_run) * (runs + 1) - 1e-9)
@@ -138,11 +138,11 @@ def check_runs(rate: float, runs: int, window_s: float, *, tail: bool) -> None:
             f"`false_alarms_per_hour` must be at most {most:.4g} for {runs} runs of "
             f"{window_s:g} s: a run has one alarm or none; got {rate:g}"
         )
-    if rank_of(p, runs) >= 1:
+    if compute_rank(p, runs) >= 1:
         return
     far = p * EXTRAPOLATION * runs < 1.0 or tail_exceedances(runs) < FEWEST_EXCEEDANCES
     if far or not tail:
-        needed = f"at least {fewest_runs(p)}"
+        needed = f"at least {compute_min_runs(p)}"
         if tail:
             fitted = max(10 * FEWEST_EXCEEDANCES, math.ceil(1.0 / (EXTRAPOLATION * p)))
             needed += f", or {fitted} for a fitted tail"
@@ -152,27 +152,29 @@ def check_runs(rate: float, runs: int, window_s: float, *, tail: bool) -> None:
         )
 
 
-def kept_ranks(runs: int, window_s: float, rates: Sequence[float] = STANDARD_RATES) -> list[int]:
+def list_stored_ranks(
+    runs: int, window_s: float, rates: Sequence[float] = STANDARD_RATES
+) -> list[int]:
     """Ranks from the top that a file stores: the uppermost ones, thinned below, and those of rates.
     A rank between two of them counts as the next smaller one, so that no rate is exceeded."""
     ranks = {*range(1, min(EXACT_RANKS, runs) + 1), runs}
     rank = float(EXACT_RANKS)
     while (rank := rank * RANK_RATIO) < runs:
         ranks.add(int(rank))
-    asked = (rank_of(run_probability(rate, window_s), runs) for rate in rates)
+    asked = (compute_rank(run_probability(rate, window_s), runs) for rate in rates)
     return sorted(ranks.union(r for r in asked if r >= 1))
 
 
-def rounded(value: float) -> float:
+def round_digits(value: float) -> float:
     return float(f"{value:.{DIGITS}g}")
 
 
-def rounded_up(values: FloatArray) -> FloatArray:
+def round_digits_up(values: FloatArray) -> FloatArray:
     """Values with `DIGITS` digits, never below what they were, so that none alarms."""
     sizes = np.floor(np.log10(np.maximum(np.abs(values), np.finfo(np.float64).tiny)))
     unit = 10.0 ** (sizes - (DIGITS - 1))
     up = np.ceil(values / unit * (1.0 + 1e-15)) * unit
-    return np.array([rounded(value) for value in np.maximum(up, values)])
+    return np.array([round_digits(value) for value in np.maximum(up, values)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,7 +229,7 @@ class Calibration:
         rate, n = check_rate(false_alarms_per_hour), self.runs
         p = run_probability(rate, self.window_s)
         check_runs(rate, n, self.window_s, tail=not self.bisected)
-        exact = rank_of(p, n)
+        exact = compute_rank(p, n)
         if self.bisected and exact not in self.ranks:
             raise ValueError(
                 f"the alarm of {self.detector['name']} is a state, whose scale is found by "
@@ -248,7 +250,7 @@ class Calibration:
         except ValueError:
             return False
         p = run_probability(false_alarms_per_hour, self.window_s)
-        return not self.bisected or rank_of(p, self.runs) in self.ranks
+        return not self.bisected or compute_rank(p, self.runs) in self.ranks
 
     def _tail(self, p: float, rate: float) -> float:
         n, count = self.runs, tail_exceedances(self.runs)
@@ -274,9 +276,9 @@ class Calibration:
             "'rescaled' may mend it; else there is `thresholds` 'nominal'"
         )
 
-    def differences(self, world: Mapping[str, Any], detector: Mapping[str, Any]) -> list[str]:
-        found = [("world", *each) for each in differences(self.world, world)]
-        found += [("detector", *each) for each in differences(self.detector, detector)]
+    def diff_settings(self, world: Mapping[str, Any], detector: Mapping[str, Any]) -> list[str]:
+        found = [("world", *each) for each in diff_settings(self.world, world)]
+        found += [("detector", *each) for each in diff_settings(self.detector, detector)]
         return [f"{what} {name}: {a!r} there, {b!r} here" for what, name, a, b in found]
 
     def save(self, path: Path) -> Calibration:
@@ -327,14 +329,14 @@ def folders() -> tuple[Path, ...]:
 def file_name(world: str, detector: Mapping[str, Any], rescaled: bool) -> Path:
     """Path of a calibration within a folder.  `world`: digest of its conditions."""
     word = "-rescaled" if rescaled else ""
-    return Path(world) / f"{_kind(detector)}-{digest_of(detector)}{word}.json"
+    return Path(world) / f"{_kind(detector)}-{compute_digest(detector)}{word}.json"
 
 
 def _kind(detector: Mapping[str, Any]) -> str:
     return str(detector["name"]).rpartition(":")[2]
 
 
-def stored(
+def load_stored(
     conditions: Conditions,
     detector: Mapping[str, Any],
     rescaled: bool,
@@ -353,14 +355,14 @@ def nearest(
     """The stored calibration with the fewest differences, and these; None if none is stored."""
     paths = [p for each in folders() for p in sorted(each.glob(f"*/{_kind(detector)}-*.json"))]
     found = [
-        (path, Calibration.load(path).differences(conditions.settings, detector))
+        (path, Calibration.load(path).diff_settings(conditions.settings, detector))
         for path in paths
         if path.stem.endswith("-rescaled") == rescaled
     ]
     return min(found, key=lambda each: len(each[1]), default=None)
 
 
-def described(thing: Any) -> Any:
+def describe_as_json(thing: Any) -> Any:
     """Settings as JSON, numbers in one form, so that 5 and 5.0 have one digest."""
     return json.loads(json.dumps(_plain(describe(thing)), allow_nan=False))
 

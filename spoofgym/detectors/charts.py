@@ -71,8 +71,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..core.compile import inlined, njit
-from ..core.declared import record, setting
+from ..core.compile import inline_njit, njit
+from ..core.declared import setting, settings_record
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import (
@@ -155,7 +155,7 @@ def judge_channels(
             weights[b, visible.shape[1] + j] = 1.0
 
 
-@record
+@settings_record
 class Ewma(WeighingChart):
     """EWMA chart of every satellite's pseudorange innovation, with robust weights in the loop."""
 
@@ -206,8 +206,8 @@ class Ewma(WeighingChart):
         return compare(size, threshold, None if self.weight_scale is None else weights)
 
 
-@inlined
-def spread_of(older: float, old: float, newest: float) -> float:
+@inline_njit
+def compute_median_distance(older: float, old: float, newest: float) -> float:
     """Largest distance of three ratios from their median."""
     low = min(older, old, newest)
     high = max(older, old, newest)
@@ -253,7 +253,7 @@ def judge_joint_channels(
                 newest = innovation[b, j] / average[b, j]
                 ratios[b, j, 0], ratios[b, j, 1] = old, newest
                 if literal:
-                    ended = spoofed[b, j] > 0 and spread_of(older, old, newest) > drop
+                    ended = spoofed[b, j] > 0 and compute_median_distance(older, old, newest) > drop
                 else:
                     dropped = min(older, old) - newest > drop and newest < 1.0 - drop
                     ended = spoofed[b, j] > 1 and dropped
@@ -277,7 +277,7 @@ def chart_weights(statistic: FloatArray, reject: FloatArray) -> FloatArray:
     return out
 
 
-@record
+@settings_record
 class JointChart(WeighingChart):
     """EWMA chart whose alarm ends with the offset, with robust weights in the loop."""
 
@@ -341,7 +341,7 @@ class JointChart(WeighingChart):
 
 
 @njit
-def largest_normalized(
+def find_largest_sizes(
     innovation: FloatArray,
     innovation_variance: FloatArray,
     judged: BoolArray,
@@ -360,7 +360,7 @@ def largest_normalized(
     return out
 
 
-@record
+@settings_record
 class Shewhart(WeighingChart, InnovationTest):
     """Every satellite's innovation against its own standard deviation."""
 
@@ -385,7 +385,7 @@ class Shewhart(WeighingChart, InnovationTest):
 
     def judge(self, epoch: Epoch) -> Verdict:
         innovation, judged = self._without_bias(epoch)
-        statistic = largest_normalized(innovation, epoch.innovation_variance, judged, *self._rows)
+        statistic = find_largest_sizes(innovation, epoch.innovation_variance, judged, *self._rows)
         verdict = compare(statistic, self._quantile)
         if self.weight_scale is None:
             return verdict

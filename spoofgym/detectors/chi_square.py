@@ -53,7 +53,7 @@ import numpy as np
 from scipy import special
 
 from ..core.compile import njit
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..receiver.epoch import Epoch
 from ..receiver.kalman import normalized_innovation_squared
 from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict, compare
@@ -63,7 +63,7 @@ from .innovation import (
     both_sides,
     chi2_lower_thresholds,
     chi2_thresholds,
-    epochs_of,
+    count_epochs,
     first_window,
     remember_squares,
     signals_to_test,
@@ -84,7 +84,7 @@ def chi2_verdict(
     return compare(np.where(judged, ratio, 0.0)[:, None], 1.0)
 
 
-@record
+@settings_record
 class SnapshotChi2(InnovationTest):
     """Chi-square test of the present epoch, for the whole receiver; monitor only."""
 
@@ -160,7 +160,7 @@ def window_sum(
         total[b] = value if seen[b] > hold else 0.0
 
 
-@record
+@settings_record
 class WindowedChi2(InnovationTest):
     """Chi-square test of a window of epochs, for the whole receiver; monitor only."""
 
@@ -279,7 +279,7 @@ def add_to_window(
             degrees[b] += counts[b, i]
 
 
-@record
+@settings_record
 class SequentialChi2(InnovationTest):
     """Chi-square of all innovations so far, or of a window, for the whole receiver."""
 
@@ -305,7 +305,7 @@ class SequentialChi2(InnovationTest):
         if self.window_s is None:
             self._declare(total=np.zeros(b), degrees=np.zeros(b))
         else:
-            window = epochs_of(self.window_s, context)
+            window = count_epochs(self.window_s, context)
             self.memory_epochs = self._bias_window + window
             self._declare_squares(b, window)
         self._each_side = 0.5 * self.false_alarm if self.two_sided else self.false_alarm
@@ -319,7 +319,7 @@ class SequentialChi2(InnovationTest):
         return self._thresholds[degrees.astype(np.intp)]
 
     def judge(self, epoch: Epoch) -> Verdict:
-        white, judged = self._whitened(epoch)
+        white, judged = self._whiten_rows(epoch)
         each = self._per_satellite
         if self.window_s is None:
             total, degrees = self.memory["total"], self.memory["degrees"]

@@ -38,8 +38,8 @@ class SearchData(NamedTuple):
     - `table` (B, n + 1, PRODUCTS) products of every row, and their sum in the last one;
     - `rows` (B,) how many are in use;
     - `alarm` (B,) where there is something to search for;
-    - `found` (B,) whether a partition has passed all tests; `mask` (B,) bit i is set where row i is
-      of the first group;
+    - `solved` (B,) whether a partition has passed all tests; `mask` (B,) bit i is set where row i
+      is of the first group;
     - `positionings` (B,) fits of the search.
     """
 
@@ -49,7 +49,7 @@ class SearchData(NamedTuple):
     table: FloatArray
     rows: IntArray
     alarm: BoolArray
-    found: BoolArray
+    solved: BoolArray
     mask: IntArray
     positionings: IntArray
 
@@ -62,7 +62,7 @@ def search_data(receivers: int, n: int) -> SearchData:
         table=np.empty((receivers, n + 1, PRODUCTS)),
         rows=np.full(receivers, n, dtype=np.int64),
         alarm=np.ones(receivers, dtype=np.bool_),
-        found=np.zeros(receivers, dtype=np.bool_),
+        solved=np.zeros(receivers, dtype=np.bool_),
         mask=np.zeros(receivers, dtype=np.int64),
         positionings=np.zeros(receivers, dtype=np.int64),
     )
@@ -124,8 +124,8 @@ def write_groups(
             weights[b, j] = weights[b, n + j] = 0.0 if visible[b, j] else 1.0
         for i in range(data.rows[b]):
             j = data.slots[b, i]
-            first = not data.found[b] or (data.mask[b] >> i) & 1 == 1
-            if data.found[b]:
+            first = not data.solved[b] or (data.mask[b] >> i) & 1 == 1
+            if data.solved[b]:
                 group[b, j] = 1 if first else 2
             weights[b, j] = weights[b, n + j] = 1.0 if first else 0.0
 
@@ -164,14 +164,14 @@ def line_up_all(
         statistic[b, 0] = 0.0
         threshold[b, 0] = math.sqrt(alarm_limit[enough] / (enough - STATES))
         data.rows[b], data.mask[b] = count, (1 << count) - 1
-        data.alarm[b] = data.found[b] = False
+        data.alarm[b] = data.solved[b] = False
         if count < MIN_SATELLITES:
             continue
         s2 = tabulate(count, lines, offsets, table)
         if s2 < np.inf:
             statistic[b, 0] = math.sqrt(max(s2, 0.0) / (count - STATES))
             data.alarm[b] = statistic[b, 0] > threshold[b, 0]
-            data.found[b] = not data.alarm[b]
+            data.solved[b] = not data.alarm[b]
     write_groups(data, visible, group, weights)
 
 

@@ -24,7 +24,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, FloatArray, Verdict, compare
 
@@ -45,7 +45,7 @@ class Never(Detector):
         return compare(np.zeros((len(epoch.time), 1)), 1.0)
 
 
-@record
+@settings_record
 class Lottery(Detector):
     """Alarms by chance, at the same rate at any time, and stays alarmed."""
 
@@ -72,12 +72,12 @@ class Lottery(Detector):
         since = np.where(new, 0.0, since + epoch.interval)
         if new.any():
             wait = wait.copy()
-            wait[new] = unit_exponential(hashed(epoch.innovation[new]))
+            wait[new] = unit_exponential(hash_rows(epoch.innovation[new]))
         self.memory["since"], self.memory["wait"] = since, wait
         return compare((since / wait)[:, None], self.mean_wait_s)
 
 
-def hashed(values: FloatArray) -> NDArray[np.uint64]:
+def hash_rows(values: FloatArray) -> NDArray[np.uint64]:
     """64 bits of each row of values (B, m), mixed element by element as SplitMix64 does."""
     bits = (np.ascontiguousarray(values, dtype=np.float64) + 0.0).view(np.uint64)
     state = np.zeros(len(bits), dtype=np.uint64)

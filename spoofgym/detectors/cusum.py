@@ -43,7 +43,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.compile import njit
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..receiver.epoch import Epoch
 from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import InnovationTest, first_window, signals_to_test, window_epochs
@@ -77,7 +77,7 @@ def advance_sums(
     return out
 
 
-@record
+@settings_record
 class Cusum(InnovationTest):
     """Cumulative sum of every satellite's innovation; monitor only."""
 
@@ -163,7 +163,7 @@ def sum_channels(
                 statistic[b, j] = max(statistic[b, j], max(above[b, s], below[b, s]))
 
 
-@record
+@settings_record
 class LagCusum(InnovationTest):
     """Two-sided cumulative sum of every innovation against its own past; monitor only."""
 

@@ -68,8 +68,8 @@ from typing import ClassVar, cast
 
 import numpy as np
 
-from ..core.compile import inlined, njit
-from ..core.declared import record, setting
+from ..core.compile import inline_njit, njit
+from ..core.declared import setting, settings_record
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
 from .innovation import window_epochs
@@ -79,13 +79,13 @@ NO_RULE = 1e12
 """Threshold of a rule that is switched off [m]."""
 
 
-@inlined
+@inline_njit
 def distance(a: FloatArray, b: FloatArray) -> float:
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return math.sqrt(x * x + y * y + z * z)
 
 
-@inlined
+@inline_njit
 def has_fix(design: FloatArray) -> bool:
     """Whether there is a fix: H (m, s) is not all 0."""
     present = False
@@ -187,7 +187,7 @@ def judge_fixes(
             weights[b, :] = 0.0
 
 
-@record
+@settings_record
 class Acna(Detector):
     """Credible verification of a position, with rejection of fixes in the loop."""
 
@@ -298,7 +298,7 @@ def constrain_fixes(
             weights[b, :] = 0.0
 
 
-@record
+@settings_record
 class Rio(Detector):
     """Distance constraint with a latch."""
 

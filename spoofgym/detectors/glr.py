@@ -37,8 +37,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..core.compile import inlined, njit
-from ..core.declared import record
+from ..core.compile import inline_njit, njit
+from ..core.declared import settings_record
 from ..receiver.epoch import Epoch
 from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict
 from .innovation import (
@@ -76,7 +76,7 @@ def split_factors(count: int, onsets: int, baseline: int, ramp: bool, factors: F
         factors[2, i] = 1.0 / (ramps if ramp else n * m * (n + m))
 
 
-@inlined
+@inline_njit
 def latest(ring: FloatArray, last: int, count: int) -> FloatArray:
     """View of values ``last - count + 1`` to `last`, of a ring that is stored twice, end to end."""
     length = ring.shape[0] // 2
@@ -84,15 +84,15 @@ def latest(ring: FloatArray, last: int, count: int) -> FloatArray:
     return ring[end - count : end]
 
 
-@inlined
+@inline_njit
 def remember(ring: FloatArray, number: int, value: float) -> None:
     length = ring.shape[0] // 2
     ring[number % length] = value
     ring[length + number % length] = value
 
 
-@inlined
-def largest_of(values: FloatArray, other: FloatArray) -> float:
+@inline_njit
+def find_largest(values: FloatArray, other: FloatArray) -> float:
     """Largest of some values that are not negative; both arrays are overwritten. The halves are
     compared side by side until few are left: the processor takes several at a time, where a single
     largest value would wait for each comparison."""
@@ -113,7 +113,7 @@ def largest_of(values: FloatArray, other: FloatArray) -> float:
     return found
 
 
-@inlined
+@inline_njit
 def largest_evidence(
     sums: FloatArray,
     areas: FloatArray,
@@ -153,7 +153,7 @@ def largest_evidence(
         for i in range(onsets):
             difference = first[i] * (now - before[i]) - second[i] * (before[i] - old[i])
             found[i] = difference * difference * inverse[i]
-    return largest_of(found, other)
+    return find_largest(found, other)
 
 
 @njit
@@ -212,7 +212,7 @@ def scan_channels(
                 statistic[b, j] = max(statistic[b, j], found)
 
 
-@record
+@settings_record
 class _Glr(InnovationTest):
     false_alarm: float = alarm_probability(
         4e-6,
@@ -265,7 +265,7 @@ class _Glr(InnovationTest):
         return Verdict(statistic, threshold, statistic > threshold)
 
 
-@record
+@settings_record
 class GlrStep(_Glr):
     """Likelihood-ratio scan over all onsets for a step of every innovation; monitor only."""
 
@@ -273,7 +273,7 @@ class GlrStep(_Glr):
     ramp: ClassVar[bool] = False
 
 
-@record
+@settings_record
 class GlrRamp(_Glr):
     """Likelihood-ratio scan over all onsets for a ramp of every innovation; monitor only."""
 

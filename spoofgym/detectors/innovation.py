@@ -31,7 +31,7 @@ from typing import Any, cast
 import numpy as np
 from scipy import special
 
-from ..core.compile import inlined, njit
+from ..core.compile import inline_njit, njit
 from ..core.declared import setting
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray
@@ -109,7 +109,7 @@ def window_epochs(default: int, help: str, most: int = 100_000) -> Any:
     return setting(default=default, least=1, most=most, unit="epochs", help=help)
 
 
-def epochs_of(length_s: float, context: DetectorContext) -> int:
+def count_epochs(length_s: float, context: DetectorContext) -> int:
     return max(1, round(length_s / context.epoch_interval_s))
 
 
@@ -118,7 +118,7 @@ def epochs_to_settle(smoothing: float) -> int:
     return 1 if smoothing >= 1.0 else math.ceil(math.log(0.01) / math.log(1.0 - smoothing))
 
 
-def rows_of(signals: str, channels: int) -> tuple[int, int]:
+def select_rows(signals: str, channels: int) -> tuple[int, int]:
     """First row of the innovation that is judged, and the one after the last."""
     first = channels if signals == "range_rate" else 0
     return first, channels if signals == "pseudorange" else 2 * channels
@@ -140,7 +140,7 @@ def chi2_lower_thresholds(false_alarm: float, degrees: FloatArray) -> FloatArray
     return np.asarray(2.0 * special.gammaincinv(0.5 * np.maximum(degrees, 1.0), false_alarm))
 
 
-@inlined
+@inline_njit
 def igg3_weight(size: float, accept: float, reject: float) -> float:
     r"""IGG-III equivalent weight, `yang2002`.
 
@@ -156,7 +156,7 @@ def igg3_weight(size: float, accept: float, reject: float) -> float:
     return accept / size * inside * inside
 
 
-@inlined
+@inline_njit
 def ewma_threshold(sd: float, decay: float, smoothing: float, quantile: float) -> float:
     r"""Threshold [m] of an EWMA chart after k epochs, `roberts1959`.
 
@@ -286,11 +286,11 @@ class InnovationTest(Detector):
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         b, n = context.receivers, context.channels
-        self._rows = rows_of(self.signals, n)
+        self._rows = select_rows(self.signals, n)
         self._per_satellite = 2 if self.signals == "both" else 1
         self._bias_window = 0
         if self.bias_window_s > 0.0:
-            self._bias_window = epochs_of(self.bias_window_s, context)
+            self._bias_window = count_epochs(self.bias_window_s, context)
             self.silent_epochs = self.memory_epochs = self._bias_window
             self._declare(bias_epochs=np.zeros((b, n)), bias_sum=np.zeros((b, 2 * n)))
 
@@ -304,7 +304,7 @@ class InnovationTest(Detector):
         _remove_mean(epoch.innovation, epoch.visible, self._bias_window, *sums, innovation, judged)
         return innovation, judged
 
-    def _whitened(self, epoch: Epoch) -> tuple[FloatArray, BoolArray]:
+    def _whiten_rows(self, epoch: Epoch) -> tuple[FloatArray, BoolArray]:
         """Whitened innovations of the rows (B, last - first) and the channels to judge. The test
         needs ``"innovation_cov"``."""
         innovation, judged = self._without_bias(epoch)

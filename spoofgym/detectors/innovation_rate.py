@@ -1,7 +1,7 @@
 r"""Rate of every satellite's innovation, with robust weights in the loop if wanted.
 
 A constant offset of an innovation, such as a satellite bias leaves, is no sign of an attack; that
-it changes is.  A small Kalman filter (`advance`) estimates the rate v of the normalized
+it changes is.  A small Kalman filter (`filter_sample`) estimates the rate v of the normalized
 pseudorange innovation, and an alarm is raised where
 
 .. math:: |v_k| > z_{a_0 / 2} \sqrt{P_{v,k}}, \qquad a_0 = 1 - (1 - P_{fa})^{1/n},
@@ -72,8 +72,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..core.compile import inlined, njit
-from ..core.declared import record, setting
+from ..core.compile import inline_njit, njit
+from ..core.declared import setting, settings_record
 from ..receiver.epoch import Epoch
 from ..truth.noise import exponential
 from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict
@@ -90,7 +90,7 @@ FIRST_COVARIANCE = (2.0, 0.0, 0.0, 1.0, 0.0, 1.0)
 """Of (s, v, a) before the first sample, upper triangle: all four states have variance 1."""
 
 
-@inlined
+@inline_njit
 def restart(state: FloatArray, covariance: FloatArray) -> None:
     state[0] = state[1] = state[2] = 0.0
     covariance[0], covariance[1], covariance[2] = 2.0, 0.0, 0.0
@@ -98,7 +98,7 @@ def restart(state: FloatArray, covariance: FloatArray) -> None:
 
 
 @njit
-def advance(
+def filter_sample(
     state: FloatArray,
     covariance: FloatArray,
     sample: float,
@@ -200,7 +200,7 @@ def judge_rates(
                 restart(x, P)
             elif time[b] >= start_s:
                 sample = (innovation[b, j] + added[b, j]) / math.sqrt(innovation_variance[b, j])
-                advance(x, P, sample, interval[b], correlation, noise, growth)
+                filter_sample(x, P, sample, interval[b], correlation, noise, growth)
             size[b, j] = abs(x[1])
             limit = fixed_threshold if fixed_threshold > 0.0 else quantiles[seen] * math.sqrt(P[3])
             threshold[b, j] = limit
@@ -248,7 +248,7 @@ SETTLING_S = 180.0
 and 6 % of runs when it has been live for 20, 60 and 180 s."""
 
 
-@record
+@settings_record
 class InnovationRate(Detector):
     """Test of the rate of every satellite's normalized pseudorange innovation."""
 
@@ -306,7 +306,7 @@ class InnovationRate(Detector):
     def __post_init__(self) -> None:
         self.alarm_is_state = self.settled_s > 0.0  # before which it is off
 
-    def armed(self, epoch: Epoch) -> BoolArray:
+    def is_armed(self, epoch: Epoch) -> BoolArray:
         return np.asarray(epoch.time >= self.settled_s)
 
     def bind(self, context: DetectorContext) -> None:
@@ -322,7 +322,7 @@ class InnovationRate(Detector):
         remembers_s = SETTLING_S if self.memory_s is None else self.memory_s
         self.memory_epochs = round(remembers_s / context.epoch_interval_s)
 
-    def added(self, epoch: Epoch) -> FloatArray:
+    def compute_offset(self, epoch: Epoch) -> FloatArray:
         """(B, n) what is added to the innovations [m]: nothing, but in the oracles."""
         return self._nothing
 
@@ -339,7 +339,7 @@ class InnovationRate(Detector):
             epoch.innovation,
             epoch.innovation_variance,
             epoch.visible,
-            self.added(epoch),
+            self.compute_offset(epoch),
             self._quantiles,
             self.threshold or 0.0,
             self.correlation_per_s,
@@ -374,7 +374,7 @@ class InnovationRate(Detector):
         return Verdict(size, limit, alarm, weights)
 
 
-@record
+@settings_record
 class _Oracle(InnovationRate):
     weight_scale: float | None = weight_limit(
         1.0,
@@ -406,7 +406,7 @@ class _Oracle(InnovationRate):
             )
         self._mask = np.array([self.channels is None or name in self.channels for name in ids])
 
-    def added(self, epoch: Epoch) -> FloatArray:
+    def compute_offset(self, epoch: Epoch) -> FloatArray:
         since = epoch.time - self.onset_s
         offset = np.where(since >= 0.0, self.offset_m(np.maximum(since, 0.0)), 0.0)
         return np.asarray(offset[:, None] * self._mask)
@@ -416,7 +416,7 @@ class _Oracle(InnovationRate):
         """Offset of the attack (B,) [m] after a time since the onset (B,) [s]."""
 
 
-@record
+@settings_record
 class OracleStep(_Oracle):
     """Oracle, no detector: the innovation-rate test with a step's true size added a second time."""
 
@@ -427,7 +427,7 @@ class OracleStep(_Oracle):
         return np.full_like(since_s, self.size_m)
 
 
-@record
+@settings_record
 class OracleRamp(_Oracle):
     """Oracle, no detector: the innovation-rate test with a ramp's true offset added once more."""
 

@@ -14,15 +14,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core.declared import check_number, record, setting
+from ..core.declared import check_number, setting, settings_record
 from ..core.memory import Memory
 from ..policies.card import DetectorCard, Space, State
 from ..policies.contract import DetectorPolicy, PolicyContext
 from ..policies.load import OnnxDetector, card_path
-from ..policies.onnx_file import SUFFIX, check_signature, file_of, read_model
+from ..policies.onnx_file import SUFFIX, check_signature, describe_file, read_model
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
-from .build import ASKED, LOADERS
+from .build import LOADERS, THRESHOLD_KEYS
 from .observation import (
     ALL_TERMS,
     DetectorObserver,
@@ -48,7 +48,7 @@ def check_delay(decision_delay: int) -> None:
     check_number("decision_delay", decision_delay, least=0, most=1, whole=True)
 
 
-@record
+@settings_record
 class DetectorAgent(Detector):
     """Observes every epoch; its decisions are actions; without them: no alarm, weights 1."""
 
@@ -82,8 +82,8 @@ class DetectorAgent(Detector):
             self.terms = make_detector_terms(self.terms)
         # these are the object's choice, not the class's
         self.scope = self.statistic  # type: ignore[misc]
-        self.needs = frozenset().union(*(term.needs for term in self.observed))  # type: ignore[misc]
-        for term in self.observed:
+        self.needs = frozenset().union(*(term.needs for term in self.observed_terms))  # type: ignore[misc]
+        for term in self.observed_terms:
             if isinstance(term, ExclusionLeft) and term.exclusion_s != self.exclusion_s:
                 raise ValueError(
                     f"`exclusion_s` of the term exclusion-left must be that of the detector, "
@@ -91,7 +91,7 @@ class DetectorAgent(Detector):
                 )
 
     @property
-    def observed(self) -> tuple[DetectorTerm, ...]:
+    def observed_terms(self) -> tuple[DetectorTerm, ...]:
         if self.terms is not None:
             return tuple(self.terms)
         return (*ALL_TERMS, ExclusionLeft(self.exclusion_s))
@@ -99,7 +99,7 @@ class DetectorAgent(Detector):
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         n = context.channels
-        self.observer = DetectorObserver(self.observed, n)
+        self.observer = DetectorObserver(self.observed_terms, n)
         self.action_names = action_names(self.statistic, self.weighs, n)
         self._columns = n if self.statistic == "channel" else 1
         self.memory = JointMemory(context.receivers, self._bound_parts(context))
@@ -145,7 +145,7 @@ class DetectorAgent(Detector):
         return Verdict(statistic, limit, statistic > limit, weights)
 
 
-@record
+@settings_record
 class PolicyDetector(DetectorAgent):
     """A frozen policy as a detector like any other, with its threshold."""
 
@@ -226,7 +226,7 @@ class PolicyDetector(DetectorAgent):
 FILE_SETTINGS = ("quiet_epochs", "sha256")
 
 
-@record
+@settings_record
 class LearnedDetector(Detector):
     """Judges as the network in an ONNX file does; its statistic is within 0 and 1, its threshold 1.
 
@@ -304,7 +304,7 @@ def load_detector(spec: Mapping[str, Any]) -> LearnedDetector:
     """Detector of an ONNX file; a request for thresholds is ignored."""
     settings = dict(spec)
     name = settings.pop("name")
-    valid = ("threshold", *FILE_SETTINGS, *ASKED)
+    valid = ("threshold", *FILE_SETTINGS, *THRESHOLD_KEYS)
     unknown = [key for key in settings if key not in valid]
     if unknown:
         raise ValueError(
@@ -335,7 +335,7 @@ def detector_card(
     by name."""
     content, where = Path(file).read_bytes(), os.fspath(file)
     card_path(file)
-    observer = DetectorObserver(agent.observed, channels)
+    observer = DetectorObserver(agent.observed_terms, channels)
     names = action_names(agent.statistic, agent.weighs, channels)
     states = tuple(State(name=key, size=size) for key, size in (state or {}).items())
     check_signature(read_model(content, where), len(observer.names), len(names), where, states)
@@ -347,7 +347,7 @@ def detector_card(
         action=Space(names=names, low=(-1.0,) * len(names), high=(1.0,) * len(names)),
         weighs=agent.weighs,
         exclusion_s=agent.exclusion_s,
-        terms=written_terms(agent.observed),
+        terms=written_terms(agent.observed_terms),
         state=states,
         quiet_epochs=quiet_epochs,
         channels=channels,
@@ -355,6 +355,6 @@ def detector_card(
         threshold=threshold,
         calibration=dict(calibration or {}),
         training=dict(training or {}),
-        file=file_of(Path(file).name, content),
+        file=describe_file(Path(file).name, content),
         **fields,
     )

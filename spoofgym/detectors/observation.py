@@ -14,13 +14,13 @@ from typing import Any, ClassVar, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.memory import Memory
-from ..core.registry import build, spec_of
+from ..core.registry import build, build_spec
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.epoch import Epoch
 from ..receiver.kalman import normalized_innovation_squared
-from .base import DETECTORS, Detector, DetectorContext, FloatArray, judged
+from .base import DETECTORS, Detector, DetectorContext, FloatArray, judge_epoch
 from .build import make_detector
 from .calibrated import Calibrated
 from .innovation import average_smoothing
@@ -93,7 +93,7 @@ class Innovation(_Term):
         np.divide(epoch.innovation, np.sqrt(epoch.innovation_variance), out=out, casting="unsafe")
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class AverageInnovation(_Term):
     r"""Exponentially weighted average of the same, over its standard deviation if it were white.
 
@@ -124,7 +124,7 @@ class AverageInnovation(_Term):
         )
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class InnovationSd(_Term):
     """Standard deviations of the innovations."""
 
@@ -175,7 +175,7 @@ class InView(_Term):
         out[:] = epoch.visible
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class PredictedMotion(_Term):
     """Velocity that the filter predicts, in local axes, and what the inertial sensors measure."""
 
@@ -209,7 +209,7 @@ class PredictedMotion(_Term):
         out[:, 6:] = mean[:, 3:] * (1.0 / self.rate_scale_rps)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Elapsed(_Term):
     """Time since the detector was switched on, in the last part of the warm-up."""
 
@@ -227,7 +227,7 @@ class Elapsed(_Term):
         out[:, 0] = memory["elapsed"] * (1.0 / self.scale_s)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class ExclusionLeft(_Term):
     """Part of the allowance of exclusion that is left."""
 
@@ -273,7 +273,7 @@ class LineOfSight(_Term):
             out[:, axis * n : (axis + 1) * n] = sight_n[:, :, axis]
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Classic(_Term):
     r"""Logarithm of a passive detector's statistic over its nominal threshold.
 
@@ -331,7 +331,7 @@ class Classic(_Term):
         return self._judge.memory
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
-        verdict = judged(self._judge, epoch)
+        verdict = judge_epoch(self._judge, epoch)
         if verdict.weights is not None:
             raise ValueError(
                 f"`detector` of a classic term must be passive, and {self.detector!r} takes weight "
@@ -398,7 +398,7 @@ def written_terms(terms: Sequence[DetectorTerm]) -> tuple[dict[str, Any], ...]:
                 f"{type(term).__qualname__} has no name in `DETECTOR_TERMS`, by which a card could "
                 "list it"
             )
-    return tuple(spec_of("detector term", DETECTOR_TERMS, term) for term in terms)
+    return tuple(build_spec("detector term", DETECTOR_TERMS, term) for term in terms)
 
 
 class DetectorObserver:

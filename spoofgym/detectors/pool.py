@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.memory import Memory
 from ..receiver.epoch import Epoch
 from .base import (
@@ -21,7 +21,7 @@ from .base import (
     IntArray,
     Verdict,
     check_needs,
-    judged,
+    judge_epoch,
 )
 from .build import make_detector, spec_with_thresholds
 from .calibrated import Calibrated
@@ -41,7 +41,7 @@ def uniforms(keys: NDArray[np.uint64], purpose: int) -> FloatArray:
     return np.array([int(word) >> 11 for word in words], dtype=np.float64) * 2.0**-53
 
 
-def checked_weights(members: int, weights: Sequence[float] | None) -> FloatArray:
+def normalize_weights(members: int, weights: Sequence[float] | None) -> FloatArray:
     """(K,) probabilities of the opponents; all alike by default."""
     if members < 1:
         raise ValueError("`pool` must have at least one opponent, got none")
@@ -59,7 +59,7 @@ def checked_weights(members: int, weights: Sequence[float] | None) -> FloatArray
     return chances
 
 
-def drawn(keys: NDArray[np.uint64], weights: FloatArray) -> IntArray:
+def draw_members(keys: NDArray[np.uint64], weights: FloatArray) -> IntArray:
     """(b,) indices into a pool by the keys (b, 2) of episodes, and weights (K,)."""
     found = np.searchsorted(np.cumsum(weights), uniforms(keys, OPPONENT), side="right")
     # rounding of the sum must not lead beyond the last one that can be drawn
@@ -85,21 +85,21 @@ class JointMemory(Memory):
             mine.copy_rows(to, part, rows)
 
 
-def _spec_of(member: Any, detector: Detector) -> Any:
+def _describe_member(member: Any, detector: Detector) -> Any:
     """Name and all settings of a detector that has a name; what was given of any other."""
     inner: Any = detector.detector if isinstance(detector, Calibrated) else detector
     name = next((name for name, kind in DETECTORS.items() if type(inner) is kind), None)
     if name is None:
         return member
 
-    def named(each: Any) -> dict[str, Any]:
+    def describe_settings(each: Any) -> dict[str, Any]:
         settings = {field.name: getattr(each, field.name) for field in dataclasses.fields(each)}
         return {"name": name, **settings}
 
-    return spec_with_thresholds(detector, named)
+    return spec_with_thresholds(detector, describe_settings)
 
 
-@record
+@settings_record
 class PooledDetector(Detector):
     """A hidden pool: one of its detectors, drawn for every episode, judges it from start to end.
 
@@ -127,9 +127,9 @@ class PooledDetector(Detector):
     def __post_init__(self) -> None:
         if isinstance(self.members, str | Mapping) or not isinstance(self.members, Sequence):
             raise TypeError(f"`members` must be a list of detectors, got {self.members!r}")
-        self._chances = checked_weights(len(self.members), self.weights)
+        self._chances = normalize_weights(len(self.members), self.weights)
         self.judges = tuple(make_detector(each) for each in self.members)  # type: ignore[misc]
-        self.members = tuple(map(_spec_of, self.members, self.judges))
+        self.members = tuple(map(_describe_member, self.members, self.judges))
         if any(judge.judges for judge in self.judges):
             raise ValueError("a pool can't be one of the detectors of a pool; list its detectors")
         measures = {judge.measures for judge in self.judges} - {"any"}
@@ -157,14 +157,14 @@ class PooledDetector(Detector):
 
     def draw(self, keys: NDArray[np.uint64]) -> None:
         """Draw the opponent of every receiver for new episodes, by their keys (B, 2)."""
-        self.memory["opponent"] = drawn(keys, self._chances)
+        self.memory["opponent"] = draw_members(keys, self._chances)
 
     def judge(self, epoch: Epoch) -> Verdict:
         merged: Verdict | None = None
         opponent = self.memory["opponent"]
         for k in np.unique(opponent):
             rows = np.flatnonzero(opponent == k)
-            verdict = judged(self.judges[k], epoch, rows)
+            verdict = judge_epoch(self.judges[k], epoch, rows)
             weights = verdict.weights
             weights = np.ones(epoch.innovation.shape) if weights is None else weights
             if self._alike:

@@ -62,10 +62,10 @@ from typing import Any, ClassVar, cast
 import numpy as np
 
 from ..core.compile import njit
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.epoch import Epoch
-from ..receiver.snapshot import PRODUCTS, add, solve, squared_residual, squared_residual_of_both
+from ..receiver.snapshot import PRODUCTS, add, solve_fix, squared_residual, squared_residual_of_both
 from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray, Verdict
 from .consistency import (
     MIN_SATELLITES,
@@ -184,11 +184,11 @@ def blame_all(data: SearchData, limit: FloatArray) -> None:
         if data.alarm[b]:
             worst = blame(data.rows[b], data.table[b], limit, kept)
             if worst >= 0:
-                data.found[b] = True
+                data.solved[b] = True
                 data.mask[b] -= 1 << worst
 
 
-@record
+@settings_record
 class Raim(ConsistencyTest):
     """Least-squares residual of all satellites in view.
 
@@ -327,7 +327,7 @@ def search(
     whether they were found, mask of the first, number of fits, that of all in view included.
     `order` (N,) and `scratch` (3, at least N and PRODUCTS) are overwritten."""
     projection, solution, sums = scratch[0], scratch[1], scratch[2:]
-    solve(table, table.shape[0] - 1, solution)
+    solve_fix(table, table.shape[0] - 1, solution)
     for i in range(n):
         offsets[i] -= solution[3]
         for j in range(3):
@@ -349,7 +349,7 @@ def search_all(data: SearchData, limit: FloatArray, vectors: FloatArray) -> None
     order, scratch = np.empty(n, dtype=np.int64), np.empty((3, max(n, PRODUCTS)))
     for b in range(data.alarm.shape[0]):
         if data.alarm[b]:
-            data.found[b], data.mask[b], data.positionings[b] = search(
+            data.solved[b], data.mask[b], data.positionings[b] = search(
                 data.rows[b],
                 data.lines[b],
                 data.offsets[b],
@@ -361,7 +361,7 @@ def search_all(data: SearchData, limit: FloatArray, vectors: FloatArray) -> None
             )
 
 
-@record
+@settings_record
 class SrvRaim(ConsistencyTest):
     """Residual test of all satellites in view; after an alarm, two groups by residual vectors.
 
@@ -469,12 +469,12 @@ def search_all_paths(data: SearchData, limit: FloatArray, largest_group: int) ->
     chosen = np.empty(largest_group, dtype=np.int64)
     for b in range(data.alarm.shape[0]):
         if data.alarm[b]:
-            data.found[b], data.mask[b], data.positionings[b] = search_path(
+            data.solved[b], data.mask[b], data.positionings[b] = search_path(
                 data.rows[b], data.table[b], limit, largest_group, after, stack, chosen
             )
 
 
-@record
+@settings_record
 class TraversalRaim(ConsistencyTest):
     """Residual test of all satellites in view; after an alarm, the smallest group to leave out.
 

@@ -57,17 +57,17 @@ from typing import ClassVar, cast
 import numpy as np
 from scipy import special
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..receiver.augmented import FIRST
 from ..receiver.epoch import Epoch
 from ._solution_separation_kernels import advance_bank, judge_bank, whiten_bank
 from .base import Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
-from .innovation import alarm_probability, epochs_of
+from .innovation import alarm_probability, count_epochs
 
 MOST_SOLUTIONS = 100
 
 
-@record
+@settings_record
 class SolutionSeparation(Detector):
     """Separation of the filter from solutions that coast since several times; monitor only."""
 
@@ -106,7 +106,7 @@ class SolutionSeparation(Detector):
         super().bind(context)
         b, kept = context.receivers, min(context.states, FIRST)
         self._interval_s, self._fewest = context.epoch_interval_s, context.min_satellites
-        self._spacing = epochs_of(self.spacing_s, context)
+        self._spacing = count_epochs(self.spacing_s, context)
         longest = math.ceil(self.longest_s / context.epoch_interval_s - 1e-9)
         bank = math.ceil(longest / self._spacing) + 1
         self.memory_epochs = bank * self._spacing
@@ -146,7 +146,7 @@ class SolutionSeparation(Detector):
         memory = self.memory
         return memory["separation"], memory["covariance"], memory["epochs"], self._spacing
 
-    def whitened(self, position_e: FloatArray) -> FloatArray:
+    def whiten(self, position_e: FloatArray) -> FloatArray:
         """(B, J, 2) separations of the last epoch with the covariance of the identity, 0 where a
         solution is not judged, in the horizontal planes of positions (B, 3), ECEF [m]. They are
         linear in the innovations, and the statistic is the largest of their squares."""

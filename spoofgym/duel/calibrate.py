@@ -12,16 +12,16 @@ import numpy as np
 from ..calibration.clean_runs import Player
 from ..core.declared import check_number
 from ..core.registry import whole_number
-from ..core.settings import describe, digest_of
-from ..detectors.calibration_file import fewest_runs
+from ..core.settings import compute_digest, describe
+from ..detectors.calibration_file import compute_min_runs
 from ..detectors.learned import DetectorAgent, PolicyDetector
 from ..policies.contract import DetectorPolicy, as_policy
 from ..simulation.setup import Setup
-from .calibration import Calibration, quantile_of
+from .calibration import PolicyCalibration, compute_threshold
 from .duel import make_duel
 
 
-def calibrate(
+def calibrate_policy(
     policy: DetectorPolicy | Callable[[Any], Any],
     *,
     false_alarm: float = 0.05,
@@ -32,11 +32,11 @@ def calibrate(
     decision_delay: int = 0,
     store: str | os.PathLike[str] | None = None,
     **settings: Any,
-) -> Calibration:
+) -> PolicyCalibration:
     """Threshold of a frozen detector policy for a run-level false-alarm rate.
 
     Clean episodes are played to their end without a threshold, and the largest statistic of each is
-    stored; see `quantile_of`.  The weights of the policy are in the loop meanwhile.
+    stored; see `compute_threshold`.  The weights of the policy are in the loop meanwhile.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def calibrate(
         decision_delay=decision_delay,
         quiet_epochs=setup.live,
     )
-    conditions = digest_of(_conditions(setup, agent, decision_delay))
+    conditions = compute_digest(_conditions(setup, agent, decision_delay))
     seed, runs = whole_number("`seed`", seed), int(runs)
     request = {"false_alarm": false_alarm, "runs": runs, "seed": seed, "confidence": confidence}
     path = None
@@ -95,15 +95,15 @@ def calibrate(
                 f"{frozen!r} has no digest to store its calibration by: give a FunctionPolicy a "
                 "`name`, or override `digest`"
             )
-        name = digest_of({**request, "detector": frozen.digest(), "settings": conditions})
+        name = compute_digest({**request, "detector": frozen.digest(), "settings": conditions})
         path = Path(store) / f"{name}.json"
         if path.is_file():
-            return Calibration.load(path)
+            return PolicyCalibration.load(path)
     player = Player(setup, entropy=seed, threads=1, chunk=min(receivers, runs))
     # its threshold is 1, so that a ratio is a statistic
     largest = player.play([judge], range(runs), in_loop=True).judged[:, 0]
-    threshold, low, high = quantile_of(largest, false_alarm, confidence)
-    found = Calibration(
+    threshold, low, high = compute_threshold(largest, false_alarm, confidence)
+    found = PolicyCalibration(
         # a statistic of 0 is no alarm, whatever the threshold
         threshold=max(threshold, np.finfo(np.float64).tiny),
         threshold_low=low,
@@ -125,9 +125,9 @@ def _check(false_alarm: float, runs: int, confidence: float, receivers: int) -> 
     check_number("confidence", confidence, above=0.0, below=1.0)
     whole_number("`runs`", runs)
     whole_number("`receivers`", receivers, 1)
-    if runs < fewest_runs(false_alarm):
+    if runs < compute_min_runs(false_alarm):
         raise ValueError(
-            f"`runs` must be at least {fewest_runs(false_alarm)} for `false_alarm` = "
+            f"`runs` must be at least {compute_min_runs(false_alarm)} for `false_alarm` = "
             f"{false_alarm:g}, got {runs}"
         )
 

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.files import write_file
-from ..detectors.calibration_file import rank_of
+from ..detectors.calibration_file import compute_rank
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Calibration:
+class PolicyCalibration:
     """Threshold of one frozen detector for a run-level false-alarm rate.
 
     Attributes
@@ -54,7 +54,7 @@ class Calibration:
         write_file(Path(path), (json.dumps(dataclasses.asdict(self), indent=1) + "\n").encode())
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Calibration:
+    def load(cls, path: str | os.PathLike[str]) -> PolicyCalibration:
         """Read it from a JSON file."""
         try:
             fields: dict[str, Any] = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -63,7 +63,7 @@ class Calibration:
             raise ValueError(f"{path} is no calibration: {error}") from error
 
 
-def quantile_of(
+def compute_threshold(
     largest: FloatArray, false_alarm: float, confidence: float
 ) -> tuple[float, float, float]:
     r"""Threshold that a new clean run exceeds with at most a given probability.
@@ -79,7 +79,7 @@ def quantile_of(
     from scipy.stats import binom
 
     ordered, n = np.sort(largest), len(largest)
-    k = n + 1 - rank_of(false_alarm, n)
+    k = n + 1 - compute_rank(false_alarm, n)
     tail = 0.5 * (1.0 - confidence)
     lower = int(binom.ppf(tail, n, 1.0 - false_alarm))
     upper = int(binom.ppf(1.0 - tail, n, 1.0 - false_alarm)) + 1

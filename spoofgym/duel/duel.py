@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.declared import check_number
 from ..core.registry import check_keywords
-from ..detectors.base import checked
+from ..detectors.base import check_verdict
 from ..detectors.learned import EXCLUSION_S, DetectorAgent, check_delay
 from ..detectors.pool import NATURE, uniforms
 from ..envs import _kernels
@@ -25,8 +25,8 @@ from ..simulation.domain import FloatArray
 from ..simulation.monitors import Monitor
 from ..simulation.simulator import Simulator
 from ..simulation.tight import TightlyCoupledSetup
-from ..tasks import task_of
-from .calibration import Calibration
+from ..tasks import get_task
+from .calibration import PolicyCalibration
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
 
 GAME = "T3"
@@ -48,7 +48,7 @@ def default_opponent(settings: Mapping[str, Any]) -> str:
 def with_world(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings with the world of `GAME` below them, unless they have a scenario of their own."""
     own = own_settings(settings)
-    return own if "scenario" in own else {**task_of(GAME).world_kwargs, **own}
+    return own if "scenario" in own else {**get_task(GAME).world_kwargs, **own}
 
 
 class DuelStep(NamedTuple):
@@ -89,7 +89,7 @@ class Duel:
         *,
         knowledge: str = "tracking",
         payoff: str | Mapping[str, Any] = "neyman-pearson",
-        threshold: float | str | Calibration = RUNNING,
+        threshold: float | str | PolicyCalibration = RUNNING,
         false_alarm: float = 0.05,
         decision_delay: int = 0,
         attack_probability: float = 0.5,
@@ -111,7 +111,7 @@ class Duel:
         self._fused = FusedStep(self.score, setup.epoch_time, at_alarm=True, window=self.epochs)
         self.attacked = np.zeros(receivers, dtype=np.bool_)
         self.over = np.zeros(receivers, dtype=np.bool_)
-        self._everyone = np.arange(receivers)
+        self._all_rows = np.arange(receivers)
         self._sources: list[np.random.Generator | None] = [None] * receivers
         shape = (receivers, len(self.core.action_names))
         self._decisions = Decisions(setup, *shape)
@@ -143,7 +143,7 @@ class Duel:
     ) -> None:
         """Begin new episodes, and run their warm-up, in which the detector agent is not called.
         `rngs`: one per row; one that a receiver has not had before restarts a running threshold."""
-        where = self._everyone if rows is None else rows
+        where = self._all_rows if rows is None else rows
         self.core.reset(rngs, rows, given)
         self.score.reset(where)
         self._decisions.forget(where)
@@ -160,16 +160,16 @@ class Duel:
         """First half of an epoch: the spoofer moves, measurements arrive, the detector looks.
         `action` (B, k) in [-1, 1]; not looked at in clean episodes, after the last command, and
         where no decision is due. None where none is due at all: see `deciding`."""
-        where = self._everyone if rows is None else rows
+        where = self._all_rows if rows is None else rows
         due = where[self.deciding[where]]
         if len(due):
             if action is None:
                 raise ValueError("`action` must be given: a decision of the spoofer is due")
             self._decisions.take(action, due)
-        self._command[where] = command = self._commanded()[where]
+        self._command[where] = command = self._select_commands()[where]
         self.core.engine.apart(where, lambda part: self._arrive(part, command, where))
 
-    def _commanded(self) -> FloatArray:
+    def _select_commands(self) -> FloatArray:
         """Commands as the attack takes them: holding the rate where all have been given."""
         action = self.core.command(self._decisions.action(self.score.step_count))
         by_rate = self.setup.attack.control == "rate"
@@ -189,14 +189,14 @@ class Duel:
         limit, epoch = self.threshold.values.copy(), simulator.epoch
         verdict = self.agent.verdict(action, limit, epoch.visible, epoch.interval)
         # the threshold is the game's, and infinite where no alarm is wanted
-        checked(verdict._replace(threshold=verdict.statistic), self.agent, epoch)
+        check_verdict(verdict._replace(threshold=verdict.statistic), self.agent, epoch)
         simulator.verdict = verdict
         engine.update(verdict)
         holding, result = self.holding, StepResult(self._fused.layout)
         result.displacement[:] = self.core.displacement()
         warmup_alarm, alarms = engine.warmup_alarm, verdict.alarm
         self._fused(
-            simulator, alarms, score.nobody, warmup_alarm, result, NOTHING_SEEN, engine.hold
+            simulator, alarms, score.no_rows, warmup_alarm, result, NOTHING_SEEN, engine.hold
         )
         values, first, terminated = result.values, result.marks[_kernels.FIRST], result.terminated
         outcome = DuelOutcome(
@@ -284,5 +284,5 @@ def make_duel(
     """Duel from settings that fit into JSON; `monitors` look at its epochs besides."""
     check_keywords("the duel", settings, SETTINGS)
     shared = {name: settings.pop(name) for name in _OF_SETUP if name in settings}
-    setup: Any = duel_setup(**shared).altered(monitors=monitors)
+    setup: Any = duel_setup(**shared).copy_with(monitors=monitors)
     return Duel(receivers, setup, threads=threads, **settings)

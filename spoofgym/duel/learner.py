@@ -10,16 +10,16 @@ from typing import Any, NamedTuple, Self
 import gymnasium as gym
 
 from ..core.declared import check_word
-from ..core.registry import refuse_given
-from ..detectors.pool import checked_weights
+from ..core.registry import refuse_overrides
+from ..detectors.pool import normalize_weights
 from ..envs.core import SpoofCore
 from ..envs.factory import CORE, make_core
 from ..envs.spoofer_binding import ENV_ID, SETUPS
 from ..simulation.setup import Setup
 from ..simulation.tight import TightlyCoupledSetup
-from ..tasks import DETECTOR_TASKS, detector_task_of, task_of
+from ..tasks import DETECTOR_TASKS, get_detector_task, get_task
 from .duel import SETTINGS, default_opponent, own_settings, with_world
-from .views import DetectorCore, SpooferSide, SpooferView, check_settings
+from .views import DetectorCore, SpooferSide, SpooferView, check_view_settings
 
 SPOOFER, DETECTOR = "spoofer", "detector"
 VIEWS, RAMP = ("SpooferView", "DetectorView"), "ramp"
@@ -53,9 +53,9 @@ class LearnersSide(NamedTuple):
         """Look the id up, and put its settings below those that are given."""
         check_word("side", side, (SPOOFER, DETECTOR))
         if task is not None and env_id is not None:
-            refuse_given(f"task {task}", ["`env_id`"])
+            refuse_overrides(f"task {task}", ["`env_id`"])
         name = _task_id(task, side) if task is not None else env_id or ENV_ID
-        setup, view, merged = _registered(name)
+        setup, view, merged = _look_up(name)
         if view == "DetectorView":
             side = DETECTOR
         own = merged.pop("pool", None), merged.pop("weights", None)
@@ -84,7 +84,7 @@ class LearnersSide(NamedTuple):
         further: dict[str, Any] = {"threads": threads, "prefetch": prefetch}
         if self.pool is None:
             return make_core(self.setup, num_envs, self.settings, whose=whose, **further)
-        check_settings(SpooferView, self.settings, self.pool)
+        check_view_settings(SpooferView, self.settings, self.pool)
         return SpooferSide(num_envs, self.pool, self.weights, {**self.settings, **further}).core
 
     @property
@@ -96,7 +96,7 @@ class LearnersSide(NamedTuple):
         if self.pool is None or self.side == DETECTOR:
             return dict(self.settings)
         members = [self.pool] if isinstance(self.pool, str | Mapping) else list(self.pool)
-        checked_weights(len(members), self.weights)
+        normalize_weights(len(members), self.weights)
         met: Any = members[0]
         if len(members) > 1:
             met = {"name": "pool", "members": members}
@@ -106,13 +106,13 @@ class LearnersSide(NamedTuple):
 
 def _task_id(key: str, side: str) -> str:
     if key not in DETECTOR_TASKS:
-        return task_of(key).env_id
+        return get_task(key).env_id
     if side != DETECTOR:
         raise ValueError(f"task {key} is for detectors: it needs `side` {DETECTOR!r}, got {side!r}")
-    return detector_task_of(key).env_id
+    return get_detector_task(key).env_id
 
 
-def _registered(env_id: str) -> tuple[type[Setup], str, dict[str, Any]]:
+def _look_up(env_id: str) -> tuple[type[Setup], str, dict[str, Any]]:
     if env_id not in gym.registry:
         valid = sorted(name for name in gym.registry if name.startswith("spoofgym/"))
         raise ValueError(f"unknown environment {env_id!r}; valid: {', '.join(valid)}")

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ..detectors import Calibrated, Detector, detector_in_world
 from ..detectors.learned import PolicyDetector
-from ..detectors.pool import PooledDetector, checked_weights, drawn
+from ..detectors.pool import PooledDetector, draw_members, normalize_weights
 from ..envs.observer import Observer
 from ..envs.options import checked_action
-from ..envs.spoofer_binding import bound_spoofer, paced, warn_of_headings
+from ..envs.spoofer_binding import apply_pace, bound_spoofer, warn_of_headings
 from ..envs.terms.action import CommandMap, Decisions
 from ..envs.terms.observation import Snapshot
 from ..simulation.setup import Setup
@@ -25,7 +25,7 @@ DetectorSpec = str | Mapping[str, Any] | Detector
 SpooferSpec = str | Mapping[str, Any] | Spoofer
 
 
-def members_of(pool: Any, kind: type) -> list[Any]:
+def list_opponents(pool: Any, kind: type) -> list[Any]:
     """Opponents as a list, where a single one may stand for itself."""
     if isinstance(pool, str | Mapping | kind):
         return [pool]
@@ -34,7 +34,7 @@ def members_of(pool: Any, kind: type) -> list[Any]:
     return list(pool)
 
 
-def label_of(spec: Any) -> str:
+def label_opponent(spec: Any) -> str:
     if isinstance(spec, Mapping):
         return ", ".join(
             str(value) if name == "name" else f"{name}={value}" for name, value in spec.items()
@@ -60,7 +60,7 @@ def pooled_detector(
     """Detectors of which one is drawn for every episode. `weights`: probability of each; all alike
     by default."""
     return PooledDetector(
-        [make_opponent(spec, live) for spec in members_of(pool, Detector)], weights
+        [make_opponent(spec, live) for spec in list_opponents(pool, Detector)], weights
     )
 
 
@@ -82,25 +82,25 @@ class SpooferPool:
         setup: Setup,
         receivers: int,
     ) -> None:
-        specs = members_of(pool, Spoofer)
-        self.labels = tuple(label_of(spec) for spec in specs)
-        self._chances = checked_weights(len(specs), weights)
+        specs = list_opponents(pool, Spoofer)
+        self.labels = tuple(label_opponent(spec) for spec in specs)
+        self._chances = normalize_weights(len(specs), weights)
         self._observers: dict[tuple[str, bool], Observer] = {}
         self._seeing: list[tuple[str, bool]] = []
         self._commands: list[CommandMap] = []
         self._decisions: list[Decisions] = []
-        self._spoofers = [self._made(spec, setup, receivers) for spec in specs]
+        self._spoofers = [self._bind_spoofer(spec, setup, receivers) for spec in specs]
         warn_of_headings(self._spoofers, setup)
         self._shape = receivers, len(setup.action_names)
         self.opponent = np.zeros(receivers, dtype=np.int64)
 
-    def _made(self, spec: SpooferSpec, setup: Setup, receivers: int) -> Spoofer:
+    def _bind_spoofer(self, spec: SpooferSpec, setup: Setup, receivers: int) -> Spoofer:
         made = make_spoofer(spec)
         context, observer, commands = bound_spoofer(made, setup, receivers)
-        own, late = paced(setup, made), setup.repeat > 1
+        own, late = apply_pace(setup, made), setup.repeat > 1
         if commands.setpoint_mps is not None and late:
             raise ValueError(
-                f"the spoofer {label_of(spec)!r} acts by set-points, which the acceleration "
+                f"the spoofer {label_opponent(spec)!r} acts by set-points, which the acceleration "
                 "follows at every epoch: no pool with a `decision_interval_s` can have it"
             )
         self._commands.append(commands)
@@ -109,22 +109,22 @@ class SpooferPool:
         self._seeing.append(key)
         self._observers.setdefault(key, observer)
         card = card_behind(made)
-        found = [] if card is None else card.differences(context)
+        found = [] if card is None else card.diff_context(context)
         if found:
             raise ValueError(
-                f"the spoofer {label_of(spec)!r} does not fit this duel on "
+                f"the spoofer {label_opponent(spec)!r} does not fit this duel on "
                 f"{setup.name!r}:\n  " + "\n  ".join(found)
             )
         made.bind(context)
         made.reset()
         # where the world has decisions, the duel makes epochs of them
-        pace = setup.altered(pace=(None, "hold")) if late else own
+        pace = setup.copy_with(pace=(None, "hold")) if late else own
         self._decisions.append(Decisions(pace, receivers, len(commands.names)))
         return made
 
-    def begin(self, rows: NDArray[np.intp], keys: NDArray[np.uint64]) -> None:
+    def start_episodes(self, rows: NDArray[np.intp], keys: NDArray[np.uint64]) -> None:
         """Draw the opponents of new episodes.  `keys` (b, 2) keys of the episodes."""
-        self.opponent[rows] = drawn(keys, self._chances)
+        self.opponent[rows] = draw_members(keys, self._chances)
         mask = np.zeros(len(self.opponent), dtype=np.bool_)
         mask[rows] = True
         for spoofer, decisions in zip(self._spoofers, self._decisions, strict=True):
@@ -143,14 +143,14 @@ class SpooferPool:
                 key = self._seeing[k]
                 if key not in seen:
                     seen[key] = self._observers[key].observe(snapshot)
-                decisions.take(self._decided(k, seen[key], due), due)
+                decisions.take(self._decide(k, seen[key], due), due)
             self._commands[k].aim(snapshot.simulator.heading)
             taken = decisions.action(snapshot.step)
             given = self._commands[k].command(taken, snapshot.simulator.commanded_rate)
             command[own] = given[own]
         return command
 
-    def _decided(self, k: int, seen: NDArray[np.float32], rows: NDArray[np.intp]) -> FloatArray:
+    def _decide(self, k: int, seen: NDArray[np.float32], rows: NDArray[np.intp]) -> FloatArray:
         """Action of a spoofer for all receivers; its memory goes on for some of them."""
         spoofer, names = self._spoofers[k], self._commands[k].names
         before = {name: np.array(array) for name, array in spoofer.memory.items()}

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import check_number, record, setting
+from ..core.declared import check_number, setting, settings_record
 from ..core.registry import build, is_number
-from .calibration import Calibration, FloatArray
+from .calibration import FloatArray, PolicyCalibration
 
 LEAST_THRESHOLD = 1e-3
 RUNNING = "running"
@@ -28,7 +28,7 @@ class DuelOutcome(NamedTuple):
     interval_s: float
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class NeymanPearson:
     """Undetected displacement D_u, to the spoofer from the detector; clean episodes pay nothing.
 
@@ -44,7 +44,7 @@ class NeymanPearson:
         return won, 0.0 - won
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Weighted:
     """Weighted sum of false alarms, delay and error, from the detector."""
 
@@ -135,10 +135,10 @@ class RunningThreshold:
 
 
 def make_threshold(
-    threshold: float | str | Calibration, false_alarm: float, receivers: int
+    threshold: float | str | PolicyCalibration, false_alarm: float, receivers: int
 ) -> FixedThreshold | RunningThreshold:
     check_number("false_alarm", false_alarm, above=0.0, below=1.0)
-    if isinstance(threshold, Calibration):
+    if isinstance(threshold, PolicyCalibration):
         threshold = threshold.threshold
     if isinstance(threshold, str) and threshold == RUNNING:
         return RunningThreshold(false_alarm, receivers)

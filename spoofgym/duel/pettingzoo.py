@@ -75,7 +75,7 @@ class _Form:
     def decides(self) -> bool:
         return bool(self.duel.deciding[0])
 
-    def _begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
+    def _start_episode(self, seed: int | None, options: dict[str, Any] | None) -> None:
         with whole_reset(self):
             warn_unknown(options, ("domain",))
             given = domain_option(options)
@@ -91,14 +91,14 @@ class _Form:
         if not self.agents:
             raise RuntimeError("the episode is over: call reset() before step()")
 
-    def _checked(self, agent: str, action: Any) -> NDArray[np.float64]:
+    def _check_action(self, agent: str, action: Any) -> NDArray[np.float64]:
         names = self.action_names[agent]
         try:
             return checked_action(action, (len(names),), names)[None]
         except (TypeError, ValueError) as error:
             raise ValueError(f"{agent}: {error}") from error
 
-    def _observed(self) -> dict[str, Observation]:
+    def _observe(self) -> dict[str, Observation]:
         spoofer = self.duel.core.observer.observe(self.duel.snapshot())
         return {SPOOFER: spoofer[0], DETECTOR: self.duel.observe_detector()[0]}
 
@@ -141,7 +141,7 @@ class DuelAEC(_Form, AECEnv[str, Observation, Observation]):
         }
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-        self._begin(seed, options)
+        self._start_episode(seed, options)
         self.agent_selection = SPOOFER
         self._skip_agent_selection = None
         self.rewards = dict.fromkeys(AGENTS, 0.0)
@@ -149,7 +149,7 @@ class DuelAEC(_Form, AECEnv[str, Observation, Observation]):
         self.terminations = dict.fromkeys(AGENTS, False)
         self.truncations = dict.fromkeys(AGENTS, False)
         self.infos = self._reset_infos()
-        self._observations = self._observed()
+        self._observations = self._observe()
 
     def observe(self, agent: str) -> Observation:
         """What an agent observes: the spoofer the game before its move, the detector the epoch.
@@ -164,7 +164,7 @@ class DuelAEC(_Form, AECEnv[str, Observation, Observation]):
         if self.terminations[agent]:
             self._was_dead_step(action)
             return
-        given = self._checked(agent, action)
+        given = self._check_action(agent, action)
         self._halfway = True
         self._cumulative_rewards[agent] = 0.0
         self._clear_rewards()
@@ -188,7 +188,7 @@ class DuelAEC(_Form, AECEnv[str, Observation, Observation]):
         self.rewards = _rewards(turn)
         self.terminations = dict.fromkeys(AGENTS, bool(turn.terminated[0]))
         self.infos = self._step_infos(turn)
-        self._observations = self._observed()
+        self._observations = self._observe()
 
 
 class DuelParallel(_Form, ParallelEnv[str, Observation, Observation]):
@@ -206,8 +206,8 @@ class DuelParallel(_Form, ParallelEnv[str, Observation, Observation]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        self._begin(seed, options)
-        return self._observed(), self._reset_infos()
+        self._start_episode(seed, options)
+        return self._observe(), self._reset_infos()
 
     def step(
         self, actions: Mapping[str, Any]
@@ -226,7 +226,7 @@ class DuelParallel(_Form, ParallelEnv[str, Observation, Observation]):
                 f"`actions` must be of {' and '.join(AGENTS)}, got those of "
                 f"{', '.join(map(str, actions)) or 'nobody'}"
             )
-        given = {agent: self._checked(agent, actions[agent]) for agent in AGENTS}
+        given = {agent: self._check_action(agent, actions[agent]) for agent in AGENTS}
         self._halfway = True
         self.duel.arrive(given[SPOOFER])
         turn = self.duel.decide(given[DETECTOR])
@@ -235,4 +235,4 @@ class DuelParallel(_Form, ParallelEnv[str, Observation, Observation]):
         if over:
             self.agents = []
         ends = dict.fromkeys(AGENTS, over), dict.fromkeys(AGENTS, False)
-        return self._observed(), _rewards(turn), *ends, self._step_infos(turn)
+        return self._observe(), _rewards(turn), *ends, self._step_infos(turn)

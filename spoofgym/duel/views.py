@@ -17,15 +17,22 @@ from ..detectors.learned import detector_card
 from ..envs.core import SingleStep, SpoofCore
 from ..envs.env import C, CoreEnv, CoreVectorEnv
 from ..envs.factory import CORE, make_setup
-from ..envs.options import Array, InfoSpec, check_vector_settings, mask_of
+from ..envs.options import Array, InfoSpec, check_vector_settings, read_mask
 from ..envs.scoring import Info, PlainResult
 from ..policies.card import DetectorCard
 from ..policies.load import card_path
 from ..simulation.monitors import FloatArray, PastPositions
 from ..simulation.tight import TightlyCoupledSetup
-from .calibration import Calibration
+from .calibration import PolicyCalibration
 from .duel import SETTINGS, default_opponent, make_duel, refuse_to_draw, with_world
-from .opponents import DetectorSpec, SpooferPool, SpooferSpec, label_of, members_of, pooled_detector
+from .opponents import (
+    DetectorSpec,
+    SpooferPool,
+    SpooferSpec,
+    label_opponent,
+    list_opponents,
+    pooled_detector,
+)
 
 DetectorPool = Sequence[DetectorSpec] | DetectorSpec
 SpooferPoolSpec = Sequence[SpooferSpec] | SpooferSpec
@@ -37,9 +44,9 @@ OF_DETECTOR = tuple(name for name in SETTINGS if name not in ("knowledge", "acti
 POOL_CHANGED = "the pool has changed"
 
 
-def check_settings(kind: type, settings: Mapping[str, Any], pool: DetectorPool) -> None:
+def check_view_settings(kind: type, settings: Mapping[str, Any], pool: DetectorPool) -> None:
     if settings.get("detector") is not None:
-        labels = ", ".join(label_of(spec) for spec in members_of(pool, Detector))
+        labels = ", ".join(label_opponent(spec) for spec in list_opponents(pool, Detector))
         raise ValueError(
             f"two detectors are set at once: `pool` = {labels} and `detector` = "
             f"{settings['detector']!r}; {kind.__name__} takes its detectors by `pool` alone"
@@ -64,9 +71,9 @@ class SpooferSide:
         self.core = self._against(pool, weights)
 
     def _against(self, pool: DetectorPool, weights: Weights) -> SpoofCore:
-        setup = self._setup.altered(detector=pooled_detector(pool, weights, self._setup.live))
+        setup = self._setup.copy_with(detector=pooled_detector(pool, weights, self._setup.live))
         core = SpoofCore(self._receivers, setup, **self._rules)
-        self.labels = tuple(label_of(spec) for spec in members_of(pool, Detector))
+        self.labels = tuple(label_opponent(spec) for spec in list_opponents(pool, Detector))
         return core
 
     def change(self, pool: DetectorPool, weights: Weights) -> SpoofCore:
@@ -121,7 +128,7 @@ class DetectorCore:
         observer, self.action_names = duel.agent.observer, duel.agent.action_names
         self.observation_names, self.bounds = observer.names, (observer.low, observer.high)
         self.receivers, self.episode_steps = duel.receivers, duel.epochs
-        self._everyone = np.arange(duel.receivers)
+        self._all_rows = np.arange(duel.receivers)
 
     def change(
         self, pool: Sequence[SpooferSpec] | SpooferSpec, weights: Sequence[float] | None = None
@@ -138,9 +145,9 @@ class DetectorCore:
         rows: NDArray[np.intp] | None = None,
         given: Mapping[str, Any] | None = None,
     ) -> None:
-        where = self._everyone if rows is None else rows
+        where = self._all_rows if rows is None else rows
         self.duel.reset(rngs, rows, given)
-        self.pool.begin(where, self.duel.core.engine.simulator.memory["key"][where])
+        self.pool.start_episodes(where, self.duel.core.engine.simulator.memory["key"][where])
         if self.duel.decision_delay == 0:
             self._arrive(where)
 
@@ -157,7 +164,7 @@ class DetectorCore:
             if len(playing):
                 self._arrive(playing)
         else:
-            self._arrive(self._everyone)
+            self._arrive(self._all_rows)
             done = self.duel.decide(action)
         over, all_ = done.terminated, done.info
         info: Info = {
@@ -229,7 +236,7 @@ class PooledVectorView(CoreVectorEnv[C]):
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
         if self._pool_changed:
-            mask = mask_of(options, self.num_envs)
+            mask = read_mask(options, self.num_envs)
             if mask is not None and not mask.all():
                 raise ValueError(f"{POOL_CHANGED}: the next reset must be that of all receivers")
         begun = super().reset(seed=seed, options=options)
@@ -279,7 +286,7 @@ class SpooferView(PooledView[SpoofCore]):
         **settings: Any,
     ) -> None:
         pool = default_opponent(settings) if pool is None else pool
-        check_settings(SpooferView, settings, pool)
+        check_view_settings(SpooferView, settings, pool)
         self._side = SpooferSide(1, pool, weights, {**settings, "threads": 1})
         super().__init__(self._side.core, render_mode)
 
@@ -306,7 +313,7 @@ class SpooferVectorView(PooledVectorView[SpoofCore]):
     ) -> None:
         check_vector_settings(num_envs, render_mode)
         pool = default_opponent(settings) if pool is None else pool
-        check_settings(SpooferVectorView, settings, pool)
+        check_view_settings(SpooferVectorView, settings, pool)
         self._side = SpooferSide(num_envs, pool, weights, {**settings, "threads": threads})
         super().__init__(self._side.core, autoreset_mode, infos, max_episode_steps)
 
@@ -406,7 +413,7 @@ def write_card(
     view: Any,
     *,
     name: str,
-    calibration: Calibration | None = None,
+    calibration: PolicyCalibration | None = None,
     training: dict[str, Any] | None = None,
 ) -> DetectorCard:
     """Write the card of a detector policy that was made in a view.

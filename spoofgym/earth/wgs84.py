@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.compile import inlined
+from ..core.compile import inline_njit
 from ..core.simd import select, sqrt
 
 SPEED_OF_LIGHT = 299792458.0  # speed of light [m/s]
@@ -28,7 +28,7 @@ MICRO_G = STANDARD_GRAVITY * 1e-6  # [m/s^2]
 DEGREE = math.pi / 180.0  # [rad]
 
 
-@inlined
+@inline_njit
 def radii_of_curvature(latitude: float) -> tuple[float, float]:
     r"""Meridian and transverse radii of curvature.
 
@@ -44,7 +44,7 @@ def radii_of_curvature(latitude: float) -> tuple[float, float]:
     return transverse * (1.0 - ECCENTRICITY_SQUARED) / w, transverse
 
 
-@inlined
+@inline_njit
 def geocentric_surface_radius(x: Any, y: Any, z: Any) -> Any:
     r"""Distance from the centre of the Earth to the surface below a point, r_eS.
 
@@ -71,7 +71,7 @@ def geocentric_surface_radius(x: Any, y: Any, z: Any) -> Any:
     return EQUATORIAL_RADIUS * sqrt(cos2 + flat * sin2) / sqrt(1.0 - ECCENTRICITY_SQUARED * sin2)
 
 
-@inlined
+@inline_njit
 def gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
     r"""Acceleration due to gravity, ECEF axes: attraction and centrifugal force.
 
@@ -183,7 +183,7 @@ Vector = tuple[Any, Any, Any] | NDArray[np.float64]
 STILL = 0.0, 0.0, 0.0
 
 
-@inlined
+@inline_njit
 def range_and_rate(s: Vector, vs: Vector, r: Vector, v: Vector) -> tuple[Any, Any, Any, Any, Any]:
     r"""Range, range rate and line of sight, with the Sagnac effect to first order.
 

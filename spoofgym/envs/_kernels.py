@@ -111,7 +111,7 @@ RULES = 12
     LARGEST,
     DETECTED_SO_FAR,
     ENDED,
-    NOBODY,
+    NO_ROWS,
     ITS_RULES,
     PER_RATE,
     OBSERVED,
@@ -129,19 +129,19 @@ RULES = 12
 
 
 @njit
-def last_counted(first_alarm, hold, steps):
+def find_last_counted(first_alarm, hold, steps):
     """Last of `steps` epochs whose displacement counts; `first_alarm`: epoch, 0 without one."""
     return min(max(first_alarm - hold - 1, 0), steps) if first_alarm > 0 else steps
 
 
 @njit
-def undetected_displacement(largest, first_alarm, hold):
+def select_undetected(largest, first_alarm, hold):
     """Undetected displacement: (R,) [m]. `largest` (K + 1, R) displacement so far, from the onset
     on, which may be NaN after an alarm [m]; `first_alarm` (R,) its epoch, from 1 on, 0 without
     one up to epoch K + `hold`."""
     out = np.empty(len(first_alarm))
     for r in range(len(out)):
-        out[r] = largest[last_counted(first_alarm[r], hold, len(largest) - 1), r]
+        out[r] = largest[find_last_counted(first_alarm[r], hold, len(largest) - 1), r]
     return out
 
 
@@ -179,7 +179,7 @@ def score(
         first = alarm and not detected[b]
         finished = running and (count == window or early[b])
         values[GAIN, b] = now - before if running and not alarm and not detected[b] else 0.0
-        counted = largest[last_counted(count, hold, steps), b]
+        counted = largest[find_last_counted(count, hold, steps), b]
         values[RETRACTION, b] = counted - before if first else 0.0
         detected[b] = detected[b] or first
         undetected[b] += values[GAIN, b]
@@ -345,7 +345,7 @@ def finish(
 
 
 @njit
-def play(
+def play_epoch(
     entries,
     numbers,
     flags,
@@ -396,7 +396,7 @@ def play(
     largest, alarms = floats_at(entries, LARGEST), flags_at(memories, ALARMS)
     if score(
         alarms.reshape((receivers, alarms.shape[0] // receivers)),
-        flags_at(entries, NOBODY),
+        flags_at(entries, NO_ROWS),
         rules,
         step_count,
         detected,
@@ -414,7 +414,7 @@ def play(
         detected,
         ended,
         undetected,
-        flags_at(entries, NOBODY),
+        flags_at(entries, NO_ROWS),
         flags_at(entries, WARMUP),
         flags_at(entries, IS_COASTING),
         epochs,

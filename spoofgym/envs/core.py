@@ -16,7 +16,7 @@ from ..simulation.domain import FloatArray
 from ..simulation.engine import Engine
 from ..simulation.monitors import PassiveDetectors, needed_monitors
 from ..simulation.setup import Setup
-from ..simulation.simulator import Given, Rngs, Rows, run_serially
+from ..simulation.simulator import FixedChoices, Rngs, Rows, run_serially
 from ._kernels import ALARM, COST, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
 from .observer import Observer
 from .scoring import (
@@ -34,7 +34,7 @@ from .scoring import (
 from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
 from .terms.action import CommandMap, Decisions, default_action
 from .terms.observation import KNOWLEDGE, Snapshot, default_terms
-from .terms.reward import Outcome, default_rewards, named_terms, reward_of, shares_of
+from .terms.reward import Outcome, compute_shares, default_rewards, named_terms, sum_terms
 from .terms.termination import AtAlarm, Ends, EpochState
 
 Listener = Callable[["SpoofCore", EpochState, Verdict], None]
@@ -64,7 +64,9 @@ class Core(Protocol):
     def info_names(self) -> tuple[str, ...]:
         """Keys of the information of a step."""
 
-    def reset(self, rngs: Rngs, rows: Rows | None = None, given: Given | None = None) -> None:
+    def reset(
+        self, rngs: Rngs, rows: Rows | None = None, given: FixedChoices | None = None
+    ) -> None:
         """Start new episodes of some receivers, all by default; one generator a row."""
 
     def step(self, action: FloatArray) -> tuple[StepResult | PlainResult, NDArray[np.float32]]:
@@ -108,7 +110,7 @@ class SpoofCore:
     engine, commands, score : Engine, CommandMap, DisplacementScore
         The receivers, what actions command, and what counts of the running episodes.
     settings : dict
-        Arguments as they were given, for `altered`.
+        Arguments as they were given, for `copy_with`.
     listeners : list of Listener
         Called at every epoch.
     """
@@ -175,7 +177,7 @@ class SpoofCore:
             self.reset_names += self._passive.reset_names
         own = set(map(type, monitors))
         monitors += [monitor for monitor in setup.monitors if type(monitor) not in own]
-        self.setup = setup.altered(monitors=monitors, kernel=PLAY)
+        self.setup = setup.copy_with(monitors=monitors, kernel=PLAY)
         self.engine = Engine(
             receivers,
             self.setup,
@@ -190,7 +192,7 @@ class SpoofCore:
         self.bounds = self.observer.low, self.observer.high
         self._origin = np.zeros((receivers, 2))
         self._decisions = Decisions(setup, receivers, len(self.commands.names))
-        self._everyone = np.arange(receivers)
+        self._all_rows = np.arange(receivers)
         self.action_names = self.commands.names
         self.commands.aim(self.heading_rad)
         self.score = DisplacementScore(receivers, setup.steps, setup.hold)
@@ -221,7 +223,7 @@ class SpoofCore:
 
     def set_rewards(self, terms: Sequence[Any]) -> None:
         self._reward_parts = named_terms(terms)
-        shares = shares_of(terms)
+        shares = compute_shares(terms)
         self._compiled = shares is not None
         self._fused = FusedStep(
             self.score,
@@ -243,7 +245,7 @@ class SpoofCore:
             self._reports_more or self._has_ends or not self._compiled or self.setup.repeat > 1
         )
 
-    def altered(self, setup: Setup | None = None, **changes: Any) -> SpoofCore:
+    def copy_with(self, setup: Setup | None = None, **changes: Any) -> SpoofCore:
         """A new core, not started yet, with another setup or other arguments, without listeners."""
         chosen = self.setup if setup is None else setup
         return SpoofCore(self.receivers, chosen, **{**self.settings, **changes})
@@ -259,8 +261,10 @@ class SpoofCore:
     def observe(self) -> NDArray[np.float32]:
         return self.observer.observe(self.snapshot())
 
-    def reset(self, rngs: Rngs, rows: Rows | None = None, given: Given | None = None) -> None:
-        where = self._everyone if rows is None else rows
+    def reset(
+        self, rngs: Rngs, rows: Rows | None = None, given: FixedChoices | None = None
+    ) -> None:
+        where = self._all_rows if rows is None else rows
         self.engine.reset(rngs, rows, given)
         self.score.reset(where)
         if self._done is not None:  # an interrupted decision may have left some
@@ -336,7 +340,7 @@ class SpoofCore:
     def _score_apart(
         self, command: FloatArray, result: StepResult, seen: NDArray[np.float32]
     ) -> None:
-        engine, early = self.engine, self.score.nobody
+        engine, early = self.engine, self.score.no_rows
         verdict = engine.step(command)
         engine.simulator.displacement(self._origin, engine.twin, result.displacement)
         if self._has_ends or self.listeners:
@@ -379,7 +383,7 @@ class SpoofCore:
         alarms = marks[FIRST], values[COST] > 0.0, marks[ALARM]
         over = result.terminated | result.truncated
         outcome = Outcome(*moved, *alarms, action, self.score.undetected, over)
-        values[REWARD] = reward_of(self._reward_parts, outcome, result.extra)
+        values[REWARD] = sum_terms(self._reward_parts, outcome, result.extra)
 
     def _judge_ends(self, result: StepResult, verdict: Verdict) -> Mask:
         """(B,) whether the last command came before the end of the window; calls the listeners."""
@@ -388,7 +392,7 @@ class SpoofCore:
         for listener in self.listeners:
             listener(self, state, verdict)
         if not self._has_ends:
-            return self.score.nobody
+            return self.score.no_rows
         early, truncated = self._ends.judge(state, result.extra)
         result.marks[TRUNCATED] = truncated
         return early
@@ -410,23 +414,23 @@ class _DoneRows:
     def __init__(self, engine: Engine) -> None:
         whole = [engine.simulator] if engine.twin is None else [engine.simulator, engine.twin]
         self._pairs = [(each.setup.simulator(each.receivers, run_serially), each) for each in whole]
-        self._kept: Mask = np.zeros(engine.receivers, dtype=np.bool_)
+        self._stored: Mask = np.zeros(engine.receivers, dtype=np.bool_)
 
     def keep(self, rows: Rows) -> None:
         if len(rows):
             for copy, simulator in self._pairs:
                 copy.copy_rows(rows, simulator, rows)
-            self._kept[rows] = True
+            self._stored[rows] = True
 
     def turn_back(self) -> None:
         """Put back those that have come to the end of their flight: there is no epoch after it."""
         simulator = self._pairs[0][1]
         end = simulator.memory["first"] + simulator.setup.length
-        self._put_back(np.flatnonzero(self._kept & (simulator.epochs >= end)))
+        self._put_back(np.flatnonzero(self._stored & (simulator.epochs >= end)))
 
     def restore(self) -> None:
-        self._put_back(np.flatnonzero(self._kept))
-        self._kept[:] = False
+        self._put_back(np.flatnonzero(self._stored))
+        self._stored[:] = False
 
     def _put_back(self, rows: Rows) -> None:
         if len(rows):
@@ -434,7 +438,7 @@ class _DoneRows:
                 simulator.copy_rows(rows, copy, rows)
 
     def drop(self, rows: Rows) -> None:
-        self._kept[rows] = False
+        self._stored[rows] = False
 
 
 class PassiveInfo:

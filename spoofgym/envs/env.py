@@ -21,18 +21,18 @@ from .options import (
     Array,
     InfoSpec,
     action_space,
-    autoreset_mode_of,
+    add_masks,
     checked_action,
     checked_seed,
-    chosen,
     domain_option,
     info_keys,
-    mask_of,
-    masked,
+    list_seeds,
     observation_space,
     of_rows,
-    reseeded,
-    seeds_of,
+    parse_autoreset_mode,
+    read_mask,
+    reseed,
+    select_info,
     warn_unknown,
     whole_reset,
 )
@@ -100,7 +100,7 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
         self._halfway = False
 
     @property
-    def begun(self) -> bool:
+    def is_started(self) -> bool:
         return self._stopped is not NOT_RESET
 
     def reset(
@@ -118,7 +118,7 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
         self._stopped = None
         info = {name: array.item() for name, array in self.core.reset_info().items()}
         if self._screen is not None:
-            self._screen.begin(info)
+            self._screen.start_episode(info)
         return self.core.observe()[0], info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -197,7 +197,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
                 f"{LIMIT} must be more than the {core.episode_steps} steps that an "
                 f"episode has, got {limit}; the end term 'at-steps' cuts it short"
             )
-        self.autoreset_mode = autoreset_mode_of(autoreset_mode)
+        self.autoreset_mode = parse_autoreset_mode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = None
         self._infos = infos
@@ -219,7 +219,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         self._all = np.ones(self.num_envs, dtype=np.bool_)
 
     @property
-    def begun(self) -> bool:
+    def is_started(self) -> bool:
         return bool(self._rngs)
 
     def reset(
@@ -233,16 +233,16 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         circumstances not to be drawn, each one value or (B,) of them, see
         `spoofgym.simulation.domain.CHOICES`. Returns `observation` (B, o) float32."""
         warn_unknown(options, ("domain", RESET_MASK))
-        mask = mask_of(options, self.num_envs)
+        mask = read_mask(options, self.num_envs)
         if mask is None:
             mask = self._all.copy()
         elif not self._rngs and not mask.all():
             raise ValueError("the first reset must be that of all receivers")
         elif self._halfway and not mask.all():
             raise ValueError("the reset after an interrupted step must be that of all receivers")
-        seeds = seeds_of(seed, self.num_envs)
+        seeds = list_seeds(seed, self.num_envs)
         super().reset(seed=seeds[0] if isinstance(seed, int | np.integer) else None)
-        self._rngs = reseeded(self._rngs, seeds, mask)
+        self._rngs = reseed(self._rngs, seeds, mask)
         given = domain_option(options)
         with whole_reset(self):
             if mask.all():
@@ -250,7 +250,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
                 self._over[:] = False
             else:
                 self._restart(mask, given)
-        return self.core.observe(), self._masked(self.core.reset_info(), mask)
+        return self.core.observe(), self._add_masks(self.core.reset_info(), mask)
 
     def _restart(self, mask: NDArray[np.bool_], given: Mapping[str, Any] | None = None) -> None:
         rows = np.flatnonzero(mask)
@@ -258,15 +258,15 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         self.core.reset([self._rngs[row] for row in rows], rows, chosen_given)
         self._over[rows] = False
 
-    def _masked(self, info: dict[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
-        return masked(chosen(info, self._keys), mask)
+    def _add_masks(self, info: dict[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
+        return add_masks(select_info(info, self._keys), mask)
 
-    def _reported(
+    def _report_step(
         self, result: StepResult | PlainResult
     ) -> tuple[Array, Array, Array, dict[str, Any]]:
         if self._keys is None and isinstance(result, StepResult) and not result.extra:
-            return result.masked()
-        info = self._masked(result.info, self._all)
+            return result.unpack_with_masks()
+        info = self._add_masks(result.info, self._all)
         return result.reward, result.terminated, result.truncated, info
 
     def _mark_all(self, info: dict[str, Any]) -> None:
@@ -298,7 +298,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
 
     def _plain_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         result, observation = self.core.step(given)
-        reward, terminated, truncated, info = self._reported(result)
+        reward, terminated, truncated, info = self._report_step(result)
         self._over = terminated | truncated
         return observation, reward, terminated, truncated, info
 
@@ -306,7 +306,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         over = np.count_nonzero(self._over)
         if over == self.num_envs:
             self._restart(self._all)
-            info = self._masked(self.core.reset_info(), self._all)
+            info = self._add_masks(self.core.reset_info(), self._all)
             never = np.zeros_like(self._over)
             return self.core.observe(), np.zeros(self.num_envs), never, never.copy(), info
         result, observation = self.core.step(given)
@@ -317,7 +317,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
             info = self._restart_instead(self._over, result.info)
             observation = self.core.observe()
         else:
-            reward, terminated, truncated, info = self._reported(result)
+            reward, terminated, truncated, info = self._report_step(result)
         self._over = terminated | truncated
         return observation, reward, terminated, truncated, info
 
@@ -327,7 +327,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         start = self.core.reset_info()
         for name, array in info.items():
             array[fresh] = start[name][fresh] if name in start else 0
-        result = self._masked(info, ~fresh)
+        result = self._add_masks(info, ~fresh)
         self._mark_all(result)
         return result
 
@@ -335,19 +335,19 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         result, observation = self.core.step(given)
         over = result.terminated | result.truncated
         if not np.count_nonzero(over):
-            return observation, *self._reported(result)
+            return observation, *self._report_step(result)
         final = np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(over):
             final[row] = observation[row].copy()
-        wanted = chosen(result.info, self._keys)
+        wanted = select_info(result.info, self._keys)
         last = {name: _where(over, array) for name, array in wanted.items()}
         self._restart(over)
         start = self.core.reset_info()
         values = {name: _where(~over, array, start.get(name)) for name, array in wanted.items()}
-        info = masked(values, ~over)
+        info = add_masks(values, ~over)
         self._mark_all(info)
         info["final_obs"], info["_final_obs"] = final, over.copy()
-        info["final_info"] = masked(last, over)
+        info["final_info"] = add_masks(last, over)
         info["_final_info"] = over.copy()
         return self.core.observe(), result.reward, result.terminated, result.truncated, info
 

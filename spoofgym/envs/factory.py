@@ -26,15 +26,15 @@ CORE = {
 """Settings of an environment that are no settings of its victim."""
 
 
-def settings_of(setup_type: type[Setup]) -> dict[str, inspect.Parameter]:
+def list_parameters(setup_type: type[Setup]) -> dict[str, inspect.Parameter]:
     own = inspect.signature(setup_type).parameters
     return {**own, **CORE}
 
 
-def signature_of(setup_type: type[Setup], own: inspect.Signature) -> inspect.Signature:
+def expand_signature(setup_type: type[Setup], own: inspect.Signature) -> inspect.Signature:
     """Arguments `own` of an environment's class, with all settings in place of ``**settings``."""
     kept = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD and p.name != "self"]
-    return own.replace(parameters=[*kept, *settings_of(setup_type).values()])
+    return own.replace(parameters=[*kept, *list_parameters(setup_type).values()])
 
 
 def make_setup(setup_type: type[S], settings: Mapping[str, Any]) -> S:
@@ -42,7 +42,7 @@ def make_setup(setup_type: type[S], settings: Mapping[str, Any]) -> S:
     own = inspect.signature(setup_type).parameters
     chosen = {name: settings[name] for name in own if settings.get(name) is not None}
     setup = setup_type(**chosen)
-    setup.given = chosen
+    setup.raw_settings = chosen
     return setup
 
 
@@ -56,7 +56,7 @@ def make_core(
     whose: str = "the environment",
 ) -> SpoofCore:
     """Core from settings that fit into JSON; an unknown one is a TypeError with the valid ones."""
-    check_keywords(whose, settings, settings_of(setup_type))
+    check_keywords(whose, settings, list_parameters(setup_type))
     setup = make_setup(setup_type, settings)
     chosen = {name: settings[name] for name in CORE if settings.get(name) is not None}
     return SpoofCore(receivers, setup, threads=threads, prefetch=prefetch, **chosen)
@@ -73,19 +73,19 @@ def compose(
     """Set the detector, at a rate of false alarms, add passive detectors and end terms, of an
     environment not reset yet. A detector that its id brings is replaced."""
     inner = composable(env)
-    if inner.begun:
+    if inner.is_started:
         raise RuntimeError("an episode has started: compose the environment before reset()")
     changes: dict[str, Any] = {}
     before: SpoofCore = inner.core
     setup = before.setup
     if detector is not None:
-        present = inner.given_detector
+        present = inner.detector_setting
         if present is not None and (inner.wrapped or present != _detector_of_id(inner)):
             raise ValueError(
                 f"two detectors are set at once: {present!r} and {detector!r}; "
                 "one alone can be in the loop, others are passive"
             )
-        setup = setup.altered(detector=detector_in_world(detector, false_alarms_per_hour))
+        setup = setup.copy_with(detector=detector_in_world(detector, false_alarms_per_hour))
     if watch:
         changes["watch"] = (*before.settings["watch"], *make_watch(watch))
     if end:
@@ -93,12 +93,12 @@ def compose(
         if present is None:
             present = (AtAlarm(),) if before.end_at_alarm else ()
         changes["end"] = (*present, *make_terms("end", end))
-    core = before.altered(setup, **changes)
+    core = before.copy_with(setup, **changes)
     core.listeners = before.listeners
     inner.adopt(core)
     before.close()
     if detector is not None:
-        inner.given_detector, inner.wrapped = detector, True
+        inner.detector_setting, inner.wrapped = detector, True
 
 
 def _detector_of_id(inner: Any) -> Any:
@@ -114,7 +114,7 @@ def composable(env: Any, *, unset: bool = True) -> Any:
     them."""
     inner = getattr(env, "unwrapped", env)
     is_ours = isinstance(getattr(inner, "core", None), SpoofCore)
-    if not is_ours or (unset and not hasattr(inner, "given_detector")):
+    if not is_ours or (unset and not hasattr(inner, "detector_setting")):
         raise TypeError(
             f"`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv, wrapped or not, got "
             f"{env!r}; `gymnasium.make_vec` makes one by its default vectorization mode"

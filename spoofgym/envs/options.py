@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..core.declared import check_word
 from ..core.registry import check_choice, whole_number
-from ..simulation.domain import each_of
+from ..simulation.domain import expand_values
 from ._kernels import within
 from .core import Core
 
@@ -51,7 +51,7 @@ def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -
             )
 
 
-def mask_of(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.bool_] | None:
+def read_mask(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.bool_] | None:
     """Which receivers are to be reset: (B,) bool, a copy; None for all of them."""
     if options is None or RESET_MASK not in options:
         return None
@@ -68,7 +68,7 @@ def mask_of(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.boo
     return mask.copy()
 
 
-def seeds_of(seed: Any, receivers: int) -> list[int | None]:
+def list_seeds(seed: Any, receivers: int) -> list[int | None]:
     """Seed of every receiver.  Returns None where the stream of the receiver goes on."""
     if seed is None:
         return [None] * receivers
@@ -81,7 +81,7 @@ def seeds_of(seed: Any, receivers: int) -> list[int | None]:
     return seeds
 
 
-def reseeded(
+def reseed(
     rngs: Sequence[np.random.Generator], seeds: Sequence[int | None], mask: NDArray[np.bool_]
 ) -> list[np.random.Generator]:
     """A generator a receiver: new ones at first, and where a receiver of the mask has a seed."""
@@ -98,7 +98,7 @@ def checked_seed(seed: Any) -> int | None:
 
 
 def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dict[str, Any]:
-    values = {name: each_of(name, value, count) for name, value in given.items()}
+    values = {name: expand_values(name, value, count) for name, value in given.items()}
     return {name: [each[row] for row in rows] for name, each in values.items()}
 
 
@@ -135,7 +135,7 @@ def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) 
     return array
 
 
-def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
+def parse_autoreset_mode(given: str | AutoresetMode) -> AutoresetMode:
     if isinstance(given, AutoresetMode):
         return given
     word = str(given).lower().removeprefix("autoresetmode.")
@@ -162,13 +162,13 @@ def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
     return frozenset(keys)
 
 
-def chosen(info: Mapping[str, Array], keys: frozenset[str] | None) -> Mapping[str, Array]:
+def select_info(info: Mapping[str, Array], keys: frozenset[str] | None) -> Mapping[str, Array]:
     if keys is None:
         return info
     return {name: array for name, array in info.items() if name in keys}
 
 
-def masked(info: Mapping[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
+def add_masks(info: Mapping[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
     """Arrays with the masks of the receivers that have them.  `info` (B,) arrays."""
     masks = np.empty((len(info), len(mask)), dtype=np.bool_)  # a row each, so that none is shared
     masks[:] = mask

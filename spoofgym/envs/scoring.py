@@ -113,7 +113,7 @@ class StepResult:
         info.update(self.extra)
         return info
 
-    def masked(self) -> tuple[FloatArray, Mask, Mask, Info]:
+    def unpack_with_masks(self) -> tuple[FloatArray, Mask, Mask, Info]:
         """Rewards, ends and information, with masks that every receiver has it; no `extra`."""
         layout, values, marks = self._layout, list(self.values), list(self.marks)
         rows = values[: _kernels.GAIN] + marks[: len(MARK_NAMES)] + marks[MARKS:]
@@ -162,7 +162,7 @@ class StepResult:
 
 Hold = Callable[[NDArray[np.intp]], tuple[Mask, Mask | None]]
 """Lets receivers run the time to alert; (hold, b) alarms by epoch, and of their clean twins."""
-_VIEWS = ("step_count", "undetected", "largest", "detected", "ended", "nobody", "twin_alarmed")
+_VIEWS = ("step_count", "undetected", "largest", "detected", "ended", "no_rows", "twin_alarmed")
 
 
 class DisplacementScore:
@@ -174,7 +174,7 @@ class DisplacementScore:
     - `largest` (steps + 1, B) largest displacement so far after each epoch [m];
     - `detected` (B,) bool, whether the attack has raised an alarm;
     - `ended` (B,) bool, whether the episode is over, so that nothing more counts;
-    - `nobody` (B,) bool, False;
+    - `no_rows` (B,) bool, False;
     - `twin_alarmed` (B,) bool, whether the clean twin has alarmed since the onset; False without.
     """
 
@@ -183,7 +183,7 @@ class DisplacementScore:
     largest: FloatArray
     detected: Mask
     ended: Mask
-    nobody: Mask
+    no_rows: Mask
     twin_alarmed: Mask
 
     def __init__(self, receivers: int, steps: int, hold: int) -> None:
@@ -223,9 +223,7 @@ class DisplacementScore:
             self.twin_alarmed[rows] |= so_far[by_then, np.arange(len(rows))]
         last = np.minimum(self.step_count[rows], self.steps)
         first = last + 1 + late.argmax(axis=0)
-        counted = _kernels.undetected_displacement(
-            np.take(self.largest, rows, axis=1), first, self.hold
-        )
+        counted = _kernels.select_undetected(np.take(self.largest, rows, axis=1), first, self.hold)
         back = np.where(alarmed, counted - self.largest[last, rows], 0.0)
         values[_kernels.RETRACTION, rows] = back
         marks[_kernels.FIRST, rows] = alarmed
@@ -237,8 +235,8 @@ class DisplacementScore:
 class FusedStep:
     """An epoch's score, information, reward and simple observation in one kernel. `worst` says that
     displacement counts in any direction; `parts` are the keys of the rewards that `shares` (r, 4)
-    give as in `reward.shares_of`; `table`, `command` and `per_rate` are those of `Observer`; an
-    episode ends after `window` epochs."""
+    give as in `reward.compute_shares`; `table`, `command` and `per_rate` are those of `Observer`;
+    an episode ends after `window` epochs."""
 
     def __init__(
         self,
@@ -265,10 +263,10 @@ class FusedStep:
         self._fixed = (score.raw, rules, per_rate, table)
 
     def arrays(self) -> tuple[NDArray[Any], ...]:
-        """What `_kernels.play` needs of it, in the order of its table."""
+        """What `_kernels.play_epoch` needs of it, in the order of its table."""
         score, (_, *rest) = self.score, self._fixed
         now = score.step_count, score.undetected, score.largest, score.detected, score.ended
-        return *now, score.nobody, *rest
+        return *now, score.no_rows, *rest
 
     def __call__(
         self,
@@ -307,14 +305,14 @@ class FusedStep:
         hold: Hold,
     ) -> None:
         self.score.score_hold(result, hold)
-        nobody, written = self.score.nobody, (result.numbers, result.flags, seen)
+        nobody, written = self.score.no_rows, (result.numbers, result.flags, seen)
         # the time to alert has moved the receivers, and with them their arrays
         arrays = alarm, nobody, warmup_alarm, *simulator.step_arrays()
         _kernels.finish(True, *self._fixed, *arrays, *written)
 
 
 PLAY = SequelKernel(
-    _kernels.play,
+    _kernels.play_epoch,
     (
         np.zeros(0, dtype=np.int64),
         np.zeros(0),
@@ -355,7 +353,7 @@ class ScoredStep:
         self._fused.hold(*given, self._run_hold)
 
     def __call__(self, simulator: Simulator, verdict: Verdict) -> None:
-        result, nobody = self.result, self._fused.score.nobody
+        result, nobody = self.result, self._fused.score.no_rows
         simulator.displacement(self._origin, None, result.displacement)
         given = simulator, verdict.alarm, nobody, simulator.memory["warmup_alarm"]
         self._fused(*given, result, self.seen, self._run_hold)

@@ -10,8 +10,8 @@ from contextlib import suppress
 from numbers import Real
 from typing import Any
 
-from ..core.settings import describe, kind_of, unlike
-from ..detectors.calibrated import resolve
+from ..core.settings import describe, format_card_diff, get_kind
+from ..detectors.calibrated import resolve_thresholds
 from ..policies.card import SpooferCard
 from ..simulation import LooselyCoupledSetup, SnapshotSetup, TightlyCoupledSetup, WheeledRobotSetup
 from ..simulation.monitors import Monitor, PastPositions, needed_monitors
@@ -25,7 +25,7 @@ from ..spoofers import (
 from ..spoofers.base import TARGET, has_heading
 from ..spoofers.build import card_behind
 from .core import SpoofCore
-from .factory import composable, make_setup, settings_of
+from .factory import composable, list_parameters, make_setup
 from .observer import Observer
 from .options import action_space, observation_space
 from .terms import make_terms
@@ -87,18 +87,20 @@ def attach(
     context = spoofer_context(core.setup, core.receivers, core.observer, core.commands)
     card = card_behind(made)
     if card is not None:
-        found = _wrapped(env, core, card) + card.differences(context)
+        found = _compare_spaces(env, core, card) + card.diff_context(context)
         if not transfer:
             made_for = setup_of_card(card)
             with suppress(ValueError):  # without a calibration there is no such environment, either
-                resolve(made_for.detector, made_for)  # which looks its thresholds up by a rate
-            found += unlike(_settings(made_for), _settings(core.setup))
+                resolve_thresholds(
+                    made_for.detector, made_for
+                )  # which looks its thresholds up by a rate
+            found += format_card_diff(_settings(made_for), _settings(core.setup))
         if found:
             hint = "" if transfer else " (`transfer=True` allows for other settings alone)"
             raise ValueError(
                 f"{card.name!r} was made for another environment{hint}:\n  " + "\n  ".join(found)
             )
-    if paced(core.setup, made).repeat != core.setup.repeat:
+    if apply_pace(core.setup, made).repeat != core.setup.repeat:
         raise ValueError(
             f"{type(made).__name__} decides every {made.decision_interval_s:g} s, and this "
             f"environment asks it every {core.setup.interval_s:g} s: make it with "
@@ -146,7 +148,7 @@ def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
         )
 
 
-def commands_of(spoofer: Spoofer, setup: Setup) -> CommandMap:
+def make_command_map(spoofer: Spoofer, setup: Setup) -> CommandMap:
     """How the actions of a spoofer command an attack that nothing else stands before. A policy acts
     as in the environment that it was made in, all others by the attack's own elements."""
     given = spoofer.action_terms
@@ -160,14 +162,14 @@ def monitors_for(spoofers: Iterable[Spoofer], setup: Setup) -> list[Monitor]:
     return needed_monitors(term for each in known for term in default_terms(setup, each))
 
 
-def paced(setup: Setup, spoofer: Spoofer) -> Setup:
+def apply_pace(setup: Setup, spoofer: Spoofer) -> Setup:
     """The same world, in which decisions are due as a spoofer takes them."""
     every, between = spoofer.decision_interval_s, spoofer.between
     if every is None and between == "hold":
         return setup
     name = spoofer.label or type(spoofer).__name__
     try:
-        own = setup.altered(pace=(every, between))
+        own = setup.copy_with(pace=(every, between))
     except (TypeError, ValueError) as error:
         given = f"decision_interval_s={every!r} and between={between!r}"
         raise ValueError(f"{name} decides by {given}: {error}") from error
@@ -182,8 +184,8 @@ def paced(setup: Setup, spoofer: Spoofer) -> Setup:
     return setup
 
 
-def tuning_range_of(spoofer: Spoofer, setup: Setup) -> tuple[float, float]:
-    return type(spoofer).tuning_range(spoofer_context(paced(setup, spoofer)))
+def get_tuning_range(spoofer: Spoofer, setup: Setup) -> tuple[float, float]:
+    return type(spoofer).tuning_range(spoofer_context(apply_pace(setup, spoofer)))
 
 
 def bound_spoofer(
@@ -191,7 +193,7 @@ def bound_spoofer(
 ) -> tuple[SpooferContext, Observer, CommandMap]:
     """What a spoofer is given that commands the attack itself, what it observes, its commands. It
     decides at its own pace."""
-    setup = paced(setup, spoofer)
+    setup = apply_pace(setup, spoofer)
     if REPORTED in spoofer.knowledge and not any(
         isinstance(monitor, PastPositions) for monitor in setup.monitors
     ):
@@ -199,7 +201,7 @@ def bound_spoofer(
             f"{type(spoofer).__name__} knows what the victim reports ({spoofer.knowledge}), which "
             "only environments with such a `knowledge` let it observe"
         )
-    commands = commands_of(spoofer, setup)
+    commands = make_command_map(spoofer, setup)
     terms = default_terms(setup, spoofer.knowledge, along_target=commands.along_target)
     observer = Observer(terms, setup)
     return spoofer_context(setup, receivers, observer, commands), observer, commands
@@ -250,7 +252,7 @@ def setup_of_card(card: SpooferCard) -> Setup:
             f"{card.env_id!r}"
         )
     kind = SETUPS[card.env_id]
-    valid = settings_of(kind)
+    valid = list_parameters(kind)
     unknown = [name for name in card.env_kwargs if name not in valid]
     if unknown:
         raise ValueError(
@@ -263,7 +265,7 @@ def setup_of_card(card: SpooferCard) -> Setup:
         raise ValueError(f"card of {card.name!r}: `env_kwargs`: {error}") from error
 
 
-def _wrapped(env: Any, core: SpoofCore, card: SpooferCard) -> list[str]:
+def _compare_spaces(env: Any, core: SpoofCore, card: SpooferCard) -> list[str]:
     found = []
     for word, inner in (("observation", observation_space(core)), ("action", action_space(core))):
         if word == "observation" and card.observation is None:
@@ -279,15 +281,15 @@ def _settings(setup: Setup) -> dict[str, Any]:
     found = {}
     for name, parameter in inspect.signature(type(setup)).parameters.items():
         # not every victim keeps a setting as it was given
-        given = (setup.given or {}).get(name, parameter.default)
-        found[name] = _described(getattr(setup, name, given))
+        given = (setup.raw_settings or {}).get(name, parameter.default)
+        found[name] = _describe_part(getattr(setup, name, given))
     return found
 
 
-def _described(part: Any) -> Any:
+def _describe_part(part: Any) -> Any:
     """A part of the setup by its settings; a class of the user, by its name."""
     if part is None or isinstance(part, str):
         return part
     if isinstance(part, Real):
         return float(part)
-    return describe(part) if dataclasses.is_dataclass(part) else kind_of(type(part))
+    return describe(part) if dataclasses.is_dataclass(part) else get_kind(type(part))

@@ -14,7 +14,7 @@ from ..simulation.snapshot import SnapshotSetup
 from ..simulation.tight import TightlyCoupledSetup
 from .core import SpoofCore
 from .env import CoreEnv, CoreVectorEnv
-from .factory import make_core, signature_of
+from .factory import expand_signature, make_core
 from .options import InfoSpec, check_vector_settings
 
 
@@ -27,16 +27,16 @@ class _Victim:
         super().__init_subclass__(**kwargs)
         if hasattr(cls, "setup_type"):
             own = inspect.signature(cls.__init__)
-            cls.__signature__ = signature_of(cls.setup_type, own)  # type: ignore[attr-defined]
+            cls.__signature__ = expand_signature(cls.setup_type, own)  # type: ignore[attr-defined]
 
 
 class VictimEnv(_Victim, CoreEnv[SpoofCore]):
-    """A spoofer against one receiver; `given_detector` is what was set, None for the default,
+    """A spoofer against one receiver; `detector_setting` is what was set, None for the default,
     `wrapped` whether a wrapper set it."""
 
     def __init__(self, *, render_mode: str | None = None, **settings: Any) -> None:
         core = make_core(self.setup_type, 1, settings, threads=1, whose=type(self).__name__)
-        self.given_detector: Any = settings.get("detector")
+        self.detector_setting: Any = settings.get("detector")
         self.wrapped = False
         super().__init__(core, render_mode)
 
@@ -65,7 +65,7 @@ class VictimVectorEnv(_Victim, CoreVectorEnv[SpoofCore]):
             prefetch=self.setup_type.threaded if prefetch is None else prefetch,
             whose=type(self).__name__,
         )
-        self.given_detector: Any = settings.get("detector")
+        self.detector_setting: Any = settings.get("detector")
         self.wrapped = False
         super().__init__(core, autoreset_mode, infos, max_episode_steps)
 
@@ -224,7 +224,7 @@ class SpoofEnv(VictimEnv):
     ----------
     observation_names, action_names : tuple of str
         Name of every element.
-    given_detector : object
+    detector_setting : object
         Detector that has been set, as it was given; None for the default.
 
     Examples

@@ -1,15 +1,15 @@
 """How far an attack can go unseen, whoever looks: floor, blind optimum and zero-alarm bound.
 
-- `frontier_of`: the floor, the displacement that even a perfect detector would allow;
+- `compute_frontier`: the floor, the displacement that even a perfect detector would allow;
 - `power`, `deflection_for`: what the best possible test can do;
-- `zero_alarm_of`: what no attack exceeds in the mean without an alarm of its own doing;
+- `compute_zero_alarm`: what no attack exceeds in the mean without an alarm of its own doing;
 - `Replay`: response replay, by which passive detectors judge any open-loop attack.
 """
 
 from __future__ import annotations
 
-from .bounds import Attacker, zero_alarm_of
-from .floor import ASSUMPTIONS, Analyst, Frontier, WorldFrontier, frontier_of
+from .bounds import Attacker, compute_zero_alarm
+from .floor import ASSUMPTIONS, Analyst, Frontier, WorldFrontier, compute_frontier
 from .linear import Commands, LinearRun, Response, record, respond, unit_commands
 from .power import deflection_for, power
 from .response import NotReplayable, Replay
@@ -27,11 +27,11 @@ __all__ = [
     "Replay",
     "Response",
     "WorldFrontier",
+    "compute_frontier",
+    "compute_zero_alarm",
     "deflection_for",
-    "frontier_of",
     "power",
     "record",
     "respond",
     "unit_commands",
-    "zero_alarm_of",
 ]

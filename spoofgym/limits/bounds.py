@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from ..detectors import Calibrated, Detector, SolutionSeparation
 from ..detectors.base import FloatArray, IntArray
-from ..simulation.setup import generators_of, seeds_of_runs
+from ..simulation.setup import make_generators, seeds_of_runs
 from ..simulation.tight import TightlyCoupledSetup
 from .convex import Optimum, Program
 from .floor import check_linear_victim
@@ -44,7 +44,7 @@ from .linear import (
 from .no_alarm import Judged, Timing, judged_by
 from .zero_alarm import Bound, Kind, Sensitivity, checked_direction, sensitivity
 
-Tick = Callable[[float], None]
+WorkCallback = Callable[[float], None]
 HATS = 24
 """Hat functions of the rate of a restricted attack."""
 ASSUMPTIONS = (
@@ -80,7 +80,7 @@ class Attacker(NamedTuple):
     change_limit_mps: float = math.inf
 
 
-def zero_alarm_of(
+def compute_zero_alarm(
     detector: Detector,
     run: LinearRun,
     timing: Timing,
@@ -122,10 +122,14 @@ def zero_alarm_of(
     """
     of = sensitivity(run, epoch, direction)
     test = judged_by(detector, run, timing)
-    return _free(test, of) if attacker is None else _restricted(test, epoch, direction, attacker)
+    return (
+        _bound_unrestricted(test, of)
+        if attacker is None
+        else _bound_restricted(test, epoch, direction, attacker)
+    )
 
 
-def _free(test: Judged, of: Sensitivity) -> Bound:
+def _bound_unrestricted(test: Judged, of: Sensitivity) -> Bound:
     worth = np.zeros(test.matrix.shape[:2])
     inverse = np.asarray(np.linalg.pinv(test.matrix))
     for k, g in enumerate(of.rows):
@@ -144,13 +148,13 @@ def _free(test: Judged, of: Sensitivity) -> Bound:
     test.hold(program, ids)
     found = program.solve()
     if found.x is None:
-        return not_attained(found, of.epoch, of.direction)
+        return report_unattained(found, of.epoch, of.direction)
     y = np.append(found.x, 0.0)[ids]
     y = y * along if test.rotates else y
     return of.bound(found.value, "exact", np.einsum("kmr,kr->km", inverse, y))
 
 
-def _restricted(test: Judged, epoch: int, direction: ArrayLike, attacker: Attacker) -> Bound:
+def _bound_restricted(test: Judged, epoch: int, direction: ArrayLike, attacker: Attacker) -> Bound:
     north, east = checked_direction(direction)
     n = np.array([north, east]) @ attacker.response.position[epoch, :2]
     program = Program()
@@ -159,17 +163,17 @@ def _restricted(test: Judged, epoch: int, direction: ArrayLike, attacker: Attack
     hold_motion(program, commands, attacker)
     active = np.asarray(test.matrix.any(axis=2))
     ids = program.variables(active)
-    lead_to(program, commands, test.seen(attacker.response.innovation)[active], ids[active])
+    lead_to(program, commands, test.transform(attacker.response.innovation)[active], ids[active])
     test.hold(program, ids)
     found = program.solve()
     if found.x is None:
-        return not_attained(found, epoch, (north, east))
+        return report_unattained(found, epoch, (north, east))
     u = found.x[commands]
     innovation = attacker.response.innovation @ u
     return Bound(float(n @ u), "exact", epoch, (north, east), innovation, u)
 
 
-def not_attained(found: Optimum, epoch: int, direction: tuple[float, float]) -> Bound:
+def report_unattained(found: Optimum, epoch: int, direction: tuple[float, float]) -> Bound:
     kind: Kind = "upper" if np.isfinite(found.value) else "unbounded"
     return Bound(found.value, kind, epoch, direction, note=found.note)
 
@@ -194,7 +198,7 @@ def hold_motion(program: Program, commands: IntArray, attacker: Attacker) -> Non
     program.equal(columns, np.array([[1.0, -1.0, -1.0]]))
 
 
-class Case(NamedTuple):
+class WorldSample(NamedTuple):
     """One drawn world: the victim's filter, its response to commands, its seed."""
 
     run: LinearRun
@@ -226,28 +230,28 @@ class ZeroAlarm(NamedTuple):
         return {**words, "kind": self.kind, "why": self.why}
 
 
-def cases_of(
-    setup: TightlyCoupledSetup, worlds: int, entropy: int = 0, tick: Tick | None = None
-) -> list[Case]:
+def draw_worlds(
+    setup: TightlyCoupledSetup, worlds: int, entropy: int = 0, tick: WorkCallback | None = None
+) -> list[WorldSample]:
     check_linear_victim(setup)
     advance = tick or (lambda part: None)
     seeds = seeds_of_runs(entropy, "selection", setup.name, range(worlds))
     cases = []
     for seed in seeds:
-        run = record(setup, generators_of([unused_seed(seed)]))[0]
+        run = record(setup, make_generators([unused_seed(seed)]))[0]
         commands = unit_commands(setup, run.onset).in_hats(HATS)
-        cases.append(Case(run, along(commands, run, heading_of(setup)), seed))
+        cases.append(WorldSample(run, make_attacker(commands, run, get_heading(setup)), seed))
         advance(1.0 / worlds)
     return cases
 
 
-def heading_of(setup: TightlyCoupledSetup) -> float:
+def get_heading(setup: TightlyCoupledSetup) -> float:
     """Where scripted spoofers push: the target direction, or east where that is drawn [rad]."""
     fixed = setup.target_heading_deg
     return math.pi / 2.0 if isinstance(fixed, str) else math.radians(fixed)
 
 
-def along(commands: Commands, run: LinearRun, heading: float) -> Attacker | None:
+def make_attacker(commands: Commands, run: LinearRun, heading: float) -> Attacker | None:
     """An attack along one heading, within its limits; None where it moves no position."""
     if commands.heading is None or np.any(commands.idle):
         return None
@@ -261,8 +265,8 @@ def along(commands: Commands, run: LinearRun, heading: float) -> Attacker | None
 def zero_alarm_bounds(
     setup: TightlyCoupledSetup,
     detector: Detector,
-    cases: Sequence[Case],
-    tick: Tick | None = None,
+    cases: Sequence[WorldSample],
+    tick: WorkCallback | None = None,
 ) -> ZeroAlarm:
     """Bounds of a detector whose factors are known; if absent, the result states why."""
     advance = tick or (lambda part: None)
@@ -270,12 +274,12 @@ def zero_alarm_bounds(
     if isinstance(inner, SolutionSeparation):
         return _separation(setup, detector, inner, cases)
     timing, last = Timing.of(setup), setup.steps - 1
-    heading = heading_of(setup)
+    heading = get_heading(setup)
     at: dict[str, Any] = {"epoch": last, "direction": (math.cos(heading), math.sin(heading))}
 
     def bound(run: LinearRun, attacker: Attacker | None = None) -> Bound | str:
         try:
-            return zero_alarm_of(detector, run, timing, attacker=attacker, **at)
+            return compute_zero_alarm(detector, run, timing, attacker=attacker, **at)
         except RuntimeError as error:
             return str(error)
 
@@ -314,7 +318,7 @@ def _separation(
     setup: TightlyCoupledSetup,
     detector: Detector,
     inner: SolutionSeparation,
-    cases: Sequence[Case],
+    cases: Sequence[WorldSample],
 ) -> ZeroAlarm:
     """Bound of solution separation: its threshold in metres, at the end of the command phase. It
     shifts by the induced error of any attack, so that the bound is the same for a free one; it is
@@ -325,10 +329,10 @@ def _separation(
     bounds = []
     for case in cases:
         simulator = observer(setup, 1, inner.needs)
-        simulator.begin(generators_of([unused_seed(case.seed)]))
+        simulator.start_episodes(make_generators([unused_seed(case.seed)]))
         bank = copy.deepcopy(inner)
         simulator.bind_detector(bank)
-        simulator.quiet_epochs(setup.quiet)
+        simulator.run_filter_only(setup.filter_only)
         for _ in range(setup.live + setup.steps):
             bank.judge(simulator.advance())
             simulator.update(None)

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..detectors.base import BoolArray, FloatArray, IntArray
-from ..detectors.innovation_rate import FIRST_COVARIANCE, advance
-from .convex import Program, Rows
+from ..detectors.innovation_rate import FIRST_COVARIANCE, filter_sample
+from .convex import Program, SparseRows
 
 FIRST_ONSETS = 8
 """Onsets of a scan whose rows are there from the start, spaced by factors of two."""
@@ -202,7 +202,7 @@ def hold_scan(
         values = np.stack(split(float(n), sides.astype(np.float64), ramp), axis=2)
         return columns, values, judged & (known >= n)
 
-    def cut(point: FloatArray) -> Rows | None:
+    def cut(point: FloatArray) -> SparseRows | None:
         worst = np.full(y.shape, 0.0)
         chosen = np.zeros((*y.shape, 5), dtype=np.int64), np.zeros((*y.shape, 5))
         for n in range(1, window + 1):
@@ -213,7 +213,7 @@ def hold_scan(
             chosen[0][larger] = columns[larger]
             chosen[1][larger] = (np.sign(size)[:, :, None] * values)[larger]
         found = worst > 0.0
-        rows = Rows(chosen[0][found], chosen[1][found], root[found])
+        rows = SparseRows(chosen[0][found], chosen[1][found], root[found])
         return rows if found.any() else None
 
     for n in 2 ** np.arange(FIRST_ONSETS):
@@ -250,7 +250,7 @@ class RateFilter(NamedTuple):
         columns = []
         for start, sample in [*((row, 0.0) for row in np.eye(3)), (np.zeros(3), 1.0)]:
             state, P = start.copy(), covariance.copy()
-            advance(state, P, sample, *self)
+            filter_sample(state, P, sample, *self)
             columns.append(state)
         covariance[:] = P
         return np.column_stack(columns[:3]), columns[3]

@@ -24,7 +24,7 @@ MOST_ROUNDS = 60
 """Rounds of added rows before the search is given up; the scans of tests took fewer than 20."""
 
 
-class Rows(NamedTuple):
+class SparseRows(NamedTuple):
     """Rows of a sparse matrix: (p, q) columns and values, (p,) right-hand sides."""
 
     columns: IntArray
@@ -41,7 +41,7 @@ class Optimum(NamedTuple):
     note: str = ""
 
 
-Cuts = Callable[[FloatArray], Rows | None]
+Cuts = Callable[[FloatArray], SparseRows | None]
 """Rows that a point violates, or None; the point has a 0 at its end, which is variable -1."""
 
 
@@ -53,9 +53,9 @@ class Program:
         self._upper: list[FloatArray] = []
         self.size = 0
         self._worth: list[tuple[IntArray, FloatArray]] = []
-        self._equal: list[Rows] = []
-        self._below: list[Rows] = []
-        self._second_order: list[Rows] = []
+        self._equal: list[SparseRows] = []
+        self._below: list[SparseRows] = []
+        self._second_order: list[SparseRows] = []
         self._cuts: list[Cuts] = []
         self._far: list[tuple[IntArray, float]] = []
 
@@ -172,7 +172,7 @@ class Program:
         matrices = [matrix for matrix, _ in parts if matrix is not None]
         return sparse.vstack(matrices, format="csc"), np.concatenate([p[1] for p in parts]), cones
 
-    def _bounds(self) -> list[Rows]:
+    def _bounds(self) -> list[SparseRows]:
         found = []
         for sign, sides in ((1.0, self._upper), (-1.0, self._lower)):
             limits = np.concatenate(sides)
@@ -209,11 +209,13 @@ def clarabel_module() -> Any:
     return clarabel
 
 
-def _rows(columns: IntArray, values: FloatArray | float, rhs: FloatArray | float) -> Rows:
-    return Rows(columns, np.broadcast_to(values, columns.shape), np.broadcast_to(rhs, len(columns)))
+def _rows(columns: IntArray, values: FloatArray | float, rhs: FloatArray | float) -> SparseRows:
+    return SparseRows(
+        columns, np.broadcast_to(values, columns.shape), np.broadcast_to(rhs, len(columns))
+    )
 
 
-def _matrix(pieces: list[Rows], size: int) -> tuple[Any, FloatArray]:
+def _matrix(pieces: list[SparseRows], size: int) -> tuple[Any, FloatArray]:
     pieces = [each for each in pieces if len(each.columns)]
     if not pieces:
         return None, np.zeros(0)

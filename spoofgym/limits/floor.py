@@ -48,8 +48,8 @@ from ..detectors.base import FloatArray
 from ..receiver import TightlyCoupled
 from ..receiver.augmented import FIRST
 from ..receiver.states import ACCEL_BIAS, STATES
-from ..simulation.setup import generators_of, seeds_of_runs
-from ..simulation.simulator import Given
+from ..simulation.setup import make_generators, seeds_of_runs
+from ..simulation.simulator import FixedChoices
 from ..simulation.tight import TightlyCoupledSetup, TightlyCoupledSimulator
 from ..truth.events import BenignEvents
 from .linear import (
@@ -67,7 +67,7 @@ from .linear import (
 )
 from .power import deflection_for
 
-Tick = Callable[[float], None]
+WorkCallback = Callable[[float], None]
 HATS = 60
 """Hat functions of the rate, by axis; as many decisions lose 0.1 to 1 % of the frontier."""
 HEADINGS = 24  # of a target direction that is drawn
@@ -139,11 +139,11 @@ class Analyst:
         # which refuses worlds that the filter does not fit
         self.setup.combinations.signal_model(self.setup.interval_s)
 
-    def begun(
-        self, rngs: Sequence[np.random.Generator], given: Given | None = None
+    def start_simulator(
+        self, rngs: Sequence[np.random.Generator], given: FixedChoices | None = None
     ) -> TightlyCoupledSimulator:
         simulator = observer(self.setup, len(rngs))
-        simulator.begin(rngs, given)
+        simulator.start_episodes(rngs, given)
         if self.sensors_known:
             P = simulator.memory["augmented_covariance"]
             P[:, SENSOR_CONSTANTS] = 0.0
@@ -151,20 +151,20 @@ class Analyst:
         return simulator
 
     def record(
-        self, rngs: Sequence[np.random.Generator], given: Given | None = None
+        self, rngs: Sequence[np.random.Generator], given: FixedChoices | None = None
     ) -> list[AnalystRun]:
         """Record the filter over clean runs, from the onset on."""
-        simulator = self.begun(rngs, given)
+        simulator = self.start_simulator(rngs, given)
         blind = np.zeros(0)
         kept: list[FloatArray] = []
 
         def look(epoch: LinearRun) -> None:
             nonlocal blind
-            blind = _coasted(simulator, epoch.transition, blind)
+            blind = _propagate_coasting(simulator, epoch.transition, blind)
             lost = (blind - simulator.memory["augmented_covariance"])[:, PLACE, PLACE]
             kept.append(epoch.axes.transpose(0, 2, 1) @ lost @ epoch.axes)
 
-        simulator.quiet_epochs(self.setup.onset)
+        simulator.run_filter_only(self.setup.onset)
         blind = simulator.memory["augmented_covariance"].copy()
         runs = record_from(simulator, look)
         coasting = np.stack(kept, axis=1)
@@ -185,7 +185,7 @@ def _grade(setup: TightlyCoupledSetup) -> str:
     return grade
 
 
-def _coasted(
+def _propagate_coasting(
     simulator: TightlyCoupledSimulator, transition: FloatArray, P: FloatArray
 ) -> FloatArray:
     """Covariance that is propagated by one epoch, without measurements."""
@@ -331,7 +331,7 @@ class Frontier:
             squares: FloatArray = np.einsum("hi,wij,hj->wh", c, matrices, c)
         return np.sqrt(np.where(np.isfinite(squares), squares, np.inf)).ravel()
 
-    def floor_m(
+    def lower_limit_m(
         self, p_fa: float, p_d: float, *, heading: str = "unknown", quantile: float = 0.5
     ) -> float:
         """Displacement that a perfect detector allows.
@@ -366,14 +366,14 @@ class Frontier:
         return (*ASSUMPTIONS, SENSORS[self.sensors_known])
 
 
-def frontier_of(
+def compute_frontier(
     setup: TightlyCoupledSetup,
     *,
     worlds: int = 8,
     sensors_known: bool = False,
     entropy: int = 0,
     times: int = 0,
-    tick: Tick | None = None,
+    tick: WorkCallback | None = None,
 ) -> Frontier:
     """Compute the detectability frontier of a setup.
 
@@ -407,8 +407,8 @@ def frontier_of(
     --------
     >>> from spoofgym.limits import frontier_of
     >>> from spoofgym.simulation import TightlyCoupledSetup
-    >>> found = frontier_of(TightlyCoupledSetup(detector="never"))
-    >>> round(found.floor_m(0.01, 0.5), 1)
+    >>> found = compute_frontier(TightlyCoupledSetup(detector="never"))
+    >>> round(found.lower_limit_m(0.01, 0.5), 1)
     4.7
     """
     check_linear_victim(setup)
@@ -423,9 +423,9 @@ def frontier_of(
     matrices, coasting, course = [], [], []
     for run in range(count):
         seeds = seeds_of_runs(entropy, "selection", setup.name, [run])
-        victim = record(setup, generators_of(seeds))[0]
+        victim = record(setup, make_generators(seeds))[0]
         again = seeds_of_runs(entropy, "selection", setup.name, [run])
-        its_analyst = analyst.record(generators_of(again))[0]
+        its_analyst = analyst.record(make_generators(again))[0]
         commands = unit_commands(setup, victim.onset).in_hats(HATS)
         if np.any(commands.idle):
             raise ValueError(

@@ -8,9 +8,9 @@ measurements, epoch by epoch,
 
 so that all of it is linear in a, and a is linear in the commands of the attack.  Matrices are those
 of one clean run of the simulator.  The gains are the filter's; the shift of a victim goes through
-what its mechanization and its measurements do (`mechanized`, `measured`), which its filter takes
-for less.  It holds for a filter whose gains an attack does not change: not for one whose detector
-takes weight off measurements.
+what its mechanization and its measurements do (`mechanize_transition`, `complete_design`), which
+its filter takes for less.  It holds for a filter whose gains an attack does not change: not for one
+whose detector takes weight off measurements.
 
 Commands are rates of the attack's axes, one vector for every decision; the last one is held over
 the time to alert, as the environment does.  An attack that is commanded by acceleration comes to
@@ -32,9 +32,9 @@ from ..attacks import Attack, AttackContext
 from ..detectors import Never
 from ..detectors.base import BoolArray, FloatArray
 from ..receiver.states import POSITION, STATES
-from ..simulation.simulator import Given, run_serially
+from ..simulation.simulator import FixedChoices, run_serially
 from ..simulation.tight import TightlyCoupledSetup, TightlyCoupledSimulator
-from ..truth.run import World
+from ..truth.run import GroundTruth
 
 PLACE = slice(POSITION, POSITION + 3)
 NEEDED = frozenset({"transition", "design", "predicted_cov", "innovation_cov"})
@@ -46,9 +46,10 @@ class LinearRun(NamedTuple):
     Attributes
     ----------
     transition : ndarray
-        (K, s, s) Phi, to the epoch from the one before; of a victim as `mechanized` gives it.
+        (K, s, s) Phi, to the epoch from the one before; of a victim as `mechanize_transition` gives
+        it.
     design : ndarray
-        (K, m, s) H, pseudoranges first; of a victim as `measured` gives it.
+        (K, m, s) H, pseudoranges first; of a victim as `complete_design` gives it.
     gain : ndarray
         (K, s, m) K.
     innovation_cov : ndarray
@@ -90,7 +91,9 @@ class Response(NamedTuple):
 
 
 def record(
-    setup: TightlyCoupledSetup, rngs: Sequence[np.random.Generator], given: Given | None = None
+    setup: TightlyCoupledSetup,
+    rngs: Sequence[np.random.Generator],
+    given: FixedChoices | None = None,
 ) -> list[LinearRun]:
     """Record the filters of clean runs, from the onset on.
 
@@ -109,16 +112,18 @@ def record(
         One for each run.
     """
     simulator = observer(setup, len(rngs))
-    simulator.begin(rngs, given)
-    simulator.quiet_epochs(setup.onset)
+    simulator.start_episodes(rngs, given)
+    simulator.run_filter_only(setup.onset)
     return [as_it_happens(run, setup.world) for run in record_from(simulator)]
 
 
-def as_it_happens(run: LinearRun, world: World) -> LinearRun:
-    return run._replace(transition=mechanized(run.transition), design=measured(run, world))
+def as_it_happens(run: LinearRun, world: GroundTruth) -> LinearRun:
+    return run._replace(
+        transition=mechanize_transition(run.transition), design=complete_design(run, world)
+    )
 
 
-def measured(run: LinearRun, world: World) -> FloatArray:
+def complete_design(run: LinearRun, world: GroundTruth) -> FloatArray:
     """(K, m, s) design of a run, with what range rates depend on the position, too [1/s]. A filter
     leaves this out, since its own errors of position are too small; 10 m change range rates by a
     millimetre per second, for as long as they last."""
@@ -133,7 +138,7 @@ def measured(run: LinearRun, world: World) -> FloatArray:
     return design
 
 
-def mechanized(transition: FloatArray) -> FloatArray:
+def mechanize_transition(transition: FloatArray) -> FloatArray:
     r"""Errors as they really propagate, by (K, s, s) a filter's :math:`I + F \tau`.
 
     A filter propagates its covariance to first order of the interval.  Within it, mechanization
@@ -150,7 +155,7 @@ def observer(
     setup: TightlyCoupledSetup, receivers: int, fields: frozenset[str] = NEEDED
 ) -> TightlyCoupledSimulator:
     """Receivers without a detector, whose epochs have some optional fields."""
-    bare_setup = setup.altered(detector=Never(), monitors=())
+    bare_setup = setup.copy_with(detector=Never(), monitors=())
     bare_setup.fields = setup.fields | fields
     simulator: TightlyCoupledSimulator = bare_setup.simulator(receivers, run_serially)
     return simulator
@@ -341,7 +346,7 @@ def _offsets(
     actions = rates if by_rate else np.diff(rates, axis=1, prepend=0.0)
     attack.bind(AttackContext(count, world))
     at = np.full(count, onset)
-    attack.begin(np.arange(count), np.zeros((count, 2), dtype=np.uint64), at.copy())
+    attack.start_episodes(np.arange(count), np.zeros((count, 2), dtype=np.uint64), at.copy())
     d_range, d_rate = np.zeros((2, count, world.channels))
     out = np.empty((setup.steps + setup.hold, 2 * world.channels, count))
     before = np.zeros(actions[:, 0].shape)

@@ -22,7 +22,7 @@ from .. import detectors
 from ..detectors import Calibrated, Detector, DetectorContext
 from ..detectors.base import BoolArray, FloatArray, IntArray
 from ..detectors.cusum import BASELINE_SDS
-from ..detectors.innovation import rows_of
+from ..detectors.innovation import select_rows
 from ..receiver.epoch import Epoch
 from ..simulation.setup import Setup
 from ..truth.noise import exponential
@@ -44,23 +44,29 @@ from .linear import LinearRun
 from .zero_alarm import Bound, Sensitivity, ewma_bound, sequential_bound, snapshot_bound
 
 EXCLUDES = "it excludes satellites or fixes, and its statistic is none of the filter's innovations"
-BLIND = "the blind optimum on the engine is a lower bound"
+OPEN_LOOP_NOTE = "the blind optimum on the engine is a lower bound"
 REFUSED: dict[type[Detector], tuple[str, str]] = {
-    detectors.Acna: (EXCLUDES, BLIND),
+    detectors.Acna: (EXCLUDES, OPEN_LOOP_NOTE),
     detectors.Lottery: (
         "its alarm comes by chance, whatever the innovations are",
         "that of `never` holds",
     ),
-    detectors.OracleRamp: ("it is given the attack, so that its set is not symmetric", BLIND),
-    detectors.OracleStep: ("it is given the attack, so that its set is not symmetric", BLIND),
+    detectors.OracleRamp: (
+        "it is given the attack, so that its set is not symmetric",
+        OPEN_LOOP_NOTE,
+    ),
+    detectors.OracleStep: (
+        "it is given the attack, so that its set is not symmetric",
+        OPEN_LOOP_NOTE,
+    ),
     detectors.PooledDetector: (
         "another member is drawn for every episode",
         "that of each member holds for its episodes",
     ),
-    detectors.Raim: (EXCLUDES, BLIND),
-    detectors.Rio: (EXCLUDES, BLIND),
-    detectors.SrvRaim: (EXCLUDES, BLIND),
-    detectors.TraversalRaim: (EXCLUDES, BLIND),
+    detectors.Raim: (EXCLUDES, OPEN_LOOP_NOTE),
+    detectors.Rio: (EXCLUDES, OPEN_LOOP_NOTE),
+    detectors.SrvRaim: (EXCLUDES, OPEN_LOOP_NOTE),
+    detectors.TraversalRaim: (EXCLUDES, OPEN_LOOP_NOTE),
 }
 """Why a detector has no zero-alarm bound, and what holds in its place."""
 
@@ -105,7 +111,7 @@ class Judged(NamedTuple):
     smoothing: float = 1.0
     closed: Callable[[Sensitivity], Bound] | None = None
 
-    def seen(self, innovation: FloatArray) -> FloatArray:
+    def transform(self, innovation: FloatArray) -> FloatArray:
         """(K, r, J) y of (K, m, J) innovations, or its average."""
         mean = np.einsum("km,kmj->mj", self.learning, innovation)
         y = np.asarray(self.matrix @ (innovation - mean))
@@ -129,7 +135,7 @@ def judge_run(
     for k in range(-timing.live, epochs):
         shift = None if innovation is None or k < 0 else innovation[k]
         epoch = _epoch(run, max(k, 0), timing.onset_s + k * timing.interval_s, timing, shift)
-        verdict, armed = judge.judge(epoch), judge.armed(epoch)
+        verdict, armed = judge.judge(epoch), judge.is_armed(epoch)
         if k >= 0:
             on = True if armed is None else bool(armed[0])
             found.append((verdict.statistic[0].copy(), verdict.threshold[0].copy(), on))
@@ -165,7 +171,7 @@ def counts(visible: BoolArray, live: int) -> IntArray:
     return known
 
 
-class Rows(NamedTuple):
+class TestRows(NamedTuple):
     """Rows that a test looks at.
 
     - `judged`: (K, n) satellites to judge;
@@ -177,7 +183,7 @@ class Rows(NamedTuple):
     before: FloatArray
     learning: FloatArray
 
-    def whitened(self, run: LinearRun, first: int, last: int) -> FloatArray:
+    def whiten(self, run: LinearRun, first: int, last: int) -> FloatArray:
         """(K, r, m) rows of the inverse of Cholesky's factor of the covariance of the rows."""
         taken = np.hstack([self.judged, self.judged])[:, first:last]
         both = taken[:, :, None] & taken[:, None, :]
@@ -185,14 +191,16 @@ class Rows(NamedTuple):
         inverse = np.linalg.inv(np.linalg.cholesky(S)) * taken[:, :, None]
         return np.asarray(inverse @ self.before[:, first:last])
 
-    def normalized(self, run: LinearRun, first: int, last: int) -> FloatArray:
+    def normalize(self, run: LinearRun, first: int, last: int) -> FloatArray:
         """(K, r, m) rows over the standard deviation of each."""
         taken = np.hstack([self.judged, self.judged])[:, first:last]
         variance = np.einsum("kii->ki", run.innovation_cov)[:, first:last]
         return np.asarray((taken / np.sqrt(variance))[:, :, None] * self.before[:, first:last])
 
 
-def rows_judged(detector: Detector, run: LinearRun, timing: Timing, bias_window: int = 0) -> Rows:
+def select_test_rows(
+    detector: Detector, run: LinearRun, timing: Timing, bias_window: int = 0
+) -> TestRows:
     """Satellites that are judged, and what is done with their innovations before. With a first
     window whose mean is taken away, a satellite that is not calibrated at the onset learns it from
     attacked epochs; what it has learnt before is 0."""
@@ -217,7 +225,7 @@ def rows_judged(detector: Detector, run: LinearRun, timing: Timing, bias_window:
                 "zero-alarm bound here: give the timeline a longer `live_s`"
             )
         before = before @ scaling
-    return Rows(judged, before, learning)
+    return TestRows(judged, before, learning)
 
 
 def _rescaling(visible: BoolArray, factors: FloatArray) -> FloatArray:
@@ -232,7 +240,7 @@ def _rescaling(visible: BoolArray, factors: FloatArray) -> FloatArray:
     return out
 
 
-class Case:
+class DetectorRun:
     """A detector over a run, from which its test is built."""
 
     def __init__(self, detector: Detector, run: LinearRun, timing: Timing) -> None:
@@ -244,8 +252,8 @@ class Case:
         self.n = run.visible.shape[1]
         bias_s = getattr(inner, "bias_window_s", 0.0)
         self.bias = max(1, self.epochs(bias_s)) if bias_s > 0.0 else 0
-        self.rows: Rows = rows_judged(detector, run, timing, self.bias)
-        self.span = rows_of(getattr(inner, "signals", "pseudorange"), self.n)
+        self.rows: TestRows = select_test_rows(detector, run, timing, self.bias)
+        self.span = select_rows(getattr(inner, "signals", "pseudorange"), self.n)
         self.known = counts(run.visible, timing.live)
         # of the squared innovations that a limit allows, where a mean is taken away
         self.inflation = 1.0 + 1.0 / self.bias if self.bias else 1.0
@@ -262,11 +270,11 @@ class Case:
         signals = (self.span[1] - self.span[0]) // self.n
         return np.hstack([of_channels] * signals)
 
-    def normalized(self, hold: Callable[[Program, IntArray], None]) -> Judged:
-        return Judged(self.rows.normalized(self.run, *self.span), self.rows.learning, hold)
+    def normalize(self, hold: Callable[[Program, IntArray], None]) -> Judged:
+        return Judged(self.rows.normalize(self.run, *self.span), self.rows.learning, hold)
 
     def white(self, hold: Callable[[Program, IntArray], None], rotates: bool = False) -> Judged:
-        matrix = self.rows.whitened(self.run, *self.span)
+        matrix = self.rows.whiten(self.run, *self.span)
         return Judged(matrix, self.rows.learning, hold, rotates)
 
 
@@ -275,7 +283,7 @@ def judged_by(detector: Detector, run: LinearRun, timing: Timing) -> Judged:
     alarm: exactly its own statistic on noise-free epochs."""
     inner = detector.detector if isinstance(detector, Calibrated) else detector
     check_convex(inner)
-    return SETS[type(inner)](Case(copy.deepcopy(detector), run, timing))
+    return SETS[type(inner)](DetectorRun(copy.deepcopy(detector), run, timing))
 
 
 def check_convex(detector: Detector) -> None:
@@ -283,39 +291,39 @@ def check_convex(detector: Detector) -> None:
     if type(detector) in REFUSED:
         why, instead = REFUSED[type(detector)]
     elif type(detector) not in SETS:
-        why, instead = "nothing is known of its statistic", BLIND
+        why, instead = "nothing is known of its statistic", OPEN_LOOP_NOTE
     elif settings.get("weight_scale") is not None:
-        why, instead = "its weights change the gains", BLIND
+        why, instead = "its weights change the gains", OPEN_LOOP_NOTE
     elif settings.get("two_sided"):
         why = "it alarms at innovations that are too small, too, so that its set is not convex"
         instead = (
             "that with `two_sided` False and each side's false alarms holds for its upper side"
         )
     elif settings.get("covariance", "known") != "known":
-        why, instead = "an estimated covariance lets the attack set its own limits", BLIND
+        why, instead = "an estimated covariance lets the attack set its own limits", OPEN_LOOP_NOTE
     else:
         return
     raise ValueError(f"no zero-alarm bound for {name}: {why}; {instead}")
 
 
-def _never(case: Case) -> Judged:
+def _never(case: DetectorRun) -> Judged:
     epochs, m = case.run.design.shape[:2]
     return Judged(np.zeros((epochs, 1, m)), case.rows.learning, lambda program, y: None)
 
 
-def _snapshot(case: Case) -> Judged:
+def _snapshot(case: DetectorRun) -> Judged:
     limits = case.limits[:, 0]
     test = case.white(lambda p, y: hold_norm(p, y, limits))
     return test._replace(closed=lambda of: snapshot_bound(of, limits * case.inflation))
 
 
-def _windowed(case: Case) -> Judged:
+def _windowed_chi2(case: DetectorRun) -> Judged:
     windows, limits = np.array([case.test.window]), case.limits.copy()
     limits[: max(case.test.window - 1 - case.timing.live, 0)] = np.inf  # no verdict: it is not full
     return case.white(lambda p, y: hold_energies(p, y, limits, windows), rotates=True)
 
 
-def _sequential(case: Case) -> Judged:
+def _sequential(case: DetectorRun) -> Judged:
     length_s, limits = case.test.window_s, case.limits[:, 0]
     window = len(limits) if length_s is None else case.epochs(length_s)
     windows = np.array([window])
@@ -325,7 +333,7 @@ def _sequential(case: Case) -> Judged:
     return test._replace(closed=lambda of: sequential_bound(of, limits * case.inflation))
 
 
-def _bank(case: Case) -> Judged:
+def _bank(case: DetectorRun) -> Judged:
     windows = np.array([case.epochs(length_s) for length_s in case.test.windows_s])
     rows = case.per_row(case.judged_so_far).sum(axis=1)
     ends = slice(case.judged_before, len(rows))
@@ -335,19 +343,19 @@ def _bank(case: Case) -> Judged:
     return case.white(lambda p, y: hold_energies(p, y, limits, windows), rotates=True)
 
 
-def _moving_average(case: Case) -> Judged:
-    shape = case.test.weights_of(case.epochs(case.test.window_s))
+def _moving_average(case: DetectorRun) -> Judged:
+    shape = case.test.compute_weights(case.epochs(case.test.window_s))
     judged, limits = case.per_row(case.judged_so_far), case.per_row(case.limits)
-    return case.normalized(lambda p, y: hold_moving_sum(p, y, limits, judged, shape))
+    return case.normalize(lambda p, y: hold_moving_sum(p, y, limits, judged, shape))
 
 
-def _aime(case: Case) -> Judged:
+def _aime(case: DetectorRun) -> Judged:
     windows = np.array([case.epochs(length_s) for length_s in case.test.windows_s])
     past = case.judged_before * case.per_row(case.run.visible)[0]
     return case.white(lambda p, y: hold_averages(p, y, case.limits[:, 0], past, windows))
 
 
-def _ewma(case: Case) -> Judged:
+def _ewma(case: DetectorRun) -> Judged:
     matrix = case.rows.judged[:, :, None] * case.rows.before[:, : case.n]
     limits, smoothing = case.limits, case.test.smoothing
     every = np.hstack([limits * case.run.visible, np.zeros_like(limits)])
@@ -360,36 +368,36 @@ def _ewma(case: Case) -> Judged:
     )
 
 
-def _shewhart(case: Case) -> Judged:
-    return case.normalized(lambda p, y: hold_size(p, y, case.limits[:, :1]))
+def _shewhart(case: DetectorRun) -> Judged:
+    return case.normalize(lambda p, y: hold_size(p, y, case.limits[:, :1]))
 
 
-def _cusum(case: Case) -> Judged:
+def _cusum(case: DetectorRun) -> Judged:
     def hold(program: Program, y: IntArray) -> None:
         hold_cusum(program, y, case.limits[:, :1], np.full(y.shape, case.test.allowance))
 
-    return case.normalized(hold)
+    return case.normalize(hold)
 
 
-def _lag_cusum(case: Case) -> Judged:
+def _lag_cusum(case: DetectorRun) -> Judged:
     test, known, limits = case.test, case.per_row(case.known), case.limits[:, :1]
 
     def hold(program: Program, y: IntArray) -> None:
         settings = test.lag, test.baseline, test.drift, BASELINE_SDS
         hold_lag_cusum(program, y, limits, known, *settings)
 
-    return case.normalized(hold)
+    return case.normalize(hold)
 
 
-def _clock(case: Case) -> Judged:
-    whitened = case.rows.whitened(case.run, *case.span)
+def _clock(case: DetectorRun) -> Judged:
+    whitened = case.rows.whiten(case.run, *case.span)
     signals = (case.span[1] - case.span[0]) // case.n
     ones = np.zeros((2 * case.n, signals))
     for signal in range(signals):
         start = case.span[0] + signal * case.n
         ones[start : start + case.n, signal] = 1.0
-    plain = Rows(case.rows.judged, np.tile(np.eye(2 * case.n), (len(whitened), 1, 1)), ones)
-    common = plain.whitened(case.run, *case.span) @ ones  # the columns of A, whitened
+    plain = TestRows(case.rows.judged, np.tile(np.eye(2 * case.n), (len(whitened), 1, 1)), ones)
+    common = plain.whiten(case.run, *case.span) @ ones  # the columns of A, whitened
     directions = np.zeros_like(common)
     for k in np.flatnonzero(case.rows.judged.any(axis=1)):
         orthonormal, upper = np.linalg.qr(common[k])
@@ -401,16 +409,16 @@ def _clock(case: Case) -> Judged:
     return Judged(matrix, case.rows.learning, lambda p, y: hold_common(p, y, limits, past, window))
 
 
-def _scan(case: Case) -> Judged:
+def _scan(case: DetectorRun) -> Judged:
     test, known, limits = case.test, case.per_row(case.known), case.per_row(case.limits)
 
     def hold(program: Program, y: IntArray) -> None:
         hold_scan(program, y, limits, known, test.window, test.baseline, test.ramp)
 
-    return case.normalized(hold)
+    return case.normalize(hold)
 
 
-def _rate(case: Case) -> Judged:
+def _rate(case: DetectorRun) -> Judged:
     test, timing = case.test, case.timing
     memory_s = math.inf if test.memory_s is None else test.memory_s
     growth = 1.0 / exponential(-timing.interval_s / memory_s)
@@ -422,10 +430,10 @@ def _rate(case: Case) -> Judged:
     def hold(program: Program, y: IntArray) -> None:
         hold_rate(program, y, case.limits, live, started[timing.live :], filtered)
 
-    return case.normalized(hold)
+    return case.normalize(hold)
 
 
-SETS: dict[type[Detector], Callable[[Case], Judged]] = {
+SETS: dict[type[Detector], Callable[[DetectorRun], Judged]] = {
     detectors.Aime: _aime,
     detectors.ClockDrift: _clock,
     detectors.CumulativeBank: _bank,
@@ -441,5 +449,5 @@ SETS: dict[type[Detector], Callable[[Case], Judged]] = {
     detectors.SequentialChi2: _sequential,
     detectors.Shewhart: _shewhart,
     detectors.SnapshotChi2: _snapshot,
-    detectors.WindowedChi2: _windowed,
+    detectors.WindowedChi2: _windowed_chi2,
 }

@@ -100,7 +100,7 @@ def deflection_for(p_fa: float, p_d: float, *, heading: str = "known") -> float:
     return float(found)
 
 
-def kl_of(p_d: float, p_fa: float) -> float:
+def compute_kl_divergence(p_d: float, p_fa: float) -> float:
     return float(special.rel_entr(p_d, p_fa) + special.rel_entr(1.0 - p_d, 1.0 - p_fa))
 
 

@@ -25,11 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Calibrated, Detector, PooledDetector, SolutionSeparation
-from ..detectors.base import FloatArray, IntArray, check_needs, judged
+from ..detectors.base import FloatArray, IntArray, check_needs, judge_epoch
 from ..receiver.epoch import ALWAYS, Epoch
 from ..simulation._kernels import turn
 from ..simulation.engine import available_threads
-from ..simulation.setup import generators_of
+from ..simulation.setup import make_generators
 from ..simulation.tight import TightlyCoupledSetup
 from .linear import hat_functions, observer, record, respond, unit_commands, unused_seed
 
@@ -137,17 +137,17 @@ class Replay:
     def _record(self, seeds: Sequence[np.random.SeedSequence]) -> None:
         simulator = observer(self.setup, self.runs, self.needs)
         world = simulator.setup
-        simulator.begin(generators_of(seeds))
+        simulator.start_episodes(make_generators(seeds))
         self._context = simulator._context()
         for each in self.detectors:
             simulator.bind_detector(each)
             each.reset()
-        simulator.quiet_epochs(world.quiet)
+        simulator.run_filter_only(world.filter_only)
         self.warmup_alarm = np.zeros((len(self.detectors), self.runs), dtype=np.bool_)
         for _ in range(world.live):
             epoch = simulator.advance()
             for k, each in enumerate(self.detectors):
-                self.warmup_alarm[k] |= self._judged(each, epoch).alarm.any(axis=1)
+                self.warmup_alarm[k] |= self._judge(each, epoch).alarm.any(axis=1)
             simulator.update(None)
         self.first, self.onset = simulator.memory["first"].copy(), simulator.onset.copy()
         self.heading = simulator.heading.copy()
@@ -162,8 +162,8 @@ class Replay:
             simulator.update(None)
         self._epochs, self.epochs = kept, len(kept["time"])
 
-    def _judged(self, detector: Detector, epoch: Epoch) -> Any:
-        verdict = judged(detector, epoch)
+    def _judge(self, detector: Detector, epoch: Epoch) -> Any:
+        verdict = judge_epoch(detector, epoch)
         if verdict.weights is not None:
             raise NotReplayable(
                 f"{type(_inner(detector)).__name__} takes weight off measurements, which changes "
@@ -183,7 +183,7 @@ class Replay:
         self._units: list[dict[str, FloatArray]] = []
         for at in range(0, len(ones), RUNS_AT_ONCE):
             part = ones[at : at + RUNS_AT_ONCE]
-            again = generators_of([unused_seed(seeds[b]) for b in part])
+            again = make_generators([unused_seed(seeds[b]) for b in part])
             for b, run in zip(part, record(self.setup, again), strict=True):
                 offsets = self._offsets(int(self.onset[b])) * np.tile(run.visible, 2)[:, :, None]
                 found = respond(run, offsets)._asdict()
@@ -241,14 +241,14 @@ class Replay:
         )
 
     def _play(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> Replayed:
-        moved, error = self.attacked(rates, rows, check_needs(self.detectors[number]))
+        moved, error = self.compute_shifts(rates, rows, check_needs(self.detectors[number]))
         detector = self._ready(number, rows, len(rates))
         first = np.zeros(len(rates) * len(rows), dtype=np.int64)
         peak = np.zeros(len(first))
         buffers: dict[str, NDArray[Any]] = {}
         for k in range(self.epochs):
             epoch = self._epoch(k, moved, rows, len(rates), detector.needs, buffers)
-            verdict = self._judged(detector, epoch)
+            verdict = self._judge(detector, epoch)
             np.maximum(peak, (verdict.statistic / verdict.threshold).max(axis=1), out=peak)
             first[verdict.alarm.any(axis=1) & (first == 0)] = k + 1
         shape = len(rates), len(rows)
@@ -272,25 +272,25 @@ class Replay:
         if key not in self._banks:
             parts = np.array_split(np.arange(self.runs), math.ceil(self.runs / BANKS_AT_ONCE))
             with ThreadPoolExecutor(self.threads) as pool:
-                found = list(pool.map(lambda rows: self._bank_of(number, rows), parts))
+                found = list(pool.map(lambda rows: self._build_bank(number, rows), parts))
             clean, units = zip(*found, strict=True)
             self._banks[key] = LinearBank(np.concatenate(clean), np.concatenate(units))
         return self._banks[key]
 
-    def _bank_of(self, number: int, rows: NDArray[np.intp]) -> LinearBank:
+    def _build_bank(self, number: int, rows: NDArray[np.intp]) -> LinearBank:
         """The bank of some runs: the detector judges nothing and every hat function."""
         rates = np.concatenate([np.zeros((1, len(self.hats))), self.hats.T])
-        moved, _ = self.attacked(rates, rows, check_needs(self.detectors[number]))
+        moved, _ = self.compute_shifts(rates, rows, check_needs(self.detectors[number]))
         detector = self._ready(number, rows, len(rates))
         inner = cast(SolutionSeparation, _inner(detector))
         buffers: dict[str, NDArray[Any]] = {}
         kept = []
         for k in range(self.epochs):
             epoch = self._epoch(k, moved, rows, len(rates), detector.needs, buffers)
-            verdict = self._judged(detector, epoch)
+            verdict = self._judge(detector, epoch)
             place = np.tile(self._epochs["predicted_position"][k][rows], (len(rates), 1))
             size = np.sqrt(verdict.threshold[:, :, None])
-            kept.append((inner.whitened(place) / size).reshape(len(rates), len(rows), -1, 2))
+            kept.append((inner.whiten(place) / size).reshape(len(rates), len(rows), -1, 2))
         every = np.array(kept)  # (K, 1 + Q, N, J, 2)
         clean = every[:, 0].transpose(1, 0, 2, 3)
         units = (every[:, 1:] - every[:, :1]).transpose(2, 0, 3, 4, 1)
@@ -299,7 +299,7 @@ class Replay:
             np.ascontiguousarray(units.reshape(len(rows), -1, units.shape[-1]), dtype=np.float32),
         )
 
-    def attacked(
+    def compute_shifts(
         self, rates: FloatArray, rows: NDArray[np.intp], needs: frozenset[str]
     ) -> tuple[dict[str, FloatArray], FloatArray]:
         """What attacks add to the fields that a detector reads, and the induced horizontal errors.

@@ -96,7 +96,7 @@ class Sensitivity(NamedTuple):
         kind = kind if np.isfinite(value) else "unbounded"
         return Bound(float(value), kind, self.epoch, self.direction, innovation)
 
-    def attained(self, size: FloatArray) -> Bound:
+    def build_exact_bound(self, size: FloatArray) -> Bound:
         """Exact bound by innovations of (K,) whitened sizes in the directions that count most."""
         w = self.weights
         scale = np.divide(size, w, out=np.zeros_like(w), where=w > 0.0)
@@ -131,7 +131,7 @@ def snapshot_bound(of: Sensitivity, thresholds: ArrayLike) -> Bound:
     `thresholds`: tau of one epoch, a number or (K,).
     """
     w = of.weights
-    return of.attained(np.sqrt(np.broadcast_to(thresholds, w.shape)) * (w > 0.0))
+    return of.build_exact_bound(np.sqrt(np.broadcast_to(thresholds, w.shape)) * (w > 0.0))
 
 
 def ewma_bound(of: Sensitivity, smoothing: float, limits: ArrayLike) -> Bound:
@@ -171,4 +171,4 @@ def sequential_bound(of: Sensitivity, thresholds: ArrayLike) -> Bound:
         corners.append(int(n))
     slope = np.append(np.diff(y[corners]) / np.diff(x[corners]), 0.0)
     part = np.searchsorted(corners[1:], np.arange(1, len(w) + 1), side="left")
-    return of.attained(w * np.sqrt(slope[part]))
+    return of.build_exact_bound(w * np.sqrt(slope[part]))

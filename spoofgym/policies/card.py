@@ -27,7 +27,7 @@ from pydantic import (
 )
 
 from ..core.files import write_file
-from ..core.settings import unlike
+from ..core.settings import format_card_diff
 
 SPOOFER, DETECTOR = "spoofer", "detector"
 """Sides of a card."""
@@ -87,7 +87,7 @@ DECIDED_ON = "decided_on"
 PAIRS = TypeAdapter(list[tuple[Annotated[int, Field(strict=True, ge=0)], str]])
 
 
-def seeds_in(training: Mapping[str, Any], name: str) -> frozenset[tuple[int, str]]:
+def parse_seeds(training: Mapping[str, Any], name: str) -> frozenset[tuple[int, str]]:
     found = training.get(DECIDED_ON, [])
     try:
         return frozenset(PAIRS.validate_python(found))
@@ -116,7 +116,7 @@ class Card(Record):
     @property
     def decided_on(self) -> frozenset[tuple[int, str]]:
         """Entropy and split of the runs that it was trained, fitted or chosen on."""
-        return seeds_in(getattr(self, "training", {}), self.name)
+        return parse_seeds(getattr(self, "training", {}), self.name)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -129,7 +129,7 @@ class Card(Record):
             raise ValueError(f"there is no card {path} ({error.strerror})") from error
         except (ValueError, RecursionError) as error:
             raise ValueError(f"card {path} is not JSON: {error}") from error
-        fields = _upgraded(fields)
+        fields = _upgrade_fields(fields)
         side = fields.get("side") if isinstance(fields, dict) else None
         found = CARDS.get(side) if isinstance(side, str) else None
         if found is None and cls is Card:
@@ -139,7 +139,7 @@ class Card(Record):
         try:
             return (found or cls).model_validate_json(json.dumps(fields), strict=True)
         except ValidationError as error:
-            raise ValueError(f"card {path}: {text_of(error)}") from error
+            raise ValueError(f"card {path}: {format_error(error)}") from error
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the card; nothing is written where it can't be read back."""
@@ -151,7 +151,7 @@ class Card(Record):
         write_file(Path(path), (text + "\n").encode())
 
 
-class Conditions(Record):
+class AttackConditions(Record):
     """What an attack has to be like for the actions to mean what they meant; with control by rate
     the limit of the acceleration does not matter, and may be None."""
 
@@ -254,7 +254,7 @@ class SpooferCard(Card):
     env_kwargs: dict[str, Any]
     observation: Space | None
     action: Space
-    conditions: Conditions
+    conditions: AttackConditions
     knowledge: Knowledge
     training: dict[str, Any]
     versions: dict[str, str]
@@ -281,8 +281,8 @@ class SpooferCard(Card):
             raise ValueError("`file` of a profile must be null")
         return self
 
-    def differences(self, context: Any) -> list[str]:
-        on_card, of_attack = self.conditions.model_dump(), _conditions_of(context)
+    def diff_context(self, context: Any) -> list[str]:
+        on_card, of_attack = self.conditions.model_dump(), _describe_conditions(context)
         if self.conditions.control == of_attack["control"] == "rate":
             del on_card["acceleration_limit_mps2"], of_attack["acceleration_limit_mps2"]
         found, controls = [], {on_card["control"], of_attack["control"]}
@@ -291,8 +291,8 @@ class SpooferCard(Card):
             for name in ("control", "setpoint_mps"):
                 del on_card[name], of_attack[name]
         else:
-            found = unlike_spaces(self.observation, self.action, context)
-        return found + unlike(on_card, of_attack, "conditions")
+            found = diff_spaces(self.observation, self.action, context)
+        return found + format_card_diff(on_card, of_attack, "conditions")
 
 
 class DetectorCard(Card):
@@ -376,7 +376,7 @@ CARDS: dict[str, type[Card]] = {SPOOFER: SpooferCard, DETECTOR: DetectorCard}
 """By side."""
 
 
-def spaces_of(given: Any) -> dict[str, Any]:
+def describe_spaces(given: Any) -> dict[str, Any]:
     """Fields ``observation`` (None without names or bounds) and ``action`` of a card, for the
     names and bounds that a policy is given."""
     size, observation = len(given.action_names), None
@@ -387,13 +387,13 @@ def spaces_of(given: Any) -> dict[str, Any]:
     return {"observation": observation, "action": action}
 
 
-def unlike_spaces(observation: Space | None, action: Space, given: Any) -> list[str]:
-    seen = spaces_of(given)["observation"]
+def diff_spaces(observation: Space | None, action: Space, given: Any) -> list[str]:
+    seen = describe_spaces(given)["observation"]
     found = _order("action", action, given.action_names)
     if observation is not None:
         found += _order("observation", observation, given.observation_names)
         if not found and seen is not None:
-            found += unlike(observation.model_dump(), seen, "observation")
+            found += format_card_diff(observation.model_dump(), seen, "observation")
     return found
 
 
@@ -410,19 +410,19 @@ def _order(word: str, card: Space, names: tuple[str, ...]) -> list[str]:
     return lines
 
 
-def fields_of(context: Any) -> dict[str, Any]:
+def describe_context(context: Any) -> dict[str, Any]:
     """Fields of a card that follow from the context of a spoofer. Returns ``observation`` (None
     without names or bounds), ``action`` and ``conditions``."""
-    return {**spaces_of(context), "conditions": _conditions_of(context)}
+    return {**describe_spaces(context), "conditions": _describe_conditions(context)}
 
 
-def _conditions_of(context: Any) -> dict[str, Any]:
-    found = {name: getattr(context, name) for name in Conditions.model_fields}
+def _describe_conditions(context: Any) -> dict[str, Any]:
+    found = {name: getattr(context, name) for name in AttackConditions.model_fields}
     limit = found["acceleration_limit_mps2"]
     return {**found, "acceleration_limit_mps2": limit if math.isfinite(limit) else None}
 
 
-def _upgraded(fields: Any) -> Any:
+def _upgrade_fields(fields: Any) -> Any:
     """Fields of a card of format 1 as this format has them."""
     if not isinstance(fields, dict) or "side" in fields or fields.get("format", 1) != 1:
         return fields
@@ -434,7 +434,7 @@ def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant} is no number")
 
 
-def text_of(error: ValidationError) -> str:
+def format_error(error: ValidationError) -> str:
     parts = []
     for item in error.errors():
         where = ".".join(map(str, item["loc"]))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
-from ..core.settings import describe, digest_of, kind_of, outside_sources
+from ..core.settings import compute_digest, describe, get_kind, outside_sources
 
 FloatArray = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class NotFinite(ValueError):
     """A policy returned NaN or an infinite action."""
 
 
-def checked_action(action: Any, receivers: int, size: int, policy: str) -> FloatArray:
+def clip_action(action: Any, receivers: int, size: int, policy: str) -> FloatArray:
     """Action of a policy, (B, a) float64, cut to [-1, 1]; `policy` names it in errors."""
     array = np.array(action, dtype=np.float64, order="C")
     if array.shape != (receivers, size):
@@ -125,7 +125,9 @@ class DetectorPolicy(Policy[PolicyContext]):
         sources = outside_sources(self)
         if None in sources.values():
             return None
-        return digest_of({"class": kind_of(type(self)), "settings": settings, "sources": sources})
+        return compute_digest(
+            {"class": get_kind(type(self)), "settings": settings, "sources": sources}
+        )
 
 
 class FunctionPolicy(DetectorPolicy):
@@ -144,7 +146,7 @@ class FunctionPolicy(DetectorPolicy):
 
     def decide(self, observation: NDArray[np.float32]) -> FloatArray:
         receivers, size = self.context.receivers, len(self.context.action_names)
-        return checked_action(self.function(observation), receivers, size, repr(self.function))
+        return clip_action(self.function(observation), receivers, size, repr(self.function))
 
     def digest(self) -> str | None:
         if self.name is None:

@@ -9,12 +9,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .card import Card, DetectorCard, unlike_spaces
+from .card import Card, DetectorCard, diff_spaces
 from .contract import DetectorPolicy, FloatArray, PolicyContext
 from .onnx_file import SUFFIX
 from .onnx_model import OnnxModel
 from .trial import Claim, check_policy
-from .zoo import path_of, shipped
+from .zoo import list_shipped, resolve_path
 
 CardT = TypeVar("CardT", bound=Card)
 
@@ -24,7 +24,7 @@ def card_path(file: str | os.PathLike[str], side: str | None = None) -> Path:
     whose shipped policies are named then."""
     path = Path(file)
     if path.suffix != SUFFIX:
-        names = ", ".join(shipped(side)) or "there is none"
+        names = ", ".join(list_shipped(side)) or "there is none"
         further = "" if side is None else f" or the name of a shipped {side} ({names})"
         raise ValueError(
             f"`file` must be the path of an {SUFFIX} file{further}, got {os.fspath(file)!r}"
@@ -37,7 +37,7 @@ def load_policy(
 ) -> tuple[CardT, OnnxModel]:
     """Card and network of an ONNX file, or of a shipped policy by its name; `kind`: of the card,
     `Card` for either side."""
-    path = path_of(os.fspath(file), kind.own_side)
+    path = resolve_path(os.fspath(file), kind.own_side)
     beside = card_path(path, kind.own_side)
     if not path.is_file():
         raise ValueError(f"there is no ONNX file {path}")
@@ -81,7 +81,7 @@ class OnnxDetector(DetectorPolicy):
 
     def bind(self, context: PolicyContext) -> None:
         super().bind(context)
-        found = unlike_spaces(self.card.observation, self.card.action, context)
+        found = diff_spaces(self.card.observation, self.card.action, context)
         interval_s = self.card.interval_s
         if interval_s is not None and interval_s != context.interval_s:
             found.append(f"interval_s: {interval_s:g} on the card, {context.interval_s:g} here")

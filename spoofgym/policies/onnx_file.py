@@ -70,7 +70,7 @@ def read_model(content: bytes, where: str) -> ModelProto:
         raise ValueError(f"{where} defines the function {model.functions[0].name}; inline it")
     for node in model.graph.node:
         _check_operator(node, where)
-    for tensor in _stored(model.graph):
+    for tensor in _list_tensors(model.graph):
         if tensor.external_data or tensor.data_location:
             raise ValueError(
                 f"{where} keeps its tensor {tensor.name!r} in external data, outside of the file; "
@@ -101,7 +101,7 @@ def _check_operator(node: NodeProto, where: str) -> None:
             raise ValueError(f"{where} has a graph within its operator {node.op_type}")
 
 
-def _stored(graph: GraphProto) -> Iterator[TensorProto]:
+def _list_tensors(graph: GraphProto) -> Iterator[TensorProto]:
     """All tensors with values of their own."""
     yield from graph.initializer
     sparse = [*graph.sparse_initializer]
@@ -158,10 +158,10 @@ def _inferred_sizes(model: ModelProto, batch: int) -> dict[str, int]:
     return found
 
 
-def file_of(name: str, content: bytes) -> PolicyFile:
+def describe_file(name: str, content: bytes) -> PolicyFile:
     model = read_model(content, name)
     digest = hashlib.sha256(content).hexdigest()
-    return PolicyFile(name=name, sha256=digest, bytes=len(content), opset=opset_of(model))
+    return PolicyFile(name=name, sha256=digest, bytes=len(content), opset=get_opset(model))
 
 
 def checked_path(path: str | Path) -> Path:
@@ -170,7 +170,7 @@ def checked_path(path: str | Path) -> Path:
     return Path(path)
 
 
-def opset_of(model: ModelProto) -> int:
+def get_opset(model: ModelProto) -> int:
     return max((item.version for item in model.opset_import if item.domain in DOMAINS), default=0)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .card import PolicyFile, State
-from .contract import FloatArray, NotFinite, checked_action
+from .contract import FloatArray, NotFinite, clip_action
 from .onnx_file import LARGEST_BYTES, NEXT
 
 Float32Array = NDArray[np.float32]
@@ -62,7 +62,7 @@ class OnnxModel:
         """Action (B, a) in [-1, 1], and the states (B, s) of the next decision."""
         if self._session is None or self._process != os.getpid():  # or in a forked child
             self._open()
-        given = {self._given: np.ascontiguousarray(observation, dtype=np.float32)}
+        given = {self._observation_input: np.ascontiguousarray(observation, dtype=np.float32)}
         for state, array in zip(self.state, states, strict=True):
             given[state.name] = np.ascontiguousarray(array, dtype=np.float32)
         wanted = [self._returned, *(f"{NEXT}{each.name}" for each in self.state)]
@@ -79,7 +79,7 @@ class OnnxModel:
             if not finite.all():
                 row = int(np.argmin(finite))
                 raise NotFinite(f"{what} with a value that is not finite for receiver {row}")
-        return checked_action(action, rows, self.size, self.path), after
+        return clip_action(action, rows, self.size, self.path), after
 
     def _open(self) -> None:
         """Start a session; the names of observation and action are those that are no state's."""
@@ -89,7 +89,7 @@ class OnnxModel:
             raise ValueError(f"{self.path} can't be run: {error}") from error
         states = {each.name for each in self.state}
         states |= {f"{NEXT}{name}" for name in states}
-        (self._given,) = (x.name for x in session.get_inputs() if x.name not in states)
+        (self._observation_input,) = (x.name for x in session.get_inputs() if x.name not in states)
         (self._returned,) = (x.name for x in session.get_outputs() if x.name not in states)
         self._session, self._process = session, os.getpid()
 

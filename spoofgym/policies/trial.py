@@ -22,11 +22,11 @@ import numpy as np
 import platformdirs
 
 from ..core.files import write_file
-from ..core.settings import digest_of
+from ..core.settings import compute_digest
 from . import zoo
 from .card import PolicyFile, Record, Space, State
 from .contract import FloatArray, NotFinite
-from .onnx_file import check_signature, opset_of, read_model
+from .onnx_file import check_signature, get_opset, read_model
 from .onnx_model import Float32Array, OnnxModel
 
 VERSION = 1
@@ -57,7 +57,7 @@ class Claim(Record):
     def key(self) -> str:
         """Digest of all that the outcome of a trial depends on."""
         fields = self.model_dump(exclude={"path"})
-        return digest_of({**fields, "checks": VERSION, "onnxruntime": version("onnxruntime")})
+        return compute_digest({**fields, "checks": VERSION, "onnxruntime": version("onnxruntime")})
 
 
 def trust(content: bytes) -> None:
@@ -83,9 +83,9 @@ def check_policy(model: OnnxModel, claim: Claim) -> None:
 def examine(model: OnnxModel, claim: Claim) -> None:
     """Read a file and try its network, here."""
     read = read_model(model.content, model.path)
-    if opset_of(read) != claim.file.opset:
+    if get_opset(read) != claim.file.opset:
         raise ValueError(
-            f"{model.path} is of opset {opset_of(read)}, and {claim.file.opset} on its card"
+            f"{model.path} is of opset {get_opset(read)}, and {claim.file.opset} on its card"
         )
     sizes = len(claim.observation.names), len(claim.action.names)
     check_signature(read, *sizes, model.path, claim.state)
@@ -124,7 +124,7 @@ def _try_apart(claim: Claim) -> None:
         raise ValueError(found)
 
 
-def main() -> None:
+def examine_claim() -> None:
     """Examine the network of a claim on stdin, within the limits; print what is wrong with it."""
     claim = Claim.model_validate_json(sys.stdin.read())
     with suppress(ImportError, ValueError, OSError):  # a system without such limits
@@ -156,13 +156,13 @@ def check_answers(model: OnnxModel, space: Space) -> None:
         each[::2] = rng.uniform(-1.0, 1.0, each[::2].shape)
     slices = [slice(k, k + n) for n in PARTS for k in range(0, TRIED - n + 1, n)]
     try:
-        whole, again = _tried(model, seen, states), _tried(model, seen, states)
-        parts = [_tried(model, seen[k], [each[k] for each in states]) for k in slices]
-        large = _tried(
+        whole, again = _step_batch(model, seen, states), _step_batch(model, seen, states)
+        parts = [_step_batch(model, seen[k], [each[k] for each in states]) for k in slices]
+        large = _step_batch(
             model, np.tile(seen, (TILED, 1)), [np.tile(each, (TILED, 1)) for each in states]
         )
-        apart = _rolled(model, seen, states, 1) if model.state else whole
-        rolled = _rolled(model, seen, states, TRIED) if model.state else whole
+        apart = _roll_out(model, seen, states, 1) if model.state else whole
+        rolled = _roll_out(model, seen, states, TRIED) if model.state else whole
     except NotFinite as error:
         raise ValueError(f"{model.path}, tried within the bounds on its card: {error}") from error
     if again.tobytes() != whole.tobytes():
@@ -176,12 +176,12 @@ def check_answers(model: OnnxModel, space: Space) -> None:
         )
 
 
-def _tried(model: OnnxModel, seen: Float32Array, states: Sequence[Float32Array]) -> FloatArray:
+def _step_batch(model: OnnxModel, seen: Float32Array, states: Sequence[Float32Array]) -> FloatArray:
     action, after = model.step(seen, states)
     return np.hstack([action, *after])
 
 
-def _rolled(
+def _roll_out(
     model: OnnxModel, seen: Float32Array, states: Sequence[Float32Array], rows: int
 ) -> FloatArray:
     """Actions and states of some rows after many decisions, each on another observation."""
@@ -192,4 +192,4 @@ def _rolled(
 
 
 if __name__ == "__main__":
-    main()
+    examine_claim()

@@ -4,15 +4,15 @@ from collections import namedtuple
 
 import numpy as np
 
-from ..core.compile import inlined, njit
+from ..core.compile import inline_njit, njit
 from ..core.lanes import first_rows
 from ..core.simd import (
     any_lane,
+    count_lanes,
     flags_at,
     floats_at,
     integers_at,
     lane,
-    lanes_of,
     load,
     rows_at,
     select,
@@ -24,8 +24,8 @@ from ..core.simd import (
 from ..earth.wgs84 import EARTH_RATE, range_and_rate
 from ..truth import _kernels as world
 from ..truth._kernels import SKY, keep3, load3, store3
-from ..truth.noise import BLOCK, deviates, whole_number
-from ..truth.signal_errors import MAPPINGS, deviates_of
+from ..truth.noise import BLOCK, deviates, to_integer
+from ..truth.signal_errors import MAPPINGS, count_deviates
 from . import kalman
 from .epoch import assumed_shapes, receiver_shapes
 from .states import INDEX, TERMS, propagate_covariance, transition_terms
@@ -59,7 +59,7 @@ PRODUCT_ROWS = 187
 ) = range(11)
 
 
-@inlined
+@inline_njit
 def load_attitude(x, base):
     """C, row by row."""
     first = base + C_EB
@@ -184,7 +184,7 @@ def _orthonormalize(x, first, now):
 
 
 @njit
-def spread(x, row, count, out, place, first, lanes):
+def scatter_lanes(x, row, count, out, place, first, lanes):
     for index in range(lanes):
         o = place + (first + index) * count
         for i in range(count):
@@ -194,17 +194,17 @@ def spread(x, row, count, out, place, first, lanes):
 @njit
 def show_position(a, base, b, some):
     receivers = a.visible.shape[0]
-    spread(a.x, base + POSITION, 3, a.out, 2 * receivers, b, some)
-    spread(a.x, base + VELOCITY, 3, a.out, 5 * receivers, b, some)
+    scatter_lanes(a.x, base + POSITION, 3, a.out, 2 * receivers, b, some)
+    scatter_lanes(a.x, base + VELOCITY, 3, a.out, 5 * receivers, b, some)
 
 
 @njit
-def show_measured(a, row, b, some):
+def write_measured(a, row, b, some):
     n, places = a.visible.shape[1], a.places
     if places[SEEN_RANGE] >= 0:
-        spread(a.x, row, n, a.out, places[SEEN_RANGE], b, some)
+        scatter_lanes(a.x, row, n, a.out, places[SEEN_RANGE], b, some)
     if places[SEEN_RATE] >= 0:
-        spread(a.x, row + n, n, a.out, places[SEEN_RATE], b, some)
+        scatter_lanes(a.x, row + n, n, a.out, places[SEEN_RATE], b, some)
 
 
 @njit
@@ -213,18 +213,18 @@ def show(a, w, base, b, some):
     (receivers, n), x, out, places = a.visible.shape, a.x, a.out, a.places
     c, m = base + CHANNELS, 2 * n
     P, u, seen = base + COVARIANCE, c + SIGHT * n, c + VISIBLE * n
-    R = assumed_row(a, b // lanes_of(x)) + VARIANCE
+    R = assumed_row(a, b // count_lanes(x)) + VARIANCE
     for each in range(some):
         out[b + each] = a.epoch_time[w.index[0, each]]
         out[receivers + b + each] = lane(w.tau, 0, each)
         for s in range(n):
             a.visible[b + each, s] = lane(x, seen + s, each) > 0.0
     show_position(a, base, b, some)
-    spread(x, c + INNOVATION * n, m, out, places[SEEN_INNOVATION], b, some)
+    scatter_lanes(x, c + INNOVATION * n, m, out, places[SEEN_INNOVATION], b, some)
     kalman.innovation_variance(x, P, u, a.assumed, R, seen, n, w.added)
-    spread(w.added, 0, m, out, places[SEEN_VARIANCE], b, some)
+    scatter_lanes(w.added, 0, m, out, places[SEEN_VARIANCE], b, some)
     if places[SEEN_DELTA] >= 0:
-        spread(x, base + IMU_DELTA, 6, out, places[SEEN_DELTA], b, some)
+        scatter_lanes(x, base + IMU_DELTA, 6, out, places[SEEN_DELTA], b, some)
     if places[SEEN_S] >= 0:
         kalman.innovation_covariance(x, P, u, a.assumed, R, seen, n, w.rest, w.product)
     for each in range(some):
@@ -308,7 +308,7 @@ def sample(a, w, group, epoch, measured, base):
             set_lane(active, 0, each, 1.0 if together else 0.0)
             start[each] = first[each] if together else first[leader]
         if measured:
-            world.recorded(a.run, start, count, samples, dt)
+            world.replay_samples(a.run, start, count, samples, dt)
         else:
             keys = load(a.keys, key_row + world.IMU_KEY), load(a.keys, key_row + world.IMU_KEY + 1)
             deviates(keys[0], keys[1], epoch, size, 6 * count, samples)
@@ -323,7 +323,7 @@ def sample(a, w, group, epoch, measured, base):
 # - `out`, `places`: `seen_floats` and `places` of `ReceiverBuffers`;
 # - `visible`, `coasting`: (B, n) and (B,) bool; `epochs` (B,) that each receiver is at;
 # - `range_offset`, `rate_offset`, `authentic`: of `SensorBuffers`;
-# - `run` (8, N) true samples, their lengths and root rates, as `World.run`, or measured ones;
+# - `run` (8, N) true samples, their lengths and root rates, as `GroundTruth.run`, or measured ones;
 # - `epoch_time`, `epoch_end`, `satellites`: of `World`;
 # - `rules`: covariance update, fewest satellites, whether to re-orthonormalize, deviates of an
 #   epoch for inertial sensors and for GNSS;
@@ -361,18 +361,18 @@ def name_scratch(a, work):
     noise, work = work[: a.rules[4]], work[a.rules[4] :]
     sky, work = work[: SKY * n], work[SKY * n :]
     added, precision, work = work[: 4 * n], work[4 * n : 6 * n], work[6 * n :]
-    index = np.empty((4, lanes_of(a.x)), np.int64)
+    index = np.empty((4, count_lanes(a.x)), np.int64)
     return Scratch(
         terms, product, solution, force, tau, epoch, noise, sky, added, precision, work, index
     )
 
 
-@inlined
+@inline_njit
 def assumed_row(a, group):
     return group * (VARIANCE + 2 * a.visible.shape[1]) % a.assumed.shape[0]
 
 
-@inlined
+@inline_njit
 def constant_row(a, group):
     return group * world.CONSTANT_ROWS % a.constants.shape[0]
 
@@ -384,7 +384,7 @@ def predict_group(a, w, group, what):
     `MEASURE` `run` and the receivers have what has been measured; with `SHOW` the epoch is written
     to where detectors look at it."""
     receivers, n = a.visible.shape
-    lanes, x = lanes_of(a.x), a.x
+    lanes, x = count_lanes(a.x), a.x
     base, c = group * (CHANNELS + ALL * n), group * (CHANNELS + ALL * n) + CHANNELS
     sensor_base, key_row = group * (world.CHANNELS + 2 * n), group * world.KEYS
     b, some = group * lanes, min(lanes, receivers - group * lanes)
@@ -399,7 +399,7 @@ def predict_group(a, w, group, what):
     for each in range(some):
         a.epochs[b + each] = w.index[0, each]
     world.gather_sky(a.satellites, w.index[0], w.sky)
-    tau, epoch = load(w.tau, 0), whole_number(load(w.epoch, 0))
+    tau, epoch = load(w.tau, 0), to_integer(load(w.epoch, 0))
     if what & MEASURE:
         for each in range(lanes):
             follows = min(b + each, receivers - 1)
@@ -418,7 +418,7 @@ def predict_group(a, w, group, what):
         )
         world.measure(sensors, n, *drawn, epoch, tau, w.sky, w.noise, w.added, picked_up, x, c)
     if what & SHOW:
-        show_measured(a, c + INNOVATION * n, b, some)
+        write_measured(a, c + INNOVATION * n, b, some)
     if what & PREDICT:
         sample(a, w, group, epoch, what & MEASURE == 0, base)
         propagate(x, base, a.assumed, assumed_row(a, group), w.force, tau, w.terms, w.product)
@@ -434,7 +434,7 @@ def disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up):
     world.gather_mappings(a.mappings, w.index[0], mapping)
     key0 = load(a.keys, key_row + world.CORRELATED_KEY)
     key1 = load(a.keys, key_row + world.CORRELATED_KEY + 1)
-    size = -(-deviates_of(n) // BLOCK) * BLOCK
+    size = -(-count_deviates(n) // BLOCK) * BLOCK
     base, noise = group * (world.SIGNALS + world.SIGNAL_ROWS * n), rest[:size]
     number = load(w.epoch, 0)
     step = world.disturb(
@@ -446,7 +446,7 @@ def disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up):
 @njit
 def update_group(a, w, group, weights):
     receivers, n = a.visible.shape
-    lanes, base = lanes_of(a.x), group * (CHANNELS + ALL * n)
+    lanes, base = count_lanes(a.x), group * (CHANNELS + ALL * n)
     b, some = group * lanes, min(lanes, receivers - group * lanes)
     for each in range(lanes):
         for s in range(2 * n):

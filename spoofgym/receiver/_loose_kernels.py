@@ -5,7 +5,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from ..core.compile import inlined, njit
+from ..core.compile import inline_njit, njit
 from ..earth.wgs84 import EARTH_RATE, gravity, radii_of_curvature
 from .adaptive import FIXED, LARGEST_SCALE, process_factor, windowed_covariance
 from .loose_states import (
@@ -33,7 +33,7 @@ LooseState = namedtuple(
 )
 
 
-@inlined
+@inline_njit
 def _to_local(C_el, x, y, z):
     return (
         C_el[0, 0] * x + C_el[1, 0] * y + C_el[2, 0] * z,
@@ -61,7 +61,7 @@ def first_estimate(state, position_e, velocity_e, C_eb, error):
 
 
 @njit
-def propagate(P, Phi, noise_psd, tau, work):
+def propagate_loose(P, Phi, noise_psd, tau, work):
     r"""Propagate the covariance over one interval, in place.
 
     .. math:: P \leftarrow \Phi (P + Q/2) \Phi^T + Q/2, \qquad Q = \mathrm{PSD} \, \tau
@@ -141,7 +141,7 @@ def predict(state, samples, fix_e, interval, noise_psd, transition, imu_delta):
         fill_transition(Phi, F, middle, C_el, tau)
         for i in range(15):
             psd[i] = state.process_scale[b] * noise_psd[i]
-        propagate(P, Phi, psd, tau, work)
+        propagate_loose(P, Phi, psd, tau, work)
         # ---- innovation
         latitude, longitude, height = geodetic_point(r[0], r[1], r[2])
         fill_local_axes(latitude, longitude, C_el)
@@ -230,7 +230,7 @@ def feed_back(state, b, x, C_el):
 
 
 @njit
-def update(state, weights, rule, floor):
+def update_loose(state, weights, rule, floor):
     """Correct the predicted state with the weighted gain, feed it back, and tune the noise.
     `state`: after `predict`; corrected in place. Where the window of residuals is empty, R stays;
     `weights` (B, 3) on the columns of the gain; `floor`: least variance of a coordinate [m^2]."""

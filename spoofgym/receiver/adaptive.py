@@ -32,8 +32,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.compile import inlined, njit
-from ..core.declared import record, setting
+from ..core.compile import inline_njit, njit
+from ..core.declared import setting, settings_record
 
 FloatArray = NDArray[np.float64]
 FIXED, RAW, SKIP, CLAMPED = 0, 1, 2, 3
@@ -41,7 +41,7 @@ PROCESS = {"fixed": FIXED, "raw": RAW, "skip": SKIP, "clamped": CLAMPED}
 LARGEST_SCALE = 1e12  # bound of the scale of Q, so that an unstable run shows without an overflow
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class SelfTuning:
     """Settings of the self-tuning noise."""
 
@@ -94,7 +94,7 @@ def windowed_covariance(window: FloatArray, out: FloatArray) -> None:
     out[2, 0], out[2, 1], out[2, 2] = each * c02, each * c12, each * c22
 
 
-@inlined
+@inline_njit
 def process_factor(rule: int, ratio: float) -> float:
     root = math.sqrt(max(ratio, 0.0))
     if rule == CLAMPED:

@@ -55,7 +55,8 @@ class SignalModel(NamedTuple):
     def rows(
         self, mapping: FloatArray, visible: NDArray[np.bool_], interval_s: float
     ) -> FloatArray:
-        """(B, 2n, q) rows of the design matrix; `mapping` (B, n, 6) as `mappings_of` has it."""
+        """(B, 2n, q) rows of the design matrix; `mapping` (B, n, 6) as `compute_mappings` has
+        it."""
         b, n = visible.shape
         H, s, places = np.zeros((b, 2 * n, len(self.first))), np.arange(n), self.places
         for name in ("constant", "correlated", "orbit_clock"):
@@ -194,7 +195,7 @@ class AugmentedFilter:
             if name in other.shown:
                 mine[to] = other.shown[name][rows]
 
-    def begin(self, rows: NDArray[np.intp], covariance: FloatArray, grade: str) -> None:
+    def start_episodes(self, rows: NDArray[np.intp], covariance: FloatArray, grade: str) -> None:
         """Begin new episodes; `covariance` (17, 17) of the states of `receiver.states`."""
         more = np.concatenate([matrix_variances(grade), self.model.first])
         P = np.diag(np.concatenate([np.zeros(STATES), more]))

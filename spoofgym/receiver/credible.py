@@ -38,7 +38,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..core.compile import njit
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.memory import Memory
 from ..core.registry import require
 from .epoch import OPTIONAL, Epoch, EpochMaker, FloatArray, without_channels
@@ -123,7 +123,7 @@ def update_positions(
         outage[b] = 0.0 if believed else outage[b] + interval
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class CredibleFilter:
     """Settings of the filter."""
 
@@ -200,7 +200,7 @@ class CredibleBatch:
     def state(self) -> CredibleState:
         return CredibleState(*(self.memory[name] for name in CredibleState._fields))
 
-    def begin(self, fix: FloatArray) -> None:
+    def start_episodes(self, fix: FloatArray) -> None:
         self.memory["position"][:, :AXES] = fix
         self.memory["odometry"][:, :AXES] = fix
 

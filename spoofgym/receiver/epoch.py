@@ -256,21 +256,22 @@ ALWAYS = frozenset(Epoch._fields).difference(OPTIONAL)  # the others
 
 
 class TracedEpoch(Epoch):
-    """Epoch that notes in `read` which optional fields are read by their names, in copies too."""
+    """Epoch that notes in `read_fields` which optional fields are read by their names, in copies
+    too."""
 
     @property
-    def read(self) -> set[str]:
+    def read_fields(self) -> set[str]:
         found: set[str] = self.__dict__.setdefault("read", set())
         return found
 
     def __getattribute__(self, name: str) -> Any:
         if name in OPTIONAL:
-            self.read.add(name)
+            self.read_fields.add(name)
         return super().__getattribute__(name)
 
     def _replace(self, /, **changed: Any) -> TracedEpoch:
         other = super()._replace(**changed)
-        other.__dict__["read"] = self.read
+        other.__dict__["read"] = self.read_fields
         return other
 
 
@@ -286,7 +287,7 @@ def epoch_view(buffers: ReceiverBuffers, shown: Mapping[str, NDArray[Any]] | Non
         **buffers.seen,
         **(shown or {}),
     }
-    return Epoch(**{name: _sealed(array) for name, array in arrays.items()})
+    return Epoch(**{name: _seal_array(array) for name, array in arrays.items()})
 
 
 class _Seal:
@@ -299,7 +300,7 @@ class _Seal:
 _OWNERS: WeakKeyDictionary[_Seal, NDArray[Any]] = WeakKeyDictionary()  # arrays of sealed views
 
 
-def _sealed(array: NDArray[Any]) -> NDArray[Any]:
+def _seal_array(array: NDArray[Any]) -> NDArray[Any]:
     """View of an array that can't be made writable again: its base is no array, and has no buffer.
     A forged address gets at the memory all the same, as ``ctypes`` does."""
     seal, interface = _Seal(), dict(array.__array_interface__)

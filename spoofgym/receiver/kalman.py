@@ -16,8 +16,19 @@ of 4 x 4 is stored in ten rows, column by column: 00 10 20 30 11 21 31 22 32 33.
 
 import numpy as np
 
-from ..core.compile import inlined, njit
-from ..core.simd import LANES, any_lane, lane, lanes_of, load, select, set_lane, splat, sqrt, store
+from ..core.compile import inline_njit, njit
+from ..core.simd import (
+    LANES,
+    any_lane,
+    count_lanes,
+    lane,
+    load,
+    select,
+    set_lane,
+    splat,
+    sqrt,
+    store,
+)
 from .states import INDEX
 
 OBSERVED = np.array([6, 7, 8, 15, 3, 4, 5, 16])  # E: position, clock bias; velocity, clock drift
@@ -30,7 +41,7 @@ Y, L, X, F, M, Q, V, A1, A2, REST = 0, 8, 28, 60, 124, 188, 324, 388, 408, 428
 WORK = REST + 6 * 64 + 8 * 17  # rows of scratch memory that `update` needs
 
 
-@inlined
+@inline_njit
 def _store_every(out, first, step, x):
     """Write four rows, so many apart."""
     store(out, first, x[0])
@@ -39,7 +50,7 @@ def _store_every(out, first, step, x):
     store(out, first + 3 * step, x[3])
 
 
-@inlined
+@inline_njit
 def _store_triangle(out, first, a):
     _store_every(out, first, 1, a[:4])
     _store_every(out, first + 4, 1, a[4:8])
@@ -47,8 +58,8 @@ def _store_triangle(out, first, a):
     store(out, first + 9, a[9])
 
 
-@inlined
-def _observed(P, first, half, column):
+@inline_njit
+def _load_column(P, first, half, column):
     """A column of a half of the rows E of a packed covariance."""
     o = 4 * half
     a, b = INDEX[OBSERVED[o], column], INDEX[OBSERVED[o + 1], column]
@@ -99,7 +110,7 @@ def information(x, u, z, precision, weights, half, n, power, work):
     _store_triangle(work, first, (a00, a10, a20, a30, a11, a21, a31, a22, a32, a33))
 
 
-@inlined
+@inline_njit
 def _pivot(value, whole):
     """Root of a pivot of Cholesky's factor and its inverse; 0 without information."""
     informed = value > NO_INFORMATION * whole
@@ -123,7 +134,7 @@ def factor_block(work, first):
     _store_triangle(work, f, (l00, l10, l20, l30, l11, l21, l31, l22, l32, l33))
 
 
-@inlined
+@inline_njit
 def _times_factor(work, half, q):
     b, (q0, q1, q2, q3) = L + 10 * half, q
     return (
@@ -142,7 +153,7 @@ def _factor(P, first, work):
     r"""Write C with :math:`C C^T = I + L^T P_e L`, lower triangle with inverse diagonal, into F."""
     for half in range(2):
         for j in range(8):
-            x = _times_factor(work, half, _observed(P, first, half, OBSERVED[j]))
+            x = _times_factor(work, half, _load_column(P, first, half, OBSERVED[j]))
             _store_every(work, F + 32 * half + j, 8, x)
     for i in range(8):  # F L, row by row, as L' times its columns
         for half in range(2):
@@ -200,7 +211,7 @@ def update(P, first, covariance_update, work):
     _factor(P, first, work)
     for half in range(2):  # Q = C^-1 L' Pc'
         for j in range(17):
-            x = _times_factor(work, half, _observed(P, first, half, j))
+            x = _times_factor(work, half, _load_column(P, first, half, j))
             _store_every(work, Q + 68 * half + j, 17, x)
     _substitute(work, Q, 17)
     # dx = Pc (y - V' V Pe y) = Pc y - Q' (V Pe y), where V Pe are columns E of Q
@@ -220,7 +231,7 @@ def update(P, first, covariance_update, work):
     if covariance_update == UNWEIGHTED:
         _subtract_square(P, first, work)
     else:
-        _weighted(P, first, covariance_update, work)
+        _update_with_weights(P, first, covariance_update, work)
 
 
 @njit
@@ -245,7 +256,7 @@ def _subtract_square(P, first, work):
             k += 1
 
 
-@inlined
+@inline_njit
 def _lower(work, first, i, j):
     """Element of a symmetric block-diagonal matrix that is stored as two lower triangles."""
     high, low = max(i, j) % 4, min(i, j) % 4
@@ -275,7 +286,7 @@ def _multiply(a, b, c, transposed):
 
 
 @njit
-def _weighted(P, first, covariance_update, work):
+def _update_with_weights(P, first, covariance_update, work):
     """P -= Pc X Pc', where X is what the two weighted updates have there."""
     rest = work[REST:]
     T, first_sum, second_sum = rest[:64], rest[64:128], rest[128:192]
@@ -356,7 +367,7 @@ def innovation_covariance(x, P, u, noise, R, visible, n, S, t):
             continue
         ux, uy, uz = load(x, u + 3 * s), load(x, u + 3 * s + 1), load(x, u + 3 * s + 2)
         for i in range(8):  # the row of H P
-            p = _observed(x, P, half, OBSERVED[i])
+            p = _load_column(x, P, half, OBSERVED[i])
             store(t, i, (ux * p[0] + uy * p[1]) + (uz * p[2] + p[3]))
         for j in range(k, m):
             a, b = u + 3 * (j % n), 4 * (j // n)
@@ -374,10 +385,10 @@ def innovation_variance(x, P, u, noise, R, visible, n, out):
     """Write the diagonal of S, 2 n rows; the others as in `innovation_covariance`."""
     for half in range(2):
         o = 4 * half
-        p00, p01, p02, p03 = _observed(x, P, half, OBSERVED[o])
-        _, p11, p12, p13 = _observed(x, P, half, OBSERVED[o + 1])
-        _, _, p22, p23 = _observed(x, P, half, OBSERVED[o + 2])
-        _, _, _, p33 = _observed(x, P, half, OBSERVED[o + 3])
+        p00, p01, p02, p03 = _load_column(x, P, half, OBSERVED[o])
+        _, p11, p12, p13 = _load_column(x, P, half, OBSERVED[o + 1])
+        _, _, p22, p23 = _load_column(x, P, half, OBSERVED[o + 2])
+        _, _, _, p33 = _load_column(x, P, half, OBSERVED[o + 3])
         for s in range(n):
             ux, uy, uz = load(x, u + 3 * s), load(x, u + 3 * s + 1), load(x, u + 3 * s + 2)
             t0 = (ux * p00 + uy * p01) + (uz * p02 + p03)
@@ -411,13 +422,13 @@ def normalized_innovation_squared(innovation, innovation_cov, first, last):
     return out
 
 
-@inlined
+@inline_njit
 def _square_all(innovation, innovation_cov, work, out):
     """All receivers, as many side by side as the lane array `work` has lanes. Its rows are the
     lower triangle of S, line after line, and z as one more line."""
     receivers, size = innovation.shape
-    for group in range(0, receivers, lanes_of(work)):
-        for k in range(lanes_of(work)):
+    for group in range(0, receivers, count_lanes(work)):
+        for k in range(count_lanes(work)):
             b, row = min(group + k, receivers - 1), 0
             for i in range(size):
                 for j in range(i + 1):
@@ -426,11 +437,11 @@ def _square_all(innovation, innovation_cov, work, out):
             for i in range(size):
                 set_lane(work, row + i, k, innovation[b, i])
         _square(work, size)
-        for k in range(min(lanes_of(work), receivers - group)):
+        for k in range(min(count_lanes(work), receivers - group)):
             out[group + k] = lane(work, 0, k)
 
 
-@inlined
+@inline_njit
 def _square(work, size):
     """Write the squares into row 0; the factor takes the place of S, its diagonal inverted."""
     total = splat(0.0, work)

@@ -13,17 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.memory import Memory
 from ..core.registry import build_record
 from ..earth.wgs84 import DEGREE, MICRO_G
-from ._loose_kernels import LooseState, first_estimate, predict, update
+from ._loose_kernels import LooseState, first_estimate, predict, update_loose
 from .adaptive import PROCESS, SelfTuning
 from .epoch import OPTIONAL, Epoch, EpochMaker, FloatArray, without_channels
 from .loose_states import POSITION, STATES
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class LooselyCoupled:
     """Settings of the 15-state closed-loop loosely coupled receiver.
 
@@ -178,7 +178,7 @@ class LooseReceivers:
     def state(self) -> LooseState:
         return LooseState(*[self.memory[name] for name in LooseState._fields])
 
-    def begin(
+    def start_episodes(
         self, position_e: FloatArray, velocity_e: FloatArray, C_eb: FloatArray, error: FloatArray
     ) -> None:
         """Begin at a true state, apart from the errors (B, 15) of the alignment."""
@@ -189,7 +189,9 @@ class LooseReceivers:
         predict(self.state, self.samples, self.fix_e, self.imu_interval_s, self._psd, *changed)
 
     def update(self, weights: FloatArray | None) -> None:
-        update(self.state, self._ones if weights is None else weights, self._rule, self._floor)
+        update_loose(
+            self.state, self._ones if weights is None else weights, self._rule, self._floor
+        )
 
     def epoch(self, time: FloatArray) -> Epoch:
         """What a detector may see, between `predict` and `update`. `time` (B,) of the epoch [s];

@@ -26,7 +26,7 @@ The blocks are those of the appendix of `shadmehri2025`, with its position colum
 
 import math
 
-from ..core.compile import inlined, njit
+from ..core.compile import inline_njit, njit
 from ..earth.wgs84 import (
     EARTH_RATE,
     ECCENTRICITY_SQUARED,
@@ -39,7 +39,7 @@ STATES = 15
 ATTITUDE, VELOCITY, POSITION, GYRO_BIAS, ACCEL_BIAS = 0, 3, 6, 9, 12
 
 
-@inlined
+@inline_njit
 def geodetic_point(x, y, z):
     r"""Latitude, longitude and height of a position. Bowring's closed form, good to 1e-11 rad up to
     30 km of height. `x`, `y`, `z`: ECEF [m], not at a pole; returns `latitude`, `longitude`,
@@ -70,14 +70,14 @@ def fill_local_axes(latitude, longitude, C_el):
     C_el[2, 0], C_el[2, 1], C_el[2, 2] = 0.0, cl, sl
 
 
-@inlined
+@inline_njit
 def _put_skew(F, row, column, x, y, z):
     F[row, column], F[row, column + 1], F[row, column + 2] = 0.0, -z, y
     F[row + 1, column], F[row + 1, column + 1], F[row + 1, column + 2] = z, 0.0, -x
     F[row + 2, column], F[row + 2, column + 1], F[row + 2, column + 2] = -y, x, 0.0
 
 
-@inlined
+@inline_njit
 def _add_cross(F, column, v, t):
     F[3, column] += v[1] * t[2] - v[2] * t[1]
     F[4, column] += v[2] * t[0] - v[0] * t[2]
@@ -151,7 +151,7 @@ def fill_transition(Phi, F, C, C_el, tau):
         Phi[5, 12 + j] += tau * c2
 
 
-@inlined
+@inline_njit
 def gravity_size(x, y, z):
     gx, gy, gz = gravity(x, y, z)
     return math.sqrt(gx * gx + gy * gy + gz * gz)

@@ -68,7 +68,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..earth.wgs84 import STANDARD_GRAVITY
 from ..truth.gnss_errors import GnssErrors
-from ..truth.run import World
+from ..truth.run import GroundTruth
 from ..truth.sensors import IMU_GRADES
 from ..truth.signal_errors import correlation
 from .tight import FILTER_GRADES, FilterGrade, NoiseModel, TightlyCoupled
@@ -91,7 +91,7 @@ class Motion(NamedTuple):
     forcing: float = 0.0
 
 
-def motion_of(world: World, epochs: int) -> Motion:
+def compute_motion(world: GroundTruth, epochs: int) -> Motion:
     """Largest manoeuvring of a run, over `WINDOW_S` or less where the run is shorter; the specific
     force is averaged over a second."""
     time = world.imu_time[: world.epoch_end[epochs] + 1]
@@ -159,7 +159,7 @@ def assumed_noise(
     receiver: TightlyCoupled,
     errors: GnssErrors,
     bias_sd: FloatArray,
-    world: World,
+    world: GroundTruth,
     epochs: int,
     flown: int | None = None,
 ) -> tuple[FloatArray, NoiseModel]:
@@ -179,7 +179,7 @@ def assumed_noise(
         clock_phase_psd=errors.clock.phase_psd,
         clock_frequency_psd=errors.clock.frequency_psd,
         inertial=matched_sensors(
-            receiver.grade, motion_of(world, epochs if flown is None else flown)
+            receiver.grade, compute_motion(world, epochs if flown is None else flown)
         ),
     )
     pseudorange = model.pseudorange_sd**2 + epochs * bias_sd**2

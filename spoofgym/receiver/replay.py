@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.registry import require
-from ..truth.noise import padded
+from ..truth.noise import pad_count
 from ..truth.sensors import SensorBuffers
 from . import _kernels
 from .epoch import ReceiverBuffers, kernel_table
@@ -275,7 +275,7 @@ def replay(
     load_initial(buffers, receiver, initial)
     buffers.assumed["noise_psd"] = receiver.noise_psd()
     sensors = SensorBuffers(1, n)
-    sizes = padded(6 * int(np.diff(ends, prepend=0).max())), padded(2 * n)
+    sizes = pad_count(6 * int(np.diff(ends, prepend=0).max())), pad_count(2 * n)
     code, fewest = receiver.covariance_code, receiver.min_satellites
     rules = np.array([code, fewest, receiver.orthonormalize, *sizes])
     times = np.concatenate([[0.0], np.asarray(recording.gnss_time)])

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.compile import inlined, njit
+from ..core.compile import inline_njit, njit
 from ..core.registry import require
 from ..earth.wgs84 import STILL, range_and_rate
 
@@ -33,7 +33,7 @@ TOLERANCE_M = 1e-4
 FIXED, TOO_FEW, SINGULAR, DIVERGED = range(4)  # outcome of a fix
 
 
-@inlined
+@inline_njit
 def write_products(
     lines: FloatArray, j: int, offset: float, weight: float, table: FloatArray, i: int
 ) -> None:
@@ -50,7 +50,7 @@ def write_products(
     table[i, 15] = 0.0
 
 
-@inlined
+@inline_njit
 def add(a: FloatArray, i: int, b: FloatArray, j: int, out: FloatArray, k: int) -> None:
     """Sum of two rows of products. `a` (N, PRODUCTS) one table; `b` (N, PRODUCTS) another one, or
     the same; `out` (N, PRODUCTS), of which row k is written."""
@@ -58,7 +58,7 @@ def add(a: FloatArray, i: int, b: FloatArray, j: int, out: FloatArray, k: int) -
         out[k, c] = a[i, c] + b[j, c]
 
 
-@inlined
+@inline_njit
 def eliminate(sums: tuple[float, ...]) -> float:
     """Sum of the squared residuals of a fit, s^2 [m^2], by elimination of its unknowns; `sums`: a
     row of products, without the last; infinite where the geometry is singular."""
@@ -86,24 +86,24 @@ def eliminate(sums: tuple[float, ...]) -> float:
     return ss - s * m - b1 * b1 * inverse - w2 * w2 * over - w3 * w3 / d3
 
 
-@inlined
+@inline_njit
 def _five(a: FloatArray, i: int, c: int) -> tuple[float, ...]:
     return a[i, c], a[i, c + 1], a[i, c + 2], a[i, c + 3], a[i, c + 4]
 
 
-@inlined
+@inline_njit
 def _five_of_both(a: FloatArray, i: int, b: FloatArray, j: int, c: int) -> tuple[float, ...]:
     x, y, z = a[i, c] + b[j, c], a[i, c + 1] + b[j, c + 1], a[i, c + 2] + b[j, c + 2]
     return x, y, z, a[i, c + 3] + b[j, c + 3], a[i, c + 4] + b[j, c + 4]
 
 
-@inlined
+@inline_njit
 def squared_residual(a: FloatArray, i: int) -> float:
     """`eliminate` of row i of `a` (N, PRODUCTS), sums over the satellites of the fit."""
     return eliminate(_five(a, i, 0) + _five(a, i, 5) + _five(a, i, 10))
 
 
-@inlined
+@inline_njit
 def squared_residual_of_both(a: FloatArray, i: int, b: FloatArray, j: int) -> float:
     """`eliminate` of two sets of satellites together: row i of `a` (N, PRODUCTS), and j of `b`."""
     first, second = _five_of_both(a, i, b, j, 0), _five_of_both(a, i, b, j, 5)
@@ -111,7 +111,7 @@ def squared_residual_of_both(a: FloatArray, i: int, b: FloatArray, j: int) -> fl
 
 
 @njit
-def solve(sums: FloatArray, i: int, x: FloatArray) -> None:
+def solve_fix(sums: FloatArray, i: int, x: FloatArray) -> None:
     """Least-squares solution, of a geometry that isn't singular. `sums` (N, PRODUCTS), of which row
     i holds sums over the satellites of the fit; `x` (4,), written: position and clock [m]."""
     a = sums[i]
@@ -202,7 +202,7 @@ def iterate(
                 add(sums, 0, sums, 1, sums, 0)
         if not squared_residual(sums, 0) < np.inf:
             return SINGULAR
-        solve(sums, 0, step)
+        solve_fix(sums, 0, step)
         largest = abs(step[3])
         bias += step[3]
         for i in range(3):
@@ -269,7 +269,7 @@ def fit_rates(
         lines[0, 0], lines[0, 1], lines[0, 2] = -ux, -uy, -uz
         write_products(lines, 0, range_rate[j] - rate, 1.0, sums, 1)
         add(sums, 0, sums, 1, sums, 0)
-    solve(sums, 0, step)
+    solve_fix(sums, 0, step)
 
 
 def least_squares_fix(

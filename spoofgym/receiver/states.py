@@ -8,7 +8,7 @@ and position, truth minus estimate for biases and clock.
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.compile import inlined, njit
+from ..core.compile import inline_njit, njit
 from ..core.simd import load, sqrt, store
 from ..earth.wgs84 import EARTH_RATE, geocentric_surface_radius, gravity
 from ..truth._kernels import load3, store3
@@ -68,14 +68,14 @@ def transition_terms(C, r, f, tau, terms):
             store(terms, 12 + 3 * i + j, k * g[i] * r[j])
 
 
-@inlined
+@inline_njit
 def _matrix_times(terms, first, b):
     x, y, z = load3(terms, first), load3(terms, first + 3), load3(terms, first + 6)
     c0, c1 = x[0] * b[0] + x[1] * b[1] + x[2] * b[2], y[0] * b[0] + y[1] * b[1] + y[2] * b[2]
     return c0, c1, z[0] * b[0] + z[1] * b[1] + z[2] * b[2]
 
 
-@inlined
+@inline_njit
 def transition_product(terms, tau, x, first, index):
     r"""Those elements of :math:`y = \Phi x` that differ from x: y_0 to y_8, and y_15.
 
@@ -106,7 +106,7 @@ def transition_product(terms, tau, x, first, index):
     )
 
 
-@inlined
+@inline_njit
 def _store_nine(work, first, step, y):
     """Write the first nine elements of a product, so many rows apart."""
     store3(work, first, y[:3], step)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..core.compile import inlined
+from ..core.compile import inline_njit
 from ..core.simd import floor, select
 from ..earth.wgs84 import EARTH_RATE, gravity
 
@@ -13,13 +13,13 @@ UNITS_PER_TWO = 2.0**52  # half the number of doubles between one half and one
 LARGEST_ROTATION = 1.0  # of one sample [rad]: up to it the series are exact to rounding
 
 
-@inlined
-def _nested(x: float, a: float, b: float, c: float, rest: float) -> float:
+@inline_njit
+def _nest_series(x: float, a: float, b: float, c: float, rest: float) -> float:
     """First factors of a Taylor series: 1 - a x (1 - b x (1 - c x rest))."""
     return 1.0 - x * a * (1.0 - x * b * (1.0 - x * c * rest))
 
 
-@inlined
+@inline_njit
 def rotation_coefficients(squared_angle: float) -> tuple[float, float, float]:
     r"""Coefficients of Rodrigues' formula and of its integral.
 
@@ -37,12 +37,12 @@ def rotation_coefficients(squared_angle: float) -> tuple[float, float, float]:
     most 5e-9 of itself, which shows at 1e-8 m/s in a tactical golden run.
     """
     x = squared_angle
-    s = _nested(x, 1 / 72, 1 / 110, 1 / 156, 1.0 - x * (1 / 210) * (1.0 - x * (1 / 272)))
-    s = _nested(x, 1 / 6, 1 / 20, 1 / 42, s)
-    c = _nested(x, 1 / 90, 1 / 132, 1 / 182, 1.0 - x * (1 / 240))
-    c = 0.5 * _nested(x, 1 / 12, 1 / 30, 1 / 56, c)
-    d = _nested(x, 1 / 110, 1 / 156, 1 / 210, 1.0 - x * (1 / 272))
-    d = _nested(x, 1 / 20, 1 / 42, 1 / 72, d)
+    s = _nest_series(x, 1 / 72, 1 / 110, 1 / 156, 1.0 - x * (1 / 210) * (1.0 - x * (1 / 272)))
+    s = _nest_series(x, 1 / 6, 1 / 20, 1 / 42, s)
+    c = _nest_series(x, 1 / 90, 1 / 132, 1 / 182, 1.0 - x * (1 / 240))
+    c = 0.5 * _nest_series(x, 1 / 12, 1 / 30, 1 / 56, c)
+    d = _nest_series(x, 1 / 110, 1 / 156, 1 / 210, 1.0 - x * (1 / 272))
+    d = _nest_series(x, 1 / 20, 1 / 42, 1 / 72, d)
     # the units in the last place below one that 1 - cos a leaves of x / 2
     units = floor(x * (1.0 - x * (1 / 12)) * UNITS_PER_TWO + 0.5)
     rounded = units / (2.0 * UNITS_PER_TWO * x + TINY)
@@ -54,14 +54,14 @@ def rotation_coefficients(squared_angle: float) -> tuple[float, float, float]:
 Three = tuple[float, float, float]
 
 
-@inlined
+@inline_njit
 def _row_times(row: Three, m0: Three, m1: Three, m2: Three) -> Three:
     x = row[0] * m0[0] + row[1] * m1[0] + row[2] * m2[0]
     y = row[0] * m0[1] + row[1] * m1[1] + row[2] * m2[1]
     return x, y, row[0] * m0[2] + row[1] * m1[2] + row[2] * m2[2]
 
 
-@inlined
+@inline_njit
 def strapdown_step(
     C: tuple[float, ...], v: Three, r: Three, f: Three, w: Three, dt: float
 ) -> tuple[tuple[float, ...], Three, Three]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.declared import check_number, record, setting
+from ..core.declared import check_number, setting, settings_record
 from ..core.registry import require
 from ..earth.wgs84 import DEGREE, MICRO_G
 from .kalman import COVARIANCE_UPDATES
@@ -97,7 +97,7 @@ class NoiseModel(NamedTuple):
     inertial: FilterGrade | None = None
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class TightlyCoupled:
     """Settings of the 17-state closed-loop tightly coupled receiver."""
 

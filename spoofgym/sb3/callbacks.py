@@ -17,7 +17,7 @@ from ..bench.experiments.evaluate import FIT_RUNS, Evaluator
 from ..bench.search.amplitude import TuningResult
 from ..core.declared import check_number
 from ..core.progress import ProgressCallback
-from ..core.registry import refuse_given, whole_number
+from ..core.registry import refuse_overrides, whole_number
 from ..envs.wrappers import EpochRecorder
 from ..policies.card import DECIDED_ON
 from ..policies.contract import NotFinite
@@ -97,7 +97,7 @@ class WeightAverage:
             self.weights[name] = self.keeps * before + (1.0 - self.keeps) * now
 
     @contextmanager
-    def applied(self, model: Any) -> Iterator[None]:
+    def apply(self, model: Any) -> Iterator[None]:
         """Let the model have the average as its weights, and its own ones again afterwards."""
         parameters = dict(model.policy.named_parameters())
         own = {name: weight.detach().clone() for name, weight in parameters.items()}
@@ -132,7 +132,7 @@ class ScoreCallback(BaseCallback):
 
     With ``average``, what is scored and stored is an exponential average of the policy's weights
     over its updates, which jitters less than the policy that learns.  The policy itself goes on
-    with its own weights; `averaged` lends it the average, such as for a last score.
+    with its own weights; `apply_average` lends it the average, such as for a last score.
 
     A policy whose weights or actions are NaN or infinite ends the training; the best one stays,
     and the model has the weights of the last rollout before.  Where they become so within an
@@ -190,7 +190,7 @@ class ScoreCallback(BaseCallback):
         super().__init__(verbose)
         if judge is not None:
             given = world if task is None else {"task": task, **world}
-            refuse_given("`judge`", (f"`{name}`" for name in given))
+            refuse_overrides("`judge`", (f"`{name}`" for name in given))
         self.every = whole_number("`every`", every, 1)
         self.path = None if path is None else checked_path(path)
         check_number("average", average, least=0.0, below=1.0)
@@ -240,12 +240,12 @@ class ScoreCallback(BaseCallback):
             self._averaged_at = self.num_timesteps
 
     @contextmanager
-    def averaged(self) -> Iterator[None]:
+    def apply_average(self) -> Iterator[None]:
         """Let the model act by the average of its weights for a while, where there is one."""
         if not self._average.weights:  # nothing is averaged, or nothing has been learned
             yield
             return
-        with self._average.applied(self.model):
+        with self._average.apply(self.model):
             yield
 
     def state(self) -> dict[str, Any]:
@@ -276,7 +276,7 @@ class ScoreCallback(BaseCallback):
         if done or self.diverged is not None:
             return
         try:
-            with self.averaged():
+            with self.apply_average():
                 found = self.judge.fit(self.model)
         except NotFinite as error:
             self.give_up(str(error))
@@ -309,6 +309,6 @@ class ScoreCallback(BaseCallback):
         from ..export import onnx  # torch, which the engine does not need
 
         assert self.path is not None  # else nothing is stored
-        with self.averaged():
+        with self.apply_average():
             seeds = {DECIDED_ON: [[self.judge.entropy, "training"]]}
             onnx(self.model, path=self.path, amplitude=found.value, training=seeds)

@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from ..core.registry import whole_number
 from ..detectors.build import DetectorSpec
 from ..duel.learner import LearnersSide
-from ..envs.factory import compose, signature_of
+from ..envs.factory import compose, expand_signature
 from ..envs.options import (
     HALFWAY,
     Array,
@@ -22,11 +22,11 @@ from ..envs.options import (
     action_space,
     check_vector_settings,
     checked_action,
-    chosen,
     domain_option,
     info_keys,
     observation_space,
-    reseeded,
+    reseed,
+    select_info,
     warn_unknown,
     whole_reset,
 )
@@ -130,7 +130,7 @@ class SpoofVecEnv(VecEnv):
             sys.modules["torch"].set_num_threads(torch_threads)
         made = LearnersSide.of(env_id, task, side, pool, weights, settings)
         self.side, self.env_id, self.env_kwargs = made.side, made.card_id, made.card_kwargs()
-        self.given_detector = settings.get("detector") if made.pool is None else made.pool
+        self.detector_setting = settings.get("detector") if made.pool is None else made.pool
         self.wrapped = False
         self._infos = infos
         self.adopt(made.core(num_envs, threads, prefetch, type(self).__name__))
@@ -152,14 +152,14 @@ class SpoofVecEnv(VecEnv):
         self._keys = info_keys(self._infos, core.info_names)
 
     @property
-    def begun(self) -> bool:
+    def is_started(self) -> bool:
         """Whether an episode has started."""
         return bool(self._rngs)
 
     def reset(self) -> Array:
         """Start a new episode in every receiver, seeded as `seed` said since the last: (B, o)."""
-        self._rngs = reseeded(self._rngs, self._seeds, np.ones(self.num_envs, dtype=np.bool_))
-        given = self._given()
+        self._rngs = reseed(self._rngs, self._seeds, np.ones(self.num_envs, dtype=np.bool_))
+        given = self._read_domain()
         self._reset_seeds()
         self._reset_options()
         with whole_reset(self):
@@ -217,11 +217,11 @@ class SpoofVecEnv(VecEnv):
     def _each(self, result: StepResult | PlainResult) -> list[dict[str, Any]]:
         if self._keys is not None and not self._keys:
             return [{} for _ in range(self.num_envs)]
-        wanted = chosen(result.info, self._keys)
+        wanted = select_info(result.info, self._keys)
         lists = {name: array.tolist() for name, array in wanted.items()}
         return [{name: lists[name][row] for name in lists} for row in range(self.num_envs)]
 
-    def _given(self) -> dict[str, list[Any]] | None:
+    def _read_domain(self) -> dict[str, list[Any]] | None:
         for options in self._options:
             warn_unknown(options, ("domain",))
         given = [domain_option(options) or {} for options in self._options]
@@ -267,7 +267,7 @@ class SpoofVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
-SpoofVecEnv.__signature__ = signature_of(
+SpoofVecEnv.__signature__ = expand_signature(
     TightlyCoupledSetup, inspect.signature(SpoofVecEnv.__init__)
 )
 

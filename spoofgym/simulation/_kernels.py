@@ -6,7 +6,7 @@ import numpy as np
 
 from ..attacks._kernels import Commanded, false_position, per_channel
 from ..core.compile import njit
-from ..core.simd import flags_at, floats_at, integers_at, lanes_of
+from ..core.simd import count_lanes, flags_at, floats_at, integers_at
 from ..detectors.base import is_sound
 from ..detectors.charts import judge_channels
 from ..receiver._kernels import (
@@ -23,8 +23,8 @@ from ..receiver._kernels import (
 from ..truth.noise import threefry
 from ..truth.run import EpochTruth
 
-# Places in the table behind `Arrays`: of `World`; channels that are the spoofer's; whether rates
-# are commanded, what an action of 1 commands, the limit of the rate, whether range rates are
+# Places in the table behind `Arrays`: of `GroundTruth`; channels that are the spoofer's; whether
+# rates are commanded, what an action of 1 commands, the limit of the rate, whether range rates are
 # coherent.
 POSITION_E, VELOCITY_E, CAPTURED, SLOTS, ATTACK_SETTINGS = range(
     len(Arrays._fields), len(Arrays._fields) + 5
@@ -81,7 +81,7 @@ def run_epochs(table, memories, action, weights, work, attack, hold, detector, w
     commanded = Commanded(action, hold, attack_settings, displacement, rate)
     rest = a.epochs, EpochTruth(a.epoch_time, a.satellites, position_e, velocity_e), captured
     w = name_scratch(a, work)
-    lanes = lanes_of(work)
+    lanes = count_lanes(work)
     innovation = a.out[a.places[0] : a.places[0] + receivers * m].reshape((receivers, m))
     variance = a.out[a.places[1] : a.places[1] + receivers * m].reshape((receivers, m))
     for group in range(lo // lanes, -(-hi // lanes)):

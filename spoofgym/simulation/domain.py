@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.registry import build_record, check_choice, require
 from ..earth.attitude import euler_to_dcm
 from ..receiver import TightlyCoupled
@@ -20,7 +20,7 @@ from ..receiver.matching import assumed_noise
 from ..receiver.tight import NoiseModel
 from ..truth.events import BenignEvents
 from ..truth.gnss_errors import ERRORS, RENAMED, GnssErrors
-from ..truth.run import World, chain_worlds
+from ..truth.run import GroundTruth, chain_worlds
 from ..truth.satellites import CircularConstellation
 from ..truth.scenario import TURN_ON, Scenario
 from ..truth.sensors import IMU_GRADES, ImuGrade
@@ -32,7 +32,7 @@ MOST_TIME_S = 1e8  # three years; beyond, the rounding of the time shows in posi
 CHOICES = ("world", "start_s", "imu", "errors", "target_heading_deg")  # what a reset may be given
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class Domain:
     """Ranges and lists from which every episode draws its circumstances.
 
@@ -155,7 +155,7 @@ class Choice(NamedTuple):
     heading: FloatArray
 
 
-class Bounds(NamedTuple):
+class DomainBounds(NamedTuple):
     """Among how many of each an episode chooses, its starts, and its heading, None if drawn."""
 
     worlds: int
@@ -171,7 +171,7 @@ class Bounds(NamedTuple):
         return max(counts) == 1 and self.heading is not None
 
 
-def draw(bounds: Bounds, keys: NDArray[np.uint64]) -> Choice:
+def draw(bounds: DomainBounds, keys: NDArray[np.uint64]) -> Choice:
     """Draw the circumstances of episodes, each from its key of the source of chance, (b, 2)."""
     count = len(keys)
     whole = np.zeros((4, count), dtype=np.int64)
@@ -189,10 +189,10 @@ def draw(bounds: Bounds, keys: NDArray[np.uint64]) -> Choice:
     return Choice(whole[0], whole[1], whole[2], whole[3], heading)
 
 
-def given_choice(
+def apply_choices(
     given: Mapping[str, Any],
     drawn: Choice,
-    bounds: Bounds,
+    bounds: DomainBounds,
     names: Mapping[str, Sequence[str]],
     interval_s: float,
 ) -> Choice:
@@ -200,7 +200,7 @@ def given_choice(
     count = len(drawn.start)
     for name in given:
         check_choice("choice of a reset", name, CHOICES)
-    values = {name: each_of(name, value, count) for name, value in given.items()}
+    values = {name: expand_values(name, value, count) for name, value in given.items()}
     world, grade, error, start, heading = drawn
     if "world" in values:
         world = _whole("world", values["world"], 0, bounds.worlds - 1)
@@ -230,7 +230,7 @@ def given_choice(
     return Choice(world, grade, error, start, heading)
 
 
-def each_of(name: str, value: Any, count: int) -> list[Any]:
+def expand_values(name: str, value: Any, count: int) -> list[Any]:
     if isinstance(value, str) or np.ndim(value) == 0:
         return [value] * count
     values = list(value)
@@ -289,7 +289,7 @@ class Combination(NamedTuple):
     assumed_bias_sd: FloatArray
 
 
-def worlds_of(scenario: Scenario, domain: Domain) -> list[World]:
+def build_worlds(scenario: Scenario, domain: Domain) -> list[GroundTruth]:
     if not domain.varies and domain.worlds is None and domain.pairs() == [(0.0, 0.0)]:
         return [scenario.world()]
     constellation = scenario.constellation
@@ -306,7 +306,7 @@ def worlds_of(scenario: Scenario, domain: Domain) -> list[World]:
 
 
 @lru_cache(maxsize=2)
-def _variants(scenario: Scenario, base: CircularConstellation, domain: Domain) -> list[World]:
+def _variants(scenario: Scenario, base: CircularConstellation, domain: Domain) -> list[GroundTruth]:
     return [
         replace(
             scenario,
@@ -324,7 +324,7 @@ class Combinations:
 
     def __init__(
         self,
-        worlds: Sequence[World],
+        worlds: Sequence[GroundTruth],
         scenario: Scenario,
         receiver: TightlyCoupled,
         domain: Domain,
@@ -404,7 +404,7 @@ class Combinations:
 
 
 def _combination(
-    world: World,
+    world: GroundTruth,
     grade: str,
     errors: GnssErrors,
     assumed: GnssErrors,
@@ -432,7 +432,7 @@ def _combination(
     )
 
 
-def _first_attitudes(world: World, grade: ImuGrade) -> FloatArray:
+def _first_attitudes(world: GroundTruth, grade: ImuGrade) -> FloatArray:
     """(K, 3, 3) attitudes with the grade's first error, for a start at every epoch."""
     error = euler_to_dcm(*(-np.radians(grade.attitude_error_deg)))
     # the error turns the local axes: C_nb (estimated) = dC C_nb

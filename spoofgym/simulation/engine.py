@@ -15,17 +15,17 @@ from ..core.registry import whole_number
 from ..core.simd import LANES
 from ..detectors import Verdict
 from ..receiver.epoch import Epoch
-from .domain import FloatArray, draw, given_choice
+from .domain import FloatArray, apply_choices, draw
 from .prefetch import PIECE, STOCK, NextEpisodes
 from .setup import Setup
-from .simulator import Given, Rngs, Rows, Sequel, Simulator, run_serially
+from .simulator import FixedChoices, Rngs, Rows, Sequel, Simulator, run_serially
 from .threads import Workers
 
 T = TypeVar("T")
 RECEIVERS_PER_THREAD = 16
 SLICES_PER_THREAD, LEAST_SLICE = 4, 32  # of a step, so that none waits long; least receivers of one
 POOL_SEED = 0x9A57  # receiver k of every pool is seeded ``SeedSequence(POOL_SEED, spawn_key=(k,))``
-KEPT = 8  # largest size of the simulators stored for the time to alert of a few receivers
+MAX_CACHED = 8  # largest size of the simulators stored for the time to alert of a few receivers
 
 
 def _warming(setup: Setup, rngs: Rngs) -> Iterator[Simulator]:
@@ -92,9 +92,9 @@ class Engine:
         self._workers = Workers(max(self.threads - 1, int(prefetch)))
         self.simulator: Simulator = setup.simulator(receivers, self._run)
         self.twin: Simulator | None = (
-            setup.altered(monitors=()).simulator(receivers, self._run) if twin else None
+            setup.copy_with(monitors=()).simulator(receivers, self._run) if twin else None
         )
-        self._everyone = np.arange(receivers)
+        self._all_rows = np.arange(receivers)
         self._few: dict[tuple[bool, int], Simulator] = {}
         self._pool: Simulator | None = None
         self._next: NextEpisodes | None = None
@@ -120,12 +120,14 @@ class Engine:
         bounds = [LANES * ((groups * part) // parts) for part in range(parts)] + [receivers]
         self._workers.run(work, bounds)
 
-    def reset(self, rngs: Rngs, rows: Rows | None = None, given: Given | None = None) -> None:
+    def reset(
+        self, rngs: Rngs, rows: Rows | None = None, given: FixedChoices | None = None
+    ) -> None:
         """Start new episodes of some receivers, all by default, and run their warm-up. `rngs` has
         one generator a row; `given` are circumstances that are not to be drawn, one value, or one
         per row (see `domain.CHOICES`)."""
         self._workers.settle()
-        where = self._everyone if rows is None else rows
+        where = self._all_rows if rows is None else rows
         if given and self.warm_pool is not None:
             raise ValueError(
                 f"with `warm_pool` {self.warm_pool} the circumstances of an episode are those of "
@@ -135,7 +137,7 @@ class Engine:
             # refused before any episode has been started
             setup = self.setup
             nothing = draw(setup.bounds, np.zeros((len(where), 2), dtype=np.uint64))
-            given_choice(given, nothing, setup.bounds, setup.combination_names, setup.interval_s)
+            apply_choices(given, nothing, setup.bounds, setup.combination_names, setup.interval_s)
         try:
             self._reset(rngs, where, given)
         except Exception:
@@ -147,27 +149,27 @@ class Engine:
         if self.twin is not None:
             self.twin.copy_rows(where, self.simulator, where)
 
-    def _reset(self, rngs: Rngs, where: Rows, given: Given | None) -> None:
+    def _reset(self, rngs: Rngs, where: Rows, given: FixedChoices | None) -> None:
         if self.warm_pool is not None:
             self._pool = self._pool or self._warmed_pool(self.warm_pool)
             self.simulator.start_from(self._pool, where, rngs)
             return
         if self._next is None:
-            self._begin(rngs, where, given)
+            self._warm_up_rows(rngs, where, given)
             return
         if given:
-            self._begin(self._next.instead(where, rngs), where, given)
+            self._warm_up_rows(self._next.instead(where, rngs), where, given)
             self._next.prepare(where, rngs)
             return
-        prepared = self._next.prepared(where, rngs)
+        prepared = self._next.find_prepared(where, rngs)
         if prepared.any():
             self._next.take(where[prepared], self.simulator)
         if not prepared.all():
             others = [rng for rng, ready in zip(rngs, prepared, strict=True) if not ready]
-            self._begin(others, where[~prepared])
+            self._warm_up_rows(others, where[~prepared])
         self._next.prepare(where, rngs)
 
-    def _begin(self, rngs: Rngs, rows: Rows, given: Given | None = None) -> None:
+    def _warm_up_rows(self, rngs: Rngs, rows: Rows, given: FixedChoices | None = None) -> None:
         if len(rows) == self.receivers:
             self.simulator.warm_up(rngs, given)
             return
@@ -215,18 +217,18 @@ class Engine:
         whole = self.simulator if whole is None else whole
         if len(rows) == self.receivers:
             return work(whole)
-        part, here = self._part_of(whole, len(rows)), np.arange(len(rows))
+        part, here = self._get_part(whole, len(rows)), np.arange(len(rows))
         part.copy_rows(here, whole, rows)
         done = work(part)
         whole.copy_rows(rows, part, here)
         return done
 
-    def _part_of(self, whole: Simulator, receivers: int) -> Simulator:
+    def _get_part(self, whole: Simulator, receivers: int) -> Simulator:
         """Simulator whose rows are all to be overwritten; a small one is made once."""
         key = (whole is self.twin, receivers)
         if key not in self._few:
             part: Simulator = whole.setup.simulator(receivers, self._run)
-            if receivers > KEPT:
+            if receivers > MAX_CACHED:
                 return part
             self._few[key] = part
         return self._few[key]

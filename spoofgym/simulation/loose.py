@@ -17,7 +17,7 @@ from ..receiver.epoch import Epoch
 from ..receiver.loose import LooselyCoupled, LooseReceivers
 from ..truth._kernels import first_errors, measure_loose
 from ..truth.gnss_errors import PositionErrors
-from ..truth.noise import padded
+from ..truth.noise import pad_count
 from ..truth.run import SOURCES, InertialErrors, flown_world
 from ..truth.scenario import at_rate
 from .domain import Choice, Domain, FloatArray
@@ -204,7 +204,7 @@ class LooselyCoupledSimulator(RateSimulator):
         errors = {"first_error": np.zeros((b, 15)), "position_error": np.zeros((b, 3))}
         memory.declare_all(keys=keys, **errors)
         self._offset = np.zeros((b, 3))  # east, north, up
-        self._deviates = np.empty(padded(6 * world.samples))
+        self._deviates = np.empty(pad_count(6 * world.samples))
 
     def _context(self) -> DetectorContext:
         variance = self.setup.receiver.noise_variance()
@@ -222,7 +222,7 @@ class LooselyCoupledSimulator(RateSimulator):
         first_errors(memory["keys"], *sizes, self._deviates, *written)
         world = setup.world
         truth = world.position_e[first], world.velocity_e[first], world.C_eb[first]
-        self.victims.begin(*truth, memory["first_error"])
+        self.victims.start_episodes(*truth, memory["first_error"])
 
     def _measure(self, command: FloatArray | None) -> None:
         self._move(command)

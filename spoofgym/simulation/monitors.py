@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..core.memory import Memory
 from ..detectors import DETECTORS, Calibrated, Detector, Verdict
-from ..detectors.base import check_needs, judged
+from ..detectors.base import check_needs, judge_epoch
 from ..receiver.epoch import Epoch
 from ._kernels import latest_reports
 
@@ -52,10 +52,10 @@ class Monitor(ABC):
     def update(self, simulator: Monitored) -> None:
         """Look at an epoch between the verdict and the update."""
 
-    def corrected(self, simulator: Monitored) -> None:  # noqa: B027  (few need it)
+    def observe_update(self, simulator: Monitored) -> None:  # noqa: B027  (few need it)
         """Look at an epoch after the update."""
 
-    def begin(self) -> None:
+    def start_episodes(self) -> None:
         self.memory.reset()
 
     def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
@@ -70,7 +70,7 @@ class PassiveDetectors(Monitor):
 
     def __init__(self, detectors: Sequence[Detector]) -> None:
         self.detectors = [copy.deepcopy(detector) for detector in detectors]
-        self.names = names_of(self.detectors)
+        self.names = name_detectors(self.detectors)
         # those of the detectors, so that they are the object's, not the class's
         self.needs = frozenset().union(*map(check_needs, self.detectors))  # type: ignore[misc]
 
@@ -82,15 +82,15 @@ class PassiveDetectors(Monitor):
         alarmed = np.zeros((receivers, count), dtype=np.bool_)
         self.memory.declare_all(alarmed=alarmed, ratio=np.zeros((receivers, count)))
 
-    def begin(self) -> None:
-        super().begin()
+    def start_episodes(self) -> None:
+        super().start_episodes()
         for detector in self.detectors:
             detector.reset()
 
     def update(self, simulator: Monitored) -> None:
         alarmed, ratio = self.memory["alarmed"], self.memory["ratio"]
         for k, detector in enumerate(self.detectors):
-            verdict = judged(detector, simulator.epoch)
+            verdict = judge_epoch(detector, simulator.epoch)
             alarmed[:, k] |= verdict.alarm.any(axis=1)
             ratio[:, k] = (verdict.statistic / verdict.threshold).max(axis=1)
 
@@ -105,7 +105,7 @@ def needed_monitors(terms: Iterable[Any]) -> list[Monitor]:
     return [kind() for kind in kinds]
 
 
-def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:
+def name_detectors(detectors: Sequence[Detector]) -> tuple[str, ...]:
     known = {kind: name for name, kind in DETECTORS.items()}
     detectors = [d.detector if isinstance(d, Calibrated) else d for d in detectors]
     named = [d.label or known.get(type(d), type(d).__name__) for d in detectors]
@@ -114,28 +114,29 @@ def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:
     return tuple(f"{word}_{count + 1}" if count else word for word, count in before)
 
 
-KEPT = 64  # epochs whose positions are stored
+HISTORY_EPOCHS = 64  # epochs whose positions are stored
 
 
 class PastPositions(Monitor):
-    """Positions that the victims have believed at the last `KEPT` epochs that were judged.
-    `memory`: ``position`` (B, KEPT, d) in the axes of `Setup.true_position` [m], and ``of`` (B,
-    KEPT) the epoch of each, -1 for none; that of epoch k is at the place k modulo `KEPT`."""
+    """Positions that the victims have believed at the last `HISTORY_EPOCHS` epochs that were
+    judged. `memory`: ``position`` (B, HISTORY_EPOCHS, d) in the axes of `Setup.true_position` [m],
+    and ``of`` (B, HISTORY_EPOCHS) the epoch of each, -1 for none; that of epoch k is at the place k
+    modulo `HISTORY_EPOCHS`."""
 
     def bind(self, simulator: Monitored) -> None:
         receivers, setup = simulator.receivers, simulator.setup  # type: ignore[attr-defined]
         axes = setup.true_position.shape[1]
         self.memory = Memory(receivers)
-        self.memory.declare("position", np.zeros((receivers, KEPT, axes)))
-        self.memory.declare("of", np.full((receivers, KEPT), -1, dtype=np.int64))
+        self.memory.declare("position", np.zeros((receivers, HISTORY_EPOCHS, axes)))
+        self.memory.declare("of", np.full((receivers, HISTORY_EPOCHS), -1, dtype=np.int64))
 
     def update(self, simulator: Any) -> None:
         """Nothing: what the victim believes of the epoch is known after the update."""
 
-    def corrected(self, simulator: Any) -> None:
+    def observe_update(self, simulator: Any) -> None:
         rows, epochs = np.arange(simulator.receivers), simulator.epochs
-        self.memory["position"][rows, epochs % KEPT] = simulator.position
-        self.memory["of"][rows, epochs % KEPT] = epochs
+        self.memory["position"][rows, epochs % HISTORY_EPOCHS] = simulator.position
+        self.memory["of"][rows, epochs % HISTORY_EPOCHS] = epochs
 
 
 def reports(
@@ -148,7 +149,7 @@ def reports(
     epochs, onset, keys = simulator.epochs, simulator.onset, simulator.memory["key"]
     newest = np.empty(len(epochs), dtype=np.int64)
     latest_reports(epochs, onset, keys, every, latency_epochs, newest)
-    rows, places = np.arange(len(epochs)), newest % KEPT
+    rows, places = np.arange(len(epochs)), newest % HISTORY_EPOCHS
     kept = past["of"][rows, places] == newest
     position = np.where(kept[:, None], past["position"][rows, places], 0.0)
     return position, np.where(kept, newest, -1)

@@ -43,7 +43,7 @@ class Group:
         self.slots, self.episodes = slots, episodes
         self.failure: BaseException | None = None
         self.over = self._wanted = False
-        self._pieces = warm_up([copy_of(rng) for rng in episodes])
+        self._pieces = warm_up([copy_generator(rng) for rng in episodes])
         self._turn = threading.Lock()
 
     def __call__(self) -> bool:
@@ -85,18 +85,18 @@ class NextEpisodes:
         self._ready = np.zeros(slots, dtype=np.bool_)
         self._episodes: dict[int, np.random.Generator] = {}
         self._sources: list[np.random.Generator | None] = [None] * self._receivers
-        self._taken = np.zeros(self._receivers, dtype=np.int64)
+        self._consumed = np.zeros(self._receivers, dtype=np.int64)
         self._stock = np.zeros(self._receivers, dtype=np.int64)
-        self._asked: dict[int, None] = {}
+        self._requests: dict[int, None] = {}
         self._groups: list[Group] = []
         self._generation = _threads.generation()
 
     def forget(self) -> None:
         self._ask_again(self._groups)
-        self._asked, self._sources = {}, [None] * self._receivers
+        self._requests, self._sources = {}, [None] * self._receivers
 
     def _ask_again(self, groups: Iterable[Group]) -> None:
-        self._asked = {**self._open(groups), **self._asked}
+        self._requests = {**self._open(groups), **self._requests}
         self._groups = [group for group in self._groups if group not in groups]
         self._workers.pieces[:] = self._groups
 
@@ -118,19 +118,19 @@ class NextEpisodes:
             self._generation = _threads.generation()
 
     def __getstate__(self) -> dict[str, Any]:
-        asked = {**self._open(self._groups), **self._asked}
+        asked = {**self._open(self._groups), **self._requests}
         return {**self.__dict__, "_asked": asked, "_groups": [], "_generation": None}
 
     def _slots(self, rows: NDArray[np.intp], ahead: NDArray[np.int64] | int) -> NDArray[np.intp]:
         """Where the episodes lie that some receivers come to after some others."""
-        return rows + self._receivers * ((self._taken[rows] + ahead) % STOCK)
+        return rows + self._receivers * ((self._consumed[rows] + ahead) % STOCK)
 
     def prepare(self, rows: NDArray[np.intp], rngs: Rngs) -> None:
         """Ask for the next episodes of some receivers, each from its generator. A generator that is
         new gets one, in place of what waited for the receiver before; a known one as many as it
         lacks of its stock."""
         self._check_fork()
-        known = self.prepared(rows, rngs, least=0)
+        known = self.find_prepared(rows, rngs, least=0)
         self._stock[rows[~known]] = 0
         wanted = np.where(known, STOCK, 1)
         for ahead in range(STOCK):
@@ -138,16 +138,16 @@ class NextEpisodes:
             slots = self._slots(rows[lacking], ahead).tolist()
             for i, slot in zip(np.flatnonzero(lacking).tolist(), slots, strict=True):
                 self._ready[slot], self._episodes[slot] = False, take_episode(rngs[i])
-                self._asked[slot] = None
+                self._requests[slot] = None
                 self._sources[int(rows[i])] = rngs[i]
                 self._stock[rows[i]] += 1
         if not known.all():
             self._drop_unwanted()
-        count = len(self._asked)
+        count = len(self._requests)
         if not all(group.over for group in self._groups):
             count -= count % MOST_TOGETHER  # more may join the rest while the threads are busy
         if count >= min(LEAST_TOGETHER, self._receivers):
-            self._group(list(self._asked)[:count])
+            self._group(list(self._requests)[:count])
             self._workers.pieces[:] = self._groups
             self._workers.wake()
 
@@ -156,9 +156,11 @@ class NextEpisodes:
             episodes = [self._episodes[slot] for slot in part.tolist()]
             self._groups.append(Group(part.tolist(), episodes, self._warm_up))
         for slot in slots:
-            del self._asked[slot]
+            del self._requests[slot]
 
-    def prepared(self, rows: NDArray[np.intp], rngs: Rngs, least: int = 1) -> NDArray[np.bool_]:
+    def find_prepared(
+        self, rows: NDArray[np.intp], rngs: Rngs, least: int = 1
+    ) -> NDArray[np.bool_]:
         pairs = zip(rows.tolist(), rngs, strict=True)
         same = np.array([self._sources[row] is rng for row, rng in pairs], dtype=np.bool_)
         return same & (self._stock[rows] >= least)
@@ -167,16 +169,16 @@ class NextEpisodes:
         slots = self._slots(rows, 0)
         self._finish([slot for slot in slots.tolist() if not self._ready[slot]])
         into.copy_rows(rows, self._waiting, slots)
-        self._taken[rows] += 1
+        self._consumed[rows] += 1
         self._stock[rows] -= 1
 
     def _finish(self, slots: list[int]) -> None:
         if not slots:
             return
         self._check_fork()
-        lacking = [slot for slot in slots if slot in self._asked]
+        lacking = [slot for slot in slots if slot in self._requests]
         if lacking:  # a few more cost next to nothing
-            others = [slot for slot in self._asked if slot not in lacking]
+            others = [slot for slot in self._requests if slot not in lacking]
             self._group([*lacking, *others[: max(LEAST_TOGETHER - len(lacking), 0)]])
         urgent = [
             group for group in self._groups if not self._open([group]).keys().isdisjoint(slots)
@@ -202,13 +204,13 @@ class NextEpisodes:
 
     def instead(self, rows: NDArray[np.intp], rngs: Rngs) -> list[np.random.Generator]:
         """Give up the next episodes of some receivers, which are to start otherwise."""
-        known = self.prepared(rows, rngs)
+        known = self.find_prepared(rows, rngs)
         slots = self._slots(rows, 0).tolist()
         instead = list(rngs)
         for i in np.flatnonzero(known).tolist():
-            instead[i] = copy_of(self._episodes.pop(slots[i]))
-            self._asked.pop(slots[i], None)
-            self._taken[rows[i]] += 1
+            instead[i] = copy_generator(self._episodes.pop(slots[i]))
+            self._requests.pop(slots[i], None)
+            self._consumed[rows[i]] += 1
             self._stock[rows[i]] -= 1
         self._drop_unwanted()
         return instead
@@ -216,12 +218,12 @@ class NextEpisodes:
 
 def take_episode(rng: np.random.Generator) -> np.random.Generator:
     """Generator whose first episode is the next one of another, which then skips it."""
-    episode = copy_of(rng)
+    episode = copy_generator(rng)
     rng.bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
     return episode
 
 
-def copy_of(rng: np.random.Generator) -> np.random.Generator:
+def copy_generator(rng: np.random.Generator) -> np.random.Generator:
     seed: Any = rng.bit_generator.seed_seq
     twin = np.random.SeedSequence(
         seed.entropy,

@@ -10,7 +10,7 @@ import numpy as np
 from ..core.declared import check_number
 from ..receiver import NavState, Recording
 from ..truth._kernels import CHUNK, sense
-from ..truth.noise import deviates, padded
+from ..truth.noise import deviates, pad_count
 from .domain import FloatArray
 from .simulator import run_serially
 from .tight import TightlyCoupledSetup, TightlyCoupledSimulator
@@ -54,7 +54,7 @@ def record_run(
     told = copy.copy(setup)
     told.fields = setup.fields.union(RANGES)
     victim = told.simulator(1, run_serially)
-    victim.begin([rng])
+    victim.start_episodes([rng])
     buffers, clock = victim.buffers, victim.buffers.fields["clock"][0]
     initial = NavState(
         position_e=buffers.position_e[0],
@@ -97,7 +97,7 @@ def _next_samples(victim: TightlyCoupledSimulator) -> FloatArray:
     """(count, 6) what a single receiver's inertial sensors will measure up to its next epoch."""
     world, sensors, k = victim.setup.world, victim.sensors, int(victim.epochs[0])
     first, end = world.epoch_end[k : k + 2].tolist()
-    samples, dt = np.empty(padded(6 * world.most_samples)), np.empty(world.most_samples)
+    samples, dt = np.empty(pad_count(6 * world.most_samples)), np.empty(world.most_samples)
     count, kept = end - first, sensors.fields.data.copy()
     key0, key1 = sensors.words["imu"][0]
     deviates(key0, key1, np.uint64(k + 1), len(samples), 6 * count, samples)

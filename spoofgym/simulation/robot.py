@@ -226,7 +226,7 @@ class WheeledRobotSimulator(RateSimulator):
 
     def _start(self, choice: Choice) -> None:
         super()._start(choice)
-        self.filters.begin(self.memory["fix"])
+        self.filters.start_episodes(self.memory["fix"])
 
     def _observe(self) -> None:
         memory, setup = self.memory, self.setup

@@ -16,19 +16,19 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import Setting, check_number, check_word, record, setting
+from ..core.declared import Setting, check_number, check_word, setting, settings_record
 from ..core.registry import build_record, require
 from ..detectors import Detector, detector_in_world
-from ..detectors.calibration_file import Conditions, described
+from ..detectors.calibration_file import Conditions, describe_as_json
 from ..receiver.epoch import OPTIONAL
 from ._kernels import local_motion
-from .domain import Bounds, Domain, FloatArray
+from .domain import Domain, DomainBounds, FloatArray
 from .monitors import Monitor
 
 MOST_EPOCHS = 100_000  # longest episode
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class Timeline:
     """Phases of an episode."""
 
@@ -123,9 +123,9 @@ class Setup(ABC):
     - `interval_s` between epochs; `epoch_time` (K,) of every epoch that an episode can come to [s];
     - `true_position`, `C_en` (K, d) where the target is at every epoch [m], and (K, d, d) to those
       axes from local north, east (and down);
-    - `quiet`, `live`, `steps`, `hold`: epochs of the filter-only warm-up, the monitored warm-up,
-      the command phase, and the time to alert; `onset` is the sum of the first two, `repeat` epochs
-      make a decision;
+    - `filter_only`, `live`, `steps`, `hold`: epochs of the filter-only warm-up, the monitored
+      warm-up, the command phase, and the time to alert; `onset` is the sum of the first two,
+      `repeat` epochs make a decision;
     - `bounds`: what an episode chooses from;
     - `motion_names`, `error_names`, `weight_names`, `geometry_names`: elements of what a simulator
       of this victim writes as motion of the target, error of the estimate, weights and geometry;
@@ -142,7 +142,7 @@ class Setup(ABC):
             *("decision_interval_s", "between"),
         }
     )
-    given: Mapping[str, Any] | None = None  # settings as they were given
+    raw_settings: Mapping[str, Any] | None = None  # settings as they were given
     has: ClassVar[frozenset[str]] = frozenset(OPTIONAL) - {
         "gnss_position",
         "auxiliary_position",
@@ -174,7 +174,7 @@ class Setup(ABC):
     epoch_time: FloatArray
     true_position: FloatArray
     C_en: FloatArray
-    bounds: Bounds
+    bounds: DomainBounds
     epochs_each: int
     target_heading_deg: float | str
     world: Any = None
@@ -192,8 +192,8 @@ class Setup(ABC):
         self.timeline, self.interval_s = timeline, interval_s
         self.monitors: tuple[Monitor, ...] = ()
         self.kernel: SequelKernel | None = None
-        self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval_s)
-        self.onset = self.quiet + self.live
+        self.filter_only, self.live, self.steps, self.hold = timeline.epochs(interval_s)
+        self.onset = self.filter_only + self.live
         self._decide_every(decision_interval_s, between)
         # one epoch more, which a finished receiver may run until it is reset
         self.length = self.onset + self.steps + self.hold + 1
@@ -235,19 +235,19 @@ class Setup(ABC):
         """What a calibration of a detector here belongs to; not how often a spoofer decides."""
         settings = {
             "kind": self.kind,
-            **described(self.world_settings()),
-            "timeline": described(self.timeline),
-            "interval_s": described(self.interval_s),
+            **describe_as_json(self.world_settings()),
+            "timeline": describe_as_json(self.timeline),
+            "interval_s": describe_as_json(self.interval_s),
         }
         return Conditions(settings, self.window_s, self.name, self._options())
 
     def _options(self) -> str:
         """Options of a command line that name this world; "" where none can."""
-        if self.given is None or not self.env_id:
+        if self.raw_settings is None or not self.env_id:
             return ""
         words = [f"--env {self.env_id}"]
         try:
-            for name, value in self.given.items():
+            for name, value in self.raw_settings.items():
                 if name not in self.of_attack:
                     words.append(f"--set {shlex.quote(f'{name}={json.dumps(value)}')}")
         except TypeError:
@@ -269,11 +269,11 @@ class Setup(ABC):
                 f"{', '.join(sorted(self.domain_names)) or 'none'}",
             )
 
-    def _bounds(self, worlds: int, grades: int, errors: int, first: int, last: int) -> Bounds:
+    def _bounds(self, worlds: int, grades: int, errors: int, first: int, last: int) -> DomainBounds:
         heading, fixed = self.target_heading_deg, None
         if heading != "random":  # where "worst" counts, no direction does
             fixed = 0.0 if isinstance(heading, str) else float(np.radians(heading))
-        return Bounds(worlds, grades, errors, first, last, fixed)
+        return DomainBounds(worlds, grades, errors, first, last, fixed)
 
     def _starts(self, epochs: int, name: str) -> tuple[int, int]:
         interval, length = self.interval_s, self.length
@@ -335,7 +335,7 @@ class Setup(ABC):
         """`Simulator` of B receivers of this victim, not started yet."""
 
     def check_fit(self, detector: Detector) -> None:
-        fitted = self.altered(detector=detector, monitors=())
+        fitted = self.copy_with(detector=detector, monitors=())
         fitted.simulator(1, lambda work, receivers: work(0, receivers))
 
     def command(
@@ -349,7 +349,7 @@ class Setup(ABC):
         on_the_way = before + (count / self.repeat) * (action - before)
         return np.where(count == self.repeat, action, on_the_way)
 
-    def altered(
+    def copy_with(
         self,
         *,
         detector: Detector | None = None,
@@ -401,5 +401,5 @@ def seeds_of_runs(
     return [np.random.SeedSequence(entropy, spawn_key=(SPLITS[split], key, run)) for run in runs]
 
 
-def generators_of(seeds: Iterable[np.random.SeedSequence]) -> list[np.random.Generator]:
+def make_generators(seeds: Iterable[np.random.SeedSequence]) -> list[np.random.Generator]:
     return [np.random.Generator(np.random.PCG64(seed)) for seed in seeds]

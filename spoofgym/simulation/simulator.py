@@ -22,16 +22,16 @@ from ..core.declared import check_number
 from ..core.memory import Memory
 from ..core.registry import require
 from ..detectors import DETECTORS, Calibrated, Detector, DetectorContext, PooledDetector, Verdict
-from ..detectors.base import YoungMemoryWarning, check_needs, checked_weights, judged
-from ..detectors.calibrated import resolve
+from ..detectors.base import YoungMemoryWarning, check_needs, checked_weights, judge_epoch
+from ..detectors.calibrated import resolve_thresholds
 from ..receiver.epoch import Epoch
-from .domain import Choice, FloatArray, draw, given_choice
+from .domain import Choice, FloatArray, apply_choices, draw
 from .monitors import Monitor
 from .setup import Run, Setup
 
 Rows = NDArray[np.intp]
 Rngs = Sequence[np.random.Generator]
-Given = Mapping[str, Any]  # circumstances that are not to be drawn, by `domain.CHOICES`
+FixedChoices = Mapping[str, Any]  # circumstances that are not to be drawn, by `domain.CHOICES`
 Written = NDArray[np.floating[Any]]
 StepArrays = tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray, FloatArray]
 M = TypeVar("M", bound=Monitor)
@@ -128,7 +128,7 @@ class Simulator(ABC):
             direction=np.zeros((b, 2)),
             warmup_alarm=np.zeros(b, dtype=np.bool_),
         )
-        resolve(setup.detector, setup)
+        resolve_thresholds(setup.detector, setup)
         self.fields = setup.fields.union(*map(check_needs, (setup.detector, *setup.monitors)))
         self._allocate()
         self.ones = np.ones((receivers, len(self._context().noise_variance)))
@@ -235,7 +235,7 @@ class Simulator(ABC):
     def _sky(self) -> SkyData | None:
         return None
 
-    def recorded(self) -> dict[str, NDArray[Any]]:
+    def get_record_columns(self) -> dict[str, NDArray[Any]]:
         return {"commanded_displacement_m": self.commanded_displacement}
 
     # --- the same for all victims --------------------------------------------------------------
@@ -263,7 +263,7 @@ class Simulator(ABC):
             "epochs are fixed when a simulator is made: a monitor that binds detectors must "
             "have what they need in its own `needs`",
         )
-        resolve(detector, setup)
+        resolve_thresholds(detector, setup)
         detector.bind(self._context())
         if setup.live < detector.memory_epochs:
             ages = (setup.live * setup.interval_s, detector.memory_epochs * setup.interval_s)
@@ -295,7 +295,7 @@ class Simulator(ABC):
                 return monitor
         raise LookupError(f"no {kind.__name__} looks at these epochs")
 
-    def begin(self, rngs: Rngs, given: Given | None = None) -> None:
+    def start_episodes(self, rngs: Rngs, given: FixedChoices | None = None) -> None:
         """Start a new episode in every receiver; `given` are circumstances not to be drawn."""
         keys = self._draw(rngs)
         self.memory["key"][:] = keys
@@ -304,16 +304,16 @@ class Simulator(ABC):
         if isinstance(self.detector, PooledDetector):
             self.detector.draw(keys)
         for monitor in self.monitors:
-            monitor.begin()
+            monitor.start_episodes()
         self._start(choice)
         self.verdict, self.weights = None, self.ones
 
-    def _choose(self, keys: NDArray[np.uint64], given: Given | None) -> Choice:
+    def _choose(self, keys: NDArray[np.uint64], given: FixedChoices | None) -> Choice:
         setup = self.setup
         choice = draw(setup.bounds, keys)
         if given:
             names = setup.combination_names
-            choice = given_choice(given, choice, setup.bounds, names, setup.interval_s)
+            choice = apply_choices(given, choice, setup.bounds, names, setup.interval_s)
         first = choice.world * setup.epochs_each + choice.start
         self.memory["first"][:] = first
         self.memory["onset"][:] = first + setup.onset
@@ -332,7 +332,7 @@ class Simulator(ABC):
         return self.predict(None)
 
     def judge(self) -> Verdict:
-        self.verdict = judged(self.detector, self.epoch)
+        self.verdict = judge_epoch(self.detector, self.epoch)
         for monitor in self.monitors:
             monitor.update(self)
         return self.verdict
@@ -344,7 +344,7 @@ class Simulator(ABC):
         self.weights = self.ones if weights is None else weights
         self._correct(weights)
         for monitor in self.monitors:
-            monitor.corrected(self)
+            monitor.observe_update(self)
 
     def step(
         self,
@@ -361,7 +361,7 @@ class Simulator(ABC):
             sequel(self, verdict)
         return verdict
 
-    def quiet_epochs(self, count: int) -> None:
+    def run_filter_only(self, count: int) -> None:
         self.weights = self.ones
         for _ in range(count):
             self._measure(None)
@@ -380,20 +380,20 @@ class Simulator(ABC):
             alarms[k] = self.step(attacked=holding).alarm.any(axis=1)
         return alarms
 
-    def warm_up(self, rngs: Rngs, given: Given | None = None) -> NDArray[np.bool_]:
+    def warm_up(self, rngs: Rngs, given: FixedChoices | None = None) -> NDArray[np.bool_]:
         for _ in self.warming(rngs, given):
             pass
         return self.memory["warmup_alarm"]
 
     def warming(
-        self, rngs: Rngs, given: Given | None = None, piece: int = sys.maxsize
+        self, rngs: Rngs, given: FixedChoices | None = None, piece: int = sys.maxsize
     ) -> Iterator[None]:
         """`warm_up` that stops after pieces of some epochs of single receivers."""
-        self.begin(rngs, given)
+        self.start_episodes(rngs, given)
         alarmed, each = np.zeros(self.receivers, dtype=np.bool_), max(1, piece // self.receivers)
-        for start in range(0, self.setup.quiet, each):
+        for start in range(0, self.setup.filter_only, each):
             yield
-            self.quiet_epochs(min(each, self.setup.quiet - start))
+            self.run_filter_only(min(each, self.setup.filter_only - start))
         each = each if self.judges_compiled else 1
         for start in range(0, self.setup.live, each):
             yield

@@ -25,7 +25,7 @@ from ..receiver.snapshot import (
     fix_receivers,
 )
 from ..truth._kernels import measure_snapshot
-from ..truth.noise import padded
+from ..truth.noise import pad_count
 from ..truth.run import chain_skies, make_sky
 from ..truth.satellites import CircularConstellation
 from .domain import Choice, Domain, FloatArray
@@ -204,7 +204,7 @@ class SnapshotSimulator(RateSimulator):
             clock=np.zeros((b, 1)),
             status=np.full(b, FIXED, dtype=np.int64),
         )
-        self._deviates = np.empty(padded(n))
+        self._deviates = np.empty(pad_count(n))
         self._pseudorange, self._satellites = np.empty((b, n)), np.empty((b, n, 3))
         self._innovation, self._cov = np.empty((b, 2 * n)), np.empty((b, 2 * n, 2 * n))
         self._design = np.empty((b, 2 * n, 4))

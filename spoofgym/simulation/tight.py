@@ -18,7 +18,7 @@ from ..core.registry import build_record, check_choice, require
 from ..core.settings import describe
 from ..core.simd import LANES, ArrayTable
 from ..detectors import Calibrated, Detector, DetectorContext, Verdict
-from ..detectors.base import checked
+from ..detectors.base import check_verdict
 from ..detectors.charts import Ewma
 from ..detectors.controls import Never
 from ..receiver import TightlyCoupled
@@ -27,15 +27,15 @@ from ..receiver.augmented import AugmentedFilter, Predicted
 from ..receiver.epoch import Epoch, ReceiverBuffers, epoch_view, kernel_table
 from ..receiver.states import STATES
 from ..receiver.tight import TUNINGS
-from ..truth.events import BenignEvents, Window, draw_events
-from ..truth.noise import padded
-from ..truth.run import World
+from ..truth.events import BenignEvents, EventWindow, draw_events
+from ..truth.noise import pad_count
+from ..truth.run import GroundTruth
 from ..truth.scenario import Scenario, make_scenario
 from ..truth.sensors import SensorBuffers
-from ..truth.signal_errors import MAPPINGS, mappings_of
+from ..truth.signal_errors import MAPPINGS, compute_mappings
 from . import _kernels
 from ._kernels import JUDGE, REMEMBER, displace
-from .domain import Choice, Combinations, Domain, FloatArray, worlds_of
+from .domain import Choice, Combinations, Domain, FloatArray, build_worlds
 from .setup import Run, SequelKernel, Setup, Timeline
 from .simulator import Rngs, Rows, Sequel, Simulator, SkyData
 
@@ -76,7 +76,7 @@ class TightlyCoupledSetup(Setup):
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"{what}_{axis}" for what in ("position", "velocity") for axis in AXES)
     error_names = AXES
-    world: World
+    world: GroundTruth
 
     def __init__(
         self,
@@ -101,7 +101,7 @@ class TightlyCoupledSetup(Setup):
         self.attack = make_attack(attack)
         interval_s = self.scenario.epoch_interval_s
         self._phase(detector, timeline, interval_s, decision_interval_s, between)
-        worlds = worlds_of(self.scenario, self.domain)
+        worlds = build_worlds(self.scenario, self.domain)
         first, last = self._starts(worlds[0].epochs, worlds[0].name)
         self.combinations = Combinations(
             worlds, self.scenario, self.receiver, self.domain, self.length, last + self.length
@@ -114,7 +114,9 @@ class TightlyCoupledSetup(Setup):
         self.epochs_each = self.world.epochs // self.bounds.worlds
         self.mappings = np.zeros(0)
         if cases.with_signals:
-            self.mappings = mappings_of(self.world.elevation, self.interval_s, self.epochs_each)
+            self.mappings = compute_mappings(
+                self.world.elevation, self.interval_s, self.epochs_each
+            )
         slots = [f"slot{s:02d}" for s in range(self.world.channels)]
         self.weight_names = tuple(slots)
         self.geometry_names = (
@@ -195,7 +197,7 @@ def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
     return victim
 
 
-def _unscaled(detector: Detector) -> tuple[Detector, float]:
+def _split_scale(detector: Detector) -> tuple[Detector, float]:
     if type(detector) is Calibrated and detector.scale is not None and not detector.rescaled:
         return detector.detector, detector.scale
     return detector, 1.0
@@ -221,7 +223,7 @@ class TightlyCoupledSimulator(Simulator):
             with_authentic=self.setup.attack.replaces_errors,
             alike=self.setup.combinations.sense_alike,
         )
-        self._everyone = np.arange(receivers)
+        self._all_rows = np.arange(receivers)
         self._serial = receivers <= LANES
         self._verdicts: dict[int, Verdict] = {}
         self.memory.declare("combination", np.zeros(receivers, dtype=np.int64))
@@ -242,7 +244,7 @@ class TightlyCoupledSimulator(Simulator):
     def _hold_arguments(self) -> None:
         world, receiver = self.setup.world, self.setup.receiver
         buffers, sensors = self.buffers, self.sensors
-        sizes = padded(6 * world.most_samples), padded(2 * world.channels)
+        sizes = pad_count(6 * world.most_samples), pad_count(2 * world.channels)
         rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
         self._work_rows = work_rows(world.channels, *sizes)
         self._spare: list[FloatArray] = []
@@ -256,7 +258,7 @@ class TightlyCoupledSimulator(Simulator):
         self._history = np.zeros((0, self.receivers), dtype=np.bool_)
         self._no_memories = ArrayTable(_kernels.NOTHING_REMEMBERED)
         self._memories, self._known = self._no_memories, (_kernels.NO_FORM, 0, 0, 0)
-        self._found: set[int] = set()
+        self._outcomes: set[int] = set()
         self._kernel = self.setup.kernel or OWN_KERNEL
 
     def _context(self) -> DetectorContext:
@@ -294,12 +296,12 @@ class TightlyCoupledSimulator(Simulator):
         return self.attack.memory
 
     def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
-        self.sensors.draw_keys(self._everyone, rngs)
+        self.sensors.draw_keys(self._all_rows, rngs)
         return self.sensors.words["domain"]
 
     def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
         self.sensors.put_keys(rows, episodes, AFTER_ONSET)
-        self.attack.begin(rows, self.sensors.words.get("spoofer", rows), self.onset[rows])
+        self.attack.start_episodes(rows, self.sensors.words.get("spoofer", rows), self.onset[rows])
 
     def _start(self, choice: Choice) -> None:
         setup, b, first = self.setup, self.receivers, self.memory["first"]
@@ -307,7 +309,7 @@ class TightlyCoupledSimulator(Simulator):
         self.sensors.epoch[:] = first
         self.memory["combination"][:] = combinations.index(choice.world, choice.grade, choice.error)
         self.attack.memory.reset()
-        self.attack.begin(self._everyone, self.sensors.words["spoofer"], self.onset)
+        self.attack.start_episodes(self._all_rows, self.sensors.words["spoofer"], self.onset)
         self._start_combinations()
         self._epochs(MEASURE, 0, b)
         world, fields = setup.world, self.buffers.fields
@@ -326,14 +328,14 @@ class TightlyCoupledSimulator(Simulator):
         for index in np.unique(indices).tolist():
             its, rows = combinations[index], np.flatnonzero(indices == index)
             drawn, interval_s = combinations.drawn, self.setup.interval_s
-            self.sensors.begin(
+            self.sensors.start_episodes(
                 rows, its.grade, its.errors, its.bias_sd, interval_s=interval_s, drawn=drawn
             )
             assumed.put("noise_variance", rows, its.noise_variance)
             assumed.put("noise_psd", rows, its.noise_psd)
             self.buffers.put_covariance(rows, its.covariance)
             if self.augmented is not None:
-                self.augmented.begin(rows, its.covariance, self.setup.receiver.grade)
+                self.augmented.start_episodes(rows, its.covariance, self.setup.receiver.grade)
         if combinations.events is not None:
             self._draw_events(combinations.events)
 
@@ -344,7 +346,7 @@ class TightlyCoupledSimulator(Simulator):
         for row in range(self.receivers):
             first = int(self.onset[row]) - setup.live + 1
             found = draw_events(
-                events, self.memory["key"][row], Window(first, first + lasts - 1, *sky)
+                events, self.memory["key"][row], EventWindow(first, first + lasts - 1, *sky)
             )
             for name, value in found.items():
                 signals.put(name, [row], value)
@@ -364,7 +366,7 @@ class TightlyCoupledSimulator(Simulator):
         found = self._kernel.function(*arrays, work, *rest, lo, hi)
         self._spare.append(work)
         if found:
-            self._found.add(found)
+            self._outcomes.add(found)
 
     def _compiled_attack(self) -> int:
         attack = self.attack
@@ -428,7 +430,7 @@ class TightlyCoupledSimulator(Simulator):
         self.buffers.velocity_e[:] = fields["velocity_e"]
         self.buffers.coasting[:] = ~predicted.enough
         P = self.memory["augmented_covariance"]
-        self.buffers.put_covariance(self._everyone, P[:, :STATES, :STATES])
+        self.buffers.put_covariance(self._all_rows, P[:, :STATES, :STATES])
 
     def _correct(self, weights: FloatArray | None) -> None:
         if self.augmented is not None:
@@ -484,7 +486,7 @@ class TightlyCoupledSimulator(Simulator):
             arrays[:2] = memory["displacement"], memory["rate"]
             arrays[2:4] = getattr(self.attack, "axes_e", self._no_axes), memory["target_error"]
         if detector in (_kernels.EWMA, _kernels.PASSIVE_EWMA):
-            chart, scale = _unscaled(self.detector)
+            chart, scale = _split_scale(self.detector)
             memory, settings = chart.memory, cast("Ewma", chart).kernel_settings
             arrays[4:7] = np.append(settings, scale), memory["average"], memory["decay"]
         if detector != _kernels.NO_FORM:
@@ -497,7 +499,7 @@ class TightlyCoupledSimulator(Simulator):
             shape = (self.receivers, 1) if never else self.buffers.visible.shape
             alarm = np.zeros(shape, dtype=np.bool_)
             weights = np.ones(self.ones.shape) if detector == _kernels.EWMA else None
-            threshold = np.full(shape, _unscaled(self.detector)[1])
+            threshold = np.full(shape, _split_scale(self.detector)[1])
             self._verdicts[detector] = Verdict(np.zeros(shape), threshold, alarm, weights)
         return self._verdicts[detector]
 
@@ -525,7 +527,7 @@ class TightlyCoupledSimulator(Simulator):
         verdict = self._run_compiled(detector, command, attacked, form, sequel=within)
         if within is None and sequel is not None:
             sequel(self, verdict)
-        elif within is not None and _kernels.HOLDS in self._found:
+        elif within is not None and _kernels.HOLDS in self._outcomes:
             within.hold(self, verdict)
         return verdict
 
@@ -558,24 +560,24 @@ class TightlyCoupledSimulator(Simulator):
         verdict = self._compiled_verdict(detector)
         self.weights = self.ones if verdict.weights is None else verdict.weights
         what = ADVANCE + SHOW + JUDGE + UPDATE + also
-        self._found.clear()
+        self._outcomes.clear()
         self._first_half(what, command, attacked, form, detector, sequel, count)
-        if _kernels.UNSOUND in self._found:
-            checked(verdict, self.detector, self.epoch)
+        if _kernels.UNSOUND in self._outcomes:
+            check_verdict(verdict, self.detector, self.epoch)
         self.verdict = verdict
         return verdict
 
     def _compiled_detector(self) -> int:
         if self.monitors or self.augmented is not None:
             return _kernels.NO_FORM
-        detector, _ = _unscaled(self.detector)
+        detector, _ = _split_scale(self.detector)
         if type(detector) is Never:
             return _kernels.NEVER
         if type(detector) is not Ewma or detector.limits_exclusions:
             return _kernels.NO_FORM
         return _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
 
-    def quiet_epochs(self, count: int) -> None:
+    def run_filter_only(self, count: int) -> None:
         self.weights = self.ones
         if self.augmented is not None:
             for _ in range(count):
@@ -599,7 +601,7 @@ class TightlyCoupledSimulator(Simulator):
         setup, memory = self.setup, self.memory
         reference = (setup.true_position, self.sensors.epoch)
         if twin is not None:
-            reference = (twin.buffers.position_e, self._everyone)
+            reference = (twin.buffers.position_e, self._all_rows)
         aim = self.sensors.epoch, memory["direction"], setup.target_heading_deg == "worst"
         between = 0, self.receivers
         displace(self.buffers.position_e, *reference, setup.C_en, *aim, origin, out, *between)
@@ -631,12 +633,12 @@ class TightlyCoupledSimulator(Simulator):
             weight=self.weights[0, : world.channels].copy(),
         )
 
-    def recorded(self) -> dict[str, NDArray[Any]]:
+    def get_record_columns(self) -> dict[str, NDArray[Any]]:
         offsets = self.sensors
         return {"range_offset_m": offsets.range_offset, "rate_offset_mps": offsets.rate_offset}
 
 
-def tightly_coupled(simulator: object, word: str) -> TightlyCoupledSimulator:
+def require_tightly_coupled(simulator: object, word: str) -> TightlyCoupledSimulator:
     """The same, where it is of tightly coupled receivers; a ValueError that names what needs it."""
     if not isinstance(simulator, TightlyCoupledSimulator):
         whose = getattr(getattr(simulator, "setup", None), "whose", repr(simulator))

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..policies.contract import Policy
 
 FloatArray = NDArray[np.float64]
@@ -132,18 +132,18 @@ class Spoofer(Policy[SpooferContext]):
         raise ValueError(f"{cls.__name__} has no setting to tune")
 
 
-def axes_of(action_names: tuple[str, ...]) -> list[str]:
+def list_axes(action_names: tuple[str, ...]) -> list[str]:
     """Axes or channels of an action, (a,): its names without their unit."""
     return [name.rsplit("_", 1)[0] for name in action_names]
 
 
 def has_heading(action_names: tuple[str, ...]) -> bool:
-    return set(axes_of(action_names)) <= set(AXES)
+    return set(list_axes(action_names)) <= set(AXES)
 
 
 def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
     """Unit command along a heading, or the same command for every channel: (a,) in [-1, 1]."""
-    axes = axes_of(action_names)
+    axes = list_axes(action_names)
     if not has_heading(action_names):
         return np.ones(len(axes))
     heading = math.radians(heading_deg % 360.0)
@@ -159,7 +159,7 @@ def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
     return np.array([wanted[name] for name in axes])
 
 
-class Aim:
+class HeadingCommand:
     """Unit command along a heading, clockwise from north, or that of every observation, turned by
     `turned_deg`; or the same command for every channel."""
 
@@ -207,7 +207,7 @@ def _columns(context: SpooferContext) -> list[int]:
 
 
 def _places(action_names: tuple[str, ...]) -> list[int]:
-    axes = axes_of(action_names)
+    axes = list_axes(action_names)
     for name in AXES[:2]:
         if name not in axes:
             raise ValueError(
@@ -217,7 +217,7 @@ def _places(action_names: tuple[str, ...]) -> list[int]:
     return [axes.index(name) for name in AXES[:2]]
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class ScriptedSpoofer(Spoofer):
     r"""Pushes along one line by a rule for the rate of every epoch, blind for what comes of it.
 
@@ -244,7 +244,7 @@ class ScriptedSpoofer(Spoofer):
     def bind(self, context: SpooferContext) -> None:
         """Prepare for a batch of receivers, by its sizes, limits and names."""
         super().bind(context)
-        self._aim = Aim(context, self.heading_deg)
+        self._aim = HeadingCommand(context, self.heading_deg)
         for name in ("step", "rate", "displacement"):
             self.memory.declare(name, np.zeros(context.receivers))
 

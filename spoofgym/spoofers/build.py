@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..core.registry import Spec, make, spec_of
+from ..core.registry import Spec, build_spec, make
 from ..policies.card import SPOOFER, SpooferCard
 from ..policies.onnx_file import SUFFIX
-from ..policies.zoo import card_of, shipped
+from ..policies.zoo import list_shipped, load_card
 from .base import Spoofer
 from .feedback import Feedback, FeedbackProfile, ThresholdRider
 from .learned import OnnxPolicy
@@ -33,7 +33,7 @@ SPOOFERS: dict[str, type[Spoofer]] = {
 """Spoofers by name."""
 
 
-def resolve(spec: Any) -> Any:
+def resolve_spec(spec: Any) -> Any:
     """Registered name and settings behind the name of a shipped spoofer or of an ONNX file; any
     other spec as it is."""
     settings = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
@@ -42,14 +42,14 @@ def resolve(spec: Any) -> Any:
         return spec
     if name.endswith(SUFFIX):
         return {"name": "onnx-policy", "file": name, **settings}
-    if name not in shipped(SPOOFER):
+    if name not in list_shipped(SPOOFER):
         return spec
     if settings:
         raise ValueError(
             f"the shipped spoofer {name!r} is as it is, and has no setting "
             f"{', '.join(map(repr, settings))}"
         )
-    card = card_of(name, SpooferCard)
+    card = load_card(name, SpooferCard)
     if card.file is None:
         return {"name": card.kind, **card.settings, "label": name}
     return {"name": card.kind, "file": name, "sha256": card.file.sha256}
@@ -85,7 +85,7 @@ def make_spoofer(spec: str | Mapping[str, Any] | Spoofer) -> Spoofer:
     Ramp(heading_deg=90.0, rate_mps=0.2)
     """
     plain, amplitude = split_amplitude(spec)
-    made: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolve(plain), shipped(SPOOFER))
+    made: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolve_spec(plain), list_shipped(SPOOFER))
     return made if amplitude is None else Scaled(made, amplitude)
 
 
@@ -93,7 +93,7 @@ def spec_of_spoofer(spoofer: Spoofer) -> Spec:
     """Name and all settings; a TypeError where it does not keep them under their names."""
     if isinstance(spoofer, Scaled):
         return {**spec_of_spoofer(spoofer.spoofer), AMPLITUDE: spoofer.amplitude}
-    return spec_of("spoofer", SPOOFERS, spoofer)
+    return build_spec("spoofer", SPOOFERS, spoofer)
 
 
 def card_behind(spoofer: Spoofer) -> SpooferCard | None:
@@ -102,8 +102,8 @@ def card_behind(spoofer: Spoofer) -> SpooferCard | None:
     if isinstance(card, SpooferCard):
         return card
     inner = spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer
-    if name not in shipped(SPOOFER):
+    if name not in list_shipped(SPOOFER):
         return None
     if spec_of_spoofer(inner) != spec_of_spoofer(make_spoofer(name)):
         return None
-    return card_of(name, SpooferCard)
+    return load_card(name, SpooferCard)

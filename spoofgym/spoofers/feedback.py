@@ -24,16 +24,16 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_limit
-from .profile import check_fastest, check_knots, sampled
+from .profile import check_fastest, check_knots, sample_curve
 from .ramps import Ramp
 
 RATIO = "statistic_ratio"
 """Element of an observation that is the largest statistic over its threshold."""
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class ByStatistic(ScriptedSpoofer):
     """Base of spoofers that see the detector's statistic, and nothing else of the victim."""
 
@@ -53,7 +53,7 @@ class ByStatistic(ScriptedSpoofer):
         return observation[:, self._column].astype(np.float64)
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class AlongCurve(ByStatistic):
     """Base of those that have a curve of the rate for what they would do unseen."""
 
@@ -69,13 +69,13 @@ class AlongCurve(ByStatistic):
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
         check_fastest("`rates_mps`", np.abs(self.rates_mps).max(), *context.largest_rate)
-        self._curve = sampled(self.rates_mps, context.steps)
+        self._curve = sample_curve(self.rates_mps, context.steps)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         return np.asarray(self._curve[np.minimum(step.astype(np.int64), len(self._curve) - 1)])
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class HeldBack(ByStatistic):
     r"""Base of those that multiply a rate by the room that the statistic leaves.
 
@@ -114,7 +114,7 @@ class HeldBack(ByStatistic):
         return super().wanted_rate(observation) * np.clip(room, self.back, 1.0)
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class Feedback(HeldBack):
     r"""Pushes at a rate that grows with time, as far as the detector's statistic leaves room.
 
@@ -151,7 +151,7 @@ class Feedback(HeldBack):
         return Ramp.tuning_range(context)
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class FeedbackProfile(HeldBack, AlongCurve):
     """Pushes along a curve of the rate, as of a blind optimum, as far as the statistic leaves room.
 
@@ -172,7 +172,7 @@ MEAN_OF = 50  # epochs over which the variance of the prediction is averaged
 LEAST, MOST = 0.1, 2.0  # range of a search for the margin
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class ThresholdRider(AlongCurve):
     r"""Goes as fast as the predicted statistic allows, and no faster than a curve of the rate.
 

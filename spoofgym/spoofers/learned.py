@@ -11,15 +11,15 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.registry import check_choice
-from ..policies.card import Space, SpooferCard, unlike_spaces
-from ..policies.contract import NotFinite, checked_action
+from ..policies.card import Space, SpooferCard, diff_spaces
+from ..policies.contract import NotFinite, clip_action
 from ..policies.load import load_policy
 from .base import KNOWLEDGE, FloatArray, Spoofer, SpooferContext
 
 
-@record
+@settings_record
 class OnnxPolicy(Spoofer):
     """Acts as a network in an ONNX file does; the card of the same name is in the same folder.
 
@@ -52,7 +52,7 @@ class OnnxPolicy(Spoofer):
         self.between = card.env_kwargs.get("between", "hold")
 
     def bind(self, context: SpooferContext) -> None:
-        found = self.card.differences(context)
+        found = self.card.diff_context(context)
         if found:
             raise ValueError(f"{self.file} does not fit this attack: {'; '.join(found)}")
         super().bind(context)
@@ -91,14 +91,14 @@ class ModelPolicy(Spoofer):
         self.model, self.knowledge, self.action_terms = model, knowledge, action
         self.observation = observation
         self.decision_interval_s, self.between = decision_interval_s, between
-        self.label = label or name_of(model)
-        self._function = function_of(model)
+        self.label = label or get_model_name(model)
+        self._function = make_function(model)
 
     def bind(self, context: SpooferContext) -> None:
         if self.observation is not None:
             size = len(context.action_names)
             same = Space(names=context.action_names, low=(-1.0,) * size, high=(1.0,) * size)
-            found = unlike_spaces(self.observation, same, context)
+            found = diff_spaces(self.observation, same, context)
             if found:
                 lines = "; ".join(found).replace("on the card", "where it was trained")
                 raise ValueError(f"{self.label} does not fit this attack: {lines}")
@@ -106,7 +106,7 @@ class ModelPolicy(Spoofer):
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
         size = len(self.context.action_names)
-        return checked_action(self._function(observation), len(observation), size, str(self.label))
+        return clip_action(self._function(observation), len(observation), size, str(self.label))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         twin = object.__new__(type(self))
@@ -116,11 +116,11 @@ class ModelPolicy(Spoofer):
         return twin
 
 
-def name_of(model: Any) -> str:
+def get_model_name(model: Any) -> str:
     return str(getattr(model, "__name__", None) or type(model).__name__)
 
 
-def function_of(model: Any) -> Function:
+def make_function(model: Any) -> Function:
     """Function of observations behind a model. `model`: of stable-baselines3, with the
     `VecNormalize` that it was trained in folded in; with ``predict``, as libraries have it; a torch
     module; or a function. A TypeError says what else it is."""
@@ -172,7 +172,7 @@ class Normalization(NamedTuple):
         return np.asarray(np.clip(scaled, -self.clip, self.clip), dtype=np.float32)
 
 
-def normalization_of(model: Any) -> Normalization | None:
+def get_normalization(model: Any) -> Normalization | None:
     found = model.get_vec_normalize_env() if hasattr(model, "get_vec_normalize_env") else None
     return Normalization.of(found)
 
@@ -201,7 +201,7 @@ def _of_stable_baselines(model: Any, policy: Any) -> Function:
             )
         if policy.training:
             policy.set_training_mode(False)
-        now = normalization_of(model)
+        now = get_normalization(model)
         if now is not None:
             seen = now(seen)
         with torch.no_grad():
@@ -211,7 +211,7 @@ def _of_stable_baselines(model: Any, policy: Any) -> Function:
             except ValueError as error:  # of a distribution whose mean is no number
                 if finite(policy):
                     raise
-                name = name_of(policy if model is None else model)
+                name = get_model_name(policy if model is None else model)
                 raise NotFinite(f"{name} has weights that are not finite") from error
 
     return act
@@ -228,15 +228,16 @@ def _of_module(torch: Any, module: Any) -> Function:
         except RuntimeError as error:
             first = str(error).strip().partition("\n")[0]
             raise ValueError(
-                f"{name_of(module)} can't be run with {seen.shape[1]} observations: {first}"
+                f"{get_model_name(module)} can't be run with {seen.shape[1]} observations: {first}"
             ) from error
         finally:
             if training:
                 module.train()
         if not isinstance(answer, torch.Tensor):
             raise ValueError(
-                f"{name_of(module)} must return actions, a tensor, got {type(answer).__name__}; a "
-                "network with a state needs a function or an ONNX file around it"
+                f"{get_model_name(module)} must return actions, a tensor, got "
+                f"{type(answer).__name__}; a network with a state needs a "
+                "function or an ONNX file around it"
             )
         return answer.detach().cpu().numpy()
 
@@ -252,7 +253,7 @@ def inner_env(env: Any) -> Any:
     return env
 
 
-def trained_in(model: Any) -> Mapping[str, Any]:
+def read_training_env(model: Any) -> Mapping[str, Any]:
     """Arguments of `ModelPolicy` by a model's own environment; warns of a model of
     stable-baselines3 whose environment can't be read."""
     if not hasattr(model, "get_env"):

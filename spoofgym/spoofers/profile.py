@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
-from .base import Aim, FloatArray, ScriptedSpoofer, SpooferContext, has_heading
+from ..core.declared import setting, settings_record
+from .base import FloatArray, HeadingCommand, ScriptedSpoofer, SpooferContext, has_heading
 
 FEWEST_KNOTS, MOST_KNOTS = 2, 64
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class Profile(ScriptedSpoofer):
     r"""Follows a smooth curve of the rate over the attack window, whatever happens.
 
@@ -55,8 +55,8 @@ class Profile(ScriptedSpoofer):
 
     def bind(self, context: SpooferContext) -> None:
         super().bind(context)
-        self._along = sampled(self.rates_mps, context.steps)
-        self._across = sampled(self.cross_rates_mps or (0.0, 0.0), context.steps)
+        self._along = sample_curve(self.rates_mps, context.steps)
+        self._across = sample_curve(self.cross_rates_mps or (0.0, 0.0), context.steps)
         fastest = {
             "`rates_mps`": np.abs(self.rates_mps).max(),
             "`cross_rates_mps`": np.abs((*self.cross_rates_mps, 0.0)).max(),
@@ -81,7 +81,7 @@ class Profile(ScriptedSpoofer):
         memory, tau, row = self.memory, self.context.interval_s, self._row(self.memory["step"])
         rates = np.stack([memory["rate"], memory["cross_rate"]])
         wanted = np.stack([self._along[row], self._across[row]])
-        size, after, mean = self._follow(rates, wanted, shortened)
+        size, after, mean = self._follow(rates, wanted, limit_length)
         memory["rate"], memory["cross_rate"] = after[0].copy(), after[1].copy()
         memory["displacement"] = memory["displacement"] + mean[0] * tau
         memory["cross_displacement"] = memory["cross_displacement"] + mean[1] * tau
@@ -91,7 +91,7 @@ class Profile(ScriptedSpoofer):
         return np.ascontiguousarray(np.clip(action, -1.0, 1.0))
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class BlindOptimum(Profile):
     """The best open-loop curve of the rate that a search finds against one detector.
 
@@ -129,7 +129,7 @@ def check_fastest(name: str, rate: float, limit_name: str, limit: float) -> None
         )
 
 
-def sampled(rates_mps: tuple[float, ...], steps: int) -> FloatArray:
+def sample_curve(rates_mps: tuple[float, ...], steps: int) -> FloatArray:
     """Curve (steps,) [m/s] through equally spaced knots (n,), from the onset to the end of the
     window, at the ends of the epochs."""
     from scipy.interpolate import PchipInterpolator  # half of the start of an environment
@@ -139,13 +139,13 @@ def sampled(rates_mps: tuple[float, ...], steps: int) -> FloatArray:
     return np.asarray(PchipInterpolator(knots, rates_mps)(ends))
 
 
-def shortened(vector: FloatArray, limit: float) -> FloatArray:
+def limit_length(vector: FloatArray, limit: float) -> FloatArray:
     """Vectors, those that are too long shortened to the limit.  `vector` (2, B); returns (2, B)."""
     length = np.hypot(vector[0], vector[1])
     return np.asarray(vector * (limit / np.maximum(length, limit)))
 
 
-def _to_the_right(context: SpooferContext, heading_deg: float | str) -> Aim:
+def _to_the_right(context: SpooferContext, heading_deg: float | str) -> HeadingCommand:
     commands = ", ".join(context.action_names)
     if not has_heading(context.action_names):
         raise ValueError(
@@ -153,7 +153,7 @@ def _to_the_right(context: SpooferContext, heading_deg: float | str) -> Aim:
             f"{commands}"
         )
     try:
-        return Aim(context, heading_deg, 90.0)
+        return HeadingCommand(context, heading_deg, 90.0)
     except ValueError as error:
         said = heading_deg if isinstance(heading_deg, str) else f"{heading_deg:g}"
         raise ValueError(

@@ -21,13 +21,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import check_word, record, setting
+from ..core.declared import check_word, setting, settings_record
 from .base import FloatArray, ScriptedSpoofer, Spoofer, SpooferContext, check_limit
 
 SLOWEST = 1e-3  # slowest rate of a search, as a part of the attack's limit
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class Ramp(ScriptedSpoofer):
     """Pushes at a constant rate, reached at the largest acceleration that the attack allows."""
 
@@ -57,7 +57,7 @@ class Ramp(ScriptedSpoofer):
         return SLOWEST * high, high
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class AcceleratingRamp(ScriptedSpoofer):
     """Pushes ever faster, until the attack's limit of the rate."""
 
@@ -91,7 +91,7 @@ class AcceleratingRamp(ScriptedSpoofer):
 SMALLEST, LARGEST = 0.1, 1000.0  # range of a search [m]
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class Step(ScriptedSpoofer):
     """Moves to a displacement as quickly as the attack allows, without overshoot, and holds it."""
 
@@ -129,7 +129,7 @@ def fastest(rest: FloatArray, rate: FloatArray, gain: float, interval: float) ->
     return np.asarray(gain * (way + 0.5 * full * (full + 1.0)) / (full + 1.0))
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class Dash(ScriptedSpoofer):
     """Waits, then pushes at a rate that it reaches at the largest acceleration."""
 
@@ -162,7 +162,7 @@ class Dash(ScriptedSpoofer):
 SHAPES = ("ramp", "step")
 
 
-@record(kw_only=True)
+@settings_record(kw_only=True)
 class Intermittent(ScriptedSpoofer):
     """Ramps and steps of the displacement, one after the other, with pauses between them."""
 

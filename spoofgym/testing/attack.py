@@ -13,9 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..attacks import Attack, AttackContext, FalsePosition, Meaconer, make_attack
-from ..truth.run import World
+from ..truth.run import GroundTruth
 from ..truth.scenario import Scenario
-from .contract import Record, Trial, first_difference, require, run_trial, same_bits
+from .contract import (
+    ContractTrial,
+    Record,
+    first_difference,
+    require_contract,
+    run_trial,
+    same_bits,
+)
 
 FloatArray = NDArray[np.float64]
 ONSET = 60
@@ -69,7 +76,7 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
         ideal: dict[str, Any] = {**dict.fromkeys(own), "errors": "inherited", "threat": ""}
         check_attack(dataclasses.replace(unbound, **ideal))
     axes = _check_declarations(unbound, world)
-    _check_begin(unbound, world, axes)
+    _check_start(unbound, world, axes)
     if unbound.idle_is_clean:
         _check_idle(unbound, world, axes)
     trial = _AttackTrial(unbound, world, _actions(axes))
@@ -81,20 +88,23 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     if perfect and not (isinstance(unbound, Meaconer) and not unbound.follows):
         # the way from an antenna that stays behind bends within an epoch
         _check_rates(unbound, world, axes)
-    require(
+    require_contract(
         _fingerprint(world) == truth,
-        "the attack has changed the arrays of the `World`, which all receivers share; copy them",
+        "the attack has changed the arrays of the `GroundTruth`, which all "
+        "receivers share; copy them",
     )
 
 
-def _begin(bound: Attack, whose: NDArray[np.intp], rows: NDArray[np.intp] | None = None) -> None:
+def _start_episodes(
+    bound: Attack, whose: NDArray[np.intp], rows: NDArray[np.intp] | None = None
+) -> None:
     """Start an episode in all rows, or in some; their keys follow from `whose`."""
     where = np.arange(len(whose)) if rows is None else rows
     keys = np.stack([whose, whose + 1], axis=1).astype(np.uint64)[where]
-    bound.begin(where, keys, np.full(len(where), ONSET))
+    bound.start_episodes(where, keys, np.full(len(where), ONSET))
 
 
-class _AttackTrial(Trial[Attack]):
+class _AttackTrial(ContractTrial[Attack]):
     """An attack that is given one action an epoch."""
 
     word, call = "attack", "command"
@@ -102,7 +112,7 @@ class _AttackTrial(Trial[Attack]):
     def __init__(
         self,
         unbound: Attack,
-        world: World,
+        world: GroundTruth,
         actions: Sequence[FloatArray | None],
         starts: NDArray[np.int64] = STARTS,
     ) -> None:
@@ -112,13 +122,13 @@ class _AttackTrial(Trial[Attack]):
     def bind(self, rows: NDArray[np.intp]) -> Attack:
         bound = copy.deepcopy(self.unbound)
         bound.bind(AttackContext(len(rows), self.world))
-        _begin(bound, rows)
+        _start_episodes(bound, rows)
         return bound
 
     def reset(self, bound: Attack, mask: NDArray[np.bool_] | None) -> None:
         super().reset(bound, mask)
         rows = np.arange(self.receivers)
-        _begin(bound, rows, rows if mask is None else rows[mask])
+        _start_episodes(bound, rows, rows if mask is None else rows[mask])
 
     def command(
         self, bound: Attack, number: int, rows: NDArray[np.intp], slices: Sequence[tuple[int, int]]
@@ -133,7 +143,7 @@ class _AttackTrial(Trial[Attack]):
         d_rate = d_range.copy()
         for lo, hi in slices:
             bound.command(action, epochs, d_range, d_rate, lo, hi)
-        require(
+        require_contract(
             same_bits(before, epochs) and same_bits(action, own),
             "`command` must not write to `action` or `epochs`; copy them first",
         )
@@ -144,7 +154,7 @@ class _AttackTrial(Trial[Attack]):
         (B,) [s]; and what is visible (B, n)."""
         d_range, d_rate, action = self.command(bound, number, rows, [(0, len(rows))])
         for name, array in (("d_range", d_range), ("d_rate", d_rate)):
-            require(
+            require_contract(
                 bool(np.isfinite(array).all()),
                 f"`command` must write a finite number into every element of `{name}`, for the "
                 "receivers lo to hi; 0.0 where there is nothing to change",
@@ -177,30 +187,34 @@ def _actions(axes: int) -> list[FloatArray | None]:
     return actions
 
 
-def _fingerprint(world: World) -> tuple[bytes, ...]:
+def _fingerprint(world: GroundTruth) -> tuple[bytes, ...]:
     arrays = (world.epoch_time, world.satellites, world.visible, world.position_e)
     return tuple(array.tobytes() for array in arrays)
 
 
-def _check_declarations(attack: Attack, world: World) -> int:
-    require(
+def _check_declarations(attack: Attack, world: GroundTruth) -> int:
+    require_contract(
         isinstance(attack.label, str) and bool(attack.label),
         f"`label` must name the threat, got {attack.label!r}",
     )
-    require(
+    require_contract(
         ("pseudorange-only" in attack.label) != attack.coherent,
         "`label` must say 'pseudorange-only' where the range rates do not follow, and only there; "
         f"got {attack.label!r} with coherent={attack.coherent}",
     )
-    captured = attack.captured(world)
+    captured = attack.select_channels(world)
     named = np.array([bool(name) for name in world.satellite_ids])
-    require(
+    require_contract(
         captured.shape == (world.channels,) and captured.dtype == np.bool_,
-        f"`captured` must return ({world.channels},) bool, got {captured.shape} {captured.dtype}",
+        f"`select_channels` must return ({world.channels},) bool, got "
+        f"{captured.shape} {captured.dtype}",
     )
-    require(not (captured & ~named).any(), "`captured` must not name an empty slot, whose id is ''")
+    require_contract(
+        not (captured & ~named).any(),
+        "`select_channels` must not name an empty slot, whose id is ''",
+    )
     names = attack.action_names(world)
-    require(
+    require_contract(
         isinstance(names, tuple)
         and len(names) > 0
         and all(isinstance(name, str) and name for name in names)
@@ -210,24 +224,24 @@ def _check_declarations(attack: Attack, world: World) -> int:
     return len(names)
 
 
-def _check_begin(attack: Attack, world: World, axes: int) -> None:
+def _check_start(attack: Attack, world: GroundTruth, axes: int) -> None:
     bound = copy.deepcopy(attack)
     for receivers in (len(STARTS), 1):
         bound.bind(AttackContext(receivers, world))
-        _begin(bound, np.arange(receivers))
+        _start_episodes(bound, np.arange(receivers))
         for name in ("displacement", "rate"):
             array = bound.memory.get(name)
-            require(
+            require_contract(
                 array is not None and array.shape == (receivers, axes) and not array.any(),
                 f"after `bind` the memory must hold {name!r}, zeros of shape {(receivers, axes)}, "
                 f"got {array!r}; call `super().bind(context)` first",
             )
 
 
-def _check_idle(attack: Attack, world: World, axes: int) -> None:
+def _check_idle(attack: Attack, world: GroundTruth, axes: int) -> None:
     for word, action in (("an action of zeros", np.zeros((len(STARTS), axes))), ("None", None)):
         for step in _AttackTrial(attack, world, [action] * 5).steps():
-            require(
+            require_contract(
                 not step.d_range.any() and not step.d_rate.any(),
                 f"before any command {word} must leave the measurements as they are, exactly: a "
                 "run without attack has to be the clean run, bit for bit; got "
@@ -243,12 +257,12 @@ def _check_motion(
     by_rate = attack.control == "rate"
     for step, action in zip(steps, actions, strict=True):
         tau = step.interval[:, None]
-        require(
+        require_contract(
             not attack.one_sided or bool((step.displacement >= 0.0).all()),
             "offsets of an attack with `one_sided` must not fall below 0, got "
             f"{step.displacement.min():g} m",
         )
-        require(
+        require_contract(
             action is not None or attack.one_sided or same_bits(step.rate, rate),
             "without a command (None) the rate must stay as it is, got a change at "
             f"{first_difference(step.rate, rate)}",
@@ -256,7 +270,7 @@ def _check_motion(
         first = step.rate if by_rate else rate
         moved = displacement + 0.5 * (first + step.rate) * tau
         error = np.abs(step.displacement - moved).max()
-        require(
+        require_contract(
             bool(error <= ROUNDING * (1.0 + np.abs(moved).max())),
             "the displacement must follow from the rate, D+ = D + "
             f"{'v+ tau' if by_rate else '(v + v+) tau / 2'}, got {error:g} m off it; the range "
@@ -272,7 +286,7 @@ def _size(attack: Attack, vector: FloatArray) -> float:
     return float(np.abs(vector).max())
 
 
-def _check_limits(attack: Attack, world: World, axes: int) -> None:
+def _check_limits(attack: Attack, world: GroundTruth, axes: int) -> None:
     acceleration, limit = attack.acceleration_limit_mps2, attack.rate_limit_mps
     by_rate, start = attack.control == "rate", np.array([ONSET])
     sign = np.where(np.arange(axes) % 2 == 0, 1.0, -1.0)[None, :]
@@ -281,13 +295,13 @@ def _check_limits(attack: Attack, world: World, axes: int) -> None:
         rate = np.zeros((1, axes))
         for step in _AttackTrial(attack, world, [size * sign] * epochs, start).steps():
             found = _size(attack, step.rate)
-            require(
+            require_contract(
                 found <= limit * (1.0 + ROUNDING),
                 f"the rate must not exceed `rate_limit_mps` = {limit:g}, got {found:g} after "
                 f"actions of {size:g}; actions beyond 1 are cut to 1",
             )
             change = _size(attack, step.rate - rate) / float(step.interval[0])
-            require(
+            require_contract(
                 by_rate or change <= acceleration * (1.0 + ROUNDING),
                 f"the rate must not change by more than `acceleration_limit_mps2` = "
                 f"{acceleration:g}, got {change:g} m/s^2 after actions of {size:g}",
@@ -297,42 +311,42 @@ def _check_limits(attack: Attack, world: World, axes: int) -> None:
     action = (0.3 if attack.one_sided else -0.3) / np.sqrt(axes) * sign
     step = _AttackTrial(attack, world, [action], start).steps()[0]
     want = attack.unit_scale * action * (1.0 if by_rate else step.interval[0])
-    require(
+    require_contract(
         not _size(attack, want) < limit or bool(np.allclose(step.rate, want, ROUNDING, 0.0)),
         f"an action of {action[0, 0]:g} must command {attack.unit_scale:g} times as much "
         f"({attack.control}), hence a rate of {want[0, 0]:g} m/s, got {step.rate[0, 0]:g}",
     )
 
 
-def _check_channels(attack: Attack, world: World, steps: Sequence[SimpleNamespace]) -> None:
-    captured = attack.captured(world)
+def _check_channels(attack: Attack, world: GroundTruth, steps: Sequence[SimpleNamespace]) -> None:
+    captured = attack.select_channels(world)
     for step in steps:
-        require(
+        require_contract(
             not step.d_range[:, ~captured].any() and not step.d_rate[:, ~captured].any(),
             "offsets must be 0 for satellites that are not captured",
         )
-        require(
+        require_contract(
             attack.coherent or not step.d_rate.any(),
             "with coherent=False the range rates must be left alone, got "
             f"{np.abs(step.d_rate).max():g} m/s",
         )
-    require(
+    require_contract(
         attack.capture is not None or bool(np.any([step.d_range for step in steps])),
         "commands must change at least one pseudorange, got none changed",
     )
 
 
-def _check_rates(attack: Attack, world: World, axes: int) -> None:
+def _check_rates(attack: Attack, world: GroundTruth, axes: int) -> None:
     if not attack.coherent:
         return
-    captured = attack.captured(world)
+    captured = attack.select_channels(world)
     action = np.full((len(STARTS), axes), 0.5 / np.sqrt(axes))
     for before, step in pairwise(_AttackTrial(attack, world, [action] * COMMANDS).steps()):
         change = step.d_range - before.d_range
         mean_rate = 0.5 * (before.d_rate + step.d_rate)
         error = np.abs(change - mean_rate * step.interval[:, None])
         error = error[captured & before.visible & step.visible]
-        require(
+        require_contract(
             bool((error <= CLOSURE_M).all()),
             "with coherent=True the range rate must be the derivative of the range, else the code "
             "drifts away from the carrier; over one epoch they differ by "
@@ -346,7 +360,7 @@ def _check_slices(trial: _AttackTrial, steps: Sequence[SimpleNamespace]) -> None
     for number, step in enumerate(steps):
         slices = [(2, trial.receivers), (0, 2)]
         d_range, d_rate, _ = trial.command(bound, number, everyone, slices)
-        require(
+        require_contract(
             same_bits(d_range, step.d_range) and same_bits(d_rate, step.d_rate),
             "`command` must do the same for receivers lo to hi as for all, since threads share a "
             f"batch; command {number} differs at {first_difference(d_range, step.d_range)}",
@@ -354,7 +368,7 @@ def _check_slices(trial: _AttackTrial, steps: Sequence[SimpleNamespace]) -> None
     before = copy.deepcopy(bound.memory)
     d_range, d_rate, _ = trial.command(bound, 0, everyone, [(1, 3)])
     others = np.array([0, 3, 4])
-    require(
+    require_contract(
         bool(np.isnan(d_range[others]).all() and np.isnan(d_rate[others]).all())
         and all(same_bits(before[name][others], bound.memory[name][others]) for name in before),
         "`command` must leave receivers outside lo to hi alone, since another thread works on them",

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..core.memory import Memory
 
 
-def require(kept: bool | np.bool_, message: str) -> None:
+def require_contract(kept: bool | np.bool_, message: str) -> None:
     if not kept:
         raise AssertionError(message)
 
@@ -46,14 +46,14 @@ def require_fresh(
 ) -> None:
     """Raise when an array that was handed out shares memory with one of `owners`, by name."""
     for owner, other in owners.items():
-        require(
+        require_contract(
             not np.may_share_memory(array, other),
             f"{what} is (part of) {owner}, which changes with {until}; return a copy",
         )
 
 
 @contextmanager
-def read_only_given(word: str, given: str) -> Iterator[None]:
+def explain_read_only(word: str, given: str) -> Iterator[None]:
     try:
         yield
     except (ValueError, TypeError) as error:
@@ -69,7 +69,7 @@ def read_only_given(word: str, given: str) -> Iterator[None]:
 def no_global_chance(word: str) -> Iterator[None]:
     before = random.getstate(), _numpy_state()
     yield
-    require(
+    require_contract(
         (random.getstate(), _numpy_state()) == before,
         f"the {word} uses the global random numbers of `random` or `numpy.random`, which makes "
         "runs depend on each other; it must not use chance at all",
@@ -96,7 +96,7 @@ class Remembering(Protocol):
 T = TypeVar("T", bound=Remembering)
 
 
-class Trial(ABC, Generic[T]):
+class ContractTrial(ABC, Generic[T]):
     """A subject, and the turns that it is tried with.  `call`: its method that takes a turn."""
 
     word: str
@@ -125,7 +125,7 @@ class Trial(ABC, Generic[T]):
         return records
 
 
-def run_trial(trial: Trial[T]) -> list[Record]:
+def run_trial(trial: ContractTrial[T]) -> list[Record]:
     """Check what does not depend on the purpose of the subject."""
     everyone, turns = np.arange(trial.receivers), range(trial.turns)
     bound = trial.bind(everyone)
@@ -159,7 +159,7 @@ def check_memory(subject: Remembering, receivers: int, word: str) -> None:
             f"after `bind` the {word} must have a `memory` made by the base class, got {memory!r}; "
             "call `super().bind(context)` first"
         )
-    require(
+    require_contract(
         memory.receivers == receivers,
         f"the memory of the {word} must be of {receivers} receivers, got {memory.receivers}; make "
         "it again in every `bind`, by `super().bind(context)`",
@@ -175,7 +175,7 @@ def check_memory(subject: Remembering, receivers: int, word: str) -> None:
             want.shape,
             want.dtype,
         )
-        require(
+        require_contract(
             kept,
             f"memory {name!r} of the {word} was declared as {want.dtype} of shape {want.shape} and "
             f"has become {getattr(array, 'dtype', type(array))} of shape "
@@ -193,18 +193,18 @@ def _require_same(
     """Raise where records differ: `rows` of the expected ones, and `among` of the others."""
     for k, (want, record) in enumerate(zip(expected, got, strict=True)):
         for name in want:
-            a, b = _taken(want[name], rows), _taken(record[name], among)
-            require(
+            a, b = _select_rows(want[name], rows), _select_rows(record[name], among)
+            require_contract(
                 same_bits(a, b),
                 f"{message} `{name}` of turn {k} differs at {first_difference(a, b)}.",
             )
 
 
-def _taken(array: NDArray[Any] | None, rows: NDArray[np.intp] | slice) -> NDArray[Any] | None:
+def _select_rows(array: NDArray[Any] | None, rows: NDArray[np.intp] | slice) -> NDArray[Any] | None:
     return None if array is None else np.ascontiguousarray(array[rows])
 
 
-def _check_batches(trial: Trial[T], records: Sequence[Record]) -> None:
+def _check_batches(trial: ContractTrial[T], records: Sequence[Record]) -> None:
     batches = [np.array([row]) for row in range(trial.receivers)]
     for rows in (*batches, np.arange(MANY) % trial.receivers):
         _require_same(
@@ -218,7 +218,7 @@ def _check_batches(trial: Trial[T], records: Sequence[Record]) -> None:
         )
 
 
-def _check_reset(trial: Trial[T], records: Sequence[Record]) -> None:
+def _check_reset(trial: ContractTrial[T], records: Sequence[Record]) -> None:
     everyone, half = np.arange(trial.receivers), trial.turns // 2
     early, late = range(half), range(half, trial.turns)
     fresh = trial.play(trial.bind(everyone), everyone, late)
@@ -246,7 +246,7 @@ def _check_reset(trial: Trial[T], records: Sequence[Record]) -> None:
         )
 
 
-def _check_moved_rows(trial: Trial[T], records: Sequence[Record]) -> None:
+def _check_moved_rows(trial: ContractTrial[T], records: Sequence[Record]) -> None:
     everyone, half = np.arange(trial.receivers), trial.turns // 2
     order = np.roll(everyone, 2)
     source, target = trial.bind(everyone), trial.bind(order)
@@ -262,13 +262,13 @@ def _check_moved_rows(trial: Trial[T], records: Sequence[Record]) -> None:
     )
 
 
-def _check_copies(trial: Trial[T], records: Sequence[Record]) -> None:
+def _check_copies(trial: ContractTrial[T], records: Sequence[Record]) -> None:
     everyone, half = np.arange(trial.receivers), trial.turns // 2
     late = range(half, trial.turns)
     bound = trial.bind(everyone)
     trial.play(bound, everyone, range(half))
     ways = {"deep-copied": copy.deepcopy, "pickled": lambda x: pickle.loads(pickle.dumps(x))}
-    copies = {way: _copied(bound, trial.word, way, how) for way, how in ways.items()}
+    copies = {way: _copy_subject(bound, trial.word, way, how) for way, how in ways.items()}
     for way, copied in {**copies, "copied and pickled": bound}.items():
         _require_same(
             records[half:],
@@ -277,7 +277,7 @@ def _check_copies(trial: Trial[T], records: Sequence[Record]) -> None:
         )
 
 
-def _copied(subject: T, word: str, way: str, how: Callable[[T], T]) -> T:
+def _copy_subject(subject: T, word: str, way: str, how: Callable[[T], T]) -> T:
     try:
         return how(subject)
     except Exception as error:

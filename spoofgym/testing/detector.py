@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Detector, Verdict
-from ..detectors.base import UndeclaredFieldError, check_needs, checked, undeclared
+from ..detectors.base import UndeclaredFieldError, check_needs, check_verdict, describe_undeclared
 from ..detectors.build import bare_detector
 from ..policies.card import DetectorCard
 from ..receiver.epoch import TracedEpoch
 from .contract import (
+    ContractTrial,
     Record,
-    Trial,
     check_memory,
-    read_only_given,
-    require,
+    explain_read_only,
+    require_contract,
     require_fresh,
     run_trial,
     same_bits,
@@ -65,14 +65,14 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     _check_declarations(unbound)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        for script in scripts_of(unbound.measures, unbound.card):
+        for script in list_scripts(unbound.measures, unbound.card):
             trial = _DetectorTrial(unbound, script)
             _check_bound_again(trial)
             _check_verdicts(trial)
             run_trial(trial)
 
 
-def scripts_of(measures: str, card: DetectorCard | None = None) -> list[Script]:
+def list_scripts(measures: str, card: DetectorCard | None = None) -> list[Script]:
     """Epochs of what a detector measures; for one in a file with as many slots as it was made for:
     a run is left out that has another number of them."""
     scripts = []
@@ -91,7 +91,7 @@ def scripts_of(measures: str, card: DetectorCard | None = None) -> list[Script]:
     return scripts
 
 
-class _DetectorTrial(Trial[Detector]):
+class _DetectorTrial(ContractTrial[Detector]):
     """A detector that judges the epochs of a script."""
 
     word, call = "detector", "judge"
@@ -127,10 +127,10 @@ class _DetectorTrial(Trial[Detector]):
         seen = {name: array.view() for name, array in own.items()}
         for view in seen.values():
             view.flags.writeable = False
-        with read_only_given("detector", "epoch"):
-            verdict = judged_traced(bound, TracedEpoch(**seen))
+        with explain_read_only("detector", "epoch"):
+            verdict = judge_with_trace(bound, TracedEpoch(**seen))
         for name, array in own.items():
-            require(
+            require_contract(
                 same_bits(array, given[name]),
                 f"the detector has changed `epoch.{name}`, which others see as well; copy the "
                 "array first",
@@ -146,37 +146,37 @@ class _DetectorTrial(Trial[Detector]):
         return record
 
 
-def judged_traced(detector: Detector, epoch: TracedEpoch) -> Verdict:
+def judge_with_trace(detector: Detector, epoch: TracedEpoch) -> Verdict:
     try:
         verdict = detector.judge(epoch)
     except UndeclaredFieldError as error:  # of a detector in a pool
         raise AssertionError(str(error)) from error
     except Exception as error:
-        message = undeclared(detector, epoch)
+        message = describe_undeclared(detector, epoch)
         if message:
             raise AssertionError(message) from error
         raise
-    message = undeclared(detector, epoch)
-    require(not message, message)
+    message = describe_undeclared(detector, epoch)
+    require_contract(not message, message)
     return verdict
 
 
 def _check_declarations(detector: Detector) -> None:
     kind = type(detector).__name__
     paper = getattr(detector, "paper", None)
-    require(
+    require_contract(
         isinstance(paper, str) and bool(paper.strip()),
         f"`{kind}.paper` must be a key in references.bib, for a classic too, got {paper!r}",
     )
-    require(
+    require_contract(
         detector.scope in ("channel", "receiver"),
         f"`{kind}.scope` must be 'channel' (c = n) or 'receiver' (c = 1), got {detector.scope!r}",
     )
-    require(
+    require_contract(
         detector.measures in ("satellites", "position", "any"),
         f"`{kind}.measures` must be 'satellites', 'position' or 'any', got {detector.measures!r}",
     )
-    require(
+    require_contract(
         isinstance(detector.oracle, bool),
         f"`{kind}.oracle` must be True or False, got {detector.oracle!r}",
     )
@@ -201,7 +201,7 @@ def _check_verdicts(trial: _DetectorTrial) -> None:
         verdict, own = trial.judge(bound, number, everyone)
         check_memory(bound, trial.receivers, "detector")
         try:
-            checked(verdict, bound, trial.script.epochs[number])
+            check_verdict(verdict, bound, trial.script.epochs[number])
         except (TypeError, ValueError) as error:
             raise AssertionError(f"on {trial.script.name}, {error}") from error
         _check_arrays(bound, verdict, own)
@@ -210,12 +210,12 @@ def _check_verdicts(trial: _DetectorTrial) -> None:
         copies.append(copy.deepcopy(verdict))
     for verdict, copied in zip(verdicts, copies, strict=True):
         for name in Verdict._fields:
-            require(
+            require_contract(
                 same_bits(getattr(verdict, name), getattr(copied, name)),
                 f"the verdict's `{name}` has changed while the detector went on; return a new "
                 "array at every epoch",
             )
-    require(
+    require_contract(
         len({verdict.weights is None for verdict in verdicts}) == 1,
         "`weights` must be an array at every epoch or None at every epoch, got both; a detector "
         "that does not weigh anything returns ones",
@@ -237,19 +237,19 @@ def _check_invisible(detector: Detector, script: Script, number: int, verdict: V
     epoch = script.epochs[number]
     absent, where = ~epoch.visible, f"on {script.name}, at {epoch.time[0]:g} s,"
     if detector.scope == "channel":
-        require(
+        require_contract(
             not verdict.statistic[absent].any(),
             f"{where} the statistic of a channel that isn't visible must be 0, got "
             f"{np.abs(verdict.statistic[absent]).max(initial=0.0):g}; "
             "`statistic[~epoch.visible] = 0.0`",
         )
-        require(
+        require_contract(
             not verdict.alarm[absent].any(),
             f"{where} a channel that isn't visible must not alarm; `alarm &= epoch.visible`",
         )
     if verdict.weights is not None:
         weights = verdict.weights[np.hstack([absent, absent])]
-        require(
+        require_contract(
             bool((weights == 1.0).all()),
             f"{where} the weights of a channel that isn't visible must be 1, of pseudorange and "
             f"range rate, got {weights.min(initial=1.0):g}",

@@ -103,7 +103,7 @@ def trying_script(channels: int = CHANNELS) -> Script:
     for k in range(COUNT):
         interval = INTERVALS[k % len(INTERVALS)]
         time = time + interval
-        epochs.append(_made_up(k, time, interval, _visible(k, channels), noise, rng))
+        epochs.append(_draw_epoch(k, time, interval, _visible(k, channels), noise, rng))
     ids = (*(f"G{j:02d}" for j in range(1, CHANNELS)), *[""] * (channels - _EMPTY))
     context = DetectorContext(RECEIVERS, channels, 0.5, noise, ids)
     return Script("made-up epochs", context, tuple(epochs))
@@ -135,7 +135,7 @@ def _innovation(
     return innovation
 
 
-def _made_up(
+def _draw_epoch(
     k: int,
     time: NDArray[np.float64],
     interval: float,
@@ -211,13 +211,13 @@ def position_script(coordinates: int) -> Script:
     for k in range(POSITION_COUNT):
         interval = INTERVALS[k % len(INTERVALS)]
         time = time + interval
-        epochs.append(_made_up_positions(k, time, interval, noise, rng))
+        epochs.append(_draw_position_epoch(k, time, interval, noise, rng))
     context = DetectorContext(RECEIVERS, 0, 0.5, noise, ())
     name = f"made-up epochs of a position with {coordinates} coordinates"
     return Script(name, context, tuple(epochs))
 
 
-def _made_up_positions(
+def _draw_position_epoch(
     k: int, time: FloatArray, interval: float, noise: FloatArray, rng: np.random.Generator
 ) -> Epoch:
     b, m = len(time), len(noise)

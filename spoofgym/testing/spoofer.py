@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from ..attacks import Attack
 from ..core.registry import is_number
 from ..envs.observer import Observer
-from ..envs.spoofer_binding import bound_spoofer, paced, setup_of_card
+from ..envs.spoofer_binding import apply_pace, bound_spoofer, setup_of_card
 from ..envs.terms.action import CommandMap, Decisions
 from ..simulation import Engine, Setup, TightlyCoupledSetup, Timeline
 from ..spoofers import KNOWLEDGE, Spoofer, SpooferContext, make_spoofer
 from ..spoofers.base import TARGET, FloatArray
 from .contract import (
+    ContractTrial,
     Record,
-    Trial,
     check_memory,
+    explain_read_only,
     no_global_chance,
-    read_only_given,
-    require,
+    require_contract,
     require_fresh,
     run_trial,
 )
@@ -116,12 +116,12 @@ def _window_s(spoofer: Spoofer) -> float:
 def _check_declarations(spoofer: Spoofer) -> None:
     kind = type(spoofer).__name__
     knowledge = getattr(spoofer, "knowledge", None)
-    require(
+    require_contract(
         knowledge in KNOWLEDGE,
         f"`{kind}.knowledge` must be one of {', '.join(map(repr, KNOWLEDGE))}, got {knowledge!r}",
     )
     tunable = spoofer.tunable
-    require(
+    require_contract(
         tunable is None or isinstance(getattr(spoofer, tunable, None), int | float),
         f"`{kind}.tunable` must name a setting that is a number, or be None, got {tunable!r}",
     )
@@ -131,7 +131,7 @@ def _check_tuning(spoofer: Spoofer, context: SpooferContext) -> None:
     if spoofer.tunable is None:
         return
     low, high = type(spoofer).tuning_range(context)
-    require(
+    require_contract(
         0.0 < low < high < np.inf,
         f"`tuning_range` must return two numbers, 0 < low < high, got {low} and {high}",
     )
@@ -154,7 +154,7 @@ def _perform(
     engine = Engine(RECEIVERS, setup, threads=1)
     engine.reset([np.random.default_rng(seed) for seed in range(RECEIVERS)])
     commands.aim(engine.simulator.heading)
-    decisions = Decisions(paced(setup, spoofer), RECEIVERS, len(commands.names))
+    decisions = Decisions(apply_pace(setup, spoofer), RECEIVERS, len(commands.names))
     observations: list[Observation] = []
     with no_global_chance("spoofer"):
         bound = _bind(spoofer, context)
@@ -173,19 +173,19 @@ def _perform(
 def _act(spoofer: Spoofer, observation: Observation, number: int) -> FloatArray:
     seen = observation.view()
     seen.flags.writeable = False
-    with read_only_given("spoofer", "observation"):
+    with explain_read_only("spoofer", "observation"):
         action: object = spoofer.act(seen)
     context = spoofer.context
     shape = (context.receivers, len(context.action_names))
     if not isinstance(action, np.ndarray):
         raise AssertionError(f"`act` must return an array, got {type(action).__name__}")
-    require(
+    require_contract(
         action.shape == shape and action.dtype == np.float64 and action.flags.c_contiguous,
         f"`act` must return a C-contiguous float64 array of shape {shape}, one row a receiver and "
         f"one column for each of {', '.join(context.action_names)}; got {action.dtype} of shape "
         f"{action.shape}",
     )
-    require(
+    require_contract(
         bool((np.abs(action) <= 1.0).all()),
         f"actions must be finite and within [-1, 1], got {np.abs(action).max():g} at command "
         f"{number}; `np.clip(action, -1.0, 1.0)`",
@@ -196,7 +196,7 @@ def _act(spoofer: Spoofer, observation: Observation, number: int) -> FloatArray:
     return action.copy()
 
 
-class _SpooferTrial(Trial[Spoofer]):
+class _SpooferTrial(ContractTrial[Spoofer]):
     """A spoofer that is shown one observation an epoch."""
 
     word, call = "spoofer", "act"

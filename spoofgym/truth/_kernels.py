@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ..core.compile import inlined, njit
+from ..core.compile import inline_njit, njit
 from ..core.lanes import first_rows
 from ..core.simd import any_lane, floor, load, select, set_lane, splat, sqrt, store
 from ..earth.wgs84 import EARTH_RATE, STILL, gravity, range_and_rate
@@ -12,7 +12,7 @@ from .clock import advance_clock
 from .gnss_errors import gauss_markov_step
 from .noise import deviates, exponential, normals
 from .sensors import CONSTANTS, SOURCES, sensor_shapes
-from .signal_errors import MAPPINGS, deviates_of, signal_shapes
+from .signal_errors import MAPPINGS, count_deviates, signal_shapes
 
 _ROWS = first_rows(sensor_shapes(1))
 RESIDUAL, CLOCK = _ROWS["residual"], _ROWS["clock"]
@@ -41,19 +41,19 @@ CHUNK = 16  # samples whose truth is gathered at a time, so that it stays in the
 SKY = 8  # of a satellite: position, velocity, true range and range rate, 0 if invisible
 
 
-@inlined
+@inline_njit
 def load3(x, row):
     return load(x, row), load(x, row + 1), load(x, row + 2)
 
 
-@inlined
+@inline_njit
 def store3(x, row, values, step=1):
     store(x, row, values[0])
     store(x, row + step, values[1])
     store(x, row + 2 * step, values[2])
 
 
-@inlined
+@inline_njit
 def keep3(x, row, now, values):
     """Write three rows in the lanes of `now`."""
     a, b, c = load3(x, row)
@@ -103,13 +103,13 @@ def gather_truth(run, first, start, stop, truth):
                     set_lane(truth, 8 * (i - start) + c, index, run[c, first[index] + i])
 
 
-@inlined
-def _rounded(total, level, inverse):
+@inline_njit
+def _quantize(total, level, inverse):
     """The quantization level next to a running sum; itself where there is no quantization."""
     return select(level > 0.0, level * floor(total * inverse + 0.5), total)
 
 
-@inlined
+@inline_njit
 def _row(matrix, row, f):
     m = load(matrix, row) * f[0] + load(matrix, row + 1) * f[1]
     return m + load(matrix, row + 2) * f[2]
@@ -165,8 +165,8 @@ def sense(run, first, count, sensors, base, constants, fixed, samples, dt, truth
             c4 += x + _row(constants, d + 3, f) + _row(constants, spin + 3, w)
             x = load(constants, g + 2) + level_g * load(samples, 5 * n + i) * rate
             c5 += x + _row(constants, d + 6, f) + _row(constants, spin + 6, w)
-            m0, m1, m2 = _rounded(c0, qa, ia), _rounded(c1, qa, ia), _rounded(c2, qa, ia)
-            m3, m4, m5 = _rounded(c3, qg, ig), _rounded(c4, qg, ig), _rounded(c5, qg, ig)
+            m0, m1, m2 = _quantize(c0, qa, ia), _quantize(c1, qa, ia), _quantize(c2, qa, ia)
+            m3, m4, m5 = _quantize(c3, qg, ig), _quantize(c4, qg, ig), _quantize(c5, qg, ig)
             store(samples, i, m0 - p0)
             store(samples, n + i, m1 - p1)
             store(samples, 2 * n + i, m2 - p2)
@@ -180,7 +180,7 @@ def sense(run, first, count, sensors, base, constants, fixed, samples, dt, truth
 
 
 @njit
-def recorded(run, first, count, samples, dt):
+def replay_samples(run, first, count, samples, dt):
     """Take the samples of one interval as `run` has them, measured; the others as in `sense`."""
     for index in range(first.shape[0]):
         for i in range(count):
@@ -208,7 +208,7 @@ def advance_correlated(sensors, base, channels, sd, time, key0, key1, epoch, tau
         store(sensors, row, alpha * load(sensors, row) + driving * load(noise, s))
 
 
-@inlined
+@inline_njit
 def _advance_process(x, row, value, rate, moves, first, second):
     v, w = load(x, value), load(x, rate)
     new = load(x, row) * v + load(x, row + 1) * w + load(x, row + 4) * first
@@ -239,7 +239,7 @@ def disturb(signals, base, n, key0, key1, number, epoch, tau, mapping, noise, sk
     `number`, `epoch`: of each lane, as a float and as a word; `mapping`: of `gather_mappings`;
     `noise`: scratch memory, the size of an epoch's deviates; returns the step of the clock [m].
     """
-    b, moves, count = base, tau > 0.0, deviates_of(n)
+    b, moves, count = base, tau > 0.0, count_deviates(n)
     deviates(key0, key1, epoch + np.uint64(LATER), noise.shape[0], count, noise)
     ionosphere, ionosphere_rate = _advance_process(
         signals, b + PROCESSES, b + ZENITH, b + ZENITH + 1, moves, load(noise, 0), load(noise, 1)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from ..core.compile import inlined
-from ..core.declared import record, setting
+from ..core.compile import inline_njit
+from ..core.declared import setting, settings_record
 from ..core.simd import sqrt
 from ..earth.wgs84 import SPEED_OF_LIGHT
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class ReceiverClock:
     """Two-state clock in units of range.
 
@@ -48,7 +48,7 @@ def clock_of_allan(h0: float, h_2: float) -> ReceiverClock:
 TCXO = clock_of_allan(2e-19, 2e-20)  # `brownhwang2012`: 0.0090 m^2/s, 0.035 m^2/s^3
 
 
-@inlined
+@inline_njit
 def advance_clock(
     bias: float,
     drift: float,

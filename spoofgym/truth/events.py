@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.registry import require
 from .signal_errors import IONOSPHERE_HEIGHT_M, NEVER, SHELL_RADIUS_M, FloatArray
 
@@ -28,7 +28,7 @@ def part_of_episodes(event: str) -> Any:
     )
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class BenignEvents:
     """Events that come to some episodes, each at a time that is drawn; by default none does.
 
@@ -78,7 +78,7 @@ class BenignEvents:
         return max(self.clock_step, self.satellite_loss, self.front) > 0.0
 
 
-class Window(NamedTuple):
+class EventWindow(NamedTuple):
     """When events may come, and what is in view. `first`, `last`: epochs; `interval_s` between
     epochs; `visible`, `azimuth`, `elevation` (K, n) at all epochs."""
 
@@ -90,7 +90,9 @@ class Window(NamedTuple):
     elevation: FloatArray
 
 
-def draw_events(events: BenignEvents, key: NDArray[np.uint64], window: Window) -> dict[str, Any]:
+def draw_events(
+    events: BenignEvents, key: NDArray[np.uint64], window: EventWindow
+) -> dict[str, Any]:
     """Events of one episode, by fields of `signal_errors.signal_shapes`. `key` (2,) of the
     episode's domain. All numbers are drawn, so that one event does not depend on whether another
     may come."""

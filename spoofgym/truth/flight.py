@@ -124,7 +124,7 @@ def integrate_velocity(
     return position
 
 
-def turned(flight: Flight, angle: float) -> Flight:
+def rotate_flight(flight: Flight, angle: float) -> Flight:
     r"""Flight in another direction: the whole of it turned about the vertical where it begins.
 
     .. math::
@@ -253,7 +253,7 @@ def trajectory_at(flight: Flight, imu_rate_hz: float | None, epoch_interval_s: f
     longer samples, as of any flight, and so differs by millimetres."""
     count = 1
     if imu_rate_hz is not None:
-        count = decimation_of(flight.step, imu_rate_hz, epoch_interval_s)
+        count = compute_decimation(flight.step, imu_rate_hz, epoch_interval_s)
     if count == 1:
         return inverse_kinematics(flight)
     velocity_e = flight.velocity_e[::count]
@@ -263,7 +263,7 @@ def trajectory_at(flight: Flight, imu_rate_hz: float | None, epoch_interval_s: f
     return inverse_kinematics(longer, decimation=count, largest=LARGEST_DECIMATED)
 
 
-def decimation_of(step: float, rate_hz: float, epoch_interval_s: float) -> int:
+def compute_decimation(step: float, rate_hz: float, epoch_interval_s: float) -> int:
     """Samples of `step` [s] in one of `rate_hz`; a ValueError unless epochs fall on samples."""
     per_epoch = max(round(epoch_interval_s / step), 1)
     valid = {count: 1.0 / (count * step) for count in range(1, per_epoch + 1)}

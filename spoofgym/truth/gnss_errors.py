@@ -14,14 +14,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.compile import inlined
-from ..core.declared import record, setting
+from ..core.compile import inline_njit
+from ..core.declared import setting, settings_record
 from ..core.registry import build_record, require
 from .clock import TCXO, ReceiverClock
 from .signal_errors import SIGNAL_ERRORS, SignalErrors
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class GnssErrors:
     r"""Errors of pseudoranges and range rates.
 
@@ -158,7 +158,7 @@ ERRORS: dict[str, GnssErrors] = {
 RENAMED = {"realistic": "trolley"}  # errors, and what scenarios begin with, by their old names
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class PositionErrors:
     r"""Gauss-Markov GNSS position errors.
 
@@ -193,7 +193,7 @@ class PositionErrors:
         return np.array([self.horizontal_sd_m, self.horizontal_sd_m, self.vertical_sd_m])
 
 
-@inlined
+@inline_njit
 def gauss_markov_step(error: float, decay: float, sd: float, deviate: float) -> float:
     r"""Next error of one axis.
 

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import check_number, record, setting
+from ..core.declared import check_number, setting, settings_record
 from ..core.registry import require
 from ..earth.wgs84 import STANDARD_GRAVITY
 from .flight import Flight, flight_from_velocity
@@ -82,7 +82,7 @@ class Manoeuvre(Protocol):
         """Pulse of rate on the axis, entered with a speed [m/s] at a time of the flight [s]."""
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Straight:
     """Straight and level motion for a while."""
 
@@ -94,7 +94,7 @@ class Straight:
         return Pulse.idle(self.duration_s)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Until:
     """Straight and level motion until a time of the flight."""
 
@@ -111,7 +111,7 @@ class Until:
         return Pulse.idle(self.time_s - start)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Turn:
     r"""A coordinated level turn: no lateral specific force.
 
@@ -139,7 +139,7 @@ class Turn:
         return Pulse.of_area(math.radians(self.angle_deg), peak, self.ramp_s)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Steer:
     """A turn on wheels, without bank."""
 
@@ -159,7 +159,7 @@ class Steer:
         return Pulse.of_area(math.radians(self.angle_deg), peak, self.ramp_s)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Climb:
     """A change of height at constant speed along the path."""
 
@@ -188,7 +188,7 @@ class Climb:
         return Pulse.of_area(self.height_m, self.rate_mps, self.ramp_s)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Accelerate:
     """A change of speed on a straight and level path."""
 

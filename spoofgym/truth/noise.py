@@ -16,20 +16,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.compile import inlined, njit
+from ..core.compile import inline_njit, njit
 from ..core.simd import (
     LANES,
-    bits_of,
     floor,
     from_bits,
     load_pair,
-    pair_of,
+    pair_lanes,
     rotate_left,
     select,
     splat,
     sqrt,
     store,
     to_float,
+    view_bits,
 )
 
 _PARITY = np.uint64(0x1BD11BDAA9FC1A22)
@@ -48,13 +48,13 @@ COUNTERS_OF_EIGHT = np.repeat(np.arange(2, dtype=np.uint64), LANES).reshape(2, L
 BLOCK = 64  # deviates come in multiples of this many, so that a vectorized loop has no remainder
 
 
-@inlined
+@inline_njit
 def _mix(x: np.uint64, y: np.uint64, turn: int) -> tuple[np.uint64, np.uint64]:
     x = x + y
     return x, rotate_left(y, turn) ^ x
 
 
-@inlined
+@inline_njit
 def _mix_even(x: np.uint64, y: np.uint64) -> tuple[np.uint64, np.uint64]:
     x, y = _mix(x, y, 16)
     x, y = _mix(x, y, 42)
@@ -62,7 +62,7 @@ def _mix_even(x: np.uint64, y: np.uint64) -> tuple[np.uint64, np.uint64]:
     return _mix(x, y, 31)
 
 
-@inlined
+@inline_njit
 def _mix_odd(x: np.uint64, y: np.uint64) -> tuple[np.uint64, np.uint64]:
     x, y = _mix(x, y, 16)
     x, y = _mix(x, y, 32)
@@ -70,7 +70,7 @@ def _mix_odd(x: np.uint64, y: np.uint64) -> tuple[np.uint64, np.uint64]:
     return _mix(x, y, 21)
 
 
-@inlined
+@inline_njit
 def threefry(
     x: np.uint64, y: np.uint64, k0: np.uint64, k1: np.uint64
 ) -> tuple[np.uint64, np.uint64]:
@@ -85,7 +85,7 @@ def threefry(
     return x + k2, y + k0 + np.uint64(5)
 
 
-@inlined
+@inline_njit
 def natural_log(x: Any) -> Any:
     r"""Logarithm of a positive normal number.
 
@@ -93,7 +93,7 @@ def natural_log(x: Any) -> Any:
 
     .. math:: \ln x = e \ln 2 + 2 \sum_{k=0}^{8} \frac{s^{2k + 1}}{2k + 1}
     """
-    bits = bits_of(x)
+    bits = view_bits(x)
     e = to_float(bits >> np.uint64(52)) - 1023.0
     m = from_bits((bits & _MANTISSA) | np.uint64(0x3FF0000000000000))
     high = m > _SQRT2
@@ -107,7 +107,7 @@ def natural_log(x: Any) -> Any:
     return e * _LN2 + 2.0 * s * p
 
 
-@inlined
+@inline_njit
 def normal_pair(word: np.uint64) -> tuple[float, float]:
     r"""Two independent standard normal deviates of 64 random bits.
 
@@ -139,10 +139,10 @@ def normal_pair(word: np.uint64) -> tuple[float, float]:
     return signed_a * a, select(upper, -radius, radius) * b
 
 
-@inlined
-def whole_number(x: Any) -> Any:
+@inline_njit
+def to_integer(x: Any) -> Any:
     """The unsigned integer that a whole number from 0 to 2^52 is."""
-    return bits_of(x + 2.0**52) & _MANTISSA
+    return view_bits(x + 2.0**52) & _MANTISSA
 
 
 @njit
@@ -165,7 +165,7 @@ def deviates(
         k0, k1, epoch = splat(k0, rows), splat(k1, rows), splat(epoch, rows)
     else:
         rows, each, ahead = out, 1, COUNTERS_OF_EIGHT
-    k0, k1, epoch = pair_of(k0), pair_of(k1), pair_of(epoch)
+    k0, k1, epoch = pair_lanes(k0), pair_lanes(k1), pair_lanes(epoch)
     counters, n = load_pair(ahead, 0), n // each
     for q in range(0, min(n, -(-count // each)), 2):
         x, y = threefry(counters + np.uint64(each * q), epoch, k0, k1)
@@ -185,7 +185,7 @@ def normals(k0: np.uint64, k1: np.uint64, epoch: int, out: NDArray[np.float64]) 
     deviates(k0, k1, np.uint64(epoch), out.shape[0], out.shape[0], out)
 
 
-@inlined
+@inline_njit
 def exponential(x: Any) -> Any:
     r"""Exponential function of a number that is not above 0; 0 below -708.
 
@@ -198,9 +198,9 @@ def exponential(x: Any) -> Any:
     p = 1.0 + r * (1.0 / 12.0) * (1.0 + r * (1.0 / 13.0))
     for divisor in _DIVISORS:
         p = 1.0 + r * divisor * p
-    power = from_bits(bits_of(k + (1023.0 + 2.0**52)) << np.uint64(52))
+    power = from_bits(view_bits(k + (1023.0 + 2.0**52)) << np.uint64(52))
     return select(x > -708.0, p * power, 0.0)
 
 
-def padded(count: int) -> int:
+def pad_count(count: int) -> int:
     return -(-count // BLOCK) * BLOCK

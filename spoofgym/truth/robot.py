@@ -38,7 +38,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.registry import require
 from .noise import BLOCK
 
@@ -70,7 +70,7 @@ class RobotTrack:
         return self.distance + turned, self.distance - turned
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class RobotLoop:
     """A rectangular course."""
 
@@ -132,10 +132,10 @@ class RobotLoop:
         heading = math.radians(self.heading_deg) + np.concatenate([[0.0], np.cumsum(turns)[:-1]])
         starts = np.zeros((8, 2))
         for i in range(7):
-            starts[i + 1] = starts[i] + self._moved(heading[i], lengths[i], i % 2 == 1)
+            starts[i + 1] = starts[i] + self._displace(heading[i], lengths[i], i % 2 == 1)
         first = heading[piece]
-        straight = self._moved(first, s, False)
-        curved = self._moved(first, s, True)
+        straight = self._displace(first, s, False)
+        curved = self._displace(first, s, True)
         corner = (piece % 2 == 1)[:, None]
         yaw = first + np.where(piece % 2 == 1, s / self.corner_radius_m, 0.0)
         return RobotTrack(
@@ -146,7 +146,7 @@ class RobotLoop:
             distance=distance,
         )
 
-    def _moved(self, heading: FloatArray, s: FloatArray, corner: bool) -> FloatArray:
+    def _displace(self, heading: FloatArray, s: FloatArray, corner: bool) -> FloatArray:
         """(..., 2) north and east moved over a distance along a side or a corner."""
         if not corner:
             return np.stack([s * np.cos(heading), s * np.sin(heading)], axis=-1)
@@ -159,7 +159,7 @@ SOURCES = ("yaw", "fix")  # sources of chance; each has a key of its own in ever
 MOST_SAMPLES = BLOCK  # most encoder samples between two fixes: one block of noise
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class Odometer:
     """Encoders and heading."""
 
@@ -190,7 +190,7 @@ class Odometer:
         return 2.0 * math.pi * self.wheel_radius_m / self.counts_per_turn
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class FixErrors:
     """GNSS position errors, alike in north and east."""
 

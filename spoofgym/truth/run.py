@@ -1,5 +1,5 @@
-"""All truth of one run: `World` of tightly coupled receivers, `LooseWorld` of loosely coupled ones,
-which measure positions, and `Sky` of snapshot receivers, which have no inertial sensors."""
+"""All truth of one run: `GroundTruth` of tightly coupled receivers, `LooseWorld` of loosely coupled
+ones, which measure positions, and `Sky` of snapshot receivers, which have no inertial sensors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import check_number, record, setting
+from ..core.declared import check_number, setting, settings_record
 from ..core.registry import check_choice, require
 from ..earth.wgs84 import (
     DEGREE,
@@ -36,7 +36,7 @@ SKY_MASK_DEG = 5.0  # least elevation of a satellite that a snapshot receiver us
 
 
 class EpochTruth(NamedTuple):
-    """Truth of `World` at its epochs, as kernels take it."""
+    """Truth of `GroundTruth` at its epochs, as kernels take it."""
 
     epoch_time: FloatArray
     satellites: FloatArray
@@ -45,7 +45,7 @@ class EpochTruth(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class World:
+class GroundTruth:
     """Truth at every inertial sample and at every GNSS epoch.
 
     Epoch 0 is at time zero; epoch k ends with sample ``epoch_end[k]`` (exclusive).  Channels are
@@ -119,7 +119,7 @@ def build_world(
     epoch_interval_s: float = 0.5,
     channels: int = CHANNELS,
     mask_deg: float = MASK_DEG,
-) -> World:
+) -> GroundTruth:
     """Compute the truth of a run. `constellation`: satellites; where more rise above the mask than
     there are channels, those that stay longest are taken."""
     time = trajectory.time
@@ -156,7 +156,7 @@ def build_world(
     satellites[:, :, :3] = _in_slots(states.position_e, chosen, channels)
     satellites[:, :, 3:6] = _in_slots(states.velocity_e, chosen, channels)
     fill_ranges(satellites, seen, position_e, velocity_e)
-    return World(
+    return GroundTruth(
         name=trajectory.name,
         satellite_ids=ids,
         imu_time=time.copy(),
@@ -208,7 +208,7 @@ def _choose(visible: NDArray[np.bool_], channels: int) -> list[int]:
 SOURCES = 3  # of chance; each has a key of its own in every episode
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class InertialErrors:
     """White noise and turn-on biases of the inertial sensors, and the errors of the alignment.
 
@@ -328,7 +328,7 @@ def flown_world(flight: str, interval_s: float, imu_rate_hz: float | None = None
     return loose_world(trajectory_at(FLIGHTS[flight](), imu_rate_hz, interval_s), interval_s)
 
 
-def chain_worlds(worlds: Sequence[World]) -> World:
+def chain_worlds(worlds: Sequence[GroundTruth]) -> GroundTruth:
     """World in which the epochs of some worlds follow one another. World w of K epochs each has the
     epochs ``w K`` to ``(w + 1) K - 1``. Times start again with each; nothing may cross from one to
     the next."""
@@ -349,23 +349,23 @@ def chain_worlds(worlds: Sequence[World]) -> World:
     ends = [world.epoch_end + w * samples for w, world in enumerate(worlds)]
     ids = first.satellite_ids if same else tuple(f"slot{s:02d}" for s in range(first.channels))
 
-    def joined(name: str) -> NDArray[Any]:
+    def join(name: str) -> NDArray[Any]:
         return np.concatenate([getattr(world, name) for world in worlds])
 
     return replace(
         first,
         satellite_ids=ids,
         run=np.ascontiguousarray(np.concatenate([world.run for world in worlds], axis=1)),
-        epoch_time=joined("epoch_time"),
+        epoch_time=join("epoch_time"),
         epoch_end=np.concatenate(ends),
-        satellites=joined("satellites"),
-        visible=joined("visible"),
-        elevation=joined("elevation"),
-        azimuth=joined("azimuth"),
-        position_e=joined("position_e"),
-        velocity_e=joined("velocity_e"),
-        C_eb=joined("C_eb"),
-        C_en=joined("C_en"),
+        satellites=join("satellites"),
+        visible=join("visible"),
+        elevation=join("elevation"),
+        azimuth=join("azimuth"),
+        position_e=join("position_e"),
+        velocity_e=join("velocity_e"),
+        C_eb=join("C_eb"),
+        C_en=join("C_en"),
     )
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.registry import require
 from ..earth.wgs84 import EARTH_RATE, EQUATORIAL_RADIUS, GRAVITATIONAL_CONSTANT
 
@@ -87,7 +87,7 @@ def ecef_from_orbit(
     )
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class CircularConstellation:
     r"""Circular orbits on six planes, the constellation of Groves' software.
 
@@ -153,7 +153,7 @@ class CircularConstellation:
         )
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class CombinedConstellation:
     """Several constellations as one, on one system time: a receiver hears them all, and has one
     clock for them."""

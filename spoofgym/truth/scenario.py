@@ -8,10 +8,10 @@ from dataclasses import fields, replace
 from functools import lru_cache, partial
 from typing import Any, TypeGuard
 
-from ..core.declared import record, setting
+from ..core.declared import setting, settings_record
 from ..core.registry import build_record, check_choice, require
 from .events import BenignEvents
-from .flight import Flight, trajectory_at, turned
+from .flight import Flight, rotate_flight, trajectory_at
 from .gnss_errors import ERRORS, RENAMED, GnssErrors
 from .manoeuvres import FLIGHTS
 from .run import (
@@ -20,7 +20,7 @@ from .run import (
     HIGHEST_MASK_DEG,
     MASK_DEG,
     MOST_CHANNELS,
-    World,
+    GroundTruth,
     build_world,
 )
 from .satellites import (
@@ -34,7 +34,7 @@ from .sensors import IMU_GRADES
 TURN_ON = ("specimen", "drawn")  # inertial constants: of the data sheet, or drawn per episode
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class Scenario:
     """The authentic world of an episode, as a recipe.
 
@@ -143,7 +143,7 @@ class Scenario:
             return self.gnss_errors
         return ERRORS[self.assumed] if isinstance(self.assumed, str) else self.assumed
 
-    def world(self) -> World:
+    def world(self) -> GroundTruth:
         sky = self.epoch_interval_s, self.channels, self.mask_deg
         recipe = *sky, self.turned_deg, self.imu_rate_hz
         if isinstance(self.flight, str) and _is_analytic(self.constellation):
@@ -164,9 +164,9 @@ def _world(
     mask_deg: float,
     turned_deg: float,
     imu_rate_hz: float | None,
-) -> World:
+) -> GroundTruth:
     if turned_deg != 0.0:
-        flight = turned(flight, math.radians(turned_deg))
+        flight = rotate_flight(flight, math.radians(turned_deg))
     return build_world(
         trajectory_at(flight, imu_rate_hz, epoch_interval_s),
         constellation,
@@ -188,7 +188,7 @@ def _is_analytic(
 @lru_cache(maxsize=8)
 def _named_world(
     flight: str, constellation: CircularConstellation | CombinedConstellation, *recipe: Any
-) -> World:
+) -> GroundTruth:
     return _world(FLIGHTS[flight](), constellation, *recipe)
 
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from ..core.lanes import LaneFields
 from ..earth.wgs84 import DEGREE, MICRO_G, STANDARD_GRAVITY
 from .gnss_errors import GnssErrors
-from .noise import BLOCK, normals, padded
-from .signal_errors import FloatArray, SignalErrors, begin_signals, signal_shapes
+from .noise import BLOCK, normals, pad_count
+from .signal_errors import FloatArray, SignalErrors, signal_shapes, start_signals
 
 _DEG_PER_HOUR = DEGREE / 3600.0
 
@@ -172,7 +172,7 @@ CONSTANTS: dict[str, tuple[int, ...]] = {
 """
 
 
-def keys_of(episodes: Sequence[np.random.SeedSequence]) -> dict[str, NDArray[np.uint64]]:
+def draw_source_keys(episodes: Sequence[np.random.SeedSequence]) -> dict[str, NDArray[np.uint64]]:
     """(b, 2) keys of the noise of each of `SOURCES`, from the seeds of episodes."""
     drawn = np.array([seed.generate_state(2 * len(SOURCES), np.uint64) for seed in episodes])
     return {source: drawn[:, 2 * k : 2 * k + 2] for k, source in enumerate(SOURCES)}
@@ -238,11 +238,11 @@ class SensorBuffers:
         episodes: Sequence[np.random.SeedSequence],
         sources: Sequence[str] = SOURCES,
     ) -> None:
-        drawn = keys_of(episodes)
+        drawn = draw_source_keys(episodes)
         for source in sources:
             self.words.put(source, rows, drawn[source])
 
-    def begin(
+    def start_episodes(
         self,
         rows: NDArray[np.intp],
         grade: ImuGrade,
@@ -276,7 +276,7 @@ class SensorBuffers:
         self.range_offset[rows] = self.rate_offset[rows] = 0.0
         if len(self.authentic):
             self.authentic[rows] = 1.0
-        deviates, biases = np.empty(padded(n)), np.empty((len(rows), n))
+        deviates, biases = np.empty(pad_count(n)), np.empty((len(rows), n))
         for bias, (k0, k1) in zip(biases, self.words.get("bias", rows), strict=True):
             normals(k0, k1, 0, deviates)
             bias[:] = bias_sd * deviates[:n]
@@ -284,7 +284,7 @@ class SensorBuffers:
         if self.signals.rows:
             signals = SignalErrors() if errors.signals is None else errors.signals
             keys = self.words.get("correlated", rows)
-            begin_signals(self.signals, rows, signals, interval_s, keys)
+            start_signals(self.signals, rows, signals, interval_s, keys)
         if drawn:
             self._draw_constants(rows, grade)
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.compile import inlined
-from ..core.declared import check_number, record, setting
+from ..core.compile import inline_njit
+from ..core.declared import check_number, setting, settings_record
 from ..core.registry import require
-from .noise import normals, padded
+from .noise import normals, pad_count
 
 FloatArray = NDArray[np.float64]
 IONOSPHERE_HEIGHT_M = 350_000.0  # height of the thin shell (`do-229`, A.4.4.10.4)
@@ -39,7 +39,7 @@ def correlation_time(default: float, help: str) -> Any:
     return setting(default=default, above=0.0, unit="s", help=help)
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class SignalErrors:
     r"""Errors that all signals of a receiver have in common, and those of each signal.
 
@@ -125,7 +125,7 @@ def obliquities(elevation: FloatArray) -> tuple[FloatArray, ...]:
     )
 
 
-def mappings_of(elevation: FloatArray, interval_s: float, epochs_each: int) -> FloatArray:
+def compute_mappings(elevation: FloatArray, interval_s: float, epochs_each: int) -> FloatArray:
     """(K, n, 6) what is known of every line of sight at every epoch (`MAPPINGS`). `elevation` (K,
     n) [rad], of worlds of `epochs_each` epochs one after the other."""
     ionosphere, troposphere, multipath, noise = obliquities(elevation)
@@ -174,8 +174,8 @@ def signal_shapes(channels: int) -> dict[str, tuple[int, ...]]:
     }
 
 
-@inlined
-def deviates_of(channels: int) -> int:
+@inline_njit
+def count_deviates(channels: int) -> int:
     """Standard normal deviates of an epoch: zenith delays, then five of every signal."""
     return 4 + 5 * channels
 
@@ -211,7 +211,7 @@ def _third_order(y: float) -> float:
     return total
 
 
-def begin_signals(
+def start_signals(
     fields_: Any, rows: NDArray[np.intp], errors: SignalErrors, interval_s: float, keys: FloatArray
 ) -> None:
     """Draw the signals of new episodes, stationary from the first epoch on, without events.
@@ -235,7 +235,7 @@ def begin_signals(
     }
     for name, value in values.items():
         fields_.put(name, rows, value)
-    drawn, out = np.empty((len(rows), deviates_of(n))), np.empty(padded(deviates_of(n)))
+    drawn, out = np.empty((len(rows), count_deviates(n))), np.empty(pad_count(count_deviates(n)))
     for b, (k0, k1) in enumerate(keys):
         normals(k0, k1, DRAWN, out)
         drawn[b] = out[: drawn.shape[1]]

@@ -11,7 +11,7 @@ pytest.importorskip("typer")
 from matplotlib.image import imread
 from typer.testing import CliRunner
 
-from agents.curve import _grouped, app, draw_curves, names_of
+from agents.curve import _group_levels, app, draw_curves, name_records
 from agents.record import read_record, write_record
 
 
@@ -61,9 +61,9 @@ def test_records_of_one_name_are_both_drawn(tmp_path, monkeypatch):
     lengths = {name: len(points) for name, points in drawn.items()}
     assert lengths == {str(first): 2, str(second): 3, "other": 4}
     # one of that name alone is named by its folder
-    assert names_of([first, third]) == ["blind", "other"]
+    assert name_records([first, third]) == ["blind", "other"]
     with pytest.raises(ValueError, match="is given twice"):
-        names_of([first, first])
+        name_records([first, first])
 
 
 @pytest.mark.parametrize(
@@ -91,5 +91,5 @@ def test_a_record_that_cannot_be_drawn_is_named(content, message, tmp_path):
 
 def test_levels_that_would_overlap_share_a_text():
     levels = {"ramp": 45.3, "optimum": 63.5, "accelerating": 44.9}
-    assert _grouped(levels, 2.0) == [("accelerating, ramp", 45.3), ("optimum", 63.5)]
-    assert _grouped(levels, 0.1) == [("accelerating", 44.9), ("ramp", 45.3), ("optimum", 63.5)]
+    assert _group_levels(levels, 2.0) == [("accelerating, ramp", 45.3), ("optimum", 63.5)]
+    assert _group_levels(levels, 0.1) == [("accelerating", 44.9), ("ramp", 45.3), ("optimum", 63.5)]

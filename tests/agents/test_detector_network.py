@@ -6,7 +6,7 @@ import pytest
 # ruff: noqa: E402 - the packages of the laboratory may be missing
 torch = pytest.importorskip("torch")
 
-from agents.detector_network import DetectorNetwork, statistic_of
+from agents.detector_network import DetectorNetwork, compute_statistic
 
 SLOTS, RECEIVER = 6, ("chi_square_ratio", "classic_aime")
 WORDS = ("range_innovation", "rate_innovation", "visible")
@@ -86,7 +86,7 @@ def test_epoch_by_epoch_it_says_what_it_says_of_an_episode(words):
     for t in range(seen.shape[1]):
         action, *state = judge(seen[:, t], *state)
         found.append(0.5 * (1.0 + action[:, 0].numpy()))
-    wanted = statistic_of(judge.log_odds(seen).numpy())
+    wanted = compute_statistic(judge.log_odds(seen).numpy())
     np.testing.assert_allclose(np.array(found).T, wanted, atol=1e-5)
 
 
@@ -101,7 +101,7 @@ def test_centre_and_scale_are_those_of_satellites_in_view():
 
 def test_the_tail_of_the_statistic_keeps_its_resolution():
     odds = np.arange(0.0, 40.0, 0.01, dtype=np.float32)
-    single = statistic_of(odds).astype(np.float32)  # as it comes from a file
+    single = compute_statistic(odds).astype(np.float32)  # as it comes from a file
     assert (np.diff(single) > 0.0).all()  # which those of a sigmoid are not
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from agents.seeds import comparable, table_of
+from agents.seeds import build_table, comparable
 from agents.spoofer_table import page
 
 
@@ -19,7 +19,7 @@ def score(knowledge, value, within=True):
 def test_the_table_says_what_everybody_observes():
     row = {"seed": 3, "wall_s": 60.0, "untrained": score("blind+reported", 1.0), "score": None}
     rivals = {"ramp": score("blind", 4.0), "feedback": score("oracle", 9.0)}
-    title, head, rows = table_of({"detector": "mine", "seeds": [row], "rivals": rivals})
+    title, head, rows = build_table({"detector": "mine", "seeds": [row], "rivals": rivals})
     assert title.startswith("against mine")
     assert {len(row) for row in rows} == {len(head)}
     known = {name: observes for name, observes, *_ in rows}

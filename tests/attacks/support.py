@@ -14,7 +14,7 @@ def begin(attack, world, receivers=1, onset=ONSET):
     attack.bind(AttackContext(receivers, world))
     rows = np.arange(receivers)
     keys = np.stack([rows + 1, rows + 7], axis=1).astype(np.uint64)
-    attack.begin(rows, keys, np.full(receivers, onset))
+    attack.start_episodes(rows, keys, np.full(receivers, onset))
 
 
 def offsets(attack, world, actions, receivers=1, onset=ONSET):

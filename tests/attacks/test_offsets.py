@@ -20,7 +20,7 @@ def begin(attack, world, receivers):
     """Bind an attack, and begin an episode in every receiver."""
     attack.bind(AttackContext(receivers, world))
     rows = np.arange(receivers)
-    attack.begin(rows, np.ones((receivers, 2), dtype=np.uint64), np.full(receivers, ONSET))
+    attack.start_episodes(rows, np.ones((receivers, 2), dtype=np.uint64), np.full(receivers, ONSET))
 
 
 def command(attack, world, actions, start=ONSET):

@@ -207,7 +207,7 @@ def test_counterfeit_errors_replace_the_authentic_ones():
         ranges, rates = simulator.epoch.pseudorange, simulator.epoch.range_rate
         code = ranges - world.satellites[k, :, 6] - clock[:, :1]
         rate = rates - world.satellites[k, :, 7] - clock[:, 1:]
-        taken = seen & core.setup.attack.captured(world)
+        taken = seen & core.setup.attack.select_channels(world)
         if core is replaced:
             assert 0 < taken.sum() < seen.sum()
             np.testing.assert_allclose(code[:, taken], 0.0, atol=3e-8)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.attacks import ATTACKS, THREATS, AttackContext, make_attack
-from spoofgym.core.registry import spec_of
+from spoofgym.core.registry import build_spec
 from spoofgym.detectors import Never
 from spoofgym.receiver import TightlyCoupled
 from spoofgym.receiver.kalman import normalized_innovation_squared
@@ -32,7 +32,7 @@ def test_a_threat_is_a_spec_that_fits_into_json_and_names_itself(name):
     assert json.loads(json.dumps(THREATS[name])) == THREATS[name]
     attack = make_attack(name)
     assert attack.label == name
-    again = make_attack(json.loads(json.dumps(spec_of("attack", ATTACKS, attack))))
+    again = make_attack(json.loads(json.dumps(build_spec("attack", ATTACKS, attack))))
     assert again.label == name
     assert {**vars(again)} == {**vars(attack)}
 
@@ -70,7 +70,9 @@ def test_a_threat_is_taken_where_an_attack_is():
 def test_a_partial_constellation_is_one_of_two():
     attack = make_attack("partial-constellation")
     world = make_scenario("trolley-two-constellations").world()
-    taken = [s for s, yes in zip(world.satellite_ids, attack.captured(world), strict=True) if yes]
+    taken = [
+        s for s, yes in zip(world.satellite_ids, attack.select_channels(world), strict=True) if yes
+    ]
     others = [s for s in world.satellite_ids if s and s not in taken]
     assert all(s.startswith("E") for s in taken)
     assert all(s.startswith("S") for s in others)
@@ -99,8 +101,8 @@ def added_nis(errors, tracking, inertial=None):
         )
     clean, attacked = (setup.simulator(RUNS, run_serially) for _ in range(2))
     for simulator in (clean, attacked):
-        simulator.begin([np.random.default_rng([5, run]) for run in range(RUNS)])
-        simulator.quiet_epochs(setup.onset)
+        simulator.start_episodes([np.random.default_rng([5, run]) for run in range(RUNS)])
+        simulator.run_filter_only(setup.onset)
     total = 0.0
     for _ in range(setup.steps):
         without = clean.advance().innovation.copy()

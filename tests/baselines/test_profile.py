@@ -11,10 +11,10 @@ pytest.importorskip("cmaes")
 from typer.testing import CliRunner
 
 from baselines import profile as module
-from baselines.profile import SEARCHED, app, card_of, experiment_of
+from baselines.profile import SEARCHED, app, build_experiment, make_card
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.search.amplitude import TuningResult
-from spoofgym.bench.search.open_loop import BlindSearch
+from spoofgym.bench.search.open_loop import OpenLoopSearch
 from spoofgym.policies import SpooferCard
 from spoofgym.spoofers import Profile, make_spoofer
 
@@ -24,7 +24,7 @@ WORLD = {
     "attack": {"name": "false-position", "acceleration_limit_mps2": 0.5},
     "detector": {"name": "ewma", "false_alarm": 1e-4, "thresholds": "nominal"},
 }
-SEARCH = BlindSearch(runs=12, batch=6, knots=8, population=4, generations=2)
+SEARCH = OpenLoopSearch(runs=12, batch=6, knots=8, population=4, generations=2)
 
 
 def judge_of():
@@ -36,7 +36,7 @@ def judge_of():
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
     judge = judge_of()
-    kept = experiment_of(judge, 90.0, {}).play(tmp_path_factory.mktemp("profile"))
+    kept = build_experiment(judge, 90.0, {}).play(tmp_path_factory.mktemp("profile"))
     return judge, {name: TuningResult.from_dict(each) for name, each in kept.items()}
 
 
@@ -46,7 +46,7 @@ def test_the_card_makes_the_profile_that_gets_as_far_as_ramps(found):
     best = fits[SEARCHED]
     assert best.score >= max(fit.score for name, fit in fits.items() if name != SEARCHED) > 0.0
     assert best.chosen.alarm_limit <= judge.optima.tuning.budget
-    card = card_of(judge, fits, 90.0, "mine", "python")
+    card = make_card(judge, fits, 90.0, "mine", "python")
     made = make_spoofer({"name": card.kind, **card.settings})
     assert isinstance(made, Profile)
     assert made.label == "mine"
@@ -62,7 +62,7 @@ def test_the_card_makes_the_profile_that_gets_as_far_as_ramps(found):
     assert [row["spoofer"].split(":")[0] for row in card.rivals][-1].startswith(SEARCHED)
     loud = TuningResult.from_dict({**best.as_dict(), "within_budget": False})
     with pytest.raises(ValueError, match=r"no profile is within the alarm budget"):
-        card_of(judge, {**fits, SEARCHED: loud}, 90.0, "mine", "python")
+        make_card(judge, {**fits, SEARCHED: loud}, 90.0, "mine", "python")
 
 
 def test_a_killed_search_goes_on_to_the_identical_result(found, tmp_path, monkeypatch):
@@ -78,10 +78,10 @@ def test_a_killed_search_goes_on_to_the_identical_result(found, tmp_path, monkey
     with monkeypatch.context() as patch:
         patch.setattr(judge, "fit", killed)
         with pytest.raises(KeyboardInterrupt, match="2 of 3 cells are finished"):
-            experiment_of(judge, 90.0, {}).play(tmp_path)
+            build_experiment(judge, 90.0, {}).play(tmp_path)
     asked = []
     monkeypatch.setattr(judge, "fit", lambda spec: asked.append(spec["name"]) or fit(spec))
-    again = experiment_of(judge, 90.0, {}).play(tmp_path)
+    again = build_experiment(judge, 90.0, {}).play(tmp_path)
     assert asked == [SEARCHED]
     assert {name: TuningResult.from_dict(each) for name, each in again.items()} == fits
 
@@ -130,7 +130,7 @@ def test_the_command_of_a_card_makes_it_again(tmp_path, monkeypatch):
     ],
 )
 def test_bad_options_are_refused_in_one_line(tmp_path, options, message, monkeypatch):
-    monkeypatch.setattr(module, "experiment_of", None)
+    monkeypatch.setattr(module, "build_experiment", None)
     result = called(*TINY, "--out", tmp_path / "x.json", *options)
     assert result.exit_code == 2
     assert message in " ".join(result.output.split())

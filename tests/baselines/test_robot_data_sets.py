@@ -15,7 +15,7 @@ def drawn(name, runs=200):
     [("psi1", 300, 0), ("psi2", 300, 0), ("jump", 150, 150), ("slow", 150, 150), ("both", 50, 100)],
 )
 def test_the_attacked_fixes_are_those_that_are_moved(name, clean, count):
-    attacked, offsets = DATA_SETS[name].attacked(), drawn(name, 3)
+    attacked, offsets = DATA_SETS[name].mark_attacked(), drawn(name, 3)
     np.testing.assert_array_equal(offsets.any(axis=(1, 2)), attacked)
     assert attacked.sum() == count
     assert not attacked[:clean].any()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from spoofgym.tasks import AttackFamily, DetectorTask, detector_task_of
+from spoofgym.tasks import AttackFamily, DetectorTask, get_detector_task
 
 TIMELINE = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 4.0}
 NOMINAL = {"thresholds": "nominal"}
@@ -32,7 +32,7 @@ class SmallTask(DetectorTask):
 
 
 def small_task(of: str = "D1") -> SmallTask:
-    families = detector_task_of(of).families
+    families = get_detector_task(of).families
     # its own timeline has onsets of all kinds
     kept = (AttackFamily(**{**vars(each), "timeline": None}) for each in families)
     return SmallTask("small", "short episodes", "T3", tuple(kept))

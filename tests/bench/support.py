@@ -16,7 +16,7 @@ from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.envs import Observer, default_terms
 from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.policies import zoo
-from spoofgym.policies.card import SpooferCard, fields_of
+from spoofgym.policies.card import SpooferCard, describe_context
 from spoofgym.simulation import Timeline
 from spoofgym.spoofers import SpooferContext
 
@@ -67,14 +67,14 @@ def write_policy(
         "bytes": len(content),
         "opset": OPSET,
     }
-    seen = fields_of(context)["observation"]
+    seen = describe_context(context)["observation"]
     learned = {"kind": "onnx-policy", "observation": seen, "file": file, "knowledge": knowledge}
     learned["env"] = {"action": "full-command"}
     make_card(path.stem, suite, **learned, **changes).save(path.with_suffix(".json"))
 
 
 def context_of(suite: Suite, knowledge: str) -> SpooferContext:
-    setup = suite.setup(suite.detector_entries[0])
+    setup = suite.setup(suite.detector_players[0])
     return spoofer_context(setup, 1, Observer(default_terms(setup, knowledge), setup))
 
 
@@ -90,7 +90,7 @@ def make_card(
     env: dict[str, Any] | None = None,
     **conditions: Any,
 ) -> SpooferCard:
-    fields = fields_of(context_of(suite, knowledge))
+    fields = describe_context(context_of(suite, knowledge))
     score = {"undetected_displacement_m": 12.5, "low": 11.0, "high": 14.0, "runs": 5}
     rates = {"alarm_rate": 0.2, "clean_alarm_rate": 0.18, "budget": 0.05}
     world = {"detector": {"name": "ewma"}, "timeline": dataclasses.asdict(suite.timeline)}

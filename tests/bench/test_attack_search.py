@@ -12,7 +12,7 @@ from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.runs.record import MEASURES, Aim
 from spoofgym.bench.runs.world import World
 from spoofgym.bench.search.attack_suite import (
-    AROUND_FOUND,
+    AMPLITUDE_RANGE,
     FamilyAttacks,
     Selection,
     SuiteAttack,
@@ -111,10 +111,10 @@ def test_a_found_curve_is_played_beyond_its_range_while_that_is_worse(
 
     formula(monkeypatch, moved)
     curve = member("c", name="profile", rates_mps=[0.1, 0.2], amplitude="tuned")
-    search.members = (curve,)
+    search.attacks = (curve,)
     ((_, value),) = found_by(search, [])
     assert value == pytest.approx(peak, rel=0.1)
-    low, high = AROUND_FOUND
+    low, high = AMPLITUDE_RANGE
     assert (min(played) < 0.99 * low) == (peak < low)
     assert (max(played) > 1.01 * high) == (peak > high)
     assert SMALLEST <= min(played) <= max(played) <= LARGEST
@@ -124,7 +124,7 @@ def test_what_gets_farther_without_end_ends_at_the_largest_amplitude(
     search: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     formula(monkeypatch, lambda spec, runs: {FIRST: spec["amplitude"] + np.zeros(runs)})
-    search.members = (member("c", name="profile", rates_mps=[0.1, 0.2], amplitude="tuned"),)
+    search.attacks = (member("c", name="profile", rates_mps=[0.1, 0.2], amplitude="tuned"),)
     ((_, value),) = found_by(search, [])
     assert 0.8 * LARGEST < value <= LARGEST
 
@@ -165,7 +165,7 @@ def test_what_just_passes_an_alert_limit_is_found_between_values_of_the_grid(
     assert MEMBERS[member].letter == "a"
     # of the quarter that is not caught, all with the wide range, and most with the narrow one
     silent = (np.arange(RUNS) % 4 == 0)[fine.counts].mean()
-    reached = aim.reached(played[RUNS, "ramp", value][fine.counts])
+    reached = aim.score_displacement(played[RUNS, "ramp", value][fine.counts])
     assert reached == pytest.approx(silent, abs=0.01) if width > 1.1 else reached > 0.5 * silent
 
 

@@ -10,9 +10,9 @@ from spoofgym.bench.runs.world import VICTIMS
 from spoofgym.bench.search.attack_suite import (
     FAMILIES,
     ORACLES,
-    fitting_members,
-    grid_of,
-    members_of,
+    build_grid,
+    list_fitting_attacks,
+    list_suite_attacks,
     suite_digest,
 )
 from spoofgym.envs.factory import make_setup
@@ -25,7 +25,7 @@ from spoofgym.spoofers.base import sees_statistics
 def test_every_member_fits_every_victim_over_its_whole_range(env: str) -> None:
     setup = make_setup(VICTIMS[env].setup, {"detector": "never"})
     context = spoofer_context(setup)
-    members = fitting_members(setup, context)
+    members = list_fitting_attacks(setup, context)
     letters = [member.letter for member in members]
     assert letters == sorted(letters)
     wanted = {"a", "b", "h"} | ({"e"} if "feedback" in SPOOFERS else set())
@@ -34,7 +34,7 @@ def test_every_member_fits_every_victim_over_its_whole_range(env: str) -> None:
     for member in members:
         assert member.player.tuned
         assert member.budgeted == (member.letter != "h")
-        grid = grid_of(member, context, 4)
+        grid = build_grid(member, context, 4)
         assert grid == sorted(set(grid))
         for value in (grid[0], grid[-1]):
             make_bound_spoofer(member.player.with_value(value), setup, 1)
@@ -42,7 +42,7 @@ def test_every_member_fits_every_victim_over_its_whole_range(env: str) -> None:
 
 def test_letters_of_oracles_are_those_of_members_that_see_statistics() -> None:
     setup = make_setup(VICTIMS["spoofgym/TightlyCoupled-v0"].setup, {"detector": "ewma"})
-    members = fitting_members(setup, spoofer_context(setup))
+    members = list_fitting_attacks(setup, spoofer_context(setup))
     seeing = {
         member.letter
         for member in members
@@ -55,17 +55,17 @@ def test_letters_of_oracles_are_those_of_members_that_see_statistics() -> None:
 def test_the_digest_follows_the_members() -> None:
     setup = make_setup(VICTIMS["spoofgym/TightlyCoupled-v0"].setup, {"detector": "never"})
     context = spoofer_context(setup)
-    members = members_of(context)
-    assert suite_digest(members) == suite_digest(members_of(context))
+    members = list_suite_attacks(context)
+    assert suite_digest(members) == suite_digest(list_suite_attacks(context))
     assert suite_digest(members) != suite_digest(members[1:])
-    longer = members_of(context._replace(steps=2 * context.steps))
+    longer = list_suite_attacks(context._replace(steps=2 * context.steps))
     assert suite_digest(members) != suite_digest(longer)
 
 
 def test_profiles_are_smooth_and_within_the_limits() -> None:
     setup = make_setup(VICTIMS["spoofgym/TightlyCoupled-v0"].setup, {"detector": "never"})
     context = spoofer_context(setup)
-    profiles = [member for member in members_of(context) if member.letter == "b"]
+    profiles = [member for member in list_suite_attacks(context) if member.letter == "b"]
     knot_s = context.steps * context.interval_s / 12.0
     for member in profiles:
         rates = np.array(member.player.spec["rates_mps"])

@@ -35,8 +35,8 @@ def suite_of(detector: str, spoofers: list[dict[str, Any]]) -> Suite:
 def displacements(suite: Suite, path: Path) -> dict[str, np.ndarray]:
     """D_u of every run that counts, by spoofer."""
     folder = run_campaign(suite, path)
-    (detector,) = suite.detector_entries
-    played = [each.label for each in suite.spoofer_entries if each.label != "none"]
+    (detector,) = suite.detector_players
+    played = [each.label for each in suite.spoofer_players if each.label != "none"]
     cells = [folder.runs(detector.label, label) for label in played]
     return {cell.spoofer: cell.displacement_m[cell.counts] for cell in cells}
 
@@ -45,8 +45,8 @@ def displacements(suite: Suite, path: Path) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("detector", ["snapshot-chi2", "windowed-chi2", "shewhart"])
 def test_no_known_curve_gets_farther(detector: str, tmp_path: Path) -> None:
     bare = suite_of(detector, [])
-    (entry,) = bare.detector_entries
-    shape = np.mean(bare.brackets().zero_alarm(entry).rates_mps, axis=0)
+    (entry,) = bare.detector_players
+    shape = np.mean(bare.build_bounds().zero_alarm(entry).rates_mps, axis=0)
     zero_alarm = {
         "name": "profile",
         "rates_mps": tuple(shape.tolist()),

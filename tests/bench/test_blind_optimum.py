@@ -12,22 +12,27 @@ import pytest
 from scipy import special
 
 from spoofgym.bench import CampaignResults, Suite, run_campaign, summarize
-from spoofgym.bench.experiments.campaign import found_optima
+from spoofgym.bench.experiments.campaign import list_optima
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.runs.panel import Panel
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.search import open_loop as optima_module
-from spoofgym.bench.search.attack_suite import AROUND_FOUND, Selection, grid_of
-from spoofgym.bench.search.backends import EngineBackend, ReplayBackend, limits_of, pushed
+from spoofgym.bench.search.attack_suite import AMPLITUDE_RANGE, Selection, build_grid
+from spoofgym.bench.search.backends import (
+    EngineBackend,
+    ReplayBackend,
+    compute_unit_commands,
+    get_rate_limits,
+)
 from spoofgym.bench.search.open_loop import (
     AIMS,
     ENGINE,
     REPLAY,
     SHAPES,
     ZERO_ALARM,
-    BlindOptimizer,
-    BlindSearch,
+    OpenLoopOptimizer,
+    OpenLoopSearch,
     Optima,
     crossing,
     fit,
@@ -36,7 +41,7 @@ from spoofgym.detectors import detector_in_world
 from spoofgym.envs.factory import make_setup
 from spoofgym.limits import Replay
 from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.setup import generators_of, seed_sequences
+from spoofgym.simulation.setup import make_generators, seed_sequences
 
 from .support import SHORT, small_suite
 
@@ -78,7 +83,7 @@ class Quadratic:
 @pytest.mark.parametrize("share", [0.04, 0.5])
 def test_the_search_finds_the_best_curve_of_a_known_detector(share: float) -> None:
     player = Quadratic()
-    found = BlindOptimizer(player, share, BlindSearch()).search()
+    found = OpenLoopOptimizer(player, share, OpenLoopSearch()).search()
     # 0.96 to 0.98 of it over ten seeds; which one comes out depends on the processor, too
     assert 0.94 * player.best(share) <= found.displacement_m <= 1.01 * player.best(share)
     shapes = {name: player.of(shape(player.t), share) for name, shape in SHAPES.items()}
@@ -86,7 +91,7 @@ def test_the_search_finds_the_best_curve_of_a_known_detector(share: float) -> No
     assert found.start_m == pytest.approx(max(shapes.values()), rel=0.05)
     assert found.displacement_m > 1.05 * max(shapes.values())
     # what it says of the curve is so
-    (curve,) = BlindOptimizer(player, share, BlindSearch()).curves(found.rates_mps[None])
+    (curve,) = OpenLoopOptimizer(player, share, OpenLoopSearch()).curves(found.rates_mps[None])
     assert player.length(curve) == pytest.approx(player.allowed(share), rel=0.05)
     assert curve.mean() == pytest.approx(found.displacement_m, rel=0.05)
 
@@ -94,7 +99,7 @@ def test_the_search_finds_the_best_curve_of_a_known_detector(share: float) -> No
 @pytest.mark.parametrize("limits", [(0.05, math.inf), (0.05, 2e-3), (1.0, 4e-4)])
 def test_what_is_played_keeps_the_limits_of_the_attack(limits: tuple[float, float]) -> None:
     player = Quadratic(limits)
-    found = BlindOptimizer(player, 0.5, BlindSearch(generations=4)).search()
+    found = OpenLoopOptimizer(player, 0.5, OpenLoopSearch(generations=4)).search()
     assert np.abs(found.rates_mps).max() <= limits[0]
     curves = np.concatenate(player.played)
     assert np.abs(curves).max() <= limits[0] * (1.0 + 1e-12)
@@ -106,7 +111,7 @@ def test_what_is_played_keeps_the_limits_of_the_attack(limits: tuple[float, floa
 
 def test_the_same_seed_finds_the_same_and_another_one_something_else() -> None:
     first, again, other = (
-        BlindOptimizer(Quadratic(), 0.1, BlindSearch(generations=5, seed=seed)).search()
+        OpenLoopOptimizer(Quadratic(), 0.1, OpenLoopSearch(generations=5, seed=seed)).search()
         for seed in (3, 3, 4)
     )
     np.testing.assert_array_equal(first.rates_mps, again.rates_mps)
@@ -115,10 +120,10 @@ def test_the_same_seed_finds_the_same_and_another_one_something_else() -> None:
 
 
 def test_an_earlier_curve_is_among_the_first_ones() -> None:
-    player, optimizer = Quadratic(), BlindSearch(generations=0)
+    player, optimizer = Quadratic(), OpenLoopSearch(generations=0)
     t = np.linspace(0.0, 1.0, optimizer.knots)
     best = 1.0 / (1.0 + 4.0 * t)
-    found = BlindOptimizer(player, 0.3, optimizer).search({"found before": 0.01 * best})
+    found = OpenLoopOptimizer(player, 0.3, optimizer).search({"found before": 0.01 * best})
     assert found.start == "found before"
     assert found.displacement_m == pytest.approx(player.best(0.3), rel=0.03)
 
@@ -129,10 +134,10 @@ def test_where_nothing_alarms_the_search_is_over_at_once() -> None:
             return 1e-6 * super().length(curves)
 
     player, ticks = Deaf(), []
-    found = BlindOptimizer(player, 0.05, BlindSearch()).search(tick=ticks.append)
+    found = OpenLoopOptimizer(player, 0.05, OpenLoopSearch()).search(tick=ticks.append)
     assert found.displacement_m == pytest.approx(1.0)
     assert found.start == "constant"
-    assert found.free
+    assert found.saturated
     assert [len(curves) for curves in player.played] == [1]
     assert sum(ticks) <= 1.0
 
@@ -141,7 +146,7 @@ def test_where_nothing_alarms_the_search_is_over_at_once() -> None:
 def test_few_runs_that_count_are_searched_as_far_as_they_go(runs: int) -> None:
     player = Quadratic()
     player.runs = runs
-    found = BlindOptimizer(player, 0.05, BlindSearch(generations=2)).search()
+    found = OpenLoopOptimizer(player, 0.05, OpenLoopSearch(generations=2)).search()
     assert found.rates_mps.shape == (24,)
     assert np.abs(found.rates_mps).max() > 0.0
     assert (found.displacement_m > 0.0) == (runs > 1)
@@ -149,7 +154,7 @@ def test_few_runs_that_count_are_searched_as_far_as_they_go(runs: int) -> None:
 
 def test_all_runs_play_before_any_comes_again() -> None:
     player = Quadratic()
-    optimizer = BlindOptimizer(player, 0.1, BlindSearch(runs=96, batch=32))
+    optimizer = OpenLoopOptimizer(player, 0.1, OpenLoopSearch(runs=96, batch=32))
     for again in (0, 3):
         rows = np.concatenate([optimizer._batch(again + k) for k in range(3)])
         np.testing.assert_array_equal(np.sort(rows), np.arange(96))
@@ -175,7 +180,7 @@ def players(
     )
     seeds = seed_sequences(0, "training", setup.name, 8)
     replay = Replay(setup, [setup.detector], seeds, threads=1)
-    start = WarmStart(setup, generators_of(seed_sequences(0, "training", setup.name, 8)))
+    start = WarmStart(setup, make_generators(seed_sequences(0, "training", setup.name, 8)))
     engine = EngineBackend(start, play(start, "none"), heading_deg)
     return ReplayBackend(replay, 0, heading_deg), engine
 
@@ -213,7 +218,9 @@ def test_a_player_moves_as_the_spoofer_does() -> None:
     ):
         _, engine = players(heading_deg, **settings)
         spec = {"name": "blind-optimum", "rates_mps": [0.0, 0.2, 0.5], "heading_deg": heading_deg}
-        curve = BlindOptimizer(engine, 0.5, BlindSearch()).curves(np.array([spec["rates_mps"]]))
+        curve = OpenLoopOptimizer(engine, 0.5, OpenLoopSearch()).curves(
+            np.array([spec["rates_mps"]])
+        )
         peak, _ = engine.play(curve, np.arange(engine.runs))
         attacked = play(engine.start, spec)
         np.testing.assert_allclose(peak[0], attacked.peak, rtol=1e-6)
@@ -222,9 +229,9 @@ def test_a_player_moves_as_the_spoofer_does() -> None:
 def test_attacks_on_single_channels_are_commanded_as_scripted_spoofers_do() -> None:
     setup = make_setup(TightlyCoupledSetup, {"detector": "never", "attack": "per-channel"})
     np.testing.assert_array_equal(
-        pushed(setup, 90.0, np.zeros(3)), np.ones((1, len(setup.action_names)))
+        compute_unit_commands(setup, 90.0, np.zeros(3)), np.ones((1, len(setup.action_names)))
     )
-    assert limits_of(setup) == (5.0, 0.05 * setup.interval_s)
+    assert get_rate_limits(setup) == (5.0, 0.05 * setup.interval_s)
 
 
 # --- in a campaign -------------------------------------------------------------------------------
@@ -234,17 +241,17 @@ def blind_suite(**changes: Any) -> Suite:
     return small_suite(**{"spoofers": (BLIND,), "detectors": ("shewhart",), **changes})
 
 
-FEW = BlindSearch(runs=8, batch=4, knots=4, population=4, generations=2)
+FEW = OpenLoopSearch(runs=8, batch=4, knots=4, population=4, generations=2)
 
 
 @pytest.fixture(autouse=True)
 def _few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let searches of campaigns take a second."""
-    monkeypatch.setattr(optima_module, "BlindSearch", lambda: FEW)
+    monkeypatch.setattr(optima_module, "OpenLoopSearch", lambda: FEW)
 
 
 def searched(suite: Suite) -> dict[str, Any]:
-    (detector,) = suite.detector_entries
+    (detector,) = suite.detector_players
     return suite.optima(threads=1).find(detector, specify_spoofer(BLIND), lambda part: None)
 
 
@@ -288,7 +295,7 @@ def test_a_curve_that_the_engine_displaces_otherwise_is_searched_again_there(
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Suite, CampaignResults]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(optima_module, "BlindSearch", lambda: FEW)
+        patch.setattr(optima_module, "OpenLoopSearch", lambda: FEW)
         suite = blind_suite(selection=Selection(runs=8, sift_runs=4, values=3), runs=8)
         folder = run_campaign(suite, tmp_path_factory.mktemp("blind"), threads=1)
     return suite, folder
@@ -319,7 +326,7 @@ def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(
         "shapes": {ZERO_ALARM: [0.0, 0.1, 0.3]},
     }
     monkeypatch.setattr(Optima, "find", lambda *_: copy.deepcopy(found))
-    (detector,) = suite.detector_entries
+    (detector,) = suite.detector_players
     judges, optima = [detector_in_world(detector.spec)], suite.optima()
     panel = Panel(suite.world.setup, judges, lambda: suite.generators("training", 6), 1)
     (result,) = fit(panel, {0: detector}, specify_spoofer(BLIND), suite.tuning, lambda: optima)
@@ -331,7 +338,7 @@ def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(
     assert fitted[played["curve"]] == result.score
     assert played["rates_mps"] == optima.curves_to_fit(found)[played["curve"]]
     # nothing gets farther than the largest rate, where that was found
-    limit, _ = limits_of(suite.world.setup)
+    limit, _ = get_rate_limits(suite.world.setup)
     fastest = {"aims": {name: {"rates_mps": [limit] * 4} for name in AIMS}}
     assert list(optima.curves_to_fit(fastest)) == ["found"]
 
@@ -346,7 +353,7 @@ def test_a_campaign_that_goes_on_finds_the_same(
     for file in files:
         assert (tmp_path / "cells" / file.name).read_bytes() == file.read_bytes()
     one, search = (
-        again.store.path_of(f"shewhart / blind-optimum / {kind}") for kind in ("runs", "search")
+        again.store.build_path(f"shewhart / blind-optimum / {kind}") for kind in ("runs", "search")
     )
     one.unlink()
     before = search.stat().st_mtime_ns
@@ -359,8 +366,8 @@ def test_the_blind_optimum_is_a_candidate_of_the_protection(
     campaign: tuple[Suite, CampaignResults], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     suite, folder = campaign
-    (detector,) = suite.detector_entries
-    members = found_optima(suite, folder, detector)
+    (detector,) = suite.detector_players
+    members = list_optima(suite, folder, detector)
     tuning = folder.search("shewhart", "blind-optimum")
     assert tuning is not None
     assert tuning.found is not None
@@ -372,8 +379,8 @@ def test_the_blind_optimum_is_a_candidate_of_the_protection(
     ]
     for member in members:
         assert member.player.tuned == "amplitude"
-        grid = grid_of(member, suite.world.context, 5)
-        assert (grid[0], grid[-1]) == pytest.approx(AROUND_FOUND, rel=1e-3)
+        grid = build_grid(member, suite.world.context, 5)
+        assert (grid[0], grid[-1]) == pytest.approx(AMPLITUDE_RANGE, rel=1e-3)
     assert summarize(folder)
     assert "blind-optimum" in markdown(folder, summarize(folder))
 

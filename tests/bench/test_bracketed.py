@@ -13,15 +13,15 @@ from spoofgym.bench.report.campaign import (
     ATTACKS,
     DETECTORS,
     attack_rows,
-    bound_cell,
     detector_rows,
-    floor_notes,
+    format_bound,
     groups,
-    mark_of,
+    list_limit_notes,
+    mark_detector,
     markdown,
 )
 from spoofgym.bench.report.figures import draw_campaign
-from spoofgym.bench.scores.campaign import HALF, STEALTHY, bracket_of
+from spoofgym.bench.scores.campaign import HALF, STEALTHY, compute_bounds
 
 from .support import small_suite
 
@@ -68,35 +68,35 @@ def test_the_best_attack_within_the_budget_is_compared_with_its_floor() -> None:
         cell("over", 7.0, within_budget=False),
         cell("none-found", 7.0, tuned_within_budget=False),
     ]
-    found = bracket_of(POINT, limits(), cells, protection(3.0, 3.5), [])
+    found = compute_bounds(POINT, limits(), cells, protection(3.0, 3.5), [])
     assert found["floor_m"] == {STEALTHY: 1.0, HALF: 4.0}
     assert found["best_attack"]["spoofer"] == "ramp"
     assert found["search_failed"] == [STEALTHY, HALF]
     # the whole interval has to lie below
     wide = [cell("ramp", 0.5, half=0.6)]
-    found = bracket_of(POINT, limits(), wide, protection(3.0, 4.5), [])
+    found = compute_bounds(POINT, limits(), wide, protection(3.0, 4.5), [])
     assert found["search_failed"] == []
 
 
 def test_nothing_within_the_budget_is_a_failed_search() -> None:
     nobody = [cell("ramp", 9.0, tuned_within_budget=False)]
-    assert bracket_of(POINT, limits(), nobody, None, [])["search_failed"] == [STEALTHY]
+    assert compute_bounds(POINT, limits(), nobody, None, [])["search_failed"] == [STEALTHY]
     # over the budget on these runs alone says nothing
     some = [*nobody, cell("step", 9.0, within_budget=False)]
-    assert bracket_of(POINT, limits(), some, None, [])["search_failed"] == []
-    assert bracket_of(POINT, limits(), [cell("none", 0.0)], None, [])["search_failed"] == []
+    assert compute_bounds(POINT, limits(), some, None, [])["search_failed"] == []
+    assert compute_bounds(POINT, limits(), [cell("none", 0.0)], None, [])["search_failed"] == []
 
 
 def test_a_floor_is_of_the_detectors_own_rate() -> None:
     other = {**POINT, "claimed": {"per_run": 0.05}}
-    assert bracket_of(other, limits(), [], None, [])["floor_m"][HALF] == 2.0
+    assert compute_bounds(other, limits(), [], None, [])["floor_m"][HALF] == 2.0
     never = {**POINT, "claimed": None, "footing": "any"}
-    assert bracket_of(never, limits(), [], None, [])["floor_m"][HALF] == 4.0
+    assert compute_bounds(never, limits(), [], None, [])["floor_m"][HALF] == 4.0
     for point in (
         {**POINT, "claimed": None, "footing": "nominal"},
         {**POINT, "claimed": {"per_run": 0.02}},
     ):
-        found = bracket_of(point, limits(), [cell("ramp", 0.1)], protection(0.1, 0.1), [])
+        found = compute_bounds(point, limits(), [cell("ramp", 0.1)], protection(0.1, 0.1), [])
         assert found["floor_m"] == {STEALTHY: None, HALF: None}
         assert found["search_failed"] == []
 
@@ -104,7 +104,9 @@ def test_a_floor_is_of_the_detectors_own_rate() -> None:
 def test_a_mean_above_the_zero_alarm_bound_is_marked() -> None:
     """By more than two standard errors: the half width of 0.98 m is two of 0.5 m."""
     cells = [cell("ramp", 10.9, half=0.98), cell("blind-optimum", 11.1, half=0.98)]
-    found = bracket_of(POINT, limits(free_m=30.0, restricted_m=10.0, kind="exact"), cells, None, [])
+    found = compute_bounds(
+        POINT, limits(free_m=30.0, restricted_m=10.0, kind="exact"), cells, None, []
+    )
     assert found["zero_alarm"] == {
         "value": 10.0,
         "kind": "exact",
@@ -115,16 +117,16 @@ def test_a_mean_above_the_zero_alarm_bound_is_marked() -> None:
     # as far as the attack's limits allow, to first order
     all_the_way = [cell("ramp", 500.0, half=0.0)]
     bounds = limits(free_m="unbounded", restricted_m=499.8, kind="exact")
-    assert bracket_of(POINT, bounds, all_the_way, None, [])["above_zero_alarm"] == []
-    free = bracket_of(POINT, limits(free_m=30.0, kind="upper"), cells, None, [])
+    assert compute_bounds(POINT, bounds, all_the_way, None, [])["above_zero_alarm"] == []
+    free = compute_bounds(POINT, limits(free_m=30.0, kind="upper"), cells, None, [])
     assert free["zero_alarm"]["attacker"] == "free"
     assert free["above_zero_alarm"] == []
-    assert bound_cell(free) == "<= 30.0"
+    assert format_bound(free) == "<= 30.0"
     unbounded = limits(free_m="unbounded", restricted_m="unbounded", kind="unbounded")
-    found = bracket_of(POINT, unbounded, cells, None, [])
-    assert (bound_cell(found), found["above_zero_alarm"]) == ("unbounded", [])
-    none = bracket_of(POINT, limits(why="its weights change the gains"), cells, None, [])
-    assert bound_cell(none) == "none"
+    found = compute_bounds(POINT, unbounded, cells, None, [])
+    assert (format_bound(found), found["above_zero_alarm"]) == ("unbounded", [])
+    none = compute_bounds(POINT, limits(why="its weights change the gains"), cells, None, [])
+    assert format_bound(none) == "none"
 
 
 def test_the_blind_optimum_is_that_of_the_search() -> None:
@@ -134,11 +136,11 @@ def test_the_blind_optimum_is_that_of_the_search() -> None:
             "found": {"by": "response replay", "played": {"curve": "linear"}},
         }
     ]
-    found = bracket_of(POINT, limits(), [cell("blind-optimum", 9.0)], None, searches)
+    found = compute_bounds(POINT, limits(), [cell("blind-optimum", 9.0)], None, searches)
     assert found["blind_optimum"]["value"] == 9.0
     assert found["blind_optimum"]["by"] == "response replay"
     assert found["blind_optimum"]["curve"] == "linear"
-    assert bracket_of(POINT, limits(), [cell("ramp", 9.0)], None, [])["blind_optimum"] is None
+    assert compute_bounds(POINT, limits(), [cell("ramp", 9.0)], None, [])["blind_optimum"] is None
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +160,7 @@ def test_a_weak_attack_is_a_failed_search_in_a_real_campaign(weak: Any) -> None:
     assert never["bracket"]["floor_m"][STEALTHY] == floor
     assert never["bracket"]["best_attack"]["high"] < floor
     assert never["bracket"]["search_failed"] == [STEALTHY]
-    assert mark_of(summary, "never") == f"control; search failed: {STEALTHY}"
+    assert mark_detector(summary, "never") == f"control; search failed: {STEALTHY}"
     # at nominal thresholds it has no floor, but a bound of its own
     assert shewhart["bracket"]["floor_m"][STEALTHY] is None
     assert (
@@ -210,7 +212,7 @@ def test_a_victim_without_limits_says_why(tmp_path: Path) -> None:
     )
     folder = run_campaign(suite, tmp_path / "results", threads=1)
     summary = summarize(folder)
-    (notes,) = floor_notes(summary)
+    (notes,) = list_limit_notes(summary)
     assert notes.startswith("Floor: none, since no limit is known for ")
     (row,) = summary["detectors"]
     assert row["bracket"]["floor_m"] == {STEALTHY: None, HALF: None}

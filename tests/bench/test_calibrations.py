@@ -12,7 +12,7 @@ from spoofgym.bench.experiments import Interrupted
 from spoofgym.bench.experiments.calibration import (
     ResumablePlayer,
     calibrate,
-    calibrate_entries,
+    calibrate_players,
     hold_out,
 )
 from spoofgym.bench.experiments.campaign import run_campaign
@@ -56,7 +56,7 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
         return no_progress(total)
 
     for _ in range(2):
-        calibrate_entries(suite.world, suite.detector_entries, progress=bar)
+        calibrate_players(suite.world, suite.detector_players, progress=bar)
     assert totals == [60]
     suite.check_fit()
     (caption,) = suite.captions
@@ -69,14 +69,14 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
     assert (point["runs"], point["rank"]) == (60, 5)
     folder = run_campaign(suite, tmp_path / "results", threads=1)
     assert folder.runs("Toy(false_alarms_per_hour=20)", "none").runs == 4
-    calibrate_entries(suite.world, suite.detector_entries)  # replays what is there
+    calibrate_players(suite.world, suite.detector_players)  # replays what is there
 
 
 def test_killed_calibrations_and_hold_outs_go_on(tmp_path, monkeypatch):
     """From the runs that they have played, with the same counts; they leave nothing behind."""
     setup, specs = World.of(timeline=SHORT).setup, ["snapshot-chi2", "cusum"]
     asked = {"false_alarms_per_hour": 20.0, "runs": 40, "threads": 1}
-    whole = calibration.calibrate(setup, specs, **asked, folder=tmp_path / "whole")
+    whole = calibration.calibrate_detectors(setup, specs, **asked, folder=tmp_path / "whole")
     counted = holdouts.hold_out(setup, whole, specs, **asked)
     played, left = [], tmp_path / "own" / "unfinished"
 
@@ -107,20 +107,20 @@ def test_killed_calibrations_and_hold_outs_go_on(tmp_path, monkeypatch):
 
 def test_specs_say_what_is_asked_of_thresholds(monkeypatch):
     rate = {"name": "ewma", "false_alarms_per_hour": 0.5}
-    (entry,) = small(rate).detector_entries
+    (entry,) = small(rate).detector_players
     assert entry.label == "ewma(false_alarms_per_hour=0.5)"
-    assert small(entry.spec).detector_entries == (entry,)
-    assert [each.label for each in small("ewma").detector_entries] == ["ewma"]
+    assert small(entry.spec).detector_players == (entry,)
+    assert [each.label for each in small("ewma").detector_players] == ["ewma"]
     nominal = {"name": "ewma", "thresholds": "nominal"}
-    assert small(nominal).detector_entries == small("ewma").detector_entries
+    assert small(nominal).detector_players == small("ewma").detector_players
     monkeypatch.setattr(calibrated, "DEFAULT_RATE", 0.5)
-    assert [each.label for each in small("ewma", nominal).detector_entries] == [
+    assert [each.label for each in small("ewma", nominal).detector_players] == [
         "ewma",
         "ewma(thresholds=nominal)",
     ]
-    assert small("ewma").detector_entries[0].spec == entry.spec
-    (entry,) = small(nominal).detector_entries
-    assert small(entry.spec).detector_entries == (entry,)
+    assert small("ewma").detector_players[0].spec == entry.spec
+    (entry,) = small(nominal).detector_players
+    assert small(entry.spec).detector_players == (entry,)
 
 
 @pytest.mark.nightly

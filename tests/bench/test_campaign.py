@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from spoofgym.bench import CampaignResults, Suite, run_campaign, summarize
-from spoofgym.bench.experiments import Store, run
+from spoofgym.bench.experiments import Store, run_experiment
 from spoofgym.bench.experiments.campaign import Campaign
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.report.figures import SMALLEST_M, draw_campaign
@@ -37,7 +37,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> CampaignResults:
 def test_every_part_is_a_file(finished: CampaignResults) -> None:
     keys = [*Campaign(small_suite()).parts]
     assert len(keys) == len({*keys}) == 1 + 6 + 2 + 2  # floor, runs, searches, bounds
-    files = {finished.store.path_of(key).name for key in keys}
+    files = {finished.store.build_path(key).name for key in keys}
     assert set(contents(finished.path)) == {"config.json", *(f"cells/{name}" for name in files)}
 
 
@@ -105,8 +105,8 @@ def test_a_folder_of_an_older_format_is_refused_in_one_line(tmp_path: Path) -> N
 def test_a_cell_of_another_campaign_is_refused(finished: CampaignResults, tmp_path: Path) -> None:
     shutil.copytree(finished.path, tmp_path / "one")
     folder = CampaignResults.load(tmp_path / "one")
-    mine = folder.store.path_of("ewma / step / runs")
-    mine.write_bytes(finished.store.path_of("snapshot-chi2 / step / runs").read_bytes())
+    mine = folder.store.build_path("ewma / step / runs")
+    mine.write_bytes(finished.store.build_path("snapshot-chi2 / step / runs").read_bytes())
     with pytest.raises(ValueError, match=r"is another cell than the one requested \(key: "):
         summarize(folder)
     mine.unlink()
@@ -121,7 +121,7 @@ def test_processes_and_shards_write_what_one_process_does(tmp_path: Path) -> Non
     whole = contents(campaign(tmp_path / "one", suite).path)
     assert contents(campaign(tmp_path / "two", suite, jobs=2).path) == whole
     for part in (1, 2):
-        run(Campaign(suite), Store(tmp_path / "shards"), shard=(part, 2), threads=1)
+        run_experiment(Campaign(suite), Store(tmp_path / "shards"), shard=(part, 2), threads=1)
     assert contents(tmp_path / "shards") == whole
 
 

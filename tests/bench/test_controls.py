@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from spoofgym.bench import run_campaign, summarize
-from spoofgym.bench.experiments.calibration import calibrate_entries
+from spoofgym.bench.experiments.calibration import calibrate_players
 from spoofgym.bench.report.campaign import (
     ATTACKS,
     attack_rows,
     detector_rows,
     groups,
-    mark_of,
+    mark_detector,
     markdown,
 )
 from spoofgym.bench.report.campaign import (
     DETECTORS as TABLE,
 )
 from spoofgym.bench.runs.record import MEASURES
-from spoofgym.bench.scores.campaign import compare, times_of
+from spoofgym.bench.scores.campaign import compare_controls, compute_times
 from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.detectors import DETECTORS, Detector, Verdict
@@ -77,7 +77,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Any:
             selection=Selection(runs=24, sift_runs=8, values=4),
             runs=RUNS,
         )
-        calibrate_entries(suite.world, suite.detector_entries, threads=1)
+        calibrate_players(suite.world, suite.detector_players, threads=1)
         folder = run_campaign(suite, tmp_path_factory.mktemp("played") / "results", threads=1)
         yield suite, folder, summarize(folder)
 
@@ -109,11 +109,11 @@ def test_who_reads_the_statistic_is_compared_with_never_alone(played: Any) -> No
     reading = [
         replace(each, head={**each.head, "knowledge": {"run_time": "oracle"}}) for each in cells
     ]
-    assert {row["control"] for row in compare(cells, [], footings)} == {
+    assert {row["control"] for row in compare_controls(cells, [], footings)} == {
         "never",
         f"lottery({LABEL})",
     }
-    rows = compare(reading, [], footings)
+    rows = compare_controls(reading, [], footings)
     assert {row["control"] for row in rows} == {"never"}
     assert not any("lottery" in row["detector"] for row in rows)
 
@@ -125,7 +125,7 @@ def test_an_alarm_by_chance_is_no_detection_in_time(played: Any) -> None:
     assert ((cell.records["first_alarm"] > 0) & ~cell.records["warmup_alarm"]).any()
     # as if every run came beyond the limit at once
     crossed = {**cell.records, "crossing": np.ones(cell.runs, dtype=np.int64)}
-    found = times_of(replace(cell, records=crossed))
+    found = compute_times(replace(cell, records=crossed))
     assert found["missed"]["value"] == 1.0
     assert found["after_crossing_s"] is None
 
@@ -137,13 +137,13 @@ def test_a_detector_that_alarms_before_the_onset_is_marked(played: Any) -> None:
         {**row, "claimed": row["claimed"] and {**row["claimed"], "warmup_alarms": 0.34}}
         for row in summary["detectors"]
     ]
-    assert mark_of(summary, label) == ""
+    assert mark_detector(summary, label) == ""
     nothing = {"value": 0.0, "low": 0.0, "high": 0.0}
     alike = [{**row, "difference_m": nothing, "below": False} for row in summary["comparisons"]]
-    assert mark_of({**summary, "comparisons": alike}, label) == "no better than never"
+    assert mark_detector({**summary, "comparisons": alike}, label) == "no better than never"
     text = "alarms before the onset in 34 % of clean runs"
-    assert text in mark_of({**summary, "detectors": rows}, label)
-    assert text not in mark_of(summary, label)
+    assert text in mark_detector({**summary, "detectors": rows}, label)
+    assert text not in mark_detector(summary, label)
 
 
 def test_skies_that_are_not_the_worst_ones_have_no_figure(played: Any) -> None:
@@ -175,7 +175,7 @@ def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played: Any) 
     suite, _, summary = played
     label = f"toy({LABEL})"
     row = next(row for row in summary["detectors"] if row["detector"] == label)
-    (point,) = suite.world.points(suite.detector_entries[-1])
+    (point,) = suite.world.points(suite.detector_players[-1])
     assert (
         row["claimed"]["per_run"] == point.per_run == pytest.approx(1 - np.exp(-RATE * 25 / 3600))
     )

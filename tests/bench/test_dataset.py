@@ -9,10 +9,10 @@ import cloudpickle
 import numpy as np
 import pytest
 
-from spoofgym.bench.experiments import Interrupted, Store, run
-from spoofgym.bench.experiments.dataset import PARTS, Plan, load
+from spoofgym.bench.experiments import Interrupted, Store, run_experiment
+from spoofgym.bench.experiments.dataset import PARTS, Plan, load_dataset
 from spoofgym.bench.experiments.training_attacks import FAMILIES
-from spoofgym.bench.report.tasks import optima_of
+from spoofgym.bench.report.tasks import load_optima
 from spoofgym.bench.runs.world import World
 from spoofgym.simulation.setup import SPLITS, seeds_of_runs
 from spoofgym.spoofers import make_spoofer
@@ -34,12 +34,12 @@ def plan(**changes: Any) -> Plan:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Any:
     path = tmp_path_factory.mktemp("data") / "set"
-    run(plan(), Store(path), threads=1)
+    run_experiment(plan(), Store(path), threads=1)
     return path
 
 
 def test_an_episode_has_its_observations_label_and_displacement(folder: Any) -> None:
-    data = load(folder)
+    data = load_dataset(folder)
     epochs = data.config["epochs"]
     assert epochs["all"] == 20 + 40 + 10
     for part, runs in SIZES.items():
@@ -58,14 +58,14 @@ def test_an_episode_has_its_observations_label_and_displacement(folder: Any) -> 
 
 
 def test_twins_are_alike_until_the_attack_and_no_longer(folder: Any) -> None:
-    found, live = load(folder).episodes("train"), 20
+    found, live = load_dataset(folder).episodes("train"), 20
     clean, attacked = found.observation[::2], found.observation[1::2]
     assert (clean[:, :live] == attacked[:, :live]).all()
     assert (clean[:, live:] != attacked[:, live:]).any(axis=(1, 2)).all()
 
 
 def test_runs_of_all_splits_have_noise_of_their_own(folder: Any) -> None:
-    data = load(folder)
+    data = load_dataset(folder)
     first = [data.episodes(part).observation[0] for part in PARTS]
     assert not any((first[k] == first[k - 1]).all() for k in range(3))
     used = {SPLITS[PARTS[part]] for part in PARTS}
@@ -80,11 +80,11 @@ def test_runs_of_all_splits_have_noise_of_their_own(folder: Any) -> None:
 
 
 def test_a_run_is_the_same_in_any_file_thread_and_process(folder: Any, tmp_path: Any) -> None:
-    found = load(folder).episodes("train")
+    found = load_dataset(folder).episodes("train")
     for given in (plan(), cloudpickle.loads(cloudpickle.dumps(plan()))):
         for mine, theirs in zip(given.play("train", [3]), found, strict=True):
             assert (mine == theirs[6:8]).all()
-    run(plan(), Store(tmp_path / "again"), threads=2)
+    run_experiment(plan(), Store(tmp_path / "again"), threads=2)
     assert content(tmp_path / "again") == content(folder)
 
 
@@ -101,17 +101,17 @@ def test_a_killed_process_goes_on(
 
     monkeypatch.setattr(Plan, "play", until_killed)
     with pytest.raises(Interrupted, match="2 of 5 cells are finished"):
-        run(plan(), Store(tmp_path), threads=1)
+        run_experiment(plan(), Store(tmp_path), threads=1)
     with pytest.raises(ValueError, match=r"train-0002.npz is missing: `spoofgym dataset`"):
-        load(tmp_path).episodes("train")
+        load_dataset(tmp_path).episodes("train")
     before = len(calls)
-    run(plan(), Store(tmp_path), threads=1)
+    run_experiment(plan(), Store(tmp_path), threads=1)
     assert len(calls) - before == 3
     assert content(tmp_path) == content(folder)
 
 
 def test_attacks_of_all_families_are_drawn_and_some_are_hard_to_see() -> None:
-    optima = optima_of("T3")
+    optima = load_optima("T3")
     assert optima
     given = plan(
         detector={"name": "snapshot-chi2", "thresholds": "nominal"},
@@ -134,7 +134,7 @@ def test_attacks_of_all_families_are_drawn_and_some_are_hard_to_see() -> None:
 
 
 def test_no_family_that_tasks_hold_out_is_in_a_data_set(folder: Any) -> None:
-    config = load(folder).config
+    config = load_dataset(folder).config
     assert not set(config["held_out"]) & set(config["families"])
     assert config["attack"]["errors"] == "inherited"
     with pytest.raises(ValueError, match=r"held out.*quiet"):
@@ -186,9 +186,9 @@ def test_a_spoofer_that_decides_seldom_does_so_in_a_data_set(tmp_path: Any) -> N
 
 
 def test_optima_are_those_of_the_card() -> None:
-    assert all(len(rates) == 24 for rates in optima_of("T3"))
-    assert optima_of("T1") == []
-    assert optima_of("no task") == []
+    assert all(len(rates) == 24 for rates in load_optima("T3"))
+    assert load_optima("T1") == []
+    assert load_optima("no task") == []
     assert set(TASKS) >= {"T3"}
 
 
@@ -211,14 +211,14 @@ def test_bad_plans_are_refused(changes: dict[str, Any], message: str) -> None:
 
 
 def test_what_is_no_whole_data_set_is_refused(tmp_path: Any) -> None:
-    run(plan(runs={"train": 2, "test": 1}), Store(tmp_path), threads=1)
+    run_experiment(plan(runs={"train": 2, "test": 1}), Store(tmp_path), threads=1)
     with pytest.raises(ValueError, match="unknown split of this data set 'validation'"):
-        load(tmp_path).episodes("validation")
+        load_dataset(tmp_path).episodes("validation")
     cells = tmp_path / "cells"
     (cells / "train-0000.npz").write_bytes((cells / "test-0000.npz").read_bytes())
     with pytest.raises(ValueError, match=r"train-0000.npz is another cell"):
-        load(tmp_path).episodes("train")
-    load(tmp_path).episodes("test")
+        load_dataset(tmp_path).episodes("train")
+    load_dataset(tmp_path).episodes("test")
     config = json.loads((tmp_path / "config.json").read_text())
     for fields, message in (
         ({"format": 2}, "has the format 2"),
@@ -226,19 +226,19 @@ def test_what_is_no_whole_data_set_is_refused(tmp_path: Any) -> None:
     ):
         (tmp_path / "config.json").write_text(json.dumps({**config, **fields}))
         with pytest.raises(ValueError, match=message):
-            load(tmp_path)
+            load_dataset(tmp_path)
     with pytest.raises(ValueError, match=r"there is no config\.json"):
-        load(cells)
+        load_dataset(cells)
 
 
 def test_a_data_set_of_other_code_can_still_be_read(folder: Any, tmp_path: Any) -> None:
     other = plan(runs={"test": 1})
-    run(other, Store(tmp_path), threads=1)
+    run_experiment(other, Store(tmp_path), threads=1)
     config = json.loads((tmp_path / "config.json").read_text())
     config["code"]["numpy"] = "1.0"
     (tmp_path / "config.json").write_text(json.dumps(config))
-    assert load(tmp_path).config == load(folder).config | {
-        name: load(tmp_path).config[name] for name in ("runs", "splits")
+    assert load_dataset(tmp_path).config == load_dataset(folder).config | {
+        name: load_dataset(tmp_path).config[name] for name in ("runs", "splits")
     }
     with pytest.raises(ValueError, match=r"code.numpy: '1.0', not"):
-        run(other, Store(tmp_path))
+        run_experiment(other, Store(tmp_path))

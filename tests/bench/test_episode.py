@@ -12,7 +12,7 @@ from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report.figures import play_frames
 from spoofgym.bench.runs.episode import TWIN, Episode, draw_episode, play_episode
 from spoofgym.bench.runs.play import WarmStart, induced_error, play
-from spoofgym.bench.runs.record import displacement_of
+from spoofgym.bench.runs.record import compute_displacement
 from spoofgym.core.plots import check_picture
 from spoofgym.detectors import Ewma
 from spoofgym.simulation.monitors import PastPositions
@@ -30,18 +30,18 @@ def suite() -> Suite:
 
 @pytest.fixture(scope="module")
 def episode(suite: Suite) -> Episode:
-    return play_episode(suite.world, suite.detector_entries[0], suite.spoofer_entries[1], run=3)
+    return play_episode(suite.world, suite.detector_players[0], suite.spoofer_players[1], run=3)
 
 
 def test_it_is_the_run_of_that_number(suite: Suite, episode: Episode) -> None:
-    setup = suite.setup(suite.detector_entries[0])
+    setup = suite.setup(suite.detector_players[0])
     start = WarmStart(setup, suite.generators("evaluation", 5), threads=1)
     attacked, clean = play(start, SPOOFER), play(start, "none")
     onset = episode.onset
     np.testing.assert_array_equal(episode.alarm[onset:, 0], attacked.alarm[:, 3])
-    np.testing.assert_allclose(episode.induced, induced_error(setup, attacked, clean)[:, 3])
+    np.testing.assert_allclose(episode.induced_error_m, induced_error(setup, attacked, clean)[:, 3])
     summary = episode.summary()
-    expected = displacement_of(setup, attacked, clean)[3]
+    expected = compute_displacement(setup, attacked, clean)[3]
     assert summary["undetected_displacement_m"] == pytest.approx(expected, abs=1e-4)
     assert summary["warmup_alarm"] == start.warmup_alarm[3]
     assert summary["peak_ratio"] == pytest.approx(attacked.peak[3], abs=1e-4)
@@ -65,7 +65,7 @@ def test_the_twin_is_not_attacked(episode: Episode) -> None:
 @pytest.mark.parametrize("attack", ["false-position", "per-channel"])
 def test_it_can_be_drawn(tmp_path: Path, attack: str) -> None:
     suite = small_suite(detectors=(Ewma(false_alarm=0.5),), spoofers=("step",), attack=attack)
-    drawn = play_episode(suite.world, suite.detector_entries[0], suite.spoofer_entries[1])
+    drawn = play_episode(suite.world, suite.detector_players[0], suite.spoofer_players[1])
     assert drawn.summary()["alarm"]
     written = draw_episode(drawn, tmp_path / "new" / "picture")
     assert written == tmp_path / "new" / "picture.png"
@@ -94,7 +94,7 @@ def test_a_spoofer_of_a_campaign_sees_what_the_victim_reports(
     monkeypatch.setattr(Ramp, "knowledge", "blind+reported")
     reported = small_suite(detectors=("ewma",), spoofers=(SPOOFER,))
     reported.check_fit()
-    judge, none, ramp = (*reported.detector_entries, *reported.spoofer_entries)
+    judge, none, ramp = (*reported.detector_players, *reported.spoofer_players)
     assert [type(each) for each in reported.setup(judge).monitors] == [PastPositions]
     assert reported.setup(judge, [none]).monitors == ()
     again = play_episode(reported.world, judge, ramp, run=3)

@@ -57,8 +57,8 @@ def test_the_worst_family_counts(scores):
         by_family = [each.p_hmi.value for each in score.families]
         assert score.p_hmi.value == max(by_family) == score.worst.p_hmi.value
         for share in (0.5, 0.05):
-            each = [family.exceeded(share).value for family in score.families]
-            assert score.exceeded(share).value == max(each)
+            each = [family.estimate_quantile(share).value for family in score.families]
+            assert score.estimate_quantile(share).value == max(each)
         assert score.p_hmi.low <= score.p_hmi.value <= score.p_hmi.high
 
 
@@ -113,7 +113,7 @@ def test_what_a_detector_gets_does_not_depend_on_whom_it_is_played_with(scores):
     ).scores([TEST])[0]
     for mine, theirs in zip(alone.families, scores["test"].families, strict=False):
         assert mine.attack.spec == theirs.attack.spec
-        for winner, other in zip(mine.found.winners, theirs.found.winners, strict=True):
+        for winner, other in zip(mine.protection.winners, theirs.protection.winners, strict=True):
             np.testing.assert_array_equal(
                 winner.displacement[MEASURES[0]], other.displacement[MEASURES[0]]
             )
@@ -125,9 +125,9 @@ def test_evaluation_decides_nothing():
         spoofgym.evaluate_detector(TEST, small_task(), runs=runs, **sizes) for runs in (4, 9)
     )
     (mine,), (more,) = few.families, many.families
-    assert [w.spec for w in mine.found.winners] == [w.spec for w in more.found.winners]
-    first = more.found.winners[0].displacement[MEASURES[0]][:4]
-    np.testing.assert_array_equal(mine.found.winners[0].displacement[MEASURES[0]], first)
+    assert [w.spec for w in mine.protection.winners] == [w.spec for w in more.protection.winners]
+    first = more.protection.winners[0].displacement[MEASURES[0]][:4]
+    np.testing.assert_array_equal(mine.protection.winners[0].displacement[MEASURES[0]], first)
 
 
 def test_finished_parts_are_kept_and_go_with_their_settings(tmp_path, monkeypatch):

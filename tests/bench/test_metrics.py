@@ -11,11 +11,11 @@ from spoofgym.bench.scores.statistics import (
     bootstrap_mean,
     clopper_pearson,
     clustered_proportion,
+    draw_resamples,
     exceedance,
     largest_of_share,
     percentiles,
     resamples,
-    resamples_of,
     wilson,
 )
 
@@ -100,7 +100,7 @@ def test_runs_that_are_alike_are_drawn_together() -> None:
     plain = bootstrap_mean(alike, resamples(np.arange(1000), rng, 4000))
     assert plain.high - plain.low < 0.4 * (found.high - found.low)
     found, plain = (
-        bootstrap_mean(apart, each) for each in (samples, resamples_of(np.arange(1000)))
+        bootstrap_mean(apart, each) for each in (samples, draw_resamples(np.arange(1000)))
     )
     assert found.high - found.low == pytest.approx(plain.high - plain.low, rel=0.35)
 
@@ -118,7 +118,7 @@ def test_the_largest_value_of_a_share_in_every_sample() -> None:
 
 
 def test_nothing_to_estimate_from_is_unknown() -> None:
-    assert np.isnan(bootstrap_mean([], resamples_of(np.arange(0))).value)
+    assert np.isnan(bootstrap_mean([], draw_resamples(np.arange(0))).value)
     assert np.isnan(percentiles(float("nan"), np.array([1.0, 2.0])).value)
     assert np.isnan(percentiles(1.0, np.array([np.nan, np.nan])).low)
 

@@ -14,7 +14,7 @@ from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report.figures import frame_count, play_frames
 from spoofgym.bench.runs.play import Runs, WarmStart, play
 from spoofgym.bench.runs.players import specify_policy, specify_spoofer
-from spoofgym.envs.spoofer_binding import attach, bound_spoofer, paced, tuning_range_of
+from spoofgym.envs.spoofer_binding import apply_pace, attach, bound_spoofer, get_tuning_range
 from spoofgym.spoofers import OnnxPolicy, Spoofer, SpooferContext, make_spoofer
 from spoofgym.spoofers.learned import ModelPolicy
 from spoofgym.spoofers.scaled import Scaled
@@ -40,7 +40,7 @@ class Mirror(Spoofer):
 
 
 def attacked(suite: Suite, spoofer: Spoofer, drop_alarmed: bool = False) -> Runs:
-    setup = suite.setup(suite.detector_entries[0])
+    setup = suite.setup(suite.detector_players[0])
     start = WarmStart(setup, suite.generators("evaluation", RUNS), threads=1)
     return play(start, spoofer, drop_alarmed=drop_alarmed)
 
@@ -82,7 +82,7 @@ def test_runs_that_are_dropped_change_nothing_for_the_others(suite: Suite) -> No
 
 
 def test_its_context_is_that_of_its_decisions(suite: Suite) -> None:
-    setup = suite.setup(suite.detector_entries[0])
+    setup = suite.setup(suite.detector_players[0])
     context, _, _ = bound_spoofer(Mirror(**LATE), setup, 3)
     assert (context.interval_s, context.steps) == (2.5, setup.steps // 5)
     assert setup.repeat == 1  # the world is as it was
@@ -108,7 +108,7 @@ def test_a_model_takes_its_pace_from_its_environment() -> None:
         def get_env(self) -> object:
             return envs
 
-    spoofer = specify_policy(Model(), None, None).untuned
+    spoofer = specify_policy(Model(), None, None).fixed_spec
     assert isinstance(spoofer, ModelPolicy)
     assert (spoofer.decision_interval_s, spoofer.between) == (2.5, "linear")
     envs.close()
@@ -136,7 +136,7 @@ def test_a_pace_that_does_not_fit_is_told(
 ) -> None:
     suite = small_suite(detectors=("ewma",), settings=world)
     with pytest.raises(ValueError, match=message):
-        paced(suite.setup(suite.detector_entries[0]), Mirror(**own))
+        apply_pace(suite.setup(suite.detector_players[0]), Mirror(**own))
 
 
 @pytest.mark.parametrize("amplitude", [None, 0.5])
@@ -172,19 +172,19 @@ class Reach(Mirror):
 
 
 def test_a_setting_has_the_range_of_its_own_decisions(suite: Suite) -> None:
-    setup = suite.setup(suite.detector_entries[0])
-    assert tuning_range_of(Reach(**LATE), setup) == (1.0, 3.5)
+    setup = suite.setup(suite.detector_players[0])
+    assert get_tuning_range(Reach(**LATE), setup) == (1.0, 3.5)
 
 
 def test_a_calibration_is_asked_for_by_a_command_without_it() -> None:
     late = small_suite(settings=LATE)
-    assert "decision" not in late.setup(late.detector_entries[0]).conditions.options
+    assert "decision" not in late.setup(late.detector_players[0]).conditions.options
 
 
 def test_an_animation_has_a_frame_for_every_epoch(suite: Suite, tmp_path: Path) -> None:
     late = small_suite(detectors=("ewma",), settings=LATE)
     write_policy(tmp_path / "push.onnx", late, "blind", (0.0, 0.05))
-    (detector,) = suite.detector_entries
+    (detector,) = suite.detector_players
     entry = specify_spoofer(str(tmp_path / "push.onnx"))
     counts = [len(list(play_frames(each, detector, entry, every=4))) for each in (suite, late)]
     assert counts == [1 + 40 // 4, 1 + 8 // 4]  # its own decisions, and those of the world
@@ -193,7 +193,7 @@ def test_an_animation_has_a_frame_for_every_epoch(suite: Suite, tmp_path: Path) 
 
 def test_calibrations_hold_however_often_a_spoofer_decides() -> None:
     often, late = small_suite(), small_suite(settings=LATE)
-    conditions = [each.setup(each.detector_entries[0]).conditions for each in (often, late)]
+    conditions = [each.setup(each.detector_players[0]).conditions for each in (often, late)]
     assert conditions[0].settings == conditions[1].settings
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
-from spoofgym.bench.scores.campaign import compare, score_protection
-from spoofgym.bench.scores.scores import exceeded
-from spoofgym.bench.search.attack_suite import aims_of
+from spoofgym.bench.scores.campaign import compare_controls, score_protection
+from spoofgym.bench.scores.scores import compute_upper_quantile
+from spoofgym.bench.search.attack_suite import list_aims
 
 FIRST = MEASURES[0]
 
@@ -19,7 +19,7 @@ FIRST = MEASURES[0]
 def protected(label: str, displacement: Any, counts: Any = None) -> Protection:
     x = np.asarray(displacement, dtype=np.float64)
     measures = {FIRST: x, "undetected_total_m": x + 2.0}
-    aims = aims_of(list(measures), [10.0], skies=True)
+    aims = list_aims(list(measures), [10.0], skies=True)
     winner = Winner("a", "ramp(tuned)", "rate_mps", 0.5, {"name": "ramp"}, aims, measures)
     kept = np.ones(len(x), dtype=np.bool_) if counts is None else np.asarray(counts)
     sky = np.arange(len(x)) % 20
@@ -32,14 +32,16 @@ def test_the_scores_are_what_the_runs_say() -> None:
     found = score_protection(protected("ewma", x, counts), [10.0])
     assert found["counted"] == 100
     by_aim = {(r["measure"], r["share"], r["worst_skies"]): r for r in found["exceeded"]}
-    assert by_aim[FIRST, 0.5, False]["value"] == exceeded(x[counts], 0.5)
-    assert by_aim[FIRST, 0.05, False]["value"] == exceeded(x[counts], 0.05)
-    assert by_aim["undetected_total_m", 0.5, False]["value"] == exceeded(x[counts] + 2.0, 0.5)
+    assert by_aim[FIRST, 0.5, False]["value"] == compute_upper_quantile(x[counts], 0.5)
+    assert by_aim[FIRST, 0.05, False]["value"] == compute_upper_quantile(x[counts], 0.05)
+    assert by_aim["undetected_total_m", 0.5, False]["value"] == compute_upper_quantile(
+        x[counts] + 2.0, 0.5
+    )
     under = counts & np.isin(np.arange(200) % 20, (3, 4))
     worst = by_aim[FIRST, 0.5, True]
-    assert (worst["value"], worst["runs"]) == (exceeded(x[under], 0.5), under.sum())
+    assert (worst["value"], worst["runs"]) == (compute_upper_quantile(x[under], 0.5), under.sum())
     few_skies = by_aim[FIRST, 0.05, True]
-    assert exceeded(x[under], 0.05) < exceeded(x[counts], 0.05)
+    assert compute_upper_quantile(x[under], 0.05) < compute_upper_quantile(x[counts], 0.05)
     assert few_skies["value"] is None
     for row in found["exceeded"]:
         assert row is few_skies or row["low"] <= row["value"] <= row["high"]
@@ -93,7 +95,7 @@ def test_what_is_exceeded_in_few_runs_is_no_less_than_in_many() -> None:
     rows = [(row["share"], row["value"], row["low"], row["spoofer"]) for row in found]
     assert rows == [(0.5, 30.0, 30.0, "sure"), (0.05, 30.0, 30.0, "sure")]
     none = protected("never", np.zeros(100))
-    few = compare([], [none, protections], {"never": "any", "x": "0.2"})[-1]
+    few = compare_controls([], [none, protections], {"never": "any", "x": "0.2"})[-1]
     assert (few["score"], few["difference_m"]["value"]) == ("protection 5 %", 30.0)
 
 
@@ -113,7 +115,7 @@ def test_as_far_as_against_never_is_no_merit_of_millimetres() -> None:
     none = protected("never", np.full(200, 500.0))
     for less, below in ((1e-5, False), (1.0, True)):
         other = protected("x", np.full(200, 500.0 - less))
-        rows = compare([], [none, other], {"never": "any", "x": "0.2"})
+        rows = compare_controls([], [none, other], {"never": "any", "x": "0.2"})
         assert [row["below"] for row in rows if row["detector"] == "x"] == [below, below]
         assert all(row["difference_m"]["high"] < 0.0 for row in rows if row["detector"] == "x")
 
@@ -155,7 +157,7 @@ def test_intervals_are_wider_where_runs_under_a_sky_are_alike() -> None:
     assert together[0] > 2.0 * widths(apart)[0]
     assert widths(alike, counts)[0] > 2.0 * widths(few, counts)[0]
     never, worse = protected("never", np.zeros(200)), protected("worse", alike)
-    rows = compare([], [never, worse], {"never": "any", "worse": "0.2"})
+    rows = compare_controls([], [never, worse], {"never": "any", "worse": "0.2"})
     gap = next(row for row in rows if row["detector"] == "worse")["difference_m"]
     assert gap["high"] - gap["low"] == pytest.approx(together[0], rel=1e-6)
 
@@ -173,7 +175,7 @@ def test_of_attacks_that_exceed_a_limit_as_often_the_surer_one_is_chosen() -> No
 def test_it_comes_back_as_it_was_written() -> None:
     made = protected("ewma", [1.0, 2.5, 3.0], [True, False, True])
     arrays, record = made.parts()
-    again = Protection.of_parts(arrays, json.loads(json.dumps(record, allow_nan=False)))
+    again = Protection.from_parts(arrays, json.loads(json.dumps(record, allow_nan=False)))
     assert again.parts()[1] == record
     assert {*again.parts()[0]} == {*arrays}
     assert again.winner(Aim(FIRST, 0.5)) is not None
@@ -188,7 +190,7 @@ def test_detectors_are_compared_over_the_runs_that_count_for_both() -> None:
     worse = protected("worse", x + 5.0)
     footings = {"never": "any", "lottery": "0.2", "worse": "0.2", "mine": "0.3", "as-is": "nominal"}
     others = [protected(label, x + 9.0) for label in ("mine", "as-is")]
-    rows = compare([], [protected("never", x), lottery, worse, *others], footings)
+    rows = compare_controls([], [protected("never", x), lottery, worse, *others], footings)
     found = {(r["detector"], r["control"], r["score"]): r for r in rows}
     for score in ("protection 50 %", "protection 5 %"):
         # what chance takes out counts for neither

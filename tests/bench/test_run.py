@@ -10,15 +10,15 @@ import pytest
 
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.play import (
-    Attacker,
+    SpooferController,
     WarmStart,
-    epochs_of,
     induced_error,
+    list_attack_epochs,
     make_bound_spoofer,
     play,
     to_local,
 )
-from spoofgym.bench.runs.record import displacement_of, record_runs
+from spoofgym.bench.runs.record import compute_displacement, record_runs
 from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofCore
 from spoofgym.simulation import Engine
@@ -38,7 +38,7 @@ def suite() -> Suite:
 
 @pytest.fixture(scope="module")
 def start(suite: Suite) -> WarmStart:
-    setup = suite.setup(suite.detector_entries[0])
+    setup = suite.setup(suite.detector_players[0])
     return WarmStart(setup, suite.generators("evaluation", RUNS), threads=1)
 
 
@@ -84,7 +84,8 @@ def test_dropping_settled_runs_changes_no_score(start: WarmStart) -> None:
     assert np.isnan(dropped.position).any()
     np.testing.assert_array_equal(whole.first_alarm, dropped.first_alarm)
     np.testing.assert_array_equal(
-        displacement_of(start.setup, whole, clean), displacement_of(start.setup, dropped, clean)
+        compute_displacement(start.setup, whole, clean),
+        compute_displacement(start.setup, dropped, clean),
     )
     known = np.isfinite(dropped.position)
     np.testing.assert_array_equal(whole.position[known], dropped.position[known])
@@ -102,16 +103,16 @@ def test_a_cell_and_a_search_score_the_same_runs_alike(start: WarmStart) -> None
     attacked, clean = play(start, {"name": "ramp", "rate_mps": 0.3}), play(start, "none")
     cell = record_runs(start.setup, {}, start.warmup_alarm, attacked, clean, 40.0)
     assert 0.0 < cell.alarmed.mean() < 1.0
-    scored = displacement_of(start.setup, attacked, clean)
+    scored = compute_displacement(start.setup, attacked, clean)
     np.testing.assert_allclose(scored, cell.records["undetected_displacement_m"], atol=1e-6)
 
 
 @pytest.mark.parametrize("interval_s", [None, 2.0])
 def test_a_spoofer_decides_nothing_after_the_attack_window(interval_s: float | None) -> None:
     suite = small_suite(decision_interval_s=interval_s)
-    setup = suite.setup(suite.detector_entries[0])
+    setup = suite.setup(suite.detector_players[0])
     start = WarmStart(setup, suite.generators("evaluation", 2), threads=1)
-    attacker = Attacker([FAST], start.engine())
+    attacker = SpooferController([FAST], start.engine())
     given = [attacker.command(k) is not None for k in range(setup.steps + setup.hold)]
     assert given == [True] * setup.steps + [False] * setup.hold
 
@@ -126,16 +127,16 @@ def test_no_attack_induces_nothing(start: WarmStart) -> None:
     clean = play(start, "none")
     still = play(start, {"name": "ramp", "rate_mps": 0.0})
     assert not induced_error(start.setup, still, clean).any()
-    assert not displacement_of(start.setup, still, clean).any()
+    assert not compute_displacement(start.setup, still, clean).any()
 
 
 def test_no_attack_is_not_seen_by_its_tracking_error() -> None:
     """An attack that is commanded nothing is one all the same; `none` transmits nothing."""
     suite = small_suite(attack={"name": "tracking-1m", "tracking": {"sd_m": 5.0}})
-    start = WarmStart(suite.setup(suite.detector_entries[0]), suite.generators("training", 4))
+    start = WarmStart(suite.setup(suite.detector_players[0]), suite.generators("training", 4))
     clean = play(start, "none", drop_alarmed=True)
     ideal = small_suite(attack="false-position-ideal")
-    other = WarmStart(ideal.setup(ideal.detector_entries[0]), ideal.generators("training", 4))
+    other = WarmStart(ideal.setup(ideal.detector_players[0]), ideal.generators("training", 4))
     np.testing.assert_array_equal(clean.position, play(other, "none").position)
     still = play(start, {"name": "ramp", "rate_mps": 0.0})
     assert (still.peak > 2.0 * clean.peak).all()
@@ -158,11 +159,11 @@ def test_runs_of_a_domain_are_those_of_the_environment(between: str) -> None:
         "between": between,
     }
     suite = small_suite(detectors=(Ewma(false_alarm=0.02),), **settings)
-    setup = suite.setup(suite.detector_entries[0])
+    setup = suite.setup(suite.detector_players[0])
     start = WarmStart(setup, suite.generators("evaluation", 6), threads=1)
     spec = {"name": "accelerating-ramp", "acceleration_mps2": 0.05}
     attacked, clean = play(start, spec), play(start, "none")
-    scored = displacement_of(setup, attacked, clean)
+    scored = compute_displacement(setup, attacked, clean)
     assert len(set(attacked.onset)) > 2
     settings = {"knowledge": "blind", "action": "full-command", "end_at_alarm": False}
     core = SpoofCore(6, setup, threads=1, twin=True, **settings)
@@ -176,7 +177,7 @@ def test_runs_of_a_domain_are_those_of_the_environment(between: str) -> None:
 
 def test_local_axes_keep_lengths(start: WarmStart) -> None:
     rng = np.random.default_rng(0)
-    frames = start.setup.world.C_en[epochs_of(start.setup, np.full(3, start.setup.onset))]
+    frames = start.setup.world.C_en[list_attack_epochs(start.setup, np.full(3, start.setup.onset))]
     vector = rng.standard_normal((len(frames), 3, 3))
     np.testing.assert_allclose(
         np.linalg.norm(to_local(vector, frames), axis=-1), np.linalg.norm(vector, axis=-1)

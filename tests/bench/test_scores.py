@@ -11,23 +11,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from spoofgym.bench.runs.record import counted, undetected_displacement
+from spoofgym.bench.runs.record import mask_valid_runs, undetected_displacement
 from spoofgym.bench.scores.scores import (
-    bootstrap_exceeded,
+    bootstrap_quantile,
     by_chance,
-    exceeded,
+    compute_upper_quantile,
     missed_in_time,
-    stealth_of,
+    score_stealth,
     survival,
     worst_skies,
 )
 from spoofgym.bench.scores.statistics import (
     aim,
     alarm_limit,
+    draw_resamples,
     fewest_runs,
     keeps,
     most_alarms,
-    resamples_of,
 )
 
 pytestmark = pytest.mark.nojit
@@ -70,18 +70,20 @@ def test_undetected_displacement_is_what_its_definition_says(
 
 def test_a_run_counts_that_is_silent_before_the_onset_and_has_a_silent_twin() -> None:
     warmup = [False, True, False, True]
-    np.testing.assert_array_equal(counted(warmup, [0, 0, 7, 7]), [True, False, False, False])
-    np.testing.assert_array_equal(counted([False] * 2, [True, False]), [False, True])
+    np.testing.assert_array_equal(
+        mask_valid_runs(warmup, [0, 0, 7, 7]), [True, False, False, False]
+    )
+    np.testing.assert_array_equal(mask_valid_runs([False] * 2, [True, False]), [False, True])
 
 
 def test_stealthy_displacement_is_over_the_runs_that_count() -> None:
     moved, alarm = [10.0, 20.0, 90.0, 30.0], [False, True, True, False]
-    found = stealth_of(moved, alarm, [True, True, False, True])
+    found = score_stealth(moved, alarm, [True, True, False, True])
     assert (found.runs, found.alarms, found.displacement_m) == (3, 1, 20.0)
     assert found.alarm_rate == 1.0 / 3.0
     assert found.seems_to_keep(0.34)
     assert not found.keeps(0.34)
-    nothing = stealth_of(moved, alarm, np.zeros(4, dtype=bool))
+    nothing = score_stealth(moved, alarm, np.zeros(4, dtype=bool))
     assert math.isnan(nothing.displacement_m)
     assert (nothing.alarm_limit, nothing.keeps(0.99), nothing.seems_to_keep(1.0)) == (1, 0, 0)
 
@@ -112,20 +114,20 @@ def test_the_displacement_that_is_reached_in_a_share_of_the_runs(
     share: float, expected: float
 ) -> None:
     x = [2.0, 4.0, 1.0, 3.0]
-    assert exceeded(x, share) == expected
+    assert compute_upper_quantile(x, share) == expected
     assert np.mean(np.array(x) >= expected) >= share
     assert np.mean(np.array(x) > expected) < share
 
 
 def test_the_interval_of_an_exceeded_displacement_is_that_of_its_resamples() -> None:
     x = np.random.default_rng(3).exponential(10.0, 400)
-    found = bootstrap_exceeded(x, 0.5, resamples_of(np.arange(400)))
-    assert found.value == exceeded(x, 0.5)
+    found = bootstrap_quantile(x, 0.5, draw_resamples(np.arange(400)))
+    assert found.value == compute_upper_quantile(x, 0.5)
     # the median of an exponential, and the spread of its order statistic
     spread = 1.96 * 10.0 / math.sqrt(400)
     assert found.low == pytest.approx(found.value - spread, abs=0.5 * spread)
     assert found.high == pytest.approx(found.value + spread, abs=0.5 * spread)
-    assert math.isnan(bootstrap_exceeded([], 0.5, resamples_of(np.arange(3))).value)
+    assert math.isnan(bootstrap_quantile([], 0.5, draw_resamples(np.arange(3))).value)
 
 
 def test_the_worst_tenth_of_the_skies() -> None:

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from spoofgym.bench import Suite, run_campaign, summarize
-from spoofgym.bench.report.campaign import made_for, markdown
+from spoofgym.bench.report.campaign import format_target, markdown
 from spoofgym.bench.report.figures import draw_campaign
-from spoofgym.bench.runs.players import DEFAULT_SPOOFERS, knowledge_of, specify_spoofer
+from spoofgym.bench.runs.players import DEFAULT_SPOOFERS, describe_knowledge, specify_spoofer
 from spoofgym.simulation import Timeline
 from spoofgym.spoofers import make_spoofer
 from spoofgym.spoofers.build import card_behind
@@ -34,7 +34,7 @@ def _zoo(zoo_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def labels(suite: Suite) -> list[str]:
-    return [entry.label for entry in suite.spoofer_entries]
+    return [entry.label for entry in suite.spoofer_players]
 
 
 def test_those_that_fit_play_by_default() -> None:
@@ -79,7 +79,7 @@ def test_the_file_is_part_of_the_campaign(tmp_path: Path) -> None:
     for push in (0.01, 0.02):
         write_policy(tmp_path / "mine.onnx", small_suite(), "blind", (0.0, push))
         suite = small_suite(spoofers=(str(tmp_path / "mine.onnx"),))
-        (_, entry) = suite.spoofer_entries
+        (_, entry) = suite.spoofer_players
         assert (entry.label, len(entry.spec["sha256"])) == ("mine", 64)
         digests.append(suite.digest)
     assert digests[0] != digests[1]
@@ -87,8 +87,8 @@ def test_the_file_is_part_of_the_campaign(tmp_path: Path) -> None:
 
 def known(spec: Any, detector: str = "ewma", **changes: Any) -> dict[str, Any]:
     suite = small_suite(detectors=(detector,), **changes)
-    (judge,) = suite.detector_entries
-    return knowledge_of(specify_spoofer(spec), suite.setup(judge), judge)
+    (judge,) = suite.detector_players
+    return describe_knowledge(specify_spoofer(spec), suite.setup(judge), judge)
 
 
 def test_what_they_were_made_for() -> None:
@@ -101,7 +101,7 @@ def test_what_they_were_made_for() -> None:
     elsewhere = known("curve", "snapshot-chi2", receiver={"tuning": "matched"})
     assert elsewhere["detector"] == "ewma"
     assert elsewhere["transfer"] == ["detector", "receiver"]
-    assert made_for({"knowledge": elsewhere}) == "ewma (transfer: detector, receiver)"
+    assert format_target({"knowledge": elsewhere}) == "ewma (transfer: detector, receiver)"
     calmer = {"name": "zhong2025", "errors": "groves"}
     pseudorange_only = {"name": "false-position", "coherent": False}
     assert known("push", scenario=calmer)["transfer"] == ["scenario"]
@@ -116,7 +116,7 @@ def test_what_has_no_card_tells_for_itself() -> None:
     own = {"name": "profile", "rates_mps": [0.0, 0.3], "designed_on": "a hunch | or two"}
     told = known(own)
     assert (told["detector"], told["design_time"]) == (None, "a hunch | or two")
-    assert made_for({"knowledge": told}) == "a hunch | or two"
+    assert format_target({"knowledge": told}) == "a hunch | or two"
     # the name of a shipped one does not make it that
     assert card_behind(make_spoofer({**own, "label": "curve"})) is None
 

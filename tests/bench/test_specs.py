@@ -17,8 +17,8 @@ from spoofgym.bench.runs.players import (
     specify_policy,
     specify_spoofer,
 )
-from spoofgym.core.registry import load_class, make, parse_spec, slug, spec_of
-from spoofgym.core.settings import describe, differences, digest_of
+from spoofgym.core.registry import build_spec, load_class, make, parse_spec, slug
+from spoofgym.core.settings import compute_digest, describe, diff_settings
 from spoofgym.detectors import DETECTORS, Calibrated, Detector, Ewma, make_detector
 from spoofgym.detectors.build import LOADERS, bare_detector
 from spoofgym.spoofers import SPOOFERS, Ramp, Scaled, Spoofer, make_spoofer
@@ -52,7 +52,7 @@ def test_settings_make_an_equal_object_again() -> None:
         (Ewma(smoothing=0.3, weight_scale=None), "detector", DETECTORS, Detector),
         (Ramp(rate_mps=0.25), "spoofer", SPOOFERS, Spoofer),
     ):
-        spec = spec_of(word, kinds, thing)
+        spec = build_spec(word, kinds, thing)
         assert make(word, kinds, base, spec) == thing
 
 
@@ -97,7 +97,7 @@ def test_arrays_are_described_by_what_is_in_them() -> None:
     one = describe({"x": np.arange(3.0), "day": date(2012, 10, 31), "n": np.int64(4)})
     assert one == describe({"n": 4, "x": np.arange(3.0), "day": date(2012, 10, 31)})
     assert one["x"] != describe(np.arange(3))
-    assert digest_of(one) == digest_of(dict(reversed(one.items())))
+    assert compute_digest(one) == compute_digest(dict(reversed(one.items())))
     with pytest.raises(ValueError, match="must be finite"):
         describe(float("nan"))
     with pytest.raises(TypeError, match="can't be written down"):
@@ -107,8 +107,8 @@ def test_arrays_are_described_by_what_is_in_them() -> None:
 def test_a_setting_that_only_one_has_is_a_difference() -> None:
     one, other = {"a": 1, "own": {"b": 2}}, {"own": {"b": 2, "c": 3}, "more": [4]}
     expected = [("a", 1, None), ("own.c", None, 3), ("more", None, [4])]
-    assert differences(one, other) == expected
-    assert differences(other, one) == [
+    assert diff_settings(one, other) == expected
+    assert diff_settings(other, one) == [
         ("own.c", 3, None),
         ("more", [4], None),
         ("a", None, 1),
@@ -175,7 +175,7 @@ def test_a_player_is_built_from_its_settings_or_is_an_object() -> None:
     assert tuned.build() == Ramp()
     assert make_spoofer(tuned.with_value(0.3)) == given
     alone = specify_policy(given, "fitted")
-    assert (alone.spec, alone.tuned, alone.untuned) == (None, "amplitude", given)
+    assert (alone.spec, alone.tuned, alone.fixed_spec) == (None, "amplitude", given)
     scaled = alone.with_value(2.0)
     assert isinstance(scaled, Scaled)
     assert (scaled.spoofer, scaled.amplitude) == (given, 2.0)

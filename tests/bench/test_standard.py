@@ -13,26 +13,30 @@ from spoofgym.bench.experiments.suite import Suite
 from spoofgym.cli import app
 from spoofgym.cli.suites import standard_suite
 from spoofgym.detectors import Shewhart
-from spoofgym.tasks import RANGE_RATE_TESTS, task_of
+from spoofgym.tasks import RANGE_RATE_TESTS, get_task
 
 
 @pytest.fixture(scope="module")
 def suite() -> Suite:
-    from spoofgym.bench.runs.players import fitted
+    from spoofgym.bench.runs.players import add_tuned_setting
 
-    return standard_suite(None, {"spoofers": [fitted(name) for name in standard.SPOOFERS]})
+    return standard_suite(
+        None, {"spoofers": [add_tuned_setting(name) for name in standard.SPOOFERS]}
+    )
 
 
 def test_it_plays_in_the_world_of_the_task(suite: Suite) -> None:
-    task = task_of(standard.TASK)
-    given = {name: value for name, value in suite.world.given.items() if name in task.world_kwargs}
+    task = get_task(standard.TASK)
+    given = {
+        name: value for name, value in suite.world.settings.items() if name in task.world_kwargs
+    }
     assert given == task.world_kwargs
     assert suite.alert_limit_m == (task.alert_limit_m or Suite.alert_limit_m)
 
 
 def test_everyone_who_suits_plays_at_one_rate_and_the_controls_with_them(suite: Suite) -> None:
-    names = {entry.spec["name"] for entry in suite.detector_entries}
-    specs = [entry.spec for entry in suite.detector_entries]
+    names = {entry.spec["name"] for entry in suite.detector_players}
+    specs = [entry.spec for entry in suite.detector_players]
     names_first = ["never", "lottery", "solution-separation"]
     assert [spec["name"] for spec in specs[:3]] == names_first
     first = specs[3 : 3 + len(RANGE_RATE_TESTS)]
@@ -40,14 +44,14 @@ def test_everyone_who_suits_plays_at_one_rate_and_the_controls_with_them(suite: 
         (spec["name"], "range_rate") for spec in RANGE_RATE_TESTS
     ]
     assert {"lottery", "snapshot-chi2", "ewma", "windowed-chi2", "raim"} <= names
-    rates = {entry.spec.get("false_alarms_per_hour") for entry in suite.detector_entries[1:]}
+    rates = {entry.spec.get("false_alarms_per_hour") for entry in suite.detector_players[1:]}
     assert rates == {standard.RATE}
 
 
 def test_named_detectors_play_with_the_controls() -> None:
     named = ["ewma", "tests.bench.test_standard:Mine"]
     suite = standard_suite(named, {"spoofers": []})
-    specs = [entry.spec for entry in suite.detector_entries]
+    specs = [entry.spec for entry in suite.detector_players]
     assert [spec["name"] for spec in specs] == ["never", "lottery", *named]
     assert {spec.get("false_alarms_per_hour") for spec in specs[1:]} == {standard.RATE}
 
@@ -57,7 +61,7 @@ class Mine(Shewhart):
 
 
 def test_the_spoofers_are_fitted(suite: Suite) -> None:
-    played = suite.spoofer_entries[1:]
+    played = suite.spoofer_players[1:]
     assert [entry.spec.get("label") or entry.spec["name"] for entry in played] == list(
         standard.SPOOFERS
     )

@@ -11,7 +11,7 @@ from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.players import DEFAULT_DETECTORS
 from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.bench.search.attack_suite import Selection
-from spoofgym.core.settings import digest_of
+from spoofgym.core.settings import compute_digest
 from spoofgym.detectors import DETECTORS
 from spoofgym.simulation.setup import SPLITS, seed_sequences
 
@@ -66,7 +66,7 @@ def test_the_digest_follows_everything_that_results_depend_on() -> None:
     assert small_suite().digest == digests[0]
     # a default that is written out changes nothing
     written_out = small_suite(detectors=("snapshot-chi2", {"name": "ewma", "smoothing": 0.1}))
-    assert digest_of(written_out.config) == digests[0]
+    assert compute_digest(written_out.config) == digests[0]
     assert small_suite(entropy=np.int64(1)).digest == digests[2]
     assert small_suite(runs=np.int64(6)).digest == digests[1]
     assert small_suite(tuning=Tuning(budget=0.1, runs=np.int64(Tuning.runs))).digest == digests[8]
@@ -83,7 +83,7 @@ def test_the_rate_of_the_inertial_sensors_is_named_in_results() -> None:
 
 def test_the_clean_twin_is_always_played_first() -> None:
     suite = small_suite(spoofers=("step", "none"))
-    assert [entry.label for entry in suite.spoofer_entries] == ["none", "step"]
+    assert [entry.label for entry in suite.spoofer_players] == ["none", "step"]
 
 
 @pytest.mark.parametrize(

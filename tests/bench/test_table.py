@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym.bench.report.table import TEMPLATES, Table, metres, percent, rendered_block, share
+from spoofgym.bench.report.table import TEMPLATES, Table, metres, percent, render_block, share
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = Table(
@@ -67,7 +67,7 @@ def test_what_a_template_lacks_is_an_error() -> None:
     from jinja2 import UndefinedError
 
     with pytest.raises(UndefinedError):
-        rendered_block("campaign.md.j2", "floor", {"summary": {}})
+        render_block("campaign.md.j2", "floor", {"summary": {}})
 
 
 def test_the_wheel_has_every_template() -> None:

@@ -10,11 +10,11 @@ import pytest
 from spoofgym.bench.runs.panel import Panel, play_searches
 from spoofgym.bench.runs.play import Runs, play
 from spoofgym.bench.runs.players import specify_spoofer
-from spoofgym.bench.runs.record import counted, displacement_of
-from spoofgym.bench.scores.scores import stealth_of
+from spoofgym.bench.runs.record import compute_displacement, mask_valid_runs
+from spoofgym.bench.scores.scores import score_stealth
 from spoofgym.bench.scores.statistics import most_alarms
 from spoofgym.bench.search import amplitude as module
-from spoofgym.bench.search.amplitude import RESOLUTION, Trial, Tuning, TuningResult, tune
+from spoofgym.bench.search.amplitude import RESOLUTION, Trial, Tuning, TuningResult, tune_amplitude
 from spoofgym.bench.search.open_loop import fit
 from spoofgym.detectors import Ewma, SnapshotChi2
 
@@ -33,7 +33,9 @@ class Landscape:
         self.tried: list[tuple[float, int]] = []
         self.formulas = alarm, displacement
         self.without(0.0)
-        monkeypatch.setattr(module, "displacement_of", lambda setup, attacked, twin: attacked.peak)
+        monkeypatch.setattr(
+            module, "compute_displacement", lambda setup, attacked, twin: attacked.peak
+        )
 
     def without(self, alarm: float) -> None:
         """Runs without an attack, of which some alarm."""
@@ -42,7 +44,7 @@ class Landscape:
 
     @property
     def counts(self) -> Any:
-        return counted(self.warmup_alarm, self.twin_alarm)
+        return mask_valid_runs(self.warmup_alarm, self.twin_alarm)
 
     def play(self, attacks: Any, **_: Any) -> list[Runs]:
         alarm, displacement = self.formulas
@@ -70,7 +72,9 @@ class Landscape:
 def search(landscape: Any, clean: float = 0.0, **settings: Any) -> TuningResult:
     chosen = Tuning(**{"runs": 100, "sift_runs": 20, "values": 20, "budget": 0.1, **settings})
     landscape.without(clean)
-    (found,) = play_searches(landscape, [(0, tune(landscape, 0, RAMP, "detector", chosen))])
+    (found,) = play_searches(
+        landscape, [(0, tune_amplitude(landscape, 0, RAMP, "detector", chosen))]
+    )
     return found
 
 
@@ -161,14 +165,14 @@ def test_where_no_run_counts_nothing_is_within_the_budget(monkeypatch: pytest.Mo
 def test_what_is_chosen_keeps_to_the_budget_when_played(detector: Any) -> None:
     tuning = Tuning(runs=16, sift_runs=6, values=5, refined=2, budget=0.3)
     suite = small_suite(detectors=(detector,), tuning=tuning)
-    (judge,) = suite.detector_entries
+    (judge,) = suite.detector_players
     panel = Panel(suite.world.setup, [detector], lambda: suite.generators("training", 16), 1)
     (result,) = fit(panel, {0: judge}, RAMP, suite.tuning, suite.optima)
     start, clean = panel.start, panel.clean[0]
     attacked = play(start, RAMP.with_value(result.value))
-    counts = counted(start.warmup_alarm, clean.first_alarm)
-    moved = displacement_of(start.setup, attacked, clean)
-    found = stealth_of(moved, attacked.first_alarm > 0, counts)
+    counts = mask_valid_runs(start.warmup_alarm, clean.first_alarm)
+    moved = compute_displacement(start.setup, attacked, clean)
+    found = score_stealth(moved, attacked.first_alarm > 0, counts)
     assert found.keeps(suite.tuning.budget)
     (trial,) = [t for t in result.trials if t.runs == 16 and t.value == result.value]
     assert trial == Trial.of(result.value, 16, found, True)
@@ -179,4 +183,4 @@ def test_what_is_chosen_keeps_to_the_budget_when_played(detector: Any) -> None:
 def test_a_spoofer_without_a_tuned_setting_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     landscape = Landscape(monkeypatch, alarm=lambda rate: 0.1, displacement=lambda rate: rate)
     with pytest.raises(ValueError, match="'ramp' has no setting that is to be tuned"):
-        next(tune(landscape, 0, specify_spoofer("ramp"), "", Tuning()))  # type: ignore[arg-type]
+        next(tune_amplitude(landscape, 0, specify_spoofer("ramp"), "", Tuning()))  # type: ignore[arg-type]

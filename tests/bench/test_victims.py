@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from spoofgym.bench import Suite, Tuning, run_campaign, summarize
-from spoofgym.bench.experiments.campaign import knowledge_of
+from spoofgym.bench.experiments.campaign import describe_knowledge
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.report.figures import draw_campaign
 from spoofgym.bench.runs.episode import TWIN, draw_episode, play_episode
 from spoofgym.bench.runs.play import WarmStart, induced_error, make_bound_spoofer, play
-from spoofgym.bench.runs.record import displacement_of
+from spoofgym.bench.runs.record import compute_displacement
 from spoofgym.bench.runs.world import VICTIMS
 from spoofgym.envs import SpoofCore
 
@@ -50,7 +50,7 @@ def test_a_campaign_is_scored_tabled_and_drawn(env: str, tmp_path: Path) -> None
     folder = run_campaign(suite, tmp_path, threads=1)
     summary = summarize(folder)
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
-    judges = [entry.label for entry in suite.detector_entries]
+    judges = [entry.label for entry in suite.detector_players]
     assert [row["detector"] for row in summary["detectors"]] == judges
     for judge in judges:
         none, step, ramp = (
@@ -71,7 +71,7 @@ def test_a_cell_scores_what_the_environment_pays(env: str) -> None:
     suite = suite_of(
         env, target_heading_deg="worst", decision_interval_s=2.0, between="linear", runs=5
     )
-    setup = suite.setup(suite.detector_entries[-1])
+    setup = suite.setup(suite.detector_players[-1])
     start = WarmStart(setup, suite.generators("evaluation", 5), threads=1)
     attacked, clean = play(start, PUSH), play(start, "none")
     core = SpoofCore(5, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True)
@@ -79,7 +79,7 @@ def test_a_cell_scores_what_the_environment_pays(env: str) -> None:
     spoofer, *_ = make_bound_spoofer(PUSH, setup, 5)
     for _ in range(core.episode_steps):
         result, _ = core.step(spoofer.act(core.observe()))
-    scored = displacement_of(setup, attacked, clean)
+    scored = compute_displacement(setup, attacked, clean)
     assert scored.max() > 0.1
     np.testing.assert_allclose(
         result.info["undetected_displacement_m"], scored, rtol=1e-4, atol=1e-6
@@ -89,7 +89,7 @@ def test_a_cell_scores_what_the_environment_pays(env: str) -> None:
 @pytest.mark.parametrize("env", SMALL)
 def test_a_run_looked_at_closely_is_that_of_the_campaign(env: str, tmp_path: Path) -> None:
     suite = suite_of(env)
-    judge, player = suite.detector_entries[-1], suite.spoofer_entries[-1]
+    judge, player = suite.detector_players[-1], suite.spoofer_players[-1]
     episode = play_episode(suite.world, judge, player, run=2)
     setup = suite.setup(judge)
     start = WarmStart(setup, suite.generators("evaluation", 4), threads=1)
@@ -97,7 +97,7 @@ def test_a_run_looked_at_closely_is_that_of_the_campaign(env: str, tmp_path: Pat
     np.testing.assert_array_equal(episode.alarm[episode.onset :, 0], attacked.alarm[:, 2])
     np.testing.assert_array_equal(episode.alarm[episode.onset :, TWIN], clean.alarm[:, 2])
     np.testing.assert_allclose(
-        episode.induced, induced_error(setup, attacked, clean)[:, 2], atol=1e-6
+        episode.induced_error_m, induced_error(setup, attacked, clean)[:, 2], atol=1e-6
     )
     assert episode.summary()["scenario"] == setup.name
     assert draw_episode(episode, tmp_path / "run").stat().st_size > 10_000
@@ -105,7 +105,7 @@ def test_a_run_looked_at_closely_is_that_of_the_campaign(env: str, tmp_path: Pat
 
 def test_a_heading_of_a_snapshot_leaves_down_and_clock_alone() -> None:
     suite = suite_of(SNAPSHOT)
-    setup = suite.setup(suite.detector_entries[0])
+    setup = suite.setup(suite.detector_players[0])
     spoofer, *_ = make_bound_spoofer(PUSH, setup, 1)
     action = spoofer.act(np.zeros((1, 0), dtype=np.float32))
     np.testing.assert_allclose(action, [[0.0, 0.1, 0.0, 0.0]], atol=1e-12)
@@ -115,7 +115,7 @@ def test_a_heading_of_a_snapshot_leaves_down_and_clock_alone() -> None:
 def test_the_detectors_of_a_victim_fit_it(env: str) -> None:
     suite = Suite(env=env, spoofers=())
     suite.check_fit()
-    assert len(suite.detector_entries) == len(VICTIMS[env].detectors)
+    assert len(suite.detector_players) == len(VICTIMS[env].detectors)
 
 
 def test_runs_are_those_of_the_settings() -> None:
@@ -133,18 +133,18 @@ def test_runs_are_those_of_the_settings() -> None:
     assert len({suite.digest for suite in suites}) == len(suites)
     # a default that is written out changes nothing
     assert suite_of(SNAPSHOT, settings={"satellites": 12}).digest == suites[0].digest
-    judge = suites[1].detector_entries[0]
+    judge = suites[1].detector_players[0]
     assert len(suites[1].setup(judge).weight_names) == 10
 
 
 def test_no_spoofer_of_another_environment_plays_unasked() -> None:
     suite = suite_of(ROBOT, spoofers=None)
-    labels = [entry.label for entry in suite.spoofer_entries]
+    labels = [entry.label for entry in suite.spoofer_players]
     assert labels == ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)", "blind-optimum"]
     assert suite.left_out == ()
     asked = suite_of(ROBOT, spoofers=("ewma-profile",))
-    judge = asked.detector_entries[0]
-    told = knowledge_of(asked.spoofer_entries[1], asked.setup(judge), judge)
+    judge = asked.detector_players[0]
+    told = describe_knowledge(asked.spoofer_players[1], asked.setup(judge), judge)
     assert told["transfer"] == ["environment"]
 
 
@@ -169,7 +169,7 @@ def test_no_spoofer_of_another_environment_plays_unasked() -> None:
 )
 def test_detectors_that_do_not_fit_are_refused(env: str, detector: Any, message: str) -> None:
     suite = suite_of(env, detectors=(detector,))
-    (entry,) = suite.detector_entries
+    (entry,) = suite.detector_players
     text = f"detector {entry.label} in {env}: {message}"
     with pytest.raises(ValueError, match=f"^{re.escape(text)}"):
         suite.check_fit()

@@ -8,13 +8,13 @@ import pytest
 
 from spoofgym.bench import Suite
 from spoofgym.bench.runs.world import World
-from spoofgym.tasks import task_of
+from spoofgym.tasks import get_task
 
 TIMES = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
 
 
 def test_a_task_decides_its_world() -> None:
-    assert World.of("T3") == World(given=task_of("T3").world_kwargs)
+    assert World.of("T3") == World(settings=get_task("T3").world_kwargs)
     with pytest.raises(ValueError, match="`env`, `scenario` can't be given with task T3"):
         World.of("T3", env="spoofgym/Snapshot-v0", scenario="trolley")
 
@@ -22,7 +22,7 @@ def test_a_task_decides_its_world() -> None:
 def test_settings_by_name_and_further_ones_are_the_same() -> None:
     named = World.of(timeline=TIMES, between="hold", scenario=None)
     assert named == World.of(timeline=TIMES, settings={"between": "hold"})
-    assert named.altered(between="ramp").given == {"timeline": TIMES, "between": "ramp"}
+    assert named.copy_with(between="ramp").settings == {"timeline": TIMES, "between": "ramp"}
 
 
 @pytest.mark.parametrize(

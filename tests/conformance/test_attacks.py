@@ -75,13 +75,13 @@ class Mislabelled(FalsePosition):
 
 
 class CapturesEmptySlots(PerChannel):
-    def captured(self, world):
+    def select_channels(self, world):
         return np.ones(world.channels, dtype=bool)
 
 
 class CapturesByNumber(PerChannel):
-    def captured(self, world):
-        return super().captured(world).astype(int)
+    def select_channels(self, world):
+        return super().select_channels(world).astype(int)
 
 
 class SameNames(FalsePosition):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-from spoofgym.core.compile import COMPILED_LAYERS, layer_of
+from spoofgym.core.compile import COMPILED_LAYERS, find_layer
 from spoofgym.core.compile import FOUNDATION as FOUNDATION_FILES
 
 from . import sources
@@ -104,6 +104,6 @@ def test_no_layer_reaches_for_threads_of_its_own():
 def test_every_layer_is_a_package_in_the_order_of_the_imports():
     for package in COMPILED_LAYERS:
         assert (sources.ROOT / package / "__init__.py").is_file()
-    assert [layer_of(f"spoofgym.{package}.x") for package in COMPILED_LAYERS] == list(
+    assert [find_layer(f"spoofgym.{package}.x") for package in COMPILED_LAYERS] == list(
         range(len(COMPILED_LAYERS))
     )

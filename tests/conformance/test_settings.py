@@ -12,7 +12,7 @@ import math
 import numpy as np
 import pytest
 
-from spoofgym.core.declared import lists_in, settings_in, split_union
+from spoofgym.core.declared import list_declarations, parse_list_kinds, split_union
 
 from . import sources
 from .examples import EXAMPLES
@@ -22,12 +22,12 @@ RECORDS = sorted(
         kind
         for module in sources.modules()
         for kind in vars(module).values()
-        if inspect.isclass(kind) and dataclasses.is_dataclass(kind) and settings_in(kind)
+        if inspect.isclass(kind) and dataclasses.is_dataclass(kind) and list_declarations(kind)
         if kind.__module__ == module.__name__ and not inspect.isabstract(kind)
     },
     key=lambda kind: f"{kind.__module__}.{kind.__qualname__}",
 )
-CASES = [(kind, name) for kind in RECORDS for name in settings_in(kind)]
+CASES = [(kind, name) for kind in RECORDS for name in list_declarations(kind)]
 IDS = [f"{kind.__name__}-{name}" for kind, name in CASES]
 
 
@@ -58,7 +58,7 @@ def bad_values(declared, annotation):
     found = []
     if {"int", "float"} & kinds:
         found += bad_numbers(declared, whole="float" not in kinds)
-    for item in lists_in(kinds):
+    for item in parse_list_kinds(kinds):
         found += [[each] for each in bad_numbers(declared, whole=item == "int")]
         found += ([] if declared.empty else [[]]) + ([[2, 2]] if declared.increasing else [])
     if declared.one_of:
@@ -81,7 +81,7 @@ def example_of(kind):
 
 @pytest.mark.parametrize(("kind", "name"), CASES, ids=IDS)
 def test_what_is_not_valid_is_refused_by_name_and_value(kind, name):
-    declared, annotation = settings_in(kind)[name]
+    declared, annotation = list_declarations(kind)[name]
     example = example_of(kind)
     for bad in bad_values(declared, annotation):
         with pytest.raises(ValueError, match=f"^`{name}` must be ") as raised:
@@ -92,7 +92,7 @@ def test_what_is_not_valid_is_refused_by_name_and_value(kind, name):
 
 @pytest.mark.parametrize(("kind", "name"), CASES, ids=IDS)
 def test_bounds_that_are_included_are_valid(kind, name):
-    declared, annotation = settings_in(kind)[name]
+    declared, annotation = list_declarations(kind)[name]
     bounds, kinds = declared, set(split_union(annotation))
     numbers = [each for each in (bounds.least, bounds.most) if each is not None]
     if {"int", "float"} & kinds:
@@ -108,10 +108,10 @@ def test_bounds_that_are_included_are_valid(kind, name):
 def test_defaults_are_valid_and_documented(kind):
     for each in dataclasses.fields(kind):
         if "setting" in each.metadata and each.default is not dataclasses.MISSING:
-            declared, annotation = settings_in(kind)[each.name]
+            declared, annotation = list_declarations(kind)[each.name]
             declared.check(each.name, each.default, annotation)
     text = inspect.getdoc(kind)
-    for name, (declared, _) in settings_in(kind).items():
+    for name, (declared, _) in list_declarations(kind).items():
         assert f"\n{name} : " in text
         assert declared.help
         assert declared.help[0].isupper()

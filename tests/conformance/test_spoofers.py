@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.paper_attacks import PAPER_ATTACKS
-from spoofgym.policies import shipped
+from spoofgym.policies import list_shipped
 from spoofgym.spoofers import SPOOFERS, Profile, Spoofer
 from spoofgym.testing import check_spoofer
 
@@ -30,7 +30,7 @@ def test_a_blind_optimum_that_has_not_been_looked_for_says_so():
         check_spoofer("blind-optimum")
 
 
-@pytest.mark.parametrize("name", shipped("spoofer"))
+@pytest.mark.parametrize("name", list_shipped("spoofer"))
 def test_every_shipped_spoofer_keeps_the_contract(name):
     check_spoofer(name)
 

@@ -159,7 +159,7 @@ def small_suite(detector: Detector) -> Suite:
 
 def bench(detector: Detector) -> Iterator[None]:
     suite = small_suite(detector)
-    setup = suite.setup(suite.detector_entries[0])
+    setup = suite.setup(suite.detector_players[0])
     start = WarmStart(setup, suite.generators("evaluation", B), threads=1)
     yield
     play(start, "step")
@@ -168,7 +168,7 @@ def bench(detector: Detector) -> Iterator[None]:
 def episode(detector: Detector) -> Iterator[None]:
     suite = small_suite(detector)
     yield
-    play_episode(suite.world, suite.detector_entries[0], suite.spoofer_entries[0])
+    play_episode(suite.world, suite.detector_players[0], suite.spoofer_players[0])
 
 
 SIMULATIONS: dict[str, tuple[int, Callable[[Detector], Iterator[None]]]] = {
@@ -231,7 +231,7 @@ def test_a_frozen_policy_is_checked_as_any_detector() -> None:
 
 
 def test_the_weights_of_an_update_are_checked_whoever_gives_them() -> None:
-    setup = small_suite(Wrong()).setup(small_suite(Wrong()).detector_entries[0])
+    setup = small_suite(Wrong()).setup(small_suite(Wrong()).detector_players[0])
     engine = Engine(B, setup, threads=1)
     engine.reset([np.random.default_rng(row) for row in range(B)])
     engine.predict(None)

@@ -92,14 +92,14 @@ def test_the_decorator_the_vectors_and_numba_s_version_count_for_all(tree, monke
 
 
 def test_a_module_belongs_to_its_package_s_layer():
-    assert compiling.layer_of("spoofgym.earth.wgs84") == 0
-    assert compiling.layer_of("spoofgym.truth._kernels") == 1
+    assert compiling.find_layer("spoofgym.earth.wgs84") == 0
+    assert compiling.find_layer("spoofgym.truth._kernels") == 1
     for outside in ("spoofgym.bench.runs.play", "spoofgym", "tests.core.test_compile", "__main__"):
-        assert compiling.layer_of(outside) == len(compiling.COMPILED_LAYERS) - 1
+        assert compiling.find_layer(outside) == len(compiling.COMPILED_LAYERS) - 1
 
 
 def test_the_least_recently_used_digests_are_pruned(tmp_path):
-    folders = [tmp_path / f"truth-{k:016x}" for k in range(compiling.KEPT_DIGESTS + 5)]
+    folders = [tmp_path / f"truth-{k:016x}" for k in range(compiling.MAX_DIGESTS + 5)]
     for age, folder in enumerate(folders):
         folder.mkdir()
         (folder / "code.nbi").write_text("")
@@ -108,13 +108,13 @@ def test_the_least_recently_used_digests_are_pruned(tmp_path):
     keep = folders[-1]  # the oldest of all is the one in use
     compiling._prune(tmp_path, keep)
     left = sorted(path.name for path in tmp_path.iterdir() if path.is_dir())
-    assert left == sorted(f.name for f in [*folders[: compiling.KEPT_DIGESTS - 1], keep])
+    assert left == sorted(f.name for f in [*folders[: compiling.MAX_DIGESTS - 1], keep])
     assert (tmp_path / "a file").exists()
     assert keep.stat().st_mtime > 1e9  # used just now
 
 
 def test_code_that_a_process_may_still_add_to_is_not_pruned(tmp_path):
-    folders = [tmp_path / f"truth-{k:016x}" for k in range(compiling.KEPT_DIGESTS + 5)]
+    folders = [tmp_path / f"truth-{k:016x}" for k in range(compiling.MAX_DIGESTS + 5)]
     for folder in folders:
         folder.mkdir()
     os.utime(folders[3], (1e9, 1e9))
@@ -133,7 +133,7 @@ def test_compiling_leaves_numba_s_own_settings_alone():
     def double(x):
         return 2.0 * x
 
-    for decorator in (compiling.njit, compiling.inlined):
+    for decorator in (compiling.njit, compiling.inline_njit):
         decorated = decorator(double)
         if numba.config.DISABLE_JIT:
             assert decorated is double
@@ -314,7 +314,7 @@ def test_a_layer_that_others_could_write_to_is_removed(tmp_path, monkeypatch, ca
 
 def test_any_damage_to_a_file_makes_it_absent(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(compiling, "cache_parent", lambda: tmp_path)
-    compiling._say.cache_clear()
+    compiling._print_note.cache_clear()
     files = compiling._CheckedFiles(str(tmp_path), "function", "stamp")
     files.save("one", [1.0])
     files.save("two", [2.0])

@@ -5,10 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from spoofgym.core.declared import check_number, check_word, record, setting, settings_in
+from spoofgym.core.declared import (
+    check_number,
+    check_word,
+    list_declarations,
+    setting,
+    settings_record,
+)
 
 
-@record
+@settings_record
 class Push:
     """A push.
 
@@ -33,7 +39,7 @@ class Doubled:
         self.rate_mps *= 2
 
 
-@record
+@settings_record
 class Twice(Doubled, Push):
     """A push of twice the rate."""
 
@@ -100,7 +106,7 @@ def test_parameters_are_documented_before_the_sections_that_follow():
         "late : bool, default False\n    Whether it is late.\n"
         "\nNotes\n-----\nOf no use.\n"
     )
-    assert [*settings_in(Twice)] == [*settings_in(Push)]
+    assert [*list_declarations(Twice)] == [*list_declarations(Push)]
 
 
 def test_arguments_are_refused_in_the_same_form():

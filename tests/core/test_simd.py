@@ -9,23 +9,22 @@ import numpy as np
 import pytest
 from numba.core.errors import TypingError
 
-from spoofgym.core.compile import inlined, njit
+from spoofgym.core.compile import inline_njit, njit
 from spoofgym.core.simd import (
     LANES,
     ArrayTable,
     absolute,
     any_lane,
-    bits_of,
+    count_lanes,
     flags_at,
     floats_at,
     floor,
     from_bits,
     integers_at,
     lane,
-    lanes_of,
     load,
     load_pair,
-    pair_of,
+    pair_lanes,
     rotate_left,
     rows_at,
     select,
@@ -35,6 +34,7 @@ from spoofgym.core.simd import (
     sqrt,
     store,
     to_float,
+    view_bits,
     words_at,
 )
 
@@ -299,7 +299,7 @@ def test_masks(way, truth, number):
 # --- pairs -----------------------------------------------------------------------------------
 
 
-@inlined
+@inline_njit
 def everything(a, b, u, v, by, k, word):
     """All that takes vectors."""
     moved, turned = a, u
@@ -315,7 +315,7 @@ def everything(a, b, u, v, by, k, word):
         (a + b, a - b, a * b, a / b, -a, k - a, a / k),
         (moved, sqrt(a), floor(a), absolute(b), to_float(u), splat(k, a) + a),
         (from_bits(u + v), from_bits(u - v), from_bits(u << by), from_bits(v >> by)),
-        (from_bits(turned), from_bits(rotate_left(u, 42)), from_bits(bits_of(a) ^ word)),
+        (from_bits(turned), from_bits(rotate_left(u, 42)), from_bits(view_bits(a) ^ word)),
         (select(high, a, b), select(a == b, 1.0, 0.0), select(u != v, k, b)),
         (select(a != b, a, k), splat(1.0 if any_lane(a < b) else 0.0, a)),
     )
@@ -365,7 +365,7 @@ def test_pairs_compute_what_both_rows_do(compiled, monkeypatch):
 
 @njit
 def repeated(x, out):
-    store(out, 0, pair_of(load(x, 0)))
+    store(out, 0, pair_lanes(load(x, 0)))
     store(out, 2, load_pair(x, 1) + 1.0)
     store(out, 4, splat(2.0, load_pair(x, 0)))
 
@@ -397,8 +397,8 @@ def functions(x, k, out):
     store(out, 8, select(a > b, k, c))
     store(out, 9, select(a > b, k, -k))
     store(out, 10, sqrt(absolute(k)))
-    store(out, 11, from_bits(bits_of(a)))
-    store(out, 12, from_bits(bits_of(c) ^ np.uint64(2**63)))
+    store(out, 11, from_bits(view_bits(a)))
+    store(out, 12, from_bits(view_bits(c) ^ np.uint64(2**63)))
     store(out, 13, splat(k, a))
     store(out, 14, splat(k, x))
     store(out, 15, sqrt(splat(2.0, a)))  # of a number in all lanes
@@ -488,15 +488,15 @@ def test_functions_of_words(way):
 
 @njit
 def rows_and_lanes(x, out):
-    last = lanes_of(x) - 1
+    last = count_lanes(x) - 1
     store(out, 0, load(x, 2))
     store(out, 1, 7.0)
     store(out, 2, 7)
     set_lane(out, 2, last, lane(x, 1, 0))
     for row in range(3, 5):
-        for index in range(lanes_of(x)):
+        for index in range(count_lanes(x)):
             set_lane(out, row, index, 2.0 * lane(x, row - 3, index))
-    store(out, 5, float(lanes_of(out)))
+    store(out, 5, float(count_lanes(out)))
     part = x[1:]  # part of a lane array is one
     store(out, 6, load(part, 0) + load(part, 1))
     store(out, 7, float(part.shape[0]))
@@ -519,7 +519,7 @@ def test_rows_and_lanes(way):
 def keep_words(x, out):
     store(out, 0, load(x, 1) ^ load(x, 0))
     store(out, 1, np.uint64(2**64 - 1))
-    for index in range(lanes_of(x)):
+    for index in range(count_lanes(x)):
         set_lane(out, 2, index, lane(x, 0, index))
     store(out, 3, load(out, 2))
 
@@ -571,7 +571,7 @@ def read_table(table, like, out):
     out[0], out[1] = floats.shape[0], floats[2]
     out[2], out[3] = integers.shape[0], integers[1]
     out[4], out[5] = flags.shape[0], 1.0 if flags[1] and not flags[0] else 0.0
-    out[6], out[7], out[8] = rows.shape[0], lane(rows, 1, 0), lanes_of(rows)
+    out[6], out[7], out[8] = rows.shape[0], lane(rows, 1, 0), count_lanes(rows)
     set_lane(keys, 0, 0, lane(keys, 0, 0) & np.uint64(2**32 - 1))
     out[9], out[10] = keys.shape[0], lane(keys, 0, 0)
     store(rows, 0, load(rows, 1) + 1.0)
@@ -656,7 +656,7 @@ WRONG = {
     "select by truth of vector and number": lambda x, w: select(True, load(x, 0), 0.0),
     "root of a word": lambda x, w: sqrt(load(w, 0)),
     "real of a real": lambda x, w: to_float(load(x, 0)),
-    "bits of a word": lambda x, w: bits_of(load(w, 0)),
+    "bits of a word": lambda x, w: view_bits(load(w, 0)),
     "real from a real's bits": lambda x, w: from_bits(load(x, 0)),
     "rotated real": lambda x, w: rotate_left(load(x, 0), 3),
     "rotated by a real": lambda x, w: rotate_left(load(w, 0), 3.0),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from spoofgym.data.cleaning import clean_track
-from spoofgym.data.ephemerides import propagate, screen
+from spoofgym.data.ephemerides import propagate_orbits, screen
 from spoofgym.data.rinex import RANGES, read_navigation
 from spoofgym.data.tracks import LARGEST_SIZE, FileError, read_file, read_track
 
@@ -76,7 +76,7 @@ def check_navigation(path: Path) -> bool:
     century = 120 * 366 * 86_400.0
     for time in (records.time_of_clock, records.time_of_ephemeris):
         assert ((time >= -302_400.0) & (time < century)).all()
-    orbits = propagate(records, np.arange(len(records)), 0.0)
+    orbits = propagate_orbits(records, np.arange(len(records)), 0.0)
     radius = np.linalg.norm(orbits.position_e, axis=-1)
     assert ((radius > 6.0e6) & (radius < 7.0e7)).all()
     assert (np.linalg.norm(orbits.velocity_e, axis=-1) < 9.0e3).all()

@@ -17,18 +17,18 @@ from spoofgym.detectors import (
     detector_in_world,
     make_detector,
 )
-from spoofgym.detectors.calibrated import identity_of
+from spoofgym.detectors.calibrated import describe_identity
 from spoofgym.receiver.epoch import Epoch
 from spoofgym.simulation import SnapshotSetup
 from spoofgym.testing import check_detector
-from spoofgym.testing.detector import scripts_of
+from spoofgym.testing.detector import list_scripts
 
 RATE = {"false_alarms_per_hour": 0.2}
 
 
 def verdicts(detector):
     """Verdicts on the epochs of a script."""
-    script = scripts_of("satellites")[0]
+    script = list_scripts("satellites")[0]
     detector.bind(script.context)
     rows = np.arange(script.context.receivers)
     found = []
@@ -124,10 +124,10 @@ def test_a_pool_calibrates_its_members():
 
 
 def test_identities_are_resolved_settings():
-    assert identity_of(Ewma()) == identity_of(Ewma(smoothing=0.1))
-    assert identity_of(Ewma()) != identity_of(Ewma(smoothing=0.2))
-    assert identity_of(JointChart(alarm_scale=3.0)) == identity_of(JointChart())
-    assert identity_of(Cusum(bias_window_s=5)) == identity_of(Cusum(bias_window_s=5.0))
+    assert describe_identity(Ewma()) == describe_identity(Ewma(smoothing=0.1))
+    assert describe_identity(Ewma()) != describe_identity(Ewma(smoothing=0.2))
+    assert describe_identity(JointChart(alarm_scale=3.0)) == describe_identity(JointChart())
+    assert describe_identity(Cusum(bias_window_s=5)) == describe_identity(Cusum(bias_window_s=5.0))
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ import pytest
 from spoofgym.detectors.calibration_file import (
     STANDARD_RATES,
     Calibration,
-    fewest_runs,
+    compute_min_runs,
+    compute_rank,
     hourly_rate,
-    kept_ranks,
-    rank_of,
-    rounded_up,
+    list_stored_ranks,
+    round_digits_up,
     run_probability,
 )
 
@@ -24,7 +24,7 @@ WINDOW_S = 160.0
 def calibration(maxima, *, before=0.0, bisected=False, window_s=WINDOW_S):
     """Of a made-up detector, from the maxima of its runs."""
     runs = len(maxima)
-    ranks = kept_ranks(runs, window_s)
+    ranks = list_stored_ranks(runs, window_s)
     order = np.sort(maxima)[::-1]
     return Calibration(
         world={"kind": "none"},
@@ -34,7 +34,7 @@ def calibration(maxima, *, before=0.0, bisected=False, window_s=WINDOW_S):
         entropy=0,
         seed_name="none",
         ranks=tuple(ranks),
-        largest=tuple(rounded_up(order[np.array(ranks) - 1]).tolist()),
+        largest=tuple(round_digits_up(order[np.array(ranks) - 1]).tolist()),
         before=((1, before), (runs, before)),
         witnesses=((0, 0.0, float(maxima[0])),),
         bisected=bisected,
@@ -49,11 +49,11 @@ def test_a_rate_an_hour_is_a_probability_for_a_run():
 
 @pytest.mark.parametrize("p", [0.001, 0.00885, 0.05, 0.3])
 def test_the_rank_is_the_lowest_that_keeps_the_probability(p):
-    for n in (fewest_runs(p), fewest_runs(p) + 1, 2000, 54_321):
-        rank = rank_of(p, n)
+    for n in (compute_min_runs(p), compute_min_runs(p) + 1, 2000, 54_321):
+        rank = compute_rank(p, n)
         # a new run among n that are like it exceeds the order statistic of this rank so often
         assert rank / (n + 1) <= p + 1e-9 < (rank + 1) / (n + 1)
-    assert rank_of(p, fewest_runs(p) - 1) < 1 <= rank_of(p, fewest_runs(p))
+    assert compute_rank(p, compute_min_runs(p) - 1) < 1 <= compute_rank(p, compute_min_runs(p))
 
 
 def test_a_new_run_exceeds_the_scale_with_the_stated_probability():
@@ -63,7 +63,7 @@ def test_a_new_run_exceeds_the_scale_with_the_stated_probability():
     for _ in range(trials):
         scale = calibration(rng.random(n)).point(2.0).scale
         exceeded += 1.0 - scale
-    assert exceeded / trials == pytest.approx(rank_of(p, n) / (n + 1), rel=0.05)
+    assert exceeded / trials == pytest.approx(compute_rank(p, n) / (n + 1), rel=0.05)
     assert exceeded / trials < p
 
 
@@ -73,21 +73,21 @@ def test_a_thinned_file_never_exceeds_a_rate():
     assert len(found.ranks) < 1000
     for rate in np.geomspace(0.001, 100.0, 200).tolist():
         point = found.point(rate)
-        exact = rank_of(point.per_run, found.runs)
+        exact = compute_rank(point.per_run, found.runs)
         assert exact / 1.011 - 1 <= point.rank <= exact
         assert (maxima > point.scale).sum() <= exact - 1
         assert not point.extrapolated
     for rate in STANDARD_RATES:
-        exact = rank_of(run_probability(rate, WINDOW_S), found.runs)
+        exact = compute_rank(run_probability(rate, WINDOW_S), found.runs)
         assert found.point(rate).rank == exact
 
 
 def test_written_scales_are_never_below_the_maxima():
     values = np.random.default_rng(5).lognormal(size=5000) * 10.0 ** np.arange(-5, 5).repeat(500)
-    up = rounded_up(values)
+    up = round_digits_up(values)
     assert (up >= values).all()
     np.testing.assert_allclose(up, values, rtol=1.1e-11)
-    assert rounded_up(np.zeros(3)).tolist() == [0.0, 0.0, 0.0]
+    assert round_digits_up(np.zeros(3)).tolist() == [0.0, 0.0, 0.0]
     assert json.loads(json.dumps(up.tolist())) == up.tolist()
 
 

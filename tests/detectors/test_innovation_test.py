@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import Shewhart, make_detector
-from spoofgym.detectors.innovation import rows_of, whiten
+from spoofgym.detectors.innovation import select_rows, whiten
 
 from .support import belief, context, drawn, epoch
 
@@ -18,7 +18,7 @@ def test_whitened_rows_are_those_of_the_factor_of_what_is_judged(signals):
     S = belief(rng, B, N)
     z = drawn(rng, S)
     judged = rng.uniform(size=(B, N)) < 0.7
-    first, last = rows_of(signals, N)
+    first, last = select_rows(signals, N)
     out = np.empty((B, last - first))
     whiten(z, S, judged, first, last, out)
     for b in range(B):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import Ewma, JointChart
-from spoofgym.detectors.charts import spread_of
+from spoofgym.detectors.charts import compute_median_distance
 
 from .support import belief, context, drawn, epoch
 
@@ -90,7 +90,7 @@ def test_the_distance_from_the_median():
     rng = np.random.default_rng(0)
     for three in rng.standard_normal((50, 3)):
         want = np.abs(three - np.median(three)).max()
-        assert spread_of(*three) == pytest.approx(want, abs=1e-12)
+        assert compute_median_distance(*three) == pytest.approx(want, abs=1e-12)
 
 
 def test_a_satellite_that_sets_while_it_alarms_begins_anew():

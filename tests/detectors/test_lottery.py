@@ -4,7 +4,7 @@ import numpy as np
 import scipy.stats
 
 from spoofgym.detectors import Lottery
-from spoofgym.detectors.controls import hashed, unit_exponential
+from spoofgym.detectors.controls import hash_rows, unit_exponential
 
 from .support import belief, context, epoch
 
@@ -26,18 +26,18 @@ def judged(innovations, mean_wait_s=10.0, epochs=60):
 
 def test_the_waiting_times_are_exponential():
     rows = np.random.default_rng(0).normal(size=(RECEIVERS, 16))
-    waits = unit_exponential(hashed(rows))
+    waits = unit_exponential(hash_rows(rows))
     assert scipy.stats.kstest(waits, "expon").pvalue > 0.01
     assert (waits > 0.0).all()
     # one bit of one innovation makes another draw
     other = rows.copy()
     other[:, 7] = np.nextafter(rows[:, 7], np.inf)
-    pairs = np.corrcoef(waits, unit_exponential(hashed(other)))[0, 1]
+    pairs = np.corrcoef(waits, unit_exponential(hash_rows(other)))[0, 1]
     assert abs(pairs) < 5.0 / np.sqrt(RECEIVERS)
 
 
 def test_zeros_of_either_sign_are_the_same_draw():
-    assert (hashed(np.array([[0.0, 1.0]])) == hashed(np.array([[-0.0, 1.0]]))).all()
+    assert (hash_rows(np.array([[0.0, 1.0]])) == hash_rows(np.array([[-0.0, 1.0]]))).all()
 
 
 def test_what_comes_after_the_first_epoch_changes_nothing():

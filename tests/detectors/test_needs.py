@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import DETECTORS, Detector, Never, PooledDetector, Verdict, make_detector
-from spoofgym.detectors.base import UndeclaredFieldError, judged
+from spoofgym.detectors.base import UndeclaredFieldError, judge_epoch
 from spoofgym.receiver.epoch import OPTIONAL, Epoch, TracedEpoch
 from spoofgym.testing import check_detector
-from spoofgym.testing.detector import scripts_of
+from spoofgym.testing.detector import list_scripts
 from spoofgym.testing.epochs import trying_script
 
 
@@ -26,12 +26,12 @@ def epoch_of(script, number, needs):
 @pytest.mark.parametrize("name", DETECTORS)
 def test_a_shipped_detector_reads_what_it_declares_and_no_more(name):
     read = set()
-    for script in scripts_of(make_detector(name).measures):
+    for script in list_scripts(make_detector(name).measures):
         detector = bound(name, script)
         for epoch in script.epochs:
             traced = TracedEpoch(*epoch)
-            judged(detector, traced)
-            read |= traced.read
+            judge_epoch(detector, traced)
+            read |= traced.read_fields
     assert read == detector.needs
 
 
@@ -126,17 +126,17 @@ def test_a_run_says_who_forgets(kind):
     script = trying_script()
     detector = bound(kind(), script)
     with pytest.raises(UndeclaredFieldError, match=MESSAGES[kind]) as caught:
-        judged(detector, epoch_of(script, 3, detector.needs))
+        judge_epoch(detector, epoch_of(script, 3, detector.needs))
     assert caught.value.__cause__ is not None
-    judged(detector, epoch_of(script, 3, OPTIONAL))  # where others need it, it is there
+    judge_epoch(detector, epoch_of(script, 3, OPTIONAL))  # where others need it, it is there
 
 
 def test_other_failures_stay_what_they_are_and_the_member_of_a_pool_is_named():
     with pytest.raises(KeyError, match="of another kind"):
-        judged(bound(Broken(), trying_script()), epoch_of(trying_script(), 3, ()))
+        judge_epoch(bound(Broken(), trying_script()), epoch_of(trying_script(), 3, ()))
     pool, script = PooledDetector([Forgetful(), "never"], [1.0, 0.0]), trying_script()
     with pytest.raises(UndeclaredFieldError, match=MESSAGES[Forgetful]):
-        judged(bound(pool, script), epoch_of(script, 3, pool.needs))
+        judge_epoch(bound(pool, script), epoch_of(script, 3, pool.needs))
     with pytest.raises(AssertionError, match=MESSAGES[Forgetful]):
         check_detector(pool)
 

@@ -24,7 +24,7 @@ def played(detector, runs=12, rows=None):
     rngs = suite.generators("training", runs)
     if rows is not None:
         rngs = [rngs[row] for row in rows]
-    start = WarmStart(suite.setup(suite.detector_entries[0]), rngs, threads=1)
+    start = WarmStart(suite.setup(suite.detector_players[0]), rngs, threads=1)
     drawn = start.engine().simulator.detector.memory
     return play(start, {"name": "ramp", "rate_mps": 0.5}), drawn
 
@@ -74,7 +74,7 @@ class Careless(SnapshotChi2):
 def test_a_detector_knows_whom_it_judges_only_while_a_pool_asks():
     made = Calibrated(Careless(), scale=1.0)
     suite = Suite(detectors=["never"], timeline=SHORT, runs=2)
-    setup = suite.setup(suite.detector_entries[0]).altered(
+    setup = suite.setup(suite.detector_players[0]).copy_with(
         detector=PooledDetector([made, "never"], [1.0, 0.0])
     )
     simulator = setup.simulator(2, run_serially)

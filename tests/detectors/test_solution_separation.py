@@ -175,8 +175,8 @@ def receivers(world, tuning, count, detector, seed=5):
         domain={"turn_on": "drawn", "events": {}},
     )
     simulator = setup.simulator(count, run_serially)
-    simulator.begin([np.random.default_rng([seed, row]) for row in range(count)])
-    simulator.quiet_epochs(setup.onset)
+    simulator.start_episodes([np.random.default_rng([seed, row]) for row in range(count)])
+    simulator.run_filter_only(setup.onset)
     return simulator
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from spoofgym.detectors import DETECTORS, Ewma, make_detector
 from spoofgym.detectors import base as verdicts
-from spoofgym.detectors.base import checked, judged
+from spoofgym.detectors.base import check_verdict, judge_epoch
 from spoofgym.receiver.epoch import Epoch
 from spoofgym.testing.epochs import position_script, trying_script
 
@@ -32,7 +32,7 @@ def test_a_shipped_detector_needs_no_closer_look(name, monkeypatch):
 
     monkeypatch.setattr(verdicts, "_examine", examine)
     for number in range(len(script.epochs)):
-        judged(detector, epoch_of(script, number, rows, detector.needs))
+        judge_epoch(detector, epoch_of(script, number, rows, detector.needs))
 
 
 def test_a_verdict_of_another_layout_is_sound_all_the_same():
@@ -44,10 +44,10 @@ def test_a_verdict_of_another_layout_is_sound_all_the_same():
     by_columns = verdict._replace(
         statistic=np.asfortranarray(verdict.statistic), threshold=np.broadcast_to(4.0, shape)
     )
-    assert checked(by_columns, detector, epoch) is by_columns
+    assert check_verdict(by_columns, detector, epoch) is by_columns
     by_columns.statistic[2, 1] = np.nan
     with pytest.raises(ValueError, match=r"`statistic` .* got nan for receiver 2 of 5, column 1"):
-        checked(by_columns, detector, epoch)
+        check_verdict(by_columns, detector, epoch)
 
 
 def test_the_check_takes_less_than_a_microsecond_a_receiver():
@@ -55,11 +55,11 @@ def test_the_check_takes_less_than_a_microsecond_a_receiver():
     detector.bind(script.context._replace(receivers=receivers))
     epoch = epoch_of(script, 3, np.arange(receivers) % 5, detector.needs)
     verdict = detector.judge(epoch)
-    checked(verdict, detector, epoch)
+    check_verdict(verdict, detector, epoch)
     took = []
     for _ in range(50):
         begun = time.perf_counter()
         for _ in range(100):
-            checked(verdict, detector, epoch)
+            check_verdict(verdict, detector, epoch)
         took.append((time.perf_counter() - begun) / (100 * receivers))
     assert min(took) < 1e-6

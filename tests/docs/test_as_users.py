@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from spoofgym.core import compile as compiling
-from spoofgym.policies import shipped
+from spoofgym.policies import list_shipped
 
 from .as_users import (
     BESIDE,
@@ -144,14 +144,14 @@ def test_everything_on_a_page_runs(name, tmp_path, request):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", shipped("spoofer"))
+@pytest.mark.parametrize("name", list_shipped("spoofer"))
 def test_the_recipe_plays_every_shipped_spoofer(name, tmp_path):
-    (code,) = (code for _, code in blocks_of("train_your_own.md") if "card_of(" in code)
+    (code,) = (code for _, code in blocks_of("train_your_own.md") if "load_card(" in code)
     play(tmp_path, checkout(tmp_path), [(CODE, code.replace("ewma-ppo", name))])
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", shipped("detector"))
+@pytest.mark.parametrize("name", list_shipped("detector"))
 def test_every_shipped_detector_plays(name, tmp_path):
     code = f"import gymnasium as gym, spoofgym\ngym.make('spoofgym/BenchT3-v1', detector={name!r})"
     line = f"spoofgym protect --task D1 --detector {name} --seeds 8 --selection-seeds 4"

@@ -6,9 +6,9 @@ import re
 import pytest
 
 from spoofgym.detectors import Calibration
-from spoofgym.detectors.calibration_file import fewest_runs, run_probability
+from spoofgym.detectors.calibration_file import compute_min_runs, run_probability
 from tools.calibrations import HEADLINES
-from tools.holdouts import BEGIN, END, KEPT, shown, world_of
+from tools.holdouts import DATA_FILE, END, START, load_world, shown
 from tools.pages import part_between
 
 from .pages import blocks_of, run, text_of
@@ -31,7 +31,7 @@ def test_the_code_runs_in_its_order():
 
 @pytest.mark.parametrize("rate", [0.2, 0.002])
 def test_it_takes_as_many_runs_as_the_page_says(rate):
-    least = fewest_runs(run_probability(rate, 160.0))
+    least = compute_min_runs(run_probability(rate, 160.0))
     said = rf"{least:,} (clean runs )?for {rate:g} an hour"
     assert re.search(said, text_of(PAGE)), said
 
@@ -47,7 +47,7 @@ def test_as_many_runs_are_shipped_as_the_page_says(name):
     assert "it is their 17th largest ratio" in said
     assert "and 20,000 of" in said
     assert all(f"`{each}`" in said for each in LATER)
-    world = world_of(name)
+    world = load_world(name)
     points = {made.detector["name"]: made.point(0.002) for made, _ in world.passive}
     later = {points.pop(each).runs for each in LATER}
     assert later == {20_000}
@@ -59,8 +59,8 @@ def test_as_many_runs_are_shipped_as_the_page_says(name):
 
 
 def test_the_hold_outs_are_those_of_the_file_and_hold():
-    kept = json.loads(KEPT.read_text())
-    assert part_between(text_of(PAGE), BEGIN, END) == f"\n{shown(kept)}"
+    kept = json.loads(DATA_FILE.read_text())
+    assert part_between(text_of(PAGE), START, END) == f"\n{shown(kept)}"
     rows = [row for world in kept["worlds"] for row in world["detectors"]]
     rare = [row["rare"] for row in rows if row["passive"]]
     assert kept["cells"] == len(rows) + len(rare)

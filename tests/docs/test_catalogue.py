@@ -9,7 +9,7 @@ import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.attacks import ATTACKS, THREATS
 from spoofgym.detectors import DETECTORS
 from spoofgym.detectors.observation import DETECTOR_TERMS
-from spoofgym.policies import DetectorCard, shipped
+from spoofgym.policies import DetectorCard, list_shipped
 from spoofgym.spoofers import KNOWLEDGE, SPOOFERS
 
 from .pages import ROOT, blocks_of, run, text_of
@@ -19,7 +19,7 @@ ROWS = {line.split("`")[1]: line for line in PAGE.splitlines() if line.startswit
 
 
 def test_every_registered_name_is_in_a_table():
-    for kinds in (DETECTORS, DETECTOR_TERMS, SPOOFERS, ATTACKS, shipped()):
+    for kinds in (DETECTORS, DETECTOR_TERMS, SPOOFERS, ATTACKS, list_shipped()):
         assert set(kinds) <= set(ROWS)
     assert [name for name in THREATS if f"`{name}`" not in PAGE] == []
     for name in KNOWLEDGE:

@@ -55,8 +55,8 @@ def test_a_policy_is_saved_as_the_page_says(page, tmp_path, monkeypatch):
         calls.append(runs)
         return calibrate(policy, runs=19, timeline=page.short)
 
-    calibrate = duel_v0.calibrate
-    monkeypatch.setattr(duel_v0, "calibrate", few)
+    calibrate = duel_v0.calibrate_policy
+    monkeypatch.setattr(duel_v0, "calibrate_policy", few)
     file = tmp_path / "guard.onnx"
     sizes = page.guard.observation_space.shape[0], page.guard.action_space.shape[0]
     file.write_bytes(written(network(*sizes)))

@@ -11,13 +11,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.policies.zoo import path_of
+from spoofgym.policies.zoo import resolve_path
 from spoofgym.simulation.setup import Timeline
-from spoofgym.tasks import RANGE_RATE_TESTS, task_of
+from spoofgym.tasks import RANGE_RATE_TESTS, get_task
 from spoofgym.testing import check_detector
-from tools.headlines import KEPT as FULL
+from tools.headlines import DATA_FILE as FULL
 from tools.pages import part_between
-from tools.readme_bench import BEGIN, END, SHARED, WORLD, chosen, label, shared_rows, shown
+from tools.readme_bench import END, SHARED, START, WORLD, label, select_rows, shared_rows, shown
 
 # as users have it
 pytestmark = pytest.mark.usefixtures("default_rate")
@@ -83,9 +83,11 @@ def test_the_detector_keeps_the_contract_and_plays_the_campaign_of_the_table(sav
 
 def test_what_it_says_of_times_holds():
     """Of the table's attacks, and of those that the shipped learned detector was trained on."""
-    training = json.loads(path_of("trolley-guard").with_suffix(".json").read_text())["training"]
+    training = json.loads(resolve_path("trolley-guard").with_suffix(".json").read_text())[
+        "training"
+    ]
     assert training["task"] == "T3"
-    settings = task_of("T3").world_kwargs
+    settings = get_task("T3").world_kwargs
     assert settings["scenario"] == WORLD
     assert settings["receiver"] == "matched"
     line = Timeline(**settings.get("timeline", {}))
@@ -150,9 +152,9 @@ def full():
 
 def test_the_table_is_that_of_the_full_run(full):
     picture = "\n![The campaign](docs/campaign.png)\n"
-    assert part_between(README, BEGIN, END) == f"\n{shown(full)}{picture}"
+    assert part_between(README, START, END) == f"\n{shown(full)}{picture}"
     assert full["campaign"] in README
-    names = [label(row["detector"]) for row in chosen(full)]
+    names = [label(row["detector"]) for row in select_rows(full)]
     assert names[:3] == ["never", "lottery", "solution-separation"]
     assert all("range_rate" in name for name in names[3 : 3 + len(RANGE_RATE_TESTS)])
 

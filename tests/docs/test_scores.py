@@ -6,8 +6,8 @@ import json
 import pytest
 
 from spoofgym.bench.experiments.suite import SPOOFERS as STANDARD
-from spoofgym.core.settings import digest_of
-from tools.headlines import BEGIN, END, KEPT, SPOOFERS, WORLDS, shown
+from spoofgym.core.settings import compute_digest
+from tools.headlines import DATA_FILE, END, SPOOFERS, START, WORLDS, shown
 from tools.pages import part_between
 
 from .pages import text_of
@@ -17,12 +17,12 @@ PAGE = "scores.md"
 
 @pytest.fixture(scope="module")
 def kept():
-    return json.loads(KEPT.read_text())
+    return json.loads(DATA_FILE.read_text())
 
 
 def test_the_tables_are_those_of_the_file(kept):
-    assert part_between(text_of(PAGE), BEGIN, END) == f"\n{shown(kept)}"
-    assert kept["digest"] == digest_of(kept["worlds"])
+    assert part_between(text_of(PAGE), START, END) == f"\n{shown(kept)}"
+    assert kept["digest"] == compute_digest(kept["worlds"])
 
 
 @pytest.mark.parametrize("name", WORLDS)

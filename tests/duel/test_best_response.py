@@ -15,13 +15,13 @@ from spoofgym.bench.experiments.best_response import (
     upper_end,
 )
 from spoofgym.bench.experiments.game import Game
-from spoofgym.bench.runs.players import member_of, mixture
-from spoofgym.bench.search.open_loop import BlindSearch
+from spoofgym.bench.runs.players import make_player, mixture
+from spoofgym.bench.search.open_loop import OpenLoopSearch
 
 from .test_population import CHI2, EWMA, NOMINAL, RAMP, SHARP, SHORT
 
 SEPARATION = {"name": "solution-separation", **NOMINAL}
-SEARCH = BlindSearch(runs=8, batch=4, knots=4, population=4, generations=1)
+SEARCH = OpenLoopSearch(runs=8, batch=4, knots=4, population=4, generations=1)
 BUDGET = AttackBudget(runs=6, sift_runs=3, values=4, kept=3, blind=SEARCH)
 
 
@@ -30,15 +30,15 @@ def game(**settings):
 
 
 def mix_of(side, *specs):
-    members = [member_of(spec, side) for spec in specs]
+    members = [make_player(spec, side) for spec in specs]
     return mixture(f"{side}s", members, np.ones(len(members)))
 
 
 @pytest.fixture(scope="module")
 def answered():
     mix = mix_of("detector", SHARP, SEPARATION)
-    given = member_of({"name": "ramp", "rate_mps": 0.01}, "spoofer", label="slow")
-    warm = member_of({"name": "profile", "rates_mps": [0.0, 0.1, 0.4]}, "spoofer", label="curve")
+    given = make_player({"name": "ramp", "rate_mps": 0.01}, "spoofer", label="slow")
+    warm = make_player({"name": "profile", "rates_mps": [0.0, 0.1, 0.4]}, "spoofer", label="curve")
     return mix, best_spoofer(
         game(), mix, BUDGET, entropy=3, given=[given], warm=[warm], label="new"
     )
@@ -66,7 +66,7 @@ def test_the_same_budget_finds_the_same_response(answered):
     mix, found = answered
     given, warm = (
         found.by_family["slow"],
-        member_of({"name": "profile", "rates_mps": [0.0, 0.1, 0.4]}, "spoofer", label="curve"),
+        make_player({"name": "profile", "rates_mps": [0.0, 0.1, 0.4]}, "spoofer", label="curve"),
     )
     again = best_spoofer(game(), mix, BUDGET, entropy=3, given=[given], warm=[warm], label="new")
     assert again == found
@@ -78,7 +78,7 @@ def test_the_same_budget_finds_the_same_response(answered):
 
 
 def test_without_oracles_and_a_search_no_such_spoofer_answers():
-    wins = member_of({"name": "ramp", "rate_mps": 0.4}, "spoofer", label="mine")
+    wins = make_player({"name": "ramp", "rate_mps": 0.4}, "spoofer", label="mine")
     few = AttackBudget(runs=3, sift_runs=2, values=2, kept=1, blind=SEARCH, oracles=False)
     found = best_spoofer(game(), mix_of("detector", EWMA), few, entropy=5, given=[wins])
     assert {each.knowledge for each in found.by_family.values()} == {"blind"}
@@ -92,7 +92,7 @@ def test_without_oracles_and_a_search_no_such_spoofer_answers():
 
 
 def test_the_best_detector_concedes_the_least():
-    detectors = [member_of(spec, "detector") for spec in (CHI2, SHARP, SEPARATION)]
+    detectors = [make_player(spec, "detector") for spec in (CHI2, SHARP, SEPARATION)]
     mix = mix_of("spoofer", {"name": "ramp", "rate_mps": 0.8})
     found = best_detector(game(), mix, detectors, runs=6, entropy=0)
     assert found.value == min(found.best.values()) < max(found.best.values())
@@ -102,7 +102,7 @@ def test_the_best_detector_concedes_the_least():
 def test_what_a_side_gains_is_paired_and_nothing_for_its_own_mix():
     spoofers, detectors = mix_of("spoofer", RAMP), mix_of("detector", SHARP, SEPARATION)
     fresh = game(split="evaluation")
-    fast = member_of({"name": "accelerating-ramp"}, "spoofer")
+    fast = make_player({"name": "accelerating-ramp"}, "spoofer")
     same = exploitability(fresh, spoofers, detectors, spoofers.members[0], detectors.members[0])
     assert same.spoofer.below == (0.0, 0.0, 0.0)
     found = exploitability(fresh, spoofers, detectors, fast, detectors.members[1])

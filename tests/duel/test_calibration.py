@@ -5,13 +5,13 @@ import pytest
 
 from spoofgym import duel_v0
 from spoofgym.calibration.clean_runs import Player
-from spoofgym.detectors.calibration_file import fewest_runs
+from spoofgym.detectors.calibration_file import compute_min_runs
 from spoofgym.detectors.learned import PolicyDetector
-from spoofgym.duel.calibration import quantile_of
+from spoofgym.duel.calibration import compute_threshold
 from spoofgym.duel.duel import make_duel
 from spoofgym.duel.payoff import FixedThreshold, RunningThreshold
 from spoofgym.policies.contract import PolicyContext
-from spoofgym.simulation.setup import generators_of, seeds_of_runs
+from spoofgym.simulation.setup import make_generators, seeds_of_runs
 
 from .support import ALARM, BRIEF, parallel, wary
 
@@ -22,7 +22,7 @@ def test_a_new_run_exceeds_the_quantile_with_the_stated_probability():
     rng, alpha, n = np.random.default_rng(1), 0.1, 59
     exceeded, covered, trials = 0, 0, 400
     for _ in range(trials):
-        threshold, low, high = quantile_of(rng.random(n), alpha, 0.9)
+        threshold, low, high = compute_threshold(rng.random(n), alpha, 0.9)
         exceeded += rng.random() > threshold
         covered += low <= 1.0 - alpha <= high
     assert abs(exceeded / trials - alpha) < 3.0 * np.sqrt(alpha * (1 - alpha) / trials)
@@ -31,26 +31,26 @@ def test_a_new_run_exceeds_the_quantile_with_the_stated_probability():
 
 @pytest.mark.parametrize("alpha", [0.05, 0.3])
 def test_the_quantile_has_the_lowest_rank_that_keeps_the_rate(alpha):
-    for n in range(fewest_runs(alpha), 100):
-        rank = round(quantile_of(np.arange(1, n + 1) / n, alpha, 0.9)[0] * n)
+    for n in range(compute_min_runs(alpha), 100):
+        rank = round(compute_threshold(np.arange(1, n + 1) / n, alpha, 0.9)[0] * n)
         # a new one among n others that are like it exceeds the k-th of them so often
         exceeded = 1.0 - np.array([rank, rank - 1]) / (n + 1)
         assert exceeded[0] <= alpha + 1e-9 < exceeded[1], n
 
 
 def test_too_few_runs_tell_no_quantile():
-    assert (fewest_runs(0.05), fewest_runs(0.3)) == (19, 3)
-    assert quantile_of(np.arange(19) / 19, 0.05, 0.95)[::2] == (18 / 19, 1.0)
+    assert (compute_min_runs(0.05), compute_min_runs(0.3)) == (19, 3)
+    assert compute_threshold(np.arange(19) / 19, 0.05, 0.95)[::2] == (18 / 19, 1.0)
     with pytest.raises(ValueError, match="`runs` must be at least 19 for `false_alarm`"):
-        duel_v0.calibrate(wary, runs=18, **BRIEF)
+        duel_v0.calibrate_policy(wary, runs=18, **BRIEF)
 
 
 def test_the_threshold_does_not_depend_on_the_size_of_the_batch():
-    first = duel_v0.calibrate(wary, **SETTINGS)
-    again = duel_v0.calibrate(wary, **{**SETTINGS, "receivers": 17})
+    first = duel_v0.calibrate_policy(wary, **SETTINGS)
+    again = duel_v0.calibrate_policy(wary, **{**SETTINGS, "receivers": 17})
     assert first == again
     assert first.threshold_low < first.threshold < first.threshold_high
-    late = duel_v0.calibrate(wary, **SETTINGS, decision_delay=1)
+    late = duel_v0.calibrate_policy(wary, **SETTINGS, decision_delay=1)
     assert late.settings != first.settings
     assert late.threshold != first.threshold
 
@@ -65,7 +65,7 @@ def test_clean_runs_are_those_of_the_duel(delay):
     setup, agent = duel.setup, duel.agent
     names = agent.observer.names
     policy.bind(PolicyContext(6, 0.5, names, (), (), agent.action_names))
-    duel.reset(generators_of(seeds_of_runs(0, "calibration", setup.name, range(6))))
+    duel.reset(make_generators(seeds_of_runs(0, "calibration", setup.name, range(6))))
     largest, idle = np.zeros(6), np.zeros((6, 2))
     for _ in range(duel.epochs):
         if delay:
@@ -85,7 +85,7 @@ def test_alarming_at_once_does_not_pay():
     def always(observation):
         return np.tile(ALARM, (len(observation), 1))
 
-    found = duel_v0.calibrate(always, **SETTINGS)
+    found = duel_v0.calibrate_policy(always, **SETTINGS)
     assert found.threshold == 1.0  # the quantile of what it says: it can't exceed it
     env = parallel(threshold=found, attack_probability=1.0)
     env.reset(seed=2)
@@ -141,24 +141,24 @@ def test_a_running_threshold_follows_the_clean_episodes_that_are_played():
 
 def test_calibrations_are_stored_by_the_frozen_detector(tmp_path):
     policy = duel_v0.FunctionPolicy(wary, name="wary-1")
-    first = duel_v0.calibrate(policy, **SETTINGS, store=tmp_path)
+    first = duel_v0.calibrate_policy(policy, **SETTINGS, store=tmp_path)
     (path,) = tmp_path.iterdir()
-    assert duel_v0.Calibration.load(path) == first
+    assert duel_v0.PolicyCalibration.load(path) == first
     # what is there is taken as it is
     path.write_text(path.read_text().replace(str(first.threshold), "0.123"))
-    assert duel_v0.calibrate(policy, **SETTINGS, store=tmp_path).threshold == 0.123
+    assert duel_v0.calibrate_policy(policy, **SETTINGS, store=tmp_path).threshold == 0.123
     other = duel_v0.FunctionPolicy(wary, name="wary-2")
-    assert duel_v0.calibrate(other, **SETTINGS, store=tmp_path).threshold == first.threshold
+    assert duel_v0.calibrate_policy(other, **SETTINGS, store=tmp_path).threshold == first.threshold
     assert len(list(tmp_path.iterdir())) == 2
     numbers = {"runs": np.int64(SETTINGS["runs"]), "seed": np.int64(0)}
-    again = duel_v0.calibrate(other, **{**SETTINGS, **numbers}, store=tmp_path)
+    again = duel_v0.calibrate_policy(other, **{**SETTINGS, **numbers}, store=tmp_path)
     assert again.threshold == first.threshold
     assert len(list(tmp_path.iterdir())) == 2
     with pytest.raises(ValueError, match="no digest to store"):
-        duel_v0.calibrate(wary, **SETTINGS, store=tmp_path)
+        duel_v0.calibrate_policy(wary, **SETTINGS, store=tmp_path)
     path.write_text("{}")
     with pytest.raises(ValueError, match="is no calibration"):
-        duel_v0.calibrate(policy, **SETTINGS, store=tmp_path)
+        duel_v0.calibrate_policy(policy, **SETTINGS, store=tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_calibrations_are_stored_by_the_frozen_detector(tmp_path):
 )
 def test_bad_policies(policy, message):
     with pytest.raises((ValueError, TypeError), match=message):
-        duel_v0.calibrate(policy, **SETTINGS)
+        duel_v0.calibrate_policy(policy, **SETTINGS)
 
 
 def test_bad_requests():
@@ -183,4 +183,4 @@ def test_bad_requests():
         ({"exclusion_s": "x"}, "`exclusion_s` must be .*got 'x'"),
     ):
         with pytest.raises(ValueError, match=message):
-            duel_v0.calibrate(wary, **{**SETTINGS, **settings})
+            duel_v0.calibrate_policy(wary, **{**SETTINGS, **settings})

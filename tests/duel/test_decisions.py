@@ -176,7 +176,7 @@ def test_a_duel_that_is_pickled_between_two_decisions_goes_on_identically():
 def test_a_calibration_holds_however_often_a_spoofer_decides():
     settings = {**PAPERS, "false_alarm": 0.5, "runs": 2, "timeline": SHORT}
     policy = duel_v0.FunctionPolicy(wary, "wary")
-    quick = duel_v0.calibrate(policy, **settings)
-    slow = duel_v0.calibrate(policy, **settings, decision_interval_s=1.5)
+    quick = duel_v0.calibrate_policy(policy, **settings)
+    slow = duel_v0.calibrate_policy(policy, **settings, decision_interval_s=1.5)
     # a clean episode has no attack, however seldom it is commanded
     assert slow == quick

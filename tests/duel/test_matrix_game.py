@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spoofgym.bench.scores.matrix_game import gains, solve, spread
+from spoofgym.bench.scores.matrix_game import bootstrap_equilibrium, gains, solve
 
 ROCK_PAPER_SCISSORS = [[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]]
 
@@ -90,18 +90,18 @@ def test_what_is_no_matrix_of_payoffs_is_refused():
 
 def test_intervals_are_as_wide_as_the_samples_differ():
     payoff = np.array([[2.0, 1.0], [0.0, 5.0]])
-    found = spread(payoff, np.repeat(payoff[None], 7, axis=0))
+    found = bootstrap_equilibrium(payoff, np.repeat(payoff[None], 7, axis=0))
     for each in (found.value, *found.spoofer, *found.detector):
         assert each.low == pytest.approx(each.value, abs=1e-9)
         assert each.high == pytest.approx(each.value, abs=1e-9)
     assert (found.pure, found.samples) == (0.0, 7)
     payoff = np.array([[1.0, -1.0], [-1.0, 1.0]])
-    found = spread(payoff, np.array([payoff, payoff, [[3.0, 2.0], [0.0, 0.0]]]))
+    found = bootstrap_equilibrium(payoff, np.array([payoff, payoff, [[3.0, 2.0], [0.0, 0.0]]]))
     assert found.value.high > 1.5
     assert found.pure == pytest.approx(1 / 3)
     unknown = np.full((2, 2), np.nan)  # is left out, or refused where all are
-    assert spread(payoff, np.array([payoff, unknown])).samples == 1
+    assert bootstrap_equilibrium(payoff, np.array([payoff, unknown])).samples == 1
     with pytest.raises(ValueError, match="too few runs"):
-        spread(payoff, unknown[None])
+        bootstrap_equilibrium(payoff, unknown[None])
     with pytest.raises(ValueError, match="shape"):
-        spread(payoff, np.zeros((3, 2, 1)))
+        bootstrap_equilibrium(payoff, np.zeros((3, 2, 1)))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spoofgym import duel_v0
-from spoofgym.detectors.pool import NATURE, OPPONENT, checked_weights, drawn, uniforms
+from spoofgym.detectors.pool import NATURE, OPPONENT, draw_members, normalize_weights, uniforms
 from spoofgym.duel.duel import with_world
 from spoofgym.envs import SpoofEnv
 from spoofgym.envs.scoring import DisplacementScore, FusedStep, StepResult
@@ -33,7 +33,9 @@ def test_half_of_the_episodes_are_attacked():
     assert abs((nature < 0.5).mean() - 0.5) < 3.0 * 0.5 / np.sqrt(4000)
     # the opponent tells nothing of it
     assert abs(np.corrcoef(nature, uniforms(keys, OPPONENT))[0, 1]) < 3.0 / np.sqrt(4000)
-    share = (drawn(keys, checked_weights(3, [1.0, 0.0, 3.0]))[:, None] == np.arange(3)).mean(axis=0)
+    share = (
+        draw_members(keys, normalize_weights(3, [1.0, 0.0, 3.0]))[:, None] == np.arange(3)
+    ).mean(axis=0)
     np.testing.assert_allclose(share, [0.25, 0.0, 0.75], atol=0.03)
 
 
@@ -139,7 +141,7 @@ def test_the_time_to_alert_counts_the_same_at_once_as_epoch_by_epoch():
         for k in range(window):
             result = StepResult(fused.layout)
             result.displacement[:] = displacement[k]
-            nobody, seen = score.nobody, np.empty(0, dtype=np.float32)
+            nobody, seen = score.no_rows, np.empty(0, dtype=np.float32)
             fused(
                 Still(runs),
                 alarms[k][:, None],

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from spoofgym import duel_v0
-from spoofgym.calibration import calibrate, check
+from spoofgym.calibration import calibrate_detectors, check
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, run_probability
 from spoofgym.duel.duel import with_world
 from spoofgym.duel.opponents import make_opponent
@@ -28,7 +28,7 @@ def file(tmp_path):
     sizes = view.observation_space.shape[0], view.action_space.shape[0]
     path.write_bytes(written(network(*sizes)))
     duel_v0.write_card(path, view, name="guard")
-    found = duel_v0.calibrate(duel_v0.OnnxDetector(path), **SETTINGS)
+    found = duel_v0.calibrate_policy(duel_v0.OnnxDetector(path), **SETTINGS)
     card = duel_v0.write_card(path, view, name="guard", calibration=found)
     assert card.threshold == found.threshold
     return path
@@ -74,7 +74,7 @@ def test_a_file_stands_in_a_pool(file, tmp_path):
     (member,) = other.core.setup.detector.judges
     assert (member.scale, member.detector.card.exclusion_s) == (0.25, 30.0)
     store = tmp_path / "store"
-    first = duel_v0.calibrate(duel_v0.OnnxDetector(file), **SETTINGS, store=store)
+    first = duel_v0.calibrate_policy(duel_v0.OnnxDetector(file), **SETTINGS, store=store)
     assert first.detector == duel_v0.OnnxDetector(file).card.file.sha256[:16]
     assert len(list(store.iterdir())) == 1
 
@@ -87,13 +87,13 @@ def test_a_file_is_calibrated_by_the_mechanism_of_all_detectors(file, tmp_path, 
         duel_v0.SpooferView(asked, **BRIEF)
     setup = TightlyCoupledSetup(detector="never", **with_world(BRIEF))
     judge = make_opponent(asked, setup.live)
-    (found,) = calibrate(setup, judge, runs=40, false_alarms_per_hour=20.0)
+    (found,) = calibrate_detectors(setup, judge, runs=40, false_alarms_per_hour=20.0)
     check(setup, [found], judge)
     view = duel_v0.SpooferView(asked, **BRIEF)
     (member,) = view.core.setup.detector.judges
     assert member.scale == found.point(20.0).scale
-    assert member.detector.quiet_epochs == setup.live
-    own = duel_v0.calibrate(
+    assert member.detector.run_filter_only == setup.live
+    own = duel_v0.calibrate_policy(
         duel_v0.OnnxDetector(file),
         **BRIEF,
         runs=40,

@@ -13,11 +13,11 @@ from spoofgym.bench.experiments.game import Game
 from spoofgym.bench.experiments.runner import Context
 from spoofgym.bench.report.cards import find_card
 from spoofgym.bench.runs.play import play
-from spoofgym.bench.runs.players import member_of, mixture
-from spoofgym.bench.runs.record import counted, displacement_of
+from spoofgym.bench.runs.players import make_player, mixture
+from spoofgym.bench.runs.record import compute_displacement, mask_valid_runs
 from spoofgym.bench.scores.matrix_game import RunPayoff
 from spoofgym.detectors import make_detector
-from spoofgym.policies import card_of, shipped
+from spoofgym.policies import list_shipped, load_card
 from spoofgym.simulation.setup import SPLITS
 from spoofgym.spoofers import Ramp, make_spoofer
 from spoofgym.spoofers.learned import ModelPolicy
@@ -51,10 +51,12 @@ def test_a_shared_pass_equals_separate_ones_to_the_last_bit(played):
     for j, detector in enumerate(matrix.detectors):
         panel = pairs._panel([detector], True, Context())
         start, (twin,) = panel.start, panel.clean
-        assert np.array_equal(matrix.counts[j], counted(start.warmup_alarm, twin.first_alarm))
+        assert np.array_equal(
+            matrix.counts[j], mask_valid_runs(start.warmup_alarm, twin.first_alarm)
+        )
         for i, spoofer in enumerate(matrix.spoofers):
-            runs = play(start, spoofer.untuned)
-            moved = displacement_of(start.setup, runs, twin)
+            runs = play(start, spoofer.fixed_spec)
+            moved = compute_displacement(start.setup, runs, twin)
             assert np.array_equal(matrix.displacement[i, j], moved)
             assert np.array_equal(matrix.alarmed[i, j], runs.first_alarm > 0)
 
@@ -163,7 +165,7 @@ def test_objects_play_and_leave_nothing_in_the_folder(tmp_path):
 
 def test_nobody_is_scored_on_runs_that_decided_on_it(played):
     found, matrix = played
-    chosen = member_of(RAMP, "spoofer", label="chosen", decided_on=[(0, "game")])
+    chosen = make_player(RAMP, "spoofer", label="chosen", decided_on=[(0, "game")])
     with pytest.raises(ValueError, match="trained or chosen on the runs"):
         found.matrix([chosen], [CHI2])
     for fresh in (found.on("evaluation"), found.on("game", entropy=1)):
@@ -171,45 +173,45 @@ def test_nobody_is_scored_on_runs_that_decided_on_it(played):
     mix, _ = matrix.mixes(matrix.solve())
     with pytest.raises(ValueError, match="spoofers' mix was trained or chosen"):
         found.matrix([mix], [CHI2], oracles=True)
-    guard = member_of(CHI2, "detector", decided_on=[(0, "game")])
+    guard = make_player(CHI2, "detector", decided_on=[(0, "game")])
     with pytest.raises(ValueError, match="trained or chosen"):
         found.matrix([RAMP], [mixture("mix", [guard], [1.0])])
 
 
 def test_what_is_shipped_says_by_its_card_what_decided_on_it(played):
     found, _ = played
-    learned = member_of("hidden-pool-ppo", "spoofer", decided_on=[(4, "search")])
+    learned = make_player("hidden-pool-ppo", "spoofer", decided_on=[(4, "search")])
     assert learned.decided_on == {(0, "training"), (0, "evaluation"), (4, "search")}
     with pytest.raises(ValueError, match="trained or chosen on the runs of the split 'training'"):
         found.on("training").matrix([learned], [CHI2])
-    profile = member_of("ewma-profile", "spoofer")
+    profile = make_player("ewma-profile", "spoofer")
     halved = {"name": "hidden-pool-ppo", "amplitude": 0.5}
     for given in (profile.spec, make_spoofer("ewma-profile")):
-        assert member_of(given, "spoofer").decided_on == {(0, "training")}
+        assert make_player(given, "spoofer").decided_on == {(0, "training")}
     for given in (learned.spec, halved):
-        assert member_of(given, "spoofer").decided_on == {(0, "training"), (0, "evaluation")}
+        assert make_player(given, "spoofer").decided_on == {(0, "training"), (0, "evaluation")}
     other = {**profile.spec, "rates_mps": [0.0, 0.1]}
-    assert member_of(other, "spoofer").decided_on == frozenset()
+    assert make_player(other, "spoofer").decided_on == frozenset()
     seeds = {(0, "dataset-train"), (0, "dataset-validation")}
     guard = {"name": "trolley-guard", "threshold": 0.5}
     for given in (guard, {"name": "pool", "members": [CHI2, guard]}):
-        assert member_of(given, "detector").decided_on == seeds
-    assert member_of(CHI2, "detector").decided_on == frozenset()
+        assert make_player(given, "detector").decided_on == seeds
+    assert make_player(CHI2, "detector").decided_on == frozenset()
 
 
 def test_every_learned_card_names_runs_that_decided_on_it(monkeypatch):
-    for name in shipped():
+    for name in list_shipped():
         card = find_card(name)
         assert card.decided_on
         assert {split for _, split in card.decided_on} <= {*SPLITS}
-    card = card_of("ewma-profile")
+    card = load_card("ewma-profile")
     for wrong in (3, ["training"], [[0]], [["x", "training"]], [[0.9, "training"]], [[-1, "tr"]]):
         told = card.model_copy(update={"training": {"decided_on": wrong}})
         with pytest.raises(ValueError, match=r"card of 'ewma-profile'.*pairs of an entropy"):
             _ = told.decided_on
     monkeypatch.setattr(type(card), "decided_on", frozenset({(0, "trial")}))
     with pytest.raises(ValueError, match="unknown split 'trial'; valid: training"):
-        member_of("ewma-profile", "spoofer")
+        make_player("ewma-profile", "spoofer")
 
 
 def test_an_oracle_is_marked_and_not_compared_unasked(played):
@@ -245,7 +247,7 @@ def test_bad_members_are_named(spoofers, detectors, words):
 
 
 def test_bad_games_are_refused():
-    one, other = (member_of(spec, "spoofer", label="mine") for spec in (RAMP, "ramp"))
+    one, other = (make_player(spec, "spoofer", label="mine") for spec in (RAMP, "ramp"))
     with pytest.raises(ValueError, match="two spoofers are called 'mine'"):
         game().matrix([one, other], [CHI2])
     with pytest.raises(ValueError, match="is a spoofer, and no detector"):

@@ -9,11 +9,11 @@ from spoofgym import duel_v0
 from spoofgym.duel.duel import make_duel, with_world
 from spoofgym.duel.learner import LearnersSide
 from spoofgym.envs import SpoofEnv
-from spoofgym.tasks import task_of
+from spoofgym.tasks import get_task
 
 from .support import SHORT
 
-GAME, PAPERS = task_of("T3").world_kwargs, "zhong2025"
+GAME, PAPERS = get_task("T3").world_kwargs, "zhong2025"
 NAMED = "spoofgym/TightlyCoupled-v0"
 
 
@@ -52,7 +52,7 @@ def side_of(env_id=None, task=None, side="spoofer", pool=None, weights=None, **s
         ({"env_id": NAMED, "pool": ["ewma"]}, {"scenario": PAPERS}),
         ({"env_id": NAMED, "pool": ["ewma"], "scenario": None}, {"scenario": PAPERS}),
         ({"pool": ["ewma"], "scenario": "trolley"}, {"scenario": "trolley"}),
-        ({"task": "T1", "side": "detector"}, task_of("T1").world_kwargs),
+        ({"task": "T1", "side": "detector"}, get_task("T1").world_kwargs),
     ],
 )
 def test_a_learner_has_it_where_it_names_no_world(asked, expected):
@@ -72,7 +72,7 @@ def test_the_detectors_side_of_a_task_is_its_world_without_the_spoofers_reward()
     side = side_of(task="T6", side="detector", timeline=SHORT)
     assert side.pool == "ramp"
     core = side.core(1, 1, False, "test")
-    expected = SpoofEnv(**task_of("T6").world_kwargs, timeline=SHORT, detector="never")
+    expected = SpoofEnv(**get_task("T6").world_kwargs, timeline=SHORT, detector="never")
     assert core.duel.setup.world_settings() == expected.core.setup.world_settings()
 
 

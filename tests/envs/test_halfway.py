@@ -76,7 +76,7 @@ def test_an_interrupted_environment_refuses_to_go_on_until_reset(form, within, m
     act(env)
     simulator = SnapshotSimulator if form == "small" else TightlyCoupledSimulator
     half = "predict" if form == "small" else "_first_half"
-    interrupt_once(monkeypatch, simulator, {"step": half, "reset": "begin"}[within])
+    interrupt_once(monkeypatch, simulator, {"step": half, "reset": "start_episodes"}[within])
     if form == "AEC duel" and within == "step":
         act(env)  # the detector's half; the next is the spoofer's
     go_on = act if within == "step" else restart

@@ -54,7 +54,11 @@ NO_FILTER = (
         (TIGHT, {"observation": [AlarmPenalty()]}, "it has no knowledge, names, bounds"),
         (TIGHT, {"end": {"name": "at-steps", "step": 3}}, "no setting 'step'; valid: steps"),
         (TIGHT, {"end": "at-displacement"}, "needs the setting 'limit_m'"),
-        (TIGHT, {"end": {"limit_m": 5.0}}, "it has no `name`; `spoofgym.envs.terms.written`"),
+        (
+            TIGHT,
+            {"end": {"limit_m": 5.0}},
+            "it has no `name`; `spoofgym.envs.terms.describe_terms`",
+        ),
         (ROBOT, {"end": TWICE}, "two end terms have the same name"),
         (TIGHT, {"end": "at-alarm", "end_at_alarm": False}, "`end` lists 'at-alarm', but"),
         (TIGHT, {"reward": ["retraction"] * 2}, "two reward terms have the same name"),

@@ -12,7 +12,7 @@ import pytest
 
 from spoofgym.detectors import Ewma
 from spoofgym.envs.spoofer_binding import attach, setup_of_card
-from spoofgym.policies import SpooferCard, card_of, shipped
+from spoofgym.policies import SpooferCard, list_shipped, load_card
 from spoofgym.spoofers import Ramp
 
 from ..spoofers.policies import ENV, FULL, TIMELINE, write_policy
@@ -170,10 +170,10 @@ def test_a_shipped_profile_is_compared_by_its_card(
 
 
 @pytest.mark.usefixtures("default_rate")
-@pytest.mark.parametrize("name", shipped("spoofer"))
+@pytest.mark.parametrize("name", list_shipped("spoofer"))
 def test_a_shipped_spoofer_plays_the_environment_of_its_card(name: str) -> None:
     """Also where that looks its thresholds up by a rate of false alarms."""
-    card = card_of(name)
+    card = load_card(name)
     envs = gym.make_vec(card.env_id, num_envs=2, **card.env_kwargs)
     spoofer = attach(name, envs)
     observation, _ = envs.reset(seed=1)

@@ -15,7 +15,7 @@ from spoofgym.envs.terms.reward import (
     DisplacementGain,
     Outcome,
     Retraction,
-    shares_of,
+    compute_shares,
 )
 from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement, EpochState
 from spoofgym.simulation import TightlyCoupledSetup
@@ -137,8 +137,8 @@ def test_a_step_hands_out_arrays_that_share_nothing() -> None:
 
 def test_only_what_stands_beside_its_own_call_is_believed() -> None:
     expected = [[0, 0, -0.7, 0], [0.3, 0, 0, 0], [0, 1.7, 0, 0], [0, 0, 0, -0.1]]
-    np.testing.assert_array_equal(shares_of(TERMS), expected)
-    assert shares_of([*TERMS, Doubled()]) is None
+    np.testing.assert_array_equal(compute_shares(TERMS), expected)
+    assert compute_shares([*TERMS, Doubled()]) is None
     setup = TightlyCoupledSetup(timeline=SHORT, detector="never")
     seen: Any = [Backwards(1.0, 1.0)]
     core = SpoofCore(2, setup, observation=seen, action="full-command", reward=[])

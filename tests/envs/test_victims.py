@@ -62,7 +62,7 @@ def test_the_defaults_are_what_the_architecture_says():
     env = SpoofEnv(detector=None, attack=None, knowledge=None, timeline=None)
     assert isinstance(env.core.setup.detector, Ewma)
     assert env.core.setup.timeline == TightlyCoupledSetup().timeline
-    assert env.given_detector is None
+    assert env.detector_setting is None
 
 
 @every_victim

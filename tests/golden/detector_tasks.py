@@ -15,11 +15,11 @@ import numpy as np
 from spoofgym import tasks as detector_tasks
 from spoofgym.attacks import ATTACKS, make_attack
 from spoofgym.bench.experiments.protect import DetectorEvaluator
-from spoofgym.bench.runs.panel import Attack, Panel, generators, numbers_of
+from spoofgym.bench.runs.panel import Panel, PanelAttack, generators, select_runs
 from spoofgym.bench.search.attack_suite import IDLE
 from spoofgym.core.files import write_file
-from spoofgym.core.registry import spec_of
-from spoofgym.core.settings import describe, digest_of
+from spoofgym.core.registry import build_spec
+from spoofgym.core.settings import compute_digest, describe
 from spoofgym.detectors import make_detector
 from spoofgym.tasks import DETECTOR_TASKS, AttackFamily, DetectorTask
 
@@ -45,10 +45,10 @@ def resolved(task: DetectorTask) -> dict[str, Any]:
         setup = evaluator.worlds.setup(**family.overrides)
         families[family.key] = {
             **dataclasses.asdict(family),
-            "attack": spec_of("attack", ATTACKS, setup.attack),
+            "attack": build_spec("attack", ATTACKS, setup.attack),
             "timeline": describe(setup.timeline),
             "members": [
-                [each.letter, each.player.spec] for each in evaluator.worlds.members(family)
+                [each.letter, each.player.spec] for each in evaluator.worlds.list_attacks(family)
             ],
         }
     found = {
@@ -66,13 +66,13 @@ def reached(task: DetectorTask, family: AttackFamily) -> dict[str, Any]:
     """Runs of a family that are drawn by its onset, and how far one stated attack comes in them."""
     setup = DetectorEvaluator(task.key).worlds.setup(**family.overrides)
     onset = None if family.onset == "chance-alarm" else family.onset
-    numbers = numbers_of(setup, 0, "evaluation", RUNS, onset)
+    numbers = select_runs(setup, 0, "evaluation", RUNS, onset)
     judges = [make_detector("never"), make_detector(WHOM)]
     panel = Panel(setup, judges, lambda: generators(setup, 0, "evaluation", numbers), 1)
     attack = None
     if family.letters == "m":
         attack = make_attack({**(family.attack or {}), "antenna_m": [0.0, task.alert_limit_m, 0.0]})
-    moved = panel.displacement(Attack(RAMP if attack is None else IDLE, RUNS, attack))
+    moved = panel.displacement(PanelAttack(RAMP if attack is None else IDLE, RUNS, attack))
     return {"numbers": numbers.tolist(), "displacement_m": np.asarray(moved).tolist()}
 
 
@@ -82,7 +82,7 @@ def main() -> None:
     for key, task in DETECTOR_TASKS.items():
         settings = resolved(task)
         figures = {each.key: reached(task, each) for each in task.held_out}
-        found[key] = {"sha256": digest_of(settings), "settings": settings, "reached": figures}
+        found[key] = {"sha256": compute_digest(settings), "settings": settings, "reached": figures}
         print(key, found[key]["sha256"], figures, flush=True)
     write_file(KEPT, (json.dumps(found, indent=1) + "\n").encode())
 

@@ -16,8 +16,8 @@ from spoofgym.attacks import ATTACKS
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.runs.world import World
 from spoofgym.core.files import write_file
-from spoofgym.core.registry import spec_of
-from spoofgym.core.settings import describe, digest_of
+from spoofgym.core.registry import build_spec
+from spoofgym.core.settings import compute_digest, describe
 from spoofgym.tasks import TASKS, Task
 
 KEPT = Path(__file__).with_name("tasks.json")
@@ -33,7 +33,7 @@ def resolved(task: Task) -> dict[str, Any]:
     points = World.of(task.key).points(specify_detector(task.detector))
     found = {
         "world": setup.conditions.settings,
-        "attack": spec_of("attack", ATTACKS, setup.attack),
+        "attack": build_spec("attack", ATTACKS, setup.attack),
         "target_heading_deg": setup.target_heading_deg,
         "decision_interval_s": setup.decision_interval_s,
         "between": setup.between,
@@ -93,7 +93,7 @@ def main() -> None:
     found = {}
     for key, task in TASKS.items():
         settings = resolved(task)
-        found[key] = {"sha256": digest_of(settings), "settings": settings, **returns(task)}
+        found[key] = {"sha256": compute_digest(settings), "settings": settings, **returns(task)}
         print(key, found[key]["sha256"], found[key]["undetected_displacement_m"], flush=True)
     write_file(KEPT, (json.dumps(found, indent=1) + "\n").encode())
 

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from spoofgym.core.settings import digest_of
+from spoofgym.core.settings import compute_digest
 from spoofgym.tasks import DETECTOR_TASKS
 from tests.nightly import heavy
 
@@ -28,7 +28,7 @@ def test_the_settings_of_a_task_never_change(key, kept):
     now = resolved(DETECTOR_TASKS[key])
     changed = differences(kept[key]["settings"], now)
     assert not changed, f"task {key} has changed, which makes it another task: {changed}"
-    assert digest_of(now) == kept[key]["sha256"]
+    assert compute_digest(now) == kept[key]["sha256"]
 
 
 @pytest.mark.parametrize("key", heavy(DETECTOR_TASKS, "D2"))

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from spoofgym.core.settings import digest_of
+from spoofgym.core.settings import compute_digest
 from spoofgym.tasks import TASKS
 from tests.nightly import heavy
 
@@ -28,7 +28,7 @@ def test_the_settings_of_a_task_never_change(key, kept):
     now = resolved(TASKS[key])
     changed = differences(kept[key]["settings"], now)
     assert not changed, f"task {key} has changed, which makes it another task: {changed}"
-    assert digest_of(now) == kept[key]["sha256"]
+    assert compute_digest(now) == kept[key]["sha256"]
 
 
 @pytest.mark.parametrize("key", heavy(TASKS, "T4"))
@@ -46,7 +46,7 @@ def test_a_change_is_named_by_its_key(kept):
         "world.more: 'nothing' is 1 now",
         "spec.domain.worlds: 32 is 33 now",
     ]
-    assert digest_of(changed) != kept["T3"]["sha256"]
+    assert compute_digest(changed) != kept["T3"]["sha256"]
 
 
 def test_tasks_differ_and_are_all_kept(kept):

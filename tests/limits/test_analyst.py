@@ -5,11 +5,11 @@ import copy
 import numpy as np
 import pytest
 
-from spoofgym.limits import Analyst, Commands, floor, frontier_of
+from spoofgym.limits import Analyst, Commands, compute_frontier, floor
 from spoofgym.limits.floor import world_frontier
 from spoofgym.limits.linear import observer
 from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.setup import generators_of, seeds_of_runs
+from spoofgym.simulation.setup import make_generators, seeds_of_runs
 
 from .toy import best_commands, rates_of
 
@@ -18,7 +18,7 @@ EAST = np.array([0.0, 1.0])
 
 
 def rngs_of(setup, runs):
-    return generators_of(seeds_of_runs(0, "selection", setup.name, range(runs)))
+    return make_generators(seeds_of_runs(0, "selection", setup.name, range(runs)))
 
 
 def whitened(epoch):
@@ -78,8 +78,8 @@ def test_a_twin_without_measurements_drifts_as_the_closed_form_says(scenario):
     setup = TightlyCoupledSetup(scenario=scenario, detector="never", domain=DRAWN)
     analyst = Analyst(setup)
     coasting = analyst.record(rngs_of(setup, 1))[0].coasting[setup.steps - 1]
-    fed = analyst.begun(rngs_of(setup, runs))
-    fed.quiet_epochs(setup.onset)
+    fed = analyst.start_simulator(rngs_of(setup, runs))
+    fed.run_filter_only(setup.onset)
     starved = copy.deepcopy(fed)
     nothing = np.zeros((runs, 2 * setup.world.channels))
     for _ in range(setup.steps):
@@ -99,8 +99,8 @@ def test_a_twin_without_measurements_drifts_as_the_closed_form_says(scenario):
 @pytest.mark.parametrize("scenario", ["zhong2025", "trolley"])
 def test_innovations_are_white_on_runs_that_are_not_linear(scenario):
     setup = TightlyCoupledSetup(scenario=scenario, detector="never", domain=DRAWN)
-    simulator = Analyst(setup).begun(rngs_of(setup, 100))
-    simulator.quiet_epochs(setup.onset)
+    simulator = Analyst(setup).start_simulator(rngs_of(setup, 100))
+    simulator.run_filter_only(setup.onset)
     seen, count = [], 0
     for _ in range(setup.steps + setup.hold):
         epoch = simulator.advance()
@@ -134,7 +134,7 @@ def test_best_commands_shift_the_statistic_by_d_and_the_victim_to_the_frontier()
     setup = TightlyCoupledSetup(
         detector="never", domain=DRAWN, attack={"name": "false-position", "control": "rate"}
     )
-    found = frontier_of(setup).one
+    found = compute_frontier(setup).one
     u = best_commands(found, EAST, d)
     rates = rates_of(found.commands) @ u
     actions = rates / setup.attack.rate_limit_mps
@@ -142,13 +142,13 @@ def test_best_commands_shift_the_statistic_by_d_and_the_victim_to_the_frontier()
     assert np.linalg.norm(shift) == pytest.approx(d)
     statistics, places = [], []
     for each in (actions, np.zeros_like(actions)):
-        analyst = Analyst(setup).begun(rngs_of(setup, runs))
-        analyst.quiet_epochs(setup.onset)
+        analyst = Analyst(setup).start_simulator(rngs_of(setup, runs))
+        analyst.run_filter_only(setup.onset)
         y, _ = attacked(analyst, each)
         statistics.append(np.einsum("km,krm->r", shift / d, y))
         victim = observer(setup, runs)
-        victim.begin(rngs_of(setup, runs))
-        victim.quiet_epochs(setup.onset)
+        victim.start_episodes(rngs_of(setup, runs))
+        victim.run_filter_only(setup.onset)
         places.append(attacked(victim, each)[1][found.last])
     error = 1.0 / np.sqrt(runs)
     assert statistics[1].mean() == pytest.approx(0.0, abs=3.0 * error)
@@ -173,13 +173,13 @@ def test_a_shift_of_the_analyst_is_that_of_its_filter_on_the_simulator(scenario)
         attack={"name": "false-position", "control": "rate"},
         timeline=line,
     )
-    found, d = frontier_of(setup).one, 2.0
+    found, d = compute_frontier(setup).one, 2.0
     u = best_commands(found, EAST, d)
     actions = rates_of(found.commands) @ u / setup.attack.rate_limit_mps
     both = []
     for each in (actions, np.zeros_like(actions)):
-        analyst = Analyst(setup).begun(rngs_of(setup, 1))
-        analyst.quiet_epochs(setup.onset)
+        analyst = Analyst(setup).start_simulator(rngs_of(setup, 1))
+        analyst.run_filter_only(setup.onset)
         both.append(attacked(analyst, each)[0][:, 0])
     seen = both[0] - both[1]
     np.testing.assert_allclose(np.linalg.norm(seen), d, rtol=0.1)

@@ -7,7 +7,7 @@ import pytest
 
 from spoofgym.detectors import make_detector
 from spoofgym.limits import Bound, Replay, bounds
-from spoofgym.limits.bounds import cases_of, zero_alarm_bounds
+from spoofgym.limits.bounds import draw_worlds, zero_alarm_bounds
 from spoofgym.limits.no_alarm import Timing, judge_run
 from spoofgym.simulation import LooselyCoupledSetup, TightlyCoupledSetup
 from spoofgym.simulation.setup import seed_sequences
@@ -23,7 +23,7 @@ def setup_of(**settings):
 @pytest.fixture(scope="module")
 def drawn():
     setup = setup_of(domain=SKY)
-    return setup, cases_of(setup, 3)
+    return setup, draw_worlds(setup, 3)
 
 
 def test_bounds_are_means_over_the_worlds(drawn):
@@ -57,7 +57,7 @@ def test_a_looser_threshold_allows_more(drawn):
 def test_the_rates_of_a_bound_raise_the_statistic_to_the_threshold_and_no_further():
     setup = setup_of(attack={"name": "false-position", "control": "rate"})
     detector = make_detector({"name": "snapshot-chi2", "threshold_scale": 0.02})
-    (case,) = cases_of(setup, 1)
+    (case,) = draw_worlds(setup, 1)
     found = zero_alarm_bounds(setup, detector, [case])
     attacker = case.attacker
     u = found.rates_mps[0]
@@ -91,7 +91,7 @@ def solved(monkeypatch, *, free, restricted):
             raise RuntimeError(bound)
         return bound
 
-    monkeypatch.setattr(bounds, "zero_alarm_of", found)
+    monkeypatch.setattr(bounds, "compute_zero_alarm", found)
 
 
 def some_bound(value, kind="exact", note=""):
@@ -131,7 +131,7 @@ def test_what_has_no_end_is_a_word_in_results(drawn):
 @pytest.mark.parametrize("attack", ["meaconer", "per-channel"])
 def test_an_attack_that_moves_no_position_has_the_free_bound_alone(attack):
     setup = setup_of(attack=attack)
-    cases = cases_of(setup, 1)
+    cases = draw_worlds(setup, 1)
     assert cases[0].attacker is None
     found = zero_alarm_bounds(setup, make_detector("snapshot-chi2"), cases)
     assert found.restricted_m is None
@@ -141,4 +141,4 @@ def test_an_attack_that_moves_no_position_has_the_free_bound_alone(attack):
 
 def test_other_victims_are_refused():
     with pytest.raises(ValueError, match="tightly coupled receivers alone"):
-        cases_of(LooselyCoupledSetup(detector="never"), 1)
+        draw_worlds(LooselyCoupledSetup(detector="never"), 1)

@@ -32,9 +32,9 @@ def setup_of(attack="false-position", **settings):
 
 def at_onset(setup, world=0):
     """A receiver at the onset of its attack."""
-    simulator = setup.altered(detector=setup.detector).simulator(1, run_serially)
-    simulator.begin([np.random.default_rng(0)], {"world": world})
-    simulator.quiet_epochs(setup.onset)
+    simulator = setup.copy_with(detector=setup.detector).simulator(1, run_serially)
+    simulator.start_episodes([np.random.default_rng(0)], {"world": world})
+    simulator.run_filter_only(setup.onset)
     return simulator
 
 

@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from spoofgym.limits import frontier_of
+from spoofgym.limits import compute_frontier
 from spoofgym.simulation import LooselyCoupledSetup, TightlyCoupledSetup
 
 SHORT = {"warmup_s": 30.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0}
@@ -14,7 +14,7 @@ SHORT = {"warmup_s": 30.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 
 @functools.cache
 def computed(scenario, sensors_known):
     setup = TightlyCoupledSetup(scenario=scenario, detector="never")
-    return frontier_of(setup, sensors_known=sensors_known)
+    return compute_frontier(setup, sensors_known=sensors_known)
 
 
 def frontier(scenario, sensors_known=False):
@@ -52,7 +52,7 @@ def test_frontier_at_a_deflection_of_two(scenario, sensors_known, metres):
     ],
 )
 def test_floor_of_the_flight(p_fa, p_d, heading, metres):
-    floor = frontier("zhong2025").floor_m(p_fa, p_d, heading=heading)
+    floor = frontier("zhong2025").lower_limit_m(p_fa, p_d, heading=heading)
     assert floor == pytest.approx(metres, rel=0.03)
 
 
@@ -71,12 +71,12 @@ def test_assumptions_say_whether_the_sensors_are_known():
 
 def test_one_world_is_enough_where_nothing_is_drawn():
     ticks = []
-    found = frontier_of(short_setup(), worlds=3, tick=ticks.append)
+    found = compute_frontier(short_setup(), worlds=3, tick=ticks.append)
     assert (len(found.per_deflection), sum(ticks)) == (1, 1.0)
 
 
 def test_a_course_ends_at_the_frontier_and_is_that_of_shorter_attacks():
-    found = frontier_of(short_setup(), times=4)
+    found = compute_frontier(short_setup(), times=4)
     np.testing.assert_allclose(found.times_s, [5.0, 10.0, 15.0, 20.0])
     np.testing.assert_allclose(found.course[:, -1], found.per_deflection, rtol=1e-9)
     for e, time in enumerate(found.times_s):
@@ -84,28 +84,28 @@ def test_a_course_ends_at_the_frontier_and_is_that_of_shorter_attacks():
         expected = found.one.per_deflection(last, hold=10)
         np.testing.assert_allclose(found.course[0, e], expected, rtol=1e-9)
     floors = found.course_m(0.01, 0.5)
-    assert floors[-1] == pytest.approx(found.floor_m(0.01, 0.5))
+    assert floors[-1] == pytest.approx(found.lower_limit_m(0.01, 0.5))
     assert np.all(np.diff(floors) > 0.0)
     shorter = TightlyCoupledSetup(timeline={**SHORT, "attack_s": 10.0}, detector="never")
-    assert floors[1] == pytest.approx(frontier_of(shorter).floor_m(0.01, 0.5), rel=0.05)
+    assert floors[1] == pytest.approx(compute_frontier(shorter).lower_limit_m(0.01, 0.5), rel=0.05)
 
 
 def test_a_drawn_world_has_a_frontier_of_its_own():
     domain = {"turned_deg": (0.0, 360.0), "constellation_time_s": (0.0, 86_400.0), "worlds": 4}
     setup = short_setup(domain=domain)
-    found = frontier_of(setup, worlds=3)
+    found = compute_frontier(setup, worlds=3)
     sizes = found.sizes()
     assert len(sizes) == 3
     assert np.ptp(sizes) > 0.0
-    low, high = (found.floor_m(0.01, 0.5, quantile=part) for part in (0.0, 1.0))
+    low, high = (found.lower_limit_m(0.01, 0.5, quantile=part) for part in (0.0, 1.0))
     assert low == pytest.approx(sizes.min() * high / sizes.max())
-    again = frontier_of(setup, worlds=3)
+    again = compute_frontier(setup, worlds=3)
     np.testing.assert_array_equal(again.per_deflection, found.per_deflection)
 
 
 def test_the_frontier_is_largest_where_any_direction_counts():
     found = {
-        target: frontier_of(short_setup(target_heading_deg=target))
+        target: compute_frontier(short_setup(target_heading_deg=target))
         for target in (0.0, 37.0, 90.0, "random", "worst")
     }
     (worst,) = found["worst"].sizes()
@@ -118,13 +118,13 @@ def test_the_frontier_is_largest_where_any_direction_counts():
 
 def test_other_victims_and_wrong_settings_are_refused():
     with pytest.raises(ValueError, match="tightly coupled receivers alone, not for a loosely"):
-        frontier_of(LooselyCoupledSetup(detector="never"))
+        compute_frontier(LooselyCoupledSetup(detector="never"))
     with pytest.raises(ValueError, match="`worlds` must be a whole number of at least 1, got 0"):
-        frontier_of(short_setup(), worlds=0)
+        compute_frontier(short_setup(), worlds=0)
     with pytest.raises(ValueError, match="no floor is known for 'meaconer': it changes the meas"):
-        frontier_of(short_setup(attack="meaconer"))
+        compute_frontier(short_setup(attack="meaconer"))
     with pytest.raises(ValueError, match="`times` must be a whole number of at least 0, got -1"):
-        frontier_of(short_setup(), times=-1)
+        compute_frontier(short_setup(), times=-1)
     several = short_setup(domain={"imu": ("aviation", "tactical")})
     with pytest.raises(ValueError, match=r"one grade of inertial sensors .* aviation, tactical"):
-        frontier_of(several)
+        compute_frontier(several)

@@ -5,11 +5,11 @@ import functools
 import numpy as np
 import pytest
 
-from spoofgym.limits import WorldFrontier, frontier_of, unit_commands
+from spoofgym.limits import WorldFrontier, compute_frontier, unit_commands
 from spoofgym.limits.floor import Analyst, reachable, world_frontier
 from spoofgym.limits.linear import Commands, record
 from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.setup import generators_of, seeds_of_runs
+from spoofgym.simulation.setup import make_generators, seeds_of_runs
 
 from .toy import best_commands, deflection_of, toy_run
 
@@ -20,7 +20,9 @@ RNG = np.random.default_rng(7)
 
 @functools.cache
 def short_frontier(attack="false-position"):
-    return frontier_of(TightlyCoupledSetup(detector="never", attack=attack, timeline=SHORT)).one
+    return compute_frontier(
+        TightlyCoupledSetup(detector="never", attack=attack, timeline=SHORT)
+    ).one
 
 
 @pytest.mark.parametrize("columns", [3, 12])
@@ -107,8 +109,8 @@ def test_a_meaconer_that_commands_its_delay_alone_moves_no_position():
     # a common delay is the clock's: what is left of it in the position is next to nothing
     setup = TightlyCoupledSetup(detector="never", attack="meaconer", timeline=SHORT)
     seeds = seeds_of_runs(0, "selection", setup.name, [0])
-    (victim,) = record(setup, generators_of(seeds))
-    (its,) = Analyst(setup).record(generators_of(seeds))
+    (victim,) = record(setup, make_generators(seeds))
+    (its,) = Analyst(setup).record(make_generators(seeds))
     commands = unit_commands(setup, victim.onset).in_hats(20)
     meaconer = world_frontier(commands, victim, its.linear, its.coasting, setup.steps - 1)
     sizes = [
@@ -124,8 +126,8 @@ def test_a_meaconer_that_commands_its_delay_alone_moves_no_position():
 def test_the_frontier_needs_the_analyst_of_the_world():
     setup = TightlyCoupledSetup(detector="never", timeline=SHORT)
     seeds = seeds_of_runs(0, "selection", setup.name, [0])
-    (victim,) = record(setup, generators_of(seeds))
-    (its,) = Analyst(setup).record(generators_of(seeds_of_runs(0, "selection", setup.name, [0])))
+    (victim,) = record(setup, make_generators(seeds))
+    (its,) = Analyst(setup).record(make_generators(seeds_of_runs(0, "selection", setup.name, [0])))
     commands = unit_commands(setup, victim.onset).in_hats(20)
     # by what the victim believes, an attack seems harder to see than it is
     believed = world_frontier(commands, victim, victim, its.coasting, setup.steps - 1)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from spoofgym.limits import record, respond, unit_commands
-from spoofgym.limits.linear import mechanized, observer, white
+from spoofgym.limits.linear import mechanize_transition, observer, white
 from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.setup import generators_of, seeds_of_runs
+from spoofgym.simulation.setup import make_generators, seeds_of_runs
 
 from .toy import toy_run
 
@@ -14,14 +14,14 @@ SHORT = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 
 
 
 def rngs_of(setup, runs=1):
-    return generators_of(seeds_of_runs(0, "selection", setup.name, range(runs)))
+    return make_generators(seeds_of_runs(0, "selection", setup.name, range(runs)))
 
 
 def played(setup, actions):
     """(K, m) innovations and (K, 3) positions of a receiver under commands."""
     simulator = observer(setup, 1)
-    simulator.begin(rngs_of(setup))
-    simulator.quiet_epochs(setup.onset)
+    simulator.start_episodes(rngs_of(setup))
+    simulator.run_filter_only(setup.onset)
     seen, place = [], []
     for k in range(setup.steps + setup.hold):
         command = actions[k][None] if k < setup.steps else None
@@ -98,4 +98,4 @@ def test_a_tilt_becomes_a_position_within_one_epoch():
     F = np.zeros((3, 3))  # tilt, velocity, position
     F[1, 0], F[2, 1] = g, 1.0
     exact = np.eye(3) + F * tau + F @ F * tau**2 / 2.0
-    np.testing.assert_allclose(mechanized((np.eye(3) + F * tau)[None])[0], exact)
+    np.testing.assert_allclose(mechanize_transition((np.eye(3) + F * tau)[None])[0], exact)

@@ -9,12 +9,12 @@ import pytest
 from spoofgym.bench.runs.world import HEADLINE_DOMAIN
 from spoofgym.calibration.clean_runs import weighs
 from spoofgym.detectors import DETECTORS, Calibrated, Never, make_detector
-from spoofgym.detectors.base import Detector, judged
+from spoofgym.detectors.base import Detector, judge_epoch
 from spoofgym.limits import NotReplayable, Replay
 from spoofgym.limits.response import check_replayable
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.monitors import Monitor
-from spoofgym.simulation.setup import generators_of, seed_sequences
+from spoofgym.simulation.setup import make_generators, seed_sequences
 from spoofgym.simulation.simulator import run_serially
 
 SHORT = {"warmup_s": 60.0, "live_s": 40.0, "attack_s": 60.0, "time_to_alert_s": 5.0}
@@ -60,12 +60,12 @@ class Series(Monitor):
         for each in self.detectors:
             simulator.bind_detector(each)
 
-    def begin(self):
+    def start_episodes(self):
         for each in self.detectors:
             each.reset()
 
     def update(self, simulator):
-        verdicts = [judged(each, simulator.epoch) for each in self.detectors]
+        verdicts = [judge_epoch(each, simulator.epoch) for each in self.detectors]
         ratios = [(each.statistic / each.threshold).max(axis=1) for each in verdicts]
         self.ratio.append(ratios)
         self.alarm.append([each.alarm.any(axis=1) for each in verdicts])
@@ -74,13 +74,13 @@ class Series(Monitor):
 def played(setup, detectors, runs, curve):
     """(K, D, R) ratios and alarms, and (K, R, 2) positions north and east, of the simulator."""
     series = Series([copy.deepcopy(each) for each in detectors])
-    told = setup.altered(detector=Never(), monitors=())
+    told = setup.copy_with(detector=Never(), monitors=())
     told.fields = setup.fields | series.needs
     simulator = told.simulator(runs, run_serially)
-    simulator.begin(generators_of(seeds_of(setup, runs)))
-    simulator.quiet_epochs(setup.quiet)
+    simulator.start_episodes(make_generators(seeds_of(setup, runs)))
+    simulator.run_filter_only(setup.filter_only)
     series.bind(simulator)
-    series.begin()
+    series.start_episodes()
     place, limit = [], setup.attack.acceleration_limit_mps2 * setup.interval_s * setup.repeat
     actions = np.diff(curve, prepend=0.0) / limit
     aim = np.stack([np.cos(simulator.heading), np.sin(simulator.heading)], axis=1)

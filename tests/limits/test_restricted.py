@@ -29,7 +29,7 @@ from spoofgym.detectors import (
     WindowedChi2,
 )
 from spoofgym.limits import convex
-from spoofgym.limits.bounds import zero_alarm_of
+from spoofgym.limits.bounds import compute_zero_alarm
 from spoofgym.limits.linear import white
 from spoofgym.limits.no_alarm import SETS, Timing, judge_run, judged_by
 from spoofgym.limits.zero_alarm import sensitivity
@@ -99,7 +99,7 @@ def check_edge(detector, run, timing, bound):
 @pytest.mark.parametrize("name", CASES)
 def test_a_restricted_bound_is_the_edge_of_the_detector_s_own_alarm(name, run, timing):
     detector, attacker = CASES[name], false_position(run, **LOOSE)
-    bound = zero_alarm_of(detector, run, timing, epoch=45, direction=EAST, attacker=attacker)
+    bound = compute_zero_alarm(detector, run, timing, epoch=45, direction=EAST, attacker=attacker)
     check_edge(detector, run, timing, bound)
     wanted = attacker.response.position[45, 1] @ bound.commands
     assert bound.value_m == pytest.approx(wanted)
@@ -108,7 +108,7 @@ def test_a_restricted_bound_is_the_edge_of_the_detector_s_own_alarm(name, run, t
 @pytest.mark.parametrize("name", FREE)
 def test_a_free_bound_is_the_edge_of_the_detector_s_own_alarm(name):
     run = RUN if isinstance(FREE[name], GlrRamp) else SETTING
-    bound = zero_alarm_of(FREE[name], run, TIMING, epoch=45, direction=EAST)
+    bound = compute_zero_alarm(FREE[name], run, TIMING, epoch=45, direction=EAST)
     check_edge(FREE[name], run, TIMING, bound)
 
 
@@ -117,7 +117,7 @@ def test_a_filter_of_pseudoranges_alone_has_a_free_bound(detector):
     gain = RUN.gain.copy()
     gain[:, :, 4:] = 0.0
     run = RUN._replace(gain=gain)
-    bound = zero_alarm_of(detector, run, TIMING, epoch=45, direction=EAST)
+    bound = compute_zero_alarm(detector, run, TIMING, epoch=45, direction=EAST)
     check_edge(detector, run, TIMING, bound)
 
 
@@ -125,7 +125,9 @@ def test_a_filter_of_pseudoranges_alone_has_a_free_bound(detector):
 def test_a_scan_knows_no_satellite_that_was_offset_when_it_rose(kind):
     detector = kind(window=12, baseline=20, signals="both")
     for run, timing in [(SETTING, TIMING), (RUN, YOUNG)]:
-        assert zero_alarm_of(detector, run, timing, epoch=45, direction=EAST).kind == "unbounded"
+        assert (
+            compute_zero_alarm(detector, run, timing, epoch=45, direction=EAST).kind == "unbounded"
+        )
 
 
 def moving_sums(y, weights, limits, last):
@@ -159,7 +161,7 @@ def test_a_free_bound_of_moving_sums_is_the_largest_that_another_solver_finds(sh
     held = moving_sums([*before, *y], weights, limits, 8)
     value = cp.sum(cp.multiply(sensitivity(RUN, 45, EAST).rows * SD, y))
     wanted = cp.Problem(cp.Maximize(value), held).solve(solver=cp.HIGHS)
-    bound = zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST)
+    bound = compute_zero_alarm(detector, RUN, TIMING, epoch=45, direction=EAST)
     assert bound.value_m == pytest.approx(wanted, rel=1e-4)
 
 
@@ -169,7 +171,7 @@ def test_a_free_bound_of_a_bank_is_the_largest_that_another_solver_finds():
     value = sensitivity(RUN, 45, EAST).weights @ cp.sqrt(energy)
     held = bank_sums(energy, (2, 8, 120), 8)
     wanted = cp.Problem(cp.Maximize(value), held).solve(solver=cp.CLARABEL)
-    bound = zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST)
+    bound = compute_zero_alarm(detector, RUN, TIMING, epoch=45, direction=EAST)
     assert bound.value_m == pytest.approx(wanted, rel=1e-4)
 
 
@@ -275,13 +277,13 @@ def test_a_restricted_bound_is_the_largest_that_another_solver_finds(detector, h
         rest = [cp.abs(u) <= 0.3, cp.abs(u[0]) <= 0.02, cp.abs(cp.diff(u)) <= 0.02]
     value = attacker.response.position[45, 1] @ u
     wanted = cp.Problem(cp.Maximize(value), held(u, limits) + rest).solve(solver=cp.CLARABEL)
-    bound = zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST, attacker=attacker)
+    bound = compute_zero_alarm(detector, RUN, TIMING, epoch=45, direction=EAST, attacker=attacker)
     assert bound.value_m == pytest.approx(wanted, rel=1e-4)
 
 
 def test_a_restricted_attacker_without_limits_is_unbounded_where_nothing_is_judged():
     attacker = ATTACKER._replace(rate_limit_mps=np.inf)
-    bound = zero_alarm_of(Never(), RUN, TIMING, epoch=45, direction=EAST, attacker=attacker)
+    bound = compute_zero_alarm(Never(), RUN, TIMING, epoch=45, direction=EAST, attacker=attacker)
     assert (bound.value_m, bound.kind, bound.commands) == (np.inf, "unbounded", None)
 
 
@@ -289,9 +291,9 @@ def test_a_restricted_attacker_without_limits_is_unbounded_where_nothing_is_judg
 def test_a_calibration_takes_its_factor_along(free):
     attacker = None if free else ATTACKER
     known = {"epoch": 45, "direction": EAST, "attacker": attacker}
-    plain = zero_alarm_of(SnapshotChi2(), RUN, TIMING, **known)
+    plain = compute_zero_alarm(SnapshotChi2(), RUN, TIMING, **known)
     scaled = Calibrated(SnapshotChi2(), scale=4.0)
-    bound = zero_alarm_of(scaled, RUN, TIMING, **known)
+    bound = compute_zero_alarm(scaled, RUN, TIMING, **known)
     assert bound.value_m == pytest.approx(2.0 * plain.value_m, rel=1e-5)
     check_edge(scaled, RUN, TIMING, bound)
 
@@ -301,14 +303,18 @@ def test_rescaled_innovations_are_judged_as_they_are(inner):
     detector = Calibrated(inner, scale=0.7, rescaled=True, rescale=(2.0, 0.5, 1.5, 3.0))
     for run in (RUN, SETTING):
         attacker = false_position(run, **LOOSE)
-        bound = zero_alarm_of(detector, run, TIMING, epoch=45, direction=EAST, attacker=attacker)
+        bound = compute_zero_alarm(
+            detector, run, TIMING, epoch=45, direction=EAST, attacker=attacker
+        )
         check_edge(detector, run, TIMING, bound)
 
 
 def test_a_calibrated_flag_scales_its_alarm():
     for inner in (JointChart(weight_scale=None), InnovationRate(settled_s=18.0)):
         detector = Calibrated(inner, scale=0.7)
-        bound = zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST, attacker=ATTACKER)
+        bound = compute_zero_alarm(
+            detector, RUN, TIMING, epoch=45, direction=EAST, attacker=ATTACKER
+        )
         check_edge(detector, RUN, TIMING, bound)
 
 
@@ -326,7 +332,7 @@ def test_a_calibrated_flag_scales_its_alarm():
 )
 def test_a_refusal_says_why_and_what_holds_instead(detector, why):
     with pytest.raises(ValueError, match=f"no zero-alarm bound for {why}.*;? "):
-        zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST)
+        compute_zero_alarm(detector, RUN, TIMING, epoch=45, direction=EAST)
 
 
 def test_a_subclass_is_another_detector():
@@ -364,12 +370,12 @@ def stopped_after(monkeypatch):
 def test_a_solver_that_stops_short_has_an_upper_bound_or_none(stopped_after, free):
     detector, attacker = WindowedChi2(window=7), None if free else ATTACKER
     known = {"epoch": 45, "direction": EAST, "attacker": attacker}
-    exact = zero_alarm_of(detector, RUN, TIMING, **known).value_m
+    exact = compute_zero_alarm(detector, RUN, TIMING, **known).value_m
     stopped_after(2)
     with pytest.raises(RuntimeError, match="Clarabel found no optimum: MaxIterations"):
-        zero_alarm_of(detector, RUN, TIMING, **known)
+        compute_zero_alarm(detector, RUN, TIMING, **known)
     stopped_after(8)
-    bound = zero_alarm_of(detector, RUN, TIMING, **known)
+    bound = compute_zero_alarm(detector, RUN, TIMING, **known)
     assert (bound.kind, bound.innovation, bound.commands) == ("upper", None, None)
     assert bound.note.startswith("Clarabel found no optimum: ")
     assert bound.note.endswith("; upper bound by the dual")
@@ -380,8 +386,8 @@ def test_a_solver_that_stops_short_has_an_upper_bound_or_none(stopped_after, fre
 def test_energies_of_any_size_are_solved(scale):
     known = {"epoch": 45, "direction": EAST, "attacker": ATTACKER}
     detector = SequentialChi2(signals="range_rate")
-    plain = zero_alarm_of(detector, RUN, TIMING, **known)
-    bound = zero_alarm_of(Calibrated(detector, scale=scale), RUN, TIMING, **known)
+    plain = compute_zero_alarm(detector, RUN, TIMING, **known)
+    bound = compute_zero_alarm(Calibrated(detector, scale=scale), RUN, TIMING, **known)
     assert bound.kind == "exact"
     assert bound.value_m <= max(np.sqrt(scale), 1.0) * plain.value_m * (1.0 + 1e-6)
 

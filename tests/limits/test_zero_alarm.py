@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import Ewma, Never, SequentialChi2, Shewhart, SnapshotChi2
-from spoofgym.limits.bounds import zero_alarm_of
+from spoofgym.limits.bounds import compute_zero_alarm
 from spoofgym.limits.linear import respond, white
 from spoofgym.limits.no_alarm import judge_run
 from spoofgym.limits.zero_alarm import (
@@ -119,7 +119,7 @@ def test_sequential_is_exact_and_attained(shape):
     ids=["snapshot", "sequential", "shewhart"],
 )
 def test_a_detector_has_the_bound_of_its_closed_form(detector, closed):
-    bound = zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST)
+    bound = compute_zero_alarm(detector, RUN, TIMING, epoch=45, direction=EAST)
     limits = judge_run(detector, RUN, TIMING).threshold[:, 0]
     assert bound.kind == "exact"
     assert bound.value_m == pytest.approx(closed(limits).value_m, rel=1e-6)
@@ -131,5 +131,5 @@ def test_a_detector_has_the_bound_of_its_closed_form(detector, closed):
     ids=lambda each: type(each).__name__,
 )
 def test_what_is_not_judged_is_free(detector):
-    bound = zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST)
+    bound = compute_zero_alarm(detector, RUN, TIMING, epoch=45, direction=EAST)
     assert (bound.value_m, bound.kind) == (np.inf, "unbounded")

@@ -153,7 +153,7 @@ def test_false_alarms_in_a_matched_world_are_as_stated():
     setup.fields = frozenset().union(*(kind.needs for kind in (InnovationRate, GlrStep, GlrRamp)))
     engine = Engine(receivers, setup, threads=1)
     simulator, world = engine.simulator, setup.world
-    simulator.begin([np.random.default_rng([7, run]) for run in range(receivers)])
+    simulator.start_episodes([np.random.default_rng([7, run]) for run in range(receivers)])
     detectors = [kind(false_alarm=alpha) for kind in (InnovationRate, GlrStep, GlrRamp)]
     variance = setup.combinations[0].noise_variance.copy()
     for detector in detectors:

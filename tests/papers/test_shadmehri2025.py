@@ -19,28 +19,33 @@ from baselines.papers.shadmehri2025.runs import (
     SMALL_WHITE,
     THRESHOLD,
     WHITE,
-    judged,
+    judge_statistic,
     latency,
+    make_self_tuning,
     play,
-    scaled,
-    tuned,
+    scale_noise,
 )
 
 RUNS = 60
 PAPER = {2.0: 0.35, 3.0: 0.22, 5.0: 0.11}
-CONVENTIONAL, TUNED = {}, tuned(100)
+CONVENTIONAL, TUNED = {}, make_self_tuning(100)
 
 
 @cache
 def statistic(errors, receiver, ramp, runs=RUNS):
     """(K, B) of one batch; dictionaries by name, since they cannot be hashed."""
     known = {"markov": MARKOV, "white": WHITE, "small white": SMALL_WHITE}
-    filters = {"conventional": {}, "fitted": scaled(0.26), "less": scaled(0.4), "tuned": TUNED}
+    filters = {
+        "conventional": {},
+        "fitted": scale_noise(0.26),
+        "less": scale_noise(0.4),
+        "tuned": TUNED,
+    }
     return play(known[errors], filters[receiver], ramp, runs, seed=0).statistic
 
 
 def delays(errors, receiver, ramp, test=None):
-    return latency(judged(statistic(errors, receiver, ramp), test or {}))
+    return latency(judge_statistic(statistic(errors, receiver, ramp), test or {}))
 
 
 def share(delay):
@@ -108,7 +113,7 @@ def test_the_threshold_for_an_estimated_covariance_costs_little():
 
 @cache
 def clean(receiver):
-    settings = {} if receiver == 0 else tuned(receiver)
+    settings = {} if receiver == 0 else make_self_tuning(receiver)
     return play(MARKOV, settings, 0.0, RUNS, seed=1, attack_s=25.0, after_s=0.0).statistic
 
 
@@ -119,7 +124,7 @@ def test_false_alarms_fall_with_the_window_and_are_far_above_the_stated_rate():
     assert rates[2] < 1e-3
     assert not (clean(0) > THRESHOLD).any()  # 15,000 epochs
     for w in (10, 30):
-        fitting = judged(clean(w), {"rule": "estimated", "covariance_window": w})
+        fitting = judge_statistic(clean(w), {"rule": "estimated", "covariance_window": w})
         assert fitting.mean() < 0.02 * (clean(w) > THRESHOLD).mean()
 
 
@@ -131,29 +136,29 @@ def test_the_alarm_passes_while_the_offset_stays():
 
 
 def test_the_gain_is_a_small_r_not_tuning():
-    fixed = latency(play(MARKOV, scaled(0.01), 2.0, 30, seed=0).statistic > THRESHOLD)
+    fixed = latency(play(MARKOV, scale_noise(0.01), 2.0, 30, seed=0).statistic > THRESHOLD)
     assert share(fixed) == 1.0
     assert fixed.mean() == pytest.approx(0.87, abs=0.1)
 
 
 def test_a_floor_hides_the_onset():
-    floored = play(MARKOV, tuned(50, floor_m=0.83), 5.0, 30, seed=0).statistic
+    floored = play(MARKOV, make_self_tuning(50, floor_m=0.83), 5.0, 30, seed=0).statistic
     assert share(latency(floored > THRESHOLD)) == 0.0
 
 
 def test_adapting_q_buys_nothing_and_has_no_rest():
-    run = play(MARKOV, tuned(50, "clamped"), 5.0, RUNS, seed=0)
-    only_r = play(MARKOV, tuned(50), 5.0, RUNS, seed=0)
+    run = play(MARKOV, make_self_tuning(50, "clamped"), 5.0, RUNS, seed=0)
+    only_r = play(MARKOV, make_self_tuning(50), 5.0, RUNS, seed=0)
     both, r = (np.nanmean(latency(p.statistic > THRESHOLD)) for p in (run, only_r))
     assert both == pytest.approx(r, rel=0.1)
     low, high = np.quantile(run.scale[-1], [0.05, 0.95])
     assert high / low > 1e3
-    raw = play(MARKOV, tuned(100, "raw"), 0.0, 30, seed=0)
+    raw = play(MARKOV, make_self_tuning(100, "raw"), 0.0, 30, seed=0)
     assert (raw.scale[-1] == 0.0).mean() >= 0.95
 
 
 def test_its_own_residual_in_the_covariance_masks_an_offset():
-    run = play(MARKOV, tuned(20), 5.0, RUNS, seed=0)
+    run = play(MARKOV, make_self_tuning(20), 5.0, RUNS, seed=0)
     causal, masked = (share(latency(s > THRESHOLD)) for s in (run.statistic, run.masked))
     assert causal > 0.9
     assert masked < 0.3

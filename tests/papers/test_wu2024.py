@@ -17,7 +17,7 @@ from baselines.papers.wu2024.draws import displacements, offsets, subsets
 from baselines.papers.wu2024.geometry import GDOP, PLACES, gdop, sky
 from baselines.papers.wu2024.partitions import score
 from baselines.papers.wu2024.separation import separate
-from baselines.papers.wu2024.tables import WEIGHT, pooled
+from baselines.papers.wu2024.tables import WEIGHT, pool_fits
 
 SETTINGS = Settings(quick=True, seed=20)
 AVERAGES = {
@@ -80,7 +80,7 @@ def test_averages_of_the_paper_are_those_of_its_rows():
         rates = np.array([published.RATES[method][k] for k in range(1, 12)])
         np.testing.assert_allclose(WEIGHT @ rates, published.RATES_AVERAGE[method], atol=0.02)
         table = np.column_stack([rates / 100.0, published.POSITIONINGS[method]])
-        assert pooled(table) == pytest.approx(published.POSITIONINGS_AVERAGE[method], abs=0.06)
+        assert pool_fits(table) == pytest.approx(published.POSITIONINGS_AVERAGE[method], abs=0.06)
     separated = np.array([published.SEPARATED[k] for k in range(1, 12)])
     np.testing.assert_allclose(WEIGHT @ separated, published.SEPARATED_AVERAGE, atol=0.06)
 

@@ -19,7 +19,7 @@ from spoofgym.receiver.kalman import COVARIANCE_UPDATES
 from spoofgym.simulation._kernels import NO_FORM, NOTHING_REMEMBERED, run_epochs
 from spoofgym.truth.clock import TCXO, ReceiverClock
 from spoofgym.truth.gnss_errors import GnssErrors
-from spoofgym.truth.noise import padded
+from spoofgym.truth.noise import pad_count
 from spoofgym.truth.sensors import IMU_GRADES, ImuGrade, SensorBuffers
 
 from .test_kalman import covariance, measured, sky
@@ -134,7 +134,7 @@ class Batch:
         sensors = self.sensors
         sensors.draw_keys(rows, [np.random.default_rng([number, 1])])
         errors = (QUIET, REALISTIC)[number // 3 % 2]
-        sensors.begin(rows, GRADES[number % len(GRADES)], errors, rng.uniform(0.0, 2.0, N))
+        sensors.start_episodes(rows, GRADES[number % len(GRADES)], errors, rng.uniform(0.0, 2.0, N))
         sensors.fields.put("residual", rows, rng.normal(0.0, 1e-5, 6))
         if errors.correlated_sd_m > 0.0:
             sensors.fields.put("correlated", rows, rng.normal(0.0, 0.5, N))
@@ -165,7 +165,7 @@ class Batch:
         if what & PREDICT and not what & MEASURE:
             self.fields.put("innovation", slice(lo, hi), self.measured[lo:hi])
         buffers, sensors, world = self.buffers, self.sensors, self.world
-        sizes = padded(6 * MOST), padded(2 * N)
+        sizes = pad_count(6 * MOST), pad_count(2 * N)
         work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
         work[:] = np.nan  # so that nothing is read of it that has not been written
         memories = ArrayTable(NOTHING_REMEMBERED)

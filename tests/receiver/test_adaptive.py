@@ -47,7 +47,7 @@ def fly(receivers, epochs, seed=0, weights=None, **tuning):
     settings = LooselyCoupled(self_tuning=tuning)
     batch = LooseReceivers(settings, Memory(receivers), WORLD.samples, WORLD.imu_interval_s)
     first = np.zeros(receivers, dtype=np.int64)
-    batch.begin(
+    batch.start_episodes(
         WORLD.position_e[first],
         WORLD.velocity_e[first],
         WORLD.C_eb[first],

@@ -26,7 +26,7 @@ def begun(scenario, receivers, domain=None, **settings):
     setup = TightlyCoupledSetup(scenario=scenario, domain=domain, **settings)
     setup.fields = setup.fields | {"innovation_cov"}
     simulator = setup.simulator(receivers, run_serially)
-    simulator.begin([np.random.default_rng([7, row]) for row in range(receivers)])
+    simulator.start_episodes([np.random.default_rng([7, row]) for row in range(receivers)])
     return simulator
 
 
@@ -67,7 +67,7 @@ def test_a_matched_receiver_believes_in_far_too_large_innovations_of_pseudorange
 
 def test_the_covariance_is_that_of_the_errors():
     simulator = begun("trolley", 150, DRAWN)
-    simulator.quiet_epochs(240)
+    simulator.run_filter_only(240)
     error = simulator.error_n()
     epoch = int(simulator.epochs[0])
     C = simulator.setup.world.C_en[epoch]
@@ -83,8 +83,10 @@ def test_a_receiver_is_the_same_in_any_batch():
     for size in (1, 3):
         part = begun("aviation-actual", size)
         for simulator in (whole, part):
-            simulator.begin([np.random.default_rng([3, row]) for row in range(simulator.receivers)])
-            simulator.quiet_epochs(6)
+            simulator.start_episodes(
+                [np.random.default_rng([3, row]) for row in range(simulator.receivers)]
+            )
+            simulator.run_filter_only(6)
             simulator.step(np.full((simulator.receivers, 2), 0.3))
         for field in ("position_e", "C_eb", "clock", "packed_covariance"):
             mine, theirs = (each.buffers.fields[field] for each in (part, whole))
@@ -114,7 +116,7 @@ def test_with_too_few_satellites_it_coasts():
     victim = TightlyCoupled(grade="aviation", tuning="augmented", min_satellites=32)
     simulator = begun("trolley", 2, receiver=victim)
     before = simulator.memory["augmented"].copy()
-    simulator.quiet_epochs(3)
+    simulator.run_filter_only(3)
     assert simulator.coasting.all()
     np.testing.assert_array_equal(simulator.memory["augmented"], before)
     assert np.isfinite(simulator.position).all()
@@ -129,7 +131,7 @@ def test_what_does_not_go_with_it_is_refused():
 
 def test_detectors_weights_hold_the_filter_back():
     simulator = begun("trolley", 2)
-    simulator.quiet_epochs(5)
+    simulator.run_filter_only(5)
     simulator.advance()
     before = simulator.buffers.fields["clock"].copy()
     simulator.update(np.zeros_like(simulator.ones))
@@ -145,7 +147,7 @@ def test_detectors_weights_hold_the_filter_back():
 def test_an_epoch_shows_the_matrices_of_all_states(name):
     """They are those by which the filter goes on and is updated."""
     simulator = begun(name, 2, detector=Matrices())
-    simulator.quiet_epochs(5)
+    simulator.run_filter_only(5)
     before = simulator.memory["augmented_covariance"].copy()
     epoch = simulator.advance()
     filter_ = simulator.augmented
@@ -171,9 +173,9 @@ def test_an_epoch_shows_the_matrices_of_all_states(name):
 
 def test_what_is_shown_moves_with_its_receiver():
     one, two = (begun("trolley", 2, detector=Matrices()) for _ in range(2))
-    two.begin([np.random.default_rng([9, row]) for row in range(2)])
+    two.start_episodes([np.random.default_rng([9, row]) for row in range(2)])
     for simulator, epochs in ((one, 3), (two, 6)):
-        simulator.quiet_epochs(epochs)
+        simulator.run_filter_only(epochs)
         simulator.advance()
     one.copy_rows(np.array([0]), two, np.array([1]))
     np.testing.assert_array_equal(one.epoch.predicted_cov[0], two.epoch.predicted_cov[1])

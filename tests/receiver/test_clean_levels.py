@@ -77,10 +77,10 @@ def test_position_errs_by_what_the_biases_make_of_a_least_squares_fix(grade, err
     # the biases, not the sensors, set it: what is left is white noise, 0.35 m with these epochs
     scenario = Scenario(errors=errors, imu=grade, epoch_interval_s=1.0)
     batch = begin(scenario, TightlyCoupled(grade=grade), RUNS, 100.0)
-    batch.quiet_epochs(60)
+    batch.run_filter_only(60)
     left, whole = [], []
     for _ in range(40):
-        batch.quiet_epochs(1)
+        batch.run_filter_only(1)
         seen = batch.buffers.fields["visible"][0] > 0.0
         u = batch.buffers.fields["line_of_sight"][0][seen]
         fix = np.linalg.pinv(np.column_stack([-u, np.ones(len(u))]))
@@ -118,7 +118,7 @@ def test_attitude(flight, grade, want_deg):
 def normalized(errors, runs=64, epochs=80):
     """Innovations by their believed deviations after 200 s at 2 Hz, the beliefs, and NIS a run."""
     batch = begin(Scenario(errors=errors), TightlyCoupled(), runs, 300.0)
-    batch.quiet_epochs(400)
+    batch.run_filter_only(400)
     ratios, nis = [], np.zeros(runs)
     for _ in range(epochs):
         epoch = batch.advance()

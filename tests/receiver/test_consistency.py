@@ -16,7 +16,7 @@ from scipy import stats
 
 from spoofgym.receiver import NoiseModel, TightlyCoupled, replay
 from spoofgym.receiver.kalman import normalized_innovation_squared
-from spoofgym.receiver.matching import WINDOW_S, Motion, inflation, matched_sensors, motion_of
+from spoofgym.receiver.matching import WINDOW_S, Motion, compute_motion, inflation, matched_sensors
 from spoofgym.receiver.tight import FILTER_GRADES
 from spoofgym.simulation.recording import record_run
 from spoofgym.truth.scenario import Scenario
@@ -179,20 +179,20 @@ def test_noise_of_pseudoranges_is_white_variance_and_biases_times_the_epochs():
 
 
 def run_of(force, rate, dt=0.01):
-    """World of given samples (3, N), as far as `motion_of` looks."""
+    """World of given samples (3, N), as far as `compute_motion` looks."""
     samples = np.vstack([force, rate])
     time = np.arange(samples.shape[1] + 1) * dt
     return SimpleNamespace(imu_time=time, run=samples, epoch_end=np.array([0, samples.shape[1]]))
 
 
-def test_motion_of_a_steady_turn_and_of_one_step_of_force():
+def test_compute_motion_a_steady_turn_and_of_one_step_of_force():
     force, rate = np.zeros((3, 10000)), np.zeros((3, 10000))
     rate[2] = 0.02
     force[0, 5000:] = 3.0
-    motion = motion_of(run_of(force, rate), 1)
+    motion = compute_motion(run_of(force, rate), 1)
     assert motion.turning == pytest.approx(0.02**2 * WINDOW_S)
     assert motion.forcing == pytest.approx(3.0**2 / WINDOW_S)
-    assert motion_of(run_of(force[:, :150], rate[:, :150]), 1) == Motion(0.0, 0.0)
+    assert compute_motion(run_of(force[:, :150], rate[:, :150]), 1) == Motion(0.0, 0.0)
 
 
 @pytest.mark.parametrize("grade", GRADES)

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.nojit
 
 def batch(receivers=2, interval_s=1.0, **settings):
     made = CredibleBatch(CredibleFilter(**settings), Memory(receivers), interval_s)
-    made.begin(np.zeros((receivers, 2)))
+    made.start_episodes(np.zeros((receivers, 2)))
     return made
 
 

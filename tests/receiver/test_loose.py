@@ -6,7 +6,7 @@ import pytest
 from spoofgym.core.memory import Memory
 from spoofgym.earth.wgs84 import ecef_to_geodetic, radii_of_curvature
 from spoofgym.receiver import SelfTuning
-from spoofgym.receiver._loose_kernels import invert, joseph, propagate
+from spoofgym.receiver._loose_kernels import invert, joseph, propagate_loose
 from spoofgym.receiver.loose import LooselyCoupled, LooseReceivers
 from spoofgym.receiver.loose_states import STATES, fill_local_axes, geodetic_point
 from spoofgym.truth.flight import flight_from_velocity, inverse_kinematics
@@ -82,7 +82,7 @@ def test_errors_grow_as_the_transition_says(case):
     bias = CASES[case][3] * BIASES
     first[9:] = bias
     batch = receivers(1)
-    batch.begin(WORLD.position_e[:1], WORLD.velocity_e[:1], WORLD.C_eb[:1], first[None])
+    batch.start_episodes(WORLD.position_e[:1], WORLD.velocity_e[:1], WORLD.C_eb[:1], first[None])
     x, apart, size = first.copy(), [], []
     for k in range(1, 301):
         feed(batch, WORLD, k, bias)
@@ -109,7 +109,9 @@ def at_rest(seconds):
 def test_what_stands_still_stays_still(corrected):
     world = at_rest(60.0)
     batch = receivers(1, world=world)
-    batch.begin(world.position_e[:1], world.velocity_e[:1], world.C_eb[:1], np.zeros((1, STATES)))
+    batch.start_episodes(
+        world.position_e[:1], world.velocity_e[:1], world.C_eb[:1], np.zeros((1, STATES))
+    )
     for k in range(1, world.epochs):
         feed(batch, world, k)
         batch.predict()
@@ -123,7 +125,7 @@ def test_perfect_measurements_take_the_initial_errors_away():
     batch = receivers(2)
     sd = batch.settings.initial_sd() / 3.0
     first = [0, 0]
-    batch.begin(
+    batch.start_episodes(
         WORLD.position_e[first], WORLD.velocity_e[first], WORLD.C_eb[first], np.array([sd, -sd])
     )
     for k in range(1, 301):
@@ -154,7 +156,7 @@ def test_covariance_kernels_are_their_matrix_equations():
     psd, tau = rng.uniform(size=15), 0.1
     half = np.diag(0.5 * tau * psd)
     work, predicted = np.empty((15, 15)), P.copy()
-    propagate(predicted, Phi, psd, tau, work)
+    propagate_loose(predicted, Phi, psd, tau, work)
     np.testing.assert_allclose(predicted, Phi @ (P + half) @ Phi.T + half, rtol=1e-12, atol=1e-12)
     inverse, H = np.empty((3, 3)), np.zeros((3, 15))
     H[:, 6:9] = -np.eye(3)
@@ -170,7 +172,9 @@ def test_covariance_kernels_are_their_matrix_equations():
 
 def test_a_rejected_fix_changes_nothing():
     batch = receivers(1)
-    batch.begin(WORLD.position_e[:1], WORLD.velocity_e[:1], WORLD.C_eb[:1], np.zeros((1, STATES)))
+    batch.start_episodes(
+        WORLD.position_e[:1], WORLD.velocity_e[:1], WORLD.C_eb[:1], np.zeros((1, STATES))
+    )
     feed(batch, WORLD, 1)
     batch.fix_e += 50.0
     batch.predict()

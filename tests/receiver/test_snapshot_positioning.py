@@ -8,7 +8,7 @@ from spoofgym.earth.wgs84 import EARTH_RATE, SPEED_OF_LIGHT
 from spoofgym.receiver import least_squares_fix
 from spoofgym.receiver.snapshot import expect, fix_receivers
 from spoofgym.truth._kernels import measure_snapshot
-from spoofgym.truth.noise import padded
+from spoofgym.truth.noise import pad_count
 from spoofgym.truth.run import make_sky
 from spoofgym.truth.satellites import CircularConstellation
 
@@ -30,7 +30,7 @@ def pseudoranges(noise_m=0.0, receivers=1, spoofed=None, displacement=(0.0, 0.0,
         SKY.C_en,
         SKY.satellite_position_e,
         noise_m,
-        np.empty(padded(12)),
+        np.empty(pad_count(12)),
         rho,
         satellites,
     )

@@ -164,8 +164,8 @@ def test_the_fields_that_are_always_there():
 def test_a_traced_epoch_notes_what_is_read():
     traced = TracedEpoch(*epoch_view(ReceiverBuffers(2, 4, SEEN)))
     assert traced.innovation.shape == (2, 8)
-    assert traced.read == set()
+    assert traced.read_fields == set()
     changed = traced._replace(innovation=traced.innovation + 1.0)
     assert changed.design is not None
     assert traced.cn0_dbhz is None
-    assert traced.read == changed.read == {"design", "cn0_dbhz"}
+    assert traced.read_fields == changed.read_fields == {"design", "cn0_dbhz"}

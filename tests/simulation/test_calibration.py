@@ -11,7 +11,7 @@ from spoofgym.bench.runs.world import VICTIMS
 from spoofgym.calibration import thresholds as calibration
 from spoofgym.calibration.clean_runs import Player, weighs
 from spoofgym.calibration.holdouts import HoldOut, check, hold_out, transfer
-from spoofgym.calibration.thresholds import bisect, calibrate, suitable_detectors
+from spoofgym.calibration.thresholds import bisect, calibrate_detectors, suitable_detectors
 from spoofgym.detectors import Calibrated, Cusum, Ewma, JointChart, make_detector
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, TOLERANCE, hourly_rate
 from spoofgym.envs import SnapshotEnv, SpoofEnv, SpoofVectorEnv
@@ -65,7 +65,7 @@ def test_runs_do_not_depend_on_chunks_threads_or_what_was_played_before(setup):
 def test_the_judged_window_is_the_attack_and_the_time_to_alert(setup):
     """From the engine itself: no attack, and the largest ratio after the onset."""
     cusum = Cusum()
-    engine = Engine(3, setup.altered(detector=cusum), threads=1)
+    engine = Engine(3, setup.copy_with(detector=cusum), threads=1)
     player = Player(setup, threads=1)
     engine.reset(player.generators("calibration", range(3)))
     largest = np.zeros(3)
@@ -80,7 +80,7 @@ def test_the_judged_window_is_the_attack_and_the_time_to_alert(setup):
 def test_a_calibration_keeps_its_rate_on_the_runs_that_it_is_made_of(setup):
     runs = 120
     specs = ["snapshot-chi2", "ewma", {"name": "shewhart", "signals": "range_rate"}]
-    found = calibrate(setup, specs, runs=runs, false_alarms_per_hour=RATE, threads=2)
+    found = calibrate_detectors(setup, specs, runs=runs, false_alarms_per_hour=RATE, threads=2)
     assert [each.detector["name"] for each in found] == ["snapshot-chi2", "ewma", "shewhart"]
     for each, spec in zip(found, specs, strict=True):
         point = each.point(RATE)
@@ -89,13 +89,13 @@ def test_a_calibration_keeps_its_rate_on_the_runs_that_it_is_made_of(setup):
         counted = player.play([scaled], range(runs), in_loop=weighs(setup, scaled))
         assert counted.alarmed.sum() == point.rank - 1 == 4
         assert point.warmup_alarms == pytest.approx(counted.early.mean(), abs=0.03)
-    assert calibrate(setup, specs, runs=runs, false_alarms_per_hour=RATE) == found
+    assert calibrate_detectors(setup, specs, runs=runs, false_alarms_per_hour=RATE) == found
     check(setup, found, specs)
 
 
 def test_an_alarm_that_is_a_state_is_bisected_to_its_rate(setup):
     runs, spec = 100, {"name": "joint-chart", "smoothing": 0.3}
-    (found,) = calibrate(setup, spec, runs=runs, false_alarms_per_hour=RATE)
+    (found,) = calibrate_detectors(setup, spec, runs=runs, false_alarms_per_hour=RATE)
     point = found.point(RATE)
     scaled = make_detector({**spec, "threshold_scale": point.scale})
     alarmed = Player(setup, threads=2).play([scaled], range(runs), in_loop=True).alarmed.sum()
@@ -106,7 +106,7 @@ def test_an_alarm_that_is_a_state_is_bisected_to_its_rate(setup):
     assert found.bisected
     with pytest.raises(ValueError, match="is a state, whose scale is found by bisection, which"):
         found.point(2.0 * RATE)
-    both = calibrate(setup, spec, runs=runs, false_alarms_per_hour=[RATE, 2.0 * RATE])[0]
+    both = calibrate_detectors(setup, spec, runs=runs, false_alarms_per_hour=[RATE, 2.0 * RATE])[0]
     assert both.point(2.0 * RATE).scale <= point.scale == both.point(RATE).scale
 
 
@@ -137,7 +137,7 @@ def test_bisection_plays_again_what_alarms_before_the_attack():
 
 def test_hold_outs_are_other_runs_and_lie_in_the_predicted_interval(setup):
     specs = ["snapshot-chi2", "cusum", "ewma"]
-    found = calibrate(setup, specs, runs=150, false_alarms_per_hour=RATE)
+    found = calibrate_detectors(setup, specs, runs=150, false_alarms_per_hour=RATE)
     held = hold_out(setup, found, specs, false_alarms_per_hour=RATE, runs=150, cells=30)
     assert [each.holds for each in held] == [True, True, True]
     assert {each.runs for each in held} == {150}
@@ -153,7 +153,7 @@ def test_hold_outs_are_other_runs_and_lie_in_the_predicted_interval(setup):
 def test_rates_share_the_runs_of_a_hold_out(setup):
     """Each counts what it counts alone, that of an alarm that is a state, too."""
     specs, rates = ["snapshot-chi2", "ewma", "joint-chart"], [RATE, 3 * RATE]
-    found = calibrate(setup, specs, runs=100, false_alarms_per_hour=rates)
+    found = calibrate_detectors(setup, specs, runs=100, false_alarms_per_hour=rates)
     held = hold_out(setup, found, specs, false_alarms_per_hour=rates, runs=100)
     asked = {"runs": 100, "cells": 6}
     alone = [
@@ -170,7 +170,7 @@ def test_a_hold_out_tells_the_worst_world():
     """A domain of several skies: every run under one of them, none lost."""
     domain = {"constellation_time_s": [0.0, 86_400.0], "worlds": 3}
     several = TightlyCoupledSetup(detector="never", timeline=SHORT, domain=domain)
-    found = calibrate(several, "snapshot-chi2", runs=150, false_alarms_per_hour=RATE)
+    found = calibrate_detectors(several, "snapshot-chi2", runs=150, false_alarms_per_hour=RATE)
     asked = {"false_alarms_per_hour": RATE, "runs": 150}
     (held,) = hold_out(several, found, "snapshot-chi2", **asked)
     runs, alarms = np.array(held.worlds).T
@@ -203,7 +203,7 @@ def test_the_error_offers_the_same_detector_with_nominal_thresholds():
 
 
 def test_the_rate_elsewhere_is_another_one(setup):
-    found = calibrate(setup, "ewma", runs=100, false_alarms_per_hour=RATE)
+    found = calibrate_detectors(setup, "ewma", runs=100, false_alarms_per_hour=RATE)
     elsewhere = TightlyCoupledSetup(scenario="groves", detector="never", timeline=SHORT)
     (there,) = transfer(elsewhere, found, "ewma", false_alarms_per_hour=RATE, runs=100)
     assert (there.low, there.high, there.holds) == (None, None, None)
@@ -221,7 +221,7 @@ def test_the_rate_elsewhere_is_another_one(setup):
 
 
 def test_rescaled_innovations_are_as_large_as_believed(setup):
-    (found,) = calibrate(
+    (found,) = calibrate_detectors(
         setup, "cusum", runs=80, false_alarms_per_hour=RATE, rescaled=True, threads=2
     )
     player = Player(setup, threads=2)
@@ -244,15 +244,15 @@ def test_a_sum_that_stays_at_zero_is_refused(setup):
     specs = [{"name": "cusum", "signals": "range_rate"}, "snapshot-chi2"]
     settings = {"runs": 60, "false_alarms_per_hour": RATE}
     with pytest.raises(ValueError, match=r"cusum is degenerate: its largest value is 0 in 100 %"):
-        calibrate(setup, specs, **settings)
+        calibrate_detectors(setup, specs, **settings)
     # the other one is done, and neither is played again
     opened = []
-    found = calibrate(setup, specs, **settings, strict=False, progress=opened.append)
+    found = calibrate_detectors(setup, specs, **settings, strict=False, progress=opened.append)
     assert not opened
     assert found[1].point(RATE).scale > 0.0
     with pytest.raises(ValueError, match="is degenerate"):
         SpoofEnv(timeline=SHORT, detector={**specs[0], **ASKED})
-    mended = calibrate(setup, specs[0], **settings, rescaled=True)
+    mended = calibrate_detectors(setup, specs[0], **settings, rescaled=True)
     assert mended[0].point(RATE).scale > 0.0
 
 
@@ -270,7 +270,7 @@ def test_a_sum_that_stays_at_zero_is_refused(setup):
 )
 def test_bad_requests(setup, settings, message):
     with pytest.raises(ValueError, match=message):
-        calibrate(setup, "snapshot-chi2", **{**ASKED, "runs": 60, **settings})
+        calibrate_detectors(setup, "snapshot-chi2", **{**ASKED, "runs": 60, **settings})
 
 
 def test_environments_look_a_calibration_up_and_never_run_one(setup, folder, monkeypatch):
@@ -278,7 +278,7 @@ def test_environments_look_a_calibration_up_and_never_run_one(setup, folder, mon
         raise AssertionError("an environment has played clean runs")
 
     settings = {"timeline": SHORT, "detector": {"name": "snapshot-chi2", **ASKED}}
-    (found,) = calibrate(setup, "snapshot-chi2", runs=60, false_alarms_per_hour=RATE)
+    (found,) = calibrate_detectors(setup, "snapshot-chi2", runs=60, false_alarms_per_hour=RATE)
     monkeypatch.setattr(Player, "play", play)
     env = SpoofEnv(**settings)
     assert env.core.setup.detector.scale == found.point(RATE).scale
@@ -308,8 +308,8 @@ def test_environments_look_a_calibration_up_and_never_run_one(setup, folder, mon
 
 def test_another_folder_is_apart_from_those_that_are_looked_up(setup, folder, tmp_path):
     settings = {"runs": 60, "false_alarms_per_hour": RATE}
-    (own,) = calibrate(setup, "snapshot-chi2", **settings)
-    (other,) = calibrate(setup, "snapshot-chi2", **settings, folder=tmp_path / "other")
+    (own,) = calibrate_detectors(setup, "snapshot-chi2", **settings)
+    (other,) = calibrate_detectors(setup, "snapshot-chi2", **settings, folder=tmp_path / "other")
     assert own.path.is_relative_to(folder)
     assert other.path.is_relative_to(tmp_path / "other")
     assert own == other
@@ -339,7 +339,7 @@ def test_a_domain_that_repeats_its_scenario_is_no_other_world(scenario, domain, 
 
 
 def test_a_file_for_something_else_is_refused(setup, tmp_path):
-    (found,) = calibrate(setup, "ewma", runs=60, false_alarms_per_hour=RATE)
+    (found,) = calibrate_detectors(setup, "ewma", runs=60, false_alarms_per_hour=RATE)
     asked = {"name": "ewma", **ASKED, "calibration": str(found.path)}
     env = SpoofEnv(timeline=SHORT, detector=asked)
     assert env.core.setup.detector.scale == found.point(RATE).scale
@@ -353,7 +353,7 @@ def test_a_file_for_something_else_is_refused(setup, tmp_path):
 
 def test_draws_by_last_bits_are_not_held_against_another_processor(setup):
     """One bit of one innovation, as NumPy for other instructions computes it, is another draw."""
-    (found,) = calibrate(setup, "lottery", runs=30, false_alarms_per_hour=2.0 * RATE)
+    (found,) = calibrate_detectors(setup, "lottery", runs=30, false_alarms_per_hour=2.0 * RATE)
     drawn = [(run, before / 3.0, judged / 3.0) for run, before, judged in found.witnesses]
     check(setup, [dataclasses.replace(found, witnesses=tuple(drawn))], "lottery")
     with pytest.raises(ValueError, match="something else than lottery"):
@@ -361,7 +361,7 @@ def test_draws_by_last_bits_are_not_held_against_another_processor(setup):
 
 
 def test_what_no_longer_behaves_so_is_told(setup):
-    (found,) = calibrate(setup, "ewma", runs=30, false_alarms_per_hour=2.0 * RATE)
+    (found,) = calibrate_detectors(setup, "ewma", runs=30, false_alarms_per_hour=2.0 * RATE)
     kept = list(found.witnesses)
     for error in (5e-7, 3e-6):
         run, before, judged = found.witnesses[3]
@@ -380,7 +380,7 @@ def test_the_fused_step_has_the_bits_of_the_wrapper(setup):
         """The same, which no kernel knows."""
 
     fused, slow = (
-        Engine(5, setup.altered(detector=kind(Ewma(), 0.37)), threads=1)
+        Engine(5, setup.copy_with(detector=kind(Ewma(), 0.37)), threads=1)
         for kind in (Calibrated, Slow)
     )
     assert fused.simulator._compiled_detector() != NO_FORM
@@ -404,7 +404,7 @@ def test_the_fused_step_has_the_bits_of_the_wrapper(setup):
 def test_a_smaller_victim_is_calibrated_by_the_same_call():
     setup = SnapshotSetup(detector="never", timeline={"attack_s": 30.0, "warmup_s": 10.0})
     specs = ["raim", {"name": "srv-raim", "exclude": True}]
-    found = calibrate(setup, specs, runs=60, false_alarms_per_hour=5.0)
+    found = calibrate_detectors(setup, specs, runs=60, false_alarms_per_hour=5.0)
     held = hold_out(setup, found, specs, false_alarms_per_hour=5.0, runs=60)
     assert [each.holds for each in held] == [True, True]
     check(setup, found, specs)
@@ -412,7 +412,7 @@ def test_a_smaller_victim_is_calibrated_by_the_same_call():
 
 def test_states_of_charts_are_scaled_in_the_loop(setup):
     """At a factor that nothing reaches there is no alarm, and the weights are as published."""
-    never = setup.altered(detector=Calibrated(JointChart(), 1e6)).simulator(4, run_serially)
+    never = setup.copy_with(detector=Calibrated(JointChart(), 1e6)).simulator(4, run_serially)
     never.warm_up(Player(setup).generators("training", range(4)))
     for _ in range(setup.steps):
         verdict = never.step(attacked=False)
@@ -426,6 +426,6 @@ def test_every_suitable_detector_fits(name):
     found = suitable_detectors(setup)
     assert len(found) > 1
     for detector in found:
-        setup.altered(detector=detector).simulator(1, run_serially)
+        setup.copy_with(detector=detector).simulator(1, run_serially)
     names = {type(each) for each in found}
     assert {type(make_detector(spec)) for spec in VICTIMS[name].detectors} <= names

@@ -13,7 +13,7 @@ from ..envs.support import SHORT
 
 def engines(detector, **settings):
     setup = TightlyCoupledSetup(timeline=SHORT, detector=detector, **settings)
-    setup = setup.altered(monitors=[Divergence()])
+    setup = setup.copy_with(monitors=[Divergence()])
     made = [Engine(2, setup), Engine(2, setup)]
     for engine in made:
         engine.reset([np.random.default_rng(5), np.random.default_rng(6)])
@@ -103,7 +103,7 @@ def test_it_is_the_sum_of_the_divergences_of_normal_distributions(detector, atta
         attack=attack,
         receiver={"min_satellites": min_satellites},
         domain={"start_s": (0.0, 60.0)},
-    ).altered(monitors=[Divergence()])
+    ).copy_with(monitors=[Divergence()])
     engine = Engine(1, setup)
     engine.reset([np.random.default_rng(3)])
     axes = len(setup.action_names)

@@ -9,7 +9,7 @@ import pytest
 import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.domain import Domain, draw
-from spoofgym.truth.flight import turned
+from spoofgym.truth.flight import rotate_flight
 from spoofgym.truth.manoeuvres import car
 
 ID = "spoofgym/TightlyCoupled-v0"
@@ -159,7 +159,7 @@ def test_nothing_is_drawn_by_default():
 
 def test_a_turned_flight_is_the_same_flight_in_another_direction():
     flight = car()
-    other = turned(flight, np.radians(90.0))
+    other = rotate_flight(flight, np.radians(90.0))
     np.testing.assert_array_equal(other.position_e[0], flight.position_e[0])
     north, east, down = flight.velocity_n.T
     np.testing.assert_allclose(other.velocity_n[0], [-east[0], north[0], down[0]], atol=1e-9)

@@ -294,8 +294,8 @@ def test_the_quiet_stretch_is_the_stepwise_run():
     fused = Engine(5, setup, threads=1).simulator
     stepwise = Engine(5, setup, threads=1).simulator
     for simulator in (fused, stepwise):
-        simulator.begin([np.random.default_rng(i) for i in range(5)])
-    fused.quiet_epochs(30)
+        simulator.start_episodes([np.random.default_rng(i) for i in range(5)])
+    fused.run_filter_only(30)
     for _ in range(30):
         stepwise.advance()
         stepwise.update(None)

@@ -83,7 +83,7 @@ def test_the_variance_is_the_diagonal_of_the_covariance(kind):
 def test_needs_of_loop_passive_detectors_and_monitors_add_up():
     passive = PassiveDetectors([Reader("imu_delta"), make_detector("raim"), make_detector("ewma")])
     assert passive.needs == {"imu_delta", "pseudorange", "satellite_position"}
-    setup = tight("snapshot-chi2").altered(monitors=[passive, Divergence()])
+    setup = tight("snapshot-chi2").copy_with(monitors=[passive, Divergence()])
     engine = Engine(2, setup, twin=True)
     engine.reset(rngs(2))
     engine.step(np.zeros((2, 2)))
@@ -161,7 +161,7 @@ class Compass(Late):
 )
 def test_fields_are_known_before_the_first_epoch(monitor, message):
     with pytest.raises(ValueError, match=message):
-        warm(tight().altered(monitors=[monitor]), 1)
+        warm(tight().copy_with(monitors=[monitor]), 1)
 
 
 @pytest.mark.parametrize("how", ["detector", "watch"])

@@ -15,7 +15,7 @@ import pytest
 
 from spoofgym.envs import SpoofCore, SpoofVectorEnv
 from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.prefetch import Group, copy_of, take_episode
+from spoofgym.simulation.prefetch import Group, copy_generator, take_episode
 
 PATIENCE_S = 900.0
 """After which a thread or a process counts as hanging, however busy the machine."""
@@ -400,6 +400,6 @@ def test_an_episode_is_taken_from_a_generator():
     rng = np.random.default_rng(3)
     expected = [child.generate_state(2) for child in np.random.SeedSequence(3).spawn(3)]
     taken = [take_episode(rng) for _ in range(2)]
-    for source, state in zip([*taken, copy_of(rng)], expected, strict=True):
+    for source, state in zip([*taken, copy_generator(rng)], expected, strict=True):
         child = source.bit_generator.seed_seq.spawn(1)[0]
         assert np.array_equal(child.generate_state(2), state)

@@ -15,7 +15,7 @@ from onnx import TensorProto, helper, numpy_helper
 from spoofgym.envs.observer import Observer
 from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.envs.terms.observation import default_terms
-from spoofgym.policies.card import SpooferCard, fields_of
+from spoofgym.policies.card import SpooferCard, describe_context
 from spoofgym.policies.trial import trust
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.spoofers import SpooferContext
@@ -128,7 +128,7 @@ def card_fields(
         "kind": "onnx-policy",
         "env_id": "spoofgym/TightlyCoupled-v0",
         "env_kwargs": {**ENV, **FULL, "knowledge": knowledge, **env},
-        **fields_of(context),
+        **describe_context(context),
         "knowledge": {"run_time": knowledge, "design_time": "ewma, zhong2025"},
         "training": {"command": "none", "seed": 7},
         "versions": {"onnx": onnx.__version__},

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from spoofgym.policies.card import Card, DetectorCard, SpooferCard, fields_of
+from spoofgym.policies.card import Card, DetectorCard, SpooferCard, describe_context
 
 from .policies import BLIND, card_fields
 
@@ -158,8 +158,8 @@ def test_a_card_is_frozen() -> None:
 
 
 def test_what_it_was_made_for_does_not_differ() -> None:
-    assert SpooferCard(**fields()).differences(BLIND._replace(receivers=5)) == []
-    assert fields_of(BLIND) == SpooferCard(**fields()).model_dump(
+    assert SpooferCard(**fields()).diff_context(BLIND._replace(receivers=5)) == []
+    assert describe_context(BLIND) == SpooferCard(**fields()).model_dump(
         include={"observation", "action", "conditions"}
     )
 
@@ -186,24 +186,24 @@ def test_what_it_was_made_for_does_not_differ() -> None:
     ],
 )  # fmt: skip
 def test_differences_are_told(changes: dict[str, Any], lines: list[str]) -> None:
-    assert SpooferCard(**fields()).differences(BLIND._replace(**changes)) == lines
+    assert SpooferCard(**fields()).diff_context(BLIND._replace(**changes)) == lines
 
 
 def test_other_bounds_differ() -> None:
     context = BLIND
     wider = context._replace(observation_high=(200.0, *context.observation_high[1:]))
-    (line,) = SpooferCard(**fields()).differences(wider)
+    (line,) = SpooferCard(**fields()).diff_context(wider)
     assert line.startswith("observation.high: [100.0, ")
 
 
 def test_by_rate_the_limit_of_the_acceleration_does_not_matter() -> None:
     by_rate = BLIND._replace(control="rate", action_names=("north_rate", "east_rate"))
-    card = SpooferCard(**fields(**json.loads(json.dumps(fields_of(by_rate)))))
-    assert card.differences(by_rate._replace(acceleration_limit_mps2=0.01)) == []
+    card = SpooferCard(**fields(**json.loads(json.dumps(describe_context(by_rate)))))
+    assert card.diff_context(by_rate._replace(acceleration_limit_mps2=0.01)) == []
     assert (
-        len(SpooferCard(**fields()).differences(BLIND._replace(acceleration_limit_mps2=1.0))) == 1
+        len(SpooferCard(**fields()).diff_context(BLIND._replace(acceleration_limit_mps2=1.0))) == 1
     )
 
 
 def test_a_profile_looks_at_nothing() -> None:
-    assert SpooferCard(**profile()).differences(BLIND._replace(observation_names=("a", "b"))) == []
+    assert SpooferCard(**profile()).diff_context(BLIND._replace(observation_names=("a", "b"))) == []

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from spoofgym.policies.card import Space
-from spoofgym.spoofers.learned import ModelPolicy, function_of, inner_env, trained_in
+from spoofgym.spoofers.learned import ModelPolicy, inner_env, make_function, read_training_env
 
 from .policies import BLIND
 
@@ -59,7 +59,7 @@ def test_models_of_other_libraries_have_predict():
             assert deterministic
             return np.ones((len(seen), 2)), None
 
-    assert (function_of(Other())(np.zeros((3, 6))) == 1.0).all()
+    assert (make_function(Other())(np.zeros((3, 6))) == 1.0).all()
 
 
 def test_there_may_be_no_environment_inside():
@@ -80,11 +80,11 @@ class Loaded:
 def test_a_model_is_played_as_its_environment_says_however_that_was_made():
     pace = {"decision_interval_s": 10.0, "between": "linear"}
     env = gym.make("spoofgym/TightlyCoupled-v0", knowledge="tracking", **pace)
-    found = trained_in(Loaded(SimpleNamespace(envs=[env])))  # as of a DummyVecEnv
+    found = read_training_env(Loaded(SimpleNamespace(envs=[env])))  # as of a DummyVecEnv
     assert found.items() >= {"knowledge": "tracking", **pace}.items()
-    assert trained_in(lambda seen: seen) == {}
+    assert read_training_env(lambda seen: seen) == {}
 
 
 def test_a_model_that_was_loaded_without_an_environment_is_warned_of():
     with pytest.warns(UserWarning, match="Loaded has no environment that can be read"):
-        assert trained_in(Loaded()) == {}
+        assert read_training_env(Loaded()) == {}

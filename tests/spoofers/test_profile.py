@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from spoofgym.spoofers import Profile, make_spoofer
-from spoofgym.spoofers.profile import sampled
+from spoofgym.spoofers.profile import sample_curve
 
 from .test_scripted import context, flown
 
@@ -18,14 +18,14 @@ RATES = (0.1, 0.4, 0.35, 0.35, 0.9, 0.2)
 
 
 def test_the_curve_meets_its_knots() -> None:
-    curve = sampled(RATES, 300)
+    curve = sample_curve(RATES, 300)
     # five spans of 60 epochs; the first knot is at the onset, before the first epoch's end
     np.testing.assert_allclose(curve[[59, 119, 179, 239, 299]], RATES[1:], rtol=1e-12)
     assert abs(curve[0] - RATES[0]) < 0.02
 
 
 def test_the_curve_stays_between_neighbouring_knots() -> None:
-    curve = sampled(RATES, 300).reshape(5, 60)
+    curve = sample_curve(RATES, 300).reshape(5, 60)
     for i, span in enumerate(curve):
         low, high = sorted(RATES[i : i + 2])
         assert low - 1e-12 <= span.min()
@@ -62,8 +62,8 @@ def test_a_curve_across_goes_to_the_right(control: str) -> None:
     along, across = (0.0, 0.4, 0.2), (0.0, -0.1, 0.3, 0.3)
     profile = Profile(rates_mps=along, cross_rates_mps=across, heading_deg=0.0)
     displacement, rate = flown(profile, told)
-    np.testing.assert_allclose(rate[:, 0], sampled(along, 300), atol=1e-12)
-    np.testing.assert_allclose(rate[:, 1], sampled(across, 300), atol=1e-12)
+    np.testing.assert_allclose(rate[:, 0], sample_curve(along, 300), atol=1e-12)
+    np.testing.assert_allclose(rate[:, 1], sample_curve(across, 300), atol=1e-12)
     for i, name in enumerate(("displacement", "cross_displacement")):
         assert profile.memory[name][0] == pytest.approx(displacement[-1, i], rel=1e-9)
 

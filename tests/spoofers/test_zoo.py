@@ -11,9 +11,9 @@ from spoofgym.bench import Suite
 from spoofgym.bench.runs.players import fitting
 from spoofgym.bench.runs.world import World
 from spoofgym.envs.spoofer_binding import setup_of_card
-from spoofgym.policies.zoo import ZOO_FOLDER, card_of, shipped
+from spoofgym.policies.zoo import ZOO_FOLDER, list_shipped, load_card
 from spoofgym.spoofers import SPOOFERS, OnnxPolicy, Ramp, make_spoofer
-from spoofgym.spoofers.build import resolve
+from spoofgym.spoofers.build import resolve_spec
 
 from .policies import write_policy
 
@@ -26,8 +26,8 @@ def zoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_shipped_name_makes_its_spoofer(zoo: Path) -> None:
-    assert shipped() == ("ewma-tiny",)
-    assert card_of("ewma-tiny").name == "ewma-tiny"
+    assert list_shipped() == ("ewma-tiny",)
+    assert load_card("ewma-tiny").name == "ewma-tiny"
     policy = make_spoofer("ewma-tiny")
     assert isinstance(policy, OnnxPolicy)
     assert policy.label == "ewma-tiny"
@@ -35,7 +35,7 @@ def test_a_shipped_name_makes_its_spoofer(zoo: Path) -> None:
     assert make_spoofer({"name": "onnx-policy", "file": "ewma-tiny"}) == policy
     assert make_spoofer(str(zoo)).sha256 == policy.sha256  # type: ignore[attr-defined]
     assert make_spoofer(policy) == policy
-    assert resolve("ewma-tiny") == {
+    assert resolve_spec("ewma-tiny") == {
         "name": "onnx-policy",
         "file": "ewma-tiny",
         "sha256": policy.sha256,
@@ -47,21 +47,21 @@ def test_a_shipped_profile_is_its_settings(zoo: Path) -> None:
     settings = {"rates_mps": [0.0, 0.2], "heading_deg": 90.0}
     card |= {"name": "slow", "kind": "profile", "file": None, "observation": None}
     (zoo.parent / "slow.json").write_text(json.dumps({**card, "settings": settings}))
-    assert shipped() == ("ewma-tiny", "slow")
-    assert resolve("slow") == {"name": "profile", **settings, "label": "slow"}
+    assert list_shipped() == ("ewma-tiny", "slow")
+    assert resolve_spec("slow") == {"name": "profile", **settings, "label": "slow"}
     # two of them are told apart, whatever their cards say
     (zoo.parent / "fast.json").write_text(
         json.dumps({**card, "name": "fast", "settings": {**settings, "label": "slow"}})
     )
-    assert [make_spoofer(name).label for name in shipped()] == ["ewma-tiny", "fast", "slow"]
+    assert [make_spoofer(name).label for name in list_shipped()] == ["ewma-tiny", "fast", "slow"]
 
 
 def test_what_is_not_shipped_is_left_as_it_is() -> None:
     ramp = Ramp()
     for spec in ("ramp", {"name": "ramp", "rate_mps": 0.1}, "my.module:Class", ramp, 3, None):
-        assert resolve(spec) is spec
-    assert resolve("a/b.onnx") == {"name": "onnx-policy", "file": "a/b.onnx"}
-    assert resolve({"name": "b.onnx", "sha256": "0"}) == {
+        assert resolve_spec(spec) is spec
+    assert resolve_spec("a/b.onnx") == {"name": "onnx-policy", "file": "a/b.onnx"}
+    assert resolve_spec({"name": "b.onnx", "sha256": "0"}) == {
         "name": "onnx-policy",
         "file": "b.onnx",
         "sha256": "0",
@@ -73,7 +73,7 @@ def test_wrong_names_are_told_the_right_ones(zoo: Path) -> None:
         with pytest.raises(ValueError, match=r"valid: .*ewma-tiny.*did you mean 'ewma-tiny'"):
             make_spoofer(spec)
     with pytest.raises(ValueError, match="unknown shipped spoofer or detector 'ramp'; valid: e"):
-        card_of("ramp")
+        load_card("ramp")
     with pytest.raises(ValueError, match="'ewma-tiny' is as it is, and has no setting 'rate_mps'"):
         make_spoofer({"name": "ewma-tiny", "rate_mps": 1.0})
     with pytest.raises(ValueError, match=r"must be the path .* \(ewma-tiny\), got 'other'"):
@@ -83,18 +83,18 @@ def test_wrong_names_are_told_the_right_ones(zoo: Path) -> None:
 
 
 def test_shipped_names_are_free() -> None:
-    assert not set(shipped("spoofer")) & set(SPOOFERS)
+    assert not set(list_shipped("spoofer")) & set(SPOOFERS)
 
 
 def test_every_file_of_the_zoo_has_its_card() -> None:
     policies = {path.stem for path in ZOO_FOLDER.glob("*.onnx")}
-    learned = {name for name in shipped() if card_of(name).file is not None}
+    learned = {name for name in list_shipped() if load_card(name).file is not None}
     assert policies == learned
 
 
-@pytest.mark.parametrize("name", shipped("spoofer"))
+@pytest.mark.parametrize("name", list_shipped("spoofer"))
 def test_every_shipped_spoofer_is_whole(name: str) -> None:
-    card, spoofer = card_of(name), make_spoofer(name)
+    card, spoofer = load_card(name), make_spoofer(name)
     assert card.name == name == spoofer.label
     assert spoofer.knowledge == card.knowledge.run_time
     assert spoofer.designed_on == card.knowledge.design_time
@@ -104,13 +104,13 @@ def test_every_shipped_spoofer_is_whole(name: str) -> None:
         assert card.file.bytes < 500_000
 
 
-@pytest.mark.parametrize("name", shipped("spoofer"))
+@pytest.mark.parametrize("name", list_shipped("spoofer"))
 def test_every_shipped_spoofer_fits_its_own_world_and_the_default_one(name: str) -> None:
-    card = card_of(name)
+    card = load_card(name)
     for setup in (setup_of_card(card), World(card.env_id).setup):
         names, notes = fitting(card.env_id, setup)
         assert name in names, notes
-    assert name in {entry.label for entry in Suite(env=card.env_id).spoofer_entries}
+    assert name in {entry.label for entry in Suite(env=card.env_id).spoofer_players}
 
 
 def test_a_learned_spoofer_whose_decisions_do_not_fit_is_left_out_with_the_reason() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from spoofgym.bench.experiments.evaluate import Evaluator
 from tools import feedback_gain
-from tools.feedback_gain import BLIND, FEEDBACK, OFF, RIDER, TRIED, cases, played, rows
+from tools.feedback_gain import FEEDBACK, OFF, OPEN_LOOP, RIDER, TRIED, cases, play_kinds, rows
 
 WORLD = {
     "timeline": {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0},
@@ -18,12 +18,12 @@ CURVE = [0.1, 0.5]
 
 @pytest.fixture(scope="module")
 def found():
-    return played(Evaluator(runs=24, fit_runs=80, entropy=3, **WORLD), CURVE)
+    return play_kinds(Evaluator(runs=24, fit_runs=80, entropy=3, **WORLD), CURVE)
 
 
 def test_switched_off_it_is_the_curve(monkeypatch):
     monkeypatch.setitem(TRIED, FEEDBACK, [])
-    off = played(Evaluator(runs=24, fit_runs=80, entropy=3, **WORLD), CURVE)
+    off = play_kinds(Evaluator(runs=24, fit_runs=80, entropy=3, **WORLD), CURVE)
     assert off[FEEDBACK]["settings"] == OFF
     assert off[FEEDBACK]["ratio"] == {"value": 1.0, "low": 1.0, "high": 1.0}
 
@@ -31,7 +31,7 @@ def test_switched_off_it_is_the_curve(monkeypatch):
 def test_feedback_is_fitted_no_worse_than_the_curve_that_it_follows(found):
     training = found[FEEDBACK]["training_m"]
     assert len(training) == len(TRIED[FEEDBACK]) + 1
-    assert max(training.values()) >= found[BLIND]["training_m"][""] > 0.0
+    assert max(training.values()) >= found[OPEN_LOOP]["training_m"][""] > 0.0
     assert training[feedback_gain._words(found[FEEDBACK]["settings"])] == max(training.values())
     # a row names what it knows and whether it keeps the budget
     told = {**found, "room": True, "bound": {"value": 5.0, "kind": "exact"}}
@@ -57,7 +57,7 @@ def test_what_has_no_room_is_not_played_and_what_is_kept_neither(tmp_path, monke
     feedback_gain.main(given)
     first = capsys.readouterr().out
     assert json.loads(first)["never"]["room"] is False
-    monkeypatch.setattr(feedback_gain, "case_of", None)
+    monkeypatch.setattr(feedback_gain, "play_case", None)
     feedback_gain.main(given)
     assert capsys.readouterr().out == first
     feedback_gain.main(given[:-1])
@@ -75,6 +75,6 @@ def test_a_mistake_and_an_interrupt_are_one_line(tmp_path, monkeypatch):
     def interrupted(*given):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(feedback_gain, "case_of", interrupted)
+    monkeypatch.setattr(feedback_gain, "play_case", interrupted)
     with pytest.raises(SystemExit, match=r"^interrupted: 0 of 1 cells .*the same command goes on"):
         feedback_gain.main(["never", "--out", str(tmp_path / "out")])

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from tools import frozen, frozen_probe
 from tools.frozen import Case, Names, Scope, Tolerance
-from tools.frozen_probe import CALLS, COMMANDS, IMPORTS, STEPS, Player, Record, cases_of
+from tools.frozen_probe import CALLS, COMMANDS, IMPORTS, STEPS, Player, Record, list_cases
 
 CASE = Case("spoofgym/Snapshot-v0", "same_step", 3)
 
@@ -326,7 +326,7 @@ def test_a_killed_command_has_to_be_killed_while_it_works(tmp_path):
 
 
 def test_every_id_has_every_form():
-    cases = cases_of(["spoofgym/Snapshot-v0", "spoofgym/BenchT1-v1"])
+    cases = list_cases(["spoofgym/Snapshot-v0", "spoofgym/BenchT1-v1"])
     forms = {(case.form, case.batch) for case in cases if case.id == "spoofgym/BenchT1-v1"}
     modes = {
         (mode, b) for mode in ("next_step", "same_step", "disabled", "sb3") for b in (1, 3, 17)
@@ -338,7 +338,7 @@ def test_every_id_has_every_form():
 
 
 def test_the_quick_ones_have_every_command_every_score_and_the_default_of_users():
-    cases = [each for each in cases_of(["spoofgym/BenchT3-v1"]) if frozen.is_wanted(each, True)]
+    cases = [each for each in list_cases(["spoofgym/BenchT3-v1"]) if frozen.is_wanted(each, True)]
     assert {(case.id, case.form) for case in cases} >= {*COMMANDS, *CALLS}
     usual = {case.name for case in cases if case.form == "shipped"}
     assert usual == {

@@ -6,14 +6,14 @@ import pytest
 
 from agents.game_page import shown
 from spoofgym.detectors import make_detector
-from tools.game_page import BEGIN, END, KEPT, PAGE
+from tools.game_page import DATA_FILE, END, PAGE, START
 from tools.pages import part_between
 
 
 def test_the_page_has_the_tables_of_the_kept_results_and_its_mixes_are_pools():
-    text = KEPT.read_text(encoding="utf-8")
+    text = DATA_FILE.read_text(encoding="utf-8")
     kept = json.loads(text)
-    assert part_between(PAGE.read_text(encoding="utf-8"), BEGIN, END) == f"\n{shown(kept)}"
+    assert part_between(PAGE.read_text(encoding="utf-8"), START, END) == f"\n{shown(kept)}"
     for pool in (kept["iterations"][0]["pool"], kept["final"]["pool"]):
         assert len(make_detector(pool).judges) == len(pool["members"])
         assert sum(pool["weights"]) == pytest.approx(1.0, abs=1e-3)

@@ -14,7 +14,7 @@ for name in ("torch", "tyro"):  # of what the steps run
     pytest.importorskip(name)
 
 from spoofgym.tasks import DETECTOR_TASKS, TASKS
-from tools.learn_all import MARKS, Step, main, run, steps_of
+from tools.learn_all import MARKS, Step, list_steps, main, run
 
 
 def writing(path):
@@ -44,7 +44,7 @@ def test_a_killed_run_goes_on_with_the_step_that_was_not_finished(tmp_path):
 
 
 def test_every_task_and_every_page_has_its_step(tmp_path):
-    steps, folders = steps_of(tmp_path), {}
+    steps, folders = list_steps(tmp_path), {}
     assert {f"ppo-{key}" for key in TASKS} | {f"cards-{key}" for key in DETECTOR_TASKS} <= {*steps}
     names = [*steps]
     for name, step in steps.items():

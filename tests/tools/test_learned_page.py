@@ -5,8 +5,8 @@ from statistics import median
 
 import pytest
 
-from agents.seeds import LOUDEST, middle_of, value_of
-from tools.learned_page import DOCS, KEPT, PAGE, TABLES, bar_of
+from agents.seeds import LOUDEST, find_median_seed, get_displacement
+from tools.learned_page import DATA_FILE, DOCS, PAGE, TABLES, find_bar
 from tools.pages import marks, part_between
 from tools.refits import LEARNED
 
@@ -15,7 +15,7 @@ SEEDS = [0, 1, 2, 3, 4]
 
 @pytest.fixture(scope="module")
 def kept():
-    return json.loads(KEPT.read_text())
+    return json.loads(DATA_FILE.read_text())
 
 
 @pytest.mark.parametrize("mark", TABLES)
@@ -42,8 +42,10 @@ def test_fresh_seeds_on_fresh_runs_share_none_with_the_others(kept):
     for task, found in kept["fresh"].items():
         assert [row["seed"] for row in found["seeds"]] == [5, 6, 7, 8, 9]
         assert "--entropy 1" in found["command"]
-        bar = bar_of(found)
-        assert f"{middle_of(found['seeds'], bar)['ratios'][bar]['value']:.2f} in {task}" in page
+        bar = find_bar(found)
+        assert (
+            f"{find_median_seed(found['seeds'], bar)['ratios'][bar]['value']:.2f} in {task}" in page
+        )
 
 
 def test_learned_spoofers_are_fitted_anew_on_five_sets_of_runs(kept):
@@ -62,11 +64,11 @@ def test_the_recipe_reaches_95_percent_where_the_page_says_so(kept):
     """The median of five seeds, of the best of ramps and blind optimum, all within the budget."""
     reached = []
     for task, found in kept["recipe"].items():
-        scores = sorted(value_of(row["score"]) for row in found["seeds"])
-        bar = bar_of(found)
-        ratio = median(scores) / value_of(found["rivals"][bar])
+        scores = sorted(get_displacement(row["score"]) for row in found["seeds"])
+        bar = find_bar(found)
+        ratio = median(scores) / get_displacement(found["rivals"][bar])
         assert ratio == pytest.approx(
-            middle_of(found["seeds"], bar)["ratios"][bar]["value"], abs=0.01
+            find_median_seed(found["seeds"], bar)["ratios"][bar]["value"], abs=0.01
         )
         if ratio >= 0.95:
             reached.append(task)

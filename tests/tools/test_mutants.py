@@ -47,7 +47,7 @@ def test_every_change_of_the_package_leaves_a_program() -> None:
         assert raw[each.start : each.end].decode() == each.before
         lines[each.line - 1] = (raw[: each.start] + each.after.encode() + raw[each.end :]).decode()
         ast.parse("\n".join(lines))
-        assert all((mutants.ROOT / folder).is_dir() for folder in mutants.tests_of(each.file))
+        assert all((mutants.ROOT / folder).is_dir() for folder in mutants.find_tests(each.file))
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 import spoofgym.tasks
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.tasks import Task
-from tools.refits import RESULTS, options, play, specs_of, table
+from tools.refits import RESULTS, list_specs, options, play, table
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 QUICK = shlex.split("--task T1 --entropies 3 4 --fit-runs 80 --runs 10 --threads 1 --spoofer dash")
@@ -60,4 +60,4 @@ def test_bad_options_are_refused():
     with pytest.raises(ValueError, match="unknown task 'T9'"):
         options(["--task", "T9"])
     with pytest.raises(ValueError, match="listed twice: dash"):
-        specs_of("T1", ["dash", "dash"])
+        list_specs("T1", ["dash", "dash"])

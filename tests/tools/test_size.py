@@ -17,14 +17,14 @@ def test_lines_statements_and_files_are_counted(tmp_path):
     }.items():
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / path).write_text(text)
-    assert size.size_of("a", tmp_path) == (7, 5, 2)
-    assert size.size_of("a + b", tmp_path) == (7, 5, 3)
+    assert size.measure_size("a", tmp_path) == (7, 5, 2)
+    assert size.measure_size("a + b", tmp_path) == (7, 5, 3)
 
 
 def test_the_check_fails_where_a_part_is_over_its_budget(monkeypatch):
     app = Typer()
     app.command()(size.main)
-    found = size.size_of("tools")
+    found = size.measure_size("tools")
     for more, code in ((0, 0), (-1, 1)):
         monkeypatch.setattr(size, "BUDGETS", {"tools": size.Size(found.lines + more)})
         ran = CliRunner().invoke(app, ["--json", "--check"])

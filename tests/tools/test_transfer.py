@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from spoofgym.bench.experiments.evaluate import Evaluator
-from spoofgym.tasks import task_of
+from spoofgym.tasks import get_task
 from tools import transfer
 from tools.transfer import evaluators, line, table
 
@@ -17,8 +17,8 @@ CHANGES = {
     "blunt": {"timeline": TIMES, "receiver": "matched", "detector": {"name": "never"}},
 }
 SHORT = replace(
-    task_of("T1"),
-    settings={**task_of("T1").settings, "timeline": TIMES, "receiver": "matched"},
+    get_task("T1"),
+    settings={**get_task("T1").settings, "timeline": TIMES, "receiver": "matched"},
     detectors=(SHARP,),
 )
 SIZES = {"runs": 24, "fit_runs": 80, "entropy": 3}
@@ -65,7 +65,7 @@ def test_what_is_kept_is_not_played_again(folder, rows, monkeypatch):
 
 def test_one_that_was_trained_in_a_world_has_that_home_alone(folder, rows, monkeypatch, capsys):
     monkeypatch.setattr(transfer, "HOME", "first")
-    monkeypatch.setattr(transfer, "task_of", lambda key: SHORT)
+    monkeypatch.setattr(transfer, "get_task", lambda key: SHORT)
     given = ["--out", str(folder), "--runs", "24", "--fit-runs", "80", "--seed", "3", "--json"]
     world = f"blunt={json.dumps(CHANGES['blunt'])}"
     transfer.main([*given, "--world", world, "--spoofer", "ramp@first"])

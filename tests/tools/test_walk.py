@@ -5,15 +5,15 @@ import threading
 import pytest
 import typer
 
-from spoofgym.core.settings import describe, digest_of
-from spoofgym.policies.zoo import card_of, shipped
+from spoofgym.core.settings import compute_digest, describe
+from spoofgym.policies.zoo import list_shipped, load_card
 from tools import walk
 
 
 def test_functions_that_run_count_once_in_order_and_in_threads():
     def work():
-        digest_of(describe({"a": 1.0}))
-        thread = threading.Thread(target=shipped)
+        compute_digest(describe({"a": 1.0}))
+        thread = threading.Thread(target=list_shipped)
         thread.start()
         thread.join()
         describe(1.0)
@@ -21,13 +21,13 @@ def test_functions_that_run_count_once_in_order_and_in_threads():
     with walk.called_files() as found:
         work()
     assert list(found) == ["core/settings.py", "policies/zoo/__init__.py"]
-    card_of(shipped()[0])  # no longer counted
+    load_card(list_shipped()[0])  # no longer counted
     assert len(found) == 2
 
 
 def test_files_are_listed_by_package():
     expected = {"policies": ["policies/zoo/__init__.py"], "bench": []}
-    assert walk.walk(shipped, ["policies", "bench"]) == expected
+    assert walk.walk(list_shipped, ["policies", "bench"]) == expected
 
 
 def test_either_a_command_or_an_expression_is_walked():

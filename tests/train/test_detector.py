@@ -17,16 +17,16 @@ for name in ("onnxscript", "stable_baselines3", "tyro"):
 
 from rich.console import Console
 
-from agents.detector_loss import undetected
-from agents.detector_score import area, classics_of, scored
+from agents.detector_loss import compute_undetected
+from agents.detector_score import area, score_non_learned, score_statistic
 from agents.record import read_record
-from spoofgym.bench.experiments import Store, run
-from spoofgym.bench.experiments.dataset import Episodes, Plan, load
+from spoofgym.bench.experiments import Store, run_experiment
+from spoofgym.bench.experiments.dataset import Episodes, Plan, load_dataset
 from spoofgym.bench.runs.play import WarmStart, play
-from spoofgym.bench.runs.record import displacement_of
+from spoofgym.bench.runs.record import compute_displacement
 from spoofgym.bench.runs.world import World
 from spoofgym.detectors import make_detector
-from spoofgym.simulation.setup import generators_of, seeds_of_runs
+from spoofgym.simulation.setup import make_generators, seeds_of_runs
 from train import detector as module
 from train.detector import CHECKPOINT, RECORD, Arguments, Trainer, train
 
@@ -45,7 +45,7 @@ def data(tmp_path_factory):
     classic = {"name": "classic", "detector": {"name": "snapshot-chi2"}}
     terms = ("innovation", "in-view", "line-of-sight", classic)
     runs = {"train": 12, "validation": 8, "test": 8}
-    run(Plan(setup(), length_m=10.0, terms=terms, runs=runs), Store(path), threads=1)
+    run_experiment(Plan(setup(), length_m=10.0, terms=terms, runs=runs), Store(path), threads=1)
     return path
 
 
@@ -67,7 +67,7 @@ def file(data, tmp_path_factory):
 @pytest.fixture
 def trainer(data, tmp_path):
     """One that knows the scales, and has not learned yet."""
-    made = Trainer(arguments(data, tmp_path / "guard"), load(data))
+    made = Trainer(arguments(data, tmp_path / "guard"), load_dataset(data))
     made.normalize(made.data.episodes("train"))
     return made
 
@@ -77,30 +77,32 @@ def test_what_was_trained_is_a_detector_like_any_other(data, file):
     assert [point["step"] for point in points] == [1, 2, 3]
     assert points[-1]["train_loss"] < points[0]["train_loss"]
     card = json.loads(file.with_suffix(".json").read_text())["training"]
-    assert card["data"] == load(data).digest
+    assert card["data"] == load_dataset(data).digest
     assert "quiet" in card["held_out"]
-    entropy = load(data).config["entropy"]
+    entropy = load_dataset(data).config["entropy"]
     assert card["decided_on"] == [[entropy, f"dataset-{part}"] for part in ("train", "validation")]
-    world = setup().altered(detector=make_detector({"name": str(file), "threshold": 0.5}))
+    world = setup().copy_with(detector=make_detector({"name": str(file), "threshold": 0.5}))
     seeds = seeds_of_runs(0, "training", world.name, range(4))
-    start = WarmStart(world, generators_of(seeds), threads=1)
+    start = WarmStart(world, make_generators(seeds), threads=1)
     runs = {name: play(start, {"name": name}) for name in ("none", "ramp")}
-    assert (displacement_of(world, runs["ramp"], runs["none"]) >= 0.0).all()
+    assert (compute_displacement(world, runs["ramp"], runs["none"]) >= 0.0).all()
     assert (runs["ramp"].peak > runs["none"].peak).any()
 
 
 def test_in_the_loop_it_says_what_it_said_of_the_data(file, trainer):
     """Float16 apart: the same runs again, judged epoch by epoch by the file."""
     trainer.restore(file.parent / CHECKPOINT)
-    trainer.network.load_state_dict(trainer.kept)
+    trainer.network.load_state_dict(trainer.best_weights)
     found = trainer.data.episodes("validation")
     with torch.no_grad():
         seen = torch.from_numpy(found.observation[::2].astype(np.float32))
-        wanted = module.statistic_of(trainer.network.log_odds(seen).numpy())
-    world = setup().altered(detector=make_detector({"name": str(file), "threshold": 0.999}))
+        wanted = module.compute_statistic(trainer.network.log_odds(seen).numpy())
+    world = setup().copy_with(detector=make_detector({"name": str(file), "threshold": 0.999}))
     simulator = world.simulator(8, lambda work, n: work(0, n))
-    simulator.begin(generators_of(seeds_of_runs(0, "dataset-validation", world.name, range(8))))
-    simulator.quiet_epochs(world.quiet)
+    simulator.start_episodes(
+        make_generators(seeds_of_runs(0, "dataset-validation", world.name, range(8)))
+    )
+    simulator.run_filter_only(world.filter_only)
     for k in range(world.live + world.steps):
         verdict = simulator.step(attacked=False)
         now = 0.999 * verdict.statistic[:, 0] / verdict.threshold[:, 0]
@@ -124,7 +126,10 @@ def test_a_killed_training_comes_to_the_same_result(data, file, trainer, tmp_pat
     again = train(given, quiet())
     trainer.restore(file.parent / CHECKPOINT)
     assert (again.done, again.best, again.best_pass) == (3, trainer.best, trainer.best_pass)
-    assert all(torch.equal(again.kept[name], weight) for name, weight in trainer.kept.items())
+    assert all(
+        torch.equal(again.best_weights[name], weight)
+        for name, weight in trainer.best_weights.items()
+    )
     lines = [read_record(path / RECORD) for path in (file.parent, given.out)]
     for mine, theirs in zip(*lines, strict=True):
         assert {**mine, "wall_s": 0} == {**theirs, "wall_s": 0}
@@ -194,7 +199,7 @@ def test_a_network_whose_answers_are_not_finite_is_not_kept(trainer, monkeypatch
     found = trainer.score(validation)
     assert found.loss == np.inf
     trainer.keep(found.loss)
-    assert not trainer.kept
+    assert not trainer.best_weights
 
 
 def test_what_does_not_fit_is_refused_before_anything_is_written(data, file, tmp_path, monkeypatch):
@@ -249,7 +254,7 @@ def test_a_score_is_the_displacement_before_an_alarm_at_a_quantile_of_clean_maxi
     attacked[:8, 4] = 20.0  # an alarm at the fourth epoch after the onset, but for the last run
     # a run in five may alarm: one of nine does, and the next would with 2 of 10
     rate = -np.log(0.8) * 20.0
-    found = scored(*made_up(clean, attacked), rate)
+    found = score_statistic(*made_up(clean, attacked), rate)
     assert found.threshold == 8.0
     assert found.counted == 8  # one twin is above it
     # alarms come an epoch of hold after what counts: 2 m
@@ -257,7 +262,7 @@ def test_a_score_is_the_displacement_before_an_alarm_at_a_quantile_of_clean_maxi
     assert found.loss == pytest.approx(2.0 / 3.0)
     clean[:, 0] = 30.0  # in the warm-up, where it decides nothing but which runs count
     attacked[:, 0] = 30.0
-    nobody = scored(*made_up(clean, attacked), rate)
+    nobody = score_statistic(*made_up(clean, attacked), rate)
     assert (nobody.threshold, nobody.counted, nobody.loss) == (8.0, 0, 1.0)
 
 
@@ -270,9 +275,9 @@ def test_the_smooth_loss_is_the_score_where_odds_are_sharp():
     parts = torch.from_numpy(found.displacement_m / 3.0).clamp(max=1.0)
     of_clean = torch.from_numpy(found.clean)
     # one metre of three in five runs, all of it in four
-    loss = undetected(odds, parts, of_clean, config["epochs"])
+    loss = compute_undetected(odds, parts, of_clean, config["epochs"])
     assert loss.item() == pytest.approx((5 / 3 + 4) / 9)
-    undetected(odds / 1000.0, parts, of_clean, config["epochs"]).backward()
+    compute_undetected(odds / 1000.0, parts, of_clean, config["epochs"]).backward()
     assert odds.grad is not None
     assert (odds.grad[~of_clean, 1:] <= 0.0).all()  # alarms do good
     assert (odds.grad[of_clean] >= 0.0).all()
@@ -285,5 +290,5 @@ def test_the_area_is_a_share_of_pairs():
 
 
 def test_classics_among_the_observations_are_scored_too(data):
-    found = load(data)
-    assert list(classics_of(found, found.episodes("test"), OFTEN)) == ["snapshot_chi2"]
+    found = load_dataset(data)
+    assert list(score_non_learned(found, found.episodes("test"), OFTEN)) == ["snapshot_chi2"]

@@ -14,7 +14,7 @@ import spoofgym.tasks
 from agents.folder import learning_versions
 from spoofgym import duel_v0
 from spoofgym.bench.experiments import Store
-from spoofgym.calibration import calibrate
+from spoofgym.calibration import calibrate_detectors
 from spoofgym.detectors import make_detector
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from spoofgym.tasks import Task
@@ -141,17 +141,17 @@ def test_what_learns_enters_on_both_sides(tmp_path, monkeypatch):
         "for end in ('.onnx', '.json'):\n"
         "    shutil.copy(guard.with_suffix(end), out.with_suffix(end))\n"
     )
-    monkeypatch.setattr(double_oracle, "calibrate", partial(calibrate, runs=60))
+    monkeypatch.setattr(double_oracle, "calibrate_policy", partial(calibrate_detectors, runs=60))
     command = f"{sys.executable} {script} {guard} {{out}} {{pool}}"
     torn = tmp_path / "game" / "detector-0.onnx"  # as a kill leaves it, before the card
-    kept = DoubleOracle._learned
+    kept = DoubleOracle._train_detector
 
     def killed(self, mix, turn):
         if turn == 0:
             torn.write_bytes(b"torn")
         return kept(self, mix, turn)
 
-    monkeypatch.setattr(DoubleOracle, "_learned", killed)
+    monkeypatch.setattr(DoubleOracle, "_train_detector", killed)
     learned = {"detector_response": "learned", "detector_command": command, "ppo_steps": 100}
     found = play(tmp_path / "game", search_runs=0, false_alarms_per_hour=60.0, **learned)
     assert torn.read_bytes() == guard.read_bytes()

@@ -16,7 +16,7 @@ from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.tasks import Task
 from tools.learned_page import shown_of_plain
 from train import plain_ppo
-from train.plain_ppo import Settings, play, table_of
+from train.plain_ppo import Settings, build_table, play
 
 SHORT = {"warmup_s": 8.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
 
@@ -41,7 +41,7 @@ def test_a_seed_is_trained_once_and_compared_on_the_same_runs(settings, monkeypa
     ramp = results["ramps"]["ramp"]["stealthy_displacement_m"]["value"]
     assert row["ratios"]["ramp"]["value"] == pytest.approx(score / ramp, abs=1e-5)
     assert row["untrained"]["counted"] == row["score"]["counted"]
-    assert "| T1 | plain | 1 |" in table_of(results)
+    assert "| T1 | plain | 1 |" in build_table(results)
 
     def never(*_):
         raise AssertionError("it is finished")
@@ -94,5 +94,5 @@ def test_a_seed_that_diverges_has_no_score_and_stops_no_other(settings, monkeypa
     assert "weights that are not finite" in rows[1]["diverged"]
     assert rows[2]["diverged"] is None
     assert rows[2]["score"]["counted"] == rows[2]["untrained"]["counted"]
-    assert "| T1 | plain | 3, 2 diverged | 0.0 [" in table_of(results)
+    assert "| T1 | plain | 3, 2 diverged | 0.0 [" in build_table(results)
     assert "| 0: " in shown_of_plain({"T1": results})

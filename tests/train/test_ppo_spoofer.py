@@ -30,7 +30,7 @@ from train.ppo_spoofer import (
     RESULTS,
     Arguments,
     Training,
-    scored,
+    score_seed,
     train,
 )
 
@@ -182,7 +182,7 @@ def test_what_is_learned_from_can_be_copies_of_a_few_warm_ups(tmp_path):
     assert training.price == expected != 6.0
     assert "is kept" in found["diverged"]
     assert found["chosen_at"] in (0, 100)
-    assert scored(args, training.judge, found, {})["score"] is not None
+    assert score_seed(args, training.judge, found, {})["score"] is not None
     assert SpooferCard.load(args.policy(0).with_suffix(".json")).env_kwargs["warm_pool"] == 6
     again = Training(args, 0, training.judge)
     assert again.price == expected

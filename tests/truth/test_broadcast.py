@@ -17,7 +17,7 @@ from spoofgym.data.ephemerides import (
     SECONDS_PER_WEEK,
     BroadcastConstellation,
     gps_seconds,
-    propagate,
+    propagate_orbits,
     screen,
     solve_kepler,
 )
@@ -115,7 +115,7 @@ def test_velocity_is_the_derivative_of_position(
         eccentricity=eccentricity, mean_anomaly=mean_anomaly, perigee=perigee, **changes
     )
     h = 0.1
-    position_e, velocity_e = propagate(record, [0, 0, 0], elapsed + np.array([-h, 0.0, h]))
+    position_e, velocity_e = propagate_orbits(record, [0, 0, 0], elapsed + np.array([-h, 0.0, h]))
     assert_allclose(velocity_e[1], (position_e[2] - position_e[0]) / (2 * h), rtol=0, atol=2e-6)
 
 
@@ -125,7 +125,7 @@ def test_without_corrections_it_is_the_two_body_orbit(elapsed: float, eccentrici
     shape = {"root_semi_major_axis", "mean_anomaly", "perigee", "node", "inclination"}
     none = dict.fromkeys(ORBIT.keys() - shape, 0.0)
     record = one_record(**none | {"eccentricity": eccentricity})
-    position_e, velocity_e = propagate(record, [0, 0], [0.0, elapsed])
+    position_e, velocity_e = propagate_orbits(record, [0, 0], [0.0, elapsed])
     earth_rate = np.array([0.0, 0.0, GPS_EARTH_RATE])
     velocity_i = velocity_e + np.cross(earth_rate, position_e)
     a = ORBIT["root_semi_major_axis"] ** 2
@@ -154,7 +154,7 @@ def test_a_circular_record_flies_like_the_circular_model() -> None:
     )
     # the two differ by the constants of IS-GPS-200 and WGS-84: 1e-7 in mu, 2e-9 in the Earth rate
     times = np.array([0.0, 60.0, 600.0])
-    position_e, velocity_e = propagate(record, np.zeros(3, dtype=int), times)
+    position_e, velocity_e = propagate_orbits(record, np.zeros(3, dtype=int), times)
     expected = circular.states(times)
     assert_allclose(position_e, expected.position_e[:, 0], rtol=0, atol=1e-3 + 3e-4 * 600)
     assert_allclose(position_e[0], expected.position_e[0, 0], rtol=0, atol=1e-6)
@@ -168,8 +168,8 @@ def test_a_record_of_the_next_week_continues_the_orbit(by: float) -> None:
     times = np.linspace(0.0, HOUR, 7)
     index = np.zeros(times.size, dtype=int)
     assert_allclose(
-        propagate(first, index, times).position_e,
-        propagate(second, index, times - by).position_e,
+        propagate_orbits(first, index, times).position_e,
+        propagate_orbits(second, index, times - by).position_e,
         rtol=0,
         atol=1e-5,
     )
@@ -202,7 +202,7 @@ def test_the_nearest_record_is_followed() -> None:
     constellation = BroadcastConstellation(records, SATURDAY_22)
     times = np.array([-1.9, 0.9, 1.1, 2.9, 3.1, 5.9]) * HOUR
     used = np.array([0, 0, 1, 1, 2, 2])
-    expected = propagate(records, used, times - used * 2 * HOUR)
+    expected = propagate_orbits(records, used, times - used * 2 * HOUR)
     assert_allclose(constellation.states(times).position_e[:, 0], expected.position_e, atol=1e-6)
 
 

@@ -12,7 +12,7 @@ from spoofgym.core.simd import LANES, load
 from spoofgym.truth._kernels import SKY, gather_sky, measure
 from spoofgym.truth.clock import ReceiverClock
 from spoofgym.truth.gnss_errors import ERRORS, GnssErrors
-from spoofgym.truth.noise import padded
+from spoofgym.truth.noise import pad_count
 from spoofgym.truth.sensors import IMU_GRADES, SensorBuffers
 
 from ..lanes import in_all_lanes
@@ -48,7 +48,7 @@ def begun(errors, bias_sd, seeds, grade="aviation"):
     buffers = SensorBuffers(len(seeds), N, with_authentic=True)
     rows = np.arange(len(seeds))
     buffers.draw_keys(rows, [np.random.default_rng(seed) for seed in seeds])
-    buffers.begin(rows, IMU_GRADES[grade], errors, np.full(N, float(bias_sd)))
+    buffers.start_episodes(rows, IMU_GRADES[grade], errors, np.full(N, float(bias_sd)))
     return buffers
 
 
@@ -71,7 +71,7 @@ def epochs_of(errors, count, tau=0.5, bias_sd=0.0, change=None, seed=3):
             epoch,
             interval,
             truth.ravel(),
-            np.empty(padded(2 * N)),
+            np.empty(pad_count(2 * N)),
             added,
             out[k],
         )
@@ -245,7 +245,9 @@ def test_eight_receivers_measure_as_each_alone():
     buffers = SensorBuffers(LANES, N)
     buffers.draw_keys(np.arange(LANES), [np.random.default_rng(seed) for seed in seeds])
     for b, each in enumerate(errors):
-        buffers.begin(np.array([b]), IMU_GRADES["aviation"], each, rng.uniform(0.0, 3.0, N))
+        buffers.start_episodes(
+            np.array([b]), IMU_GRADES["aviation"], each, rng.uniform(0.0, 3.0, N)
+        )
     satellites = rng.normal(0.0, 2e7, (50, N, SKY))
     visible = rng.uniform(size=(50, N)) < 0.7
     satellites[:, :, 6] = visible * rng.uniform(2e7, 2.5e7, (50, N))
@@ -267,7 +269,7 @@ def test_eight_receivers_measure_as_each_alone():
         epochs[None].astype(np.uint64),
         tau,
         sky,
-        np.zeros((padded(2 * N), LANES)),
+        np.zeros((pad_count(2 * N), LANES)),
         added,
         out,
     )

@@ -11,7 +11,7 @@ from spoofgym.core.simd import LANES
 from spoofgym.earth.wgs84 import STANDARD_GRAVITY
 from spoofgym.truth._kernels import CHUNK
 from spoofgym.truth.gnss_errors import ERRORS
-from spoofgym.truth.noise import normals, padded
+from spoofgym.truth.noise import normals, pad_count
 from spoofgym.truth.sensors import IMU_GRADES, SensorBuffers
 
 from ..lanes import in_all_lanes
@@ -179,12 +179,12 @@ def test_drawn_samples_are_the_error_model_of_the_grade():
     step = 0.01
     buffers = SensorBuffers(1, n)
     buffers.draw_keys(np.arange(1), [np.random.default_rng(9)])
-    buffers.begin(np.arange(1), grade, ERRORS["white"], np.zeros(n))
+    buffers.start_episodes(np.arange(1), grade, ERRORS["white"], np.zeros(n))
     residual, levels = np.zeros(6), np.repeat(grade.noise[2:], 3)
     errors = {name: buffers.constants[name][0] for name in buffers.constants.shapes}
     keys, first = buffers.words["imu"][0], np.array([20])
     for epoch in (1, 2):
-        truth, size = rng.normal(0.0, 1.0, (6, 80)), padded(6 * 60)  # of the longest interval
+        truth, size = rng.normal(0.0, 1.0, (6, 80)), pad_count(6 * 60)  # of the longest interval
         run, samples = run_of(truth, np.full(80, step)), np.full(size, np.nan)
         now, dt = np.array([epoch], dtype=np.uint64), np.empty(60)
         sensors = buffers.fields.data, buffers.constants.data
@@ -209,11 +209,11 @@ def test_eight_receivers_draw_as_each_alone(count):
     buffers.draw_keys(np.arange(LANES), [np.random.default_rng(b) for b in range(LANES)])
     for b, grade in enumerate([*IMU_GRADES.values()] * 3):
         if b < LANES:
-            buffers.begin(np.array([b]), grade, ERRORS["white"], np.zeros(n))
+            buffers.start_episodes(np.array([b]), grade, ERRORS["white"], np.zeros(n))
     run = run_of(rng.normal(0.0, 1.0, (6, 200)), rng.uniform(0.005, 0.02, 200))
     first = rng.integers(0, 200 - count, (1, LANES))
     now = rng.integers(0, 1000, (1, LANES)).astype(np.uint64)
-    samples = np.full((padded(6 * 50), LANES), np.nan)
+    samples = np.full((pad_count(6 * 50), LANES), np.nan)
     dt, truth = np.full((50, LANES), np.nan), np.empty((8 * CHUNK, LANES))
 
     def kernel(first, keys, now, sensors, constants, samples, dt, active, truth):

@@ -17,9 +17,9 @@ from spoofgym.truth.noise import (
     natural_log,
     normal_pair,
     normals,
-    padded,
+    pad_count,
     threefry,
-    whole_number,
+    to_integer,
 )
 
 from ..lanes import in_all_lanes
@@ -241,7 +241,7 @@ def test_eight_receivers_draw_the_streams_of_their_own(size, count):
 
 @njit
 def words_of(numbers, out):
-    store(out, 0, from_bits(whole_number(load(numbers, 0))))
+    store(out, 0, from_bits(to_integer(load(numbers, 0))))
 
 
 @pytest.mark.nojit
@@ -254,6 +254,6 @@ def test_whole_numbers_become_words(given):
 
 @given(st.integers(0, 10_000))
 def test_draws_are_padded_to_blocks(count):
-    length = padded(count)
+    length = pad_count(count)
     assert length % BLOCK == 0
     assert count <= length < count + BLOCK

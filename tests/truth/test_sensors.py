@@ -20,7 +20,7 @@ def begun(seeds, rows=None, receivers=None, errors=ERRORS["groves"], grade="tact
     buffers = SensorBuffers(count, N, with_authentic=True)
     generators = [np.random.default_rng(seed) for seed in seeds]
     buffers.draw_keys(rows, generators)
-    buffers.begin(rows, IMU_GRADES[grade], errors, BIAS_SD)
+    buffers.start_episodes(rows, IMU_GRADES[grade], errors, BIAS_SD)
     return buffers
 
 
@@ -63,7 +63,7 @@ def test_an_episode_begins_with_the_errors_of_the_grade():
     generators = [np.random.default_rng(seed) for seed in (1, 2)]
     grade = IMU_GRADES["consumer"]
     buffers.draw_keys(np.arange(2), generators)
-    buffers.begin(np.arange(2), grade, errors, BIAS_SD)
+    buffers.start_episodes(np.arange(2), grade, errors, BIAS_SD)
     state, constants = buffers.fields, buffers.constants
     assert np.isfinite(state.data).all()
     assert np.isfinite(constants.data).all()
@@ -91,7 +91,9 @@ def test_sensors_that_are_alike_keep_their_constants_once(receivers):
     assert together.constants.groups == 1
     for buffers in (each, together):
         buffers.draw_keys(np.arange(receivers), rngs)
-        buffers.begin(np.arange(receivers), IMU_GRADES["tactical"], ERRORS["groves"], BIAS_SD)
+        buffers.start_episodes(
+            np.arange(receivers), IMU_GRADES["tactical"], ERRORS["groves"], BIAS_SD
+        )
     taken = SensorBuffers(receivers, N, alike=True)
     taken.copy_rows(np.array([0]), together, np.array([receivers - 1]))
     for name in CONSTANTS:
@@ -115,7 +117,7 @@ def test_sources_receivers_and_episodes_have_keys_of_their_own():
     seen = []
     for _ in range(3):  # three episodes of one receiver
         buffers.draw_keys(np.arange(1), [generator])
-        buffers.begin(np.arange(1), IMU_GRADES["aviation"], ERRORS["white"], BIAS_SD)
+        buffers.start_episodes(np.arange(1), IMU_GRADES["aviation"], ERRORS["white"], BIAS_SD)
         seen += [tuple(key) for key in buffers.keys[:, 0]]
     seen += [tuple(key) for key in begun([5]).keys[:, 0]]
     assert len(set(seen)) == 4 * len(SOURCES)
@@ -128,7 +130,7 @@ def test_an_episode_depends_on_its_number_and_not_on_what_was_drawn():
     for _ in range(2):
         for buffers, generator in ((a, first), (b, second)):
             buffers.draw_keys(np.arange(1), [generator])
-            buffers.begin(np.arange(1), IMU_GRADES["aviation"], ERRORS["white"], BIAS_SD)
+            buffers.start_episodes(np.arange(1), IMU_GRADES["aviation"], ERRORS["white"], BIAS_SD)
     np.testing.assert_array_equal(a.keys, b.keys)
     np.testing.assert_array_equal(a.fields["satellite_bias"], b.fields["satellite_bias"])
 
@@ -140,7 +142,7 @@ def test_only_the_receivers_that_begin_are_touched():
     before = copy.deepcopy(buffers)
     generators = [np.random.default_rng(7)]
     buffers.draw_keys(np.array([1]), generators)
-    buffers.begin(np.array([1]), IMU_GRADES["tactical"], ERRORS["groves"], BIAS_SD)
+    buffers.start_episodes(np.array([1]), IMU_GRADES["tactical"], ERRORS["groves"], BIAS_SD)
     for b in (0, 2):
         theirs = arrays_of(before)
         for name, array in arrays_of(buffers).items():

@@ -18,8 +18,8 @@ from spoofgym.truth.signal_errors import (
     HALF_LIFE,
     SIGNAL_ERRORS,
     SignalErrors,
+    compute_mappings,
     correlation,
-    mappings_of,
     obliquities,
     process_coefficients,
 )
@@ -50,10 +50,10 @@ def measured(given, receivers, epochs, seed=0, **settings):
     setup = TightlyCoupledSetup(scenario=scenario, detector="never", timeline=TIMELINE)
     setup.fields = RANGES
     simulator = setup.simulator(receivers, run_serially)
-    simulator.begin([np.random.default_rng([seed, row]) for row in range(receivers)])
+    simulator.start_episodes([np.random.default_rng([seed, row]) for row in range(receivers)])
     world, found = setup.world, []
     for _ in range(epochs):
-        simulator.quiet_epochs(1)
+        simulator.run_filter_only(1)
         k = int(simulator.epochs[0])
         truth = world.satellites[k, :, 6:].T
         both = ranges_of(simulator) - truth
@@ -161,8 +161,8 @@ def test_obliquities_are_those_of_the_standard():
 
 def test_rates_of_obliquities_do_not_cross_from_one_world_to_the_next():
     elevation = np.radians(np.linspace(20.0, 60.0, 10))[:, None] * np.ones(3)
-    one = mappings_of(elevation, 0.5, 10)
-    two = mappings_of(np.concatenate([elevation, elevation]), 0.5, 10)
+    one = compute_mappings(elevation, 0.5, 10)
+    two = compute_mappings(np.concatenate([elevation, elevation]), 0.5, 10)
     np.testing.assert_array_equal(two, np.concatenate([one, one]))
 
 
@@ -207,7 +207,7 @@ def test_the_constants_of_inertial_sensors_are_drawn_by_the_data_sheet():
     )
     simulator = setup.simulator(300, run_serially)
     for _ in range(2):
-        simulator.begin([np.random.default_rng(row) for row in range(300)])
+        simulator.start_episodes([np.random.default_rng(row) for row in range(300)])
         fields = simulator.sensors.constants
         for name in ("accel_bias", "gyro_bias", "g_dependence"):
             rms = np.sqrt(np.mean(getattr(grade, name) ** 2))
@@ -233,10 +233,10 @@ def events_run(given, receivers=40, **settings):
     )
     setup.fields = RANGES
     simulator = setup.simulator(receivers, run_serially)
-    simulator.begin([np.random.default_rng([1, row]) for row in range(receivers)])
+    simulator.start_episodes([np.random.default_rng([1, row]) for row in range(receivers)])
     epochs, found, seen = setup.onset + setup.steps, [], []
     for _ in range(epochs):
-        simulator.quiet_epochs(1)
+        simulator.run_filter_only(1)
         truth = setup.world.satellites[int(simulator.epochs[0]), :, 6:].T
         found.append(ranges_of(simulator) - truth)
         seen.append(simulator.buffers.visible.copy())
@@ -251,7 +251,7 @@ def test_a_step_of_the_clock_is_common_to_all_signals_and_to_them_alone():
     assert (jumps > 1.99).all()
     assert (jumps < 5.01).all()
     first = np.nanargmax(np.nanmax(np.abs(steps), axis=2), axis=0) + 2  # as epochs
-    assert first.min() > setup.quiet
+    assert first.min() > setup.filter_only
     assert len(set(first)) > 20
     for b in range(40):
         size = steps[first[b] - 2, b]

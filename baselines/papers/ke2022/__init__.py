@@ -9,14 +9,14 @@ from ..frame import Part, Row, Settings, fill_origins
 from .campaign import attack, misses_by_satellite
 from .drawing import draw
 from .tables import CHANNELS, IN_VIEW, ORACLES, RAMPS, STEPS, Data, all_rows
-from .text import CLAIMS, FOUND, READINGS, TITLE
+from .text import CLAIMS, FINDINGS, READINGS, TITLE
 
-__all__ = ["CLAIMS", "FOUND", "READINGS", "TITLE", "figures", "parts", "rows"]
+__all__ = ["CLAIMS", "FINDINGS", "READINGS", "TITLE", "figures", "parts", "rows"]
 
 RUNS, QUICK_RUNS = 50, 16
 
 
-def runs_of(settings: Settings) -> int:
+def count_runs(settings: Settings) -> int:
     """Runs of every part."""
     return QUICK_RUNS if settings.quick else RUNS
 
@@ -40,7 +40,7 @@ def parts(settings: Settings) -> list[Part]:
             "size": size,
             "satellites": list(satellites),
             "methods": methods,
-            "runs": runs_of(settings),
+            "runs": count_runs(settings),
             "seed": settings.seed,
         }
         weight = sum(2.0 if method == "watchers" else 1.0 for method in methods)
@@ -77,7 +77,7 @@ def satellite_parts(settings: Settings) -> list[Part]:
     for kind, size in (("step", 5.0), ("ramp", 0.05)):
         for suffix, scenario in (("", "ke2022"), (" white", "ke2022-white")):
             told = {"kind": kind, "size": size, "satellites": list(IN_VIEW), "scenario": scenario}
-            told |= {"runs": runs_of(settings), "seed": settings.seed}
+            told |= {"runs": count_runs(settings), "seed": settings.seed}
             name = f"{kind} {size:g}, each satellite{suffix}"
             found.append(Part(name, misses_by_satellite, told, 3.0))
     return found
@@ -85,7 +85,7 @@ def satellite_parts(settings: Settings) -> list[Part]:
 
 def rows(data: Data, settings: Settings) -> list[Row]:
     """Figures of the paper beside ours."""
-    runs = runs_of(settings)
+    runs = count_runs(settings)
     return fill_origins(all_rows(data, runs), runs=runs, seed=settings.seed)
 
 

@@ -153,7 +153,7 @@ def fly(
     records = {key: Recorder(epochs, runs, world.channels) for key in (name, *others) if key}
     error = np.zeros((epochs, runs, 3))
     rates = commands(kind, size, count) / RATE_LIMIT
-    simulator.begin([np.random.default_rng([seed, run]) for run in range(runs)])
+    simulator.start_episodes([np.random.default_rng([seed, run]) for run in range(runs)])
     for k in range(epochs):
         if k < begun:
             epoch = simulator.advance()

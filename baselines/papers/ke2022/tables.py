@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym.detectors.innovation_rate import FIRST_COVARIANCE, advance, channel_quantiles
+from spoofgym.detectors.innovation_rate import FIRST_COVARIANCE, channel_quantiles, filter_sample
 
 from ..frame import Band, Origin, Row
 from .origins import ALL_RUNS, ANY_SATELLITE, DELAY, NO_ALARM, QUARTER, SAMPLES, SHARE, SINGLE_RUN
@@ -25,7 +25,15 @@ SHORTENED = {("step", 10.0): 64.0, ("ramp", 0.1): 38.0, ("ramp", 0.05): 41.5}
 """By how much M3 and M4 are sooner than M2, as printed [%]."""
 CONTRADICTED = 0.05
 """Slope whose detection time by M2 is printed twice: 157 s in Fig. 8, 147 s in Fig. 10 [m/s]."""
-BESIDE = ("M1", "M1 adaptive", "M2 adaptive", "glr-step", "glr-ramp", "lag-cusum", "snapshot-chi2")
+OTHER_TESTS = (
+    "M1",
+    "M1 adaptive",
+    "M2 adaptive",
+    "glr-step",
+    "glr-ramp",
+    "lag-cusum",
+    "snapshot-chi2",
+)
 
 
 def unit(kind: str) -> str:
@@ -40,7 +48,7 @@ def median(delays: Any) -> float | None:
     return middle if math.isfinite(middle) else None
 
 
-def missed(delays: Any) -> float:
+def compute_miss_rate(delays: Any) -> float:
     """Runs without an alarm [%]."""
     return 100.0 * float((np.asarray(delays) < 0).mean())
 
@@ -79,7 +87,7 @@ def threshold_rows() -> Iterable[Row]:
     state, covariance = np.zeros(3), np.array(FIRST_COVARIANCE)
     samples = 0
     while quantile * math.sqrt(covariance[3]) > 0.0029517:
-        advance(state, covariance, 0.0, 1.0, 0.7, 1e-9, 1.0)
+        filter_sample(state, covariance, 0.0, 1.0, 0.7, 1e-9, 1.0)
         samples += 1
     yield Row(
         "Section V-A",
@@ -117,7 +125,7 @@ def table3_rows(part: dict[str, Any], kind: str, world: str, runs: int) -> Itera
     """Table 3 for one kind of attack, which the paper does not name."""
     table, row = "Table 3", f"{kind}{world}"
     for method, alarms in (("M1", (100.0, 100.0, 100.0)), ("M2", (3.0, 1.0, 1.0))):
-        misses = max(missed(part[f"{method}/delay_s"][c]) for c in range(3))
+        misses = max(compute_miss_rate(part[f"{method}/delay_s"][c]) for c in range(3))
         what = "missed, C1 to C3 [%]"
         yield Row(table, f"{method}, {row}", what, 0.0, misses, share_band(0.0, runs))
         for c, paper in zip((3, 4, 5), alarms, strict=True):
@@ -156,9 +164,9 @@ def scenario2_rows(data: Data) -> Iterable[Row]:
             if size == CONTRADICTED:
                 note = "the paper contradicts itself: 157 s here, 147 s in Fig. 10"
             yield delay_row("Fig. 8", f"M2, {row}", paper, ours, band=paper is not None, note=note)
-            for method in BESIDE:
+            for method in OTHER_TESTS:
                 delays = part[f"{method}/delay_s"]
-                told = f"not printed; missed {missed(delays):.0f} %"
+                told = f"not printed; missed {compute_miss_rate(delays):.0f} %"
                 yield delay_row(
                     "Beside Fig. 8", f"{method}, {row}", None, median(delays), band=False, note=told
                 )
@@ -216,9 +224,9 @@ def miss_rows(data: Data, runs: int) -> Iterable[Row]:
                 "no band for one satellite: neither it nor the size is printed, and redundancy and "
                 "constant biases decide; see the rows of all eight"
             )
-            misses = missed(part["M2/delay_s"])
+            misses = compute_miss_rate(part["M2/delay_s"])
             yield Row(table, f"M2, {row}", "missed [%]", None, misses, None, note)
-            misses, note = missed(part["oracle/delay_s"]), "an oracle"
+            misses, note = compute_miss_rate(part["oracle/delay_s"]), "an oracle"
             band = share_band(0.0, runs)
             yield Row(table, f"{oracle}, {row}", "missed [%]", 0.0, misses, band, note)
             for c in (3, 4, 5):
@@ -242,7 +250,7 @@ def proof_rows(data: Data, runs: int) -> Iterable[Row]:
         for suffix, world in (("", ""), (" white", ", no biases")):
             delays = data[f"clean, told {kind} {size:g}{suffix}"]["oracle/delay_s"]
             row = f"no attack, told {size:g} {unit(kind)}{world}"
-            alarms = 100.0 - missed(delays)
+            alarms = 100.0 - compute_miss_rate(delays)
             note = "it alarms at what it is given, not at what it measures"
             if not world:
                 note += "; with constant biases fewer do here"
@@ -255,7 +263,7 @@ def proof_rows(data: Data, runs: int) -> Iterable[Row]:
     what, band = "runs with a false alarm, 1 to 550 s [%]", share_band(0.0, runs, NO_ALARM)
     for suffix, world in (("", ""), (" white", ", no biases")):
         part = data[f"clean{suffix}"]
-        for method in (*BESIDE, "M2"):
+        for method in (*OTHER_TESTS, "M2"):
             alarmed = part[f"{method}/alarmed"] | part[f"{method}/alarmed_before"]
             ours = share(np.asarray(alarmed).any(axis=0))
             yield Row("Clean flight", f"{method}{world}", what, None, ours, band)

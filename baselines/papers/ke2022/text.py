@@ -12,7 +12,7 @@ miss nothing where M2 misses 74 % (small steps) and 42 % (slow ramps), with fals
 zero.
 """
 
-FOUND = """\
+FINDINGS = """\
 - **M2's detection times are reproduced.**  All nine of Fig. 8 lie within 20 % or 1.5 s of the
   paper (medians of 50 runs), and so do ten of the twelve in the three-channel figures 6 and 7; the
   other two are 2 s shorter than the printed 9 s.

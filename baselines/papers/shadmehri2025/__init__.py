@@ -17,9 +17,9 @@ from .runs import (
     alarms_since_start,
     false_alarms,
     latencies,
+    make_self_tuning,
     sample,
     stability,
-    tuned,
 )
 from .tables import (
     absorption_rows,
@@ -29,14 +29,14 @@ from .tables import (
     stability_rows,
     test_rows,
 )
-from .words import CLAIMS, FOUND, READINGS
+from .words import CLAIMS, FINDINGS, READINGS
 
 TITLE = "Shadmehri & Mahboobi Esfanjani (2025)"
 
-__all__ = ["CLAIMS", "FOUND", "READINGS", "TITLE", "figures", "parts", "rows"]
+__all__ = ["CLAIMS", "FINDINGS", "READINGS", "TITLE", "figures", "parts", "rows"]
 
 
-def runs_of(settings: Settings) -> tuple[int, int]:
+def count_runs(settings: Settings) -> tuple[int, int]:
     """Runs of an attack, and clean ones."""
     return (40, 60) if settings.quick else (200, 300)
 
@@ -44,7 +44,7 @@ def runs_of(settings: Settings) -> tuple[int, int]:
 def parts(settings: Settings) -> list[Part]:
     """Work of a run. Returns cases of latency, then clean runs, then stability, then one run for
     the figures."""
-    runs, clean = runs_of(settings)
+    runs, clean = count_runs(settings)
     common: dict[str, Any] = {"runs": runs, "seed": settings.seed}
     made = []
     for name, case in CASES.items():
@@ -52,7 +52,7 @@ def parts(settings: Settings) -> list[Part]:
         given["tests"] = {"paper": {}, **case.tests}
         made.append(Part(name, latencies, given | common, 3.0 * runs))
     for decay in DECAYS:
-        given = {"errors": MARKOV | {"decay": decay}, "receiver": tuned(100)}
+        given = {"errors": MARKOV | {"decay": decay}, "receiver": make_self_tuning(100)}
         given |= {"tests": {"paper": {}}, "ramps": [2.0]}
         made.append(Part(f"decay {decay:g}", latencies, given | common, 1.0 * runs))
     common = common | {"runs": clean}
@@ -60,13 +60,13 @@ def parts(settings: Settings) -> list[Part]:
         given = {"errors": errors, "receiver": {}, "window": 0}
         made.append(Part(f"clean, conventional, {name}", false_alarms, given | common, 2.0 * clean))
     for window in WHITE_WINDOWS:
-        given = {"errors": WHITE, "receiver": tuned(window), "window": window}
+        given = {"errors": WHITE, "receiver": make_self_tuning(window), "window": window}
         made.append(Part(f"clean, w = {window}, white", false_alarms, given | common, 2.0 * clean))
     for name in SMALL_R:
         given = {"errors": MARKOV, "receiver": CASES[name].receiver, "window": 0}
         made.append(Part(f"clean, {name}", false_alarms, given | common, 2.0 * clean))
     for window in FALSE_ALARMS:
-        given = {"errors": MARKOV, "receiver": tuned(window), "window": window}
+        given = {"errors": MARKOV, "receiver": make_self_tuning(window), "window": window}
         made.append(Part(f"clean, w = {window}", false_alarms, given | common, 2.0 * clean))
     for rule, window, name in SPREADS:
         given = {"errors": WHITE if name == "white" else MARKOV, "window": window, "process": rule}
@@ -84,7 +84,7 @@ def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
     not measure."""
     made = [*latency_rows(data), *test_rows(data), *decay_rows(data), *false_alarm_rows(data)]
     made += [*stability_rows(data), *absorption_rows(data)]
-    runs, clean = runs_of(settings)
+    runs, clean = count_runs(settings)
     return fill_origins(made, runs=runs, clean=clean, seed=settings.seed)
 
 

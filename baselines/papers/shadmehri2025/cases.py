@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from .runs import MARKOV, SMALL_WHITE, WHITE, scaled, tuned
+from .runs import MARKOV, SMALL_WHITE, WHITE, make_self_tuning, scale_noise
 
 
-class Found(NamedTuple):
+class LatencyResult(NamedTuple):
     """What the second program found at one ramp.
 
     - `detected`: share of the runs;
@@ -28,14 +28,14 @@ class Found(NamedTuple):
 class Case(NamedTuple):
     """One receiver under one kind of errors.
 
-    - `found`: figures of the second program by ramp; where there are none, there is no band;
-    - `tests`: more tests of the same runs than the paper's, as `runs.judged` takes them.
+    - `results`: figures of the second program by ramp; where there are none, there is no band;
+    - `tests`: more tests of the same runs than the paper's, as `runs.judge_statistic` takes them.
     """
 
     title: str
     errors: dict[str, float]
     receiver: dict[str, Any]
-    found: dict[str, Found]
+    results: dict[str, LatencyResult]
     tests: Mapping[str, dict[str, Any]] = MappingProxyType({})
 
 
@@ -46,12 +46,12 @@ PAPER = {
 """Table 1, latency [s]; None where the paper detects nothing."""
 
 
-def around(detected: float, mean: float, width: float) -> Found:
+def around(detected: float, mean: float, width: float) -> LatencyResult:
     """A mean latency whose spread is not recorded, with a width of ours [s]."""
-    return Found(detected, mean, width, spread_recorded=False)
+    return LatencyResult(detected, mean, width, spread_recorded=False)
 
 
-def _estimated(window: int) -> dict[str, Any]:
+def _estimate_covariance(window: int) -> dict[str, Any]:
     return {"rule": "estimated", "covariance_window": window}
 
 
@@ -63,85 +63,121 @@ CONVENTIONAL = {
         "white 3.7/6 m, as the stated R",
         WHITE,
         {},
-        {"2": Found(0.05, 3.7, 1.1), "3": Found(0.52, 3.9, 0.75), "5": Found(1.0, 2.5, 0.58)},
+        {
+            "2": LatencyResult(0.05, 3.7, 1.1),
+            "3": LatencyResult(0.52, 3.9, 0.75),
+            "5": LatencyResult(1.0, 2.5, 0.58),
+        },
         {"window of 10": {"window": 10}},
     ),
     "conventional, correlated": Case(
         "correlated, stated R",
         MARKOV,
         {},
-        {"2": Found(0.0), "3": Found(0.0), "5": Found(1.0, 4.14, 0.13)},
+        {"2": LatencyResult(0.0), "3": LatencyResult(0.0), "5": LatencyResult(1.0, 4.14, 0.13)},
     ),
     "conventional, R x 0.24": Case(
         "correlated, R x 0.24 (fitted)",
         MARKOV,
-        scaled(0.24),
-        {"2": Found(0.0), "3": Found(1.0, 3.48, 0.21), "5": Found(1.0, 1.66, 0.07)},
+        scale_noise(0.24),
+        {
+            "2": LatencyResult(0.0),
+            "3": LatencyResult(1.0, 3.48, 0.21),
+            "5": LatencyResult(1.0, 1.66, 0.07),
+        },
     ),
     "conventional, R x 0.26": Case(
         "correlated, R x 0.26 (fitted)",
         MARKOV,
-        scaled(0.26),
-        {"2": Found(0.0), "3": Found(1.0, 3.69, 0.23), "5": Found(1.0, 1.74, 0.08)},
+        scale_noise(0.26),
+        {
+            "2": LatencyResult(0.0),
+            "3": LatencyResult(1.0, 3.69, 0.23),
+            "5": LatencyResult(1.0, 1.74, 0.08),
+        },
     ),
     "conventional, R x 0.28": Case(
         "correlated, R x 0.28 (fitted)",
         MARKOV,
-        scaled(0.28),
-        {"2": Found(0.0), "3": Found(1.0, 3.94, 0.27), "5": Found(1.0, 1.82, 0.07)},
+        scale_noise(0.28),
+        {
+            "2": LatencyResult(0.0),
+            "3": LatencyResult(1.0, 3.94, 0.27),
+            "5": LatencyResult(1.0, 1.82, 0.07),
+        },
     ),
     "conventional, white 1.6 m": Case(
         "white 1.6/3 m, R x 0.4 (fitted)",
         SMALL_WHITE,
-        scaled(0.4),
-        {"2": Found(0.05), "3": Found(1.0, 3.46, 0.51), "5": Found(1.0, 1.83, 0.22)},
+        scale_noise(0.4),
+        {
+            "2": LatencyResult(0.05),
+            "3": LatencyResult(1.0, 3.46, 0.51),
+            "5": LatencyResult(1.0, 1.83, 0.22),
+        },
     ),
 }
 TUNED = {
     "tuned, w = 20": Case(
         "correlated, w = 20",
         MARKOV,
-        tuned(20),
-        {"2": Found(0.73, 0.24, 0.1), "3": Found(0.95, 0.17, 0.07), "5": Found(1.0, 0.11, 0.04)},
+        make_self_tuning(20),
+        {
+            "2": LatencyResult(0.73, 0.24, 0.1),
+            "3": LatencyResult(0.95, 0.17, 0.07),
+            "5": LatencyResult(1.0, 0.11, 0.04),
+        },
         {"with itself": {"masked": True}},
     ),
     "tuned, w = 30": Case(
         "correlated, w = 30",
         MARKOV,
-        tuned(30),
-        {"2": Found(0.74, 0.3, 0.28), "3": Found(0.94, 0.2, 0.08), "5": Found(0.99, 0.13, 0.05)},
-        {"estimated": _estimated(30)},
+        make_self_tuning(30),
+        {
+            "2": LatencyResult(0.74, 0.3, 0.28),
+            "3": LatencyResult(0.94, 0.2, 0.08),
+            "5": LatencyResult(0.99, 0.13, 0.05),
+        },
+        {"estimated": _estimate_covariance(30)},
     ),
     "tuned, w = 50": Case(
         "correlated, w = 50",
         MARKOV,
-        tuned(50),
-        {"2": Found(0.85, 0.37, 0.19), "3": Found(0.97, 0.24, 0.11), "5": Found(1.0, 0.15, 0.07)},
+        make_self_tuning(50),
+        {
+            "2": LatencyResult(0.85, 0.37, 0.19),
+            "3": LatencyResult(0.97, 0.24, 0.11),
+            "5": LatencyResult(1.0, 0.15, 0.07),
+        },
         {"with itself": {"masked": True}, **MEANS},
     ),
     "tuned, w = 100": Case(
         "correlated, w = 100",
         MARKOV,
-        tuned(100),
-        {"2": Found(0.98, 0.38, 0.17), "3": Found(1.0, 0.24, 0.09), "5": Found(1.0, 0.15, 0.06)},
-        {"estimated": _estimated(100), **MEANS},
+        make_self_tuning(100),
+        {
+            "2": LatencyResult(0.98, 0.38, 0.17),
+            "3": LatencyResult(1.0, 0.24, 0.09),
+            "5": LatencyResult(1.0, 0.15, 0.06),
+        },
+        {"estimated": _estimate_covariance(100), **MEANS},
     ),
     "tuned, white": Case(
         "white 3.7/6 m, w = 100",
         WHITE,
-        tuned(100),
-        {"2": Found(0.02), "3": Found(0.02), "5": Found(0.06)},
+        make_self_tuning(100),
+        {"2": LatencyResult(0.02), "3": LatencyResult(0.02), "5": LatencyResult(0.06)},
     ),
     "tuned, white 1.6 m": Case(
         "white 1.6/3 m, w = 100",
         SMALL_WHITE,
-        tuned(100),
-        {"5": Found(0.37)},
+        make_self_tuning(100),
+        {"5": LatencyResult(0.37)},
     ),
     "tuned, w = 50, Q too": Case(
         "correlated, w = 50, Q adapts too (clamped)",
         MARKOV,
-        tuned(50, "clamped"),
+        make_self_tuning(50, "clamped"),
         {
             ramp: around(share, mean, width)._replace(share_recorded=False)
             for ramp, share, mean, width in (
@@ -154,8 +190,8 @@ TUNED = {
     "tuned, floor": Case(
         "correlated, w = 50, R no smaller than 0.83 m",
         MARKOV,
-        tuned(50, floor_m=0.83),
-        {"2": Found(0.0), "3": Found(0.0), "5": Found(0.0)},
+        make_self_tuning(50, floor_m=0.83),
+        {"2": LatencyResult(0.0), "3": LatencyResult(0.0), "5": LatencyResult(0.0)},
     ),
 }
 SMALL_R_FACTOR = 0.0021
@@ -163,19 +199,19 @@ SMALL_R = {
     "R of 0.17 m": Case(
         "R of 0.17 m, fixed",
         MARKOV,
-        scaled(SMALL_R_FACTOR),
+        scale_noise(SMALL_R_FACTOR),
         {"2": around(1.0, 0.36, 0.1), "3": around(1.0, 0.25, 0.1), "5": around(1.0, 0.17, 0.1)},
     ),
     "R of 0.37 m": Case(
         "R of 0.37 m, fixed",
         MARKOV,
-        scaled(0.01),
+        scale_noise(0.01),
         {"2": around(1.0, 0.87, 0.1), "3": around(1.0, 0.56, 0.1), "5": around(1.0, 0.34, 0.1)},
     ),
     "R of 0.83 m": Case(
         "R of 0.83 m, fixed",
         MARKOV,
-        scaled(0.05),
+        scale_noise(0.05),
         {"2": around(1.0, 2.27, 0.25), "3": around(1.0, 1.3, 0.12), "5": around(1.0, 0.73, 0.1)},
     ),
 }
@@ -190,7 +226,7 @@ FALSE_ALARMS = {5: 5.9e-2, 10: 1.3e-2, 20: 4.8e-3, 30: 2.1e-3, 50: 6.7e-4, 100: 
 WHITE_WINDOWS = (30, 100)
 """Windows w whose alarms are counted under white errors, too."""
 
-SMALL_R_SD_M = tuple(scaled(SMALL_R_FACTOR).values())
+SMALL_R_SD_M = tuple(scale_noise(SMALL_R_FACTOR).values())
 """Standard deviations that the smallest R assumes, horizontal and vertical [m]."""
 
 SMALL_R_ALARMS = {"R of 0.17 m": 5e-3, "R of 0.37 m": 0.0, "R of 0.83 m": 0.0}

@@ -36,13 +36,13 @@ WHITE = {"horizontal_sd_m": 3.7, "vertical_sd_m": 6.0, "decay": 0.0}
 SMALL_WHITE = {"horizontal_sd_m": 1.6, "vertical_sd_m": 3.0, "decay": 0.0}
 
 
-def scaled(factor: float) -> dict[str, Any]:
+def scale_noise(factor: float) -> dict[str, Any]:
     """Conventional receiver whose R is the paper's times a factor."""
     root = factor**0.5
     return {"horizontal_sd_m": STATED_SD[0] * root, "vertical_sd_m": STATED_SD[1] * root}
 
 
-def tuned(window: int, process: str = "fixed", floor_m: float = 0.0) -> dict[str, Any]:
+def make_self_tuning(window: int, process: str = "fixed", floor_m: float = 0.0) -> dict[str, Any]:
     """Self-tuning receiver. `floor_m`: least standard deviation of a coordinate [m]."""
     return {"self_tuning": {"window": window, "process": process, "floor_m": floor_m}}
 
@@ -113,7 +113,7 @@ def play(
     return Play(before=before, **{name: np.array(values) for name, values in seen.items()})
 
 
-def judged(statistic: FloatArray, test: dict[str, Any]) -> NDArray[np.bool_]:
+def judge_statistic(statistic: FloatArray, test: dict[str, Any]) -> NDArray[np.bool_]:
     """Alarms of one test.  `statistic`: (K, B) of single epochs; `test`: ``window`` N (1);
     ``rule``: ``"sum"`` against chi- square of 3 N (the default), ``"mean"`` against the paper's
     25.9, or ``"estimated"`` with ``covariance_window`` w.  Returns (K, B) bool; windows reach back
@@ -138,7 +138,7 @@ def latency(alarm: NDArray[np.bool_]) -> FloatArray:
     return np.where(during.any(axis=0), first, np.nan)
 
 
-def told(delay: FloatArray) -> dict[str, float | None]:
+def summarize_delays(delay: FloatArray) -> dict[str, float | None]:
     """Fraction detected, and median, mean and spread of the delays.  `delay`: (B,) [s], NaN where
     missed.  Returns ``detected``, ``runs``, ``median``, ``mean``, ``sd``; the last three None where
     nothing was detected."""
@@ -171,7 +171,7 @@ def latencies(
         key = f"{ramp:g}"
         for name, test in tests.items():
             statistic = run.masked if test.get("masked") else run.statistic
-            out[name][key] = told(latency(judged(statistic, test)))
+            out[name][key] = summarize_delays(latency(judge_statistic(statistic, test)))
         alarm = run.statistic > THRESHOLD
         out["duty"][key] = float(alarm[:steps].mean())
         out["afterwards"][key] = float(alarm[steps:].mean())
@@ -191,7 +191,7 @@ def false_alarms(
     alarm = run.statistic > THRESHOLD
     fitting = alarm
     if window:
-        fitting = judged(run.statistic, {"rule": "estimated", "covariance_window": window})
+        fitting = judge_statistic(run.statistic, {"rule": "estimated", "covariance_window": window})
     return {
         "epochs": int(alarm.size),
         "rate": float(alarm.mean()),
@@ -227,7 +227,7 @@ def stability(
     ``median``, ``high``: quantiles 5, 50 and 95 % of the last scale; ``zero``: share of runs that
     end with Q = 0; ``negative``: mean number of epochs in which a full window left the scale alone,
     which with ``"skip"`` are those of a negative ratio; mean horizontal ``error_m`` at the end."""
-    run = play(errors, tuned(window, process), 0.0, runs, seed, 30.0, 0.0, lead_in_s=0.0)
+    run = play(errors, make_self_tuning(window, process), 0.0, runs, seed, 30.0, 0.0, lead_in_s=0.0)
     low, median, high = np.quantile(run.scale[-1], [0.05, 0.5, 0.95])
     same = np.diff(run.scale[window - 1 :], axis=0) == 0.0
     return {
@@ -246,7 +246,7 @@ def sample(seed: int) -> dict[str, Any]:
     ``conventional`` and ``tuned`` the errors of the solution north and east [m], of the GNSS
     position, and the statistic by ramp."""
     out: dict[str, Any] = {}
-    for name, receiver in (("conventional", scaled(0.26)), ("tuned", tuned(100))):
+    for name, receiver in (("conventional", scale_noise(0.26)), ("tuned", make_self_tuning(100))):
         out[name] = {"statistic": {}}
         for ramp in RAMPS:
             setup = LooselyCoupledSetup(

@@ -22,7 +22,7 @@ from .cases import (
     TUNED,
     WHITE_WINDOWS,
     Case,
-    Found,
+    LatencyResult,
     around,
 )
 from .origins import (
@@ -65,7 +65,7 @@ def _share_band(p: float, runs: int) -> Band:
     return Band(max(p - spread, 0.0), min(p + spread, 1.0), SHARE)
 
 
-def _latency_band(found: Found | None) -> Band | None:
+def _latency_band(found: LatencyResult | None) -> Band | None:
     """One standard deviation, at least one epoch."""
     if found is None or found.mean is None or found.sd is None:
         return None
@@ -80,7 +80,7 @@ def _latency_rows(
     rows = []
     note = UNMEETABLE.get(name, FITTED if "fitted" in case.title else "")
     for ramp, result in results.items():
-        found = case.found.get(ramp)
+        found = case.results.get(ramp)
         if result["median"] is not None and (found is None or found.detected >= 0.1):
             what, printed = f"{ramp} m/s: latency, median [s]", paper.get(ramp)
             band, why = _latency_band(found), note
@@ -96,7 +96,7 @@ def _share_row(
     title: str,
     ramp: str,
     result: dict[str, Any],
-    found: Found | None,
+    found: LatencyResult | None,
     paper: dict[str, float | None],
 ) -> Row:
     published = None if ramp not in paper else float(paper[ramp] is not None)
@@ -124,8 +124,8 @@ def latency_rows(data: Data) -> list[Row]:
     return rows
 
 
-def _extra(data: Data, name: str, test: str, found: dict[str, Found]) -> list[Row]:
-    case = CASES[name]._replace(found=found)
+def _extra(data: Data, name: str, test: str, found: dict[str, LatencyResult]) -> list[Row]:
+    case = CASES[name]._replace(results=found)
     title = f"{case.title}; {test}"
     return _latency_rows(
         "Not in the paper: other tests", name, case._replace(title=title), data[name][test], {}
@@ -159,7 +159,10 @@ def test_rows(data: Data) -> list[Row]:
         {"2": around(0.97, 0.4, 0.17), "3": around(1.0, 0.25, 0.09), "5": around(1.0, 0.15, 0.06)},
     )
     rows += _extra(
-        data, "tuned, w = 30", "estimated", {"2": Found(0.09), "3": Found(0.45), "5": Found(0.82)}
+        data,
+        "tuned, w = 30",
+        "estimated",
+        {"2": LatencyResult(0.09), "3": LatencyResult(0.45), "5": LatencyResult(0.82)},
     )
     rows += _extra(data, "tuned, w = 50", "mean of 5", {"2": around(0.68, 0.56, 0.15)})
     rows += _extra(data, "tuned, w = 50", "mean of 10", {"2": around(0.3, 0.87, 0.2)})

@@ -10,7 +10,7 @@ north: none, 3.41 and 1.91 s for the common filter; 0.35, 0.22 and 0.11 s for th
 It is one simulated run of 30 s, attacked from 20 to 25 s; false alarms are not measured.
 """
 
-FOUND = """
+FINDINGS = """
 **The self-tuning column holds, under one condition that the paper does not state**: errors of
 GNSS have to be correlated. With a first-order Gauss-Markov process of 1.6 m and 3 m and a decay
 of 0.999 an epoch, the default of the simulation toolbox that the paper names, windows of 30 to

@@ -10,10 +10,10 @@ import numpy as np
 from ..frame import Part, Row, Settings, fill_origins
 from . import figures as pictures
 from . import rows as tables
-from .texts import CLAIMS, FOUND, READINGS
+from .texts import CLAIMS, FINDINGS, READINGS
 from .work import assumption_part, ramp_part, sweep_part, table_part, trace_part
 
-__all__ = ["CLAIMS", "FOUND", "READINGS", "TITLE", "figures", "parts", "rows"]
+__all__ = ["CLAIMS", "FINDINGS", "READINGS", "TITLE", "figures", "parts", "rows"]
 
 TITLE = "Song et al. (2021)"
 

@@ -61,7 +61,7 @@ def table_name(hard_iron_deg: float) -> str:
     return f"tables, hard iron {hard_iron_deg:g} deg"
 
 
-def _pooled(data: Data, key: str) -> FloatArray:
+def _pool_tables(data: Data, key: str) -> FloatArray:
     return np.concatenate([np.asarray(data[table_name(iron)][key]) for iron in IRONS])
 
 
@@ -197,7 +197,7 @@ def share_rows(data: Data) -> list[Row]:
     found: dict[tuple[str, str, str], float] = {}
     for word, sets in SIGMA_RATIO.items():
         for data_set, ends in sets.items():
-            sigma, gnss = (_pooled(data, f"{data_set}/{w}/sigma") for w in (word, "GNSS"))
+            sigma, gnss = (_pool_tables(data, f"{data_set}/{w}/sigma") for w in (word, "GNSS"))
             what = f"sigma / GNSS in {ends[0]:g} to {ends[1]:g}"
             found[data_set, word, what] = _share(sigma / gnss, *ends)
     for word, sets in ZETA.items():
@@ -212,10 +212,13 @@ def share_rows(data: Data) -> list[Row]:
     for word, sets in SLOW_LATENCY.items():
         for data_set, ends in sets.items():
             what = f"slow latency in {ends[0]:g} to {ends[1]:g} s"
-            late = _pooled(data, f"{data_set}/{word}/slow latency")
+            late = _pool_tables(data, f"{data_set}/{word}/slow latency")
             found[data_set, word, what] = _share(late, *ends)
     for word, latency in JUMP_LATENCY.items():
-        late, what = _pooled(data, f"jump/{word}/jump latency"), f"jump latency of {latency:g} s"
+        late, what = (
+            _pool_tables(data, f"jump/{word}/jump latency"),
+            f"jump latency of {latency:g} s",
+        )
         found["jump", word, what] = _share(late, latency, latency)
     rows = [
         Row("Runs", f"{data_set}, {word}", what, None, ours, Band(LEAST, 1.0, SHARE))
@@ -232,12 +235,12 @@ def _ordering_rows(data: Data) -> list[Row]:
         if data_set != "jump":
             pairs.append(("ACNA", "RIO"))
         for better, worse in pairs:
-            mine = _pooled(data, f"{data_set}/{better}/sigma")
-            ours = float(np.mean(mine < _pooled(data, f"{data_set}/{worse}/sigma")))
+            mine = _pool_tables(data, f"{data_set}/{better}/sigma")
+            ours = float(np.mean(mine < _pool_tables(data, f"{data_set}/{worse}/sigma")))
             what, band = f"share of runs with sigma: {better} < {worse}", Band(1.0, 1.0, ORDER)
             note = late if (data_set, better) == ("both", "RIO") else ""
             rows.append(Row("Runs", data_set, what, None, ours, band, note))
-    apart = _pooled(data, "jump/ACNA/sigma") - _pooled(data, "jump/RIO/sigma")
+    apart = _pool_tables(data, "jump/ACNA/sigma") - _pool_tables(data, "jump/RIO/sigma")
     note = "the paper's 1.14 < 1.39 m is not reproducible: both reject the jump at once"
     ours, band = float(np.median(np.abs(apart))), Band(0.0, 0.3, APART)
     rows.append(Row("Runs", "jump", "|sigma ACNA - RIO| [m]", None, ours, band, note))

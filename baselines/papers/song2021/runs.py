@@ -121,7 +121,7 @@ def judge(recording: Recording, detector: Any, settings: CredibleFilter | None =
     bound = make_detector(detector)
     variance = np.full(2, batch.settings.noise_variance)
     bound.bind(DetectorContext(runs, 0, INTERVAL_S, variance, ()))
-    batch.begin(recording.first_fix)
+    batch.start_episodes(recording.first_fix)
     error, alarm = np.empty(recording.fix.shape), np.empty((count, runs), dtype=np.bool_)
     for k in range(count):
         time = np.full(runs, (k + 1) * INTERVAL_S)

@@ -10,7 +10,7 @@ drift after 26 s. The paper reports an accuracy rate of 100 % with the chosen wi
 after 2 s, a drift after 5 s.
 """
 
-FOUND = """\
+FINDINGS = """\
 - The ordering of the algorithms holds in every run, but for a few with both attacks and the largest
   error of the heading, in which RIO is worse than the plain filter. The rows of GNSS and of the
   plain filter come out, and hardly say anything: they follow from the attack, the definition of

@@ -15,7 +15,7 @@ from .runs import FILTERS, Recording, judge, ramp_offsets, record
 FloatArray = NDArray[np.float64]
 
 ATTACKED = ("jump", "slow", "both")
-RAMP_BEGIN_S = 150.0
+RAMP_START_S = 150.0
 
 
 def table_part(seed: int, runs: int, hard_iron_deg: float) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def table_part(seed: int, runs: int, hard_iron_deg: float) -> dict[str, Any]:
 
 def _alarms(prefix: str, data_set: RobotDataSet, alarm: NDArray[np.bool_]) -> dict[str, Any]:
     out: dict[str, Any] = {
-        f"{prefix}/{rate}": value for rate, value in rates(alarm, data_set.attacked()).items()
+        f"{prefix}/{rate}": value for rate, value in rates(alarm, data_set.mark_attacked()).items()
     }
     for kind, windows in (("jump", data_set.jump_s), ("slow", data_set.slow_s)):
         for window in windows:
@@ -82,7 +82,7 @@ def sweep_part(
     ``P_D told``: with alarms told of the whole window, of the held one for the jump and of the
     literal one for the slow change; each (windows, thresholds)."""
     recording = record(kind, seed, runs)
-    attacked = DATA_SETS[kind].attacked()
+    attacked = DATA_SETS[kind].mark_attacked()
     shape = (len(windows), len(thresholds))
     out = {name: np.empty(shape) for name in ("P_D", "P_FA", "P_MD", "P_D held", "P_D told")}
     for i, window in enumerate(windows):
@@ -104,12 +104,12 @@ def ramp_part(seed: int, runs: int, ramp_rates: list[float]) -> dict[str, Any]:
     """What drift is slow enough not to be seen.  `ramp_rates`: rates of each axis [m/s].  Returns
     by rate: share of runs with an alarm in the 150 s of the ramp beyond those without one, mean
     latency of those [s], mean error at the end [m]."""
-    course = RobotDataSet(slow_s=((RAMP_BEGIN_S, 300.0),))
+    course = RobotDataSet(slow_s=((RAMP_START_S, 300.0),))
     epochs = course.epochs(course.slow_s[0])
     seconds = list(range(1, 301))
     found, late, error = [], [], []
     for rate in ramp_rates:
-        offsets = ramp_offsets(rate, RAMP_BEGIN_S, seconds, runs)
+        offsets = ramp_offsets(rate, RAMP_START_S, seconds, runs)
         judged = judge(
             record(course, seed, runs, offsets), {"name": "acna", "variant": "production"}
         )
@@ -132,11 +132,11 @@ def assumption_part(seed: int, runs: int) -> dict[str, Any]:
         "white jump P_FA": float(judge(noisy, _rule("jump", "literal", 2, 1.5)).alarm.mean()),
         "white slow P_FA": float(judge(noisy, _rule("slow", "literal", 5, 1.28)).alarm.mean()),
     }
-    out["free P_FA"] = float(_free_running(record("psi2", seed, runs)).mean())
+    out["free P_FA"] = float(_judge_unanchored(record("psi2", seed, runs)).mean())
     return out
 
 
-def _free_running(recording: Recording) -> NDArray[np.bool_]:
+def _judge_unanchored(recording: Recording) -> NDArray[np.bool_]:
     """Slow rule whose dead reckoning is never anchored."""
     odometry = recording.first_fix + np.cumsum(recording.increment, axis=0)
     apart = recording.fix - odometry

@@ -22,7 +22,7 @@ directions for five satellites that agree, tells the groups apart in 86.6 % of t
 position fixes; a search of all subsets does so in 90.1 % with 1361.
 """
 
-FOUND = """
+FINDINGS = """
 - The averages are met, but for those of table 3: separation, seeds of the four search sets,
   success, false and failed rates, and numbers of fixes of both methods.  Traversal RAIM is met row
   by row, and does not depend on the sky.

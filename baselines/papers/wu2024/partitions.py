@@ -48,7 +48,7 @@ def score(
     tabulate_cases(lines, y, data)
     SEARCHES[method](data)
     taken = time.thread_time() - begin
-    found, mask, fits = data.found, data.mask, data.positionings
+    found, mask, fits = data.solved, data.mask, data.positionings
     right = spoofed @ (1 << np.arange(n))
     success = found & ((mask == right) | (mask == (1 << n) - 1 - right))
     return (

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.core.compile import inlined, njit
+from spoofgym.core.compile import inline_njit, njit
 from spoofgym.detectors.raim import SEED, search_vectors
 
 from .draws import displacements, offsets, subsets
@@ -28,7 +28,7 @@ SIZES = (12, 24, 40)
 """Of the sets S1, S2, S3."""
 
 
-@inlined
+@inline_njit
 def judge_direction(projection: FloatArray, spoofed: NDArray[np.bool_]) -> tuple[int, int, bool]:
     """What one direction and its opposite say.  `projection`: (n,) of the residual vectors;
     `spoofed`: (n,) bool, of which there are some, but not all.  Returns `forth`, `back` number of

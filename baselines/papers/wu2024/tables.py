@@ -47,7 +47,7 @@ CLOCK_NOTE = (
 REST = "no band: 100 % less the others"
 
 
-def stacked(data: Data, part: str, name: str) -> FloatArray:
+def stack_skies(data: Data, part: str, name: str) -> FloatArray:
     """Results of all skies. Returns (skies, 11, columns)."""
     return np.array([np.asarray(d[name]) for key, d in data.items() if key.startswith(part)])
 
@@ -57,7 +57,7 @@ def mean(values: FloatArray) -> float:
     return float(WEIGHT @ values)
 
 
-def pooled(rates: FloatArray) -> float:
+def pool_fits(rates: FloatArray) -> float:
     """Mean number of fits of all cases that did not fail. `rates`: (11, 4 or more) success, false,
     fail and fits by number of spoofed satellites."""
     weight = WEIGHT * (1.0 - rates[:, 2])
@@ -69,23 +69,23 @@ def around(value: float, margin: float, origin: Origin) -> Band:
     return Band(round(max(value - margin, 0.0), 6), round(value + margin, 6), origin)
 
 
-def spoofed(count: int) -> str:
+def name_row(count: int) -> str:
     """Name of a row."""
     return f"{count} spoofed"
 
 
 def separation_rows(data: Data) -> list[Row]:
     """Tables 2, 3 and 4."""
-    least = 100.0 * stacked(data, "separation", "hybrids").mean(axis=0)
-    clock = 100.0 * stacked(data, "separation", "hybrids_clock").mean(axis=0)
-    seeded = 100.0 * stacked(data, "separation", "seeded").mean(axis=0)
+    least = 100.0 * stack_skies(data, "separation", "hybrids").mean(axis=0)
+    clock = 100.0 * stack_skies(data, "separation", "hybrids_clock").mean(axis=0)
+    seeded = 100.0 * stack_skies(data, "separation", "seeded").mean(axis=0)
     rows = []
     for k in COUNTS:
         for j, paper in enumerate(published.SEPARATED[k]):
             band = None if j == LAST else around(paper, 2.0 if j else 5.0, HYBRIDS_BAND)
             quantity, note = f"NH0 = {HYBRIDS[j]} [%]", REST if j == LAST else ""
             ours = least[k - 1, j]
-            rows.append(Row("Table 2", spoofed(k), quantity, paper, ours, band, note))
+            rows.append(Row("Table 2", name_row(k), quantity, paper, ours, band, note))
     for j, paper in enumerate(published.SEPARATED_AVERAGE):
         band = around(paper, 2.0, HYBRIDS_BAND) if j else Band(76.5, 84.5, AVERAGES)
         quantity, note = f"NH0 = {HYBRIDS[j]} [%]", ""
@@ -101,7 +101,7 @@ def separation_rows(data: Data) -> list[Row]:
     for k in COUNTS:
         for j, paper in enumerate(published.SEEDED[k]):
             band, ours = around(paper, (1.5, 4.0, 3.5, 3.0)[j], SEEDS), seeded[k - 1, j]
-            rows.append(Row("Table 4", spoofed(k), f"p(H0; S{j}) [%]", paper, ours, band))
+            rows.append(Row("Table 4", name_row(k), f"p(H0; S{j}) [%]", paper, ours, band))
     middles = ((98.4, 1.0), (92.0, 3.5), (95.9, 2.0), (97.6, 1.3))
     for j, paper in enumerate(published.SEEDED_AVERAGE):
         band, ours = around(*middles[j], AVERAGES), mean(seeded[:, j])
@@ -132,7 +132,7 @@ def rate_rows(method: str, rates: FloatArray) -> list[Row]:
             rest = KINDS[j] == "fail"
             band, note = None if rest else around(paper, margin, origin), REST if rest else ""
             ours = 100.0 * rates[k - 1, j]
-            rows.append(Row(table, spoofed(k), f"{KINDS[j]} [%]", paper, ours, band, note))
+            rows.append(Row(table, name_row(k), f"{KINDS[j]} [%]", paper, ours, band, note))
     for j, paper in enumerate(published.RATES_AVERAGE[method]):
         rest = KINDS[j] == "fail"
         band = None if rest else around(*RATE_BANDS[method][j], AVERAGES)
@@ -153,8 +153,8 @@ def fit_rows(method: str, rates: FloatArray) -> list[Row]:
             edge = k in (1, SATELLITES - 1)
             margin, origin = 1.0 if edge else 0.02 * paper, TRAVERSAL_FITS
         ours, band = float(rates[k - 1, 3]), around(paper, margin, origin)
-        rows.append(Row(table, spoofed(k), "mean n_s", paper, ours, band))
-    paper, ours = published.POSITIONINGS_AVERAGE[method], pooled(rates)
+        rows.append(Row(table, name_row(k), "mean n_s", paper, ours, band))
+    paper, ours = published.POSITIONINGS_AVERAGE[method], pool_fits(rates)
     band = Band(*FIT_BANDS[method], AVERAGES)
     rows.append(Row(table, "average", "mean n_s", paper, ours, band))
     return rows
@@ -162,13 +162,13 @@ def fit_rows(method: str, rates: FloatArray) -> list[Row]:
 
 def partition_rows(data: Data) -> list[Row]:
     """Tables 5 to 8, and the time of a call."""
-    rates = {m: stacked(data, "partitions", m).mean(axis=0) for m in METHODS}
+    rates = {m: stack_skies(data, "partitions", m).mean(axis=0) for m in METHODS}
     rows = [row for m in METHODS for row in (*rate_rows(m, rates[m]), *fit_rows(m, rates[m]))]
-    ratio = 100.0 * pooled(rates["srv"]) / pooled(rates["traversal"])
+    ratio = 100.0 * pool_fits(rates["srv"]) / pool_fits(rates["traversal"])
     what, note = "n_s, SRV over traversal [%]", "no band: it follows from the two averages"
     rows.append(Row("Table 8", "average", what, 1.7, ratio, note=note))
     for m in METHODS:
-        ours = float(WEIGHT @ stacked(data, "partitions", m)[:, :, 4].min(axis=0))
+        ours = float(WEIGHT @ stack_skies(data, "partitions", m)[:, :, 4].min(axis=0))
         quantity, band = "time of a call [us]", Band(None, TIME_LIMIT_US[m], TIME)
         rows.append(Row("Speed", NAMES[m], quantity, None, ours, band, "not in the paper"))
     return rows

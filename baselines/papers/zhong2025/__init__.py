@@ -22,7 +22,7 @@ after the attack, also between two attacks 10 s apart, by the ratio of innovatio
 distance from its median stays below 0.6 during an attack and exceeds it at the end. Neither M2 nor
 M3 alarms a satellite that is not spoofed.
 """
-FOUND = """\
+FINDINGS = """\
 M2's and M3's delays in tables 4 and 5 and experiment 8 are met, M1's but for its onset at 0.5 and
 0.7 m/s. M3 has M2's onset in every run, and ended its alarm within
 one epoch in every run of all seven attacks. The medians of M2's onset are up to 5 s below the
@@ -63,14 +63,14 @@ READINGS = """\
 """
 
 
-def runs_of(settings: Settings) -> tuple[int, int]:
+def count_runs(settings: Settings) -> tuple[int, int]:
     """Runs of an attack, and of what is done for every noise or satellite."""
     return (20, 8) if settings.quick else (50, 20)
 
 
 def parts(settings: Settings) -> list[Part]:
     """Work of a run: every attack, every assumed noise, M1 on every satellite."""
-    runs, few = runs_of(settings)
+    runs, few = count_runs(settings)
     common = {"seed": settings.seed}
     out = [
         Part(attack, table_part, {"attack": attack, "runs": runs, **common}, 2.0)
@@ -107,7 +107,7 @@ def rows(data: Mapping[str, Mapping[str, Any]], settings: Settings) -> list[Row]
         *experiments.satellite_rows(data),
         *experiments.comparator_rows(data),
     ]
-    runs, few = runs_of(settings)
+    runs, few = count_runs(settings)
     return fill_origins(made, runs=runs, few=few, seed=settings.seed)
 
 

@@ -56,7 +56,7 @@ def around(middle: float, spread: float, origin: Origin) -> Band:
     return Band(round(max(middle - allowed, FIRST_S), 2), round(middle + allowed, 2), origin)
 
 
-def spread_of(values: Any) -> float:
+def compute_spread(values: Any) -> float:
     """Standard deviation of the delays that are finite. `values`: (R,) [s]."""
     finite = values[np.isfinite(values)]
     return float(finite.std()) if finite.size else 0.0
@@ -70,7 +70,7 @@ def onset_band(method: str, number: int, values: Any) -> tuple[Band, str]:
         return Band(*SHEWHART_RANGES["onset", number], SATELLITES), ""
     middle = SHEWHART_ONSET[number]
     assert middle is not None
-    return around(middle, spread_of(values), SHEWHART), DEPENDS if number >= 4 else ""
+    return around(middle, compute_spread(values), SHEWHART), DEPENDS if number >= 4 else ""
 
 
 def end_band(method: str, number: int) -> tuple[Band, str]:

@@ -16,12 +16,12 @@ from .bands import (
     PROMPT,
     SHEWHART_ONSET,
     around,
-    spread_of,
+    compute_spread,
 )
 from .delays import end_delay, onset_delay
 from .origins import CHART, METRIC, NEARLY_ALL, SHEWHART
 from .runs import COMPARATORS, INTERMITTENT, TABLED
-from .tables import Data, alarms, median_of
+from .tables import Data, alarms, compute_median
 
 
 def intermittent_rows(data: Data) -> list[Row]:
@@ -33,7 +33,7 @@ def intermittent_rows(data: Data) -> list[Row]:
     for method, figures in printed.items():
         alarm = alarms(found, method)
         onset = onset_delay(alarm, 0, 140)
-        ramp = around(SHEWHART_ONSET[4] or 0.0, spread_of(onset), SHEWHART)
+        ramp = around(SHEWHART_ONSET[4] or 0.0, compute_spread(onset), SHEWHART)
         if method != "M1":
             ramp = around(*CHART_ONSET[4], CHART)
         ours = (
@@ -47,7 +47,9 @@ def intermittent_rows(data: Data) -> list[Row]:
             if method == "M1" and name == "ramp, onset":
                 note = DEPENDS
             row = f"{method}, {name}"
-            out.append(Row("Experiment 8", row, "delay [s]", paper, median_of(values), band, note))
+            out.append(
+                Row("Experiment 8", row, "delay [s]", paper, compute_median(values), band, note)
+            )
     share = {m: float(found[f"alarm_{m}"][141:160].mean()) for m in printed}
     note = "a claim in words; from the second epoch of the pause on"
     for method, paper, ends in (("M2", 1.0, (0.95, 1.0)), ("M3", 0.0, (0.0, 0.05))):
@@ -125,6 +127,6 @@ def comparator_rows(data: Data) -> list[Row]:
                 f"not in the paper; missed {missed:.0%}; no band: a second program had "
                 f"{expected:g} s, of 15 runs whose spread is not recorded"
             )
-            row, ours = f"{LABELS[attack]}, {name}", median_of(delay)
+            row, ours = f"{LABELS[attack]}, {name}", compute_median(delay)
             out.append(Row("Comparators", row, "onset delay [s]", None, ours, note=note))
     return out

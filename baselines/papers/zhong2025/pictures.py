@@ -13,7 +13,7 @@ from spoofgym.detectors.innovation import two_sided_quantile
 from spoofgym.earth.wgs84 import ecef_to_geodetic
 
 from .bands import LABELS, NOISES, ONSET_S
-from .runs import EPOCH_S, FIRST_S, INTERMITTENT, METHODS, TABLED, Several, setup_of
+from .runs import EPOCH_S, FIRST_S, INTERMITTENT, METHODS, TABLED, Several, build_setup
 
 Data = Mapping[str, Mapping[str, Any]]
 RAMP, STEP = TABLED[3], TABLED[0]
@@ -83,7 +83,7 @@ def _finish(axes: Sequence[Any]) -> None:
 
 def flight_figure(folder: Path) -> Path:
     """Figure 7: the flight."""
-    world = setup_of(STEP, Several([METHODS["M2"]])).world
+    world = build_setup(STEP, Several([METHODS["M2"]])).world
     latitude, longitude, height = np.array([ecef_to_geodetic(p) for p in world.position_e]).T
     figure, (left, right) = _panels(2, "Figure 7: flight")
     left.plot(np.degrees(longitude), np.degrees(latitude))

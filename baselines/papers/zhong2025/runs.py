@@ -108,7 +108,7 @@ class Flown(NamedTuple):
     threshold: FloatArray
 
 
-def setup_of(
+def build_setup(
     attack: str,
     detector: Detector,
     pseudorange_sd_m: float = 2.5,
@@ -145,7 +145,7 @@ def fly(
 ) -> Flown:
     """Run an attack against a detector in the loop, with others passive. Run r has the same noise
     whatever the attack and the detectors are."""
-    setup = setup_of(attack, Several(specs), pseudorange_sd_m, satellite, true_sd_m)
+    setup = build_setup(attack, Several(specs), pseudorange_sd_m, satellite, true_sd_m)
     engine = Engine(runs, setup, threads=1)
     engine.reset([np.random.default_rng([seed, run]) for run in range(runs)])
     spoofer = make_spoofer(dict(PAPER_ATTACKS[attack].spoofer))

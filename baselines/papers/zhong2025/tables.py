@@ -16,7 +16,7 @@ from .runs import EPOCH_S, FIRST_S, TABLED
 Data = Mapping[str, Mapping[str, Any]]
 
 
-def median_of(values: Any) -> float | None:
+def compute_median(values: Any) -> float | None:
     """Median of some delays.  `values`: (R,) [s], infinite where a run was missed.  Returns None
     where half of the runs were missed, or more."""
     middle = round(float(np.median(values)), 3)
@@ -40,10 +40,10 @@ def table_rows(data: Data) -> list[Row]:
             alarm = alarms(found, method)
             delay = onset_delay(alarm)
             band, note = onset_band(method, number, delay)
-            paper, ours = PRINTED_ONSET[method][number], median_of(delay)
+            paper, ours = PRINTED_ONSET[method][number], compute_median(delay)
             out.append(Row(table, row, "onset delay [s]", paper, ours, band, note))
             band, note = end_band(method, number)
-            paper, ours = PRINTED_END[method][number], median_of(end_delay(alarm))
+            paper, ours = PRINTED_END[method][number], compute_median(end_delay(alarm))
             out.append(Row(table, row, "end delay [s]", paper, ours, band, note))
         out += _claims(table, LABELS[attack], found)
     return out

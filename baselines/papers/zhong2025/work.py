@@ -36,7 +36,7 @@ def table_part(attack: str, runs: int, seed: int) -> dict[str, Any]:
     return out
 
 
-def differences(xi: FloatArray) -> FloatArray:
+def compute_median_distances(xi: FloatArray) -> FloatArray:
     """Largest distance of three successive ratios from their median.  `xi`: (K, R) joint detection
     metric, 0 where nothing is detected.  Returns (K, R) Delta Y of the window that ends at each
     epoch."""
@@ -58,7 +58,7 @@ def metric_part(pseudorange_sd_m: float, runs: int, seed: int) -> dict[str, Any]
         detected = np.abs(flown.average) > flown.threshold
         ratio = flown.innovation / np.where(detected, flown.average, 1.0)
         xi = np.where(detected, ratio, 0.0)
-        delta = differences(xi)
+        delta = compute_median_distances(xi)
         out[f"xi_{attack}"] = xi[:, 0]
         out[f"delta_{attack}"] = delta[:, 0]
         out[f"average_{attack}"] = flown.average[:, 0]

@@ -9,7 +9,7 @@ from .runner import Context as Context
 from .runner import Experiment as Experiment
 from .runner import Interrupted as Interrupted
 from .runner import parse_shard as parse_shard
-from .runner import run as run
+from .runner import run_experiment as run_experiment
 from .store import Cell as Cell
 from .store import MemoryStore as MemoryStore
 from .store import Reader as Reader

@@ -22,22 +22,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.declared import record, setting
-from ...core.settings import digest_of
+from ...core.declared import setting, settings_record
+from ...core.settings import compute_digest
 from ...envs.spoofer_binding import spoofer_context
-from ...limits.bounds import cases_of, zero_alarm_bounds
+from ...limits.bounds import draw_worlds, zero_alarm_bounds
 from ...limits.response import NotReplayable, Replay, check_replayable
 from ...policies.card import DETECTOR, SPOOFER
 from ...simulation.setup import seed_sequences
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.scaled import AMPLITUDE, split_amplitude
-from ..runs.players import TUNED, Mixture, PlayerSpec, member_of, specify_spoofer
+from ..runs.players import TUNED, Mixture, PlayerSpec, make_player, specify_spoofer
 from ..scores.statistics import Estimate
-from ..search.attack_suite import SuiteAttack, fitting_members, grid_of
+from ..search.attack_suite import SuiteAttack, build_grid, list_fitting_attacks
 from ..search.backends import MixedBackend, ReplayBackend
 from ..search.bounds import WORLDS
 from ..search.open_loop import SPLIT as SEARCH
-from ..search.open_loop import BlindOptimizer, BlindSearch
+from ..search.open_loop import OpenLoopOptimizer, OpenLoopSearch
 from .game import Game
 
 FloatArray = NDArray[np.float64]
@@ -48,7 +48,7 @@ SIGNIFICANT = 1e-3
 """Weight in a mix from which on a detector takes part in that search."""
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class AttackBudget:
     """What a best response may cost, the same for every mix that it is held against."""
 
@@ -56,8 +56,8 @@ class AttackBudget:
     sift_runs: int = setting(default=32, least=1, help="Runs that play all candidates.")
     values: int = setting(default=8, least=2, help="Log-spaced values of every family's setting.")
     kept: int = setting(default=6, least=1, help="Candidates that play all of the runs.")
-    blind: BlindSearch | None = setting(
-        default_factory=lambda: BlindSearch(runs=64, batch=32, knots=12, generations=6),
+    blind: OpenLoopSearch | None = setting(
+        default_factory=lambda: OpenLoopSearch(runs=64, batch=32, knots=12, generations=6),
         help="Search for blind optima; None for none.",
     )
     oracles: bool = setting(
@@ -79,10 +79,10 @@ class AttackBudget:
         settings = dataclasses.asdict(self)
         if not self.further:
             del settings["further"]
-        return {**settings, "digest": digest_of(settings)}
+        return {**settings, "digest": compute_digest(settings)}
 
 
-class Response(NamedTuple):
+class BestResponse(NamedTuple):
     """A best response that was found.
 
     - `member`: the player, and what decided on it; `value`: payoff on the runs of the selection;
@@ -112,7 +112,7 @@ def best_spoofer(
     given: Sequence[PlayerSpec] = (),
     warm: Sequence[PlayerSpec] = (),
     label: str | None = None,
-) -> Response:
+) -> BestResponse:
     """Look for the spoofer that gets most against a mix of detectors.
 
     Parameters
@@ -142,7 +142,7 @@ def best_spoofer(
     context = spoofer_context(game.setup)
     attacks = [
         each
-        for each in fitting_members(game.setup, context)
+        for each in list_fitting_attacks(game.setup, context)
         if budget.oracles or not each.player.sees_statistics
     ]
     curves, notes = ([], ()) if budget.blind is None else _curves(game, mix, budget, warm, entropy)
@@ -158,10 +158,10 @@ def best_spoofer(
     for number, attack in enumerate(attacks):
         player = attack.player
         family = player.label.removesuffix("(tuned)").replace("tuned,", "")
-        for value in grid_of(attack, context, budget.values):
+        for value in build_grid(attack, context, budget.values):
             name = f"{family} {number}, {player.tuned} {value:g}"
             spec = player.with_value(value)
-            tried.append((family, member_of(spec, SPOOFER, label=name, decided_on=seeds)))
+            tried.append((family, make_player(spec, SPOOFER, label=name, decided_on=seeds)))
     few, all_runs = (game.on(SELECTION, n, entropy) for n in (budget.sift_runs, budget.runs))
     sifted = _against(few, [player for _, player in tried], mix)
     order = np.argsort(-sifted, kind="stable")
@@ -177,12 +177,12 @@ def best_spoofer(
     if winner.label not in known:
         name = family if label is None else f"{label}: {family}"
         winner = dataclasses.replace(winner, label=name)
-    return Response(winner, float(found.max()), best, by_family, notes)
+    return BestResponse(winner, float(found.max()), best, by_family, notes)
 
 
 def best_detector(
     game: Game, mix: Mixture, detectors: Sequence[PlayerSpec], *, runs: int, entropy: int
-) -> Response:
+) -> BestResponse:
     """Detector, of given ones, against which a mix of spoofers gets least.
 
     Parameters
@@ -204,7 +204,7 @@ def best_detector(
     k = int(np.nanargmin(values))
     best = {each.label: float(x) for each, x in zip(detectors, values, strict=True)}
     by_family = {each.label: each for each in detectors}
-    return Response(detectors[k], float(values[k]), best, by_family)
+    return BestResponse(detectors[k], float(values[k]), best, by_family)
 
 
 def _against(game: Game, spoofers: Sequence[PlayerSpec], mix: Mixture) -> FloatArray:
@@ -239,16 +239,16 @@ def _curves(
     seeds = seed_sequences(entropy, SEARCH, setup.name, budget.blind.runs)
     replay = Replay(setup, members, seeds, threads=game.threads)
     backend = MixedBackend([ReplayBackend(replay, k) for k in range(len(members))], weights)
-    starts = {each.label: curve for each in warm if (curve := _curve_of(each)) is not None}
+    starts = {each.label: curve for each in warm if (curve := _get_curve_rates(each)) is not None}
     curves = []
     for share in SHARES:
         game.progress.advance(0.0, f"blind optimum, {100 * share:g} % alarms")
-        found = BlindOptimizer(backend, share, budget.blind).search(starts)
+        found = OpenLoopOptimizer(backend, share, budget.blind).search(starts)
         curves.append(found.rates_mps)
     return curves, tuple(notes)
 
 
-def _curve_of(member: PlayerSpec) -> FloatArray | None:
+def _get_curve_rates(member: PlayerSpec) -> FloatArray | None:
     """Rates at knots of a curve along one line; None of any other spoofer."""
     spec, amplitude = split_amplitude(member.spec)
     rates = spec.get("rates_mps") if isinstance(spec, dict) else None
@@ -257,7 +257,7 @@ def _curve_of(member: PlayerSpec) -> FloatArray | None:
     return np.array(rates) * (1.0 if amplitude is None else amplitude)
 
 
-class Ends(NamedTuple):
+class DeviationGain(NamedTuple):
     """What one side gains by leaving a pair of mixes.
 
     - `below`: gain of the response that was found, on fresh runs, with its 95 % interval; negative
@@ -282,8 +282,8 @@ class Exploitability(NamedTuple):
     """
 
     value: Estimate
-    spoofer: Ends
-    detector: Ends
+    spoofer: DeviationGain
+    detector: DeviationGain
     below: Estimate
 
     def as_json(self) -> dict[str, Any]:
@@ -317,13 +317,13 @@ def exploitability(
     limit, why = upper_end(game, detectors)
     return Exploitability(
         value,
-        Ends(
+        DeviationGain(
             matrix.contrast([[-1.0, 0.0], [1.0, 0.0]]),
             answer.label,
             None if limit is None else limit - value.value,
             why,
         ),
-        Ends(
+        DeviationGain(
             matrix.contrast([[1.0, -1.0], [0.0, 0.0]]),
             guard.label,
             None,
@@ -341,7 +341,7 @@ def upper_end(game: Game, mix: Mixture) -> tuple[float | None, str]:
         raise ValueError(f"a mix of detectors has bounds, got one of {mix.side}s")
     if not isinstance(setup, TightlyCoupledSetup):
         return None, f"no bound is known for {setup.whose}"
-    cases, total, words = cases_of(setup, WORLDS, game.seeds[0]), 0.0, []
+    cases, total, words = draw_worlds(setup, WORLDS, game.seeds[0]), 0.0, []
     for member, weight in zip(mix.members, mix.weights, strict=True):
         game.progress.advance(0.0, f"zero-alarm bound of {member.label}")
         if not game.is_passive(member):

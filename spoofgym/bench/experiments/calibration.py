@@ -11,16 +11,16 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from ...calibration import holdouts, thresholds
-from ...calibration.clean_runs import CleanRuns, Numbers, Player, joined
+from ...calibration.clean_runs import CleanRuns, Numbers, Player, join_runs
 from ...core.progress import ProgressBar, ProgressCallback
-from ...core.settings import digest_of
+from ...core.settings import compute_digest
 from ...detectors import Calibrated, Detector
-from ...detectors.calibrated import calibrated_parts, identity_of
+from ...detectors.calibrated import calibrated_parts, describe_identity
 from ...detectors.calibration_file import user_folder
 from ..runs.players import PlayerSpec
 from ..runs.world import World
 from .identity import code_identity
-from .runner import Context, Experiment, run
+from .runner import Context, Experiment, run_experiment
 from .store import Cell, Reader, Result, Store
 
 TOGETHER = 8
@@ -45,7 +45,7 @@ class CleanCells(Experiment):
         player = self.player
         return {
             "world": player.setup.conditions.digest,
-            "detectors": [_named(each) for each in self.detectors],
+            "detectors": [_identify_detector(each) for each in self.detectors],
             "seeds": [player.entropy, self.split, player.seed_name],
             "in_loop": self.in_loop,
         }
@@ -63,25 +63,25 @@ class CleanCells(Experiment):
     ) -> Iterator[Result]:
         """Play chunks side by side."""
         chunks = [range(*map(int, cell.key.split("-"))) for cell in cells]
-        played = self.player.chunks_of(self.detectors, chunks, self.split, self.in_loop)
+        played = self.player.play_chunks(self.detectors, chunks, self.split, self.in_loop)
         for cell, part in zip(cells, played, strict=True):
             context.tick(cell.work)
             yield Result(part._asdict())
 
-    def played(self, results: Reader) -> CleanRuns:
+    def collect_runs(self, results: Reader) -> CleanRuns:
         """All runs."""
-        return joined(CleanRuns(**found.arrays) for found in results.values())
+        return join_runs(CleanRuns(**found.arrays) for found in results.values())
 
     def report(self, results: Reader) -> dict[str, Any]:
         """How many runs each detector has alarmed in."""
-        found = self.played(results)
+        found = self.collect_runs(results)
         return {"runs": len(found.alarmed), "alarms": found.alarmed.sum(axis=0).tolist()}
 
 
-def _named(detector: Detector) -> Any:
+def _identify_detector(detector: Detector) -> Any:
     if isinstance(detector, Calibrated):
-        return [identity_of(detector.detector), detector.scale, detector.rescale]
-    return [identity_of(detector), getattr(detector, "alarm_scale", 1.0)]
+        return [describe_identity(detector.detector), detector.scale, detector.rescale]
+    return [describe_identity(detector), getattr(detector, "alarm_scale", 1.0)]
 
 
 @dataclass
@@ -104,7 +104,7 @@ class ResumablePlayer(Player):
         if not isinstance(numbers, range):  # a few, again
             return super().play(detectors, numbers, split=split, in_loop=in_loop, now=now)
         cells = CleanCells(self, detectors, len(numbers), split, in_loop, now)
-        name = digest_of({**cells.config, "code": code_identity()})
+        name = compute_digest({**cells.config, "code": code_identity()})
         store = Store(user_folder() / "unfinished" / name)
         self.folders.append(store.path)
 
@@ -112,7 +112,7 @@ class ResumablePlayer(Player):
             self.progress.advance(len(numbers) - left, now)
             return nullcontext(self.progress)
 
-        return cells.played(run(cells, store, progress=bar))
+        return cells.collect_runs(run_experiment(cells, store, progress=bar))
 
     def forget(self) -> None:
         """Remove them."""
@@ -121,12 +121,12 @@ class ResumablePlayer(Player):
         self.folders.clear()
 
 
-calibrate = partial(thresholds.calibrate, player=ResumablePlayer)
+calibrate = partial(thresholds.calibrate_detectors, player=ResumablePlayer)
 hold_out = partial(holdouts.hold_out, player=ResumablePlayer)
 transfer = partial(holdouts.transfer, player=ResumablePlayer)
 
 
-def calibrate_entries(
+def calibrate_players(
     world: World,
     entries: Sequence[PlayerSpec],
     *,

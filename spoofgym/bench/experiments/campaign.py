@@ -17,14 +17,14 @@ from typing import Any, ClassVar, NamedTuple
 
 from ...calibration.clean_runs import weighs
 from ...core.progress import ProgressCallback
-from ...core.settings import digest_of
-from ...detectors.calibrated import resolve
-from ..runs.panel import Attack, Panel, play_searches
-from ..runs.players import PlayerSpec, knowledge_of
+from ...core.settings import compute_digest
+from ...detectors.calibrated import resolve_thresholds
+from ..runs.panel import Panel, PanelAttack, play_searches
+from ..runs.players import PlayerSpec, describe_knowledge
 from ..runs.record import Protection, RunRecord, record_runs
 from ..scores.campaign import (
-    bracket_of,
-    compare,
+    compare_controls,
+    compute_bounds,
     operating_point,
     score_detector,
     score_protection,
@@ -33,7 +33,7 @@ from ..scores.campaign import (
 from ..search.amplitude import TuningResult, search_work, with_rates
 from ..search.attack_suite import SuiteAttack, WorstAttacks, expected_plays, play_winners
 from ..search.open_loop import AIMS, Optima, fit
-from .runner import Context, Experiment, run
+from .runner import Context, Experiment, run_experiment
 from .store import Cell, Reader, Result, Store
 from .suite import Suite
 
@@ -49,7 +49,7 @@ WARM_UP = 2.0
 """Work of a warm-up and of the clean twins, in runs of an attack."""
 
 
-def key_of(kind: str, detector: Labelled = None, spoofer: Labelled = None) -> str:
+def build_key(kind: str, detector: Labelled = None, spoofer: Labelled = None) -> str:
     """Key of a cell."""
     labels = (each if isinstance(each, str) else each.label for each in (detector, spoofer) if each)
     return " / ".join((*labels, kind))
@@ -82,12 +82,12 @@ class CampaignResults:
         return self.store.path
 
     def _get(self, kind: str, *labels: str) -> Result | None:
-        return self.store.get(Cell(key_of(kind, *labels), {}))
+        return self.store.get(Cell(build_key(kind, *labels), {}))
 
     def runs(self, detector: str, spoofer: str) -> RunRecord | None:
         """What a pair did."""
         found = self._get(RUNS, detector, spoofer)
-        return None if found is None else RunRecord.of_parts(found.arrays, found.record)
+        return None if found is None else RunRecord.from_parts(found.arrays, found.record)
 
     def search(self, detector: str, spoofer: str) -> TuningResult | None:
         """What was found for a spoofer against a detector."""
@@ -97,7 +97,7 @@ class CampaignResults:
     def protection(self, detector: str) -> Protection | None:
         """What the worst attacks of the suite did against a detector."""
         found = self._get(PROTECTION, detector)
-        return None if found is None else Protection.of_parts(found.arrays, found.record)
+        return None if found is None else Protection.from_parts(found.arrays, found.record)
 
     def limits(self, *detector: str) -> dict[str, Any] | None:
         """Zero-alarm bound of a detector, or the floor of the world."""
@@ -135,11 +135,11 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
     bounds = {each: bound for each in detectors if (bound := results.limits(each)) is not None}
     bracket = {"floor": results.limits(), "zero_alarm": bounds}
 
-    def bracketed(label: str) -> dict[str, Any]:
+    def score_bounds(label: str) -> dict[str, Any]:
         point = {"detector": label, **points[label]}
         own = [[row for row in rows if row["detector"] == label] for rows in (scores, tuned)]
         worst = next((row for row in protected if row["detector"] == label), None)
-        return bracket_of(point, bracket, own[0], worst, own[1])
+        return compute_bounds(point, bracket, own[0], worst, own[1])
 
     missing = [f"{detector} / {spoofer}" for detector, spoofer in pairs]
     if config["attack_suite"] is not None:
@@ -148,7 +148,7 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
         f"{x.detector} / {ATTACK_SUITE}" for x in known
     }
     return {
-        "campaign": digest_of(results.store.config) if records else None,
+        "campaign": compute_digest(results.store.config) if records else None,
         "scenario": config["scenario"]["name"],
         "runs": config["runs"],
         "entropy": config["entropy"],
@@ -156,13 +156,17 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
         "alert_limit_m": config["alert_limit_m"],
         "attack_suite": config["attack_suite"],
         "detectors": [
-            {**score_detector(records[label, "none"]), **points[label], "bracket": bracketed(label)}
+            {
+                **score_detector(records[label, "none"]),
+                **points[label],
+                "bracket": score_bounds(label),
+            }
             for label in detectors
             if (label, "none") in records
         ],
         "cells": scores,
         "protection": protected,
-        "comparisons": compare(
+        "comparisons": compare_controls(
             list(records.values()), known, {k: p["footing"] for k, p in points.items()}
         ),
         "limits": bracket,
@@ -204,7 +208,7 @@ def run_campaign(
     """
     campaign, show = Campaign(suite), None if progress is None else lambda _: nullcontext(progress)
     settings: dict[str, Any] = {"jobs": jobs, "threads": threads, "overwrite": overwrite}
-    return campaign.results(run(campaign, Store(path), progress=show, **settings))
+    return campaign.results(run_experiment(campaign, Store(path), progress=show, **settings))
 
 
 @dataclass(frozen=True)
@@ -232,9 +236,9 @@ class Campaign(Experiment):
     def panels(self) -> list[list[PlayerSpec]]:
         """Detectors that are played together."""
         setup, passive, others = self.suite.world.setup, list[PlayerSpec](), list[PlayerSpec]()
-        for entry in self.suite.detector_entries:
+        for entry in self.suite.detector_players:
             judge = entry.build()
-            resolve(judge, setup)
+            resolve_thresholds(judge, setup)
             (others if weighs(setup, judge) else passive).append(entry)
         count = -(-len(passive) // PANEL)
         return [*(passive[k::count] for k in range(count)), *([entry] for entry in others)]
@@ -242,8 +246,8 @@ class Campaign(Experiment):
     @cached_property
     def parts(self) -> dict[str, _Part]:
         """Cells by key; those of detectors that are played together are a group."""
-        suite, found = self.suite, {key_of(FLOOR): _Part(Cell(key_of(FLOOR), {}), FLOOR)}
-        players = suite.spoofer_entries
+        suite, found = self.suite, {build_key(FLOOR): _Part(Cell(build_key(FLOOR), {}), FLOOR)}
+        players = suite.spoofer_players
         steps: list[tuple[str, PlayerSpec | None]] = [(SEARCH, x) for x in players if x.tuned]
         steps += [(RUNS, each) for each in players]
         steps += [] if suite.selection is None else [(PROTECTION, None)]
@@ -251,10 +255,10 @@ class Campaign(Experiment):
             group = ", ".join(each.label for each in panel)
             for kind, spoofer in (*steps, (BOUND, None)):
                 for detector in panel:
-                    before = [each for each in players if each.searched and kind == PROTECTION]
+                    before = [each for each in players if each.needs_search and kind == PROTECTION]
                     before += [spoofer] if spoofer and spoofer.tuned and kind == RUNS else []
-                    after = tuple(key_of(SEARCH, detector, each) for each in before)
-                    key, work = key_of(kind, detector, spoofer), self._work(kind, spoofer)
+                    after = tuple(build_key(SEARCH, detector, each) for each in before)
+                    key, work = build_key(kind, detector, spoofer), self._work(kind, spoofer)
                     cell = Cell(key, {}, work, after, group)
                     found[key] = _Part(cell, kind, detector, spoofer, panel)
         return found
@@ -267,11 +271,11 @@ class Campaign(Experiment):
         """Work of a cell, in runs of an attack, roughly."""
         suite = self.suite
         if kind == SEARCH:
-            return search_work(suite.tuning) * (5.25 if spoofer and spoofer.searched else 1.0)
+            return search_work(suite.tuning) * (5.25 if spoofer and spoofer.needs_search else 1.0)
         if kind == RUNS:
             return suite.runs * (WARM_UP if spoofer and spoofer.label == "none" else 1.0)
         if kind == PROTECTION and suite.selection is not None:
-            return expected_plays(len(suite.members), suite.selection, suite.runs)
+            return expected_plays(len(suite.suite_attacks), suite.selection, suite.runs)
         return 1.0
 
     def run(self, cell: Cell, results: Reader, context: Context) -> Result:
@@ -288,9 +292,9 @@ class Campaign(Experiment):
         for (kind, spoofer), some in groupby(parts, lambda part: (part.kind, part.spoofer)):
             numbers = {play.detectors.index(each): each for _, _, each, *_ in some if each}
             if kind == FLOOR:
-                yield Result(record=optima.brackets.floor())
+                yield Result(record=optima.bounds.compute_lower_limit())
             elif kind == BOUND:
-                bounds = map(optima.brackets.zero_alarm, numbers.values())
+                bounds = map(optima.bounds.zero_alarm, numbers.values())
                 yield from (Result(record=each.as_json()) for each in bounds)
             elif spoofer is None:
                 yield from (Result(*each.parts()) for each in play.protections(numbers))
@@ -332,7 +336,7 @@ class _Players(NamedTuple):
                 [each.build() for each in self.detectors],
                 lambda: suite.generators(split, runs),
                 self.context.threads,
-                suite.world.watched_for(suite.spoofer_entries),
+                suite.world.watched_for(suite.spoofer_players),
             )
         found: Panel = panels[labels, split]
         return found
@@ -343,7 +347,7 @@ class _Players(NamedTuple):
         heads = [self._head(panel, number, spoofer) for number in detectors]
         played = [panel.clean[number] for number in detectors]
         if spoofer.label != "none":
-            attacks = [Attack(head["spoofer_settings"], suite.runs) for head in heads]
+            attacks = [PanelAttack(head["spoofer_settings"], suite.runs) for head in heads]
             asked = list(zip(attacks, detectors, strict=True))
             played = panel.play(asked, drop=False, tick=self.context.tick)
         return [
@@ -372,7 +376,7 @@ class _Players(NamedTuple):
             "spoofer": spoofer.label,
             "detector_settings": detector.spec,
             "spoofer_settings": spec,
-            "knowledge": knowledge_of(spoofer, panel.setup, detector),
+            "knowledge": describe_knowledge(spoofer, panel.setup, detector),
             "attack": panel.setup.attack.label,
             "tuned_within_budget": within,
             "judges_channels": panel.judges[number].scope == "channel",
@@ -385,7 +389,7 @@ class _Players(NamedTuple):
         panel = self.panel("selection", suite.selection.runs)
         searches = []
         for number, each in detectors.items():
-            members = *suite.members, *found_optima(suite, self.results, each)
+            members = *suite.suite_attacks, *list_optima(suite, self.results, each)
             searches.append(WorstAttacks(panel, number, members, suite.selection))
         asked = [(each.number, each.winners(suite.alert_limits_m)) for each in searches]
         found = list(zip(searches, play_searches(panel, asked, tick), strict=True))
@@ -395,11 +399,11 @@ class _Players(NamedTuple):
             yield Protection(head, winners, counts[:, search.number], panel.sky, search.skies)
 
 
-def found_optima(suite: Suite, results: CampaignResults, detector: PlayerSpec) -> list[SuiteAttack]:
+def list_optima(suite: Suite, results: CampaignResults, detector: PlayerSpec) -> list[SuiteAttack]:
     """Curves that were found against a detector, as members of the attack suite."""
     members: list[SuiteAttack] = []
-    for entry in suite.spoofer_entries:
-        result = results.search(detector.label, entry.label) if entry.searched else None
+    for entry in suite.spoofer_players:
+        result = results.search(detector.label, entry.label) if entry.needs_search else None
         if result is not None and result.found is not None:
             each = (result.found["played"], *(result.found["aims"][name] for name in AIMS))
             curves = [with_rates(entry, curve["rates_mps"]) for curve in each]

@@ -27,27 +27,27 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...calibration.clean_runs import check_stopped, in_order, weighs
+from ...calibration.clean_runs import check_stopped, map_ordered, weighs
 from ...calibration.thresholds import inner_detectors
-from ...core.declared import record, setting
+from ...core.declared import setting, settings_record
 from ...core.registry import Spec, check_choice, whole_number
-from ...core.settings import describe, digest_of, outside_sources
+from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import Detector, Never, detector_in_world
 from ...detectors.build import spec_of_judge
-from ...detectors.calibrated import factors_of
+from ...detectors.calibrated import list_factors
 from ...detectors.learned import DetectorAgent
 from ...detectors.observation import make_detector_terms, written_terms
 from ...envs.observer import Observer
 from ...simulation.engine import Engine
 from ...simulation.monitors import PassiveDetectors
-from ...simulation.setup import SPLITS, Setup, generators_of, seeds_of_runs
+from ...simulation.setup import SPLITS, Setup, make_generators, seeds_of_runs
 from ...simulation.simulator import Simulator, run_serially
-from ..runs.play import epochs_of, horizontal, to_local
+from ..runs.play import horizontal, list_attack_epochs, to_local
 from .runner import Context, Experiment
 from .store import Cell, Reader, Result, Store
 from .training_attacks import FAMILIES, HELD_OUT, Attackers, TrainingAttacks, check_not_held_out
 
-__all__ = ["Dataset", "Episodes", "Plan", "load"]
+__all__ = ["Dataset", "Episodes", "Plan", "load_dataset"]
 
 FloatArray = NDArray[np.float64]
 PARTS = {"train": "dataset-train", "validation": "dataset-validation", "test": "dataset-test"}
@@ -111,7 +111,7 @@ class Episodes(NamedTuple):
     onset_s: FloatArray
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Plan(Experiment):
     """What a data set is to be made of.
 
@@ -190,7 +190,7 @@ class Plan(Experiment):
     def world(self) -> Setup:
         """With that detector, and what observes."""
         watcher = DetectorAgent(weighs=False, exclusion_s=None, terms=self.terms)
-        return self.setup.altered(detector=self.judge, monitors=[PassiveDetectors([watcher])])
+        return self.setup.copy_with(detector=self.judge, monitors=[PassiveDetectors([watcher])])
 
     @cached_property
     def attacks(self) -> TrainingAttacks:
@@ -203,7 +203,7 @@ class Plan(Experiment):
         """Everything that the data depend on, JSON-able."""
         setup = self.setup
         simulator: Simulator = self.world.simulator(1, run_serially)
-        seen = watcher_of(simulator).observer
+        seen = find_agent(simulator).observer
         if np.abs([seen.low, seen.high]).max() > LARGEST:
             raise ValueError(f"observations must lie within {LARGEST:g}, to be kept as float16")
         return {
@@ -211,7 +211,7 @@ class Plan(Experiment):
             "world": setup.conditions.settings,
             "attack": describe(setup.attack),
             "detector": None if self.detector is None else spec_of_judge(self.judge),
-            "threshold": factors_of(self.world.detector),
+            "threshold": list_factors(self.world.detector),
             "length_m": float(self.length_m),
             "interval_s": setup.interval_s,
             "epochs": {
@@ -238,15 +238,15 @@ class Plan(Experiment):
 
     def cells(self) -> Iterator[Cell]:
         """One a file."""
-        return cells_of(self.runs, self.shard)
+        return list_cells(self.runs, self.shard)
 
     def run_group(
         self, cells: Sequence[Cell], results: Reader, context: Context
     ) -> Iterator[Result]:
         """Play those of some files side by side."""
         observers = context.cache.setdefault("observers", {})
-        played = in_order(
-            lambda cell, stopped: self.play(*runs_of(cell), observers, stopped),
+        played = map_ordered(
+            lambda cell, stopped: self.play(*parse_cell(cell), observers, stopped),
             cells,
             context.threads,
         )
@@ -272,17 +272,17 @@ class Plan(Experiment):
             np.random.SeedSequence(s.entropy, spawn_key=(*s.spawn_key, ATTACK_STREAM))
             for s in seeds
         ]
-        drawn = [self.attacks.draw(rng) for rng in generators_of(own)]
+        drawn = [self.attacks.draw(rng) for rng in make_generators(own)]
         engine = Engine(runs, setup, threads=1)
         attacked, twin = engine.simulator, setup.simulator(runs, run_serially)
         epochs, everyone = setup.steps + setup.hold, np.arange(runs)
-        names = len(_observed(attacked)[0])
+        names = len(_get_observation(attacked)[0])
         seen = np.zeros((runs, 2, setup.live + epochs, names), dtype=np.float16)
-        attacked.begin(generators_of(seeds))
-        attacked.quiet_epochs(setup.quiet)
+        attacked.start_episodes(make_generators(seeds))
+        attacked.run_filter_only(setup.filter_only)
         for k in range(setup.live):
             attacked.live_epochs(1)
-            seen[:, :, k] = _observed(attacked)[:, None]
+            seen[:, :, k] = _get_observation(attacked)[:, None]
             check_stopped(stopped)
         twin.copy_rows(everyone, attacked, everyone)
         specs = [spec for _, spec in drawn]
@@ -293,9 +293,9 @@ class Plan(Experiment):
             twin.step(attacked=False)
             apart[k] = attacked.position - twin.position
             for which, each in enumerate((twin, attacked)):
-                seen[:, which, setup.live + k] = _observed(each)
+                seen[:, which, setup.live + k] = _get_observation(each)
             check_stopped(stopped)
-        induced = horizontal(to_local(apart, setup.C_en[epochs_of(setup, attacked.onset)]))
+        induced = horizontal(to_local(apart, setup.C_en[list_attack_epochs(setup, attacked.onset)]))
         displacement = np.zeros((runs, 2, setup.live + epochs), dtype=np.float32)
         displacement[:, 1, setup.live :] = induced.T
         attack = np.zeros(displacement.shape, dtype=np.bool_)
@@ -317,19 +317,19 @@ class Plan(Experiment):
         """What was written: of each split, runs, episodes, clean ones, attacks by family, files."""
         splits, families = {}, self.attacks.families
         for part, runs in self.runs.items():
-            keys = [cell.key for cell in self.cells() if runs_of(cell)[0] == part]
+            keys = [cell.key for cell in self.cells() if parse_cell(cell)[0] == part]
             found = np.concatenate([results[key].arrays["family"] for key in keys])
             attacks = np.bincount(found[found >= 0], minlength=len(families)).tolist()
             splits[part] = {
                 "runs": runs,
                 "episodes": len(found),
                 "clean": int((found < 0).sum()),
-                "bytes": sum(results.store.path_of(key).stat().st_size for key in keys),
+                "bytes": sum(results.store.build_path(key).stat().st_size for key in keys),
                 "families": dict(zip(families, attacks, strict=True)),
                 "shards": len(keys),
             }
         return {
-            "digest": digest_of(results.store.config),
+            "digest": compute_digest(results.store.config),
             "task": self.task,
             "observations": len(self.config["observation"]["names"]),
             "epochs": self.config["epochs"],
@@ -337,7 +337,7 @@ class Plan(Experiment):
         }
 
 
-def cells_of(runs: Mapping[str, int], shard: int) -> Iterator[Cell]:
+def list_cells(runs: Mapping[str, int], shard: int) -> Iterator[Cell]:
     """Cells of a data set, each of some runs of a split."""
     for part, count in runs.items():
         for number, first in enumerate(range(0, count, shard)):
@@ -347,21 +347,21 @@ def cells_of(runs: Mapping[str, int], shard: int) -> Iterator[Cell]:
             yield Cell(f"{part}-{number:04d}", identity, float(last - first), group=group)
 
 
-def runs_of(cell: Cell) -> tuple[str, range]:
+def parse_cell(cell: Cell) -> tuple[str, range]:
     """Split of a cell, and numbers of its runs."""
     assert cell.identity is not None
     return cell.identity["split"], range(*cell.identity["runs"])
 
 
-def watcher_of(simulator: Simulator) -> DetectorAgent:
+def find_agent(simulator: Simulator) -> DetectorAgent:
     (found,) = simulator.monitor(PassiveDetectors).detectors
     assert isinstance(found, DetectorAgent)  # of `Plan.world`
     return found
 
 
-def _observed(simulator: Simulator) -> NDArray[np.float32]:
+def _get_observation(simulator: Simulator) -> NDArray[np.float32]:
     """(B, o) what is observed now."""
-    return watcher_of(simulator).memory["observation"]
+    return find_agent(simulator).memory["observation"]
 
 
 @dataclass(frozen=True)
@@ -382,7 +382,7 @@ class Dataset:
     @property
     def digest(self) -> str:
         """Digest of the settings, and of the code that has made the data."""
-        return digest_of(self.store.config)
+        return compute_digest(self.store.config)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -411,18 +411,18 @@ class Dataset:
 
     def _files(self, part: str) -> Iterator[Episodes]:
         check_choice("split of this data set", part, self.config["runs"])
-        for cell in cells_of(self.config["runs"], self.config["shard"]):
-            if runs_of(cell)[0] == part:
+        for cell in list_cells(self.config["runs"], self.config["shard"]):
+            if parse_cell(cell)[0] == part:
                 found = self.store.get(cell)
                 if found is None:
                     raise ValueError(
-                        f"{self.store.path_of(cell.key)} is missing: `spoofgym dataset` with the "
-                        "same options makes it"
+                        f"{self.store.build_path(cell.key)} is missing: `spoofgym dataset` "
+                        "with the same options makes it"
                     )
                 yield Episodes(**found.arrays)
 
 
-def load(folder: str | os.PathLike[str]) -> Dataset:
+def load_dataset(folder: str | os.PathLike[str]) -> Dataset:
     """A data set that `spoofgym dataset` has written.
 
     Parameters

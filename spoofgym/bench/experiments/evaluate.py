@@ -9,15 +9,15 @@ from typing import Any
 from ...core.progress import NullProgress, ProgressCallback
 from ...core.registry import check_keywords, whole_number
 from ...spoofers.scaled import AMPLITUDE, Scaled
-from ...tasks import task_of
-from ..runs.panel import Attack, Panel
+from ...tasks import get_task
+from ..runs.panel import Panel, PanelAttack
 from ..runs.players import FITTED, PlayerSpec, refuse_oracles, specify_detector, specify_policy
 from ..runs.world import WORLD, World
-from ..scores.scores import clusters_of, stealth_of
-from ..scores.spoofer import Score
-from ..scores.statistics import BUDGET, bootstrap_mean, fewest_runs, resamples_of, wilson
+from ..scores.scores import score_stealth, select_clusters
+from ..scores.spoofer import SpooferScore
+from ..scores.statistics import BUDGET, bootstrap_mean, draw_resamples, fewest_runs, wilson
 from ..search.amplitude import Tuning, TuningResult, with_rates
-from ..search.bounds import Brackets
+from ..search.bounds import DisplacementBounds
 from ..search.open_loop import Optima, fit
 
 RUNS, FIT_RUNS = 400, 128
@@ -59,7 +59,7 @@ class Evaluator:
             detector = world.pop("detector")
             check_keywords("evaluate", world, (*WORLD, "env", "settings"))
         self.world = World.of(task, **world)
-        self.detector = specify_detector(detector if task is None else task_of(task).detector)
+        self.detector = specify_detector(detector if task is None else get_task(task).detector)
         refuse_oracles((self.detector,))
         fit_runs = whole_number("`fit_runs`", fit_runs, fewest_runs(BUDGET))
         self.runs = whole_number("`runs`", runs, 2)
@@ -72,7 +72,7 @@ class Evaluator:
     @cached_property
     def optima(self) -> Optima:
         """Searches for blind optima."""
-        brackets = Brackets(self.world, [self.detector], self.entropy)
+        brackets = DisplacementBounds(self.world, [self.detector], self.entropy)
         return Optima(brackets, self.tuning, threads=self.threads)
 
     def _panel(self, split: str, entry: PlayerSpec) -> Panel:
@@ -87,7 +87,7 @@ class Evaluator:
             self._panels[key] = Panel(self.world.setup, judges, rngs, self.threads, watched)
         return self._panels[key]
 
-    def _fitted(self, entry: PlayerSpec) -> TuningResult:
+    def _fit_player(self, entry: PlayerSpec) -> TuningResult:
         panel, now = self._panel("training", entry), f"{self.detector.label}: tuning {entry.label}"
         tick = lambda work: self.progress.advance(work, now)  # noqa: E731
         optima = lambda: self.optima  # noqa: E731
@@ -95,7 +95,7 @@ class Evaluator:
 
     def fit(self, policy: Any, *, knowledge: str | None = None) -> TuningResult:
         """Fit the amplitude of a spoofer on the training runs; its `score` is of these."""
-        return self._fitted(specify_policy(policy, FITTED, knowledge))
+        return self._fit_player(specify_policy(policy, FITTED, knowledge))
 
     def check(self, policy: Any) -> None:
         """Raise where a spoofer, in text or a file, does not fit this world, before it plays."""
@@ -109,12 +109,12 @@ class Evaluator:
         knowledge: str | None = None,
         label: str | None = None,
         largest_amplitude: float | None = None,
-    ) -> Score:
+    ) -> SpooferScore:
         """Score of one spoofer on the evaluation runs, as `evaluate` returns it."""
         entry = specify_policy(policy, amplitude, knowledge, label, largest_amplitude)
-        setting, spec, within, value = entry.tuned, entry.untuned, None, None
+        setting, spec, within, value = entry.tuned, entry.fixed_spec, None, None
         if setting is not None:
-            found = self._fitted(entry)
+            found = self._fit_player(entry)
             if found.found is not None:
                 entry = with_rates(entry, found.found["played"]["rates_mps"])
             spec, within, value = entry.with_value(found.value), found.within_budget, found.value
@@ -122,13 +122,13 @@ class Evaluator:
             setting, value = AMPLITUDE, entry.thing.amplitude
         panel, now = self._panel("evaluation", entry), f"{entry.label}: evaluation runs"
         tick = lambda work: self.progress.advance(work, now)  # noqa: E731
-        (attacked,) = panel.play([(Attack(spec, self.runs), 0)], drop=False, tick=tick)
+        (attacked,) = panel.play([(PanelAttack(spec, self.runs), 0)], drop=False, tick=tick)
         record = panel.record(0, attacked, {})
         moved, counts = record.displacement_m, record.counts
-        stealth = stealth_of(moved, record.alarmed, counts)
-        samples = resamples_of(clusters_of(record.sky)[counts])
+        stealth = score_stealth(moved, record.alarmed, counts)
+        samples = draw_resamples(select_clusters(record.sky)[counts])
         budget = self.tuning.budget
-        return Score(
+        return SpooferScore(
             task=self.task,
             detector=self.detector.label,
             spoofer=entry.label,
@@ -165,7 +165,7 @@ def evaluate(
     threads: int | None = None,
     progress: ProgressCallback | None = None,
     **world: Any,
-) -> Score:
+) -> SpooferScore:
     """Score a spoofer by the rule of the benchmark, on runs that the call decides nothing on.
 
     A policy that is shipped, or another one in a file, may have been chosen with these very runs in

@@ -24,20 +24,20 @@ from numpy.typing import NDArray
 from ...calibration.clean_runs import weighs
 from ...core.progress import NullProgress, ProgressCallback
 from ...core.registry import check_choice, check_keywords, whole_number
-from ...core.settings import digest_of, outside_sources
+from ...core.settings import compute_digest, outside_sources
 from ...detectors import Detector
-from ...detectors.calibrated import factors_of
+from ...detectors.calibrated import list_factors
 from ...envs.terms.observation import REPORTED
 from ...policies.card import DETECTOR, SPOOFER
 from ...simulation.monitors import PastPositions
 from ...simulation.setup import SPLITS, Setup
-from ...tasks import task_of
-from ..runs.panel import Attack, Panel
+from ...tasks import get_task
+from ..runs.panel import Panel, PanelAttack
 from ..runs.players import Mixture, PlayerSpec, Strategy, specify_strategy
 from ..runs.record import RunRecord
 from ..runs.world import WORLD, World
 from ..scores.matrix_game import PayoffMatrix, RunPayoff
-from .runner import Context, Experiment, run
+from .runner import Context, Experiment, run_experiment
 from .store import Cell, MemoryStore, Reader, Result, Store
 
 FloatArray = NDArray[np.float64]
@@ -101,8 +101,8 @@ class Pairs(Experiment):
         ):
             return key, None
         named = {"runs": runs, "spoofer": spoofer.spec, "sources": outside}
-        named["detector"] = [detector.spec, *factors_of(judge)]
-        return f"{key} {digest_of(named)[:8]}", named
+        named["detector"] = [detector.spec, *list_factors(judge)]
+        return f"{key} {compute_digest(named)[:8]}", named
 
     def cells(self) -> Iterator[Cell]:
         """One a pair."""
@@ -116,7 +116,7 @@ class Pairs(Experiment):
         work, alone = sum(cell.work for cell in cells), self._is_alone((detectors[0], spoofer))
         panel = self._panel(detectors, alone, context)
         tick = lambda part: context.tick(part * work / panel.runs / len(cells))  # noqa: E731
-        attack = Attack(spoofer.untuned, panel.runs)
+        attack = PanelAttack(spoofer.fixed_spec, panel.runs)
         asked = [(attack, k) for k in range(len(detectors))]
         for k, runs in enumerate(panel.play(asked, drop=False, tick=tick)):
             yield Result(*panel.record(k, runs, {}).parts())
@@ -142,7 +142,7 @@ class Pairs(Experiment):
         """Payoffs of all pairs."""
         keys = {(a.label, b.label): key for key, (_, a, b) in self.pairs.items()}
         found = [
-            [RunRecord.of_parts(*results[keys[a.label, b.label]][:2]) for b in self.detectors]
+            [RunRecord.from_parts(*results[keys[a.label, b.label]][:2]) for b in self.detectors]
             for a in self.spoofers
         ]
         moved, alarmed, counts = (
@@ -228,7 +228,7 @@ class Game:
             check_keywords("Game", world, (*WORLD, "env", "settings"))
         self.world = World.of(task, **world)
         if task is not None and limit_m is None:
-            limit_m = task_of(task).alert_limit_m
+            limit_m = get_task(task).alert_limit_m
         if limit_m is None:
             raise ValueError("`limit_m` is needed: this world has no alert limit of its own")
         self._world = {**world, "task": task} if task is None else {"task": task}
@@ -239,7 +239,7 @@ class Game:
         self.store = MemoryStore(None if folder is None else Store(folder))
         self.threads, self.progress = threads, progress or NullProgress()
         self._judges: dict[str, tuple[Detector, bool]] = {}
-        self._members: dict[tuple[str, str], PlayerSpec] = {}
+        self._players: dict[tuple[str, str], PlayerSpec] = {}
 
     @property
     def setup(self) -> Setup:
@@ -286,18 +286,20 @@ class Game:
         """
         pairs = self.pairs(spoofers, detectors, oracles=oracles)
         show = lambda _: nullcontext(self.progress)  # noqa: E731
-        return pairs.matrix(run(pairs, self.store, threads=self.threads, progress=show))
+        return pairs.matrix(run_experiment(pairs, self.store, threads=self.threads, progress=show))
 
     def pairs(
         self, spoofers: Sequence[Any], detectors: Sequence[Any], *, oracles: bool = False
     ) -> Pairs:
         """Experiment of a `matrix`."""
-        rows = [specify_strategy(each, SPOOFER) for each in _listed(spoofers, SPOOFER)]
-        columns = [specify_strategy(each, DETECTOR) for each in _listed(detectors, DETECTOR)]
+        rows = [specify_strategy(each, SPOOFER) for each in _check_strategies(spoofers, SPOOFER)]
+        columns = [
+            specify_strategy(each, DETECTOR) for each in _check_strategies(detectors, DETECTOR)
+        ]
         for each in (*rows, *columns):
             self._check_fresh(each)
-        who, of_rows = self._pure_of(rows)
-        whom, of_columns = self._pure_of(columns)
+        who, of_rows = self._expand_mixtures(rows)
+        whom, of_columns = self._expand_mixtures(columns)
         if not oracles:
             _check_oracles(who)
         return Pairs(self, (rows, columns), who, whom, (of_rows, of_columns))
@@ -310,7 +312,9 @@ class Game:
                 f"entropy {entropy}: it can't be scored on them; take another split or entropy"
             )
 
-    def _pure_of(self, strategies: Sequence[Strategy]) -> tuple[list[PlayerSpec], FloatArray]:
+    def _expand_mixtures(
+        self, strategies: Sequence[Strategy]
+    ) -> tuple[list[PlayerSpec], FloatArray]:
         """All pure members, each once, and their weights in every strategy."""
         parts = [
             ((each,), (1.0,)) if isinstance(each, PlayerSpec) else (each.members, each.weights)
@@ -319,7 +323,7 @@ class Game:
         everyone: dict[str, PlayerSpec] = {}
         for members, _ in parts:
             for member in members:
-                known = self._members.setdefault((member.side, member.label), member)
+                known = self._players.setdefault((member.side, member.label), member)
                 if (known.spec, known.thing) != (member.spec, member.thing):
                     raise ValueError(f"two {member.side}s are called {member.label!r}")
                 everyone.setdefault(member.label, member)
@@ -338,7 +342,7 @@ class Game:
         return self._judges[member.label]
 
 
-def _listed(given: Any, side: str) -> list[Any]:
+def _check_strategies(given: Any, side: str) -> list[Any]:
     if isinstance(given, str | Mapping | PlayerSpec | Mixture) or not isinstance(given, Sequence):
         raise TypeError(f"`{side}s` must be a list, got {given!r}")
     if not given:

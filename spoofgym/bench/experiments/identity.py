@@ -14,7 +14,7 @@ from pathlib import Path
 from ... import __version__
 from ...core.compile import cache_parent
 from ...core.files import write_file
-from ...core.settings import digest_of, digest_of_code
+from ...core.settings import compute_digest, digest_of_code
 
 PACKAGES = ("numpy", "scipy", "numba", "onnxruntime")
 NOT_COMPUTING = {"cli", "report", "testing", "__main__", "progress", "files", "runner"}
@@ -44,7 +44,7 @@ def versions() -> dict[str, str]:
 @functools.cache
 def digest_of_sources(*folders: Path) -> str:
     """Digest of the code in some folders; as it was at the first call in this process."""
-    known = _known()
+    known = _load_digests()
     before = len(known)
     found = [
         (folder.name, path.relative_to(folder).as_posix(), _digest_of_module(path, known))
@@ -56,10 +56,10 @@ def digest_of_sources(*folders: Path) -> str:
         text = json.dumps(dict([*known.items()][-MOST_KNOWN:]))
         with suppress(OSError):  # it only saves the time to parse
             write_file(cache_parent() / KNOWN, text.encode())
-    return digest_of(found)
+    return compute_digest(found)
 
 
-def _known() -> dict[str, str]:
+def _load_digests() -> dict[str, str]:
     """Digests that were computed before; parsing all of the library takes seconds."""
     try:
         found = json.loads((cache_parent() / KNOWN).read_bytes())

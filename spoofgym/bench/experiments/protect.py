@@ -18,19 +18,26 @@ from typing import Any, ClassVar, NamedTuple
 from ...calibration.clean_runs import weighs
 from ...core.progress import NullProgress, ProgressBar, ProgressCallback
 from ...core.registry import whole_number
-from ...core.settings import describe, digest_of, outside_sources
+from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import Calibrated, Detector, LearnedDetector, detector_in_world
-from ...detectors.calibrated import factors_of, resolve
+from ...detectors.calibrated import list_factors, resolve_thresholds
 from ...envs.spoofer_binding import spoofer_context
 from ...simulation.setup import Setup
-from ...tasks import ANTENNA_PARTS, CANDIDATES, EVENTS, AttackFamily, DetectorTask, detector_task_of
-from ..runs.panel import NearAlarm, Panel, generators, in_any_world, numbers_of, play_searches
+from ...tasks import (
+    ANTENNA_PARTS,
+    CANDIDATES,
+    EVENTS,
+    AttackFamily,
+    DetectorTask,
+    get_detector_task,
+)
+from ..runs.panel import NearAlarm, Panel, generators, in_any_world, play_searches, select_runs
 from ..runs.players import (
     ATTACK,
     TUNED,
     PlayerSpec,
+    add_tuned_setting,
     check_labels,
-    fitted,
     refuse_oracles,
     specify_detector,
     specify_spoofer,
@@ -44,10 +51,10 @@ from ..search.attack_suite import (
     Selection,
     SuiteAttack,
     expected_plays,
-    fitting_members,
+    list_fitting_attacks,
     play_winners,
 )
-from .runner import Context, Experiment, run
+from .runner import Context, Experiment, run_experiment
 from .store import Cell, MemoryStore, Reader, Result, Store
 from .training_attacks import QUIET_TASKS
 
@@ -57,21 +64,21 @@ SIFTED = 4
 """Part of the selection that sifts, as one in so many."""
 SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
 """Profiles of the letter c."""
-KEPT_PANELS = 24
+CACHED_PANELS = 24
 """Panels that are held in memory, the youngest ones."""
 NEAR_ALARM = "chance-alarm"
 """Onset of which every detector has its own runs."""
 
 
-class Defence(NamedTuple):
+class ScoredDetector(NamedTuple):
     """A detector with its thresholds, and whether it shares passes of the engine."""
 
-    entry: PlayerSpec
+    player: PlayerSpec
     judge: Detector
     passive: bool
 
 
-def entries_of(detectors: Iterable[Any]) -> tuple[PlayerSpec, ...]:
+def specify_detectors(detectors: Iterable[Any]) -> tuple[PlayerSpec, ...]:
     """Detectors that may be scored together."""
     entries = tuple(map(specify_detector, detectors))
     if not entries:
@@ -81,7 +88,7 @@ def entries_of(detectors: Iterable[Any]) -> tuple[PlayerSpec, ...]:
     return entries
 
 
-def held_out_but_met(judge: Detector, task: DetectorTask) -> str | None:
+def find_trained_holdout(judge: Detector, task: DetectorTask) -> str | None:
     """Family that a task holds out, and that a detector has learned from, as its card has it."""
     inner = judge.detector if isinstance(judge, Calibrated) else judge
     training = inner.card.training if isinstance(inner, LearnedDetector) else {}
@@ -102,24 +109,24 @@ class Worlds:
     @cached_property
     def world(self) -> World:
         """The task's world."""
-        return World(given=self.task.world_kwargs)
+        return World(settings=self.task.world_kwargs)
 
     def setup(self, **overrides: Any) -> Setup:
         """World of a family, or with an event, without a defence."""
-        key = digest_of(describe(overrides))
+        key = compute_digest(describe(overrides))
         if key not in self._setups:
-            self._setups[key] = self.world.altered(**overrides).setup
+            self._setups[key] = self.world.copy_with(**overrides).setup
         return self._setups[key]
 
-    def defences(self, detectors: Iterable[Any]) -> list[Defence]:
+    def build_detectors(self, detectors: Iterable[Any]) -> list[ScoredDetector]:
         """Detectors with their thresholds of the task's world; warns of one that has learned from
         what the task holds out, as its card has it."""
         specs = list(detectors)
-        entries, world, found = entries_of(specs), self.world.setup, []
+        entries, world, found = specify_detectors(specs), self.world.setup, []
         for entry, spec in zip(entries, specs, strict=True):
             judge = detector_in_world(spec)
-            resolve(judge, world)
-            if met := held_out_but_met(judge, self.task):
+            resolve_thresholds(judge, world)
+            if met := find_trained_holdout(judge, self.task):
                 warnings.warn(
                     f"{entry.label} has learned from {met} counterfeits, which {self.task.key} "
                     "holds out: its score is not that of a detector that has never met them",
@@ -127,12 +134,12 @@ class Worlds:
                     stacklevel=2,
                 )
             settled = in_any_world(judge)
-            found.append(Defence(entry, settled, not weighs(world, settled)))
+            found.append(ScoredDetector(entry, settled, not weighs(world, settled)))
         return found
 
     def panel(
         self,
-        group: Sequence[Defence],
+        group: Sequence[ScoredDetector],
         split: str,
         runs: int,
         onset: str | None = None,
@@ -141,14 +148,14 @@ class Worlds:
         """Runs of a split at their onsets, for detectors that share them, in an altered world."""
         # two files may have one label; a panel keeps its judges, and so their ids
         judged = tuple(id(each.judge) for each in group)
-        key = digest_of(describe({"of": overrides, "onset": onset})), judged, split, runs
+        key = compute_digest(describe({"of": overrides, "onset": onset})), judged, split, runs
         if key not in self._panels:
-            while len(self._panels) >= KEPT_PANELS:  # families in the same world share theirs
+            while len(self._panels) >= CACHED_PANELS:  # families in the same world share theirs
                 del self._panels[next(iter(self._panels))]
             setup, judges = self.setup(**overrides), [each.judge for each in group]
             near = onset == NEAR_ALARM
             count, condition = (CANDIDATES * runs, None) if near else (runs, onset)
-            numbers = numbers_of(setup, self.entropy, split, count, condition)
+            numbers = select_runs(setup, self.entropy, split, count, condition)
             rngs = lambda: generators(setup, self.entropy, split, numbers)  # noqa: E731
             self._panels[key] = (
                 NearAlarm(setup, judges[0], rngs, self.threads)
@@ -157,16 +164,19 @@ class Worlds:
             )
         return self._panels[key]
 
-    def members(self, family: AttackFamily) -> tuple[SuiteAttack, ...]:
+    def list_attacks(self, family: AttackFamily) -> tuple[SuiteAttack, ...]:
         """Attacks of a family, each with one setting that is looked for."""
         if family.letters == "m":
             spec = {**(family.attack or {}), "antenna_m": TUNED}
             return (SuiteAttack("m", PlayerSpec("meaconer", ATTACK, spec, "antenna_m"), False),)
         setup = self.setup(**family.overrides)
-        suite = fitting_members(setup, spoofer_context(setup))
+        suite = list_fitting_attacks(setup, spoofer_context(setup))
         found = [member for member in suite if member.letter in family.letters]
         if "c" in family.letters:
-            found += [SuiteAttack("c", specify_spoofer(fitted(name)), False) for name in SHIPPED]
+            found += [
+                SuiteAttack("c", specify_spoofer(add_tuned_setting(name)), False)
+                for name in SHIPPED
+            ]
         return tuple(found)
 
 
@@ -188,7 +198,7 @@ class DetectorEvaluator:
         progress: ProgressCallback | None = None,
         folder: str | os.PathLike[str] | None = None,
     ) -> None:
-        self.task = detector_task_of(task) if isinstance(task, str) else task
+        self.task = get_detector_task(task) if isinstance(task, str) else task
         self.runs = whole_number("`runs`", runs, 2)
         few = whole_number("`selection_runs`", selection_runs, 4)
         self.selection = Selection(runs=few, sift_runs=max(few // SIFTED, 1))
@@ -208,11 +218,13 @@ class DetectorEvaluator:
         found = self.protections(detectors)
         store = MemoryStore(None if self.folder is None else Store(self.folder))
         show = show or (lambda _: nullcontext(self.progress))
-        return found.scores(run(found, store, threads=self.worlds.threads, progress=show))
+        return found.scores(
+            run_experiment(found, store, threads=self.worlds.threads, progress=show)
+        )
 
     def protections(self, detectors: Iterable[Any]) -> Protections:
         """Experiment of the `scores`."""
-        return Protections(self, self.worlds.defences(detectors))
+        return Protections(self, self.worlds.build_detectors(detectors))
 
 
 @dataclass(frozen=True)
@@ -224,7 +236,7 @@ class Protections(Experiment):
 
     name: ClassVar[str] = "protect"
     of: DetectorEvaluator
-    defences: Sequence[Defence]
+    detectors: Sequence[ScoredDetector]
 
     @property
     def config(self) -> dict[str, Any]:
@@ -234,36 +246,36 @@ class Protections(Experiment):
         return {"task": task.key, "world": world, "alert_limit_m": task.alert_limit_m}
 
     @cached_property
-    def parts(self) -> dict[str, tuple[Cell, AttackFamily | None, Defence]]:
+    def parts(self) -> dict[str, tuple[Cell, AttackFamily | None, ScoredDetector]]:
         """Cells by key, each with its family and defence; no family for false alarms."""
-        found, passive = {}, sum(each.passive for each in self.defences)
+        found, passive = {}, sum(each.passive for each in self.detectors)
         for family in (*self.of.families, None):
             name, plays = "false alarms", float(self.of.runs)
             if family is not None:
-                name, members = family.key, len(self.of.worlds.members(family))
+                name, members = family.key, len(self.of.worlds.list_attacks(family))
                 plays = expected_plays(members, self.of.selection, self.of.runs, ROUNDS)
-            for each in self.defences:
+            for each in self.detectors:
                 shared = each.passive and (family is None or family.onset != NEAR_ALARM)
-                group = f"{name}: {f'{passive} detectors' if shared else each.entry.label}"
+                group = f"{name}: {f'{passive} detectors' if shared else each.player.label}"
                 key, identity = self._identity(name, family, each)
                 found[key] = Cell(key, identity, plays, group=group), family, each
         return found
 
     def _identity(
-        self, name: str, family: AttackFamily | None, defence: Defence
+        self, name: str, family: AttackFamily | None, defence: ScoredDetector
     ) -> tuple[str, dict[str, Any] | None]:
         """Key of a cell, and all that it depends on; None where no text says that."""
-        key, outside = f"{name} {defence.entry.label}", outside_sources(defence.judge)
+        key, outside = f"{name} {defence.player.label}", outside_sources(defence.judge)
         if None in outside.values():
             return key, None
         named = {
             "family": None if family is None else asdict(family),
-            "detector": [defence.entry.spec, *factors_of(defence.judge)],
+            "detector": [defence.player.spec, *list_factors(defence.judge)],
             "sources": outside,
             "runs": [self.of.runs, self.of.entropy],
             "selection": asdict(self.of.selection),
         }
-        return f"{key} {digest_of(named)[:8]}", named
+        return f"{key} {compute_digest(named)[:8]}", named
 
     def cells(self) -> Iterator[Cell]:
         """One for a detector and a family."""
@@ -286,7 +298,7 @@ class Protections(Experiment):
         where = {"onset": family.onset, **family.overrides}
         panel, members = (
             worlds.panel(group, "selection", settings.runs, **where),
-            worlds.members(family),
+            worlds.list_attacks(family),
         )
         antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
         searches = [
@@ -296,11 +308,11 @@ class Protections(Experiment):
         found = list(zip(searches, play_searches(panel, asked, context.tick), strict=True))
         panel = worlds.panel(group, "evaluation", self.of.runs, **where)
         for k, winners in enumerate(play_winners(panel, found, context.tick)):
-            head = {"detector": group[k].entry.label}
+            head = {"detector": group[k].player.label}
             worst = Protection(head, winners, panel.counts[:, k], panel.sky, None)
             yield Result(*worst.parts())
 
-    def _false_alarms(self, group: Sequence[Defence]) -> Iterator[Result]:
+    def _false_alarms(self, group: Sequence[ScoredDetector]) -> Iterator[Result]:
         """Alarms of detectors in runs without an attack, with an event and without."""
         worlds, runs = self.of.worlds, (group, "evaluation", self.of.runs)
         clean = worlds.panel(*runs)
@@ -315,14 +327,14 @@ class Protections(Experiment):
     def scores(self, results: Reader) -> list[DetectorScore]:
         """Scores in the order of the detectors."""
         task, limit = self.of.task, self.of.task.alert_limit_m
-        families: dict[str, list[FamilyScore]] = {each.entry.label: [] for each in self.defences}
+        families: dict[str, list[FamilyScore]] = {each.player.label: [] for each in self.detectors}
         alarms = {}
         for key, (_, family, defence) in self.parts.items():
-            label, found = defence.entry.label, results[key]
+            label, found = defence.player.label, results[key]
             if family is None:
                 alarms[label] = dict(found.arrays)
             else:
-                worst = Protection.of_parts(found.arrays, found.record)
+                worst = Protection.from_parts(found.arrays, found.record)
                 families[label].append(FamilyScore(family.key, family.held_out, limit, worst))
         return [
             DetectorScore(

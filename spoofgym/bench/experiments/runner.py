@@ -97,7 +97,7 @@ class Experiment(ABC):
         """What finished cells say, JSON; never stored as truth."""
 
 
-def run(
+def run_experiment(
     experiment: Experiment,
     store: Store,
     *,
@@ -118,11 +118,11 @@ def run(
     kind = backend.partition(":")[0]
     check_choice("backend", kind, BACKENDS)
     if kind != "local":
-        _installed(kind)
+        _import_backend(kind)
     outputs = experiment.outputs
     store.open(experiment.name, experiment.config, outputs=outputs, overwrite=overwrite)
     cells = list(experiment.cells())
-    plan = _Plan(cells, store, None if shard is None else _checked(*shard))
+    plan = _Plan(cells, store, None if shard is None else _check_shard(*shard))
     results = Reader(store, cells)
     with (progress or no_progress)(plan.remaining) as bar, ExitStack() as stack:
         try:
@@ -144,10 +144,10 @@ def parse_shard(text: str) -> tuple[int, int]:
     i, slash, n = text.partition("/")
     if not (slash and i.isdecimal() and n.isdecimal()):
         raise ValueError(f"a shard is written i/n, such as 1/4 to 4/4, got {text!r}")
-    return _checked(int(i), int(n))
+    return _check_shard(int(i), int(n))
 
 
-def _checked(i: int, n: int) -> tuple[int, int]:
+def _check_shard(i: int, n: int) -> tuple[int, int]:
     if not 1 <= i <= n:
         raise ValueError(f"shard {i}/{n} is not there: {f'1/{n} to {n}/{n} are' if n > 0 else ''}")
     return i, n
@@ -176,9 +176,9 @@ class _Plan:
 
     def __init__(self, cells: Sequence[Cell], store: Store, shard: tuple[int, int] | None) -> None:
         known = {cell.key: cell for cell in cells}
-        files = Counter(store.path_of(cell.key).name.casefold() for cell in cells)
+        files = Counter(store.build_path(cell.key).name.casefold() for cell in cells)
         for cell in cells:
-            if files[store.path_of(cell.key).name.casefold()] > 1:
+            if files[store.build_path(cell.key).name.casefold()] > 1:
                 raise ValueError(f"two cells have the key, or the file name, of {cell.key!r}")
             for key in cell.after:
                 check_choice(f"cell before {cell.key!r}", key, known)
@@ -350,10 +350,12 @@ def _loky(work: Send, _: str, jobs: int, threads: int) -> Iterator[_Workers]:
     from joblib.externals.loky.process_executor import BrokenProcessPool, ProcessPoolExecutor
 
     env = dict.fromkeys(ONE_THREAD, "1")
-    pool = ProcessPoolExecutor(jobs, initializer=_begin, initargs=(os.getpid(),), env=env)
+    pool = ProcessPoolExecutor(
+        jobs, initializer=_initialize_worker, initargs=(os.getpid(),), env=env
+    )
 
     def submit(task: _Task, _: RemainingWork) -> Future[None]:
-        with _ctrl_c_blocked():  # this may start workers
+        with _block_ctrl_c():  # this may start workers
             submitted: Future[None] = pool.submit(work, task)
         return submitted
 
@@ -364,7 +366,7 @@ def _loky(work: Send, _: str, jobs: int, threads: int) -> Iterator[_Workers]:
 
 
 @contextmanager
-def _ctrl_c_blocked() -> Iterator[None]:
+def _block_ctrl_c() -> Iterator[None]:
     """Keep Ctrl-C from processes and threads that start here, from their first instruction on."""
     if not hasattr(signal, "pthread_sigmask"):  # on Windows
         yield
@@ -377,7 +379,7 @@ def _ctrl_c_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(parent: int) -> None:
+def _initialize_worker(parent: int) -> None:
     """Leave Ctrl-C to the process that started this one, and end when it does, however it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -392,7 +394,7 @@ def _begin(parent: int) -> None:
 @contextmanager
 def _dask(work: Send, address: str, jobs: int, threads: int) -> Iterator[_Workers]:
     """A cluster of dask, or one on this machine."""
-    distributed = _installed("dask")
+    distributed = _import_backend("dask")
     with ExitStack() as stack:
         where = address
         if not address:
@@ -421,7 +423,7 @@ async def _reach(connect: Any, address: str) -> None:
 @contextmanager
 def _ray(work: Send, address: str, jobs: int, threads: int) -> Iterator[_Workers]:
     """A cluster of ray, or one on this machine."""
-    ray = _installed("ray")
+    ray = _import_backend("ray")
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if host and port.isdecimal():  # ray itself waits for minutes
         try:
@@ -447,7 +449,7 @@ def _no_answer(kind: str, address: str) -> ConnectionError:
     return ConnectionError(f"no {kind} cluster answers at {address!r} within {CONNECT_S:g} s")
 
 
-def _installed(kind: str) -> Any:
+def _import_backend(kind: str) -> Any:
     """Module of a backend."""
     module = {"dask": "distributed"}.get(kind, kind)
     try:

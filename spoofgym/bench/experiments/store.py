@@ -22,7 +22,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from ...core.files import remove_stale_parts, write_file
-from ...core.settings import differences, digest_of
+from ...core.settings import compute_digest, diff_settings
 from .identity import code_identity
 
 FORMAT = 1
@@ -94,7 +94,7 @@ class Store:
         mine = json.loads(_json({**mine, "config": config}, f"config of {experiment}"))
         if (self.path / CONFIG).is_file():
             if overwrite:
-                self._found()
+                self._read_config()
                 self._remove(outputs)
         elif (strange := self._content()) and not (self.path / CONFIG).is_file():
             raise ValueError(
@@ -111,14 +111,14 @@ class Store:
         """Read what is there, whatever code has made it; returns the config of the experiment."""
         if not (self.path / CONFIG).is_file():
             raise ValueError(f"{self.path} holds no results: there is no {CONFIG}")
-        self._config = self._found(experiment)
+        self._config = self._read_config(experiment)
         return dict(self._config["config"])
 
     def _content(self) -> list[str]:
         items = self.path.iterdir() if self.path.is_dir() else ()
         return sorted(item.name for item in items if not item.name.endswith(".part"))
 
-    def _found(self, experiment: str | None = None) -> dict[str, Any]:
+    def _read_config(self, experiment: str | None = None) -> dict[str, Any]:
         """Configuration in the folder, of this format; raises where it is of another experiment."""
         path = self.path / CONFIG
         try:
@@ -142,11 +142,11 @@ class Store:
         return found
 
     def _check_config(self, mine: Mapping[str, Any]) -> None:
-        found = self._found(mine["experiment"])
+        found = self._read_config(mine["experiment"])
         if found != mine:
             raise ValueError(
-                f"{self.path} holds other results ({_unlike(found, mine)}); choose another folder, "
-                "or overwrite them"
+                f"{self.path} holds other results ({_format_diff(found, mine)}); choose another "
+                "folder, or overwrite them"
             )
 
     def _remove(self, outputs: Iterable[str]) -> None:
@@ -165,13 +165,13 @@ class Store:
 
     def check_code(self) -> None:
         """Raise where this process has other code or versions than the one that opened it."""
-        if unlike := _unlike(code_identity(), self.config["code"]):
+        if unlike := _format_diff(code_identity(), self.config["code"]):
             raise ValueError(f"a worker has other code than {self.path}: {unlike}")
 
-    def path_of(self, key: str) -> Path:
+    def build_path(self, key: str) -> Path:
         """File of a cell."""
         name = re.sub(r"[^A-Za-z0-9._=]+", "-", key).strip("-.")[:LONGEST_NAME]
-        whole = name if name == key else f"{name}--{digest_of(key)[:8]}"
+        whole = name if name == key else f"{name}--{compute_digest(key)[:8]}"
         return self.path / CELLS / f"{whole}.npz"
 
     def has(self, cell: Cell) -> bool:
@@ -183,14 +183,14 @@ class Store:
         return self._read(cell, whole=True)
 
     def _read(self, cell: Cell, *, whole: bool) -> Result | None:
-        path = self.path_of(cell.key)
+        path = self.build_path(cell.key)
         try:
             with zipfile.ZipFile(path) as file:
                 head = json.loads(file.read(HEAD))
                 members = head.pop("members")
                 unlisted = sorted({*file.namelist()} ^ {HEAD, *members})
                 content = {name: file.read(name) for name in members if whole and not unlisted}
-            result = _unpacked(content)
+            result = _unpack_result(content)
         except FileNotFoundError:
             return None
         except DAMAGED as error:
@@ -203,8 +203,8 @@ class Store:
         mine = json.loads(_json(self._head(cell), cell.key))
         if head != mine:
             raise ValueError(
-                f"{path} is another cell than the one requested ({_unlike(head, mine)}); delete it "
-                "and run again, or choose another folder"
+                f"{path} is another cell than the one requested ({_format_diff(head, mine)}); "
+                "delete it and run again, or choose another folder"
             )
         return result
 
@@ -215,19 +215,19 @@ class Store:
         return {
             "format": FORMAT,
             "experiment": self.config["experiment"],
-            "config": digest_of(self.config),
+            "config": compute_digest(self.config),
             "key": cell.key,
             "identity": cell.identity,
         }
 
     def put(self, cell: Cell, result: Result) -> None:
         """Write a finished cell."""
-        content = _packed(self._head(cell), result, f"cell {cell.key!r}")
-        if self._found() != self.config:
+        content = _pack_result(self._head(cell), result, f"cell {cell.key!r}")
+        if self._read_config() != self.config:
             raise ValueError(
                 f"{self.path} has been taken by another experiment meanwhile; choose another folder"
             )
-        self._write(self.path_of(cell.key), content)
+        self._write(self.build_path(cell.key), content)
 
     def write(self, name: str, content: bytes) -> Path:
         """Write a report or another output."""
@@ -300,7 +300,7 @@ class Reader(Mapping[str, Result]):
         return [key for key, cell in self.cells.items() if not self.store.has(cell)]
 
 
-def _packed(head: Mapping[str, Any], result: Result, name: str) -> bytes:
+def _pack_result(head: Mapping[str, Any], result: Result, name: str) -> bytes:
     """Content of a cell's file."""
     parts = {RECORD: _json(result.record, f"record of {name}")}
     for key, array in result.arrays.items():
@@ -324,7 +324,7 @@ def _packed(head: Mapping[str, Any], result: Result, name: str) -> bytes:
     return content.getvalue()
 
 
-def _unpacked(parts: Mapping[str, bytes]) -> Result:
+def _unpack_result(parts: Mapping[str, bytes]) -> Result:
     """Result in a file's members; empty without any."""
     arrays, files = {}, {}
     for name, data in parts.items():
@@ -351,9 +351,9 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"a {type(value).__name__} is no JSON")
 
 
-def _unlike(found: Mapping[str, Any], mine: Mapping[str, Any]) -> str:
+def _format_diff(found: Mapping[str, Any], mine: Mapping[str, Any]) -> str:
     """What differs, in a few words."""
-    lines = [f"{name}: {_short(a)}, not {_short(b)}" for name, a, b in differences(found, mine)]
+    lines = [f"{name}: {_short(a)}, not {_short(b)}" for name, a, b in diff_settings(found, mine)]
     more = f"; and {len(lines) - SHOWN} more" if len(lines) > SHOWN else ""
     return "; ".join(lines[:SHOWN]) + more
 

@@ -15,8 +15,8 @@ import numpy as np
 from ... import __version__
 from ...attacks import Attack
 from ...calibration.thresholds import suitable_detectors
-from ...core.declared import record, setting
-from ...core.settings import digest_of, outside_sources
+from ...core.declared import setting, settings_record
+from ...core.settings import compute_digest, outside_sources
 from ...detectors import Detector, OperatingPoint
 from ...detectors.build import spec_of_judge
 from ...detectors.calibrated import STANDARD_RATE
@@ -25,13 +25,13 @@ from ...policies.onnx_file import SUFFIX
 from ...simulation.domain import Domain
 from ...simulation.setup import SPLITS, Setup, Timeline
 from ...spoofers import Spoofer
-from ...tasks import RANGE_RATE_TESTS, SUITE, task_of
+from ...tasks import RANGE_RATE_TESTS, SUITE, get_task
 from ...truth.scenario import Scenario
 from ..runs.players import (
     DEFAULT_SPOOFERS,
     PlayerSpec,
+    add_tuned_setting,
     check_labels,
-    fitted,
     fitting,
     oracle_labels,
     refuse_oracles,
@@ -45,10 +45,10 @@ from ..search.attack_suite import (
     VERSION,
     Selection,
     SuiteAttack,
-    fitting_members,
+    list_fitting_attacks,
     suite_digest,
 )
-from ..search.bounds import Brackets
+from ..search.bounds import DisplacementBounds
 from ..search.open_loop import Optima
 
 ALERT_LIMIT_M = 40.0
@@ -57,7 +57,7 @@ ALERT_LIMITS_M = (5.0, 10.0, 20.0, ALERT_LIMIT_M, 80.0, 160.0, 320.0, 556.0)
 """Alert limits of a campaign besides its own; 556 m is that of a non-precision approach."""
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class Suite:
     """What a campaign runs."""
 
@@ -129,12 +129,12 @@ class Suite:
 
     def __post_init__(self) -> None:
         _ = self.world  # which raises where a setting is not one of the victim's
-        for entries in (self.detector_entries, self.spoofer_entries):
+        for entries in (self.detector_players, self.spoofer_players):
             check_labels(entries)
-        if not self.detector_entries:
+        if not self.detector_players:
             raise ValueError("a campaign needs at least one detector")
         if not self.allow_oracles:
-            refuse_oracles(self.detector_entries)
+            refuse_oracles(self.detector_players)
 
     @cached_property
     def world(self) -> World:
@@ -142,7 +142,7 @@ class Suite:
         return World.of(**named)
 
     @cached_property
-    def detector_entries(self) -> tuple[PlayerSpec, ...]:
+    def detector_players(self) -> tuple[PlayerSpec, ...]:
         """Detectors in their order."""
         specs = VICTIMS[self.env].detectors if self.detectors is None else self.detectors
         return tuple(specify_detector(spec) for spec in specs)
@@ -155,54 +155,58 @@ class Suite:
     @property
     def _oracle_notes(self) -> tuple[str, ...]:
         """Which detectors are oracles; a line each."""
-        labels = oracle_labels(self.detector_entries)
+        labels = oracle_labels(self.detector_players)
         return tuple(f"{label} is an oracle: it knows the attack" for label in labels)
 
     @cached_property
-    def spoofer_entries(self) -> tuple[PlayerSpec, ...]:
+    def spoofer_players(self) -> tuple[PlayerSpec, ...]:
         """Spoofers in their order, ``none`` first."""
         specs = self.spoofers
         if specs is None:
-            specs = (*DEFAULT_SPOOFERS, *map(fitted, self._shipped[0]))
+            specs = (*DEFAULT_SPOOFERS, *map(add_tuned_setting, self._fitting_spoofers[0]))
         entries = [specify_spoofer(spec) for spec in specs]
         none = specify_spoofer("none")
         return (none, *(entry for entry in entries if entry != none))
 
     @cached_property
-    def _shipped(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    def _fitting_spoofers(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Shipped spoofers that fit, and why others do not."""
         return fitting(self.env, self.world.setup)
 
     @property
     def left_out(self) -> tuple[str, ...]:
         """Which shipped spoofers do not fit, and why, by default; a line each."""
-        return self._shipped[1] if self.spoofers is None else ()
+        return self._fitting_spoofers[1] if self.spoofers is None else ()
 
     def check_fit(self) -> None:
         """As `World.check_fit`, of all detectors and spoofers."""
-        self.world.check_fit(self.detector_entries, self.spoofer_entries)
+        self.world.check_fit(self.detector_players, self.spoofer_players)
 
     def setup(self, detector: PlayerSpec, spoofers: Sequence[PlayerSpec] | None = None) -> Setup:
-        """As `World.setup_of`. `spoofers`: those that play, all of the suite's by default."""
-        return self.world.setup_of(detector, self.spoofer_entries if spoofers is None else spoofers)
+        """As `World.build_setup`. `spoofers`: those that play, all of the suite's by default."""
+        return self.world.build_setup(
+            detector, self.spoofer_players if spoofers is None else spoofers
+        )
 
     def generators(self, split: str, runs: int, first: int = 0) -> list[np.random.Generator]:
         """Generators of the runs of a split, from `first` on."""
         return self.world.generators(self.entropy, split, runs, first)
 
-    def brackets(self, **settings: int) -> Brackets:
+    def build_bounds(self, **settings: int) -> DisplacementBounds:
         """Floor and zero-alarm bounds; `settings`: ``worlds`` of `Brackets`."""
         budget = self.tuning.budget
-        return Brackets(self.world, self.detector_entries, self.entropy, budget, **settings)
+        return DisplacementBounds(
+            self.world, self.detector_players, self.entropy, budget, **settings
+        )
 
     def optima(self, threads: int | None = None) -> Optima:
         """Searches for blind optima."""
-        return Optima(self.brackets(), self.tuning, self.spoofer_entries, threads)
+        return Optima(self.build_bounds(), self.tuning, self.spoofer_players, threads)
 
     @cached_property
     def _points(self) -> dict[str, list[OperatingPoint]]:
         """Operating points of the detectors that request a rate."""
-        found = {entry.label: self.world.points(entry) for entry in self.detector_entries}
+        found = {entry.label: self.world.points(entry) for entry in self.detector_players}
         return {label: points for label, points in found.items() if points}
 
     @property
@@ -216,7 +220,7 @@ class Suite:
     def _calibrations(self) -> dict[str, Any]:
         """Scales of the detectors that request a rate, for `config`, and those that never alarm."""
         named = {label: [p._asdict() for p in points] for label, points in self._points.items()}
-        never = [e.label for e in self.detector_entries if not e.build().calibrates]
+        never = [e.label for e in self.detector_players if not e.build().calibrates]
         return {"calibrations": named, "never_alarm": never}
 
     @cached_property
@@ -224,8 +228,8 @@ class Suite:
         """Everything that the results depend on, JSON-able. What comes from outside of spoofgym is
         there by digests of its sources. Where one can't be read, a number of this suite alone is in
         its place, so that no other one takes up its results; this is warned of."""
-        judges = [entry.build() for entry in self.detector_entries]
-        players = [entry.build() for entry in self.spoofer_entries]
+        judges = [entry.build() for entry in self.detector_players]
+        players = [entry.build() for entry in self.spoofer_players]
         outside = outside_sources(*judges, *players, *self.world.parts)
         unknown = [
             f"the source of {name} can't be read: its results are never taken up again"
@@ -237,11 +241,12 @@ class Suite:
         return {
             "spoofgym": __version__,
             "outside": {
-                _moved(name): d or f"unknown, {uuid.uuid4().hex}" for name, d in outside.items()
+                _strip_folder(name): d or f"unknown, {uuid.uuid4().hex}"
+                for name, d in outside.items()
             },
             **self.world.config,
-            "detectors": _without_folders(each.as_config() for each in self.detector_entries),
-            "spoofers": _without_folders(each.as_config() for each in self.spoofer_entries),
+            "detectors": _without_folders(each.as_config() for each in self.detector_players),
+            "spoofers": _without_folders(each.as_config() for each in self.spoofer_players),
             **self._calibrations(),
             "runs": self.runs,
             "entropy": self.entropy,
@@ -260,24 +265,24 @@ class Suite:
         }
 
     @cached_property
-    def members(self) -> tuple[SuiteAttack, ...]:
+    def suite_attacks(self) -> tuple[SuiteAttack, ...]:
         """Attacks of the attack suite that fit the victim."""
-        return fitting_members(self.world.setup, self.world.context)
+        return list_fitting_attacks(self.world.setup, self.world.context)
 
     def _attack_suite(self) -> dict[str, Any] | None:
         """Name, version and search of the attack suite; None where it is not played."""
         if self.selection is None:
             return None
-        named = {"name": NAME, "version": VERSION, "digest": suite_digest(self.members)}
+        named = {"name": NAME, "version": VERSION, "digest": suite_digest(self.suite_attacks)}
         return {**named, **dataclasses.asdict(self.selection)}
 
     @cached_property
     def digest(self) -> str:
         """Digest of `config`; ONNX files count by their content, wherever they are."""
-        return digest_of(self.config)
+        return compute_digest(self.config)
 
 
-def _moved(name: str) -> str:
+def _strip_folder(name: str) -> str:
     """Name of an outside source: of an ONNX file or its card without the folder."""
     path = PurePath(name)
     return path.name if path.suffix in (SUFFIX, ".json") else name
@@ -304,7 +309,7 @@ SIZES = {"seeds": 400, "training_seeds": 128, "selection_seeds": 48}
 """Evaluation, training and selection runs, where no others are given."""
 
 
-def everyone_in(setup: Setup, rescaled: bool = False) -> list[dict[str, Any]]:
+def list_world_detectors(setup: Setup, rescaled: bool = False) -> list[dict[str, Any]]:
     """The controls and all classics that suit a world; `rescaled`: also with their innovations."""
     found = [dict(each) for each in CONTROLS]
     for each in suitable_detectors(setup):
@@ -316,7 +321,7 @@ def everyone_in(setup: Setup, rescaled: bool = False) -> list[dict[str, Any]]:
     return found
 
 
-def in_order(everyone: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def order_detectors(everyone: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Controls, solution separation, tests of range rates, which are added, and the others."""
     controls = [dict(spec) for spec in CONTROLS]
     first = [*controls, {"name": "solution-separation"}, *map(dict, RANGE_RATE_TESTS)]
@@ -325,7 +330,7 @@ def in_order(everyone: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 def standard_kwargs() -> dict[str, Any]:
     """Keyword arguments of a `Suite`, but for its detectors."""
-    task = task_of(TASK)
+    task = get_task(TASK)
     limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
     note = f"suite {STANDARD}: the world of task {task.key} of {SUITE}"
     return {**task.world_kwargs, **limit, "notes": (note,)}

@@ -19,7 +19,13 @@ from ...attacks.equipment import QUIET, CounterfeitErrors
 from ...core.registry import Spec
 from ...envs.observer import Observer
 from ...envs.options import checked_action
-from ...envs.spoofer_binding import bound_spoofer, commands_of, monitors_for, paced, spoofer_context
+from ...envs.spoofer_binding import (
+    apply_pace,
+    bound_spoofer,
+    make_command_map,
+    monitors_for,
+    spoofer_context,
+)
 from ...envs.terms.action import CommandMap, Decisions
 from ...envs.terms.observation import default_terms
 from ...simulation.engine import Engine
@@ -83,25 +89,28 @@ class TrainingAttacks:
             made = make_spoofer(spec)
             if not made.transmits:
                 raise ValueError(f"the spoofer {spec['name']!r} transmits nothing: it is no attack")
-            watched = setup.altered(monitors=monitors_for([made], setup))
+            watched = setup.copy_with(monitors=monitors_for([made], setup))
             made.bind(bound_spoofer(made, watched, 1)[0])  # or what does not fit
         self._context = spoofer_context(setup)
         self._reach_m, self._optima, self._spoofers = reach_m, list(optima), list(spoofers)
         self._makers: dict[str, Callable[[np.random.Generator, float], Spec]] = {
             name: getattr(self, f"_{name.replace('-', '_')}") for name in families
         }
-        self.families = (*families, *(label_of(spec) for spec in spoofers))
+        self.families = (*families, *(label_spoofer(spec) for spec in spoofers))
 
     def draw(self, rng: np.random.Generator) -> tuple[int, Spec]:
         """Family, by its number, and settings of one attack; all families are as likely."""
         family = int(rng.integers(len(self.families)))
         own = family - len(self._makers)
         if own >= 0:
-            return family, {**self._spoofers[own], AMPLITUDE: rounded(log_uniform(rng, AMPLITUDES))}
+            return family, {
+                **self._spoofers[own],
+                AMPLITUDE: round_setting(log_uniform(rng, AMPLITUDES)),
+            }
         goal_m = self._reach_m * log_uniform(rng, REACH)
         spec = self._makers[self.families[family]](rng, goal_m)
         if has_heading(self._context.action_names):
-            spec["heading_deg"] = rounded(rng.uniform(0.0, 360.0))
+            spec["heading_deg"] = round_setting(rng.uniform(0.0, 360.0))
         return family, spec
 
     @property
@@ -110,7 +119,7 @@ class TrainingAttacks:
 
     def _rate(self, rate: float) -> float:
         """A rate that the attack allows."""
-        return rounded(min(rate, self._context.largest_rate[1]))
+        return round_setting(min(rate, self._context.largest_rate[1]))
 
     def _ramp(self, rng: np.random.Generator, goal_m: float) -> Spec:
         return {"name": "ramp", "rate_mps": self._rate(goal_m / self._window_s)}
@@ -119,7 +128,7 @@ class TrainingAttacks:
         wanted = 2.0 * goal_m / self._window_s**2
         if self._context.control != "rate":
             wanted = min(wanted, self._context.acceleration_limit_mps2)
-        return {"name": "accelerating-ramp", "acceleration_mps2": rounded(wanted)}
+        return {"name": "accelerating-ramp", "acceleration_mps2": round_setting(wanted)}
 
     def _profile(self, rng: np.random.Generator, goal_m: float) -> Spec:
         """A shape of the attack suite, or a power of the time."""
@@ -139,7 +148,11 @@ class TrainingAttacks:
 
     def _dash(self, rng: np.random.Generator, goal_m: float) -> Spec:
         last_s = self._window_s * rng.uniform(*LAST_PARTS)
-        return {"name": "dash", "rate_mps": self._rate(goal_m / last_s), "last_s": rounded(last_s)}
+        return {
+            "name": "dash",
+            "rate_mps": self._rate(goal_m / last_s),
+            "last_s": round_setting(last_s),
+        }
 
     def _feedback(self, rng: np.random.Generator, goal_m: float) -> Spec:
         """By the detector in the loop; how carefully is drawn, too."""
@@ -147,10 +160,10 @@ class TrainingAttacks:
         return {
             "name": "feedback",
             "rate_mps": self._rate(2.0 * goal_m / (self._window_s * (1.0 + growth))),
-            "growth": rounded(growth),
-            "full_ratio": rounded(full),
-            "zero_ratio": rounded(full + rng.uniform(0.2, 0.6)),
-            "back": rounded(rng.uniform(-1.0, 0.0)),
+            "growth": round_setting(growth),
+            "full_ratio": round_setting(full),
+            "zero_ratio": round_setting(full + rng.uniform(0.2, 0.6)),
+            "back": round_setting(rng.uniform(-1.0, 0.0)),
         }
 
 
@@ -172,7 +185,7 @@ def check_not_held_out(attack: Any, task: str | None) -> None:
         )
 
 
-def label_of(spec: Spec) -> str:
+def label_spoofer(spec: Spec) -> str:
     return str(make_spoofer(spec).label or spec["name"])
 
 
@@ -181,7 +194,7 @@ def log_uniform(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
     return math.exp(rng.uniform(math.log(bounds[0]), math.log(bounds[1])))
 
 
-def rounded(value: float) -> float:
+def round_setting(value: float) -> float:
     """Six digits, so that a setting can be read."""
     return float(f"{value:.6g}")
 
@@ -195,30 +208,30 @@ class Attackers:
     ) -> None:
         setup = engine.setup
         self._engine, self._observers = engine, observers
-        self._members: list[tuple[Spoofer, CommandMap, Decisions, Any]] = []
+        self._spoofers: list[tuple[Spoofer, CommandMap, Decisions, Any]] = []
         for row, spec in enumerate(specs):
             spoofer = make_spoofer(spec)
-            commands = commands_of(spoofer, setup)
+            commands = make_command_map(spoofer, setup)
             seen = spoofer.knowledge, commands.along_target
             if seen not in observers:
                 terms = default_terms(setup, seen[0], along_target=seen[1])
                 observers[seen] = Observer(terms, setup)
-            own = paced(setup, spoofer)
+            own = apply_pace(setup, spoofer)
             context: SpooferContext = spoofer_context(own, 1, observers[seen], commands)
             spoofer.bind(context)
             spoofer.reset()
             commands.aim(engine.simulator.heading[row : row + 1])
             decisions = Decisions(own, 1, len(commands.names))
-            self._members.append((spoofer, commands, decisions, seen))
+            self._spoofers.append((spoofer, commands, decisions, seen))
 
     def command(self, epoch: int) -> FloatArray:
         """Command (B, a) of an epoch, counted from the onset on."""
         engine = self._engine
-        wanted = {seen for _, _, decisions, seen in self._members if decisions.due(epoch)}
+        wanted = {seen for _, _, decisions, seen in self._spoofers if decisions.due(epoch)}
         seen_by = {seen: self._observers[seen](engine, epoch) for seen in wanted}
         rate = engine.simulator.commanded_rate
         out = np.zeros((engine.receivers, len(engine.setup.action_names)))
-        for row, (spoofer, commands, decisions, seen) in enumerate(self._members):
+        for row, (spoofer, commands, decisions, seen) in enumerate(self._spoofers):
             own = slice(row, row + 1)
             if decisions.due(epoch):
                 shape = 1, len(commands.names)

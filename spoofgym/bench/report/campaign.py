@@ -14,18 +14,18 @@ from typing import Any, NamedTuple
 from ...detectors.calibrated import NOISY_WARMUP
 from ...spoofers.base import sees_statistics
 from ..experiments.campaign import CampaignResults
-from ..scores.campaign import CONTROLS, FREE, HALF, NOMINAL, STEALTHY, headline, name_of
+from ..scores.campaign import ANY_RATE, CONTROLS, HALF, NOMINAL, STEALTHY, extract_name, headline
 from ..search.attack_suite import FAMILIES as FAMILIES
 from ..search.attack_suite import ORACLES
-from ..search.open_loop import FOUND
+from ..search.open_loop import BEST_CURVE
 from .table import (
     Table,
+    format_number,
     interval,
     metres,
-    number,
     percent,
-    rendered,
-    rendered_block,
+    render_block,
+    render_template,
     share,
     yes_no,
 )
@@ -39,7 +39,7 @@ OVER, NONE_WITHIN = ", over budget", " (none within the budget)"
 ABOVE_BOUND = ", above the zero-alarm bound"
 
 
-class Group(NamedTuple):
+class FalseAlarmGroup(NamedTuple):
     """Detectors at one rate of false alarms an hour; ``""`` for nominal thresholds."""
 
     rate: str
@@ -58,27 +58,29 @@ class Group(NamedTuple):
         return sorted(own, key=lambda row: order[row["detector"]])
 
 
-def groups(summary: Row) -> list[Group]:
+def groups(summary: Row) -> list[FalseAlarmGroup]:
     """Detectors that may share a table; one that never alarms is in all of them."""
     footing = {row["detector"]: row["footing"] for row in summary["detectors"]}
-    rates = sorted({rate for rate in footing.values() if rate not in (NOMINAL, FREE)}, key=float)
-    free = [label for label, rate in footing.items() if rate == FREE]
+    rates = sorted(
+        {rate for rate in footing.values() if rate not in (NOMINAL, ANY_RATE)}, key=float
+    )
+    free = [label for label, rate in footing.items() if rate == ANY_RATE]
     found = [
-        Group(rate, [label for label, own in footing.items() if own in (rate, FREE)])
+        FalseAlarmGroup(rate, [label for label, own in footing.items() if own in (rate, ANY_RATE)])
         for rate in rates
     ]
     nominal = [label for label, rate in footing.items() if rate == NOMINAL]
     if nominal or not found:
-        found.append(Group("", sorted([*nominal, *([] if found else free)])))
+        found.append(FalseAlarmGroup("", sorted([*nominal, *([] if found else free)])))
     return [group for group in found if group.detectors]
 
 
-def _claimed(claimed: Row) -> str:
+def _format_claim(claimed: Row) -> str:
     tail = ", fitted tail" if claimed["extrapolated"] else ""
     return f"{100 * claimed['per_run']:.3g}, {claimed['false_alarms_per_hour']:g}{tail}"
 
 
-def _exceeded(share: float, skies: bool = False) -> Any:
+def _select_headline(share: float, skies: bool = False) -> Any:
     return lambda row: headline(row["protection"], share, skies=skies)
 
 
@@ -99,7 +101,7 @@ def bound_text(bound: Row, unknown: str = "none") -> str:
     return unknown if bound["value"] is None else sign + metres(bound["value"])
 
 
-def bound_cell(bracket: Row) -> str:
+def format_bound(bracket: Row) -> str:
     """Zero-alarm bound; ``none`` if it is known not to exist."""
     bound = bracket["zero_alarm"]
     return bound_text(bound, "none" if bound["why"] else "-")
@@ -107,41 +109,41 @@ def bound_cell(bracket: Row) -> str:
 
 DETECTORS = Table(
     ("detector", "detector"),
-    ("claimed: % of runs, per hour", "claimed", _claimed),
+    ("claimed: % of runs, per hour", "claimed", _format_claim),
     ("measured: % of runs", "false_alarm_per_run", percent),
     ("measured: per hour", "false_alarms_per_hour", interval),
-    ("floor of 50 % [m]", lambda row: row["bracket"]["floor_m"][HALF], number),
-    ("exceeded in 50 % [m]", _exceeded(0.5), interval),
-    ("in 5 % [m]", _exceeded(0.05), interval),
-    ("worst skies, in 50 % [m]", _exceeded(0.5, skies=True), interval),
+    ("floor of 50 % [m]", lambda row: row["bracket"]["floor_m"][HALF], format_number),
+    ("exceeded in 50 % [m]", _select_headline(0.5), interval),
+    ("in 5 % [m]", _select_headline(0.05), interval),
+    ("worst skies, in 50 % [m]", _select_headline(0.5, skies=True), interval),
     (
         "worst attack",
-        _exceeded(0.5),
+        _select_headline(0.5),
         lambda row: f"{attack_of_suite(row)}, {row['setting']}={row['at']:g}",
     ),
-    ("floor, stealthy [m]", lambda row: row["bracket"]["floor_m"][STEALTHY], number),
+    ("floor, stealthy [m]", lambda row: row["bracket"]["floor_m"][STEALTHY], format_number),
     ("blind optimum [m]", lambda row: row["bracket"]["blind_optimum"], _optimum),
-    ("zero-alarm bound [m]", "bracket", bound_cell),
+    ("zero-alarm bound [m]", "bracket", format_bound),
     ("mark", "mark"),
 )
 
 
-def detector_rows(summary: Row, group: Group) -> list[Row]:
+def detector_rows(summary: Row, group: FalseAlarmGroup) -> list[Row]:
     """Rows of `DETECTORS`: those of the summary, with protection and mark."""
     protections = {row["detector"]: row for row in summary["protection"]}
     return [
         {
             **row,
             "protection": protections.get(row["detector"]),
-            "mark": mark_of(summary, row["detector"])
+            "mark": mark_detector(summary, row["detector"])
             if group.rate
-            else "; ".join(bracket_marks(row["bracket"])) or "-",
+            else "; ".join(list_bound_marks(row["bracket"])) or "-",
         }
         for row in group.rows(summary["detectors"])
     ]
 
 
-def bracket_marks(bracket: Row) -> list[str]:
+def list_bound_marks(bracket: Row) -> list[str]:
     """What the bracket says of a detector's row."""
     marks = []
     if bracket["search_failed"]:
@@ -152,16 +154,16 @@ def bracket_marks(bracket: Row) -> list[str]:
     return marks
 
 
-def mark_of(summary: Row, detector: str) -> str:
+def mark_detector(summary: Row, detector: str) -> str:
     """Remarks on a detector. Whether and where it is worse than one that never alarms, or alarms by
     chance; whether the worst attack moves it as far as one that never alarms; whether it alarms
     before the onset in more runs than a calibration can stand for; whether the search for attacks
     has failed, and which attacks are above its zero-alarm bound."""
     (row,) = (row for row in summary["detectors"] if row["detector"] == detector)
-    if name_of(detector) in CONTROLS:
-        return "; ".join(["control", *bracket_marks(row["bracket"])])
+    if extract_name(detector) in CONTROLS:
+        return "; ".join(["control", *list_bound_marks(row["bracket"])])
     compared = [each for each in summary["comparisons"] if each["detector"] == detector]
-    where = dict.fromkeys(_compared(each) for each in compared if each["above"])
+    where = dict.fromkeys(_name_comparison(each) for each in compared if each["above"])
     marks = [f"worse than chance: {'; '.join(where)}"] if where else []
     own = (each for each in compared if each["spoofer"] is None)
     worst = [each["below"] for each in own if each["control"] == "never"]
@@ -170,20 +172,20 @@ def mark_of(summary: Row, detector: str) -> str:
     early = (row["claimed"] or {}).get("warmup_alarms", 0.0)
     if early > NOISY_WARMUP:
         marks.append(f"alarms before the onset in {100 * early:.0f} % of clean runs")
-    return "; ".join([*marks, *bracket_marks(row["bracket"])])
+    return "; ".join([*marks, *list_bound_marks(row["bracket"])])
 
 
-def _compared(row: Row) -> str:
+def _name_comparison(row: Row) -> str:
     """What a comparison is of."""
     return row["score"] if row["spoofer"] is None else f"{row['score']}, {row['spoofer']}"
 
 
-def titled(spoofer: str, knowledge: str) -> str:
+def format_spoofer(spoofer: str, knowledge: str) -> str:
     """Name of a spoofer in a table of several, marked where it is an oracle."""
     return spoofer + (ORACLE if sees_statistics(knowledge) else "")
 
 
-def made_for(cell: Row) -> str:
+def format_target(cell: Row) -> str:
     """Which detector a spoofer was made for. Returns its label, marked where this is another
     detector, receiver, scenario, timeline or attack; what the spoofer says of itself where that is
     all there is; ``-`` for none."""
@@ -218,8 +220,8 @@ def _setting(key: str, value: Any) -> str:
 
 ATTACKS = Table(
     ("detector", "detector"),
-    ("spoofer", lambda cell: titled(cell["spoofer"], cell["knowledge"]["run_time"])),
-    ("made for", made_for),
+    ("spoofer", lambda cell: format_spoofer(cell["spoofer"], cell["knowledge"]["run_time"])),
+    ("made for", format_target),
     ("setting", _settings),
     (
         "P(alarm | silent twin) [%]",
@@ -229,14 +231,14 @@ ATTACKS = Table(
         "stealthy displacement [m]",
         lambda cell: interval(cell["stealthy_displacement_m"]) + cell["above"],
     ),
-    ("median [m]", "median_m", number),
+    ("median [m]", "median_m", format_number),
     ("alarmed as 0 [m]", "alarmed_as_0_m", interval),
     ("missed [%]", "missed", percent),
     ("delay [s]", "delay_s", interval),
 )
 
 
-def attack_rows(summary: Row, group: Group) -> list[Row]:
+def attack_rows(summary: Row, group: FalseAlarmGroup) -> list[Row]:
     """Rows of `ATTACKS`: cells, with a mark above the zero-alarm bound."""
     above = {
         (row["detector"], each["spoofer"])
@@ -254,9 +256,9 @@ CLEAN = Table(
     ("detector", "detector"),
     ("availability lost [%]", "false_alarm_per_epoch", partial(percent, digits=2)),
     ("runs with an alarm before the onset [%]", "warmup_alarm_per_run", percent),
-    ("innocent satellites blamed [s an hour]", "blamed_s_per_hour", number),
+    ("innocent satellites blamed [s an hour]", "blamed_s_per_hour", format_number),
     ("navigation error, RMS [m]", "navigation_rms_m", "{:.2f}".format),
-    ("largest while coasting [m]", "coasting_error_m", number),
+    ("largest while coasting [m]", "coasting_error_m", format_number),
 )
 KNOWLEDGE = Table(
     ("spoofer", itemgetter(0)),
@@ -264,7 +266,7 @@ KNOWLEDGE = Table(
     ("was designed on", lambda row: row[1]["design_time"]),
 )
 COMPARISONS = Table(
-    ("score", _compared),
+    ("score", _name_comparison),
     ("detectors", lambda row: f"{row['detector']} less {row['control']}"),
     (
         "difference [m]",
@@ -302,9 +304,9 @@ def tuning_table(search: Row) -> Table:
     )
 
 
-def floor_notes(summary: Row) -> list[str]:
+def list_limit_notes(summary: Row) -> list[str]:
     """What the floors are, and under which assumptions they hold; or why they are absent."""
-    lines = rendered_block("campaign.md.j2", "floor", {"summary": summary})
+    lines = render_block("campaign.md.j2", "floor", {"summary": summary})
     return [line.removeprefix("- ") for line in lines]
 
 
@@ -319,14 +321,14 @@ def bound_notes(summary: Row) -> list[str]:
     return [f"{', '.join(names)}: {why}" for why, names in labels.items()]
 
 
-def found_optima(summary: Row) -> dict[str, list[str]]:
+def group_optima(summary: Row) -> dict[str, list[str]]:
     """Detectors by what their blind optima were found by; a shape where another curve got farther
     once fitted."""
     labels: dict[str, list[str]] = {}
     for row in summary["detectors"]:
         optimum = row["bracket"]["blind_optimum"]
         if optimum is not None and optimum["by"] is not None:
-            shape = optimum["curve"] not in (None, FOUND)
+            shape = optimum["curve"] not in (None, BEST_CURVE)
             name = row["detector"] + (f" ({optimum['curve']})" if shape else "")
             labels.setdefault(optimum["by"], []).append(name)
     return labels
@@ -335,12 +337,15 @@ def found_optima(summary: Row) -> dict[str, list[str]]:
 def markdown(results: CampaignResults, summary: Row) -> str:
     """Report of a campaign; its template names the tables and texts of this module."""
     own = {"config": results.config, "code": results.store.config["code"], "summary": summary}
-    return rendered("campaign.md.j2", globals() | own)
+    return render_template("campaign.md.j2", globals() | own)
 
 
 def print_campaign(summary: Row) -> None:
     """Print the tables of a campaign."""
-    notes = [*floor_notes(summary), *(f"No zero-alarm bound of {x}." for x in bound_notes(summary))]
+    notes = [
+        *list_limit_notes(summary),
+        *(f"No zero-alarm bound of {x}." for x in bound_notes(summary)),
+    ]
     for k, group in enumerate(groups(summary)):
         name = f"{summary['scenario']}, {group.title}"
         DETECTORS.print(f"{name}: detectors", detector_rows(summary, group))

@@ -7,7 +7,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from ...policies import Card, DetectorCard, SpooferCard, card_of
+from ...policies import Card, DetectorCard, SpooferCard, load_card
 from ...policies.load import load_policy
 from ...policies.onnx_file import SUFFIX
 from .table import Table, share, yes_no
@@ -33,7 +33,7 @@ def find_card(name: str) -> Card:
     path = Path(name)
     if path.suffix == SUFFIX:  # which has to fit its card
         return load_policy(name, Card)[0]
-    return Card.load(path) if path.suffix == ".json" else card_of(name)
+    return Card.load(path) if path.suffix == ".json" else load_card(name)
 
 
 def score_text(score: dict[str, Any]) -> str:

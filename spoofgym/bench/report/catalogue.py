@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ...attacks import ATTACKS
-from ...core.declared import settings_in
-from ...core.registry import check_choice, settings_of
+from ...core.declared import list_declarations
+from ...core.registry import check_choice, inspect_settings
 from ...core.settings import describe
 from ...detectors import DETECTORS, LearnedDetector
-from ...policies import DetectorCard, SpooferCard, card_of, shipped
+from ...policies import DetectorCard, SpooferCard, list_shipped, load_card
 from ...policies.card import DETECTOR
 from ...spoofers import SPOOFERS
 from ...truth.scenario import SCENARIOS, Scenario
@@ -19,7 +19,7 @@ from .cards import score_text
 from .table import Table
 
 
-def summary_of(thing: Any) -> str:
+def get_summary(thing: Any) -> str:
     """First sentence of a docstring."""
     text = inspect.getdoc(thing) or ""
     paragraph = " ".join(text.split("\n\n")[0].split())
@@ -30,7 +30,7 @@ def _classes(kinds: Mapping[str, type[Any]], *more: str) -> list[dict[str, Any]]
     return [
         {
             "name": name,
-            "summary": summary_of(kind),
+            "summary": get_summary(kind),
             "settings": _defaults(kind),
             **{key: getattr(kind, key) for key in more},
         }
@@ -41,7 +41,7 @@ def _classes(kinds: Mapping[str, type[Any]], *more: str) -> list[dict[str, Any]]
 def _defaults(kind: Callable[..., Any]) -> dict[str, Any]:
     return {
         key: describe(value)
-        for key, value in settings_of(kind).items()
+        for key, value in inspect_settings(kind).items()
         if value is not inspect.Parameter.empty
     }
 
@@ -79,7 +79,7 @@ def _envs() -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": name,
-                "summary": summary_of(creator),
+                "summary": get_summary(creator),
                 "settings": {**_defaults(creator), **describe(spec.kwargs)},
             }
         )
@@ -89,13 +89,13 @@ def _envs() -> list[dict[str, Any]]:
 def _detectors() -> list[dict[str, Any]]:
     """Registered detectors, and learned ones that have names, whose settings are on their cards."""
     keys = ("paper", "scope", "measures", "oracle")
-    learned = {name: LearnedDetector(name) for name in shipped(DETECTOR)}
+    learned = {name: LearnedDetector(name) for name in list_shipped(DETECTOR)}
     return [
         *_classes(DETECTORS, *keys),
         *(
             {
                 "name": name,
-                "summary": summary_of(detector),
+                "summary": get_summary(detector),
                 "settings": {},
                 **{key: getattr(detector, key) for key in keys},
             }
@@ -104,8 +104,8 @@ def _detectors() -> list[dict[str, Any]]:
     ]
 
 
-def _shipped() -> list[dict[str, Any]]:
-    cards = [card_of(name) for name in shipped()]
+def _list_shipped() -> list[dict[str, Any]]:
+    cards = [load_card(name) for name in list_shipped()]
     spoofers = [
         {
             "name": card.name,
@@ -139,13 +139,13 @@ KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "attacks": lambda: _classes(ATTACKS),
     "detectors": _detectors,
     "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
-    "shipped": _shipped,
+    "shipped": _list_shipped,
 }
 """Lists by kind; each row has a name, a summary, and settings with their defaults or what its
 card says."""
 
 
-def _marked(row: Mapping[str, Any]) -> str:
+def _mark_summary(row: Mapping[str, Any]) -> str:
     """Summary, with a mark where a detector knows the truth or judges no satellites."""
     marks = []
     if row.get("oracle"):
@@ -157,7 +157,7 @@ def _marked(row: Mapping[str, Any]) -> str:
 
 NAMED = Table(
     ("name", "name"),
-    ("what it is", _marked),
+    ("what it is", _mark_summary),
     (
         "settings and their defaults",
         lambda row: ", ".join(f"{key}={value}" for key, value in row["settings"].items()),
@@ -198,7 +198,7 @@ def list_settings(kind: str, name: str) -> list[dict[str, Any]]:
     check_choice("kind with settings", kind, CLASSES)
     check_choice(kind.removesuffix("s"), name, CLASSES[kind])
     record = CLASSES[kind][name]
-    defaults, empty = settings_of(record), inspect.Parameter.empty
+    defaults, empty = inspect_settings(record), inspect.Parameter.empty
     return [
         {
             "name": key,
@@ -208,11 +208,11 @@ def list_settings(kind: str, name: str) -> list[dict[str, Any]]:
             "valid": declared.valid(annotation),
             "help": declared.help,
         }
-        for key, (declared, annotation) in settings_in(record).items()
+        for key, (declared, annotation) in list_declarations(record).items()
         if key in defaults
     ]
 
 
-def table_of(kind: str) -> Table:
+def select_table(kind: str) -> Table:
     """Table of one of `KINDS`."""
     return SHIPPED if kind == "shipped" else NAMED

@@ -15,15 +15,15 @@ from ...core.plots import COLOURS, GREY, figure_class, save_figure, style
 from ...core.registry import whole_number
 from ...envs.core import SpoofCore
 from ...envs.rendering import CoreRecorder, Screen
-from ...envs.spoofer_binding import commands_of
+from ...envs.spoofer_binding import make_command_map
 from ...spoofers import make_spoofer
 from ..experiments.campaign import PICTURE, CampaignResults
 from ..experiments.suite import Suite
-from ..runs.play import Attacker
+from ..runs.play import SpooferController
 from ..runs.players import PlayerSpec
 from ..runs.record import RunRecord
 from ..scores.campaign import STEALTHY
-from .table import number
+from .table import format_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,16 +89,16 @@ def draw_means(
         x, spread = _errors(mean)
         ax.errorbar(x, row, xerr=spread, capsize=2, **_point(look[name], scores[name]))
         place = (mean["high"], row)
-        _note(ax, number(x), place, (5, 0), xycoords="data", va="center", color="black")
+        _note(ax, format_number(x), place, (5, 0), xycoords="data", va="center", color="black")
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.4, -0.6)
     highs = (score["stealthy_displacement_m"]["high"] for score in scores.values())
     top = max((high for high in highs if high is not None), default=0)
-    _draw_bracket(ax, bracket, 1.18 * max(top, SMALLEST_M))
+    _draw_bounds(ax, bracket, 1.18 * max(top, SMALLEST_M))
     ax.set_xlabel("stealthy displacement [m] (hollow: over budget)")
 
 
-def _draw_bracket(ax: Axes, bracket: dict[str, Any], end: float) -> None:
+def _draw_bounds(ax: Axes, bracket: dict[str, Any], end: float) -> None:
     """Floor and zero-alarm bound as lines, within twice the axis `end` of what was achieved."""
     floor, bound = bracket["floor_m"][STEALTHY], bracket["zero_alarm"]["value"]
     found = {"floor": floor, "zero-alarm bound": bound}
@@ -110,7 +110,7 @@ def _draw_bracket(ax: Axes, bracket: dict[str, Any], end: float) -> None:
         ax.axvline(x, color=GREY, lw=1.6, ls="--" if name == "floor" else "-", zorder=1)
     signs = {"floor": "- -", "zero-alarm bound": "\u2014"}
     texts = [
-        f"{signs[name]} {name} {number(x)} m" + ("" if name in shown else ", farther right")
+        f"{signs[name]} {name} {format_number(x)} m" + ("" if name in shown else ", farther right")
         for name, x in numbers.items()
     ]
     if texts:
@@ -308,14 +308,14 @@ def play_frames(
     uint8."""
     run, every = whole_number("`run`", run), whole_number("`every`", every, 1)
     setup = suite.setup(detector, [spoofer])
-    action = commands_of(make_spoofer(spoofer.spec), setup).terms
+    action = make_command_map(make_spoofer(spoofer.spec), setup).terms
     core = SpoofCore(1, setup, action=action, end_at_alarm=False, threads=1)
     screen = Screen("rgb_array", CoreRecorder(core))
     core.reset(suite.generators("evaluation", run + 1, run))
-    attacker = Attacker([spoofer.spec], core.engine)
+    attacker = SpooferController([spoofer.spec], core.engine)
     # where the world has decisions, the environment makes epochs of them
     action_of = attacker.action if setup.repeat == 1 else attacker.decide
-    screen.begin({name: array[0] for name, array in core.reset_info().items()})
+    screen.start_episode({name: array[0] for name, array in core.reset_info().items()})
     yield screen.frame()
     for step in range(1, core.episode_steps + 1):
         result, _ = core.step(action_of((step - 1) * setup.repeat))

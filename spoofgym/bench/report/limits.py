@@ -27,14 +27,14 @@ from ...detectors.calibration_file import hourly_rate, run_probability
 from ...envs.observer import Observer
 from ...envs.terms.observation import default_terms
 from ...limits import Frontier, deflection_for
-from ...limits.bounds import ASSUMPTIONS, heading_of
+from ...limits.bounds import ASSUMPTIONS, get_heading
 from ...limits.floor import QUANTILES
-from ...limits.power import check_no_latent, kl_of
+from ...limits.power import check_no_latent, compute_kl_divergence
 from ...simulation.setup import Setup
 from ...simulation.tight import TightlyCoupledSetup
 from ..experiments.suite import Suite
 from ..runs.players import PlayerSpec
-from ..search.bounds import floors_m, purposes
+from ..search.bounds import compute_lower_limits, purposes
 from .table import Table, metres, texts
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ UNBOUNDED = "unbounded"
 NO_POSITION = "the restricted attack is a false position, which this one does not command"
 
 
-def sensors_known(word: str) -> bool:
+def parse_sensor_knowledge(word: str) -> bool:
     """Whether the constants of the inertial sensors are known; an error for another word."""
     check_choice("knowledge of the inertial sensors' constants", word, SENSORS)
     return SENSORS[word]
@@ -73,7 +73,7 @@ def per_run(false_alarms_per_hour: float, setup: TightlyCoupledSetup) -> float:
     return found
 
 
-def floor_record(
+def build_limit_record(
     setup: TightlyCoupledSetup,
     frontier: Frontier,
     *,
@@ -90,7 +90,7 @@ def floor_record(
             "control": setup.attack.control,
             "rate_limit_mps": setup.attack.rate_limit_mps,
             "acceleration_limit_mps2": setup.attack.acceleration_limit_mps2,
-            "heading_deg": math.degrees(heading_of(setup)),
+            "heading_deg": math.degrees(get_heading(setup)),
         },
         "worlds": len(frontier.per_deflection),
         "seed": seed,
@@ -102,7 +102,7 @@ def floor_record(
         "floors_m": {
             heading: {
                 purpose: {name: _json(value) for name, value in cell.items()}
-                for purpose, cell in floors_m(frontier, p_fa, budget, heading).items()
+                for purpose, cell in compute_lower_limits(frontier, p_fa, budget, heading).items()
             }
             for heading in HEADINGS
         },
@@ -121,7 +121,7 @@ def floor_record(
 
 def add_bounds(record: Record, suite: Suite, show: ProgressBar) -> None:
     """Add the zero-alarm bounds of all detectors of a suite, and where these work."""
-    brackets, entries = suite.brackets(worlds=record["worlds"]), suite.detector_entries
+    brackets, entries = suite.build_bounds(worlds=record["worlds"]), suite.detector_players
     with show(1.0 + len(entries)) as bar:
         brackets.cases(partial(bar.advance, now="worlds"))
         bounds = [brackets.zero_alarm(x, partial(bar.advance, now=x.label)) for x in entries]
@@ -153,7 +153,7 @@ def divergence_record(
     sizes = _spread(frontier.sizes())
     bounds = {}
     for purpose, p_d in purposes(p_fa, budget).items():
-        divergence = kl_of(p_d, p_fa)
+        divergence = compute_kl_divergence(p_d, p_fa)
         d = math.sqrt(2.0 * divergence)
         metres = {name: x if isinstance(x, str) else d * x for name, x in sizes.items()}
         bounds[purpose] = {"p_d": p_d, "divergence": divergence, **metres}
@@ -197,7 +197,7 @@ def _heads(record: Record, cells: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def _floor(cell: Record) -> str:
+def _format_lower_limit(cell: Record) -> str:
     return f"{spread_text(cell)}; d = {cell['deflection']:.2f}"
 
 
@@ -220,7 +220,10 @@ def print_limits(record: Record) -> None:
     say, heads = texts("limits.txt.j2"), _heads(record, record["floors_m"][HEADINGS[0]])
     floors = Table(
         ("heading of the attack", lambda row: f"{row[0]} to the detector"),
-        *((head, lambda row, name=name: row[1][name], _floor) for name, head in heads.items()),
+        *(
+            (head, lambda row, name=name: row[1][name], _format_lower_limit)
+            for name, head in heads.items()
+        ),
     )
     floors.print(say.floor_title(record), record["floors_m"].items())
     print(say.check(record))
@@ -246,14 +249,16 @@ WIDTH = 140
 """Characters of a line of the caption."""
 
 
-def draw_floors(record: Record, path: Path) -> Path:
+def draw_lower_limits(record: Record, path: Path) -> Path:
     lines = textwrap.wrap(texts("limits.txt.j2").caption(record), WIDTH)
     figure = figure_class()(figsize=(8.0, 4.8 + 0.16 * len(lines)), layout="constrained")
     ax = figure.subplots()
     style(ax)
     course = record["course"]
     time = np.array(course["times_s"])
-    ends = [_draw_floor(ax, time, purpose, cells) for purpose, cells in course["floors_m"].items()]
+    ends = [
+        _draw_lower_limit(ax, time, purpose, cells) for purpose, cells in course["floors_m"].items()
+    ]
     if not any(ends):
         ax.text(0.5, 0.5, f"the floor is {UNBOUNDED}", transform=ax.transAxes, ha="center")
     ax.set_xlim(0.0, time[-1])
@@ -267,7 +272,9 @@ def draw_floors(record: Record, path: Path) -> Path:
     return save_figure(figure, path, dpi=150)
 
 
-def _draw_floor(ax: Axes, time: NDArray[np.float64], purpose: str, cells: dict[str, Any]) -> bool:
+def _draw_lower_limit(
+    ax: Axes, time: NDArray[np.float64], purpose: str, cells: dict[str, Any]
+) -> bool:
     """Median, from 0 at the onset, and its range; whether there is any that is finite."""
     low, middle, high = (_finite(cells[name]) for name in ("low", "value", "high"))
     since, (colour, name) = np.append(0.0, time), DRAWN[purpose]

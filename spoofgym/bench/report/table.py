@@ -9,8 +9,8 @@ from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from ..scores.statistics import format_number as format_number
 from ..scores.statistics import interval as interval
-from ..scores.statistics import number as number
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -111,7 +111,7 @@ def share(digits: int) -> Callable[[float], str]:
 
 def metres(value: float | str | None, none: str = "-") -> str:
     """Metres; a word such as ``unbounded`` stays."""
-    return none if value is None else value if isinstance(value, str) else number(value)
+    return none if value is None else value if isinstance(value, str) else format_number(value)
 
 
 def yes_no(value: bool) -> str:
@@ -137,18 +137,18 @@ def _environment(folder: Path) -> Environment:
         "interval": interval,
         "json": json.dumps,
         "metres": metres,
-        "number": number,
+        "number": format_number,
         "several": lambda values: ", ".join(sorted(set(values))),
     }
     return made
 
 
-def rendered(name: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -> str:
+def render_template(name: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -> str:
     """Text of a template, with one end of its last line."""
     return _environment(folder).get_template(name).render(values).rstrip() + "\n"
 
 
-def rendered_block(name: str, block: str, values: Mapping[str, Any]) -> list[str]:
+def render_block(name: str, block: str, values: Mapping[str, Any]) -> list[str]:
     """Lines of one block of a template."""
     template = _environment(TEMPLATES).get_template(name)
     return "".join(template.blocks[block](template.new_context(dict(values)))).splitlines()

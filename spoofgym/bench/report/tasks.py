@@ -8,14 +8,14 @@ from importlib.resources import files
 from operator import itemgetter
 from typing import Any
 
-from ...core.registry import label_of
-from ...policies import DetectorCard, card_of, shipped
+from ...core.registry import format_label
+from ...policies import DetectorCard, list_shipped, load_card
 from ...policies.card import DETECTOR
-from ...tasks import DETECTOR_TASKS, SUITE, TASKS, DetectorTask, task_of
-from ..experiments.suite import everyone_in, in_order
+from ...tasks import DETECTOR_TASKS, SUITE, TASKS, DetectorTask, get_task
+from ..experiments.suite import list_world_detectors, order_detectors
 from ..runs.world import World
-from .campaign import OVER, attack_of_suite, bound_text, titled
-from .table import Table, interval, metres, number, percent, share
+from .campaign import OVER, attack_of_suite, bound_text, format_spoofer
+from .table import Table, format_number, interval, metres, percent, share
 
 Card = dict[str, Any]
 FILE = "task_cards_v1.json"
@@ -44,7 +44,7 @@ def stored_cards(file: str = FILE) -> dict[str, Card]:
     return found
 
 
-def optima_of(key: str) -> list[list[float]]:
+def load_optima(key: str) -> list[list[float]]:
     """Rates [m/s] of the blind optima found in the world of a task, as far as its card has them."""
     return list(stored_cards().get(key, {}).get("optima_mps", {}).values())
 
@@ -54,7 +54,7 @@ def task_rows() -> list[Card]:
     return [{"task": key, **card} for key, card in stored_cards().items()]
 
 
-def bracket_text(card: Card) -> str:
+def format_bounds(card: Card) -> str:
     """Floor for an attack that keeps the budget, blind optimum, zero-alarm bound."""
     floor, best = card["floor_m"]["stealthy"]["value"], card["bracket"]["blind_optimum"]
     reached = "-" if best is None else metres(best["value"], "unbounded")
@@ -74,9 +74,13 @@ def _worst(card: Card) -> str:
 TASK_SCORES = Table(
     ("task", "task"),
     ("detector", "detector"),
-    ("floor, blind optimum, zero-alarm bound [m]", bracket_text),
+    ("floor, blind optimum, zero-alarm bound [m]", format_bounds),
     *(
-        (f"{titled(name, known)} [m]", lambda card, name=name: card["scores_m"].get(name), _score)
+        (
+            f"{format_spoofer(name, known)} [m]",
+            lambda card, name=name: card["scores_m"].get(name),
+            _score,
+        )
         for name, known in SCORES.items()
     ),
     ("in 50 % of runs, the worst attack [m]", _worst),
@@ -101,7 +105,9 @@ ADMISSION = Table(
     ("best classic", "best_classic"),
     (
         "alert limit [m]",
-        lambda row: f"{number(row['alert_limit_m'])}, {row['limit_over_floor']:.2f} x the floor",
+        lambda row: (
+            f"{format_number(row['alert_limit_m'])}, {row['limit_over_floor']:.2f} x the floor"
+        ),
     ),
     *((title, partial(_figure, name=name)) for name, title in FIGURES.items()),
     ("optimum over accelerating ramp", "optimum_over_accelerating", "{:.2f}".format),
@@ -113,33 +119,37 @@ DETECTOR_FILE = "detector_cards_v1.json"
 COMMAND = "python -m tools.detector_cards {}"
 
 
-def classics_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
+def list_reference_detectors(task: DetectorTask) -> tuple[dict[str, Any], ...]:
     """Detectors with a reference score: both controls, and all classics that suit the world. At 0.2
     false alarms an hour in the task's world; of solution separation the bank of the task. Tests of
     range rates are there a second time where their defaults test pseudoranges, or both, and tests
     with a drift term with rescaled innovations."""
     bank = next(each for each in task.task.detectors if each["name"] == "solution-separation")
     plain = {key: value for key, value in bank.items() if key != "false_alarms_per_hour"}
-    everyone = in_order(everyone_in(World(given=task.task.world_kwargs).setup, rescaled=True))
+    everyone = order_detectors(
+        list_world_detectors(World(settings=task.task.world_kwargs).setup, rescaled=True)
+    )
     return tuple(plain if each["name"] == plain["name"] else each for each in everyone)
 
 
-def unplayed(task: DetectorTask, card: dict[str, Any]) -> list[str]:
+def list_unscored(task: DetectorTask, card: dict[str, Any]) -> list[str]:
     """Labels of detectors that a card has no score of, and does not refuse, as yet."""
     known = {*(each["detector"] for each in card["detectors"]), *card["left_out"]}
-    everyone = (label_of(each, None) for each in (*classics_of(task), *learned_of(task)))
+    everyone = (
+        format_label(each, None) for each in (*list_reference_detectors(task), *list_learned(task))
+    )
     return [label for label in everyone if label not in known]
 
 
-def learned_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
+def list_learned(task: DetectorTask) -> tuple[dict[str, Any], ...]:
     """Shipped detectors that have learned in this world, and so from no family held out here. A
     world with another counterfeit holds out what they have learned from."""
-    return tuple({"name": name} for name in shipped(DETECTOR) if _learned_in(name, task))
+    return tuple({"name": name} for name in list_shipped(DETECTOR) if _is_trained_here(name, task))
 
 
-def _learned_in(name: str, task: DetectorTask) -> bool:
-    card = card_of(name, DetectorCard)
-    return task_of(card.training["task"]).settings == task.task.settings
+def _is_trained_here(name: str, task: DetectorTask) -> bool:
+    card = load_card(name, DetectorCard)
+    return get_task(card.training["task"]).settings == task.task.settings
 
 
 def stored_detector_cards() -> dict[str, Card]:
@@ -152,7 +162,7 @@ def missing() -> dict[str, str]:
     return {key: COMMAND.format(key) for key in DETECTOR_TASKS if key not in there}
 
 
-def listed() -> list[Card]:
+def list_tasks() -> list[Card]:
     """All tasks with their cards, JSON-able."""
     cards, detector_cards, absent = stored_cards(), stored_detector_cards(), missing()
     tasks = [
@@ -184,7 +194,7 @@ def listed() -> list[Card]:
     return [*tasks, *detector_tasks]
 
 
-def _rounded(estimate: Card) -> str:
+def _format_share(estimate: Card) -> str:
     """Proportion in per cent, without its interval."""
     return "-" if estimate["value"] is None else share(0)(estimate["value"])
 
@@ -199,7 +209,7 @@ DETECTOR_SCORES = Table(
     ("detector", "detector"),
     ("P(HMI) [%], worst family", "p_hmi", percent),
     ("worst family", "worst_family"),
-    ("worst public family [%]", _public, _rounded),
+    ("worst public family [%]", _public, _format_share),
     ("exceeded in 50 % [m]", lambda score: score["exceeded_m"]["0.5"], interval),
     ("in 5 % [m]", lambda score: score["exceeded_m"]["0.05"], interval),
     (
@@ -209,7 +219,7 @@ DETECTOR_SCORES = Table(
     ),
     (
         "clock step, lost satellite, front [%]",
-        lambda score: ", ".join(_rounded(score["false_alarms"][event]) for event in EVENTS),
+        lambda score: ", ".join(_format_share(score["false_alarms"][event]) for event in EVENTS),
     ),
 )
 CARDS = Table(
@@ -219,21 +229,21 @@ CARDS = Table(
 )
 
 
-def card_rows(cards: dict[str, Card]) -> list[Card]:
+def list_score_rows(cards: dict[str, Card]) -> list[Card]:
     """Scores of all detectors with the keys of their tasks, the best detector of a task first."""
-    return [{"task": key, **score} for key, card in cards.items() for score in ranked(card)]
+    return [{"task": key, **score} for key, card in cards.items() for score in rank_scores(card)]
 
 
 def family_table(card: Card) -> Table:
     """Table of P(HMI) by family [%]."""
     columns = (
-        (each["family"], lambda score, k=k: score["families"][k]["p_hmi"], _rounded)
+        (each["family"], lambda score, k=k: score["families"][k]["p_hmi"], _format_share)
         for k, each in enumerate(card["detectors"][0]["families"])
     )
     return Table(("detector", "detector"), *columns)
 
 
-def ranked(card: Card) -> list[Card]:
+def rank_scores(card: Card) -> list[Card]:
     """Scores of a card, the best detector first; one without a run that counts comes last."""
 
     def hazard(score: Card) -> float:
@@ -262,7 +272,7 @@ def print_tasks() -> None:
     TASK_SCORES.print("stealthy displacement", task_rows())
     ADMISSION.print("admission", admission_rows())
     DETECTOR_TASK_LIST.print(f"{SUITE}, for detectors", DETECTOR_TASKS.items())
-    CARDS.print("protection", card_rows(stored_detector_cards()))
+    CARDS.print("protection", list_score_rows(stored_detector_cards()))
     for key, command in missing().items():
         print(f"{key} has no reference scores yet: {command}")
 
@@ -272,9 +282,9 @@ def print_scores(scores: list[Card]) -> None:
     first, card = scores[0], {"detectors": scores}
     task, limit, runs = (first[name] for name in ("task", "alert_limit_m", "runs"))
     DETECTOR_SCORES.print(
-        f"{task}: P(HMI) at {limit:g} m, {runs} runs of every family", ranked(card)
+        f"{task}: P(HMI) at {limit:g} m, {runs} runs of every family", rank_scores(card)
     )
-    family_table(card).print(f"{task}: P(HMI) by family [%]", ranked(card))
+    family_table(card).print(f"{task}: P(HMI) by family [%]", rank_scores(card))
     for score in scores[1:]:
         ends = (score["less_first"][name] for name in ("value", "low", "high"))
         value, low, high = (100.0 * (end or 0.0) for end in ends)

@@ -15,7 +15,7 @@ from ...core.registry import whole_number
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
 from ...spoofers.base import AXES
-from .play import Attacker, epochs_of, to_local
+from .play import SpooferController, list_attack_epochs, to_local
 from .players import PlayerSpec
 from .record import undetected_displacement
 from .world import World
@@ -69,7 +69,7 @@ class Episode:
         return len(self.time) - len(self.error_n)
 
     @property
-    def induced(self) -> FloatArray:
+    def induced_error_m(self) -> FloatArray:
         """(K,) horizontal distance from the clean twin [m]."""
         apart = self.error_n[:, ATTACKED] - self.error_n[:, TWIN]
         return np.hypot(apart[:, 0], apart[:, 1])
@@ -88,7 +88,7 @@ class Episode:
     def summary(self) -> dict[str, Any]:
         """What came of it, JSON-able."""
         setup = self.setup
-        interval, induced, first = setup.interval_s, self.induced, self.first_alarm
+        interval, induced, first = setup.interval_s, self.induced_error_m, self.first_alarm
         commanded = induced[: setup.steps]
         alarms = self.alarm[: self.onset, ATTACKED]
         undetected = undetected_displacement(commanded[:, None], [first], setup.hold)[0]
@@ -118,19 +118,19 @@ def play_episode(
     world: World, detector: PlayerSpec, spoofer: PlayerSpec, run: int = 0, entropy: int = 0
 ) -> Episode:
     run = whole_number("`run`", run)
-    setup = world.setup_of(detector, [spoofer])
+    setup = world.build_setup(detector, [spoofer])
     engine = Engine(1, setup, threads=1, twin=True)
     simulator, twin = engine.simulator, engine.twin
     assert twin is not None  # `twin=True` above
     everyone, epochs = np.zeros(1, dtype=np.intp), setup.steps + setup.hold
     ratio = np.zeros((setup.live + epochs, 2))
     alarm = np.zeros(ratio.shape, dtype=np.bool_)
-    simulator.begin(world.generators(entropy, "evaluation", run + 1, run))
-    simulator.quiet_epochs(setup.quiet)
+    simulator.start_episodes(world.generators(entropy, "evaluation", run + 1, run))
+    simulator.run_filter_only(setup.filter_only)
     for k in range(setup.live):
         alarm[k], ratio[k] = simulator.live_epochs(1)[0], simulator.ratio()
     twin.copy_rows(everyone, simulator, everyone)
-    attacker = Attacker([spoofer.spec], engine)
+    attacker = SpooferController([spoofer.spec], engine)
     truth = setup.true_position
     apart = np.zeros((epochs, 2, truth.shape[1]))
     displacement = np.zeros((epochs, len(setup.action_names)))
@@ -151,7 +151,7 @@ def play_episode(
         time=np.arange(1.0 - setup.live, epochs + 1) * setup.interval_s,
         ratio=ratio,
         alarm=alarm,
-        error_n=to_local(apart, setup.C_en[epochs_of(setup, simulator.onset)]),
+        error_n=to_local(apart, setup.C_en[list_attack_epochs(setup, simulator.onset)]),
         onset_epoch=int(simulator.onset[0]),
         displacement=displacement,
         channels=tuple(name.rsplit("_", 1)[0] for name in setup.action_names),
@@ -246,7 +246,9 @@ def _draw_error(ax: Any, episode: Episode) -> None:
     size = np.linalg.norm(episode.displacement, axis=1)
     if set(episode.channels) <= set(AXES):
         ax.plot(window, size, color=GREEN, lw=1.4, ls="--", label="commanded")
-    ax.plot(window, episode.induced, color=ORANGE, lw=1.8, label="distance from the clean twin")
+    ax.plot(
+        window, episode.induced_error_m, color=ORANGE, lw=1.8, label="distance from the clean twin"
+    )
     counted = summary["undetected_displacement_m"]
     ax.axhline(counted, color="black", lw=1, ls=":", label=f"undetected: {counted:.1f} m")
     if summary["delay_s"] is not None:
@@ -257,5 +259,5 @@ def _draw_error(ax: Any, episode: Episode) -> None:
             label=f"first alarm: {summary['delay_s']:g} s",
         )
     ax.set(title="induced error [m]", xlabel="time since the onset [s]")
-    ax.set_ylim(0.0, 1.35 * max(float(size.max()), float(episode.induced.max()), 1e-3))
+    ax.set_ylim(0.0, 1.35 * max(float(size.max()), float(episode.induced_error_m.max()), 1e-3))
     ax.legend(fontsize=9, loc="upper left", framealpha=0.9)

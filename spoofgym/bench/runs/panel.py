@@ -20,14 +20,14 @@ from ...calibration.clean_runs import RunMaxima
 from ...detectors import Calibrated, Detector, Never, PooledDetector
 from ...simulation.domain import draw
 from ...simulation.monitors import Monitor
-from ...simulation.setup import Setup, generators_of, seeds_of_runs
+from ...simulation.setup import Setup, make_generators, seeds_of_runs
 from ...simulation.simulator import episode_seeds
 from ...spoofers import make_spoofer
 from ...spoofers.base import sees_statistics
 from ...tasks import CANDIDATES, NEAR_ALARM_S, SWITCH_WITHIN_S, TURNING_DEGPS
-from ...truth.sensors import keys_of
-from .play import PanelDetectors, Runs, WarmStart, play_side_by_side, traits_of
-from .record import RunRecord, counted, displacement_of
+from ...truth.sensors import draw_source_keys
+from .play import PanelDetectors, Runs, WarmStart, get_traits, play_side_by_side
+from .record import RunRecord, compute_displacement, mask_valid_runs
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -66,7 +66,7 @@ CONDITIONS: dict[str, Callable[[Setup], Mask]] = {
 """Conditions on the onset that follow from the world alone."""
 
 
-def numbers_of(
+def select_runs(
     setup: Setup, entropy: int, split: str, runs: int, condition: str | None
 ) -> NDArray[np.int64]:
     """(R,) the first runs of a split with an onset that meets a condition; any run without one.
@@ -77,7 +77,9 @@ def numbers_of(
     for first in range(0, MOST_TRIED, BLOCK):
         numbers = np.arange(first, first + BLOCK)
         seeds = seeds_of_runs(entropy, split, setup.name, numbers.tolist())
-        choice = draw(setup.bounds, keys_of(episode_seeds(generators_of(seeds)))["domain"])
+        choice = draw(
+            setup.bounds, draw_source_keys(episode_seeds(make_generators(seeds)))["domain"]
+        )
         onset = choice.world * setup.epochs_each + choice.start + setup.onset
         found = np.concatenate([found, numbers[holds[onset]]])
         if len(found) >= runs:
@@ -91,7 +93,7 @@ def numbers_of(
 def generators(
     setup: Setup, entropy: int, split: str, numbers: NDArray[np.int64]
 ) -> list[np.random.Generator]:
-    return generators_of(seeds_of_runs(entropy, split, setup.name, numbers.tolist()))
+    return make_generators(seeds_of_runs(entropy, split, setup.name, numbers.tolist()))
 
 
 def in_any_world(judge: Detector) -> Detector:
@@ -112,8 +114,8 @@ class LateMaxima(RunMaxima):
         super().__init__(())
         self._skipped, self._seen = max(epochs - last, 0), 0
 
-    def begin(self) -> None:
-        super().begin()
+    def start_episodes(self) -> None:
+        super().start_episodes()
         self._seen = 0
 
     def update(self, simulator: Any) -> None:
@@ -123,7 +125,7 @@ class LateMaxima(RunMaxima):
             self.memory.reset()
 
 
-class Attack(NamedTuple):
+class PanelAttack(NamedTuple):
     """An attack on the first so many runs of a panel; `attack` in place of the world's own, before
     which the receivers are warmed up again."""
 
@@ -140,7 +142,7 @@ class Attack(NamedTuple):
 Numbers = tuple[int, ...]
 """Which detectors of a panel, in their order."""
 T = TypeVar("T")
-Search = Generator[list[Attack], list[Runs], T]
+Search = Generator[list[PanelAttack], list[Runs], T]
 """Yields attacks, is sent what a detector makes of them, and returns what it has found."""
 
 
@@ -162,16 +164,18 @@ class Panel:
     ) -> None:
         self.world, self.judges, self.rngs, self.threads = setup, judges, rngs, threads
         self._watched = list(watched)
-        self._begin(WarmStart(self._defended(tuple(range(len(judges)))), rngs(), threads=threads))
+        self._start_at_onset(
+            WarmStart(self._build_setup(tuple(range(len(judges)))), rngs(), threads=threads)
+        )
 
-    def _defended(self, numbers: Numbers) -> Setup:
+    def _build_setup(self, numbers: Numbers) -> Setup:
         """The world with some of the detectors."""
         if len(self.judges) == 1:
-            return self.world.altered(detector=self.judges[0], monitors=self._watched)
+            return self.world.copy_with(detector=self.judges[0], monitors=self._watched)
         panel = PanelDetectors([self.judges[k] for k in numbers], numbers)
-        return self.world.altered(detector=Never(), monitors=[panel, *self._watched])
+        return self.world.copy_with(detector=Never(), monitors=[panel, *self._watched])
 
-    def _begin(self, start: WarmStart, warmup_alarm: Mask | None = None) -> None:
+    def _start_at_onset(self, start: WarmStart, warmup_alarm: Mask | None = None) -> None:
         """Take the receivers at the onset, and see what they do without attack."""
         self.start, self.setup = start, start.setup
         self._alone: dict[int, WarmStart] = {}
@@ -185,7 +189,7 @@ class Panel:
         self.warmup_alarm = warmup_alarm
         self.clean = play_side_by_side(start, ["none"])
         self.twin_alarm = np.stack([each.first_alarm for each in self.clean], axis=1)
-        self.counts = counted(self.warmup_alarm, self.twin_alarm)
+        self.counts = mask_valid_runs(self.warmup_alarm, self.twin_alarm)
         self.sky = np.asarray(self.clean[0].onset // self.setup.epochs_each)
 
     @property
@@ -195,7 +199,7 @@ class Panel:
 
     def play(
         self,
-        attacks: Sequence[tuple[Attack, int]],
+        attacks: Sequence[tuple[PanelAttack, int]],
         *,
         drop: bool = True,
         tick: Callable[[float], None] = lambda _: None,
@@ -205,15 +209,15 @@ class Panel:
         Equal attacks are played once, and those that go side by side share a pass.  A spoofer that
         observes statistics has a pass of its own with every detector in the loop.
         """
-        wanted: dict[str, tuple[Attack, set[int]]] = {}
+        wanted: dict[str, tuple[PanelAttack, set[int]]] = {}
         for each, number in attacks:
             wanted.setdefault(each.key, (each, set()))[1].add(number)
-        passes: dict[Any, list[Attack]] = {}
+        passes: dict[Any, list[PanelAttack]] = {}
         for each, numbers in wanted.values():
             spoofer = make_spoofer(each.spec)
             alone = len(self.judges) > 1 and sees_statistics(spoofer.knowledge)
             for own in [(k,) for k in numbers] if alone else [tuple(sorted(numbers))]:
-                key = own, alone, id(each.attack), traits_of(spoofer)
+                key = own, alone, id(each.attack), get_traits(spoofer)
                 passes.setdefault(key, []).append(each)
         found: dict[tuple[str, int], Runs] = {}
         for (numbers, alone, *_), several in passes.items():
@@ -242,26 +246,26 @@ class Panel:
         return [found[each.key, number] for each, number in attacks]
 
     def _start(
-        self, numbers: Numbers, alone: bool, attack: Attack, rows: NDArray[np.intp]
+        self, numbers: Numbers, alone: bool, attack: PanelAttack, rows: NDArray[np.intp]
     ) -> WarmStart:
         """Runs at the onset in front of some detectors."""
         if attack.attack is not None:
-            other = copy.copy(self._defended(numbers))
+            other = copy.copy(self._build_setup(numbers))
             other.attack = attack.attack
             return WarmStart(other, self.rngs()[: len(rows)], threads=self.threads)
         if not alone:
             whole = len(numbers) == len(self.judges)
-            start = self.start if whole else self.start.under(self._defended(numbers))
+            start = self.start if whole else self.start.under(self._build_setup(numbers))
             return start.take(rows)
         if numbers[0] not in self._alone:
             judge = self.judges[numbers[0]]
-            setup = self.world.altered(detector=judge, monitors=self._watched)
+            setup = self.world.copy_with(detector=judge, monitors=self._watched)
             self._alone[numbers[0]] = WarmStart(setup, self.rngs(), threads=self.threads)
         return self._alone[numbers[0]].take(rows)
 
     def record(self, number: int, attacked: Runs, head: dict[str, Any]) -> RunRecord:
         """What a detector makes of an attack on all runs."""
-        moved = displacement_of(self.setup, attacked, self.clean[number])
+        moved = compute_displacement(self.setup, attacked, self.clean[number])
         records = {
             "warmup_alarm": self.warmup_alarm[:, number],
             "first_alarm": attacked.first_alarm,
@@ -271,11 +275,11 @@ class Panel:
         }
         return RunRecord(head, records)
 
-    def displacement(self, attack: Attack) -> FloatArray:
+    def displacement(self, attack: PanelAttack) -> FloatArray:
         """(D, R') undetected displacement under an attack [m]."""
         played = self.play([(attack, k) for k in range(len(self.judges))])
         pairs = zip(played, self.clean, strict=True)
-        moved = [displacement_of(self.setup, x, twin.first(attack.runs)) for x, twin in pairs]
+        moved = [compute_displacement(self.setup, x, twin.first(attack.runs)) for x, twin in pairs]
         return np.asarray(np.round(np.array(moved), 6), dtype=np.float64)
 
 
@@ -310,14 +314,14 @@ class NearAlarm(Panel):
     def __init__(self, setup: Setup, judge: Detector, rngs: Rngs, threads: int | None) -> None:
         self.world, self.judges, self.threads, self._watched = setup, [judge], threads, []
         last = min(round(NEAR_ALARM_S / setup.interval_s), setup.live)
-        own = self._defended((0,))
-        watched = own.altered(monitors=[LateMaxima(setup.live, last)])
+        own = self._build_setup((0,))
+        watched = own.copy_with(monitors=[LateMaxima(setup.live, last)])
         everyone = WarmStart(watched, rngs(), threads=threads)
-        ratio, _ = everyone.simulator.monitor(LateMaxima).taken()
+        ratio, _ = everyone.simulator.monitor(LateMaxima).pop_maxima()
         order = np.argsort(-ratio[:, 0], kind="stable")
         chosen = np.sort(order[: math.ceil(len(order) / CANDIDATES)])
         kept = set(chosen.tolist())
         self.rngs = lambda: [drawn for k, drawn in enumerate(rngs()) if k in kept]
         self.ratio = ratio[chosen, 0]
         start = everyone.under(own).take(chosen)
-        self._begin(start, np.zeros((len(chosen), 1), dtype=np.bool_))
+        self._start_at_onset(start, np.zeros((len(chosen), 1), dtype=np.bool_))

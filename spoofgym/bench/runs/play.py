@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...detectors import Detector
-from ...detectors.base import judged
+from ...detectors.base import judge_epoch
 from ...envs.observer import Observer
-from ...envs.spoofer_binding import bound_spoofer, paced
+from ...envs.spoofer_binding import apply_pace, bound_spoofer
 from ...envs.terms.action import CommandMap, Decisions
 from ...simulation.engine import Engine
 from ...simulation.monitors import Monitored, PassiveDetectors
@@ -49,7 +49,7 @@ class _Part(NamedTuple):
         return slice(first, end) if end - first == len(self.rows) else self.rows
 
 
-class Attacker:
+class SpooferController:
     """Spoofers that command the receivers of an engine, which are at their onset.
 
     - `engine`: its simulator leaves all measurements alone where the first transmits nothing;
@@ -70,7 +70,7 @@ class Attacker:
         ]
         self._bind()
         first = self._parts[0].spoofer
-        setup, size = paced(engine.setup, first), len(self._commands.names)
+        setup, size = apply_pace(engine.setup, first), len(self._commands.names)
         self._decisions = Decisions(setup, engine.receivers, size)
         if not first.transmits:
             engine.simulator.clean = np.ones(engine.receivers, dtype=np.bool_)
@@ -143,7 +143,7 @@ def _shaped_action(spoofer: Spoofer, seen: NDArray[np.float32]) -> FloatArray:
     return action
 
 
-def traits_of(spoofer: Spoofer) -> tuple[Any, ...]:
+def get_traits(spoofer: Spoofer) -> tuple[Any, ...]:
     """What spoofers have in common that can command parts of one batch."""
     names = "knowledge", "action_terms", "decision_interval_s", "between", "transmits"
     return tuple(repr(getattr(spoofer, name)) for name in names)
@@ -265,7 +265,7 @@ class PanelDetectors(PassiveDetectors):
     def update(self, simulator: Monitored) -> None:
         alarmed, ratio, blamed = (self.memory[name] for name in ("alarmed", "ratio", "blamed"))
         for k, detector in enumerate(self.detectors):
-            verdict = judged(detector, simulator.epoch)
+            verdict = judge_epoch(detector, simulator.epoch)
             blamed[:, k] = verdict.alarm.sum(axis=1)
             ratio[:, k] = (verdict.statistic / verdict.threshold).max(axis=1)
         alarmed[:] = blamed > 0
@@ -280,14 +280,14 @@ class PanelDetectors(PassiveDetectors):
             detector.memory.copy_rows(to, other.detectors[k].memory, rows)
 
 
-def _panel_of(simulator: Simulator) -> PanelDetectors | None:
+def _find_panel(simulator: Simulator) -> PanelDetectors | None:
     return next((each for each in simulator.monitors if isinstance(each, PanelDetectors)), None)
 
 
 def _verdicts(simulator: Simulator) -> tuple[FloatArray, NDArray[np.int64]]:
     """Largest ratios and blamed channels (B, D) at the last epoch, of the panel where there is one,
     else of the detector in the loop."""
-    panel = _panel_of(simulator)
+    panel = _find_panel(simulator)
     if panel is not None:
         return panel.memory["ratio"], panel.memory["blamed"]
     assert simulator.verdict is not None  # an epoch has been judged
@@ -314,12 +314,12 @@ def play_side_by_side(
     tick: Callable[[float], None] | None = None,
 ) -> list[Runs]:
     """What each detector of a panel, or the one in the loop, makes of attacks on all runs. `specs`,
-    `which`: as of an `Attacker`; `drop_alarmed`: whether runs in which all of them have alarmed are
-    left, after which nothing is known of them."""
+    `which`: as of an `SpooferController`; `drop_alarmed`: whether runs in which all of them have
+    alarmed are left, after which nothing is known of them."""
     setup, everyone = start.setup, start.receivers
-    attacker = Attacker(specs, start.engine(), which)
+    attacker = SpooferController(specs, start.engine(), which)
     simulator = attacker.engine.simulator
-    panel = _panel_of(simulator)
+    panel = _find_panel(simulator)
     epochs, count = setup.steps + setup.hold, 1 if panel is None else len(panel.detectors)
     alarm = np.zeros((count, epochs, everyone), dtype=np.bool_)
     peak, total = np.zeros((count, everyone)), np.zeros((count, everyone), dtype=np.int64)
@@ -352,7 +352,7 @@ def play_side_by_side(
     ]
 
 
-def epochs_of(setup: Setup, onset: NDArray[np.int64]) -> NDArray[np.int64]:
+def list_attack_epochs(setup: Setup, onset: NDArray[np.int64]) -> NDArray[np.int64]:
     """Epochs of `Setup.epoch_time` at which runs are after their onset. `onset` (R,) of `Runs`;
     returns (K, R), from the first epoch under attack to the end of the hold."""
     epochs: NDArray[np.int64] = onset + 1 + np.arange(setup.steps + setup.hold)[:, None]
@@ -367,15 +367,15 @@ def to_local(vector: FloatArray, frames: FloatArray) -> FloatArray:
     return np.asarray(functools.reduce(np.add, parts))
 
 
-def induced(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:
+def compute_induced_offset(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:
     """The attacked solution less its clean twin: (K, R, d) north, east (and down) [m]."""
     apart = attacked.position - twin.position
-    return to_local(apart, setup.C_en[epochs_of(setup, twin.onset)])
+    return to_local(apart, setup.C_en[list_attack_epochs(setup, twin.onset)])
 
 
 def off_truth(setup: Setup, runs: Runs) -> FloatArray:
     """The solution less the truth: (K, R, d) north, east (and down) [m]."""
-    epochs = epochs_of(setup, runs.onset)
+    epochs = list_attack_epochs(setup, runs.onset)
     return to_local(runs.position - setup.true_position[epochs], setup.C_en[epochs])
 
 
@@ -386,4 +386,4 @@ def horizontal(local: FloatArray) -> FloatArray:
 
 def induced_error(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:
     """Horizontal distance of the attacked solution from its clean twin: (K, R) [m]."""
-    return horizontal(induced(setup, attacked, twin))
+    return horizontal(compute_induced_offset(setup, attacked, twin))

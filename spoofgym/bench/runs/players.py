@@ -12,19 +12,19 @@ from numpy.typing import ArrayLike
 
 from ...attacks import ATTACKS
 from ...core.declared import check_number
-from ...core.registry import Spec, label_of, slug, spec_of
+from ...core.registry import Spec, build_spec, format_label, slug
 from ...core.settings import describe
 from ...detectors import DETECTORS, Calibrated, Detector, detector_in_world
-from ...detectors.build import asked_by_default, spec_of_judge
-from ...detectors.pool import checked_weights
+from ...detectors.build import get_default_request, spec_of_judge
+from ...detectors.pool import normalize_weights
 from ...envs.spoofer_binding import bound_spoofer, monitors_for, setup_of_card
-from ...policies import SpooferCard, card_of, shipped
+from ...policies import SpooferCard, list_shipped, load_card
 from ...policies.card import DETECTOR, SPOOFER
 from ...simulation.setup import SPLITS, Setup
 from ...spoofers import SPOOFERS, Spoofer, make_spoofer
 from ...spoofers.base import sees_statistics
 from ...spoofers.build import card_behind, spec_of_spoofer
-from ...spoofers.learned import ModelPolicy, trained_in
+from ...spoofers.learned import ModelPolicy, read_training_env
 from ...spoofers.scaled import AMPLITUDE, SMALLEST, Scaled
 
 Seeds = frozenset[tuple[int, str]]
@@ -48,7 +48,7 @@ FITTED = "fitted"
 """Amplitude that is fitted to the alarm budget on training runs, which are not scored."""
 
 
-def fitted(spec: Any) -> Spec:
+def add_tuned_setting(spec: Any) -> Spec:
     """A spoofer's spec with one setting to be fitted to the alarm budget, where it has none yet.
     That is the usual one of `DEFAULT_SPOOFERS` for a name without settings, and else the amplitude
     of its commands; an amplitude that is given stays."""
@@ -83,13 +83,13 @@ class PlayerSpec:
     largest: float | None = None
 
     @property
-    def searched(self) -> bool:
+    def needs_search(self) -> bool:
         """Whether the spoofer's curve is to be searched for, too: a blind optimum."""
         spec = self.spec or {"name": ""}
         return bool(spec["name"] == "blind-optimum" and not spec["rates_mps"])
 
     @property
-    def untuned(self) -> Any:
+    def fixed_spec(self) -> Any:
         """The object, or its settings without the one that is to be searched for."""
         if self.thing is not None:
             return self.thing
@@ -109,7 +109,7 @@ class PlayerSpec:
 
     def build(self) -> Any:
         """Detector, or spoofer without its tuned setting; not bound yet."""
-        return (detector_in_world if self.side == DETECTOR else make_spoofer)(self.untuned)
+        return (detector_in_world if self.side == DETECTOR else make_spoofer)(self.fixed_spec)
 
     def as_config(self) -> dict[str, Any]:
         """What a campaign is known by."""
@@ -174,22 +174,22 @@ Strategy = PlayerSpec | Mixture
 def specify_detector(spec: str | Mapping[str, Any] | Detector) -> PlayerSpec:
     """Detector, at the default rate of false alarms where it requests none."""
     detector = detector_in_world(spec)
-    full, default = spec_of_judge(detector), asked_by_default()
+    full, default = spec_of_judge(detector), get_default_request()
     inner = detector.detector if isinstance(detector, Calibrated) else detector
     if inner.card is None:
         label = _label("detector", DETECTORS, inner, full, default)
     else:
         shown = {key: value for key, value in full.items() if key != "sha256"}
-        label = label_of({**shown, "name": inner.label}, default)
-    return PlayerSpec(label, DETECTOR, full, decided_on=_seeds_of(detector))
+        label = format_label({**shown, "name": inner.label}, default)
+    return PlayerSpec(label, DETECTOR, full, decided_on=_collect_seeds(detector))
 
 
-def _seeds_of(detector: Detector) -> Seeds:
+def _collect_seeds(detector: Detector) -> Seeds:
     """Runs that decided on a detector, or on the members of a pool, as far as a card says."""
     if isinstance(detector, Calibrated):
-        return _seeds_of(detector.detector)
+        return _collect_seeds(detector.detector)
     own = frozenset() if detector.card is None else detector.card.decided_on
-    return own.union(*map(_seeds_of, detector.judges))
+    return own.union(*map(_collect_seeds, detector.judges))
 
 
 def specify_spoofer(spec: str | Mapping[str, Any] | Spoofer) -> PlayerSpec:
@@ -233,9 +233,9 @@ def specify_spoofer(spec: str | Mapping[str, Any] | Spoofer) -> PlayerSpec:
 def _label(word: str, kinds: Mapping[str, type], thing: Any, full: Spec, usual: Spec) -> str:
     """Name, with the settings that are not the class's defaults or the usual ones of all."""
     try:
-        return label_of(full, {**spec_of(word, kinds, type(thing)()), **usual})
+        return format_label(full, {**build_spec(word, kinds, type(thing)()), **usual})
     except TypeError:  # a setting has no default
-        return label_of(full, None)
+        return format_label(full, None)
 
 
 def _check_pace(spoofer: Spoofer, spec: Spec) -> None:
@@ -270,10 +270,13 @@ def specify_policy(
         spec = dict(policy) if isinstance(policy, Mapping) else {"name": os.fspath(policy)}
         if not fits and amplitude is not None:
             spec = {**spec, AMPLITUDE: amplitude}
-        return specify_spoofer(fitted(spec) if fits else spec)
+        return specify_spoofer(add_tuned_setting(spec) if fits else spec)
     spoofer = policy
     if not isinstance(policy, Spoofer):
-        known = {**trained_in(policy), **({} if knowledge is None else {"knowledge": knowledge})}
+        known = {
+            **read_training_env(policy),
+            **({} if knowledge is None else {"knowledge": knowledge}),
+        }
         spoofer = ModelPolicy(policy, label=label, **known)
     name = str(spoofer.label or type(spoofer).__name__)
     if isinstance(spoofer, Scaled) and amplitude is not None:
@@ -317,7 +320,7 @@ def specify_player(given: Any, side: str) -> PlayerSpec:
                     f"{type(given).__name__} is given what no receiver can know: no member of a "
                     "game"
                 ) from None
-            name, seeds = type(given).__name__, _seeds_of(given)
+            name, seeds = type(given).__name__, _collect_seeds(given)
             return PlayerSpec(name, DETECTOR, None, decided_on=seeds, thing=given)
         refuse_oracles((player,))
         return player
@@ -325,7 +328,7 @@ def specify_player(given: Any, side: str) -> PlayerSpec:
         player = (specify_spoofer if isinstance(given, Spoofer) else specify_policy)(given)
     except TypeError:  # no text describes it
         player = specify_policy(given)
-    if player.tuned or player.searched:
+    if player.tuned or player.needs_search:
         raise ValueError(
             f"{player.label}: a strategy of a game has all of its settings; fit "
             f"`{player.tuned or 'rates_mps'}` first, as by spoofgym.evaluate or best_response"
@@ -333,7 +336,7 @@ def specify_player(given: Any, side: str) -> PlayerSpec:
     return player
 
 
-def member_of(
+def make_player(
     given: Any,
     side: str,
     *,
@@ -407,7 +410,7 @@ def mixture(
     >>> mix.weights, mix.pool()["name"]
     ((0.75, 0.25), 'pool')
     """
-    chances = checked_weights(len(members), np.asarray(weights, dtype=np.float64).tolist())
+    chances = normalize_weights(len(members), np.asarray(weights, dtype=np.float64).tolist())
     chances = np.where(chances < OUT, 0.0, chances)
     kept = [(m, p) for m, p in zip(members, chances.tolist(), strict=True) if p > 0.0]
     seeds = decided_on.union(*(member.decided_on for member, _ in kept))
@@ -462,13 +465,13 @@ def fitting(env: str, setup: Setup) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of the shipped spoofers of an environment that fit, as a campaign plays them: by their
     own actions and at their own pace. Also why others of it are left out."""
     names, notes = [], []
-    for name in shipped(SPOOFER):
-        if (card := card_of(name, SpooferCard)).env_id != env:
+    for name in list_shipped(SPOOFER):
+        if (card := load_card(name, SpooferCard)).env_id != env:
             continue
         spoofer = make_spoofer(name)
-        watched = setup.altered(monitors=monitors_for([spoofer], setup))
+        watched = setup.copy_with(monitors=monitors_for([spoofer], setup))
         try:
-            differences = card.differences(bound_spoofer(spoofer, watched, 1)[0])
+            differences = card.diff_context(bound_spoofer(spoofer, watched, 1)[0])
         except ValueError as error:
             differences = [str(error)]
         if differences:
@@ -478,7 +481,7 @@ def fitting(env: str, setup: Setup) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(names), tuple(notes)
 
 
-def knowledge_of(entry: PlayerSpec, setup: Setup, detector: PlayerSpec) -> dict[str, Any]:
+def describe_knowledge(entry: PlayerSpec, setup: Setup, detector: PlayerSpec) -> dict[str, Any]:
     """What a spoofer knows: at ``run_time`` and ``design_time``; the label of the ``detector`` that
     it was made for, None where it was made for none, or has no card that says so; and
     ``transfer``, what is another one here than where it was made."""
@@ -486,7 +489,7 @@ def knowledge_of(entry: PlayerSpec, setup: Setup, detector: PlayerSpec) -> dict[
     card, made_for, designed = card_behind(spoofer), None, spoofer.designed_on
     differences: list[str] = []
     if card is not None:
-        made_for, differences = _transferred(card, setup, detector)
+        made_for, differences = _compare_training(card, setup, detector)
     elif entry.tuned:
         made_for, designed = detector.label, "detector, receiver and scenario, by tuning"
     return {
@@ -497,14 +500,16 @@ def knowledge_of(entry: PlayerSpec, setup: Setup, detector: PlayerSpec) -> dict[
     }
 
 
-def _transferred(card: SpooferCard, setup: Setup, detector: PlayerSpec) -> tuple[str, list[str]]:
+def _compare_training(
+    card: SpooferCard, setup: Setup, detector: PlayerSpec
+) -> tuple[str, list[str]]:
     """What a spoofer was made for, and what is another one in a campaign."""
     made = setup_of_card(card)
     label = specify_detector(made.detector).label
     if type(made) is not type(setup):
         return label, ["environment"]
     found = [] if label == detector.label else ["detector"]
-    own, here = (spec_of("attack", ATTACKS, each.attack) for each in (made, setup))
+    own, here = (build_spec("attack", ATTACKS, each.attack) for each in (made, setup))
     if {**own, "threat": None} != {**here, "threat": None}:  # by name, or by the same options
         found.append("attack")
     return label, found + [

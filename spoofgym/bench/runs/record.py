@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...envs import _kernels
 from ...simulation.setup import Setup
-from .play import Runs, horizontal, induced, induced_error, off_truth
+from .play import Runs, compute_induced_offset, horizontal, induced_error, off_truth
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -67,7 +67,7 @@ class RunRecord:
     @property
     def counts(self) -> NDArray[np.bool_]:
         """(R,) which runs count for a score."""
-        return counted(self.records["warmup_alarm"], self.records["twin_alarm"])
+        return mask_valid_runs(self.records["warmup_alarm"], self.records["twin_alarm"])
 
     @property
     def sky(self) -> NDArray[np.int64]:
@@ -89,7 +89,7 @@ class RunRecord:
         return self.records, {"head": self.head, "series": self.series}
 
     @classmethod
-    def of_parts(cls, arrays: Mapping[str, NDArray[Any]], record: Mapping[str, Any]) -> RunRecord:
+    def from_parts(cls, arrays: Mapping[str, NDArray[Any]], record: Mapping[str, Any]) -> RunRecord:
         """Inverse of `parts`."""
         return cls(record["head"], dict(arrays), record["series"])
 
@@ -103,11 +103,11 @@ MEASURES = (
 """Induced and total error, horizontal and vertical; a victim in the plane has no vertical ones."""
 
 
-def measured(
+def measure_displacement(
     setup: Setup, attacked: Runs, twin: Runs, measures: Sequence[str] = MEASURES
 ) -> dict[str, FloatArray]:
     """Undetected displacement of every run by some measures, as far as a victim has them."""
-    moved, off = induced(setup, attacked, twin), off_truth(setup, attacked)
+    moved, off = compute_induced_offset(setup, attacked, twin), off_truth(setup, attacked)
     sizes = [horizontal(moved), None, horizontal(off), None]
     if moved.shape[2] == 3:
         sizes[1], sizes[3] = np.abs(moved[..., 2]), np.abs(off[..., 2])
@@ -129,7 +129,7 @@ def record_runs(
     alert_limit_m: float,
 ) -> RunRecord:
     """Record of some runs.  `warmup_alarm` (R,) bool, alarms before the onset."""
-    moved, off = induced(setup, attacked, twin), off_truth(setup, attacked)
+    moved, off = compute_induced_offset(setup, attacked, twin), off_truth(setup, attacked)
     error, total = horizontal(moved), horizontal(off)
     commanded, first = error[: setup.steps], attacked.first_alarm
     above = commanded > alert_limit_m
@@ -156,7 +156,7 @@ def record_runs(
         "sky": attacked.onset // setup.epochs_each,
     }
     records |= {name: np.round(x, 6) for name, x in numbers.items()}
-    records |= measured(setup, attacked, twin)
+    records |= measure_displacement(setup, attacked, twin)
     epochs = np.arange(1, len(error) + 1)
     bands = np.percentile(error, PERCENTILES, axis=1)
     series = {
@@ -184,12 +184,12 @@ class Aim(NamedTuple):
     limit_m: float | None = None
     skies: bool = False
 
-    def reached(self, displacement: FloatArray) -> float:
+    def score_displacement(self, displacement: FloatArray) -> float:
         """What is exceeded in the share of the runs that count, or how often the limit is."""
         if not len(displacement):
             return 0.0
         if self.share is not None:
-            return exceeded(displacement, self.share)
+            return compute_upper_quantile(displacement, self.share)
         assert self.limit_m is not None  # one of the two is given
         return float((displacement > self.limit_m).mean())
 
@@ -197,7 +197,7 @@ class Aim(NamedTuple):
         """How good a displacement of the runs that count is, to choose by. Of attacks that exceed a
         limit equally often, the best is the one whose weakest such run exceeds it most: it most
         surely exceeds it again. Of those that never do, the one that comes nearest."""
-        reached = self.reached(displacement)
+        reached = self.score_displacement(displacement)
         if self.limit_m is None or not len(displacement):
             return reached
         weakest = self.weakest(displacement)
@@ -255,7 +255,9 @@ class Protection:
         """Worst attack on the evaluation runs; of equal ones that which was chosen for the aim."""
         chosen, rows = self.winner(aim), self.rows(aim)
         several = (*([] if chosen is None else [chosen]), *self.winners)
-        return max(several, key=lambda each: aim.reached(each.displacement[aim.measure][rows]))
+        return max(
+            several, key=lambda each: aim.score_displacement(each.displacement[aim.measure][rows])
+        )
 
     def rows(self, aim: Aim) -> NDArray[np.bool_]:
         """(R,) which runs an aim is about."""
@@ -275,7 +277,9 @@ class Protection:
         return arrays, {"head": self.head, "winners": winners}
 
     @classmethod
-    def of_parts(cls, arrays: Mapping[str, NDArray[Any]], record: Mapping[str, Any]) -> Protection:
+    def from_parts(
+        cls, arrays: Mapping[str, NDArray[Any]], record: Mapping[str, Any]
+    ) -> Protection:
         """Inverse of `parts`."""
         winners = []
         for n, each in enumerate(record["winners"]):
@@ -287,7 +291,7 @@ class Protection:
         return cls(record["head"], tuple(winners), *runs)
 
 
-def displacement_of(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:
+def compute_displacement(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:
     """Undetected displacement of every run: (R,) [m]."""
     error = induced_error(setup, attacked, twin)[: setup.steps]
     return undetected_displacement(error, attacked.first_alarm, setup.hold)
@@ -309,18 +313,16 @@ def undetected_displacement(
     """
     e = np.asarray(error, dtype=np.float64)
     largest = np.maximum.accumulate(np.concatenate([np.zeros((1, e.shape[1])), e]))
-    return np.asarray(
-        _kernels.undetected_displacement(largest, np.asarray(first_alarm), time_to_alert)
-    )
+    return np.asarray(_kernels.select_undetected(largest, np.asarray(first_alarm), time_to_alert))
 
 
-def counted(warmup_alarm: ArrayLike, twin_alarm: ArrayLike) -> Mask:
+def mask_valid_runs(warmup_alarm: ArrayLike, twin_alarm: ArrayLike) -> Mask:
     """Which runs count: silent before the onset, with a silent twin. (R,) bool each. `twin_alarm`:
     whether the clean twin alarms in the judged window, or the epoch at which it does."""
     return ~(np.asarray(warmup_alarm, dtype=np.bool_) | np.asarray(twin_alarm, dtype=np.bool_))
 
 
-def exceeded(displacement: ArrayLike, share: float) -> float:
+def compute_upper_quantile(displacement: ArrayLike, share: float) -> float:
     """Largest displacement that is reached in at least such a share of the runs; NaN without runs.
     `displacement` (R,) [m]; `share` in (0, 1]."""
     x = np.sort(np.asarray(displacement, dtype=np.float64))[::-1]

@@ -10,28 +10,28 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...attacks import ATTACKS
-from ...core.declared import record, setting
-from ...core.registry import check_choice, refuse_given, settings_of, spec_of
+from ...core.declared import setting, settings_record
+from ...core.registry import build_spec, check_choice, inspect_settings, refuse_overrides
 from ...core.settings import describe
 from ...detectors import Detector, OperatingPoint
-from ...detectors.calibrated import calibrated_parts, resolve
+from ...detectors.calibrated import calibrated_parts, resolve_thresholds
 from ...envs.factory import make_setup
 from ...envs.spoofer_binding import (
     ENV_ID,
     SETUPS,
+    get_tuning_range,
     monitors_for,
     spoofer_context,
-    tuning_range_of,
     warn_of_headings,
 )
 from ...simulation import LooselyCoupledSetup, SnapshotSetup, TightlyCoupledSetup, WheeledRobotSetup
 from ...simulation import loose as loosely_coupled
 from ...simulation import robot as wheeled_robot
 from ...simulation.monitors import Monitor
-from ...simulation.setup import Setup, generators_of, seed_sequences
+from ...simulation.setup import Setup, make_generators, seed_sequences
 from ...simulation.simulator import run_serially
 from ...spoofers import Scaled, SpooferContext, make_spoofer
-from ...tasks import task_of
+from ...tasks import get_task
 from .play import make_bound_spoofer
 from .players import DEFAULT_DETECTORS, PlayerSpec
 
@@ -77,19 +77,19 @@ WORLD = (
 """Settings of a victim that a world has by name."""
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class World:
     """Where detectors and spoofers meet."""
 
     env: str = setting(default=ENV_ID, help="Environment of the victim, in `VICTIMS`.")
-    given: Mapping[str, Any] = setting(
+    settings: Mapping[str, Any] = setting(
         default_factory=dict, help="Settings of the victim that are not its defaults."
     )
 
     def __post_init__(self) -> None:
         check_choice("environment of the benchmark", self.env, VICTIMS)
-        valid = [name for name in settings_of(VICTIMS[self.env].setup) if name != "detector"]
-        for name, value in self.given.items():
+        valid = [name for name in inspect_settings(VICTIMS[self.env].setup) if name != "detector"]
+        for name, value in self.settings.items():
             if name not in valid:
                 raise ValueError(
                     f"{self.env} has no setting {name!r}, got {value!r}; valid: {', '.join(valid)}"
@@ -100,8 +100,8 @@ class World:
         """World of a task, which decides it, or of settings: ``env``, those of `WORLD` by name, and
         further ones as ``settings``; None is as if it were not there."""
         if task is not None:
-            refuse_given(f"task {task}", (f"`{name}`" for name in named))
-            return cls(given=task_of(task).world_kwargs)
+            refuse_overrides(f"task {task}", (f"`{name}`" for name in named))
+            return cls(settings=get_task(task).world_kwargs)
         env, further = named.pop("env", ENV_ID), named.pop("settings", {})
         own = {name: value for name, value in named.items() if value is not None}
         for name in further:
@@ -112,20 +112,20 @@ class World:
     @cached_property
     def setup(self) -> Setup:
         """What all receivers share, without a defence."""
-        return make_setup(VICTIMS[self.env].setup, {"detector": "never", **self.given})
+        return make_setup(VICTIMS[self.env].setup, {"detector": "never", **self.settings})
 
     @cached_property
     def context(self) -> SpooferContext:
         """What spoofers are bound to, without a defence."""
         return spoofer_context(self.setup)
 
-    def altered(self, **settings: Any) -> World:
-        return replace(self, given={**self.given, **settings})
+    def copy_with(self, **settings: Any) -> World:
+        return replace(self, settings={**self.settings, **settings})
 
-    def setup_of(self, detector: PlayerSpec, spoofers: Iterable[PlayerSpec] = ()) -> Setup:
+    def build_setup(self, detector: PlayerSpec, spoofers: Iterable[PlayerSpec] = ()) -> Setup:
         """What all receivers share, with a detector; what the spoofers observe is watched."""
         watched = self.watched_for(spoofers)
-        return self.setup.altered(detector=detector.build(), monitors=watched)
+        return self.setup.copy_with(detector=detector.build(), monitors=watched)
 
     def watched_for(self, spoofers: Iterable[PlayerSpec]) -> list[Monitor]:
         """What has to look at the victim's epochs, for spoofers to observe what they know."""
@@ -135,12 +135,12 @@ class World:
         self, entropy: int, split: str, runs: int, first: int = 0
     ) -> list[np.random.Generator]:
         """Generators of the runs of a split, from `first` on."""
-        return generators_of(seed_sequences(entropy, split, self.setup.name, runs, first))
+        return make_generators(seed_sequences(entropy, split, self.setup.name, runs, first))
 
     def judge(self, detector: PlayerSpec) -> Detector:
         """Detector with its thresholds of this world."""
         judge: Detector = detector.build()
-        resolve(judge, self.setup)
+        resolve_thresholds(judge, self.setup)
         return judge
 
     def points(self, detector: PlayerSpec) -> list[OperatingPoint]:
@@ -155,13 +155,13 @@ class World:
         that ignore a target direction that is drawn are warned of."""
         for entry in detectors:
             try:
-                self.setup_of(entry, spoofers).simulator(1, run_serially)
+                self.build_setup(entry, spoofers).simulator(1, run_serially)
             except (TypeError, ValueError) as error:
                 raise ValueError(f"detector {entry.label} in {self.env}: {error}") from error
         bound = []
         for entry in spoofers:
-            spec = entry.untuned
-            if entry.searched:
+            spec = entry.fixed_spec
+            if entry.needs_search:
                 if not entry.tuned:
                     raise ValueError(
                         f"{entry.label}: a blind optimum is looked for under the alarm budget, so "
@@ -169,9 +169,9 @@ class World:
                     )
                 entry = replace(entry, spec={**entry.spec, "rates_mps": [0.0, 1e-3]})
             if entry.tuned:
-                low, _ = tuning_range_of(make_spoofer(entry.with_value(1.0)), self.setup)
+                low, _ = get_tuning_range(make_spoofer(entry.with_value(1.0)), self.setup)
                 spec = entry.with_value(low)
-            setup = self.setup.altered(monitors=self.watched_for([entry]))
+            setup = self.setup.copy_with(monitors=self.watched_for([entry]))
             spoofer = make_bound_spoofer(spec, setup, 1)[0]
             bound.append(spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer)
         warn_of_headings(bound, self.setup)
@@ -180,14 +180,14 @@ class World:
     def parts(self) -> list[Any]:
         """What may come from outside of spoofgym."""
         own = [getattr(self.setup, name) for name in WORLD if hasattr(self.setup, name)]
-        return [*own, *self.given.values()]
+        return [*own, *self.settings.values()]
 
     @cached_property
     def config(self) -> dict[str, Any]:
         """All settings, JSON-able."""
         return {
             "env": self.env,
-            **self._described(),
+            **self._describe_victim(),
             "timeline": describe(self.setup.timeline),
             "domain": describe(self.setup.domain),
             "target_heading_deg": self.setup.target_heading_deg,
@@ -195,16 +195,16 @@ class World:
             "between": self.setup.between,
         }
 
-    def _described(self) -> dict[str, Any]:
+    def _describe_victim(self) -> dict[str, Any]:
         """Scenario, receiver and attack, or what the victim has in their place."""
         setup = self.setup
         if isinstance(setup, TightlyCoupledSetup):
             return {
                 "scenario": {**describe(setup.scenario), "name": setup.name},
                 "receiver": describe(setup.receiver),
-                "attack": spec_of("attack", ATTACKS, setup.attack),
+                "attack": build_spec("attack", ATTACKS, setup.attack),
             }
-        every = {**settings_of(type(setup)), **self.given}
+        every = {**inspect_settings(type(setup)), **self.settings}
         limits = {"control": setup.attack.control, "rate_limit_mps": setup.attack.rate_limit_mps}
         return {
             "scenario": {"name": setup.name},

@@ -28,15 +28,15 @@ from numpy.typing import NDArray
 
 from ...detectors.calibration_file import hourly_rate
 from ...spoofers.base import sees_statistics
-from ..runs.record import MEASURES, Aim, Protection, RunRecord, Winner, exceeded
+from ..runs.record import MEASURES, Aim, Protection, RunRecord, Winner, compute_upper_quantile
 from .scores import (
     ALIKE,
     SHARES,
-    bootstrap_exceeded,
+    bootstrap_quantile,
     by_chance,
-    clusters_of,
     missed_in_time,
-    stealth_of,
+    score_stealth,
+    select_clusters,
     survival,
 )
 from .statistics import (
@@ -45,10 +45,10 @@ from .statistics import (
     bootstrap_mean,
     clopper_pearson,
     clustered_proportion,
+    draw_resamples,
     exceedance,
     largest_of_share,
     percentiles,
-    resamples_of,
     wilson,
 )
 
@@ -70,7 +70,7 @@ def operating_point(config: Mapping[str, Any], detector: str) -> dict[str, Any]:
     if len(rates) == 1:
         footing = f"{rates.pop():g}"
     else:
-        footing = FREE if detector in config["never_alarm"] else NOMINAL
+        footing = ANY_RATE if detector in config["never_alarm"] else NOMINAL
     return {"claimed": claimed, "footing": footing}
 
 
@@ -96,7 +96,7 @@ def score_detector(clean: RunRecord) -> dict[str, Any]:
         "warmup_alarm_per_run": clopper_pearson(warm, clean.runs).as_json(),
         "blamed_s_per_hour": round(blamed, 4) if clean.head["judges_channels"] else None,
         "navigation_rms_m": float(np.sqrt(np.mean(records["navigation_rms_m"] ** 2)).round(4)),
-        "coasting_error_m": mean_of(records["coasting_error_m"][coasting]),
+        "coasting_error_m": compute_mean(records["coasting_error_m"][coasting]),
     }
 
 
@@ -109,28 +109,28 @@ def _per_hour(per_run: Estimate, window_s: float) -> dict[str, float | None]:
     }
 
 
-def number(value: Any) -> float:
+def round_number(value: Any) -> float:
     """Number as it is written down."""
     return round(float(value), 4)
 
 
-def mean_of(x: NDArray[Any]) -> float | None:
+def compute_mean(x: NDArray[Any]) -> float | None:
     """Mean as it is written down; None of nothing."""
-    return number(x.mean()) if len(x) else None
+    return round_number(x.mean()) if len(x) else None
 
 
 FloatArray = NDArray[np.float64]
 CONTROLS = ("never", "lottery")
 """Names of the negative controls."""
-FREE = "any"
+ANY_RATE = "any"
 """Footing of a detector that never alarms: it has no rate, and is compared at any."""
-Footings = Mapping[str, str]
+FalseAlarmGroups = Mapping[str, str]
 
 
-def compare(
+def compare_controls(
     cells: Sequence[RunRecord],
     protections: Sequence[Protection],
-    footings: Footings,
+    footings: FalseAlarmGroups,
 ) -> list[dict[str, Any]]:
     """Paired differences, detector less control, over the runs that count for both. Returns a row
     for each score: ``score``, ``spoofer`` or None, ``detector``, ``control``, ``difference_m``,
@@ -145,21 +145,21 @@ def compare(
     return found
 
 
-def controls(footings: Footings) -> list[str]:
+def controls(footings: FalseAlarmGroups) -> list[str]:
     """Labels of the negative controls that were played."""
-    return [label for label in footings if name_of(label) in CONTROLS]
+    return [label for label in footings if extract_name(label) in CONTROLS]
 
 
-def name_of(label: str) -> str:
+def extract_name(label: str) -> str:
     return label.partition("(")[0]
 
 
-def comparable(footings: Footings, detector: str, other: str) -> bool:
+def comparable(footings: FalseAlarmGroups, detector: str, other: str) -> bool:
     """Whether two detectors have the same requested rate, and are not the same."""
     mine, theirs = footings[detector], footings[other]
     if detector == other or "nominal" in (mine, theirs):
         return False
-    return mine == theirs or FREE in (mine, theirs)
+    return mine == theirs or ANY_RATE in (mine, theirs)
 
 
 def _displacements(cells: Sequence[RunRecord], detector: str, control: str) -> list[dict[str, Any]]:
@@ -170,11 +170,11 @@ def _displacements(cells: Sequence[RunRecord], detector: str, control: str) -> l
         if label != detector or spoofer == "none" or theirs is None:
             continue
         obeys = sees_statistics(str(mine.head["knowledge"]["run_time"]))
-        if obeys and "lottery" in (name_of(detector), name_of(control)):
+        if obeys and "lottery" in (extract_name(detector), extract_name(control)):
             continue
         gap = mine.displacement_m - theirs.displacement_m
         both = mine.counts & theirs.counts
-        samples = resamples_of(clusters_of(mine.sky)[both])
+        samples = draw_resamples(select_clusters(mine.sky)[both])
         difference = bootstrap_mean(gap[both], samples)
         size = float(theirs.displacement_m[both].mean()) if both.any() else 0.0
         found.append(_row("stealthy displacement", spoofer, detector, control, difference, size))
@@ -194,18 +194,20 @@ def _protections(
         aim = Aim(MEASURES[0], share)
         x, y = (each.worst(aim).displacement[aim.measure] for each in (mine, theirs))
         both = mine.counts & theirs.counts
-        samples = resamples_of(clusters_of(mine.sky)[both])
-        difference = _paired_exceeded(x[both], y[both], samples, share)
-        word, size = f"protection {100 * share:g} %", exceeded(y[both], share)
+        samples = draw_resamples(select_clusters(mine.sky)[both])
+        difference = _compare_quantiles(x[both], y[both], samples, share)
+        word, size = f"protection {100 * share:g} %", compute_upper_quantile(y[both], share)
         found.append(_row(word, None, detector, control, difference, size))
     return found
 
 
-def _paired_exceeded(x: FloatArray, y: FloatArray, samples: FloatArray, share: float) -> Estimate:
+def _compare_quantiles(x: FloatArray, y: FloatArray, samples: FloatArray, share: float) -> Estimate:
     if not len(x):
         return NOTHING
     drawn = [largest_of_share(each, share, samples) for each in (x, y)]
-    return percentiles(exceeded(x, share) - exceeded(y, share), drawn[0] - drawn[1])
+    return percentiles(
+        compute_upper_quantile(x, share) - compute_upper_quantile(y, share), drawn[0] - drawn[1]
+    )
 
 
 def _row(
@@ -244,7 +246,7 @@ Limits = dict[str, Any]
 Row = dict[str, Any]
 
 
-def bracket_of(
+def compute_bounds(
     point: Row,
     limits: Limits,
     cells: Sequence[Row],
@@ -261,12 +263,12 @@ def bracket_of(
     ``blind_optimum``; ``zero_alarm``; ``search_failed``, scores below their floor; and
     ``above_zero_alarm``, attacks whose mean is above the bound.
     """
-    floors = floors_of(point, limits["floor"])
+    floors = select_lower_limits(point, limits["floor"])
     attacks = [cell for cell in cells if cell["spoofer"] != "none"]
-    found = [_reached(cell) for cell in attacks]
+    found = [_score_attack(cell) for cell in attacks]
     within = [each for each in found if each["within_budget"] and each["value"] is not None]
     best = max(within, key=lambda each: float(each["value"]), default=None)
-    bound = bound_of(limits["zero_alarm"].get(point["detector"]))
+    bound = select_bound(limits["zero_alarm"].get(point["detector"]))
     # where no setting of any spoofer is within the budget, nothing was achieved
     nothing = attacks and all(cell["tuned_within_budget"] is False for cell in attacks)
     achieved = {STEALTHY: {"high": 0.0} if nothing else best, HALF: headline(protection, 0.5)}
@@ -282,7 +284,7 @@ def bracket_of(
     }
 
 
-def floors_of(point: Row, floor: Row | None) -> dict[str, float | None]:
+def select_lower_limits(point: Row, floor: Row | None) -> dict[str, float | None]:
     """Floors at a detector's rate of false alarms; none at nominal thresholds or for a pool. A
     detector that never alarms has those of the others in its table, the first rate's."""
     nothing = dict.fromkeys(PURPOSES)
@@ -309,7 +311,7 @@ def headline(protection: Row | None, share: float, *, skies: bool = False) -> Ro
     return None
 
 
-def _reached(cell: Row) -> Row:
+def _score_attack(cell: Row) -> Row:
     """Stealthy displacement of an attack, and whether it keeps the budget."""
     tuned = cell["tuned_within_budget"]
     keeps = bool(cell["within_budget"]) and tuned is not False
@@ -324,7 +326,7 @@ def _reached(cell: Row) -> Row:
 def _optimum(cells: Sequence[Row], searches: Sequence[Row]) -> Row | None:
     """The blind optimum that gets farthest, one within the budget before others."""
     curves = [cell for cell in cells if cell["spoofer_settings"]["name"] == "blind-optimum"]
-    found = [each for each in map(_reached, curves) if each["value"] is not None]
+    found = [each for each in map(_score_attack, curves) if each["value"] is not None]
     if not found:
         return None
     best = max(found, key=lambda each: (each["within_budget"], float(each["value"])))
@@ -333,7 +335,7 @@ def _optimum(cells: Sequence[Row], searches: Sequence[Row]) -> Row | None:
     return {**best, "by": search.get("by"), "curve": search.get("played", {}).get("curve")}
 
 
-def bound_of(found: Row | None) -> Row:
+def select_bound(found: Row | None) -> Row:
     """Zero-alarm bound of the attack within its limits where there is one, else of a free one."""
     if found is None:
         return {"value": None, "kind": "", "attacker": "", "why": "not computed"}
@@ -367,10 +369,10 @@ SURVIVAL_TIMES = 8
 def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[str, Any]:
     """Scores of one cell; `limits` of the P_HMI curve [m]."""
     counts = cell.counts
-    stealth = stealth_of(cell.displacement_m, cell.alarmed, counts)
+    stealth = score_stealth(cell.displacement_m, cell.alarmed, counts)
     kept = cell.displacement_m[counts]
     zeroed = np.where(cell.alarmed[counts], 0.0, kept)
-    samples = resamples_of(clusters_of(cell.sky)[counts])
+    samples = draw_resamples(select_clusters(cell.sky)[counts])
     return {
         "detector": cell.detector,
         "spoofer": cell.spoofer,
@@ -384,18 +386,18 @@ def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[
         "alarm_rate": wilson(stealth.alarms, stealth.runs).as_json(),
         "within_budget": stealth.seems_to_keep(budget),
         "stealthy_displacement_m": bootstrap_mean(kept, samples).as_json(),
-        "median_m": number(np.median(kept)) if len(kept) else None,
+        "median_m": round_number(np.median(kept)) if len(kept) else None,
         "alarmed_as_0_m": bootstrap_mean(zeroed, samples).as_json(),
         "largest_error_m": float(cell.records["largest_error_m"].mean().round(4)),
         "p_hmi": [
             {"alert_limit_m": limit, **estimate.as_json()}
             for limit, estimate in zip(limits, exceedance(kept, limits), strict=True)
         ],
-        **times_of(cell),
+        **compute_times(cell),
     }
 
 
-def times_of(cell: RunRecord) -> dict[str, Any]:
+def compute_times(cell: RunRecord) -> dict[str, Any]:
     """When the attack was noticed, of the runs that are silent before the onset.
 
     ``missed``: of the runs that count whose error crosses the alert limit, those without an alarm
@@ -421,9 +423,9 @@ def times_of(cell: RunRecord) -> dict[str, Any]:
         "detected": wilson(int(detected.sum()), len(first)).as_json(),
         "chance": wilson(int(chance.sum()), len(first)).as_json(),
         "delay_s": _median(
-            first[detected] * step, clusters_of(cell.sky)[silent][detected]
+            first[detected] * step, select_clusters(cell.sky)[silent][detected]
         ).as_json(),
-        "after_crossing_s": number(np.median(late)) if len(late) else None,
+        "after_crossing_s": round_number(np.median(late)) if len(late) else None,
         "horizon_s": horizon,
         "survival": [],
     }
@@ -431,7 +433,7 @@ def times_of(cell: RunRecord) -> dict[str, Any]:
         curve = survival(delay, detected, times)
         rows = zip(*curve, strict=True)
         found["survival"] = [
-            dict(zip(curve._fields, map(number, row), strict=True)) for row in rows
+            dict(zip(curve._fields, map(round_number, row), strict=True)) for row in rows
         ]
     return found
 
@@ -440,7 +442,7 @@ def _median(x: NDArray[Any], clusters: NDArray[np.int64]) -> Estimate:
     """Median with a percentile interval, by resamples of these runs alone."""
     if not len(x):
         return NOTHING
-    drawn = largest_of_share(x, 0.5, resamples_of(clusters))
+    drawn = largest_of_share(x, 0.5, draw_resamples(clusters))
     return percentiles(float(np.median(x)), drawn)
 
 
@@ -454,7 +456,7 @@ def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, An
     return {
         "detector": found.detector,
         "counted": int(found.counts.sum()),
-        "exceeded": [_exceeded(found, aim) for aim in aims if aim.share is not None],
+        "exceeded": [_score_aim(found, aim) for aim in aims if aim.share is not None],
         "p_hmi": [
             _hazardous(found, measure, limit)
             for measure in found.winners[0].displacement
@@ -464,18 +466,18 @@ def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, An
     }
 
 
-def _exceeded(found: Protection, aim: Aim) -> dict[str, Any]:
+def _score_aim(found: Protection, aim: Aim) -> dict[str, Any]:
     """What the worst attack exceeds in a share of the runs."""
     assert aim.share is not None  # as chosen by the caller
     winner, rows = found.worst(aim), found.rows(aim)
     x = winner.displacement[aim.measure][rows]
     # the worst skies are few, and the interval is for these alone
-    alike = np.arange(len(found.sky)) if aim.skies else clusters_of(found.sky)
-    estimate = bootstrap_exceeded(x, aim.share, resamples_of(alike[rows]))
+    alike = np.arange(len(found.sky)) if aim.skies else select_clusters(found.sky)
+    estimate = bootstrap_quantile(x, aim.share, draw_resamples(alike[rows]))
     if aim.skies:
         everywhere = aim._replace(skies=False)
         attack = found.worst(everywhere).displacement[aim.measure][found.counts]
-        if estimate.value < (1.0 - ALIKE) * everywhere.reached(attack):
+        if estimate.value < (1.0 - ALIKE) * everywhere.score_displacement(attack):
             estimate = NOTHING  # the few runs of the choice have not found the worst skies
     value = estimate.as_json()
     named = {"measure": aim.measure, "share": aim.share, "worst_skies": aim.skies}

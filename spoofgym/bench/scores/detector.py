@@ -12,8 +12,15 @@ from numpy.typing import NDArray
 
 from ...detectors.calibration_file import hourly_rate
 from ..runs.record import MEASURES, Aim, Protection, Winner
-from .scores import SHARES, bootstrap_exceeded, clusters_of
-from .statistics import Estimate, FloatArray, clopper_pearson, exceedance, percentiles, resamples_of
+from .scores import SHARES, bootstrap_quantile, select_clusters
+from .statistics import (
+    Estimate,
+    FloatArray,
+    clopper_pearson,
+    draw_resamples,
+    exceedance,
+    percentiles,
+)
 
 WINDOW, CLEAN = "clean, judged window", "clean"
 """Names of false alarms without an event: in the judged window alone, and in all monitored time."""
@@ -26,11 +33,11 @@ class FamilyScore(NamedTuple):
     family: str
     held_out: bool
     alert_limit_m: float
-    found: Protection
+    protection: Protection
 
     @property
     def counted(self) -> int:
-        return int(self.found.counts.sum())
+        return int(self.protection.counts.sum())
 
     @property
     def aim(self) -> Aim:
@@ -38,22 +45,25 @@ class FamilyScore(NamedTuple):
 
     @property
     def attack(self) -> Winner:
-        return self.found.worst(self.aim)
+        return self.protection.worst(self.aim)
 
     @property
     def p_hmi(self) -> Estimate:
-        moved = self.attack.displacement[MEASURES[0]][self.found.counts]
+        moved = self.attack.displacement[MEASURES[0]][self.protection.counts]
         return exceedance(moved, [self.alert_limit_m])[0]
 
-    def exceeded(self, share: float) -> Estimate:
+    def estimate_quantile(self, share: float) -> Estimate:
         """What the worst attack exceeds in a share of the runs [m], with its 95 % interval."""
-        counts, winner = self.found.counts, self.found.worst(Aim(MEASURES[0], share))
-        samples = resamples_of(clusters_of(self.found.sky)[counts])
-        return bootstrap_exceeded(winner.displacement[MEASURES[0]][counts], share, samples)
+        counts, winner = self.protection.counts, self.protection.worst(Aim(MEASURES[0], share))
+        samples = draw_resamples(select_clusters(self.protection.sky)[counts])
+        return bootstrap_quantile(winner.displacement[MEASURES[0]][counts], share, samples)
 
-    def resampled(self) -> FloatArray:
+    def resample_hmi(self) -> FloatArray:
         """(S,) P(HMI | attack) in bootstrap samples of all runs, the same ones for any detector."""
-        samples, counts = resamples_of(clusters_of(self.found.sky)), self.found.counts
+        samples, counts = (
+            draw_resamples(select_clusters(self.protection.sky)),
+            self.protection.counts,
+        )
         hazard = (self.attack.displacement[MEASURES[0]] > self.alert_limit_m) & counts
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray((samples @ hazard) / (samples @ counts))
@@ -65,7 +75,9 @@ class FamilyScore(NamedTuple):
             "held_out": self.held_out,
             "counted": self.counted,
             "p_hmi": self.p_hmi.as_json(),
-            "exceeded_m": {f"{share:g}": self.exceeded(share).as_json() for share in SHARES},
+            "exceeded_m": {
+                f"{share:g}": self.estimate_quantile(share).as_json() for share in SHARES
+            },
             "attack": {"letter": attack.letter, "spoofer": attack.spoofer, "spec": attack.spec},
             "setting": attack.setting,
             "value": attack.value,
@@ -102,7 +114,7 @@ class DetectorScore:
 
         def badness(family: FamilyScore) -> tuple[float, float]:
             p = family.p_hmi.value
-            return (-1.0 if math.isnan(p) else p, family.exceeded(SHARES[0]).value)
+            return (-1.0 if math.isnan(p) else p, family.estimate_quantile(SHARES[0]).value)
 
         return max(self.families, key=badness)
 
@@ -110,9 +122,9 @@ class DetectorScore:
     def p_hmi(self) -> Estimate:
         return self.worst.p_hmi
 
-    def exceeded(self, share: float) -> Estimate:
+    def estimate_quantile(self, share: float) -> Estimate:
         """Largest over the families of what is exceeded in a share of the runs [m]."""
-        found = [each.exceeded(share) for each in self.families]
+        found = [each.estimate_quantile(share) for each in self.families]
         return max(found, key=lambda each: -math.inf if math.isnan(each.value) else each.value)
 
     def family(self, key: str) -> FamilyScore:
@@ -149,7 +161,7 @@ class DetectorScore:
         """P(HMI | attack), and (S,) the same in bootstrap samples, each with its worst family."""
         chosen = self.families if family is None else (self.family(family),)
         value = float(np.max([each.p_hmi.value for each in chosen]))  # NaN where nothing counts
-        return value, np.max([each.resampled() for each in chosen], axis=0)
+        return value, np.max([each.resample_hmi() for each in chosen], axis=0)
 
     def _check_paired(self, other: DetectorScore) -> None:
         names = ("task", "runs", "entropy")
@@ -174,7 +186,9 @@ class DetectorScore:
             **{name: getattr(self, name) for name in plain},
             "p_hmi": self.p_hmi.as_json(),
             "worst_family": self.worst.family,
-            "exceeded_m": {f"{share:g}": self.exceeded(share).as_json() for share in SHARES},
+            "exceeded_m": {
+                f"{share:g}": self.estimate_quantile(share).as_json() for share in SHARES
+            },
             "families": [each.as_dict() for each in self.families],
             "false_alarms": {
                 name: self.false_alarm_rate(name).as_json() for name in self.false_alarms

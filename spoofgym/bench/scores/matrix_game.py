@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.declared import record, setting
+from ...core.declared import setting, settings_record
 from ..runs.players import Mixture, PlayerSpec, Strategy, mixture
-from .scores import clusters_of
-from .statistics import Estimate, FloatArray, percentiles, resamples_of
+from .scores import select_clusters
+from .statistics import Estimate, FloatArray, draw_resamples, percentiles
 
 GAP = 1e-7  # largest part of the range of the payoffs by which both sides' guarantees may differ
 
@@ -115,7 +115,7 @@ class Spread(NamedTuple):
         return {"value": self.value.as_json(), **mixes, "pure": self.pure, "samples": self.samples}
 
 
-def spread(payoff: ArrayLike, resampled: ArrayLike) -> Spread:
+def bootstrap_equilibrium(payoff: ArrayLike, resampled: ArrayLike) -> Spread:
     """Solve a game again in every bootstrap sample. `payoff`: (m, n) of all runs; `resampled`: (S,
     m, n) of the samples; those with an entry that is no number are left out; returns percentile
     intervals, 95 %."""
@@ -181,7 +181,7 @@ class Played(NamedTuple):
     counts: NDArray[np.bool_]
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class RunPayoff:
     """What a run is worth to the spoofer, in [0, 1]."""
 
@@ -231,9 +231,9 @@ class PayoffMatrix:
     @property
     def values(self) -> FloatArray:
         """(m, n) mean payoffs over the runs that count; NaN where none does."""
-        return np.asarray(self.resampled(np.ones((1, len(self.sky))))[0])
+        return np.asarray(self.resample_payoffs(np.ones((1, len(self.sky))))[0])
 
-    def resampled(self, samples: FloatArray) -> FloatArray:
+    def resample_payoffs(self, samples: FloatArray) -> FloatArray:
         """(S, m, n) payoffs of bootstrap samples (S, R), as of `statistics.resamples`."""
         worth = self.payoff.worth(self.displacement, self.alarmed) * self.counts
         runs = (samples @ self.counts.T.astype(np.float64))[:, None, :]
@@ -244,7 +244,7 @@ class PayoffMatrix:
         return np.asarray(np.where(unknown > 0.0, np.nan, mixed))
 
     def samples(self, count: int = RESAMPLES) -> FloatArray:
-        return resamples_of(clusters_of(self.sky), count)
+        return draw_resamples(select_clusters(self.sky), count)
 
     def solve(self) -> Equilibrium:
         return solve(self._finite())
@@ -252,7 +252,7 @@ class PayoffMatrix:
     def spread(self, count: int = RESAMPLES) -> Spread:
         """Equilibrium with intervals: the runs are drawn again, the game is solved again. Returns
         percentile intervals, 95 %."""
-        return spread(self._finite(), self.resampled(self.samples(count)))
+        return bootstrap_equilibrium(self._finite(), self.resample_payoffs(self.samples(count)))
 
     def mixes(self, found: Equilibrium) -> tuple[Mixture, Mixture]:
         seeds = frozenset({self.seeds})
@@ -265,7 +265,7 @@ class PayoffMatrix:
         """Sum of all entries with weights (m, n), such as a difference of two, with its interval.
         It is paired, since all entries have the same runs."""
         w = np.asarray(weights, dtype=np.float64)
-        drawn = np.tensordot(self.resampled(self.samples()), w, axes=2)
+        drawn = np.tensordot(self.resample_payoffs(self.samples()), w, axes=2)
         return percentiles(float((self.values * w).sum()), drawn)
 
     def _finite(self) -> FloatArray:

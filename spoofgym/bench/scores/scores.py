@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from ..runs.record import Mask, exceeded
+from ..runs.record import Mask, compute_upper_quantile
 from .statistics import (
     CONFIDENCE,
     NOTHING,
@@ -73,7 +73,7 @@ class Stealth(NamedTuple):
         return self.runs > 0 and self.alarm_rate <= budget + 1e-9
 
 
-def stealth_of(displacement: ArrayLike, alarm: ArrayLike, counts: ArrayLike) -> Stealth:
+def score_stealth(displacement: ArrayLike, alarm: ArrayLike, counts: ArrayLike) -> Stealth:
     """Score of a spoofer by its runs. `displacement` (R,) undetected [m]; `alarm` (R,) bool,
     whether each run alarmed; `counts` (R,) of `counted`."""
     kept = np.asarray(counts, dtype=np.bool_)
@@ -94,7 +94,7 @@ def worst_skies(displacement: ArrayLike, sky: ArrayLike) -> NDArray[np.int64] | 
     return np.sort(skies[order[: math.ceil(WORST_SKIES * len(skies))]])
 
 
-def clusters_of(sky: ArrayLike) -> NDArray[np.int64]:
+def select_clusters(sky: ArrayLike) -> NDArray[np.int64]:
     """Which runs a bootstrap draws together: those under one sky, where there are ten or more. With
     fewer skies it draws single runs, and its intervals are for these skies alone. `sky` (R,) of
     each run of a campaign, whether it counts or not."""
@@ -102,12 +102,12 @@ def clusters_of(sky: ArrayLike) -> NDArray[np.int64]:
     return under if len(np.unique(under)) >= FEWEST_SKIES else np.arange(len(under))
 
 
-def bootstrap_exceeded(displacement: ArrayLike, share: float, samples: FloatArray) -> Estimate:
+def bootstrap_quantile(displacement: ArrayLike, share: float, samples: FloatArray) -> Estimate:
     """`exceeded` with its percentile interval; `samples` (S, R) bootstrap samples of the runs."""
     x = np.asarray(displacement, dtype=np.float64)
     if not len(x):
         return NOTHING
-    return percentiles(exceeded(x, share), largest_of_share(x, share, samples))
+    return percentiles(compute_upper_quantile(x, share), largest_of_share(x, share, samples))
 
 
 def by_chance(first_alarm: ArrayLike, twin_alarm: ArrayLike) -> Mask:

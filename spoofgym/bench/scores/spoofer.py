@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...spoofers.base import sees_statistics
-from .scores import clusters_of
-from .statistics import Estimate, FloatArray, interval, percentiles, resamples_of
+from .scores import select_clusters
+from .statistics import Estimate, FloatArray, draw_resamples, interval, percentiles
 
 
 @dataclass(frozen=True)
-class Score:
+class SpooferScore:
     """What a spoofer is worth against one detector; paired with every other one of the same runs.
 
     - `task`, `detector`, `spoofer`: what it met, and its name;
@@ -64,7 +64,7 @@ class Score:
         """Whether it sees the detector's statistics while it attacks, impossible in practice."""
         return sees_statistics(self.knowledge)
 
-    def ratio_to(self, other: Score, *, oracles: bool = False) -> Estimate:
+    def ratio_to(self, other: SpooferScore, *, oracles: bool = False) -> Estimate:
         """How many times as far as another spoofer on the same runs, with a paired 95 % interval.
         Raises a ValueError where the runs are not the same ones, or, without `oracles`, where just
         one of the two is an oracle."""
@@ -81,7 +81,7 @@ class Score:
                 "world, their number and `entropy` must be the same"
             )
         mine, theirs = self.displacement_m[self.counts], other.displacement_m[self.counts]
-        samples = resamples_of(clusters_of(self.sky)[self.counts])
+        samples = draw_resamples(select_clusters(self.sky)[self.counts])
         base = float(theirs.sum())
         with np.errstate(divide="ignore", invalid="ignore"):
             drawn = (samples @ mine) / (samples @ theirs)

@@ -5,8 +5,8 @@ references.bib: `wilson1927` (proportions), `clopper1934` (exact, for rare alarm
 (epochs that come in runs), `efron1979` (bootstrap).
 
 The alarm budget says how often a spoofer may be noticed where chance alone would be silent.  With k
-alarms in n runs that count (`scores.counted`), the largest probability of an alarm that is not
-refuted at the level :math:`\alpha` is (one-sided, `clopper1934`)
+alarms in n runs that count (`record.mask_valid_runs`), the largest probability of an alarm that is
+not refuted at the level :math:`\alpha` is (one-sided, `clopper1934`)
 
 .. math:: \bar p = B_{1 - \alpha}(k + 1, n - k)
 
@@ -48,7 +48,7 @@ class Estimate(NamedTuple):
 NOTHING = Estimate(math.nan, math.nan, math.nan)
 
 
-def number(value: float) -> str:
+def format_number(value: float) -> str:
     """Number as text, with as many digits as suit its size."""
     return f"{value:.{_digits(abs(value))}f}"
 
@@ -138,14 +138,14 @@ def resamples(clusters: ArrayLike, rng: np.random.Generator, count: int = RESAMP
     return drawn[:, where].astype(np.float64)
 
 
-def resamples_of(clusters: ArrayLike, count: int = RESAMPLES) -> FloatArray:
+def draw_resamples(clusters: ArrayLike, count: int = RESAMPLES) -> FloatArray:
     """Bootstrap samples that depend on the clusters alone, so that what has the same stays paired.
     `clusters` (R,) as in `resamples`."""
-    return _kept_resamples(np.asarray(clusters, dtype=np.int64).tobytes(), count)
+    return _draw_cached(np.asarray(clusters, dtype=np.int64).tobytes(), count)
 
 
 @lru_cache(maxsize=4)
-def _kept_resamples(clusters: bytes, count: int) -> FloatArray:
+def _draw_cached(clusters: bytes, count: int) -> FloatArray:
     of = np.frombuffer(clusters, dtype=np.int64)
     return resamples(of, np.random.default_rng(len(of)), count)
 
@@ -227,7 +227,7 @@ def aim(runs: int, budget: float) -> float:
     return max(most_alarms(runs, budget) / max(runs, 1), 0.2 * budget)
 
 
-def log_spaced(low: float, high: float, count: int) -> list[float]:
+def build_log_grid(low: float, high: float, count: int) -> list[float]:
     return [rounded_down(value) for value in np.geomspace(low, high, count)]
 
 

@@ -21,20 +21,20 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from ...core.declared import record, setting
-from ...envs.spoofer_binding import tuning_range_of
+from ...core.declared import setting, settings_record
+from ...envs.spoofer_binding import get_tuning_range
 from ...spoofers import make_spoofer
-from ..runs.panel import Attack, Panel, Search
+from ..runs.panel import Panel, PanelAttack, Search
 from ..runs.players import PlayerSpec
-from ..runs.record import displacement_of
-from ..scores.scores import Stealth, stealth_of
-from ..scores.statistics import BUDGET, fewest_runs, log_spaced, rounded_down
+from ..runs.record import compute_displacement
+from ..scores.scores import Stealth, score_stealth
+from ..scores.statistics import BUDGET, build_log_grid, fewest_runs, rounded_down
 
 RESOLUTION = 1.02
 """Ratio of the smallest value known to be over the budget to the largest one known to keep it."""
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class Tuning:
     """How a spoofer's setting is searched for."""
 
@@ -144,17 +144,17 @@ class _Search:
     """Trials of one spoofer against one of a panel's detectors."""
 
     def __init__(self, panel: Panel, number: int, entry: PlayerSpec, settings: Tuning) -> None:
-        self.panel, self.number, self.entry, self.settings = panel, number, entry, settings
+        self.panel, self.number, self.player, self.settings = panel, number, entry, settings
         self.counts = panel.counts[:, number]
         self.trials: list[Trial] = []
 
     def try_values(self, values: Sequence[float], runs: int) -> Search[list[Trial]]:
         count = min(runs, self.panel.runs)
-        played = yield [Attack(self.entry.with_value(value), count) for value in values]
+        played = yield [PanelAttack(self.player.with_value(value), count) for value in values]
         twin, budget = self.panel.clean[self.number].first(count), self.settings.budget
         for value, attacked in zip(values, played, strict=True):
-            moved = displacement_of(self.panel.setup, attacked, twin)
-            found = stealth_of(moved, attacked.first_alarm > 0, self.counts[:count])
+            moved = compute_displacement(self.panel.setup, attacked, twin)
+            found = score_stealth(moved, attacked.first_alarm > 0, self.counts[:count])
             everyone = count == self.panel.runs
             within = found.keeps(budget) if everyone else found.seems_to_keep(budget)
             self.trials.append(Trial.of(value, count, found, within))
@@ -169,7 +169,7 @@ class _Search:
         known = len(self.trials)
         if peak:
             ends = grid[max(at - 1, 0)], grid[at + 1]
-            between = log_spaced(*ends, self.settings.refined + 2)[1:-1]
+            between = build_log_grid(*ends, self.settings.refined + 2)[1:-1]
             yield from self.try_values(between, self.panel.runs)
         elif at + 1 < len(grid):
             low, high = grid[at], grid[at + 1]
@@ -188,7 +188,7 @@ def _best(trials: list[Trial]) -> Trial | None:
     return fitting[0] if fitting else None
 
 
-def tune(
+def tune_amplitude(
     panel: Panel, number: int, entry: PlayerSpec, detector: str, settings: Tuning
 ) -> Search[TuningResult]:
     """Search for the value of a spoofer's tunable setting against one of a panel's detectors."""
@@ -196,9 +196,9 @@ def tune(
     if setting is None:
         raise ValueError(f"{entry.label!r} has no setting that is to be tuned")
     any_value = make_spoofer(entry.with_value(1.0))
-    low, high = tuning_range_of(any_value, panel.setup)
+    low, high = get_tuning_range(any_value, panel.setup)
     high = high if entry.largest is None else entry.largest
-    grid = log_spaced(low, high, settings.values)
+    grid = build_log_grid(low, high, settings.values)
     search = _Search(panel, number, entry, settings)
     best = _best((yield from search.try_values(grid, settings.sift_runs)))
     at = grid.index(best.value) if best else 0

@@ -31,19 +31,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...attacks import make_attack
-from ...core.declared import record, setting
+from ...core.declared import setting, settings_record
 from ...core.registry import Spec
-from ...core.settings import digest_of
+from ...core.settings import compute_digest
 from ...envs.spoofer_binding import spoofer_context
 from ...simulation.setup import Setup
 from ...spoofers import SPOOFERS, SpooferContext, make_spoofer
 from ...spoofers.scaled import AMPLITUDE, LARGEST, SMALLEST
-from ..runs.panel import Attack, Panel, Search
+from ..runs.panel import Panel, PanelAttack, Search
 from ..runs.play import Runs, make_bound_spoofer
 from ..runs.players import ATTACK, TUNED, PlayerSpec, specify_spoofer
-from ..runs.record import MEASURES, Aim, Winner, measured
+from ..runs.record import MEASURES, Aim, Winner, measure_displacement
 from ..scores.scores import SHARES, worst_skies
-from ..scores.statistics import log_spaced, rounded_down
+from ..scores.statistics import build_log_grid, rounded_down
 
 FloatArray = NDArray[np.float64]
 NAME, VERSION = "spoofgym-scripted", 2
@@ -67,13 +67,13 @@ SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
 """Rates of the profiles over the attack window, both in parts of the largest."""
 STEEPEST = 0.25
 """Largest rate of a profile with amplitude 1, of what the acceleration allows in a whole window."""
-AROUND_FOUND = (0.5, 2.0)
+AMPLITUDE_RANGE = (0.5, 2.0)
 """Amplitudes of a blind optimum that are tried first, in parts of that at which it was found."""
 LAST_PARTS = (0.15, 0.4)
 """Parts of the attack window in which a dash takes place."""
 
 
-@record(frozen=True, kw_only=True)
+@settings_record(frozen=True, kw_only=True)
 class Selection:
     """How the worst attack of the suite is looked for."""
 
@@ -91,7 +91,7 @@ class SuiteAttack:
     budgeted: bool
 
 
-def members_of(context: SpooferContext) -> tuple[SuiteAttack, ...]:
+def list_suite_attacks(context: SpooferContext) -> tuple[SuiteAttack, ...]:
     """All attacks, by an attack's limits and the length of its window."""
     found = [
         ("a", {"name": "ramp", "rate_mps": TUNED}),
@@ -107,10 +107,10 @@ def members_of(context: SpooferContext) -> tuple[SuiteAttack, ...]:
     )
 
 
-def fitting_members(setup: Setup, context: SpooferContext) -> tuple[SuiteAttack, ...]:
+def list_fitting_attacks(setup: Setup, context: SpooferContext) -> tuple[SuiteAttack, ...]:
     """Those that this attack can be commanded by: feedback needs its victim's statistics."""
     found = []
-    for member in members_of(context):
+    for member in list_suite_attacks(context):
         try:
             make_bound_spoofer(member.player.with_value(1e-3), setup, 1)
         except ValueError:
@@ -123,16 +123,16 @@ def fitting_members(setup: Setup, context: SpooferContext) -> tuple[SuiteAttack,
 
 def suite_digest(members: Sequence[SuiteAttack]) -> str:
     specs = [[member.letter, member.player.spec] for member in members]
-    return digest_of({"name": NAME, "version": VERSION, "members": specs})
+    return compute_digest({"name": NAME, "version": VERSION, "members": specs})
 
 
-def grid_of(member: SuiteAttack, context: SpooferContext, values: int) -> list[float]:
+def build_grid(member: SuiteAttack, context: SpooferContext, values: int) -> list[float]:
     """Log-spaced values of a member's setting over its whole range. Of a blind optimum around the
     amplitude that it was found at."""
     if member.letter == "c":
-        return log_spaced(*AROUND_FOUND, values)
+        return build_log_grid(*AMPLITUDE_RANGE, values)
     kind = type(make_spoofer(member.player.with_value(1.0)))
-    return log_spaced(*kind.tuning_range(context), values)
+    return build_log_grid(*kind.tuning_range(context), values)
 
 
 def _profile(name: str, context: SpooferContext) -> Spec:
@@ -171,7 +171,7 @@ IDLE: Spec = {"name": "profile", "rates_mps": [0.0, 0.0]}
 """A spoofer that commands nothing, and transmits."""
 
 
-def aims_of(measures: Sequence[str], limits: Sequence[float], skies: bool) -> tuple[Aim, ...]:
+def list_aims(measures: Sequence[str], limits: Sequence[float], skies: bool) -> tuple[Aim, ...]:
     """What is looked for: shares by every measure, and limits and worst skies by the first."""
     first = MEASURES[0]
     found = [Aim(measure, share) for measure in measures for share in SHARES]
@@ -181,7 +181,7 @@ def aims_of(measures: Sequence[str], limits: Sequence[float], skies: bool) -> tu
 
 Played = dict[tuple[int, float], dict[str, FloatArray]]
 """Displacements by member and value."""
-Found = dict[tuple[int, float], list[Aim]]
+AttackAims = dict[tuple[int, float], list[Aim]]
 """Aims by member and value of the attack that is the worst one for them."""
 
 
@@ -200,18 +200,18 @@ class WorstAttacks:
         self, panel: Panel, number: int, members: Sequence[SuiteAttack], settings: Selection
     ) -> None:
         self.panel, self.number = panel, number
-        self.members, self.settings = members, settings
+        self.attacks, self.settings = members, settings
         self.context = spoofer_context(panel.setup)
         self.counts, self.sky = panel.counts[:, number], panel.sky
         self.skies: NDArray[np.int64] | None = None
 
-    def winners(self, limits: Sequence[float]) -> Search[Found]:
+    def winners(self, limits: Sequence[float]) -> Search[AttackAims]:
         """Member and value of the worst attacks, each with its aims."""
         few, all_runs = min(self.settings.sift_runs, self.panel.runs), self.panel.runs
-        grids = [self._grid(each) for each in self.members]
+        grids = [self._grid(each) for each in self.attacks]
         sifted = yield from self._play(((m, v) for m, grid in enumerate(grids) for v in grid), few)
         measures = list(next(iter(sifted.values())))
-        aims = aims_of(measures, limits, skies=False)
+        aims = list_aims(measures, limits, skies=False)
         yield from self._beyond_ends(sifted, grids, aims, few)
         for _ in range(self.rounds):
             yield from self._halve_gaps(sifted, aims, few)
@@ -225,8 +225,8 @@ class WorstAttacks:
             worst = self._best(played, aims[0], all_runs)
             moved = played[worst][MEASURES[0]]
             self.skies = worst_skies(moved[self.counts], self.sky[self.counts])
-        aims = aims_of(measures, limits, skies=self.skies is not None)
-        found: Found = {}
+        aims = list_aims(measures, limits, skies=self.skies is not None)
+        found: AttackAims = {}
         for aim in aims:
             found.setdefault(self._best(played, aim, all_runs), []).append(aim)
         return found
@@ -235,26 +235,26 @@ class WorstAttacks:
         """Displacements of the first runs, by member and value."""
         keys = list(keys)
         played = yield [self.attack(*key, runs) for key in keys]
-        return {key: self.measured(self.panel, x) for key, x in zip(keys, played, strict=True)}
+        return {key: self.measure(self.panel, x) for key, x in zip(keys, played, strict=True)}
 
-    def attack(self, member: int, value: float, runs: int) -> Attack:
+    def attack(self, member: int, value: float, runs: int) -> PanelAttack:
         """A member with a value of its setting."""
-        entry = self.members[member].player
+        entry = self.attacks[member].player
         spec = entry.with_value(value)
         if entry.side == ATTACK:
-            return Attack(IDLE, runs, make_attack(spec))
-        return Attack(spec, runs)
+            return PanelAttack(IDLE, runs, make_attack(spec))
+        return PanelAttack(spec, runs)
 
-    def measured(self, panel: Panel, attacked: Runs) -> dict[str, FloatArray]:
+    def measure(self, panel: Panel, attacked: Runs) -> dict[str, FloatArray]:
         """Undetected displacement of the first runs of a panel by the measures: (R',) each."""
         twin = panel.clean[self.number].first(len(attacked.peak))
-        return measured(panel.setup, attacked, twin, self.measures)
+        return measure_displacement(panel.setup, attacked, twin, self.measures)
 
     def winner(
         self, key: tuple[int, float], aims: Sequence[Aim], displacement: dict[str, FloatArray]
     ) -> Winner:
         """A member at a value as the worst attack, with what it has done in the evaluation runs."""
-        member, value = self.members[key[0]], key[1]
+        member, value = self.attacks[key[0]], key[1]
         return Winner(
             letter=member.letter,
             spoofer=member.player.label,
@@ -266,7 +266,7 @@ class WorstAttacks:
         )
 
     def _grid(self, member: SuiteAttack) -> list[float]:
-        return grid_of(member, self.context, self.settings.values)
+        return build_grid(member, self.context, self.settings.values)
 
     def _beyond_ends(
         self, sifted: Played, grids: list[list[float]], aims: Sequence[Aim], runs: int
@@ -274,7 +274,7 @@ class WorstAttacks:
         """Let found curves go on beyond their range, for as long as its ends are the best of it."""
         while True:
             best = {self._best(sifted, aim, runs) for aim in aims}
-            found = {(m, self._next(grids[m], at)) for m, at in best if self._is_found(m)}
+            found = {(m, self._next(grids[m], at)) for m, at in best if self._is_optimum(m)}
             new = sorted((m, value) for m, value in found if value is not None)
             if not new:
                 return
@@ -302,14 +302,14 @@ class WorstAttacks:
             best = self._best(played, aim, runs)
             if aim.limit_m is None:
                 found.append((best, aim))
-            elif aim.reached(played[best][aim.measure][rows]) < 1.0:
+            elif aim.score_displacement(played[best][aim.measure][rows]) < 1.0:
                 for member in sorted({m for m, _ in played}):
                     own = {key: moved for key, moved in played.items() if key[0] == member}
                     found.append((self._best(own, aim, runs), aim))
         return found
 
-    def _is_found(self, member: int) -> bool:
-        return self.members[member].letter == "c"
+    def _is_optimum(self, member: int) -> bool:
+        return self.attacks[member].letter == "c"
 
     @staticmethod
     def _next(grid: list[float], at: float) -> float | None:
@@ -371,12 +371,12 @@ class FamilyAttacks(WorstAttacks):
 
     def _grid(self, member: SuiteAttack) -> list[float]:
         if member.player.side == ATTACK:
-            return log_spaced(*self._antenna_m, self.settings.values)
+            return build_log_grid(*self._antenna_m, self.settings.values)
         return super()._grid(member)
 
 
 def play_winners(
-    panel: Panel, found: Sequence[tuple[WorstAttacks, Found]], tick: Callable[[float], None]
+    panel: Panel, found: Sequence[tuple[WorstAttacks, AttackAims]], tick: Callable[[float], None]
 ) -> list[tuple[Winner, ...]]:
     """Let the worst attacks on detectors play all runs of a panel."""
     attacks = [
@@ -388,7 +388,7 @@ def play_winners(
         some = attacks[first : first + AT_ONCE]
         played = panel.play([(attack, search.number) for attack, search, _ in some], tick=tick)
         for (_, search, key), runs in zip(some, played, strict=True):
-            moved[search.number, key] = search.measured(panel, runs)
+            moved[search.number, key] = search.measure(panel, runs)
     return [
         tuple(search.winner(key, sought, moved[search.number, key]) for key, sought in aims.items())
         for search, aims in found

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 
 from ...limits.response import Replay
 from ...simulation.setup import Setup
-from ...spoofers.base import axes_of, direction, has_heading
+from ...spoofers.base import direction, has_heading, list_axes
 from ..runs.play import Runs, WarmStart, induced_error
-from ..runs.record import counted
+from ..runs.record import mask_valid_runs
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]
 EAST_DEG = 90.0  # heading of scripted spoofers by default
 
 
-def limits_of(setup: Setup) -> tuple[float, float]:
+def get_rate_limits(setup: Setup) -> tuple[float, float]:
     """Largest rate, and its largest change between two decisions [m/s]."""
     attack = setup.attack
     largest = float(np.min(attack.rate_limit_mps))
@@ -34,14 +34,14 @@ def limits_of(setup: Setup) -> tuple[float, float]:
     return largest, attack.acceleration_limit_mps2 * setup.interval_s * setup.repeat
 
 
-def pushed(setup: Setup, heading_deg: float | str, target: FloatArray) -> FloatArray:
+def compute_unit_commands(setup: Setup, heading_deg: float | str, target: FloatArray) -> FloatArray:
     """(R, a) or (1, a) unit commands of spoofers with a heading, as `ScriptedSpoofer` has it.
     `target` (R,) target directions of the runs [rad]."""
     names = setup.action_names
     if not (isinstance(heading_deg, str) and has_heading(names)):
         return direction(names, 0.0 if isinstance(heading_deg, str) else heading_deg)[None]
     parts = {"north": np.cos(target), "east": np.sin(target)}
-    return np.stack([parts.get(axis, np.zeros(len(target))) for axis in axes_of(names)], axis=1)
+    return np.stack([parts.get(axis, np.zeros(len(target))) for axis in list_axes(names)], axis=1)
 
 
 class ReplayBackend:
@@ -53,9 +53,9 @@ class ReplayBackend:
             self.replay = replay = copy.copy(replay)
             replay.heading = np.full(replay.runs, math.radians(heading_deg))
         self.steps = replay.setup.steps // replay.setup.repeat
-        self.limits = limits_of(replay.setup)
+        self.limits = get_rate_limits(replay.setup)
         clean = replay.play(number, np.zeros((1, self.steps)))
-        counts = counted(replay.warmup_alarm[number], clean.first_alarm[0])
+        counts = mask_valid_runs(replay.warmup_alarm[number], clean.first_alarm[0])
         self._rows = np.flatnonzero(counts)
         self.runs = len(self._rows)
 
@@ -89,16 +89,16 @@ class EngineBackend:
 
     def __init__(self, start: WarmStart, clean: Runs, heading_deg: float | str = EAST_DEG) -> None:
         self.heading_deg = heading_deg
-        rows = np.flatnonzero(counted(start.warmup_alarm, clean.first_alarm))
+        rows = np.flatnonzero(mask_valid_runs(start.warmup_alarm, clean.first_alarm))
         self.start, self.clean = start.take(rows), clean.take(rows)
         setup, self.runs = start.setup, len(rows)
-        self.steps, self.limits = setup.steps // setup.repeat, limits_of(setup)
+        self.steps, self.limits = setup.steps // setup.repeat, get_rate_limits(setup)
 
     def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
         setup, runs = self.start.setup, len(rows)
         everyone = np.tile(rows, len(curves))
         engine, (limit, most) = self.start.take(everyone).engine(), self.limits
-        aim = pushed(setup, self.heading_deg, engine.simulator.heading)
+        aim = compute_unit_commands(setup, self.heading_deg, engine.simulator.heading)
         change = np.diff(curves, axis=1, prepend=0.0) / most
         actions = curves / limit if math.isinf(most) else change
         peak = np.zeros(len(everyone))

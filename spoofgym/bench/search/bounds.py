@@ -14,8 +14,8 @@ from typing import Any
 
 from ...detectors.calibrated import STANDARD_RATE
 from ...detectors.calibration_file import run_probability
-from ...limits import Frontier, deflection_for, frontier_of
-from ...limits.bounds import Case, Tick, ZeroAlarm, cases_of, zero_alarm_bounds
+from ...limits import Frontier, compute_frontier, deflection_for
+from ...limits.bounds import WorkCallback, WorldSample, ZeroAlarm, draw_worlds, zero_alarm_bounds
 from ...limits.floor import QUANTILES, check_linear_victim
 from ...simulation.tight import TightlyCoupledSetup
 from ..runs.players import PlayerSpec
@@ -35,18 +35,18 @@ def purposes(p_fa: float, budget: float) -> dict[str, float]:
     }
 
 
-def floor_of(frontier: Frontier, p_fa: float, budget: float) -> dict[str, Any]:
+def summarize_lower_limit(frontier: Frontier, p_fa: float, budget: float) -> dict[str, Any]:
     return {
         "p_fa": p_fa,
         "heading": HEADING,
         "worlds": len(frontier.per_deflection),
         "sensors_known": frontier.sensors_known,
         "assumptions": list(frontier.assumptions),
-        "floor_m": floors_m(frontier, p_fa, budget),
+        "floor_m": compute_lower_limits(frontier, p_fa, budget),
     }
 
 
-def floors_m(
+def compute_lower_limits(
     frontier: Frontier, p_fa: float, budget: float, heading: str = HEADING
 ) -> dict[str, dict[str, float | None]]:
     """Floors by purpose: the median over worlds, and the 10th and 90th percentile [m]. None where
@@ -54,15 +54,18 @@ def floors_m(
     found = {}
     for name, p_d in purposes(p_fa, budget).items():
         low, middle, high = (
-            _finite(frontier.floor_m(p_fa, p_d, heading=heading, quantile=q)) for q in QUANTILES
+            _finite(frontier.lower_limit_m(p_fa, p_d, heading=heading, quantile=q))
+            for q in QUANTILES
         )
         d = deflection_for(p_fa, p_d, heading=heading)
         found[name] = {"p_d": p_d, "deflection": d, "value": middle, "low": low, "high": high}
     return found
 
 
-def floors_at(frontier: Frontier, rates: Sequence[float], budget: float) -> dict[str, Any]:
-    each = [floor_of(frontier, p_fa, budget) for p_fa in rates]
+def tabulate_lower_limits(
+    frontier: Frontier, rates: Sequence[float], budget: float
+) -> dict[str, Any]:
+    each = [summarize_lower_limit(frontier, p_fa, budget) for p_fa in rates]
     return {**each[0], "rates": [{key: x[key] for key in ("p_fa", "floor_m")} for x in each]}
 
 
@@ -70,7 +73,7 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-class Brackets:
+class DisplacementBounds:
     """Floor of a world and zero-alarm bounds of detectors in it, over so many that are drawn.
     `budget`: of alarms, which the floor keeps."""
 
@@ -84,7 +87,7 @@ class Brackets:
     ) -> None:
         self.world, self.detectors, self.entropy = world, detectors, entropy
         self.budget, self.worlds = budget, worlds
-        self._cases: list[Case] | None = None
+        self._cases: list[WorldSample] | None = None
         self._bounds: dict[str, ZeroAlarm] = {}
 
     @property
@@ -92,14 +95,14 @@ class Brackets:
         setup = self.world.setup
         return setup if isinstance(setup, TightlyCoupledSetup) else None
 
-    def floor(self) -> dict[str, Any]:
+    def compute_lower_limit(self) -> dict[str, Any]:
         if self.setup is None:
             return {"why": f"no limit is known for {self.world.setup.whose}"}
         try:
-            frontier = frontier_of(self.setup, worlds=self.worlds, entropy=self.entropy)
+            frontier = compute_frontier(self.setup, worlds=self.worlds, entropy=self.entropy)
         except ValueError as error:
             return {"why": str(error)}
-        return floors_at(frontier, self.rates, self.budget)
+        return tabulate_lower_limits(frontier, self.rates, self.budget)
 
     @property
     def rates(self) -> list[float]:
@@ -108,7 +111,7 @@ class Brackets:
         found = dict.fromkeys(float(point.per_run) for each in points for point in each)
         return list(found) or [run_probability(STANDARD_RATE, self.world.setup.window_s)]
 
-    def zero_alarm(self, detector: PlayerSpec, tick: Tick | None = None) -> ZeroAlarm:
+    def zero_alarm(self, detector: PlayerSpec, tick: WorkCallback | None = None) -> ZeroAlarm:
         if self.setup is None:
             why = f"no limit is known for {self.world.setup.whose}"
             return ZeroAlarm(None, None, "", why, [])
@@ -118,8 +121,8 @@ class Brackets:
             self._bounds[detector.label] = found
         return self._bounds[detector.label]
 
-    def cases(self, tick: Tick | None = None) -> list[Case]:
+    def cases(self, tick: WorkCallback | None = None) -> list[WorldSample]:
         if self._cases is None:
             setup = check_linear_victim(self.world.setup)
-            self._cases = cases_of(setup, self.worlds, self.entropy, tick)
+            self._cases = draw_worlds(setup, self.worlds, self.entropy, tick)
         return self._cases

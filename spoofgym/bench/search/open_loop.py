@@ -26,20 +26,20 @@ import numpy as np
 from scipy import special
 
 from ...calibration.clean_runs import weighs
-from ...core.declared import record, setting
+from ...core.declared import setting, settings_record
 from ...limits.response import NotReplayable, Replay, check_replayable
 from ...simulation.setup import Setup, seed_sequences
 from ...simulation.tight import TightlyCoupledSetup
-from ...spoofers.profile import MOST_KNOTS, sampled
+from ...spoofers.profile import MOST_KNOTS, sample_curve
 from ..runs.panel import Panel, play_searches
 from ..runs.play import Runs, WarmStart, induced_error, play
 from ..runs.players import PlayerSpec
 from ..scores.statistics import aim
-from .amplitude import Tuning, TuningResult, search_work, tune, with_rates
-from .backends import Backend, EngineBackend, FloatArray, ReplayBackend, Rows, limits_of
-from .bounds import Brackets
+from .amplitude import Tuning, TuningResult, search_work, tune_amplitude, with_rates
+from .backends import Backend, EngineBackend, FloatArray, ReplayBackend, Rows, get_rate_limits
+from .bounds import DisplacementBounds
 
-Tick = Callable[[float], None]
+WorkCallback = Callable[[float], None]
 LADDER = np.geomspace(1e-3, 1.0, 13)
 """Parts of the largest rate at which the first curves are tried."""
 PAIR = (0.93, 1.075)  # amplitudes at which a candidate is judged, around that of the best so far
@@ -51,7 +51,7 @@ SPREAD, SMOOTH_LENGTH, SMOOTH = 0.035, 0.2, 0.98
 """Standard deviation of the first candidates, in units of the largest rate; part of the window over
 which neighbouring knots vary together, and for how much of the variance."""
 LOWER_PART = 0.3  # part of the runs above the share; their amplitudes decide on the quantile, too
-FREE = 0.95
+SATURATION = 0.95
 """Part of the farthest reach of the attack from which on a search is over before it begins."""
 SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
     "constant": lambda t: np.ones_like(t),
@@ -65,8 +65,8 @@ SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
 """Rates over the attack window of the curves that a search starts from."""
 
 
-@record(frozen=True, kw_only=True)
-class BlindSearch:
+@settings_record(frozen=True, kw_only=True)
+class OpenLoopSearch:
     """How a blind optimum is looked for."""
 
     runs: int = setting(
@@ -81,7 +81,7 @@ class BlindSearch:
     seed: int = setting(default=0, least=0, help="Seed of the search.")
 
 
-class BlindOptimum(NamedTuple):
+class OpenLoopAttack(NamedTuple):
     """A curve that a search has found.
 
     - `rates_mps` (knots,) at the amplitude that the share of alarms allows on the runs;
@@ -94,19 +94,19 @@ class BlindOptimum(NamedTuple):
     displacement_m: float
     start: str
     start_m: float
-    free: bool = False
+    saturated: bool = False
 
 
-class BlindOptimizer:
+class OpenLoopOptimizer:
     """Search for the curve that gets farthest while some share of the runs may alarm."""
 
-    def __init__(self, backend: Backend, share: float, settings: BlindSearch) -> None:
+    def __init__(self, backend: Backend, share: float, settings: OpenLoopSearch) -> None:
         self.backend, self.share, self.settings = backend, share, settings
-        self.everyone = np.arange(backend.runs)
+        self.all_runs = np.arange(backend.runs)
 
     def search(
-        self, others: Mapping[str, FloatArray] | None = None, tick: Tick | None = None
-    ) -> BlindOptimum:
+        self, others: Mapping[str, FloatArray] | None = None, tick: WorkCallback | None = None
+    ) -> OpenLoopAttack:
         """Search, from the best of some shapes, with `others` (n,) among them, by their names. With
         fewer than two runs no share of them can be estimated: the result is the slowest of the
         first curves. The rates are within the attack's limit, as they were judged."""
@@ -114,12 +114,12 @@ class BlindOptimizer:
         found, (limit, _) = self._search(others or {}, advance), self.backend.limits
         return found._replace(rates_mps=np.clip(found.rates_mps, -limit, limit))
 
-    def _search(self, others: Mapping[str, FloatArray], advance: Tick) -> BlindOptimum:
+    def _search(self, others: Mapping[str, FloatArray], advance: WorkCallback) -> OpenLoopAttack:
         t = np.linspace(0.0, 1.0, self.settings.knots)
         if self.backend.runs < FEWEST:
             slowest = np.full(len(t), LADDER[0] * self.backend.limits[0])
-            return BlindOptimum(slowest, 0.0, "constant", 0.0)
-        if (fastest := self._unseen(len(t))) is not None:
+            return OpenLoopAttack(slowest, 0.0, "constant", 0.0)
+        if (fastest := self._try_fastest(len(t))) is not None:
             return fastest
         shapes = {name: shape(t) for name, shape in SHAPES.items()}
         for name, other in others.items():
@@ -128,39 +128,39 @@ class BlindOptimizer:
         found, free = self._ladder(shapes)
         advance(0.2)
         if free:
-            return found._replace(free=True)
+            return found._replace(saturated=True)
         means = [found.rates_mps, *self._generations(found.rates_mps, advance)]
         third = np.array(means[-max(len(means) // 3, 1) :])
         scores, rates = self._pairs(
-            np.array([means[0], *third, third.mean(axis=0)]), means[0].mean(), self.everyone
+            np.array([means[0], *third, third.mean(axis=0)]), means[0].mean(), self.all_runs
         )
         best = int(np.argmax(scores))
         return found._replace(rates_mps=rates[best], displacement_m=float(scores[best]))
 
-    def _unseen(self, knots: int) -> BlindOptimum | None:
+    def _try_fastest(self, knots: int) -> OpenLoopAttack | None:
         """The fastest curve of all, where no run alarms at it: nothing gets farther."""
         fastest = np.full(knots, self.backend.limits[0])
         peak, reach = self._judge(fastest[None], self._batch(0))
         if (peak > 1.0).any():
             return None
-        return BlindOptimum(fastest, float(reach[0]), "constant", float(reach[0]), True)
+        return OpenLoopAttack(fastest, float(reach[0]), "constant", float(reach[0]), True)
 
-    def _ladder(self, shapes: dict[str, FloatArray]) -> tuple[BlindOptimum, bool]:
+    def _ladder(self, shapes: dict[str, FloatArray]) -> tuple[OpenLoopAttack, bool]:
         limit, _ = self.backend.limits
         scales, count = LADDER * limit, len(LADDER)
         tried = [scale * shape for shape in shapes.values() for scale in scales]
         peak, reach = self._judge(np.array(tried), self._batch(0))
-        found = BlindOptimum(np.zeros(0), -1.0, "", -1.0)
+        found = OpenLoopAttack(np.zeros(0), -1.0, "", -1.0)
         for k, (name, shape) in enumerate(shapes.items()):
             own = slice(k * count, (k + 1) * count)
             edges = np.array([crossing(scales, column) for column in peak[own].T])
-            scale = self._allowed(edges)
+            scale = self._fit_amplitude(edges)
             score = float(np.interp(math.log(scale), np.log(scales), reach[own]))
             if score > found.displacement_m:
-                found = BlindOptimum(scale * shape, score, name, score)
-        return found, found.displacement_m >= FREE * float(reach.max())
+                found = OpenLoopAttack(scale * shape, score, name, score)
+        return found, found.displacement_m >= SATURATION * float(reach.max())
 
-    def _allowed(self, edges: FloatArray) -> float:
+    def _fit_amplitude(self, edges: FloatArray) -> float:
         """Amplitude that a share of alarms allows, by (N,) those at which single runs alarm."""
         count = len(edges)
         lowest = min(max(4, math.ceil((self.share + LOWER_PART) * count)), count)
@@ -170,10 +170,10 @@ class BlindOptimizer:
 
     def _batch(self, turn: int) -> Rows:
         """Runs of a turn; all have theirs before any comes again."""
-        size = min(self.settings.batch, len(self.everyone))
-        parts = max(len(self.everyone) // size, 1)
+        size = min(self.settings.batch, len(self.all_runs))
+        parts = max(len(self.all_runs) // size, 1)
         again, part = divmod(turn, parts)
-        order = np.random.default_rng([self.settings.seed, again]).permutation(self.everyone)
+        order = np.random.default_rng([self.settings.seed, again]).permutation(self.all_runs)
         return np.asarray(np.sort(order[part * size : (part + 1) * size]))
 
     def _judge(self, rates: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
@@ -187,7 +187,7 @@ class BlindOptimizer:
     def curves(self, rates: FloatArray) -> FloatArray:
         """Sampled curves (P, steps) of rates at knots (P, knots), within the attack's limits."""
         steps, (limit, most) = self.backend.steps, self.backend.limits
-        wanted = np.array([sampled(tuple(rate.tolist()), steps) for rate in rates])
+        wanted = np.array([sample_curve(tuple(rate.tolist()), steps) for rate in rates])
         wanted = np.clip(wanted, -limit, limit)
         if math.isinf(most):
             return np.asarray(wanted)
@@ -198,7 +198,7 @@ class BlindOptimizer:
             out[:, k] = now
         return out
 
-    def _generations(self, start: FloatArray, advance: Tick) -> Iterator[FloatArray]:
+    def _generations(self, start: FloatArray, advance: WorkCallback) -> Iterator[FloatArray]:
         """Means of CMA-ES, each at the amplitude of its score."""
         try:
             from cmaes import CMA
@@ -234,7 +234,7 @@ class BlindOptimizer:
         width, middle = math.log(PAIR[1] / PAIR[0]), math.sqrt(PAIR[0] * PAIR[1])
         power = np.clip((high - low) / width, FLATTEST, STEEPEST)
         edges = middle * np.exp(np.clip(-0.5 * (low + high) / power, -1.5, 1.5))
-        scale = np.array([self._allowed(each) for each in edges])
+        scale = np.array([self._fit_amplitude(each) for each in edges])
         near, far = reach.reshape(2, -1)
         growth = np.clip(np.log(far / near) / width, 0.0, 1.5)
         score = np.sqrt(near * far) * (scale / middle) ** growth
@@ -263,7 +263,7 @@ SPLIT = "search"
 """Runs that are searched on: an amplitude that is fitted on the same ones would be too large."""
 IDLE = 1e-9  # part of its rates at which an attack is commanded nothing
 REPLAY, ENGINE = "response replay", "engine"
-FOUND, PLAIN = "found", ("constant", "linear")
+BEST_CURVE, PLAIN = "found", ("constant", "linear")
 """Curves whose amplitude is fitted: the one that was found, and shapes of the rate."""
 ZERO_ALARM, BEFORE = "zero-alarm shape", "found before"
 """A shape that is fitted, too, and one that a search starts from where another has found it."""
@@ -275,24 +275,24 @@ class Optima:
 
     def __init__(
         self,
-        brackets: Brackets,
+        brackets: DisplacementBounds,
         tuning: Tuning,
         spoofers: Sequence[PlayerSpec] = (),
         threads: int | None = None,
     ) -> None:
-        self.brackets, self.tuning, self.spoofers = brackets, tuning, spoofers
-        self.world, self.threads, self.settings = brackets.world, threads, BlindSearch()
+        self.bounds, self.tuning, self.spoofers = brackets, tuning, spoofers
+        self.world, self.threads, self.settings = brackets.world, threads, OpenLoopSearch()
         self._replay: Replay | None = None
         self._numbers: dict[str, int] | None = None
         self._unwatched: tuple[WarmStart, Runs] | None = None
 
     def _start(self, setup: Setup) -> tuple[WarmStart, Runs]:
         """Runs that are searched on, at the onset, and what they do without attack."""
-        rngs = self.world.generators(self.brackets.entropy, SPLIT, self.settings.runs)
+        rngs = self.world.generators(self.bounds.entropy, SPLIT, self.settings.runs)
         start = WarmStart(setup, rngs, threads=self.threads)
         return start, play(start, "none")
 
-    def find(self, detector: PlayerSpec, spoofer: PlayerSpec, tick: Tick) -> dict[str, Any]:
+    def find(self, detector: PlayerSpec, spoofer: PlayerSpec, tick: WorkCallback) -> dict[str, Any]:
         """Curves by `AIMS`, ``aims``, with their ``rates_mps``; ``by``, what played the candidates.
         `spoofer`: a blind optimum without rates, for its heading."""
         heading_deg = spoofer.spec["heading_deg"]
@@ -301,14 +301,14 @@ class Optima:
         error = None
         if replayed is not None:
             found = self._search(replayed, tick)
-            spec = {**spoofer.untuned, "rates_mps": found[AIMS[0]]["rates_mps"]}
+            spec = {**spoofer.fixed_spec, "rates_mps": found[AIMS[0]]["rates_mps"]}
             # a passive detector changes no displacement
             self._unwatched = self._unwatched or self._start(self.world.setup)
             error = linear_error(replayed, spec, *self._unwatched)
             if error <= LINEAR_ERROR:
                 return {"by": REPLAY, "linear_error": error, "aims": found, "shapes": shape}
             why = f"the displacement by replay is off by {100.0 * error:.1f} %"
-        start = self._start(self.world.setup_of(detector, self.spoofers))
+        start = self._start(self.world.build_setup(detector, self.spoofers))
         found = self._search(EngineBackend(*start, heading_deg), tick)
         return {
             "by": ENGINE,
@@ -318,16 +318,16 @@ class Optima:
             "shapes": shape,
         }
 
-    def _search(self, backend: Backend, tick: Tick) -> dict[str, Any]:
+    def _search(self, backend: Backend, tick: WorkCallback) -> dict[str, Any]:
         found: dict[str, Any] = {}
-        best: BlindOptimum | None = None
+        best: OpenLoopAttack | None = None
         least = 1.0
         tuning = self.tuning
         for name, share in zip(AIMS, (aim(tuning.runs, tuning.budget), 0.5), strict=True):
             # what gets as far as any attack at few alarms does so at more of them
-            if best is None or not best.free or share < least:
+            if best is None or not best.saturated or share < least:
                 others = {} if best is None else {BEFORE: best.rates_mps}
-                best = BlindOptimizer(backend, share, self.settings).search(others, tick)
+                best = OpenLoopOptimizer(backend, share, self.settings).search(others, tick)
                 least = share
             found[name] = {
                 "share": share,
@@ -342,7 +342,7 @@ class Optima:
         """Shape of the attack that gets farthest without an alarm of its own doing, if known. It is
         fitted, and no start of the search, which got less far from there in its few generations: 49
         m against `cusum` of range rates, and 54 m from plain shapes."""
-        rates = self.brackets.zero_alarm(detector).rates_mps
+        rates = self.bounds.zero_alarm(detector).rates_mps
         shape = np.mean(rates, axis=0) if rates else np.zeros(1)
         return {ZERO_ALARM: shape.tolist()} if np.any(shape > 0.0) else {}
 
@@ -358,15 +358,15 @@ class Optima:
             check_replayable(judge)
             if weighs(setup, judge):
                 return None, "the detector takes weight off measurements"
-            replay, numbers = self._recorded(setup)
+            replay, numbers = self._record_replay(setup)
         except NotReplayable as error:
             return None, str(error)
         return ReplayBackend(replay, numbers[detector.label], heading_deg), ""
 
-    def _recorded(self, setup: TightlyCoupledSetup) -> tuple[Replay, dict[str, int]]:
+    def _record_replay(self, setup: TightlyCoupledSetup) -> tuple[Replay, dict[str, int]]:
         if self._replay is None or self._numbers is None:
             judges = {}
-            for entry in self.brackets.detectors:
+            for entry in self.bounds.detectors:
                 judge = self.world.judge(entry)
                 try:
                     check_replayable(judge)
@@ -374,7 +374,7 @@ class Optima:
                     continue
                 if not weighs(setup, judge):
                     judges[entry.label] = judge
-            entropy, runs = self.brackets.entropy, self.settings.runs
+            entropy, runs = self.bounds.entropy, self.settings.runs
             seeds = seed_sequences(entropy, SPLIT, setup.name, runs)
             everyone = list(judges.values())
             self._replay = Replay(setup, everyone, seeds, threads=self.threads)
@@ -385,8 +385,8 @@ class Optima:
         """The curve for the budget, and others that get as far, by their names. Nothing gets
         farther than the largest rate: where that was found, it is the only one."""
         rates = np.array(found["aims"][AIMS[0]]["rates_mps"])
-        limit, _ = limits_of(self.world.setup)
-        curves = {FOUND: rates}
+        limit, _ = get_rate_limits(self.world.setup)
+        curves = {BEST_CURVE: rates}
         if rates.min() < limit:
             t = np.linspace(0.0, 1.0, len(rates))
             plain = {name: SHAPES[name](t) for name in PLAIN}
@@ -412,7 +412,7 @@ def linear_error(
     if not start.setup.attack.idle_is_clean:  # what is commanded displaces, not the own errors
         still = play(start, {**spec, "rates_mps": [IDLE * rate for rate in spec["rates_mps"]]})
     engine = induced_error(start.setup, attacked, still)[: start.setup.steps]
-    optimizer = BlindOptimizer(backend, 0.5, BlindSearch())
+    optimizer = OpenLoopOptimizer(backend, 0.5, OpenLoopSearch())
     everyone = np.arange(min(backend.replay.runs, engine.shape[1]))
     curves = optimizer.curves(np.array([spec["rates_mps"]]))
     linear = backend.replay.errors(curves, everyone)[: start.setup.steps, 0]
@@ -430,8 +430,10 @@ def fit(
 ) -> Iterator[TuningResult]:
     """Search for a spoofer's setting against detectors of a panel, in their order; of a blind
     optimum for its curve before that."""
-    if not entry.searched:
-        searches = [(k, tune(panel, k, entry, d.label, settings)) for k, d in detectors.items()]
+    if not entry.needs_search:
+        searches = [
+            (k, tune_amplitude(panel, k, entry, d.label, settings)) for k, d in detectors.items()
+        ]
         yield from play_searches(panel, searches, tick)
         return
     for number, detector in detectors.items():
@@ -440,7 +442,8 @@ def fit(
         curves = optima().curves_to_fit(found)
         own = {name: with_rates(entry, rates) for name, rates in curves.items()}
         searches = [
-            (number, tune(panel, number, x, detector.label, settings)) for x in own.values()
+            (number, tune_amplitude(panel, number, x, detector.label, settings))
+            for x in own.values()
         ]
         fits = dict(zip(own, play_searches(panel, searches, tick), strict=True))
         best = max(fits, key=lambda name: fits[name].score)

@@ -92,7 +92,7 @@ class CoreRecorder:
         setup = self._core.setup
         return setup.repeat * setup.interval_s
 
-    def begin(self) -> EpisodeLayout:
+    def start_episode(self) -> EpisodeLayout:
         simulator = self._core.engine.simulator
         if self._twin is None:
             self._twin = self._core.setup.simulator(1, run_serially)

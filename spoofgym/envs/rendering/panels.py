@@ -232,7 +232,7 @@ class SkyPlot:
                 self._ax.text(0, 0, name, fontsize=7, ha="left", va="bottom") for name in sky.names
             ]
         for text, seen, (x, y) in zip(
-            self._names, sky.visible, beside(place, sky.visible), strict=True
+            self._names, sky.visible, place_names(place, sky.visible), strict=True
         ):
             text.set_visible(bool(seen))
             text.set_position((x, y))
@@ -252,7 +252,7 @@ class SkyPlot:
             line.set_data(x[shown], y[shown])
 
 
-def beside(place: FloatArray, visible: NDArray[np.bool_]) -> list[tuple[float, float]]:
+def place_names(place: FloatArray, visible: NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Lower left corners of names next to satellites at `place` (2, n), free of others if possible.
     `visible` (n,) bool: which of them are drawn."""
     width, height = NAME_SIZE
@@ -304,20 +304,20 @@ class TimePanel:
         self.artists: list[Artist] = [self._first]
         self._top = 0.0
 
-    def _needed(self, history: RenderHistory) -> float:
+    def _find_limit(self, history: RenderHistory) -> float:
         """Where the axis has to end."""
         raise NotImplementedError
 
     def fit(self, history: RenderHistory) -> bool:
         """Raise the axis where something has grown."""
-        top = self._needed(history)
+        top = self._find_limit(history)
         if top <= self._top:
             return False
-        self._top = self._raised(top)
+        self._top = self._raise_limit(top)
         self._ax.set_ylim(0.0, self._top)
         return True
 
-    def _raised(self, top: float) -> float:
+    def _raise_limit(self, top: float) -> float:
         return top
 
     def follow(self, history: RenderHistory) -> None:
@@ -339,11 +339,11 @@ class StatisticPanel(TimePanel):
         self.artists += [self._twin, self._attacked, self._alarms]
         head(ax, "Statistic over threshold")
 
-    def _needed(self, history: RenderHistory) -> float:
+    def _find_limit(self, history: RenderHistory) -> float:
         largest = max(_largest(history.number(name)) for name in ("ratio", "twin_ratio"))
         return 2.0 if largest < 1.8 else round_up(1.15 * largest)
 
-    def _raised(self, top: float) -> float:
+    def _raise_limit(self, top: float) -> float:
         if top <= MOST_LINEAR:
             return top
         self._ax.set_yscale("symlog", linthresh=1.0)
@@ -375,7 +375,7 @@ class ErrorPanel(TimePanel):
         self.artists += [line for _, line in self._lines]
         head(ax, "Displacement of the victim [m]")
 
-    def _needed(self, history: RenderHistory) -> float:
+    def _find_limit(self, history: RenderHistory) -> float:
         sizes = [history.number(name) for name, _ in self._lines]
         if self._commanded is not None:
             sizes.append(_size(history.pair("displacement_ne")))

@@ -123,16 +123,16 @@ class Painter:
         if layout.has_sky:
             self._panels.append(SkyPlot(figure.add_subplot(grid[0, 4:])))
         self._headline = Headline(figure, layout)
-        self._kept: Any = None
+        self._background: Any = None
 
     def paint(self, history: RenderHistory) -> NDArray[np.uint8]:
         """Draw the episode so far, with at least one instant: (H, W, 3) uint8, a new array."""
         changed = [panel.fit(history) for panel in self._panels]
         changed.append(self._headline.fit(history))
-        if self._kept is None or any(changed):
+        if self._background is None or any(changed):
             self._canvas.draw()
-            self._kept = self._canvas.copy_from_bbox(self._figure.bbox)
-        self._canvas.restore_region(self._kept)
+            self._background = self._canvas.copy_from_bbox(self._figure.bbox)
+        self._canvas.restore_region(self._background)
         for panel in self._panels:
             panel.follow(history)
             for artist in panel.artists:
@@ -169,18 +169,18 @@ class Screen:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_painter": None, "_window": None}
 
-    def begin(self, info: Mapping[str, Any]) -> None:
-        self._history = RenderHistory(self._recorder.begin(), self._recorder.interval_s)
+    def start_episode(self, info: Mapping[str, Any]) -> None:
+        self._history = RenderHistory(self._recorder.start_episode(), self._recorder.interval_s)
         self._painter = None
         self.add(info)
 
     def add(self, info: Mapping[str, Any]) -> None:
-        history = self._begun("add")
+        history = self._require_history("add")
         history.add(*self._recorder.frames(), info)
         if self.mode == "human":
             self.render()
 
-    def _begun(self, what: str) -> RenderHistory:
+    def _require_history(self, what: str) -> RenderHistory:
         if self._history is None:
             raise RuntimeError(f"no episode has started: call reset() before {what}()")
         return self._history
@@ -191,13 +191,13 @@ class Screen:
         if self.mode == "rgb_array":
             return frame
         if self._window is None:
-            self._window = Window(f"spoofgym: {self._begun('render').layout.title}")
+            self._window = Window(f"spoofgym: {self._require_history('render').layout.title}")
         self._window.show(frame)
         return None
 
     def frame(self) -> NDArray[np.uint8]:
         """Draw the episode as it is, in any mode: (H, W, 3) uint8, a new array."""
-        history = self._begun("render")
+        history = self._require_history("render")
         if self._painter is None:
             self._painter = Painter(history.layout)
         return self._painter.paint(history)

@@ -69,7 +69,7 @@ def make_terms(kind: str, spec: Any) -> tuple[Any, ...]:
     """
     check_choice("kind of terms", kind, TERMS)
     if isinstance(spec, PurePath) or (isinstance(spec, str) and spec.endswith(SUFFIXES)):
-        spec = _read(kind, Path(spec))
+        spec = _read_terms(kind, Path(spec))
     if isinstance(spec, list | tuple):
         return tuple(_make(kind, each) for each in spec)
     return (_make(kind, spec),)
@@ -85,7 +85,7 @@ def _make(kind: str, spec: Any) -> Any:
         why = "it is a class" if isinstance(spec, type) else f"it has no {', '.join(lacking)}"
         if isinstance(spec, Mapping):
             written_by = (
-                "`spoofgym.envs.terms.written` gives the settings of an object with its name"
+                "`spoofgym.envs.terms.describe_terms` gives the settings of an object with its name"
             )
             why = f"it has no `name`; {written_by}"
         raise TypeError(
@@ -95,7 +95,7 @@ def _make(kind: str, spec: Any) -> Any:
     return spec
 
 
-def _read(kind: str, path: Path) -> Any:
+def _read_terms(kind: str, path: Path) -> Any:
     try:
         text = path.read_text(encoding="utf-8")
         content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
@@ -116,7 +116,7 @@ def _read(kind: str, path: Path) -> Any:
     return content[kind]
 
 
-def written(kind: str, terms: Any) -> list[dict[str, Any]]:
+def describe_terms(kind: str, terms: Any) -> list[dict[str, Any]]:
     """Terms as `make_terms` takes them, JSON-able: a name and all settings of each.
 
     Parameters

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.declared import record, setting
+from ...core.declared import setting, settings_record
 from ...simulation.domain import FloatArray
 from ...simulation.setup import Setup
 from .._kernels import follow_rate
@@ -55,7 +55,7 @@ def _horizontal_limit(setup: Setup, whose: str) -> float:
     return float(limits[north])
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class FullCommand:
     """Every element that the attack takes, as it is."""
 
@@ -69,7 +69,7 @@ class FullCommand:
         return np.tile(np.eye(axes), (len(heading_rad), 1, 1))
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class AlongTarget:
     """One element along the direction in which displacement counts.
 
@@ -94,7 +94,7 @@ class AlongTarget:
         return result
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class AcrossTarget:
     """One element across the direction in which displacement counts, to its right.
 
@@ -111,7 +111,7 @@ class AcrossTarget:
         return AlongTarget().matrix(setup, heading_rad + np.pi / 2.0)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Channels:
     """One element for each of some channels or axes; the others are left alone."""
 
@@ -136,7 +136,7 @@ class Channels:
         return FullCommand().matrix(setup, heading_rad)[:, :, columns]
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class CommonOffset:
     """One element for all channels alike, which the victim's clock takes for its own.
 
@@ -157,7 +157,7 @@ class CommonOffset:
         return np.ones((len(heading_rad), len(setup.action_names), 1))
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class RateSetpoint:
     r"""Wanted rate of the displacement; the acceleration follows within the attack's limits.
 

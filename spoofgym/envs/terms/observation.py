@@ -14,10 +14,10 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.declared import check_word, record, setting
+from ...core.declared import check_word, setting, settings_record
 from ...simulation.divergence import Divergence
 from ...simulation.domain import FloatArray
-from ...simulation.monitors import KEPT, PastPositions, reports
+from ...simulation.monitors import HISTORY_EPOCHS, PastPositions, reports
 from ...simulation.setup import Setup
 from ...simulation.simulator import Simulator
 from .._kernels import own_command, time_fractions
@@ -82,7 +82,7 @@ class _Term:
         return self.limits
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class OwnCommand(_Term):
     """Commanded displacement and rate."""
 
@@ -126,7 +126,7 @@ class OwnCommand(_Term):
         own_command(displacement, rate, direction, north, east, per_displacement, per_rate, out)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Time(_Term):
     """Parts of the command phase that are over, and left."""
 
@@ -178,7 +178,7 @@ class _Tabled(_Term):
         return None if table is None else table[:, _varying(setup, table, self.least_change)]
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class TargetMotion(_Tabled):
     """True position since the onset, and true velocity, in local axes at the onset."""
 
@@ -207,7 +207,7 @@ class TargetMotion(_Tabled):
         snapshot.simulator.motion(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps, out)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class TargetDirection(_Term):
     """Direction in which displacement counts: its north and its east component."""
 
@@ -223,7 +223,7 @@ class TargetDirection(_Term):
             out[i, 0], out[i, 1] = math.cos(heading), math.sin(heading)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class SatelliteGeometry(_Tabled):
     """Line of sight to every slot in local axes, then whether it is visible, or spoofed."""
 
@@ -246,7 +246,7 @@ class SatelliteGeometry(_Tabled):
         snapshot.simulator.geometry(out)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class StatisticRatio(_Term):
     """The detector's statistic over its threshold: 1 is an alarm."""
 
@@ -274,7 +274,7 @@ class StatisticRatio(_Term):
             np.divide(verdict.statistic, verdict.threshold, out=out, casting="unsafe")
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class GainWeight(_Term):
     """The detector's weight on every pseudorange, or on the position; 1 from a monitor."""
 
@@ -289,7 +289,7 @@ class GainWeight(_Term):
         out[:] = snapshot.simulator.observed_weights()
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class EstimateError(_Term):
     """Error of the victim's position in the local axes of the epoch."""
 
@@ -304,7 +304,7 @@ class EstimateError(_Term):
         out[:] = snapshot.simulator.error_n() * (1.0 / self.scale_m)
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class DivergenceSpent(_Term):
     """Divergence that the attack has caused so far, over a budget; see `Divergence`."""
 
@@ -327,7 +327,7 @@ class DivergenceSpent(_Term):
         out[:, 0] = spent / self.budget_nats
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class ReportedPosition(_Term):
     """The victim's own broadcast position since the onset, in local axes there, and its age.
 
@@ -365,8 +365,8 @@ class ReportedPosition(_Term):
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         every, latency = self._epochs(setup)
-        if every + latency > KEPT - 2:
-            most = (KEPT - 2) * setup.interval_s
+        if every + latency > HISTORY_EPOCHS - 2:
+            most = (HISTORY_EPOCHS - 2) * setup.interval_s
             raise ValueError(
                 "`interval_s` and `latency_s` of reports must be at most "
                 f"{most:g} s together with epochs of {setup.interval_s:g} s, got "
@@ -394,7 +394,7 @@ class ReportedPosition(_Term):
         """Take off what the spoofer knows of it; (B, 2), overwritten."""
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class ReportedDeviation(ReportedPosition):
     """The victim's own broadcast position less the target's true one at the time of the report.
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.declared import record, setting
+from ...core.declared import setting, settings_record
 from .observation import holds_for_call
 
 FloatArray = NDArray[np.float64]
@@ -66,7 +66,7 @@ class _Shared:
         return np.where(values, factor, 0.0) if values.dtype == np.bool_ else factor * values
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class DisplacementGain(_Shared):
     """Increase of the undetected displacement along the target direction."""
 
@@ -76,7 +76,7 @@ class DisplacementGain(_Shared):
     field: ClassVar[str] = "gain"
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class Retraction(_Shared):
     """What was gained within the time to alert of an alarm is taken back."""
 
@@ -88,7 +88,7 @@ class Retraction(_Shared):
     field: ClassVar[str] = "retraction"
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class AlarmPenalty(_Shared):
     """Price of the first alarm; with a clean twin, where that has not alarmed so far."""
 
@@ -101,7 +101,7 @@ class AlarmPenalty(_Shared):
     sign: ClassVar[float] = -1.0
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class AlarmedEpochs(_Shared):
     """Price of every epoch with an alarm, for episodes that go on after the first."""
 
@@ -114,7 +114,7 @@ class AlarmedEpochs(_Shared):
     sign: ClassVar[float] = -1.0
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class EffortPenalty:
     """Price of the command: the mean square of its elements."""
 
@@ -132,7 +132,7 @@ class EffortPenalty:
         return np.asarray(-self.at_full_m * (action * action).mean(axis=1))
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class TerminalDisplacement:
     """Undetected displacement of the episode, all of it at its end."""
 
@@ -166,7 +166,7 @@ def named_terms(terms: Sequence[RewardTerm]) -> list[tuple[str, RewardTerm]]:
     return [(f"reward_{term.name}", term) for term in terms]
 
 
-def shares_of(terms: Sequence[RewardTerm]) -> FloatArray | None:
+def compute_shares(terms: Sequence[RewardTerm]) -> FloatArray | None:
     """(r, 4) factor of every term on the fields of `SHARED`, for compiled code; None where a term
     has no share, or one that its own `__call__` may belie."""
     shares = np.zeros((len(terms), len(SHARED)))
@@ -178,7 +178,7 @@ def shares_of(terms: Sequence[RewardTerm]) -> FloatArray | None:
     return shares
 
 
-def reward_of(
+def sum_terms(
     terms: Sequence[tuple[str, RewardTerm]], outcome: Outcome, info: dict[str, NDArray[Any]]
 ) -> FloatArray:
     """Sum of the terms, whose parts are written into ``info``: (B,) reward."""

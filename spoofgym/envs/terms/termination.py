@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.declared import record, setting
+from ...core.declared import setting, settings_record
 from ...simulation.divergence import Divergence
 from .observation import Snapshot
 
@@ -38,7 +38,7 @@ class EndTerm(Protocol):
         """(B,) bool, which episodes it ends, a new array."""
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class AtAlarm:
     """The first alarm of the detector in the loop."""
 
@@ -53,7 +53,7 @@ class AtAlarm:
         return np.asarray(simulator.verdict.alarm.any(axis=1))
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class AtWindowEnd:
     """The last command of the attack window; ends every episode, listed or not."""
 
@@ -65,7 +65,7 @@ class AtWindowEnd:
         return state.snapshot.step >= state.snapshot.setup.steps
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class AtDisplacement:
     """Displacement along the target direction, as far as the spoofer wants it."""
 
@@ -78,7 +78,7 @@ class AtDisplacement:
         return state.displacement >= self.limit_m
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class AtStealthBudget:
     """Divergence that the attack may cause: half the sum of rho' S^-1 rho, as the filter has it."""
 
@@ -97,7 +97,7 @@ class AtStealthBudget:
         return spent > self.budget_nats
 
 
-@record(frozen=True)
+@settings_record(frozen=True)
 class AtSteps:
     """Number of commands after which a caller stops the episode; truncates."""
 

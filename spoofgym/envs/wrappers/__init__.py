@@ -79,7 +79,7 @@ class EpochRecorder:
             "innovation": epoch.innovation,
             "innovation_variance": epoch.innovation_variance,
             "visible": epoch.visible,
-            **simulator.recorded(),
+            **simulator.get_record_columns(),
         }
         for row in np.flatnonzero(~core.score.ended):
             kept = self._rows[row]

@@ -16,7 +16,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from ...detectors.build import DetectorSpec
 from ..core import WatchSpec
 from ..factory import composable, compose
-from ..options import Array, mask_of
+from ..options import Array, read_mask
 from ..terms.termination import AtStealthBudget
 from . import EpochRecorder
 
@@ -67,7 +67,7 @@ class RecordEpochs(Wrapper):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        mask = mask_of(options, self.num_envs)
+        mask = read_mask(options, self.num_envs)
         rows = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
         self.recorder.finish(rows, complete=False)
         return super().reset(seed=seed, options=options)  # type: ignore[arg-type]

@@ -16,7 +16,7 @@ from ..card import SIDES, Card
 ZOO_FOLDER = Path(__file__).parent
 
 
-def shipped(side: str | None = None) -> tuple[str, ...]:
+def list_shipped(side: str | None = None) -> tuple[str, ...]:
     """Names of the shipped policies and profiles.
 
     Parameters
@@ -37,16 +37,16 @@ CardT = TypeVar("CardT", bound=Card)
 
 
 @overload
-def card_of(name: str) -> Card:  # noqa: D418
+def load_card(name: str) -> Card:  # noqa: D418
     """Card of either side."""
 
 
 @overload
-def card_of(name: str, kind: type[CardT]) -> CardT:  # noqa: D418
+def load_card(name: str, kind: type[CardT]) -> CardT:  # noqa: D418
     """Card of one side."""
 
 
-def card_of(name: str, kind: type[Card] = Card) -> Card:
+def load_card(name: str, kind: type[Card] = Card) -> Card:
     """Card of a shipped policy or profile; a ValueError lists the valid names.
 
     Parameters
@@ -62,13 +62,13 @@ def card_of(name: str, kind: type[Card] = Card) -> Card:
         As it was written.
     """
     side = kind.own_side
-    check_choice(f"shipped {side or 'spoofer or detector'}", name, shipped(side))
+    check_choice(f"shipped {side or 'spoofer or detector'}", name, list_shipped(side))
     return kind.load(ZOO_FOLDER / f"{name}.json")
 
 
-def path_of(file: str, side: str | None = None) -> Path:
+def resolve_path(file: str, side: str | None = None) -> Path:
     """Path of the network of a shipped policy, by its name; of anything else as it is."""
-    return ZOO_FOLDER / f"{file}.onnx" if file in shipped(side) else Path(file)
+    return ZOO_FOLDER / f"{file}.onnx" if file in list_shipped(side) else Path(file)
 
 
 @lru_cache(maxsize=4)  # called whenever a spoofer or a detector is made by its name

@@ -48,7 +48,7 @@ def test_a_page_is_made_of_a_stored_full_run(tmp_path, monkeypatch):
     assert "![Figure 7, drawn from our runs](figures/dice_7.png)" in written
     assert (tmp_path / "figures" / "dice_7.png").read_bytes().startswith(b"\x89PNG")
 
-    monkeypatch.setattr(toy, "FOUND", "It is indeed.")
+    monkeypatch.setattr(toy, "FINDINGS", "It is indeed.")
     assert CliRunner().invoke(page.app, [*arguments, "--texts-only"]).exit_code == 0
     assert "It is indeed." in (tmp_path / "toy2025.md").read_text()
     assert json.loads((tmp_path / "toy2025.json").read_text()) == stored

@@ -12,8 +12,8 @@ from baselines.papers.page import DOCS, page_text
 from baselines.papers.paper import (
     KEYS,
     check_rows,
+    list_parts,
     load_paper,
-    parts_of,
     rows_from_record,
     rows_record,
 )
@@ -40,7 +40,7 @@ def page(key):
 
 def test_parts_have_names_of_their_own_and_can_be_run_elsewhere(key):
     for quick in (True, False):
-        first, other = (parts_of(load_paper(key), Settings(quick, seed)) for seed in (0, 1))
+        first, other = (list_parts(load_paper(key), Settings(quick, seed)) for seed in (0, 1))
         assert [part.name for part in first] == [part.name for part in other]
         # all chance follows from the seed: another one changes what is run
         assert [part.settings for part in first] != [part.settings for part in other]

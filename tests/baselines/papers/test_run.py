@@ -15,9 +15,9 @@ from baselines.papers import sources
 from baselines.papers.frame import Band, Origin, Part, Row, Settings, fill_origins
 from baselines.papers.paper import (
     check_rows,
-    letter_of,
+    format_letter,
+    list_parts,
     load_paper,
-    parts_of,
     rows_from_record,
     rows_record,
 )
@@ -61,14 +61,14 @@ def test_stored_parts_are_not_run_again_and_a_damaged_one_is_named(dice, tmp_pat
     assert sorted(dice.read_text().split()) == ["100", "200"]
     assert again.record(found) == run.record(first)
     assert found["100 throws"]["eyes"].tolist() == toy.throw(100, 0)["eyes"].tolist()
-    run.store.path_of("100 throws").unlink()
+    run.store.build_path("100 throws").unlink()
     play(tmp_path)
     assert sorted(dice.read_text().split()) == ["100", "100", "200"]
-    run.store.path_of("200 throws").write_bytes(b"half a file")
+    run.store.build_path("200 throws").write_bytes(b"half a file")
     with pytest.raises(ValueError, match=r"200-throws.* is damaged .*; delete it and run again"):
         play(tmp_path)
     monkeypatch.setattr(running, "digest_of_modules", lambda modules: "another")
-    for use in (lambda: PaperRun(toy.KEY, QUICK, tmp_path).stored(), lambda: play(tmp_path)):
+    for use in (lambda: PaperRun(toy.KEY, QUICK, tmp_path).load_data(), lambda: play(tmp_path)):
         with pytest.raises(ValueError, match=r"holds other results \(config\.sources: "):
             use()
     play(tmp_path, overwrite=True)
@@ -95,7 +95,7 @@ def test_a_part_that_fails_is_named_and_those_before_it_are_kept(
         play(tmp_path)
     assert len(dice.read_text().split() if dice.exists() else []) == place
     with pytest.raises(ValueError, match="is not in"):
-        PaperRun(toy.KEY, QUICK, tmp_path).stored()
+        PaperRun(toy.KEY, QUICK, tmp_path).load_data()
 
 
 def test_a_run_prints_json_or_tables_and_draws_figures(dice, tmp_path):
@@ -149,7 +149,7 @@ def test_parts_are_checked(part, message, monkeypatch):
     parts = [*toy.parts(QUICK), part]
     monkeypatch.setattr(toy, "parts", lambda settings: parts)
     with pytest.raises(ValueError, match=message):
-        parts_of(toy, QUICK)
+        list_parts(toy, QUICK)
 
 
 def test_rows_and_bands_are_checked():
@@ -216,7 +216,7 @@ def test_rows_come_back_from_their_record():
     )
     assert rows[0].band.origin.text == "Half an eye to either side; seed 4."
     assert rows_from_record(json.loads(json.dumps(rows_record(rows)))) == rows
-    assert [letter_of(n) for n in (0, 25, 26, 51, 52)] == ["A", "Z", "AA", "AZ", "BA"]
+    assert [format_letter(n) for n in (0, 25, 26, 51, 52)] == ["A", "Z", "AA", "AZ", "BA"]
 
 
 def test_texts_and_comments_cost_no_run_but_code_does(tmp_path, monkeypatch):

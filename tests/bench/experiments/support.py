@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from spoofgym.bench.experiments import Cell, Experiment, Result, Store, run
+from spoofgym.bench.experiments import Cell, Experiment, Result, Store, run_experiment
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def content(folder: Path) -> dict[str, bytes]:
 
 def expected(folder: Path, **settings) -> dict[str, bytes]:
     """What a run that nothing interrupts leaves."""
-    run(Numbers(**settings), Store(folder))
+    run_experiment(Numbers(**settings), Store(folder))
     return content(folder)
 
 
@@ -75,7 +75,7 @@ if __name__ == "__main__":  # folder, seconds a cell, jobs, file of the kill
     from spoofgym.bench.experiments import Interrupted
 
     try:
-        run(
+        run_experiment(
             Numbers(seconds=float(sys.argv[2]), kills=sys.argv[4] if sys.argv[4:] else ""),
             Store(sys.argv[1]),
             jobs=int(sys.argv[3]),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym.bench.experiments import Store, identity, run
+from spoofgym.bench.experiments import Store, identity, run_experiment
 from spoofgym.bench.experiments.identity import code_identity, digest_of_sources
 from spoofgym.core.settings import digest_of_code
 
@@ -87,15 +87,15 @@ def test_a_version_voids_results_and_is_named(
     library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
-    run(Numbers(), Store(out))
+    run_experiment(Numbers(), Store(out))
     (library / "core.py").write_text(f"# an edited comment\n{CODE}")
     digest_of_sources.cache_clear()
     before = content(out)
-    run(Numbers(), Store(out))
+    run_experiment(Numbers(), Store(out))
     assert content(out) == before
     monkeypatch.setattr(identity, "version", lambda name: f"99 of {name}")
     with pytest.raises(ValueError, match=r"code.numpy: '.*', not '99 of numpy'"):
-        run(Numbers(), Store(out))
+        run_experiment(Numbers(), Store(out))
     assert {*code_identity()} == {"sources", "python", "numpy", "scipy", "numba", "onnxruntime"}
 
 

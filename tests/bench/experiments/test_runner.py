@@ -16,7 +16,15 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym.bench.experiments import Cell, Context, Result, Store, parse_shard, run, runner
+from spoofgym.bench.experiments import (
+    Cell,
+    Context,
+    Result,
+    Store,
+    parse_shard,
+    run_experiment,
+    runner,
+)
 
 from .support import Numbers, content, expected
 
@@ -64,10 +72,10 @@ def test_the_largest_that_is_ready_comes_first_and_sees_what_it_comes_after(tmp_
         Cell("large", {}, 3.0),
     )
     experiment = listed(*cells)
-    results = run(experiment, Store(tmp_path))
+    results = run_experiment(experiment, Store(tmp_path))
     assert experiment.order == ["large", "middle", "small", "last"]
     assert results["last"].record == ["middle", "small"]
-    run(experiment, Store(tmp_path))
+    run_experiment(experiment, Store(tmp_path))
     assert len(experiment.order) == 4
 
 
@@ -81,9 +89,9 @@ def test_a_group_is_one_call_of_what_is_unfinished(tmp_path: Path) -> None:
 
     cells = tuple(Cell(key, {}, group="g") for key in "abc")
     store = Store(tmp_path)
-    run(Grouped(listed=cells), store)
-    store.path_of("b").unlink()
-    run(Grouped(listed=cells), store)
+    run_experiment(Grouped(listed=cells), store)
+    store.build_path("b").unlink()
+    run_experiment(Grouped(listed=cells), store)
     assert calls == [["a", "b", "c"], ["b"]]
 
 
@@ -98,7 +106,7 @@ def test_a_group_is_one_call_of_what_is_unfinished(tmp_path: Path) -> None:
 )
 def test_cells_that_make_no_sense_are_named(tmp_path: Path, cells, said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        run(listed(*cells), Store(tmp_path))
+        run_experiment(listed(*cells), Store(tmp_path))
 
 
 def test_progress_adds_up_to_the_work_that_is_left(tmp_path: Path) -> None:
@@ -108,18 +116,18 @@ def test_progress_adds_up_to_the_work_that_is_left(tmp_path: Path) -> None:
         totals.append(total)
         return bar_of(seen)
 
-    run(Numbers(), Store(tmp_path), progress=bar)
+    run_experiment(Numbers(), Store(tmp_path), progress=bar)
     assert totals == [sum(cell.work for cell in Numbers().cells())]
     assert sum(amount for amount, _ in seen) == pytest.approx(totals[0])
-    Store(tmp_path).path_of("draw-2").unlink()
-    run(Numbers(), Store(tmp_path), progress=bar)
-    run(Numbers(), Store(tmp_path), progress=bar)
+    Store(tmp_path).build_path("draw-2").unlink()
+    run_experiment(Numbers(), Store(tmp_path), progress=bar)
+    run_experiment(Numbers(), Store(tmp_path), progress=bar)
     assert totals[1:] == [3.0, 0.0]
 
 
 def test_processes_leave_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
     seen: list = []
-    run(Numbers(), Store(tmp_path), jobs=2, threads=2, progress=lambda _: bar_of(seen))
+    run_experiment(Numbers(), Store(tmp_path), jobs=2, threads=2, progress=lambda _: bar_of(seen))
     assert content(tmp_path) == whole
     assert sum(amount for amount, _ in seen) == sum(cell.work for cell in Numbers().cells())
 
@@ -127,20 +135,22 @@ def test_processes_leave_the_same_bytes(tmp_path: Path, whole: dict[str, bytes])
 def test_shards_are_parts_that_need_no_other(tmp_path: Path, whole: dict[str, bytes]) -> None:
     done = []
     for i in (2, 1):
-        results = run(Numbers(), Store(tmp_path), shard=(i, 2))
+        results = run_experiment(Numbers(), Store(tmp_path), shard=(i, 2))
         done.append({*results})
     assert done[0] < done[1]
     assert 2 <= len(done[0]) <= 6
     assert not results.missing
     assert content(tmp_path) == whole
     for i in (1, 2, 3, 4, 5):
-        run(Numbers(), Store(tmp_path.with_name("five")), shard=(i, 5))
+        run_experiment(Numbers(), Store(tmp_path.with_name("five")), shard=(i, 5))
     assert content(tmp_path.with_name("five")) == whole
 
 
 def test_shards_at_once_leave_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
     threads = [
-        threading.Thread(target=run, args=(Numbers(), Store(tmp_path)), kwargs={"shard": (i, 2)})
+        threading.Thread(
+            target=run_experiment, args=(Numbers(), Store(tmp_path)), kwargs={"shard": (i, 2)}
+        )
         for i in (1, 2)
     ]
     for thread in threads:
@@ -156,7 +166,7 @@ def test_connected_cells_share_a_shard_and_shards_the_work(tmp_path: Path) -> No
     sums = []
     for i in (1, 2, 3):
         experiment = listed(*cells)
-        run(experiment, Store(tmp_path / str(i)), shard=(i, 3))
+        run_experiment(experiment, Store(tmp_path / str(i)), shard=(i, 3))
         own = {*experiment.order}
         assert all((f"{k}" in own) == (f"after {k}" in own) for k in range(8))
         sums.append(sum(cell.work for cell in cells if cell.key in own))
@@ -178,7 +188,7 @@ def test_a_shard_is_read_from_text() -> None:
 @pytest.mark.parametrize(("jobs", "backend"), [(0, "local"), (1.5, "local"), (1, "slurm")])
 def test_wrong_settings_are_named_before_anything_is_written(tmp_path, jobs, backend) -> None:
     with pytest.raises(ValueError, match=f"{jobs}|{backend}"):
-        run(Numbers(), Store(tmp_path / "out"), jobs=jobs, backend=backend)
+        run_experiment(Numbers(), Store(tmp_path / "out"), jobs=jobs, backend=backend)
     assert not (tmp_path / "out").exists()
 
 
@@ -191,7 +201,7 @@ def test_a_backend_that_is_not_installed_says_what_installs_it(
 
     monkeypatch.setattr(importlib, "import_module", missing)
     with pytest.raises(ImportError, match=rf"python -m pip install 'spoofgym\[{extra}\]'"):
-        run(Numbers(), Store(tmp_path / "out"), backend=kind)
+        run_experiment(Numbers(), Store(tmp_path / "out"), backend=kind)
     assert not (tmp_path / "out").exists()
 
 
@@ -199,7 +209,7 @@ def test_what_cannot_be_pickled_is_named(tmp_path: Path) -> None:
     experiment = listed(Cell("a", {}), Cell("b", {}))
     experiment.order.append(threading.Lock())
     with pytest.raises(TypeError, match=r"numbers can't be sent to a worker: .*lock"):
-        run(experiment, Store(tmp_path), jobs=2)
+        run_experiment(experiment, Store(tmp_path), jobs=2)
 
 
 def test_a_worker_with_other_code_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,8 +231,8 @@ def test_an_error_of_a_cell_comes_through_and_the_rest_stays(tmp_path: Path) -> 
     cells = Cell("a", {}, 2.0), Cell("b", {}, 1.0)
     for jobs in (1, 2):
         with pytest.raises(ValueError, match="b is wrong"):
-            run(Wrong(listed=cells), Store(tmp_path / str(jobs)), jobs=jobs)
-    assert Store(tmp_path / "1").path_of("a").is_file()
+            run_experiment(Wrong(listed=cells), Store(tmp_path / str(jobs)), jobs=jobs)
+    assert Store(tmp_path / "1").build_path("a").is_file()
 
 
 def test_contexts_last_from_cell_to_cell(tmp_path: Path) -> None:
@@ -234,7 +244,7 @@ def test_contexts_last_from_cell_to_cell(tmp_path: Path) -> None:
             assert context.threads == 3
             return Result()
 
-    run(Caching(listed=(Cell("a", {}), Cell("b", {}))), Store(tmp_path), threads=3)
+    run_experiment(Caching(listed=(Cell("a", {}), Cell("b", {}))), Store(tmp_path), threads=3)
     assert caches[0] is caches[1]
 
 
@@ -250,7 +260,7 @@ def test_a_killed_worker_is_one_line_and_the_same_command_goes_on(
     assert "a worker was killed" in line
     assert "draw-1" in line
     assert content(out).items() < whole.items()
-    run(Numbers(kills=str(kill)), Store(out))
+    run_experiment(Numbers(kills=str(kill)), Store(out))
     assert content(out) == whole
 
 
@@ -279,7 +289,7 @@ def test_ctrl_c_keeps_what_is_finished_and_ends_the_workers(
     with pytest.raises(ProcessLookupError):  # no worker is left
         wait_for_group(process.pid)
     assert content(tmp_path).items() < whole.items()
-    run(Numbers(), Store(tmp_path))
+    run_experiment(Numbers(), Store(tmp_path))
     assert content(tmp_path) == whole
 
 
@@ -295,7 +305,7 @@ def test_workers_have_ctrl_c_blocked_before_they_begin(tmp_path: Path) -> None:
             return Result(record=[int(s) for s in signal.pthread_sigmask(signal.SIG_BLOCK, ())])
 
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
-    results = run(Masked(listed=(Cell("a", {}), Cell("b", {}))), Store(tmp_path), jobs=2)
+    results = run_experiment(Masked(listed=(Cell("a", {}), Cell("b", {}))), Store(tmp_path), jobs=2)
     assert all(signal.SIGINT in results[key].record for key in "ab")
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
@@ -309,7 +319,7 @@ def test_workers_end_with_a_killed_parent(tmp_path: Path, whole: dict[str, bytes
     process.wait()
     with pytest.raises(ProcessLookupError):
         wait_for_group(process.pid)
-    run(Numbers(), Store(tmp_path))
+    run_experiment(Numbers(), Store(tmp_path))
     assert content(tmp_path) == whole
 
 
@@ -320,7 +330,9 @@ def test_dask_leaves_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> 
     with LocalCluster(
         n_workers=2, threads_per_worker=2, dashboard_address=None, memory_limit=None
     ) as cluster:
-        run(Numbers(), Store(tmp_path / "remote"), backend=f"dask:{cluster.scheduler_address}")
+        run_experiment(
+            Numbers(), Store(tmp_path / "remote"), backend=f"dask:{cluster.scheduler_address}"
+        )
     assert content(tmp_path / "remote") == whole
 
 
@@ -336,7 +348,7 @@ def test_an_address_that_does_not_answer(tmp_path, monkeypatch, answers: bool) -
         address = f"127.0.0.1:{listening.getsockname()[1]}"
         begun = time.monotonic()
         with pytest.raises(ConnectionError, match=f"no dask cluster answers at '{address}'"):
-            run(Numbers(), Store(tmp_path), backend=f"dask:{address}")
+            run_experiment(Numbers(), Store(tmp_path), backend=f"dask:{address}")
     assert time.monotonic() - begun < 20.0
 
 
@@ -345,7 +357,7 @@ def test_an_address_that_does_not_answer(tmp_path, monkeypatch, answers: bool) -
 def test_ray_leaves_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
     """`make test-ray` has ray."""
     pytest.importorskip("ray")
-    run(Numbers(), Store(tmp_path), jobs=2, threads=1, backend="ray")
+    run_experiment(Numbers(), Store(tmp_path), jobs=2, threads=1, backend="ray")
     assert content(tmp_path) == whole
     with pytest.raises(ConnectionError, match="no ray cluster answers"):
-        run(Numbers(), Store(tmp_path / "none"), backend="ray:127.0.0.1:1")
+        run_experiment(Numbers(), Store(tmp_path / "none"), backend="ray:127.0.0.1:1")

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spoofgym.bench.experiments import Cell, Reader, Result, Store, run
+from spoofgym.bench.experiments import Cell, Reader, Result, Store, run_experiment
 from spoofgym.core import files as _files
 
 from .support import Numbers, content, expected
@@ -75,7 +75,7 @@ def interrupted_at(path: Path, at: int, error: BaseException) -> bool:
     with pytest.MonkeyPatch.context() as patch:
         Failing(patch, at, error)
         try:
-            run(Numbers(), Store(path))
+            run_experiment(Numbers(), Store(path))
         except (Killed, OSError):
             return True
     return False
@@ -88,7 +88,7 @@ def test_killed_at_every_write_it_goes_on_to_the_same_bytes(
     while interrupted_at(tmp_path / str(at), at, Killed()):
         left = content(tmp_path / str(at)) if (tmp_path / str(at)).is_dir() else {}
         assert left.items() <= whole.items(), f"write {at} left something else"
-        run(Numbers(), Store(tmp_path / str(at)))
+        run_experiment(Numbers(), Store(tmp_path / str(at)))
         assert content(tmp_path / str(at)) == whole
         at += 1
     assert at >= 3 * len(whole)
@@ -104,12 +104,12 @@ def test_a_write_that_fails_names_its_file_and_leaves_nothing_half(
         assert interrupted_at(path, at, OSError(number, os.strerror(number)))
         assert content(path).items() <= whole.items() if path.is_dir() else True
         assert not list(path.rglob("*.part"))
-        run(Numbers(), Store(path))
+        run_experiment(Numbers(), Store(path))
         assert content(path) == whole
     with pytest.MonkeyPatch.context() as patch:
         Failing(patch, 6, OSError(number, os.strerror(number)))
         with pytest.raises(OSError, match=os.strerror(number)) as caught:
-            run(Numbers(), Store(tmp_path / "named"))
+            run_experiment(Numbers(), Store(tmp_path / "named"))
     assert caught.value.errno == number
     assert Path(caught.value.filename).suffix == ".npz"
 
@@ -122,9 +122,9 @@ def test_a_full_disk_is_named_and_gone_on_with(tmp_path: Path, whole: dict[str, 
         return  # only where a test may mount one; else the injection above stands for it
     try:
         with pytest.raises(OSError, match="No space left on device"):
-            run(Numbers(), Store(full / "out"))
+            run_experiment(Numbers(), Store(full / "out"))
         subprocess.run(["mount", "-o", "remount,size=4m", str(full)], check=True)
-        run(Numbers(), Store(full / "out"))
+        run_experiment(Numbers(), Store(full / "out"))
         assert content(full / "out") == whole
     finally:
         subprocess.run(["umount", str(full)], check=True)
@@ -144,7 +144,7 @@ def test_a_killed_process_leaves_whole_files_and_its_leftovers_go(
         assert stale.exists()  # its writer lives
         process.send_signal(signal.SIGKILL)
     assert content(out).items() < whole.items()
-    run(Numbers(), Store(out))
+    run_experiment(Numbers(), Store(out))
     assert content(out) == whole
     assert not stale.exists()
 
@@ -166,7 +166,7 @@ def test_two_writers_at_once_leave_the_same_bytes(tmp_path: Path, whole: dict[st
         try:
             store = Store(tmp_path)
             for _ in range(5):  # both write every cell, finished or not
-                run(Numbers(), store)
+                run_experiment(Numbers(), store)
                 for key, result in Reader(store, Numbers().cells()).items():
                     store.put(next(c for c in Numbers().cells() if c.key == key), result)
         except BaseException as error:
@@ -198,7 +198,7 @@ def test_what_is_put_comes_back(opened: Store) -> None:
             np.testing.assert_array_equal(found.arrays[name], array, strict=True)
         assert found.record == {"a": [1, 0.5]}
         assert found.files == result.files
-    with np.load(opened.path_of("a")) as plain:
+    with np.load(opened.build_path("a")) as plain:
         np.testing.assert_array_equal(plain["transposed"], arrays["transposed"])
 
 
@@ -207,7 +207,7 @@ def test_bytes_do_not_depend_on_the_layout_of_an_array_or_the_time(opened: Store
     written = []
     for same in (array, np.asfortranarray(array), np.arange(12.0).reshape(2, 6)[:, :3] * 0 + array):
         opened.put(CELL, Result({"x": same}))
-        written.append(opened.path_of("a").read_bytes())
+        written.append(opened.build_path("a").read_bytes())
     assert written[0] == written[1] == written[2]
 
 
@@ -228,7 +228,7 @@ def test_what_cannot_be_stored_is_named(opened: Store, result: Result, said: str
 
 def test_keys_that_no_file_can_have_get_files_of_their_own(opened: Store) -> None:
     keys = ["a b", "a/b", "a-b", "../a", "x" * 300, "x" * 299, "größe"]
-    paths = {opened.path_of(key) for key in keys}
+    paths = {opened.build_path(key) for key in keys}
     assert len(paths) == len(keys)
     assert all(path.parent == opened.path / "cells" for path in paths)
     for key in keys:
@@ -262,7 +262,7 @@ def rewritten(path: Path, head=None, extra=None) -> None:
 )
 def test_a_file_that_is_not_the_cell_is_refused_by_name(opened: Store, damage, said: str) -> None:
     opened.put(CELL, Result({"x": np.zeros(3)}, {"y": 1}))
-    path = opened.path_of("a")
+    path = opened.build_path("a")
     damage(path)
     for look in (opened.has, opened.get):
         with pytest.raises(ValueError, match=said) as caught:
@@ -273,7 +273,7 @@ def test_a_file_that_is_not_the_cell_is_refused_by_name(opened: Store, damage, s
 
 def test_a_flipped_bit_is_found_when_a_cell_is_read(opened: Store) -> None:
     opened.put(CELL, Result({"x": np.zeros(300)}))
-    path = opened.path_of("a")
+    path = opened.build_path("a")
     damaged = bytearray(path.read_bytes())
     damaged[len(damaged) // 2] ^= 1
     path.write_bytes(damaged)

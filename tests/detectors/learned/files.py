@@ -71,7 +71,7 @@ def write_guard(
     from ...spoofers.policies import network, written
 
     agent = DetectorAgent(statistic, weighs, None, terms=terms)
-    inputs = len(DetectorObserver(agent.observed, CHANNELS).names)
+    inputs = len(DetectorObserver(agent.observed_terms, CHANNELS).names)
     outputs = len(action_names(statistic, weighs, CHANNELS))
     model = recurrent(inputs, outputs, state) if state else network(inputs, outputs)
     if edit is not None:

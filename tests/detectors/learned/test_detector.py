@@ -16,12 +16,12 @@ from spoofgym import duel_v0
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.players import specify_detector
-from spoofgym.calibration import calibrate
+from spoofgym.calibration import calibrate_detectors
 from spoofgym.calibration.clean_runs import Player
 from spoofgym.cli.app import app
 from spoofgym.core.registry import parse_spec
 from spoofgym.detectors import LearnedDetector, calibrated, detector_in_world, make_detector
-from spoofgym.detectors.calibrated import identity_of
+from spoofgym.detectors.calibrated import describe_identity
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from spoofgym.envs.wrappers import DetectorWrapper, WatchWrapper
 from spoofgym.limits import Replay
@@ -50,7 +50,7 @@ def folder(tmp_path, monkeypatch):
 
 def tight(detector="never"):
     setup = TightlyCoupledSetup(detector=detector, timeline=FAST)
-    setup.env_id, setup.given = ID, {"timeline": FAST}
+    setup.env_id, setup.raw_settings = ID, {"timeline": FAST}
     return setup
 
 
@@ -163,10 +163,12 @@ def test_it_is_calibrated_by_the_command_that_the_error_names(guard, folder, tmp
 
 def test_a_calibration_does_not_depend_on_the_threshold_of_the_card(guard, folder, tmp_path):
     settings = {"runs": 24, "false_alarms_per_hour": RATE}
-    (by_card,) = calibrate(tight(), str(guard), **settings)
+    (by_card,) = calibrate_detectors(tight(), str(guard), **settings)
     fresh = write_guard(tmp_path / "fresh")
-    assert identity_of(LearnedDetector(str(fresh))) == identity_of(LearnedDetector(str(guard)))
-    (again,) = calibrate(tight(), str(fresh), **settings, overwrite=True)
+    assert describe_identity(LearnedDetector(str(fresh))) == describe_identity(
+        LearnedDetector(str(guard))
+    )
+    (again,) = calibrate_detectors(tight(), str(fresh), **settings, overwrite=True)
     assert again.largest == by_card.largest
     assert max(by_card.largest) <= 1.0
 
@@ -192,7 +194,7 @@ def test_it_is_asked_from_when_it_is_switched_on(guard, tmp_path):
     assert judges[1].spec == {"name": str(quiet)}
     later = LearnedDetector(str(quiet), quiet_epochs=2)
     assert later.spec == {"name": str(quiet), "quiet_epochs": 2}
-    assert identity_of(later) != identity_of(judges[1])
+    assert describe_identity(later) != describe_identity(judges[1])
 
 
 def test_a_pool_of_the_duel_keeps_the_warm_up_of_the_card(guard, tmp_path):
@@ -213,7 +215,7 @@ def test_an_older_card_has_the_terms_of_the_duel(tmp_path):
     edit_card(path, terms=..., state=..., channels=..., interval_s=..., quiet_epochs=...)
     old = LearnedDetector(str(path))
     assert old.card.terms is None
-    assert old.judge_by.observed == whole.judge_by.observed
+    assert old.judge_by.observed_terms == whole.judge_by.observed_terms
     check_detector(str(path))
 
 
@@ -311,7 +313,7 @@ def test_limits_say_that_it_has_no_bound(guard, capsys):
 
 def test_the_default_rate_is_asked_for_in_a_world(guard, monkeypatch):
     monkeypatch.setattr(calibrated, "DEFAULT_RATE", 0.2)
-    made = tight("never").altered(
+    made = tight("never").copy_with(
         detector=detector_in_world({"name": str(guard), "threshold": 0.4})
     )
     assert made.detector.scale == 0.4

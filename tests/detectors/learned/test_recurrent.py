@@ -130,9 +130,9 @@ def test_a_state_that_does_not_fit_is_refused(case, tmp_path):
 
 def relabel(path):
     """Let the card have the digest of the file."""
-    from spoofgym.policies.onnx_file import file_of
+    from spoofgym.policies.onnx_file import describe_file
 
-    edit_card(path, file=file_of(path.name, path.read_bytes()).model_dump())
+    edit_card(path, file=describe_file(path.name, path.read_bytes()).model_dump())
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def test_a_term_has_names_bounds_and_the_fields_that_it_names(name, script):
         few = {key: array for key, array in epoch._asdict().items() if key in Epoch._fields[:7]}
         traced = TracedEpoch(**few, **{key: getattr(epoch, key) for key in term.needs})
         agent.look(traced)
-        read |= traced.read
+        read |= traced.read_fields
         seen = agent.memory["observation"]
         assert (observer.low <= seen).all()
         assert (seen <= observer.high).all()
@@ -71,7 +71,7 @@ def test_terms_are_written_as_they_are_read():
     assert again == terms
     assert lines[1] == {"name": "elapsed", "scale_s": 60.0}
     default = make_detector_terms(written_terms([*ALL_TERMS, ExclusionLeft(30.0)]))
-    assert default == (*ALL_TERMS, ExclusionLeft(30.0)) == DetectorAgent().observed
+    assert default == (*ALL_TERMS, ExclusionLeft(30.0)) == DetectorAgent().observed_terms
 
 
 def test_lines_of_sight_are_unit_vectors_in_local_axes(script):
@@ -161,7 +161,7 @@ def test_a_classic_remembers_by_itself(script):
 )
 def test_what_is_no_term_is_refused(spec, message):
     with pytest.raises(ValueError, match=message):
-        DetectorObserver(DetectorAgent(terms=spec).observed, 12)
+        DetectorObserver(DetectorAgent(terms=spec).observed_terms, 12)
 
 
 def test_a_classic_that_weighs_is_refused_at_its_first_epoch(script):

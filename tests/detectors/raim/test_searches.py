@@ -30,8 +30,8 @@ def searched(search, u, y, *settings):
     data.slots[0], data.lines[0], data.offsets[0] = np.arange(n), -u, y
     tabulate(n, data.lines[0], data.offsets[0], data.table[0])
     search(data, fit_thresholds(SIGMA, 0.05, n), *settings)
-    group = np.where((data.mask[0] >> np.arange(n)) & 1, 1, 2) * int(data.found[0])
-    return Partition(bool(data.found[0]), group, int(data.positionings[0]))
+    group = np.where((data.mask[0] >> np.arange(n)) & 1, 1, 2) * int(data.solved[0])
+    return Partition(bool(data.solved[0]), group, int(data.positionings[0]))
 
 
 def srv_raim(u, y):
@@ -114,7 +114,9 @@ def test_srv_search_is_the_plain_one(spoofed):
     for seed in range(3):
         u, y, _ = case(seed, spoofed=spoofed)
         got = srv_raim(u, y)
-        assert (got.found, set(np.flatnonzero(got.group == 1)), got.positionings) == plain_srv(u, y)
+        assert (got.solved, set(np.flatnonzero(got.group == 1)), got.positionings) == plain_srv(
+            u, y
+        )
 
 
 @pytest.mark.parametrize(("n", "spoofed"), [(12, 0), (12, 2), (12, 5), (9, 3), (6, 1), (10, 5)])
@@ -122,7 +124,7 @@ def test_traversal_is_the_plain_one(n, spoofed):
     u, y, _ = case(n + spoofed, n=n, spoofed=spoofed)
     got = traversal_raim(u, y)
     plain = plain_traversal(u, y)
-    assert (got.found, set(np.flatnonzero(got.group == 1)), got.positionings) == plain
+    assert (got.solved, set(np.flatnonzero(got.group == 1)), got.positionings) == plain
 
 
 def test_thresholds_are_those_of_the_notes():
@@ -162,7 +164,7 @@ def test_swapping_authentic_and_spoofed_gives_the_same_partition(search):
     noise = SIGMA * np.random.default_rng(0).standard_normal(12)
     one = search(u, noise + np.where(spoofed, shift, 0.0))
     other = search(u, noise - np.where(spoofed, 0.0, shift))
-    assert one.found
+    assert one.solved
     np.testing.assert_array_equal(one.group, other.group)
 
 
@@ -181,14 +183,14 @@ def test_one_wild_pseudorange_is_told(search, wild):
     u, y, _ = case(5, spoofed=0)
     y[4] += wild
     got = search(u, 0.2 * (y - 1e5))
-    assert got.found
+    assert got.solved
     np.testing.assert_array_equal(got.group == 2, np.arange(12) == 4)
 
 
 def test_more_than_32_satellites_have_their_bits():
     u, y, spoofed = case(7, n=40, spoofed=10, clean=True)
     got = srv_raim(u, y)
-    assert got.found
+    assert got.solved
     assert {len(set(got.group[spoofed])), len(set(got.group[~spoofed]))} == {1}
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.envs.rendering import CoreRecorder, RenderHistory
-from spoofgym.envs.rendering.panels import NAME_SIZE, beside
+from spoofgym.envs.rendering.panels import NAME_SIZE, place_names
 from spoofgym.simulation import TightlyCoupledSetup
 
 from ..support import VICTIMS, victim
@@ -23,7 +23,7 @@ def play(core, action, steps=8, seed=3):
     """History of some steps."""
     core.reset([np.random.default_rng(seed)])
     recorder = CoreRecorder(core)
-    history = RenderHistory(recorder.begin(), recorder.interval_s)
+    history = RenderHistory(recorder.start_episode(), recorder.interval_s)
     history.add(*recorder.frames(), {k: v[0] for k, v in core.reset_info().items()})
     for _ in range(steps):
         result, _ = core.step(np.full((1, len(core.action_names)), action))
@@ -106,6 +106,6 @@ def test_names_of_satellites_lie_beside_one_another():
         return (apart < -1e-9).all(axis=-1).sum() - len(corners)
 
     assert shared(place.T) == 8  # all in the upper right
-    assert shared(np.array(beside(place, np.ones(8, dtype=bool)))) == 0
-    alone = beside(np.zeros((2, 1)), np.ones(1, dtype=bool))
+    assert shared(np.array(place_names(place, np.ones(8, dtype=bool)))) == 0
+    alone = place_names(np.zeros((2, 1)), np.ones(1, dtype=bool))
     assert alone == [(0.06, 0.04)]

@@ -7,7 +7,7 @@ import gymnasium as gym
 import pytest
 
 import spoofgym  # noqa: F401  (registers the ids)
-from spoofgym.core.declared import settings_in
+from spoofgym.core.declared import list_declarations
 from spoofgym.detectors.observation import Elapsed, InnovationSd, PredictedMotion
 from spoofgym.duel_v0 import DetectorView
 from spoofgym.envs.terms.action import CommandMap, default_action
@@ -59,7 +59,7 @@ def unit_of(name, term, setup):
     found = [scale for word, scale in SCALES.items() if name.startswith(word)]
     if not found:
         return "1", 1.0
-    return settings_in(type(term))[found[0]][0].unit, getattr(term, found[0])
+    return list_declarations(type(term))[found[0]][0].unit, getattr(term, found[0])
 
 
 def observed(terms, setup):

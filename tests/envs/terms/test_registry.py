@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from spoofgym.envs import make_terms
-from spoofgym.envs.terms import TERMS, written
+from spoofgym.envs.terms import TERMS, describe_terms
 from spoofgym.envs.terms.action import AlongTarget, FullCommand
 from spoofgym.envs.terms.observation import OwnCommand, Time
 from spoofgym.envs.terms.reward import AlarmPenalty, DisplacementGain
@@ -28,7 +28,7 @@ def test_every_term_goes_through_json(kind):
     for name in TERMS[kind]:
         (term,) = make_terms(kind, {"name": name, **NEEDED.get(name, {})})
         assert type(term) is TERMS[kind][name]
-        said = written(kind, term)
+        said = describe_terms(kind, term)
         assert said[0]["name"] == name
         assert make_terms(kind, json.loads(json.dumps(said))) == (term,)
         with pytest.raises(AttributeError):  # frozen
@@ -92,7 +92,7 @@ def test_own_terms_are_taken_as_objects_and_by_a_name_of_their_own(monkeypatch):
     env = single(observation=["time", Alarms()]).unwrapped
     assert env.observation_names == ("time_since_onset", "time_left", "alarms")
     with pytest.raises(TypeError, match="Alarms has no name among the observation terms"):
-        written("observation", Alarms())
+        describe_terms("observation", Alarms())
     monkeypatch.setitem(TERMS["observation"], "alarms", Alarms)
     spec = single(observation=["time", "alarms"]).spec
     again = gym.make(gym.envs.registration.EnvSpec.from_json(spec.to_json())).unwrapped
