@@ -54,9 +54,10 @@ class Task:
 
     @property
     def detector(self) -> dict[str, Any]:
-        """Whom the spoofer meets, as one detector, as `make_detector` takes it; a copy."""
-        whom = {"name": "pool", "members": list(self.detectors)}
-        return copy.deepcopy(whom if self.pooled else self.detectors[0])
+        """The detector of the task, a pool if it has several, as `make_detector` takes it; a
+        copy."""
+        detector = {"name": "pool", "members": list(self.detectors)}
+        return copy.deepcopy(detector if self.pooled else self.detectors[0])
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
@@ -141,8 +142,8 @@ TASKS: dict[str, Task] = {
             "one of eight hidden detectors, whose thresholds differ, alert limit 40 m",
             {"scenario": "trolley", "receiver": "matched", "domain": DRAWN},
             tuple(
-                {**whom, "false_alarms_per_hour": rate}
-                for whom in (
+                {**detector, "false_alarms_per_hour": rate}
+                for detector in (
                     {"name": "solution-separation"},
                     {"name": "aime", **RANGE_RATES},
                     {"name": "sequential-chi2", **RANGE_RATES},

@@ -423,7 +423,7 @@ def test_a_side_or_a_pool_alone_chooses_the_view():
         ({"task": "T9"}, ValueError, "unknown task 'T9'"),
         ({"side": "referee"}, ValueError, "`side` must be 'spoofer' or 'detector', got 'referee'"),
         ({"side": "detector", "detector": "ewma"}, ValueError, "the detector is the learner"),
-        ({"weights": [1.0]}, ValueError, "`weights` are those of a `pool`, and there is none"),
+        ({"weights": [1.0]}, ValueError, "`weights` needs a `pool`"),
         ({"env_id": "spoofgym/Snapshot-v0", "side": "detector"}, ValueError, "has none"),
         ({"env_id": "spoofgym/Snapshot-v0", "pool": ["raim"]}, ValueError, "has none"),
         ({"pool": ["never"], "detector": "ewma"}, ValueError, "two detectors are set at once"),

@@ -173,8 +173,8 @@ def _count_alarms(
     worlds = [found.world == each for each in np.unique(found.world)]
     each = tuple((int(there.sum()), int(found.alarmed[there].sum())) for there in worlds)
     early = int(found.early.sum())
-    asked = point.false_alarms_per_hour
-    return HoldOut(name, runs, alarms, promised, low, high, rate, early, window_s, each, asked)
+    nominal = point.false_alarms_per_hour
+    return HoldOut(name, runs, alarms, promised, low, high, rate, early, window_s, each, nominal)
 
 
 def predictive_interval(runs: int, calibrated: int, rank: int, cells: int = 1) -> tuple[int, int]:
@@ -245,9 +245,9 @@ def _rescale_detector(calibration: Calibration, detector: Detector) -> Detector:
 
 def _compare(calibration: Calibration, found: CleanRuns, unit: float) -> None:
     """Raise where replayed maxima are not those of the file."""
-    for k, (run, *kept) in enumerate(calibration.witnesses):
+    for k, (run, *stored) in enumerate(calibration.witnesses):
         again = (found.before[k] * unit, found.judged[k] * unit)
-        for where, there, here in zip(("before the attack", "in it"), kept, again, strict=True):
+        for where, there, here in zip(("before the attack", "in it"), stored, again, strict=True):
             if not abs(here - there) <= TOLERANCE * max(abs(there), 1e-12):
                 raise ValueError(
                     f"{calibration.path or calibration.detector['name']} no longer holds: the "

@@ -270,10 +270,10 @@ class _Work:
             return player.play([scaled], rows, in_loop=in_loop, now="bisection").alarmed[:, 0]
 
         runs, window_s = len(found.judged), self.setup.window_s
-        asked = {
+        wanted = {
             compute_rank(run_probability(r, window_s), runs) for r in (*STANDARD_RATES, *self.rates)
         }
-        ranks = sorted(rank for rank in asked if 1 <= rank <= runs)
+        ranks = sorted(rank for rank in wanted if 1 <= rank <= runs)
         return ranks, np.array([bisect(found.before, found.judged, r, alarms) for r in ranks])
 
 

@@ -80,23 +80,23 @@ def calibrate(
     setup, rate = played.setup, false_alarms_per_hour
     judges, named = _judges(detector, played, rescaled)
     others = {text: _other(played, text) for text in transfer or ()}
-    asked: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
+    request: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
     settings: dict[str, Any] = {"threads": threads, "progress": progress}
     found = calibration.calibrate(
-        setup, judges, **asked, **settings, entropy=seed, overwrite=overwrite, strict=False
+        setup, judges, **request, **settings, entropy=seed, overwrite=overwrite, strict=False
     )
     made, lines, sound = _points(found, judges, rate)
     if check:
         replay(setup, found, judges, threads=threads)
         lines.append(f"replayed: {len(found)} calibrations hold, to {TOLERANCE:g} of every maximum")
-    kept = [found[k] for k in sound], [judges[k] for k in sound]
+    usable = [found[k] for k in sound], [judges[k] for k in sound]
     counted: dict[str, list[HoldOut]] = {}
     settings["false_alarms_per_hour"] = rate
     if hold_out is not None and sound:
-        counted["hold-out"] = calibration.hold_out(setup, *kept, runs=hold_out, **settings)
+        counted["hold-out"] = calibration.hold_out(setup, *usable, runs=hold_out, **settings)
     for text, other in others.items() if sound else ():
         count = hold_out or HOLDOUT_WEIGHING
-        counted[f"in {text}"] = calibration.transfer(other, *kept, runs=count, **settings)
+        counted[f"in {text}"] = calibration.transfer(other, *usable, runs=count, **settings)
     if as_json:
         print_json(
             {
@@ -130,11 +130,11 @@ def _judges(
     named: list[Any] = []
     offered: list[Any] = []
     for spec in specs:
-        asked = [key for key in THRESHOLD_KEYS if key in spec]
-        if texts and asked:
+        request = [key for key in THRESHOLD_KEYS if key in spec]
+        if texts and request:
             raise ValueError(
-                f"--detector {spec['name']} asks for `{asked[0]}`, but thresholds are what is "
-                "looked for here: give the rate as --false-alarms-per-hour"
+                f"--detector {spec['name']} has `{request[0]}`, which this command "
+                "computes: give the rate by --false-alarms-per-hour"
             )
         if spec["name"] == "all":
             fit = suitable_detectors(world.setup)

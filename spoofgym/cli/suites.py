@@ -164,9 +164,9 @@ def calibrate_suite(suite: Suite, detectors: Sequence[str] | None, threads: int 
         suite.world, suite.detector_players, threads=threads, progress=progress, optional=optional
     )
     if refused:
-        kept = [e.spec for e in suite.detector_players if e.label not in refused]
+        accepted = [e.spec for e in suite.detector_players if e.label not in refused]
         notes = (*suite.notes, *(f"{label}{LEFT_OUT}{why}" for label, why in refused.items()))
-        suite = replace(suite, detectors=kept, notes=notes)
+        suite = replace(suite, detectors=accepted, notes=notes)
     suite.check_fit()
     return suite
 
@@ -248,13 +248,13 @@ def _scenario(options: WorldOptions) -> tuple[Scenario, tuple[str, ...], Reports
         day = None if options.day is None else date.fromisoformat(options.day)
     except ValueError as error:
         raise ValueError(f"--date must be YYYY-MM-DD, got {options.day!r}") from error
-    kept = ("errors", "imu", "epoch_interval_s", "channels", "mask_deg", "imu_rate_hz")
+    accepted = ("errors", "imu", "epoch_interval_s", "channels", "mask_deg", "imu_rate_hz")
     real = real_scenario(
         options.track,
         options.ephemeris,
         from_s=options.from_s,
         duration_s=options.duration,
         day=day,
-        **{name: getattr(usual, name) for name in kept},
+        **{name: getattr(usual, name) for name in accepted},
     )
     return real.scenario, real.lines, real.reports

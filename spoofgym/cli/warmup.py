@@ -25,7 +25,7 @@ def warmup(
     """Compile for this machine what first episodes need, so that none of them waits for it.
 
     Every environment plays an episode as single and as vector environment. What was compiled is
-    kept for all later processes, until spoofgym or numba changes.
+    stored for all later processes, until spoofgym or numba changes.
     """
     import gymnasium as gym
 

@@ -241,7 +241,7 @@ def _fault(folder: Path) -> str:
         return f"must belong to user {os.getuid()}, who runs its code, not to {status.st_uid}"
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         mode = stat.S_IMODE(status.st_mode)
-        return f"must be writable by nobody else, got mode {mode:o} (`chmod go-w` mends it)"
+        return f"must be writable by you alone, got mode {mode:o} (`chmod go-w` mends it)"
     return ""
 
 

@@ -95,21 +95,21 @@ def isolated_outliers(time: Floats, value: Floats, allowance: float, acceleratio
 
     `value` (n, k) coordinates [m]; `allowance`, `acceleration`: believed [m], [m/s^2].
     """
-    kept = np.arange(time.size)
+    used = np.arange(time.size)
     while True:
-        excess = _excess(time[kept], value[kept], allowance, acceleration)
+        excess = _excess(time[used], value[used], allowance, acceleration)
         padded = np.pad(excess, 1)
         worst = (excess > 1.0) & (excess >= padded[:-2]) & (excess >= padded[2:])
         healing = []
         for index in np.flatnonzero(worst):
-            near = np.concatenate([kept[max(index - 2, 0) : index], kept[index + 1 : index + 3]])
+            near = np.concatenate([used[max(index - 2, 0) : index], used[index + 1 : index + 3]])
             if (_excess(time[near], value[near], allowance, acceleration) <= 1.0).all():
                 healing.append(index)
         if not healing:
             break
-        kept = np.delete(kept, healing)
+        used = np.delete(used, healing)
     off = np.ones(time.size, dtype=np.bool_)
-    off[kept] = False
+    off[used] = False
     return off
 
 
@@ -258,14 +258,14 @@ class CleaningReport:
         return asdict(self)
 
     def lines(self) -> list[str]:
-        kept = self.angles_as_given + self.angles_unwrapped
+        used = self.angles_as_given + self.angles_unwrapped
         return [
             f"{self.name}: {self.rows} rows, {self.incomplete} without a position or altitude",
             f"dropped: {self.repeated} repeated, {self.late} late, "
             f"{self.interpolated} interpolated positions",
             f"dropped: {self.position_outliers} outliers in position, "
             f"{self.height_outliers} in altitude, {self.grounded} not airborne",
-            f"course angles: {kept} used ({self.angles_unwrapped} of them modulo 256), "
+            f"course angles: {used} used ({self.angles_unwrapped} of them modulo 256), "
             f"{self.angles_rejected} rejected; groundspeeds: {self.speeds_rejected} rejected",
             f"{self.stretches} airborne stretches without a gap over {LARGEST_GAP_S:g} s; of one "
             f"that lasts {self.stretch_s:.0f} s",
@@ -327,8 +327,8 @@ class _Fixes:
     groundspeed: Floats
     track_deg: Floats
 
-    def __getitem__(self, kept: Mask) -> _Fixes:
-        return _Fixes(*(getattr(self, field)[kept] for field in self.__dataclass_fields__))
+    def __getitem__(self, used: Mask) -> _Fixes:
+        return _Fixes(*(getattr(self, field)[used] for field in self.__dataclass_fields__))
 
     @property
     def position_e(self) -> Floats:

@@ -335,14 +335,14 @@ def screen(ephemerides: Ephemerides) -> tuple[Ephemerides, ScreeningReport]:
        confirm each other, so that a run of them remains, its borders counted as unresolved.
     """
     distinct = _without_copies(ephemerides)
-    kept = np.ones(len(distinct), dtype=np.bool_)
+    accepted = np.ones(len(distinct), dtype=np.bool_)
     rejections: list[Rejection] = []
     unchecked = unresolved = 0
     for satellite in distinct.satellite_ids:
         rejected, gaps = _reject_contradictions(
             distinct, np.flatnonzero(distinct.satellite_id == satellite)
         )
-        kept[list(rejected)] = False
+        accepted[list(rejected)] = False
         rejections += [
             Rejection(satellite, float(distinct.time_of_ephemeris[record]), distance)
             for record, distance in sorted(rejected.items())
@@ -358,7 +358,7 @@ def screen(ephemerides: Ephemerides) -> tuple[Ephemerides, ScreeningReport]:
         unchecked=unchecked,
         unresolved=unresolved,
     )
-    return distinct.take(kept), report
+    return distinct.take(accepted), report
 
 
 def _without_copies(ephemerides: Ephemerides) -> Ephemerides:

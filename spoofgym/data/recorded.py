@@ -56,12 +56,12 @@ def real_scenario(
     """
     fixes, cleaning = clean_track(read_track(track), from_s=from_s, duration_s=duration_s)
     flight, fit = fit_track(fixes)
-    kept, screening = screen(read_navigation(ephemeris))
-    broadcast = ephemeris_day(kept)
+    accepted, screening = screen(read_navigation(ephemeris))
+    broadcast = ephemeris_day(accepted)
     own = fixes.start_utc.astimezone(UTC)
     start = datetime.combine(day or broadcast, own.timetz())
     seconds = gps_seconds(start)
-    constellation = BroadcastConstellation(kept, seconds)
+    constellation = BroadcastConstellation(accepted, seconds)
     scenario = Scenario(name=fixes.name, flight=flight, constellation=constellation, **settings)
     name = Path(ephemeris).name
     return RealInput(
@@ -106,7 +106,7 @@ def screening_lines(name: str, report: ScreeningReport) -> list[str]:
         f"{name}: {report.records} GPS records, {report.duplicates} copies dropped, "
         f"{report.unhealthy} marked unhealthy and not used, {report.rejected} rejected for "
         f"contradicting their neighbours, {report.unchecked} without a neighbour to compare with, "
-        f"{report.unresolved} pairs that disagree and were kept",
+        f"{report.unresolved} pairs that disagree, both used",
     ]
     for satellite, seconds, distance in report.rejections:
         when = GPS_EPOCH + timedelta(seconds=seconds)

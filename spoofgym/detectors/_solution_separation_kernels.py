@@ -43,41 +43,46 @@ def whitened_response(
     `response` (m, d), the first d states of A, and `white` (m,), y, are written in as many rows as
     are returned; -1 where S is not positive definite.  `rows` (m,), `factor` (m, m): scratch.
     """
-    states, kept = design.shape[1], response.shape[1]
+    states, tracked = design.shape[1], response.shape[1]
     count = cholesky_of_rows(innovation_cov, visible, 0, len(innovation), rows, factor)
     for i in range(count):
         r, mine = rows[i], response[i]
         white[i] = innovation[r]
-        for k in range(kept):
+        for k in range(tracked):
             mine[k] = 0.0
         for j in range(states):
             h = design[r, j]
             if h != 0.0:
                 P = predicted_cov[j]
-                for k in range(kept):
+                for k in range(tracked):
                     mine[k] += h * P[k]
         for l in range(i):
             f, other = factor[i, l], response[l]
             white[i] -= f * white[l]
-            for k in range(kept):
+            for k in range(tracked):
                 mine[k] -= f * other[k]
         white[i] *= factor[i, i]
-        for k in range(kept):
+        for k in range(tracked):
             mine[k] *= factor[i, i]
     return count
 
 
 @njit
 def changed_rows(
-    transition: FloatArray, kept: int, rows: IntArray, ends: IntArray, at: IntArray, of: FloatArray
+    transition: FloatArray,
+    tracked: int,
+    rows: IntArray,
+    ends: IntArray,
+    at: IntArray,
+    of: FloatArray,
 ) -> int:
-    """Find the rows of the first `kept` states of a transition that are not the identity's: numbers
-    in `rows`, where each ends in `ends` (d,), and places and values of what is not 0 in `at`, `of`
-    (d * d,), all written; returns how many rows."""
+    """Find the rows of the first `tracked` states of a transition that are not the identity's:
+    numbers in `rows`, where each ends in `ends` (d,), and places and values of what is not 0 in
+    `at`, `of` (d * d,), all written; returns how many rows."""
     count, size = 0, 0
-    for i in range(kept):
+    for i in range(tracked):
         before, same = size, transition[i, i] == 1.0
-        for j in range(kept):
+        for j in range(tracked):
             if transition[i, j] != 0.0:
                 at[size], of[size] = j, transition[i, j]
                 size += 1
@@ -166,13 +171,17 @@ def advance_bank(
     """Move all solutions of some receivers on by one epoch. `fewest`: satellites for an update;
     `spacing`: D; `epochs` (B,), `separation` (B, d, J), `covariance` (B, d, d, J) memory: epochs so
     far, s and V. Where S is not positive definite, s is infinite."""
-    m, (kept, bank) = innovation.shape[1], separation.shape[1:]
+    m, (tracked, bank) = innovation.shape[1], separation.shape[1:]
     scratch, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
-    A, y = np.empty((m, kept)), np.empty(m)
-    gained, added = np.empty(kept), np.empty((kept, kept))
-    rows, ends = np.empty(kept, dtype=np.int64), np.empty(kept, dtype=np.int64)
-    at, of = np.empty(kept * kept, dtype=np.int64), np.empty(kept * kept)
-    moved, shifted, begun = np.empty((kept, kept * bank)), np.empty((kept, bank)), np.empty(bank)
+    A, y = np.empty((m, tracked)), np.empty(m)
+    gained, added = np.empty(tracked), np.empty((tracked, tracked))
+    rows, ends = np.empty(tracked, dtype=np.int64), np.empty(tracked, dtype=np.int64)
+    at, of = np.empty(tracked * tracked, dtype=np.int64), np.empty(tracked * tracked)
+    moved, shifted, begun = (
+        np.empty((tracked, tracked * bank)),
+        np.empty((tracked, bank)),
+        np.empty(bank),
+    )
     for b in receivers:
         P, H, z, S = predicted_cov[b], design[b], innovation[b], innovation_cov[b]
         seen = 0
@@ -183,14 +192,14 @@ def advance_bank(
             count = whitened_response(P, H, z, S, visible[b], scratch, factor, A, y)
         gained[:] = 0.0 if count >= 0 else np.inf
         added[:] = 0.0
-        for j in range(kept):
+        for j in range(tracked):
             row = added[j]
             for i in range(count):
                 a, mine = A[i, j], A[i]
                 gained[j] += a * y[i]
-                for k in range(kept):
+                for k in range(tracked):
                     row[k] += a * mine[k]
-        changed = changed_rows(transition[b], kept, rows, ends, at, of)
+        changed = changed_rows(transition[b], tracked, rows, ends, at, of)
         s, V = separation[b], covariance[b]
         for j in range(bank):
             age = compute_age(epochs[b], j, spacing, bank)
@@ -199,11 +208,11 @@ def advance_bank(
                 s[:, j] = 0.0
                 V[:, :, j] = 0.0
         propagate_bank(V, s, changed, rows, ends, at, of, moved, shifted)
-        for i in range(kept):
+        for i in range(tracked):
             for j in range(bank):
                 if begun[j] > 0.0:
                     s[i, j] -= gained[i]
-            for k in range(kept):
+            for k in range(tracked):
                 more, row = added[i, k], V[i, k]
                 for j in range(bank):
                     row[j] += more * begun[j]

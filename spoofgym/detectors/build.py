@@ -32,28 +32,31 @@ NOMINAL: tuple[dict[str, Any], ...] = ({}, {"thresholds": "nominal"})
 def split_spec(spec: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """A detector's spec without its request for thresholds, and that request."""
     plain = {key: value for key, value in spec.items() if key not in THRESHOLD_KEYS}
-    asked = {key: spec[key] for key in THRESHOLD_KEYS if spec.get(key) is not None}
-    if "thresholds" in asked:
-        check_word("thresholds", asked["thresholds"], THRESHOLDS)
+    request = {key: spec[key] for key in THRESHOLD_KEYS if spec.get(key) is not None}
+    if "thresholds" in request:
+        check_word("thresholds", request["thresholds"], THRESHOLDS)
     for key, stated, what in (
-        ("thresholds", asked.get("thresholds") == "nominal", "`thresholds` 'nominal'"),
-        ("threshold_scale", "threshold_scale" in asked, "`threshold_scale`, a factor of your own,"),
+        ("thresholds", request.get("thresholds") == "nominal", "`thresholds` 'nominal'"),
+        (
+            "threshold_scale",
+            "threshold_scale" in request,
+            "`threshold_scale`, a factor of your own,",
+        ),
     ):
-        others = [f"`{k}`" for k in asked if k != key]
+        others = [f"`{k}`" for k in request if k != key]
         if stated and others:
             raise ValueError(
-                f"detector {spec.get('name')!r} is asked for {what} and for {', '.join(others)}: "
-                "leave out one"
+                f"detector {spec.get('name')!r} has {what} and {', '.join(others)}: leave out one"
             )
-    if not isinstance(asked.get("calibration", ""), str | Path):
-        raise TypeError(f"`calibration` must be the path of a file, got {asked['calibration']!r}")
-    return plain, asked
+    if not isinstance(request.get("calibration", ""), str | Path):
+        raise TypeError(f"`calibration` must be the path of a file, got {request['calibration']!r}")
+    return plain, request
 
 
-def with_thresholds(detector: Detector, asked: Mapping[str, Any]) -> Detector:
+def with_thresholds(detector: Detector, request: Mapping[str, Any]) -> Detector:
     """A detector with the requested thresholds; one that never alarms has only its own."""
-    rate, scale = asked.get("false_alarms_per_hour"), asked.get("threshold_scale")
-    if asked in NOMINAL:
+    rate, scale = request.get("false_alarms_per_hour"), request.get("threshold_scale")
+    if request in NOMINAL:
         return detector
     if rate is None and scale is None:
         rate = STANDARD_RATE
@@ -61,8 +64,8 @@ def with_thresholds(detector: Detector, asked: Mapping[str, Any]) -> Detector:
         if rate is not None:
             check_rate(rate)
         return detector
-    path = str(asked["calibration"]) if "calibration" in asked else None
-    rescaled = asked.get("thresholds") == "rescaled"
+    path = str(request["calibration"]) if "calibration" in request else None
+    rescaled = request.get("thresholds") == "rescaled"
     return Calibrated(detector, scale, rate, rescaled=rescaled, calibration=path)
 
 
@@ -170,16 +173,16 @@ def _build(spec: Any, default: float | None) -> Detector:
     spec = _as_mapping(spec)
     if not isinstance(spec, Mapping):
         return make("detector", DETECTORS, Detector, spec, list_shipped(DETECTOR))
-    plain, asked = split_spec(spec)
+    plain, request = split_spec(spec)
     load = _loader(plain)
-    if not asked and default is not None and not has_own_threshold(plain):
-        asked = {"false_alarms_per_hour": default}
+    if not request and default is not None and not has_own_threshold(plain):
+        request = {"false_alarms_per_hour": default}
     if load is not None:
-        return _with_own_threshold(load(plain), plain, asked)
+        return _with_own_threshold(load(plain), plain, request)
     if plain.get("name") == "pool":
-        plain["members"] = _request_thresholds(plain, asked)
+        plain["members"] = _request_thresholds(plain, request)
     made = make("detector", DETECTORS, Detector, plain, list_shipped(DETECTOR))
-    return made if made.judges else with_thresholds(made, asked)
+    return made if made.judges else with_thresholds(made, request)
 
 
 def _as_mapping(spec: Any) -> Any:
@@ -196,21 +199,21 @@ def _loader(spec: Any) -> Callable[[Mapping[str, Any]], Detector] | None:
 
 
 def _with_own_threshold(
-    made: Detector, plain: Mapping[str, Any], asked: Mapping[str, Any]
+    made: Detector, plain: Mapping[str, Any], request: Mapping[str, Any]
 ) -> Detector:
     """A loaded detector with its threshold. Its statistic is compared with 1, so that a factor on
     that is a threshold; the nominal one is that of the card."""
     name, own = plain["name"], plain.get("threshold")
     if own is not None:
         check_number("threshold", own, above=0.0, most=1.0)
-        if asked not in NOMINAL:
+        if request not in NOMINAL:
             raise ValueError(
-                f"detector {name!r} is given a `threshold` of its own, and asked for another one: "
+                f"detector {name!r} has a `threshold` of its own, and a request for another one: "
                 "leave out one"
             )
         return Calibrated(made, scale=float(own))
-    if asked not in NOMINAL:
-        return with_thresholds(made, asked)
+    if request not in NOMINAL:
+        return with_thresholds(made, request)
     if made.card.threshold is not None:
         return Calibrated(made, scale=made.card.threshold)
     raise ValueError(
@@ -229,12 +232,12 @@ def has_own_threshold(spec: Mapping[str, Any]) -> bool:
     return _loader(spec) is not None and spec.get("threshold") is not None
 
 
-def _request_thresholds(pool: Mapping[str, Any], asked: Mapping[str, Any]) -> Any:
+def _request_thresholds(pool: Mapping[str, Any], request: Mapping[str, Any]) -> Any:
     members = pool.get("members", inspect_settings(DETECTORS["pool"])["members"])
-    if not asked or isinstance(members, str | Mapping) or not isinstance(members, Sequence):
+    if not request or isinstance(members, str | Mapping) or not isinstance(members, Sequence):
         return members
     return [
-        {**each, **asked} if isinstance(each, Mapping) and not asks(each) else each
+        {**each, **request} if isinstance(each, Mapping) and not asks(each) else each
         for each in map(_as_mapping, members)
     ]
 
@@ -251,13 +254,13 @@ def spec_with_thresholds(detector: Detector, spec_of: Callable[[Any], Any]) -> d
         plain = calibrated.DEFAULT_RATE is None or bool(detector.judges)
         return spec if plain or not detector.calibrates else {**spec, "thresholds": "nominal"}
     rate = detector.false_alarms_per_hour
-    asked = {
+    request = {
         "false_alarms_per_hour": rate,
         "threshold_scale": detector.scale if rate is None else None,
         "thresholds": "rescaled" if detector.rescaled else None,
         "calibration": detector.calibration,
     }
-    given = {key: value for key, value in asked.items() if value is not None}
+    given = {key: value for key, value in request.items() if value is not None}
     return {**spec_of(detector.detector), **given}
 
 

@@ -132,9 +132,10 @@ class Calibrated(Detector):
     def bind(self, context: DetectorContext) -> None:
         if self.scale is None or not self.resolved:
             raise ValueError(
-                f"{type(self.detector).__name__} is asked for {self.false_alarms_per_hour:g} false "
-                "alarms an hour, and no world is known to look its thresholds up for: give it to "
-                "an environment, or take `thresholds` 'nominal'"
+                f"{type(self.detector).__name__} has no threshold for "
+                f"{self.false_alarms_per_hour:g} false alarms an hour, and no "
+                "world is known to look its thresholds up for: give it to an "
+                "environment, or take `thresholds` 'nominal'"
             )
         inner = self.detector
         if inner.alarm_is_state:

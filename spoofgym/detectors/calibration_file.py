@@ -161,8 +161,8 @@ def list_stored_ranks(
     rank = float(EXACT_RANKS)
     while (rank := rank * RANK_RATIO) < runs:
         ranks.add(int(rank))
-    asked = (compute_rank(run_probability(rate, window_s), runs) for rate in rates)
-    return sorted(ranks.union(r for r in asked if r >= 1))
+    wanted = (compute_rank(run_probability(rate, window_s), runs) for rate in rates)
+    return sorted(ranks.union(r for r in wanted if r >= 1))
 
 
 def round_digits(value: float) -> float:

@@ -162,16 +162,16 @@ class ConsistencyTest(Detector):
 
 
 @njit
-def blame(n: int, table: FloatArray, limit: FloatArray, kept: FloatArray) -> int:
+def blame(n: int, table: FloatArray, limit: FloatArray, sums: FloatArray) -> int:
     """The one satellite without which the others agree, -1 for none. `table` (N + 1, PRODUCTS)
-    products; `limit`: limit of s^2 by number of satellites [m^2]; `kept` (1, PRODUCTS) scratch."""
+    products; `limit`: limit of s^2 by number of satellites [m^2]; `sums` (1, PRODUCTS) scratch."""
     best, least = -1, limit[n - 1]
     for i in range(n if n > MIN_SATELLITES else 0):
-        kept[:] = 0.0
+        sums[:] = 0.0
         for k in range(n):
             if k != i:
-                add(kept, 0, table, k, kept, 0)
-        s2 = squared_residual(kept, 0)
+                add(sums, 0, table, k, sums, 0)
+        s2 = squared_residual(sums, 0)
         if s2 < least:
             best, least = i, s2
     return best
@@ -179,10 +179,10 @@ def blame(n: int, table: FloatArray, limit: FloatArray, kept: FloatArray) -> int
 
 @njit
 def blame_all(data: SearchData, limit: FloatArray) -> None:
-    kept = np.empty((1, PRODUCTS))
+    sums = np.empty((1, PRODUCTS))
     for b in range(data.alarm.shape[0]):
         if data.alarm[b]:
-            worst = blame(data.rows[b], data.table[b], limit, kept)
+            worst = blame(data.rows[b], data.table[b], limit, sums)
             if worst >= 0:
                 data.solved[b] = True
                 data.mask[b] -= 1 << worst
@@ -394,12 +394,12 @@ def leave_out(
     size: int,
     table: FloatArray,
     limit: FloatArray,
-    kept: FloatArray,
+    sums: FloatArray,
     left: FloatArray,
     after: FloatArray,
     chosen: IntArray,
 ) -> tuple[bool, int, int]:
-    """Leave out all subsets of one size, in lexicographic order. `kept`, `left` (size + 1,
+    """Leave out all subsets of one size, in lexicographic order. `sums`, `left` (size + 1,
     PRODUCTS) scratch, a stack: in row d, sums of what stays before the last of the first d that are
     left out, and of these d; `after` (n + 1, PRODUCTS) sums of the rows from i on, 0 in the last
     one; `chosen` (size,) scratch, rows that are left out."""
@@ -407,7 +407,7 @@ def leave_out(
     last_first = 0 if 2 * size == n else n - size
     fits, d = 0, 0
     chosen[0] = 0
-    kept[:2] = 0.0
+    sums[:2] = 0.0
     left[0] = 0.0
     while d >= 0:
         i = chosen[d]
@@ -416,10 +416,10 @@ def leave_out(
                 add(left, d, table, i, left, d + 1)
                 d += 1
                 chosen[d] = i + 1
-                add(kept, d, after, n, kept, d + 1)
+                add(sums, d, after, n, sums, d + 1)
                 continue
             fits += tests
-            if squared_residual_of_both(kept, size, after, i + 1) < limit[n - size] and (
+            if squared_residual_of_both(sums, size, after, i + 1) < limit[n - size] and (
                 tests == 1 or squared_residual_of_both(left, d, table, i) < limit[size]
             ):
                 mask = (1 << n) - 1
@@ -431,7 +431,7 @@ def leave_out(
             if d < 0:
                 break
         i = chosen[d]
-        add(kept, d + 1, table, i, kept, d + 1)
+        add(sums, d + 1, table, i, sums, d + 1)
         chosen[d] = i + 1
     return False, 0, fits
 

@@ -104,7 +104,7 @@ class SolutionSeparation(Detector):
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
-        b, kept = context.receivers, min(context.states, FIRST)
+        b, tracked = context.receivers, min(context.states, FIRST)
         self._interval_s, self._fewest = context.epoch_interval_s, context.min_satellites
         self._spacing = count_epochs(self.spacing_s, context)
         longest = math.ceil(self.longest_s / context.epoch_interval_s - 1e-9)
@@ -113,8 +113,8 @@ class SolutionSeparation(Detector):
         self._threshold = float(special.chdtri(2.0, self.false_alarm / bank))
         self._declare(
             epochs=np.zeros(b, dtype=np.int64),
-            separation=np.zeros((b, kept, bank)),
-            covariance=np.zeros((b, kept, kept, bank)),
+            separation=np.zeros((b, tracked, bank)),
+            covariance=np.zeros((b, tracked, tracked, bank)),
             largest_sd=np.full((b, bank), np.inf),
         )
 

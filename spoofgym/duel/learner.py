@@ -130,7 +130,7 @@ def _check_opponents(
     if side == DETECTOR and detector is not None:
         raise ValueError("the detector is the learner: `detector` can't be given as well")
     if weights is not None and pool is None:
-        raise ValueError("`weights` are those of a `pool`, and there is none")
+        raise ValueError("`weights` needs a `pool`")
     if setup is not TightlyCoupledSetup and pool is not None:
         raise ValueError(
             "only the tightly coupled receiver has a duel, with pools and a detector's side; "

@@ -224,7 +224,7 @@ class DuelParallel(_Form, ParallelEnv[str, Observation, Observation]):
         if set(actions) != set(AGENTS):
             raise ValueError(
                 f"`actions` must be of {' and '.join(AGENTS)}, got those of "
-                f"{', '.join(map(str, actions)) or 'nobody'}"
+                f"{', '.join(map(str, actions)) or 'none'}"
             )
         given = {agent: self._check_action(agent, actions[agent]) for agent in AGENTS}
         self._halfway = True

@@ -274,9 +274,9 @@ def unpack_score(raw, receivers, steps):
     largest = raw[2 * o : last].view(np.float64).reshape((steps + 1, b))
     detected = raw[last : last + b].view(np.bool_)
     ended = raw[last + b : last + 2 * b].view(np.bool_)
-    nobody = raw[last + 2 * b : last + 3 * b].view(np.bool_)
+    no_rows = raw[last + 2 * b : last + 3 * b].view(np.bool_)
     twin_alarmed = raw[last + 3 * b :].view(np.bool_)
-    return step_count, undetected, largest, detected, ended, nobody, twin_alarmed
+    return step_count, undetected, largest, detected, ended, no_rows, twin_alarmed
 
 
 @njit

@@ -33,8 +33,8 @@ def list_parameters(setup_type: type[Setup]) -> dict[str, inspect.Parameter]:
 
 def expand_signature(setup_type: type[Setup], own: inspect.Signature) -> inspect.Signature:
     """Arguments `own` of an environment's class, with all settings in place of ``**settings``."""
-    kept = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD and p.name != "self"]
-    return own.replace(parameters=[*kept, *list_parameters(setup_type).values()])
+    named = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD and p.name != "self"]
+    return own.replace(parameters=[*named, *list_parameters(setup_type).values()])
 
 
 def make_setup(setup_type: type[S], settings: Mapping[str, Any]) -> S:

@@ -305,9 +305,9 @@ class FusedStep:
         hold: Hold,
     ) -> None:
         self.score.score_hold(result, hold)
-        nobody, written = self.score.no_rows, (result.numbers, result.flags, seen)
+        no_rows, written = self.score.no_rows, (result.numbers, result.flags, seen)
         # the time to alert has moved the receivers, and with them their arrays
-        arrays = alarm, nobody, warmup_alarm, *simulator.step_arrays()
+        arrays = alarm, no_rows, warmup_alarm, *simulator.step_arrays()
         _kernels.finish(True, *self._fixed, *arrays, *written)
 
 
@@ -353,7 +353,7 @@ class ScoredStep:
         self._fused.hold(*given, self._run_hold)
 
     def __call__(self, simulator: Simulator, verdict: Verdict) -> None:
-        result, nobody = self.result, self._fused.score.no_rows
+        result, no_rows = self.result, self._fused.score.no_rows
         simulator.displacement(self._origin, None, result.displacement)
-        given = simulator, verdict.alarm, nobody, simulator.memory["warmup_alarm"]
+        given = simulator, verdict.alarm, no_rows, simulator.memory["warmup_alarm"]
         self._fused(*given, result, self.seen, self._run_hold)

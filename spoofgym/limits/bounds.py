@@ -51,7 +51,7 @@ ASSUMPTIONS = (
     "a zero-alarm bound is of the mean displacement over runs, in one direction, of any spoofer, "
     "feedback included; of no quantile and no single run",
     "the gains of the filter stay as they are, to first order around a clean run; an alarm that "
-    "noise raises counts against nobody",
+    "noise raises is not counted",
     "a free attack may do anything to the measurements; a restricted one is a false position along "
     "one heading, within the limits of the world's own attack",
 )

@@ -156,18 +156,18 @@ class Analyst:
         """Record the filter over clean runs, from the onset on."""
         simulator = self.start_simulator(rngs, given)
         blind = np.zeros(0)
-        kept: list[FloatArray] = []
+        blocks: list[FloatArray] = []
 
         def look(epoch: LinearRun) -> None:
             nonlocal blind
             blind = _propagate_coasting(simulator, epoch.transition, blind)
             lost = (blind - simulator.memory["augmented_covariance"])[:, PLACE, PLACE]
-            kept.append(epoch.axes.transpose(0, 2, 1) @ lost @ epoch.axes)
+            blocks.append(epoch.axes.transpose(0, 2, 1) @ lost @ epoch.axes)
 
         simulator.run_filter_only(self.setup.onset)
         blind = simulator.memory["augmented_covariance"].copy()
         runs = record_from(simulator, look)
-        coasting = np.stack(kept, axis=1)
+        coasting = np.stack(blocks, axis=1)
         world = self.setup.world
         return [
             AnalystRun(as_it_happens(run, world), own)

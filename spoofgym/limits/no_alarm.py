@@ -43,7 +43,7 @@ from .convex import Program
 from .linear import LinearRun
 from .zero_alarm import Bound, Sensitivity, ewma_bound, sequential_bound, snapshot_bound
 
-EXCLUDES = "it excludes satellites or fixes, and its statistic is none of the filter's innovations"
+EXCLUDES = "it excludes satellites or fixes, and tests other values than the filter's innovations"
 OPEN_LOOP_NOTE = "the blind optimum on the engine is a lower bound"
 REFUSED: dict[type[Detector], tuple[str, str]] = {
     detectors.Acna: (EXCLUDES, OPEN_LOOP_NOTE),

@@ -152,15 +152,15 @@ class Replay:
         self.first, self.onset = simulator.memory["first"].copy(), simulator.onset.copy()
         self.heading = simulator.heading.copy()
         self.sky = self.onset // world.epochs_each
-        kept: dict[str, list[NDArray[Any]]] = {}
+        stored: dict[str, list[NDArray[Any]]] = {}
         idle = simulator.advance if world.attack.idle_is_clean else lambda: simulator.predict(None)
         for _ in range(world.steps + world.hold):
             epoch = idle()
             for name, array in epoch._asdict().items():
                 if array is not None:
-                    kept.setdefault(name, []).append(np.array(array))
+                    stored.setdefault(name, []).append(np.array(array))
             simulator.update(None)
-        self._epochs, self.epochs = kept, len(kept["time"])
+        self._epochs, self.epochs = stored, len(stored["time"])
 
     def _judge(self, detector: Detector, epoch: Epoch) -> Any:
         verdict = judge_epoch(detector, epoch)
@@ -284,14 +284,14 @@ class Replay:
         detector = self._ready(number, rows, len(rates))
         inner = cast(SolutionSeparation, _inner(detector))
         buffers: dict[str, NDArray[Any]] = {}
-        kept = []
+        stored = []
         for k in range(self.epochs):
             epoch = self._epoch(k, moved, rows, len(rates), detector.needs, buffers)
             verdict = self._judge(detector, epoch)
             place = np.tile(self._epochs["predicted_position"][k][rows], (len(rates), 1))
             size = np.sqrt(verdict.threshold[:, :, None])
-            kept.append((inner.whiten(place) / size).reshape(len(rates), len(rows), -1, 2))
-        every = np.array(kept)  # (K, 1 + Q, N, J, 2)
+            stored.append((inner.whiten(place) / size).reshape(len(rates), len(rows), -1, 2))
+        every = np.array(stored)  # (K, 1 + Q, N, J, 2)
         clean = every[:, 0].transpose(1, 0, 2, 3)
         units = (every[:, 1:] - every[:, :1]).transpose(2, 0, 3, 4, 1)
         return LinearBank(

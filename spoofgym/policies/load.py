@@ -24,7 +24,7 @@ def card_path(file: str | os.PathLike[str], side: str | None = None) -> Path:
     whose shipped policies are named then."""
     path = Path(file)
     if path.suffix != SUFFIX:
-        names = ", ".join(list_shipped(side)) or "there is none"
+        names = ", ".join(list_shipped(side)) or "none"
         further = "" if side is None else f" or the name of a shipped {side} ({names})"
         raise ValueError(
             f"`file` must be the path of an {SUFFIX} file{further}, got {os.fspath(file)!r}"

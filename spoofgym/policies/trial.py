@@ -166,7 +166,7 @@ def check_answers(model: OnnxModel, space: Space) -> None:
     except NotFinite as error:
         raise ValueError(f"{model.path}, tried within the bounds on its card: {error}") from error
     if again.tobytes() != whole.tobytes():
-        raise ValueError(f"{model.path} answers the same observation otherwise when asked again")
+        raise ValueError(f"{model.path} answers the same observation differently the second time")
     pairs = [(part, whole[k]) for part, k in zip(parts, slices, strict=True)]
     pairs += [(large, np.tile(whole, (TILED, 1))), (apart, rolled[: len(apart)])]
     if any(mine.tobytes() != other.tobytes() for mine, other in pairs):

@@ -283,7 +283,7 @@ def replay(
     table = kernel_table(buffers, sensors, *truth, rules, sensors.signals.data, np.zeros(0))
     work = buffers.fields.scratch(_kernels.work_rows(n, *rules[3:].tolist()))
     given = table.entries, work, np.ones((1, 2 * n))
-    kept: list[tuple[NDArray[np.float64], ...]] = []
+    solutions: list[tuple[NDArray[np.float64], ...]] = []
     coasting = np.zeros(epochs, dtype=np.bool_)
     fields = buffers.fields
     for k in range(epochs):
@@ -292,9 +292,9 @@ def replay(
         innovation = buffers.seen["innovation"][0].copy()
         _kernels.run_epoch(*given, _kernels.UPDATE)
         sd = np.sqrt(np.diagonal(buffers.covariance[0]))
-        kept.append((*(fields[name][0] for name in _SOLVED), sd, innovation))
+        solutions.append((*(fields[name][0] for name in _SOLVED), sd, innovation))
         coasting[k] = buffers.coasting[0]
-    *solved, clock, sds, innovations = (np.array(each) for each in zip(*kept, strict=True))
+    *solved, clock, sds, innovations = (np.array(each) for each in zip(*solutions, strict=True))
     return Solution(
         time=np.array(recording.gnss_time),
         clock_bias_m=clock[:, 0].copy(),

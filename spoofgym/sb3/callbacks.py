@@ -263,11 +263,12 @@ class ScoreCallback(BaseCallback):
 
     def give_up(self, why: str) -> None:
         """End the training as diverged, with a warning that says why; the best policy stays."""
-        kept = "none before it was within the budget"
+        outcome = "none before it was within the budget"
         if self.best_step >= 0:
             best = f"the best one was that of step {self.best_step:,} with {self.best_m:.2f} m"
-            kept = best if self.path is None else f"{best}, and is kept"
-        self.diverged = f"training has diverged after {self.num_timesteps:,} steps: {why}; {kept}"
+            outcome = best if self.path is None else f"{best}, and is saved"
+        when = f"training has diverged after {self.num_timesteps:,} steps"
+        self.diverged = f"{when}: {why}; {outcome}"
         warnings.warn(self.diverged, UserWarning, stacklevel=3)
 
     def _score(self) -> None:

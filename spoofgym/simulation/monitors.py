@@ -150,6 +150,6 @@ def reports(
     newest = np.empty(len(epochs), dtype=np.int64)
     latest_reports(epochs, onset, keys, every, latency_epochs, newest)
     rows, places = np.arange(len(epochs)), newest % HISTORY_EPOCHS
-    kept = past["of"][rows, places] == newest
-    position = np.where(kept[:, None], past["position"][rows, places], 0.0)
-    return position, np.where(kept, newest, -1)
+    present = past["of"][rows, places] == newest
+    position = np.where(present[:, None], past["position"][rows, places], 0.0)
+    return position, np.where(present, newest, -1)

@@ -118,8 +118,8 @@ class NextEpisodes:
             self._generation = _threads.generation()
 
     def __getstate__(self) -> dict[str, Any]:
-        asked = {**self._open(self._groups), **self._requests}
-        return {**self.__dict__, "_asked": asked, "_groups": [], "_generation": None}
+        pending = {**self._open(self._groups), **self._requests}
+        return {**self.__dict__, "_asked": pending, "_groups": [], "_generation": None}
 
     def _slots(self, rows: NDArray[np.intp], ahead: NDArray[np.int64] | int) -> NDArray[np.intp]:
         """Where the episodes lie that some receivers come to after some others."""

@@ -51,9 +51,9 @@ def record_run(
     """
     count = setup.onset + setup.steps if epochs is None else epochs
     check_number("epochs", count, least=1, most=setup.world.epochs - 1, whole=True)
-    told = copy.copy(setup)
-    told.fields = setup.fields.union(RANGES)
-    victim = told.simulator(1, run_serially)
+    with_ranges = copy.copy(setup)
+    with_ranges.fields = setup.fields.union(RANGES)
+    victim = with_ranges.simulator(1, run_serially)
     victim.start_episodes([rng])
     buffers, clock = victim.buffers, victim.buffers.fields["clock"][0]
     initial = NavState(
@@ -63,7 +63,7 @@ def record_run(
         clock_bias_m=float(clock[0]),
         clock_drift_mps=float(clock[1]),
     )
-    kept = []
+    parts = []
     for k in range(count):
         samples = _next_samples(victim)
         if command is None or k < setup.onset:
@@ -74,9 +74,9 @@ def record_run(
         sky = setup.world.satellites[int(victim.epochs[0])]
         ranges = [np.where(seen, each, np.nan) for each in measured]
         victim.update(None)
-        kept.append((samples, *ranges, sky, buffers.position_e[0].copy()))
+        parts.append((samples, *ranges, sky, buffers.position_e[0].copy()))
     imu_samples, pseudorange, range_rate, satellites, position_e = map(
-        list, zip(*kept, strict=True)
+        list, zip(*parts, strict=True)
     )
     end = setup.world.epoch_end[count]
     imu, sky = np.concatenate(imu_samples), np.array(satellites)
@@ -98,10 +98,10 @@ def _next_samples(victim: TightlyCoupledSimulator) -> FloatArray:
     world, sensors, k = victim.setup.world, victim.sensors, int(victim.epochs[0])
     first, end = world.epoch_end[k : k + 2].tolist()
     samples, dt = np.empty(pad_count(6 * world.most_samples)), np.empty(world.most_samples)
-    count, kept = end - first, sensors.fields.data.copy()
+    count, parts = end - first, sensors.fields.data.copy()
     key0, key1 = sensors.words["imu"][0]
     deviates(key0, key1, np.uint64(k + 1), len(samples), 6 * count, samples)
     truth, active = np.empty(8 * CHUNK), np.ones(1)
-    given = kept, 0, sensors.constants.data, 0
+    given = parts, 0, sensors.constants.data, 0
     sense(world.run, np.array([first]), count, *given, samples, dt, truth, active)
     return samples[: 6 * count].reshape(6, -1).T.copy()

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from ..core.memory import Memory
 
 
-def require_contract(kept: bool | np.bool_, message: str) -> None:
-    if not kept:
+def require_contract(holds: bool | np.bool_, message: str) -> None:
+    if not holds:
         raise AssertionError(message)
 
 
@@ -137,7 +137,7 @@ def run_trial(trial: ContractTrial[T]) -> list[Record]:
         records,
         again,
         f"When all is done again, the {trial.word} must do the same: no random numbers, no clock "
-        "time, nothing kept in the class or the module.",
+        "time, nothing stored in the class or the module.",
     )
     _require_same(
         records,
@@ -171,12 +171,12 @@ def check_memory(subject: Remembering, receivers: int, word: str) -> None:
                 f"reset restores it; start with `self.memory.declare({name!r}, ...)` in `bind`"
             )
         want = memory.declared[name]
-        kept = isinstance(array, np.ndarray) and (array.shape, array.dtype) == (
+        holds = isinstance(array, np.ndarray) and (array.shape, array.dtype) == (
             want.shape,
             want.dtype,
         )
         require_contract(
-            kept,
+            holds,
             f"memory {name!r} of the {word} was declared as {want.dtype} of shape {want.shape} and "
             f"has become {getattr(array, 'dtype', type(array))} of shape "
             f"{getattr(array, 'shape', None)}; keep shape and type",

@@ -287,7 +287,7 @@ def test_a_cache_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, giv
     fallback = tmp_path / f"spoofgym-cache-{os.getuid()}"
     for mode in (0o720, 0o702, 0o777):
         folder.chmod(mode)
-        with pytest.warns(RuntimeWarning, match=f"writable by nobody else, got mode {mode:o}"):
+        with pytest.warns(RuntimeWarning, match=f"writable by you alone, got mode {mode:o}"):
             assert find() == fallback
     folder.chmod(0o755)
     assert find() == folder
@@ -309,7 +309,7 @@ def test_a_layer_that_others_could_write_to_is_removed(tmp_path, monkeypatch, ca
     assert find(0) == folder
     assert list(folder.iterdir()) == []
     assert folder.stat().st_mode & 0o777 == 0o700
-    assert f"{folder} must be writable by nobody else" in capsys.readouterr().err
+    assert f"{folder} must be writable by you alone" in capsys.readouterr().err
 
 
 def test_any_damage_to_a_file_makes_it_absent(tmp_path, monkeypatch, capsys):

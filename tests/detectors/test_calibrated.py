@@ -136,7 +136,7 @@ def test_identities_are_resolved_settings():
         ({"threshold_scale": 0.0}, "`scale` must be a number above 0 or None, got 0.0"),
         ({"thresholds": "usual"}, "`thresholds` must be 'nominal', 'calibrated' or 'rescaled', go"),
         ({"thresholds": "rescaled", **RATE}, "'rescaled' is for detectors with a drift term"),
-        ({"thresholds": "nominal", **RATE}, "asked for `thresholds` 'nominal' and for `false_ala"),
+        ({"thresholds": "nominal", **RATE}, "has `thresholds` 'nominal' and `false_ala"),
         ({"threshold_scale": 1.0, **RATE}, "a factor of your own, and for `false_alarms_per_hour`"),
         ({"threshold_scale": 1.0, "calibration": "a.json"}, "of your own, and for `calibration`"),
         ({"threshold_scale": 1.0, "thresholds": "rescaled"}, "of your own, and for `thresholds`"),
@@ -157,5 +157,7 @@ def test_bad_wrappers():
         Calibrated(Ewma())
     with pytest.raises(ValueError, match="`rescale` must be four factors above 0, got"):
         Calibrated(Cusum(), 1.0, rescaled=True, rescale=(1.0, 2.0))
-    with pytest.raises(ValueError, match=r"Ewma is asked for 0.2 false alarms an hour, and no wor"):
+    with pytest.raises(
+        ValueError, match=r"Ewma has no threshold for 0.2 false alarms an hour, and no wor"
+    ):
         verdicts(Calibrated(Ewma(), false_alarms_per_hour=0.2))

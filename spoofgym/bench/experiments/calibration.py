@@ -138,12 +138,12 @@ def calibrate_players(
     `optional`: labels of detectors that may be left out where no factor on their thresholds makes
     the rate; returns why, by their labels."""
     setup = world.setup  # what is wrong with the world is wrong with no detector
-    asked: dict[tuple[float, bool], list[Detector]] = {}
+    requests: dict[tuple[float, bool], list[Detector]] = {}
     for part in (part for entry in entries for part in calibrated_parts(entry.build())):
         rate = part.false_alarms_per_hour
         if part.scale is None and part.calibration is None and rate is not None:
-            asked.setdefault((rate, part.rescaled), []).append(part.detector)
-    for (rate, rescaled), detectors in asked.items():
+            requests.setdefault((rate, part.rescaled), []).append(part.detector)
+    for (rate, rescaled), detectors in requests.items():
         found = calibrate(
             setup,
             detectors,

@@ -348,8 +348,8 @@ class _Players(NamedTuple):
         played = [panel.clean[number] for number in detectors]
         if spoofer.label != "none":
             attacks = [PanelAttack(head["spoofer_settings"], suite.runs) for head in heads]
-            asked = list(zip(attacks, detectors, strict=True))
-            played = panel.play(asked, drop=False, tick=self.context.tick)
+            requests = list(zip(attacks, detectors, strict=True))
+            played = panel.play(requests, drop=False, tick=self.context.tick)
         return [
             record_runs(
                 panel.setup,
@@ -391,8 +391,8 @@ class _Players(NamedTuple):
         for number, each in detectors.items():
             members = *suite.suite_attacks, *list_optima(suite, self.results, each)
             searches.append(WorstAttacks(panel, number, members, suite.selection))
-        asked = [(each.number, each.winners(suite.alert_limits_m)) for each in searches]
-        found = list(zip(searches, play_searches(panel, asked, tick), strict=True))
+        requests = [(each.number, each.winners(suite.alert_limits_m)) for each in searches]
+        found = list(zip(searches, play_searches(panel, requests, tick), strict=True))
         panel = self.panel("evaluation", suite.runs)
         for (search, _), winners in zip(found, play_winners(panel, found, tick), strict=True):
             head, counts = {"detector": detectors[search.number].label}, panel.counts

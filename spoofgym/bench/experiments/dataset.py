@@ -205,7 +205,7 @@ class Plan(Experiment):
         simulator: Simulator = self.world.simulator(1, run_serially)
         seen = find_agent(simulator).observer
         if np.abs([seen.low, seen.high]).max() > LARGEST:
-            raise ValueError(f"observations must lie within {LARGEST:g}, to be kept as float16")
+            raise ValueError(f"observations must lie within {LARGEST:g}, to be stored as float16")
         return {
             "task": self.task,
             "world": setup.conditions.settings,

@@ -117,8 +117,8 @@ class Pairs(Experiment):
         panel = self._panel(detectors, alone, context)
         tick = lambda part: context.tick(part * work / panel.runs / len(cells))  # noqa: E731
         attack = PanelAttack(spoofer.fixed_spec, panel.runs)
-        asked = [(attack, k) for k in range(len(detectors))]
-        for k, runs in enumerate(panel.play(asked, drop=False, tick=tick)):
+        requests = [(attack, k) for k in range(len(detectors))]
+        for k, runs in enumerate(panel.play(requests, drop=False, tick=tick)):
             yield Result(*panel.record(k, runs, {}).parts())
 
     def _panel(self, detectors: Sequence[PlayerSpec], alone: bool, context: Context) -> Panel:
@@ -298,11 +298,11 @@ class Game:
         ]
         for each in (*rows, *columns):
             self._check_fresh(each)
-        who, of_rows = self._expand_mixtures(rows)
-        whom, of_columns = self._expand_mixtures(columns)
+        spoofers_used, of_rows = self._expand_mixtures(rows)
+        detectors_used, of_columns = self._expand_mixtures(columns)
         if not oracles:
-            _check_oracles(who)
-        return Pairs(self, (rows, columns), who, whom, (of_rows, of_columns))
+            _check_oracles(spoofers_used)
+        return Pairs(self, (rows, columns), spoofers_used, detectors_used, (of_rows, of_columns))
 
     def _check_fresh(self, strategy: Strategy) -> None:
         if self.seeds in strategy.decided_on:
@@ -358,5 +358,5 @@ def _check_oracles(spoofers: Sequence[PlayerSpec]) -> None:
         raise ValueError(
             f"{', '.join(seeing)}: an oracle, which observes the detector's statistics while it "
             f"attacks; it is not compared with {others[0].label} ({others[0].knowledge}) unless "
-            "that is asked for (`oracles=True`, --oracles); tables say what each of them observes"
+            "`oracles=True` (--oracles) is set; tables say what each of them observes"
         )

@@ -304,8 +304,8 @@ class Protections(Experiment):
         searches = [
             FamilyAttacks(panel, k, members, settings, antenna_m=antenna) for k in range(len(group))
         ]
-        asked = [(each.number, each.winners([limit])) for each in searches]
-        found = list(zip(searches, play_searches(panel, asked, context.tick), strict=True))
+        requests = [(each.number, each.winners([limit])) for each in searches]
+        found = list(zip(searches, play_searches(panel, requests, context.tick), strict=True))
         panel = worlds.panel(group, "evaluation", self.of.runs, **where)
         for k, winners in enumerate(play_winners(panel, found, context.tick)):
             head = {"detector": group[k].player.label}

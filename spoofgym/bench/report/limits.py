@@ -172,9 +172,9 @@ def _spread(sizes: np.ndarray[Any, np.dtype[np.float64]]) -> Record:
 
 def _course(frontier: Frontier, p_fa: float, budget: float) -> Record:
     """Floors of attacks that aim at some times, heading unknown."""
-    asked, found = purposes(p_fa, budget), {}
+    powers, found = purposes(p_fa, budget), {}
     for purpose in DRAWN:
-        p_d = asked[purpose]
+        p_d = powers[purpose]
         low, middle, high = (
             [_json(x) for x in frontier.course_m(p_fa, p_d, quantile=q).tolist()] for q in QUANTILES
         )
@@ -206,7 +206,7 @@ ZERO_ALARM = Table(
     ("free attack [m]", "free_m", metres),
     ("restricted attack [m]", "restricted_m", metres),
     ("kind", lambda row: row["kind"] or "none"),
-    ("why there is none, or an upper one; what holds instead", lambda row: row["why"] or "-"),
+    ("why it is missing, or an upper one; what holds instead", lambda row: row["why"] or "-"),
 )
 DIVERGENCE: dict[str, Callable[[Record], str]] = {
     "divergence [nats]": lambda cell: f"{cell['divergence']:.3g}",

@@ -296,8 +296,8 @@ def play_searches(
     found: dict[int, T] = {}
     waiting = {n: next(search) for n, (_, search) in enumerate(searches)}
     while waiting:
-        asked = [(each, searches[n][0]) for n, attacks in waiting.items() for each in attacks]
-        answers = iter(panel.play(asked, tick=tick))
+        requests = [(each, searches[n][0]) for n, attacks in waiting.items() for each in attacks]
+        answers = iter(panel.play(requests, tick=tick))
         for n, attacks in list(waiting.items()):
             try:
                 waiting[n] = searches[n][1].send([next(answers) for _ in attacks])
@@ -320,8 +320,8 @@ class NearAlarm(Panel):
         ratio, _ = everyone.simulator.monitor(LateMaxima).pop_maxima()
         order = np.argsort(-ratio[:, 0], kind="stable")
         chosen = np.sort(order[: math.ceil(len(order) / CANDIDATES)])
-        kept = set(chosen.tolist())
-        self.rngs = lambda: [drawn for k, drawn in enumerate(rngs()) if k in kept]
+        selected = set(chosen.tolist())
+        self.rngs = lambda: [drawn for k, drawn in enumerate(rngs()) if k in selected]
         self.ratio = ratio[chosen, 0]
         start = everyone.under(own).take(chosen)
         self._start_at_onset(start, np.zeros((len(chosen), 1), dtype=np.bool_))

@@ -344,9 +344,9 @@ def play_side_by_side(
                     tick((epochs - k - 1) / epochs)
                 break
             if open_.mean() <= 1.0 - DROP_PART:
-                kept = np.flatnonzero(open_)
-                attacker.go_on_with(start.extract(attacker.engine, kept), kept)
-                rows = rows[kept]
+                open_rows = np.flatnonzero(open_)
+                attacker.go_on_with(start.extract(attacker.engine, open_rows), open_rows)
+                rows = rows[open_rows]
     return [
         Runs(position, alarm[d], peak[d], onset, heading, coasting, total[d]) for d in range(count)
     ]

@@ -412,10 +412,10 @@ def mixture(
     """
     chances = normalize_weights(len(members), np.asarray(weights, dtype=np.float64).tolist())
     chances = np.where(chances < OUT, 0.0, chances)
-    kept = [(m, p) for m, p in zip(members, chances.tolist(), strict=True) if p > 0.0]
-    seeds = decided_on.union(*(member.decided_on for member, _ in kept))
-    total = sum(p for _, p in kept)
-    return Mixture(label, tuple(m for m, _ in kept), tuple(p / total for _, p in kept), seeds)
+    parts = [(m, p) for m, p in zip(members, chances.tolist(), strict=True) if p > 0.0]
+    seeds = decided_on.union(*(member.decided_on for member, _ in parts))
+    total = sum(p for _, p in parts)
+    return Mixture(label, tuple(m for m, _ in parts), tuple(p / total for _, p in parts), seeds)
 
 
 def specify_strategy(given: Any, side: str) -> Strategy:

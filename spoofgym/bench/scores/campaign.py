@@ -370,8 +370,8 @@ def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[
     """Scores of one cell; `limits` of the P_HMI curve [m]."""
     counts = cell.counts
     stealth = score_stealth(cell.displacement_m, cell.alarmed, counts)
-    kept = cell.displacement_m[counts]
-    zeroed = np.where(cell.alarmed[counts], 0.0, kept)
+    displacement = cell.displacement_m[counts]
+    zeroed = np.where(cell.alarmed[counts], 0.0, displacement)
     samples = draw_resamples(select_clusters(cell.sky)[counts])
     return {
         "detector": cell.detector,
@@ -385,13 +385,13 @@ def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[
         "silent_before_onset": float((~cell.records["warmup_alarm"]).mean().round(6)),
         "alarm_rate": wilson(stealth.alarms, stealth.runs).as_json(),
         "within_budget": stealth.seems_to_keep(budget),
-        "stealthy_displacement_m": bootstrap_mean(kept, samples).as_json(),
-        "median_m": round_number(np.median(kept)) if len(kept) else None,
+        "stealthy_displacement_m": bootstrap_mean(displacement, samples).as_json(),
+        "median_m": round_number(np.median(displacement)) if len(displacement) else None,
         "alarmed_as_0_m": bootstrap_mean(zeroed, samples).as_json(),
         "largest_error_m": float(cell.records["largest_error_m"].mean().round(4)),
         "p_hmi": [
             {"alert_limit_m": limit, **estimate.as_json()}
-            for limit, estimate in zip(limits, exceedance(kept, limits), strict=True)
+            for limit, estimate in zip(limits, exceedance(displacement, limits), strict=True)
         ],
         **compute_times(cell),
     }

@@ -225,8 +225,8 @@ class PayoffMatrix:
     seeds: tuple[int, str]
 
     def __repr__(self) -> str:
-        who, whom = ([each.label for each in side] for side in (self.spoofers, self.detectors))
-        return f"PayoffMatrix({who} x {whom}, {len(self.sky)} runs of {self.seeds})"
+        rows, columns = ([each.label for each in side] for side in (self.spoofers, self.detectors))
+        return f"PayoffMatrix({rows} x {columns}, {len(self.sky)} runs of {self.seeds})"
 
     @property
     def values(self) -> FloatArray:

@@ -76,10 +76,10 @@ class Stealth(NamedTuple):
 def score_stealth(displacement: ArrayLike, alarm: ArrayLike, counts: ArrayLike) -> Stealth:
     """Score of a spoofer by its runs. `displacement` (R,) undetected [m]; `alarm` (R,) bool,
     whether each run alarmed; `counts` (R,) of `counted`."""
-    kept = np.asarray(counts, dtype=np.bool_)
-    runs = int(kept.sum())
-    mean = float(np.asarray(displacement, dtype=np.float64)[kept].mean()) if runs else math.nan
-    return Stealth(runs, int(np.asarray(alarm, dtype=np.bool_)[kept].sum()), mean)
+    mask = np.asarray(counts, dtype=np.bool_)
+    runs = int(mask.sum())
+    mean = float(np.asarray(displacement, dtype=np.float64)[mask].mean()) if runs else math.nan
+    return Stealth(runs, int(np.asarray(alarm, dtype=np.bool_)[mask].sum()), mean)
 
 
 def worst_skies(displacement: ArrayLike, sky: ArrayLike) -> NDArray[np.int64] | None:

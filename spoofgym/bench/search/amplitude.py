@@ -62,8 +62,8 @@ class Tuning:
         if self.runs < fewest_runs(self.budget):
             raise ValueError(
                 f"`runs` must be at least {fewest_runs(self.budget)} for a budget of "
-                f"{self.budget:g}: with fewer, not even runs without any alarm show that it is "
-                f"kept; got {self.runs}"
+                f"{self.budget:g}: with fewer, runs without any alarm do not show that "
+                f"the budget is met; got {self.runs}"
             )
 
 

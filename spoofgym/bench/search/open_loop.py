@@ -215,9 +215,9 @@ class OpenLoopOptimizer:
         moved = float(start.mean())
         for turn in range(settings.generations):
             # the mean is one of the candidates: it learns the noise of a few runs the least
-            asked = [cma.mean.copy(), *(cma.ask() for _ in range(size - 1))]
-            scores, rates = self._pairs(np.array(asked) * unit, moved, self._batch(turn))
-            cma.tell([(x, -score) for x, score in zip(asked, scores.tolist(), strict=True)])
+            points = [cma.mean.copy(), *(cma.ask() for _ in range(size - 1))]
+            scores, rates = self._pairs(np.array(points) * unit, moved, self._batch(turn))
+            cma.tell([(x, -score) for x, score in zip(points, scores.tolist(), strict=True)])
             moved = float(rates[0].mean())
             advance(0.8 / settings.generations)
             yield rates[0]

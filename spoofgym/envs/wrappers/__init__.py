@@ -82,9 +82,9 @@ class EpochRecorder:
             **simulator.get_record_columns(),
         }
         for row in np.flatnonzero(~core.score.ended):
-            kept = self._rows[row]
+            stored = self._rows[row]
             for name, array in columns.items():
-                kept.setdefault(name, []).append(np.array(array[row]))
+                stored.setdefault(name, []).append(np.array(array[row]))
 
     def finish(self, rows: NDArray[np.intp], *, complete: bool) -> list[Path]:
         """Write the episodes of some receivers, of those that have an epoch; start new ones."""

@@ -79,7 +79,9 @@ def test_a_name_makes_a_detector_with_the_threshold_of_its_card(guard):
         make_detector({"name": str(guard), "level": 1.0})
     with pytest.raises(ValueError, match="must be a number above 0 and at most 1, got 2"):
         make_detector({"name": str(guard), "threshold": 2})
-    with pytest.raises(ValueError, match=r"given a `threshold` of its own, and asked for another"):
+    with pytest.raises(
+        ValueError, match=r"has a `threshold` of its own, and a request for another"
+    ):
         make_detector({"name": str(guard), "threshold": 0.5, "false_alarms_per_hour": 1.0})
     with pytest.raises(ValueError, match=r"there is no ONNX file nowhere\.onnx"):
         make_detector("nowhere.onnx")

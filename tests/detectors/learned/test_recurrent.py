@@ -238,7 +238,7 @@ def test_a_network_that_answers_otherwise_when_asked_again_is_refused(tmp_path, 
     known = OnnxModel.step
     monkeypatch.setattr(OnnxModel, "step", step)
     monkeypatch.setattr("spoofgym.policies.trial._passed", set())
-    with pytest.raises(ValueError, match="the same observation otherwise when asked again"):
+    with pytest.raises(ValueError, match="the same observation differently the second time"):
         OnnxDetector(path)
 
 
