@@ -95,20 +95,23 @@ register(
 
 register(
     id="spoofgym/LooselyCoupled-v0",
-    entry_point="spoofgym.envs:LooselyCoupledEnv",
-    vector_entry_point="spoofgym.envs:LooselyCoupledVectorEnv",
+    entry_point="spoofgym.envs:SpoofEnv",
+    vector_entry_point="spoofgym.envs:SpoofVectorEnv",
+    kwargs={"victim": "loosely-coupled"},
 )
 
 register(
     id="spoofgym/Snapshot-v0",
-    entry_point="spoofgym.envs:SnapshotEnv",
-    vector_entry_point="spoofgym.envs:SnapshotVectorEnv",
+    entry_point="spoofgym.envs:SpoofEnv",
+    vector_entry_point="spoofgym.envs:SpoofVectorEnv",
+    kwargs={"victim": "snapshot"},
 )
 
 register(
     id="spoofgym/WheeledRobot-v0",
-    entry_point="spoofgym.envs:WheeledRobotEnv",
-    vector_entry_point="spoofgym.envs:WheeledRobotVectorEnv",
+    entry_point="spoofgym.envs:SpoofEnv",
+    vector_entry_point="spoofgym.envs:SpoofVectorEnv",
+    kwargs={"victim": "wheeled-robot"},
 )
 
 register(

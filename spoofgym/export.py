@@ -35,7 +35,8 @@ from .core.settings import describe
 from .detectors.learned import DetectorAgent, action_names, detector_card
 from .detectors.observation import DetectorObserver
 from .duel.views import write_card
-from .envs.spoofer_binding import spoofer_context
+from .envs.factory import select_victim
+from .envs.spoofer_binding import SETUPS, spoofer_context
 from .policies.card import (
     Card,
     DetectorCard,
@@ -441,6 +442,7 @@ OF_THE_CALL = (
     "render_mode",
     "threads",
     "vectorization_mode",
+    "victim",  # which the id names
 )
 """Arguments of `gymnasium.make` and `make_vec` that change nothing of what is simulated."""
 
@@ -584,6 +586,9 @@ def _describe_env(inner: Any) -> tuple[str, dict[str, Any]]:
         if env_id.startswith("spoofgym/Bench"):
             env_id = "spoofgym/TightlyCoupled-v0"
     own = {name: value for name, value in dict(given or {}).items() if value is not None}
+    if "victim" in own:
+        kind = select_victim(own["victim"])
+        env_id = next(name for name, setup in SETUPS.items() if setup is kind)
     own = {name: value for name, value in own.items() if name not in OF_THE_CALL}
     try:
         return env_id, json.loads(json.dumps({k: describe(x) for k, x in own.items()}))

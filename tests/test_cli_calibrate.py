@@ -105,17 +105,17 @@ def test_the_line_of_the_error_is_a_line_that_helps():
     """What an environment says is run as it stands."""
     import shlex
 
-    from spoofgym.envs import SnapshotEnv
+    from spoofgym.envs import SpoofEnv
 
     times = {"warmup_s": 10.0, "live_s": 10.0, "attack_s": 20.0}
     asked = {"name": "raim", "confidence": 0.99, "false_alarms_per_hour": 20.0}
     settings = {"detector": asked, "timeline": times, "satellites": 9}
     with pytest.raises(ValueError, match="there is no calibration of raim in snapshot") as told:
-        SnapshotEnv(**settings)
+        SpoofEnv("snapshot", **settings)
     line = str(told.value).split("`")[1]
     result = call(*shlex.split(line)[1:], "--runs", "60")
     assert result.exit_code == 0, result.output
-    assert SnapshotEnv(**settings).core.setup.detector.point.runs == 60
+    assert SpoofEnv("snapshot", **settings).core.setup.detector.point.runs == 60
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,9 @@ from ..core.declared import check_word
 from ..core.registry import refuse_overrides
 from ..detectors.pool import normalize_weights
 from ..envs.core import SpoofCore
-from ..envs.factory import CORE, make_core
+from ..envs.factory import CORE, DEFAULT_VICTIM, make_core, select_victim
 from ..envs.spoofer_binding import ENV_ID, SETUPS
+from ..envs.victims import SpoofEnv
 from ..simulation.setup import Setup
 from ..simulation.tight import TightlyCoupledSetup
 from ..tasks import DETECTOR_TASKS, get_detector_task, get_task
@@ -117,11 +118,11 @@ def _look_up(env_id: str) -> tuple[type[Setup], str, dict[str, Any]]:
         valid = sorted(name for name in gym.registry if name.startswith("spoofgym/"))
         raise ValueError(f"unknown environment {env_id!r}; valid: {', '.join(valid)}")
     spec = gym.spec(env_id)
-    made, view = str(spec.entry_point), str(spec.entry_point).rpartition(":")[2]
-    setups = {str(gym.spec(name).entry_point): setup for name, setup in SETUPS.items()}
-    if made not in setups and view not in VIEWS:
+    view = str(spec.entry_point).rpartition(":")[2]
+    if view not in (SpoofEnv.__name__, *VIEWS):
         raise ValueError(f"{env_id} is no environment of a spoofer or a detector")
-    return setups.get(made, TightlyCoupledSetup), view, copy.deepcopy(dict(spec.kwargs))
+    settings = copy.deepcopy(dict(spec.kwargs))
+    return select_victim(settings.pop("victim", DEFAULT_VICTIM)), view, settings
 
 
 def _check_opponents(

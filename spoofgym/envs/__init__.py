@@ -2,38 +2,25 @@
 
 from ..simulation import Domain, Engine, Setup, TightlyCoupledSetup, Timeline
 from .core import SpoofCore
+from .factory import VICTIMS
 from .observer import Observer
 from .spoofer_binding import attach
 from .terms import TERMS, make_terms
 from .terms.observation import default_terms
-from .victims import (
-    LooselyCoupledEnv,
-    LooselyCoupledVectorEnv,
-    SnapshotEnv,
-    SnapshotVectorEnv,
-    SpoofEnv,
-    SpoofVectorEnv,
-    WheeledRobotEnv,
-    WheeledRobotVectorEnv,
-)
+from .victims import SpoofEnv, SpoofVectorEnv
 
 __all__ = [
     "TERMS",
+    "VICTIMS",
     "Domain",
     "Engine",
-    "LooselyCoupledEnv",
-    "LooselyCoupledVectorEnv",
     "Observer",
     "Setup",
-    "SnapshotEnv",
-    "SnapshotVectorEnv",
     "SpoofCore",
     "SpoofEnv",
     "SpoofVectorEnv",
     "TightlyCoupledSetup",
     "Timeline",
-    "WheeledRobotEnv",
-    "WheeledRobotVectorEnv",
     "attach",
     "default_terms",
     "make_terms",

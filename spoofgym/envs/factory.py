@@ -8,15 +8,27 @@ from typing import Any, TypeVar
 
 import gymnasium as gym
 
-from ..core.registry import check_keywords
+from ..core.registry import check_choice, check_keywords
 from ..detectors import detector_in_world
 from ..detectors.build import DetectorSpec
+from ..simulation.loose import LooselyCoupledSetup
+from ..simulation.robot import WheeledRobotSetup
 from ..simulation.setup import Setup
+from ..simulation.snapshot import SnapshotSetup
+from ..simulation.tight import TightlyCoupledSetup
 from .core import SpoofCore, WatchSpec, make_watch
 from .terms import EndSpec, make_terms
 from .terms.termination import AtAlarm
 
 S = TypeVar("S", bound=Setup)
+DEFAULT_VICTIM = "tightly-coupled"
+VICTIMS: dict[str, type[Setup]] = {
+    DEFAULT_VICTIM: TightlyCoupledSetup,
+    "loosely-coupled": LooselyCoupledSetup,
+    "snapshot": SnapshotSetup,
+    "wheeled-robot": WheeledRobotSetup,
+}
+"""Kinds of victims by name."""
 _OWN = ("self", "receivers", "setup", "threads", "prefetch")
 CORE = {
     name: parameter.replace(kind=parameter.KEYWORD_ONLY)
@@ -24,6 +36,11 @@ CORE = {
     if name not in _OWN
 }
 """Settings of an environment that are no settings of its victim."""
+
+
+def select_victim(name: str) -> type[Setup]:
+    check_choice("victim", name, VICTIMS)
+    return VICTIMS[name]
 
 
 def list_parameters(setup_type: type[Setup]) -> dict[str, inspect.Parameter]:

@@ -13,7 +13,6 @@ from typing import Any
 from ..core.settings import describe, format_card_diff, get_kind
 from ..detectors.calibrated import resolve_thresholds
 from ..policies.card import SpooferCard
-from ..simulation import LooselyCoupledSetup, SnapshotSetup, TightlyCoupledSetup, WheeledRobotSetup
 from ..simulation.monitors import Monitor, PastPositions, needed_monitors
 from ..simulation.setup import Setup
 from ..spoofers import (
@@ -25,7 +24,7 @@ from ..spoofers import (
 from ..spoofers.base import TARGET, has_heading
 from ..spoofers.build import card_behind
 from .core import SpoofCore
-from .factory import composable, list_parameters, make_setup
+from .factory import VICTIMS, composable, list_parameters, make_setup
 from .observer import Observer
 from .options import action_space, observation_space
 from .terms import make_terms
@@ -34,10 +33,10 @@ from .terms.observation import REPORTED, default_terms
 
 ENV_ID = "spoofgym/TightlyCoupled-v0"  # environment of the headlines
 SETUPS: dict[str, type[Setup]] = {
-    ENV_ID: TightlyCoupledSetup,
-    "spoofgym/LooselyCoupled-v0": LooselyCoupledSetup,
-    "spoofgym/Snapshot-v0": SnapshotSetup,
-    "spoofgym/WheeledRobot-v0": WheeledRobotSetup,
+    ENV_ID: VICTIMS["tightly-coupled"],
+    "spoofgym/LooselyCoupled-v0": VICTIMS["loosely-coupled"],
+    "spoofgym/Snapshot-v0": VICTIMS["snapshot"],
+    "spoofgym/WheeledRobot-v0": VICTIMS["wheeled-robot"],
 }
 """Kinds of victims by the environments of the spoofer's side."""
 

@@ -3,75 +3,18 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any, ClassVar
+from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from ..simulation.loose import LooselyCoupledSetup
-from ..simulation.robot import WheeledRobotSetup
-from ..simulation.setup import Setup
-from ..simulation.snapshot import SnapshotSetup
-from ..simulation.tight import TightlyCoupledSetup
 from .core import SpoofCore
 from .env import CoreEnv, CoreVectorEnv
-from .factory import expand_signature, make_core
+from .factory import DEFAULT_VICTIM, VICTIMS, expand_signature, make_core, select_victim
 from .options import InfoSpec, check_vector_settings
 
 
-class _Victim:
-    """Settings of a kind of victim as arguments of an environment; a subclass names the kind."""
-
-    setup_type: ClassVar[type[Setup]]
-
-    def __init_subclass__(cls, **kwargs: Any) -> None:
-        super().__init_subclass__(**kwargs)
-        if hasattr(cls, "setup_type"):
-            own = inspect.signature(cls.__init__)
-            cls.__signature__ = expand_signature(cls.setup_type, own)  # type: ignore[attr-defined]
-
-
-class VictimEnv(_Victim, CoreEnv[SpoofCore]):
-    """A spoofer against one receiver; `detector_setting` is what was set, None for the default,
-    `wrapped` whether a wrapper set it."""
-
-    def __init__(self, *, render_mode: str | None = None, **settings: Any) -> None:
-        core = make_core(self.setup_type, 1, settings, threads=1, whose=type(self).__name__)
-        self.detector_setting: Any = settings.get("detector")
-        self.wrapped = False
-        super().__init__(core, render_mode)
-
-
-class VictimVectorEnv(_Victim, CoreVectorEnv[SpoofCore]):
-    """Vector environment of a `VictimEnv`; receiver i is the single one of ``seed + i``."""
-
-    def __init__(
-        self,
-        num_envs: int = 1,
-        *,
-        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        infos: InfoSpec = "all",
-        threads: int | None = None,
-        prefetch: bool | None = None,
-        render_mode: None = None,
-        max_episode_steps: int | None = None,
-        **settings: Any,
-    ) -> None:
-        check_vector_settings(num_envs, render_mode)
-        core = make_core(
-            self.setup_type,
-            num_envs,
-            settings,
-            threads=threads,
-            prefetch=self.setup_type.threaded if prefetch is None else prefetch,
-            whose=type(self).__name__,
-        )
-        self.detector_setting: Any = settings.get("detector")
-        self.wrapped = False
-        super().__init__(core, autoreset_mode, infos, max_episode_steps)
-
-
-class SpoofEnv(VictimEnv):
-    r"""A spoofer against a tightly coupled GNSS/INS receiver and its detector.
+class SpoofEnv(CoreEnv[SpoofCore]):
+    r"""A spoofer against a receiver and its detector; tightly coupled GNSS/INS by default.
 
     **Description.** An aircraft flies with a 17-state tightly coupled GNSS/INS filter, whose
     detector tests the innovations.  After a clean warm-up the spoofer counterfeits the
@@ -162,8 +105,117 @@ class SpoofEnv(VictimEnv):
     alarm. `truncated` never, unless an end term does it: ``env.spec.max_episode_steps`` is one step
     more than there can be.
 
+    **Victim** ``"loosely-coupled"``. An airliner flies with a 15-state filter that is updated by
+    positions of GNSS, ten a second, and whose noise tunes itself to the innovations. The spoofer
+    shifts those positions; all else, their authentic errors included, stays. The detector watches
+    the innovations of the position. It is the receiver of `shadmehri2025`.
+
+    The action is `Box(-1, 1, (2,), float32)`: rates of the offset north and east, over their limit
+    (5 m/s by default). Rewards and ends are as above; it starts without an offset. Settings of its
+    own are those of `LooselyCoupledSetup`. It observes, with ``"oracle+reported"``,
+
+    =====  ========================  ====  =====  =================
+    index  name                      unit  scale  knowledge
+    =====  ========================  ====  =====  =================
+    0      own_displacement_north    m     25     blind
+    1      own_displacement_east     m     25     blind
+    2      own_rate_north            m/s   5      blind
+    3      own_rate_east             m/s   5      blind
+    4      time_since_onset          s     5      blind
+    5      time_left                 s     5      blind
+    6      target_position_north     m     10000  tracking
+    7      target_position_east      m     10000  tracking
+    8      target_position_down      m     10000  tracking
+    9      target_velocity_north     m/s   100    tracking
+    10     target_velocity_east      m/s   100    tracking
+    11     target_velocity_down      m/s   100    tracking
+    12     statistic_ratio           1     1      oracle
+    13     weight_east               1     1      oracle
+    14     weight_north              1     1      oracle
+    15     weight_up                 1     1      oracle
+    16     error_north               m     25     oracle
+    17     error_east                m     25     oracle
+    18     reported_deviation_north  m     25     tracking+reported
+    19     reported_deviation_east   m     25     tracking+reported
+    20     report_age                s     1      tracking+reported
+    =====  ========================  ====  =====  =================
+
+    **Victim** ``"snapshot"``. A vehicle goes straight on; its receiver has no filter and no
+    inertial sensors. The spoofer has some of the satellites in view, and makes them imply a
+    position and a clock that drift away from the true ones; the others stay authentic. The
+    detector looks for the satellites that do not fit, and may exclude them from the fix. It is the
+    receiver of `wu2024`.
+
+    The action is `Box(-1, 1, (4,), float32)`: rates of the counterfeit displacement north, east,
+    down and of the counterfeit clock, over their limits (5 m/s by default). Rewards and ends are as
+    above; it starts without a displacement. A fix of one epoch is as noisy as its pseudoranges: the
+    largest displacement of an idle spoofer is some metres, with few satellites many, and that is
+    the zero of this scale. The detector is ``srv-raim`` by default. Settings of its own are those
+    of `SnapshotSetup`. It observes, with ``"oracle+reported"``,
+
+    =====  ========================================================  ====  ======  =================
+    index  name                                                      unit  scale   knowledge
+    =====  ========================================================  ====  ======  =================
+    0      own_displacement_north                                    m     40      blind
+    1      own_displacement_east                                     m     40      blind
+    2      own_displacement_down                                     m     40      blind
+    3      own_displacement_clock                                    m     40      blind
+    4      own_rate_north                                            m/s   0.6667  blind
+    5      own_rate_east                                             m/s   0.6667  blind
+    6      own_rate_down                                             m/s   0.6667  blind
+    7      own_rate_clock                                            m/s   0.6667  blind
+    8      time_since_onset                                          s     60      blind
+    9      time_left                                                 s     60      blind
+    10     target_position_north                                     m     10000   tracking
+    11     target_position_east                                      m     10000   tracking
+    12     target_position_down                                      m     10000   tracking
+    13-48  sight_north_slotJJ, sight_east_slotJJ, sight_down_slotJJ  1     1       tracking
+    49-60  spoofed_slotJJ                                            1     1       tracking
+    61     statistic_ratio                                           1     1       oracle
+    62-73  weight_slotJJ                                             1     1       oracle
+    74     error_north                                               m     40      oracle
+    75     error_east                                                m     40      oracle
+    76     reported_deviation_north                                  m     40      tracking+reported
+    77     reported_deviation_east                                   m     40      tracking+reported
+    78     report_age                                                s     1       tracking+reported
+    =====  ========================================================  ====  ======  =================
+
+    **Victim** ``"wheeled-robot"``. A robot drives round a closed course. Encoders and yaw carry its
+    position on between the fixes of GNSS, one a second. The spoofer moves the fixes by an offset;
+    the detector compares them with the dead reckoning, and says which of them the filter may
+    believe. It is the robot of `song2021`.
+
+    The action is `Box(-1, 1, (2,), float32)`: rates of the offset north and east, over their limit
+    (1 m/s by default). Rewards and ends are as above; it starts without an offset. The detector is
+    ``acna`` in its production variant by default. Settings of its own are those of
+    `WheeledRobotSetup`. It observes, with ``"oracle+reported"``,
+
+    =====  ========================  ====  =======  =================
+    index  name                      unit  scale    knowledge
+    =====  ========================  ====  =======  =================
+    0      own_displacement_north    m     10       blind
+    1      own_displacement_east     m     10       blind
+    2      own_rate_north            m/s   0.06667  blind
+    3      own_rate_east             m/s   0.06667  blind
+    4      time_since_onset          s     150      blind
+    5      time_left                 s     150      blind
+    6      target_position_north     m     10       tracking
+    7      target_position_east      m     10       tracking
+    8      target_velocity_north     m/s   1        tracking
+    9      target_velocity_east      m/s   1        tracking
+    10     statistic_ratio           1     1        oracle
+    11     weight_fix                1     1        oracle
+    12     error_north               m     10       oracle
+    13     error_east                m     10       oracle
+    14     reported_deviation_north  m     10       tracking+reported
+    15     reported_deviation_east   m     10       tracking+reported
+    16     report_age                s     1        tracking+reported
+    =====  ========================  ====  =======  =================
+
     Parameters
     ----------
+    victim : {"tightly-coupled", "loosely-coupled", "snapshot", "wheeled-robot"}
+        Kind of receiver, a name in `VICTIMS`; the settings below are those of the first.
     scenario : str, mapping or Scenario
         Flight, errors and sensors: a name in `SCENARIOS`, or a dict of its settings.
     detector : str, mapping or Detector, optional
@@ -235,24 +287,37 @@ class SpoofEnv(VictimEnv):
     >>> env.unwrapped.observation_names[:2]
     ('own_displacement_along_target', 'own_rate_along_target')
     >>> env.close()
+    >>> env = gym.make("spoofgym/Snapshot-v0", knowledge="blind", spoofed=4)
+    >>> env.action_space
+    Box(-1.0, 1.0, (4,), float32)
+    >>> env.close()
 
     Notes
     -----
-    Version history: v0, the first.  ``spoofgym/RandomStart-v0`` is the same class, with a receiver
-    that is switched on at a random time of the flight, and a target direction that is drawn for
-    every episode, and observed.
+    Ids: ``spoofgym/TightlyCoupled-v0``, ``spoofgym/LooselyCoupled-v0``, ``spoofgym/Snapshot-v0``
+    and ``spoofgym/WheeledRobot-v0``, by victim; ``spoofgym/RandomStart-v0`` is the first with a
+    receiver that is switched on at a random time of the flight, and a target direction that is
+    drawn for every episode, and observed.  Version history: v0, the first.
     """
 
-    setup_type: ClassVar[type[Setup]] = TightlyCoupledSetup
+    def __init__(
+        self, victim: str = DEFAULT_VICTIM, *, render_mode: str | None = None, **settings: Any
+    ) -> None:
+        core = make_core(select_victim(victim), 1, settings, threads=1, whose=f"victim {victim!r}")
+        self.detector_setting: Any = settings.get("detector")
+        self.wrapped = False  # whether a wrapper set the detector
+        super().__init__(core, render_mode)
 
 
-class SpoofVectorEnv(VictimVectorEnv):
+class SpoofVectorEnv(CoreVectorEnv[SpoofCore]):
     """Vector environment of `SpoofEnv`; receiver i is the single one seeded with ``seed + i``.
 
     Parameters
     ----------
     num_envs : int
         Receivers, at least 1.
+    victim : str
+        As in `SpoofEnv`.
     autoreset_mode : {"next_step", "same_step", "disabled"} or AutoresetMode
         When a finished receiver starts its next episode; with ``disabled``, when ``reset`` is
         called with ``options={"reset_mask": ...}``.
@@ -282,193 +347,37 @@ class SpoofVectorEnv(VictimVectorEnv):
     >>> envs.close()
     """
 
-    setup_type: ClassVar[type[Setup]] = TightlyCoupledSetup
+    def __init__(
+        self,
+        num_envs: int = 1,
+        victim: str = DEFAULT_VICTIM,
+        *,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        infos: InfoSpec = "all",
+        threads: int | None = None,
+        prefetch: bool | None = None,
+        render_mode: None = None,
+        max_episode_steps: int | None = None,
+        **settings: Any,
+    ) -> None:
+        check_vector_settings(num_envs, render_mode)
+        kind = select_victim(victim)
+        core = make_core(
+            kind,
+            num_envs,
+            settings,
+            threads=threads,
+            prefetch=kind.threaded if prefetch is None else prefetch,
+            whose=f"victim {victim!r}",
+        )
+        self.detector_setting: Any = settings.get("detector")
+        self.wrapped = False
+        super().__init__(core, autoreset_mode, infos, max_episode_steps)
 
 
-class LooselyCoupledEnv(VictimEnv):
-    """A spoofer against a loosely coupled GNSS/INS receiver, corrected by finished GNSS positions.
-
-    **Description.** An airliner flies with a 15-state filter that is updated by positions of GNSS,
-    ten a second, and whose noise tunes itself to the innovations.  The spoofer shifts those
-    positions; all else, their authentic errors included, stays.  The detector watches the
-    innovations of the position.  It is the receiver of `shadmehri2025`.
-
-    **Action.** `Box(-1, 1, (2,), float32)`: rates of the offset north and east, over their limit
-    (5 m/s by default).
-
-    **Observation.** As in `SpoofEnv`, with other elements; with ``"oracle+reported"``
-
-    =====  ========================  ====  =====  =================
-    index  name                      unit  scale  knowledge
-    =====  ========================  ====  =====  =================
-    0      own_displacement_north    m     25     blind
-    1      own_displacement_east     m     25     blind
-    2      own_rate_north            m/s   5      blind
-    3      own_rate_east             m/s   5      blind
-    4      time_since_onset          s     5      blind
-    5      time_left                 s     5      blind
-    6      target_position_north     m     10000  tracking
-    7      target_position_east      m     10000  tracking
-    8      target_position_down      m     10000  tracking
-    9      target_velocity_north     m/s   100    tracking
-    10     target_velocity_east      m/s   100    tracking
-    11     target_velocity_down      m/s   100    tracking
-    12     statistic_ratio           1     1      oracle
-    13     weight_east               1     1      oracle
-    14     weight_north              1     1      oracle
-    15     weight_up                 1     1      oracle
-    16     error_north               m     25     oracle
-    17     error_east                m     25     oracle
-    18     reported_deviation_north  m     25     tracking+reported
-    19     reported_deviation_east   m     25     tracking+reported
-    20     report_age                s     1      tracking+reported
-    =====  ========================  ====  =====  =================
-
-    **Reward, start and end.** As in `SpoofEnv`; it starts without an offset.
-
-    **Arguments.** The settings of `LooselyCoupledSetup` and of `SpoofCore`.
-    **Version history.** v0, the first.
-
-    Examples
-    --------
-    >>> import gymnasium as gym
-    >>> import spoofgym
-    >>> env = gym.make("spoofgym/LooselyCoupled-v0", knowledge="blind", rate_limit_mps=2.0)
-    >>> env.action_space
-    Box(-1.0, 1.0, (2,), float32)
-    >>> env.close()
-    """
-
-    setup_type: ClassVar[type[Setup]] = LooselyCoupledSetup
+def _sign(env: type[Any]) -> None:
+    env.__signature__ = expand_signature(VICTIMS[DEFAULT_VICTIM], inspect.signature(env.__init__))
 
 
-class LooselyCoupledVectorEnv(VictimVectorEnv):
-    """Vector environment of `LooselyCoupledEnv`; arguments of its own as in `SpoofVectorEnv`."""
-
-    setup_type: ClassVar[type[Setup]] = LooselyCoupledSetup
-
-
-class SnapshotEnv(VictimEnv):
-    """A spoofer against a snapshot receiver, which makes a fix of each epoch by itself.
-
-    **Description.** A vehicle goes straight on; its receiver has no filter and no inertial sensors.
-    The spoofer has some of the satellites in view, and makes them imply a position and a clock
-    that drift away from the true ones; the others stay authentic.  The detector looks for
-    the satellites that do not fit, and may exclude them from the fix.  It is the receiver of
-    `wu2024`.
-
-    **Action.** `Box(-1, 1, (4,), float32)`: rates of the counterfeit displacement north, east, down
-    and of the counterfeit clock, over their limits (5 m/s by default).
-
-    **Observation.** As in `SpoofEnv`, with other elements; with ``"oracle+reported"``
-
-    =====  ========================================================  ====  ======  =================
-    index  name                                                      unit  scale   knowledge
-    =====  ========================================================  ====  ======  =================
-    0      own_displacement_north                                    m     40      blind
-    1      own_displacement_east                                     m     40      blind
-    2      own_displacement_down                                     m     40      blind
-    3      own_displacement_clock                                    m     40      blind
-    4      own_rate_north                                            m/s   0.6667  blind
-    5      own_rate_east                                             m/s   0.6667  blind
-    6      own_rate_down                                             m/s   0.6667  blind
-    7      own_rate_clock                                            m/s   0.6667  blind
-    8      time_since_onset                                          s     60      blind
-    9      time_left                                                 s     60      blind
-    10     target_position_north                                     m     10000   tracking
-    11     target_position_east                                      m     10000   tracking
-    12     target_position_down                                      m     10000   tracking
-    13-48  sight_north_slotJJ, sight_east_slotJJ, sight_down_slotJJ  1     1       tracking
-    49-60  spoofed_slotJJ                                            1     1       tracking
-    61     statistic_ratio                                           1     1       oracle
-    62-73  weight_slotJJ                                             1     1       oracle
-    74     error_north                                               m     40      oracle
-    75     error_east                                                m     40      oracle
-    76     reported_deviation_north                                  m     40      tracking+reported
-    77     reported_deviation_east                                   m     40      tracking+reported
-    78     report_age                                                s     1       tracking+reported
-    =====  ========================================================  ====  ======  =================
-
-    **Reward, start and end.** As in `SpoofEnv`; it starts without a displacement.  A fix of one
-    epoch is as noisy as its pseudoranges: the largest displacement of an idle spoofer is some
-    metres, with few satellites many, and that is the zero of this scale.
-
-    **Arguments.** The settings of `SnapshotSetup` and of `SpoofCore`.  The detector is
-    ``srv-raim`` by default.  **Version history.** v0, the first.
-
-    Examples
-    --------
-    >>> import gymnasium as gym
-    >>> import spoofgym
-    >>> env = gym.make("spoofgym/Snapshot-v0", knowledge="blind", spoofed=4)
-    >>> env.action_space
-    Box(-1.0, 1.0, (4,), float32)
-    >>> env.close()
-    """
-
-    setup_type: ClassVar[type[Setup]] = SnapshotSetup
-
-
-class SnapshotVectorEnv(VictimVectorEnv):
-    """Vector environment of `SnapshotEnv`; arguments of its own as in `SpoofVectorEnv`."""
-
-    setup_type: ClassVar[type[Setup]] = SnapshotSetup
-
-
-class WheeledRobotEnv(VictimEnv):
-    """A spoofer against a wheeled robot, whose odometry and GNSS a Kalman filter blends.
-
-    **Description.** A robot drives round a closed course.  Encoders and yaw carry its position on
-    between the fixes of GNSS, one a second.  The spoofer moves the fixes by an offset; the detector
-    compares them with the dead reckoning, and says which of them the filter may believe.  It is the
-    robot of `song2021`.
-
-    **Action.** `Box(-1, 1, (2,), float32)`: rates of the offset north and east, over their limit
-    (1 m/s by default).
-
-    **Observation.** As in `SpoofEnv`, with other elements; with ``"oracle+reported"``
-
-    =====  ========================  ====  =======  =================
-    index  name                      unit  scale    knowledge
-    =====  ========================  ====  =======  =================
-    0      own_displacement_north    m     10       blind
-    1      own_displacement_east     m     10       blind
-    2      own_rate_north            m/s   0.06667  blind
-    3      own_rate_east             m/s   0.06667  blind
-    4      time_since_onset          s     150      blind
-    5      time_left                 s     150      blind
-    6      target_position_north     m     10       tracking
-    7      target_position_east      m     10       tracking
-    8      target_velocity_north     m/s   1        tracking
-    9      target_velocity_east      m/s   1        tracking
-    10     statistic_ratio           1     1        oracle
-    11     weight_fix                1     1        oracle
-    12     error_north               m     10       oracle
-    13     error_east                m     10       oracle
-    14     reported_deviation_north  m     10       tracking+reported
-    15     reported_deviation_east   m     10       tracking+reported
-    16     report_age                s     1        tracking+reported
-    =====  ========================  ====  =======  =================
-
-    **Reward, start and end.** As in `SpoofEnv`; it starts without an offset.
-
-    **Arguments.** The settings of `WheeledRobotSetup` and of `SpoofCore`.  The detector is
-    ``acna`` in its production variant by default.  **Version history.** v0, the first.
-
-    Examples
-    --------
-    >>> import gymnasium as gym
-    >>> import spoofgym
-    >>> env = gym.make("spoofgym/WheeledRobot-v0", knowledge="blind", rate_limit_mps=0.5)
-    >>> env.action_space
-    Box(-1.0, 1.0, (2,), float32)
-    >>> env.close()
-    """
-
-    setup_type: ClassVar[type[Setup]] = WheeledRobotSetup
-
-
-class WheeledRobotVectorEnv(VictimVectorEnv):
-    """Vector environment of `WheeledRobotEnv`; arguments of its own as in `SpoofVectorEnv`."""
-
-    setup_type: ClassVar[type[Setup]] = WheeledRobotSetup
+_sign(SpoofEnv)
+_sign(SpoofVectorEnv)

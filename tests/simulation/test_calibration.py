@@ -14,7 +14,7 @@ from spoofgym.calibration.holdouts import HoldOut, check, hold_out, transfer
 from spoofgym.calibration.thresholds import bisect, calibrate_detectors, suitable_detectors
 from spoofgym.detectors import Calibrated, Cusum, Ewma, JointChart, make_detector
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, TOLERANCE, hourly_rate
-from spoofgym.envs import SnapshotEnv, SpoofEnv, SpoofVectorEnv
+from spoofgym.envs import SpoofEnv, SpoofVectorEnv
 from spoofgym.envs.factory import make_setup
 from spoofgym.simulation import Engine, SnapshotSetup, TightlyCoupledSetup
 from spoofgym.simulation._kernels import NO_FORM
@@ -348,7 +348,7 @@ def test_a_file_for_something_else_is_refused(setup, tmp_path):
     ):
         SpoofEnv(timeline=SHORT, detector={**asked, "smoothing": 0.2})
     with pytest.raises(ValueError, match=r"in snapshot: world kind: 'tightly-coupled' there"):
-        SnapshotEnv(detector={**asked, "name": "snapshot-chi2"})
+        SpoofEnv("snapshot", detector={**asked, "name": "snapshot-chi2"})
 
 
 def test_draws_by_last_bits_are_not_held_against_another_processor(setup):

@@ -11,8 +11,10 @@ from ...core.declared import list_declarations
 from ...core.registry import check_choice, inspect_settings
 from ...core.settings import describe
 from ...detectors import DETECTORS, LearnedDetector
+from ...envs.factory import VICTIMS, list_parameters
 from ...policies import DetectorCard, SpooferCard, list_shipped, load_card
 from ...policies.card import DETECTOR
+from ...simulation.setup import Setup
 from ...spoofers import SPOOFERS
 from ...truth.scenario import SCENARIOS, Scenario
 from .cards import score_text
@@ -38,12 +40,14 @@ def _classes(kinds: Mapping[str, type[Any]], *more: str) -> list[dict[str, Any]]
     ]
 
 
-def _defaults(kind: Callable[..., Any]) -> dict[str, Any]:
-    return {
-        key: describe(value)
-        for key, value in inspect_settings(kind).items()
-        if value is not inspect.Parameter.empty
-    }
+def _defaults(kind: Callable[..., Any], setup: type[Setup] | None = None) -> dict[str, Any]:
+    """Defaults of a class; `setup`: of an environment with a victim that is not its default one."""
+    found = inspect_settings(kind)
+    if setup is not None:
+        own = {key: each.default for key, each in list_parameters(setup).items()}
+        found = {"render_mode": found["render_mode"], **own}
+    empty = inspect.Parameter.empty
+    return {key: describe(value) for key, value in found.items() if value is not empty}
 
 
 def _scenarios() -> list[dict[str, Any]]:
@@ -76,11 +80,13 @@ def _envs() -> list[dict[str, Any]]:
         entry = spec.entry_point
         creator = load_env_creator(entry) if isinstance(entry, str) else entry
         assert creator is not None  # of ours, each has one
+        victim = spec.kwargs.get("victim")
+        setup = None if victim is None else VICTIMS[victim]
         rows.append(
             {
                 "name": name,
-                "summary": get_summary(creator),
-                "settings": {**_defaults(creator), **describe(spec.kwargs)},
+                "summary": get_summary(setup or creator),
+                "settings": {**_defaults(creator, setup), **describe(spec.kwargs)},
             }
         )
     return rows

@@ -10,17 +10,17 @@ import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.core.declared import list_declarations
 from spoofgym.detectors.observation import Elapsed, InnovationSd, PredictedMotion
 from spoofgym.duel_v0 import DetectorView
+from spoofgym.envs import SpoofEnv
 from spoofgym.envs.terms.action import CommandMap, default_action
 from spoofgym.envs.terms.observation import default_terms
-from spoofgym.envs.victims import LooselyCoupledEnv, SnapshotEnv, SpoofEnv, WheeledRobotEnv
 
 MOST = "oracle+reported"
 TABLES = {
     "TightlyCoupled": (SpoofEnv, 0),
     "RandomStart": (SpoofEnv, 1),
-    "LooselyCoupled": (LooselyCoupledEnv, 0),
-    "Snapshot": (SnapshotEnv, 0),
-    "WheeledRobot": (WheeledRobotEnv, 0),
+    "LooselyCoupled": (SpoofEnv, 2),
+    "Snapshot": (SpoofEnv, 3),
+    "WheeledRobot": (SpoofEnv, 4),
     # the views are of the same class of victims, and say so
     "SpooferView": (SpoofEnv, 0),
 }
