@@ -25,9 +25,9 @@ from .bench.experiments.best_response import (
 from .bench.experiments.game import Game
 from .bench.runs.players import make_player, mixture
 from .bench.scores.matrix_game import solve
+from .detectors.calibration_file import Calibration
 from .detectors.learned import PolicyDetector
 from .duel.calibrate import calibrate_policy
-from .duel.calibration import PolicyCalibration
 from .duel.duel import duel_signature
 from .duel.payoff import NeymanPearson, Weighted
 from .duel.views import DetectorVectorView, DetectorView, SpooferVectorView, SpooferView, write_card
@@ -37,6 +37,7 @@ from .policies.load import OnnxDetector
 
 __all__ = [
     "AttackBudget",
+    "Calibration",
     "DetectorCard",
     "DetectorPolicy",
     "DetectorVectorView",
@@ -45,7 +46,6 @@ __all__ = [
     "Game",
     "NeymanPearson",
     "OnnxDetector",
-    "PolicyCalibration",
     "PolicyDetector",
     "SpooferVectorView",
     "SpooferView",
@@ -87,7 +87,7 @@ def env(*, render_mode: None = None, **settings: Any) -> Any:
         - ``threshold``, "running", a float in (0, 1] or a `Calibration`: what the statistic is
           compared with.  It follows the clean episodes of this environment, or is that of
           `calibrate_policy` for one frozen detector;
-        - ``false_alarm``: rate of clean episodes with an alarm that a running threshold keeps, in
+        - ``false_alarm``: probability of an alarm in a clean episode that the threshold is for, in
           (0, 1);
         - ``attack_probability``: that nature draws an attack, in [0, 1].
 

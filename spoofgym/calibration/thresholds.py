@@ -23,7 +23,6 @@ from ..detectors.build import bare_detector
 from ..detectors.calibrated import STANDARD_RATE, check_drifts, describe_identity
 from ..detectors.calibration_file import (
     STANDARD_RATES,
-    WITNESSES,
     Calibration,
     check_rate,
     check_runs,
@@ -230,29 +229,22 @@ class _Work:
     ) -> None:
         conditions, runs = self.setup.conditions, len(found.judged)
         bisected = detector.alarm_is_state
+        largest = None
         if bisected:
             ranks, largest = self._bisect_factors(player, detector, found, in_loop)
         else:
-            order = np.sort(found.judged)[::-1]
             ranks = list_stored_ranks(runs, self.setup.window_s, [*STANDARD_RATES, *self.rates])
-            largest = round_digits_up(order[np.array(ranks) - 1])
-        early = np.sort(found.before)[::-1]
-        sparse = sorted({min(int(1.1**power), runs) for power in range(400)})
         identity = describe_identity(detector)
-        made = Calibration(
+        made = Calibration.from_maxima(
+            found.before,
+            found.judged,
+            ranks=ranks,
+            largest=largest,
             world=conditions.settings,
             detector=identity,
             window_s=self.setup.window_s,
-            runs=runs,
             entropy=self.entropy,
             seed_name=player.seed_name,
-            ranks=tuple(ranks),
-            largest=tuple(largest.tolist()),
-            before=tuple((rank, round_digits(early[rank - 1])) for rank in sparse),
-            witnesses=tuple(
-                (run, round_digits(found.before[run]), round_digits(found.judged[run]))
-                for run in range(min(WITNESSES, runs))
-            ),
             rescale=rescale,
             bisected=bisected,
         )

@@ -225,9 +225,45 @@ class Calibration:
     bisected: bool = False
     path: Path | None = field(default=None, compare=False)
 
-    def point(self, false_alarms_per_hour: float) -> OperatingPoint:
-        rate, n = check_rate(false_alarms_per_hour), self.runs
-        p = run_probability(rate, self.window_s)
+    @classmethod
+    def from_maxima(
+        cls,
+        before: FloatArray,
+        judged: FloatArray,
+        *,
+        ranks: Sequence[int],
+        largest: FloatArray | None = None,
+        **identity: Any,
+    ) -> Calibration:
+        """Calibration from the largest ratios of clean runs, (n,) `before` the attack and in the
+        `judged` window; `largest`: factors at the ranks, where they are no order statistics."""
+        n, early = len(judged), np.sort(before)[::-1]
+        if largest is None:
+            largest = round_digits_up(np.sort(judged)[::-1][np.array(ranks) - 1])
+        sparse = sorted({min(int(1.1**power), n) for power in range(400)})
+        return cls(
+            runs=n,
+            ranks=tuple(ranks),
+            largest=tuple(largest.tolist()),
+            before=tuple((rank, round_digits(early[rank - 1])) for rank in sparse),
+            witnesses=tuple(
+                (run, round_digits(before[run]), round_digits(judged[run]))
+                for run in range(min(WITNESSES, n))
+            ),
+            **identity,
+        )
+
+    def point(
+        self, false_alarms_per_hour: float | None = None, *, per_run: float | None = None
+    ) -> OperatingPoint:
+        """Where the detector works at a rate of false alarms, by the hour or by the run."""
+        n = self.runs
+        if per_run is None:
+            rate = check_rate(false_alarms_per_hour)
+            p = run_probability(rate, self.window_s)
+        else:
+            check_number("per_run", per_run, above=0.0, below=1.0)
+            p, rate = per_run, hourly_rate(per_run, self.window_s)
         check_runs(rate, n, self.window_s, tail=not self.bisected)
         exact = compute_rank(p, n)
         if self.bisected and exact not in self.ranks:
@@ -251,6 +287,20 @@ class Calibration:
             return False
         p = run_probability(false_alarms_per_hour, self.window_s)
         return not self.bisected or compute_rank(p, self.runs) in self.ranks
+
+    def interval(self, per_run: float, confidence: float = 0.95) -> tuple[float, float]:
+        """Confidence interval of the factor that a clean run exceeds with a probability: order
+        statistics whose ranks are quantiles of a binomial distribution; the next stored ranks
+        outwards, 0 and infinity beyond them."""
+        from scipy.stats import binom
+
+        check_number("confidence", confidence, above=0.0, below=1.0)
+        tail = 0.5 * (1.0 - confidence)
+        fewest, most = binom.ppf([tail, 1.0 - tail], self.runs, per_run)
+        stored = dict(zip(self.ranks, self.largest, strict=True))
+        above = max((rank for rank in self.ranks if rank <= fewest), default=None)
+        below = min((rank for rank in self.ranks if rank >= most + 1), default=None)
+        return 0.0 if below is None else stored[below], math.inf if above is None else stored[above]
 
     def _tail(self, p: float, rate: float) -> float:
         n, count = self.runs, tail_exceedances(self.runs)

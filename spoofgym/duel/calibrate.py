@@ -13,11 +13,14 @@ from ..calibration.clean_runs import Player
 from ..core.declared import check_number
 from ..core.registry import whole_number
 from ..core.settings import compute_digest, describe
-from ..detectors.calibration_file import compute_min_runs
-from ..detectors.learned import DetectorAgent, PolicyDetector
+from ..detectors.calibration_file import (
+    Calibration,
+    compute_min_runs,
+    hourly_rate,
+    list_stored_ranks,
+)
+from ..detectors.learned import PolicyDetector
 from ..policies.contract import DetectorPolicy, as_policy
-from ..simulation.setup import Setup
-from .calibration import PolicyCalibration, compute_threshold
 from .duel import make_duel
 
 
@@ -27,16 +30,15 @@ def calibrate_policy(
     false_alarm: float = 0.05,
     runs: int = 200,
     seed: int = 0,
-    confidence: float = 0.95,
     receivers: int = 32,
     decision_delay: int = 0,
     store: str | os.PathLike[str] | None = None,
     **settings: Any,
-) -> PolicyCalibration:
-    """Threshold of a frozen detector policy for a run-level false-alarm rate.
+) -> Calibration:
+    """Clean runs of a frozen detector policy, from which its thresholds are read.
 
     Clean episodes are played to their end without a threshold, and the largest statistic of each is
-    stored; see `compute_threshold`.  The weights of the policy are in the loop meanwhile.
+    stored.  The weights of the policy are in the loop meanwhile.
 
     Parameters
     ----------
@@ -44,13 +46,11 @@ def calibrate_policy(
         Frozen: what changes needs another calibration.  A function takes (B, o) observations and
         returns (B, a) actions.
     false_alarm : float
-        Probability that a clean run alarms, in (0, 1).
+        Probability that a clean run alarms, in (0, 1), for which the runs have to be enough.
     runs : int
         Clean episodes, at least 1 / false_alarm - 1.
     seed : int
         Of these episodes.
-    confidence : float
-        Of the interval, in (0, 1).
     receivers : int
         Episodes that are played at once; the threshold does not depend on it.
     decision_delay : {0, 1}
@@ -65,18 +65,39 @@ def calibrate_policy(
     Returns
     -------
     Calibration
-        Can be given as ``threshold``.
+        As that of any detector: `point(per_run=...)` has the threshold as its scale, `interval` the
+        confidence interval of it.  The duel takes it as its ``threshold``.
 
     Raises
     ------
     ValueError
         When the runs are too few, or `store` is given for a policy without a digest.
     """
-    _check(false_alarm, runs, confidence, receivers)
+    check_number("false_alarm", false_alarm, above=0.0, below=1.0)
+    runs, seed = whole_number("`runs`", runs), whole_number("`seed`", seed)
+    whole_number("`receivers`", receivers, 1)
+    if runs < compute_min_runs(false_alarm):
+        raise ValueError(
+            f"`runs` must be at least {compute_min_runs(false_alarm)} for `false_alarm` = "
+            f"{false_alarm:g}, got {runs}"
+        )
     frozen = as_policy(policy)
     duel = make_duel(1, decision_delay=decision_delay, threads=1, **settings)
     setup, agent = duel.setup, duel.agent
     duel.close()
+    world = {**setup.conditions.settings, "decision_delay": decision_delay}
+    detector = {"name": "policy", "policy": frozen.digest(), "agent": describe(agent)}
+    path = None
+    if store is not None:
+        if frozen.digest() is None:
+            raise ValueError(
+                f"{frozen!r} has no digest to store its calibration by: give a FunctionPolicy a "
+                "`name`, or override `digest`"
+            )
+        request = {"false_alarm": false_alarm, "runs": runs, "seed": seed}
+        path = Path(store) / f"{compute_digest({**request, 'world': world, **detector})}.json"
+        if path.is_file():
+            return Calibration.load(path)
     judge = PolicyDetector(
         agent.statistic,
         agent.weighs,
@@ -85,54 +106,20 @@ def calibrate_policy(
         decision_delay=decision_delay,
         quiet_epochs=setup.live,
     )
-    conditions = compute_digest(_conditions(setup, agent, decision_delay))
-    seed, runs = whole_number("`seed`", seed), int(runs)
-    request = {"false_alarm": false_alarm, "runs": runs, "seed": seed, "confidence": confidence}
-    path = None
-    if store is not None:
-        if frozen.digest() is None:
-            raise ValueError(
-                f"{frozen!r} has no digest to store its calibration by: give a FunctionPolicy a "
-                "`name`, or override `digest`"
-            )
-        name = compute_digest({**request, "detector": frozen.digest(), "settings": conditions})
-        path = Path(store) / f"{name}.json"
-        if path.is_file():
-            return PolicyCalibration.load(path)
     player = Player(setup, entropy=seed, threads=1, chunk=min(receivers, runs))
-    # its threshold is 1, so that a ratio is a statistic
-    largest = player.play([judge], range(runs), in_loop=True).judged[:, 0]
-    threshold, low, high = compute_threshold(largest, false_alarm, confidence)
-    found = PolicyCalibration(
-        # a statistic of 0 is no alarm, whatever the threshold
-        threshold=max(threshold, np.finfo(np.float64).tiny),
-        threshold_low=low,
-        threshold_high=high,
-        confidence=confidence,
-        false_alarm=false_alarm,
-        runs=runs,
-        detector=frozen.digest(),
-        settings=conditions,
+    # its threshold is 1, so that a ratio is a statistic; one of 0 is no alarm at any threshold
+    played = player.play([judge], range(runs), in_loop=True)
+    before, judged = np.maximum(
+        [played.before[:, 0], played.judged[:, 0]], np.finfo(np.float64).tiny
     )
-    if path is not None:
-        found.save(path)
-    return found
-
-
-def _check(false_alarm: float, runs: int, confidence: float, receivers: int) -> None:
-    """Raise unless the request makes sense."""
-    check_number("false_alarm", false_alarm, above=0.0, below=1.0)
-    check_number("confidence", confidence, above=0.0, below=1.0)
-    whole_number("`runs`", runs)
-    whole_number("`receivers`", receivers, 1)
-    if runs < compute_min_runs(false_alarm):
-        raise ValueError(
-            f"`runs` must be at least {compute_min_runs(false_alarm)} for `false_alarm` = "
-            f"{false_alarm:g}, got {runs}"
-        )
-
-
-def _conditions(setup: Setup, agent: DetectorAgent, decision_delay: int) -> dict[str, Any]:
-    """Everything of a duel that a clean run depends on, JSON-able."""
-    settings = setup.conditions.settings
-    return {**settings, "detector": describe(agent), "decision_delay": decision_delay}
+    found = Calibration.from_maxima(
+        before,
+        judged,
+        ranks=list_stored_ranks(runs, setup.window_s, [hourly_rate(false_alarm, setup.window_s)]),
+        world=world,
+        detector=detector,
+        window_s=setup.window_s,
+        entropy=seed,
+        seed_name=player.seed_name,
+    )
+    return found if path is None else found.save(path)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..core.declared import check_number
 from ..core.registry import check_keywords
 from ..detectors.base import check_verdict
+from ..detectors.calibration_file import Calibration
 from ..detectors.learned import EXCLUSION_S, DetectorAgent, check_delay
 from ..detectors.pool import NATURE, uniforms
 from ..envs import _kernels
@@ -26,7 +27,6 @@ from ..simulation.monitors import Monitor
 from ..simulation.simulator import Simulator
 from ..simulation.tight import TightlyCoupledSetup
 from ..tasks import get_task
-from .calibration import PolicyCalibration
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
 
 GAME = "T3"
@@ -89,7 +89,7 @@ class Duel:
         *,
         knowledge: str = "tracking",
         payoff: str | Mapping[str, Any] = "neyman-pearson",
-        threshold: float | str | PolicyCalibration = RUNNING,
+        threshold: float | str | Calibration = RUNNING,
         false_alarm: float = 0.05,
         decision_delay: int = 0,
         attack_probability: float = 0.5,

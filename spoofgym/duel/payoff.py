@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from ..core.declared import check_number, setting, settings_record
 from ..core.registry import build, is_number
-from .calibration import FloatArray, PolicyCalibration
+from ..detectors.calibration_file import Calibration
 
+FloatArray = NDArray[np.float64]
 LEAST_THRESHOLD = 1e-3
 RUNNING = "running"
 
@@ -135,11 +136,11 @@ class RunningThreshold:
 
 
 def make_threshold(
-    threshold: float | str | PolicyCalibration, false_alarm: float, receivers: int
+    threshold: float | str | Calibration, false_alarm: float, receivers: int
 ) -> FixedThreshold | RunningThreshold:
     check_number("false_alarm", false_alarm, above=0.0, below=1.0)
-    if isinstance(threshold, PolicyCalibration):
-        threshold = threshold.threshold
+    if isinstance(threshold, Calibration):
+        threshold = threshold.point(per_run=false_alarm).scale
     if isinstance(threshold, str) and threshold == RUNNING:
         return RunningThreshold(false_alarm, receivers)
     if isinstance(threshold, str) or not (is_number(threshold) and 0.0 < threshold <= 1.0):

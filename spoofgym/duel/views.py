@@ -12,7 +12,9 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from ..core.registry import check_keywords
+from ..core.settings import compute_digest
 from ..detectors import Detector
+from ..detectors.calibration_file import Calibration
 from ..detectors.learned import detector_card
 from ..envs.core import SingleStep, SpoofCore
 from ..envs.env import C, CoreEnv, CoreVectorEnv
@@ -23,7 +25,6 @@ from ..policies.card import DetectorCard
 from ..policies.load import card_path
 from ..simulation.monitors import FloatArray, PastPositions
 from ..simulation.tight import TightlyCoupledSetup
-from .calibration import PolicyCalibration
 from .duel import SETTINGS, default_opponent, make_duel, refuse_to_draw, with_world
 from .opponents import (
     DetectorSpec,
@@ -408,12 +409,26 @@ class DetectorVectorView(PooledVectorView[DetectorCore]):
         super().__init__(self._side, autoreset_mode, infos, max_episode_steps)
 
 
+def _summarize(calibration: Calibration, false_alarm: float) -> dict[str, Any]:
+    """What the card of a policy says of its threshold."""
+    low, high = calibration.interval(false_alarm)
+    return {
+        "false_alarm": false_alarm,
+        "runs": calibration.runs,
+        "threshold_low": low,
+        "threshold_high": min(high, 1.0),
+        "detector": calibration.detector["policy"],
+        "world": compute_digest(calibration.world),
+    }
+
+
 def write_card(
     file: str | os.PathLike[str],
     view: Any,
     *,
     name: str,
-    calibration: PolicyCalibration | None = None,
+    calibration: Calibration | None = None,
+    false_alarm: float = 0.05,
     training: dict[str, Any] | None = None,
 ) -> DetectorCard:
     """Write the card of a detector policy that was made in a view.
@@ -427,7 +442,9 @@ def write_card(
     name : str
         Of the detector.
     calibration : Calibration, optional
-        Of this policy.
+        Of this policy, which gives the threshold.
+    false_alarm : float
+        Probability of an alarm in a clean run that the threshold is for.
     training : dict, optional
         How it was made, JSON-able.
 
@@ -446,8 +463,8 @@ def write_card(
         interval_s=setup.interval_s,
         quiet_epochs=setup.live,
         decision_delay=duel.decision_delay,
-        threshold=None if calibration is None else calibration.threshold,
-        calibration={} if calibration is None else vars(calibration),
+        threshold=None if calibration is None else calibration.point(per_run=false_alarm).scale,
+        calibration={} if calibration is None else _summarize(calibration, false_alarm),
         training=training,
     )
     card.save(card_path(file))

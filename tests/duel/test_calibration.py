@@ -5,9 +5,8 @@ import pytest
 
 from spoofgym import duel_v0
 from spoofgym.calibration.clean_runs import Player
-from spoofgym.detectors.calibration_file import compute_min_runs
+from spoofgym.detectors.calibration_file import Calibration, compute_min_runs, list_stored_ranks
 from spoofgym.detectors.learned import PolicyDetector
-from spoofgym.duel.calibration import compute_threshold
 from spoofgym.duel.duel import make_duel
 from spoofgym.duel.payoff import FixedThreshold, RunningThreshold
 from spoofgym.policies.contract import PolicyContext
@@ -18,12 +17,24 @@ from .support import ALARM, BRIEF, parallel, wary
 SETTINGS = {**BRIEF, "runs": 60, "false_alarm": 0.1, "receivers": 30}
 
 
+def calibration(maxima):
+    """Calibration from the largest ratios of clean runs of a minute."""
+    world = {"world": {}, "detector": {"name": "x"}, "entropy": 0, "seed_name": "x"}
+    ranks = list_stored_ranks(len(maxima), 60.0)
+    return Calibration.from_maxima(maxima, maxima, ranks=ranks, window_s=60.0, **world)
+
+
+def threshold_of(found):
+    return found.point(per_run=SETTINGS["false_alarm"]).scale
+
+
 def test_a_new_run_exceeds_the_quantile_with_the_stated_probability():
     rng, alpha, n = np.random.default_rng(1), 0.1, 59
     exceeded, covered, trials = 0, 0, 400
     for _ in range(trials):
-        threshold, low, high = compute_threshold(rng.random(n), alpha, 0.9)
-        exceeded += rng.random() > threshold
+        found = calibration(rng.random(n))
+        low, high = found.interval(alpha, 0.9)
+        exceeded += rng.random() > found.point(per_run=alpha).scale
         covered += low <= 1.0 - alpha <= high
     assert abs(exceeded / trials - alpha) < 3.0 * np.sqrt(alpha * (1 - alpha) / trials)
     assert covered / trials > 0.9 - 3.0 * np.sqrt(0.09 / trials)
@@ -32,7 +43,7 @@ def test_a_new_run_exceeds_the_quantile_with_the_stated_probability():
 @pytest.mark.parametrize("alpha", [0.05, 0.3])
 def test_the_quantile_has_the_lowest_rank_that_keeps_the_rate(alpha):
     for n in range(compute_min_runs(alpha), 100):
-        rank = round(compute_threshold(np.arange(1, n + 1) / n, alpha, 0.9)[0] * n)
+        rank = round(calibration(np.arange(1, n + 1) / n).point(per_run=alpha).scale * n)
         # a new one among n others that are like it exceeds the k-th of them so often
         exceeded = 1.0 - np.array([rank, rank - 1]) / (n + 1)
         assert exceeded[0] <= alpha + 1e-9 < exceeded[1], n
@@ -40,7 +51,9 @@ def test_the_quantile_has_the_lowest_rank_that_keeps_the_rate(alpha):
 
 def test_too_few_runs_tell_no_quantile():
     assert (compute_min_runs(0.05), compute_min_runs(0.3)) == (19, 3)
-    assert compute_threshold(np.arange(19) / 19, 0.05, 0.95)[::2] == (18 / 19, 1.0)
+    found = calibration(np.arange(1, 20) / 19)
+    assert found.point(per_run=0.05).scale == 1.0
+    assert found.interval(0.05) == (pytest.approx(16 / 19), np.inf)
     with pytest.raises(ValueError, match="`runs` must be at least 19 for `false_alarm`"):
         duel_v0.calibrate_policy(wary, runs=18, **BRIEF)
 
@@ -49,10 +62,11 @@ def test_the_threshold_does_not_depend_on_the_size_of_the_batch():
     first = duel_v0.calibrate_policy(wary, **SETTINGS)
     again = duel_v0.calibrate_policy(wary, **{**SETTINGS, "receivers": 17})
     assert first == again
-    assert first.threshold_low < first.threshold < first.threshold_high
+    low, high = first.interval(0.1)
+    assert low < threshold_of(first) < high
     late = duel_v0.calibrate_policy(wary, **SETTINGS, decision_delay=1)
-    assert late.settings != first.settings
-    assert late.threshold != first.threshold
+    assert late.world != first.world
+    assert threshold_of(late) != threshold_of(first)
 
 
 @pytest.mark.parametrize("delay", [0, 1])
@@ -86,7 +100,7 @@ def test_alarming_at_once_does_not_pay():
         return np.tile(ALARM, (len(observation), 1))
 
     found = duel_v0.calibrate_policy(always, **SETTINGS)
-    assert found.threshold == 1.0  # the quantile of what it says: it can't exceed it
+    assert threshold_of(found) == 1.0  # the quantile of what it says: it can't exceed it
     env = parallel(threshold=found, attack_probability=1.0)
     env.reset(seed=2)
     total = 0.0
@@ -143,16 +157,17 @@ def test_calibrations_are_stored_by_the_frozen_detector(tmp_path):
     policy = duel_v0.FunctionPolicy(wary, name="wary-1")
     first = duel_v0.calibrate_policy(policy, **SETTINGS, store=tmp_path)
     (path,) = tmp_path.iterdir()
-    assert duel_v0.PolicyCalibration.load(path) == first
+    assert duel_v0.Calibration.load(path) == first
     # what is there is taken as it is
-    path.write_text(path.read_text().replace(str(first.threshold), "0.123"))
-    assert duel_v0.calibrate_policy(policy, **SETTINGS, store=tmp_path).threshold == 0.123
+    path.write_text(path.read_text().replace('"entropy":0', '"entropy":7'))
+    assert duel_v0.calibrate_policy(policy, **SETTINGS, store=tmp_path).entropy == 7
     other = duel_v0.FunctionPolicy(wary, name="wary-2")
-    assert duel_v0.calibrate_policy(other, **SETTINGS, store=tmp_path).threshold == first.threshold
+    again = duel_v0.calibrate_policy(other, **SETTINGS, store=tmp_path)
+    assert again.largest == first.largest
     assert len(list(tmp_path.iterdir())) == 2
     numbers = {"runs": np.int64(SETTINGS["runs"]), "seed": np.int64(0)}
     again = duel_v0.calibrate_policy(other, **{**SETTINGS, **numbers}, store=tmp_path)
-    assert again.threshold == first.threshold
+    assert again.largest == first.largest
     assert len(list(tmp_path.iterdir())) == 2
     with pytest.raises(ValueError, match="no digest to store"):
         duel_v0.calibrate_policy(wary, **SETTINGS, store=tmp_path)
@@ -177,7 +192,6 @@ def test_bad_policies(policy, message):
 def test_bad_requests():
     for settings, message in (
         ({"false_alarm": "x"}, "`false_alarm` must be a number above 0 and below 1, got 'x'"),
-        ({"confidence": 1.0}, "`confidence` must be a number above 0 and below 1, got 1.0"),
         ({"runs": 19.5}, "`runs` must be a whole number .*got 19.5"),
         ({"receivers": 0}, "`receivers` must be a whole number of at least 1, got 0"),
         ({"exclusion_s": "x"}, "`exclusion_s` must be .*got 'x'"),

@@ -29,8 +29,8 @@ def file(tmp_path):
     path.write_bytes(written(network(*sizes)))
     duel_v0.write_card(path, view, name="guard")
     found = duel_v0.calibrate_policy(duel_v0.OnnxDetector(path), **SETTINGS)
-    card = duel_v0.write_card(path, view, name="guard", calibration=found)
-    assert card.threshold == found.threshold
+    card = duel_v0.write_card(path, view, name="guard", calibration=found, false_alarm=0.1)
+    assert card.threshold == found.point(per_run=0.1).scale
     return path
 
 
@@ -75,7 +75,7 @@ def test_a_file_stands_in_a_pool(file, tmp_path):
     assert (member.scale, member.detector.card.exclusion_s) == (0.25, 30.0)
     store = tmp_path / "store"
     first = duel_v0.calibrate_policy(duel_v0.OnnxDetector(file), **SETTINGS, store=store)
-    assert first.detector == duel_v0.OnnxDetector(file).card.file.sha256[:16]
+    assert first.detector["policy"] == duel_v0.OnnxDetector(file).card.file.sha256[:16]
     assert len(list(store.iterdir())) == 1
 
 
@@ -92,14 +92,14 @@ def test_a_file_is_calibrated_by_the_mechanism_of_all_detectors(file, tmp_path, 
     view = duel_v0.SpooferView(asked, **BRIEF)
     (member,) = view.core.setup.detector.judges
     assert member.scale == found.point(20.0).scale
-    assert member.detector.run_filter_only == setup.live
+    assert member.detector.quiet_epochs == setup.live
     own = duel_v0.calibrate_policy(
         duel_v0.OnnxDetector(file),
         **BRIEF,
         runs=40,
         false_alarm=run_probability(20.0, setup.window_s),
     )
-    assert own.threshold == pytest.approx(member.scale, rel=1e-10)
+    assert own.point(20.0).scale == pytest.approx(member.scale, rel=1e-10)
 
 
 def test_what_does_not_fit_is_refused_by_name(file):
