@@ -29,8 +29,8 @@ def file(tmp_path):
     path.write_bytes(written(network(*sizes)))
     duel_v0.write_card(path, view, name="guard")
     found = duel_v0.calibrate_policy(duel_v0.OnnxDetector(path), **SETTINGS)
-    card = duel_v0.write_card(path, view, name="guard", calibration=found, false_alarm=0.1)
-    assert card.threshold == found.point(per_run=0.1).scale
+    card = duel_v0.write_card(path, view, name="guard", calibration=found)
+    assert card.threshold == found.point(per_run=0.05).scale
     return path
 
 
