@@ -17,7 +17,7 @@ from .frame import Band, Origin, Paper, Part, Row, Settings
 
 KEYS = ("ke2022", "shadmehri2025", "song2021", "wu2024", "zhong2025")
 ALL = "all"
-NAMES = ("TITLE", "CLAIMS", "FOUND", "READINGS", "parts", "rows", "figures")
+NAMES = ("TITLE", "CLAIMS", "FINDINGS", "READINGS", "parts", "rows", "figures")
 VERDICTS = ("printed_inside", "agrees", "kept")
 """What a row says of its values."""
 

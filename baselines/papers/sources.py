@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = "spoofgym"
 FRAME = "baselines.papers.frame"
 """Says what a part is, and computes nothing."""
-REPORT_NAMES = ("TITLE", "CLAIMS", "FOUND", "READINGS", "rows", "figures")
+REPORT_NAMES = ("TITLE", "CLAIMS", "FINDINGS", "READINGS", "rows", "figures")
 """Names in a module that tell or draw."""
 
 

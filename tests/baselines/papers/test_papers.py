@@ -48,7 +48,7 @@ def test_parts_have_names_of_their_own_and_can_be_run_elsewhere(key):
 
 def test_the_texts_say_something_and_indices_name_every_paper(key):
     paper = load_paper(key)
-    for name in ("TITLE", "CLAIMS", "FOUND", "READINGS"):
+    for name in ("TITLE", "CLAIMS", "FINDINGS", "READINGS"):
         assert getattr(paper, name).strip(), name
         assert not getattr(paper, name).lstrip().startswith("#"), "headings are the page's own"
     assert key[-4:] in paper.TITLE

@@ -232,15 +232,15 @@ def test_texts_and_comments_cost_no_run_but_code_does(tmp_path, monkeypatch):
     digest("helper", "from .draws import SIDES\n")
     digest("__init__", "from .runs import play\n")
     begin = "\n".join(['"""A paper."""', "def play():", "    from . import helper", ""])
-    first = digest("runs", f'{begin}FOUND = "a"\nRUNS = 3\ndef rows(): return 1\n')
+    first = digest("runs", f'{begin}FINDINGS = "a"\nRUNS = 3\ndef rows(): return 1\n')
     changed = begin.replace("A paper", "Paper") + "# told\n"
-    assert digest("runs", f'{changed}FOUND = "b"\nRUNS = 3\ndef rows(): return 2\n') == first
+    assert digest("runs", f'{changed}FINDINGS = "b"\nRUNS = 3\ndef rows(): return 2\n') == first
     # what the computing module does not import counts for nothing
     assert digest("words", "RUNS = 4\n") == first
     assert digest("__init__", "RUNS = 4\n") == first
     assert digest("draws", "SIDES = 5\n") != first
     assert digest("draws", "SIDES = 6\n") == first
-    assert digest("runs", f'{begin}FOUND = "b"\nRUNS = 4\n') != first
+    assert digest("runs", f'{begin}FINDINGS = "b"\nRUNS = 4\n') != first
     digest("__init__", "RUNS = 4\n")
     of_package = begin.replace("helper", "helper, RUNS")
     other = digest("runs", of_package)

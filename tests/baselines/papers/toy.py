@@ -10,7 +10,7 @@ from baselines.papers.frame import Band, Origin, Part, Row, Settings, fill_origi
 
 TITLE = "Dice et al. (2025)"
 CLAIMS = "The mean of a die is 3.5."
-FOUND = "It is."
+FINDINGS = "It is."
 READINGS = "Six sides."
 KEY = "toy2025"
 NEAR = Origin("tolerance", "Half an eye to either side; seed {seed}.")
