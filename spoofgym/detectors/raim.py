@@ -81,7 +81,7 @@ MAX_SATELLITES = 63  # as many fit into a mask
 LARGEST_GROUP = 6  # half of 12 satellites
 
 
-def assumed_noise() -> Any:
+def noise_setting() -> Any:
     return setting(
         default=None,
         above=0.0,
@@ -199,7 +199,7 @@ class Raim(ConsistencyTest):
     """
 
     described_as = "Raim"
-    sigma_m: float | None = assumed_noise()
+    sigma_m: float | None = noise_setting()
     confidence: float = search_confidence()
     false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
     exclude: bool = setting(
@@ -372,7 +372,7 @@ class SrvRaim(ConsistencyTest):
     """
 
     described_as = "SrvRaim"
-    sigma_m: float | None = assumed_noise()
+    sigma_m: float | None = noise_setting()
     confidence: float = search_confidence()
     false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
     frame: str = setting(default="ned", one_of=("ned", "ecef"), help="Axes of the search vectors.")
@@ -484,7 +484,7 @@ class TraversalRaim(ConsistencyTest):
     """
 
     described_as = "TraversalRaim"
-    sigma_m: float | None = assumed_noise()
+    sigma_m: float | None = noise_setting()
     confidence: float = search_confidence()
     false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
     largest_group: int = setting(

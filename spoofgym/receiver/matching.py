@@ -155,7 +155,7 @@ def inflation(alpha: float, epochs: int) -> float:
     return (1.0 + alpha) / rest - 2.0 * alpha * (1.0 - alpha**epochs) / (epochs * rest**2)
 
 
-def assumed_noise(
+def compute_assumed_noise(
     receiver: TightlyCoupled,
     errors: GnssErrors,
     bias_sd: FloatArray,

@@ -16,7 +16,7 @@ from ..core.registry import build_record, check_choice, require
 from ..earth.attitude import euler_to_dcm
 from ..receiver import TightlyCoupled
 from ..receiver.augmented import SignalModel, signal_model
-from ..receiver.matching import assumed_noise
+from ..receiver.matching import compute_assumed_noise
 from ..receiver.tight import NoiseModel
 from ..truth.events import BenignEvents
 from ..truth.gnss_errors import ERRORS, RENAMED, GnssErrors
@@ -415,7 +415,7 @@ def _combination(
     elevation = world.first_elevation
     bias_sd = errors.bias_sd(elevation)
     believed = assumed.bias_sd(elevation)
-    variance, noise = assumed_noise(receiver, assumed, believed, world, epochs, flown)
+    variance, noise = compute_assumed_noise(receiver, assumed, believed, world, epochs, flown)
     single = variance
     if receiver.matches:
         interval_s = float(world.epoch_time[1] - world.epoch_time[0])

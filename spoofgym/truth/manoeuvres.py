@@ -65,7 +65,7 @@ class Pulse:
 Axis = Literal["none", "turn", "steer", "climb", "speed"]
 
 
-def time_to_set_in(default: float, help: str) -> Any:
+def ramp_setting(default: float, help: str) -> Any:
     return setting(default=default, above=0.0, unit="s", help=help)
 
 
@@ -129,7 +129,7 @@ class Turn:
         unit="deg",
         help="Largest bank, positive in either direction.",
     )
-    ramp_s: float = time_to_set_in(
+    ramp_s: float = ramp_setting(
         5.0, "Time to roll in and to roll out; the roll rate stays below tan(bank) pi / (2 ramp)."
     )
 
@@ -152,7 +152,7 @@ class Steer:
         unit="deg/s",
         help="Largest turn rate, positive in either direction.",
     )
-    ramp_s: float = time_to_set_in(1.0, "Time to turn the wheel in and back.")
+    ramp_s: float = ramp_setting(1.0, "Time to turn the wheel in and back.")
 
     def pulse(self, speed: float, start: float) -> Pulse:
         peak = math.radians(self.rate_degps)
@@ -172,7 +172,7 @@ class Climb:
         unit="m/s",
         help="Largest vertical speed, positive in either direction.",
     )
-    ramp_s: float = time_to_set_in(
+    ramp_s: float = ramp_setting(
         10.0,
         "Time to pull up and to level off; the change of the normal acceleration stays below about "
         "rate pi / (2 ramp).",
@@ -201,7 +201,7 @@ class Accelerate:
         unit="m/s^2",
         help="Largest acceleration, positive in either direction.",
     )
-    ramp_s: float = time_to_set_in(2.0, "Time for the acceleration to set in and to cease.")
+    ramp_s: float = ramp_setting(2.0, "Time for the acceleration to set in and to cease.")
 
     def pulse(self, speed: float, start: float) -> Pulse:
         if speed + self.change_mps < -1e-9:
