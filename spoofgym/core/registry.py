@@ -79,7 +79,7 @@ def build(
 
 
 def _construct(what: str, kind: type[T], settings: Mapping[str, Any]) -> T:
-    """Record of a kind, after a check that its settings are known, of the right kind, and there."""
+    """Record of a kind, after a check that its settings are known, and there."""
     known = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for name in settings:
         require(
@@ -88,30 +88,7 @@ def _construct(what: str, kind: type[T], settings: Mapping[str, Any]) -> T:
     for name, field in known.items():
         if field.default is field.default_factory is dataclasses.MISSING and name not in settings:
             raise ValueError(f"{what} needs the setting {name!r}")
-    check_plain_settings(kind, settings)
     return kind(**settings)
-
-
-def check_plain_settings(kind: type, settings: Mapping[str, Any]) -> None:
-    """Raise where a number or truth value is something else; ranges are for the class to check."""
-    for field in dataclasses.fields(kind):
-        if field.name not in settings:
-            continue
-        value, said = settings[field.name], getattr(field.type, "__name__", field.type)
-        words = set(str(said).split(" | "))
-        nothing = " or None" if "None" in words else ""
-        words.discard("None")
-        if value is None and nothing:
-            continue
-        if words == {"bool"}:
-            right, must = isinstance(value, bool | np.bool_), "True or False"
-        elif words == {"int"}:
-            right, must = is_number(value) and float(value).is_integer(), "a whole number"
-        elif words == {"float"}:
-            right, must = is_number(value), "a number"
-        else:
-            continue
-        require(right, f"`{field.name}` must be {must}{nothing}, got {value!r}")
 
 
 def build_record(

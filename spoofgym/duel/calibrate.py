@@ -112,10 +112,12 @@ def calibrate_policy(
     before, judged = np.maximum(
         [played.before[:, 0], played.judged[:, 0]], np.finfo(np.float64).tiny
     )
+    ranks = list_stored_ranks(runs, setup.window_s, [hourly_rate(false_alarm, setup.window_s)])
     found = Calibration.from_maxima(
         before,
         judged,
-        ranks=list_stored_ranks(runs, setup.window_s, [hourly_rate(false_alarm, setup.window_s)]),
+        ranks=ranks,
+        largest=np.sort(judged)[::-1][np.array(ranks) - 1],
         world=world,
         detector=detector,
         window_s=setup.window_s,

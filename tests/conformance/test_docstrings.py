@@ -101,8 +101,10 @@ def test_every_argument_is_documented():
         protocol = getattr(kind, "_is_protocol", False)
         if protocol or fields_of(kind) is not None or "__init__" not in vars(kind):
             continue
-        arguments = [name for name in inspect.signature(kind.__init__).parameters if name != "self"]
         told = documented(ClassDoc(kind), "Parameters")
+        expanded = "__signature__" in vars(kind) and "settings" not in told
+        signed = inspect.signature(kind if expanded else kind.__init__)
+        arguments = [name for name in signed.parameters if name != "self"]
         if kind.__init__.__doc__:
             told += documented(FunctionDoc(kind.__init__), "Parameters")
         if issubclass(kind, dict) and not told:  # a container with a default of its own
