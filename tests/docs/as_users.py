@@ -69,6 +69,7 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     r"spoofgym bench --suite standard --detector my_detector": (CAMPAIGN, "ten minutes"),
     r"make bench$": (f'ARGS="{CAMPAIGN}"', "a quarter of an hour; a fresh checkout runs it"),
     r"python -m baselines\.papers all$": (None, "the five papers, which have a page each"),
+    r"python -m baselines\.papers\.page$": ("ke2022", "the one that its page runs in full before"),
     r"spoofgym protect (?!.*--selection-seeds)": (PROTECTION, "1000 runs of every attack"),
 }
 """How commands begin that would take more than some ten minutes or can't run here; with what
