@@ -47,7 +47,6 @@ def play_task(
 
 
 def make_card(scores: list[DetectorScore]) -> dict[str, Any]:
-    """What is kept of a task: scores, and paired differences to the best classic."""
     others = (*CONTROLS, *list_shipped("detector"))
     classics = [each for each in scores if extract_name(each.detector) not in others]
     best = min(classics, key=lambda each: np.nan_to_num(each.p_hmi.value, nan=2.0))

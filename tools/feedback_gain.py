@@ -44,11 +44,9 @@ TRIED: dict[str, list[dict[str, float]]] = {
     ],
     RIDER: [{"margin": 1.15, "horizon_s": 20.0}],
 }
-"""Settings along the curve that are tried."""
 OFF = {"full_ratio": 1.0, "zero_ratio": 1.01, "back": 0.0}
 """Nothing is held back: the curve as it is, up to the first alarm."""
-REACHED = 0.98
-"""Part of the farthest reach of the attack from which on there is no room."""
+REACHED = 0.98  # part of the attack's farthest reach, beyond which there is no room
 HEAD = ("detector", "blind optimum [m]", "spoofer", "settings", "[m]", "times as far", "bound [m]")
 
 
@@ -129,7 +127,6 @@ def find_spec(label: str) -> dict[str, Any]:
 
 
 def rows(label: str, found: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table for one detector; `*` marks what is over the budget."""
     bound = bound_text(found["bound"])
     if not found["room"]:
         return [(label, interval(found["blind_m"]), "-", "-", "-", "no room", bound)]

@@ -60,7 +60,6 @@ ELEMENTS = {"final_obs": "observation", "terminal_observation": "observation"}
 PARTS = "\x1f"
 """Between the parts of a path within a pattern; an id is one part, with a slash of its own."""
 SHOWN, DEVIATIONS_SHOWN = 10, 25
-"""Differences of a case, and columns, that are printed; with ``--json`` all are."""
 Array = np.ndarray[Any, Any]
 Columns = dict[tuple[str, ...], "Column"]
 Replies = dict[str, dict[str, Any]]
@@ -131,7 +130,6 @@ def _holds(path: tuple[str, ...], keys: dict[str, str]) -> bool:
 
 
 def _pattern(key: str) -> str:
-    """Where a key is a whole part of a path, or several, with the underscore of a mask or not."""
     several = re.escape(key).replace("/", f"[/{PARTS}]")
     return rf"(^|{PARTS})(_?){several}(?=$|{PARTS}|\s)"
 
@@ -166,7 +164,6 @@ class Difference:
 
 
 def load_record(file: Path) -> Columns:
-    """Columns of a record; those of elements that have names are taken apart."""
     with np.load(file) as stored:
         about = json.loads(str(stored["about"]))
         columns: Columns = {}
