@@ -192,7 +192,7 @@ def get_task(key: str) -> Task:
 
     Examples
     --------
-    >>> from spoofgym.tasks import task_of
+    >>> from spoofgym.tasks import get_task
     >>> get_task("T4").alert_limit_m
     556.0
     """

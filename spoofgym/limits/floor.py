@@ -405,7 +405,7 @@ def compute_frontier(
 
     Examples
     --------
-    >>> from spoofgym.limits import frontier_of
+    >>> from spoofgym.limits import compute_frontier
     >>> from spoofgym.simulation import TightlyCoupledSetup
     >>> found = compute_frontier(TightlyCoupledSetup(detector="never"))
     >>> round(found.lower_limit_m(0.01, 0.5), 1)

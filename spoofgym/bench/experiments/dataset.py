@@ -8,10 +8,10 @@ of a campaign, a calibration or a search (`simulation.setup`).
 A data set is a folder of results, as other experiments have it; its files, in ``cells``, have some
 runs each, and are `.npz` files.
 
->>> from spoofgym.bench.experiments import Store, run
->>> from spoofgym.bench.experiments.dataset import Plan, load
->>> run(Plan(setup, length_m=20.0), Store("data"))  # doctest: +SKIP
->>> load("data").episodes("train").observation.shape  # doctest: +SKIP
+>>> from spoofgym.bench.experiments import Store, run_experiment
+>>> from spoofgym.bench.experiments.dataset import Plan, load_dataset
+>>> run_experiment(Plan(setup, length_m=20.0), Store("data"))  # doctest: +SKIP
+>>> load_dataset("data").episodes("train").observation.shape  # doctest: +SKIP
 """
 
 from __future__ import annotations

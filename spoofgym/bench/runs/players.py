@@ -404,8 +404,8 @@ def mixture(
 
     Examples
     --------
-    >>> from spoofgym.bench.runs.players import member_of, mixture
-    >>> guards = [member_of(name, "detector") for name in ("solution-separation", "cusum", "aime")]
+    >>> from spoofgym.bench.runs.players import make_player, mixture
+    >>> guards = [make_player(name, "detector") for name in ("solution-separation", "cusum", "aime")]
     >>> mix = mixture("mine", guards, [3, 1, 0])
     >>> mix.weights, mix.pool()["name"]
     ((0.75, 0.25), 'pool')

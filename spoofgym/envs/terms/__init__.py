@@ -133,7 +133,7 @@ def describe_terms(kind: str, terms: Any) -> list[dict[str, Any]]:
 
     Examples
     --------
-    >>> written("end", "at-alarm")
+    >>> describe_terms("end", "at-alarm")
     [{'name': 'at-alarm'}]
     """
     names = {made: name for name, made in TERMS[kind].items()} if kind in TERMS else {}
