@@ -405,7 +405,8 @@ def mixture(
     Examples
     --------
     >>> from spoofgym.bench.runs.players import make_player, mixture
-    >>> guards = [make_player(name, "detector") for name in ("solution-separation", "cusum", "aime")]
+    >>> names = ("solution-separation", "cusum", "aime")
+    >>> guards = [make_player(name, "detector") for name in names]
     >>> mix = mixture("mine", guards, [3, 1, 0])
     >>> mix.weights, mix.pool()["name"]
     ((0.75, 0.25), 'pool')
