@@ -404,7 +404,7 @@ def _check_states(judge: _Judge, observed: int, decided: int, states: Mapping[st
     shapes = [tuple(getattr(part, "shape", ())) for part in parts]
     if shapes != [(2, size) for size in (decided, *states.values())]:
         raise ValueError(
-            f"the module must return {wanted}, of action and states, got "
+            f"the module must return {wanted} for action and states, got "
             f"{', '.join(map(str, shapes))} for a batch of 2"
         )
 

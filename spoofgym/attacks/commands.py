@@ -66,10 +66,10 @@ class FalsePosition(Attack):
 
 @settings_record(kw_only=True)
 class PerChannel(Attack):
-    """Offset added to the pseudorange of every captured satellite, as in the five papers.
+    """Offset added to the pseudorange of each captured satellite, as in `docs/papers.md`.
 
-    What the spoofer changes is the authentic range itself; with `tracking`, the range that it takes
-    for the authentic one, at a wrong position.  The limits apply to each channel for itself.
+    The spoofer changes the authentic range itself; with `tracking`, it changes the range at a wrong
+    position, which it takes for the authentic one.  The limits apply to each channel separately.
     Offsets of satellites that are not in view have no effect.
     """
 
@@ -92,15 +92,15 @@ class PerChannel(Attack):
 
 @settings_record(kw_only=True)
 class Meaconer(Attack):
-    r"""Record and replay: the ranges of the meaconer's antenna, and one delay.
+    r"""Replays the signals that the meaconer's antenna receives, with one delay.
 
     .. math:: \Delta\rho_j = \rho_j(r_m) - \rho_j(r) + |r_m - r| + D, \qquad D \ge 0
 
     and the range rates are the derivatives.  The victim's position becomes that of the antenna at
-    :math:`r_m`; the way from there to the victim and the delay D, the one command, are common to
-    all channels and go into its clock.  There is no freedom per axis or per satellite.  Within a
-    delay of D the satellites move by less than 4 mm per kilometre of D, which is left out.  A
-    meaconer needs no position, so that it takes no `tracking`.
+    :math:`r_m`; the path from there to the victim and the delay D, the only command, are common to
+    all channels and go into the victim's clock.  There is no freedom per axis or per satellite.
+    The motion of the satellites during the delay is left out: it is below 4 mm per kilometre of D.
+    A meaconer needs no position, so it takes no `tracking`.
     """
 
     described_as = "Meaconer"

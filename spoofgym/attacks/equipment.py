@@ -122,13 +122,13 @@ class SpooferClock:
         help="Standard deviation of what is drawn for every episode on top of the drift.",
     )
     phase_psd: float = setting(
-        default=0.0, least=0.0, unit="m^2/s", help="Noise of the phase, as of `ReceiverClock`."
+        default=0.0, least=0.0, unit="m^2/s", help="Phase noise, as in `ReceiverClock`."
     )
     frequency_psd: float = setting(
         default=0.0,
         least=0.0,
         unit="m^2/s^3",
-        help="Noise of the frequency, as of `ReceiverClock`.",
+        help="Frequency noise, as in `ReceiverClock`.",
     )
 
 

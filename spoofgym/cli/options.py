@@ -97,7 +97,7 @@ Oracles = Annotated[
     bool,
     Option(
         "--allow-oracles",
-        help="Let detectors play that know the attack by their settings; the results say so.",
+        help="Admit detectors whose settings tell them the attack; the results say so.",
     ),
 ]
 
@@ -206,8 +206,8 @@ class WorldOptions:
     attack_s: float = Option(150.0, help="Command phase of the attack, in seconds.")
     time_to_alert_s: float = Option(
         10.0,
-        help="Time to alert, in seconds: what was induced this short before an alarm does not "
-        "count.",
+        help="Time to alert, in seconds: displacement induced within this time before an alarm "
+        "does not count.",
     )
 
     def find_passed(self, names: Container[str | None]) -> dict[str, str]:

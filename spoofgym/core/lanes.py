@@ -84,7 +84,7 @@ class LaneFields:
         if not len(values):
             return
         if (values != values[0]).any():
-            raise ValueError("receivers that share their quantities can't have different ones")
+            raise ValueError("receivers that share their values can't have different values")
         self._grouped[0, rows] = values[0][:, None]
 
     def __setitem__(self, name: str, values: Any) -> None:

@@ -36,11 +36,11 @@ DEFAULT_DURATION_S = 600.0  # duration of a track where none is requested [s]
 
 
 def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask:
-    """Rows that repeat the position of the row before: a position counts once.
+    """Rows that repeat the position of the row before, so that each position counts once.
 
-    A receiver repeats a position forwards until the next one comes.  Before the very first one
-    there is nothing to repeat: there, rows without a known time of their position are filled
-    backwards, and the last of them counts.
+    A receiver repeats a position until the next one comes.  Before the first one there is nothing
+    to repeat: a first run of equal positions without any known time was filled backwards, and
+    only its last row counts.
 
     `known` (n,) whether the file gives the time of the position.
     """

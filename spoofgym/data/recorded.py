@@ -26,11 +26,11 @@ from .tracks import read_track
 
 @dataclass(frozen=True)
 class RealInput:
-    """A scenario from files, and how it came about.
+    """A scenario from files, and how it was made.
 
     - `scenario`: flight and satellites of the files;
-    - `lines`: for people: what was dropped, how near the flight is to the fixes, what was assumed;
-    - `reports`: the same for machines: ``track``, ``fit``, ``ephemeris``, ``time``.
+    - `lines`: text: what was dropped, how closely the flight fits the fixes, what was assumed;
+    - `reports`: the same as data, with keys ``track``, ``fit``, ``ephemeris``, ``time``.
     """
 
     scenario: Scenario

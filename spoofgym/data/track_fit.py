@@ -122,10 +122,10 @@ class SmoothPath:
     """Splines of latitude and longitude, scaled to metres near the origin, and of height.
 
     - `origin`: latitude, longitude [rad] and height [m] of the first fix;
-    - `north`, `east`: distance from the origin, as latitude and longitude times what a radian of
-      them measures there [m];
+    - `north`, `east`: latitude and longitude relative to the origin, times the metres per radian
+      there [m];
     - `height`: height above the ellipsoid [m];
-    - `doubted`: measurements that lie further off than `HUBER_LIMIT` standard deviations.
+    - `doubted`: number of measurements off by more than `HUBER_LIMIT` standard deviations.
     """
 
     described_as = "SmoothPath"

@@ -168,9 +168,9 @@ def advance_bank(
     separation: FloatArray,
     covariance: FloatArray,
 ) -> None:
-    """Move all solutions of some receivers on by one epoch. `fewest`: satellites for an update;
-    `spacing`: D; `epochs` (B,), `separation` (B, d, J), `covariance` (B, d, d, J) memory: epochs so
-    far, s and V. Where S is not positive definite, s is infinite."""
+    """Advance all solutions of some receivers by one epoch. `fewest`: least satellites for an
+    update; `spacing`: D [epochs]; memory: `epochs` (B,) so far, `separation` (B, d, J) s,
+    `covariance` (B, d, d, J) V. Where `innovation_cov` is not positive definite, s is infinite."""
     m, (tracked, bank) = innovation.shape[1], separation.shape[1:]
     scratch, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
     A, y = np.empty((m, tracked)), np.empty(m)
@@ -300,7 +300,7 @@ def whiten_bank(
     position_e: FloatArray,
     whitened: FloatArray,
 ) -> None:
-    """Horizontal parts of all solutions with the covariance of the identity, so that q = |w|^2.
+    """Horizontal parts of all solutions, whitened to unit covariance, so that q = |w|^2.
     `whitened` (B, J, 2) written, 0 where `judge_bank` does not judge."""
     receivers, bank = len(separation), separation.shape[2]
     for b in range(receivers):

@@ -246,8 +246,8 @@ FLOAT, BOOL = np.dtype(np.float64), np.dtype(np.bool_)
 
 def judge_epoch(detector: Detector, epoch: Epoch, rows: NDArray[np.intp] | None = None) -> Verdict:
     """Let a bound detector judge an epoch, and check its verdict. `rows`: `Detector.judged_rows`.
-    A new victim calls its detector through this function alone. Where it fails on a field that is
-    None since it isn't declared, an `UndeclaredFieldError` says so."""
+    A new victim calls its detector only through this function. An `UndeclaredFieldError`
+    says where the detector fails because a field is None that it does not declare."""
     detector.judged_rows = rows
     try:
         return check_verdict(detector.judge(epoch), detector, epoch)

@@ -118,7 +118,7 @@ class PooledDetector(Detector):
         help="Detectors as `make_detector` takes them; objects are copied.",
     )
     weights: Sequence[float] | None = setting(
-        default=None, help="Probability of each; all alike by default."
+        default=None, help="Probability of each member; equal by default."
     )
 
     paper: ClassVar[str] = "lanctot2017"

@@ -60,6 +60,7 @@ from scipy import special
 from ..core.declared import setting, settings_record
 from ..receiver.augmented import FIRST
 from ..receiver.epoch import Epoch
+from ..receiver.states import POSITION
 from ._solution_separation_kernels import advance_bank, judge_bank, whiten_bank
 from .base import Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import alarm_probability, count_epochs
@@ -104,6 +105,11 @@ class SolutionSeparation(Detector):
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
+        if context.states < POSITION + 3:
+            raise ValueError(
+                "solution-separation needs a filter that carries attitude, velocity and position "
+                f"from epoch to epoch; this victim's has {context.states} states"
+            )
         b, tracked = context.receivers, min(context.states, FIRST)
         self._interval_s, self._fewest = context.epoch_interval_s, context.min_satellites
         self._spacing = count_epochs(self.spacing_s, context)
@@ -147,9 +153,9 @@ class SolutionSeparation(Detector):
         return memory["separation"], memory["covariance"], memory["epochs"], self._spacing
 
     def whiten(self, position_e: FloatArray) -> FloatArray:
-        """(B, J, 2) separations of the last epoch with the covariance of the identity, 0 where a
-        solution is not judged, in the horizontal planes of positions (B, 3), ECEF [m]. They are
-        linear in the innovations, and the statistic is the largest of their squares."""
+        """(B, J, 2) separations of the last epoch, whitened to unit covariance, 0 where a solution
+        is not judged, in the horizontal planes at positions (B, 3), ECEF [m]. They are linear in
+        the innovations, and the statistic is the largest of their squared lengths."""
         found = np.empty((*self.memory["largest_sd"].shape, 2))
         whiten_bank(*self._bank, position_e, found)
         return found

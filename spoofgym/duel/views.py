@@ -239,7 +239,7 @@ class PooledVectorView(CoreVectorEnv[C]):
         if self._pool_changed:
             mask = read_mask(options, self.num_envs)
             if mask is not None and not mask.all():
-                raise ValueError(f"{POOL_CHANGED}: the next reset must be that of all receivers")
+                raise ValueError(f"{POOL_CHANGED}: the next reset must reset all receivers")
         begun = super().reset(seed=seed, options=options)
         self._pool_changed = False
         return begun

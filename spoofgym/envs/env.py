@@ -54,16 +54,16 @@ class HasSpec:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """What `gymnasium` made it from; ``max_episode_steps`` is an episode's and one."""
+        """What `gymnasium` made it from; ``max_episode_steps`` is the episode's plus one."""
         return self._spec
 
     @spec.setter
     def spec(self, given: EnvSpec | None) -> None:
-        """Fill in the limit.
+        """Set `max_episode_steps` to one more than an episode has.
 
-        With the length itself `gymnasium.make` would wrap what it makes from the spec in a
-        `TimeLimit` that truncates at the last step, where the episode ends by itself.  In the
-        arguments of `make_vec` the limit has a field of its own.
+        With the exact number, `gymnasium.make` would add a `TimeLimit` that truncates at the last
+        step, where the episode ends by itself.  `kwargs` does not repeat the limit, since the spec
+        has a field for it.
         """
         if given is not None:
             kwargs = {key: given.kwargs[key] for key in given.kwargs if key != "max_episode_steps"}

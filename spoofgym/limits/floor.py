@@ -204,18 +204,18 @@ def _propagate_coasting(
 
 @dataclass(frozen=True)
 class WorldFrontier:
-    """The frontier of one world.
+    """The detectability frontier of one world; symbols are those of the module.
 
     Attributes
     ----------
     commands : Commands
-        Of the attack.
+        Commands of the attack.
     whitened : ndarray
-        (K, m, J) R by epoch.
+        (K, m, J) R: whitened innovations of the analyst per unit command, by epoch.
     victim : Response
-        Of the victim to the unit commands.
+        Response of the victim to the unit commands.
     last : int
-        Epoch, from the onset, at which the displacement counts.
+        Epoch, counted from the onset, at which the displacement is taken.
     coasting : ndarray
         (2, 2) :math:`P_{coast} - P` at `last`, north and east [m^2].
     """

@@ -152,10 +152,10 @@ def ewma_bound(of: Sensitivity, smoothing: float, limits: ArrayLike) -> Bound:
 
 
 def sequential_bound(of: Sensitivity, thresholds: ArrayLike) -> Bound:
-    r"""Chi-square of all epochs so far over all rows, exact; `thresholds` (K,) of each epoch.
+    r"""Exact bound of the chi-square over all rows of all epochs so far; `thresholds` (K,).
 
-    The energy that is spent up to an epoch, over the cumulated :math:`w^2`, is the greatest convex
-    minorant of the thresholds, since earlier ones bind, too.
+    The energy that the best attack spends up to an epoch, as a function of the cumulated
+    :math:`w^2`, is the greatest convex minorant of the thresholds, since earlier ones bind, too.
     """
     w, tau = of.weights, np.broadcast_to(thresholds, of.weights.shape)
     x = np.append(0.0, np.cumsum(w * w))

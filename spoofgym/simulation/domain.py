@@ -66,13 +66,12 @@ class Domain:
     world_seed: int = setting(default=0, least=0, help="Seed of these pairs.")
     imu: tuple[str, ...] = setting(
         default=(),
-        help="Grades of the inertial sensors; that of the scenario alone by default.  The receiver "
+        help="Grades of the inertial sensors; by default only the scenario's.  The receiver "
         "is tuned for the grade that it has.",
     )
     errors: tuple[str, ...] = setting(
         default=(),
-        help="GNSS errors; those of the scenario alone by default.  A matched receiver assumes "
-        "each.",
+        help="GNSS errors; by default only the scenario's.  A matched receiver assumes each.",
     )
     turn_on: str | None = setting(
         default=None,

@@ -34,6 +34,7 @@ from .setup import RateCommands, Run, Setup, Timeline
 from .simulator import SkyData, Written
 
 AXES = ("north", "east", "down", "clock")
+STATES = 4  # position and clock of a fix
 CLOCK_SD = (1e4, 10.0)  # standard deviation of the receiver's clock offset [m] and drift [m/s]
 
 
@@ -86,6 +87,7 @@ class SnapshotSetup(Setup):
         "attack_s": 60.0,
         "time_to_alert_s": 10.0,
     }
+    has: ClassVar[frozenset[str]] = Setup.has - {"transition"}  # nothing goes on to the next epoch
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"position_{axis}" for axis in AXES[:3])
 
@@ -207,12 +209,11 @@ class SnapshotSimulator(RateSimulator):
         self._deviates = np.empty(pad_count(n))
         self._pseudorange, self._satellites = np.empty((b, n)), np.empty((b, n, 3))
         self._innovation, self._cov = np.empty((b, 2 * n)), np.empty((b, 2 * n, 2 * n))
-        self._design = np.empty((b, 2 * n, 4))
+        self._design = np.empty((b, 2 * n, STATES))
         belief = np.diag(np.square([*[EXPECTED_POSITION_SD_M] * 3, EXPECTED_CLOCK_SD_M]))
         constant = {
             "interval": np.full(b, self.setup.interval_s),
             "predicted_cov": np.tile(belief, (b, 1, 1)),
-            "transition": np.tile(np.eye(4), (b, 1, 1)),
             "imu_delta": np.zeros((b, 6)),
             "range_rate": np.zeros((b, n)),
             "visible": np.ones((b, n), dtype=np.bool_),
@@ -223,9 +224,8 @@ class SnapshotSimulator(RateSimulator):
     def _context(self) -> DetectorContext:
         setup, n = self.setup, len(self.setup.weight_names)
         variance = np.repeat([setup.noise_m**2, 1.0], n)
-        return DetectorContext(
-            self.receivers, n, setup.interval_s, variance, setup.sky.satellite_ids
-        )
+        ids = setup.sky.satellite_ids
+        return DetectorContext(self.receivers, n, setup.interval_s, variance, ids, states=STATES)
 
     def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
         memory, slots = self.memory, self.setup.spoofed

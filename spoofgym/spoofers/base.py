@@ -200,7 +200,7 @@ def _columns(context: SpooferContext) -> list[int]:
     if not set(TARGET_NAMES) <= set(seen):
         raise ValueError(
             f"`heading_deg` = 'target' needs {' and '.join(TARGET_NAMES)} among the observations: "
-            "they are there with target_heading_deg='random', and with the observation term "
+            "add them by target_heading_deg='random', or by the observation term "
             "'target-direction'"
         )
     return [seen.index(name) for name in TARGET_NAMES]

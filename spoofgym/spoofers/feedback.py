@@ -43,8 +43,8 @@ class ByStatistic(ScriptedSpoofer):
         super().bind(context)
         if RATIO not in context.observation_names:
             raise ValueError(
-                f"{type(self).__name__} needs {RATIO} among the observations: it is there with the "
-                "knowledge 'oracle', and with the observation term {'name': 'statistic-ratio', "
+                f"{type(self).__name__} needs {RATIO} among the observations: add it by the "
+                "knowledge 'oracle', or by the observation term {'name': 'statistic-ratio', "
                 "'largest': True}"
             )
         self._column = context.observation_names.index(RATIO)
@@ -99,7 +99,7 @@ class HeldBack(ByStatistic):
         default=-0.79,
         least=-1.0,
         most=0.0,
-        help=r"How fast it goes back at most, :math:`\beta`, in parts of the rate forward.",
+        help=r"Least factor on the rate v, :math:`\beta`; below 0 the spoofer moves back.",
     )
 
     def __post_init__(self) -> None:
@@ -128,7 +128,7 @@ class Feedback(HeldBack):
     rate_mps: float = setting(
         default=0.24,
         unit="m/s",
-        help="Rate a at the onset while there is room; negative against the heading.",
+        help="Rate a at the onset, if nothing holds it back; negative: against the heading.",
     )
     growth: float = setting(
         default=3.75,

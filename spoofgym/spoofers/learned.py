@@ -69,11 +69,11 @@ FORMS = (
 
 
 class ModelPolicy(Spoofer):
-    """Acts as a model does, by its deterministic action.
+    """A spoofer that takes the deterministic action of a model.
 
-    The model is neither copied nor changed, but for the mode in which a network is evaluated.
-    Settings are as in `Spoofer`; `observation`: what it was trained to observe, anything else is
-    refused then.
+    The model is neither copied nor changed, except that a network is put in evaluation mode.
+    Settings are as in `Spoofer`; with `observation`, the space that the model was trained on, any
+    other space is refused.
     """
 
     def __init__(

@@ -89,12 +89,12 @@ ATTACKED_FROM = 35
 
 @lru_cache(maxsize=2)
 def trying_script(channels: int = CHANNELS) -> Script:
-    """Made-up epochs with all that is awkward; slots after the first `CHANNELS` stay empty, too.
+    """Synthetic epochs with difficult cases; slots after the first `CHANNELS` stay empty, too.
 
     Satellites appear and disappear, one slot stays empty, at two epochs nothing is in view;
     intervals differ; once all innovations are zero, once there is an outlier of a thousand standard
-    deviations; in the end one satellite drifts away.  Innovations are drawn from the covariance
-    that they are said to have.
+    deviations; at the end one satellite drifts away.  Innovations are drawn from the covariance
+    that the epoch states for them.
     """
     rng = np.random.default_rng(2)
     noise = np.repeat([6.25, 0.01], channels)

@@ -443,8 +443,8 @@ def measure_snapshot(
 
     .. math:: \tilde\rho_j = |C r_j - r - C_{en} d_j| + c_0 + c_1 t + d_{4j} + w_j
 
-    with the counterfeit displacement d and clock offset d_4, 0 for authentic satellites.  The
-    white noise is that of the satellite, spoofed or not.
+    with the counterfeit displacement d and clock offset d_4, 0 for authentic satellites.  A
+    satellite has the same white noise w whether it is spoofed or not.
 
     `epoch` (B,) number of the epoch; `keys` (B, 2) key of the noise; `clock` (B, 2) offset and
     drift of the receiver's clock [m], [m/s]; `displacement` (B, 4) north, east, down and clock [m];

@@ -181,15 +181,15 @@ def draw_source_keys(episodes: Sequence[np.random.SeedSequence]) -> dict[str, ND
 class SensorBuffers:
     """The memory of a batch of sensors, and what an attack adds to their measurements.
 
-    - `fields`: of `sensor_shapes`;
-    - `constants`: of `CONSTANTS`, once where all receivers are `alike`;
+    - `fields`: those of `sensor_shapes`;
+    - `constants`: those of `CONSTANTS`, stored once where all receivers are `alike`;
     - `words`: key of the noise of each of `SOURCES`, (2,) uint64;
-    - `epoch` (B,) int64, the epoch that each receiver is at;
+    - `epoch` (B,) int64, the epoch of each receiver;
     - `range_offset`, `rate_offset` (B, n) what the attack adds [m], [m/s];
-    - `authentic` (B, 2n) part of the errors of the authentic signals that stays, pseudoranges
-      first: 1, or down to 0 where a counterfeit signal has taken their place, and -1 where the
-      receiver's own noise is replaced, too; without any row where no attack replaces errors;
-    - `signals`: of `signal_shapes`, or without any row where no receiver has such errors.
+    - `authentic` (B, 2n) share of the authentic errors that stays, pseudoranges first: 1 without
+      a counterfeit signal, 1 down to 0 with one, -1 where the receiver's own noise is replaced,
+      too; no rows where no attack replaces errors;
+    - `signals`: those of `signal_shapes`; no rows where no receiver has such errors.
     """
 
     def __init__(

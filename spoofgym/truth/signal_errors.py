@@ -140,21 +140,22 @@ def compute_mappings(elevation: FloatArray, interval_s: float, epochs_each: int)
 
 
 def signal_shapes(channels: int) -> dict[str, tuple[int, ...]]:
-    """What is stored of every receiver's signals, in the order of the lane array.
+    """Shapes of what is stored of each receiver's signals, in the order of the lane array.
 
     - `processes` (3, 7) of ionosphere, troposphere, orbit and clock: transition of value and rate,
       row by row, and Cholesky factor of the driving noise, 00 10 11, over one interval;
-    - `fading` (2,) factor of smoothed errors over one interval, and that of what drives them;
+    - `fading` (2,) factor of the smoothed errors over one interval, and of their driving noise;
     - `amplitudes` (4,) a and b of multipath, then of noise [m];
-    - `carrier` (2,) noise of a reading [m], and one over the interval [1/s];
+    - `carrier` (2,) standard deviation of a reading [m], and 1 / interval [1/s];
     - `clock_step` (2,) epoch at which the receiver's clock jumps, and by how much [m];
-    - `loss` (3,) slot whose satellite is lost, the first epoch, and that at which it is back;
-    - `front` (2,) growth of the delay behind a front of the ionosphere, per epoch [m], and its
-      largest value [m];
+    - `loss` (3,) slot whose satellite is lost, first epoch of the loss, and epoch of its return;
+    - `front` (2,) growth per epoch of the delay behind an ionospheric front [m], and its largest
+      value [m];
     - `zenith` (4,) delay and its rate of ionosphere, then of troposphere [m], [m/s];
     - `front_arrival` (n,) epoch at which the front comes to each satellite's line of sight;
     - `orbit_clock` (2n,) errors of the satellites [m], then their rates [m/s];
-    - `multipath`, `noise`, `reading` (n,) errors of codes and of the last carriers [m].
+    - `multipath`, `noise` (n,) smoothed errors of codes, of unit variance;
+    - `reading` (n,) error of the last carrier reading [m].
     """
     n = channels
     return {

@@ -192,11 +192,11 @@ def test_what_is_shared_is_taken_over_for_all(here, there, shared):
 
 def test_what_is_shared_cannot_differ():
     fields = LaneFields(3, SHAPES, shared=True)
-    with pytest.raises(ValueError, match="share their quantities can't have different ones"):
+    with pytest.raises(ValueError, match="share their values can't have different values"):
         fields["speed"] = np.arange(3.0)
     other = LaneFields(3, SHAPES)
     other["speed"] = np.arange(3.0)
-    with pytest.raises(ValueError, match="share their quantities can't have different ones"):
+    with pytest.raises(ValueError, match="share their values can't have different values"):
         fields.copy_rows(np.arange(3), other, np.arange(3))
     assert not fields.data.any()
 

@@ -65,7 +65,7 @@ NO_FILTER = (
         (TIGHT, {"reward": [3]}, "a term of kind 'reward' is a name .*got 3"),
         (TIGHT, {"reward": AlarmPenalty}, "it is a class"),
         (TIGHT, {"reward": "alarm-penalty", "alarm_price": 5.0}, "`reward` is given"),
-        (TIGHT, {"action": ["full-command"] * 2}, "two terms command by the same"),
+        (TIGHT, {"action": ["full-command"] * 2}, "two action terms have the same"),
         (TIGHT, {"action": []}, "an action needs at least one term"),
         (TIGHT, {"action": {"name": "channels", "ids": ["S99"]}}, "no channel 'S99' to command"),
         (ROBOT, {"action": {"name": "channels", "ids": ["clock"]}}, "valid: north, east"),

@@ -134,3 +134,9 @@ def test_false_alarms_come_as_promised():
 def test_bad_settings_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         SnapshotSetup(**settings)
+
+
+def test_a_detector_that_follows_a_filter_is_refused():
+    """Which read beyond the 4 states of a fix, before."""
+    with pytest.raises(ValueError, match="SolutionSeparation needs transition, which a snapshot r"):
+        warm(setup_of("snapshot", detector="solution-separation"), 1)

@@ -53,9 +53,9 @@ class AttackBudget:
     """What a best response may cost, the same for every mix that it is held against."""
 
     runs: int = setting(default=96, least=1, help="Runs of the selection.")
-    sift_runs: int = setting(default=32, least=1, help="Runs that play all candidates.")
+    sift_runs: int = setting(default=32, least=1, help="Runs on which all candidates are tried.")
     values: int = setting(default=8, least=2, help="Log-spaced values of every family's setting.")
-    kept: int = setting(default=6, least=1, help="Candidates that play all of the runs.")
+    kept: int = setting(default=6, least=1, help="Candidates that are tried on all of the runs.")
     blind: OpenLoopSearch | None = setting(
         default_factory=lambda: OpenLoopSearch(runs=64, batch=32, knots=12, generations=6),
         help="Search for blind optima; None for none.",

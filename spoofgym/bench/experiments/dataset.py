@@ -122,7 +122,7 @@ class Plan(Experiment):
     """
 
     name: ClassVar[str] = "dataset"
-    setup: Setup = setting(help="World, victim, attack and timeline; its detector does not matter.")
+    setup: Setup = setting(help="World, victim, attack, timeline; the setup's detector is ignored.")
     length_m: float = setting(
         above=0.0, unit="m", help="Alert limit, which attacks are drawn around."
     )

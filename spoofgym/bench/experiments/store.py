@@ -41,10 +41,10 @@ class Cell(NamedTuple):
     """A part of an experiment that is computed and stored as one.
 
     - `key`: its name in the experiment;
-    - `identity`: all that its result depends on and `config` of the experiment doesn't say, JSON;
-      None where no text says that, of what is held in memory alone;
-    - `work`: how long it takes, in a unit of the experiment's; not of what is finished;
-    - `after`: keys of cells that have to be finished before; it may read their results;
+    - `identity`: what its result depends on besides the experiment's `config`, as JSON; None where
+      this can't be written down: then the result is kept in memory only;
+    - `work`: how long it takes, in a unit of the experiment; finished cells do not count;
+    - `after`: keys of the cells that must be finished first; it may read their results;
     - `group`: cells of one group are computed in one call, such as detectors in one pass.
     """
 

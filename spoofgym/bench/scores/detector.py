@@ -140,10 +140,10 @@ class DetectorScore:
         return clopper_pearson(int(alarmed.sum()), len(alarmed))
 
     def difference_to(self, other: DetectorScore, family: str | None = None) -> Estimate:
-        """P(HMI | attack) less that of another detector, paired by skies, with a 95 % interval.
-        Both have the same runs, but in ``chance-alarm``, where each has its own. By the worst
-        family of each, or by one family. Raises a ValueError where they have not met the same
-        attacks on the same runs."""
+        """P(HMI | attack) less that of another detector, paired by sky, with a 95 % interval.
+        Both use the same runs, except in ``chance-alarm``, where each has its own. It compares the
+        worst family of each, or `family`. Raises a ValueError where the task, `runs`, `entropy` or
+        the families of the two differ."""
         mine, theirs = self._samples(family), other._samples(family)
         self._check_paired(other)
         return percentiles(mine[0] - theirs[0], mine[1] - theirs[1])

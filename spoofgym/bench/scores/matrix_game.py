@@ -295,5 +295,5 @@ class PayoffMatrix:
 def _pure(strategies: Sequence[Strategy]) -> list[PlayerSpec]:
     found = [each for each in strategies if isinstance(each, PlayerSpec)]
     if len(found) < len(strategies):
-        raise ValueError("a mix of mixtures is not made: solve the game of their members")
+        raise ValueError("can't mix strategies that are mixes: solve the game of their members")
     return found

@@ -65,14 +65,14 @@ class SpooferScore:
         return sees_statistics(self.knowledge)
 
     def ratio_to(self, other: SpooferScore, *, oracles: bool = False) -> Estimate:
-        """How many times as far as another spoofer on the same runs, with a paired 95 % interval.
-        Raises a ValueError where the runs are not the same ones, or, without `oracles`, where just
-        one of the two is an oracle."""
+        """Displacement relative to another spoofer's on the same runs, with a paired 95 % interval.
+        Raises a ValueError where the runs are not the same, or where only one of the two is an
+        oracle and `oracles` is not set."""
         if self.oracle != other.oracle and not oracles:
             raise ValueError(
-                f"{self.spoofer} ({self.knowledge}) and {other.spoofer} ({other.knowledge}): one "
-                "of them is an oracle, which sees the detector's statistics while it attacks; pass "
-                "`oracles=True` to compare them all the same, and say so beside the figure"
+                f"{self.spoofer} ({self.knowledge}) can't be compared with {other.spoofer} "
+                f"({other.knowledge}): one is an oracle, which sees the detector's statistics "
+                "while it attacks; pass `oracles=True` to compare them, and say so with the result"
             )
         if (self.detector, self.twins) != (other.detector, other.twins):
             raise ValueError(

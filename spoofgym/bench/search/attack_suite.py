@@ -77,8 +77,8 @@ LAST_PARTS = (0.15, 0.4)
 class Selection:
     """How the worst attack of the suite is looked for."""
 
-    runs: int = setting(default=192, least=1, help="Runs of the split `selection`.")
-    sift_runs: int = setting(default=48, least=1, help="Runs that play the whole suite.")
+    runs: int = setting(default=192, least=1, help="Number of runs, from the split `selection`.")
+    sift_runs: int = setting(default=48, least=1, help="Runs on which the whole suite is tried.")
     values: int = setting(default=10, least=2, help="Log-spaced values of every member's setting.")
 
 

@@ -237,7 +237,7 @@ class CommandMap:
         names = [name for term in terms for name in term.names(setup)]
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
-            raise ValueError(f"two terms command by the same name: {', '.join(twice)}")
+            raise ValueError(f"two action terms have the same command: {', '.join(twice)}")
         self.names = tuple(names)
         first = self.terms[0]
         alone = len(self.terms) == 1
