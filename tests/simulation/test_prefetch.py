@@ -56,16 +56,35 @@ def assert_same(one, other):
         assert np.array_equal(x, y)
 
 
-def played(setup, prefetch, steps=40, seed=0):
-    core, rngs = core_of(setup, prefetch), generators(seed=seed)
+@pytest.fixture(scope="module")
+def plain(setup):
+    """What is to be played: without anything ahead of time."""
+    core, rngs = core_of(setup, False), generators()
     core.reset(rngs)
-    return course(core, rngs, steps, np.random.default_rng(1))
+    found = course(core, rngs, 40, np.random.default_rng(1))
+    assert found[2].any()  # some warm-ups alarm
+    return found
 
 
-def test_same_bits_over_autoresets(setup):
-    plain = played(setup, prefetch=False)
-    assert plain[2].any()  # some warm-ups alarm
-    assert_same(plain, played(setup, prefetch=True))
+def assert_goes_on(plain, first, second):
+    assert_same(plain, [np.concatenate(pair) for pair in zip(first, second, strict=True)])
+
+
+def closed(game):
+    game[0].close()
+    return game
+
+
+@pytest.mark.parametrize(
+    "between", [copy.deepcopy, lambda game: pickle.loads(pickle.dumps(game)), closed, lambda it: it]
+)
+def test_a_game_that_was_copied_or_closed_goes_on_with_the_same_bits(setup, plain, between):
+    core, rngs = core_of(setup, True), generators()
+    core.reset(rngs)
+    chance = np.random.default_rng(1)
+    first = course(core, rngs, 15, chance)
+    core, rngs = between((core, rngs))
+    assert_goes_on(plain, first, course(core, rngs, 25, chance))
 
 
 @pytest.mark.parametrize("prefetch", [False, True])
@@ -81,34 +100,18 @@ def test_any_number_of_threads_gives_the_same_bits(setup, prefetch, monkeypatch)
     assert_same(courses[0], courses[1])
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-def test_a_copy_goes_on_with_the_same_bits(setup, copied):
+def test_other_generators_begin_anew(setup, plain):
     core, rngs = core_of(setup, True), generators()
-    core.reset(rngs)
-    chance = np.random.default_rng(1)
-    first = course(core, rngs, 15, chance)
-    core, rngs = copied((core, rngs))
-    second = course(core, rngs, 25, chance)
-    whole = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
-    assert_same(played(setup, prefetch=False), whole)
-
-
-def test_other_generators_begin_anew(setup):
-    core = core_of(setup, True)
     core.reset(generators(seed=5))
-    rngs = generators(seed=0)
     core.reset(rngs)
-    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
+    assert_same(plain, course(core, rngs, 40, np.random.default_rng(1)))
 
 
 def test_the_same_generators_go_on_to_their_next_episodes(setup):
-    courses = []
-    for prefetch in (False, True):
-        core, rngs = core_of(setup, prefetch), generators()
-        core.reset(rngs)
-        core.reset(rngs)
-        courses.append(course(core, rngs, 5, np.random.default_rng(1)))
-    assert_same(*courses)
+    core, rngs = core_of(setup, True), generators()
+    core.reset(rngs)
+    core.reset(rngs)
+    assert np.array_equal(core.observe(), second_episode(setup))
 
 
 def test_some_receivers_seeded_anew_leave_the_others_as_they_are():
@@ -129,7 +132,7 @@ def test_some_receivers_seeded_anew_leave_the_others_as_they_are():
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
-def test_a_forked_child_goes_on_with_the_same_bits(setup):
+def test_a_forked_child_goes_on_with_the_same_bits(setup, plain):
     core, rngs = core_of(setup, True), generators()
     core.reset(rngs)
     chance = np.random.default_rng(1)
@@ -139,9 +142,8 @@ def test_a_forked_child_goes_on_with_the_same_bits(setup):
     if child == 0:  # pragma: no cover
         status = 1
         try:
-            second = course(core, rngs, 25, chance)
             with os.fdopen(write, "wb") as pipe:
-                pickle.dump(second, pipe)
+                pickle.dump(course(core, rngs, 25, chance), pipe)
             status = 0
         finally:
             os._exit(status)
@@ -149,14 +151,12 @@ def test_a_forked_child_goes_on_with_the_same_bits(setup):
     with os.fdopen(read, "rb") as pipe:
         second = pickle.load(pipe)
     assert os.waitpid(child, 0)[1] == 0
-    whole = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
-    assert_same(played(setup, prefetch=False), whole)
+    assert_goes_on(plain, first, second)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
-@pytest.mark.parametrize("steps", [0, 1])
-def test_a_fork_within_a_piece(setup, monkeypatch, steps):
+def test_a_fork_within_a_piece(setup, monkeypatch):
     core, rngs = core_of(setup, True), generators()
     pieces = Held(core.engine._next._warm_up)
     monkeypatch.setattr(core.engine._next, "_warm_up", pieces)
@@ -168,8 +168,7 @@ def test_a_fork_within_a_piece(setup, monkeypatch, steps):
         status = 1
         try:
             pieces.go_on.set()
-            for _ in range(steps):
-                core.step(np.zeros((core.receivers, 2)))
+            core.step(np.zeros((core.receivers, 2)))
             core.reset(rngs)
             core.close()
             status = 0
@@ -192,54 +191,44 @@ class Held:
         yield from self.warm_up(rngs)
 
 
-def fail_once(monkeypatch, owner, name):
-    """Let a method raise in the first call; returns all calls."""
-    method, calls = getattr(owner, name), []
-
-    def failing(*args):
-        calls.append(args)
-        if len(calls) == 1:
-            raise MemoryError("for once")
-        return method(*args)
-
-    monkeypatch.setattr(owner, name, failing)
-    return calls
-
-
-def failing_once(warm_up):
-    """Warm-ups of which the first fails within its pieces."""
-    left = [1]
+@pytest.mark.parametrize("where", ["warm_up", "writing"])
+def test_what_goes_wrong_ahead_of_time_is_raised_once(setup, monkeypatch, where):
+    core, rngs = core_of(setup, True), generators()
+    episodes, left = core.engine._next, [MemoryError("for once")]
+    warm_up, copy_rows = episodes._warm_up, episodes._waiting.copy_rows
 
     def failing(rngs):
         pieces = warm_up(rngs)
         yield next(pieces)
         if left:
-            left.pop()
-            raise MemoryError("for once")
+            raise left.pop()
         yield from pieces
 
-    return failing
+    def fail_to_write(*args):
+        if left:
+            raise left.pop()
+        copy_rows(*args)
 
-
-@pytest.mark.parametrize("where", ["warm_up", "writing"])
-def test_what_goes_wrong_ahead_of_time_is_raised_once(setup, monkeypatch, where):
-    core, rngs = core_of(setup, True), generators()
-    episodes = core.engine._next
     if where == "writing":
-        fail_once(monkeypatch, episodes._waiting, "copy_rows")
+        monkeypatch.setattr(episodes._waiting, "copy_rows", fail_to_write)
     else:
-        monkeypatch.setattr(episodes, "_warm_up", failing_once(episodes._warm_up))
+        monkeypatch.setattr(episodes, "_warm_up", failing)
     core.reset(rngs)
     with pytest.raises(MemoryError, match="for once"):
         core.reset(rngs)
     core.reset(rngs)
-    plain, other = core_of(setup, False), generators()
-    plain.reset(other)
-    plain.reset(other)
-    assert np.array_equal(core.observe(), plain.observe())
+    assert np.array_equal(core.observe(), second_episode(setup))
 
 
-def test_an_interrupted_wait_leaves_nothing_behind(setup, monkeypatch):
+def second_episode(setup, receivers=9):
+    """What is observed first in it."""
+    core, rngs = core_of(setup, False, receivers), generators(receivers)
+    core.reset(rngs)
+    core.reset(rngs)
+    return core.observe()
+
+
+def test_an_interrupted_wait_leaves_nothing_behind(setup, plain, monkeypatch):
     core, rngs = core_of(setup, True), generators()
     episodes = core.engine._next
     pieces = Held(episodes._warm_up)
@@ -257,7 +246,7 @@ def test_an_interrupted_wait_leaves_nothing_behind(setup, monkeypatch):
     pieces.go_on.set()
     rngs = generators()
     core.reset(rngs)
-    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
+    assert_same(plain, course(core, rngs, 40, np.random.default_rng(1)))
 
 
 def test_the_owner_helps_with_what_it_needs(setup, monkeypatch):
@@ -276,16 +265,13 @@ def test_the_owner_helps_with_what_it_needs(setup, monkeypatch):
     core.reset(rngs)
     core.reset(rngs)
     assert not others
-    plain, other = core_of(setup, False, receivers=40), generators(40)
-    plain.reset(other)
-    plain.reset(other)
-    assert np.array_equal(core.observe(), plain.observe())
+    assert np.array_equal(core.observe(), second_episode(setup, receivers=40))
 
 
 @pytest.mark.parametrize("given", [None, {"start_s": 0.0}])
 def test_what_nobody_wants_any_more_is_dropped(setup, given):
     core, rngs = core_of(setup, True), generators()
-    for seed in range(12):
+    for seed in range(5):
         core.reset(rngs if given else generators(seed=seed), given=given)
         groups = core.engine._next._groups
         assert len(groups) <= 2
@@ -297,7 +283,7 @@ def running():
     return {thread for thread in threading.enumerate() if thread.name.startswith("spoofgym-")}
 
 
-def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
+def test_a_game_is_closed_within_a_long_warm_up(setup, plain, monkeypatch):
     monkeypatch.setattr("spoofgym.simulation.threads.JOIN_S", PATIENCE_S)
     before = running()
     core, rngs = core_of(setup, True), generators()
@@ -319,10 +305,10 @@ def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
         core.engine._next.forget()
     rngs = generators()
     core.reset(rngs)
-    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
+    assert_same(plain, course(core, rngs, 40, np.random.default_rng(1)))
 
 
-def test_a_thread_that_ends_late_leaves_its_receivers_to_the_owner(setup, monkeypatch):
+def test_a_thread_that_ends_late_leaves_its_receivers_to_the_owner(setup, plain, monkeypatch):
     monkeypatch.setattr("spoofgym.simulation.threads.JOIN_S", 0.01)
     before = running()
     core, rngs = core_of(setup, True), generators()
@@ -337,7 +323,7 @@ def test_a_thread_that_ends_late_leaves_its_receivers_to_the_owner(setup, monkey
     pieces.go_on.set()
     thread.join(timeout=PATIENCE_S)
     assert not thread.is_alive()
-    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
+    assert_same(plain, course(core, rngs, 40, np.random.default_rng(1)))
 
 
 def test_a_thread_may_close_its_owner(setup):
@@ -383,17 +369,6 @@ def test_threads_end_with_the_game(setup):
     gc.collect()
     thread.join(timeout=PATIENCE_S)
     assert not thread.is_alive()
-
-
-def test_a_closed_game_can_be_played_on(setup):
-    core, rngs = core_of(setup, True), generators()
-    core.reset(rngs)
-    chance = np.random.default_rng(1)
-    first = course(core, rngs, 15, chance)
-    core.close()
-    second = course(core, rngs, 25, chance)
-    whole = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
-    assert_same(played(setup, prefetch=False), whole)
 
 
 def test_an_episode_is_taken_from_a_generator():
