@@ -20,6 +20,7 @@ from spoofgym.simulation.prefetch import Group, copy_generator, take_episode
 PATIENCE_S = 900.0
 """After which a thread or a process counts as hanging, however busy the machine."""
 TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 1.0}
+JOIN_S = "spoofgym.simulation.threads.JOIN_S"
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,7 @@ def setup():
     return TightlyCoupledSetup(detector={"name": "ewma", "false_alarm": 0.3}, timeline=TIMELINE)
 
 
-def core_of(setup, prefetch, receivers=9, threads=1):
+def core_of(setup, prefetch=True, receivers=9, threads=1):
     how = {"threads": threads, "prefetch": prefetch, "action": "full-command"}
     return SpoofCore(receivers, setup, knowledge="oracle", **how)
 
@@ -36,19 +37,33 @@ def generators(receivers=9, seed=0):
     return [np.random.default_rng(seed + i) for i in range(receivers)]
 
 
-def course(core, rngs, steps, chance):
+def course(core, rngs, steps=40, chance=None):
     """Rewards, observations, warm-up alarms of some steps with autoresets."""
-    seen = []
+    seen, chance = [], chance or np.random.default_rng(1)
     for _ in range(steps):
-        result, observation = core.step(
-            np.clip(chance.normal(0.3, 0.5, (core.receivers, 2)), -1, 1)
-        )
+        command = np.clip(chance.normal(0.3, 0.5, (core.receivers, 2)), -1, 1)
+        result, observation = core.step(command)
         over = np.flatnonzero(result.terminated)
         if len(over):
             core.reset([rngs[row] for row in over], over)
-        observation = core.observe() if len(over) else observation
+            observation = core.observe()
         seen.append((result.reward, observation, core.engine.warmup_alarm.copy()))
     return [np.array(column) for column in zip(*seen, strict=True)]
+
+
+def begun(setup, **how):
+    """A game in its first episodes, and the generators of the next ones."""
+    core = core_of(setup, **how)
+    rngs = generators(core.receivers)
+    core.reset(rngs)
+    return core, rngs
+
+
+def second_episode(setup, receivers=9):
+    """What is observed first in it, without anything ahead of time."""
+    core, rngs = begun(setup, prefetch=False, receivers=receivers)
+    core.reset(rngs)
+    return core.observe()
 
 
 def assert_same(one, other):
@@ -59,9 +74,7 @@ def assert_same(one, other):
 @pytest.fixture(scope="module")
 def plain(setup):
     """What is to be played: without anything ahead of time."""
-    core, rngs = core_of(setup, False), generators()
-    core.reset(rngs)
-    found = course(core, rngs, 40, np.random.default_rng(1))
+    found = course(*begun(setup, prefetch=False))
     assert found[2].any()  # some warm-ups alarm
     return found
 
@@ -76,40 +89,33 @@ def closed(game):
 
 
 @pytest.mark.parametrize(
-    "between", [copy.deepcopy, lambda game: pickle.loads(pickle.dumps(game)), closed, lambda it: it]
+    "between", [copy.deepcopy, lambda game: pickle.loads(pickle.dumps(game)), closed]
 )
 def test_a_game_that_was_copied_or_closed_goes_on_with_the_same_bits(setup, plain, between):
-    core, rngs = core_of(setup, True), generators()
-    core.reset(rngs)
+    core, rngs = begun(setup)
     chance = np.random.default_rng(1)
     first = course(core, rngs, 15, chance)
     core, rngs = between((core, rngs))
     assert_goes_on(plain, first, course(core, rngs, 25, chance))
 
 
-@pytest.mark.parametrize("prefetch", [False, True])
-def test_any_number_of_threads_gives_the_same_bits(setup, prefetch, monkeypatch):
+def test_any_number_of_threads_gives_the_same_bits(setup, monkeypatch):
     monkeypatch.setattr("spoofgym.simulation.engine.LEAST_SLICE", 8)
     courses = []
-    for threads in (1, 2):
-        core, rngs = core_of(setup, prefetch, 70, threads), generators(70)
-        core.reset(rngs)
-        courses.append(course(core, rngs, 40, np.random.default_rng(1)))
+    for threads, prefetch in ((1, False), (2, False), (2, True)):
+        core, rngs = begun(setup, prefetch=prefetch, receivers=70, threads=threads)
+        courses.append(course(core, rngs))
         core.close()
-    assert courses[0][2].any()
     assert_same(courses[0], courses[1])
+    assert_same(courses[0], courses[2])
 
 
-def test_other_generators_begin_anew(setup, plain):
-    core, rngs = core_of(setup, True), generators()
+def test_other_generators_begin_anew_and_the_same_go_on(setup, plain):
+    core, rngs = core_of(setup), generators()
     core.reset(generators(seed=5))
     core.reset(rngs)
-    assert_same(plain, course(core, rngs, 40, np.random.default_rng(1)))
-
-
-def test_the_same_generators_go_on_to_their_next_episodes(setup):
-    core, rngs = core_of(setup, True), generators()
-    core.reset(rngs)
+    assert_same(plain, course(core, rngs))
+    core, rngs = begun(setup)
     core.reset(rngs)
     assert np.array_equal(core.observe(), second_episode(setup))
 
@@ -117,24 +123,19 @@ def test_the_same_generators_go_on_to_their_next_episodes(setup):
 def test_some_receivers_seeded_anew_leave_the_others_as_they_are():
     seen = []
     for prefetch in (False, True):
-        envs = SpoofVectorEnv(
-            3, knowledge="oracle", timeline=TIMELINE, threads=1, prefetch=prefetch
-        )
-        columns = [envs.reset(seed=5)[0]]
-        for seed in ([7, None, None], [None, 8, None], None):
-            columns.append(envs.reset(seed=seed)[0])
+        settings = {"timeline": TIMELINE, "threads": 1, "prefetch": prefetch}
+        envs = SpoofVectorEnv(3, knowledge="oracle", **settings)
+        seeds = (5, [7, None, None], [None, 8, None], None)
+        seen.append([envs.reset(seed=seed)[0] for seed in seeds])
         envs.close()
-        seen.append(columns)
     assert_same(*seen)
-    plain = seen[0]
-    assert not np.array_equal(plain[0][1], plain[1][1])  # the others are in their next episodes
+    assert not np.array_equal(seen[0][0][1], seen[0][1][1])  # the others are in their next episodes
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
 def test_a_forked_child_goes_on_with_the_same_bits(setup, plain):
-    core, rngs = core_of(setup, True), generators()
-    core.reset(rngs)
+    core, rngs = begun(setup)
     chance = np.random.default_rng(1)
     first = course(core, rngs, 15, chance)
     read, write = os.pipe()
@@ -154,31 +155,6 @@ def test_a_forked_child_goes_on_with_the_same_bits(setup, plain):
     assert_goes_on(plain, first, second)
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
-def test_a_fork_within_a_piece(setup, monkeypatch):
-    core, rngs = core_of(setup, True), generators()
-    pieces = Held(core.engine._next._warm_up)
-    monkeypatch.setattr(core.engine._next, "_warm_up", pieces)
-    core.reset(rngs)
-    assert pieces.begun.wait(PATIENCE_S)
-    child = os.fork()
-    if child == 0:  # pragma: no cover
-        signal.alarm(int(PATIENCE_S))  # ends a child that hangs
-        status = 1
-        try:
-            pieces.go_on.set()
-            core.step(np.zeros((core.receivers, 2)))
-            core.reset(rngs)
-            core.close()
-            status = 0
-        finally:
-            os._exit(status)
-    pieces.go_on.set()
-    assert os.waitpid(child, 0)[1] == 0
-    core.close()
-
-
 class Held:
     """Warm-ups whose first piece waits until it may go on."""
 
@@ -191,9 +167,43 @@ class Held:
         yield from self.warm_up(rngs)
 
 
+def held(core, rngs, monkeypatch):
+    """Begin, and wait until a piece of the next warm-up has begun."""
+    pieces = Held(core.engine._next._warm_up)
+    with monkeypatch.context() as patch:
+        patch.setattr(core.engine._next, "_warm_up", pieces)
+        core.reset(rngs)
+        assert pieces.begun.wait(PATIENCE_S)
+    return pieces
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
+@pytest.mark.parametrize("steps", [0, 1])
+def test_a_fork_within_a_piece(setup, monkeypatch, steps):
+    core, rngs = core_of(setup), generators()
+    pieces = held(core, rngs, monkeypatch)
+    child = os.fork()
+    if child == 0:  # pragma: no cover
+        signal.alarm(int(PATIENCE_S))  # ends a child that hangs
+        status = 1
+        try:
+            pieces.go_on.set()
+            for _ in range(steps):
+                core.step(np.zeros((core.receivers, 2)))
+            core.reset(rngs)
+            core.close()
+            status = 0
+        finally:
+            os._exit(status)
+    pieces.go_on.set()
+    assert os.waitpid(child, 0)[1] == 0
+    core.close()
+
+
 @pytest.mark.parametrize("where", ["warm_up", "writing"])
 def test_what_goes_wrong_ahead_of_time_is_raised_once(setup, monkeypatch, where):
-    core, rngs = core_of(setup, True), generators()
+    core, rngs = core_of(setup), generators()
     episodes, left = core.engine._next, [MemoryError("for once")]
     warm_up, copy_rows = episodes._warm_up, episodes._waiting.copy_rows
 
@@ -220,21 +230,9 @@ def test_what_goes_wrong_ahead_of_time_is_raised_once(setup, monkeypatch, where)
     assert np.array_equal(core.observe(), second_episode(setup))
 
 
-def second_episode(setup, receivers=9):
-    """What is observed first in it."""
-    core, rngs = core_of(setup, False, receivers), generators(receivers)
-    core.reset(rngs)
-    core.reset(rngs)
-    return core.observe()
-
-
 def test_an_interrupted_wait_leaves_nothing_behind(setup, plain, monkeypatch):
-    core, rngs = core_of(setup, True), generators()
-    episodes = core.engine._next
-    pieces = Held(episodes._warm_up)
-    monkeypatch.setattr(episodes, "_warm_up", pieces)
-    core.reset(rngs)
-    assert pieces.begun.wait(PATIENCE_S)
+    core, rngs = core_of(setup), generators()
+    pieces = held(core, rngs, monkeypatch)
 
     def interrupted(group):
         raise KeyboardInterrupt
@@ -246,31 +244,29 @@ def test_an_interrupted_wait_leaves_nothing_behind(setup, plain, monkeypatch):
     pieces.go_on.set()
     rngs = generators()
     core.reset(rngs)
-    assert_same(plain, course(core, rngs, 40, np.random.default_rng(1)))
+    assert_same(plain, course(core, rngs))
 
 
 def test_the_owner_helps_with_what_it_needs(setup, monkeypatch):
-    core, rngs = core_of(setup, True, receivers=40), generators(40)
-    episodes, here = core.engine._next, threading.get_ident()
-    warm_up, others = episodes._warm_up, []
+    core, rngs = core_of(setup, receivers=40), generators(40)
+    warm_up, by = core.engine._next._warm_up, set()
 
     def counted(rngs):
         for batch in warm_up(rngs):
-            if threading.get_ident() != here:
-                others.append(None)
+            by.add(threading.get_ident())
             yield batch
 
-    monkeypatch.setattr(episodes, "_warm_up", counted)
+    monkeypatch.setattr(core.engine._next, "_warm_up", counted)
     monkeypatch.setattr(core.engine._workers, "wake", lambda: None)  # no thread comes to help
     core.reset(rngs)
     core.reset(rngs)
-    assert not others
+    assert by == {threading.get_ident()}
     assert np.array_equal(core.observe(), second_episode(setup, receivers=40))
 
 
 @pytest.mark.parametrize("given", [None, {"start_s": 0.0}])
 def test_what_nobody_wants_any_more_is_dropped(setup, given):
-    core, rngs = core_of(setup, True), generators()
+    core, rngs = core_of(setup), generators()
     for seed in range(5):
         core.reset(rngs if given else generators(seed=seed), given=given)
         groups = core.engine._next._groups
@@ -283,11 +279,15 @@ def running():
     return {thread for thread in threading.enumerate() if thread.name.startswith("spoofgym-")}
 
 
+def assert_ends(thread):
+    thread.join(timeout=PATIENCE_S)
+    assert not thread.is_alive()
+
+
 def test_a_game_is_closed_within_a_long_warm_up(setup, plain, monkeypatch):
-    monkeypatch.setattr("spoofgym.simulation.threads.JOIN_S", PATIENCE_S)
-    before = running()
-    core, rngs = core_of(setup, True), generators()
-    begun = threading.Event()
+    monkeypatch.setattr(JOIN_S, PATIENCE_S)
+    before, begun = running(), threading.Event()
+    core = core_of(setup)
 
     def endless(rngs):
         while True:
@@ -297,7 +297,7 @@ def test_a_game_is_closed_within_a_long_warm_up(setup, plain, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(core.engine._next, "_warm_up", endless)
-        core.reset(rngs)
+        core.reset(generators())
         assert begun.wait(PATIENCE_S)
         (thread,) = running() - before
         core.close()
@@ -305,31 +305,24 @@ def test_a_game_is_closed_within_a_long_warm_up(setup, plain, monkeypatch):
         core.engine._next.forget()
     rngs = generators()
     core.reset(rngs)
-    assert_same(plain, course(core, rngs, 40, np.random.default_rng(1)))
+    assert_same(plain, course(core, rngs))
 
 
 def test_a_thread_that_ends_late_leaves_its_receivers_to_the_owner(setup, plain, monkeypatch):
-    monkeypatch.setattr("spoofgym.simulation.threads.JOIN_S", 0.01)
+    monkeypatch.setattr(JOIN_S, 0.01)
     before = running()
-    core, rngs = core_of(setup, True), generators()
-    pieces = Held(core.engine._next._warm_up)
-    with monkeypatch.context() as patch:
-        patch.setattr(core.engine._next, "_warm_up", pieces)
-        core.reset(rngs)
-        assert pieces.begun.wait(PATIENCE_S)
-        (thread,) = running() - before
-        core.close()
+    core, rngs = core_of(setup), generators()
+    pieces = held(core, rngs, monkeypatch)
+    (thread,) = running() - before
+    core.close()
     assert thread.is_alive()
     pieces.go_on.set()
-    thread.join(timeout=PATIENCE_S)
-    assert not thread.is_alive()
-    assert_same(plain, course(core, rngs, 40, np.random.default_rng(1)))
+    assert_ends(thread)
+    assert_same(plain, course(core, rngs))
 
 
 def test_a_thread_may_close_its_owner(setup):
-    core, rngs = core_of(setup, True), generators()
-    before = running()
-    closed = threading.Event()
+    core, before, closed = core_of(setup), running(), threading.Event()
 
     def closing(rngs):
         core.close()
@@ -337,11 +330,10 @@ def test_a_thread_may_close_its_owner(setup):
         yield core.engine.simulator
 
     core.engine._next._warm_up = closing
-    core.reset(rngs)
+    core.reset(generators())
     assert closed.wait(PATIENCE_S)
     for thread in running() - before:
-        thread.join(timeout=PATIENCE_S)
-        assert not thread.is_alive()
+        assert_ends(thread)
 
 
 def test_an_environment_that_is_not_closed_lets_the_interpreter_end():
@@ -361,14 +353,12 @@ envs.reset(seed=1)
 def test_threads_end_with_the_game(setup):
     gc.collect()
     before = running()
-    core = core_of(setup, True)
-    core.reset(generators())
-    core.reset(generators())
+    core, rngs = begun(setup)
+    core.reset(rngs)
     (thread,) = running() - before
     del core
     gc.collect()
-    thread.join(timeout=PATIENCE_S)
-    assert not thread.is_alive()
+    assert_ends(thread)
 
 
 def test_an_episode_is_taken_from_a_generator():

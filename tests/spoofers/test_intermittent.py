@@ -34,19 +34,15 @@ def flown(spoofer, steps=360, **limits):
 
 
 def test_ramps_and_steps_take_turns_and_return_within_an_epoch():
-    spoofer = Intermittent(shapes=("ramp", "step"), sizes_m=(30.0, -20.0), on_s=30.0, off_s=10.0)
-    found, _ = flown(spoofer, **FAST)
+    settings = {"shapes": ("ramp", "step"), "on_s": 30.0, "off_s": 10.0}
     burst = np.concatenate([0.5 * np.arange(1, 61), np.zeros(20)])
     step = np.concatenate([np.full(60, -20.0), np.zeros(20)])
     want = np.tile(np.concatenate([burst, step]), 3)[:360]
+    found, _ = flown(Intermittent(sizes_m=(30.0, -20.0), **settings), **FAST)
     np.testing.assert_allclose(found, want, atol=1e-9)
-
-
-def test_after_the_last_burst_there_is_silence():
-    found, _ = flown(Intermittent(on_s=20.0, off_s=5.0, bursts=2), **FAST)
-    assert found[40:50] == pytest.approx(0.0, abs=1e-9)
-    assert found[50:90].all()
-    assert found[90:] == pytest.approx(0.0, abs=1e-9)
+    few = Intermittent(sizes_m=(60.0, -40.0), scale=0.5, bursts=3, **settings)
+    want[240:] = 0.0  # silence after the last burst
+    np.testing.assert_allclose(flown(few, **FAST)[0], want, atol=1e-9)
 
 
 def test_within_limits_it_returns_as_quickly_as_it_can_and_rests():
@@ -59,21 +55,10 @@ def test_within_limits_it_returns_as_quickly_as_it_can_and_rests():
     assert found[120 + 58] == pytest.approx(0.0, abs=1e-6)
     assert found[120 + 54] > 1e-3
     assert np.abs(rate[-10:]).max() < 1e-9
-
-
-def test_a_ramp_that_is_broken_off_comes_back():
+    # a ramp that is broken off comes back
     found, rate = flown(Intermittent(sizes_m=(40.0,), on_s=60.0, off_s=90.0), steps=300, **SLOW)
     assert found.max() > 25.0
-    assert abs(found[-1]) < 1e-6
-    assert abs(rate[-1]) < 1e-6
-
-
-def test_scale_and_heading():
-    one, _ = flown(Intermittent(scale=0.5), **FAST)
-    two, _ = flown(Intermittent(sizes_m=(10.0,)), **FAST)
-    np.testing.assert_array_equal(one, two)
-    low, high = Intermittent.tuning_range(None)
-    assert (low * 20.0, high * 20.0) == pytest.approx((0.1, 1000.0))
+    assert (found[-1], rate[-1]) == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
 def test_every_shape_is_known_and_has_a_size():
@@ -81,6 +66,8 @@ def test_every_shape_is_known_and_has_a_size():
         Intermittent(shapes=("sine",))
     with pytest.raises(ValueError, match=r"`shapes` and `sizes_m` must be as many, .* got 1 and 2"):
         Intermittent(sizes_m=(1.0, 2.0))
+    low, high = Intermittent.tuning_range(None)
+    assert (low * 20.0, high * 20.0) == pytest.approx((0.1, 1000.0))
 
 
 @pytest.mark.parametrize("name", PAPER_ATTACKS)
