@@ -7,13 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spoofgym.earth.wgs84 import (
-    EARTH_RATE,
-    SPEED_OF_LIGHT,
-    STILL,
-    geodetic_to_ecef,
-    range_and_rate,
-)
+from spoofgym.earth.wgs84 import EARTH_RATE, SPEED_OF_LIGHT, STILL, geodetic_to_ecef, range_and_rate
 
 pytestmark = pytest.mark.nojit
 ORBIT = 2.656e7

@@ -15,12 +15,7 @@ from spoofgym.spoofers.base import TARGET_NAMES
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 30.0, "time_to_alert_s": 2.0}
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
-WORLD = {
-    "timeline": SHORT,
-    "attack": STRONG,
-    "detector": "never",
-    "action": "full-command",
-}
+WORLD = {"timeline": SHORT, "attack": STRONG, "detector": "never", "action": "full-command"}
 FOLLOWING = {"name": "ramp", "rate_mps": 2.0, "heading_deg": "target"}
 SCRIPTED: list[dict[str, Any]] = [
     FOLLOWING,
@@ -39,8 +34,7 @@ def context(control: str, axes: tuple[str, ...], *seen: str) -> SpooferContext:
 
 
 @pytest.mark.parametrize(
-    ("control", "axes"),
-    [("rate", ("north", "east")), ("acceleration", ("east", "down", "north"))],
+    ("control", "axes"), [("rate", ("north", "east")), ("acceleration", ("east", "down", "north"))]
 )
 @pytest.mark.parametrize("spec", SCRIPTED, ids=lambda spec: spec["name"])
 def test_each_receiver_is_pushed_as_along_its_own_heading(

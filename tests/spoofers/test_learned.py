@@ -59,7 +59,7 @@ def test_it_does_what_the_network_says(tmp_path: Path) -> None:
     assert policy.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     assert policy.card == SpooferCard.load(path.with_suffix(".json"))
     assert policy == OnnxPolicy(str(path), policy.sha256)
-    check_spoofer(policy)
+    check_spoofer(str(path))
 
 
 @pytest.mark.parametrize(("inputs", "width"), [(6, 16), (60, 64), (61, 33)])

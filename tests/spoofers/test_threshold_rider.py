@@ -55,6 +55,10 @@ def test_the_statistic_stays_below_the_margin_where_the_curve_alone_would_exceed
     ratios = ridden(held, names)
     assert ratios.max() <= 0.9
     assert ratios[-50:].min() > 0.6  # and it rides there
+    waiting, names = bound(rates_mps=(0.3, 0.3))  # without room, and never goes back
+    seen = np.zeros((2, len(names)), dtype=np.float32)
+    seen[:, names.index("statistic_ratio")] = [0.0, 5.0]
+    np.testing.assert_array_equal(waiting.wanted_rate(seen), [0.3, 0.0])
 
 
 def test_more_margin_goes_farther_and_reserve_less_far():
@@ -65,10 +69,3 @@ def test_more_margin_goes_farther_and_reserve_less_far():
         far.append(spoofer.memory["displacement"].mean())
     assert far[0] < far[1]
     assert far[2] < far[1]
-
-
-def test_without_room_it_waits_and_never_goes_back():
-    spoofer, names = bound(rates_mps=(0.3, 0.3))
-    seen = np.zeros((2, len(names)), dtype=np.float32)
-    seen[:, names.index("statistic_ratio")] = [0.0, 5.0]
-    np.testing.assert_array_equal(spoofer.wanted_rate(seen), [0.3, 0.0])

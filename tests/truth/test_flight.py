@@ -6,13 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from spoofgym.earth.wgs84 import geodetic_to_ecef, radii_of_curvature
-from spoofgym.truth.flight import (
-    Flight,
-    flight_from_geodetic,
-    flight_from_velocity,
-    integrate_velocity,
-)
+from spoofgym.earth.wgs84 import radii_of_curvature
+from spoofgym.truth.flight import Flight, flight_from_geodetic, flight_from_velocity
 
 LATITUDE, LONGITUDE, HEIGHT = math.radians(50.0), math.radians(-3.0), 1000.0
 
@@ -91,20 +86,3 @@ def test_what_is_no_flight_is_refused(field, change, message):
     flight = east_flight(duration=1.0)
     with pytest.raises(ValueError, match=message):
         dataclasses.replace(flight, **{field: change(np.array(getattr(flight, field)))})
-
-
-def test_a_recorded_profile_closes_to_a_millimetre(data_folder):
-    profile = np.loadtxt(data_folder / "groves_reference/Profile_3.csv.gz", delimiter=",")
-    latitude, longitude = np.radians(profile[:, 1:3]).T
-    flight = flight_from_geodetic(
-        "profile 3",
-        latitude,
-        longitude,
-        profile[:, 3],
-        profile[:, 4:7],
-        *np.radians(profile[:, 7:10]).T,
-        tolerance=1e-3,
-    )
-    given = geodetic_to_ecef(latitude, longitude, profile[:, 3])
-    closed = integrate_velocity(given[0], flight.velocity_e, 0.01)
-    assert np.linalg.norm(closed - given, axis=1).max() < 1e-3

@@ -8,14 +8,12 @@ import pytest
 import scipy.stats
 
 from spoofgym.core.compile import njit
-from spoofgym.core.simd import LANES, load
-from spoofgym.truth._kernels import SKY, gather_sky, measure
+from spoofgym.core.simd import load
+from spoofgym.truth._kernels import measure
 from spoofgym.truth.clock import ReceiverClock
 from spoofgym.truth.gnss_errors import ERRORS, GnssErrors
 from spoofgym.truth.noise import pad_count
 from spoofgym.truth.sensors import IMU_GRADES, SensorBuffers
-
-from ..lanes import in_all_lanes
 
 N = 8
 
@@ -195,56 +193,3 @@ def test_the_errors_on_the_trolley_are_those_that_were_measured():
     for lag, found in ((1.0, 0.73), (30.0, 0.32), (120.0, 0.02)):
         model = wandering * math.exp(-lag / errors.correlation_s) / (wandering + white)
         assert model == pytest.approx(found, abs=0.06)
-
-
-@njit
-def sky_of(satellites, epochs, sky):
-    gather_sky(satellites, epochs, sky)
-
-
-def test_eight_receivers_measure_as_each_alone():
-    """Other errors, clocks, epochs, intervals, skies and attacks; one sees nothing."""
-    rng, seeds = np.random.default_rng(1), range(LANES)
-    noisy = ReceiverClock(phase_psd=0.3, frequency_psd=0.2)
-    errors = [
-        SILENT,
-        ERRORS["trolley"],
-        replace(WANDERING, correlation_s=3.0),
-        replace(SILENT, clock=noisy),
-        replace(ERRORS["groves"], correlated_sd_m=2.0, clock=noisy),
-        ERRORS["white"],
-        ERRORS["zhong2025"],
-        replace(SILENT, code_sd_m=1.0),
-    ]
-    buffers = SensorBuffers(LANES, N)
-    buffers.draw_keys(np.arange(LANES), [np.random.default_rng(seed) for seed in seeds])
-    for b, each in enumerate(errors):
-        buffers.start_episodes(
-            np.array([b]), IMU_GRADES["aviation"], each, rng.uniform(0.0, 3.0, N)
-        )
-    satellites = rng.normal(0.0, 2e7, (50, N, SKY))
-    visible = rng.uniform(size=(50, N)) < 0.7
-    satellites[:, :, 6] = visible * rng.uniform(2e7, 2.5e7, (50, N))
-    epochs = rng.integers(0, 50, LANES)
-    satellites[epochs[3], :, 6], visible[epochs[3]] = 0.0, False
-    sky = np.full((SKY * N, LANES), np.nan)
-    sky_of(satellites, epochs, sky)
-    np.testing.assert_array_equal(sky.T.reshape(LANES, N, SKY), satellites[epochs])
-    added = np.vstack(
-        [rng.normal(0.0, 10.0, (2 * N, LANES)), rng.choice([0.0, 1.0], (2 * N, LANES))]
-    )
-    tau = rng.choice([0.0, 0.1, 0.5, 30.0], (1, LANES))
-    out = np.full((2 * N, LANES), np.nan)
-    in_all_lanes(
-        measured,
-        buffers.fields.data,
-        buffers.constants.data,
-        buffers.words.data,
-        epochs[None].astype(np.uint64),
-        tau,
-        sky,
-        np.zeros((pad_count(2 * N), LANES)),
-        added,
-        out,
-    )
-    np.testing.assert_array_equal(out.T != 0.0, np.tile(visible[epochs], 2))

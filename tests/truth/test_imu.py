@@ -12,7 +12,6 @@ from spoofgym.truth.gnss_errors import ERRORS
 from spoofgym.truth.noise import normals, pad_count
 from spoofgym.truth.sensors import IMU_GRADES, SensorBuffers
 
-from ..lanes import in_all_lanes
 from .sensing import draw_group, run_of, sensed_by_eight, sensors_of
 
 DEG = math.pi / 180.0
@@ -123,28 +122,3 @@ def test_drawn_samples_are_the_error_model_of_the_grade():
             got = samples[c * count : (c + 1) * count]
             np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6 * levels[c])
         np.testing.assert_allclose(buffers.fields["residual"][0], residual, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("count", [1, 50])
-def test_eight_receivers_draw_as_each_alone(count):
-    """Other keys, epochs, grades and samples."""
-    rng, n = np.random.default_rng(6), 8
-    buffers = SensorBuffers(LANES, n)
-    buffers.draw_keys(np.arange(LANES), [np.random.default_rng(b) for b in range(LANES)])
-    for b, grade in enumerate([*IMU_GRADES.values()] * 3):
-        if b < LANES:
-            buffers.start_episodes(np.array([b]), grade, ERRORS["white"], np.zeros(n))
-    run = run_of(rng.normal(0.0, 1.0, (6, 200)), rng.uniform(0.005, 0.02, 200))
-    first = rng.integers(0, 200 - count, (1, LANES))
-    now = rng.integers(0, 1000, (1, LANES)).astype(np.uint64)
-    samples = np.full((pad_count(6 * 50), LANES), np.nan)
-    dt, truth = np.full((50, LANES), np.nan), np.empty((8 * CHUNK, LANES))
-
-    def kernel(first, keys, now, sensors, constants, samples, dt, active, truth):
-        first = first[0] if first.ndim == 2 else first
-        draw_group(run, first, count, keys, now, sensors, constants, samples, dt, active, truth)
-        samples[6 * count :] = 0.0  # which may have been written or not
-
-    given = first, buffers.words.data, now, buffers.fields.data, buffers.constants.data
-    in_all_lanes(kernel, *given, samples, dt, np.ones((1, LANES)), truth, scratch=1)
-    assert np.isfinite(samples[: 6 * count]).all()

@@ -13,7 +13,6 @@ from spoofgym.core.compile import njit
 from spoofgym.core.simd import LANES, from_bits, load, store
 from spoofgym.truth.noise import (
     BLOCK,
-    deviates,
     exponential,
     natural_log,
     normal_pair,
@@ -63,6 +62,10 @@ def test_the_logarithm_is_right(x, y, power):
 
 
 @given(WORDS)
+@example(0)
+@example(2**32 - 1)
+@example(0xFFFFFFFF00000000)
+@example(2**64 - 1)
 def test_a_pair_is_that_of_box_and_muller(word):
     x, y = word & 0xFFFFFFFF, word >> 32
     radius = math.sqrt(-2.0 * math.log((x + 0.5) * 2.0**-32))
@@ -70,12 +73,6 @@ def test_a_pair_is_that_of_box_and_muller(word):
     angle = 0.5 * math.pi * ((y >> 30) + fraction - 0.5)
     expected = (radius * math.cos(angle), radius * math.sin(angle))
     assert normal_pair(np.uint64(word)) == pytest.approx(expected, rel=1e-11, abs=1e-11)
-
-
-def test_no_pair_is_beyond_what_is_promised():
-    for word in (0, 2**32 - 1, 0xFFFFFFFF00000000, 2**64 - 1):
-        assert max(np.abs(normal_pair(np.uint64(word)))) <= 6.8
-    assert math.hypot(*normal_pair(np.uint64(0))) == pytest.approx(math.sqrt(66.0 * math.log(2.0)))
 
 
 @pytest.fixture(scope="module")
@@ -167,32 +164,6 @@ def test_functions_are_the_same_in_any_lane():
                 want += [*normal_pair(words[0, i]), natural_log(numbers[0, i])]
                 want.append(exponential(numbers[1, i]))
                 assert out[:, i].tobytes() == np.array(want).tobytes()
-
-
-@njit
-def draw_group(keys, epoch, size, count, out):
-    deviates(load(keys, 0), load(keys, 1), load(epoch, 0), size, count, out)
-
-
-@pytest.mark.parametrize("count", [1, BLOCK // 2, BLOCK // 2 + 1, 2 * BLOCK - 1])
-@pytest.mark.parametrize("size", [BLOCK, 5 * BLOCK])
-def test_eight_receivers_draw_the_streams_of_their_own(size, count):
-    """The first deviates of those that each has alone, whatever is drawn of them."""
-    count = min(count, size)
-    rng = np.random.default_rng(size)
-    keys = rng.integers(0, 2**64, (2, LANES), dtype=np.uint64, endpoint=False)
-    epoch = rng.integers(0, 10_000, (1, LANES)).astype(np.uint64)
-    out = np.full((size, LANES), np.nan)
-
-    def kernel(keys, epoch, out):
-        draw_group(keys, epoch, size, count, out)
-
-    in_all_lanes(kernel, keys, epoch, out, scratch=1)  # rows behind those may be written or not
-    for i in range(LANES):
-        alone = np.full(size, np.nan)
-        draw_group(keys[:, i].copy(), epoch[:, i].copy(), size, count, alone)
-        np.testing.assert_array_equal(out[:count, i], alone[:count])
-        np.testing.assert_array_equal(out[:count, i], draw(keys[:, i], epoch[0, i], size)[:count])
 
 
 @njit

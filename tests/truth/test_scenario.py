@@ -26,14 +26,8 @@ def test_every_scenario_says_what_it_is(name):
     ("make", "said"),
     [
         (lambda: Scenario(flight="zhong2024"), "valid: .*did you mean 'zhong2025'"),
-        (
-            lambda: Scenario(errors="none"),
-            "unknown errors 'none'; valid: .*groves, ke2022",
-        ),
-        (
-            lambda: Scenario(imu="Tactical"),
-            "grade 'Tactical'; .* did you mean 'tactical'",
-        ),
+        (lambda: Scenario(errors="none"), "unknown errors 'none'; valid: .*groves, ke2022"),
+        (lambda: Scenario(imu="Tactical"), "grade 'Tactical'; .* did you mean 'tactical'"),
         (lambda: Scenario(errors="realistic"), "errors 'realistic' is now called 'trolley'$"),
         (lambda: Domain(errors=("realistic",)), "errors 'realistic' is now called 'trolley'$"),
         (lambda: make_scenario("realistic"), "scenario 'realistic' is now called 'trolley'$"),
