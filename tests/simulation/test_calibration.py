@@ -12,7 +12,7 @@ from spoofgym.calibration import thresholds as calibration
 from spoofgym.calibration.clean_runs import Player, weighs
 from spoofgym.calibration.holdouts import HoldOut, check, hold_out, transfer
 from spoofgym.calibration.thresholds import bisect, calibrate_detectors, suitable_detectors
-from spoofgym.detectors import Calibrated, Cusum, Ewma, JointChart, make_detector
+from spoofgym.detectors import Calibrated, Cusum, Ewma, make_detector
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, TOLERANCE, hourly_rate
 from spoofgym.envs import SnapshotEnv, SpoofEnv, SpoofVectorEnv
 from spoofgym.envs.factory import make_setup
@@ -24,8 +24,8 @@ SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 
 RATE = 10.0
 """False alarms an hour: 4.6 % of the runs."""
 ASKED = {"false_alarms_per_hour": RATE}
-EVENTS = {"clock_step": 0.1, "satellite_loss": 0.1, "front": 0.1}
-"""Of `aviation-actual`."""
+AVIATION = {"turn_on": "drawn", "events": {"clock_step": 0.1, "satellite_loss": 0.1, "front": 0.1}}
+"""What `aviation-actual` has itself."""
 
 
 @pytest.fixture(scope="module")
@@ -301,7 +301,7 @@ def test_environments_look_a_calibration_up_and_never_run_one(setup, folder, mon
         ("zhong2025", {"events": {"clock_step": 0.1}}, False),
         ("aviation-actual", {"turn_on": "specimen"}, False),
         ("aviation-actual", {"events": {}}, False),
-        ("aviation-actual", {"turn_on": "drawn", "events": EVENTS}, True),
+        ("aviation-actual", AVIATION, True),
     ],
 )
 def test_a_domain_that_repeats_its_scenario_is_no_other_world(scenario, domain, same):
@@ -382,16 +382,6 @@ def test_a_smaller_victim_is_calibrated_by_the_same_call():
     held = hold_out(setup, found, specs, false_alarms_per_hour=5.0, runs=60)
     assert [each.holds for each in held] == [True, True]
     check(setup, found, specs)
-
-
-def test_states_of_charts_are_scaled_in_the_loop(setup):
-    """At a factor that nothing reaches there is no alarm, and the weights are as published."""
-    never = setup.copy_with(detector=Calibrated(JointChart(), 1e6)).simulator(4, run_serially)
-    never.warm_up(Player(setup).generators("training", range(4)))
-    for _ in range(setup.steps):
-        verdict = never.step(attacked=False)
-        assert not verdict.alarm.any()
-    assert (verdict.weights < 1.0).any()
 
 
 @pytest.mark.parametrize("name", sorted(VICTIMS))

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -94,17 +91,6 @@ def test_an_agent_of_the_duel_gets_what_its_terms_read():
     victim = warm(tight(DetectorAgent()), 2)
     assert given(victim.epoch) == victim.detector.needs
     assert victim.detector.memory["observation"].any()
-
-
-@pytest.mark.parametrize("way", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))])
-def test_a_copy_has_the_same_fields(way):
-    victim = warm(tight("snapshot-chi2"), 2)
-    copied = way(victim)
-    assert given(copied.epoch) == {"innovation_cov"}
-    assert not np.shares_memory(copied.epoch.innovation_cov, victim.epoch.innovation_cov)
-    for each in (victim, copied):
-        step(each, 0.5)
-    np.testing.assert_array_equal(copied.epoch.innovation_cov, victim.epoch.innovation_cov)
 
 
 class Forgetful(Never):

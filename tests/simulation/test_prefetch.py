@@ -28,8 +28,8 @@ def setup():
     return TightlyCoupledSetup(detector={"name": "ewma", "false_alarm": 0.3}, timeline=TIMELINE)
 
 
-def core_of(setup, prefetch=True, receivers=9, threads=1):
-    how = {"threads": threads, "prefetch": prefetch, "action": "full-command"}
+def core_of(setup, prefetch=True, receivers=9):
+    how = {"threads": 1, "prefetch": prefetch, "action": "full-command"}
     return SpoofCore(receivers, setup, knowledge="oracle", **how)
 
 
@@ -97,17 +97,6 @@ def test_a_game_that_was_copied_or_closed_goes_on_with_the_same_bits(setup, plai
     first = course(core, rngs, 15, chance)
     core, rngs = between((core, rngs))
     assert_goes_on(plain, first, course(core, rngs, 25, chance))
-
-
-def test_any_number_of_threads_gives_the_same_bits(setup, monkeypatch):
-    monkeypatch.setattr("spoofgym.simulation.engine.LEAST_SLICE", 8)
-    courses = []
-    for threads, prefetch in ((1, False), (2, False), (2, True)):
-        core, rngs = begun(setup, prefetch=prefetch, receivers=70, threads=threads)
-        courses.append(course(core, rngs))
-        core.close()
-    assert_same(courses[0], courses[1])
-    assert_same(courses[0], courses[2])
 
 
 def test_other_generators_begin_anew_and_the_same_go_on(setup, plain):
