@@ -98,22 +98,23 @@ def test_what_is_wrong_is_named(made: dict[str, Any], message: str, tmp_path: Pa
         SpooferCard.load(tmp_path / "nothing.json")
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_what_is_no_card_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "tiny.json"
+    for text, message in (
         ('{"format": 1, "na', "is not JSON: "),
         ('{"training": {"loss": NaN}}', "is not JSON: NaN is no number"),
         ("[1, 2]", "Input should be an object"),
         ("[" * 100_000, "is not JSON: .*recursion"),
         ("\udcff", "is not JSON: .*decode"),
-    ],
-)
-def test_what_is_no_card_is_refused(text: str, message: str, tmp_path: Path) -> None:
-    path = tmp_path / "tiny.json"
-    path.write_bytes(text.encode(errors="surrogateescape"))
-    with pytest.raises(ValueError, match=message) as caught:
-        SpooferCard.load(path)
-    assert str(path) in str(caught.value)
+    ):
+        path.write_bytes(text.encode(errors="surrogateescape"))
+        with pytest.raises(ValueError, match=message) as caught:
+            SpooferCard.load(path)
+        assert str(path) in str(caught.value)
+    for made in ({"side": "referee"}, {"kind": "profile", "format": 2}, {}):
+        path.write_text(json.dumps(made))
+        with pytest.raises(ValueError, match=r"`side` must be one of spoofer, detector, got"):
+            Card.load(path)
 
 
 def test_what_is_no_json_is_not_written(tmp_path: Path) -> None:

@@ -38,14 +38,6 @@ def external(model: onnx.ModelProto) -> None:
     tensor.external_data.add(key="location", value="/etc/passwd")
 
 
-def branch(model: onnx.ModelProto) -> None:
-    """Hide an operator in a branch of an If."""
-    node = helper.make_node("Gelu", ["z2"], ["inner"], domain="com.microsoft")
-    value = helper.make_tensor_value_info("inner", TensorProto.FLOAT, None)
-    graph = helper.make_graph([node], "branch", [], [value])
-    last(model, "If", "yes", then_branch=graph, else_branch=graph, tensors={"yes": np.array(True)})
-
-
 def last(
     model: onnx.ModelProto, kind: str, *inputs: str, tensors: dict[str, Any], **attributes: Any
 ) -> None:
@@ -89,14 +81,9 @@ def second_output(model: onnx.ModelProto) -> None:
 
 def doubles(model: onnx.ModelProto) -> None:
     model.graph.input[0].type.tensor_type.elem_type = TensorProto.DOUBLE
-    model.graph.node.insert(
-        0, helper.make_node("Cast", ["observation"], ["single"], to=TensorProto.FLOAT)
-    )
+    cast = helper.make_node("Cast", ["observation"], ["single"], to=TensorProto.FLOAT)
+    model.graph.node.insert(0, cast)
     model.graph.node[1].input[0] = "single"
-
-
-def three_axes(model: onnx.ModelProto) -> None:
-    model.graph.output[0].type.tensor_type.shape.dim.add(dim_value=2)
 
 
 REFUSED: dict[str, tuple[Edit, str]] = {
@@ -104,20 +91,15 @@ REFUSED: dict[str, tuple[Edit, str]] = {
     "external and sparse": (external_and_sparse, r"keeps its tensor 'few' in external data"),
     "external in an attribute": (external_in_attribute, r"tensor 'inside' in external data"),
     "custom": (replaced("Spy", domain="evil"), r"has the operator evil::Spy, which a policy may"),
-    "branch": (branch, r"has the operator If, which a policy may not have"),
     "custom function": (custom_function, r"defines the function Copy; inline it"),
     "chance": (replaced("RandomNormalLike"), r"operator RandomNormalLike, which .*; .*OPERATORS"),
     "graph of an allowed operator": (graph_within, r"has a graph within its operator Identity"),
     "two inputs": (second_input, r"has 2 inputs \(observation, more\); the card has one input"),
     "two outputs": (second_output, r"has 2 outputs \(action, z2\); the card has one output"),
     "double input": (doubles, r"input observation of float64 \(batch, 6\); the card has .*float32"),
-    "three axes": (three_axes, r"output action of float32 \(batch, 2, 2\); the card has"),
     "other input": (lambda _: network(5, 2), r"of float32 \(batch, 5\); the card has .*batch, 6"),
     "other output": (lambda _: network(6, 3), r"of float32 \(batch, 3\); the card has .*batch, 2"),
-    "fixed batch": (
-        lambda _: network(6, 2, batch=4),
-        r"observation with a fixed batch of 4; .*any",
-    ),
+    "fixed batch": (lambda _: network(6, 2, batch=4), r"with a fixed batch of 4; .*any"),
     "no graph": (lambda _: onnx.ModelProto(ir_version=8), r"has no graph of operators"),
 }
 
@@ -137,42 +119,26 @@ def test_a_file_that_is_none_of_ours_is_refused(
     assert str(path) in str(caught.value)
 
 
-def _relabelled(path: Path) -> None:
-    """Make the card fit what the file has become."""
-    card = json.loads(path.with_suffix(".json").read_text())
-    content = path.read_bytes()
-    card["file"] |= {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-    path.with_suffix(".json").write_text(json.dumps(card))
-
-
-@pytest.mark.parametrize(
-    "content", [b"no network at all", b"\x80\x04\x95pickled", b"\x08\x08\x3a\xff\xff\x00"]
-)
-def test_what_is_no_onnx_is_refused(content: bytes, tmp_path: Path) -> None:
-    path = write_policy(tmp_path)
-    path.write_bytes(content)
-    _relabelled(path)
-    with pytest.raises(ValueError, match=r"tiny\.onnx is no ONNX file"):
-        OnnxPolicy(str(path))
-
-
 def test_a_truncated_or_changed_file_is_refused(tmp_path: Path) -> None:
     path = write_policy(tmp_path)
     with pytest.raises(ValueError, match=r"has the SHA-256 \w+; `sha256` must be 0000"):
         make_spoofer({"name": "onnx-policy", "file": str(path), "sha256": "0" * 64})
-    content = path.read_bytes()
-    size = len(content)
-    path.write_bytes(
-        content[: size // 2] + bytes([content[size // 2] ^ 1]) + content[size // 2 + 1 :]
-    )
+    content = bytearray(path.read_bytes())
+    half = len(content) // 2
+    content[half] ^= 1
+    path.write_bytes(content)
     with pytest.raises(ValueError, match=r"has the SHA-256 [0-9a-f]{64}; its card has"):
         OnnxPolicy(str(path))
-    path.write_bytes(content[: size // 2])
-    with pytest.raises(ValueError, match=rf"has {size // 2} bytes, and {size} on its card"):
+    path.write_bytes(content[:half])
+    with pytest.raises(ValueError, match=rf"has {half} bytes, and {len(content)} on its card"):
         OnnxPolicy(str(path))
-    _relabelled(path)
-    with pytest.raises(ValueError, match=r"tiny\.onnx is no ONNX file, or cut off"):
-        OnnxPolicy(str(path))
+    for junk in (content[:half], b"no network at all", b"\x80\x04\x95pickled", b"\x08\x08\x3a\xff"):
+        path.write_bytes(junk)
+        card = json.loads(path.with_suffix(".json").read_text())
+        card["file"] |= {"bytes": len(junk), "sha256": hashlib.sha256(junk).hexdigest()}
+        path.with_suffix(".json").write_text(json.dumps(card))
+        with pytest.raises(ValueError, match=r"tiny\.onnx is no ONNX file, or cut off"):
+            OnnxPolicy(str(path))
 
 
 def test_other_things_on_the_card(tmp_path: Path) -> None:
@@ -222,8 +188,23 @@ def nothing_by_nothing(model: onnx.ModelProto) -> None:
     last(model, "Mul", "z2", "one", tensors={})
 
 
+def long(model: onnx.ModelProto) -> None:
+    """A chain of more operators than a policy may have."""
+    del model.graph.node[-1]
+    names = ["z2", *(f"c{k}" for k in range(MOST_OPERATORS)), "action"]
+    for pair in pairwise(names):
+        model.graph.node.append(helper.make_node("Identity", pair[:1], pair[1:]))
+
+
+def heavy(model: onnx.ModelProto) -> None:
+    """A tensor that nothing needs, larger than a policy may be."""
+    weight = np.zeros(LARGEST_BYTES // 4 + 1, dtype=np.float32)
+    model.graph.initializer.append(numpy_helper.from_array(weight, "ballast"))
+
+
 INFINITE = {"inf": np.float32([np.inf] * 2)}
-FAILING: dict[str, tuple[Edit, str]] = {
+NODE = helper.make_node
+LOADED: dict[str, tuple[Edit, str]] = {
     "of what is negative": (replaced("Log"), r"within the bounds on its card: .* NaN for receiver"),
     "nothing by nothing": (nothing_by_nothing, "tried within the bounds on its card"),
     "infinite": (
@@ -239,64 +220,44 @@ FAILING: dict[str, tuple[Edit, str]] = {
         r"tiny\.onnx can't be run: .*",
     ),
     "less the mean": (less_the_mean, "answers the same observation otherwise in another batch"),
+    "grown": (
+        behind(
+            NODE("ReduceMax", ["observation"], ["most"], keepdims=0),
+            NODE("Mul", ["most", "zero"], ["none"]),
+            NODE("Add", ["none", "many"], ["length"]),
+            NODE("Range", ["zero", "length", "one"], ["r"]),
+            many=np.float32(2e9),
+            zero=np.float32(0.0),
+            one=np.float32(1.0),
+        ),
+        "the operator Range with a result whose size is neither fixed nor in proportion",
+    ),
+    "filled": (
+        behind(
+            NODE("Pow", ["side", "two"], ["shape"]),
+            NODE("ConstantOfShape", ["shape"], ["r"]),
+            side=np.array([30_000], np.int64),
+            two=np.array([2], np.int64),
+        ),
+        "the operator ConstantOfShape with a result whose size is neither fixed nor in",
+    ),
+    "paired": (
+        behind(
+            NODE("ReduceSum", ["observation", "last"], ["column"], keepdims=1),
+            NODE("Transpose", ["column"], ["row"]),
+            NODE("MatMul", ["column", "row"], ["r"]),
+            last=np.array([1], np.int64),
+        ),
+        "the operator MatMul with a result whose size is neither fixed nor in proportion",
+    ),
+    "long": (long, r"tiny\.onnx has 5,00\d operators; a policy may have 5,000"),
+    "heavy": (heavy, r"tiny\.onnx has 32.0 MiB; a policy may have 32 MiB"),
 }
 
 
-@pytest.mark.parametrize("case", FAILING)
-def test_what_fails_when_it_is_run_is_refused_when_it_is_loaded(case: str, tmp_path: Path) -> None:
-    edit, message = FAILING[case]
-    with pytest.raises(ValueError, match=message):
-        OnnxPolicy(str(write_policy(tmp_path, model=edit)))
-
-
-def long(model: onnx.ModelProto) -> None:
-    """A chain of more operators than a policy may have."""
-    del model.graph.node[-1]
-    names = ["z2", *(f"c{k}" for k in range(MOST_OPERATORS)), "action"]
-    for pair in pairwise(names):
-        model.graph.node.append(helper.make_node("Identity", pair[:1], pair[1:]))
-
-
-def heavy(model: onnx.ModelProto) -> None:
-    """A tensor that nothing needs, larger than a policy may be."""
-    weight = np.zeros(LARGEST_BYTES // 4 + 1, dtype=np.float32)
-    model.graph.initializer.append(numpy_helper.from_array(weight, "ballast"))
-
-
-GROWN = behind(
-    helper.make_node("ReduceMax", ["observation"], ["most"], keepdims=0),
-    helper.make_node("Mul", ["most", "zero"], ["none"]),
-    helper.make_node("Add", ["none", "many"], ["length"]),
-    helper.make_node("Range", ["zero", "length", "one"], ["r"]),
-    many=np.float32(2e9),
-    zero=np.float32(0.0),
-    one=np.float32(1.0),
-)
-FILLED = behind(
-    helper.make_node("Pow", ["side", "two"], ["shape"]),
-    helper.make_node("ConstantOfShape", ["shape"], ["r"]),
-    side=np.array([30_000], np.int64),
-    two=np.array([2], np.int64),
-)
-PAIRED = behind(
-    helper.make_node("ReduceSum", ["observation", "last"], ["column"], keepdims=1),
-    helper.make_node("Transpose", ["column"], ["row"]),
-    helper.make_node("MatMul", ["column", "row"], ["r"]),
-    last=np.array([1], np.int64),
-)
-
-
-@pytest.mark.parametrize(
-    ("edit", "message"),
-    [
-        (GROWN, "the operator Range with a result whose size is neither fixed nor in proportion"),
-        (FILLED, "the operator ConstantOfShape with a result whose size is neither fixed nor in"),
-        (PAIRED, "the operator MatMul with a result whose size is neither fixed nor in proportion"),
-        (long, r"tiny\.onnx has 5,00\d operators; a policy may have 5,000"),
-        (heavy, r"tiny\.onnx has 32.0 MiB; a policy may have 32 MiB"),
-    ],
-)
-def test_oversized_networks_are_refused(edit: Edit, message: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("case", LOADED)
+def test_what_is_too_large_or_fails_when_it_is_tried_is_refused(case: str, tmp_path: Path) -> None:
+    edit, message = LOADED[case]
     with pytest.raises(ValueError, match=message):
         OnnxPolicy(str(write_policy(tmp_path, model=edit)))
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spoofgym.attacks._kernels import kinematic_step
-from spoofgym.spoofers import SPOOFERS, Spoofer, SpooferContext, make_spoofer
+from spoofgym.spoofers import SPOOFERS, Dash, Spoofer, SpooferContext, make_spoofer
 
 pytestmark = pytest.mark.nojit
 
@@ -69,12 +69,14 @@ def test_what_is_remembered_is_what_the_attack_does(name: str, control: str) -> 
     assert not displacement[:, 0].any()
 
 
-def test_a_ramp_is_a_straight_line_from_where_its_rate_is_reached() -> None:
+def test_a_ramp_and_a_step_by_rate_are_straight_lines() -> None:
     displacement, _ = flown(make_spoofer({"name": "ramp", "rate_mps": 0.2}), context("rate"))
     np.testing.assert_allclose(displacement[:, 1], 0.1 * np.arange(1, 301), rtol=1e-12)
     displacement, rate = flown(make_spoofer({"name": "ramp", "rate_mps": 0.2}), context())
     np.testing.assert_allclose(rate[7:, 1], 0.2)  # 4 s at 0.05 m/s^2, then constant
     assert displacement[-1, 1] == pytest.approx(0.2 * (150.0 - 2.0))
+    step, fast = make_spoofer({"name": "step", "size_m": 7.0}), context("rate", rate_limit_mps=4.0)
+    np.testing.assert_allclose(flown(step, fast)[0][:5, 1], [2.0, 4.0, 6.0, 7.0, 7.0])
     told = context(axes=("S01", "S07", "S11"))  # all commanded alike
     displacement, _ = flown(make_spoofer({"name": "ramp", "rate_mps": -0.1}), told)
     assert (displacement[-1] < -14.0).all()
@@ -120,18 +122,21 @@ def test_a_step_arrives_stops_and_never_overshoots(
         np.testing.assert_allclose(v[arrived:], 0.0, atol=1e-9)
 
 
-def test_a_step_by_rate_moves_at_the_limit() -> None:
-    told = context("rate", rate_limit_mps=4.0)
-    displacement, _ = flown(make_spoofer({"name": "step", "size_m": 7.0}), told)
-    np.testing.assert_allclose(displacement[:5, 1], [2.0, 4.0, 6.0, 7.0, 7.0])
-
-
-@pytest.mark.parametrize("name", ["ramp", "step", "accelerating-ramp"])
-def test_a_heading_and_its_opposite_mirror_each_other(name: str) -> None:
-    one, _ = flown(make_spoofer({"name": name, "heading_deg": 30.0}), context())
-    other, _ = flown(make_spoofer({"name": name, "heading_deg": 210.0}), context())
+def test_a_heading_and_its_opposite_mirror_each_other() -> None:
+    one, other = (
+        flown(make_spoofer({"name": "ramp", "heading_deg": heading}), context())[0]
+        for heading in (30.0, 210.0)
+    )
     np.testing.assert_allclose(one, -other, atol=1e-12)
     np.testing.assert_allclose(one[1:, 1] / one[1:, 0], np.tan(np.radians(30.0)), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("last_s", "waits"), [(5.0, 30), (20.0, 0), (1000.0, 0)])
+def test_a_dash_waits_and_then_is_as_fast_as_it_may_be(last_s: float, waits: int) -> None:
+    _, rate = flown(Dash(rate_mps=2.0, last_s=last_s), context(steps=40))
+    pushes = np.diff(rate[:, 1], prepend=0.0) / (0.05 * 0.5)
+    # 2 m/s are 80 epochs at the largest acceleration
+    np.testing.assert_allclose(pushes, np.arange(40) >= waits, atol=1e-9)
 
 
 def test_what_the_attack_does_not_allow_is_refused_with_both_names() -> None:
