@@ -118,6 +118,9 @@ class Late(Monitor):
 class Compass(Late):
     needs = frozenset({"cn0_dbhz", "design"})
 
+    def bind(self, simulator):
+        pass
+
 
 @pytest.mark.parametrize(
     ("monitor", "message"),
