@@ -158,7 +158,8 @@ def test_all_forms_of_an_environment_take_it():
         if terminated:
             observation = single.reset()[0]
         assert np.array_equal(observation, envs.step(pushes)[0][2])
-    view = gym.make("spoofgym/SpooferView-v0", timeline=TIMELINE, warm_pool=3, pool=["ewma"])
+    world = {"timeline": TIMELINE, "scenario": "zhong2025", "domain": None}
+    view = gym.make("spoofgym/SpooferView-v0", **world, warm_pool=3, pool=["ewma"])
     assert view.unwrapped.core.engine.warm_pool == 3
     for env in (envs, single, view):
         env.close()

@@ -132,7 +132,7 @@ def test_a_truncated_or_changed_file_is_refused(tmp_path: Path) -> None:
     path.write_bytes(content[:half])
     with pytest.raises(ValueError, match=rf"has {half} bytes, and {len(content)} on its card"):
         OnnxPolicy(str(path))
-    for junk in (content[:half], b"no network at all", b"\x80\x04\x95pickled", b"\x08\x08\x3a\xff"):
+    for junk in (content[:half], b"\x80\x04\x95pickled"):
         path.write_bytes(junk)
         card = json.loads(path.with_suffix(".json").read_text())
         card["file"] |= {"bytes": len(junk), "sha256": hashlib.sha256(junk).hexdigest()}
