@@ -7,14 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spoofgym.earth.wgs84 import (
-    EARTH_RATE,
-    EQUATORIAL_RADIUS,
-    SPEED_OF_LIGHT,
-    STILL,
-    geodetic_to_ecef,
-    range_and_rate,
-)
+from spoofgym.earth.wgs84 import EARTH_RATE, SPEED_OF_LIGHT, STILL, geodetic_to_ecef, range_and_rate
 
 pytestmark = pytest.mark.nojit
 ORBIT = 2.656e7
@@ -26,36 +19,23 @@ VELOCITIES = st.tuples(*[st.floats(-300.0, 300.0)] * 3)
 
 def satellite(direction):
     latitude, longitude = direction
-    return ORBIT * np.array(
-        [
-            math.cos(latitude) * math.cos(longitude),
-            math.cos(latitude) * math.sin(longitude),
-            math.sin(latitude),
-        ]
-    )
+    x, y = math.cos(latitude) * math.cos(longitude), math.cos(latitude) * math.sin(longitude)
+    return ORBIT * np.array([x, y, math.sin(latitude)])
+
+
+def turned(vector, distance):
+    """A vector of the Earth's axes when a signal has travelled so far."""
+    a = EARTH_RATE * distance / SPEED_OF_LIGHT
+    c, s = math.cos(a), math.sin(a)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ vector
 
 
 def light_time_range(satellite_e, antenna_e):
     """Range when the Earth turns while the signal travels, exact but for rounding."""
     distance = np.linalg.norm(satellite_e - antenna_e)
     for _ in range(10):
-        a = EARTH_RATE * distance / SPEED_OF_LIGHT
-        turn = np.array(
-            [[math.cos(a), math.sin(a), 0], [-math.sin(a), math.cos(a), 0], [0, 0, 1.0]]
-        )
-        distance = np.linalg.norm(turn @ satellite_e - antenna_e)
+        distance = np.linalg.norm(turned(satellite_e, distance) - antenna_e)
     return distance
-
-
-def test_a_satellite_in_the_zenith_of_the_equator():
-    antenna = (EQUATORIAL_RADIUS, 0.0, 0.0)
-    rho, rate, ux, uy, uz = range_and_rate((ORBIT, 0.0, 0.0), STILL, antenna, STILL)
-    assert rho == pytest.approx(ORBIT - EQUATORIAL_RADIUS, abs=1e-3)
-    assert (ux, uz) == (pytest.approx(1.0, abs=1e-10), 0.0)
-    # the signal meets the antenna further east: it comes from the west by the turn of the Earth
-    a = EARTH_RATE * (ORBIT - EQUATORIAL_RADIUS) / SPEED_OF_LIGHT
-    assert uy * rho == pytest.approx(-a * ORBIT, rel=1e-9)
-    assert rate == pytest.approx(0.0, abs=1e-5)
 
 
 def test_the_sagnac_effect_has_the_size_of_the_enclosed_area():
@@ -69,11 +49,15 @@ def test_the_sagnac_effect_has_the_size_of_the_enclosed_area():
         assert abs(effect) < 41.5
 
 
-@given(DIRECTIONS, ANTENNAS)
-def test_the_first_order_is_right_to_a_millimetre(direction, antenna):
-    s, r = satellite(direction), geodetic_to_ecef(*antenna)
-    rho = range_and_rate(s, STILL, r, STILL)[0]
+@given(DIRECTIONS, ANTENNAS, VELOCITIES)
+def test_range_and_rate_are_those_in_inertial_axes(direction, antenna, v):
+    """With the satellite where it was when the signal left."""
+    s, r, v = satellite(direction), geodetic_to_ecef(*antenna), np.array(v)
+    sv = np.cross([1e-4, 0.3e-4, 0.8e-4], s)
+    rho, rate, *u = range_and_rate(s, sv, r, v)
     assert rho == pytest.approx(light_time_range(s, r), abs=1e-3)
+    inertial = turned(sv + np.cross(SPIN, s), rho) - (v + np.cross(SPIN, r))
+    assert rate == pytest.approx(np.array(u) @ inertial, abs=1e-6)
 
 
 @given(DIRECTIONS, ANTENNAS)
@@ -96,26 +80,3 @@ def test_the_range_rate_is_the_derivative_of_the_range(direction, antenna, v, sv
     travel = EARTH_RATE * rate / SPEED_OF_LIGHT * (u[0] * s[1] - u[1] * s[0])
     assert rate + travel == pytest.approx(difference, abs=1e-5)
     assert abs(travel) <= EARTH_RATE / SPEED_OF_LIGHT * abs(rate) * ORBIT
-
-
-@given(DIRECTIONS, ANTENNAS, VELOCITIES)
-def test_the_range_rate_is_that_of_an_observer_who_does_not_turn(direction, antenna, v):
-    """In inertial axes, with the satellite where it was when the signal left."""
-    s, r, v = satellite(direction), geodetic_to_ecef(*antenna), np.array(v)
-    sv = np.cross([1e-4, 0.3e-4, 0.8e-4], s)
-    rho, rate, *u = range_and_rate(s, sv, r, v)
-    a = EARTH_RATE * rho / SPEED_OF_LIGHT
-    turn = np.array([[math.cos(a), math.sin(a), 0], [-math.sin(a), math.cos(a), 0], [0, 0, 1]])
-    inertial = turn @ (sv + np.cross(SPIN, s)) - (v + np.cross(SPIN, r))
-    assert rate == pytest.approx(np.array(u) @ inertial, abs=1e-6)
-
-
-def test_the_gradient_of_the_range_is_minus_the_line_of_sight():
-    s, r = satellite((0.6, 0.4)), geodetic_to_ecef(0.5, 0.1, 1e3)
-    h = 10.0
-    for i, axis in enumerate(np.eye(3)):
-        plus, minus = (
-            range_and_rate(s, STILL, r + sign * h * axis, STILL)[0] for sign in (1.0, -1.0)
-        )
-        u = range_and_rate(s, STILL, r, STILL)[2 + i]
-        assert (plus - minus) / (2.0 * h) == pytest.approx(-u, abs=3e-6)

@@ -11,15 +11,6 @@ from spoofgym.simulation.divergence import Divergence
 from ..envs.support import SHORT
 
 
-def engines(detector, **settings):
-    setup = TightlyCoupledSetup(timeline=SHORT, detector=detector, **settings)
-    setup = setup.copy_with(monitors=[Divergence()])
-    made = [Engine(2, setup), Engine(2, setup)]
-    for engine in made:
-        engine.reset([np.random.default_rng(5), np.random.default_rng(6)])
-    return made
-
-
 def memory(engine):
     return engine.simulator.monitor(Divergence).memory
 
@@ -32,34 +23,26 @@ def memory(engine):
     ],
 )
 def test_it_is_that_of_the_difference_to_a_clean_twin(attack, command):
-    attacked, clean = engines("never", attack=attack)
-    total = run(attacked, clean, command)
+    setup = TightlyCoupledSetup(timeline=SHORT, detector="never", attack=attack)
+    setup = setup.copy_with(monitors=[Divergence()])
+    attacked, clean = (Engine(2, setup) for _ in range(2))
+    total = np.zeros(2)
+    for engine in (attacked, clean):
+        engine.reset([np.random.default_rng(5), np.random.default_rng(6)])
+    for _ in range(24):
+        attacked.step(np.tile(command, (2, 1)))
+        clean.step(np.zeros((2, 2)))
+        epoch = attacked.simulator.epoch
+        shift = epoch.innovation - clean.simulator.epoch.innovation
+        pairs = zip(shift, epoch.innovation_cov, strict=True)
+        total += [0.5 * rho @ np.linalg.solve(cov, rho) for rho, cov in pairs]
     assert total.min() > 0.5
+    for name in ("divergence", "shift"):
+        np.testing.assert_array_equal(memory(clean)[name], 0.0)
     np.testing.assert_allclose(memory(attacked)["divergence"], total, rtol=0.01)
     moved = attacked.simulator.position - clean.simulator.position
     found = memory(attacked)["shift"][:, 6:9]
     np.testing.assert_allclose(found, moved, atol=0.01 * np.abs(moved).max())
-
-
-def test_weights_of_the_run_count():
-    """Nearly that of a twin, whose own weights are other ones."""
-    attacked, clean = engines("ewma")
-    total = run(attacked, clean, [0.7, -0.5])
-    np.testing.assert_allclose(memory(attacked)["divergence"], total, rtol=0.05)
-
-
-def run(attacked, clean, command):
-    """Divergence by the difference of two engines."""
-    total = np.zeros(2)
-    for _ in range(24):
-        attacked.step(np.tile(command, (2, 1)))
-        clean.step(np.zeros((2, 2)))
-        shift = attacked.simulator.epoch.innovation - clean.simulator.epoch.innovation
-        S = attacked.simulator.epoch.innovation_cov
-        total += 0.5 * np.array(
-            [rho @ np.linalg.solve(cov, rho) for rho, cov in zip(shift, S, strict=True)]
-        )
-    return total
 
 
 def by_hand(simulator, shift, weights):
@@ -120,17 +103,3 @@ def test_it_is_the_sum_of_the_divergences_of_normal_distributions(detector, atta
         assert memory(engine)["divergence"][0] == pytest.approx(total, rel=1e-6, abs=1e-9)
     assert total > 0.01
     assert weighed == (detector == "ewma" and min_satellites == 4)
-
-
-def test_without_an_attack_there_is_none():
-    _, clean = engines("ewma")
-    for _ in range(5):
-        clean.step(np.zeros((2, 2)))
-    np.testing.assert_array_equal(memory(clean)["divergence"], 0.0)
-    np.testing.assert_array_equal(memory(clean)["shift"], 0.0)
-
-
-def test_an_engine_without_one_says_so():
-    engine = Engine(1, TightlyCoupledSetup(timeline=SHORT))
-    with pytest.raises(LookupError, match="no Divergence looks at these epochs"):
-        engine.simulator.monitor(Divergence)

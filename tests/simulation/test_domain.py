@@ -8,7 +8,7 @@ import pytest
 
 import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.domain import Domain, draw
+from spoofgym.simulation.domain import draw
 from spoofgym.truth.flight import rotate_flight
 from spoofgym.truth.manoeuvres import car
 
@@ -51,18 +51,11 @@ def test_an_episode_is_played_in_the_circumstances_that_it_has_drawn():
     heading = np.degrees(np.arctan2(observation[:, own[1]], observation[:, own[0]])) % 360.0
     turn = np.array([pair[0] for pair in setup.domain.pairs()])
     spread = (heading - turn[world] + 180.0) % 360.0 - 180.0
-    late = start > 30.0
-    assert np.ptp(spread[~late]) < 60.0  # one flight, at different times, turned as it was drawn
+    # one flight, at different times, turned as it was drawn
+    assert np.ptp(spread[start <= 30.0]) < 60.0
     shown = observation[:, [names.index(f"target_direction_{a}") for a in ("north", "east")]]
     np.testing.assert_allclose(np.hypot(*shown.T), 1.0, atol=1e-6)
-
-
-def test_victims_in_all_circumstances_navigate():
-    envs = gym.make_vec(ID, num_envs=16, **settings(domain=ALL, detector="never"))
-    envs.reset(seed=3)
-    simulator = envs.unwrapped.core.engine.simulator
-    world = envs.unwrapped.core.setup.world
-    error = simulator.buffers.position_e - world.position_e[simulator.epochs]
+    error = simulator.buffers.position_e - setup.world.position_e[simulator.epochs]
     assert np.linalg.norm(error, axis=1).max() < 40.0
 
 
@@ -88,9 +81,11 @@ def test_a_reset_may_tell_the_circumstances():
     np.testing.assert_array_equal(other.reset()[0], again)
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
+def test_a_reset_that_tells_nonsense_is_refused_and_nothing_is_lost():
+    envs, other = (gym.make_vec(ID, num_envs=2, **settings(domain=ALL)) for _ in range(2))
+    for each in (envs, other):
+        each.reset(seed=2)
+    for given, message in (
         ({"word": 1}, "unknown choice of a reset 'word'; valid: .*did you mean 'world'"),
         ({"world": 3}, "`world` must be whole numbers, 0 to 2, got 3"),
         ({"world": [0, 1, 2]}, "`world` must be one value or 2 of them, got 3"),
@@ -98,15 +93,9 @@ def test_a_reset_may_tell_the_circumstances():
         ({"start_s": 5.3}, "`start_s` must be a multiple of the interval between epochs, 0.5 s"),
         ({"imu": "toy"}, "unknown imu 'toy'; valid: aviation, tactical"),
         ({"target_heading_deg": 10.0}, "only where it is 'random'"),
-    ],
-)
-def test_a_reset_that_tells_nonsense_is_refused_and_nothing_is_lost(given, message):
-    envs = gym.make_vec(ID, num_envs=2, **settings(domain=ALL))
-    envs.reset(seed=2)
-    with pytest.raises(ValueError, match=message):
-        envs.reset(options={"domain": given})
-    other = gym.make_vec(ID, num_envs=2, **settings(domain=ALL))
-    other.reset(seed=2)
+    ):
+        with pytest.raises(ValueError, match=message):
+            envs.reset(options={"domain": given})
     np.testing.assert_array_equal(other.reset()[0], envs.reset()[0])
 
 
@@ -116,10 +105,7 @@ def test_a_reset_that_tells_nonsense_is_refused_and_nothing_is_lost(given, messa
         ({"start": (0, 1)}, "`domain` has no setting 'start'; valid: start_s"),
         ({"start_s": (5.0, 2.0)}, "`start_s` must be finite, the least first"),
         ({"start_s": (-1.0, 2.0)}, "`start_s` must not begin before 0 s"),
-        (
-            {"constellation_time_s": (0.0, 1e12)},
-            r"`constellation_time_s` must be -1e\+08 to 1e\+08",
-        ),
+        ({"constellation_time_s": (0.0, 1e12)}, "`constellation_time_s` must be"),
         ({"worlds": 3}, "`worlds` 3 would all be the same"),
         ({"imu": 3}, "`imu` must be a name or a list of names, got 3"),
         ({"start_s": (0.0, 400.0)}, "an episode takes .* from a start at 400 s"),
@@ -130,15 +116,11 @@ def test_a_reset_that_tells_nonsense_is_refused_and_nothing_is_lost(given, messa
 )
 def test_a_wrong_domain_says_what_is_valid(domain, message):
     with pytest.raises(ValueError, match=message):
-        gym.make(ID, **settings(domain=domain))
-
-
-def test_a_begin_as_late_as_the_flight_allows():
-    setup = TightlyCoupledSetup(timeline=SHORT, domain={"start_s": (0.0, None)})
-    assert setup.bounds.last + setup.onset + setup.steps + setup.hold + 2 == setup.world.epochs
+        TightlyCoupledSetup(timeline=SHORT, domain=domain)
 
 
 def test_draws_are_uniform_and_by_the_key_alone():
+    assert TightlyCoupledSetup(timeline=SHORT).bounds.single  # nothing by default
     setup = TightlyCoupledSetup(timeline=SHORT, domain=ALL, target_heading_deg="random")
     keys = np.random.default_rng(0).integers(2**63, size=(4000, 2)).astype(np.uint64)
     drawn = draw(setup.bounds, keys)
@@ -147,14 +129,11 @@ def test_draws_are_uniform_and_by_the_key_alone():
         np.testing.assert_allclose(share, 1.0 / count, atol=4.0 * 0.5 / np.sqrt(len(keys)))
     assert (drawn.start.min(), drawn.start.max()) == (setup.bounds.first, setup.bounds.last)
     assert abs(np.exp(1j * drawn.heading).mean()) < 4.0 / np.sqrt(len(keys))
-    some = draw(setup.bounds, keys[100:110])
-    for all_of_them, few in zip(drawn, some, strict=True):
+    for all_of_them, few in zip(drawn, draw(setup.bounds, keys[100:110]), strict=True):
         np.testing.assert_array_equal(all_of_them[100:110], few)
-
-
-def test_nothing_is_drawn_by_default():
-    assert TightlyCoupledSetup(timeline=SHORT).bounds.single
-    assert Domain().pairs() == [(0.0, 0.0)]
+    # as late as the flight allows
+    late = TightlyCoupledSetup(timeline=SHORT, domain={"start_s": (0.0, None)})
+    assert late.bounds.last + late.onset + late.steps + late.hold + 2 == late.world.epochs
 
 
 def test_a_turned_flight_is_the_same_flight_in_another_direction():
@@ -163,9 +142,8 @@ def test_a_turned_flight_is_the_same_flight_in_another_direction():
     np.testing.assert_array_equal(other.position_e[0], flight.position_e[0])
     north, east, down = flight.velocity_n.T
     np.testing.assert_allclose(other.velocity_n[0], [-east[0], north[0], down[0]], atol=1e-9)
-    moved = np.linalg.norm(other.position_e - other.position_e[0], axis=1)
-    np.testing.assert_allclose(
-        moved, np.linalg.norm(flight.position_e - flight.position_e[0], axis=1), atol=1e-6
-    )
+    there, here = (each.position_e - each.position_e[0] for each in (other, flight))
+    apart = np.linalg.norm(there, axis=1) - np.linalg.norm(here, axis=1)
+    np.testing.assert_allclose(apart, 0.0, atol=1e-6)
     # over some hundred metres the vertical turns by 1e-4
     np.testing.assert_allclose(other.velocity_n, np.stack([-east, north, down]).T, atol=5e-3)

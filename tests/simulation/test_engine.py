@@ -3,55 +3,14 @@
 import numpy as np
 import pytest
 
-from spoofgym.detectors import Ewma, Never
+from spoofgym.detectors import Never
 from spoofgym.receiver import TightlyCoupled, replay
 from spoofgym.simulation import Engine, TightlyCoupledSetup
 from spoofgym.simulation.recording import record_run
 from spoofgym.simulation.simulator import Simulator
 from spoofgym.simulation.tight import TightlyCoupledSimulator
 
-from ..envs.support import SHORT, single, vector
-
-
-def rollout(env, seed, steps, row=None, rng_seed=0):
-    """Observations, rewards and ends of one receiver, under actions of the step alone."""
-    actions = np.random.default_rng(rng_seed).uniform(-1, 1, (steps, 64, 2))
-    observation, _ = env.reset(seed=seed)
-    out = [observation if row is None else observation[row]]
-    rewards, ends = [], []
-    for k in range(steps):
-        if row is None:
-            observation, reward, terminated, _, _ = env.step(actions[k, 37])
-        else:
-            observation, reward, terminated, _, _ = env.step(actions[k, : env.num_envs])
-            observation, reward, terminated = observation[row], reward[row], terminated[row]
-        out.append(observation)
-        rewards.append(reward)
-        ends.append(bool(terminated))
-        if row is None and terminated:
-            observation, _ = env.reset()
-            out[-1] = observation
-    return np.array(out), np.array(rewards), ends
-
-
-@pytest.mark.parametrize(
-    ("knowledge", "end_at_alarm", "live_s"),
-    [("tracking", True, 10.0), ("oracle", False, 10.0), ("oracle", True, 0.0)],
-)
-def test_row_37_of_64_is_the_single_env_over_an_autoreset(knowledge, end_at_alarm, live_s):
-    kwargs = {
-        "timeline": {**SHORT, "live_s": live_s},
-        "knowledge": knowledge,
-        "end_at_alarm": end_at_alarm,
-        "detector": {"name": "ewma", "false_alarm": 0.05},  # so that some episodes end early
-    }
-    simulator = vector(64, autoreset_mode="same_step", threads=2, **kwargs)
-    many = rollout(simulator, seed=100, steps=75, row=37)
-    one = rollout(single(**kwargs).unwrapped, seed=137, steps=75)
-    assert sum(one[2]) >= 2, "the test must go over an autoreset"
-    assert one[2] == many[2]
-    np.testing.assert_array_equal(one[0], many[0])
-    np.testing.assert_array_equal(one[1], many[1])
+from ..envs.support import SHORT
 
 
 def everything(simulator, rows=slice(None)):
@@ -99,7 +58,6 @@ ALL_DRAWN = {
 }
 SETTINGS = {
     "default": {},
-    "trolley": {"scenario": {"errors": "trolley"}},
     "general": {
         "receiver": {
             "covariance_update": "general",
@@ -123,54 +81,37 @@ SETTINGS = {
 
 @pytest.fixture(scope="module", params=SETTINGS)
 def many(request):
-    """A setting, and 129 receivers of it."""
+    """A setting, and 70 receivers of it."""
     setup = TightlyCoupledSetup(timeline=SHORT, detector="ewma", **SETTINGS[request.param])
     setup.fields = setup.has
-    whole = played(setup, range(129))
+    whole = played(setup, range(70))
     assert (whole["weights"] < 0.99).any()
-    assert len(set(whole["epoch"])) > (20 if "domain" in SETTINGS[request.param] else 1)
+    assert len(set(whole["epoch"])) > (15 if "domain" in SETTINGS[request.param] else 1)
     if request.param == "general":
-        assert 10 < whole["plain coasting"].sum() < 119
+        assert 5 < whole["plain coasting"].sum() < 65
     return setup, whole
 
 
 @pytest.mark.parametrize(
-    ("receivers", "threads"),
-    [(1, 1), (7, 1), (8, 1), (9, 1), (17, 1), (17, 2), (70, 2), (129, 2), (129, 3)],
+    ("rows", "threads"),
+    [
+        (range(1), 1),
+        (range(7, 8), 1),
+        (range(69, 70), 1),
+        (range(7), 1),
+        (range(8), 1),
+        (range(9), 1),
+        (range(17), 2),
+        (range(70), 2),
+        (range(70), 3),
+    ],
+    ids=str,
 )
-def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(many, receivers, threads):
+def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(many, rows, threads):
     setup, whole = many
-    mine = played(setup, range(receivers), threads)
+    mine = played(setup, rows, threads)
     assert mine["seen innovation_cov"].any()
-    check_same(mine, {name: array[:receivers] for name, array in whole.items()})
-
-
-def test_every_one_of_a_batch_is_the_single_receiver(many):
-    setup, whole = many
-    for number in (1, 7, 8, 40, 127, 128):
-        check_same(
-            played(setup, [number]),
-            {name: array[number : number + 1] for name, array in whole.items()},
-        )
-
-
-def test_zero_command_is_the_clean_run():
-    receivers = 3
-    setup = TightlyCoupledSetup(timeline=SHORT)
-    setup.fields = setup.has
-
-    def run(action, attacked):
-        engine = Engine(receivers, setup, threads=1)
-        engine.reset([np.random.default_rng(i) for i in range(receivers)])
-        for _ in range(20):
-            if attacked:
-                engine.step(action)
-            else:
-                engine.simulator.advance()
-                engine.update(engine.judge())
-        return everything(engine.simulator)
-
-    check_same(run(np.zeros((receivers, 2)), True), run(None, False))
+    check_same(mine, {name: array[rows.start : rows.stop] for name, array in whole.items()})
 
 
 def test_an_attack_meets_the_same_noise():
@@ -179,30 +120,25 @@ def test_an_attack_meets_the_same_noise():
     setup.fields = frozenset({"pseudorange"})
 
     def run(size):
-        engine = Engine(2, setup, threads=1)
-        engine.reset([np.random.default_rng(i) for i in range(2)])
-        residuals, deltas, ranges = [], [], []
+        simulator = Engine(2, setup, threads=1).simulator
+        simulator.start_episodes([np.random.default_rng(i) for i in range(2)])
+        found = []
         for _ in range(20):
-            engine.predict(np.full((2, 2), size))
-            simulator = engine.simulator
-            residual = simulator.sensors.fields["residual"]
-            correction = np.repeat(simulator.epoch.interval[:, None], 6, axis=1) * np.hstack(
-                [simulator.buffers.fields[name] for name in ("accel_bias_b", "gyro_bias_b")]
-            )
-            deltas.append(simulator.buffers.fields["imu_delta"] + correction)
-            residuals.append(residual.copy())
-            offset = simulator.sensors.range_offset
-            ranges.append(simulator.epoch.pseudorange - offset * simulator.epoch.visible)
-            engine.update(engine.judge())
-        return np.array(residuals), np.array(deltas), np.array(ranges), np.abs(offset).max()
+            simulator.predict(np.full((2, 2), size))
+            fields, sensors = simulator.buffers.fields, simulator.sensors
+            bias = np.hstack([fields["accel_bias_b"], fields["gyro_bias_b"]])
+            # increments without the biases, which are estimated otherwise under attack
+            delta = fields["imu_delta"] + simulator.epoch.interval[:, None] * bias
+            # the offset is added after the noise: only the rounding of that sum may differ
+            ranges = simulator.epoch.pseudorange - sensors.range_offset * simulator.epoch.visible
+            found.append((sensors.fields["residual"].copy(), delta, ranges))
+            simulator.update(None)
+        return *map(np.array, zip(*found, strict=True)), np.abs(sensors.range_offset).max()
 
     clean, attacked = run(0.0), run(0.7)
     assert attacked[3] > 1.0
-    np.testing.assert_array_equal(clean[0], attacked[0])
-    # increments less the biases that are estimated otherwise under attack
-    np.testing.assert_allclose(clean[1], attacked[1], rtol=0, atol=1e-13)
-    # the offset is added after the noise: only the rounding of that sum may differ
-    np.testing.assert_allclose(clean[2], attacked[2], rtol=0, atol=1e-8)
+    for one, other, atol in zip(clean[:3], attacked[:3], (0.0, 1e-13, 1e-8), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=atol)
 
 
 STEPS = {
@@ -248,7 +184,7 @@ def test_a_step_is_its_two_halves_with_the_judge_between(name, receivers):
         ("displacement", 1, False),
         ("displacement", 40, True),
         ("never", 9, True),
-        *((name, 9, holding) for name in STEPS for holding in (False, True)),
+        *((name, 9, k % 2 == 0) for k, name in enumerate(STEPS)),
     ],
 )
 def test_live_epochs_are_the_stepwise_run(name, receivers, holding):
@@ -259,19 +195,17 @@ def test_live_epochs_are_the_stepwise_run(name, receivers, holding):
     for engine in (fused, stepwise):
         engine.reset([np.random.default_rng([5, number]) for number in range(receivers)])
         axes = len(engine.setup.action_names)
-        engine.step(np.full((receivers, axes), 0.3) if holding else np.zeros((receivers, axes)))
-    found = []
-    for count in (1, 5, 12, 3):
-        alarms = fused.simulator.live_epochs(count, holding=holding)
+        engine.step(np.full((receivers, axes), 0.3 if holding else 0.0))
+    alarms = []
+    for count in (1, 5, 12, 3, 0):
+        alarms.append(fused.simulator.live_epochs(count, holding=holding))
         expected = Simulator.live_epochs(stepwise.simulator, count, holding=holding)
-        np.testing.assert_array_equal(alarms, expected)
-        found.append(alarms)
+        np.testing.assert_array_equal(alarms[-1], expected)
         check_same(everything(fused.simulator), everything(stepwise.simulator))
         for mine, theirs in zip(fused.simulator.verdict, stepwise.simulator.verdict, strict=True):
             np.testing.assert_array_equal(mine, theirs)
-    if settings["detector"] is detector and receivers == 40:
-        assert 0 < np.concatenate(found).sum() < 21 * 40
-    assert fused.simulator.live_epochs(0, holding=holding).shape == (0, receivers)
+    if receivers == 40:
+        assert 0 < np.concatenate(alarms).sum() < 21 * 40
 
 
 def test_an_unsound_verdict_of_live_epochs_is_named_as_that_of_a_step():
@@ -323,28 +257,3 @@ def test_an_exported_episode_replays_to_the_same_bits(attacked, grade):
     np.testing.assert_array_equal(
         solution.sd[-1], np.sqrt(np.diagonal(engine.simulator.buffers.covariance[0]))
     )
-
-
-def test_when_the_last_alarm_came_does_not_matter_for_the_next_episode():
-    """The second episode of a receiver is the same, whether the first ended early or late."""
-
-    def second(detector):
-        envs = vector(2, autoreset_mode="same_step", detector=detector)
-        envs.reset(seed=9)
-        done = np.zeros(2, dtype=bool)
-        biases = [None, None]
-        for _ in range(40):
-            _, _, terminated, _, _ = envs.step(np.ones((2, 2)))
-            for row in np.flatnonzero(terminated & ~done):
-                sensors = envs.core.engine.simulator.sensors
-                biases[row] = (
-                    sensors.fields["satellite_bias"][row].copy(),
-                    sensors.keys[:, row].copy(),
-                )
-            done |= terminated
-        assert done.all()
-        return biases
-
-    for early, late in zip(second(Ewma(false_alarm=0.2)), second(Never()), strict=True):
-        np.testing.assert_array_equal(early[0], late[0])
-        np.testing.assert_array_equal(early[1], late[1])

@@ -20,6 +20,7 @@ from spoofgym.simulation.prefetch import Group, copy_generator, take_episode
 PATIENCE_S = 900.0
 """After which a thread or a process counts as hanging, however busy the machine."""
 TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 1.0}
+JOIN_S = "spoofgym.simulation.threads.JOIN_S"
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +28,8 @@ def setup():
     return TightlyCoupledSetup(detector={"name": "ewma", "false_alarm": 0.3}, timeline=TIMELINE)
 
 
-def core_of(setup, prefetch, receivers=9, threads=1):
-    how = {"threads": threads, "prefetch": prefetch, "action": "full-command"}
+def core_of(setup, prefetch=True, receivers=9):
+    how = {"threads": 1, "prefetch": prefetch, "action": "full-command"}
     return SpoofCore(receivers, setup, knowledge="oracle", **how)
 
 
@@ -36,19 +37,33 @@ def generators(receivers=9, seed=0):
     return [np.random.default_rng(seed + i) for i in range(receivers)]
 
 
-def course(core, rngs, steps, chance):
+def course(core, rngs, steps=40, chance=None):
     """Rewards, observations, warm-up alarms of some steps with autoresets."""
-    seen = []
+    seen, chance = [], chance or np.random.default_rng(1)
     for _ in range(steps):
-        result, observation = core.step(
-            np.clip(chance.normal(0.3, 0.5, (core.receivers, 2)), -1, 1)
-        )
+        command = np.clip(chance.normal(0.3, 0.5, (core.receivers, 2)), -1, 1)
+        result, observation = core.step(command)
         over = np.flatnonzero(result.terminated)
         if len(over):
             core.reset([rngs[row] for row in over], over)
-        observation = core.observe() if len(over) else observation
+            observation = core.observe()
         seen.append((result.reward, observation, core.engine.warmup_alarm.copy()))
     return [np.array(column) for column in zip(*seen, strict=True)]
+
+
+def begun(setup, **how):
+    """A game in its first episodes, and the generators of the next ones."""
+    core = core_of(setup, **how)
+    rngs = generators(core.receivers)
+    core.reset(rngs)
+    return core, rngs
+
+
+def second_episode(setup, receivers=9):
+    """What is observed first in it, without anything ahead of time."""
+    core, rngs = begun(setup, prefetch=False, receivers=receivers)
+    core.reset(rngs)
+    return core.observe()
 
 
 def assert_same(one, other):
@@ -56,82 +71,60 @@ def assert_same(one, other):
         assert np.array_equal(x, y)
 
 
-def played(setup, prefetch, steps=40, seed=0):
-    core, rngs = core_of(setup, prefetch), generators(seed=seed)
-    core.reset(rngs)
-    return course(core, rngs, steps, np.random.default_rng(1))
+@pytest.fixture(scope="module")
+def plain(setup):
+    """What is to be played: without anything ahead of time."""
+    found = course(*begun(setup, prefetch=False))
+    assert found[2].any()  # some warm-ups alarm
+    return found
 
 
-def test_same_bits_over_autoresets(setup):
-    plain = played(setup, prefetch=False)
-    assert plain[2].any()  # some warm-ups alarm
-    assert_same(plain, played(setup, prefetch=True))
+def assert_goes_on(plain, first, second):
+    assert_same(plain, [np.concatenate(pair) for pair in zip(first, second, strict=True)])
 
 
-@pytest.mark.parametrize("prefetch", [False, True])
-def test_any_number_of_threads_gives_the_same_bits(setup, prefetch, monkeypatch):
-    monkeypatch.setattr("spoofgym.simulation.engine.LEAST_SLICE", 8)
-    courses = []
-    for threads in (1, 2):
-        core, rngs = core_of(setup, prefetch, 70, threads), generators(70)
-        core.reset(rngs)
-        courses.append(course(core, rngs, 40, np.random.default_rng(1)))
-        core.close()
-    assert courses[0][2].any()
-    assert_same(courses[0], courses[1])
+def closed(game):
+    game[0].close()
+    return game
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-def test_a_copy_goes_on_with_the_same_bits(setup, copied):
-    core, rngs = core_of(setup, True), generators()
-    core.reset(rngs)
+@pytest.mark.parametrize(
+    "between", [copy.deepcopy, lambda game: pickle.loads(pickle.dumps(game)), closed]
+)
+def test_a_game_that_was_copied_or_closed_goes_on_with_the_same_bits(setup, plain, between):
+    core, rngs = begun(setup)
     chance = np.random.default_rng(1)
     first = course(core, rngs, 15, chance)
-    core, rngs = copied((core, rngs))
-    second = course(core, rngs, 25, chance)
-    whole = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
-    assert_same(played(setup, prefetch=False), whole)
+    core, rngs = between((core, rngs))
+    assert_goes_on(plain, first, course(core, rngs, 25, chance))
 
 
-def test_other_generators_begin_anew(setup):
-    core = core_of(setup, True)
+def test_other_generators_begin_anew_and_the_same_go_on(setup, plain):
+    core, rngs = core_of(setup), generators()
     core.reset(generators(seed=5))
-    rngs = generators(seed=0)
     core.reset(rngs)
-    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
-
-
-def test_the_same_generators_go_on_to_their_next_episodes(setup):
-    courses = []
-    for prefetch in (False, True):
-        core, rngs = core_of(setup, prefetch), generators()
-        core.reset(rngs)
-        core.reset(rngs)
-        courses.append(course(core, rngs, 5, np.random.default_rng(1)))
-    assert_same(*courses)
+    assert_same(plain, course(core, rngs))
+    core, rngs = begun(setup)
+    core.reset(rngs)
+    assert np.array_equal(core.observe(), second_episode(setup))
 
 
 def test_some_receivers_seeded_anew_leave_the_others_as_they_are():
     seen = []
     for prefetch in (False, True):
-        envs = SpoofVectorEnv(
-            3, knowledge="oracle", timeline=TIMELINE, threads=1, prefetch=prefetch
-        )
-        columns = [envs.reset(seed=5)[0]]
-        for seed in ([7, None, None], [None, 8, None], None):
-            columns.append(envs.reset(seed=seed)[0])
+        settings = {"timeline": TIMELINE, "threads": 1, "prefetch": prefetch}
+        envs = SpoofVectorEnv(3, knowledge="oracle", **settings)
+        seeds = (5, [7, None, None], [None, 8, None], None)
+        seen.append([envs.reset(seed=seed)[0] for seed in seeds])
         envs.close()
-        seen.append(columns)
     assert_same(*seen)
-    plain = seen[0]
-    assert not np.array_equal(plain[0][1], plain[1][1])  # the others are in their next episodes
+    assert not np.array_equal(seen[0][0][1], seen[0][1][1])  # the others are in their next episodes
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
-def test_a_forked_child_goes_on_with_the_same_bits(setup):
-    core, rngs = core_of(setup, True), generators()
-    core.reset(rngs)
+def test_a_forked_child_goes_on_with_the_same_bits(setup, plain):
+    core, rngs = begun(setup)
     chance = np.random.default_rng(1)
     first = course(core, rngs, 15, chance)
     read, write = os.pipe()
@@ -139,9 +132,8 @@ def test_a_forked_child_goes_on_with_the_same_bits(setup):
     if child == 0:  # pragma: no cover
         status = 1
         try:
-            second = course(core, rngs, 25, chance)
             with os.fdopen(write, "wb") as pipe:
-                pickle.dump(second, pipe)
+                pickle.dump(course(core, rngs, 25, chance), pipe)
             status = 0
         finally:
             os._exit(status)
@@ -149,19 +141,37 @@ def test_a_forked_child_goes_on_with_the_same_bits(setup):
     with os.fdopen(read, "rb") as pipe:
         second = pickle.load(pipe)
     assert os.waitpid(child, 0)[1] == 0
-    whole = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
-    assert_same(played(setup, prefetch=False), whole)
+    assert_goes_on(plain, first, second)
+
+
+class Held:
+    """Warm-ups whose first piece waits until it may go on."""
+
+    def __init__(self, warm_up):
+        self.warm_up, self.begun, self.go_on = warm_up, threading.Event(), threading.Event()
+
+    def __call__(self, rngs):
+        self.begun.set()
+        self.go_on.wait(PATIENCE_S)
+        yield from self.warm_up(rngs)
+
+
+def held(core, rngs, monkeypatch):
+    """Begin, and wait until a piece of the next warm-up has begun."""
+    pieces = Held(core.engine._next._warm_up)
+    with monkeypatch.context() as patch:
+        patch.setattr(core.engine._next, "_warm_up", pieces)
+        core.reset(rngs)
+        assert pieces.begun.wait(PATIENCE_S)
+    return pieces
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
 @pytest.mark.parametrize("steps", [0, 1])
 def test_a_fork_within_a_piece(setup, monkeypatch, steps):
-    core, rngs = core_of(setup, True), generators()
-    pieces = Held(core.engine._next._warm_up)
-    monkeypatch.setattr(core.engine._next, "_warm_up", pieces)
-    core.reset(rngs)
-    assert pieces.begun.wait(PATIENCE_S)
+    core, rngs = core_of(setup), generators()
+    pieces = held(core, rngs, monkeypatch)
     child = os.fork()
     if child == 0:  # pragma: no cover
         signal.alarm(int(PATIENCE_S))  # ends a child that hangs
@@ -180,72 +190,38 @@ def test_a_fork_within_a_piece(setup, monkeypatch, steps):
     core.close()
 
 
-class Held:
-    """Warm-ups whose first piece waits until it may go on."""
-
-    def __init__(self, warm_up):
-        self.warm_up, self.begun, self.go_on = warm_up, threading.Event(), threading.Event()
-
-    def __call__(self, rngs):
-        self.begun.set()
-        self.go_on.wait(PATIENCE_S)
-        yield from self.warm_up(rngs)
-
-
-def fail_once(monkeypatch, owner, name):
-    """Let a method raise in the first call; returns all calls."""
-    method, calls = getattr(owner, name), []
-
-    def failing(*args):
-        calls.append(args)
-        if len(calls) == 1:
-            raise MemoryError("for once")
-        return method(*args)
-
-    monkeypatch.setattr(owner, name, failing)
-    return calls
-
-
-def failing_once(warm_up):
-    """Warm-ups of which the first fails within its pieces."""
-    left = [1]
+@pytest.mark.parametrize("where", ["warm_up", "writing"])
+def test_what_goes_wrong_ahead_of_time_is_raised_once(setup, monkeypatch, where):
+    core, rngs = core_of(setup), generators()
+    episodes, left = core.engine._next, [MemoryError("for once")]
+    warm_up, copy_rows = episodes._warm_up, episodes._waiting.copy_rows
 
     def failing(rngs):
         pieces = warm_up(rngs)
         yield next(pieces)
         if left:
-            left.pop()
-            raise MemoryError("for once")
+            raise left.pop()
         yield from pieces
 
-    return failing
+    def fail_to_write(*args):
+        if left:
+            raise left.pop()
+        copy_rows(*args)
 
-
-@pytest.mark.parametrize("where", ["warm_up", "writing"])
-def test_what_goes_wrong_ahead_of_time_is_raised_once(setup, monkeypatch, where):
-    core, rngs = core_of(setup, True), generators()
-    episodes = core.engine._next
     if where == "writing":
-        fail_once(monkeypatch, episodes._waiting, "copy_rows")
+        monkeypatch.setattr(episodes._waiting, "copy_rows", fail_to_write)
     else:
-        monkeypatch.setattr(episodes, "_warm_up", failing_once(episodes._warm_up))
+        monkeypatch.setattr(episodes, "_warm_up", failing)
     core.reset(rngs)
     with pytest.raises(MemoryError, match="for once"):
         core.reset(rngs)
     core.reset(rngs)
-    plain, other = core_of(setup, False), generators()
-    plain.reset(other)
-    plain.reset(other)
-    assert np.array_equal(core.observe(), plain.observe())
+    assert np.array_equal(core.observe(), second_episode(setup))
 
 
-def test_an_interrupted_wait_leaves_nothing_behind(setup, monkeypatch):
-    core, rngs = core_of(setup, True), generators()
-    episodes = core.engine._next
-    pieces = Held(episodes._warm_up)
-    monkeypatch.setattr(episodes, "_warm_up", pieces)
-    core.reset(rngs)
-    assert pieces.begun.wait(PATIENCE_S)
+def test_an_interrupted_wait_leaves_nothing_behind(setup, plain, monkeypatch):
+    core, rngs = core_of(setup), generators()
+    pieces = held(core, rngs, monkeypatch)
 
     def interrupted(group):
         raise KeyboardInterrupt
@@ -257,35 +233,30 @@ def test_an_interrupted_wait_leaves_nothing_behind(setup, monkeypatch):
     pieces.go_on.set()
     rngs = generators()
     core.reset(rngs)
-    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
+    assert_same(plain, course(core, rngs))
 
 
 def test_the_owner_helps_with_what_it_needs(setup, monkeypatch):
-    core, rngs = core_of(setup, True, receivers=40), generators(40)
-    episodes, here = core.engine._next, threading.get_ident()
-    warm_up, others = episodes._warm_up, []
+    core, rngs = core_of(setup, receivers=40), generators(40)
+    warm_up, by = core.engine._next._warm_up, set()
 
     def counted(rngs):
         for batch in warm_up(rngs):
-            if threading.get_ident() != here:
-                others.append(None)
+            by.add(threading.get_ident())
             yield batch
 
-    monkeypatch.setattr(episodes, "_warm_up", counted)
+    monkeypatch.setattr(core.engine._next, "_warm_up", counted)
     monkeypatch.setattr(core.engine._workers, "wake", lambda: None)  # no thread comes to help
     core.reset(rngs)
     core.reset(rngs)
-    assert not others
-    plain, other = core_of(setup, False, receivers=40), generators(40)
-    plain.reset(other)
-    plain.reset(other)
-    assert np.array_equal(core.observe(), plain.observe())
+    assert by == {threading.get_ident()}
+    assert np.array_equal(core.observe(), second_episode(setup, receivers=40))
 
 
 @pytest.mark.parametrize("given", [None, {"start_s": 0.0}])
 def test_what_nobody_wants_any_more_is_dropped(setup, given):
-    core, rngs = core_of(setup, True), generators()
-    for seed in range(12):
+    core, rngs = core_of(setup), generators()
+    for seed in range(5):
         core.reset(rngs if given else generators(seed=seed), given=given)
         groups = core.engine._next._groups
         assert len(groups) <= 2
@@ -297,11 +268,15 @@ def running():
     return {thread for thread in threading.enumerate() if thread.name.startswith("spoofgym-")}
 
 
-def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
-    monkeypatch.setattr("spoofgym.simulation.threads.JOIN_S", PATIENCE_S)
-    before = running()
-    core, rngs = core_of(setup, True), generators()
-    begun = threading.Event()
+def assert_ends(thread):
+    thread.join(timeout=PATIENCE_S)
+    assert not thread.is_alive()
+
+
+def test_a_game_is_closed_within_a_long_warm_up(setup, plain, monkeypatch):
+    monkeypatch.setattr(JOIN_S, PATIENCE_S)
+    before, begun = running(), threading.Event()
+    core = core_of(setup)
 
     def endless(rngs):
         while True:
@@ -311,7 +286,7 @@ def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(core.engine._next, "_warm_up", endless)
-        core.reset(rngs)
+        core.reset(generators())
         assert begun.wait(PATIENCE_S)
         (thread,) = running() - before
         core.close()
@@ -319,31 +294,24 @@ def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
         core.engine._next.forget()
     rngs = generators()
     core.reset(rngs)
-    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
+    assert_same(plain, course(core, rngs))
 
 
-def test_a_thread_that_ends_late_leaves_its_receivers_to_the_owner(setup, monkeypatch):
-    monkeypatch.setattr("spoofgym.simulation.threads.JOIN_S", 0.01)
+def test_a_thread_that_ends_late_leaves_its_receivers_to_the_owner(setup, plain, monkeypatch):
+    monkeypatch.setattr(JOIN_S, 0.01)
     before = running()
-    core, rngs = core_of(setup, True), generators()
-    pieces = Held(core.engine._next._warm_up)
-    with monkeypatch.context() as patch:
-        patch.setattr(core.engine._next, "_warm_up", pieces)
-        core.reset(rngs)
-        assert pieces.begun.wait(PATIENCE_S)
-        (thread,) = running() - before
-        core.close()
+    core, rngs = core_of(setup), generators()
+    pieces = held(core, rngs, monkeypatch)
+    (thread,) = running() - before
+    core.close()
     assert thread.is_alive()
     pieces.go_on.set()
-    thread.join(timeout=PATIENCE_S)
-    assert not thread.is_alive()
-    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
+    assert_ends(thread)
+    assert_same(plain, course(core, rngs))
 
 
 def test_a_thread_may_close_its_owner(setup):
-    core, rngs = core_of(setup, True), generators()
-    before = running()
-    closed = threading.Event()
+    core, before, closed = core_of(setup), running(), threading.Event()
 
     def closing(rngs):
         core.close()
@@ -351,11 +319,10 @@ def test_a_thread_may_close_its_owner(setup):
         yield core.engine.simulator
 
     core.engine._next._warm_up = closing
-    core.reset(rngs)
+    core.reset(generators())
     assert closed.wait(PATIENCE_S)
     for thread in running() - before:
-        thread.join(timeout=PATIENCE_S)
-        assert not thread.is_alive()
+        assert_ends(thread)
 
 
 def test_an_environment_that_is_not_closed_lets_the_interpreter_end():
@@ -375,25 +342,12 @@ envs.reset(seed=1)
 def test_threads_end_with_the_game(setup):
     gc.collect()
     before = running()
-    core = core_of(setup, True)
-    core.reset(generators())
-    core.reset(generators())
+    core, rngs = begun(setup)
+    core.reset(rngs)
     (thread,) = running() - before
     del core
     gc.collect()
-    thread.join(timeout=PATIENCE_S)
-    assert not thread.is_alive()
-
-
-def test_a_closed_game_can_be_played_on(setup):
-    core, rngs = core_of(setup, True), generators()
-    core.reset(rngs)
-    chance = np.random.default_rng(1)
-    first = course(core, rngs, 15, chance)
-    core.close()
-    second = course(core, rngs, 25, chance)
-    whole = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
-    assert_same(played(setup, prefetch=False), whole)
+    assert_ends(thread)
 
 
 def test_an_episode_is_taken_from_a_generator():

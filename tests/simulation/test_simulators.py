@@ -1,4 +1,4 @@
-"""What holds for the simulators of all victims: identity in any batch, moves, twins, domains."""
+"""What holds for the simulators of all victims: moves, twins, domains."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from .support import DOMAINS, SETUPS, SHORT, rngs, setup_of, step, warm
 every_victim = pytest.mark.parametrize("kind", SETUPS)
 
 
-def commands(setup, receivers, steps=8, seed=0):
-    """(steps, B, a) commands; a receiver has its own, whatever the batch."""
-    rng = np.random.default_rng(seed)
-    return rng.uniform(-1.0, 1.0, (steps, 40, len(setup.action_names)))[:, :receivers].copy()
+def commands(setup, receivers, steps=8):
+    rng = np.random.default_rng(0)
+    return rng.uniform(-1.0, 1.0, (steps, receivers, len(setup.action_names)))
 
 
 def seen(simulator):
@@ -30,7 +29,7 @@ def seen(simulator):
     if setup.geometry_names and setup.kind != "tightly-coupled":  # which has a table of it
         simulator.geometry(out["geometry"])
     else:
-        out.pop("geometry")
+        del out["geometry"]
     displacement = np.empty(b)
     simulator.displacement(np.zeros((b, 2)), None, displacement)
     out |= {
@@ -46,66 +45,11 @@ def seen(simulator):
     return {name: np.array(array) for name, array in out.items()}
 
 
-def assert_same(mine, theirs, rows=None, theirs_rows=None):
+def assert_same(mine, theirs, rows=slice(None)):
     """The same bits in rows of two simulators."""
-    a, b = seen(mine), seen(theirs)
-    rows = np.arange(mine.receivers) if rows is None else np.asarray(rows)
-    theirs_rows = rows if theirs_rows is None else np.asarray(theirs_rows)
-    for name, array in a.items():
-        np.testing.assert_array_equal(array[rows], b[name][theirs_rows], err_msg=name)
-
-
-@every_victim
-def test_a_receiver_is_the_single_one_in_any_batch(kind):
-    """In circumstances that each draws for itself."""
-    receivers = 17
-    setup = setup_of(kind, domain=DOMAINS[kind], target_heading_deg="random")
-    many, actions = warm(setup, receivers), commands(setup, receivers)
-    rows = sorted({0, receivers // 2, receivers - 1})
-    singles = [warm(setup, 1, 100 + row) for row in rows]
-    for action in actions:
-        step(many, action)
-        for row, single in zip(rows, singles, strict=True):
-            step(single, action[row])
-            assert_same(single, many, [0], [row])
-    errors = many.error_n()
-    assert not np.array_equal(errors[0], errors[1])
-
-
-@every_victim
-def test_rows_move_between_batches(kind):
-    setup = setup_of(kind)
-    source, target = warm(setup, 5), warm(setup, 3, first=50)
-    actions = commands(setup, 5, steps=10)
-    for action in actions[:5]:
-        step(source, action)
-        step(target, action[:3])
-    target.copy_rows(np.array([2, 0]), source, np.array([1, 4]))
-    assert_same(target, source, [2, 0], [1, 4])
-    for action in actions[5:]:
-        step(source, action)
-        step(target, action[[4, 0, 1]])
-    assert_same(target, source, [2, 0], [1, 4])
-
-
-@every_victim
-def test_a_reset_of_some_leaves_the_others_alone(kind):
-    setup = setup_of(kind)
-    engine, whole = Engine(4, setup), Engine(4, setup)
-    for each in (engine, whole):
-        each.reset(rngs(4))
-    actions = commands(setup, 4, steps=6)
-    for action in actions[:3]:
-        engine.step(action)
-        whole.step(action)
-    engine.reset(rngs(2, first=70), np.array([3, 1]))
-    fresh = warm(setup, 2, first=70)
-    for action in actions[3:]:
-        engine.step(action)
-        whole.step(action)
-        step(fresh, action[[3, 1]])
-    assert_same(engine.simulator, whole.simulator, [0, 2])
-    assert_same(engine.simulator, fresh, [3, 1], [0, 1])
+    others = seen(theirs)
+    for name, array in seen(mine).items():
+        np.testing.assert_array_equal(array[rows], others[name][rows], err_msg=name)
 
 
 @every_victim
@@ -150,31 +94,20 @@ def test_a_twin_is_the_receiver_without_the_attack(kind):
 
 
 @every_victim
-def test_the_displacement_is_the_error_along_the_target_since_the_origin(kind):
-    setup = setup_of(kind, target_heading_deg=30.0)
-    mine = warm(setup, 3)
-    origin, out = mine.origin_ne().copy(), np.empty(3)
-    for action in commands(setup, 3):
+@pytest.mark.parametrize("heading", [30.0, "worst"])
+def test_the_displacement_is_the_error_along_the_target_since_the_origin(kind, heading):
+    mine, out = warm(setup_of(kind, target_heading_deg=heading), 3), np.empty(3)
+    origin = mine.origin_ne().copy()
+    assert origin.any(axis=1).all()
+    mine.displacement(origin, None, out)
+    np.testing.assert_allclose(out, 0.0, atol=1e-6)
+    for action in commands(mine.setup, 3):
         step(mine, action)
     mine.displacement(origin, None, out)
     north, east = (mine.error_n()[:, :2] - origin).T
-    expected = north * np.cos(np.radians(30.0)) + east * np.sin(np.radians(30.0))
-    np.testing.assert_allclose(out, expected, atol=1e-9)
-
-
-@every_victim
-def test_warm_ups_in_the_background_have_the_same_bits(kind):
-    setup = setup_of(kind, domain=DOMAINS[kind])
-    plain, ahead = Engine(2, setup), Engine(2, setup, prefetch=True)
-    generators = rngs(2), rngs(2)
-    try:
-        for _ in range(3):
-            for engine, mine in zip((plain, ahead), generators, strict=True):
-                engine.reset(mine)
-                engine.step(np.ones((2, len(setup.action_names))))
-            assert_same(ahead.simulator, plain.simulator)
-    finally:
-        ahead.close()
+    along = north * np.cos(np.radians(30.0)) + east * np.sin(np.radians(30.0))
+    expected = np.hypot(north, east) if heading == "worst" else along
+    np.testing.assert_allclose(out, expected, rtol=1e-6, atol=1e-6)
 
 
 @every_victim
@@ -195,42 +128,22 @@ def test_decisions_last_and_an_episode_has_an_epoch_in_reserve(kind):
 
 
 @every_victim
-def test_time_and_onset(kind):
-    setup, line = setup_of(kind), SHORT[kind]["timeline"]
-    mine = warm(setup, 2)
-    np.testing.assert_array_equal(mine.onset, setup.onset)
-    np.testing.assert_array_equal(mine.epochs, mine.onset)
-    np.testing.assert_allclose(mine.time_s(), line["warmup_s"])
-    step(mine)
-    np.testing.assert_allclose(mine.time_s(), line["warmup_s"] + setup.interval_s)
-    np.testing.assert_allclose(mine.epoch.time, mine.time_s())
-    assert setup.hold * setup.interval_s == line["time_to_alert_s"]
-
-
-@every_victim
-def test_the_onset_is_the_end_of_the_warm_up_wherever_an_episode_starts(kind):
-    setup = setup_of(kind, domain=DOMAINS[kind])
+@pytest.mark.parametrize("drawn", [False, True])
+def test_the_onset_is_the_end_of_the_warm_up_wherever_an_episode_starts(kind, drawn):
+    setup = setup_of(kind, domain=DOMAINS[kind] if drawn else {})
     mine, motion = warm(setup, 6), np.full((6, len(setup.motion_names)), np.nan)
-    assert len({*mine.memory["first"]}) > 1
+    assert (len({*mine.memory["first"]}) > 1) == drawn
     np.testing.assert_array_equal(mine.onset, mine.epochs)
     mine.motion(1.0, 1.0, motion)
     np.testing.assert_allclose(motion[:, :2], 0.0, atol=1e-6)  # since the onset
-    layout = mine.layout()
-    assert layout.onset_s == mine.time_s()[0] == setup.epoch_time[mine.epochs[0]]
-
-
-@every_victim
-def test_the_worst_direction_counts_from_the_error_at_the_onset(kind):
-    mine, out = warm(setup_of(kind, target_heading_deg="worst"), 3), np.full(3, np.nan)
-    origin = mine.origin_ne().copy()
-    assert origin.any(axis=1).all()
-    mine.displacement(origin, None, out)
-    np.testing.assert_allclose(out, 0.0, atol=1e-6)
-    for action in commands(mine.setup, 3):
-        step(mine, action)
-    mine.displacement(origin, None, out)
-    apart = mine.error_n()[:, :2] - origin
-    np.testing.assert_allclose(out, np.hypot(*apart.T), rtol=1e-6, atol=1e-6)
+    onset_s, line = mine.time_s().copy(), SHORT[kind]["timeline"]
+    assert mine.layout().onset_s == onset_s[0] == setup.epoch_time[mine.epochs[0]]
+    step(mine)
+    np.testing.assert_allclose(mine.time_s(), onset_s + setup.interval_s)
+    np.testing.assert_allclose(mine.epoch.time, mine.time_s())
+    assert setup.hold * setup.interval_s == line["time_to_alert_s"]
+    if not drawn:
+        np.testing.assert_allclose(onset_s, line["warmup_s"])
 
 
 @every_victim
@@ -245,15 +158,13 @@ def test_what_is_observed_has_names_and_scales(kind):
         ("motion", setup.motion_names),
         ("commanded", setup.action_names),
     ):
-        assert shown[name].shape == (3, len(names)), name
+        assert shown[name].shape == (3, len(set(names))), name
         assert np.isfinite(shown[name]).all(), name
-        assert len(set(names)) == len(names)
     assert {"length_m", "position_m", "velocity_mps"} <= set(setup.scales)
     assert setup.error_names[:2] == ("north", "east")
     layout, frame = mine.layout(), mine.frame()
     assert layout.track_ne.shape == (setup.steps + setup.hold + 1, 2)
     assert layout.has_sky == (frame.sky is not None) == bool(setup.geometry_names)
-    assert layout.onset_s == SHORT[kind]["timeline"]["warmup_s"]
     np.testing.assert_allclose(frame.position_ne, layout.track_ne[1], atol=1e-6)
     np.testing.assert_allclose(frame.displacement_ne, mine.commanded_displacement[0, :2])
     assert frame.ratio == mine.ratio()[0]
@@ -262,46 +173,58 @@ def test_what_is_observed_has_names_and_scales(kind):
 @every_victim
 def test_an_episode_is_in_the_circumstances_that_are_drawn_or_given(kind):
     setup = setup_of(kind, domain=DOMAINS[kind], target_heading_deg="random")
-    drawn = warm(setup, 12)
+    drawn, warmup_s = warm(setup, 12), SHORT[kind]["timeline"]["warmup_s"]
     for name, least in (("first", 2), ("heading", 12)):
         assert len(set(drawn.memory[name].tolist())) >= least
     low, high = DOMAINS[kind].get("start_s", (0.0, 0.0))
-    given = {"start_s": low, "target_heading_deg": [10.0, 20.0]}
-    if "worlds" in DOMAINS[kind]:
-        given["world"] = [1, 0]
-    mine = warm(setup, 2, **given)
+    assert (drawn.time_s() <= (np.inf if high is None else high) + warmup_s).all()
+    worlds = {"world": [1, 0]} if "worlds" in DOMAINS[kind] else {}
+    mine = warm(setup, 2, start_s=low, target_heading_deg=[10.0, 20.0], **worlds)
     start = (mine.memory["first"] % setup.epochs_each) * setup.interval_s
     np.testing.assert_allclose(start, low)
     np.testing.assert_allclose(np.degrees(mine.heading), [10.0, 20.0])
-    np.testing.assert_allclose(mine.time_s(), low + SHORT[kind]["timeline"]["warmup_s"])
-    if high is not None:
-        assert (drawn.time_s() <= high + SHORT[kind]["timeline"]["warmup_s"]).all()
+    np.testing.assert_allclose(mine.time_s(), low + warmup_s)
     assert np.isfinite(mine.error_n()).all()
 
 
 @every_victim
-def test_what_cannot_be_given_is_refused(kind):
-    engine = Engine(3, setup_of(kind))
+def test_what_fits_no_victim_is_refused(kind):
+    for settings, message in (
+        ({"target_heading_deg": "north"}, "a finite number, 'random' or 'worst', got"),
+        ({"timeline": {"attack_s": 1e9}}, "an episode must have at most 100000 epochs"),
+        ({"detector": "srv-rain"}, "unknown detector 'srv-rain'"),
+        ({"domain": {"start": 1.0}}, "`domain` has no setting 'start'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            setup_of(kind, **settings)
+    setup, needy, late = setup_of(kind), Never(), Never()
+    with pytest.raises(ValueError, match="`receivers` must be a whole number of at least 1"):
+        warm(setup, 0)
     for given, message in (
-        ({"world": 7}, "`world` must be whole numbers, 0 to 0, got 7"),
         ({"start_s": 1e6}, r"`start_s` must be 0 to 0, got 1000000\.0"),
-        ({"imu": "tactical"}, "unknown imu 'tactical'"),
         ({"target_heading_deg": 3.0}, "only where it is 'random'"),
-        ({"speed": 3.0}, "unknown choice of a reset 'speed'"),
         ({"world": [0, 0]}, "`world` must be one value or 3 of them, got 2"),
     ):
         with pytest.raises(ValueError, match=message):
-            engine.reset(rngs(3), given=given)
+            warm(setup, 3, **given)
+    needy.needs = frozenset({"cn0_dbhz"})
+    with pytest.raises(ValueError, match=f"Never needs cn0_dbhz, which {setup.whose} does not"):
+        warm(setup_of(kind, detector=needy), 1)
+    epochs = setup.live + setup.steps + setup.hold
+    late.silent_epochs = epochs - 1
+    warm(setup_of(kind, detector=late), 1)
+    late.silent_epochs = epochs
+    message = f"Never can't alarm in its first {epochs} epochs, and an episode has {epochs} in"
+    with pytest.raises(ValueError, match=message):
+        warm(setup_of(kind, detector=late), 1)
 
 
 @pytest.mark.parametrize(
     ("kind", "domain", "message"),
     [
         ("loose", {"worlds": 2, "turned_deg": (0.0, 90.0)}, "`domain` has no 'turned_deg' for a "),
-        ("loose", {"imu": "tactical"}, "a loosely coupled receiver; valid: start_s"),
         ("loose", {"start_s": (700.0, 1e5)}, "an episode takes 7.1 s from a start at 100000 s"),
         ("snapshot", {"start_s": (0.0, 5.0)}, "'start_s' for a snapshot receiver; valid: constell"),
-        ("robot", {"turned_deg": (0.0, 5.0)}, "'turned_deg' for a wheeled robot; valid: start_s"),
         ("robot", {"start_s": (0.0, 1e9)}, "`start_s` must be within 0 and 100000 s, got"),
         ("robot", {"start_s": (0.2, 0.7)}, "`start_s` must hold an epoch, of which there is one"),
     ],
@@ -309,55 +232,6 @@ def test_what_cannot_be_given_is_refused(kind):
 def test_a_domain_that_a_victim_does_not_have_is_refused(kind, domain, message):
     with pytest.raises(ValueError, match=message):
         setup_of(kind, domain=domain)
-
-
-@every_victim
-def test_settings_are_checked(kind):
-    for settings, message in (
-        (
-            {"target_heading_deg": "north"},
-            "`target_heading_deg` must be a finite number, 'random' or 'worst', got",
-        ),
-        ({"between": "cubic"}, "`between` must be 'hold' or 'linear', got 'cubic'"),
-        ({"timeline": {"attack": 1.0}}, "`timeline` has no setting 'attack'; valid: warmup_s"),
-        ({"timeline": {"attack_s": 1e9}}, "an episode must have at most 100000 epochs"),
-        ({"detector": "srv-rain"}, "unknown detector 'srv-rain'"),
-        ({"domain": {"start": 1.0}}, "`domain` has no setting 'start'"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            setup_of(kind, **settings)
-    with pytest.raises(ValueError, match="`receivers` must be a whole number of at least 1"):
-        warm(setup_of(kind), 0)
-
-
-class Wheel(Never):
-    """Needs what no victim has."""
-
-    needs = frozenset({"cn0_dbhz"})
-
-
-@every_victim
-def test_a_detector_with_needs_is_refused(kind):
-    setup = setup_of(kind, detector=Wheel())
-    with pytest.raises(ValueError, match=f"Wheel needs cn0_dbhz, which {setup.whose} does not"):
-        warm(setup, 1)
-
-
-class Late(Never):
-    """Can't alarm in its first epochs."""
-
-    def __init__(self, silent_epochs):
-        self.silent_epochs = silent_epochs
-
-
-@every_victim
-def test_a_detector_must_have_an_epoch_in_which_it_can_alarm(kind):
-    setup = setup_of(kind)
-    epochs = setup.live + setup.steps + setup.hold
-    warm(setup_of(kind, detector=Late(epochs - 1)), 1)
-    message = f"Late can't alarm in its first {epochs} epochs, and an episode has {epochs} in"
-    with pytest.raises(ValueError, match=message):
-        warm(setup_of(kind, detector=Late(epochs)), 1)
 
 
 @pytest.mark.parametrize("kind", ["loose", "snapshot", "robot"])

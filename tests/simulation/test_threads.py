@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 import time
+from itertools import count
 from queue import SimpleQueue
 
 import pytest
@@ -75,6 +76,13 @@ def assert_whole(workers):
     assert work.ended == {0, 1, 2}
 
 
+def test_every_slice_is_run_once(workers):
+    for _ in range(100):
+        work = Work()
+        workers.run(work, range(41))
+        assert sorted(work.calls) == [(k, k + 1) for k in range(40)]
+
+
 @pytest.mark.parametrize("times", [1, 2])
 def test_a_completion_that_an_interrupt_loses_is_not_waited_for(workers, monkeypatch, times):
     monkeypatch.setattr(module, "SimpleQueue", Interrupted)
@@ -87,8 +95,8 @@ def test_a_completion_that_an_interrupt_loses_is_not_waited_for(workers, monkeyp
     assert_whole(workers)
 
 
-def interrupted_at(workers, work, moment, code):
-    """Run with an interrupt at one bytecode of some code in this thread, if there is such a one."""
+def run_interrupted(workers, work, moment, code):
+    """Whether a run was interrupted at one bytecode of some code in this thread."""
     left = moment
 
     def trace(frame, event, _):
@@ -102,54 +110,42 @@ def interrupted_at(workers, work, moment, code):
                 raise KeyboardInterrupt
         return trace
 
+    before = sys.gettrace()
     sys.settrace(trace)
     try:
         workers.run(work, BOUNDS)
+    except KeyboardInterrupt:
+        return True
     finally:
-        sys.settrace(None)
+        sys.settrace(before)
+    return False
 
 
 @pytest.mark.parametrize(("function", "least"), [(Workers.run, 50), (Slices.__call__, 20)])
 def test_an_interrupt_at_any_bytecode_leaves_no_slice_behind(workers, function, least):
     assert_whole(workers)
-    moment, before = 0, sys.gettrace()
-    try:
-        while True:
-            moment += 1
-            work = Work(2e-3)
-            try:
-                interrupted_at(workers, work, moment, function.__code__)
-            except KeyboardInterrupt:
-                assert not work.running, moment
-                ended = set(work.ended)
-                assert_whole(workers)
-                assert work.ended == ended, moment  # none began afterwards
-            else:
-                break
-    finally:
-        sys.settrace(before)
+    for moment in count(1):
+        work = Work(2e-3)
+        if not run_interrupted(workers, work, moment, function.__code__):
+            break
+        assert not work.running, moment
+        ended = set(work.ended)
+        assert_whole(workers)
+        assert work.ended == ended, moment  # none began afterwards
     assert moment > least  # it was a trace of all of it
 
 
 def test_an_interrupted_start_leaves_no_thread_behind():
-    before, moment = set(threading.enumerate()), 0
-    trace = sys.gettrace()
-    try:
-        while True:
-            moment += 1
-            workers = Workers(SLICES - 1)
-            try:
-                interrupted_at(workers, Work(), moment, Workers._start.__code__)
-            except KeyboardInterrupt:
-                workers.close()
-                for thread in set(threading.enumerate()) - before:
-                    thread.join(PATIENCE_S / 10)
-                    assert not thread.is_alive(), moment
-            else:
-                break
-    finally:
-        sys.settrace(trace)
-    workers.close()
+    before = set(threading.enumerate())
+    for moment in count(1):
+        workers = Workers(SLICES - 1)
+        interrupted = run_interrupted(workers, Work(), moment, Workers._start.__code__)
+        workers.close()
+        for thread in set(threading.enumerate()) - before:
+            thread.join(PATIENCE_S / 10)
+            assert not thread.is_alive(), moment
+        if not interrupted:
+            break
     assert moment > 30  # it was a trace of all of it
 
 
@@ -161,20 +157,6 @@ def test_what_a_slice_fails_with_is_raised_when_all_have_ended(workers):
         assert sorted(work.calls) == [(0, 1), (1, 2), (2, 3)]
         assert work.ended == {0, 1, 2}
         assert_whole(workers)
-
-
-def test_every_slice_is_run_once_by_whoever_comes_first(workers):
-    for _ in range(200):
-        calls, threads = [], set()
-
-        def work(lo, hi, calls=calls, threads=threads):
-            calls.append((lo, hi))
-            threads.add(threading.get_ident())
-            time.sleep(1e-5)
-
-        workers.run(work, range(41))
-        assert sorted(calls) == [(k, k + 1) for k in range(40)]
-    assert 1 <= len(threads) <= SLICES
 
 
 def test_nobody_waits_for_a_thread_that_is_busy_with_a_piece(workers):

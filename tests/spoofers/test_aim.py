@@ -12,16 +12,10 @@ from spoofgym import duel_v0
 from spoofgym.envs import attach
 from spoofgym.spoofers import SpooferContext, make_spoofer
 from spoofgym.spoofers.base import TARGET_NAMES
-from spoofgym.testing import check_spoofer
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 30.0, "time_to_alert_s": 2.0}
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
-WORLD = {
-    "timeline": SHORT,
-    "attack": STRONG,
-    "detector": "never",
-    "action": "full-command",
-}
+WORLD = {"timeline": SHORT, "attack": STRONG, "detector": "never", "action": "full-command"}
 FOLLOWING = {"name": "ramp", "rate_mps": 2.0, "heading_deg": "target"}
 SCRIPTED: list[dict[str, Any]] = [
     FOLLOWING,
@@ -39,8 +33,9 @@ def context(control: str, axes: tuple[str, ...], *seen: str) -> SpooferContext:
     return SpooferContext(3, 0.5, 300, control, 0.05, 5.0, names, seen)
 
 
-@pytest.mark.parametrize("control", ["rate", "acceleration"])
-@pytest.mark.parametrize("axes", [("north", "east"), ("east", "down", "north")])
+@pytest.mark.parametrize(
+    ("control", "axes"), [("rate", ("north", "east")), ("acceleration", ("east", "down", "north"))]
+)
 @pytest.mark.parametrize("spec", SCRIPTED, ids=lambda spec: spec["name"])
 def test_each_receiver_is_pushed_as_along_its_own_heading(
     spec: dict[str, Any], control: str, axes: tuple[str, ...]
@@ -62,34 +57,21 @@ def test_each_receiver_is_pushed_as_along_its_own_heading(
             np.testing.assert_allclose(action[i], one.act(seen)[i], atol=2e-7)
 
 
-@pytest.mark.parametrize(
-    ("axes", "seen", "message"),
-    [
+def test_where_a_target_cannot_be_followed() -> None:
+    for axes, seen, message in (
         (("north", "east"), (), "needs target_direction_north and target_direction_east among"),
         (("east",), TARGET_NAMES, "'target' needs a command to the north, but the attack"),
-    ],
-)
-def test_where_a_target_cannot_be_followed(
-    axes: tuple[str, ...], seen: tuple[str, ...], message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        make_spoofer(FOLLOWING).bind(context("rate", axes, *seen))
-
-
-def test_what_is_no_direction_is_refused() -> None:
-    spoofer = make_spoofer(FOLLOWING)
+    ):
+        with pytest.raises(ValueError, match=message):
+            make_spoofer(FOLLOWING).bind(context("rate", axes, *seen))
+    spoofer, action = make_spoofer(FOLLOWING), []
     spoofer.bind(context("rate", ("north", "east"), *TARGET_NAMES))
-    seen = np.array([[1.0, 0.0], [0.2, -0.1], [0.0, 1.0]], dtype=np.float32)
+    shown = np.array([[1.0, 0.0], [0.2, -0.1], [0.0, 1.0]], dtype=np.float32)
     with pytest.raises(ValueError, match=r"receiver 1 observes, \(0.2, -0.1\), has not the length"):
-        spoofer.act(seen)
-
-
-def test_an_attack_on_channels_has_no_heading_to_follow() -> None:
-    told = context("rate", ("G01", "G02"))
-    action = []
-    for heading in ("target", 90.0):
+        spoofer.act(shown)
+    for heading in ("target", 90.0):  # of an attack on channels, which has none
         spoofer = make_spoofer({**FOLLOWING, "heading_deg": heading})
-        spoofer.bind(told)
+        spoofer.bind(context("rate", ("G01", "G02")))
         action.append(spoofer.act(np.zeros((3, 0), dtype=np.float32)))
     np.testing.assert_array_equal(*action)
 
@@ -106,7 +88,6 @@ def test_a_target_that_is_drawn_is_reached(action: str | dict[str, Any]) -> None
     assert over.all()
     # a constant rate of 2 m/s, reached after 2 s, pulls the filter along
     assert (info["undetected_displacement_m"] > 10.0).all()
-    envs.close()
 
 
 def test_a_fixed_heading_is_warned_of_once() -> None:
@@ -138,7 +119,3 @@ def test_a_pool_follows_the_target_direction_of_every_receiver() -> None:
         _, _, over, _, info = envs.step(quiet)
     assert over.all()
     assert (info["undetected_displacement_m"] > 10.0).all()
-
-
-def test_the_contract_holds() -> None:
-    check_spoofer(FOLLOWING)

@@ -38,38 +38,21 @@ def profile(**changes: Any) -> dict[str, Any]:
     return fields(**{**made, **changes})
 
 
-def test_a_card_is_read_as_it_was_written(tmp_path: Path) -> None:
+def test_a_card_is_read_as_it_was_written_in_either_format(tmp_path: Path) -> None:
+    path = tmp_path / "a" / "card.json"
     for given in (fields(), profile()):
         card = SpooferCard(**given)
-        card.save(tmp_path / "a" / "card.json")
-        assert SpooferCard.load(tmp_path / "a" / "card.json") == card
-        assert json.loads((tmp_path / "a" / "card.json").read_text()) == given
-    assert [path.name for path in (tmp_path / "a").iterdir()] == ["card.json"]
-
-
-def test_a_card_of_format_1_is_read_by_its_kind(tmp_path: Path) -> None:
-    path = tmp_path / "card.json"
-    for given in (fields(), profile()):
+        card.save(path)
+        assert SpooferCard.load(path) == card
+        assert json.loads(path.read_text()) == given
         before = {key: value for key, value in given.items() if key != "side"}
         path.write_text(json.dumps({**before, "format": 1}))
-        assert Card.load(path) == SpooferCard.load(path) == SpooferCard(**given)
+        assert Card.load(path) == SpooferCard.load(path) == card
         with pytest.raises(ValueError, match="is that of a spoofer, which is no detector policy"):
             DetectorCard.load(path)
-
-
-@pytest.mark.parametrize("made", [{"side": "referee"}, {"kind": "profile", "format": 2}, {}, [1]])
-def test_a_card_of_no_side_is_refused(made: Any, tmp_path: Path) -> None:
-    path = tmp_path / "card.json"
-    path.write_text(json.dumps(made))
-    with pytest.raises(ValueError, match=r"`side` must be one of spoofer, detector, got"):
-        Card.load(path)
-
-
-def test_a_score_by_the_definition_before_does_not_say_how_many_runs_counted() -> None:
+    assert [path.name for path in path.parent.iterdir()] == ["card.json"]
     before = {name: value for name, value in SCORE.items() if name != "counted"}
-    (score,) = SpooferCard(**fields(scores=[before])).scores
-    assert score.counted is None
-    assert SpooferCard(**fields()).scores[0].counted == 410
+    assert SpooferCard(**fields(scores=[before])).scores[0].counted is None
 
 
 def _other(path: str, value: Any) -> dict[str, Any]:
@@ -87,16 +70,9 @@ def _other(path: str, value: Any) -> dict[str, Any]:
     ("made", "message"),
     [
         (fields(colour="red"), r"`colour`: Extra inputs are not permitted, got 'red'"),
-        (fields(format=3), r"`format`: Input should be 2, got 3"),
         (fields(name="../tiny"), r"`name`: .*match pattern"),
         (fields(kind="pickle"), r"`kind`: Input should be 'onnx-policy' or 'profile'"),
-        (
-            _other("conditions.control", "force"),
-            r"`conditions.control`: .*'rate', 'acceleration' or 'setpoint', got 'force'",
-        ),
         (_other("conditions.interval_s", "0.5"), r"`conditions.interval_s`: .*valid number"),
-        (_other("conditions.steps", 0), r"`conditions.steps`: .*greater than 0, got 0"),
-        (_other("knowledge.run_time", "some"), r"`knowledge.run_time`: .*'blind', 'tracking'"),
         (_other("file.sha256", "abc"), r"`file.sha256`: .*match pattern"),
         (_other("file.name", "../../tiny.onnx"), r"`file.name`: .*match pattern"),
         (_other("action.low", [-1.0]), r"`action`: .*of the same length, got 2, 1 and 2"),
@@ -118,55 +94,41 @@ def test_what_is_wrong_is_named(made: dict[str, Any], message: str, tmp_path: Pa
     with pytest.raises(ValueError, match=message) as caught:
         SpooferCard.load(path)
     assert str(caught.value).startswith(f"card {path}: ")
+    with pytest.raises(ValueError, match=r"there is no card .*nothing\.json"):
+        SpooferCard.load(tmp_path / "nothing.json")
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_what_is_no_card_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "tiny.json"
+    for text, message in (
         ('{"format": 1, "na', "is not JSON: "),
         ('{"training": {"loss": NaN}}', "is not JSON: NaN is no number"),
         ("[1, 2]", "Input should be an object"),
         ("[" * 100_000, "is not JSON: .*recursion"),
         ("\udcff", "is not JSON: .*decode"),
-    ],
-)
-def test_what_is_no_card_is_refused(text: str, message: str, tmp_path: Path) -> None:
-    path = tmp_path / "tiny.json"
-    path.write_bytes(text.encode(errors="surrogateescape"))
-    with pytest.raises(ValueError, match=message) as caught:
-        SpooferCard.load(path)
-    assert str(path) in str(caught.value)
-
-
-def test_a_missing_card_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"there is no card .*nothing\.json"):
-        SpooferCard.load(tmp_path / "nothing.json")
+    ):
+        path.write_bytes(text.encode(errors="surrogateescape"))
+        with pytest.raises(ValueError, match=message) as caught:
+            SpooferCard.load(path)
+        assert str(path) in str(caught.value)
+    for made in ({"side": "referee"}, {"kind": "profile", "format": 2}, {}):
+        path.write_text(json.dumps(made))
+        with pytest.raises(ValueError, match=r"`side` must be one of spoofer, detector, got"):
+            Card.load(path)
 
 
 def test_what_is_no_json_is_not_written(tmp_path: Path) -> None:
     for value in (float("nan"), Path("a")):
+        card = SpooferCard(**fields()).model_copy(update={"training": {"x": value}})
         with pytest.raises(ValueError, match="card of 'tiny' can't be written"):
-            SpooferCard(**fields(training={})).model_copy(update={"training": {"x": value}}).save(
-                tmp_path / "tiny.json"
-            )
+            card.save(tmp_path / "tiny.json")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_card_is_frozen() -> None:
-    with pytest.raises(ValueError, match="frozen"):
-        SpooferCard(**fields()).name = "other"  # type: ignore[misc]
-
-
-def test_what_it_was_made_for_does_not_differ() -> None:
-    assert SpooferCard(**fields()).diff_context(BLIND._replace(receivers=5)) == []
-    assert describe_context(BLIND) == SpooferCard(**fields()).model_dump(
-        include={"observation", "action", "conditions"}
-    )
 
 
 @pytest.mark.parametrize(
     ("changes", "lines"),
     [
+        ({"receivers": 5}, []),
         ({"interval_s": 1.0}, ["conditions.interval_s: 0.5 on the card, 1.0 here"]),
         (
             {"steps": 7, "rate_limit_mps": 2.0},
@@ -187,23 +149,15 @@ def test_what_it_was_made_for_does_not_differ() -> None:
 )  # fmt: skip
 def test_differences_are_told(changes: dict[str, Any], lines: list[str]) -> None:
     assert SpooferCard(**fields()).diff_context(BLIND._replace(**changes)) == lines
-
-
-def test_other_bounds_differ() -> None:
-    context = BLIND
-    wider = context._replace(observation_high=(200.0, *context.observation_high[1:]))
+    wider = BLIND._replace(observation_high=(200.0, *BLIND.observation_high[1:]))
     (line,) = SpooferCard(**fields()).diff_context(wider)
     assert line.startswith("observation.high: [100.0, ")
+    assert SpooferCard(**profile()).diff_context(wider) == []  # which looks at nothing
 
 
 def test_by_rate_the_limit_of_the_acceleration_does_not_matter() -> None:
     by_rate = BLIND._replace(control="rate", action_names=("north_rate", "east_rate"))
     card = SpooferCard(**fields(**json.loads(json.dumps(describe_context(by_rate)))))
     assert card.diff_context(by_rate._replace(acceleration_limit_mps2=0.01)) == []
-    assert (
-        len(SpooferCard(**fields()).diff_context(BLIND._replace(acceleration_limit_mps2=1.0))) == 1
-    )
-
-
-def test_a_profile_looks_at_nothing() -> None:
-    assert SpooferCard(**profile()).diff_context(BLIND._replace(observation_names=("a", "b"))) == []
+    stronger = BLIND._replace(acceleration_limit_mps2=1.0)
+    assert len(SpooferCard(**fields()).diff_context(stronger)) == 1

@@ -5,53 +5,36 @@ import pytest
 
 from baselines.paper_attacks import PAPER_ATTACKS
 from spoofgym.attacks import make_attack
-from spoofgym.spoofers import Intermittent, SpooferContext, make_spoofer
+from spoofgym.spoofers import Intermittent, make_spoofer
+
+from .test_scripted import context, flown
 
 pytestmark = pytest.mark.nojit
 
-NOTHING = np.zeros((1, 0), dtype=np.float32)
-FAST = {"control": "rate", "rate_limit_mps": 250.0}
-SLOW = {"control": "acceleration", "rate_limit_mps": 5.0}
+FAST = context("rate", rate_limit_mps=250.0, steps=360)
 
 
-def flown(spoofer, steps=360, **limits):
-    """(steps,) displacement and rate of a false position to the east."""
-    told = SpooferContext(
-        receivers=1,
-        interval_s=0.5,
-        steps=steps,
-        acceleration_limit_mps2=0.05,
-        action_names=("north_x", "east_x"),
-        **limits,
-    )
-    spoofer.bind(told)
-    displacement, rate = [], []
-    for _ in range(steps):
-        assert np.abs(spoofer.act(NOTHING)).max() <= 1.0
-        displacement.append(spoofer.memory["displacement"][0])
-        rate.append(spoofer.memory["rate"][0])
-    return np.array(displacement), np.array(rate)
+def east(spoofer, told=FAST):
+    """Displacement and rate of a false position to the east."""
+    return (each[:, 1] for each in flown(spoofer, told))
 
 
 def test_ramps_and_steps_take_turns_and_return_within_an_epoch():
-    spoofer = Intermittent(shapes=("ramp", "step"), sizes_m=(30.0, -20.0), on_s=30.0, off_s=10.0)
-    found, _ = flown(spoofer, **FAST)
+    settings = {"shapes": ("ramp", "step"), "on_s": 30.0, "off_s": 10.0}
     burst = np.concatenate([0.5 * np.arange(1, 61), np.zeros(20)])
     step = np.concatenate([np.full(60, -20.0), np.zeros(20)])
     want = np.tile(np.concatenate([burst, step]), 3)[:360]
+    found, _ = east(Intermittent(sizes_m=(30.0, -20.0), **settings))
     np.testing.assert_allclose(found, want, atol=1e-9)
-
-
-def test_after_the_last_burst_there_is_silence():
-    found, _ = flown(Intermittent(on_s=20.0, off_s=5.0, bursts=2), **FAST)
-    assert found[40:50] == pytest.approx(0.0, abs=1e-9)
-    assert found[50:90].all()
-    assert found[90:] == pytest.approx(0.0, abs=1e-9)
+    few = Intermittent(sizes_m=(60.0, -40.0), scale=0.5, bursts=3, **settings)
+    want[240:] = 0.0  # silence after the last burst
+    found, _ = east(few)
+    np.testing.assert_allclose(found, want, atol=1e-9)
 
 
 def test_within_limits_it_returns_as_quickly_as_it_can_and_rests():
     spoofer = Intermittent(shapes=("step",), sizes_m=(10.0,), on_s=60.0, off_s=60.0)
-    found, rate = flown(spoofer, steps=240, **SLOW)
+    found, rate = east(spoofer, context(steps=240))
     assert found.max() == pytest.approx(10.0)
     assert found.min() >= -1e-9  # no overshoot
     assert found[119] == pytest.approx(10.0)
@@ -59,21 +42,10 @@ def test_within_limits_it_returns_as_quickly_as_it_can_and_rests():
     assert found[120 + 58] == pytest.approx(0.0, abs=1e-6)
     assert found[120 + 54] > 1e-3
     assert np.abs(rate[-10:]).max() < 1e-9
-
-
-def test_a_ramp_that_is_broken_off_comes_back():
-    found, rate = flown(Intermittent(sizes_m=(40.0,), on_s=60.0, off_s=90.0), steps=300, **SLOW)
+    # a ramp that is broken off comes back
+    found, rate = east(Intermittent(sizes_m=(40.0,), on_s=60.0, off_s=90.0), context())
     assert found.max() > 25.0
-    assert abs(found[-1]) < 1e-6
-    assert abs(rate[-1]) < 1e-6
-
-
-def test_scale_and_heading():
-    one, _ = flown(Intermittent(scale=0.5), **FAST)
-    two, _ = flown(Intermittent(sizes_m=(10.0,)), **FAST)
-    np.testing.assert_array_equal(one, two)
-    low, high = Intermittent.tuning_range(None)
-    assert (low * 20.0, high * 20.0) == pytest.approx((0.1, 1000.0))
+    assert (found[-1], rate[-1]) == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
 def test_every_shape_is_known_and_has_a_size():
@@ -81,6 +53,8 @@ def test_every_shape_is_known_and_has_a_size():
         Intermittent(shapes=("sine",))
     with pytest.raises(ValueError, match=r"`shapes` and `sizes_m` must be as many, .* got 1 and 2"):
         Intermittent(sizes_m=(1.0, 2.0))
+    low, high = Intermittent.tuning_range(None)
+    assert (low * 20.0, high * 20.0) == pytest.approx((0.1, 1000.0))
 
 
 @pytest.mark.parametrize("name", PAPER_ATTACKS)
@@ -91,14 +65,14 @@ def test_every_attack_of_a_paper_can_be_made(name):
     with pytest.raises(ValueError, match="`channels` must name"):
         found.attack(())
     steps = round(found.duration_s / 0.5)
-    offset, _ = flown(make_spoofer(dict(found.spoofer)), steps=steps + 10, **FAST)
+    offset, _ = east(make_spoofer(dict(found.spoofer)), FAST._replace(steps=steps + 10))
     assert offset[0] > 0.0
     assert offset[steps - 1] > 0.0
     np.testing.assert_allclose(offset[steps:], 0.0, atol=1e-9)
 
 
 def test_the_intermittent_attack_of_zhong2025():
-    found, _ = flown(make_spoofer(dict(PAPER_ATTACKS["zhong2025-intermittent"].spoofer)), **FAST)
+    found, _ = east(make_spoofer(dict(PAPER_ATTACKS["zhong2025-intermittent"].spoofer)))
     time = 200.0 + 0.5 * np.arange(1, 361)  # of the epochs that are spoofed
     want = np.where(time <= 270.0, 0.5 * (time - 200.0), 0.0)
     want = np.where((time > 280.0) & (time <= 350.0), 25.0, want)

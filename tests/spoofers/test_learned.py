@@ -20,7 +20,7 @@ from spoofgym.policies.card import SpooferCard
 from spoofgym.spoofers import OnnxPolicy, make_spoofer
 from spoofgym.testing import check_spoofer
 
-from .policies import BLIND, network, write_policy
+from .policies import BLIND, context_of, network, write_policy
 
 
 def observations(count: int, size: int = 6) -> np.ndarray:
@@ -34,38 +34,35 @@ def bound(path: Path, receivers: int = 3) -> OnnxPolicy:
     return policy
 
 
-def expected(path: Path, seen: np.ndarray) -> np.ndarray:
-    """What the network says, in NumPy and twice the precision."""
+def test_it_does_what_the_network_says(tmp_path: Path) -> None:
+    path = write_policy(tmp_path, knowledge="tracking")
+    policy = make_spoofer(str(path))
+    size = len(policy.card.observation.names)
+    policy.bind(context_of(500, "tracking"))
+    seen = observations(500, size)
     tensors = onnx.load(path).graph.initializer
     weights = {item.name: numpy_helper.to_array(item).astype(np.float64) for item in tensors}
     h = seen.astype(np.float64)
     for k in range(2):
         h = np.tanh(h @ weights[f"w{k}"].T + weights[f"b{k}"])
-    return np.clip(h @ weights["w2"].T + weights["b2"], -1.0, 1.0)
-
-
-def test_it_does_what_the_network_says(tmp_path: Path) -> None:
-    path = write_policy(tmp_path)
-    seen = observations(500)
-    action = bound(path, 500).act(seen)
-    assert action.dtype == np.float64
-    assert action.flags.c_contiguous
+    expected = np.clip(h @ weights["w2"].T + weights["b2"], -1.0, 1.0)
+    turned = np.asfortranarray(seen)
+    turned.flags.writeable = False
+    for given in (seen, turned):
+        action = policy.act(given)
+        assert action.dtype == np.float64
+        assert action.flags.c_contiguous
+        np.testing.assert_allclose(action, expected, atol=1e-6)
     assert np.abs(action).max() == 1.0  # some are clipped
-    np.testing.assert_allclose(action, expected(path, seen), atol=1e-6)
+    said = (policy.knowledge, policy.label, policy.designed_on)
+    assert said == ("tracking", "tiny", "ewma, zhong2025")
+    assert policy.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert policy.card == SpooferCard.load(path.with_suffix(".json"))
+    assert policy == OnnxPolicy(str(path), policy.sha256)
+    check_spoofer(str(path))
 
 
-def test_it_is_what_its_card_says(tmp_path: Path) -> None:
-    policy = OnnxPolicy(str(write_policy(tmp_path, knowledge="tracking")))
-    assert (policy.knowledge, policy.label, policy.designed_on) == (
-        "tracking",
-        "tiny",
-        "ewma, zhong2025",
-    )
-    assert policy.sha256 == hashlib.sha256((tmp_path / "tiny.onnx").read_bytes()).hexdigest()
-    assert policy == OnnxPolicy(str(tmp_path / "tiny.onnx"), policy.sha256)
-
-
-@pytest.mark.parametrize(("inputs", "width"), [(6, 16), (6, 64), (60, 64), (61, 33)])
+@pytest.mark.parametrize(("inputs", "width"), [(6, 16), (60, 64), (61, 33)])
 def test_the_bits_do_not_depend_on_the_batch(inputs: int, width: int, tmp_path: Path) -> None:
     names = tuple(f"element_{k}" for k in range(inputs))
     told = BLIND._replace(observation_names=names, observation_low=(), observation_high=())
@@ -78,16 +75,11 @@ def test_the_bits_do_not_depend_on_the_batch(inputs: int, width: int, tmp_path: 
     seen = observations(1024, inputs)
     policy.bind(told._replace(receivers=1024))
     whole = policy.act(seen)
-    for size in (1, 2, 3, 5, 7, 8, 15, 16, 33, 64, 100, 255, 256, 511, 1023):
+    for size in (1, 2, 7, 8, 15, 16, 33, 64, 255, 256, 1023):
         policy.bind(told._replace(receivers=size))
-        begins = range(0, 1024 - size + 1, max(size, 41))
-        for begin in begins:
+        for begin in range(0, 1024 - size + 1, max(size, 101)):
             part = policy.act(seen[begin : begin + size])
             assert part.tobytes() == whole[begin : begin + size].tobytes(), (size, begin)
-
-
-def test_it_keeps_the_contract_of_spoofers(tmp_path: Path) -> None:
-    check_spoofer(str(write_policy(tmp_path, knowledge="tracking")))
 
 
 def test_it_keeps_the_contract_with_another_attack(tmp_path: Path) -> None:
@@ -98,19 +90,14 @@ def test_it_keeps_the_contract_with_another_attack(tmp_path: Path) -> None:
         check_spoofer(str(path), attack="false-position")
 
 
-@pytest.mark.parametrize("used", [False, True])
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-def test_it_copies_and_pickles_at_any_time(
-    used: bool, copied: Callable[[OnnxPolicy], OnnxPolicy], tmp_path: Path
-) -> None:
+def test_a_copy_needs_no_file(copied: Callable[[OnnxPolicy], OnnxPolicy], tmp_path: Path) -> None:
     path, seen = write_policy(tmp_path), observations(3)
     policy = bound(path)
-    if used:
-        policy.act(seen)
     other = copied(policy)
     path.unlink()  # its content is kept in memory
     assert other.act(seen).tobytes() == policy.act(seen).tobytes()
-    assert other == policy
+    assert copied(policy) == other == policy
 
 
 def _in_child(policy: OnnxPolicy, seen: np.ndarray, queue: Any) -> None:
@@ -133,16 +120,3 @@ def test_a_forked_child_makes_its_own_session(tmp_path: Path) -> None:
     assert child.exitcode == 0
     assert policy.act(seen).tobytes() == mine
     assert policy.model._session is session
-
-
-def test_a_read_only_observation_of_another_layout_is_taken(tmp_path: Path) -> None:
-    policy, seen = bound(write_policy(tmp_path)), observations(3)
-    action = policy.act(seen)
-    turned = np.asfortranarray(seen)
-    turned.flags.writeable = False
-    assert policy.act(turned).tobytes() == action.tobytes()
-
-
-def test_the_card_is_there_for_who_holds_the_policy(tmp_path: Path) -> None:
-    path = write_policy(tmp_path)
-    assert make_spoofer(str(path)).card == SpooferCard.load(path.with_suffix(".json"))  # type: ignore[attr-defined]

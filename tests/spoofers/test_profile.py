@@ -10,41 +10,35 @@ import pytest
 from spoofgym.spoofers import Profile, make_spoofer
 from spoofgym.spoofers.profile import sample_curve
 
-from .test_scripted import context, flown
+from .test_scripted import PLANE, context, flown
 
 pytestmark = pytest.mark.nojit
 
 RATES = (0.1, 0.4, 0.35, 0.35, 0.9, 0.2)
 
 
-def test_the_curve_meets_its_knots() -> None:
+def test_the_curve_meets_its_knots_and_stays_between_them() -> None:
     curve = sample_curve(RATES, 300)
     # five spans of 60 epochs; the first knot is at the onset, before the first epoch's end
     np.testing.assert_allclose(curve[[59, 119, 179, 239, 299]], RATES[1:], rtol=1e-12)
     assert abs(curve[0] - RATES[0]) < 0.02
-
-
-def test_the_curve_stays_between_neighbouring_knots() -> None:
-    curve = sample_curve(RATES, 300).reshape(5, 60)
-    for i, span in enumerate(curve):
+    for i, span in enumerate(curve.reshape(5, 60)):
         low, high = sorted(RATES[i : i + 2])
         assert low - 1e-12 <= span.min()
         assert span.max() <= high + 1e-12
 
 
-def test_a_straight_line_of_knots_is_an_accelerating_ramp() -> None:
-    told = context()
-    ramp = flown(make_spoofer({"name": "accelerating-ramp", "acceleration_mps2": 0.01}), told)
-    profile = flown(Profile(rates_mps=tuple(np.linspace(0.0, 1.5, 7).tolist())), told)
-    np.testing.assert_allclose(profile, ramp, atol=1e-9)
-
-
 @pytest.mark.parametrize("control", ["rate", "acceleration"])
-def test_equal_knots_are_a_ramp(control: str) -> None:
+def test_knots_on_a_straight_line_are_a_ramp(control: str) -> None:
     told = context(control)
-    ramp = flown(make_spoofer({"name": "ramp", "rate_mps": 0.3}), told)
-    profile = flown(Profile(rates_mps=(0.3, 0.3, 0.3)), told)
-    np.testing.assert_allclose(profile, ramp, atol=1e-12)
+    ramp = flown(make_spoofer({"name": "accelerating-ramp", "acceleration_mps2": 0.01}), told)
+    line = make_spoofer({"name": "profile", "rates_mps": np.linspace(0.0, 1.5, 7).tolist()})
+    np.testing.assert_allclose(flown(line, told), ramp, atol=1e-9)
+    ramp = flown(make_spoofer({"name": "ramp", "rate_mps": 0.3, "heading_deg": 30.0}), told)
+    nothing_across = {"cross_rates_mps": (0.0, 0.0), "heading_deg": 30.0}
+    for settings in ({"heading_deg": 30.0}, nothing_across):
+        profile = flown(Profile(rates_mps=(0.3, 0.3, 0.3), **settings), told)
+        np.testing.assert_allclose(profile, ramp, atol=1e-9)
 
 
 def test_what_is_wanted_too_fast_comes_later() -> None:
@@ -68,13 +62,6 @@ def test_a_curve_across_goes_to_the_right(control: str) -> None:
         assert profile.memory[name][0] == pytest.approx(displacement[-1, i], rel=1e-9)
 
 
-def test_nothing_across_is_a_straight_line() -> None:
-    told = context()
-    straight = flown(Profile(rates_mps=RATES, heading_deg=30.0), told)
-    both = flown(Profile(rates_mps=RATES, cross_rates_mps=(0.0, 0.0), heading_deg=30.0), told)
-    np.testing.assert_allclose(both, straight, atol=1e-9)
-
-
 def test_limits_hold_for_the_size_of_both_curves() -> None:
     told = context(rate_limit_mps=3.0)
     profile = Profile(rates_mps=(2.0, -2.0, 2.0), cross_rates_mps=(2.0, 2.0, -2.0))
@@ -89,50 +76,26 @@ def test_limits_hold_for_the_size_of_both_curves() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"),
+    ("settings", "axes", "message"),
     [
-        ({"rates_mps": (0.1,)}, "`rates_mps` must have 2 to 64 rates, got 1"),
-        ({"rates_mps": (0.1,) * 65}, "`rates_mps` must have 2 to 64 rates, got 65"),
-        ({"cross_rates_mps": (0.1,)}, "`cross_rates_mps` must have 2 to 64 rates, got 1"),
-        ({"cross_rates_mps": 3}, "`cross_rates_mps` must be a list of finite numbers, got 3"),
-        ({"cross_rates_mps": (0.1, float("nan"))}, "`cross_rates_mps` must be a list of finite"),
-    ],
-)
-def test_bad_settings_are_refused_at_birth(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make_spoofer({"name": "profile", **settings})
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"rates_mps": (0.0, -6.0)}, "`rates_mps` = 6 .* `rate_limit_mps` = 5"),
-        ({"cross_rates_mps": (5.5, 0.0)}, r"`cross_rates_mps` = 5\.5 .* `rate_limit_mps` = 5"),
+        ({"rates_mps": (0.1,)}, PLANE, "`rates_mps` must have 2 to 64 rates, got 1"),
+        ({"rates_mps": (0.1,) * 65}, PLANE, "`rates_mps` must have 2 to 64 rates, got 65"),
+        ({"cross_rates_mps": (0.1,)}, PLANE, "`cross_rates_mps` must have 2 to 64 rates, got 1"),
+        ({"rates_mps": (0.0, -6.0)}, PLANE, "`rates_mps` = 6 .* `rate_limit_mps` = 5"),
+        ({"cross_rates_mps": (5.5, 0.0)}, PLANE, r"`cross_rates_mps` = 5\.5 .* `rate_limit_mps`"),
         (
             {"rates_mps": (4.0, 4.0), "cross_rates_mps": (4.0, 4.0)},
+            PLANE,
             r"`rates_mps` and `cross_rates_mps` together = 5\.65685 .* `rate_limit_mps` = 5",
         ),
+        ({"cross_rates_mps": (0.0, 0.1)}, ("S01", "S07"), "needs an attack that moves a false"),
+        ({"cross_rates_mps": (0.0, 0.1)}, ("east",), "needs .* `heading_deg` = 90, .* only"),
     ],
 )
-def test_what_the_attack_does_not_allow_is_refused(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Profile(**settings).bind(context())
-
-
-def test_single_channels_have_no_right_hand_side() -> None:
-    told = context(axes=("S01", "S07"))
-    Profile(rates_mps=(0.0, 0.1)).bind(told)
-    with pytest.raises(ValueError, match=r"`cross_rates_mps` needs an attack that moves a false"):
-        Profile(rates_mps=(0.0, 0.1), cross_rates_mps=(0.0, 0.1)).bind(told)
-
-
-def test_a_curve_across_needs_a_second_axis() -> None:
-    told = context(axes=("east",))
+def test_what_the_attack_does_not_allow_is_refused(
+    settings: dict[str, Any], axes: tuple[str, ...], message: str
+) -> None:
+    told = context(axes=axes)
     Profile(rates_mps=(0.0, 0.1), heading_deg=90.0).bind(told)
-    with pytest.raises(ValueError, match=r"`cross_rates_mps` needs .* `heading_deg` = 90, .* only"):
-        Profile(rates_mps=(0.0, 0.1), cross_rates_mps=(0.0, 0.1), heading_deg=90.0).bind(told)
-
-
-def test_a_list_of_json_is_taken_for_a_tuple() -> None:
-    profile = make_spoofer({"name": "profile", "rates_mps": [0.0, 0.1], "cross_rates_mps": []})
-    assert profile == Profile(rates_mps=(0.0, 0.1))
+    with pytest.raises(ValueError, match=message):
+        make_spoofer({"name": "profile", "heading_deg": 90.0, **settings}).bind(told)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -37,14 +38,13 @@ def external(model: onnx.ModelProto) -> None:
     tensor.external_data.add(key="location", value="/etc/passwd")
 
 
-def subgraph(model: onnx.ModelProto, node: onnx.NodeProto, *tensors: TensorProto) -> None:
-    """Hide an operator in a branch of an If."""
-    value = helper.make_tensor_value_info("inner", TensorProto.FLOAT, None)
-    branch = helper.make_graph([node], "branch", [], [value], list(tensors))
-    model.graph.node[-1].CopyFrom(
-        helper.make_node("If", ["yes"], ["action"], then_branch=branch, else_branch=branch)
-    )
-    model.graph.initializer.append(numpy_helper.from_array(np.array(True), "yes"))
+def last(
+    model: onnx.ModelProto, kind: str, *inputs: str, tensors: dict[str, Any], **attributes: Any
+) -> None:
+    """Replace the last operator."""
+    model.graph.node[-1].CopyFrom(helper.make_node(kind, inputs, ["action"], **attributes))
+    for name, value in tensors.items():
+        model.graph.initializer.append(numpy_helper.from_array(value, name))
 
 
 def external_and_sparse(model: onnx.ModelProto) -> None:
@@ -57,10 +57,6 @@ def external_in_attribute(model: onnx.ModelProto) -> None:
     tensor = TensorProto(name="inside", data_type=TensorProto.FLOAT, dims=[1])
     tensor.external_data.add(key="location", value="weights.bin")
     model.graph.node.insert(0, helper.make_node("Constant", [], ["c"], value=tensor))
-
-
-def custom_in_subgraph(model: onnx.ModelProto) -> None:
-    subgraph(model, helper.make_node("Gelu", ["z2"], ["inner"], domain="com.microsoft"))
 
 
 def custom_function(model: onnx.ModelProto) -> None:
@@ -85,14 +81,9 @@ def second_output(model: onnx.ModelProto) -> None:
 
 def doubles(model: onnx.ModelProto) -> None:
     model.graph.input[0].type.tensor_type.elem_type = TensorProto.DOUBLE
-    model.graph.node.insert(
-        0, helper.make_node("Cast", ["observation"], ["single"], to=TensorProto.FLOAT)
-    )
+    cast = helper.make_node("Cast", ["observation"], ["single"], to=TensorProto.FLOAT)
+    model.graph.node.insert(0, cast)
     model.graph.node[1].input[0] = "single"
-
-
-def three_axes(model: onnx.ModelProto) -> None:
-    model.graph.output[0].type.tensor_type.shape.dim.add(dim_value=2)
 
 
 REFUSED: dict[str, tuple[Edit, str]] = {
@@ -100,34 +91,15 @@ REFUSED: dict[str, tuple[Edit, str]] = {
     "external and sparse": (external_and_sparse, r"keeps its tensor 'few' in external data"),
     "external in an attribute": (external_in_attribute, r"tensor 'inside' in external data"),
     "custom": (replaced("Spy", domain="evil"), r"has the operator evil::Spy, which a policy may"),
-    "microsoft's": (
-        replaced("Gelu", domain="com.microsoft"),
-        r"has the operator com\.microsoft::Gelu, which",
-    ),
-    "branch": (custom_in_subgraph, r"has the operator If, which a policy may not have"),
     "custom function": (custom_function, r"defines the function Copy; inline it"),
-    "unknown": (replaced("Spy"), r"has the operator Spy, which a policy may not have; .*OPERATORS"),
-    "chance": (replaced("RandomNormalLike"), r"has the operator RandomNormalLike, which a policy"),
+    "chance": (replaced("RandomNormalLike"), r"operator RandomNormalLike, which .*; .*OPERATORS"),
     "graph of an allowed operator": (graph_within, r"has a graph within its operator Identity"),
     "two inputs": (second_input, r"has 2 inputs \(observation, more\); the card has one input"),
     "two outputs": (second_output, r"has 2 outputs \(action, z2\); the card has one output"),
-    "double input": (
-        doubles,
-        r"input observation of float64 \(batch, 6\); the card has .*float32",
-    ),
-    "three axes": (three_axes, r"output action of float32 \(batch, 2, 2\); the card has"),
-    "other input": (
-        lambda _: network(5, 2),
-        r"of float32 \(batch, 5\); the card has .*\(batch, 6",
-    ),
-    "other output": (
-        lambda _: network(6, 3),
-        r"of float32 \(batch, 3\); the card has .*\(batch, 2",
-    ),
-    "fixed batch": (
-        lambda _: network(6, 2, batch=4),
-        r"observation with a fixed batch of 4; .*any",
-    ),
+    "double input": (doubles, r"input observation of float64 \(batch, 6\); the card has .*float32"),
+    "other input": (lambda _: network(5, 2), r"of float32 \(batch, 5\); the card has .*batch, 6"),
+    "other output": (lambda _: network(6, 3), r"of float32 \(batch, 3\); the card has .*batch, 2"),
+    "fixed batch": (lambda _: network(6, 2, batch=4), r"with a fixed batch of 4; .*any"),
     "no graph": (lambda _: onnx.ModelProto(ir_version=8), r"has no graph of operators"),
 }
 
@@ -147,49 +119,26 @@ def test_a_file_that_is_none_of_ours_is_refused(
     assert str(path) in str(caught.value)
 
 
-def _relabelled(path: Path) -> None:
-    """Make the card fit what the file has become."""
-    card = json.loads(path.with_suffix(".json").read_text())
-    content = path.read_bytes()
-    card["file"] |= {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-    path.with_suffix(".json").write_text(json.dumps(card))
-
-
-@pytest.mark.parametrize(
-    "content", [b"no network at all", b"\x80\x04\x95pickled", b"\x08\x08\x3a\xff\xff\x00"]
-)
-def test_what_is_no_onnx_is_refused(content: bytes, tmp_path: Path) -> None:
-    path = write_policy(tmp_path)
-    path.write_bytes(content)
-    _relabelled(path)
-    with pytest.raises(ValueError, match=r"tiny\.onnx is no ONNX file"):
-        OnnxPolicy(str(path))
-
-
-def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
-    path = write_policy(tmp_path)
-    size = path.stat().st_size
-    path.write_bytes(path.read_bytes()[: size // 2])
-    with pytest.raises(ValueError, match=rf"has {size // 2} bytes, and {size} on its card"):
-        OnnxPolicy(str(path))
-    _relabelled(path)
-    with pytest.raises(ValueError, match=r"tiny\.onnx is no ONNX file, or cut off"):
-        OnnxPolicy(str(path))
-
-
-def test_a_changed_byte_is_seen(tmp_path: Path) -> None:
-    path = write_policy(tmp_path)
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"has the SHA-256 [0-9a-f]{64}; its card has"):
-        OnnxPolicy(str(path))
-
-
-def test_the_digest_that_was_asked_for_is_checked(tmp_path: Path) -> None:
+def test_a_truncated_or_changed_file_is_refused(tmp_path: Path) -> None:
     path = write_policy(tmp_path)
     with pytest.raises(ValueError, match=r"has the SHA-256 \w+; `sha256` must be 0000"):
         make_spoofer({"name": "onnx-policy", "file": str(path), "sha256": "0" * 64})
+    content = bytearray(path.read_bytes())
+    half = len(content) // 2
+    content[half] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"has the SHA-256 [0-9a-f]{64}; its card has"):
+        OnnxPolicy(str(path))
+    path.write_bytes(content[:half])
+    with pytest.raises(ValueError, match=rf"has {half} bytes, and {len(content)} on its card"):
+        OnnxPolicy(str(path))
+    for junk in (content[:half], b"\x80\x04\x95pickled"):
+        path.write_bytes(junk)
+        card = json.loads(path.with_suffix(".json").read_text())
+        card["file"] |= {"bytes": len(junk), "sha256": hashlib.sha256(junk).hexdigest()}
+        path.with_suffix(".json").write_text(json.dumps(card))
+        with pytest.raises(ValueError, match=r"tiny\.onnx is no ONNX file, or cut off"):
+            OnnxPolicy(str(path))
 
 
 def test_other_things_on_the_card(tmp_path: Path) -> None:
@@ -206,11 +155,6 @@ def test_other_things_on_the_card(tmp_path: Path) -> None:
         OnnxPolicy(str(path))
 
 
-def test_without_a_file_there_is_no_policy() -> None:
-    with pytest.raises(ValueError, match="spoofer 'onnx-policy' needs the setting 'file'"):
-        make_spoofer("onnx-policy")
-
-
 def test_missing_files_are_named(tmp_path: Path) -> None:
     path = write_policy(tmp_path)
     path.with_suffix(".json").unlink()
@@ -221,79 +165,35 @@ def test_missing_files_are_named(tmp_path: Path) -> None:
         OnnxPolicy(str(path))
     with pytest.raises(ValueError, match=r"`file` must be the path of an \.onnx file or the name"):
         OnnxPolicy("tiny.zip")
+    with pytest.raises(ValueError, match="spoofer 'onnx-policy' needs the setting 'file'"):
+        make_spoofer("onnx-policy")
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"interval_s": 1.0, "steps": 15}, r"interval_s: 0\.5 on .* 1\.0 here; .*steps: 30 on"),
-        ({"rate_limit_mps": 2.0}, r"conditions\.rate_limit_mps: 5\.0 on the card, 2\.0 here"),
-        ({"acceleration_limit_mps2": 0.1}, r"acceleration_limit_mps2: 0\.05 on the card, 0\.1"),
-        ({"control": "rate"}, r"control: 'acceleration' on the card, 'rate' here"),
-        ({"observation_low": (-1.0,) * 6}, r"observation\.low: \[-100\.0, .* \[-1\.0, .* here"),
-        (
-            {"observation_names": ("own_displacement_up", *BLIND.observation_names[1:])},
-            r"own_displacement_north only on the card; observation: own_displacement_up only here",
-        ),
-        (
-            {"action_names": ("G01_acceleration",)},
-            r"action: .*only on .*action: G01_accel.* only here",
-        ),
-    ],
-)
-def test_another_attack_is_refused(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+def test_another_attack_is_refused(tmp_path: Path) -> None:
     policy = OnnxPolicy(str(write_policy(tmp_path)))
-    with pytest.raises(ValueError, match=rf"tiny\.onnx does not fit this attack: .*{message}"):
-        policy.bind(BLIND._replace(**changes))
+    unlike = BLIND._replace(control="rate", interval_s=1.0, action_names=("G01_acceleration",))
+    said = r"tiny\.onnx does not fit this attack: .*action: G01_accel.* only here"
+    with pytest.raises(ValueError, match=said) as told:
+        policy.bind(unlike)
+    assert "interval_s: 0.5 on the card, 1.0 here" in str(told.value)
+    assert "control: 'acceleration' on the card, 'rate' here" in str(told.value)
     policy.bind(BLIND)
 
 
-def not_a_number(model: onnx.ModelProto) -> None:
-    """The logarithm of what is negative for some receivers."""
-    model.graph.node[-1].op_type = "Log"
-
-
-def flat(model: onnx.ModelProto) -> None:
-    """Another shape than is declared, which the checker can't see."""
-    model.graph.initializer.append(numpy_helper.from_array(np.array([1, -1]), "shape"))
-    model.graph.node[-1].CopyFrom(helper.make_node("Reshape", ["z2", "shape"], ["action"]))
-
-
-def hidden_batch(model: onnx.ModelProto) -> None:
-    """A batch that is declared free, and fixed inside."""
-    model.graph.initializer.append(numpy_helper.from_array(np.array([7, 2]), "shape"))
-    model.graph.node[-1].CopyFrom(helper.make_node("Reshape", ["z2", "shape"], ["action"]))
-
-
-def infinite(model: onnx.ModelProto) -> None:
-    model.graph.initializer.append(numpy_helper.from_array(np.float32([np.inf] * 2), "inf"))
-    model.graph.node[-1].CopyFrom(helper.make_node("Add", ["z2", "inf"], ["action"]))
-
-
-@pytest.mark.parametrize(
-    ("edit", "message"),
-    [
-        (not_a_number, r"tiny\.onnx, tried within the bounds on its card: .* NaN for receiver \d"),
-        (infinite, r"tiny\.onnx, tried within the bounds on its card: .* inf for receiver \d"),
-        (flat, r"tiny\.onnx returned actions of shape \(1, 32\), not \(16, 2\)"),
-        (hidden_batch, r"tiny\.onnx can't be run: .*"),
-        (less_the_mean, r"tiny\.onnx answers the same observation otherwise in another batch"),
-    ],
-)
-def test_what_fails_when_it_is_run_is_refused_when_it_is_loaded(
-    edit: Edit, message: str, tmp_path: Path
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        OnnxPolicy(str(write_policy(tmp_path, model=edit)))
+def nothing_by_nothing(model: onnx.ModelProto) -> None:
+    """0 / 0 at the observation of zeros alone, as at the start of an attack."""
+    sums = helper.make_node("ReduceSum", ["observation"], ["sum"], keepdims=1)
+    model.graph.node.insert(0, helper.make_node("Div", ["sum", "sum"], ["one"]))
+    model.graph.node.insert(0, sums)
+    last(model, "Mul", "z2", "one", tensors={})
 
 
 def long(model: onnx.ModelProto) -> None:
     """A chain of more operators than a policy may have."""
     del model.graph.node[-1]
-    count = MOST_OPERATORS + 1
-    names = ["z2", *(f"c{k}" for k in range(count - 1)), "action"]
-    chain = [helper.make_node("Identity", [names[k]], [names[k + 1]]) for k in range(count)]
-    model.graph.node.extend(chain)
+    names = ["z2", *(f"c{k}" for k in range(MOST_OPERATORS)), "action"]
+    for pair in pairwise(names):
+        model.graph.node.append(helper.make_node("Identity", pair[:1], pair[1:]))
 
 
 def heavy(model: onnx.ModelProto) -> None:
@@ -302,67 +202,68 @@ def heavy(model: onnx.ModelProto) -> None:
     model.graph.initializer.append(numpy_helper.from_array(weight, "ballast"))
 
 
-def ramp_of(length: str) -> list[onnx.NodeProto]:
-    """As many numbers in a row as a scalar says."""
-    return [helper.make_node("Range", ["zero", length, "one"], ["r"])]
+INFINITE = {"inf": np.float32([np.inf] * 2)}
+NODE = helper.make_node
+LOADED: dict[str, tuple[Edit, str]] = {
+    "of what is negative": (replaced("Log"), r"within the bounds on its card: .* NaN for receiver"),
+    "nothing by nothing": (nothing_by_nothing, "tried within the bounds on its card"),
+    "infinite": (
+        lambda model: last(model, "Add", "z2", "inf", tensors=INFINITE),
+        r"tiny\.onnx, tried within the bounds on its card: .* inf for receiver \d",
+    ),
+    "another shape than is declared, which the checker can't see": (
+        lambda model: last(model, "Reshape", "z2", "shape", tensors={"shape": np.array([1, -1])}),
+        r"tiny\.onnx returned actions of shape \(1, 32\), not \(16, 2\)",
+    ),
+    "a batch that is declared free, and fixed inside": (
+        lambda model: last(model, "Reshape", "z2", "shape", tensors={"shape": np.array([7, 2])}),
+        r"tiny\.onnx can't be run: .*",
+    ),
+    "less the mean": (less_the_mean, "answers the same observation otherwise in another batch"),
+    "grown": (
+        behind(
+            NODE("ReduceMax", ["observation"], ["most"], keepdims=0),
+            NODE("Mul", ["most", "zero"], ["none"]),
+            NODE("Add", ["none", "many"], ["length"]),
+            NODE("Range", ["zero", "length", "one"], ["r"]),
+            many=np.float32(2e9),
+            zero=np.float32(0.0),
+            one=np.float32(1.0),
+        ),
+        "the operator Range with a result whose size is neither fixed nor in proportion",
+    ),
+    "filled": (
+        behind(
+            NODE("Pow", ["side", "two"], ["shape"]),
+            NODE("ConstantOfShape", ["shape"], ["r"]),
+            side=np.array([30_000], np.int64),
+            two=np.array([2], np.int64),
+        ),
+        "the operator ConstantOfShape with a result whose size is neither fixed nor in",
+    ),
+    "paired": (
+        behind(
+            NODE("ReduceSum", ["observation", "last"], ["column"], keepdims=1),
+            NODE("Transpose", ["column"], ["row"]),
+            NODE("MatMul", ["column", "row"], ["r"]),
+            last=np.array([1], np.int64),
+        ),
+        "the operator MatMul with a result whose size is neither fixed nor in proportion",
+    ),
+    "long": (long, r"tiny\.onnx has 5,00\d operators; a policy may have 5,000"),
+    "heavy": (heavy, r"tiny\.onnx has 32.0 MiB; a policy may have 32 MiB"),
+}
 
 
-LENGTHS = {"zero": np.float32(0.0), "one": np.float32(1.0)}
-GROWN = behind(
-    helper.make_node("ReduceMax", ["observation"], ["most"], keepdims=0),
-    helper.make_node("Mul", ["most", "zero"], ["none"]),
-    helper.make_node("Add", ["none", "many"], ["length"]),
-    *ramp_of("length"),
-    many=np.float32(2e9),
-    **LENGTHS,
-)
-FILLED = behind(
-    helper.make_node("Pow", ["side", "two"], ["shape"]),
-    helper.make_node("ConstantOfShape", ["shape"], ["r"]),
-    side=np.array([30_000], np.int64),
-    two=np.array([2], np.int64),
-)
-PAIRED = behind(
-    helper.make_node("ReduceSum", ["observation", "last"], ["column"], keepdims=1),
-    helper.make_node("Transpose", ["column"], ["row"]),
-    helper.make_node("MatMul", ["column", "row"], ["r"]),
-    last=np.array([1], np.int64),
-)
+@pytest.mark.parametrize("case", LOADED)
+def test_what_is_too_large_or_fails_when_it_is_tried_is_refused(case: str, tmp_path: Path) -> None:
+    edit, message = LOADED[case]
+    with pytest.raises(ValueError, match=message):
+        OnnxPolicy(str(write_policy(tmp_path, model=edit)))
 
 
 def test_a_result_of_a_known_size_is_welcome(tmp_path: Path) -> None:
-    edit = behind(*ramp_of("many"), many=np.float32(5.0), **LENGTHS)
-    policy = OnnxPolicy(str(write_policy(tmp_path, model=edit)))
+    ramp = helper.make_node("Range", ["zero", "many", "one"], ["r"])
+    lengths = {"zero": np.float32(0.0), "many": np.float32(5.0), "one": np.float32(1.0)}
+    policy = OnnxPolicy(str(write_policy(tmp_path, model=behind(ramp, **lengths))))
     assert policy.model.act(np.zeros((2, 6), np.float32)).shape == (2, 2)
-
-
-def test_what_is_no_number_at_the_start_of_an_attack_is_refused(tmp_path: Path) -> None:
-    """0 / 0 at the observation of zeros alone."""
-
-    def edit(model: onnx.ModelProto) -> None:
-        del model.graph.node[-1]
-        model.graph.node.extend(
-            [
-                helper.make_node("ReduceSum", ["observation"], ["sum"], keepdims=1),
-                helper.make_node("Div", ["sum", "sum"], ["one"]),
-                helper.make_node("Mul", ["z2", "one"], ["action"]),
-            ]
-        )
-
-    with pytest.raises(ValueError, match="tried within the bounds on its card"):
-        OnnxPolicy(str(write_policy(tmp_path, model=edit)))
-
-
-@pytest.mark.parametrize(
-    ("edit", "message"),
-    [
-        (GROWN, "the operator Range with a result whose size is neither fixed nor in proportion"),
-        (FILLED, "the operator ConstantOfShape with a result whose size is neither fixed nor in"),
-        (PAIRED, "the operator MatMul with a result whose size is neither fixed nor in proportion"),
-        (long, r"tiny\.onnx has 5,00\d operators; a policy may have 5,000"),
-        (heavy, r"tiny\.onnx has 32.0 MiB; a policy may have 32 MiB"),
-    ],
-)
-def test_oversized_networks_are_refused(edit: Edit, message: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=message):
-        OnnxPolicy(str(write_policy(tmp_path, model=edit)))

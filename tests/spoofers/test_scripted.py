@@ -10,30 +10,29 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spoofgym.attacks._kernels import kinematic_step
-from spoofgym.spoofers import SPOOFERS, Spoofer, SpooferContext, make_spoofer
+from spoofgym.spoofers import SPOOFERS, Dash, Spoofer, SpooferContext, make_spoofer
 
 pytestmark = pytest.mark.nojit
 
 PLANE = ("north", "east")
-NOTHING = np.zeros((3, 0), dtype=np.float32)
 CALM = np.zeros((3, 1), dtype=np.float32)
 """What a spoofer observes that sees nothing but the detector's statistic: there is all room."""
 
 
-def context(control: str = "acceleration", **changes: Any) -> SpooferContext:
-    axes = changes.pop("axes", PLANE)
-    given_ = {
-        "receivers": 3,
-        "interval_s": 0.5,
-        "steps": 300,
-        "control": control,
-        "acceleration_limit_mps2": 0.05,
-        "rate_limit_mps": 5.0,
-        "action_names": tuple(f"{axis}_{control}" for axis in axes),
-        "observation_names": ("statistic_ratio",),
-        **changes,
-    }
-    return SpooferContext(**given_)
+def context(
+    control: str = "acceleration", axes: tuple[str, ...] = PLANE, **changes: Any
+) -> SpooferContext:
+    told = SpooferContext(
+        receivers=3,
+        interval_s=0.5,
+        steps=300,
+        control=control,
+        acceleration_limit_mps2=0.05,
+        rate_limit_mps=5.0,
+        action_names=tuple(f"{axis}_{control}" for axis in axes),
+        observation_names=("statistic_ratio",),
+    )
+    return told._replace(**changes)
 
 
 def flown(spoofer: Spoofer, told: SpooferContext) -> tuple[np.ndarray, np.ndarray]:
@@ -42,25 +41,15 @@ def flown(spoofer: Spoofer, told: SpooferContext) -> tuple[np.ndarray, np.ndarra
     spoofer.reset()
     displacement, rate = np.zeros(len(told.action_names)), np.zeros(len(told.action_names))
     vector = told.action_names[0].startswith(("north", "east", "down"))
-    by_rate = told.control == "rate"
-    unit = told.rate_limit_mps if by_rate else told.acceleration_limit_mps2
+    by_rate, fastest = told.control == "rate", told.rate_limit_mps
+    unit = fastest if by_rate else told.acceleration_limit_mps2
+    how = told.interval_s, vector, by_rate, unit, fastest
     rows = []
     for _ in range(told.steps):
         action = spoofer.act(CALM)
         assert action.shape == (told.receivers, len(told.action_names))
-        assert action.dtype == np.float64
         assert np.abs(action).max() <= 1.0
-        kinematic_step(
-            np.ascontiguousarray(action[0]),
-            False,
-            told.interval_s,
-            vector,
-            by_rate,
-            unit,
-            told.rate_limit_mps,
-            displacement,
-            rate,
-        )
+        kinematic_step(np.ascontiguousarray(action[0]), False, *how, displacement, rate)
         rows.append((displacement.copy(), rate.copy()))
     both = np.array(rows)
     return both[:, 0], both[:, 1]
@@ -80,17 +69,18 @@ def test_what_is_remembered_is_what_the_attack_does(name: str, control: str) -> 
     assert not displacement[:, 0].any()
 
 
-def test_a_ramp_by_rate_is_a_straight_line() -> None:
+def test_a_ramp_and_a_step_by_rate_are_straight_lines() -> None:
     displacement, _ = flown(make_spoofer({"name": "ramp", "rate_mps": 0.2}), context("rate"))
     np.testing.assert_allclose(displacement[:, 1], 0.1 * np.arange(1, 301), rtol=1e-12)
-
-
-def test_a_ramp_by_acceleration_reaches_its_rate_at_the_limit() -> None:
     displacement, rate = flown(make_spoofer({"name": "ramp", "rate_mps": 0.2}), context())
-    # 4 s at 0.05 m/s^2, then constant
-    assert rate[7, 1] == pytest.approx(0.2)
-    np.testing.assert_allclose(rate[7:, 1], 0.2)
+    np.testing.assert_allclose(rate[7:, 1], 0.2)  # 4 s at 0.05 m/s^2, then constant
     assert displacement[-1, 1] == pytest.approx(0.2 * (150.0 - 2.0))
+    step, fast = make_spoofer({"name": "step", "size_m": 7.0}), context("rate", rate_limit_mps=4.0)
+    np.testing.assert_allclose(flown(step, fast)[0][:5, 1], [2.0, 4.0, 6.0, 7.0, 7.0])
+    told = context(axes=("S01", "S07", "S11"))  # all commanded alike
+    displacement, _ = flown(make_spoofer({"name": "ramp", "rate_mps": -0.1}), told)
+    assert (displacement[-1] < -14.0).all()
+    assert np.ptp(displacement, axis=1).max() == 0.0
 
 
 @pytest.mark.parametrize("control", ["rate", "acceleration"])
@@ -132,60 +122,50 @@ def test_a_step_arrives_stops_and_never_overshoots(
         np.testing.assert_allclose(v[arrived:], 0.0, atol=1e-9)
 
 
-def test_a_step_by_rate_moves_at_the_limit() -> None:
-    told = context("rate", rate_limit_mps=4.0)
-    displacement, _ = flown(make_spoofer({"name": "step", "size_m": 7.0}), told)
-    np.testing.assert_allclose(displacement[:5, 1], [2.0, 4.0, 6.0, 7.0, 7.0])
-
-
-@pytest.mark.parametrize("name", ["ramp", "step", "accelerating-ramp"])
-def test_a_heading_and_its_opposite_mirror_each_other(name: str) -> None:
-    one, _ = flown(make_spoofer({"name": name, "heading_deg": 30.0}), context())
-    other, _ = flown(make_spoofer({"name": name, "heading_deg": 210.0}), context())
+def test_a_heading_and_its_opposite_mirror_each_other() -> None:
+    one, other = (
+        flown(make_spoofer({"name": "ramp", "heading_deg": heading}), context())[0]
+        for heading in (30.0, 210.0)
+    )
     np.testing.assert_allclose(one, -other, atol=1e-12)
     np.testing.assert_allclose(one[1:, 1] / one[1:, 0], np.tan(np.radians(30.0)), rtol=1e-9)
 
 
-def test_single_channels_are_all_commanded_alike() -> None:
-    told = context(axes=("S01", "S07", "S11"))
-    displacement, _ = flown(make_spoofer({"name": "ramp", "rate_mps": -0.1}), told)
-    assert (displacement[-1] < -14.0).all()
-    assert np.ptp(displacement, axis=1).max() == 0.0
-
-
-@pytest.mark.parametrize(
-    ("spec", "message"),
-    [
-        ("rampe", r"unknown spoofer 'rampe'; valid: .*did you mean 'ramp'"),
-        ({"name": "ramp", "rate": 1.0}, "no setting 'rate'; valid: heading_deg, rate_mps"),
-        ({"name": "step", "size_m": "far"}, "`size_m` must be a number, got 'far'"),
-    ],
-)
-def test_bad_settings_are_refused_at_birth(spec: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make_spoofer(spec)
+@pytest.mark.parametrize(("last_s", "waits"), [(5.0, 30), (20.0, 0), (1000.0, 0)])
+def test_a_dash_waits_and_then_is_as_fast_as_it_may_be(last_s: float, waits: int) -> None:
+    _, rate = flown(Dash(rate_mps=2.0, last_s=last_s), context(steps=40))
+    pushes = np.diff(rate[:, 1], prepend=0.0) / (0.05 * 0.5)
+    # 2 m/s are 80 epochs at the largest acceleration
+    np.testing.assert_allclose(pushes, np.arange(40) >= waits, atol=1e-9)
 
 
 def test_what_the_attack_does_not_allow_is_refused_with_both_names() -> None:
-    with pytest.raises(ValueError, match=r"`rate_mps` = 6 .* `rate_limit_mps` = 5"):
-        make_spoofer({"name": "ramp", "rate_mps": 6.0}).bind(context())
-    fast = make_spoofer({"name": "accelerating-ramp", "acceleration_mps2": 0.06})
-    with pytest.raises(ValueError, match=r"0\.06 .* `acceleration_limit_mps2` = 0\.05"):
-        fast.bind(context())
-    fast.bind(context("rate"))
-    with pytest.raises(ValueError, match="`heading_deg` = 0 needs a command to the north"):
-        make_spoofer({"name": "ramp", "heading_deg": 0.0}).bind(context(axes=("east", "down")))
+    make_spoofer({"name": "accelerating-ramp", "acceleration_mps2": 0.06}).bind(context("rate"))
+    axes = ("east", "down")
+    for spec, told, message in (
+        ({"name": "ramp", "rate_mps": 6.0}, context(), r"`rate_mps` = 6 .* `rate_limit_mps` = 5"),
+        (
+            {"name": "accelerating-ramp", "acceleration_mps2": 0.06},
+            context(),
+            r"0\.06 .* `acceleration_limit_mps2` = 0\.05",
+        ),
+        ({"name": "ramp", "heading_deg": 0.0}, context(axes=axes), "`heading_deg` = 0 needs a"),
+        ("rampe", context(), r"unknown spoofer 'rampe'; valid: .*did you mean 'ramp'"),
+        ({"name": "ramp", "rate": 1.0}, context(), "no setting 'rate'; valid: heading_deg, rate"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            make_spoofer(spec).bind(told)
 
 
 @pytest.mark.parametrize("name", sorted(SPOOFERS))
-def test_the_range_of_a_search_can_be_bound(name: str) -> None:
-    kind = SPOOFERS[name]
-    for control in ("rate", "acceleration"):
-        if kind.tunable is None:
-            with pytest.raises(ValueError, match="has no setting to tune"):
-                kind.tuning_range(context(control))
-            continue
-        low, high = kind.tuning_range(context(control))
-        assert 0.0 < low < high
-        for value in (low, high):
-            make_spoofer({"name": name, kind.tunable: value}).bind(context(control))
+@pytest.mark.parametrize("control", ["rate", "acceleration"])
+def test_the_range_of_a_search_can_be_bound(name: str, control: str) -> None:
+    kind, told = SPOOFERS[name], context(control)
+    if kind.tunable is None:
+        with pytest.raises(ValueError, match="has no setting to tune"):
+            kind.tuning_range(told)
+        return
+    low, high = kind.tuning_range(told)
+    assert 0.0 < low < high
+    for value in (low, high):
+        make_spoofer({"name": name, kind.tunable: value}).bind(told)

@@ -2,21 +2,16 @@
 
 import numpy as np
 
-from spoofgym.envs.spoofer_binding import bound_spoofer
-from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.spoofers import ThresholdRider
+
+from .test_feedback import bound
 
 RESPONSE, RHO, QUIET = 0.9, 0.6, 0.2
 """Of a statistic that a horizon later is QUIET (1 - RHO) + RHO q + RESPONSE u, u the mean rate."""
 
 
-def bound(receivers=2, **settings):
-    setup = TightlyCoupledSetup(detector="ewma")
-    spoofer = ThresholdRider(**settings)
-    context, observer, _ = bound_spoofer(spoofer, setup, receivers)
-    spoofer.bind(context)
-    spoofer.reset()
-    return spoofer, observer.names
+def rider(**settings):
+    return bound(kind=ThresholdRider, receivers=2, **settings)
 
 
 def ridden(spoofer, names, noise=0.0, seed=0, epochs=300):
@@ -39,7 +34,7 @@ def ridden(spoofer, names, noise=0.0, seed=0, epochs=300):
 
 
 def test_it_learns_the_law_of_the_statistic():
-    spoofer, names = bound(rates_mps=(0.0, 0.4) * 6, horizon_s=5.0, margin=100.0)
+    spoofer, names = rider(rates_mps=(0.0, 0.4) * 6, horizon_s=5.0, margin=100.0)
     ridden(spoofer, names, noise=0.02)
     c, rho, response = spoofer.memory["found"].T
     np.testing.assert_allclose(response, RESPONSE, atol=0.15)
@@ -49,26 +44,23 @@ def test_it_learns_the_law_of_the_statistic():
 
 
 def test_the_statistic_stays_below_the_margin_where_the_curve_alone_would_exceed_it():
-    free, names = bound(rates_mps=(0.1, 0.9), margin=100.0, horizon_s=5.0)
+    free, names = rider(rates_mps=(0.1, 0.9), margin=100.0, horizon_s=5.0)
     assert ridden(free, names).max() > 1.5
-    held, names = bound(rates_mps=(0.1, 0.9), margin=0.9, horizon_s=5.0)
+    held, names = rider(rates_mps=(0.1, 0.9), margin=0.9, horizon_s=5.0)
     ratios = ridden(held, names)
     assert ratios.max() <= 0.9
     assert ratios[-50:].min() > 0.6  # and it rides there
+    waiting, names = rider(rates_mps=(0.3, 0.3))  # without room, and never goes back
+    seen = np.zeros((2, len(names)), dtype=np.float32)
+    seen[:, names.index("statistic_ratio")] = [0.0, 5.0]
+    np.testing.assert_array_equal(waiting.wanted_rate(seen), [0.3, 0.0])
 
 
 def test_more_margin_goes_farther_and_reserve_less_far():
     far = []
     for settings in ({"margin": 0.6}, {"margin": 0.9}, {"margin": 0.9, "deviations": 2.0}):
-        spoofer, names = bound(rates_mps=(0.1, 0.9), horizon_s=5.0, **settings)
+        spoofer, names = rider(rates_mps=(0.1, 0.9), horizon_s=5.0, **settings)
         ridden(spoofer, names, noise=0.03)
         far.append(spoofer.memory["displacement"].mean())
     assert far[0] < far[1]
     assert far[2] < far[1]
-
-
-def test_without_room_it_waits_and_never_goes_back():
-    spoofer, names = bound(rates_mps=(0.3, 0.3))
-    seen = np.zeros((2, len(names)), dtype=np.float32)
-    seen[:, names.index("statistic_ratio")] = [0.0, 5.0]
-    np.testing.assert_array_equal(spoofer.wanted_rate(seen), [0.3, 0.0])

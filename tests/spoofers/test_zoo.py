@@ -31,69 +31,57 @@ def test_a_shipped_name_makes_its_spoofer(zoo: Path) -> None:
     policy = make_spoofer("ewma-tiny")
     assert isinstance(policy, OnnxPolicy)
     assert policy.label == "ewma-tiny"
-    assert make_spoofer({"name": "ewma-tiny"}) == policy
-    assert make_spoofer({"name": "onnx-policy", "file": "ewma-tiny"}) == policy
+    named = {"name": "onnx-policy", "file": "ewma-tiny"}
+    for spec in ({"name": "ewma-tiny"}, named, policy):
+        assert make_spoofer(spec) == policy
     assert make_spoofer(str(zoo)).sha256 == policy.sha256  # type: ignore[attr-defined]
-    assert make_spoofer(policy) == policy
-    assert resolve_spec("ewma-tiny") == {
-        "name": "onnx-policy",
-        "file": "ewma-tiny",
-        "sha256": policy.sha256,
-    }
+    assert resolve_spec("ewma-tiny") == {**named, "sha256": policy.sha256}
 
 
 def test_a_shipped_profile_is_its_settings(zoo: Path) -> None:
-    card = json.loads(zoo.with_suffix(".json").read_text())
     settings = {"rates_mps": [0.0, 0.2], "heading_deg": 90.0}
-    card |= {"name": "slow", "kind": "profile", "file": None, "observation": None}
-    (zoo.parent / "slow.json").write_text(json.dumps({**card, "settings": settings}))
-    assert list_shipped() == ("ewma-tiny", "slow")
-    assert resolve_spec("slow") == {"name": "profile", **settings, "label": "slow"}
+    card = json.loads(zoo.with_suffix(".json").read_text())
+    card |= {"kind": "profile", "file": None, "observation": None}
     # two of them are told apart, whatever their cards say
-    (zoo.parent / "fast.json").write_text(
-        json.dumps({**card, "name": "fast", "settings": {**settings, "label": "slow"}})
-    )
+    for name, own in (("slow", settings), ("fast", {**settings, "label": "slow"})):
+        made = json.dumps({**card, "name": name, "settings": own})
+        (zoo.parent / f"{name}.json").write_text(made)
+    assert resolve_spec("slow") == {"name": "profile", **settings, "label": "slow"}
     assert [make_spoofer(name).label for name in list_shipped()] == ["ewma-tiny", "fast", "slow"]
 
 
 def test_what_is_not_shipped_is_left_as_it_is() -> None:
-    ramp = Ramp()
-    for spec in ("ramp", {"name": "ramp", "rate_mps": 0.1}, "my.module:Class", ramp, 3, None):
+    for spec in ("ramp", {"name": "ramp", "rate_mps": 0.1}, "my.module:Class", Ramp(), 3, None):
         assert resolve_spec(spec) is spec
-    assert resolve_spec("a/b.onnx") == {"name": "onnx-policy", "file": "a/b.onnx"}
-    assert resolve_spec({"name": "b.onnx", "sha256": "0"}) == {
-        "name": "onnx-policy",
-        "file": "b.onnx",
-        "sha256": "0",
-    }
+    policy = {"name": "onnx-policy", "file": "a/b.onnx"}
+    assert resolve_spec("a/b.onnx") == policy
+    assert resolve_spec({"name": "a/b.onnx", "sha256": "0"}) == {**policy, "sha256": "0"}
 
 
 def test_wrong_names_are_told_the_right_ones(zoo: Path) -> None:
-    for spec in ("ewma-tyni", {"name": "ewma-tyni"}):
-        with pytest.raises(ValueError, match=r"valid: .*ewma-tiny.*did you mean 'ewma-tiny'"):
-            make_spoofer(spec)
+    for spec, message in (
+        ("ewma-tyni", r"valid: .*ewma-tiny.*did you mean 'ewma-tiny'"),
+        ({"name": "ewma-tiny", "rate_mps": 1.0}, "as it is, and has no setting 'rate_mps'"),
+        ({"name": "onnx-policy", "file": "other"}, r"the path .* \(ewma-tiny\), got 'other'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            make_spoofer(spec)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="unknown shipped spoofer or detector 'ramp'; valid: e"):
         load_card("ramp")
-    with pytest.raises(ValueError, match="'ewma-tiny' is as it is, and has no setting 'rate_mps'"):
-        make_spoofer({"name": "ewma-tiny", "rate_mps": 1.0})
-    with pytest.raises(ValueError, match=r"must be the path .* \(ewma-tiny\), got 'other'"):
-        make_spoofer({"name": "onnx-policy", "file": "other"})
     with pytest.raises(TypeError, match="a spoofer is a name"):
         make_spoofer(3)  # type: ignore[arg-type]
 
 
-def test_shipped_names_are_free() -> None:
+def test_every_file_of_the_zoo_has_its_card_and_a_name_of_its_own() -> None:
     assert not set(list_shipped("spoofer")) & set(SPOOFERS)
-
-
-def test_every_file_of_the_zoo_has_its_card() -> None:
     policies = {path.stem for path in ZOO_FOLDER.glob("*.onnx")}
-    learned = {name for name in list_shipped() if load_card(name).file is not None}
-    assert policies == learned
+    assert policies == {name for name in list_shipped() if load_card(name).file is not None}
 
 
 @pytest.mark.parametrize("name", list_shipped("spoofer"))
-def test_every_shipped_spoofer_is_whole(name: str) -> None:
+def test_every_shipped_spoofer_is_whole_and_fits_its_own_world_and_the_default_one(
+    name: str,
+) -> None:
     card, spoofer = load_card(name), make_spoofer(name)
     assert card.name == name == spoofer.label
     assert spoofer.knowledge == card.knowledge.run_time
@@ -102,11 +90,6 @@ def test_every_shipped_spoofer_is_whole(name: str) -> None:
     if card.file is not None:
         assert card.file.name == f"{name}.onnx"
         assert card.file.bytes < 500_000
-
-
-@pytest.mark.parametrize("name", list_shipped("spoofer"))
-def test_every_shipped_spoofer_fits_its_own_world_and_the_default_one(name: str) -> None:
-    card = load_card(name)
     for setup in (setup_of_card(card), World(card.env_id).setup):
         names, notes = fitting(card.env_id, setup)
         assert name in names, notes

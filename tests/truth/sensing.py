@@ -16,10 +16,7 @@ from ..lanes import in_all_lanes
 SHAPES = {**sensor_shapes(4), **CONSTANTS}
 FIXED = first_rows(SHAPES)["accel_bias"]
 """First row of the constants, here behind the other quantities."""
-PERFECT = {
-    "accel_matrix": np.eye(3),
-    "gyro_matrix": np.eye(3),
-}
+PERFECT = {"accel_matrix": np.eye(3), "gyro_matrix": np.eye(3)}
 
 
 @njit

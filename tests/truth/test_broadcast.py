@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
@@ -22,50 +23,34 @@ from spoofgym.data.ephemerides import (
     solve_kepler,
 )
 from spoofgym.data.rinex import read_navigation
-from spoofgym.truth.satellites import CircularConstellation, Constellation
+from spoofgym.truth.satellites import Constellation
 
 from .records import HOUR, ORBIT, SATURDAY_22, chain, joined, later, one_record
 
 PROPERTY = settings(deadline=None, max_examples=50)
 
 
-# --- time ------------------------------------------------------------------------------------
-
-
 def test_gps_seconds_of_known_weeks() -> None:
     assert gps_seconds(datetime(1980, 1, 6)) == 0.0
     # header of igs15904.sp3: week 1590, second 345600
     assert gps_seconds(datetime(2010, 7, 1)) == 1590 * SECONDS_PER_WEEK + 345600.0
-    # the 10-bit week number rolled over on these days
-    assert gps_seconds(datetime(1999, 8, 22)) == 1024 * SECONDS_PER_WEEK
+    # the 10-bit week number rolled over on this day
     assert gps_seconds(datetime(2019, 4, 7)) == 2048 * SECONDS_PER_WEEK
 
 
-@pytest.mark.parametrize(
-    ("moment", "leap_seconds"),
-    [
+def test_civil_time_gains_the_leap_seconds() -> None:
+    kathmandu = timezone(timedelta(hours=5, minutes=45))
+    for moment, leap_seconds in (
         (datetime(1980, 1, 6), 0),
         (datetime(2008, 12, 31, 23, 59, 59), 14),
         (datetime(2010, 7, 1), 15),  # LEAP SECONDS in the header of brdc1820.10n
         (datetime(2012, 10, 31), 16),  # and of brdc3050.12n
         (datetime(2016, 12, 31, 23, 59, 59), 17),
         (datetime(2017, 1, 1), 18),
-        (datetime(2024, 9, 17, 9, 30), 18),
-    ],
-)
-def test_civil_time_gains_the_leap_seconds(moment: datetime, leap_seconds: int) -> None:
-    expected = gps_seconds(moment) + leap_seconds
-    assert gps_seconds(moment.replace(tzinfo=UTC)) == expected
-    in_kathmandu = moment.replace(tzinfo=UTC).astimezone(timezone(timedelta(hours=5, minutes=45)))
-    assert gps_seconds(in_kathmandu) == expected
-
-
-def test_no_gps_time_before_1980() -> None:
-    with pytest.raises(ValueError, match="1980-01-06"):
-        gps_seconds(datetime(1979, 12, 31))
-
-
-# --- orbit -----------------------------------------------------------------------------------
+    ):
+        civil = moment.replace(tzinfo=UTC)
+        assert gps_seconds(civil) == gps_seconds(moment) + leap_seconds
+        assert gps_seconds(civil.astimezone(kathmandu)) == gps_seconds(civil)
 
 
 @PROPERTY
@@ -76,47 +61,23 @@ def test_kepler_equation_holds(mean_anomaly: float, eccentricity: float) -> None
     assert abs(np.remainder(residual + np.pi, 2.0 * np.pi) - np.pi) < 5e-15
 
 
-def test_kepler_equation_at_gps_eccentricity() -> None:
-    assert solve_kepler(0.0, 0.02) == 0.0
-    M = np.linspace(-np.pi, np.pi, 1001)
-    E = solve_kepler(M, 0.02)
-    assert_allclose(E[1:-1], -E[-2:0:-1], atol=1e-15)  # odd
-    # Lagrange's series to the fourth order leaves about e^5
-    series = (
-        M
-        + 0.02 * np.sin(M)
-        + 0.02**2 / 2 * np.sin(2 * M)
-        + 0.02**3 / 8 * (3 * np.sin(3 * M) - np.sin(M))
-        + 0.02**4 / 6 * (2 * np.sin(4 * M) - np.sin(2 * M))
-    )
-    assert_allclose(E[1:-1], series[1:-1], rtol=0, atol=2.5 * 0.02**5)
-
-
 @PROPERTY
 @given(
     elapsed=st.floats(-4.0 * HOUR, 4.0 * HOUR),
-    eccentricity=st.floats(0.0, 0.1),
-    mean_anomaly=st.floats(-np.pi, np.pi),
-    perigee=st.floats(-np.pi, np.pi),
+    shape=st.tuples(st.floats(0.0, 0.1), st.floats(-np.pi, np.pi), st.floats(-np.pi, np.pi)),
     corrections=st.lists(st.floats(-1.0, 1.0), min_size=8, max_size=8),
 )
 def test_velocity_is_the_derivative_of_position(
-    elapsed: float,
-    eccentricity: float,
-    mean_anomaly: float,
-    perigee: float,
-    corrections: list[float],
+    elapsed: float, shape: tuple[float, ...], corrections: list[float]
 ) -> None:
     # corrections a hundred times those of GPS, so that each of their rates is seen
     names = ("cuc", "cus", "cic", "cis", "crc", "crs", "inclination_rate", "node_rate")
     scales = (1e-3, 1e-3, 1e-4, 1e-4, 3e4, 3e4, 1e-7, 1e-6)
     changes = {n: s * c for n, s, c in zip(names, scales, corrections, strict=True)}
-    record = one_record(
-        eccentricity=eccentricity, mean_anomaly=mean_anomaly, perigee=perigee, **changes
-    )
-    h = 0.1
-    position_e, velocity_e = propagate_orbits(record, [0, 0, 0], elapsed + np.array([-h, 0.0, h]))
-    assert_allclose(velocity_e[1], (position_e[2] - position_e[0]) / (2 * h), rtol=0, atol=2e-6)
+    changes |= zip(("eccentricity", "mean_anomaly", "perigee"), shape, strict=True)
+    times = elapsed + np.array([-0.1, 0.0, 0.1])
+    position_e, velocity_e = propagate_orbits(one_record(**changes), [0, 0, 0], times)
+    assert_allclose(velocity_e[1], (position_e[2] - position_e[0]) / 0.2, rtol=0, atol=2e-6)
 
 
 @PROPERTY
@@ -140,28 +101,7 @@ def test_without_corrections_it_is_the_two_body_orbit(elapsed: float, eccentrici
     assert_allclose(h[:, 2], magnitude * np.cos(ORBIT["inclination"]), rtol=1e-11)
 
 
-def test_a_circular_record_flies_like_the_circular_model() -> None:
-    circular = CircularConstellation(satellites=1)
-    record = one_record(
-        "G05",
-        gps_seconds(datetime(2024, 9, 15)),  # start of a week
-        **dict.fromkeys(ORBIT, 0.0)
-        | {
-            "root_semi_major_axis": np.sqrt(circular.radius_m),
-            "inclination": np.deg2rad(circular.inclination_deg),
-            "node": np.pi / 3.0,
-        },
-    )
-    # the two differ by the constants of IS-GPS-200 and WGS-84: 1e-7 in mu, 2e-9 in the Earth rate
-    times = np.array([0.0, 60.0, 600.0])
-    position_e, velocity_e = propagate_orbits(record, np.zeros(3, dtype=int), times)
-    expected = circular.states(times)
-    assert_allclose(position_e, expected.position_e[:, 0], rtol=0, atol=1e-3 + 3e-4 * 600)
-    assert_allclose(position_e[0], expected.position_e[0, 0], rtol=0, atol=1e-6)
-    assert_allclose(velocity_e, expected.velocity_e[:, 0], rtol=0, atol=1e-3)
-
-
-@pytest.mark.parametrize("by", [-16.0, 16.0, 2 * HOUR, 4 * HOUR])
+@pytest.mark.parametrize("by", [-16.0, 16.0, 4 * HOUR])
 def test_a_record_of_the_next_week_continues_the_orbit(by: float) -> None:
     first = one_record("G05", SATURDAY_22 + 2 * HOUR - 16.0)
     second = later(first, by)
@@ -175,35 +115,16 @@ def test_a_record_of_the_next_week_continues_the_orbit(by: float) -> None:
     )
 
 
-# --- constellation ---------------------------------------------------------------------------
-
-
-def test_orbit_is_smooth_through_midnight_and_the_end_of_the_week() -> None:
-    records = chain(0.0, 0.0, 0.0)  # 22:00, 00:00 of the next week, 02:00
-    constellation = BroadcastConstellation(records, SATURDAY_22)
-    times = np.arange(-HOUR, 5 * HOUR, 60.0)
-    position_e, velocity_e = constellation.states(times)
-    assert np.isfinite(position_e).all()
-    step = position_e[1:] - position_e[:-1]
-    trapezoid = 30.0 * (velocity_e[1:] + velocity_e[:-1])
-    # the trapezoid rule leaves h^3 / 12 times a jerk of about 1e-4 m/s^3
-    assert np.abs(step - trapezoid).max() < 60.0**3 / 12.0 * 2e-4
-
-
-def test_start_shifts_the_time() -> None:
-    records = chain(0.0, 0.0)
-    early = BroadcastConstellation(records, SATURDAY_22).states([1800.0, 2000.0])
-    late = BroadcastConstellation(records, SATURDAY_22 + 1800.0).states([0.0, 200.0])
-    assert_allclose(early.position_e, late.position_e, rtol=0, atol=1e-6)
-
-
-def test_the_nearest_record_is_followed() -> None:
-    records = chain(0.0, 50.0, 0.0)
-    constellation = BroadcastConstellation(records, SATURDAY_22)
+@pytest.mark.parametrize("late", [0.0, 1800.0])
+def test_the_nearest_record_is_followed_whenever_the_run_starts(late: float) -> None:
+    records = chain(0.0, 50.0, 0.0)  # 22:00, 00:00 of the next week, 02:00
+    constellation = BroadcastConstellation(records, SATURDAY_22 + late)
     times = np.array([-1.9, 0.9, 1.1, 2.9, 3.1, 5.9]) * HOUR
     used = np.array([0, 0, 1, 1, 2, 2])
     expected = propagate_orbits(records, used, times - used * 2 * HOUR)
-    assert_allclose(constellation.states(times).position_e[:, 0], expected.position_e, atol=1e-6)
+    states = constellation.states(times - late)
+    assert_allclose(states.position_e[:, 0], expected.position_e, rtol=0, atol=1e-6)
+    assert_allclose(states.velocity_e[:, 0], expected.velocity_e, rtol=0, atol=1e-9)
 
 
 def test_nothing_beyond_two_hours_of_a_record() -> None:
@@ -217,70 +138,38 @@ def test_nothing_beyond_two_hours_of_a_record() -> None:
 
 def test_unhealthy_satellites_are_not_flown() -> None:
     first = one_record()
-    records = joined(
-        first,
-        later(first, 2 * HOUR, health=63.0),
-        one_record("G02", health=1.0),
-        one_record("G11"),
-    )
+    others = one_record("G02", health=1.0), one_record("G11")
+    records = joined(first, later(first, 2 * HOUR, health=63.0), *others)
     constellation: Constellation = BroadcastConstellation(records, SATURDAY_22)
     assert constellation.satellite_ids == ("G02", "G05", "G11")
     known = np.isfinite(constellation.states([0.0, 1.5 * HOUR]).position_e).all(axis=-1)
     assert_array_equal(known, [[False, True, True], [False, False, True]])
-
-
-def test_of_records_for_one_time_the_unhealthy_one_is_obeyed() -> None:
-    for order in [(0.0, 1.0), (1.0, 0.0)]:
+    for order in [(0.0, 1.0), (1.0, 0.0)]:  # of records for one time the unhealthy one is obeyed
         records = joined(*(one_record(health=health) for health in order), one_record("G9"))
         states = BroadcastConstellation(records, SATURDAY_22).states([-60.0, 0.0, 60.0])
         assert np.isnan(states.position_e[:, 0]).all()
-
-
-def test_a_time_does_not_depend_on_the_others_asked_for() -> None:
-    constellation = BroadcastConstellation(chain(0.0, 10.0, 20.0), SATURDAY_22)
-    times = np.linspace(-3 * HOUR, 7 * HOUR, 64)
-    together = constellation.states(times)
-    alone = [constellation.states([time]) for time in times]
-    assert_array_equal(together.position_e, np.concatenate([s.position_e for s in alone]))
-    assert_array_equal(together.velocity_e, np.concatenate([s.velocity_e for s in alone]))
-    assert together.position_e.flags.c_contiguous
-    assert together.velocity_e.flags.c_contiguous
-
-
-def test_start_is_checked() -> None:
-    with pytest.raises(ValueError, match=r"2024-09-14 22:00:00 .* got 0.0, .* 1980-01-06"):
-        BroadcastConstellation(one_record(), 0.0)
-    with pytest.raises(ValueError, match="`start` must be a finite number, got nan"):
-        BroadcastConstellation(one_record(), float("nan"))
-    with pytest.raises(ValueError, match="none of the 1 records is healthy"):
-        BroadcastConstellation(one_record(health=1.0), SATURDAY_22)
+        assert states.position_e.flags.c_contiguous
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("make", "said"),
     [
-        ({"eccentricity": 1.0}, r"0 <= e < 1, got 1\.0"),
-        ({"eccentricity": -0.1}, r"0 <= e < 1, got -0\.1"),
-        ({"root_semi_major_axis": 0.0}, r"positive, got 0\.0"),
-        ({"node": float("nan")}, "`node` must be finite, got nan for G05, record 0"),
+        (lambda: gps_seconds(datetime(1979, 12, 31)), "1980-01-06"),
+        (lambda: BroadcastConstellation(one_record(), 0.0), r"2024-09-14 22:00:00 .* got 0.0"),
+        (lambda: BroadcastConstellation(one_record(), np.nan), "finite number, got nan"),
+        (lambda: BroadcastConstellation(one_record(health=1.0), SATURDAY_22), "none of the 1"),
+        (lambda: one_record(eccentricity=1.0), r"0 <= e < 1, got 1\.0"),
+        (lambda: one_record(eccentricity=-0.1), r"0 <= e < 1, got -0\.1"),
+        (lambda: one_record(root_semi_major_axis=0.0), r"positive, got 0\.0"),
+        (lambda: one_record(node=np.nan), "`node` must be finite, got nan for G05, record 0"),
+        (lambda: replace(one_record(), cuc=np.zeros(2)), r"`cuc` must have shape \(1,\)"),
+        (lambda: one_record().take(np.array([], dtype=int)), r"R >= 1, got \(0,\)"),
+        (lambda: one_record().node.fill(0.0), "read-only"),
     ],
 )
-def test_records_are_checked(changes: dict[str, float], said: str) -> None:
+def test_what_cannot_be_is_refused(make: Callable[[], object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        one_record(**changes)
-
-
-def test_records_are_of_one_length_and_frozen() -> None:
-    record = one_record()
-    with pytest.raises(ValueError, match=r"`cuc` must have shape \(1,\), got \(2,\)"):
-        replace(record, cuc=np.zeros(2))
-    with pytest.raises(ValueError, match=r"R >= 1, got \(0,\)"):
-        record.take(np.array([], dtype=int))
-    with pytest.raises(ValueError, match="read-only"):
-        record.node[0] = 0.0
-
-
-# --- real ephemerides ------------------------------------------------------------------------
+        make()
 
 
 def read_sp3(path: Path) -> tuple[list[datetime], dict[str, NDArray[np.float64]]]:
@@ -300,7 +189,8 @@ def read_sp3(path: Path) -> tuple[list[datetime], dict[str, NDArray[np.float64]]
 def test_orbits_of_a_day_agree_with_the_precise_ones(data_folder: Path) -> None:
     folder = data_folder / "gnss_broadcast"
     dates, precise = read_sp3(folder / "igs15904.sp3")
-    kept, report = screen(read_navigation(folder / "brdc1820.10n"))
+    records = read_navigation(folder / "brdc1820.10n")
+    kept, report = screen(records)
     constellation = BroadcastConstellation(kept, gps_seconds(dates[0]))
     states = constellation.states([gps_seconds(date) - constellation.start for date in dates])
     ids = constellation.satellite_ids
@@ -311,26 +201,16 @@ def test_orbits_of_a_day_agree_with_the_precise_ones(data_folder: Path) -> None:
     assert error[flown].max() <= 8.0
 
     # the one bad record, 20,900 km off, would be the only one of G01 that is marked healthy
-    assert [(r.satellite_id, r.time_of_ephemeris) for r in report.rejections] == [
-        ("G01", gps_seconds(datetime(2010, 7, 1, 6)))
-    ]
+    bad = gps_seconds(datetime(2010, 7, 1, 6))
+    assert [(r.satellite_id, r.time_of_ephemeris) for r in report.rejections] == [("G01", bad)]
     assert report.rejections[0].disagreement > 1e7
     assert report.duplicates == report.unresolved == 0
     assert not flown[:, ids.index("G01")].any()
+    unscreened = BroadcastConstellation(records, bad).states([0.0]).position_e[0, ids.index("G01")]
+    assert np.linalg.norm(unscreened - precise["G01"][24]) > 2e7
     # all day long there is a record of each of the others but G25, unhealthy as well
     others = [k for k, satellite in enumerate(ids) if satellite not in {"G01", "G25"}]
     assert flown[:, others].all()
-
-
-def test_unscreened_the_bad_record_would_be_flown(data_folder: Path) -> None:
-    folder = data_folder / "gnss_broadcast"
-    _, precise = read_sp3(folder / "igs15904.sp3")
-    start = gps_seconds(datetime(2010, 7, 1, 6))
-    unscreened = BroadcastConstellation(read_navigation(folder / "brdc1820.10n"), start)
-    ids = unscreened.satellite_ids
-    position_e = unscreened.states([0.0]).position_e[0, ids.index("G01")]
-    assert np.linalg.norm(position_e - precise["G01"][24]) > 2e7
-    assert np.isfinite(position_e).all()
 
 
 def test_unhealthy_satellites_of_a_day(data_folder: Path) -> None:

@@ -11,7 +11,6 @@ from spoofgym.truth.manoeuvres import (
     FLIGHTS,
     Accelerate,
     Climb,
-    Steer,
     Straight,
     Turn,
     Until,
@@ -39,15 +38,11 @@ def speed(flight):
     return np.linalg.norm(flight.velocity_n, axis=1)
 
 
-def degrees(angles):
-    return np.degrees(np.unwrap(angles))
-
-
-@pytest.mark.parametrize("angle_deg", [5.0, 90.0, -90.0, 360.0])
+@pytest.mark.parametrize("angle_deg", [5.0, -90.0, 360.0])
 def test_a_turn_changes_the_heading_by_its_angle(angle_deg):
     flight = flown(Turn(angle_deg, bank_deg=25.0), Straight(1.0))
     roll, pitch, yaw = flight.euler
-    yaw = degrees(yaw)
+    yaw = np.degrees(np.unwrap(yaw))
     assert yaw[-1] - yaw[0] == pytest.approx(angle_deg, abs=1e-6)
     np.testing.assert_allclose(roll[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(pitch, 0.0, atol=1e-9)
@@ -55,21 +50,18 @@ def test_a_turn_changes_the_heading_by_its_angle(angle_deg):
     np.testing.assert_allclose(flight.geodetic[2], 2000.0, atol=1e-3)
 
 
-def test_a_long_turn_holds_its_bank_and_the_rate_that_follows():
+def test_a_long_turn_holds_its_bank_and_a_short_one_keeps_its_ramps():
     flight = flown(Turn(180.0, bank_deg=30.0))
     middle = flight.time.size // 2
     assert math.degrees(flight.euler[0].max()) == pytest.approx(30.0, abs=1e-6)
     rate = np.gradient(np.unwrap(flight.euler[2]), flight.step)[middle]
     assert rate == pytest.approx(G * math.tan(math.radians(30.0)) / 120.0, rel=1e-6)
+    short = flown(Turn(2.0, bank_deg=30.0, ramp_s=4.0))
+    assert 0.0 < math.degrees(short.euler[0].max()) < 30.0
+    assert short.duration == pytest.approx(8.0)
 
 
-def test_a_short_turn_banks_less_but_keeps_its_ramps():
-    flight = flown(Turn(2.0, bank_deg=30.0, ramp_s=4.0))
-    assert 0.0 < math.degrees(flight.euler[0].max()) < 30.0
-    assert flight.duration == pytest.approx(8.0)
-
-
-@pytest.mark.parametrize("height_m", [300.0, -300.0, 20.0])
+@pytest.mark.parametrize("height_m", [-300.0, 20.0])
 def test_a_climb_changes_the_height_and_no_speed(height_m):
     flight = flown(Climb(height_m, rate_mps=8.0), Straight(1.0))
     height = flight.geodetic[2]
@@ -81,18 +73,11 @@ def test_a_climb_changes_the_height_and_no_speed(height_m):
     )
 
 
-@pytest.mark.parametrize("change_mps", [30.0, -40.0, 0.5])
+@pytest.mark.parametrize("change_mps", [-40.0, 0.5])
 def test_an_acceleration_changes_the_speed(change_mps):
     flight = flown(Accelerate(change_mps, acceleration_mps2=2.0), Straight(1.0))
     assert speed(flight)[-1] - 120.0 == pytest.approx(change_mps, abs=1e-9)
     assert np.abs(np.gradient(speed(flight), flight.step)).max() < 2.0 + 1e-6
-
-
-def test_a_steered_turn_does_not_bank():
-    flight = flown(Steer(-90.0, rate_degps=7.0), speed_mps=20.0)
-    yaw = degrees(flight.euler[2])
-    assert yaw[-1] - yaw[0] == pytest.approx(-90.0, abs=1e-3)
-    np.testing.assert_allclose(flight.euler[0], 0.0, atol=1e-9)
 
 
 def test_a_turn_after_an_acceleration_is_coordinated_at_the_new_speed():
@@ -102,16 +87,10 @@ def test_a_turn_after_an_acceleration_is_coordinated_at_the_new_speed():
     np.testing.assert_allclose(np.tan(roll), 180.0 * rate / G, atol=1e-4)
 
 
-def test_until_ends_at_its_time():
-    flight = flown(Turn(10.0), Until(60.0), Turn(10.0), Until(100.0))
-    assert flight.duration == 100.0
-    assert flight.time.size == 10001
-
-
-def test_the_step_hardly_changes_where_a_flight_ends():
-    plan = Straight(5.0), Turn(60.0), Climb(200.0), Until(90.0)
+def test_until_ends_at_its_time_at_any_rate():
+    plan = Straight(5.0), Turn(60.0), Until(60.0), Climb(200.0), Until(90.0)
     coarse, fine = (flown(*plan, rate_hz=rate_hz) for rate_hz in (50.0, 200.0))
-    assert fine.time.size == 18001
+    assert (coarse.duration, coarse.time.size, fine.time.size) == (90.0, 4501, 18001)
     assert np.linalg.norm(coarse.position_e[-1] - fine.position_e[-1]) < 0.01
 
 
@@ -126,10 +105,7 @@ def test_the_antimeridian_is_a_meridian_like_any_other():
     [
         (lambda: flown(), "at least one manoeuvre"),
         (lambda: flown(Straight(1.0), latitude_deg=91.0), "`latitude_deg`.*got 91"),
-        (
-            lambda: flown(Straight(1.0), speed_mps=-1.0),
-            "`speed_mps` must be a number of at least 0",
-        ),
+        (lambda: flown(Straight(1.0), speed_mps=-1.0), "`speed_mps` must be"),
         (lambda: flown(Straight(1.0), rate_hz=0.0), "`rate_hz`"),
         (lambda: flown(Turn(10.0), speed_mps=0.0), "speed above 0 m/s"),
         (lambda: flown(Climb(100.0, rate_mps=20.0), speed_mps=10.0), "at most 8.66 m/s"),
@@ -154,21 +130,25 @@ def test_every_ready_made_flight_is_smooth_and_gentle(name):
     assert np.abs(np.diff(trajectory.angular_rate_b, axis=0)).max() < math.radians(0.2)
 
 
-def test_zhong2025_is_418_s_of_two_turns_and_a_climb():
-    flight = zhong2025()
-    assert flight.duration == 418.0
-    assert flight.time.size == 41801
-    latitude, longitude, height = flight.geodetic
-    assert np.degrees([latitude[0], longitude[0]]) == pytest.approx([50.425, -3.5958])
-    yaw = np.degrees(flight.euler[2])
-    at = {second: round(100 * second) for second in (0, 100, 200, 300, 418)}
-    assert [yaw[at[second]] for second in at] == pytest.approx([90, 135, 90, 90, 90], abs=1e-6)
-    assert [height[at[second]] for second in (0, 200, 300, 418)] == pytest.approx(
-        [10000, 10000, 10500, 10500], abs=0.01
-    )
-    np.testing.assert_allclose(speed(flight), 200.0, rtol=1e-9)
-    assert -flight.velocity_n[:, 2].min() == pytest.approx(20.0)
-    assert np.degrees(np.abs(flight.euler[0]).max()) == pytest.approx(14.04, abs=1e-6)
+@pytest.mark.parametrize(
+    ("make", "seconds", "climbed"),
+    [
+        (zhong2025, (0, 100, 200, 300, 418), (0, 500, 500)),
+        (ke2022, (0, 150, 260, 450, 746), (0, 500, 1000)),
+    ],
+)
+def test_flights_of_the_papers_are_two_turns_and_climbs(make, seconds, climbed):
+    flight = make()
+    assert (flight.duration, flight.time.size) == (seconds[-1], 100 * seconds[-1] + 1)
+    at = [100 * second for second in seconds]
+    assert np.degrees(flight.euler[2])[at] == pytest.approx([90, 135, 90, 90, 90], abs=1e-6)
+    assert flight.geodetic[2][at] - 10000 == pytest.approx([0, 0, *climbed], abs=1.0)
+    np.testing.assert_allclose(speed(flight), 200.0, rtol=1e-6)
+    if make is zhong2025:
+        start = [angle[0] for angle in flight.geodetic[:2]]
+        assert np.degrees(start) == pytest.approx([50.425, -3.5958])
+        assert -flight.velocity_n[:, 2].min() == pytest.approx(20.0)
+        assert np.degrees(np.abs(flight.euler[0]).max()) == pytest.approx(14.04, abs=1e-6)
 
 
 def test_the_car_starts_and_ends_at_rest():
@@ -193,14 +173,3 @@ def test_ready_made_flights_follow_the_profiles_of_the_reference(data_folder, ma
         got = np.degrees([angle[sample] for angle in flight.euler])
         difference = (got - profile[sample, 7:10] + 180.0) % 360.0 - 180.0
         assert np.abs(difference).max() < 4.0, second
-
-
-def test_ke2022_is_746_s_of_two_turns_and_two_climbs():
-    flight = ke2022()
-    assert flight.duration == 746.0
-    _, _, height = flight.geodetic
-    yaw = np.degrees(flight.euler[2])
-    at = [round(100 * second) for second in (0, 150, 260, 450, 746)]
-    assert yaw[at] == pytest.approx([90, 135, 90, 90, 90], abs=1e-6)
-    assert height[at] == pytest.approx([10000, 10000, 10000, 10500, 11000], abs=1.0)
-    assert np.linalg.norm(flight.velocity_n, axis=1) == pytest.approx(200.0)

@@ -8,8 +8,7 @@ import pytest
 from spoofgym.truth.robot import RobotLoop
 
 
-@pytest.mark.parametrize("heading", [0.0, 90.0, 248.0])
-@pytest.mark.parametrize("radius", [0.05, 0.3, 3.05])
+@pytest.mark.parametrize(("heading", "radius"), [(0.0, 0.05), (248.0, 0.3), (90.0, 3.05)])
 def test_a_lap_ends_where_it_began(heading, radius):
     loop = RobotLoop(heading_deg=heading, corner_radius_m=radius)
     lap = 2.0 * (loop.length_m + loop.width_m) - (8.0 - 2.0 * math.pi) * radius
@@ -17,13 +16,6 @@ def test_a_lap_ends_where_it_began(heading, radius):
     for k in range(1, 5):
         np.testing.assert_allclose(track.position_ne[100 * k], 0.0, atol=1e-9)
         assert track.yaw[100 * k] - track.yaw[0] == pytest.approx(2.0 * math.pi * k)
-
-
-def test_the_first_side_goes_where_the_heading_points():
-    track = RobotLoop().track(100, 0.1)
-    heading = math.radians(248.0)
-    expected = 0.5 * track.time[:, None] * [math.cos(heading), math.sin(heading)]
-    np.testing.assert_allclose(track.position_ne, expected, atol=1e-12)
 
 
 def test_position_is_the_integral_of_velocity_and_yaw_its_direction():
@@ -39,27 +31,19 @@ def test_position_is_the_integral_of_velocity_and_yaw_its_direction():
     assert np.diff(track.yaw).max() <= 0.5 / 0.3 * step + 1e-9  # speed over the radius
 
 
-def test_the_course_has_the_stated_size():
+def test_the_course_has_the_stated_size_and_first_goes_where_the_heading_points():
     track = RobotLoop(heading_deg=0.0).track(8000, 0.01)
     assert np.ptp(track.position_ne[:, 0]) == pytest.approx(13.4, abs=1e-3)
     assert np.ptp(track.position_ne[:, 1]) == pytest.approx(6.1, abs=1e-3)
-
-
-def test_the_outer_wheel_rolls_farther():
-    track = RobotLoop().track(2000, 0.1)
-    left, right = track.wheels(0.2)
+    heading = math.radians(248.0)
+    side = 5.0 * np.array([math.cos(heading), math.sin(heading)])
+    np.testing.assert_allclose(RobotLoop().track(100, 0.1).position_ne[100], side, atol=1e-12)
+    left, right = track.wheels(0.2)  # the outer one rolls farther
     np.testing.assert_allclose(0.5 * (left + right), track.distance)
     np.testing.assert_allclose(left - right, 0.2 * (track.yaw - track.yaw[0]))
-    assert left[-1] > right[-1]
-
-
-def test_a_robot_may_stand():
-    track = RobotLoop(speed_mps=0.0).track(10, 0.1)
-    assert not track.position_ne.any()
-    assert not track.velocity_ne.any()
+    assert not RobotLoop(speed_mps=0.0).track(10, 0.1).position_ne.any()
 
 
 def test_corners_fit_into_the_shorter_side():
-    RobotLoop(corner_radius_m=3.05)
     with pytest.raises(ValueError, match=r"`corner_radius_m` must be at most 3\.05, .* got 3\.1"):
         RobotLoop(corner_radius_m=3.1)
