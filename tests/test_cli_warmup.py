@@ -24,17 +24,13 @@ def test_after_warmup_another_process_compiles_nothing(
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
     command = [sys.executable, "-m", "spoofgym", "warmup", "Snapshot-v0", "--json"]
-    runs = [
-        json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
-        for _ in range(2)
-    ]
+    done = [subprocess.run(command, capture_output=True, check=True) for _ in range(2)]
+    runs = [json.loads(each.stdout) for each in done]
     for run in runs:
         assert run["cache"] == str(tmp_path / "cache")
-        rows = run["environments"]
-        assert [(each["id"], each["form"]) for each in rows] == [
-            ("spoofgym/Snapshot-v0", form) for form in ("single", "batch")
-        ]
-        assert all(each["seconds"] > 0.0 for each in rows)
+        rows = [(each["id"], each["form"]) for each in run["environments"]]
+        assert rows == [("spoofgym/Snapshot-v0", form) for form in ("single", "batch")]
+        assert all(each["seconds"] > 0.0 for each in run["environments"])
     compiled = [sum(each["compiled"] for each in run["environments"]) for run in runs]
     assert compiled[0] > 0
     assert compiled[1] == 0

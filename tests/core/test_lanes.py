@@ -32,7 +32,7 @@ def filled(receivers, seed=0, dtype=np.float64):
 
 
 def check(fields, values):
-    """Also where each receiver is: in its lane of the group's rows; those behind follow the last."""
+    """By name, and where they are: each in its lane of the rows of its group."""
     for name, value in values.items():
         np.testing.assert_array_equal(fields[name], value, strict=True)
     lanes = 1 if fields.receivers == 1 else LANES
