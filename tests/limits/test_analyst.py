@@ -8,17 +8,12 @@ import pytest
 from spoofgym.limits import Analyst, Commands, compute_frontier, floor
 from spoofgym.limits.floor import world_frontier
 from spoofgym.limits.linear import observer
-from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.setup import make_generators, seeds_of_runs
 
-from .toy import best_commands, rates_of
+from .toy import best_commands, rates_of, rngs_of, unwatched
 
+LINE = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 2.0}
 DRAWN = {"turn_on": "drawn"}
 EAST = np.array([0.0, 1.0])
-
-
-def rngs_of(setup, runs):
-    return make_generators(seeds_of_runs(0, "selection", setup.name, range(runs)))
 
 
 def whitened(epoch):
@@ -42,8 +37,8 @@ def every_channel(run):
 def test_where_every_channel_is_free_the_frontier_is_the_spread_of_a_coasting_twin(
     scenario, hold_s, sensors_known, monkeypatch
 ):
-    line = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 10.0, "time_to_alert_s": hold_s}
-    setup = TightlyCoupledSetup(scenario=scenario, detector="never", timeline=line)
+    line = {**LINE, "attack_s": 10.0, "time_to_alert_s": hold_s}
+    setup = unwatched(scenario=scenario, timeline=line)
 
     def found():
         (its,) = Analyst(setup, sensors_known=sensors_known).record(rngs_of(setup, 1))
@@ -60,8 +55,7 @@ def test_where_every_channel_is_free_the_frontier_is_the_spread_of_a_coasting_tw
 
 
 def test_what_is_known_of_the_sensors_narrows_what_a_twin_loses():
-    line = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 2.0}
-    setup = TightlyCoupledSetup(detector="never", timeline=line)
+    setup = unwatched(timeline=LINE)
     drawn, known = (
         Analyst(setup, sensors_known=each).record(rngs_of(setup, 1))[0].coasting
         for each in (False, True)
@@ -75,7 +69,7 @@ def test_what_is_known_of_the_sensors_narrows_what_a_twin_loses():
 @pytest.mark.parametrize("scenario", ["zhong2025", "trolley"])
 def test_a_twin_without_measurements_drifts_as_the_closed_form_says(scenario):
     runs = 96
-    setup = TightlyCoupledSetup(scenario=scenario, detector="never", domain=DRAWN)
+    setup = unwatched(scenario=scenario, domain=DRAWN)
     analyst = Analyst(setup)
     coasting = analyst.record(rngs_of(setup, 1))[0].coasting[setup.steps - 1]
     fed = analyst.start_simulator(rngs_of(setup, runs))
@@ -98,7 +92,7 @@ def test_a_twin_without_measurements_drifts_as_the_closed_form_says(scenario):
 @pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["zhong2025", "trolley"])
 def test_innovations_are_white_on_runs_that_are_not_linear(scenario):
-    setup = TightlyCoupledSetup(scenario=scenario, detector="never", domain=DRAWN)
+    setup = unwatched(scenario=scenario, domain=DRAWN)
     simulator = Analyst(setup).start_simulator(rngs_of(setup, 100))
     simulator.run_filter_only(setup.onset)
     seen, count = [], 0
@@ -131,9 +125,7 @@ def attacked(simulator, actions):
 @pytest.mark.slow
 def test_best_commands_shift_the_statistic_by_d_and_the_victim_to_the_frontier():
     runs, d = 100, 2.0
-    setup = TightlyCoupledSetup(
-        detector="never", domain=DRAWN, attack={"name": "false-position", "control": "rate"}
-    )
+    setup = unwatched(domain=DRAWN, attack={"name": "false-position", "control": "rate"})
     found = compute_frontier(setup).one
     u = best_commands(found, EAST, d)
     rates = rates_of(found.commands) @ u
@@ -166,12 +158,10 @@ def test_best_commands_shift_the_statistic_by_d_and_the_victim_to_the_frontier()
 @pytest.mark.parametrize("scenario", ["trolley-tactical", "aviation-actual"])
 def test_a_shift_of_the_analyst_is_that_of_its_filter_on_the_simulator(scenario):
     """Where range rates or sensors are such that what they say of the position counts."""
-    line = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 2.0}
-    setup = TightlyCoupledSetup(
+    setup = unwatched(
         scenario={"name": scenario, "events": None},
-        detector="never",
         attack={"name": "false-position", "control": "rate"},
-        timeline=line,
+        timeline=LINE,
     )
     found, d = compute_frontier(setup).one, 2.0
     u = best_commands(found, EAST, d)

@@ -1,6 +1,7 @@
 """Zero-alarm bounds over the worlds of a setup."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -81,42 +82,26 @@ def test_a_detector_without_a_bound_says_why(drawn):
     assert json.loads(json.dumps(found.as_json()))["why"] == found.why
 
 
-def solved(monkeypatch, *, free, restricted):
-    """Let the solver say something of each attack, by world."""
-    free, restricted = iter(free), iter(restricted)
-
-    def found(*_, attacker=None, **__):
-        bound = next(free if attacker is None else restricted)
-        if isinstance(bound, str):
-            raise RuntimeError(bound)
-        return bound
-
-    monkeypatch.setattr(bounds, "compute_zero_alarm", found)
-
-
-def some_bound(value, kind="exact", note=""):
-    return Bound(value, kind, 0, (1.0, 0.0), note=note)
-
-
-def test_a_free_bound_is_kept_where_the_restricted_one_fails(drawn, monkeypatch):
+def test_a_bound_is_kept_where_the_other_fails_and_an_upper_one_says_so(drawn, monkeypatch):
     setup, cases = drawn
-    each = [some_bound(3.0), some_bound(4.0), some_bound(5.0)]
-    solved(monkeypatch, free=each, restricted=[some_bound(1.0), "no optimum", "no optimum"])
-    found = zero_alarm_bounds(setup, make_detector("snapshot-chi2"), cases)
-    assert (found.free_m, found.restricted_m, found.kind) == (4.0, None, "exact")
-    assert found.why == "restricted: no optimum"
-    solved(monkeypatch, free=["no optimum"] * 3, restricted=each)
-    found = zero_alarm_bounds(setup, make_detector("snapshot-chi2"), cases)
-    assert (found.free_m, found.restricted_m, found.why) == (None, 4.0, "free: no optimum")
+    exact = [Bound(value, "exact", 0, (1.0, 0.0)) for value in (3.0, 4.0, 5.0)]
+    upper = [exact[0], replace(exact[1], kind="upper", note="almost solved"), exact[2]]
+    for free, restricted, expected in (
+        (exact, [exact[0], "no optimum", "none"], (4.0, None, "exact", "restricted: no optimum")),
+        (["no optimum"] * 3, exact, (None, 4.0, "exact", "free: no optimum")),
+        (exact, upper, (4.0, 4.0, "upper", "restricted: almost solved")),
+    ):
+        said = {True: iter(free), False: iter(restricted)}
 
+        def solve(*_, attacker=None, said=said, **__):
+            bound = next(said[attacker is None])
+            if isinstance(bound, str):
+                raise RuntimeError(bound)
+            return bound
 
-def test_one_world_with_an_upper_bound_makes_the_mean_one_and_says_so(drawn, monkeypatch):
-    setup, cases = drawn
-    each = [some_bound(1.0), some_bound(2.0, "upper", "almost solved"), some_bound(3.0)]
-    solved(monkeypatch, free=[some_bound(9.0)] * 3, restricted=each)
-    found = zero_alarm_bounds(setup, make_detector("snapshot-chi2"), cases)
-    assert (found.restricted_m, found.kind) == (2.0, "upper")
-    assert found.why == "restricted: almost solved"
+        monkeypatch.setattr(bounds, "compute_zero_alarm", solve)
+        found = zero_alarm_bounds(setup, make_detector("snapshot-chi2"), cases)
+        assert (found.free_m, found.restricted_m, found.kind, found.why) == expected
 
 
 def test_what_has_no_end_is_a_word_in_results(drawn):
