@@ -7,12 +7,7 @@ import pytest
 from spoofgym.detectors import Ewma, Never, SequentialChi2, Shewhart, SnapshotChi2
 from spoofgym.limits.linear import respond, white
 from spoofgym.limits.no_alarm import judge_run
-from spoofgym.limits.zero_alarm import (
-    ewma_bound,
-    sensitivity,
-    sequential_bound,
-    snapshot_bound,
-)
+from spoofgym.limits.zero_alarm import ewma_bound, sensitivity, sequential_bound, snapshot_bound
 
 from .toy import EAST, TIMING, bound_of, toy_run
 
