@@ -86,6 +86,13 @@ def test_list_names_all_there_is_and_marks_oracles(monkeypatch: pytest.MonkeyPat
     found = read("list", "--json")
     assert set(found) == {"envs", "scenarios", "attacks", "detectors", "spoofers", "shipped"}
     names = {kind: {row["name"]: row for row in rows} for kind, rows in found.items()}
+    assert read("list", "detectors", "ewma", "--json")[1] == {
+        **{"name": "false_alarm", "needed": False, "default": 1e-5, "unit": ""},
+        "valid": "a number above 0 and below 1",
+        "help": "Alpha: probability of an alarm of one satellite in one epoch.",
+    }
+    table = " ".join(call("list", "attacks", "false-position").output.split())
+    assert "acceleration_limit_mps2 0.05 m/s^2 a number above 0" in table
     assert {*names["detectors"]} == {*DETECTORS, *list_shipped("detector")}
     assert {*names["spoofers"]} == {*SPOOFERS}
     assert [*names["shipped"]] == [*list_shipped("spoofer"), *list_shipped("detector")]
@@ -114,19 +121,6 @@ def test_list_names_all_there_is_and_marks_oracles(monkeypatch: pytest.MonkeyPat
     assert not any(word in by_name["ewma"] + by_name["snapshot-chi2"] for word in ("oracle", "["))
 
 
-def test_the_settings_of_one_name_are_listed_with_what_is_valid() -> None:
-    assert read("list", "detectors", "ewma", "--json")[1] == {
-        "name": "false_alarm",
-        "needed": False,
-        "default": 1e-5,
-        "unit": "",
-        "valid": "a number above 0 and below 1",
-        "help": "Alpha: probability of an alarm of one satellite in one epoch.",
-    }
-    table = " ".join(call("list", "attacks", "false-position").output.split())
-    assert "acceleration_limit_mps2 0.05 m/s^2 a number above 0" in table
-
-
 def test_bench_writes_table_picture_and_json() -> None:
     result = call("bench", *QUICK, "--out", "out", "--spoofer", "ramp:rate_mps=tuned")
     assert result.exit_code == 0, result.output
@@ -151,7 +145,9 @@ def test_bench_writes_table_picture_and_json() -> None:
 def test_an_interrupted_bench_is_kept_and_goes_on_and_run_is_a_run_of_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    original, line = Store.put, ("bench", *QUICK, *TWO, "--out", "out")
+    world = ["--tuning", "matched", "--imu", "tactical", "--errors", "groves", "--seed", "7"]
+    world += ["--attack", "false-position:rate_limit_mps=2"]
+    original, line = Store.put, ("bench", *QUICK, *TWO, *world, "--out", "out")
 
     def interrupted(self: Store, cell: Any, result: Any) -> None:
         original(self, cell, result)
@@ -168,9 +164,16 @@ def test_an_interrupted_bench_is_kept_and_goes_on_and_run_is_a_run_of_it(
     cell = CampaignResults.load("out").runs("ewma", "ramp(rate_mps=0.4)")
     assert cell is not None
     played = json.dumps(cell.head["spoofer_settings"])  # with the amplitude that was fitted
-    summary = read("run", *SHORT, "--spoofer", played, "--run", "2", "--no-picture", "--json")
+    more = ["--spoofer", played, "--run", "2", "--no-picture", "--json"]
+    summary = read("run", *SHORT, *world, *more)
     assert summary["final_error_m"] == pytest.approx(cell.records["final_error_m"][2], abs=1e-4)
     assert "other results (config.runs: 4, not 5)" in refused(*line, "--seeds", "5")
+    config = json.loads(Path("out", "config.json").read_text())["config"]
+    receiver, scenario = config["receiver"], config["scenario"]
+    assert (receiver["tuning"], receiver["grade"]) == ("matched", "tactical")
+    assert (scenario["imu"], scenario["errors"]) == ("tactical", "groves")
+    assert config["attack"]["rate_limit_mps"] == 2
+    assert (config["entropy"], config["timeline"]["attack_s"]) == (7, 20.0)
     assert call(*line, "--seeds", "5", "--overwrite").exit_code == 0
 
 
@@ -209,28 +212,13 @@ def test_the_other_victims_are_played_by_their_environment() -> None:
     drawn = call("render", *env, "--attack-s", "3", "--out", "small.gif")
     assert drawn.exit_code == 0, drawn.output
     assert Path("small.gif").stat().st_size > 10_000
-    tuned = read("tune", *env, "--spoofer", "ramp", *TRAINING[-6:], "--attack-s", "5", "--json")
+    line = ("tune", *env, "--spoofer", "ramp", *TRAINING[-6:], "--attack-s", "5")
+    tuned = read(*line, "--json")
     assert [found["detector"] for found in tuned] == ["raim", "srv-raim"]
-
-
-def test_tune_tells_what_it_tried() -> None:
-    line = ("tune", *TRAINING, "--detector", "ewma", "--spoofer", "ramp")
-    (found,) = read(*line, "--json")
-    assert (found["setting"], found["runs"], found["budget"]) == ("rate_mps", 11, 0.25)
-    assert len({trial["value"] for trial in found["trials"]}) >= 20
+    for found in tuned:
+        assert (found["setting"], found["runs"], found["budget"]) == ("rate_mps", 11, 0.25)
+        assert len({trial["value"] for trial in found["trials"]}) >= 20
     assert "(chosen)" in call(*line).output
-
-
-def test_settings_reach_what_is_run() -> None:
-    world = ["--tuning", "matched", "--imu", "tactical", "--errors", "groves", "--seed", "7"]
-    world += ["--attack", "false-position:rate_limit_mps=2"]
-    call("bench", *QUICK, *TWO, "--out", "out", *world)
-    config = json.loads(Path("out", "config.json").read_text())["config"]
-    receiver, scenario = config["receiver"], config["scenario"]
-    assert (receiver["tuning"], receiver["grade"]) == ("matched", "tactical")
-    assert (scenario["imu"], scenario["errors"]) == ("tactical", "groves")
-    assert config["attack"]["rate_limit_mps"] == 2
-    assert (config["entropy"], config["timeline"]["attack_s"]) == (7, 20.0)
 
 
 HOMEMADE = """

@@ -14,8 +14,7 @@ from spoofgym.simulation import TightlyCoupledSetup
 from .command_line import SHORT, call, read, refused
 
 TIMELINE = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0}
-LINE = ["limits", *SHORT, "--set", "domain={}", "--nominal"]
-TWO = ["--detector", "snapshot-chi2", "--detector", "raim"]
+LINE = ["limits", *SHORT, "--set", "domain={}"]
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -25,8 +24,9 @@ def setup():
     return TightlyCoupledSetup(scenario="zhong2025", detector="never", timeline=TIMELINE)
 
 
-def test_the_floors_are_those_of_the_frontier(setup):
-    record = read(*LINE, "--sensors", "known", "--budget", "0.1", "--json")
+def test_the_floors_are_those_of_the_frontier_and_in_the_picture(setup, tmp_path):
+    more = ["--nominal", "--sensors", "known", "--budget", "0.1", "--figure", "floor.svg"]
+    record = read(*LINE, *more, "--json")
     frontier = compute_frontier(setup, sensors_known=True)
     p_fa = run_probability(0.2, 25.0)
     assert (record["p_fa"], record["worlds"], record["sensors_known"]) == (p_fa, 1, True)
@@ -42,13 +42,19 @@ def test_the_floors_are_those_of_the_frontier(setup):
     assert record["below_every_channel_free"] is True
     assert record["assumptions"]["floor"] == list(frontier.assumptions)
     assert "zero_alarm" not in record
+    picture, course = (tmp_path / record["figure"]).read_text(), record["course"]
+    assert "missed in one of a thousand" in picture or "<path" in picture
+    assert (len(course["times_s"]), course["times_s"][-1]) == (12, 20.0)
+    for purpose in ("half", "certain"):
+        floors = course["floors_m"][purpose]["value"]
+        assert floors == sorted(floors)
+        assert floors[-1] == pytest.approx(record["floors_m"]["unknown"][purpose]["value"])
 
 
 def test_the_tables_are_those_of_the_json(setup):
-    record = read(*LINE, *TWO, "--spoofer", "ramp", "--json")
-    result = call(*LINE, *TWO, "--spoofer", "ramp")
-    assert result.exit_code == 0, result.output
-    words = " ".join(result.stdout.split())
+    line = [*LINE, "--nominal", "--detector", "snapshot-chi2", "--detector", "raim"]
+    record = read(*line, "--spoofer", "ramp", "--json")
+    words = " ".join(call(*line, "--spoofer", "ramp").stdout.split())
     for cells in record["floors_m"].values():
         for cell in cells.values():
             assert f"{format_number(cell['value'])}; d = {cell['deflection']:.2f}" in words
@@ -58,70 +64,36 @@ def test_the_tables_are_those_of_the_json(setup):
     bound = zero_alarm_bounds(setup, SnapshotChi2(), draw_worlds(setup, 1))
     assert snapshot["free_m"] == pytest.approx(bound.free_m)
     assert snapshot["restricted_m"] == pytest.approx(bound.restricted_m, rel=1e-4)
-    assert snapshot["kind"] == "exact"
     assert f"{snapshot['free_m']:.1f} {snapshot['restricted_m']:.1f} exact -" in words
     assert raim["free_m"] is raim["restricted_m"] is None
     assert "it excludes satellites or fixes" in raim["why"]
-    assert "the blind optimum on the engine is a lower bound" in raim["why"]
     divergence = record["divergence"]
     assert (divergence["spoofer"], divergence["holds"]) == ("ramp", True)
     for cell in divergence["bounds"].values():
         assert f"{cell['divergence']:.3g}" in words
         assert cell["value"] < record["floors_m"]["known"]["certain"]["value"]
-
-
-def test_a_spoofer_that_sees_a_latent_error_has_no_bound_by_divergence():
-    result = call(*LINE, "--spoofer", "feedback")
-    assert result.exit_code == 0, result.output
-    words = " ".join(result.stdout.split())
+    words = " ".join(call(*LINE, "--nominal", "--spoofer", "feedback").stdout.split())
     assert "feedback: there is no bound by divergence for a spoofer with the knowledge" in words
-
-
-def test_the_rate_is_that_of_false_alarms_and_of_the_thresholds():
-    line = [each for each in LINE if each != "--nominal"]
-    record = read(*line, "--false-alarms-per-hour", "20", "--detector", "never", "--json")
-    assert record["p_fa"] == run_probability(20.0, 25.0)
-    (never,) = record["zero_alarm"]
+    asked = read(*LINE, "--false-alarms-per-hour", "20", "--detector", "never", "--json")
+    assert asked["p_fa"] == run_probability(20.0, 25.0)
+    (never,) = asked["zero_alarm"]
     assert (never["free_m"], never["kind"]) == ("unbounded", "exact")
     assert 0.0 < never["restricted_m"] < 20.0
-
-
-def test_the_picture_is_written_with_its_assumptions(tmp_path):
-    path = tmp_path / "floor.svg"
-    record = read(*LINE, "--figure", path.name, "--json")
-    assert record["figure"] == path.name
-    assert path.stat().st_size > 5_000
-    assert "missed in one of a thousand" in path.read_text() or "<path" in path.read_text()
-    course = record["course"]
-    assert (len(course["times_s"]), course["times_s"][-1]) == (12, 20.0)
-    for purpose in ("half", "certain"):
-        floors = course["floors_m"][purpose]["value"]
-        assert floors == sorted(floors)
-        assert floors[-1] == pytest.approx(record["floors_m"]["unknown"][purpose]["value"])
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            ["--env", "spoofgym/Snapshot-v0"],
-            "limits are known for tightly coupled receivers alone, not for a snapshot receiver",
-        ),
+        (["--env", "spoofgym/Snapshot-v0"], "limits are known for tightly coupled receivers alone"),
         (["--sensors", "maybe"], "constants 'maybe'; valid: known, unknown"),
         (["--figure", "floor.foo"], "unknown ending of a picture '.foo'; valid: "),
         (["--set", "domain={}", "--false-alarms-per-hour", "1000"], "valid: below 15.6 an hour"),
-        (["--false-alarms-per-hour", "0"], "must be a number above 0, got 0.0"),
         (["--false-alarms-per-hour", "1", "--nominal"], "can't both be given"),
         (["--budget", "2"], "--budget must be"),
-        (["--detector", "ewmo"], "did you mean 'ewma'?"),
         (["--spoofer", "rampp"], "did you mean 'ramp'?"),
         (["--task", "T3", "--detector", "never"], "--detector can't be given with --task, which"),
-        (["--task", "T3", "--imu", "tactical"], "--imu can't be given with"),
         (["--task", "T9"], "unknown task 'T9'; valid: T1, T2"),
-        (
-            [*SHORT, "--set", 'domain={"imu": ["aviation", "tactical"]}'],
-            "limits are known for one grade of inertial sensors at a time",
-        ),
+        ([*SHORT, "--set", 'domain={"imu": ["aviation", "tactical"]}'], "one grade of inertial"),
     ],
 )
 def test_wrong_input(arguments, message):

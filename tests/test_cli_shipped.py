@@ -15,16 +15,19 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 @pytest.fixture(scope="module")
-def zoo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("zoo")
     write_zoo(folder, small_suite())
     return folder
 
 
-def test_list_and_card_show_what_is_shipped(
-    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use_zoo(zoo_folder, monkeypatch)
+@pytest.fixture
+def zoo_folder(written: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    use_zoo(written, monkeypatch)
+    return written
+
+
+def test_list_and_card_show_what_is_shipped(zoo_folder: Path) -> None:
     rows = read("list", "shipped", "--json")["shipped"]
     assert [row["name"] for row in rows] == ["curve", "push", "track"]
     assert (rows[2]["knowledge"], rows[2]["designed_on"]) == ("tracking", "ewma, by hand")
@@ -39,8 +42,8 @@ def test_list_and_card_show_what_is_shipped(
     assert "rates_mps" in call("card", "curve").output
     wrong = " ".join(refused("card", "pull").split())
     assert "unknown shipped spoofer or detector 'pull'; valid: curve, push, track" in wrong
-    assert "there is no ONNX file nowhere.onnx" in refused("card", "nowhere.onnx")
-    assert "there is no card nowhere.json" in refused("card", "nowhere.json")
+    for nowhere in ("ONNX file nowhere.onnx", "card nowhere.json"):
+        assert f"there is no {nowhere}" in refused("card", nowhere.split()[-1])
 
 
 def test_a_card_of_a_detector_is_shown_by_name_and_by_file() -> None:
@@ -58,10 +61,7 @@ def test_a_card_of_a_detector_is_shown_by_name_and_by_file() -> None:
     assert "card damaged.json" in refused("card", "damaged.json")
 
 
-def test_bench_and_run_take_learned_and_optimised_spoofers(
-    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use_zoo(zoo_folder, monkeypatch)
+def test_bench_and_run_take_learned_and_optimised_spoofers(zoo_folder: Path) -> None:
     inline = '{"name": "profile", "rates_mps": [0, 0.1, 0.2], "label": "inline"}'
     chosen = ["--spoofer", "push", "--spoofer", inline, "--detector", "ewma"]
     summary = read("bench", *QUICK, *chosen, "--out", "out", "--json")
@@ -74,10 +74,8 @@ def test_bench_and_run_take_learned_and_optimised_spoofers(
     assert Path("episode.png").is_file()
 
 
-def test_shipped_spoofers_that_do_not_fit_are_named(
-    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use_zoo(zoo_folder, monkeypatch)
+@pytest.mark.usefixtures("zoo_folder")
+def test_shipped_spoofers_that_do_not_fit_are_named() -> None:
     north = [*QUICK, "--out", "out", "--attack", "false-position:axes=n"]
     assert "needs a command to the east" in refused("bench", *north)
     assert "push does not fit this attack: " in refused("bench", *north, "--spoofer", "push")

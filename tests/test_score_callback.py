@@ -50,7 +50,7 @@ def weights_of(model):
 
 
 def test_a_callback_scores_the_policy_as_it_learns_and_keeps_the_best(tmp_path):
-    """Another goes on from its state, and does not score again what it has been given."""
+    """Another goes on from its state."""
     pytest.importorskip("onnxscript")
     envs = VecNormalize(SpoofVecEnv(8, knowledge="blind", seed=0, **WORLD), norm_reward=False)
     callback = scored(every=160, path=tmp_path / "best.onnx")
@@ -88,13 +88,10 @@ class Rollouts(BaseCallback):
 
     def __init__(self, call):
         super().__init__()
-        self.call = call
+        self._on_rollout_start = lambda: call(self.model)
 
     def _on_step(self):
         return True
-
-    def _on_rollout_start(self):
-        self.call(self.model)
 
 
 def poison(model):
@@ -123,8 +120,7 @@ def test_a_callback_scores_the_average_of_the_weights(tmp_path, judge):
     callback, model = scored(judge=judge, every=1600, average=0.75, path=path), learner()
     log = Rollouts(lambda model: seen.append(weights_of(model)))
     model.learn(480, callback=[callback, log])
-    own = weights_of(model)
-    expected = seen[0]
+    own, expected = weights_of(model), seen[0]
     for now in (*seen[1:], own):
         expected = {name: 0.75 * expected[name] + 0.25 * now[name] for name in now}
     with callback.apply_average():

@@ -36,8 +36,7 @@ from tools.calibrations import WORLDS, list_detectors
 SHIPPED_FILES = 174
 REPLAYED = 2
 """Witnesses of each calibration that are played again here; `make test-nightly` plays all."""
-SLOW, SLOW_FOLDER = "T4", "8bcd426310fa6fe1"
-"""World that takes a minute to make, and the folder of its calibrations."""
+SLOW, SLOW_FOLDER = "T4", "8bcd426310fa6fe1"  # takes a minute to make
 QUICK = [world for world in WORLDS if world != SLOW]
 NETWORKS = {
     "policies/zoo/trolley-guard": "e70ee24d0d0d1bac",
