@@ -11,11 +11,12 @@ from spoofgym.data.cleaning import (
     isolated_outliers,
     late_positions,
     repeated_positions,
-    resolved_courses,
     stale_runs,
 )
 from spoofgym.data.tracks import FOOT, KNOT, read_track, track_from_frame
 from spoofgym.truth.manoeuvres import Straight, Turn, fly
+
+from .test_damaged_files import check_damage, check_track
 
 pandas = pytest.importorskip("pandas")
 
@@ -105,6 +106,8 @@ def test_every_format_gives_the_same_rows(tmp_path, table, name):
         np.testing.assert_allclose(getattr(got, field), getattr(want, field), rtol=1e-12)
     assert np.isnan(got.position_time).all()
     assert np.isnan(got.vertical_rate).all()
+    assert clean_track(got)[1].fixes == len(table)
+    check_damage(path, check_track, 2)
 
 
 def test_times_units_and_names_are_understood(table):
@@ -203,15 +206,8 @@ def test_courses_in_a_signed_byte_are_resolved(flight, table):
     track, report = cleaned(table)
     assert report.angles_rejected == 0
     assert report.angles_unwrapped == int((table["track"] != true).sum()) > 0
-    np.testing.assert_allclose(
-        np.exp(1j * track.track_angle), np.exp(1j * np.radians(true)), atol=1e-9
-    )
-
-    # 256 deg are not tried where courses do not fit a byte
-    course = np.radians([10.0, 10.0, 200.0])
-    angle, unwrapped = resolved_courses(np.array([10.0, 114.0, 200.0]), course)
-    np.testing.assert_array_equal(np.isnan(angle), [False, True, False])
-    assert not unwrapped.any()
+    turned = np.exp(1j * track.track_angle)
+    np.testing.assert_allclose(turned, np.exp(1j * np.radians(true)), atol=1e-9)
 
 
 def test_interpolated_runs_count_as_one_fix_at_each_end(table):
@@ -226,9 +222,8 @@ def test_interpolated_runs_count_as_one_fix_at_each_end(table):
 
 
 def test_a_noiseless_straight_flight_is_kept_on_demand(table):
-    straight = table.iloc[:13].assign(
-        latitude=np.linspace(46.0, 46.05, 13), longitude=8.0, track=0.0, groundspeed=180.0
-    )
+    line = {"longitude": 8.0, "track": 0.0, "groundspeed": 180.0}
+    straight = table.iloc[:13].assign(latitude=np.linspace(46.0, 46.05, 13), **line)
     with pytest.raises(ValueError, match="interpolated='keep'"):
         cleaned(straight)
     track, report = cleaned(straight, interpolated="keep")
@@ -256,11 +251,6 @@ def known(table, times, late_s):
     return rows
 
 
-def moved(table, rows):
-    table.loc[rows, "latitude"] += 0.03
-    return table
-
-
 def taxiing(table):
     """55 kt, which end where the flight begins."""
     still_to_taxi = 5.0 * 55.0 * KNOT * np.arange(10, 0, -1) + np.tile([0.0, 3.0], 5)
@@ -285,7 +275,11 @@ def taxiing(table):
             [3, 8],
         ),
         *(
-            (lambda t, rows=rows: moved(t, rows), {"position_outliers": len(rows)}, rows)
+            (
+                lambda t, rows=rows: t.assign(latitude=t["latitude"] + 0.03 * t.index.isin(rows)),
+                {"position_outliers": len(rows)},
+                rows,
+            )
             for rows in ([10], [10, 30], [10, 13])
         ),
         (lambda t: stored(t, altitude={6: 107_700.0, 21: 0.0}), {"height_outliers": 2}, [6, 21]),

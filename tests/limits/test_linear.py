@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spoofgym.limits import record, respond, unit_commands
-from spoofgym.limits.linear import mechanize_transition, observer, white
+from spoofgym.limits.linear import mechanize_transition, observer
 
 from .toy import rngs_of, toy_run, unwatched
 
@@ -61,14 +61,6 @@ def test_responses_add_up_and_follow_the_attack():
     still = respond(run._replace(gain=0.0 * run.gain), offsets)  # only propagates
     np.testing.assert_array_equal(still.innovation, offsets)
     assert not still.position.any()
-
-
-def test_whitened_rows_have_the_identity_for_a_covariance():
-    run = toy_run(epochs=3)
-    L = white(run.innovation_cov, np.tile(np.eye(8), (3, 1, 1)))
-    np.testing.assert_allclose(
-        L @ run.innovation_cov @ L.transpose(0, 2, 1), np.tile(np.eye(8), (3, 1, 1)), atol=1e-9
-    )
 
 
 def test_a_tilt_becomes_a_position_within_one_epoch():

@@ -259,11 +259,6 @@ def test_a_restricted_bound_is_the_largest_that_another_solver_finds(detector, h
     assert bound.value_m == pytest.approx(wanted, rel=1e-4)
 
 
-def test_a_restricted_attacker_without_limits_is_unbounded_where_nothing_is_judged():
-    bound = bound_of(Never(), attacker=ATTACKER._replace(rate_limit_mps=np.inf))
-    assert (bound.value_m, bound.kind, bound.commands) == (np.inf, "unbounded", None)
-
-
 @pytest.mark.parametrize("attacker", [None, ATTACKER], ids=["free", "restricted"])
 def test_a_calibration_takes_its_factor_along(attacker):
     scaled = Calibrated(SnapshotChi2(), scale=4.0)

@@ -9,7 +9,7 @@ from spoofgym.limits.linear import respond, white
 from spoofgym.limits.no_alarm import judge_run
 from spoofgym.limits.zero_alarm import ewma_bound, sensitivity, sequential_bound, snapshot_bound
 
-from .toy import EAST, TIMING, bound_of, toy_run
+from .toy import EAST, TIMING, bound_of, false_position, toy_run
 
 RUN = toy_run()
 OF = sensitivity(RUN, 45, EAST)
@@ -119,3 +119,6 @@ def test_a_detector_has_the_bound_of_its_closed_form(detector, closed):
 def test_what_is_not_judged_is_free(detector):
     bound = bound_of(detector)
     assert (bound.value_m, bound.kind) == (np.inf, "unbounded")
+    attacker = false_position(RUN, rate=np.inf)
+    bound = bound_of(Never(), attacker=attacker)
+    assert (bound.value_m, bound.kind, bound.commands) == (np.inf, "unbounded", None)
