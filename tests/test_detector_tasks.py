@@ -6,7 +6,6 @@ import json
 from contextlib import nullcontext
 
 import pytest
-from typer.testing import CliRunner
 
 import spoofgym
 from spoofgym.attacks import make_attack
@@ -14,18 +13,17 @@ from spoofgym.bench.experiments.protect import DetectorEvaluator
 from spoofgym.bench.report import tasks as detector_cards
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.search.attack_suite import FAMILIES
-from spoofgym.cli import app
 from spoofgym.detectors import make_detector
 from spoofgym.duel.learner import LearnersSide
 from spoofgym.policies.zoo import list_shipped, resolve_path
 from spoofgym.spoofers import make_spoofer
 from spoofgym.tasks import DETECTOR_TASKS, ONSETS, PUBLIC, TASKS, get_detector_task
 from tests.bench.detector_support import small_task
+from tests.command_line import call, read
 from tests.nightly import heavy
 from tools.detector_cards import END, PAGE, START, shown, with_others
 from tools.pages import part_between
 
-RUNNER = CliRunner()
 WORLDS = {"D1": "T3", "D2": "T4", "D3": "T5", "D4": "T6"}
 each_task = pytest.mark.parametrize("key", DETECTOR_TASKS)
 
@@ -89,22 +87,6 @@ def test_classics_have_the_tasks_own_bank_and_both_controls(key):
         make_detector(spec)
 
 
-@each_task
-def test_a_learned_detector_is_scored_where_it_has_learned_from_nothing_held_out(key):
-    """The guard has learned from counterfeits as in T3, which D3 holds out; D2 is another world."""
-    task = DETECTOR_TASKS[key]
-    names = [spec["name"] for spec in detector_cards.list_learned(task)]
-    assert names == (["trolley-guard"] if key in ("D1", "D4") else [])
-    for name in names:
-        card = json.loads(resolve_path(name, "detector").with_suffix(".json").read_text())
-        public = {family.key for family in task.public}
-        told = {"ramp": "ramps", "accelerating-ramp": "ramps", "profile": "profiles"}
-        told |= {"dash": "dashes", "blind-optimum": "blind-optima"}
-        met = {told.get(each, each) for each in card["training"]["families"]}
-        # spoofers of PPO move all channels along a line, from any onset: no family has them
-        assert met - public <= {"solution-separation-ppo", "hidden-pool-ppo"}
-
-
 @pytest.mark.parametrize(("key", "warns"), [("D1", False), ("D3", True)])
 def test_a_learned_detector_is_warned_of_where_it_has_met_what_is_held_out(key, warns):
     guard = {"name": "trolley-guard", "false_alarms_per_hour": 0.2}
@@ -131,19 +113,30 @@ def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():
         assert by_name[card["best_classic"]]["less_best"]["value"] == 0.0
         assert by_name["never"]["p_hmi"]["value"] == 1.0
         low, high = (by_name["lottery"]["less_best"][name] for name in ("low", "high"))
-        never = by_name["never"]["less_best"]["value"]
-        assert low <= never <= high  # chance is told from nothing by nobody
+        assert low <= by_name["never"]["less_best"]["value"] <= high  # chance is as good as nothing
 
 
 def test_the_learned_detector_is_in_two_tasks_no_worse_than_the_best_classic_by_a_tenth():
-    """By the upper end of the paired interval of the hazard."""
-    stored, sound = detector_cards.stored_detector_cards(), []
-    for key, task in DETECTOR_TASKS.items():
-        names = [spec["name"] for spec in detector_cards.list_learned(task)]
-        scores = {score["detector"]: score for score in stored[key]["detectors"]}
-        if names and min(scores[name]["less_best"]["high"] for name in names) <= 0.1:
-            sound.append(key)
-    assert len(sound) >= 2
+    """By the upper end of the paired interval of the hazard; D2 is another world.
+
+    It has learned from counterfeits as in T3, which D3 holds out, and from nothing that D1 or D4
+    do: spoofers of PPO move all channels along a line, from any onset, and no family has them.
+    """
+    cards = detector_cards.stored_detector_cards()
+    learned = {
+        key: [spec["name"] for spec in detector_cards.list_learned(task)]
+        for key, task in DETECTOR_TASKS.items()
+    }
+    assert learned == {"D1": ["trolley-guard"], "D2": [], "D3": [], "D4": ["trolley-guard"]}
+    card = json.loads(resolve_path("trolley-guard", "detector").with_suffix(".json").read_text())
+    told = {"ramp": "ramps", "accelerating-ramp": "ramps", "profile": "profiles"}
+    told |= {"dash": "dashes", "blind-optimum": "blind-optima"}
+    met = {told.get(each, each) for each in card["training"]["families"]}
+    for key in ("D1", "D4"):
+        public = {family.key for family in DETECTOR_TASKS[key].public}
+        assert met - public <= {"solution-separation-ppo", "hidden-pool-ppo"}
+        scores = {score["detector"]: score for score in cards[key]["detectors"]}
+        assert scores["trolley-guard"]["less_best"]["high"] <= 0.1
 
 
 @pytest.mark.nightly
@@ -183,13 +176,12 @@ def test_the_page_has_the_tables_of_the_cards():
     [
         (["--task", "T3", "--detector", "never"], "unknown task for detectors 'T3'"),
         (["--task", "D1", "--detector", "never", "--family", "ramp"], "unknown family of attacks"),
-        (["--task", "D1", "--detector", "nobody"], "unknown detector 'nobody'"),
         (["--task", "D1", "--detector", "trolley-gard"], "did you mean 'trolley-guard'?"),
         (["--task", "D1", "--detector", "never", "--selection-seeds", "1"], "selection-seeds"),
     ],
 )
 def test_bad_options_are_refused(words, message, tmp_path):
-    result = RUNNER.invoke(app, ["protect", *words, "--out", str(tmp_path)])
+    result = call("protect", *words, "--out", tmp_path)
     assert result.exit_code == 2
     assert message in " ".join(result.output.split())
 
@@ -199,11 +191,11 @@ def test_the_command_line_scores_and_goes_on(tmp_path, monkeypatch):
     words = ["protect", "--task", "D1", "--family", "ramps", "--seeds", "4", "--threads", "1"]
     words += ["--selection-seeds", "4", "--out", str(tmp_path)]
     words += ["--detector", "never", "--detector", "lottery:mean_wait_s=9e9"]
-    found = json.loads(RUNNER.invoke(app, [*words, "--json"]).stdout)
+    found = read(*words, "--json")
     assert [each["p_hmi"]["value"] for each in found] == [1.0, 1.0]
     assert found[1]["less_first"] == {"value": 0.0, "low": 0.0, "high": 0.0}
     assert len(list(tmp_path.rglob("*.npz"))) == 4  # of each, a family and false alarms
     monkeypatch.setattr("spoofgym.bench.experiments.protect.Panel", None)  # nothing is played again
-    table = RUNNER.invoke(app, words).stdout
+    table = call(*words).stdout
     assert "paired: +0.0 % of runs" in table
     assert "ramps" in table

@@ -101,17 +101,31 @@ def poison(model):
 
 
 @pytest.mark.parametrize("every", [160, 10**6])
-def test_a_diverged_training_ends_and_keeps_the_best(every, judge):
+def test_weights_that_are_no_numbers_end_a_training(every, judge):
     callback, model = scored(judge=judge, every=every), learner()
     with pytest.warns(UserWarning, match="diverged after 320 steps: PPO has weights that are not"):
         model.learn(1600, callback=[Rollouts(poison), callback])
     assert model.num_timesteps < 500
     assert np.isfinite(np.concatenate([w.ravel() for w in weights_of(model).values()])).all()
     assert callback.history[-1][0] < 320
-    assert "of step " in callback.diverged
     model.policy.action_net.weight.data.fill_(float("nan"))
     with pytest.raises(NotFinite, match="PPO has weights that are not finite"):
         judge.score(model, amplitude=None)
+
+
+def test_actions_that_are_no_numbers_end_a_training_and_the_best_is_kept(judge, monkeypatch):
+    callback, model, fit = scored(judge=judge, every=160), learner(), judge.fit
+
+    def failing(policy, **_):
+        if policy.num_timesteps >= 320:
+            raise NotFinite("PPO returned NaN for receiver 0")
+        return fit(policy)
+
+    monkeypatch.setattr(judge, "fit", failing)
+    with pytest.warns(UserWarning, match="diverged after 320 steps: .*NaN.*the best one was"):
+        model.learn(1600, callback=callback)
+    assert model.num_timesteps < 1600
+    assert "of step " in callback.diverged
 
 
 def test_a_callback_scores_the_average_of_the_weights(tmp_path, judge):
