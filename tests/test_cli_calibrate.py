@@ -75,17 +75,12 @@ def test_the_line_of_the_error_is_a_line_that_helps():
     assert SnapshotEnv(**settings).core.setup.detector.point.runs == 60
 
 
-SAME = "is the same world: that is what --hold-out counts"
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ([*CHI2, "--transfer", '{"errors": "trolley"}'], " has no argument 'errors'"),
-        ([*CHI2, "--transfer", "{}"], SAME),
-        ([*CHI2, "--transfer", "zhong2025"], SAME),
+        ([*CHI2, "--transfer", "zhong2025"], "is the same world: that is what --hold-out"),
         ([*CHI2, "--transfer", "{"], "is not JSON"),
-        ([*CHI2, "--transfer", "grovess"], "unknown scenario 'grovess'"),
         (
             ["--env", "spoofgym/WheeledRobot-v0", "--transfer", "trolley"],
             "has no argument 'scenario'",
@@ -98,7 +93,6 @@ SAME = "is the same world: that is what --hold-out counts"
         (["--detector", "never"], "one that never alarms has no rate"),
         (["--false-alarms-per-hour", "0"], "must be a number above 0, got 0.0"),
         (["--rescaled"], "'rescaled' is for detectors with a drift term"),
-        (["--detector", "ewmo"], "did you mean 'ewma'?"),
     ],
 )
 def test_wrong_input_is_refused_before_anything_is_played(folder, arguments, message):

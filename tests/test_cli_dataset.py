@@ -72,11 +72,9 @@ def test_a_calibration_that_is_missing_is_made_for_who_can_be_watched(tmp_path, 
     [
         (["--family", "meaconer"], "unknown family of attacks 'meaconer'"),
         (["--attack", "quiet"], "held out"),
-        (["--term", "velocity"], "unknown detector term 'velocity'"),
         (["--task", "T3", "--imu", "tactical"], "--imu can't be given with --task"),
         (["--spoofer", "none"], "transmits nothing"),
         (["--family", "feedback"], "needs a detector"),
-        (["--alert-limit-m", "0"], "`alert_limit_m` must be a number above 0, got 0"),
     ],
 )
 def test_wrong_input_gets_one_clear_line(more, message):

@@ -1,6 +1,5 @@
 """What the compiler makes of the kernels, on this processor or the one that it is asked for."""
 
-import json
 import re
 
 import numba
@@ -79,31 +78,6 @@ def test_the_machine_code_is_for_the_processor_that_is_asked_for():
     widest = "zmm" if "avx512f" in features else ("ymm" if "avx2" in features else "xmm")
     assert "xmm" in registers
     assert max(registers) == widest  # a vector of eight fills as few registers as can be
-
-
-ONE = {"B=1": {"position": "aa", "innovation": "bb"}, "B=3": {"x": "cc"}}
-OTHER = {**ONE, "B=1": {"position": "aa", "innovation": "b0"}}
-
-
-@pytest.mark.parametrize(
-    ("last", "failed", "printed"),
-    [
-        (ONE, 0, "the same bits in 3 fields: generic, haswell"),
-        (None, 1, "haswell         FAILED"),
-        (OTHER, 1, "haswell differs from generic: B=1: innovation\n"),
-    ],
-)
-def test_kinds_with_other_bits_fail_and_their_fields_are_named(
-    last, failed, printed, monkeypatch, capsys
-):
-    told = {"generic": json.dumps(ONE), "haswell": last and json.dumps(last)}
-    features = set(cpus.KINDS["haswell"].split()) | {"sse2"}
-    monkeypatch.setattr(cpus, "host_features", lambda: features)
-    monkeypatch.setattr(cpus, "run", lambda kind, *_, **__: told[kind])
-    assert cpus.main([*told, "znver4", cpus.COMPARE]) == failed
-    shown = capsys.readouterr().out
-    assert printed in shown
-    assert "znver4          skipped: this processor lacks adx, avx512bf16" in shown
 
 
 def test_the_runs_hold_every_attack_with_all_equipment():
