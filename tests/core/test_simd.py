@@ -334,9 +334,11 @@ def test_a_table_keeps_its_arrays_alive_and_refuses_what_it_could_not_read():
 WRONG = {
     "real + word": lambda x, w: load(x, 0) + load(w, 0),
     "word + real number": lambda x, w: load(w, 0) + 1.0,
+    "word + signed number": lambda x, w: load(w, 0) + 1,
     "real + truth": lambda x, w: load(x, 0) + True,
     "mask + mask": lambda x, w: (load(x, 0) > 0.0) + (load(x, 1) > 0.0),
     "mask & real": lambda x, w: (load(x, 0) > 0.0) & load(x, 0),
+    "mask & whole number": lambda x, w: (load(x, 0) > 0.0) & 1,
     "real & real": lambda x, w: load(x, 0) & load(x, 1),
     "real << word": lambda x, w: load(x, 0) << load(w, 0),
     "word * word": lambda x, w: load(w, 0) * load(w, 1),

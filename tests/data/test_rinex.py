@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import gzip
 import logging
+import re
 import warnings
 from datetime import datetime
 from pathlib import Path
@@ -80,41 +81,36 @@ def same(first: Ephemerides, second: Ephemerides) -> bool:
     )
 
 
+PLACES = [
+    *("clock_bias", "clock_drift", "clock_drift_rate"),
+    *("issue", "crs", "mean_motion_correction", "mean_anomaly"),
+    *("cuc", "eccentricity", "cus", "root_semi_major_axis"),
+    *("toe", "cic", "node", "cis"),
+    *("inclination", "crc", "perigee", "node_rate"),
+    *("inclination_rate", "codes", "week", "flag"),
+    *("accuracy", "health", "group_delay"),
+]
+
+
 def test_every_field_is_in_its_place(written: Any) -> None:
     e = read_navigation(written(HEADER_2 + G05 + G12))
     assert e.satellite_id.tolist() == ["G05", "G12"]
     assert e.satellite_ids == ("G05", "G12")
-    expected = {
-        "clock_bias": [-1.5e-4, 2.5e-4],
-        "clock_drift": [-2.5e-12, 0.0],
-        "clock_drift_rate": [0.0, 0.0],
-        "issue": [63.0, 17.0],
-        "crs": [-90.0, 40.0],
-        "mean_motion_correction": [4.6e-9, 5.1e-9],
-        "mean_anomaly": [0.7, -2.2],
-        "cuc": [-4e-6, 1.8e-6],
-        "eccentricity": [0.012, 0.008],
-        "cus": [5.5e-6, 7.7e-6],
-        "root_semi_major_axis": [5153.7, 5153.6],
-        "cic": [3e-8, -1.1e-7],
-        "node": [2.3, -1.0],
-        "cis": [-9e-8, 5e-8],
-        "inclination": [0.965, 0.95],
-        "crc": [275.0, 240.0],
-        "perigee": [-1.9, 1.3],
-        "node_rate": [-8.1e-9, -8.3e-9],
-        "inclination_rate": [2e-10, -1e-10],
-        "health": [0.0, 63.0],
-        "group_delay": [-1.1e-8, -4.7e-9],
-        "time_of_clock": [
-            gps_seconds(datetime(2024, 9, 14, 22)),
-            gps_seconds(datetime(2024, 9, 14, 23, 59, 44)),
-        ],
-        "time_of_ephemeris": [2331 * SECONDS_PER_WEEK + 597600.0, 2332 * SECONDS_PER_WEEK],
-    }
-    for name, values in expected.items():
+    numbers = [re.findall(r"-?\d\.\d{12}[DE][+-]\d\d", record) for record in (G05, G12)]
+    columns = [
+        [float(each.replace("D", "E")) for each in pair] for pair in zip(*numbers, strict=False)
+    ]
+    places = dict(zip(PLACES, columns, strict=False))
+    toe, week = (np.array(places.pop(name)) for name in ("toe", "week"))
+    for unused in ("codes", "flag", "accuracy"):
+        places.pop(unused)
+    places["time_of_ephemeris"] = (week * SECONDS_PER_WEEK + toe).tolist()
+    clock = datetime(2024, 9, 14, 22), datetime(2024, 9, 14, 23, 59, 44)
+    places["time_of_clock"] = [*map(gps_seconds, clock)]
+    for name, values in places.items():
         assert getattr(e, name).tolist() == values, name
-    assert expected.keys() | {"satellite_id"} == set(Ephemerides.__dataclass_fields__)
+    assert places.keys() | {"satellite_id"} == set(Ephemerides.__dataclass_fields__)
+    assert (e.root_semi_major_axis[0], e.health[1], week[1]) == (5153.7, 63.0, 2332.0)
 
 
 def test_version_3_says_the_same_and_other_constellations_are_left_out_and_told(
