@@ -9,6 +9,7 @@ from spoofgym.limits import Analyst, Commands, compute_frontier, floor
 from spoofgym.limits.floor import world_frontier
 from spoofgym.limits.linear import observer
 
+from ..nightly import heavy
 from .toy import best_commands, rates_of, rngs_of, unwatched
 
 LINE = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 2.0}
@@ -55,7 +56,7 @@ def test_where_every_channel_is_free_the_frontier_is_the_spread_of_a_coasting_tw
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scenario", ["zhong2025", "trolley"])
+@pytest.mark.parametrize("scenario", heavy(["zhong2025", "trolley"], "trolley"))
 def test_a_twin_without_measurements_drifts_as_the_closed_form_says(scenario):
     runs = 96
     setup = unwatched(scenario=scenario, domain=DRAWN)
@@ -79,7 +80,7 @@ def test_a_twin_without_measurements_drifts_as_the_closed_form_says(scenario):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scenario", ["zhong2025", "trolley"])
+@pytest.mark.parametrize("scenario", heavy(["trolley", "zhong2025"], "zhong2025"))
 def test_innovations_are_white_on_runs_that_are_not_linear(scenario):
     setup = unwatched(scenario=scenario, domain=DRAWN)
     simulator = Analyst(setup).start_simulator(rngs_of(setup, 100))

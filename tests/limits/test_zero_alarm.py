@@ -119,6 +119,6 @@ def test_a_detector_has_the_bound_of_its_closed_form(detector, closed):
 def test_what_is_not_judged_is_free(detector):
     bound = bound_of(detector)
     assert (bound.value_m, bound.kind) == (np.inf, "unbounded")
-    attacker = false_position(RUN, rate=np.inf)
+    attacker = false_position(RUN, rate=np.inf, change=np.inf)
     bound = bound_of(Never(), attacker=attacker)
     assert (bound.value_m, bound.kind, bound.commands) == (np.inf, "unbounded", None)
