@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 from typer.testing import CliRunner, Result
 
@@ -19,11 +21,17 @@ def call(*arguments: str | Path) -> Result:
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
+def read(*arguments: str | Path) -> Any:
+    """What a command with ``--json`` prints."""
+    result = call(*arguments)
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
 def refused(*arguments: str | Path) -> str:
     """The one line that a wrong command prints."""
     result = call(*arguments)
     assert result.exit_code == 2, result.output
-    lines = result.stderr.splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith("spoofgym: error: ")
-    return lines[0]
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("spoofgym: error: ")
+    return line

@@ -17,8 +17,7 @@ from llvmlite.binding import get_host_cpu_features
 
 from spoofgym.core.compile import CACHE_VARIABLE
 
-Digests = dict[str, dict[str, str]]
-"""By run and by field, as `tests.digests` prints them."""
+Digests = dict[str, dict[str, str]]  # by run and by field, as `tests.digests` prints them
 COMPARE = "--compare"
 _HASWELL = "sse4.2 popcnt avx2 fma bmi bmi2 f16c lzcnt movbe"
 _AVX512 = "avx512f avx512bw avx512cd avx512dq avx512vl adx clwb"
@@ -33,11 +32,10 @@ KINDS = {
     "avx512vnni avx512vpopcntdq gfni",
 }
 """LLVM's names of processors, and of the instructions that it may use for them."""
-VIEWS = "tests/duel/test_views.py::test_every_receiver_of_a_vector_view_is_the_single_view"
 TESTS = (
     "tests/test_cpus.py",
     "tests/simulation/test_engine.py",
-    VIEWS,
+    "tests/duel/test_views.py::test_every_receiver_of_a_vector_view_is_the_single_view",
     "tests/receiver/test_strapdown.py",
     "tests/receiver/test_kernels.py",
 )
@@ -48,31 +46,17 @@ def host_features() -> set[str]:
     return {name for name, has in get_host_cpu_features().items() if has}
 
 
-def missing(kind: str, features: set[str]) -> list[str]:
-    """What a processor with these features lacks to run code for a kind."""
-    return sorted(set(KINDS[kind].split()) - features)
+def run(kind: str, cache: str, *module: str, read: bool = False) -> str | None:
+    """What a module prints, where that is read, in a process that compiles for a kind; else None.
 
-
-def environment(kind: str, cache: str) -> dict[str, str]:
-    """Variables of a process that compiles for a kind: without the empty one for this processor."""
-    chosen = {"NUMBA_CPU_NAME": kind, "NUMBA_CPU_FEATURES": "", CACHE_VARIABLE: cache}
+    Without the empty setting of numba that stands for this processor.
+    """
     kept = {name: value for name, value in os.environ.items() if name != "NUMBA_DISABLE_JIT"}
-    return kept | chosen
-
-
-def passes(kind: str, cache: str) -> bool:
-    """Run the tests in a process that compiles for a kind."""
-    command = [sys.executable, "-m", "pytest", "-q", *TESTS]
-    return subprocess.run(command, env=environment(kind, cache), check=False).returncode == 0
-
-
-def digests(kind: str, cache: str) -> Digests | None:
-    """What a process that compiles for a kind computes; None where it fails."""
-    command = [sys.executable, "-m", "tests.digests"]
-    done = subprocess.run(
-        command, env=environment(kind, cache), stdout=subprocess.PIPE, text=True, check=False
-    )
-    return None if done.returncode else json.loads(done.stdout)
+    chosen = {"NUMBA_CPU_NAME": kind, "NUMBA_CPU_FEATURES": "", CACHE_VARIABLE: cache}
+    output = subprocess.PIPE if read else None
+    command = [sys.executable, "-m", *module]
+    done = subprocess.run(command, env=kept | chosen, stdout=output, text=True, check=False)
+    return None if done.returncode else done.stdout or ""
 
 
 def differences(computed: Mapping[str, Digests]) -> list[str]:
@@ -80,39 +64,34 @@ def differences(computed: Mapping[str, Digests]) -> list[str]:
     (first, expected), *others = computed.items()
     found = []
     for kind, given in others:
-        for run in {**expected, **given}:
-            mine, theirs = expected.get(run, {}), given.get(run, {})
-            fields = [name for name in {**mine, **theirs} if mine.get(name) != theirs.get(name)]
+        for name in {**expected, **given}:
+            mine, theirs = expected.get(name, {}), given.get(name, {})
+            fields = [each for each in {**mine, **theirs} if mine.get(each) != theirs.get(each)]
             if fields:
-                found.append(f"{kind} differs from {first}: {run}: {', '.join(fields)}")
+                found.append(f"{kind} differs from {first}: {name}: {', '.join(fields)}")
     return found
 
 
 def main(arguments: Sequence[str]) -> int:
     """Number of kinds that fail or differ; 1 also where this processor can run none of them."""
     kinds = [kind for kind in arguments if kind != COMPARE] or list(KINDS)
-    for kind in kinds:
-        if kind not in KINDS:
-            raise SystemExit(
-                f"unknown kind of processor {kind!r}; valid are {', '.join(KINDS)}, and {COMPARE}"
-            )
-    features, results = host_features(), {}
+    if unknown := [kind for kind in kinds if kind not in KINDS]:
+        raise SystemExit(f"unknown kinds {unknown}; valid are {', '.join(KINDS)}, and {COMPARE}")
+    results: dict[str, str] = {}
     computed: dict[str, Digests] = {}
     for kind in kinds:
-        lacking = missing(kind, features)
         print(f"== {kind}", flush=True)
-        if lacking:
+        if lacking := sorted(set(KINDS[kind].split()) - host_features()):
             results[kind] = f"skipped: this processor lacks {', '.join(lacking)}"
             continue
         with tempfile.TemporaryDirectory(prefix="spoofgym-cpus-") as cache:
-            passed = COMPARE in arguments or passes(kind, cache)
-            found = digests(kind, cache)
+            passed = COMPARE in arguments or run(kind, cache, "pytest", "-q", *TESTS) is not None
+            found = run(kind, cache, "tests.digests", read=True)
         if found is not None:
-            computed[kind] = found
+            computed[kind] = json.loads(found)
         results[kind] = "passed" if passed and found is not None else "FAILED"
     wrong = differences(computed) if computed else []
-    for kind in {line.partition(" ")[0] for line in wrong}:
-        results[kind] = "FAILED: other bits"
+    results |= {line.partition(" ")[0]: "FAILED: other bits" for line in wrong}
     print(*wrong, sep="\n")
     for kind, result in results.items():
         print(f"{kind:16}{result}")

@@ -20,11 +20,8 @@ EQUIPMENT: dict[str, Any] = {
     "errors": {"bias_sd_m": 0.5},
     "tracking": {"sd_m": 1.0, "correlation_s": 5.0, "delay_s": 0.3, "bias_m": [0.5, 0.0, -0.5]},
     "spoofer_clock": {
-        "offset_m": 3.0,
-        "offset_sd_m": 1.0,
-        "drift_sd_mps": 0.1,
-        "phase_psd": 0.01,
-        "frequency_psd": 0.04,
+        **{"offset_m": 3.0, "offset_sd_m": 1.0, "drift_sd_mps": 0.1},
+        **{"phase_psd": 0.01, "frequency_psd": 0.04},
     },
     "capture": {"delay_s": 3.0, "alignment_m": None},
 }
@@ -90,7 +87,6 @@ class Digests:
                 self._digests[name].update(np.ascontiguousarray(values).tobytes())
 
     def hex(self) -> dict[str, str]:
-        """By field."""
         return {name: digest.hexdigest() for name, digest in self._digests.items()}
 
 

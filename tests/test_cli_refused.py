@@ -14,12 +14,7 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 @pytest.mark.parametrize(
     ("command", "option", "largest"),
-    [
-        ("run", "--run", 999_999),
-        ("render", "--run", 999_999),
-        ("bench", "--seeds", 1_000_000),
-        ("tune", "--training-seeds", 1_000_000),
-    ],
+    [("run", "--run", 999_999), ("bench", "--seeds", 1_000_000), ("limits", "--worlds", 1024)],
 )
 def test_absurd_numbers_of_runs_end_at_once(command: str, option: str, largest: int) -> None:
     result = call(command, option, "99999999999")
@@ -33,31 +28,18 @@ def test_absurd_numbers_of_runs_end_at_once(command: str, option: str, largest: 
     ("arguments", "message"),
     [
         (["list", "planes"], "unknown kind 'planes'; valid: attacks, detectors, envs"),
+        (["list", "envs", "x"], "unknown kind with settings 'envs'; valid: attacks, detectors"),
         (["bench", "--detector", "emwa"], "unknown detector 'emwa'; valid: "),
         (["bench", "--detector", "oracle-step"], "an oracle knows the attack's"),
         (["run", "--detector", "oracle-ramp"], "to play it all the same: `--allow-oracles`"),
-        (["bench", "--spoofer", "ramp:rate=1"], "spoofer 'ramp' has no setting 'rate'; valid: "),
-        (["run", "--scenario", "zhong"], "unknown scenario 'zhong'; valid: "),
-        (["run", "--errors", "none"], "unknown errors 'none'; valid: "),
-        (["run", "--imu", "toy"], "unknown imu grade 'toy'; valid: "),
-        (["run", "--tuning", "loose"], "`tuning` must be 'paper', 'matched'"),
-        (["run", "--attack", "radio"], "unknown attack 'radio'; valid: "),
-        (["run", "--spoofer", "ramp:rate_mps=nan"], "`rate_mps` must be a finite number"),
-        (["run", "--spoofer", "ramp:rate_mps=9"], "`rate_mps` = 9 is more than the attack allows"),
-        (["run", "--attack-s", "nan"], "`attack_s` must be a number above 0"),
-        (["run", "--attack-s", "900"], "an episode takes"),
-        (["run", "--detector", "nowhere:Thing"], "there is no module 'nowhere'"),
         (["run", "--spoofer", "ramp:rate_mps=tuned"], "needs a search"),
         (["run", "--spoofer", "ramp:rate_mps"], "a setting is written `ramp:rate_mps=...`"),
         (["run", "--out", "a.gift"], "unknown ending of a picture '.gift'; valid: "),
         (["render", "--out", "a.avi"], "unknown ending of an animation '.avi'; valid: "),
-        (["render", "--fps", "0"], "`fps` must be a number above 0 and at most 100, got 0.0"),
         (["bench", "--budget", "0.001"], "--training-seeds must be at least 2995 for a budget of"),
         (["tune", "--budget", "2"], "--budget must be a number above 0 and below 1, got 2.0"),
         (["tune", "--spoofer", "none"], "spoofer 'none' can't be tuned; tunable: nothing"),
         (["bench", "--spoofer", "nowhere.onnx"], "there is no ONNX file nowhere.onnx"),
-        (["card", "nowhere.json"], "there is no card nowhere.json"),
-        (["bench", "--seed", "-1"], "`entropy` must be a whole number"),
         (["bench", "--track", "a.json"], "--track and --ephemeris belong together"),
         (["bench", "--from", "3"], "there is no --track"),
         (["bench", "--track", "a.json", "--ephemeris", "b.n"], "a.json: No such file"),
@@ -65,28 +47,18 @@ def test_absurd_numbers_of_runs_end_at_once(command: str, option: str, largest: 
         (["bench", "--env", "Snapshot-v0"], "unknown environment of the benchmark 'Snapshot-v0'"),
         (
             ["bench", "--env", "spoofgym/Snapshot-v0", "--attack", "paper-ideal"],
-            "--attack is an option of spoofgym/TightlyCoupled-v0, not of spoofgym/Snapshot-v0, "
-            "whose settings are given with --set",
+            "--attack is an option of spoofgym/TightlyCoupled-v0, not of spoofgym/Snapshot-v0, ",
         ),
         (
             ["run", "--env", "spoofgym/WheeledRobot-v0", "--detector", "ewma"],
-            "detector ewma in spoofgym/WheeledRobot-v0: ",
+            "detector ewma in ",
         ),
         (["bench", "--set", "satellites"], "a setting is written `name=value`, got 'satellites'"),
         (["bench", "--set", "between=a", "--set", "between=b"], "--set between is given twice"),
-        (["run", "--set", "satellites=9"], "TightlyCoupled-v0 has no setting 'satellites', got 9"),
         (["bench", "--task", "T1", "--set", "worlds=2"], "--set can't be given with --task"),
-        (["bench", "--suite", "mine"], "unknown suite 'mine'; valid: standard"),
-        (["bench", "--suite", "standard", "--task", "T1"], "--task can't be given with --suite"),
         (["bench", "--suite", "standard", "--nominal"], "--nominal can't be given with --suite"),
-        (
-            ["bench", "--suite", "standard", "--spoofer", "ramp"],
-            "--spoofer can't be given with --suite",
-        ),
-        (
-            ["bench", "--suite", "standard", "--budget", "0.1"],
-            "--budget can't be given with --suite",
-        ),
+        (["bench", "--task", "T9"], "unknown task 'T9'"),
+        (["bench", "--task", "T1", "--detector", "ewma"], "--detector can't be given with --task"),
     ],
 )
 def test_wrong_input_gets_one_clear_line(arguments: list[str], message: str) -> None:
@@ -100,42 +72,30 @@ def test_a_folder_of_something_else_is_left_alone() -> None:
     assert [path.name for path in Path("out").iterdir()] == ["letter.txt"]
 
 
-def rows(count: int) -> list[dict[str, float]]:
-    return [
-        {
-            "timestamp": 1_515_758_400 + 5 * k,
-            "latitude": 41.0 + 0.005 * k,
-            "longitude": 8.0,
-            "altitude": 10_000.0,
-        }
-        for k in range(count)
-    ]
-
-
 def test_bad_tracks_and_ephemerides_are_refused(data_folder: Path) -> None:
     broadcast = data_folder / "gnss_broadcast" / "brdc3050.12n"
     flight = data_folder / "adsb_flights" / "ajaccio.json.gz"
+    place = {"longitude": 8.0, "altitude": 10_000.0}
+    rows = [
+        {"timestamp": 1_515_758_400 + 5 * k, "latitude": 41.0 + 0.005 * k, **place}
+        for k in range(50)
+    ]
     for name, content, message in (
         ("empty.json", [], "a track must have rows, got none"),
-        ("backwards.json", rows(50)[::-1], "time must not run backwards"),
-        ("short.json", rows(3), "at least"),
+        ("backwards.json", rows[::-1], "time must not run backwards"),
+        ("short.json", rows[:3], "at least"),
     ):
         Path(name).write_text(json.dumps(content))
         assert message in refused("bench", "--track", name, "--ephemeris", broadcast)
     header, _, body = broadcast.read_text().partition("END OF HEADER")
     Path("none.12n").write_text(f"{header}END OF HEADER\n")
-    assert "holds no usable GPS satellite" in refused(
-        "bench", "--track", flight, "--ephemeris", "none.12n"
-    )
     # records of the early morning only, while the flight begins at noon
     early = "\n".join(body.splitlines()[1:9])
     Path("early.12n").write_text(f"{header}END OF HEADER\n{early}\n")
-    assert "must be within 2 h of a healthy record" in refused(
-        "bench", "--track", flight, "--ephemeris", "early.12n"
-    )
-    assert "`from_s` must lie in an airborne stretch" in refused(
-        "bench", "--track", flight, "--ephemeris", broadcast, "--from", "1e6"
-    )
-    assert "--date must be YYYY-MM-DD" in refused(
-        "bench", "--track", flight, "--ephemeris", broadcast, "--date", "today"
-    )
+    for ephemeris, more, message in (
+        ("none.12n", [], "holds no usable GPS satellite"),
+        ("early.12n", [], "must be within 2 h of a healthy record"),
+        (broadcast, ["--from", "1e6"], "`from_s` must lie in an airborne stretch"),
+        (broadcast, ["--date", "today"], "--date must be YYYY-MM-DD"),
+    ):
+        assert message in refused("bench", "--track", flight, "--ephemeris", ephemeris, *more)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -10,83 +9,73 @@ import pytest
 from spoofgym.policies.zoo import resolve_path
 
 from .bench.support import small_suite, use_zoo, write_zoo
-from .command_line import QUICK, SHORT, call, refused
+from .command_line import QUICK, SHORT, call, read, refused
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 @pytest.fixture(scope="module")
-def zoo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("zoo")
     write_zoo(folder, small_suite())
     return folder
 
 
-def test_list_and_card_show_what_is_shipped(
-    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use_zoo(zoo_folder, monkeypatch)
-    rows = json.loads(call("list", "shipped", "--json").stdout)["shipped"]
+@pytest.fixture
+def zoo_folder(written: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    use_zoo(written, monkeypatch)
+    return written
+
+
+def test_list_and_card_show_what_is_shipped(zoo_folder: Path) -> None:
+    rows = read("list", "shipped", "--json")["shipped"]
     assert [row["name"] for row in rows] == ["curve", "push", "track"]
     assert (rows[2]["knowledge"], rows[2]["designed_on"]) == ("tracking", "ewma, by hand")
     assert rows[2]["scores"][0]["undetected_displacement_m"] == 12.5
     table = " ".join(call("list").output.split())
     assert "ewma: 12.5 m (11.0 to 14.0), alarms 20.0 % (clean 18.0 %)" in table
-    for name in ("push", str(zoo_folder / "push.onnx"), str(zoo_folder / "push.json")):
-        card = call("card", name)
-        assert card.exit_code == 0, card.output
+    for name in ("push", zoo_folder / "push.onnx", zoo_folder / "push.json"):
+        shown = call("card", name).output
         for part in ("python -m by.hand", "40 commands", "12.5 (11.0 to 14.0)", "push.onnx, "):
-            assert part in card.output
-        assert json.loads(call("card", name, "--json").stdout)["name"] == "push"
+            assert part in shown
+        assert read("card", name, "--json")["name"] == "push"
     assert "rates_mps" in call("card", "curve").output
     wrong = " ".join(refused("card", "pull").split())
     assert "unknown shipped spoofer or detector 'pull'; valid: curve, push, track" in wrong
-    assert "there is no ONNX file nowhere.onnx" in refused("card", "nowhere.onnx")
-    assert "there is no card nowhere.json" in refused("card", "nowhere.json")
+    for nowhere in ("ONNX file nowhere.onnx", "card nowhere.json"):
+        assert f"there is no {nowhere}" in refused("card", nowhere.split()[-1])
 
 
 def test_a_card_of_a_detector_is_shown_by_name_and_by_file() -> None:
     file = resolve_path("trolley-guard")
-    for name in ("trolley-guard", str(file), str(file.with_suffix(".json"))):
-        found = call("card", name)
-        assert found.exit_code == 0, found.output
+    for name in ("trolley-guard", file, file.with_suffix(".json")):
+        shown = call("card", name).output
         for part in ("detector-policy", "hidden (32)", "12 slots, epochs of 0.5 s", "best_pass"):
-            assert part in found.output
-        assert json.loads(call("card", name, "--json").stdout)["statistic"] == "receiver"
+            assert part in shown
+        assert read("card", name, "--json")["statistic"] == "receiver"
     card = file.with_suffix(".json").read_text().replace('"channels": 12', '"channels": 13')
     Path("other.json").write_text(card.replace(file.name, "other.onnx"))
     Path("other.onnx").write_bytes(file.read_bytes()[:-8])
     assert "other.onnx has" in refused("card", "other.onnx")
-    damaged = Path("damaged.json")
-    damaged.write_text('{"kind": "detector-policy"}')
+    Path("damaged.json").write_text('{"kind": "detector-policy"}')
     assert "card damaged.json" in refused("card", "damaged.json")
 
 
-def test_bench_and_run_take_learned_and_optimised_spoofers(
-    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use_zoo(zoo_folder, monkeypatch)
+def test_bench_and_run_take_learned_and_optimised_spoofers(zoo_folder: Path) -> None:
     inline = '{"name": "profile", "rates_mps": [0, 0.1, 0.2], "label": "inline"}'
     chosen = ["--spoofer", "push", "--spoofer", inline, "--detector", "ewma"]
-    played = call("bench", *QUICK, *chosen, "--out", "out", "--json")
-    assert played.exit_code == 0, played.output
-    summary = json.loads(played.stdout)
+    summary = read("bench", *QUICK, *chosen, "--out", "out", "--json")
     assert [cell["spoofer"] for cell in summary["cells"]] == ["none", "push", "inline"]
     assert all(isinstance(cell["within_budget"], bool) for cell in summary["cells"])
     assert all(cell["spoofer_settings"]["amplitude"] > 0.0 for cell in summary["cells"][1:])
-    again = call("report", "out")
-    assert "stealthy attacks" in again.output
+    assert "stealthy attacks" in call("report", "out").output
     for name in ("push", str(zoo_folder / "track.onnx"), inline):
-        one = call("run", *SHORT, "--spoofer", name, "--json")
-        assert one.exit_code == 0, one.output
-        assert json.loads(one.stdout)["largest_error_m"] > 0.0
+        assert read("run", *SHORT, "--spoofer", name, "--json")["largest_error_m"] > 0.0
     assert Path("episode.png").is_file()
 
 
-def test_shipped_spoofers_that_do_not_fit_are_named(
-    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use_zoo(zoo_folder, monkeypatch)
+@pytest.mark.usefixtures("zoo_folder")
+def test_shipped_spoofers_that_do_not_fit_are_named() -> None:
     north = [*QUICK, "--out", "out", "--attack", "false-position:axes=n"]
     assert "needs a command to the east" in refused("bench", *north)
     assert "push does not fit this attack: " in refused("bench", *north, "--spoofer", "push")

@@ -80,66 +80,10 @@ def test_the_machine_code_is_for_the_processor_that_is_asked_for():
     assert max(registers) == widest  # a vector of eight fills as few registers as can be
 
 
-def test_a_kind_is_skipped_that_the_processor_cannot_run():
-    features = set(cpus.KINDS["haswell"].split()) | {"sse2"}
-    runs = [kind for kind in cpus.KINDS if not cpus.missing(kind, features)]
-    assert runs == ["generic", "nehalem", "haswell"]
-    assert "avx512f" in cpus.missing("znver4", features)
-
-
-def test_an_unknown_kind_is_named_and_none_that_can_run_is_no_success(monkeypatch, capsys):
-    with pytest.raises(SystemExit, match="'pentium'; valid are generic, nehalem"):
-        cpus.main(["pentium"])
-    monkeypatch.setattr(cpus, "host_features", set)
-    assert cpus.main([]) == 1
-    assert "generic         skipped: this processor lacks sse2" in capsys.readouterr().out
-
-
-ONE = {"default: B=1": {"position": "aa", "innovation": "bb"}, "default: B=3": {"x": "cc"}}
-
-
-@pytest.mark.parametrize(
-    ("last", "code", "printed"),
-    [
-        (ONE, 0, "the same bits in 3 fields: generic, haswell, znver4"),
-        (None, 1, "znver4          FAILED"),
-        ({"default: B=3": ONE["default: B=3"]}, 1, "default: B=1: position, innovation\n"),
-        (
-            {**ONE, "default: B=1": {"position": "aa", "innovation": "b0"}},
-            1,
-            "znver4 differs from generic: default: B=1: innovation\n",
-        ),
-    ],
-)
-def test_kinds_with_other_bits_fail_and_their_fields_are_named(
-    last, code, printed, monkeypatch, capsys
-):
-    computed = {"generic": ONE, "haswell": dict(ONE), "znver4": last}
-    monkeypatch.setattr(cpus, "missing", lambda kind, features: [])
-    monkeypatch.setattr(cpus, "digests", lambda kind, cache: computed[kind])
-    assert cpus.main([*computed, cpus.COMPARE]) == code
-    shown = capsys.readouterr().out
-    assert printed in shown
-    assert "haswell         passed" in shown
-    assert ("znver4          FAILED" in shown) == bool(code)
-
-
-def test_digests_are_of_every_bit():
-    def digest(values):
-        made = digests.Digests()
-        made.add(x=np.array(values), optional=None)
-        return made.hex()
-
-    assert digest([1.0, 2.0]) == digest([1.0, 2.0])
-    assert digest([1.0, 2.0]) != digest([1.0, np.nextafter(2.0, 3.0)])
-    assert {*digest([1.0])} == {"x"}
-
-
-def test_the_runs_hold_every_attack_with_all_equipment_and_every_size_of_batch():
+def test_the_runs_hold_every_attack_with_all_equipment():
     attacks = [settings["attack"] for settings in digests.RUNS.values() if "attack" in settings]
     full = {attack["name"] for attack in attacks if isinstance(attack, dict)}
     assert full == {*ATTACKS}
-    assert digests.BATCHES == (1, 3, 8, 17)
     setup = digests.setup_of("default")
     assert digests.run_digests(setup, 3) == digests.run_digests(setup, 3)
 

@@ -56,15 +56,11 @@ def installed_with(*extras):
 def test_all_that_an_extra_installs_is_pinned_to_a_version_that_fits(extra):
     found = installed_with(extra)
     assert {*found} - {*PINS} == set()
+    assert {"numpy", "llvmlite"} <= {*found}
     for name, wanted in found.items():
         (version,) = (pin.version for pin in PINS[name])
         for owner, specifier in wanted:
             assert specifier.contains(version, prereleases=True), (name, owner)
-
-
-def test_the_walk_sees_what_comes_along():
-    assert {"numpy", "llvmlite", "torch", "sympy"} <= {*installed_with("train")}
-    assert "torch" not in installed_with()
 
 
 def test_the_laboratory_s_extra_holds_what_its_code_and_its_pages_use():
@@ -82,4 +78,5 @@ def test_the_laboratory_s_extra_holds_what_its_code_and_its_pages_use():
     for module in sorted(outside - {"spoofgym", "agents", "baselines", "train"}):
         assert {canonicalize_name(owner) for owner in owners[module]} & {*installed}, module
     # `RecordEpochs` writes Parquet, Gymnasium's `RecordVideo` takes moviepy
-    assert {"pyarrow", "moviepy"} <= {*installed}
+    assert {"pyarrow", "moviepy", "torch", "sympy"} <= {*installed}
+    assert "torch" not in installed_with()

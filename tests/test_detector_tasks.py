@@ -5,10 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import nullcontext
 
-import gymnasium as gym
-import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import spoofgym
 from spoofgym.attacks import make_attack
@@ -16,33 +13,26 @@ from spoofgym.bench.experiments.protect import DetectorEvaluator
 from spoofgym.bench.report import tasks as detector_cards
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.search.attack_suite import FAMILIES
-from spoofgym.cli import app
 from spoofgym.detectors import make_detector
 from spoofgym.duel.learner import LearnersSide
 from spoofgym.policies.zoo import list_shipped, resolve_path
 from spoofgym.spoofers import make_spoofer
 from spoofgym.tasks import DETECTOR_TASKS, ONSETS, PUBLIC, TASKS, get_detector_task
 from tests.bench.detector_support import small_task
+from tests.command_line import call, read
 from tests.nightly import heavy
 from tools.detector_cards import END, PAGE, START, shown, with_others
 from tools.pages import part_between
 
-RUNNER = CliRunner()
 WORLDS = {"D1": "T3", "D2": "T4", "D3": "T5", "D4": "T6"}
 each_task = pytest.mark.parametrize("key", DETECTOR_TASKS)
 
 
 @each_task
-def test_the_world_is_that_of_a_spoofers_task(key):
-    task = DETECTOR_TASKS[key]
-    assert task.world_of == WORLDS[key]
-    assert task.world_kwargs == TASKS[WORLDS[key]].world_kwargs
-    assert task.alert_limit_m == TASKS[WORLDS[key]].alert_limit_m
-
-
-@each_task
 def test_held_out_families_are_not_in_the_public_pool(key):
+    """What families there are is kept in tests/golden."""
     task = DETECTOR_TASKS[key]
+    assert (task.world_of, task.public) == (WORLDS[key], PUBLIC)
     assert (*task.public, *task.held_out) == task.families
     assert not {each.key for each in task.public} & {each.key for each in task.held_out}
     for family in task.public:  # in the task's own world, at any onset
@@ -51,84 +41,32 @@ def test_held_out_families_are_not_in_the_public_pool(key):
     for family in task.held_out:
         assert family.overrides or family.onset in ONSETS
     # what a learner meets is in the task's own world, too: the spoofers alone are the pool's
+    assert task.world_kwargs == TASKS[WORLDS[key]].world_kwargs
     assert task.env_kwargs == {**task.world_kwargs, "pool": task.pool}
-    names = {spec["name"] for spec in task.pool}
+    names = {make_spoofer(spec) and spec["name"] for spec in task.pool}
     assert names == {"ramp", "accelerating-ramp", "profile", "dash", "feedback"}
-    for spec in task.pool:
-        make_spoofer(spec)
     assert [*map(json.dumps, task.pool)] == [*dict.fromkeys(map(json.dumps, task.pool))]
-
-
-@each_task
-def test_a_quiet_world_holds_inherited_errors_out_and_the_others_quiet_ones(key):
-    task = DETECTOR_TASKS[key]
-    own = make_attack(task.world_kwargs.get("attack", "false-position")).label
-    keys = [family.key for family in task.held_out]
-    assert (own == "quiet") == (key == "D3")
-    assert ("inherited" in keys) == (own == "quiet")
-    assert ("quiet" in keys) == (own != "quiet")
-    for name in {"quiet", "inherited"} & {*keys}:
-        other = make_attack(task.family(name).attack)
-        assert (other.errors == "inherited") == (name == "inherited")
-    part = make_attack(task.family("subset").attack)
-    assert (part.errors == "inherited") == (own != "quiet")
-    assert part.channels != "all"
-
-
-def test_the_families_of_the_brief_are_there():
-    for task in DETECTOR_TASKS.values():
-        held_out = {family.key for family in task.held_out} - {"quiet", "inherited"}
-        assert held_out == {"subset", "meaconer", "turn", "satellite-switch", "chance-alarm"}
-        assert {family.onset for family in task.held_out} == {None, *ONSETS}
-        assert task.public == PUBLIC
-
-
-@each_task
-def test_a_task_is_an_environment_of_the_detectors_side(key):
-    task = DETECTOR_TASKS[key]
-    spec = gym.spec(task.env_id)
-    again = gym.envs.registration.EnvSpec.from_json(spec.to_json())
-    assert json.loads(json.dumps(again.kwargs)) == json.loads(json.dumps(task.env_kwargs))
+    # errors that are inherited, or quiet, are held out where the task's own are the other kind
+    own = make_attack(task.world_kwargs.get("attack", "false-position"))
+    other = "inherited" if own.label == "quiet" else "quiet"
+    assert (own.label == "quiet") == (key == "D3")
+    errors = make_attack(task.family(other).attack).errors
+    assert (errors == "inherited") == (other == "inherited")
     side = LearnersSide.of(None, key, "detector", None, None, {})
     assert (side.env_id, side.side, side.pool) == (task.env_id, "detector", task.pool)
     assert side.settings == task.world_kwargs
 
 
-def test_plain_learners_meet_the_public_pool():
-    pytest.importorskip("stable_baselines3")
-    from spoofgym.sb3 import SpoofVecEnv
-
-    short = {"warmup_s": 8.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
-    few = {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2}
-    env = SpoofVecEnv(8, task="D1", side="detector", timeline=short, domain=few, torch_threads=None)
-    env.reset()
-    labels = env.core.pool.labels
-    assert len(labels) == len(DETECTOR_TASKS["D1"].pool)
-    assert len({*env.core.opponents()}) > 1
-    _, reward, done, _ = env.step(np.zeros((8, *env.action_space.shape), dtype=np.float32))
-    assert reward.shape == done.shape == (8,)
-    env.close()
-
-
-def test_a_pool_of_ones_own_takes_the_place_of_the_public_one():
-    side = LearnersSide.of(None, "D1", "detector", ["ramp"], None, {})
-    assert side.pool == ["ramp"]
-
-
-def test_unknown_names_are_refused():
+def test_names_are_told_apart_and_copies_handed_out():
+    assert LearnersSide.of(None, "D1", "detector", ["ramp"], None, {}).pool == ["ramp"]
     with pytest.raises(ValueError, match=r"unknown task for detectors 'D9'; valid: D1.*D4"):
         get_detector_task("D9")
-    with pytest.raises(
-        ValueError, match=r"unknown family of attacks of D3 'quiet'; valid: .*inher"
-    ):
+    with pytest.raises(ValueError, match=r"unknown family of attacks of D3 'quiet'; valid: .*inh"):
         get_detector_task("D3").family("quiet")
     with pytest.raises(ValueError, match="D1 is for detectors: it needs `side` 'detector'"):
         LearnersSide.of(None, "D1", "spoofer", None, None, {})
     with pytest.raises(ValueError, match="unknown task 'D1'"):
         spoofgym.evaluate("ramp", "D1")
-
-
-def test_copies_are_handed_out():
     task = get_detector_task("D3")
     task.family("subset").overrides["attack"]["channels"].clear()
     task.pool.clear()
@@ -147,22 +85,6 @@ def test_classics_have_the_tasks_own_bank_and_both_controls(key):
     assert ("longest_s" in bank) == (key == "D2")
     for spec in specs:
         make_detector(spec)
-
-
-@each_task
-def test_a_learned_detector_is_scored_where_it_has_learned_from_nothing_held_out(key):
-    """The guard has learned from counterfeits as in T3, which D3 holds out; D2 is another world."""
-    task = DETECTOR_TASKS[key]
-    names = [spec["name"] for spec in detector_cards.list_learned(task)]
-    assert names == (["trolley-guard"] if key in ("D1", "D4") else [])
-    for name in names:
-        card = json.loads(resolve_path(name, "detector").with_suffix(".json").read_text())
-        public = {family.key for family in task.public}
-        told = {"ramp": "ramps", "accelerating-ramp": "ramps", "profile": "profiles"}
-        told |= {"dash": "dashes", "blind-optimum": "blind-optima"}
-        met = {told.get(each, each) for each in card["training"]["families"]}
-        # spoofers of PPO move all channels along a line, from any onset: no family has them
-        assert met - public <= {"solution-separation-ppo", "hidden-pool-ppo"}
 
 
 @pytest.mark.parametrize(("key", "warns"), [("D1", False), ("D3", True)])
@@ -191,19 +113,30 @@ def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():
         assert by_name[card["best_classic"]]["less_best"]["value"] == 0.0
         assert by_name["never"]["p_hmi"]["value"] == 1.0
         low, high = (by_name["lottery"]["less_best"][name] for name in ("low", "high"))
-        never = by_name["never"]["less_best"]["value"]
-        assert low <= never <= high  # chance is told from nothing by nobody
+        assert low <= by_name["never"]["less_best"]["value"] <= high  # chance is as good as nothing
 
 
-def test_the_learned_detector_is_no_worse_than_the_best_classic_by_a_tenth():
-    """In two of D1 to D4, by the upper end of the paired interval of the hazard."""
-    stored, sound = detector_cards.stored_detector_cards(), []
-    for key, task in DETECTOR_TASKS.items():
-        names = [spec["name"] for spec in detector_cards.list_learned(task)]
-        scores = {score["detector"]: score for score in stored[key]["detectors"]}
-        if names and min(scores[name]["less_best"]["high"] for name in names) <= 0.1:
-            sound.append(key)
-    assert len(sound) >= 2
+def test_the_learned_detector_is_in_two_tasks_no_worse_than_the_best_classic_by_a_tenth():
+    """By the upper end of the paired interval of the hazard; D2 is another world.
+
+    It has learned from counterfeits as in T3, which D3 holds out, and from nothing that D1 or D4
+    do: spoofers of PPO move all channels along a line, from any onset, and no family has them.
+    """
+    cards = detector_cards.stored_detector_cards()
+    learned = {
+        key: [spec["name"] for spec in detector_cards.list_learned(task)]
+        for key, task in DETECTOR_TASKS.items()
+    }
+    assert learned == {"D1": ["trolley-guard"], "D2": [], "D3": [], "D4": ["trolley-guard"]}
+    card = json.loads(resolve_path("trolley-guard", "detector").with_suffix(".json").read_text())
+    told = {"ramp": "ramps", "accelerating-ramp": "ramps", "profile": "profiles"}
+    told |= {"dash": "dashes", "blind-optimum": "blind-optima"}
+    met = {told.get(each, each) for each in card["training"]["families"]}
+    for key in ("D1", "D4"):
+        public = {family.key for family in DETECTOR_TASKS[key].public}
+        assert met - public <= {"solution-separation-ppo", "hidden-pool-ppo"}
+        scores = {score["detector"]: score for score in cards[key]["detectors"]}
+        assert scores["trolley-guard"]["less_best"]["high"] <= 0.1
 
 
 @pytest.mark.nightly
@@ -238,48 +171,31 @@ def test_the_page_has_the_tables_of_the_cards():
     assert part_between(PAGE.read_text(), START, END) == f"\n{shown()}"
 
 
-def test_the_command_line_lists_them():
-    listed = json.loads(RUNNER.invoke(app, ["tasks", "--json"]).stdout)
-    found = {each["key"]: each for each in listed}
-    assert [*found] == [*TASKS, *DETECTOR_TASKS]
-    for key in DETECTOR_TASKS:
-        assert (found[key]["card"] is None) == (found[key]["play"] is not None)
-    assert "spoofgym/BenchD2-v1" in RUNNER.invoke(app, ["tasks"]).stdout
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--task", "T3", "--detector", "never"], "unknown task for detectors 'T3'"),
         (["--task", "D1", "--detector", "never", "--family", "ramp"], "unknown family of attacks"),
-        (["--task", "D1", "--detector", "nobody"], "unknown detector 'nobody'"),
         (["--task", "D1", "--detector", "trolley-gard"], "did you mean 'trolley-guard'?"),
         (["--task", "D1", "--detector", "never", "--selection-seeds", "1"], "selection-seeds"),
     ],
 )
 def test_bad_options_are_refused(words, message, tmp_path):
-    result = RUNNER.invoke(app, ["protect", *words, "--out", str(tmp_path)])
+    result = call("protect", *words, "--out", tmp_path)
     assert result.exit_code == 2
     assert message in " ".join(result.output.split())
 
 
 def test_the_command_line_scores_and_goes_on(tmp_path, monkeypatch):
     monkeypatch.setitem(DETECTOR_TASKS, "D1", small_task())
-    words = ["protect", "--task", "D1", "--family", "ramps", "--seeds", "4"]
-    words += [
-        "--selection-seeds",
-        "4",
-        "--detector",
-        "never",
-        "--detector",
-        "lottery:mean_wait_s=9e9",
-    ]
-    words += ["--out", str(tmp_path), "--threads", "1"]
-    found = json.loads(RUNNER.invoke(app, [*words, "--json"]).stdout)
+    words = ["protect", "--task", "D1", "--family", "ramps", "--seeds", "4", "--threads", "1"]
+    words += ["--selection-seeds", "4", "--out", str(tmp_path)]
+    words += ["--detector", "never", "--detector", "lottery:mean_wait_s=9e9"]
+    found = read(*words, "--json")
     assert [each["p_hmi"]["value"] for each in found] == [1.0, 1.0]
     assert found[1]["less_first"] == {"value": 0.0, "low": 0.0, "high": 0.0}
     assert len(list(tmp_path.rglob("*.npz"))) == 4  # of each, a family and false alarms
     monkeypatch.setattr("spoofgym.bench.experiments.protect.Panel", None)  # nothing is played again
-    table = RUNNER.invoke(app, words).stdout
+    table = call(*words).stdout
     assert "paired: +0.0 % of runs" in table
     assert "ramps" in table

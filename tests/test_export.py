@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -27,9 +28,10 @@ from spoofgym.spoofers import OnnxPolicy
 from spoofgym.spoofers.learned import make_function
 from spoofgym.testing import check_detector
 
+from .nightly import heavy
+
 TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 10.0, "time_to_alert_s": 1.0}
-NOMINAL = {"name": "snapshot-chi2", "thresholds": "nominal"}
-WORLD = {"detector": NOMINAL, "timeline": TIMELINE}
+WORLD = {"detector": {"name": "snapshot-chi2", "thresholds": "nominal"}, "timeline": TIMELINE}
 
 
 @pytest.fixture(autouse=True)
@@ -43,16 +45,17 @@ def make(**settings):
     return SpoofVecEnv(4, seed=0, **{**WORLD, "knowledge": "blind", **settings})
 
 
+def read(path):
+    return OnnxPolicy(str(path)).model.act
+
+
 def observations(envs, count=300):
     space = envs.observation_space
     drawn = np.random.default_rng(4).uniform(space.low, space.high, (count, *space.shape))
     return (0.3 * drawn).astype(np.float32)
 
 
-NIGHTLY = [pytest.param(kind, marks=pytest.mark.nightly) for kind in (A2C, TD3, DDPG)]
-
-
-@pytest.mark.parametrize("kind", [PPO, SAC, *NIGHTLY])
+@pytest.mark.parametrize("kind", heavy([PPO, SAC, A2C, TD3, DDPG], A2C, TD3, DDPG))
 def test_a_file_acts_as_its_model_of_stable_baselines3(kind, tmp_path):
     further = {"learning_starts": 8} if kind in (SAC, TD3, DDPG) else {"n_steps": 16}
     envs = make()
@@ -61,9 +64,7 @@ def test_a_file_acts_as_its_model_of_stable_baselines3(kind, tmp_path):
     onnx(model, path=tmp_path / "mine.onnx")
     seen = observations(envs)
     wanted, _ = model.predict(seen, deterministic=True)
-    np.testing.assert_allclose(
-        OnnxPolicy(str(tmp_path / "mine.onnx")).model.act(seen), wanted, atol=1e-5
-    )
+    np.testing.assert_allclose(read(tmp_path / "mine.onnx")(seen), wanted, atol=1e-5)
 
 
 def test_the_normalization_of_observations_is_folded_in(tmp_path):
@@ -75,21 +76,15 @@ def test_the_normalization_of_observations_is_folded_in(tmp_path):
     planned = seen.copy()
     planned[:, :2] /= 2.0  # its own displacement and rate, as they were planned
     wanted, _ = model.predict(envs.normalize_obs(planned), deterministic=True)
-    np.testing.assert_allclose(
-        OnnxPolicy(str(tmp_path / "mine.onnx")).model.act(seen),
-        np.clip(2.0 * np.clip(wanted, -1, 1), -1, 1),
-        atol=2e-5,
-    )
+    acted = read(tmp_path / "mine.onnx")(seen)
+    np.testing.assert_allclose(acted, np.clip(2.0 * np.clip(wanted, -1, 1), -1, 1), atol=2e-5)
     assert np.abs(wanted - model.predict(seen, deterministic=True)[0]).max() > 0.01
     judge = Evaluator(**WORLD, runs=20, fit_runs=80)
     mine = judge.score(model, amplitude=2.0)
     file = judge.score(str(tmp_path / "mine.onnx"), amplitude=None)
     assert file.stealthy_displacement_m.value == pytest.approx(mine.stealthy_displacement_m.value)
     onnx(model.policy, envs, tmp_path / "alone.onnx", amplitude=2.0)  # a module, behind `envs`
-    np.testing.assert_array_equal(
-        OnnxPolicy(str(tmp_path / "alone.onnx")).model.act(seen),
-        OnnxPolicy(str(tmp_path / "mine.onnx")).model.act(seen),
-    )
+    np.testing.assert_array_equal(read(tmp_path / "alone.onnx")(seen), acted)
     other = VecNormalize(make(), norm_reward=False)
     other.reset()
     with pytest.raises(ValueError, match="otherwise than the model's own environment"):
@@ -98,144 +93,75 @@ def test_the_normalization_of_observations_is_folded_in(tmp_path):
 
 
 def test_a_card_says_where_it_was_made_and_the_file_fits_there(tmp_path):
-    envs = make(task="T3", domain={"worlds": 2, "turned_deg": [0.0, 360.0]})
+    envs, path = (
+        make(task="T3", domain={"worlds": 2, "turned_deg": [0.0, 360.0]}),
+        tmp_path / "a.onnx",
+    )
     model = PPO("MlpPolicy", envs, n_steps=8, batch_size=32, seed=3, device="cpu")
     model.learn(32)
-    card = onnx(model, path=tmp_path / "mine.onnx", training={"note": "short"})
-    assert card.env_id == "spoofgym/TightlyCoupled-v0"
-    assert card.env_kwargs["scenario"] == "trolley"
-    assert card.knowledge.run_time == "blind"
-    assert card.knowledge.design_time == "snapshot-chi2 and its world, by training"
-    assert card.training == {
-        "algorithm": "PPO",
-        "steps": 32,
-        "seed": 3,
-        "amplitude": 1.0,
-        "note": "short",
-    }
-    assert json.loads((tmp_path / "mine.json").read_text())["name"] == "mine"
-    attach(str(tmp_path / "mine.onnx"), envs)
+    card = onnx(model, path=path, training={"note": "short"})
+    assert (card.env_id, card.env_kwargs["scenario"]) == ("spoofgym/TightlyCoupled-v0", "trolley")
+    told = (card.knowledge.run_time, card.knowledge.design_time)
+    assert told == ("blind", "snapshot-chi2 and its world, by training")
+    expected = {"algorithm": "PPO", "steps": 32, "seed": 3, "amplitude": 1.0, "note": "short"}
+    assert card.training == expected
+    assert json.loads(path.with_suffix(".json").read_text())["name"] == "a"
+    attach(str(path), envs)
     with pytest.raises(ValueError, match="was made for another environment"):
-        attach(str(tmp_path / "mine.onnx"), make())
-    attach(str(tmp_path / "mine.onnx"), make(), transfer=True)
+        attach(str(path), make())
+    attach(str(path), make(), transfer=True)
 
 
-@pytest.mark.parametrize("vector", [False, True])
-def test_a_torch_module_of_gymnasiums_environments(vector, tmp_path):
-    settings = {**WORLD, "knowledge": "blind"}
-    env_id = "spoofgym/TightlyCoupled-v0"
-    envs = gym.make_vec(env_id, num_envs=2, **settings) if vector else gym.make(env_id, **settings)
-    size = len(envs.unwrapped.observation_names)
-    net = torch.nn.Sequential(torch.nn.Linear(size, 8), torch.nn.Tanh(), torch.nn.Linear(8, 1))
-    card = onnx(net, envs, tmp_path / "net.onnx", designed_on="nothing")
-    assert card.knowledge.design_time == "nothing"
-    attach(str(tmp_path / "net.onnx"), envs)
+def sb3(env_id, **settings):
+    return SpoofVecEnv(2, env_id=env_id, **settings)
+
+
+@pytest.mark.parametrize(
+    ("name", "build"),
+    [
+        *(("TightlyCoupled", build) for build in (gym.make, gym.make_vec)),
+        *((name, sb3) for name in ("LooselyCoupled", "Snapshot", "WheeledRobot")),
+    ],
+)
+def test_a_torch_module_of_any_environment(name, build, tmp_path):
+    env_id, path = f"spoofgym/{name}-v0", tmp_path / "net.onnx"
+    envs = build(env_id, knowledge="blind", **(WORLD if name == "TightlyCoupled" else {}))
+    core = getattr(envs, "unwrapped", envs)
+    size, count = len(core.observation_names), len(core.action_names)
+    net = torch.nn.Sequential(torch.nn.Linear(size, 8), torch.nn.Tanh(), torch.nn.Linear(8, count))
+    card = onnx(net, envs, path, designed_on="nothing")
+    assert (card.env_id, card.knowledge.design_time) == (env_id, "nothing")
+    attach(str(path), envs)
     seen = np.random.default_rng(0).normal(size=(50, size)).astype(np.float32)
-    act = OnnxPolicy(str(tmp_path / "net.onnx")).model.act
-    np.testing.assert_allclose(act(seen), np.clip(make_function(net)(seen), -1, 1), atol=1e-5)
+    expected = np.clip(make_function(net)(seen), -1, 1)
+    np.testing.assert_allclose(read(path)(seen), expected, atol=1e-5)
     assert net.training  # as it was
-    envs.close()
-
-
-@pytest.mark.parametrize("env_id", ["LooselyCoupled", "Snapshot", "WheeledRobot"])
-def test_other_victims_have_cards_too(env_id, tmp_path):
-    envs = SpoofVecEnv(2, env_id=f"spoofgym/{env_id}-v0", knowledge="blind")
-    net = torch.nn.Linear(len(envs.observation_names), len(envs.action_names))
-    card = onnx(net, envs, tmp_path / "net.onnx")
-    assert card.env_id == f"spoofgym/{env_id}-v0"
-    attach(str(tmp_path / "net.onnx"), envs)
-    with pytest.raises(ValueError, match=r"does not fit|was made for another"):
-        attach(str(tmp_path / "net.onnx"), make())
+    for word in (b"/home", b"/root", b"site-packages", b".py", str(tmp_path).encode()):
+        assert word not in path.read_bytes()  # nothing of this machine
+    if name != "TightlyCoupled":
+        with pytest.raises(ValueError, match=r"does not fit|was made for another"):
+            attach(str(path), make())
 
 
 def test_a_detector_that_has_learned_is_a_detector_policy(tmp_path):
-    envs = SpoofVecEnv(2, side="detector", pool="ramp", timeline=TIMELINE, seed=0)
+    envs, path = (
+        SpoofVecEnv(2, side="detector", pool="ramp", timeline=TIMELINE),
+        tmp_path / "g.onnx",
+    )
     model = PPO("MlpPolicy", envs, n_steps=8, batch_size=16, seed=0, device="cpu")
     model.learn(16)
-    card = onnx(model, path=tmp_path / "guard.onnx")
-    assert card.kind == "detector-policy"
-    assert card.training["steps"] == 16
+    card = onnx(model, path=path)
+    assert (card.kind, card.training["steps"]) == ("detector-policy", 16)
     with pytest.raises(ValueError, match="a detector has no commands to scale"):
-        onnx(model, path=tmp_path / "guard.onnx", amplitude=2.0)
+        onnx(model, path=path, amplitude=2.0)
     seen = observations(envs)
     wanted, _ = model.predict(seen, deterministic=True)
-    act = OnnxDetector(tmp_path / "guard.onnx").model.act
-    np.testing.assert_allclose(act(seen), wanted, atol=1e-5)
+    np.testing.assert_allclose(OnnxDetector(path).model.act(seen), wanted, atol=1e-5)
 
 
-def test_nothing_of_this_machine_is_in_the_file(tmp_path):
-    net = torch.nn.Linear(len(make().observation_names), 1)
-    onnx(net, make(), tmp_path / "net.onnx")
-    content = (tmp_path / "net.onnx").read_bytes()
-    for word in (b"/home", b"/root", b"site-packages", b".py", str(tmp_path).encode()):
-        assert word not in content
-
-
-class Noisy(torch.nn.Module):
-    def __init__(self, size):
-        super().__init__()
-        self.linear = torch.nn.Linear(size, 1)
-
+class Noisy(torch.nn.Linear):
     def forward(self, seen):
-        return self.linear(seen) + 0.1 * torch.randn_like(seen[:, :1])
-
-
-def test_what_does_not_fit_is_refused_and_nothing_is_written(tmp_path):
-    envs = make()
-    size = len(envs.observation_names)
-    cases = [
-        ((3, envs), TypeError, "can be exported, got int"),
-        ((torch.nn.Linear(size, 1), None), TypeError, "`env` must be an environment of spoofgym"),
-        ((torch.nn.Linear(size, 1), gym.make("CartPole-v1")), TypeError, "environment of spoofgym"),
-        ((torch.nn.Linear(size + 1, 1), envs), ValueError, f"can't be run with {size} obs"),
-        ((torch.nn.Linear(size, 2), envs), ValueError, r"actions of shape \(B, 1\), got \(2, 2\)"),
-        ((Noisy(size), envs), ValueError, "has the operator RandomNormalLike"),
-    ]
-    for given, error, message in cases:
-        with pytest.raises(error, match=message):
-            onnx(*given, tmp_path / "x.onnx")
-    net = torch.nn.Linear(size, 1)
-    with pytest.raises(ValueError, match=r"`path` must end in \.onnx"):
-        onnx(net, envs, tmp_path / "x.pt")
-    with pytest.raises(ValueError, match="`amplitude` must be a number above 0, got 0"):
-        onnx(net, envs, tmp_path / "x.onnx", amplitude=0.0)
-    for training, message in (
-        ([1], r"`training` must be a mapping, got \[1\]"),
-        ({"decided_on": "x"}, "must be pairs of an entropy and a split"),
-        ({"decided_on": [[0, 5]]}, "must be pairs of an entropy and a split"),
-        ({"decided_on": [[0, "trial"]]}, "unknown split 'trial'; valid: calibration"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            onnx(net, envs, tmp_path / "x.onnx", training=training)
-    with pytest.raises(ValueError, match=r"card of .*x y\.onnx: `name`: ") as found:
-        onnx(net, envs, tmp_path / "x y.onnx")
-    assert "\n" not in str(found.value)
-    own = make(observation=["own-command"])
-    with pytest.raises(ValueError, match="`observation` of its own"):
-        onnx(torch.nn.Linear(len(own.observation_names), 1), own, tmp_path / "x.onnx")
-    discrete = PPO("MlpPolicy", gym.make("CartPole-v1"), device="cpu")
-    with pytest.raises(TypeError, match="environment of spoofgym"):
-        onnx(discrete, path=tmp_path / "x.onnx")
-    with pytest.raises(TypeError, match="only a policy with a Gaussian action"):
-        onnx(discrete, envs, tmp_path / "x.onnx")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_recurrent_policy_is_refused(tmp_path):
-    contrib = pytest.importorskip("sb3_contrib")
-    envs = make()
-    model = contrib.RecurrentPPO("MlpLstmPolicy", envs, n_steps=8, device="cpu")
-    with pytest.raises(ValueError, match="is recurrent: it needs its state"):
-        onnx(model, path=tmp_path / "x.onnx")
-    with pytest.raises(ValueError, match="is recurrent"):
-        Evaluator(**WORLD, runs=2, fit_runs=80).score(model)
-
-
-def test_a_module_with_a_state_is_refused_in_one_line():
-    module = torch.nn.LSTM(len(make().observation_names), 1)
-    evaluator = Evaluator(**WORLD, runs=2, fit_runs=80)
-    with pytest.raises(ValueError, match="LSTM must return actions, a tensor, got tuple"):
-        evaluator.score(module, knowledge="blind")
+        return super().forward(seen) + 0.1 * torch.randn_like(seen[:, :1])
 
 
 class Endless(torch.nn.Module):
@@ -243,20 +169,50 @@ class Endless(torch.nn.Module):
         return seen[:, :1] / 0.0
 
 
-def test_an_error_names_the_users_file_and_not_the_trial_of_it(tmp_path):
-    with pytest.raises(ValueError, match=r"returned (NaN|inf|-inf)") as found:
-        onnx(Endless(), make(), tmp_path / "mine.onnx")
-    assert str(tmp_path / "mine.onnx") in str(found.value)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_that_acts_otherwise_is_not_written(tmp_path, monkeypatch):
-    envs = make()
-    net = torch.nn.Linear(len(envs.observation_names), 1)
+def test_what_does_not_fit_is_refused_and_nothing_is_written(tmp_path, monkeypatch):
+    envs, own = make(), make(observation=["own-command"])
+    linear, size = torch.nn.Linear, len(envs.observation_names)
+    discrete = PPO("MlpPolicy", gym.make("CartPole-v1"), device="cpu")
+    for model, env, error, message in (
+        (3, envs, TypeError, "can be exported, got int"),
+        (linear(size, 1), None, TypeError, "`env` must be an environment of spoofgym"),
+        (discrete, None, TypeError, "environment of spoofgym"),
+        (discrete, envs, TypeError, "only a policy with a Gaussian action"),
+        (linear(size + 1, 1), envs, ValueError, f"can't be run with {size} obs"),
+        (linear(size, 2), envs, ValueError, r"actions of shape \(B, 1\), got \(2, 2\)"),
+        (linear(len(own.observation_names), 1), own, ValueError, "`observation` of its own"),
+        (Noisy(size, 1), envs, ValueError, "has the operator RandomNormalLike"),
+        (Endless(), envs, ValueError, rf"{tmp_path / 'x.onnx'}.* returned (NaN|inf|-inf)"),
+    ):
+        with pytest.raises(error, match=message):
+            onnx(model, env, tmp_path / "x.onnx")
+    for name, options, message in (
+        ("x.pt", {}, r"`path` must end in \.onnx"),
+        ("x.onnx", {"amplitude": 0.0}, "`amplitude` must be a number above 0, got 0"),
+        ("x.onnx", {"training": [1]}, r"`training` must be a mapping, got \[1\]"),
+        ("x.onnx", {"training": {"decided_on": [[0, 5]]}}, "pairs of an entropy and a split"),
+        ("x.onnx", {"training": {"decided_on": [[0, "trial"]]}}, "unknown split 'trial'; valid: "),
+        ("x y.onnx", {}, r"card of .*x y\.onnx: `name`: [^\n]*$"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            onnx(linear(size, 1), envs, tmp_path / name, **options)
     monkeypatch.setattr(spoofgym.export, "make_function", lambda _: lambda seen: seen[:, :1] * 0.0)
     with pytest.raises(ValueError, match="the exported file differs from the model by"):
-        onnx(net, envs, tmp_path / "x.onnx")
+        onnx(linear(size, 1), envs, tmp_path / "x.onnx")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_has_a_state_is_refused(tmp_path):
+    judge, envs = Evaluator(**WORLD, runs=2, fit_runs=80), make()
+    module = torch.nn.LSTM(len(envs.observation_names), 1)
+    with pytest.raises(ValueError, match="LSTM must return actions, a tensor, got tuple"):
+        judge.score(module, knowledge="blind")
+    contrib = pytest.importorskip("sb3_contrib")
+    model = contrib.RecurrentPPO("MlpLstmPolicy", envs, n_steps=8, device="cpu")
+    with pytest.raises(ValueError, match="is recurrent: it needs its state"):
+        onnx(model, path=tmp_path / "x.onnx")
+    with pytest.raises(ValueError, match="is recurrent"):
+        judge.score(model)
 
 
 class Recurrent(torch.nn.Module):
@@ -280,33 +236,22 @@ OBSERVED = 24 + 12 + 1
 def test_a_recurrent_module_becomes_a_detector_with_its_state(tmp_path):
     torch.manual_seed(0)
     module, path = Recurrent(OBSERVED).train(), tmp_path / "guard.onnx"
-    card = spoofgym.export.detector(
-        module,
-        path,
-        name="my guard",
-        terms=TERMS,
-        state={"hidden": 6},
-        training={"steps": 3},
-    )
+    options = {"name": "my guard", "state": {"hidden": 6}, "training": {"steps": 3}}
+    card = spoofgym.export.detector(module, path, terms=TERMS, **options)
     assert module.training
     assert module.noise.training
-    assert (card.name, card.statistic, card.weighs, card.quiet_epochs) == (
-        "my guard",
-        "receiver",
-        False,
-        0,
-    )
-    assert card.threshold is None
+    told = (card.name, card.statistic, card.weighs, card.quiet_epochs, card.threshold)
+    assert told == ("my guard", "receiver", False, 0, None)
     assert (card.training["steps"], "torch" in card.training["versions"]) == (3, True)
     assert [(each.name, each.size) for each in card.state] == [("hidden", 6)]
     assert [term["name"] for term in card.terms] == ["innovation", "in-view", "classic"]
-    read = OnnxDetector(path)
-    assert read.card == card
+    kept = OnnxDetector(path)
+    assert kept.card == card
     rng, module = np.random.default_rng(2), module.eval()
     mine, hidden = np.zeros((7, 6), np.float32), torch.zeros(7, 6)
     for _ in range(20):
         seen = rng.normal(size=(7, OBSERVED)).astype(np.float32)
-        action, (mine,) = read.model.step(seen, [mine])
+        action, (mine,) = kept.model.step(seen, [mine])
         with torch.no_grad():
             wanted, hidden = module(torch.from_numpy(seen), hidden)
         np.testing.assert_allclose(action, wanted.clamp(-1.0, 1.0).numpy(), atol=1e-5)
@@ -316,26 +261,20 @@ def test_a_recurrent_module_becomes_a_detector_with_its_state(tmp_path):
 
 
 def test_a_module_without_a_state_may_weigh_slots(tmp_path):
-    module = torch.nn.Linear(24, 24)
     options = {"statistic": "channel", "weighs": True, "exclusion_s": 30.0, "threshold": 0.7}
-    card = spoofgym.export.detector(
-        module, tmp_path / "guard.onnx", terms=["innovation"], **options
-    )
+    path = tmp_path / "guard.onnx"
+    card = spoofgym.export.detector(torch.nn.Linear(24, 24), path, terms=["innovation"], **options)
     assert (card.exclusion_s, card.threshold, card.state) == (30.0, 0.7, ())
     assert card.action.names[12] == "weight_slot00"
-    check_detector(str(tmp_path / "guard.onnx"))
+    check_detector(str(path))
 
 
 class Forgets(Recurrent):
-    """Returns no state."""
-
     def forward(self, observation, hidden):
         return super().forward(observation, hidden)[:1]
 
 
 class Dice(Recurrent):
-    """Draws random numbers."""
-
     def forward(self, observation, hidden):
         action, after = super().forward(observation, hidden)
         return action, after + 0.1 * torch.randn_like(after)
@@ -344,31 +283,18 @@ class Dice(Recurrent):
 @pytest.mark.parametrize(
     ("module", "options", "message"),
     [
-        (
-            Forgets(OBSERVED),
-            {},
-            r"must return \(B, 1\), \(B, 6\), of action and states, got \(2, 1\)",
-        ),
-        (Recurrent(OBSERVED, decided=2), {}, r"of action and states, got \(2, 2\), \(2, 6\)"),
-        (Recurrent(OBSERVED + 1), {}, r"can't be run with \(B, 37\), \(B, 6\), to return \(B, 1\)"),
-        (Recurrent(OBSERVED), {"state": {"hidden": 5}}, r"can't be run with \(B, 37\), \(B, 5\)"),
-        (Recurrent(OBSERVED), {"state": {}}, r"can't be run with \(B, 37\), to return \(B, 1\)"),
-        (Recurrent(OBSERVED), {"terms": ["inovation"]}, "did you mean 'innovation'"),
-        (
-            Recurrent(OBSERVED),
-            {"state": {"next hidden": 6}},
-            "state 'next hidden' of size 6: `name`",
-        ),
-        (Recurrent(OBSERVED), {"state": {"hidden": -1}}, "state 'hidden' of size -1: `size`"),
-        (Recurrent(OBSERVED), {"state": {"action": 6}}, "can't have the name 'action'"),
-        (Recurrent(OBSERVED), {"state": [6]}, "`state` must be sizes by name"),
-        (Recurrent(OBSERVED), {"threshold": 2.0}, r"card of .*guard\.onnx: `threshold`"),
-        (Recurrent(OBSERVED), {"training": {"decided_on": [[0, "x"]]}}, "unknown split 'x'"),
-        (Dice(OBSERVED), {}, "has the operator RandomNormalLike"),
-    ],
-    ids=[
-        *("no state", "size", "observations", "state", "undeclared", "terms", "name", "negative"),
-        *("taken", "no mapping", "threshold", "split", "chance"),
+        (Forgets, {}, r"of action and states, got \(2, 1\)"),
+        (partial(Recurrent, decided=2), {}, r"of action and states, got \(2, 2\), \(2, 6\)"),
+        (lambda size: Recurrent(size + 1), {}, r"can't be run with \(B, 37\), \(B, 6\), to ret"),
+        (Recurrent, {"state": {"hidden": 5}}, r"can't be run with \(B, 37\), \(B, 5\)"),
+        (Recurrent, {"state": {}}, r"can't be run with \(B, 37\), to return \(B, 1\)"),
+        (Recurrent, {"terms": ["inovation"]}, "did you mean 'innovation'"),
+        (Recurrent, {"state": {"next hidden": 6}}, "state 'next hidden' of size 6: `name`"),
+        (Recurrent, {"state": {"hidden": -1}}, "state 'hidden' of size -1: `size`"),
+        (Recurrent, {"state": {"action": 6}}, "can't have the name 'action'"),
+        (Recurrent, {"state": [6]}, "`state` must be sizes by name"),
+        (Recurrent, {"threshold": 2.0}, r"card of .*guard\.onnx: `threshold`"),
+        (Dice, {}, "has the operator RandomNormalLike"),
     ],
 )
 def test_a_module_that_is_no_detector_is_refused_and_nothing_is_written(
@@ -376,7 +302,7 @@ def test_a_module_that_is_no_detector_is_refused_and_nothing_is_written(
 ):
     options = {"terms": TERMS, "state": {"hidden": 6}, **options}
     with pytest.raises(ValueError, match=message):
-        spoofgym.export.detector(module, tmp_path / "guard.onnx", **options)
+        spoofgym.export.detector(module(OBSERVED), tmp_path / "guard.onnx", **options)
     assert not list(tmp_path.iterdir())
     with pytest.raises(TypeError, match="`module` must be a torch module, got function"):
         spoofgym.export.detector(lambda seen: seen, tmp_path / "guard.onnx", **options)

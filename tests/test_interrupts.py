@@ -23,8 +23,7 @@ from spoofgym.core import threads as _threads
 from tests.nightly import heavy
 
 SEED = 10
-USUAL = 4
-"""Moments that are tried always."""
+USUAL = 4  # moments that are tried always
 IN_TIME_S = 10.0 if os.getloadavg()[0] <= (os.cpu_count() or 1) else 300.0
 """On a machine that does nothing else; what is looked for under load is one that never ends."""
 TIMES = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "60", "--time-to-alert-s", "5"]
@@ -76,10 +75,29 @@ atexit.register(print, "hook", end="")
 @app.command()
 def interrupted() -> None:
     print("kept", end=" ")
-    os.kill(os.getpid(), signal.Signals[os.environ["NUMBER"]])
+    os.kill(os.getpid(), number)
 
 
+number = signal.Signals[sys.argv[1]]
 sys.argv[1:] = ["interrupted"]
+main()
+"""
+WITHIN_A_DEL = """
+import os, signal, sys, time
+from spoofgym.cli.app import app, main
+
+class Closed:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+@app.command()
+def closes():
+    Closed()
+    time.sleep(60.0)
+    print("it was dropped")
+
+sys.argv[1:] = ["closes"]
 main()
 """
 # as the processes that they start
@@ -95,13 +113,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def started(*arguments: str, folder: Path) -> subprocess.Popen[bytes]:
     """A child that hears Ctrl-C, also where these tests themselves don't."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    command = [sys.executable, "-X", "faulthandler", *arguments]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     try:
-        return subprocess.Popen(
-            [sys.executable, "-X", "faulthandler", *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            cwd=folder,
-        )
+        return subprocess.Popen(command, cwd=folder, **pipes)
     finally:
         signal.signal(signal.SIGINT, before)
 
@@ -123,8 +138,8 @@ def wait_for(path: Path, process: subprocess.Popen[bytes]) -> None:
         time.sleep(2e-3)
 
 
-def cells_of(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted((folder / "cells").glob("*.npz"))}
+def cells_of(out: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((out / "cells").glob("*.npz"))}
 
 
 @pytest.fixture(scope="module")
@@ -190,15 +205,21 @@ def test_an_environment_with_warm_ups_in_the_background_ends(
     assert code == expected, said
 
 
-@pytest.mark.parametrize(("number", "expected"), [("SIGINT", 130), ("SIGTERM", 143)])
-def test_an_interrupt_ends_the_program_before_the_interpreter(
-    number: str, expected: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("program", "number", "printed"),
+    [
+        (AFTER_THE_INTERPRETER, signal.SIGINT, b"kept hook"),
+        (AFTER_THE_INTERPRETER, signal.SIGTERM, b"kept hook"),
+        (WITHIN_A_DEL, signal.SIGINT, b""),
+    ],
+)
+def test_an_interrupt_ends_the_program_before_the_interpreter_and_is_not_dropped(
+    program: str, number: signal.Signals, printed: bytes, tmp_path: Path
 ) -> None:
-    monkeypatch.setenv("NUMBER", number)
-    process = started("-c", AFTER_THE_INTERPRETER, folder=tmp_path)
-    printed, said = process.communicate(timeout=120.0)
-    assert process.returncode == expected, said.decode()
-    assert printed == b"kept hook"
+    process = started("-c", program, number.name, folder=tmp_path)
+    found, said = process.communicate(timeout=120.0)
+    assert process.returncode == 128 + number, said.decode()
+    assert (found, said) == (printed, b"")
 
 
 def test_progress_leaves_no_thread_that_nobody_waits_for() -> None:
@@ -208,30 +229,3 @@ def test_progress_leaves_no_thread_that_nobody_waits_for() -> None:
         assert set(threading.enumerate()) - before
         _threads.end_all()
         assert not set(threading.enumerate()) - before
-
-
-WITHIN_A_DEL = """
-import os, signal, sys, time
-from spoofgym.cli.app import app, main
-
-class Closed:
-    def __del__(self):
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.01)
-
-@app.command()
-def closes():
-    Closed()
-    time.sleep(60.0)
-    print("it was dropped")
-
-sys.argv[1:] = ["closes"]
-main()
-"""
-
-
-def test_an_interrupt_within_a_del_is_not_dropped(tmp_path: Path) -> None:
-    process = started("-c", WITHIN_A_DEL, folder=tmp_path)
-    printed, said = process.communicate(timeout=120.0)
-    assert process.returncode == 130, said.decode()
-    assert (printed, said) == (b"", b"")

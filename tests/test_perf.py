@@ -38,39 +38,33 @@ def test_the_floor_stays_with_one_group_per_thread():
     assert moved.tolist() == [True, False, True, False, False]
 
 
-def measured(*options):
-    result = CliRunner().invoke(perf.app, ["--quick", *options])
-    assert result.exit_code == 0, result.output
-    return result.stdout
-
-
-def test_the_command_reports_every_part_of_every_batch(monkeypatch):
+@pytest.fixture
+def measured(monkeypatch):
     monkeypatch.setattr(perf, "PIECE_S", 1e-4)
+    return lambda *options: CliRunner().invoke(perf.app, ["--quick", *options])
+
+
+def test_the_command_reports_every_part_of_every_batch(measured):
     sizes = ["--receivers", "1", "--receivers", "9", "--threads", "1", "--threads", "2"]
-    found = json.loads(measured(*sizes, "--json"))
+    found = json.loads(measured(*sizes, "--json").stdout)
     assert found["rounds"] == perf.QUICK_ROUNDS
     assert found["machine"]["processors"] >= 1
     batches = [(run["receivers"], run["threads"]) for run in found["runs"]]
     assert batches == [(1, 1), (9, 1), (9, 2)]  # a single receiver has no second group
-    names = [*perf.PARTS, perf.ENGINE, perf.STEP, perf.EPISODE]
     for run in found["runs"]:
         us = run["us"]
-        assert list(us) == names
+        assert list(us) == [*perf.PARTS, perf.ENGINE, perf.STEP, perf.EPISODE]
         assert min(us.values()) > 0.0
         ratio = us[perf.ENGINE] / us[perf.FLOOR]
         assert run["step_over_floor"] == pytest.approx(ratio, rel=0.01)
         together = sum(us[name] for name in (*EPOCH, perf.ATTACK, perf.JUDGE))
         assert run["parts_us"] == pytest.approx(together, rel=0.01)
         assert run["env_steps_per_s"] == pytest.approx(1e6 / us[perf.EPISODE], rel=0.01)
-
-
-def test_a_table_can_go_into_a_page(monkeypatch):
-    monkeypatch.setattr(perf, "PIECE_S", 1e-4)
-    lines = measured("--receivers", "1", "--threads", "1", "--markdown").splitlines()
+    lines = measured("--receivers", "1", "--threads", "1", "--markdown").stdout.splitlines()
     assert "| part | B = 1 |" in lines
     rows = {line.split(" | ")[0] for line in lines}
     assert {f"| {name}" for name in (*perf.PARTS, perf.EPISODE, perf.TOTAL)} <= rows
-    refused = CliRunner().invoke(perf.app, ["--receivers", "8", "--threads", "2"])
+    refused = measured("--receivers", "8", "--threads", "2")
     assert refused.exit_code == 2
     said = "spoofgym: error: no batch of [8] receivers has a group of 8 for each of 2"
     assert said in refused.stderr

@@ -17,24 +17,20 @@ from spoofgym.earth import wgs84
 
 from .envs.support import VICTIMS, victim, victims
 
-STEPS = 4
 
-
-def command(env: Any) -> Any:
-    """The same for every receiver."""
-    return np.full(env.action_space.shape, 0.3, dtype=np.float32)
+def play(env: Any) -> list[Any]:
+    """What some steps show, with the same command for every receiver."""
+    command = np.full(env.action_space.shape, 0.3, dtype=np.float32)
+    return [part for _ in range(4) for part in env.step(command)[:2]]
 
 
 def go_on(env: Any) -> list[Any]:
-    """What some more steps, a reset and some steps show."""
-    seen: list[Any] = [env.step(command(env))[:2] for _ in range(STEPS)]
-    seen.append(env.reset(seed=5)[0])
-    return seen + [env.step(command(env))[:2] for _ in range(STEPS)]
+    return [*play(env), env.reset(seed=5)[0], *play(env)]
 
 
 def under_way(env: Any) -> Any:
     env.reset(seed=1)
-    env.step(command(env))
+    play(env)
     return env
 
 
@@ -48,13 +44,9 @@ envs = pickle.loads((folder / "envs.pkl").read_bytes())
 """
 
 
-def flat(seen: list[Any]) -> list[Any]:
-    return [part for each in seen for part in (each if isinstance(each, tuple) else [each])]
-
-
-def assert_same(seen: list[Any], expected: list[Any], name: str = "") -> None:
-    for k, (one, other) in enumerate(zip(flat(seen), flat(expected), strict=True)):
-        np.testing.assert_array_equal(one, other, err_msg=f"{name}, {k}")
+def assert_same(seen: list[Any], expected: list[Any]) -> None:
+    for one, other in zip(seen, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_a_file_of_environments_goes_on_in_a_fresh_process_with_the_same_bits(tmp_path):
@@ -67,25 +59,7 @@ def test_a_file_of_environments_goes_on_in_a_fresh_process_with_the_same_bits(tm
     seen = pickle.loads((tmp_path / "seen.pkl").read_bytes())
     assert list(seen) == list(envs)
     for name, env in envs.items():
-        assert_same(seen[name], go_on(env), name)
-
-
-def test_what_was_pickled_compiled_is_plain_python_where_nothing_is_compiled():
-    script = (
-        "import pickle, sys\n"
-        "function = pickle.load(sys.stdin.buffer)\n"
-        "print(type(function).__name__, function(7e6, 0.0, 0.0)[0])"
-    )
-    shown = subprocess.run(
-        [sys.executable, "-c", script],
-        input=pickle.dumps(wgs84.gravity),
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
-        capture_output=True,
-        check=True,
-    ).stdout.decode()
-    kind, value = shown.split()
-    assert kind == "function"
-    assert float(value) == pytest.approx(wgs84.gravity(7e6, 0.0, 0.0)[0], rel=1e-12)
+        assert_same(seen[name], go_on(env))
 
 
 def test_joblib_s_workers_play_environments_that_they_are_handed():
@@ -101,25 +75,35 @@ def test_stable_baselines3_s_processes_play_an_environment_of_a_lambda():
     workers = vec_env.SubprocVecEnv([lambda: env])
     try:
         workers.seed(3)
-        seen: list[Any] = [workers.reset()[0]]
-        for _ in range(STEPS):
-            observation, reward, *_ = workers.step(command(env)[None])
-            seen.append((observation[0], reward[0]))
+        seen = [workers.reset()[0]]
+        for _ in range(4):
+            observation, reward, *_ = workers.step(
+                np.full((1, *env.action_space.shape), 0.3, np.float32)
+            )
+            seen += [observation[0], reward[0]]
     finally:
         workers.close()
-    expected: list[Any] = [env.reset(seed=3)[0]]
-    for _ in range(STEPS):
-        observation, reward, *_ = env.step(command(env))
-        expected.append((observation, reward))
-    assert_same(seen, expected)
+    assert_same(seen, [env.reset(seed=3)[0], *play(env)])
+
+
+def test_what_was_pickled_compiled_is_plain_python_where_nothing_is_compiled():
+    script = (
+        "import pickle, sys; function = pickle.load(sys.stdin.buffer); "
+        "print(type(function).__name__, function(7e6, 0.0, 0.0)[0])"
+    )
+    variables, content = {**os.environ, "NUMBA_DISABLE_JIT": "1"}, pickle.dumps(wgs84.gravity)
+    shown = subprocess.check_output([sys.executable, "-c", script], input=content, env=variables)
+    kind, value = shown.decode().split()
+    assert kind == "function"
+    assert float(value) == pytest.approx(wgs84.gravity(7e6, 0.0, 0.0)[0], rel=1e-12)
 
 
 @pytest.mark.nojit
-@pytest.mark.parametrize("with_", [pickle, cloudpickle])
-def test_a_compiled_function_is_pickled_by_its_name(with_):
-    content = with_.dumps(wgs84.gravity)
-    assert len(content) < 100
-    assert pickle.loads(content) is wgs84.gravity
+def test_a_compiled_function_is_pickled_by_its_name():
+    for with_ in (pickle, cloudpickle):
+        content = with_.dumps(wgs84.gravity)
+        assert len(content) < 100
+        assert pickle.loads(content) is wgs84.gravity
 
 
 @pytest.mark.skipif(is_disabled(), reason="plain functions are Python's")
@@ -130,8 +114,7 @@ def test_a_compiled_function_without_a_name_is_pickled_with_its_code():
     def own(x):
         return factor * wgs84.gravity(x, 0.0, 0.0)[0]
 
-    content = cloudpickle.dumps(own)
-    expected = own(6378137.0)
+    content, expected = cloudpickle.dumps(own), own(6378137.0)
     # as in another process, which does not know it
     type(own)._memo.pop(own._uuid)
     again = pickle.loads(content)

@@ -50,7 +50,7 @@ def weights_of(model):
 
 
 def test_a_callback_scores_the_policy_as_it_learns_and_keeps_the_best(tmp_path):
-    """Another goes on from its state, and does not score again what it has been given."""
+    """Another goes on from its state."""
     pytest.importorskip("onnxscript")
     envs = VecNormalize(SpoofVecEnv(8, knowledge="blind", seed=0, **WORLD), norm_reward=False)
     callback = scored(every=160, path=tmp_path / "best.onnx")
@@ -61,8 +61,6 @@ def test_a_callback_scores_the_policy_as_it_learns_and_keeps_the_best(tmp_path):
     scores = [found.score for _, found in callback.history]
     assert callback.best_m == max(scores)
     assert steps[int(np.argmax(scores))] == callback.best_step
-    again = callback.judge.fit(str(tmp_path / "best.onnx"))
-    assert any(trial.value == 1.0 or trial.stealthy_displacement_m for trial in again.trials)
     kept = callback.judge.score(str(tmp_path / "best.onnx"), amplitude=None)
     assert kept.knowledge == "blind"
     assert callback.judge.fit(model).value == callback.history[-1][1].value
@@ -85,34 +83,15 @@ def test_a_score_changes_nothing_of_the_training(judge):
         np.testing.assert_array_equal(weight, weights[1][name])
 
 
-def test_a_diverged_training_ends_and_keeps_the_best(judge, monkeypatch):
-    callback, fit = scored(judge=judge, every=160), judge.fit
-
-    def failing(policy, **_):
-        if policy.num_timesteps >= 320:
-            raise NotFinite("PPO returned NaN for receiver 0")
-        return fit(policy)
-
-    monkeypatch.setattr(judge, "fit", failing)
-    model = learner()
-    with pytest.warns(UserWarning, match="diverged after 320 steps: .*the best one was"):
-        model.learn(1600, callback=callback)
-    assert model.num_timesteps < 1600
-    assert "of step " in callback.diverged
-
-
 class Rollouts(BaseCallback):
     """Calls a function with the model where a rollout begins."""
 
     def __init__(self, call):
         super().__init__()
-        self.call = call
+        self._on_rollout_start = lambda: call(self.model)
 
     def _on_step(self):
         return True
-
-    def _on_rollout_start(self):
-        self.call(self.model)
 
 
 def poison(model):
@@ -134,14 +113,28 @@ def test_weights_that_are_no_numbers_end_a_training(every, judge):
         judge.score(model, amplitude=None)
 
 
+def test_actions_that_are_no_numbers_end_a_training_and_the_best_is_kept(judge, monkeypatch):
+    callback, model, fit = scored(judge=judge, every=160), learner(), judge.fit
+
+    def failing(policy, **_):
+        if policy.num_timesteps >= 320:
+            raise NotFinite("PPO returned NaN for receiver 0")
+        return fit(policy)
+
+    monkeypatch.setattr(judge, "fit", failing)
+    with pytest.warns(UserWarning, match="diverged after 320 steps: .*NaN.*the best one was"):
+        model.learn(1600, callback=callback)
+    assert model.num_timesteps < 1600
+    assert "of step " in callback.diverged
+
+
 def test_a_callback_scores_the_average_of_the_weights(tmp_path, judge):
     pytest.importorskip("onnxscript")
     seen, path = [], tmp_path / "best.onnx"
     callback, model = scored(judge=judge, every=1600, average=0.75, path=path), learner()
     log = Rollouts(lambda model: seen.append(weights_of(model)))
     model.learn(480, callback=[callback, log])
-    own = weights_of(model)
-    expected = seen[0]
+    own, expected = weights_of(model), seen[0]
     for now in (*seen[1:], own):
         expected = {name: 0.75 * expected[name] + 0.25 * now[name] for name in now}
     with callback.apply_average():
@@ -160,7 +153,6 @@ def test_a_callback_scores_the_average_of_the_weights(tmp_path, judge):
 
 
 def test_an_average_goes_on_from_a_state_as_if_it_had_not_stopped(judge):
-    """A stage that ends counts its last weights once, before and after."""
     averages = []
     for cut in (False, True):
         callback, model = scored(judge=judge, every=1600, average=0.75), learner()
@@ -174,13 +166,10 @@ def test_an_average_goes_on_from_a_state_as_if_it_had_not_stopped(judge):
     assert averages[0] == averages[1]
 
 
-def test_bad_settings_of_a_callback_are_refused(judge):
-    for settings, message in (
-        ({"every": 0}, "`every`"),
-        ({"path": "best.zip"}, r"`path` must end in \.onnx"),
-        ({"average": 1.0}, "`average`"),
-        ({"average": float("nan")}, "`average`"),
-        ({"task": "T3"}, "can't be given with `judge`"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            scored(judge=judge, **settings)
+@pytest.mark.parametrize(
+    "settings", [{"every": 0}, {"path": "best.zip"}, {"average": 1.0}, {"task": "T3"}]
+)
+def test_bad_settings_of_a_callback_are_refused(judge, settings):
+    (name,) = settings
+    with pytest.raises(ValueError, match=f"`{name}`|can't be given with `judge`"):
+        scored(judge=judge, **settings)

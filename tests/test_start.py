@@ -16,9 +16,8 @@ env.step(env.action_space.sample())
 
 def loaded(code):
     """Modules that a fresh process has loaded after some lines."""
-    code = f"import sys\n{code}\nprint(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return {*done.stdout.split()}
+    command = [sys.executable, "-c", f"import sys\n{code}\nprint(*sys.modules)"]
+    return {*subprocess.check_output(command, text=True).split()}
 
 
 @pytest.mark.parametrize("code", ["import spoofgym", "import spoofgym.cli"])

@@ -1,7 +1,6 @@
 """What is stored and shipped is still found: calibrations, cards, networks, the words for classes.
 
-Calibrations are found by a digest of settings and of the words that stand for classes, so that a
-class that is renamed must keep its word.  `tests/golden` compares the tasks.
+`tests/golden` compares the tasks.
 """
 
 import dataclasses
@@ -10,12 +9,9 @@ import importlib
 import inspect
 import json
 import pkgutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import pytest
@@ -40,8 +36,7 @@ from tools.calibrations import WORLDS, list_detectors
 SHIPPED_FILES = 174
 REPLAYED = 2
 """Witnesses of each calibration that are played again here; `make test-nightly` plays all."""
-SLOW, SLOW_FOLDER = "T4", "8bcd426310fa6fe1"
-"""World that takes a minute to make, and the folder of its calibrations."""
+SLOW, SLOW_FOLDER = "T4", "8bcd426310fa6fe1"  # takes a minute to make
 QUICK = [world for world in WORLDS if world != SLOW]
 NETWORKS = {
     "policies/zoo/trolley-guard": "e70ee24d0d0d1bac",
@@ -74,36 +69,27 @@ def shipped_of(world: str) -> list[tuple[Calibration, Detector]]:
     ]
 
 
-def test_every_shipped_calibration_is_found_by_its_digest():
-    found = {made.path for world in QUICK for made, _ in shipped_of(world)}
+@pytest.mark.parametrize("worlds", [QUICK, pytest.param([SLOW], marks=pytest.mark.nightly)])
+def test_every_shipped_calibration_is_found_by_its_digest(worlds):
+    found = {made.path for world in worlds for made, _ in shipped_of(world)}
+    slow = {*(SHIPPED_FOLDER / SLOW_FOLDER).iterdir()}
     every = {*SHIPPED_FOLDER.rglob("*.json")}
     assert len(every) == SHIPPED_FILES
-    assert found == every - {*(SHIPPED_FOLDER / SLOW_FOLDER).iterdir()}
+    assert found == (slow if worlds == [SLOW] else every - slow)
 
 
-@pytest.mark.nightly
-def test_the_calibrations_of_the_slow_world_are_found_by_their_digest():
-    assert {made.path for made, _ in shipped_of(SLOW)} == {
-        *(SHIPPED_FOLDER / SLOW_FOLDER).iterdir()
-    }
-
-
-def replay(world: str, witnesses: int | None) -> None:
+@pytest.mark.parametrize(
+    ("world", "witnesses"),
+    [
+        *((world, REPLAYED) for world in QUICK),
+        *(pytest.param(world, None, marks=pytest.mark.nightly) for world in WORLDS),
+    ],
+)
+def test_shipped_calibrations_hold(world, witnesses):
     for rescaled in (False, True):
         pairs = [pair for pair in shipped_of(world) if (pair[0].rescale is not None) == rescaled]
         first = [dataclasses.replace(c, witnesses=c.witnesses[:witnesses]) for c, _ in pairs]
         check(setup_of(world), first, [detector for _, detector in pairs])
-
-
-@pytest.mark.parametrize("world", QUICK)
-def test_shipped_calibrations_hold(world):
-    replay(world, REPLAYED)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("world", WORLDS)
-def test_shipped_calibrations_hold_in_all_their_witnesses(world):
-    replay(world, None)
 
 
 def test_shipped_networks_are_unchanged():
@@ -127,40 +113,30 @@ def test_what_is_shipped_meets_the_world_of_its_card(name):
     env.close()
 
 
-def described_classes() -> Iterator[type[Any]]:
-    """Classes of the package that declare a word."""
-    for module in pkgutil.walk_packages([str(PACKAGE)], "spoofgym."):
-        if module.name.endswith("__main__"):
-            continue
-        for _, each in inspect.getmembers(importlib.import_module(module.name), inspect.isclass):
-            if each.__module__ == module.name and "described_as" in vars(each):
-                yield each
-
-
-def test_no_two_classes_have_one_word():
-    classes = list(described_classes())
+def test_every_class_has_a_word_of_its_own_that_a_new_name_leaves():
+    classes = {
+        each
+        for module in pkgutil.walk_packages([str(PACKAGE)], "spoofgym.")
+        if not module.name.endswith("__main__")
+        for each in vars(importlib.import_module(module.name)).values()
+        if inspect.isclass(each) and each.__module__ == module.name
+        if "described_as" in vars(each)
+    }
     assert len(classes) > 100
     words = [get_kind(each) for each in classes]
     assert sorted({word for word in words if words.count(word) > 1}) == []
-
-
-@contextmanager
-def renamed(cls: type[Any], name: str) -> Iterator[None]:
-    before = cls.__qualname__
-    cls.__qualname__ = name  # which monkeypatch would delete
-    try:
-        yield
-    finally:
-        cls.__qualname__ = before
-
-
-def test_a_renamed_class_keeps_its_word():
     before = describe(Timeline())
     assert before["kind"] == "Timeline"
-    errors = {"kind": "CounterfeitErrors", "bias_sd_m": 0.25}
-    with renamed(Timeline, "Phases"), renamed(CounterfeitErrors, "CopyErrors"):
+    names = {cls: cls.__qualname__ for cls in (Timeline, CounterfeitErrors)}
+    try:
+        for cls in names:  # which monkeypatch would delete
+            cls.__qualname__ = "Renamed"
         assert describe(Timeline()) == before
+        errors = {"kind": "CounterfeitErrors", "bias_sd_m": 0.25}
         assert PerChannel(errors=errors).errors.bias_sd_m == 0.25
+    finally:
+        for cls, name in names.items():
+            cls.__qualname__ = name
 
 
 def test_a_class_of_the_package_must_have_a_word_and_a_user_s_has_its_name():

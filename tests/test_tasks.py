@@ -2,46 +2,28 @@
 
 from __future__ import annotations
 
-import json
-
 import gymnasium as gym
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report import tasks as task_cards
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_detector
-from spoofgym.cli import app
 from spoofgym.detectors import make_detector
 from spoofgym.envs import core
 from spoofgym.tasks import ALARM_PRICE, DETECTOR_TASKS, PAPERS, TASKS, get_task
+from tests.command_line import call, read
 from tests.nightly import heavy
 from tools.pages import part_between
 from tools.task_cards import END, PAGE, START, dealt, shown, spread
 
-RUNNER = CliRunner()
-
 
 @pytest.mark.parametrize("key", heavy(TASKS, "T4"))
-def test_a_task_is_an_environment_whose_spec_survives_json(key):
-    spec = gym.spec(TASKS[key].env_id)
-    again = gym.envs.registration.EnvSpec.from_json(spec.to_json())
-    told = json.loads(json.dumps(TASKS[key].env_kwargs))
-    assert json.loads(json.dumps(again.kwargs)) == told
+def test_a_task_has_a_detector_and_a_campaign(key):
     make_detector(TASKS[key].detector)
     assert Suite(**TASKS[key].suite_kwargs, runs=2).detector_players
-
-
-@pytest.mark.parametrize("key", heavy(TASKS, "T4"))
-def test_a_task_can_be_played(key):
-    env = gym.make(TASKS[key].env_id)
-    env.reset(seed=0)
-    _, reward, _, _, _ = env.step(env.action_space.sample() * 0.0)
-    assert abs(reward) < 5.0
-    env.close()
 
 
 @pytest.mark.nightly
@@ -56,14 +38,15 @@ def test_the_long_task_is_covered_by_its_detector():
     assert setup.live * setup.interval_s >= task.settings["timeline"]["live_s"]
 
 
-def test_all_tasks_are_paid_alike():
+def test_prices_limits_and_settings_of_a_task():
     assert ALARM_PRICE == core.ALARM_PRICE
-
-
-def test_the_alert_limit_of_a_task_is_in_its_table():
     suite = Suite(**TASKS["T4"].suite_kwargs, runs=2)
     assert (suite.alert_limit_m, Suite().alert_limit_m) == (556.0, 40.0)
     assert suite.config["alert_limit_m"] in suite.alert_limits_m
+    get_task("T5").env_kwargs["domain"]["worlds"] = 1  # a copy
+    assert get_task("T5").env_kwargs["domain"]["worlds"] == 32
+    with pytest.raises(ValueError, match=r"unknown task 'T7'; valid: T1, .*T6"):
+        get_task("T7")
 
 
 @pytest.mark.parametrize("key", ["T1", "T3", "T5", "T6"])
@@ -71,17 +54,9 @@ def test_no_task_is_won_by_full_throttle(key):
     """What pushes as hard as the attack allows is caught, in most runs of every task."""
     suite = Suite(**TASKS[key].suite_kwargs, runs=2)
     start = WarmStart(suite.setup(suite.detector_players[0]), suite.generators("training", 16))
-    hardest = play(
-        start, {"name": "accelerating-ramp", "acceleration_mps2": 0.05}, drop_alarmed=True
-    )
+    push = {"name": "accelerating-ramp", "acceleration_mps2": 0.05}
+    hardest = play(start, push, drop_alarmed=True)
     assert hardest.alarm.any(axis=0).mean() > 0.5
-
-
-def test_a_copy_of_the_settings_is_handed_out():
-    get_task("T5").env_kwargs["domain"]["worlds"] = 1
-    assert get_task("T5").env_kwargs["domain"]["worlds"] == 32
-    with pytest.raises(ValueError, match=r"unknown task 'T7'; valid: T1, .*T6"):
-        get_task("T7")
 
 
 @pytest.mark.parametrize("key", PAPERS)
@@ -92,24 +67,18 @@ def test_every_paper_has_an_environment(key):
     env.close()
 
 
-NEW = [key for key, task in TASKS.items() if not task.historical]
-
-
 @pytest.mark.usefixtures("default_rate")  # by which detectors are labelled
-def test_every_task_has_a_card_of_its_detector():
+@pytest.mark.parametrize("key", TASKS)
+def test_every_task_has_a_card_of_its_detector_and_its_admission(key):
     cards = task_cards.stored_cards()
     assert list(cards) == list(TASKS)
-    for key, card in cards.items():
-        task = TASKS[key]
-        assert card["detector"] == specify_detector(task.detector).label
-        assert card["alert_limit_m"] == task.alert_limit_m
-        assert {*task_cards.SCORES} <= {*card["scores_m"]}
-        assert ("admission" in card) is not task.historical
-
-
-@pytest.mark.parametrize("key", NEW)
-def test_figures_of_the_admission_are_those_of_the_card(key):
-    card = task_cards.stored_cards()[key]
+    task, card = TASKS[key], cards[key]
+    assert card["detector"] == specify_detector(task.detector).label
+    assert card["alert_limit_m"] == task.alert_limit_m
+    assert {*task_cards.SCORES} <= {*card["scores_m"]}
+    assert ("admission" in card) is not task.historical
+    if task.historical:
+        return
     found, floor = card["admission"], card["floor_m"]
     best, figures = found["best_classic"], found["figures"]
     half = {name: each["0.5"]["value"] for name, each in card["protection_m"].items()}
@@ -121,6 +90,13 @@ def test_figures_of_the_admission_are_those_of_the_card(key):
     over = card["alert_limit_m"] / floor["certain"]["value"]
     assert found["limit_over_floor"] == pytest.approx(over)
     assert 1 / 3 <= over <= 3
+    limits = {"over_floor": (2.0, None), "optimum_over_ramp": (1.2, None), "p_hmi": (0.1, 0.9)}
+    limits |= {"skies": (None, 3.0), "trivial_over_best": (1.1, None)}
+    assert list(figures) == [*task_cards.FIGURES]
+    for name, (low, high) in limits.items():
+        value = figures[name]["value"]
+        inside = (low is None or value >= low) and (high is None or value <= high)
+        assert figures[name]["passes"] == inside, name
 
 
 def test_skies_are_told_apart_by_the_mean_under_the_worst_attack_of_each():
@@ -134,39 +110,16 @@ def test_skies_are_told_apart_by_the_mean_under_the_worst_attack_of_each():
     assert dealt([np.full(44, 3.0)], sky) == 1.0
 
 
-@pytest.mark.parametrize("key", NEW)
-def test_a_figure_passes_by_its_limit(key):
-    limits = {"over_floor": (2.0, None), "optimum_over_ramp": (1.2, None), "p_hmi": (0.1, 0.9)}
-    limits |= {"skies": (None, 3.0), "trivial_over_best": (1.1, None)}
-    figures = task_cards.stored_cards()[key]["admission"]["figures"]
-    assert list(figures) == [*task_cards.FIGURES]
-    for name, (low, high) in limits.items():
-        value = figures[name]["value"]
-        inside = (low is None or value >= low) and (high is None or value <= high)
-        assert figures[name]["passes"] == inside, name
-
-
 def test_the_page_has_the_tables_of_the_cards():
     assert part_between(PAGE.read_text(), START, END) == f"\n{shown()}"
 
 
 def test_the_command_line_lists_the_tasks():
-    listed = json.loads(RUNNER.invoke(app, ["tasks", "--json"]).stdout)
-    assert [each["key"] for each in listed] == [*TASKS, *DETECTOR_TASKS]
-    assert all(each["card"]["bracket"] for each in listed if each["key"] in TASKS)
-    table = RUNNER.invoke(app, ["tasks"]).stdout
+    found = {each["key"]: each for each in read("tasks", "--json")}
+    assert [*found] == [*TASKS, *DETECTOR_TASKS]
+    assert all(found[key]["card"]["bracket"] for key in TASKS)
+    for key in DETECTOR_TASKS:
+        assert (found[key]["card"] is None) == (found[key]["play"] is not None)
+    table = call("tasks").stdout
     assert "spoofgym/BenchT4-v1" in table
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--task", "T9"], "unknown task 'T9'"),
-        (["--task", "T1", "--detector", "ewma"], "--detector can't be given with --task"),
-        (["--task", "T1", "--warmup-s", "20"], "--warmup-s can't be given with --task"),
-    ],
-)
-def test_what_a_task_decides_cannot_be_given(words, message, tmp_path):
-    result = RUNNER.invoke(app, ["bench", *words, "--out", str(tmp_path)])
-    assert result.exit_code != 0
-    assert message in result.output
+    assert "spoofgym/BenchD2-v1" in table

@@ -11,19 +11,19 @@ import pytest
 from spoofgym.core.files import remove_stale_parts, whole_file, write_file
 
 
-def test_a_file_is_written_with_its_folder_and_replaced(tmp_path: Path) -> None:
+def test_a_file_is_written_with_its_folder_and_is_whole_or_absent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "new" / "file.bin"
     for content in (b"first", b"", b"last \x00 one"):
         write_file(path, content)
         assert path.read_bytes() == content
         assert list(path.parent.iterdir()) == [path]
-
-
-def test_what_breaks_off_leaves_the_old_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "file.bin"
-    write_file(path, b"old")
+    with whole_file(path) as mine:  # two writers do not meet
+        mine.write_bytes(b"mine")
+        write_file(path, b"yours")
+        assert mine.read_bytes() == b"mine"
+    assert path.read_bytes() == b"mine"
 
     def dies(_: int) -> None:
         raise KeyboardInterrupt
@@ -31,29 +31,18 @@ def test_what_breaks_off_leaves_the_old_file(
     monkeypatch.setattr("os.fsync", dies)
     with pytest.raises(KeyboardInterrupt):
         write_file(path, b"new")
-    assert path.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_two_writers_of_a_file_do_not_meet(tmp_path: Path) -> None:
-    path = tmp_path / "file.bin"
-    with whole_file(path) as mine:
-        mine.write_bytes(b"mine")
-        write_file(path, b"yours")
-        assert mine.read_bytes() == b"mine"
     assert path.read_bytes() == b"mine"
-    assert list(tmp_path.iterdir()) == [path]
+    assert list(path.parent.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("links", [True, False])
 def test_an_exclusive_file_replaces_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
 ) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError
+
     if not links:
-
-        def refused(*_: object) -> None:
-            raise PermissionError
-
         monkeypatch.setattr("os.link", refused)
     path = tmp_path / "file.bin"
     write_file(path, b"first", exclusive=True)

@@ -8,10 +8,9 @@ import pytest
 from spoofgym.attacks.commands import FalsePosition
 from spoofgym.limits import unit_commands
 from spoofgym.limits.linear import hat_functions
-from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.simulator import run_serially
 
-from .toy import rates_of
+from .toy import rates_of, unwatched
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0}
 LATE = {"delay_s": 6.0, "alignment_m": None}
@@ -25,9 +24,7 @@ ATTACKS = {
 
 
 def setup_of(attack="false-position", **settings):
-    return TightlyCoupledSetup(
-        attack=attack, timeline=SHORT, detector="never", **{"scenario": "zhong2025", **settings}
-    )
+    return unwatched(attack=attack, timeline=SHORT, **{"scenario": "zhong2025", **settings})
 
 
 def at_onset(setup, world=0):
@@ -65,18 +62,23 @@ def some_rates(setup, commands, seed=0):
     return 0.5 * least * np.cumsum(steps, axis=0)
 
 
-@pytest.mark.parametrize(("every_s", "between"), [(None, "hold"), (10.0, "hold"), (10.0, "linear")])
-@pytest.mark.parametrize("attack", ATTACKS.values(), ids=ATTACKS)
-def test_offsets_are_what_the_attack_makes_of_its_rates(attack, every_s, between):
-    setup = setup_of({**attack, "control": "rate"}, decision_interval_s=every_s, between=between)
-    commands = unit_commands(setup, at_onset(setup).onset[0])
-    rates = some_rates(setup, commands)
-    found = added(setup, rates / commands.rate_limit_mps)
+def assert_same_offsets(commands, found, rates):
     expected = commands.offsets @ rates.ravel() + commands.idle
     n = expected.shape[1] // 2
     for rows in (slice(0, n), slice(n, None)):
         size = np.abs(found[:, rows] - commands.idle[:, rows]).max()
         np.testing.assert_allclose(expected[:, rows], found[:, rows], atol=1e-5 * size + 1e-9)
+
+
+@pytest.mark.parametrize(("every_s", "between"), [(None, "hold"), (10.0, "hold"), (10.0, "linear")])
+@pytest.mark.parametrize("attack", ATTACKS.values(), ids=ATTACKS)
+def test_offsets_are_what_the_attack_makes_of_its_rates(attack, every_s, between):
+    setup = setup_of({**attack, "control": "rate"}, decision_interval_s=every_s, between=between)
+    commands = unit_commands(setup, at_onset(setup).onset[0])
+    assert commands.change_limit_mps == np.inf
+    rates = some_rates(setup, commands)
+    found = added(setup, rates / commands.rate_limit_mps)
+    assert_same_offsets(commands, found, rates)
     assert np.abs(found).max() > 0.1
 
 
@@ -84,24 +86,12 @@ def test_offsets_are_what_the_attack_makes_of_its_rates(attack, every_s, between
 def test_a_rate_that_comes_by_acceleration_is_reached_at_the_end_of_its_decision(every_s):
     setup = setup_of(decision_interval_s=every_s)
     commands = unit_commands(setup, at_onset(setup).onset[0])
+    limit = setup.attack.acceleration_limit_mps2 * (every_s or setup.interval_s)
+    assert commands.change_limit_mps == pytest.approx(limit)
     rates = some_rates(setup, commands)
     actions = np.diff(rates, axis=0, prepend=0.0) / commands.change_limit_mps
     assert np.abs(actions).max() <= 1.0
-    found = added(setup, actions)
-    expected = commands.offsets @ rates.ravel()
-    n = expected.shape[1] // 2
-    for rows in (slice(0, n), slice(n, None)):
-        size = np.abs(found[:, rows]).max()
-        np.testing.assert_allclose(expected[:, rows], found[:, rows], atol=1e-5 * size)
-
-
-def test_an_attack_by_rate_has_no_limit_of_acceleration():
-    setup = setup_of({"name": "false-position", "control": "rate"})
-    onset = at_onset(setup).onset[0]
-    assert unit_commands(setup, onset).change_limit_mps == np.inf
-    by_acceleration = unit_commands(setup_of(decision_interval_s=10.0), onset)
-    limit = setup.attack.acceleration_limit_mps2
-    assert by_acceleration.change_limit_mps == pytest.approx(10.0 * limit)
+    assert_same_offsets(commands, added(setup, actions), rates)
 
 
 def test_a_meaconer_moves_the_victim_when_it_is_idle_and_only_the_clock_when_commanded():
@@ -125,7 +115,7 @@ def test_a_meaconer_moves_the_victim_when_it_is_idle_and_only_the_clock_when_com
 def test_satellites_that_rise_or_set_have_no_offset_out_of_view(world):
     sky = {"turned_deg": (0.0, 0.0), "constellation_time_s": (0.0, 86_400.0), "worlds": 32}
     long = {"warmup_s": 200.0, "live_s": 20.0, "attack_s": 130.0, "time_to_alert_s": 5.0}
-    setup = TightlyCoupledSetup(detector="never", domain=sky, timeline=long)
+    setup = unwatched(domain=sky, timeline=long)
     simulator = at_onset(setup, world)
     commands = unit_commands(setup, simulator.onset[0])
     after = simulator.onset[0] + 1 + np.arange(len(commands.offsets))
@@ -140,30 +130,17 @@ def test_satellites_that_rise_or_set_have_no_offset_out_of_view(world):
     np.testing.assert_allclose(expected, found, atol=1e-4 * np.abs(found).max())
 
 
-def test_rates_are_those_of_the_commands():
-    setup = setup_of(decision_interval_s=2.0)
-    commands = unit_commands(setup, at_onset(setup).onset[0])
-    assert (commands.decisions, commands.axes) == (10, 2)
-    np.testing.assert_array_equal(commands.heading, np.eye(2))
-    u = np.random.default_rng(1).standard_normal(20)
-    np.testing.assert_array_equal(rates_of(commands) @ u, u.reshape(10, 2))
-
-
-def test_hat_functions_share_out_every_decision():
-    hats = hat_functions(40, 9)
+def test_commands_in_hats_do_what_their_rates_do():
+    hats, line = hat_functions(40, 9), np.linspace(1.0, 3.0, 9)
     np.testing.assert_allclose(hats.sum(axis=1), 1.0)
     np.testing.assert_allclose(hats.max(axis=0)[[0, -1]], 1.0)
-    line = np.linspace(1.0, 3.0, 9)
     np.testing.assert_allclose(hats @ line, np.linspace(1.0, 3.0, 40))
     np.testing.assert_array_equal(hat_functions(9, 9), np.eye(9))
-
-
-def test_commands_in_hats_do_what_their_rates_do():
     setup = setup_of()
     commands = unit_commands(setup, at_onset(setup).onset[0])
+    np.testing.assert_array_equal(commands.heading, np.eye(2))
     few = commands.in_hats(7)
-    assert few.offsets.shape[2] == 14
-    assert few.decisions == commands.decisions
+    assert (few.offsets.shape[2], few.decisions, few.axes) == (14, commands.decisions, 2)
     u = np.random.default_rng(2).standard_normal(14)
     rates = rates_of(few) @ u
     np.testing.assert_allclose(few.offsets @ u, commands.offsets @ rates.ravel(), atol=1e-10)

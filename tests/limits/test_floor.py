@@ -6,23 +6,19 @@ import numpy as np
 import pytest
 
 from spoofgym.limits import compute_frontier
-from spoofgym.simulation import LooselyCoupledSetup, TightlyCoupledSetup
+from spoofgym.simulation import LooselyCoupledSetup
+
+from .toy import unwatched
 
 SHORT = {"warmup_s": 30.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0}
 
 
 @functools.cache
-def computed(scenario, sensors_known):
-    setup = TightlyCoupledSetup(scenario=scenario, detector="never")
-    return compute_frontier(setup, sensors_known=sensors_known)
-
-
 def frontier(scenario, sensors_known=False):
-    return computed(scenario, sensors_known)
+    return compute_frontier(unwatched(scenario=scenario), sensors_known=sensors_known)
 
 
-def short_setup(**settings):
-    return TightlyCoupledSetup(timeline=SHORT, detector="never", **settings)
+short_setup = functools.partial(unwatched, timeline=SHORT)
 
 
 @pytest.mark.parametrize(
@@ -37,6 +33,8 @@ def short_setup(**settings):
     ],
 )
 def test_frontier_at_a_deflection_of_two(scenario, sensors_known, metres):
+    said = frontier(scenario, sensors_known).assumptions[-1]
+    assert ("are known" in said, "not known" in said) == (sensors_known, not sensors_known)
     (size,) = frontier(scenario, sensors_known).sizes()
     assert 2.0 * size == pytest.approx(metres, rel=0.03)
 
@@ -64,17 +62,6 @@ def test_a_false_position_stays_below_an_attack_on_every_channel(scenario):
     assert found.sizes()[0] < found.sizes(free=True)[0]
 
 
-def test_assumptions_say_whether_the_sensors_are_known():
-    assert "are known" in frontier("zhong2025", True).assumptions[-1]
-    assert "not known" in frontier("zhong2025").assumptions[-1]
-
-
-def test_one_world_is_enough_where_nothing_is_drawn():
-    ticks = []
-    found = compute_frontier(short_setup(), worlds=3, tick=ticks.append)
-    assert (len(found.per_deflection), sum(ticks)) == (1, 1.0)
-
-
 def test_a_course_ends_at_the_frontier_and_is_that_of_shorter_attacks():
     found = compute_frontier(short_setup(), times=4)
     np.testing.assert_allclose(found.times_s, [5.0, 10.0, 15.0, 20.0])
@@ -86,21 +73,21 @@ def test_a_course_ends_at_the_frontier_and_is_that_of_shorter_attacks():
     floors = found.course_m(0.01, 0.5)
     assert floors[-1] == pytest.approx(found.lower_limit_m(0.01, 0.5))
     assert np.all(np.diff(floors) > 0.0)
-    shorter = TightlyCoupledSetup(timeline={**SHORT, "attack_s": 10.0}, detector="never")
+    shorter = unwatched(timeline={**SHORT, "attack_s": 10.0})
     assert floors[1] == pytest.approx(compute_frontier(shorter).lower_limit_m(0.01, 0.5), rel=0.05)
 
 
 def test_a_drawn_world_has_a_frontier_of_its_own():
     domain = {"turned_deg": (0.0, 360.0), "constellation_time_s": (0.0, 86_400.0), "worlds": 4}
-    setup = short_setup(domain=domain)
-    found = compute_frontier(setup, worlds=3)
+    found = compute_frontier(short_setup(domain=domain), worlds=3)
     sizes = found.sizes()
     assert len(sizes) == 3
     assert np.ptp(sizes) > 0.0
     low, high = (found.lower_limit_m(0.01, 0.5, quantile=part) for part in (0.0, 1.0))
     assert low == pytest.approx(sizes.min() * high / sizes.max())
-    again = compute_frontier(setup, worlds=3)
-    np.testing.assert_array_equal(again.per_deflection, found.per_deflection)
+    ticks = []  # one world is enough where nothing is drawn
+    found = compute_frontier(short_setup(), worlds=3, tick=ticks.append)
+    assert (len(found.per_deflection), sum(ticks)) == (1, 1.0)
 
 
 def test_the_frontier_is_largest_where_any_direction_counts():
@@ -116,15 +103,20 @@ def test_the_frontier_is_largest_where_any_direction_counts():
         assert drawn.min() * 0.99 <= found[target].sizes()[0] <= worst * (1.0 + 1e-12)
 
 
-def test_other_victims_and_wrong_settings_are_refused():
-    with pytest.raises(ValueError, match="tightly coupled receivers alone, not for a loosely"):
-        compute_frontier(LooselyCoupledSetup(detector="never"))
-    with pytest.raises(ValueError, match="`worlds` must be a whole number of at least 1, got 0"):
-        compute_frontier(short_setup(), worlds=0)
-    with pytest.raises(ValueError, match="no floor is known for 'meaconer': it changes the meas"):
-        compute_frontier(short_setup(attack="meaconer"))
-    with pytest.raises(ValueError, match="`times` must be a whole number of at least 0, got -1"):
-        compute_frontier(short_setup(), times=-1)
-    several = short_setup(domain={"imu": ("aviation", "tactical")})
-    with pytest.raises(ValueError, match=r"one grade of inertial sensors .* aviation, tactical"):
-        compute_frontier(several)
+@pytest.mark.parametrize(
+    ("setup", "asked", "said"),
+    [
+        (LooselyCoupledSetup(detector="never"), {}, "tightly coupled receivers alone, not for a l"),
+        (short_setup(), {"worlds": 0}, "`worlds` must be a whole number of at least 1, got 0"),
+        (short_setup(), {"times": -1}, "`times` must be a whole number of at least 0, got -1"),
+        (short_setup(attack="meaconer"), {}, "no floor is known for 'meaconer': it changes the m"),
+        (
+            short_setup(domain={"imu": ("aviation", "tactical")}),
+            {},
+            r"one grade of inertial sensors .* aviation, tactical",
+        ),
+    ],
+)
+def test_other_victims_and_wrong_settings_are_refused(setup, asked, said):
+    with pytest.raises(ValueError, match=said):
+        compute_frontier(setup, **asked)

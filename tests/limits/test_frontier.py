@@ -5,13 +5,11 @@ import functools
 import numpy as np
 import pytest
 
-from spoofgym.limits import WorldFrontier, compute_frontier, unit_commands
+from spoofgym.limits import compute_frontier, unit_commands
 from spoofgym.limits.floor import Analyst, reachable, world_frontier
-from spoofgym.limits.linear import Commands, record
-from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.setup import make_generators, seeds_of_runs
+from spoofgym.limits.linear import record
 
-from .toy import best_commands, deflection_of, toy_run
+from .toy import best_commands, deflection_of, rngs_of, unwatched
 
 EAST, NORTH = np.eye(2)[::-1]
 SHORT = {"warmup_s": 40.0, "live_s": 10.0, "attack_s": 30.0, "time_to_alert_s": 5.0}
@@ -20,9 +18,7 @@ RNG = np.random.default_rng(7)
 
 @functools.cache
 def short_frontier(attack="false-position"):
-    return compute_frontier(
-        TightlyCoupledSetup(detector="never", attack=attack, timeline=SHORT)
-    ).one
+    return compute_frontier(unwatched(attack=attack, timeline=SHORT)).one
 
 
 @pytest.mark.parametrize("columns", [3, 12])
@@ -31,44 +27,14 @@ def test_reachable_is_the_inverse_where_there_is_one(columns):
     np.testing.assert_allclose(reachable(rows, n), n @ np.linalg.inv(rows.T @ rows) @ n.T)
 
 
-def test_commands_that_leave_no_trace_but_move_the_victim_have_no_end():
-    rows, n = RNG.standard_normal((40, 6)), RNG.standard_normal((2, 6))
-    rows[:, 5] = rows[:, :5] @ [1.0, -2.0, 0.5, 0.0, 1.0]
-    assert np.isinf(reachable(rows, n)).all()
-    assert np.isinf(reachable(np.zeros((40, 6)), n)).all()
-
-
-def test_commands_that_leave_no_trace_and_move_nothing_change_nothing():
+def test_commands_that_leave_no_trace_have_no_end_unless_they_move_nothing():
     rows, n = RNG.standard_normal((40, 6)), RNG.standard_normal((2, 6))
     mix = RNG.standard_normal((6, 9))  # nine commands for six effects
     found = reachable(rows @ mix, n @ mix)
     np.testing.assert_allclose(found, n @ np.linalg.inv(rows.T @ rows) @ n.T, rtol=1e-8)
-
-
-def toy_frontier(traces):
-    """Steps north, east, and of nothing; what the analyst sees of each is multiplied."""
-    run = toy_run(epochs=20)
-    epochs, m = run.design.shape[:2]
-    offsets = np.zeros((epochs, m, 3))
-    offsets[:, : m // 2, :2] = -run.design[:, : m // 2, 6:8]
-    commands = Commands(offsets, np.zeros((epochs, m)), 3, None, 1.0, 1.0)
-    found = world_frontier(commands, run, run, np.zeros((epochs, 3, 3)), epochs - 1)
-    return WorldFrontier(
-        commands, found.whitened * np.array(traces), found.victim, found.last, found.coasting
-    )
-
-
-def test_a_command_that_nobody_sees_and_that_moves_the_victim_has_no_end():
-    found = toy_frontier([1.0, 1.0, 1.0])
-    assert np.isfinite(found.per_deflection()).all()
-    assert np.isinf(toy_frontier([1.0, 0.0, 1.0]).per_deflection()).all()
-
-
-def test_the_best_commands_leave_alone_what_does_nothing():
-    found = toy_frontier([1.0, 1.0, 1.0])
-    u = best_commands(found, EAST, 2.0)
-    assert u[2] == 0.0
-    assert deflection_of(found, u)[-1] == pytest.approx(2.0)
+    rows[:, 5] = rows[:, :5] @ [1.0, -2.0, 0.5, 0.0, 1.0]
+    assert np.isinf(reachable(rows, n)).all()
+    assert np.isinf(reachable(np.zeros((40, 6)), n)).all()
 
 
 @pytest.mark.parametrize("direction", [EAST, NORTH, np.array([0.6, -0.8])])
@@ -96,41 +62,28 @@ def test_later_epochs_and_a_tested_hold_can_only_help_the_detector():
     assert earlier < sizes[0]
 
 
-def test_the_more_an_attack_can_command_the_farther_it_gets():
-    one, each = short_frontier(), short_frontier("per-channel")
-    sizes = [np.linalg.eigvalsh(M) for M in (one.per_deflection(), each.per_deflection())]
-    free = np.linalg.eigvalsh(one.coasting)
-    assert (sizes[0] < sizes[1]).all()
-    assert (sizes[1] < free * (1.0 + 1e-9)).all()
-    assert deflection_of(each, best_commands(each, EAST, 1.0))[-1] == pytest.approx(1.0)
+def worlds_of(attack):
+    """How far commands come by the analyst of the world, and by what the victim believes."""
+    setup = unwatched(attack=attack, timeline=SHORT)
+    (victim,) = record(setup, rngs_of(setup))
+    (its,) = Analyst(setup).record(rngs_of(setup))
+    commands = unit_commands(setup, victim.onset).in_hats(20)
+    return [
+        world_frontier(commands, victim, run, its.coasting, setup.steps - 1).per_deflection()
+        for run in (its.linear, victim)
+    ]
 
 
 def test_a_meaconer_that_commands_its_delay_alone_moves_no_position():
     # a common delay is the clock's: what is left of it in the position is next to nothing
-    setup = TightlyCoupledSetup(detector="never", attack="meaconer", timeline=SHORT)
-    seeds = seeds_of_runs(0, "selection", setup.name, [0])
-    (victim,) = record(setup, make_generators(seeds))
-    (its,) = Analyst(setup).record(make_generators(seeds))
-    commands = unit_commands(setup, victim.onset).in_hats(20)
-    meaconer = world_frontier(commands, victim, its.linear, its.coasting, setup.steps - 1)
-    sizes = [
-        np.sqrt(np.linalg.eigvalsh(each.per_deflection())[-1])
-        for each in (meaconer, short_frontier())
-    ]
-    assert sizes[0] < 0.05 * sizes[1]
+    meaconer, _ = worlds_of("meaconer")
+    sizes = [np.linalg.eigvalsh(M)[-1] for M in (meaconer, short_frontier().per_deflection())]
+    assert np.sqrt(sizes[0]) < 0.05 * np.sqrt(sizes[1])
     # it delays what it repeats without a command, too, which no frontier of commands tells
     with pytest.raises(ValueError, match="when it is commanded nothing"):
         short_frontier("meaconer")
 
 
-def test_the_frontier_needs_the_analyst_of_the_world():
-    setup = TightlyCoupledSetup(detector="never", timeline=SHORT)
-    seeds = seeds_of_runs(0, "selection", setup.name, [0])
-    (victim,) = record(setup, make_generators(seeds))
-    (its,) = Analyst(setup).record(make_generators(seeds_of_runs(0, "selection", setup.name, [0])))
-    commands = unit_commands(setup, victim.onset).in_hats(20)
-    # by what the victim believes, an attack seems harder to see than it is
-    believed = world_frontier(commands, victim, victim, its.coasting, setup.steps - 1)
-    real = world_frontier(commands, victim, its.linear, its.coasting, setup.steps - 1)
-    believed, real = (np.sqrt(EAST @ each.per_deflection() @ EAST) for each in (believed, real))
+def test_by_what_the_victim_believes_an_attack_seems_harder_to_see_than_it_is():
+    real, believed = (np.sqrt(EAST @ each @ EAST) for each in worlds_of("false-position"))
     assert believed > 2.0 * real

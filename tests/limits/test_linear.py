@@ -4,17 +4,11 @@ import numpy as np
 import pytest
 
 from spoofgym.limits import record, respond, unit_commands
-from spoofgym.limits.linear import mechanize_transition, observer, white
-from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.setup import make_generators, seeds_of_runs
+from spoofgym.limits.linear import mechanize_transition, observer
 
-from .toy import toy_run
+from .toy import rngs_of, toy_run, unwatched
 
 SHORT = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 5.0}
-
-
-def rngs_of(setup, runs=1):
-    return make_generators(seeds_of_runs(0, "selection", setup.name, range(runs)))
 
 
 def played(setup, actions):
@@ -38,17 +32,12 @@ def played(setup, actions):
 )
 def test_innovations_and_position_move_as_the_simulator_s(scenario, receiver):
     attack = {"name": "false-position", "control": "rate"}
-    setup = TightlyCoupledSetup(
-        scenario=scenario, receiver=receiver, attack=attack, detector="never", timeline=SHORT
-    )
+    setup = unwatched(scenario=scenario, receiver=receiver, attack=attack, timeline=SHORT)
     (run,) = record(setup, rngs_of(setup))
     t = np.linspace(0.0, 1.0, setup.steps)
     rates = 0.3 * np.stack([t, np.sin(4.0 * t)], axis=1)
-    zero = np.zeros_like(rates)
-    attacked = played(setup, rates / setup.attack.rate_limit_mps)
-    innovation, place = (
-        each - clean for each, clean in zip(attacked, played(setup, zero), strict=True)
-    )
+    both = (played(setup, each / setup.attack.rate_limit_mps) for each in (rates, 0.0 * rates))
+    innovation, place = (attacked - clean for attacked, clean in zip(*both, strict=True))
     offsets = unit_commands(setup, run.onset).offsets @ rates.ravel()
     found = respond(run, offsets[:, :, None])
     np.testing.assert_allclose(found.position[:, :, 0], place, atol=5e-4 * np.abs(place).max())
@@ -60,37 +49,18 @@ def test_innovations_and_position_move_as_the_simulator_s(scenario, receiver):
         )
 
 
-def test_a_filter_whose_gain_is_0_only_propagates():
-    run = toy_run(epochs=8)
-    still = run._replace(gain=0.0 * run.gain)
-    offsets = np.random.default_rng(0).standard_normal((8, 8, 2))
-    found = respond(still, offsets)
-    np.testing.assert_array_equal(found.innovation, offsets)
-    assert not found.position.any()
-
-
-def test_responses_add_up():
+def test_responses_add_up_and_follow_the_attack():
     run, rng = toy_run(epochs=12), np.random.default_rng(1)
     offsets, u = rng.standard_normal((12, 8, 5)), rng.standard_normal(5)
+    offsets[:7] = 0.0
     parts, whole = respond(run, offsets), respond(run, (offsets @ u)[:, :, None])
     for part, each in zip(parts, whole, strict=True):
         np.testing.assert_allclose(part @ u, each[:, :, 0], atol=1e-12)
-
-
-def test_an_attack_has_no_effect_before_it():
-    offsets = np.zeros((12, 8, 1))
-    offsets[7:] = 1.0
-    found = respond(toy_run(epochs=12), offsets)
-    assert not found.innovation[:7].any()
-    assert found.innovation[7].any()
-
-
-def test_whitened_rows_have_the_identity_for_a_covariance():
-    run = toy_run(epochs=3)
-    L = white(run.innovation_cov, np.tile(np.eye(8), (3, 1, 1)))
-    np.testing.assert_allclose(
-        L @ run.innovation_cov @ L.transpose(0, 2, 1), np.tile(np.eye(8), (3, 1, 1)), atol=1e-9
-    )
+    assert not parts.innovation[:7].any()
+    assert parts.innovation[7].any()
+    still = respond(run._replace(gain=0.0 * run.gain), offsets)  # only propagates
+    np.testing.assert_array_equal(still.innovation, offsets)
+    assert not still.position.any()
 
 
 def test_a_tilt_becomes_a_position_within_one_epoch():

@@ -35,11 +35,8 @@ def test_deflections_of_the_theory(p_fa, p_d, heading, d):
 @pytest.mark.parametrize(("p_fa", "known", "any_test"), [(0.05, 0.64, 0.82), (0.01, 0.37, 0.58)])
 def test_powers_of_the_theory_at_two_nats(p_fa, known, any_test):
     assert power(2.0, p_fa) == pytest.approx(known, abs=0.005)
-    assert (
-        compute_kl_divergence(any_test - 0.005, p_fa)
-        < 2.0
-        < compute_kl_divergence(any_test + 0.005, p_fa)
-    )
+    low, high = (compute_kl_divergence(any_test + each, p_fa) for each in (-0.005, 0.005))
+    assert low < 2.0 < high
 
 
 def test_power_is_what_simulated_tests_find():
@@ -55,26 +52,22 @@ def test_power_is_what_simulated_tests_find():
 
 
 @given(p_fa=PART, d=st.floats(0.0, 20.0), more=st.floats(0.0, 5.0), heading=HEADING)
-def test_power_grows_with_the_deflection_and_with_false_alarms(p_fa, d, more, heading):
+def test_power_grows_with_deflection_and_false_alarms_within_its_bounds(p_fa, d, more, heading):
     low = power(d, p_fa, heading=heading)
     assert p_fa - 1e-9 <= low <= power(d + more, p_fa, heading=heading) + 1e-9
     assert low <= power(d, 0.5 * (1.0 + p_fa), heading=heading) + 1e-9
+    # knowing less never helps, and no test beats the divergence
+    assert low <= power(d, p_fa) + 1e-9
+    if d < 8.0:
+        assert compute_kl_divergence(power(d, p_fa), p_fa) <= 0.5 * d * d + 1e-9
 
 
 @given(p_fa=PART, p_d=PART, heading=HEADING)
 def test_power_and_deflection_are_inverse(p_fa, p_d, heading):
-    if p_d < p_fa:
-        p_fa, p_d = p_d, p_fa
+    p_fa, p_d = sorted((p_fa, p_d))
     d = deflection_for(p_fa, p_d, heading=heading)
     assert d >= 0.0
     assert power(d, p_fa, heading=heading) == pytest.approx(p_d, abs=1e-7)
-
-
-@given(p_fa=PART, d=st.floats(0.0, 8.0))
-def test_knowing_less_never_helps_and_no_test_beats_the_divergence(p_fa, d):
-    known, unknown = power(d, p_fa), power(d, p_fa, heading="unknown")
-    assert unknown <= known + 1e-9
-    assert compute_kl_divergence(known, p_fa) <= 0.5 * d * d + 1e-9
 
 
 @pytest.mark.parametrize(
@@ -83,7 +76,6 @@ def test_knowing_less_never_helps_and_no_test_beats_the_divergence(p_fa, d):
         (lambda: power(-1.0, 0.1), "`deflection` must be a number of at least 0, got -1.0"),
         (lambda: power(1.0, 0.0), "`p_fa` must be a number above 0 and below 1, got 0.0"),
         (lambda: power(1.0, 0.1, heading="x"), "`heading` must be 'known' or 'unknown', got 'x'"),
-        (lambda: deflection_for(1.0, 0.5), "`p_fa` must be a number above 0 and below 1, got 1.0"),
         (lambda: deflection_for(0.1, 1.0), "`p_d` must be a number above 0 and below 1, got 1.0"),
         (lambda: deflection_for(0.1, 0.05), "`p_d` must be at least `p_fa` = 0.1, got 0.05"),
     ],
@@ -101,10 +93,9 @@ def test_no_bound_by_divergence_for_knowledge_of_a_latent_error(knowledge):
         check_no_latent(knowledge)
         check_no_latent(knowledge, names)
         return
+    said = re.escape(repr(knowledge))
     for observed in (None, names):
-        with pytest.raises(
-            ValueError, match=f"no bound by divergence .* {knowledge!r}".replace("+", r"\+")
-        ):
+        with pytest.raises(ValueError, match=f"no bound by divergence .* {said}"):
             check_no_latent(knowledge, observed)
 
 

@@ -29,12 +29,11 @@ from spoofgym.detectors import (
     WindowedChi2,
 )
 from spoofgym.limits import convex
-from spoofgym.limits.bounds import compute_zero_alarm
 from spoofgym.limits.linear import white
 from spoofgym.limits.no_alarm import SETS, Timing, judge_run, judged_by
 from spoofgym.limits.zero_alarm import sensitivity
 
-from .toy import EAST, TIMING, false_position, toy_run
+from .toy import EAST, TIMING, bound_of, false_position, toy_run
 
 RUN = toy_run()
 SETTING = toy_run(setting=(12, 22))
@@ -71,26 +70,22 @@ PASSIVE = [
     InnovationRate(memory_s=20.0, settled_s=18.0, start_s=3.0, alarm_scale=0.5),
 ]
 CASES = {f"{type(each).__name__}-{i}": each for i, each in enumerate(PASSIVE)}
-FREE = {
-    name: each
-    for name, each in CASES.items()
+FREE = [
+    each
+    for each in PASSIVE
     if getattr(each, "signals", "pseudorange") == "both" and not isinstance(each, ClockDrift)
-}
+]
+WITHOUT = {name for name, kind in DETECTORS.items() if kind not in SETS}
 LOOSE = {"rate": 1e3, "change": np.inf}
-
-
-def largest_ratio(detector, run, timing, innovation):
-    """Largest statistic over threshold of epochs whose alarms are on."""
-    verdicts = judge_run(detector, run, timing, innovation)
-    ratio = verdicts.statistic / verdicts.threshold
-    return ratio[verdicts.armed].max()
 
 
 def check_edge(detector, run, timing, bound):
     """Just inside the bound there is no alarm, and just outside there is one."""
     assert bound.kind == "exact"
-    assert largest_ratio(detector, run, timing, 0.999 * bound.innovation) <= 1.0
-    assert largest_ratio(detector, run, timing, 1.02 * bound.innovation) > 1.0
+    for part, alarms in ((0.999, False), (1.02, True)):
+        verdicts = judge_run(detector, run, timing, part * bound.innovation)
+        ratio = verdicts.statistic / verdicts.threshold
+        assert (ratio[verdicts.armed].max() > 1.0) == alarms
 
 
 @pytest.mark.parametrize(
@@ -99,35 +94,29 @@ def check_edge(detector, run, timing, bound):
 @pytest.mark.parametrize("name", CASES)
 def test_a_restricted_bound_is_the_edge_of_the_detector_s_own_alarm(name, run, timing):
     detector, attacker = CASES[name], false_position(run, **LOOSE)
-    bound = compute_zero_alarm(detector, run, timing, epoch=45, direction=EAST, attacker=attacker)
+    bound = bound_of(detector, run, timing, attacker)
     check_edge(detector, run, timing, bound)
     wanted = attacker.response.position[45, 1] @ bound.commands
     assert bound.value_m == pytest.approx(wanted)
 
 
-@pytest.mark.parametrize("name", FREE)
-def test_a_free_bound_is_the_edge_of_the_detector_s_own_alarm(name):
-    run = RUN if isinstance(FREE[name], GlrRamp) else SETTING
-    bound = compute_zero_alarm(FREE[name], run, TIMING, epoch=45, direction=EAST)
-    check_edge(FREE[name], run, TIMING, bound)
+@pytest.mark.parametrize("detector", FREE, ids=lambda each: type(each).__name__)
+def test_a_free_bound_is_the_edge_of_the_detector_s_own_alarm(detector):
+    run = RUN if isinstance(detector, GlrRamp) else SETTING
+    check_edge(detector, run, TIMING, bound_of(detector, run))
 
 
 @pytest.mark.parametrize("detector", [Ewma(weight_scale=None), SnapshotChi2(signals="pseudorange")])
 def test_a_filter_of_pseudoranges_alone_has_a_free_bound(detector):
-    gain = RUN.gain.copy()
-    gain[:, :, 4:] = 0.0
-    run = RUN._replace(gain=gain)
-    bound = compute_zero_alarm(detector, run, TIMING, epoch=45, direction=EAST)
-    check_edge(detector, run, TIMING, bound)
+    run = RUN._replace(gain=RUN.gain * ([1.0] * 4 + [0.0] * 4))
+    check_edge(detector, run, TIMING, bound_of(detector, run))
 
 
 @pytest.mark.parametrize("kind", [GlrStep, GlrRamp])
 def test_a_scan_knows_no_satellite_that_was_offset_when_it_rose(kind):
     detector = kind(window=12, baseline=20, signals="both")
     for run, timing in [(SETTING, TIMING), (RUN, YOUNG)]:
-        assert (
-            compute_zero_alarm(detector, run, timing, epoch=45, direction=EAST).kind == "unbounded"
-        )
+        assert bound_of(detector, run, timing).kind == "unbounded"
 
 
 def moving_sums(y, weights, limits, last):
@@ -151,30 +140,6 @@ def bank_sums(energy, windows, degrees, false_alarm=1e-5):
     return held
 
 
-@pytest.mark.parametrize("shape", ["step", "ramp"])
-def test_a_free_bound_of_moving_sums_is_the_largest_that_another_solver_finds(shape):
-    detector = FiniteMovingAverage(window_s=4.0, shape=shape, signals="both")
-    y = cp.Variable((EPOCHS, 8))
-    before = [np.zeros(8)] * TIMING.live
-    limits = np.tile(judge_run(detector, RUN, TIMING).threshold, 2)
-    weights = np.ones(8) if shape == "step" else np.arange(1, 9) / 8.0
-    held = moving_sums([*before, *y], weights, limits, 8)
-    value = cp.sum(cp.multiply(sensitivity(RUN, 45, EAST).rows * SD, y))
-    wanted = cp.Problem(cp.Maximize(value), held).solve(solver=cp.HIGHS)
-    bound = compute_zero_alarm(detector, RUN, TIMING, epoch=45, direction=EAST)
-    assert bound.value_m == pytest.approx(wanted, rel=1e-4)
-
-
-def test_a_free_bound_of_a_bank_is_the_largest_that_another_solver_finds():
-    detector = CumulativeBank(windows_s=(1.0, 4.0, 60.0))
-    energy = cp.Variable(EPOCHS, nonneg=True)
-    value = sensitivity(RUN, 45, EAST).weights @ cp.sqrt(energy)
-    held = bank_sums(energy, (2, 8, 120), 8)
-    wanted = cp.Problem(cp.Maximize(value), held).solve(solver=cp.CLARABEL)
-    bound = compute_zero_alarm(detector, RUN, TIMING, epoch=45, direction=EAST)
-    assert bound.value_m == pytest.approx(wanted, rel=1e-4)
-
-
 EPOCHS = len(RUN.gain)
 ATTACKER = false_position(RUN, **LOOSE)
 WHITE = white(RUN.innovation_cov, ATTACKER.response.innovation)
@@ -183,21 +148,34 @@ SD = np.sqrt(np.einsum("kii->ki", RUN.innovation_cov))
 NORMAL = ATTACKER.response.innovation / SD[:, :, None]
 
 
+@pytest.mark.parametrize("shape", ["step", "ramp"])
+def test_a_free_bound_of_moving_sums_is_the_largest_that_another_solver_finds(shape):
+    detector = FiniteMovingAverage(window_s=4.0, shape=shape, signals="both")
+    y = cp.Variable((EPOCHS, 8))
+    limits = np.tile(judge_run(detector, RUN, TIMING).threshold, 2)
+    weights = np.ones(8) if shape == "step" else np.arange(1, 9) / 8.0
+    held = moving_sums([*[np.zeros(8)] * TIMING.live, *y], weights, limits, 8)
+    value = cp.sum(cp.multiply(sensitivity(RUN, 45, EAST).rows * SD, y))
+    wanted = cp.Problem(cp.Maximize(value), held).solve(solver=cp.HIGHS)
+    assert bound_of(detector).value_m == pytest.approx(wanted, rel=1e-4)
+
+
+def test_a_free_bound_of_a_bank_is_the_largest_that_another_solver_finds():
+    energy = cp.Variable(EPOCHS, nonneg=True)
+    value = sensitivity(RUN, 45, EAST).weights @ cp.sqrt(energy)
+    held = bank_sums(energy, (2, 8, 120), 8)
+    wanted = cp.Problem(cp.Maximize(value), held).solve(solver=cp.CLARABEL)
+    bound = bound_of(CumulativeBank(windows_s=(1.0, 4.0, 60.0)))
+    assert bound.value_m == pytest.approx(wanted, rel=1e-4)
+
+
 def squares(u, rows, first, last):
     """Sum of the squares of some epochs."""
     return cp.sum_squares(rows[max(first, 0) : last].reshape(-1, rows.shape[2]) @ u)
 
 
-def snapshot(u, tau):
-    return [squares(u, WHITE, k, k + 1) <= tau[k] for k in range(EPOCHS)]
-
-
-def windowed(u, tau):
-    return [squares(u, WHITE, k - 9, k + 1) <= tau[k] for k in range(EPOCHS)]
-
-
-def sequential(u, tau):
-    return [squares(u, RANGES, 0, k + 1) <= tau[k] for k in range(EPOCHS)]
+def energies(rows, window):
+    return lambda u, tau: [squares(u, rows, k + 1 - window, k + 1) <= tau[k] for k in range(EPOCHS)]
 
 
 def averages(u, tau):
@@ -255,9 +233,9 @@ def steps(u, limits):
 @pytest.mark.parametrize(
     ("detector", "held"),
     [
-        (SnapshotChi2(), snapshot),
-        (WindowedChi2(), windowed),
-        (SequentialChi2(), sequential),
+        (SnapshotChi2(), energies(WHITE, 1)),
+        (WindowedChi2(), energies(WHITE, 10)),
+        (SequentialChi2(), energies(RANGES, EPOCHS)),
         (Aime(windows_s=(2.0, 5.0)), averages),
         (Ewma(weight_scale=None), ewma),
         (Cusum(limit=4.0), cusum),
@@ -277,84 +255,71 @@ def test_a_restricted_bound_is_the_largest_that_another_solver_finds(detector, h
         rest = [cp.abs(u) <= 0.3, cp.abs(u[0]) <= 0.02, cp.abs(cp.diff(u)) <= 0.02]
     value = attacker.response.position[45, 1] @ u
     wanted = cp.Problem(cp.Maximize(value), held(u, limits) + rest).solve(solver=cp.CLARABEL)
-    bound = compute_zero_alarm(detector, RUN, TIMING, epoch=45, direction=EAST, attacker=attacker)
+    bound = bound_of(detector, attacker=attacker)
     assert bound.value_m == pytest.approx(wanted, rel=1e-4)
 
 
-def test_a_restricted_attacker_without_limits_is_unbounded_where_nothing_is_judged():
-    attacker = ATTACKER._replace(rate_limit_mps=np.inf)
-    bound = compute_zero_alarm(Never(), RUN, TIMING, epoch=45, direction=EAST, attacker=attacker)
-    assert (bound.value_m, bound.kind, bound.commands) == (np.inf, "unbounded", None)
-
-
-@pytest.mark.parametrize("free", [False, True])
-def test_a_calibration_takes_its_factor_along(free):
-    attacker = None if free else ATTACKER
-    known = {"epoch": 45, "direction": EAST, "attacker": attacker}
-    plain = compute_zero_alarm(SnapshotChi2(), RUN, TIMING, **known)
+@pytest.mark.parametrize("attacker", [None, ATTACKER], ids=["free", "restricted"])
+def test_a_calibration_takes_its_factor_along(attacker):
     scaled = Calibrated(SnapshotChi2(), scale=4.0)
-    bound = compute_zero_alarm(scaled, RUN, TIMING, **known)
+    plain, bound = (bound_of(each, attacker=attacker) for each in (SnapshotChi2(), scaled))
     assert bound.value_m == pytest.approx(2.0 * plain.value_m, rel=1e-5)
     check_edge(scaled, RUN, TIMING, bound)
 
 
-@pytest.mark.parametrize("inner", [Cusum(signals="both"), LagCusum(lag=10, baseline=20)])
-def test_rescaled_innovations_are_judged_as_they_are(inner):
-    detector = Calibrated(inner, scale=0.7, rescaled=True, rescale=(2.0, 0.5, 1.5, 3.0))
-    for run in (RUN, SETTING):
-        attacker = false_position(run, **LOOSE)
-        bound = compute_zero_alarm(
-            detector, run, TIMING, epoch=45, direction=EAST, attacker=attacker
-        )
+RESCALED = {"rescaled": True, "rescale": (2.0, 0.5, 1.5, 3.0)}
+
+
+@pytest.mark.parametrize(
+    ("inner", "how"),
+    [
+        (Cusum(signals="both"), RESCALED),
+        (LagCusum(lag=10, baseline=20), RESCALED),
+        (JointChart(weight_scale=None), {}),
+        (InnovationRate(settled_s=18.0), {}),
+    ],
+)
+def test_rescaled_innovations_and_scaled_flags_are_judged_as_they_are(inner, how):
+    detector = Calibrated(inner, scale=0.7, **how)
+    for run in (RUN, SETTING) if how else (RUN,):
+        bound = bound_of(detector, run, attacker=false_position(run, **LOOSE))
         check_edge(detector, run, TIMING, bound)
 
 
-def test_a_calibrated_flag_scales_its_alarm():
-    for inner in (JointChart(weight_scale=None), InnovationRate(settled_s=18.0)):
-        detector = Calibrated(inner, scale=0.7)
-        bound = compute_zero_alarm(
-            detector, RUN, TIMING, epoch=45, direction=EAST, attacker=ATTACKER
-        )
-        check_edge(detector, RUN, TIMING, bound)
+class Mine(SnapshotChi2):
+    """Another detector than its base."""
 
 
 @pytest.mark.parametrize(
     ("detector", "why"),
     [
         (Ewma(), "Ewma: its weights change the gains; the blind optimum"),
-        (JointChart(), "JointChart: its weights change the gains"),
         (Shewhart(weight_scale=0.3), "Shewhart: its weights change the gains"),
-        (InnovationRate(weight_scale=1.0), "InnovationRate: its weights change the gains"),
         (SnapshotChi2(two_sided=True), "SnapshotChi2: it alarms at innovations that are too small"),
         (WindowedChi2(covariance="estimated"), "WindowedChi2: an estimated covariance lets"),
         (Calibrated(Ewma(), scale=2.0), "Ewma: its weights change the gains"),
+        (Mine(), "Mine: nothing is known of its statistic"),
+        *((DETECTORS[name](), f"{DETECTORS[name].__name__}: ") for name in sorted(WITHOUT)),
     ],
 )
 def test_a_refusal_says_why_and_what_holds_instead(detector, why):
     with pytest.raises(ValueError, match=f"no zero-alarm bound for {why}.*;? "):
-        compute_zero_alarm(detector, RUN, TIMING, epoch=45, direction=EAST)
-
-
-def test_a_subclass_is_another_detector():
-    class Mine(SnapshotChi2):
-        pass
-
-    with pytest.raises(ValueError, match="Mine: nothing is known of its statistic"):
-        judged_by(Mine(), RUN, TIMING)
+        judged_by(detector, RUN, TIMING)
 
 
 def test_without_the_solver_it_is_said_how_to_get_it(monkeypatch):
+    assert {type(each) for each in PASSIVE} | {Never} == {*SETS}  # every detector is decided
     monkeypatch.setitem(sys.modules, "clarabel", None)
     with pytest.raises(ImportError, match=r"pip install 'spoofgym\[limits\]'"):
         convex.clarabel_module()
 
 
-@pytest.fixture
-def stopped_after(monkeypatch):
-    """Stop the solver after some iterations."""
-    clarabel = convex.clarabel_module()
+@pytest.mark.parametrize("attacker", [None, ATTACKER], ids=["free", "restricted"])
+def test_a_solver_that_stops_short_has_an_upper_bound_or_none(monkeypatch, attacker):
+    clarabel, detector = convex.clarabel_module(), WindowedChi2(window=7)
+    exact = bound_of(detector, attacker=attacker).value_m
 
-    def stop(iterations):
+    def stop_after(iterations):
         def settings():
             found = clarabel.DefaultSettings()
             found.max_iter = iterations
@@ -363,19 +328,11 @@ def stopped_after(monkeypatch):
         short = SimpleNamespace(**{**vars(clarabel), "DefaultSettings": settings})
         monkeypatch.setattr(convex, "clarabel_module", lambda: short)
 
-    return stop
-
-
-@pytest.mark.parametrize("free", [False, True])
-def test_a_solver_that_stops_short_has_an_upper_bound_or_none(stopped_after, free):
-    detector, attacker = WindowedChi2(window=7), None if free else ATTACKER
-    known = {"epoch": 45, "direction": EAST, "attacker": attacker}
-    exact = compute_zero_alarm(detector, RUN, TIMING, **known).value_m
-    stopped_after(2)
+    stop_after(2)
     with pytest.raises(RuntimeError, match="Clarabel found no optimum: MaxIterations"):
-        compute_zero_alarm(detector, RUN, TIMING, **known)
-    stopped_after(8)
-    bound = compute_zero_alarm(detector, RUN, TIMING, **known)
+        bound_of(detector, attacker=attacker)
+    stop_after(8)
+    bound = bound_of(detector, attacker=attacker)
     assert (bound.kind, bound.innovation, bound.commands) == ("upper", None, None)
     assert bound.note.startswith("Clarabel found no optimum: ")
     assert bound.note.endswith("; upper bound by the dual")
@@ -384,17 +341,8 @@ def test_a_solver_that_stops_short_has_an_upper_bound_or_none(stopped_after, fre
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_energies_of_any_size_are_solved(scale):
-    known = {"epoch": 45, "direction": EAST, "attacker": ATTACKER}
     detector = SequentialChi2(signals="range_rate")
-    plain = compute_zero_alarm(detector, RUN, TIMING, **known)
-    bound = compute_zero_alarm(Calibrated(detector, scale=scale), RUN, TIMING, **known)
+    plain = bound_of(detector, attacker=ATTACKER)
+    bound = bound_of(Calibrated(detector, scale=scale), attacker=ATTACKER)
     assert bound.kind == "exact"
     assert bound.value_m <= max(np.sqrt(scale), 1.0) * plain.value_m * (1.0 + 1e-6)
-
-
-def test_every_detector_is_decided():
-    passive = {type(each) for each in PASSIVE} | {Never}
-    assert passive == {*SETS}
-    for kind in {*DETECTORS.values()} - passive:
-        with pytest.raises(ValueError, match=f"no zero-alarm bound for {kind.__name__}: .*; "):
-            judged_by(kind(), RUN, TIMING)

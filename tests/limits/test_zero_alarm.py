@@ -5,22 +5,17 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import Ewma, Never, SequentialChi2, Shewhart, SnapshotChi2
-from spoofgym.limits.bounds import compute_zero_alarm
 from spoofgym.limits.linear import respond, white
 from spoofgym.limits.no_alarm import judge_run
-from spoofgym.limits.zero_alarm import (
-    ewma_bound,
-    sensitivity,
-    sequential_bound,
-    snapshot_bound,
-)
+from spoofgym.limits.zero_alarm import ewma_bound, sensitivity, sequential_bound, snapshot_bound
 
-from .toy import EAST, TIMING, toy_run
+from .toy import EAST, TIMING, bound_of, false_position, toy_run
 
 RUN = toy_run()
 OF = sensitivity(RUN, 45, EAST)
 W = OF.weights
 K = len(W)
+SD = np.sqrt(np.einsum("kii->ki", RUN.innovation_cov))
 
 
 def shift(run, innovation, epoch, direction=EAST):
@@ -31,10 +26,9 @@ def shift(run, innovation, epoch, direction=EAST):
     return float(np.array([*direction, 0.0]) @ run.axes[epoch].T @ e[6:9])
 
 
-def best(constraints, energy, weights=W):
+def best(constraints, energy):
     """Largest weighted sum of the roots of some energies."""
-    problem = cp.Problem(cp.Maximize(weights @ cp.sqrt(energy)), constraints)
-    return problem.solve(solver=cp.CLARABEL)
+    return cp.Problem(cp.Maximize(W @ cp.sqrt(energy)), constraints).solve(solver=cp.CLARABEL)
 
 
 @pytest.mark.parametrize("direction", [EAST, (1.0, 0.0), (0.6, -0.8)])
@@ -64,19 +58,16 @@ def test_snapshot_is_exact_and_attained():
     assert shift(RUN, bound.innovation, 45) == pytest.approx(bound.value_m)
     u = white(RUN.innovation_cov, bound.innovation[:, :, None])[:, :, 0]
     np.testing.assert_allclose((u * u).sum(axis=1), np.where(W > 0.0, tau, 0.0), rtol=1e-9)
-
-
-def test_snapshot_is_what_a_solver_with_all_rows_finds():
-    u = cp.Variable((K, 8))
-    value = cp.sum(cp.multiply(OF.white, u))
-    held = [cp.norm(u[k]) <= 5.0 for k in range(K)]
-    found = cp.Problem(cp.Maximize(value), held).solve(solver=cp.CLARABEL)
-    assert snapshot_bound(OF, 25.0).value_m == pytest.approx(found, rel=1e-4)
+    u = cp.Variable((K, 8))  # of all rows
+    held = [cp.norm(u[k]) <= np.sqrt(tau[k]) for k in range(K)]
+    value = cp.Maximize(cp.sum(cp.multiply(OF.white, u)))
+    wanted = cp.Problem(value, held).solve(solver=cp.CLARABEL)
+    assert bound.value_m == pytest.approx(wanted, rel=1e-4)
 
 
 @pytest.mark.parametrize("smoothing", [0.1, 0.4, 1.0])
 def test_ewma_is_exact_and_attained(smoothing):
-    limits = np.sqrt(np.einsum("kii->ki", RUN.innovation_cov)) * np.linspace(0.5, 1.5, K)[:, None]
+    limits = SD * np.linspace(0.5, 1.5, K)[:, None]
     bound = ewma_bound(OF, smoothing, limits)
     r, average = cp.Variable((K, 8)), cp.Variable((K + 1, 8))
     held = [average[0] == 0, cp.abs(average[1:]) <= limits]
@@ -109,17 +100,12 @@ def test_sequential_is_exact_and_attained(shape):
     [
         (SnapshotChi2(), lambda tau: snapshot_bound(OF, tau)),
         (SequentialChi2(signals="both"), lambda tau: sequential_bound(OF, tau)),
-        (
-            Shewhart(signals="both"),
-            lambda q: ewma_bound(
-                OF, 1.0, q[:, None] * np.sqrt(np.einsum("kii->ki", RUN.innovation_cov))
-            ),
-        ),
+        (Shewhart(signals="both"), lambda q: ewma_bound(OF, 1.0, q[:, None] * SD)),
     ],
     ids=["snapshot", "sequential", "shewhart"],
 )
 def test_a_detector_has_the_bound_of_its_closed_form(detector, closed):
-    bound = compute_zero_alarm(detector, RUN, TIMING, epoch=45, direction=EAST)
+    bound = bound_of(detector)
     limits = judge_run(detector, RUN, TIMING).threshold[:, 0]
     assert bound.kind == "exact"
     assert bound.value_m == pytest.approx(closed(limits).value_m, rel=1e-6)
@@ -131,5 +117,8 @@ def test_a_detector_has_the_bound_of_its_closed_form(detector, closed):
     ids=lambda each: type(each).__name__,
 )
 def test_what_is_not_judged_is_free(detector):
-    bound = compute_zero_alarm(detector, RUN, TIMING, epoch=45, direction=EAST)
+    bound = bound_of(detector)
     assert (bound.value_m, bound.kind) == (np.inf, "unbounded")
+    attacker = false_position(RUN, rate=np.inf, change=np.inf)
+    bound = bound_of(Never(), attacker=attacker)
+    assert (bound.value_m, bound.kind, bound.commands) == (np.inf, "unbounded", None)

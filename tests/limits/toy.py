@@ -1,11 +1,16 @@
 """A small filter with velocity and position that measures ranges and range rates."""
 
+from functools import partial
+
 import numpy as np
 
-from spoofgym.limits.bounds import Attacker
+from spoofgym.limits.bounds import Attacker, compute_zero_alarm
 from spoofgym.limits.linear import LinearRun, respond
 from spoofgym.limits.no_alarm import Timing
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.setup import make_generators, seeds_of_runs
 
+unwatched = partial(TightlyCoupledSetup, detector="never")
 EAST = (0.0, 1.0)
 TIMING = Timing(0.5, live=30, onset_s=15.0)
 SIGHT = np.array([[0.8, 0.5, 0.33], [-0.6, 0.7, 0.39], [0.1, -0.9, 0.42], [0.5, -0.2, -0.84]])
@@ -50,6 +55,16 @@ def false_position(run, stop=None, rate=1.0, change=0.05):
         sight = run.design[k, :n, 7:8]  # east
         offsets[k, :n], offsets[k, n:] = -sight * displacement[k], -sight * rates[k]
     return Attacker(respond(run, offsets), rates, rate, change)
+
+
+def bound_of(detector, run=None, timing=TIMING, attacker=None):
+    """Zero-alarm bound at epoch 45, to the east."""
+    run = toy_run() if run is None else run
+    return compute_zero_alarm(detector, run, timing, epoch=45, direction=EAST, attacker=attacker)
+
+
+def rngs_of(setup, runs=1):
+    return make_generators(seeds_of_runs(0, "selection", setup.name, range(runs)))
 
 
 def rates_of(commands):
