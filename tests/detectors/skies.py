@@ -22,8 +22,8 @@ SATELLITE_POSITION = HERE + 2.2e7 * LINE_OF_SIGHT
 RANGE = np.array([range_and_rate(s, STILL, HERE, STILL)[0] for s in SATELLITE_POSITION])
 
 
-def context(receivers, noise=NOISE):
-    variance = np.repeat([noise**2, 0.01], SATELLITES)
+def context(receivers):
+    variance = np.repeat([NOISE**2, 0.01], SATELLITES)
     ids = tuple(f"G{j:02d}" for j in range(SATELLITES))
     return DetectorContext(receivers, SATELLITES, 1.0, variance, ids)
 
@@ -31,9 +31,7 @@ def context(receivers, noise=NOISE):
 def sky_epoch(offset, visible=None):
     """Epoch of pseudoranges that are off by (B, 12) metres, with a clock of a millisecond."""
     b = len(offset)
-    blank = epoch(
-        np.zeros((b, 2 * SATELLITES)), np.tile(np.eye(2 * SATELLITES), (b, 1, 1)), visible
-    )
+    blank = epoch(np.zeros((b, 2 * SATELLITES)), np.eye(2 * SATELLITES), visible)
     pseudorange = np.where(blank.visible, RANGE + 3e5 + offset, 0.0)
     return blank._replace(
         pseudorange=pseudorange,

@@ -5,9 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spoofgym.detectors import DETECTORS, Detector, Ewma, Never, PooledDetector, Verdict
+from spoofgym.detectors import (
+    DETECTORS,
+    Detector,
+    Ewma,
+    Never,
+    PooledDetector,
+    Verdict,
+    make_detector,
+)
 from spoofgym.detectors import base as verdicts
-from spoofgym.detectors import make_detector
 from spoofgym.detectors.base import UndeclaredFieldError, check_verdict, judge_epoch
 from spoofgym.receiver.epoch import OPTIONAL, Epoch, TracedEpoch
 from spoofgym.testing import check_detector

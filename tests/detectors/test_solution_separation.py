@@ -97,7 +97,7 @@ def test_the_recursion_is_that_of_its_equations(states):
         epoch = filter_.epoch(np.arange(N) < (3 if k in (6, 7) else rng.integers(4, N + 1)))
         found = detector.judge(epoch)
         largest = np.zeros(B)
-        for j in range(k // 4 + 1 if k < 12 else 3):
+        for j in range(min(k // 4 + 1, 3)):
             if (k - 4 * j) % 12 == 0:
                 s[j], V[j] = 0.0, 0.0
             s[j], V[j] = by_hand(epoch, s[j], V[j])
