@@ -9,7 +9,7 @@ import scipy.stats
 from spoofgym.detectors import Ewma, JointChart, Shewhart
 from spoofgym.detectors.charts import compute_median_distance
 
-from .support import belief, context, drawn, judge_all, normalized, padded
+from .support import belief, drawn, judge_all, padded
 
 B, N, K = 3, 5, 80
 
@@ -64,23 +64,6 @@ def test_the_ewma_chart_is_the_printed_one_whether_it_weighs_or_watches(smoothin
     assert watches.weights is None
     np.testing.assert_array_equal(watches.statistic, found.statistic)
     np.testing.assert_array_equal(watches.alarm, found.alarm)
-
-
-@pytest.mark.parametrize("signals", ["pseudorange", "range_rate", "both"])
-def test_shewharts_statistic_is_the_innovation_in_standard_deviations(signals):
-    rng = np.random.default_rng(0)
-    S = belief(rng, N, B)
-    z = 3.0 * drawn(rng, S)
-    visible = rng.uniform(size=(B, N)) < 0.8
-    found = judge_all(Shewhart(signals=signals, false_alarm=0.01), z[None], S, visible)
-    size = np.abs(normalized(z, S))
-    parts = {"pseudorange": size[:, :N], "range_rate": size[:, N:]}
-    want = parts.get(signals, np.maximum(size[:, :N], size[:, N:]))
-    np.testing.assert_allclose(found.statistic[0], np.where(visible, want, 0.0))
-    tests = 2 if signals == "both" else 1
-    np.testing.assert_allclose(found.threshold, scipy.stats.norm.isf(0.005 / tests))
-    np.testing.assert_array_equal(found.alarm, found.statistic > found.threshold)
-    assert found.weights is None
 
 
 def test_shewharts_chart_weighs_pseudoranges_down_where_it_is_told_to():
@@ -199,18 +182,3 @@ def test_no_more_are_readmitted_than_there_are_and_without_limits_none():
     assert (weights(JointChart(min_satellites=32), [3.0] * 6, 5) == 1.0).all()
     for detector in (Ewma(), JointChart(max_exclusion_s=None, min_satellites=0)):
         assert (weights(detector, [0.7] * 6, 200)[20:] == 0.0).all()
-
-
-@pytest.mark.parametrize(
-    ("settings", "remembers"),
-    [
-        ({}, False),
-        ({"max_exclusion_s": 10.0}, True),
-        ({"min_satellites": 4}, True),
-        ({"min_satellites": 4, "weight_scale": None}, False),  # without weights
-    ],
-)
-def test_exclusions_are_counted_where_they_are_limited(settings, remembers):
-    detector = Ewma(**settings)
-    detector.bind(context(3, N))
-    assert ("excluded" in detector.memory) == remembers

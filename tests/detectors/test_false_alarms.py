@@ -1,9 +1,9 @@
 """False alarms where the filter's belief is right, by every test of innovations.
 
-Of every receiver one verdict counts, the last one, so that verdicts are independent draws.  `cusum`
-promises a mean time between alarms instead, which its own tests try.
+Of every receiver one verdict counts, the last one, so that verdicts are independent draws.
 """
 
+import math
 from functools import cache
 
 import numpy as np
@@ -11,12 +11,14 @@ import pytest
 
 from spoofgym.detectors import (
     CumulativeBank,
+    Cusum,
     DetectorContext,
     Ewma,
     FiniteMovingAverage,
     GlrRamp,
     GlrStep,
     InnovationRate,
+    LagCusum,
     Never,
     SnapshotChi2,
     WindowedChi2,
@@ -67,6 +69,33 @@ def test_after_white_innovations_alarms_are_as_rare_as_stated(name):
     low, high = likely(receivers, ALPHA)
     count = alarm[:, 0].sum() if name in EXACT else alarm.any(axis=1).sum()
     assert (low if name in EXACT or name == "rate later" else 1) <= count <= high
+
+
+def run_length(drift, threshold):
+    """Mean epochs until a cumulative sum exceeds its threshold without a change, siegmund1985."""
+    exponent = 2.0 * drift * (threshold + 1.166)
+    return (math.exp(exponent) - exponent - 1.0) / (2.0 * drift * drift)
+
+
+def test_false_alarms_of_cumulative_sums_are_as_far_apart_as_stated():
+    """Restarted at each of them; their number is that of a renewal process."""
+    receivers, epochs, limit = 800, 500, 4.0
+    rng = np.random.default_rng(1)
+    detector = Cusum(limit=limit)
+    detector.bind(context(receivers, 1))
+    blank = epoch(np.zeros((receivers, 2)), np.eye(2))
+    alarms = 0
+    for _ in range(epochs):
+        z = rng.standard_normal((receivers, 2))
+        alarm = detector.judge(blank._replace(innovation=z)).alarm[:, 0]
+        alarms += alarm.sum()
+        detector.reset(alarm)
+    expected = receivers * epochs / (0.5 * run_length(0.5, limit))
+    # four standard deviations of a count, and the 1 % that the formula is good for
+    assert alarms == pytest.approx(expected, abs=4.0 * math.sqrt(expected), rel=0.01)
+    # defaults are those of eight satellites
+    assert run_length(0.5, Cusum().limit) / 16.0 == pytest.approx(1e5, rel=0.05)
+    assert 16.0 / run_length(0.5, LagCusum().threshold) == pytest.approx(4e-6, rel=0.1)
 
 
 # --- in the engine: white noise, no biases, tuning "matched" -------------------------------------

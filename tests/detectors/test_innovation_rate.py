@@ -74,16 +74,6 @@ def run(detector, z, visible=True):
     return judge_all(detector, padded(z), None, visible, 1.0)
 
 
-def test_a_step_is_seen_in_both_directions_and_a_constant_deviation_is_none():
-    for sign in (1.0, -1.0):
-        alarms = run(InnovationRate(), sign * stepped(10.0)).alarm[:, 0]
-        assert not alarms[:200].any()
-        assert 0 < np.argmax(alarms[200:, 0]) < 20
-        assert not alarms[:, 1:].any()
-    constant = stepped(0.0, epochs=300, seed=1) + np.array([0, 1, -2, 4, -8, 12.0])
-    assert not run(InnovationRate(), constant).alarm.any()
-
-
 @pytest.mark.nojit
 def test_the_filter_begins_at_its_start_and_with_a_satellite_and_is_judged_once_settled():
     def same(found, other, channels=slice(None)):

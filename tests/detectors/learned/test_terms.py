@@ -113,23 +113,6 @@ def test_a_classic_is_its_detectors_statistic(detector, script, bound):
     assert np.std(seen) > 0.0
 
 
-def test_a_classic_remembers_by_itself(script, bound):
-    """Reset and moved by rows, as all that an agent remembers."""
-    spec = {"name": "classic", "detector": "cusum", "label": "sum"}
-    agent, fresh = bound(spec), bound(spec)
-    rows = np.arange(script.context.receivers)
-    mask = rows == 1
-    for epoch in script.epochs[:8]:
-        agent.look(epoch)
-    agent.reset(mask)
-    mine, theirs = look(agent, script.epochs[8]), look(fresh, script.epochs[8])
-    np.testing.assert_array_equal(mine[mask], theirs[mask])
-    assert (mine[~mask] != theirs[~mask]).any()
-    fresh.memory.copy_rows(rows, agent.memory, rows[::-1])
-    backwards = Epoch(*(a if a is None else a[::-1].copy() for a in script.epochs[9]))
-    np.testing.assert_array_equal(look(fresh, backwards), look(agent, script.epochs[9])[::-1])
-
-
 @pytest.mark.parametrize(
     ("spec", "message"),
     [
