@@ -9,13 +9,16 @@ from spoofgym.core.compile import njit
 from spoofgym.core.simd import LANES
 from spoofgym.receiver import kalman
 from spoofgym.receiver._kernels import solve_in_place
-from spoofgym.receiver.kalman import COVARIANCE_UPDATES, OBSERVED
+from spoofgym.receiver.kalman import (
+    COVARIANCE_UPDATES,
+    OBSERVED,
+    normalized_innovation_squared,
+)
 from spoofgym.receiver.states import INDEX, PACKED
 
 from ..lanes import in_all_lanes, side_by_side
 
-SD = np.repeat([2e-4, 0.05, 8.0, 3e-4, 5e-9, 0.0], 3)[:17].copy()
-SD[15:] = 6.0, 0.3
+SD = np.array([*np.repeat([2e-4, 0.05, 8.0, 3e-4, 5e-9], 3), 6.0, 0.3])
 """Standard deviations of the 17 states that a filter has in flight."""
 UPPER = np.triu_indices(17)
 PROPERTY = settings(max_examples=15, deadline=None)
@@ -125,9 +128,8 @@ def test_any_sky_and_any_weights_give_the_textbook_s_update(update, seed, n, wei
 def test_few_satellites_or_none(update):
     rng, cases = np.random.default_rng(0), []
     for n in range(5):
-        z, R = measured(rng, 6)
         w = rng.uniform(0.0, 1.0, 12)
-        cases.append((covariance(rng), sky(rng, 6), z, R, w, np.arange(6) < n))
+        cases.append((covariance(rng), sky(rng, 6), *measured(rng, 6), w, np.arange(6) < n))
     check(cases, update)
     dx, after = eight_sums(cases, update)[0]
     np.testing.assert_array_equal(dx, 0.0)
@@ -145,14 +147,10 @@ SINGULAR = (
 @pytest.mark.parametrize("update", COVARIANCE_UPDATES)
 def test_singular_geometry_and_sure_and_unsure_filters_side_by_side(update):
     rng, cases = np.random.default_rng(9), []
-    for scale in (1e-6, 1.0, 1e4):
-        z, R = measured(rng, 8)
-        P = covariance(rng, scale)
-        cases.append((P, sky(rng, 8), z, R, np.ones(16), np.ones(8, dtype=bool)))
-    for u in (*SINGULAR, sky(rng, 8)):
-        z, R = measured(rng, 8)
-        w = rng.uniform(0.0, 1.0, 16)
-        cases.append((covariance(rng), u, z, R, w, np.ones(8, dtype=bool)))
+    skies = [(sky(rng, 8), scale) for scale in (1e-6, 1.0, 1e4)] + [(u, 1.0) for u in SINGULAR]
+    for u, scale in skies:
+        w = np.ones(16) if scale != 1.0 else rng.uniform(0.0, 1.0, 16)
+        cases.append((covariance(rng, scale), u, *measured(rng, 8), w, np.ones(8, dtype=bool)))
     check(cases, update, 1e-9)
 
 
@@ -204,3 +202,23 @@ def test_elimination_solves_what_needs_pivots(k):
     x = M @ y
     solve_in_place(M.copy(), x)
     np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize(("first", "last"), [(0, 8), (4, 8), (2, 3)])
+def test_normalized_innovations_are_the_quadratic_form(first, last):
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((5, 8, 8))
+    S = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(8)
+    z = rng.standard_normal((5, 8))
+    rows = [r for r in range(first, last) if r != 5]  # that of an invisible satellite adds nothing
+    z[:, 5], S[:, 5], S[:, :, 5] = 0.0, 0.0, 0.0
+    S[:, 5, 5] = 1.0
+    want = [
+        a[rows] @ np.linalg.solve(B[np.ix_(rows, rows)], a[rows]) for a, B in zip(z, S, strict=True)
+    ]
+    np.testing.assert_allclose(normalized_innovation_squared(z, S, first, last), want, rtol=1e-10)
+    assert not normalized_innovation_squared(0.0 * z, S, first, last).any()
+    S[1, 2, 2] = -1.0  # which is no covariance
+    found = normalized_innovation_squared(z, S, first, last)
+    assert np.isinf(found).tolist() == [False, first <= 2, False, False, False]

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,23 +14,31 @@ from spoofgym.earth.wgs84 import range_and_rate
 from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
 
-from .batches import EPOCHS, WORLD, Batch, HandMade, N, check_same
+from .batches import EPOCHS, WORLD, Batch, N, check_same
 from .reference import skew
 from .test_kalman import SD, design, sky, textbook
 
 ROOT = Path(__file__).resolve().parents[2]
-STATE = ("C_eb", "velocity_e", "position_e", "accel_bias_b", "gyro_bias_b", "clock")
+STATE = (
+    *("C_eb", "velocity_e", "position_e", "accel_bias_b", "gyro_bias_b", "clock"),
+    "packed_covariance",
+)
+
+
+def check_all_same(mine, theirs):
+    """Batches of as many receivers, which are the same to the last bit."""
+    for row in range(len(mine.numbers)):
+        check_same(mine.everything(row), theirs.everything(row))
 
 
 @pytest.mark.nojit
-@pytest.mark.parametrize("receivers", [1, 9])
 @pytest.mark.parametrize("covariance_update", COVARIANCE_UPDATES)
-def test_corrections_are_fed_back(covariance_update, receivers):
-    batch, before = Batch(range(receivers)), Batch(range(receivers))
-    weights = np.random.default_rng(9).uniform(0.0, 1.0, (receivers, 2 * N))
+def test_corrections_are_fed_back(covariance_update):
+    batch, before = Batch(range(9)), Batch(range(9))
+    weights = np.random.default_rng(9).uniform(0.0, 1.0, (9, 2 * N))
     batch.update(weights, update=covariance_update, least=0)
     old, new = before.fields, batch.fields
-    for b in range(receivers):
+    for b in range(9):
         x, P = textbook(
             before.buffers.covariance[b],
             old["line_of_sight"][b],
@@ -39,34 +48,24 @@ def test_corrections_are_fed_back(covariance_update, receivers):
             old["visible"][b] > 0.0,
             covariance_update,
         )
-        close = {"rtol": 0, "atol": 1e-9}
         turned = (np.eye(3) - skew(x[:3])) @ old["C_eb"][b]
-        np.testing.assert_allclose(new["C_eb"][b], turned, **close)
-        np.testing.assert_allclose(new["velocity_e"][b], old["velocity_e"][b] - x[3:6], **close)
-        np.testing.assert_allclose(
-            new["position_e"][b], old["position_e"][b] - x[6:9], rtol=0, atol=1e-8
-        )
-        np.testing.assert_allclose(
-            new["accel_bias_b"][b], old["accel_bias_b"][b] + x[9:12], **close
-        )
-        np.testing.assert_allclose(
-            new["gyro_bias_b"][b], old["gyro_bias_b"][b] + x[12:15], rtol=1e-9
-        )
-        np.testing.assert_allclose(new["clock"][b], old["clock"][b] + x[15:], **close)
-        np.testing.assert_allclose(
-            batch.buffers.covariance[b] / np.outer(SD, SD), P / np.outer(SD, SD), rtol=0, atol=1e-9
-        )
+        np.testing.assert_allclose(new["C_eb"][b], turned, rtol=0, atol=1e-9)
+        states = {"velocity_e": -x[3:6], "position_e": -x[6:9], "accel_bias_b": x[9:12]}
+        for name, change in {**states, "gyro_bias_b": x[12:15], "clock": x[15:]}.items():
+            close = {"position_e": (0.0, 1e-8), "gyro_bias_b": (1e-9, 0.0)}.get(name, (0.0, 1e-9))
+            np.testing.assert_allclose(new[name][b], old[name][b] + change, *close)
+        scale = np.outer(SD, SD)
+        mine = batch.buffers.covariance[b]
+        np.testing.assert_allclose(mine / scale, P / scale, rtol=0, atol=1e-9)
     assert not batch.buffers.coasting.any()
 
 
 def test_errors_that_nobody_replaces_all_stay():
-    told = Batch(range(9))
+    told, untold = Batch(range(9)), Batch(range(9), with_authentic=False)
     told.sensors.authentic[:] = 1.0
-    untold = Batch(range(9), with_authentic=False)
     for batch in (told, untold):
         batch.run(MEASURE + PREDICT + SHOW)
-    for row in range(9):
-        check_same(untold.everything(row), told.everything(row))
+    check_all_same(untold, told)
 
 
 @pytest.mark.parametrize("receivers", [1, 17])
@@ -79,15 +78,21 @@ def test_what_all_assume_is_kept_once_and_used_by_all(receivers):
             batch.buffers.assumed[name] = value
         batch.run(MEASURE + PREDICT + SHOW)
         batch.update()
-    for row in range(receivers):
-        check_same(together.everything(row), each.everything(row))
+    check_all_same(together, each)
 
 
 @pytest.mark.parametrize(
-    ("covariance_update", "orthonormal"),
-    [("unweighted", False), ("plain", True), ("general", False)],
+    ("receivers", "covariance_update", "orthonormal"),
+    [
+        pytest.param(3, "unweighted", False, marks=pytest.mark.nojit),
+        pytest.param(3, "general", False, marks=pytest.mark.nojit),
+        (7, "plain", True),
+        (8, "general", False),
+        (9, "unweighted", False),
+        (17, "plain", True),
+        (17, "unweighted", False),
+    ],
 )
-@pytest.mark.parametrize("receivers", [pytest.param(3, marks=pytest.mark.nojit), 7, 8, 9, 17])
 def test_a_receiver_is_the_same_alone_and_in_any_batch(receivers, covariance_update, orthonormal):
     """Epochs, samples, skies, grades, errors, attacks and weights of its own; some coast."""
     settings = {"update": covariance_update, "least": 4, "orthonormal": orthonormal}
@@ -103,9 +108,7 @@ def test_a_receiver_is_the_same_alone_and_in_any_batch(receivers, covariance_upd
         each.run(MEASURE + PREDICT + UPDATE, count=2, **settings)
         each.run(MEASURE, **settings)
         each.run(PREDICT + SHOW, **settings)
-    if receivers > LANES:
-        assert coasted.any()
-        assert not coasted.all()
+    assert receivers <= LANES or 0 < coasted.sum() < receivers
     for row, single in enumerate(singles):
         check_same(batch.everything(row), single.everything(0))
 
@@ -114,16 +117,14 @@ PLAYED = """
 import hashlib
 import numpy as np
 from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
-from spoofgym.receiver.kalman import COVARIANCE_UPDATES
 from tests.receiver.batches import Batch
-for numbers in ([3], range(9)):
-    for update in COVARIANCE_UPDATES:
-        batch = Batch(numbers)
-        for what in (MEASURE + PREDICT + SHOW, UPDATE, MEASURE + PREDICT + UPDATE):
-            batch.run(what, update=update, orthonormal=True)
-        for row in range(len(numbers)):
-            for name, array in batch.everything(row).items():
-                print(update, row, name, hashlib.sha256(array.tobytes()).hexdigest())
+for numbers, update in (([3], "general"), ([4], "unweighted"), (range(9), "plain")):
+    batch = Batch(numbers)
+    for what in (MEASURE + PREDICT + SHOW, UPDATE, MEASURE + PREDICT + UPDATE):
+        batch.run(what, update=update, orthonormal=True)
+    for row in range(len(numbers)):
+        for name, array in batch.everything(row).items():
+            print(update, row, name, hashlib.sha256(array.tobytes()).hexdigest())
 """
 
 
@@ -138,7 +139,7 @@ def test_what_is_compiled_computes_what_the_source_says():
         )
         assert done.returncode == 0, done.stderr
         lines.append(done.stdout.splitlines())
-    assert len(lines[0]) > 1000
+    assert len(lines[0]) > 300
     assert lines[0] == lines[1]
 
 
@@ -149,8 +150,7 @@ def test_slices_of_whole_lanes_are_the_whole():
         whole.run(what)
         for lo, hi in ((LANES, 2 * LANES), (2 * LANES, receivers), (0, LANES)):
             sliced.run(what, lo, hi)
-    for row in range(receivers):
-        check_same(whole.everything(row), sliced.everything(row))
+    check_all_same(whole, sliced)
 
 
 @pytest.mark.parametrize("what", [MEASURE + PREDICT, UPDATE, MEASURE])
@@ -173,14 +173,13 @@ def test_lanes_without_a_receiver_follow_the_last(what):
     sensors = batch.sensors.fields, batch.sensors.constants
     for fields in (batch.fields, batch.buffers.assumed, *sensors):
         group = fields.data.reshape(2, fields.rows, LANES)[1]
-        for index in range(3, LANES):
-            assert group[:, index].tobytes() == group[:, 2].tobytes()
+        assert group[:, 3:].tobytes() == np.repeat(group[:, 2:3], LANES - 3, axis=1).tobytes()
 
 
 def seeing(counts):
     """Receivers that see so many satellites each, all alike otherwise."""
     batch = Batch(range(len(counts)))
-    seen = np.arange(N)[None, :] < np.asarray(counts)[:, None]
+    seen = np.arange(N)[None, :] < counts[:, None]
     u = np.array([sky(np.random.default_rng(number), N) for number in range(len(counts))])
     batch.fields["visible"] = seen
     batch.fields["innovation"] = np.tile(seen, 2) * 3.0
@@ -192,7 +191,7 @@ def seeing(counts):
     ("covariance_update", "orthonormal"),
     [("unweighted", False), ("unweighted", True), ("plain", False), ("general", True)],
 )
-@pytest.mark.parametrize("min_satellites", [0, 4, 7])
+@pytest.mark.parametrize("min_satellites", [0, 4])
 def test_with_fewer_satellites_than_it_wants_a_receiver_coasts(
     min_satellites, covariance_update, orthonormal
 ):
@@ -204,28 +203,23 @@ def test_with_fewer_satellites_than_it_wants_a_receiver_coasts(
     coasting = counts < min_satellites
     np.testing.assert_array_equal(batch.buffers.coasting, coasting)
     for b, count in enumerate(counts):
-        rows = np.array([b])
-        same = [
-            np.array_equal(batch.fields.get(name, rows), before.fields.get(name, rows))
-            for name in (*STATE, "packed_covariance")
-        ]
+        mine, theirs = batch.everything(b), before.everything(b)
+        same = [mine[name].tobytes() == theirs[name].tobytes() for name in STATE]
         if count == 0 and not coasting[b] and orthonormal:
             same = same[1:]  # an update without satellites, too, makes the attitude orthonormal
         assert all(same) == (coasting[b] or count == 0)
 
 
 def test_the_attitude_is_made_orthonormal_only_when_wanted():
-    plain, orthonormal = Batch(range(2)), Batch(range(2))
-    for batch, wanted in ((plain, False), (orthonormal, True)):
+    off = []
+    for wanted in (False, True):
+        batch = Batch(range(2))
         batch.fields["C_eb"] = batch.fields["C_eb"] * (1.0 + 1e-7)
         batch.update(orthonormal=wanted)
-
-    def off(batch):
         C = batch.fields["C_eb"]
-        return np.abs(C @ C.transpose(0, 2, 1) - np.eye(3)).max()
-
-    assert off(plain) > 1e-7
-    assert off(orthonormal) < 1e-12
+        off.append(np.abs(C @ C.transpose(0, 2, 1) - np.eye(3)).max())
+    assert off[0] > 1e-7
+    assert off[1] < 1e-12
 
 
 @pytest.mark.nojit
@@ -306,23 +300,22 @@ def test_what_nobody_looks_at_changes_nothing(wanted):
         check_same(mine, {name: theirs[name] for name in mine})
 
 
-@pytest.mark.parametrize("receivers", [1, 9])
-@pytest.mark.parametrize("covariance_update", ["unweighted", "general"])
-def test_an_invisible_slot_tells_nothing_whatever_it_holds(receivers, covariance_update):
+@pytest.mark.parametrize(("receivers", "update"), [(1, "general"), (9, "unweighted")])
+def test_an_invisible_slot_tells_nothing_whatever_it_holds(receivers, update):
     satellites = WORLD.satellites.copy()
     hidden = satellites[:, :, 6] == 0.0
     satellites[hidden, :6] = np.nan
-    strange = HandMade(WORLD.run, WORLD.epoch_time, WORLD.epoch_end, satellites)
     wanted = ("innovation_cov", "design")
-    clean, odd = Batch(range(receivers), wanted), Batch(range(receivers), wanted, strange)
-    unseen = hidden[clean.sensors.epoch + 1]
+    clean = Batch(range(receivers), wanted)
+    odd = Batch(range(receivers), wanted, replace(WORLD, satellites=satellites))
+    unseen = np.tile(hidden[clean.sensors.epoch + 1], 2)
     assert unseen.any()
     R = odd.buffers.assumed.get("noise_variance")
-    R[np.tile(unseen, 2)] = odd.measured[np.tile(unseen, 2)] = np.nan
+    R[unseen] = odd.measured[unseen] = np.nan
     odd.buffers.assumed["noise_variance"] = R
     for batch in (clean, odd):
         batch.predict()
-        batch.update(batch.weights, update=covariance_update)
+        batch.update(batch.weights, update=update)
     for row in range(receivers):
         mine, theirs = odd.everything(row), clean.everything(row)
         del mine["noise_variance"], theirs["noise_variance"]
