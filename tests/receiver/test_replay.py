@@ -138,27 +138,6 @@ def test_without_errors_the_flight_is_found(flight, truth):
     np.testing.assert_allclose(solution.innovation, 0.0, atol=1e-4)
 
 
-def test_with_too_few_satellites_the_receiver_coasts(flight, truth):
-    """It goes on by its inertial sensors, is told so, and gets less sure."""
-    recording, ends = recorded(flight, truth), truth[0]
-    few = np.array(recording.pseudorange)
-    few[4:, 3:] = np.nan
-    few = replace(recording, pseudorange=few)
-    solution = replay(few, TightlyCoupled(grade="tactical"), initial=initial(flight))
-    assert solution.coasting[4:].all()
-    biases = np.hstack([solution.accel_bias_b, solution.gyro_bias_b])
-    np.testing.assert_array_equal(biases[4:], np.tile(biases[3], (len(ends) - 4, 1)))
-    C, v, r = solution.C_eb[3], solution.velocity_e[3], solution.position_e[3]
-    for i in range(ends[3], ends[-1]):
-        felt = np.hstack([recording.specific_force_b[i], recording.angular_rate_b[i]]) - biases[3]
-        C, v, r = reference.mechanize(C, v, r, felt[:3], felt[3:], STEP)
-    np.testing.assert_allclose(solution.position_e[-1], r, rtol=0, atol=1e-5)
-    np.testing.assert_allclose(solution.velocity_e[-1], v, rtol=0, atol=1e-6)
-    assert (np.diff(solution.sd[3:, 3:9], axis=0) > 0.0).all()
-    # what is left of the innovations is told nevertheless
-    assert solution.innovation[5, :3].any()
-
-
 def test_what_tells_nothing_changes_nothing(flight, truth):
     """What an absent satellite holds, samples after the last epoch, and the last bits of times."""
     recording, last = recorded(flight, truth), truth[0][-1]

@@ -18,7 +18,7 @@ ORBIT = 2.656e7
 
 def measure(r, v, clock, satellites, velocities):
     ranges = [range_and_rate(s, sv, r, v)[:2] for s, sv in zip(satellites, velocities, strict=True)]
-    return np.transpose(ranges) + np.reshape(clock, (2, 1))
+    return np.ascontiguousarray(np.transpose(ranges) + np.reshape(clock, (2, 1)))
 
 
 def in_view(r, count=8):
@@ -73,8 +73,8 @@ def test_the_fix_is_that_of_least_squares():
     """With noise, the residuals are orthogonal to the geometry."""
     noisy = np.array(GIVEN[:2]) + np.random.default_rng(0).normal(0.0, [[5.0], [0.1]], (2, 8))
     fix = least_squares_fix(*noisy, S, SV)
-    seen = [range_and_rate(*each, fix.position_e, fix.velocity_e) for each in zip(S, SV)]
-    rho, rate, *u = np.transpose(seen)
+    own = fix.position_e, fix.velocity_e
+    rho, rate, *u = np.transpose([range_and_rate(S[j], SV[j], *own) for j in range(8)])
     H = np.column_stack([-np.transpose(u), np.ones(8)])
     residual = noisy - [rho + fix.clock_bias_m, rate + fix.clock_drift_mps]
     assert np.abs(residual[0]).max() > 0.1
@@ -95,22 +95,22 @@ ABSURD = np.random.default_rng(2).uniform(-1e9, 1e9, 8)
 
 
 @pytest.mark.parametrize(
-    ("given_", "guess", "said"),
+    ("arrays", "guess", "said"),
     [
-        (some(slice(3)), R, "a fix needs at least 4 satellites, got 3"),
+        (some(slice(3)), {}, "a fix needs at least 4 satellites, got 3"),
         # all in one place, and in a plane with the centre of the Earth
-        ((np.full(6, 2e7), np.zeros(6), [CIRCLE[0]] * 6, np.zeros((6, 3))), R, "is singular"),
-        ((np.full(6, 2e7), np.zeros(6), CIRCLE, np.zeros((6, 3))), R, "is singular"),
-        ((ABSURD, *GIVEN[1:]), R, r"is singular|no convergence"),
-        ((GIVEN[0][1:], *GIVEN[1:]), R, r"got \(7,\), \(8,\), \(8, 3\) and \(8, 3\)"),
+        ((np.full(6, 2e7), np.zeros(6), [CIRCLE[0]] * 6, np.zeros((6, 3))), {}, "is singular"),
+        ((np.full(6, 2e7), np.zeros(6), CIRCLE, np.zeros((6, 3))), {}, "is singular"),
+        ((ABSURD, *GIVEN[1:]), {}, r"is singular|no convergence"),
+        ((GIVEN[0][1:], *GIVEN[1:]), {}, r"got \(7,\), \(8,\), \(8, 3\) and \(8, 3\)"),
         # too short a guess would be read beyond its end
-        (GIVEN, (0.0, 0.0), "`guess_e` must be three finite numbers, got"),
-        (GIVEN, (np.nan, 0.0, 0.0), "`guess_e` must be three finite numbers, got"),
+        (GIVEN, {"guess_e": (0.0, 0.0)}, "`guess_e` must be three finite numbers, got"),
+        (GIVEN, {"guess_e": (np.nan, 0.0, 0.0)}, "`guess_e` must be three finite numbers, got"),
     ],
 )
-def test_what_gives_no_fix_is_refused(given_, guess, said):
+def test_what_gives_no_fix_is_refused(arrays, guess, said):
     with pytest.raises(ValueError, match=said):
-        least_squares_fix(*map(np.asarray, given_), guess_e=guess)
+        least_squares_fix(*map(np.asarray, arrays), **guess)
 
 
 # --- of many receivers ---------------------------------------------------------------------------
@@ -151,10 +151,19 @@ def test_noise_is_white_and_of_its_size():
 @pytest.mark.parametrize("displacement", [np.zeros(4), np.array([300.0, -200.0, 50.0, 40.0])])
 def test_all_spoofed_by_one_position_give_that_position(displacement):
     (rho,), (satellites,) = pseudoranges(0.0, 1, range(12), displacement)
-    fix = least_squares_fix(rho, np.zeros(12), satellites, np.zeros((12, 3)), guess_e=np.zeros(3))
+    known = satellites, np.zeros((12, 3))
+    fix = least_squares_fix(rho, np.zeros(12), *known, guess_e=np.zeros(3))
     moved = SKY.C_en.T @ (fix.position_e - HERE)
     np.testing.assert_allclose(moved, displacement[:3], atol=1e-4)
     assert fix.clock_bias_m == pytest.approx(1000.0 + displacement[3], abs=1e-4)
+
+
+def test_absurd_ranges_lead_nowhere():
+    (rho,), (satellites,) = pseudoranges(0.0, 1)
+    absurd = rho[:4] + 2e7 * np.random.default_rng(57).standard_normal(4)
+    known = np.zeros(4), satellites[:4], np.zeros((4, 3))
+    with pytest.raises(ValueError, match="no convergence within 20 iterations"):
+        least_squares_fix(absurd, *known, guess_e=np.zeros(3))
 
 
 def test_weights_leave_satellites_out_and_without_a_fix_the_last_one_stays():
