@@ -94,14 +94,12 @@ def test_perfect_measurements_take_the_initial_errors_away():
     for k in range(1, 301):
         predict(batch, k)
         batch.update(None)
-    for b in range(2):
-        apart = batch.state.position_e[b] - WORLD.position_e[300]
-        assert np.linalg.norm(apart) < 0.2 / 3.0 * np.linalg.norm(sd[6:9])
-        product = batch.state.C_eb[b] @ batch.state.C_eb[b].T
-        np.testing.assert_allclose(product, np.eye(3), atol=1e-8)
-    diagonal = np.diagonal(batch.state.covariance, axis1=1, axis2=2)
-    assert (diagonal[:, :9] < sd[:9] ** 2).all()
-    np.testing.assert_array_equal(batch.state.covariance, batch.state.covariance.transpose(0, 2, 1))
+    C, P = batch.state.C_eb, batch.state.covariance
+    apart = np.linalg.norm(batch.state.position_e - WORLD.position_e[300], axis=1)
+    assert (apart < 0.2 / 3.0 * np.linalg.norm(sd[6:9])).all()
+    np.testing.assert_allclose(C @ C.transpose(0, 2, 1), np.tile(np.eye(3), (2, 1, 1)), atol=1e-8)
+    assert (np.diagonal(P, axis1=1, axis2=2)[:, :9] < sd[:9] ** 2).all()
+    np.testing.assert_array_equal(P, P.transpose(0, 2, 1))
 
 
 def random_covariance(rng, size):

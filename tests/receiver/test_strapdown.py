@@ -70,22 +70,6 @@ def test_what_stands_still_stays_still(latitude_deg):
 
 
 @njit
-def coefficients_of(angle, out):
-    a = load(angle, 0)
-    store3(out, 0, rotation_coefficients(a * a))
-
-
-@pytest.mark.nojit
-def test_coefficients_are_the_same_in_any_lane():
-    """Of angles on both sides of the limits."""
-    angles = np.array([[0.0, 1e-300, 0.999e-8, 1.001e-8, 3e-6, 0.999e-4, 1.001e-4, 1.0]])
-    out = np.full((3, LANES), np.nan)
-    in_all_lanes(coefficients_of, angles, out)
-    for i, angle in enumerate(angles[0]):
-        assert tuple(out[:, i]) == rotation_coefficients(angle * angle)
-
-
-@njit
 def step_of(state, sample):
     C = load3(state, 0) + load3(state, 3) + load3(state, 6)
     v, r, f, w = load3(state, 9), load3(state, 12), load3(sample, 0), load3(sample, 3)

@@ -18,7 +18,6 @@ MICRO_G = 9.80665e-6
     [
         ({"pseudorange_sd": math.nan}, "`noise.pseudorange_sd` must be a number above 0, got nan"),
         ({"range_rate_sd": 0.0}, "`noise.range_rate_sd` must be a number above 0, got 0"),
-        ({"clock_phase_psd": -1.0}, "`noise.clock_phase_psd` must be a number of at least 0"),
         ({"clock_frequency_psd": math.inf}, "`noise.clock_frequency_psd` must be a number of at"),
         (
             {"inertial": FILTER_GRADES["aviation"]._replace(gyro_noise_psd=-1.0)},
@@ -72,10 +71,8 @@ def test_a_solution_holds_arrays_of_its_own():
     ("changes", "said"),
     [
         ({"position_e": [0.0, 1.0]}, r"`position_e` must be finite and of shape \(3,\)"),
-        ({"velocity_e": [0.0, math.nan, 0.0]}, r"`velocity_e` must be finite and of shape"),
         ({"C_eb": np.ones(9)}, r"`C_eb` must be finite and of shape \(3, 3\)"),
         ({"clock_bias_m": math.inf}, "`clock_bias_m` must be finite, got inf"),
-        ({"clock_drift_mps": math.nan}, "`clock_drift_mps` must be finite, got nan"),
     ],
 )
 def test_a_solution_that_cannot_be_is_refused(changes, said):
