@@ -97,22 +97,10 @@ class Broken(Never):
         raise KeyError("of another kind")
 
 
-class Outer(Never):
-    """Hands a changed epoch on to a detector whose needs it forgets."""
-
-    def bind(self, context):
-        super().bind(context)
-        self.inner = bound("snapshot-chi2", trying_script())
-
-    def judge(self, epoch):
-        return self.inner.judge(epoch._replace(innovation=0.5 * epoch.innovation))
-
-
 LINE = r"write `needs = frozenset\({'design', 'imu_delta'}\)` into the class"
 MESSAGES = {
     Forgetful: rf"Forgetful reads `epoch.imu_delta`, None here, without declaring it; {LINE}",
     Silent: rf"Silent reads `epoch.imu_delta`, None here, .*{LINE}",
-    Outer: r"Outer reads `epoch.innovation_cov`, .* `needs = frozenset\({'innovation_cov'}\)`",
     Lenient: rf"Lenient reads `epoch.imu_delta`, .*{LINE}",
 }
 
