@@ -49,16 +49,6 @@ def test_a_shipped_detector_reads_what_it_declares_and_needs_no_closer_look(name
     assert read == detector.needs
 
 
-def test_most_detectors_need_the_variance_alone():
-    frugal = {name for name, kind in DETECTORS.items() if not kind.needs}
-    chi_square = {"snapshot-chi2", "sequential-chi2", "windowed-chi2", "aime", "cumulative-bank"}
-    positions, raim = {"acna", "rio"}, {"raim", "srv-raim", "traversal-raim"}
-    others = {"clock-drift", "solution-separation"}
-    assert set(DETECTORS) - frugal == chi_square | positions | raim | others
-    pool = make_detector({"name": "pool", "members": ["snapshot-chi2", "raim", "ewma"]})
-    assert pool.needs == {"innovation_cov", "pseudorange", "satellite_position"}
-
-
 class Forgetful(Detector):
     """Reads what it doesn't declare, and fails at it."""
 

@@ -9,9 +9,8 @@ from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.detectors import Calibrated, PooledDetector, SnapshotChi2, make_detector
-from spoofgym.duel_v0 import SpooferView
-from spoofgym.envs import SpoofEnv
-from spoofgym.simulation.simulator import run_serially
+
+from .support import context, epoch
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 SHARP = {"name": "snapshot-chi2", "false_alarm": 0.5}
@@ -66,30 +65,12 @@ class Careless(SnapshotChi2):
 
 
 def test_a_detector_knows_whom_it_judges_only_while_a_pool_asks():
-    made = Calibrated(Careless(), scale=1.0)
-    suite = Suite(detectors=["never"], timeline=SHORT, runs=2)
-    setup = suite.setup(suite.detector_players[0]).copy_with(
-        detector=PooledDetector([made, "never"], [1.0, 0.0])
-    )
-    simulator = setup.simulator(2, run_serially)
+    pool = PooledDetector([Calibrated(Careless(), scale=1.0), "never"])
+    pool.bind(context(2, 4))
     with pytest.raises(RuntimeError, match="asked for 2"):
-        simulator.warm_up(suite.generators("training", 2))
-    judge = simulator.detector.judges[0]
+        pool.judge(epoch(np.zeros((2, 8)), np.eye(8)))
+    judge = pool.judges[0]
     assert judge.judged_rows is judge.detector.judged_rows is None
-
-
-def test_the_view_of_the_spoofer_meets_the_same_opponents():
-    same = {"scenario": "trolley", "attack": "false-position", "action": "full-command"}
-    view = SpooferView(pool=MEMBERS, timeline=SHORT, **same)
-    env = SpoofEnv(detector=POOL, timeline=SHORT, alarm_price=0.0, **same)
-    push = np.array([0.3, 0.1], dtype=np.float32)
-    for seed in range(3):
-        view.reset(seed=seed)
-        env.reset(seed=seed)
-        for _ in range(5):
-            ours, theirs = env.step(push), view.step(push)
-            np.testing.assert_array_equal(ours[0], theirs[0])
-            assert ours[1:4] == theirs[1:4]
 
 
 def test_its_settings_are_written_down_and_make_it_again():
@@ -114,6 +95,7 @@ def test_its_settings_are_written_down_and_make_it_again():
 def test_what_a_pool_has_in_common(members, scope, measures, oracle):
     pool = make_detector({"name": "pool", "members": members})
     assert (pool.scope, pool.measures, pool.oracle) == (scope, measures, oracle)
+    assert pool.needs == frozenset().union(*(judge.needs for judge in pool.judges))
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,11 @@
 """The arrays of a batch: views of one buffer, and what a detector may see of them."""
 
 import copy
-import pickle
 
 import numpy as np
 import pytest
 
 from spoofgym.receiver.epoch import (
-    ALWAYS_SEEN,
     OPTIONAL,
     SEEN,
     Epoch,
@@ -17,26 +15,6 @@ from spoofgym.receiver.epoch import (
 )
 
 OF_OTHER_RECEIVERS = ("gnss_position", "auxiliary_position", "cn0_dbhz")
-
-
-@pytest.mark.nojit
-@pytest.mark.parametrize("wanted", [SEEN, (), ("design", "innovation_cov")])
-@pytest.mark.parametrize(("receivers", "channels"), [(1, 4), (17, 7)])
-def test_what_is_seen_fills_its_buffer_without_overlap(receivers, channels, wanted):
-    buffers = ReceiverBuffers(receivers, channels, wanted)
-    assert list(buffers.seen) == [name for name in SEEN if name in {*ALWAYS_SEEN, *wanted}]
-    floats = buffers.seen_floats
-    floats[:] = np.arange(float(len(floats)))
-    views = [buffers.time, buffers.interval, buffers.position_e, buffers.velocity_e]
-    views += buffers.seen.values()
-    np.testing.assert_array_equal(np.concatenate([a.ravel() for a in views]), floats)
-    for array in views:
-        assert array.shape[0] == receivers
-        assert array.flags.c_contiguous
-    for name, place in zip(SEEN, buffers.places, strict=True):
-        assert (place >= 0) == (name in buffers.seen)
-        if place >= 0:
-            assert buffers.seen[name].flat[0] == floats[place]
 
 
 @pytest.mark.parametrize("receivers", [1, 9])
@@ -50,25 +28,6 @@ def test_a_covariance_is_kept_as_its_upper_triangle(receivers):
     given[receivers - 1] = np.diag(np.arange(17.0))
     np.testing.assert_array_equal(buffers.covariance, given)
     assert not np.shares_memory(buffers.covariance, buffers.fields.data)
-
-
-@pytest.mark.parametrize("receivers", [1, 9])
-@pytest.mark.parametrize("way", [copy.deepcopy, lambda b: pickle.loads(pickle.dumps(b))])
-def test_a_copy_has_arrays_of_its_own(way, receivers):
-    buffers = ReceiverBuffers(receivers, 4, SEEN)
-    buffers.fields["clock"] = 3.0
-    buffers.seen_floats[:], buffers.visible[:] = 3.0, True
-    copied = way(buffers)
-    views = [getattr(copied, name) for name in ("time", "interval", "position_e", "velocity_e")]
-    for array in (*views, *copied.seen.values()):
-        assert np.shares_memory(array, copied.seen_floats)
-        np.testing.assert_array_equal(array, 3.0)
-    np.testing.assert_array_equal(copied.fields["clock"], 3.0)
-    copied.fields["clock"] = -1.0
-    copied.seen_floats[:], copied.visible[:] = -1.0, False
-    np.testing.assert_array_equal(buffers.fields["clock"], 3.0)
-    np.testing.assert_array_equal(buffers.seen_floats, 3.0)
-    assert buffers.visible.all()
 
 
 @pytest.mark.parametrize(("alike", "wanted"), [(False, SEEN), (True, ())])
