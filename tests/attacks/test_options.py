@@ -98,24 +98,17 @@ def test_the_spoofers_clock_is_common_and_coherent_and_wanders():
     assert (rates[1] - rates[0]).std() == pytest.approx(math.sqrt(0.04 * 0.5), rel=0.07)
 
 
-def test_nothing_is_captured_before_its_time():
-    attack = PerChannel(control="rate", rate_limit_mps=1.0, capture={"delay_s": 3.0})
-    ranges, rates = offsets(attack, [np.ones(len(attack.action_names(WORLD)))] * 10)
-    assert not ranges[:5].any()
-    assert not rates[:5].any()
-    np.testing.assert_allclose(ranges[5:, 0, SEEN].T, [0.5 * np.arange(6.0, 11.0)] * SEEN.sum())
-
-
-def test_only_what_is_aligned_is_captured_and_it_stays_so():
+def test_only_what_is_due_and_aligned_is_captured_and_it_stays_so():
     fast, push = {"axes": "e", "control": "rate", "rate_limit_mps": 100.0}, [(1.0,)] * 8
     attack = FalsePosition(capture=Capture(delay_s=2.0, alignment_m=120.0), **fast)
-    ranges, _ = offsets(attack, push)
+    ranges, rates = offsets(attack, push)
     free, _ = offsets(FalsePosition(**fast), push)
     within = SEEN & (np.abs(free[3, 0]) <= 120.0)
     assert 0 < within.sum() < SEEN.sum()
     np.testing.assert_array_equal(attack.memory["captured"][0], within)
-    assert not ranges[:3].any()
-    assert not ranges[:, 0, ~within].any()
+    for each in (ranges, rates):
+        assert not each[:3].any()
+        assert not each[:, 0, ~within].any()
     beyond = ranges[3:, 0, within]
     np.testing.assert_array_equal(beyond, free[3:, 0, within])
     assert np.abs(beyond).max() > 120.0  # captured channels follow further than the limit

@@ -9,7 +9,7 @@ import scipy.stats
 from spoofgym.detectors import Ewma, JointChart, Shewhart
 from spoofgym.detectors.charts import compute_median_distance
 
-from .support import belief, drawn, judge_all, padded
+from .support import belief, context, drawn, judge_all, padded
 
 B, N, K = 3, 5, 80
 
@@ -182,3 +182,11 @@ def test_no_more_are_readmitted_than_there_are_and_without_limits_none():
     assert (weights(JointChart(min_satellites=32), [3.0] * 6, 5) == 1.0).all()
     for detector in (Ewma(), JointChart(max_exclusion_s=None, min_satellites=0)):
         assert (weights(detector, [0.7] * 6, 200)[20:] == 0.0).all()
+
+
+def test_exclusions_are_counted_where_they_are_limited():
+    limits = {"max_exclusion_s": 10.0}, {"min_satellites": 4}
+    for settings in ({}, *limits, {**limits[1], "weight_scale": None}):  # the last has no weights
+        detector = Ewma(**settings)
+        detector.bind(context(B, N))
+        assert ("excluded" in detector.memory) == (settings in limits)

@@ -11,18 +11,44 @@ import pytest
 
 from spoofgym.core.simd import LANES
 from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
+from spoofgym.receiver.kalman import COVARIANCE_UPDATES
 
 from .batches import EPOCHS, WORLD, Batch, N, check_same
-from .test_kalman import design, sky
+from .reference import skew
+from .test_kalman import SD, design, sky, textbook
 
 ROOT = Path(__file__).resolve().parents[2]
-VECTORS = ("C_eb", "velocity_e", "position_e", "accel_bias_b", "gyro_bias_b", "clock")
+VECTORS = ("velocity_e", "position_e", "accel_bias_b", "gyro_bias_b", "clock")
 
 
 def check_all_same(mine, theirs):
     """Batches of as many receivers, which are the same to the last bit."""
     for row in range(len(mine.numbers)):
         check_same(mine.everything(row), theirs.everything(row))
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("update", COVARIANCE_UPDATES)
+def test_corrections_are_fed_back(update):
+    batch, before = Batch(range(9)), Batch(range(9))
+    weights = np.random.default_rng(9).uniform(0.0, 1.0, (9, 2 * N))
+    batch.update(weights, update=update, least=0)
+    old, new, R = before.fields, batch.fields, before.buffers.assumed["noise_variance"]
+    P, u, z = before.buffers.covariance, old["line_of_sight"], old["innovation"]
+    for b in range(9):
+        seen = old["visible"][b] > 0.0
+        x, after = textbook(P[b], u[b], z[b], R[b], weights[b], seen, update)
+        turned = (np.eye(3) - skew(x[:3])) @ old["C_eb"][b]
+        np.testing.assert_allclose(new["C_eb"][b], turned, rtol=0, atol=1e-9)
+        changes = -x[3:6], -x[6:9], x[9:12], x[12:15], x[15:]
+        for name, change, atol in zip(
+            VECTORS, changes, (1e-9, 1e-8, 1e-9, 1e-15, 1e-9), strict=True
+        ):
+            np.testing.assert_allclose(new[name][b], old[name][b] + change, rtol=0, atol=atol)
+        scale = np.outer(SD, SD)
+        mine = batch.buffers.covariance[b]
+        np.testing.assert_allclose(mine / scale, after / scale, rtol=0, atol=1e-9)
+    assert not batch.buffers.coasting.any()
 
 
 def test_errors_that_nobody_replaces_all_stay():
@@ -167,7 +193,7 @@ def test_with_fewer_satellites_than_it_wants_a_receiver_coasts(least, orthonorma
         mine, theirs = batch.everything(b), before.everything(b)
         same = [
             mine[name].tobytes() == theirs[name].tobytes()
-            for name in (*VECTORS, "packed_covariance")
+            for name in ("C_eb", *VECTORS, "packed_covariance")
         ]
         if count == 0 and not coasting[b] and orthonormal:
             same = same[1:]  # an update without satellites, too, makes the attitude orthonormal
