@@ -81,8 +81,6 @@ class Silent(Forgetful):
 
 
 class Broken(Never):
-    """Fails for another reason."""
-
     def judge(self, epoch):
         raise KeyError("of another kind")
 

@@ -28,7 +28,6 @@ RATE = {"false_alarms_per_hour": 0.2}
 
 
 def judged(detector):
-    """Stacked verdicts on the epochs of a script."""
     script = list_scripts("satellites")[0]
     detector.bind(script.context)
     rows = np.arange(script.context.receivers)

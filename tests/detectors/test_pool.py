@@ -55,10 +55,7 @@ def test_every_run_is_judged_by_the_detector_that_was_drawn(members):
 
 
 class Careless(SnapshotChi2):
-    """Fails where it is to judge some of the receivers."""
-
     def judge(self, epoch):
-        """Fail in a pool."""
         if self.judged_rows is not None:
             raise RuntimeError(f"asked for {len(self.judged_rows)}")
         return super().judge(epoch)

@@ -316,7 +316,6 @@ def test_more_channels_than_a_mask_has_bits_are_refused():
 
 @KINDS
 def test_in_the_loop_of_the_tightly_coupled_receiver(kind):
-    """A step of one pseudorange is told and left out; the clean receiver raises no alarm."""
     phases = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 0.0}
     errors = {}
     for exclude in (False, True):

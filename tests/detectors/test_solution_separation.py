@@ -43,7 +43,6 @@ class LinearFilter:
         self.coasting = None
 
     def epoch(self, visible=ALL):
-        """The next epoch of all receivers, which differ by their innovations alone."""
         rng, states, seen = self.rng, len(self.P), np.tile(visible, 2)
         Phi = np.eye(states)
         Phi[:9, : min(states, FIRST)] += 0.05 * rng.standard_normal((9, min(states, FIRST)))
@@ -67,7 +66,6 @@ class LinearFilter:
 
 
 def by_hand(epoch, s, V):
-    """Separation and covariance after an epoch, in NumPy."""
     seen = np.tile(epoch.visible[0], 2)
     Phi, P, H = epoch.transition[0], epoch.predicted_cov[0], epoch.design[0]
     s, V = s @ Phi.T, Phi @ V @ Phi.T
@@ -85,7 +83,6 @@ def quadratic(flat, V):
 @pytest.mark.nojit
 @pytest.mark.parametrize("states", [STATES, FIRST, FIRST + 5])
 def test_the_recursion_is_that_of_its_equations(states):
-    """Of all solutions, at every epoch, with satellites that go and updates that are left out."""
     rng = np.random.default_rng(0)
     detector = bound(states, longest_s=4.0, spacing_s=2.0, false_alarm=0.03)
     assert detector.memory_epochs == 12
@@ -156,7 +153,6 @@ def test_the_bank_has_at_most_a_hundred_spacings():
 
 
 def receivers(world, tuning, count, **settings):
-    """Receivers at the onset, whose detector has not judged yet."""
     setup = TightlyCoupledSetup(
         scenario={"name": world, "imu_rate_hz": 20.0},
         receiver=tuning,

@@ -56,7 +56,6 @@ def plain_cusum(x):
 
 
 def plain_lagged(lag, baseline, x):
-    """Larger of two sums against what was a while ago."""
     x, above, below = unbroken(x), 0.0, 0.0
     for k, value in enumerate(x):
         older = x[: max(k - lag, math.ceil(k / 2))][-baseline:]
@@ -74,7 +73,6 @@ def plain_sum(ramp, x):
 
 
 def by_regression(window, baseline, ramp, x):
-    """By how much a change lowers the sum of squares."""
     x, best = unbroken(x), 0.0
     for n in range(1, min(window, len(x) - 1) + 1):
         z = x[max(0, len(x) - n - baseline) :]
@@ -230,7 +228,6 @@ def test_with_a_constant_covariance_aime_is_the_classical_average(signals):
 
 
 def test_a_satellite_that_is_away_leaves_the_others_of_aime_in_place():
-    """Its epochs count for nobody, and its average goes on over those in which it was there."""
     visible = np.ones((12, B, N), dtype=bool)
     visible[6:8, :, 1] = visible[10:, :, 2] = False
     z = 2.0 * np.random.default_rng(1).standard_normal((12, B, 2 * N))

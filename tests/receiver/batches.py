@@ -162,7 +162,6 @@ class Batch:
         self.run(UPDATE, weights=weights, **settings)
 
     def everything(self, row):
-        """All that there is of a receiver, by name."""
         buffers, sensors, rows = self.buffers, self.sensors, np.array([row])
         plain = ("time", "interval", "position_e", "velocity_e", "visible", "coasting")
         parts = {"": buffers.fields, "assumed ": buffers.assumed}

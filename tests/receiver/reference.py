@@ -6,8 +6,6 @@ and from nothing of the package but its constants.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 MU, J2, R0, E2 = 3.986004418e14, 1.082627e-3, 6378137.0, 0.0818191908425**2
@@ -85,22 +83,11 @@ def range_and_rate(s, sv, r, v):
     return rho, u @ (sagnac @ (sv + OMEGA @ s) - (v + OMEGA @ r)), u
 
 
-class Epoch(NamedTuple):
-    """State after the update of an epoch."""
-
-    position_e: np.ndarray
-    velocity_e: np.ndarray
-    C_eb: np.ndarray
-    accel_bias_b: np.ndarray
-    gyro_bias_b: np.ndarray
-    clock: np.ndarray
-    sd: np.ndarray
-    innovation: np.ndarray
-    coasting: bool
-
-
 def replay(recording, ends, P, psd, R, start, min_satellites=4):
-    """Run the receiver over a recording; `ends` are the numbers of samples up to each epoch."""
+    """Run the receiver over a recording: its state after each update.
+
+    `ends` are the numbers of samples up to each epoch.
+    """
     C, v, r = np.array(start.C_eb), np.array(start.velocity_e), np.array(start.position_e)
     clock = np.array([start.clock_bias_m, start.clock_drift_mps])
     biases = np.zeros(6)
@@ -139,5 +126,6 @@ def replay(recording, ends, P, psd, R, start, min_satellites=4):
             v, r = v - x[3:6], r - x[6:9]
             biases = biases + x[9:15]
             clock = clock + x[15:17]
-        sd = np.sqrt(np.diag(P))
-        yield Epoch(r, v, C, biases[:3], biases[3:], clock.copy(), sd, z, bool(coasting))
+        known = {"position_e": r, "velocity_e": v, "C_eb": C, "clock": clock.copy()}
+        known |= {"accel_bias_b": biases[:3], "gyro_bias_b": biases[3:], "innovation": z}
+        yield {**known, "sd": np.sqrt(np.diag(P)), "coasting": bool(coasting)}

@@ -24,7 +24,6 @@ class Matrices(Never):
 
 
 def begun(scenario, receivers, domain=None, receiver="augmented", seed=7):
-    """Receivers at their first epoch."""
     if isinstance(scenario, str):
         scenario = {"name": scenario, "imu_rate_hz": 20.0}
     phases = {"warmup_s": 10.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 1.0}
@@ -137,7 +136,6 @@ def test_detectors_weights_hold_the_filter_back():
 
 @pytest.mark.parametrize("name", ["trolley", "aviation-actual"])
 def test_an_epoch_shows_the_matrices_of_all_states(name):
-    """They are those by which the filter goes on and is updated."""
     simulator = begun(name, 2)
     simulator.run_filter_only(5)
     before, filter_ = simulator.memory["augmented_covariance"].copy(), simulator.augmented

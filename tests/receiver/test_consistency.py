@@ -164,7 +164,6 @@ def test_the_motion_of_a_steady_turn_and_of_one_step_of_force():
     samples[0, 5000:] = 3.0
 
     def motion(length):
-        """Of a world with so many samples, as far as `compute_motion` looks."""
         time = np.arange(length + 1) * dt
         end = np.array([0, length])
         return compute_motion(

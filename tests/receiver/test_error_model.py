@@ -74,7 +74,6 @@ def as_printed(C, r, f, tau):
 
 
 def eight_intervals(rng):
-    """Receivers in different attitudes, places, forces and intervals."""
     places = rng.uniform((-1.5, -3.0, -100.0), (1.5, 3.0, 2e4), (8, 3))
     taus = [0.01, 0.5, 3.0, *rng.uniform(0.01, 3.0, 5)]
     return [

@@ -22,7 +22,6 @@ VECTORS = ("velocity_e", "position_e", "accel_bias_b", "gyro_bias_b", "clock")
 
 
 def check_all_same(mine, theirs):
-    """Batches of as many receivers, which are the same to the last bit."""
     for row in range(len(mine.numbers)):
         check_same(mine.everything(row), theirs.everything(row))
 
@@ -120,7 +119,6 @@ for numbers, update in (([3], "general"), ([4], "unweighted"), (range(9), "plain
 
 
 def test_what_is_compiled_computes_what_the_source_says():
-    """To the last bit: Python makes every operation as IEEE 754 has it."""
     lines = []
     for disabled in ("0", "1"):
         environment = os.environ | {"NUMBA_DISABLE_JIT": disabled}
@@ -182,7 +180,6 @@ def seeing(counts):
 @pytest.mark.parametrize("orthonormal", [False, True])
 @pytest.mark.parametrize("least", [0, 4])
 def test_with_fewer_satellites_than_it_wants_a_receiver_coasts(least, orthonormal, update):
-    """In one group with others that do not."""
     counts = np.array([0, 1, 2, 3, 4, 5, 6, 3, 6])
     batch, before = seeing(counts), seeing(counts)
     weights = np.random.default_rng(1).uniform(0.1, 1.0, (len(counts), 2 * N))
@@ -202,7 +199,6 @@ def test_with_fewer_satellites_than_it_wants_a_receiver_coasts(least, orthonorma
 
 @pytest.mark.nojit
 def test_what_is_shown_of_an_epoch_is_what_the_update_uses():
-    """Its equations hold among them, to rounding."""
     batch, before = Batch(range(9)), Batch(range(9))
     batch.predict()
     buffers, fields, seen = batch.buffers, batch.fields, batch.buffers.seen

@@ -21,7 +21,6 @@ SD = np.array([2.0, 1.0, 3.0])
 
 
 def begun(error, **tuning):
-    """Receivers that begin with errors (B, 15)."""
     settings = LooselyCoupled(self_tuning=tuning or None)
     batch = LooseReceivers(settings, Memory(len(error)), WORLD.samples, WORLD.imu_interval_s)
     first = np.zeros(len(error), dtype=np.int64)
@@ -227,7 +226,6 @@ def test_white_noise_is_found_and_a_floor_holds():
 
 
 def test_the_paper_s_process_noise_has_no_rest_under_white_noise():
-    """The scale grows by orders of magnitude although the stated Q is right."""
     assert (flown(10, 300, window=30)[0].state.process_scale == 1.0).all()
     for process in ("raw", "clamped"):
         state = flown(10, 300, window=30, process=process)[0].state

@@ -57,7 +57,6 @@ def at(latitude_deg, height=0.0):
 
 @pytest.mark.parametrize("latitude_deg", [-90.0, 0.0, 55.0])
 def test_what_stands_still_stays_still(latitude_deg):
-    """A minute on the turning Earth, with the samples that a perfect sensor gives."""
     C, r = at(latitude_deg)
     felt = tuple(-C.T @ np.array(gravity(*r))), tuple(C.T @ [0.0, 0.0, EARTH_RATE])
     after = tuple(C.ravel()), (0.0, 0.0, 0.0), tuple(r)
@@ -82,7 +81,6 @@ def step_of(state, sample):
 
 @pytest.mark.nojit
 def test_eight_receivers_step_as_each_alone():
-    """From the equator to the pole; turning fast, slowly and not at all."""
     rng = np.random.default_rng(5)
     states = []
     for latitude in (-90.0, -45.0, -1e-6, 0.0, 30.0, 60.0, 89.999, 90.0):

@@ -8,7 +8,6 @@ import shutil
 
 import gymnasium as gym
 import numpy as np
-import onnx.parser
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
@@ -24,11 +23,9 @@ from spoofgym.detectors import LearnedDetector, calibrated, detector_in_world, m
 from spoofgym.detectors.calibrated import describe_identity, resolve_thresholds
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, SHIPPED_FOLDER
 from spoofgym.envs.wrappers import DetectorWrapper, WatchWrapper
-from spoofgym.limits import Replay
 from spoofgym.policies.zoo import ZOO_FOLDER, list_shipped, resolve_path
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.setup import seed_sequences
 from spoofgym.testing import check_detector
 
 from .files import TERMS, edit_card, write_guard
@@ -144,7 +141,6 @@ def test_it_is_calibrated_by_the_command_that_the_error_names(guard, tmp_path, m
 
 
 def test_passive_ones_share_a_pass_and_are_asked_from_when_they_are_switched_on(guard, tmp_path):
-    """One that is quiet in the monitored warm-up has no statistic there."""
     quiet = str(write_guard(tmp_path / "quiet", quiet_epochs=6))
     player = Player(tight(), threads=1)
     judges = [LearnedDetector(guard), LearnedDetector(quiet)]
@@ -221,35 +217,6 @@ def test_limits_say_that_it_has_no_bound(guard, capsys):
     app([*arguments, "--detector", f"{guard}:threshold=0.9"], standalone_mode=False)
     found = json.loads(capsys.readouterr().out)["zero_alarm"]
     assert "no zero-alarm bound for LearnedDetector" in json.dumps(found)
-
-
-ENERGY = """<ir_version: 8, opset_import: ["": 18]>
-policy (float[batch, 24] observation) => (float[batch, 1] action)
-<int64[1] axes = {1}, float[1] small = {0.05}, float[1] one = {1.0}> {
-    square = Mul(observation, observation)
-    sum = ReduceSum <keepdims = 1> (square, axes)
-    scaled = Mul(sum, small)
-    action = Sub(scaled, one)
-}"""
-"""A network whose statistic grows with the sum of squares of what is observed."""
-
-
-def test_a_passive_one_is_replayed_as_it_is_played(tmp_path):
-    """Judged by its own `judge` on responses: what the engine gives, to first order."""
-    from ...limits.test_response import played, ramp_of
-
-    network = onnx.parser.parse_model(ENERGY)
-    guard = write_guard(tmp_path, terms=["average-innovation"], state=None, edit=lambda _: network)
-    setup = TightlyCoupledSetup(detector="never", timeline={**FAST, "attack_s": 30.0})
-    detector, curve = LearnedDetector(str(guard)), ramp_of(setup)
-    replay = Replay(setup, [detector], seed_sequences(0, "training", setup.name, 3), threads=2)
-    found = replay.play(0, np.array([0.0 * curve, curve]))
-    clean, attacked = (
-        played(setup, [detector], 3, each)[0][:, 0].max(axis=0) for each in (0.0 * curve, curve)
-    )
-    assert (attacked > clean).all()
-    np.testing.assert_allclose(found.peak[0], clean, rtol=1e-4)
-    assert (np.abs(found.peak[1] - attacked) < 0.1 * (attacked - clean)).all()
 
 
 def test_the_default_rate_is_asked_for_in_a_world(guard, monkeypatch):

@@ -31,7 +31,6 @@ def test_a_recurrent_detector_keeps_the_contract(tmp_path, statistic, weighs):
 
 
 def test_states_are_handed_on_from_epoch_to_epoch(tmp_path):
-    """The statistic is that of the network run by hand, with its state in our own hands."""
     path, script = write_guard(tmp_path, state=TWO), engine_script()
     detector = LearnedDetector(str(path))
     detector.bind(script.context)
@@ -153,8 +152,6 @@ def test_a_network_that_answers_otherwise_when_asked_again_is_refused(tmp_path, 
 
 
 def test_other_bounds_are_tried_again(tmp_path):
-    """What passes within narrow bounds on a card need not within wide ones."""
-
     def root_of_the_observation(model):
         for node in model.graph.node:
             node.input[:] = ["root" if name == "observation" else name for name in node.input]

@@ -29,8 +29,6 @@ def script():
 
 @pytest.fixture(scope="module")
 def bound(script):
-    """Agents with one term, at the start of the script."""
-
     def make(term):
         agent = DetectorAgent(terms=[term])
         agent.bind(script.context)
