@@ -22,7 +22,7 @@ from spoofgym.truth.gnss_errors import GnssErrors
 from spoofgym.truth.noise import pad_count
 from spoofgym.truth.sensors import IMU_GRADES, ImuGrade, SensorBuffers
 
-from .test_kalman import covariance, measured, sky
+from .reference import covariance, measured, sky
 
 N, EPOCHS, MOST = 6, 40, 37
 """Channels, epochs, most samples between two: more than two `CHUNK`, and no multiple of it."""

@@ -1,7 +1,7 @@
 """A plain tightly coupled receiver: dense matrices, one epoch after the other.
 
 Written from the conventions that the golden runs of the reference software are reproduced with,
-and from nothing of the package but its constants.
+and from nothing of the package but its constants; and the textbook's update in one step.
 """
 
 from __future__ import annotations
@@ -129,3 +129,52 @@ def replay(recording, ends, P, psd, R, start, min_satellites=4):
         known = {"position_e": r, "velocity_e": v, "C_eb": C, "clock": clock.copy()}
         known |= {"accel_bias_b": biases[:3], "gyro_bias_b": biases[3:], "innovation": z}
         yield {**known, "sd": np.sqrt(np.diag(P)), "coasting": bool(coasting)}
+
+
+# --- made-up beliefs, and the update of one epoch ------------------------------------------------
+
+SD = np.array([*np.repeat([2e-4, 0.05, 8.0, 3e-4, 5e-9], 3), 6.0, 0.3])
+"""Standard deviations of the 17 states that a filter has in flight."""
+
+
+def measured(rng, n):
+    R = np.concatenate([rng.uniform(0.5, 30.0, n), rng.uniform(1e-3, 0.1, n)])
+    return rng.standard_normal(2 * n) * 3.0 * np.sqrt(R), R
+
+
+def covariance(rng):
+    root = rng.standard_normal((17, 17))
+    correlation = root @ root.T / 17.0 + 0.05 * np.eye(17)
+    return correlation * np.outer(SD, SD)
+
+
+def sky(rng, n):
+    u = rng.standard_normal((n, 3))
+    return u / np.linalg.norm(u, axis=1)[:, None]
+
+
+def design(u, visible):
+    """H of all 2n rows; zero where invisible."""
+    n = len(u)
+    H = np.zeros((2 * n, 17))
+    H[:n, 6:9], H[:n, 15] = u, 1.0
+    H[n:, 3:6], H[n:, 16] = u, 1.0
+    return H * np.concatenate([visible, visible])[:, None]
+
+
+def textbook(P, u, z, R, w, visible, update):
+    """State correction and updated covariance, with the weights W on the gain's columns."""
+    both = np.concatenate([visible, visible])
+    H = design(u, visible)[both]
+    z, R, w = z[both], np.diag(R[both]), w[both]
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    KW = K * w
+    if update == "unweighted":
+        after = (np.eye(17) - K @ H) @ P
+    elif update == "plain":
+        after = (np.eye(17) - KW @ H) @ P
+        after = 0.5 * (after + after.T)
+    else:
+        left = np.eye(17) - KW @ H
+        after = left @ P @ left.T + KW @ R @ KW.T
+    return KW @ z, after

@@ -14,11 +14,11 @@ from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
 
 from .batches import EPOCHS, WORLD, Batch, N, check_same
-from .reference import skew
-from .test_kalman import SD, design, sky, textbook
+from .reference import design, skew, sky, textbook
 
 ROOT = Path(__file__).resolve().parents[2]
 VECTORS = ("velocity_e", "position_e", "accel_bias_b", "gyro_bias_b", "clock")
+ATOL = (1e-9, 1e-8, 1e-9, 1e-15, 1e-9)
 
 
 def check_all_same(mine, theirs):
@@ -26,25 +26,54 @@ def check_all_same(mine, theirs):
         check_same(mine.everything(row), theirs.everything(row))
 
 
+def seeing(counts):
+    """Receivers that see so many satellites each, all alike otherwise."""
+    batch = Batch(range(len(counts)))
+    seen = np.arange(N)[None, :] < counts[:, None]
+    u = np.array([sky(np.random.default_rng(number), N) for number in range(len(counts))])
+    batch.fields["visible"] = seen
+    batch.fields["innovation"] = np.tile(seen, 2) * 3.0
+    batch.fields["line_of_sight"] = u * seen[:, :, None]
+    return batch
+
+
+SINGULAR = (
+    np.tile([0.6, 0.0, 0.8], (N, 1)),  # all in one direction
+    np.repeat([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8]], N // 2, axis=0),  # in two
+    np.array([[0.6 * np.cos(a), 0.6 * np.sin(a), 0.8] for a in range(N)]),  # on a cone
+    np.array([[np.cos(a), np.sin(a), 0.0] for a in range(N)]),  # in a plane
+)
+
+
+def hard_cases():
+    """Skies that are singular or nearly empty, and filters that are sure and unsure."""
+    batch = seeing(np.array([6, 6, 6, 6, 0, 1, 2, 3, 4, 5, 6, 6]))
+    batch.fields["line_of_sight"] = np.concatenate([SINGULAR, batch.fields["line_of_sight"][4:]])
+    for row, scale in ((10, 1e-6), (11, 1e4)):
+        batch.buffers.put_covariance(np.array([row]), scale * batch.buffers.covariance[row])
+    return batch
+
+
 @pytest.mark.nojit
 @pytest.mark.parametrize("update", COVARIANCE_UPDATES)
-def test_corrections_are_fed_back(update):
-    batch, before = Batch(range(9)), Batch(range(9))
-    weights = np.random.default_rng(9).uniform(0.0, 1.0, (9, 2 * N))
+@pytest.mark.parametrize("make", [lambda: Batch(range(17)), hard_cases], ids=["usual", "hard"])
+def test_corrections_are_those_of_the_textbook_with_any_weights(make, update):
+    batch, before, rng = make(), make(), np.random.default_rng(9)
+    weights = rng.uniform(0.0, 1.0, batch.weights.shape)
+    weights[rng.uniform(size=weights.shape) < 0.2] = 0.0
+    weights[::4] = 1.0
     batch.update(weights, update=update, least=0)
     old, new, R = before.fields, batch.fields, before.buffers.assumed["noise_variance"]
     P, u, z = before.buffers.covariance, old["line_of_sight"], old["innovation"]
-    for b in range(9):
+    for b in range(len(weights)):
         seen = old["visible"][b] > 0.0
         x, after = textbook(P[b], u[b], z[b], R[b], weights[b], seen, update)
         turned = (np.eye(3) - skew(x[:3])) @ old["C_eb"][b]
         np.testing.assert_allclose(new["C_eb"][b], turned, rtol=0, atol=1e-9)
         changes = -x[3:6], -x[6:9], x[9:12], x[12:15], x[15:]
-        for name, change, atol in zip(
-            VECTORS, changes, (1e-9, 1e-8, 1e-9, 1e-15, 1e-9), strict=True
-        ):
+        for name, change, atol in zip(VECTORS, changes, ATOL, strict=True):
             np.testing.assert_allclose(new[name][b], old[name][b] + change, rtol=0, atol=atol)
-        scale = np.outer(SD, SD)
+        scale = np.sqrt(np.outer(np.diag(P[b]), np.diag(P[b])))
         mine = batch.buffers.covariance[b]
         np.testing.assert_allclose(mine / scale, after / scale, rtol=0, atol=1e-9)
     assert not batch.buffers.coasting.any()
@@ -163,17 +192,6 @@ def test_lanes_without_a_receiver_follow_the_last(what):
     for fields in (batch.fields, batch.buffers.assumed, *sensors):
         group = fields.data.reshape(2, fields.rows, LANES)[1]
         assert group[:, 3:].tobytes() == np.repeat(group[:, 2:3], LANES - 3, axis=1).tobytes()
-
-
-def seeing(counts):
-    """Receivers that see so many satellites each, all alike otherwise."""
-    batch = Batch(range(len(counts)))
-    seen = np.arange(N)[None, :] < counts[:, None]
-    u = np.array([sky(np.random.default_rng(number), N) for number in range(len(counts))])
-    batch.fields["visible"] = seen
-    batch.fields["innovation"] = np.tile(seen, 2) * 3.0
-    batch.fields["line_of_sight"] = u * seen[:, :, None]
-    return batch
 
 
 @pytest.mark.parametrize("update", ["unweighted", "general"])
