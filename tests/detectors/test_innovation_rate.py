@@ -20,8 +20,9 @@ def printed_filter(samples, intervals, alpha, noise):
     F = np.array([[0, 1, 0, 0], [0, -alpha, 1, 0], [0, 0, 0, 0], [0, 0, 0, 0]], dtype=float)
     h = np.array([1.0, 0.0, 0.0, -1.0])
     x, P, out = np.zeros(4), np.eye(4), []
+    transitions = {dt: scipy.linalg.expm(F * dt) for dt in set(intervals)}
     for z, dt in zip(samples, intervals, strict=True):
-        Phi = scipy.linalg.expm(F * dt)
+        Phi = transitions[dt]
         x, P = Phi @ x, Phi @ P @ Phi.T + np.diag([0.0, noise * dt, 0.0, 0.0])
         gain = P @ h / (h @ P @ h + 1.0)
         x = x + gain * (z - h @ x)
