@@ -3,57 +3,30 @@
 import numpy as np
 import pytest
 
-from spoofgym.attacks import ATTACKS, AttackContext, FalsePosition, PerChannel, make_attack
-from spoofgym.earth.wgs84 import ecef_to_geodetic, range_and_rate
+from spoofgym.attacks import AttackContext, FalsePosition, Meaconer, PerChannel, make_attack
+from spoofgym.earth.wgs84 import ecef_to_geodetic
 from spoofgym.receiver._kernels import first_fix
 from spoofgym.truth.scenario import Scenario
 
-ONSET = 30
+from .support import ONSET, begin, check_displaced, default_world, offsets
 
-
-@pytest.fixture(scope="module")
-def world():
-    return Scenario().world()
-
-
-def begin(attack, world, receivers):
-    """Bind an attack, and begin an episode in every receiver."""
-    attack.bind(AttackContext(receivers, world))
-    rows = np.arange(receivers)
-    attack.start_episodes(rows, np.ones((receivers, 2), dtype=np.uint64), np.full(receivers, ONSET))
-
-
-def command(attack, world, actions, start=ONSET):
-    """Offsets after each of some commands to one receiver."""
-    begin(attack, world, 1)
-    epochs = np.array([start])
-    for action in actions:
-        d_range, d_rate = np.empty((1, world.channels)), np.empty((1, world.channels))
-        given = None if action is None else np.array([action], dtype=float)
-        attack.command(given, epochs, d_range, d_rate, 0, 1)
-        epochs += 1
-        yield d_range[0], d_rate[0], int(epochs[0])
+WORLD = default_world()
 
 
 @pytest.mark.parametrize("start", [ONSET, ONSET + 400])
-def test_a_false_position_has_the_ranges_of_a_displaced_antenna(world, start):
+def test_a_false_position_has_the_ranges_of_a_displaced_antenna(start):
     attack = FalsePosition(axes="ned", control="rate", rate_limit_mps=10.0)
-    actions = [(0.6, 0.0, 0.0)] * 5 + [(0.0, -0.5, 0.8)] * 5
-    steps = command(attack, world, actions, start)
+    actions = np.repeat([[0.6, 0.0, 0.0], [0.0, -0.5, 0.8]], 5, axis=0)
+    ranges, rates = offsets(attack, actions, onset=start)
     displacement = np.zeros(3)
-    for action, (d_range, d_rate, k) in zip(actions, steps, strict=True):
-        rate = 10.0 * np.array(action)
+    for k, action in enumerate(actions):
+        now, rate = start + k + 1, 10.0 * action
         displacement = displacement + 0.5 * rate
-        r, v, C_en = world.position_e[k], world.velocity_e[k], world.C_en[k]
-        speed = v + C_en @ rate + world.axes_turning[k] @ displacement
-        for s in np.flatnonzero(world.visible[k]):
-            p = world.satellites[k, s, :3], world.satellites[k, s, 3:6]
-            there = range_and_rate(*p, r + C_en @ displacement, speed)
-            here = range_and_rate(*p, r, v)
-            assert d_range[s] == pytest.approx(there[0] - here[0], abs=2e-8)
-            assert d_rate[s] == pytest.approx(there[1] - here[1], abs=1e-9)
-        assert not d_range[~world.visible[k]].any()
-        assert not d_rate[~world.visible[k]].any()
+        shift, turning = WORLD.C_en[now] @ displacement, WORLD.axes_turning[now] @ displacement
+        speed = WORLD.C_en[now] @ rate + turning
+        check_displaced(WORLD, now, ranges[k, 0], rates[k, 0], shift, speed)
+        assert not ranges[k, 0, ~WORLD.visible[now]].any()
+        assert not rates[k, 0, ~WORLD.visible[now]].any()
 
 
 def test_over_half_an_hour_the_counterfeit_keeps_its_height_and_its_bearing():
@@ -63,9 +36,8 @@ def test_over_half_an_hour_the_counterfeit_keeps_its_height_and_its_bearing():
     """
     world = Scenario(flight="airway").world()
     attack = FalsePosition(axes="e", control="rate", rate_limit_mps=20.0)
-    steps = list(command(attack, world, [(1.0,)] * 3600))
-    ranges, rates = (np.array([step[i] for step in steps]) for i in (0, 1))
-    r, k = world.position_e, steps[-1][2]
+    ranges, rates = offsets(attack, [(1.0,)] * 3600, world=world)[:, :, 0]
+    r, k = world.position_e, ONSET + 3600
     measured = np.where(world.visible[k], world.satellites[k, :, 6] + ranges[-1], 0.0)
     measured = np.stack([measured, world.satellites[k, :, 7] + rates[-1]])[None]
     fix, speed, clock = np.empty((1, 3)), np.empty((1, 3)), np.empty((1, 2))
@@ -74,8 +46,6 @@ def test_over_half_an_hour_the_counterfeit_keeps_its_height_and_its_bearing():
     np.testing.assert_allclose(apart, [0.0, 36_000.0, 0.0], atol=1e-3)
     height = ecef_to_geodetic(fix[0])[2] - ecef_to_geodetic(r[k])[2]
     assert height == pytest.approx(36_000.0**2 / (2.0 * 6.38e6), rel=0.02)  # of a straight line
-    up = world.C_en[ONSET].T @ (r[k] - r[ONSET])
-    assert np.linalg.norm(up[:2]) > 200_000.0
     fixed = r[k] + world.C_en[ONSET] @ [0.0, 36_000.0, 0.0]
     assert abs(ecef_to_geodetic(fixed)[2] - ecef_to_geodetic(fix[0])[2]) > 500.0
     # range rates are the derivatives of the ranges all the way
@@ -84,100 +54,102 @@ def test_over_half_an_hour_the_counterfeit_keeps_its_height_and_its_bearing():
     np.testing.assert_allclose(total[seen], (ranges[-1] - ranges[0])[seen], rtol=0, atol=0.5)
 
 
-def test_a_push_towards_a_satellite_shortens_its_range(world):
-    """Change of range = - u . displacement, and nothing is added to the clock."""
-    attack = FalsePosition(axes="e", control="rate", rate_limit_mps=20.0)
-    *_, (d_range, d_rate, k) = command(attack, world, [(1.0,)] * 10)
-    east = world.C_en[k][:, 1]
-    for s in np.flatnonzero(world.visible[k]):
-        sight = world.satellites[k, s, :3] - world.position_e[k]
-        u = sight / np.linalg.norm(sight)
-        assert d_range[s] == pytest.approx(-u @ east * 100.0, abs=2e-3)
-        assert d_rate[s] == pytest.approx(-u @ east * 20.0, abs=2e-2)
-
-
-def test_a_channel_is_offset_by_what_it_was_commanded(world):
+def test_a_channel_is_offset_by_what_it_was_commanded():
     attack = PerChannel(channels=("S11", "S05"), acceleration_limit_mps2=0.2)
-    names = attack.action_names(world)
+    names = attack.action_names(WORLD)
     assert names == ("S05_acceleration", "S11_acceleration")  # in the order of the slots
-    slots = [world.satellite_ids.index(name) for name in ("S05", "S11")]
-    for count, (d_range, d_rate, _) in enumerate(command(attack, world, [(1.0, -0.5)] * 20), 1):
-        t = 0.5 * count
-        np.testing.assert_allclose(d_range[slots], [0.1 * t**2, -0.05 * t**2], rtol=1e-12)
-        np.testing.assert_allclose(d_rate[slots], [0.2 * t, -0.1 * t], rtol=1e-12)
-        others = np.setdiff1d(np.arange(world.channels), slots)
-        assert not d_range[others].any()
-        assert not d_rate[others].any()
+    slots = [WORLD.satellite_ids.index(name) for name in ("S05", "S11")]
+    ranges, rates = offsets(attack, [(1.0, -0.5)] * 20)[:, :, 0]
+    t = 0.5 * np.arange(1.0, 21.0)[:, None]
+    np.testing.assert_allclose(ranges[:, slots], t**2 * [0.1, -0.05], rtol=1e-12)
+    np.testing.assert_allclose(rates[:, slots], t * [0.2, -0.1], rtol=1e-12)
+    for each in (ranges, rates):
+        assert not np.delete(each, slots, axis=1).any()
 
 
-def test_without_coherence_only_the_code_is_moved(world):
-    for kind in ATTACKS.values():
-        coherent, alone = kind(control="rate"), kind(control="rate", coherent=False)
-        actions = [np.full(len(coherent.action_names(world)), 0.1)] * 3
-        for both, code in zip(
-            command(coherent, world, actions), command(alone, world, actions), strict=True
-        ):
-            np.testing.assert_array_equal(both[0], code[0])
-            assert both[1].any()
-            assert not code[1].any()
+@pytest.mark.parametrize("follows", [True, False])
+def test_ranges_of_a_meaconer_are_those_of_its_antenna_and_a_delay(follows):
+    away = np.array([40.0, 30.0, 0.0])
+    attack = Meaconer(antenna_m=tuple(away), follows=follows, control="rate")
+    ranges, rates = offsets(attack, [(0.4,)] * 6)
+    k = ONSET + 6
+    shift, speed = WORLD.C_en[k] @ away, WORLD.axes_turning[k] @ away
+    if not follows:
+        there = WORLD.position_e[ONSET] + WORLD.C_en[ONSET] @ away
+        shift, speed = there - WORLD.position_e[k], -WORLD.velocity_e[k]
+    way = np.linalg.norm(shift)
+    change = 2.0 + shift @ speed / way
+    check_displaced(WORLD, k, ranges[-1, 0], rates[-1, 0], shift, speed, way + 6.0, change)
 
 
-def test_receivers_at_different_epochs_have_their_own_truth(world):
-    attack = FalsePosition(control="rate")
-    begin(attack, world, 2)
-    epochs = np.array([40, 300])
-    d_range, d_rate = np.empty((2, world.channels)), np.empty((2, world.channels))
-    attack.command(np.ones((2, 2)), epochs, d_range, d_rate, 0, 2)
-    for row, start in enumerate(epochs):
-        ((alone, _, _),) = command(FalsePosition(control="rate"), world, [(1.0, 1.0)], start)
-        np.testing.assert_array_equal(d_range[row], alone)
-
-
-def test_labels_tell_the_threat():
-    assert FalsePosition().label == "false-position"
-    assert FalsePosition(channels=("S05",)).label == "false-position-partial"
-    assert PerChannel(coherent=False).label == "per-channel-pseudorange-only"
-    assert PerChannel(channels=("S05",), coherent=False).label == (
-        "per-channel-partial-pseudorange-only"
-    )
-
-
-def test_names_of_the_actions(world):
-    assert FalsePosition().action_names(world) == ("north_acceleration", "east_acceleration")
-    assert FalsePosition(axes="de", control="rate").action_names(world) == (
-        "down_rate",
-        "east_rate",
-    )
-    assert len(PerChannel().action_names(world)) == sum(bool(n) for n in world.satellite_ids)
-
-
-def test_an_action_of_one_is_the_limit():
-    assert FalsePosition(acceleration_limit_mps2=0.3, rate_limit_mps=7.0).unit_scale == 0.3
-    assert FalsePosition(control="rate", rate_limit_mps=7.0).unit_scale == 7.0
+@pytest.mark.parametrize("control", ["acceleration", "rate"])
+def test_a_delay_comes_to_rest_at_zero_within_its_limits(control):
+    attack = Meaconer(control=control, acceleration_limit_mps2=0.5, rate_limit_mps=3.0)
+    begin(attack, WORLD)
+    rng, unused = np.random.default_rng(2), np.empty((2, 1, WORLD.channels))
+    pushes = np.concatenate([np.ones(12), -np.ones(60), rng.uniform(-1.0, 1.0, 200)])
+    rate, largest = 0.0, 0.0
+    for number, push in enumerate(pushes):
+        action = None if number % 7 == 6 else np.array([[push]])
+        attack.command(action, np.array([ONSET + number]), *unused, 0, 1)
+        delay, new = attack.memory["displacement"][0, 0], attack.memory["rate"][0, 0]
+        assert delay >= 0.0
+        assert abs(new) <= 3.0 + 1e-12
+        assert control == "rate" or abs(new - rate) <= 0.25 + 1e-12
+        rate, largest = new, max(largest, delay)
+        assert number != 71 or delay < 0.01
+    assert largest > 4.0
 
 
 @pytest.mark.parametrize(
-    ("channels", "said"),
+    ("attack", "label"),
     [
-        ("S05", "`channels` must be 'all' or .*satellite ids, got 'S05'"),
-        ((), "`channels` must name at least one satellite"),
-        (("S05", "S05"), "`channels` must name each satellite once"),
+        (FalsePosition(), "false-position"),
+        (PerChannel(channels=("S05",), coherent=False), "per-channel-partial-pseudorange-only"),
+        (FalsePosition(errors="quiet"), "false-position-quiet"),
+        (FalsePosition(errors={"blend_s": 5.0}), "false-position-replaced"),
+        (PerChannel(tracking={}, channels="S*"), "per-channel-partial-tracking"),
+        (Meaconer(spoofer_clock={}, capture={}), "meaconer-clock-capture"),
     ],
 )
-def test_channels_are_satellites_or_patterns(channels, said):
-    with pytest.raises(ValueError, match=said):
-        PerChannel(channels=channels)
+def test_labels_tell_the_threat(attack, label):
+    assert attack.label == label
 
 
-@pytest.mark.parametrize("axes", ["", "x", "nn", "neu", "N"])
-def test_axes_are_letters_of_the_local_frame(axes):
-    with pytest.raises(ValueError, match="`axes` must be made of 'n', 'e' and 'd'"):
-        FalsePosition(axes=axes)
+def test_names_of_the_actions():
+    by_rate = FalsePosition(axes="de", control="rate")
+    assert FalsePosition().action_names(WORLD) == ("north_acceleration", "east_acceleration")
+    assert by_rate.action_names(WORLD) == ("down_rate", "east_rate")
+    assert Meaconer().action_names(WORLD) == ("delay_acceleration",)
+    assert len(PerChannel().action_names(WORLD)) == sum(map(bool, WORLD.satellite_ids))
 
 
-def test_a_satellite_that_is_not_there_is_told_with_those_that_are(world):
-    with pytest.raises(ValueError, match="'S31' is not in view on 'zhong2025'; in view: S05, S06"):
-        PerChannel(channels=["S05", "S31"]).bind(AttackContext(1, world))
+def refused(kind, said, **settings):
+    return pytest.param(kind, settings, said, id=said)
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "said"),
+    [
+        refused(PerChannel, "`channels` must be 'all' or .*satellite ids", channels="S05"),
+        refused(PerChannel, "must name at least one satellite", channels=()),
+        refused(PerChannel, "must name each satellite once", channels=("S05", "S05")),
+        refused(PerChannel, "'S31' is not in view .*: S05, S06", channels=["S05", "S31"]),
+        refused(FalsePosition, "`axes` must be made of", axes=""),
+        refused(FalsePosition, "`axes` must be .* got 'neu'", axes="neu"),
+        refused(FalsePosition, "each at most once, got 'nn'", axes="nn"),
+        refused(FalsePosition, "`errors` has no setting 'sd'", errors={"sd": 1.0}),
+        refused(FalsePosition, "three finite numbers: .*2.0", tracking={"bias_m": [1.0, 2.0]}),
+        refused(FalsePosition, "north, east, down; got 3.0", tracking={"bias_m": 3.0}),
+        refused(FalsePosition, "`tracking` must be a dict of settings", tracking=1.0),
+        refused(FalsePosition, "receiver's own noise", errors={"blend_s": 3.0, "code_sd_m": 0.5}),
+        refused(Meaconer, "since a meaconer needs no position", tracking={"sd_m": 1.0}),
+        refused(Meaconer, "`antenna_m` must be three finite numbers", antenna_m=(0.0, 1.0)),
+    ],
+)
+def test_what_is_no_attack_is_refused(kind, settings, said):
+    with pytest.raises((ValueError, TypeError), match=said):
+        kind(**settings).bind(AttackContext(1, WORLD))
 
 
 def test_attacks_by_name():
@@ -186,7 +158,3 @@ def test_attacks_by_name():
     mine = PerChannel()
     assert make_attack(mine) == mine
     assert make_attack(mine) is not mine
-    with pytest.raises(
-        ValueError, match=r"unknown attack 'perchannel'.*did you mean 'per-channel'"
-    ):
-        make_attack("perchannel")

@@ -1,86 +1,123 @@
-"""False alarms in a clean world whose errors the filter knows, by every test of innovations.
+"""False alarms where the filter's belief is right, by every test of innovations.
 
-All watch the same run: white noise, no biases, tuning "matched".  One verdict of a receiver counts,
-the last one, so that verdicts are independent draws.  `cusum` promises a mean time between alarms
-instead, which its own tests try.
+Of every receiver one verdict counts, the last one, so that verdicts are independent draws.
 """
 
-from functools import cache
+import math
 
 import numpy as np
 import pytest
-import scipy.stats
 
-from spoofgym.detectors import DetectorContext, Never, make_detector
-from spoofgym.simulation import Engine, TightlyCoupledSetup
+from spoofgym.detectors import Cusum, DetectorContext, LagCusum, make_detector
+from spoofgym.receiver import TightlyCoupled
+from spoofgym.truth.scenario import make_scenario
 
-RECEIVERS, EPOCHS, ALPHA = 1000, 100, 0.05
-PASSIVE = {
-    "snapshot-chi2": {},
-    "snapshot-chi2, calibrated": {"name": "snapshot-chi2", "bias_window_s": 10.0},
-    "sequential-chi2": {},
-    "sequential-chi2, 15 s": {"name": "sequential-chi2", "window_s": 15.0},
-    "sequential-chi2, both": {"name": "sequential-chi2", "signals": "both", "window_s": 15.0},
-    "aime": {"windows_s": [10.0]},
-    "aime, both": {"name": "aime", "signals": "both", "windows_s": [25.0]},
-    "clock-drift": {},
-    "clock-drift, range rates": {"name": "clock-drift", "signals": "range_rate"},
-    "shewhart": {},
-    "shewhart, range rates": {"name": "shewhart", "signals": "range_rate"},
-    "ewma": {"weight_scale": None},
-}
+from ..clean_runs import advance_to, begin
+from .support import belief, context, epoch, likely
+
+ALPHA = 0.02
+EXACT = [
+    ({"name": "ewma"}, 1),
+    ({"name": "ewma", "smoothing": 0.6}, 4),
+    ({"name": "ewma", "weight_scale": None}, 30),
+    ({"name": "shewhart"}, 1),
+    ({"name": "shewhart", "signals": "range_rate"}, 1),
+    ({"name": "fma", "window_s": 5.0}, 12),
+    ({"name": "fma", "window_s": 5.0, "shape": "ramp"}, 12),
+    ({"name": "snapshot-chi2", "signals": "pseudorange"}, 1),
+    ({"name": "snapshot-chi2", "signals": "range_rate"}, 1),
+    ({"name": "snapshot-chi2"}, 1),
+    ({"name": "sequential-chi2"}, 9),
+    ({"name": "sequential-chi2", "window_s": 3.0, "signals": "both"}, 9),
+    ({"name": "windowed-chi2", "window": 7}, 9),
+    ({"name": "aime", "windows_s": [3.0]}, 9),
+    ({"name": "aime", "windows_s": [4.0], "signals": "both"}, 9),
+    ({"name": "clock-drift"}, 22),
+    ({"name": "clock-drift", "signals": "range_rate"}, 3),
+]
+WITHOUT_GAPS = [
+    ({"name": "snapshot-chi2", "bias_window_s": 5.0}, 12),
+    ({"name": "innovation-rate"}, 300),
+]
+BOUNDED = [
+    ({"name": "glr-step", "window": 20, "baseline": 40}, 60),
+    ({"name": "glr-ramp", "window": 20, "baseline": 40}, 60),
+    ({"name": "cumulative-bank", "windows_s": [2.0, 8.0, 20.0]}, 44),
+    ({"name": "innovation-rate"}, 20),  # which still allows for a level that is not there
+    ({"name": "aime", "windows_s": [2.0, 5.0]}, 12),
+    ({"name": "shewhart", "signals": "both"}, 1),
+    ({"name": "joint-chart", "weight_scale": None}, 30),  # whose alarms can end
+]
 
 
-def spec(label, **more):
-    return {"name": label, "false_alarm": ALPHA, **PASSIVE.get(label, {}), **more}
+@pytest.mark.parametrize(("spec", "epochs"), [*EXACT, *WITHOUT_GAPS, *BOUNDED], ids=str)
+def test_after_white_innovations_alarms_are_as_rare_as_stated(spec, epochs):
+    """Or rarer. Each receiver believes something else, and the second satellite comes and goes."""
+    case, receivers, channels, rng = (spec, epochs), 4000, 2, np.random.default_rng(1)
+    detector = make_detector({**spec, "false_alarm": ALPHA})
+    detector.bind(context(receivers, channels))
+    S = belief(rng, channels, receivers)
+    factor, visible = np.linalg.cholesky(S), np.ones((receivers, channels), dtype=bool)
+    for k in range(epochs):
+        if case in EXACT:
+            visible[:, 1] = rng.uniform(size=receivers) < 0.8
+        white = rng.standard_normal((receivers, 2 * channels, 1))
+        seen = epoch((factor @ white)[:, :, 0], S, visible.copy())
+        alarm = detector.judge(seen._replace(time=np.full(receivers, 0.5 * k))).alarm
+    low, high = likely(receivers, ALPHA)
+    shared = spec["name"] in ("glr-step", "glr-ramp", "innovation-rate")  # by the satellites
+    count = (alarm.any(axis=1) if shared else alarm[:, 0]).sum()
+    assert (1 if case in BOUNDED else low) <= count <= high
 
 
-@cache
-def last_alarms():
-    """Alarms of the last epoch, by label; of the first satellite where every one is judged."""
-    setup = TightlyCoupledSetup(
-        scenario="zhong2025-white",
-        receiver={"tuning": "matched"},
-        detector=Never(),
-        timeline={
-            "warmup_s": 60.0,
-            "live_s": 0.0,
-            "attack_s": 0.5 * EPOCHS,
-            "time_to_alert_s": 0.0,
-        },
+@pytest.mark.parametrize("signals", ["pseudorange", "both"])
+def test_innovations_of_a_matched_receiver_alarm_as_rarely(signals):
+    """White noise, no biases: a sum and an average over a window."""
+    receivers, alpha = 1000, 0.05
+    matched = TightlyCoupled(tuning="matched")
+    simulator = begin(make_scenario("zhong2025-white"), matched, receivers, 120.0)
+    advance_to(simulator, 60.0)
+    setup, specs = (
+        simulator.setup,
+        [("sequential-chi2", "window_s", 15.0), ("aime", "windows_s", [25.0])],
     )
-    setup.fields = setup.has
-    engine = Engine(RECEIVERS, setup, threads=1)
-    engine.reset([np.random.default_rng([7, i]) for i in range(RECEIVERS)])
-    specs = {label: spec(label) for label in PASSIVE}
-    specs["aime, shared"] = {"name": "aime", "windows_s": [5.0, 25.0, 45.0], "false_alarm": ALPHA}
-    specs["shewhart, both"] = {"name": "shewhart", "signals": "both", "false_alarm": ALPHA}
-    specs["joint-chart"] = {"name": "joint-chart", "weight_scale": None, "false_alarm": ALPHA}
-    detectors = {label: make_detector(given) for label, given in specs.items()}
-    told = DetectorContext(
-        RECEIVERS,
-        setup.world.channels,
-        setup.interval_s,
-        setup.combinations[0].noise_variance.copy(),
-        setup.world.satellite_ids,
-    )
-    for detector in detectors.values():
+    noise, ids = setup.combinations[0].noise_variance.copy(), setup.world.satellite_ids
+    told = DetectorContext(receivers, setup.world.channels, setup.interval_s, noise, ids)
+    common = {"false_alarm": alpha, "signals": signals}
+    detectors = [make_detector({"name": name, key: value, **common}) for name, key, value in specs]
+    for detector in detectors:
         detector.bind(told)
-    for _ in range(EPOCHS):
-        epoch = engine.predict(None)
-        found = {label: detector.judge(epoch) for label, detector in detectors.items()}
-        engine.update(engine.judge())
-    return {label: int(verdict.alarm[:, 0].sum()) for label, verdict in found.items()}
+    for _ in range(100):
+        now = simulator.advance()
+        found = [detector.judge(now) for detector in detectors]
+        simulator.update(None)
+    low, high = likely(receivers, alpha)
+    for verdict in found:
+        assert low <= verdict.alarm.sum() <= high
 
 
-LOW, HIGH = scipy.stats.binom.ppf([1e-4, 1.0 - 1e-4], RECEIVERS, ALPHA)
+def run_length(drift, threshold):
+    """Mean epochs until a cumulative sum exceeds its threshold without a change, siegmund1985."""
+    exponent = 2.0 * drift * (threshold + 1.166)
+    return (math.exp(exponent) - exponent - 1.0) / (2.0 * drift * drift)
 
 
-@pytest.mark.parametrize("label", PASSIVE)
-def test_alarms_are_as_rare_as_stated(label):
-    assert LOW <= last_alarms()[label] <= HIGH
-
-
-@pytest.mark.parametrize("label", ["aime, shared", "shewhart, both", "joint-chart"])
-def test_where_a_probability_is_shared_out_or_alarms_can_end_it_is_an_upper_bound(label):
-    assert 0 < last_alarms()[label] <= HIGH
+def test_false_alarms_of_cumulative_sums_are_as_far_apart_as_stated():
+    """Restarted at each of them; their number is that of a renewal process."""
+    receivers, epochs, limit = 800, 500, 4.0
+    rng = np.random.default_rng(1)
+    detector = Cusum(limit=limit)
+    detector.bind(context(receivers, 1))
+    blank = epoch(np.zeros((receivers, 2)), np.eye(2))
+    alarms = 0
+    for _ in range(epochs):
+        z = rng.standard_normal((receivers, 2))
+        alarm = detector.judge(blank._replace(innovation=z)).alarm[:, 0]
+        alarms += alarm.sum()
+        detector.reset(alarm)
+    expected = receivers * epochs / (0.5 * run_length(0.5, limit))
+    # four standard deviations of a count, and the 1 % that the formula is good for
+    assert alarms == pytest.approx(expected, abs=4.0 * math.sqrt(expected), rel=0.01)
+    # defaults are those of eight satellites
+    assert run_length(0.5, Cusum().limit) / 16.0 == pytest.approx(1e5, rel=0.05)
+    assert 16.0 / run_length(0.5, LagCusum().threshold) == pytest.approx(4e-6, rel=0.1)

@@ -9,14 +9,14 @@ from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.detectors import Calibrated, PooledDetector, SnapshotChi2, make_detector
-from spoofgym.duel_v0 import SpooferView
-from spoofgym.envs import SpoofEnv
-from spoofgym.simulation.simulator import run_serially
+
+from .support import context, epoch
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 SHARP = {"name": "snapshot-chi2", "false_alarm": 0.5}
 MEMBERS = ["ewma", SHARP, "never"]
 POOL = {"name": "pool", "members": MEMBERS}
+LAX = {"name": "solution-separation", "false_alarm": 0.1, "longest_s": 20.0, "spacing_s": 5.0}
 
 
 def played(detector, runs=12, rows=None):
@@ -25,120 +25,88 @@ def played(detector, runs=12, rows=None):
     if rows is not None:
         rngs = [rngs[row] for row in rows]
     start = WarmStart(suite.setup(suite.detector_players[0]), rngs, threads=1)
-    drawn = start.engine().simulator.detector.memory
-    return play(start, {"name": "ramp", "rate_mps": 0.5}), drawn
+    memory = start.engine().simulator.detector.memory
+    return play(start, {"name": "ramp", "rate_mps": 0.5}), memory
 
 
-def test_every_run_is_judged_by_the_detector_that_was_drawn():
-    pooled, memory = played(POOL)
+@pytest.mark.parametrize(
+    "members", [MEMBERS, [LAX, {**LAX, "false_alarm": 1e-3}, "never"]], ids=["all", "some"]
+)
+def test_every_run_is_judged_by_the_detector_that_was_drawn(members):
+    """Solution separation leaves out the runs that others judge; alone it has the same bits."""
+    pool = {"name": "pool", "members": members}
+    pooled, memory = played(pool)
     opponent = memory["opponent"]
     assert set(opponent) == {0, 1, 2}
-    for k, member in enumerate(MEMBERS):
+    for k, member in enumerate(members):
         alone, _ = played(member)
         own = opponent == k
         np.testing.assert_array_equal(pooled.alarm[:, own], alone.alarm[:, own])
         np.testing.assert_array_equal(pooled.position[:, own], alone.position[:, own])
-    _, weighed = played({**POOL, "weights": [0.0, 1.0, 0.0]})
-    assert (weighed["opponent"] == 1).all()
-    some, few = played(POOL, rows=[7, 2])
-    np.testing.assert_array_equal(few["opponent"], opponent[[7, 2]])
-    np.testing.assert_array_equal(some.position, pooled.position[:, [7, 2]])
-
-
-def test_a_detector_may_leave_out_the_runs_that_others_judge():
-    """One that does so looks at all of them where it is alone, with the same bits."""
-    lax = {"name": "solution-separation", "false_alarm": 0.1, "longest_s": 20.0, "spacing_s": 5.0}
-    members = [lax, {**lax, "false_alarm": 1e-3}, "never"]
-    pooled, memory = played({"name": "pool", "members": members})
-    kept = memory.parts[0]["epochs"]
-    assert (kept[memory["opponent"] == 0] > 0).all()
-    assert (kept[memory["opponent"] != 0] == 0).all()
-    for k, member in enumerate(members):
-        alone, _ = played(member)
-        own = memory["opponent"] == k
-        assert own.any()
-        np.testing.assert_array_equal(pooled.alarm[:, own], alone.alarm[:, own])
         np.testing.assert_array_equal(pooled.peak[own], alone.peak[own])
+    if members is MEMBERS:
+        _, weighed = played({**pool, "weights": [0.0, 1.0, 0.0]})
+        assert (weighed["opponent"] == 1).all()
+        some, few = played(pool, rows=[7, 2])
+        np.testing.assert_array_equal(few["opponent"], opponent[[7, 2]])
+        np.testing.assert_array_equal(some.position, pooled.position[:, [7, 2]])
+    else:
+        np.testing.assert_array_equal(memory.parts[0]["epochs"] > 0, opponent == 0)
 
 
 class Careless(SnapshotChi2):
-    """Fails where it is to judge some of the receivers."""
-
     def judge(self, epoch):
-        """Fail in a pool."""
         if self.judged_rows is not None:
             raise RuntimeError(f"asked for {len(self.judged_rows)}")
         return super().judge(epoch)
 
 
 def test_a_detector_knows_whom_it_judges_only_while_a_pool_asks():
-    made = Calibrated(Careless(), scale=1.0)
-    suite = Suite(detectors=["never"], timeline=SHORT, runs=2)
-    setup = suite.setup(suite.detector_players[0]).copy_with(
-        detector=PooledDetector([made, "never"], [1.0, 0.0])
-    )
-    simulator = setup.simulator(2, run_serially)
+    pool = PooledDetector([Calibrated(Careless(), scale=1.0), "never"])
+    pool.bind(context(2, 4))
     with pytest.raises(RuntimeError, match="asked for 2"):
-        simulator.warm_up(suite.generators("training", 2))
-    (judge, _) = simulator.detector.judges
-    assert judge.judged_rows is None
-    assert judge.detector.judged_rows is None
-
-
-def test_the_view_of_the_spoofer_meets_the_same_opponents():
-    same = {"scenario": "trolley", "attack": "false-position", "action": "full-command"}
-    view = SpooferView(pool=MEMBERS, timeline=SHORT, **same)
-    env = SpoofEnv(detector=POOL, timeline=SHORT, alarm_price=0.0, **same)
-    push = np.array([0.3, 0.1], dtype=np.float32)
-    for seed in range(3):
-        view.reset(seed=seed)
-        env.reset(seed=seed)
-        for _ in range(10):
-            ours, theirs = env.step(push), view.step(push)
-            np.testing.assert_array_equal(ours[0], theirs[0])
-            assert ours[1:4] == theirs[1:4]
+        pool.judge(epoch(np.zeros((2, 8)), np.eye(8)))
+    judge = pool.judges[0]
+    assert judge.judged_rows is judge.detector.judged_rows is None
 
 
 def test_its_settings_are_written_down_and_make_it_again():
     entry = specify_detector(POOL)
     assert entry.label == "pool(members=ewma+snapshot-chi2+never)"
     told = json.loads(json.dumps(entry.spec))
-    assert told["members"][1] == {
-        "name": "snapshot-chi2",
-        "false_alarm": 0.5,
-        "signals": "both",
-        "bias_window_s": 0.0,
-        "two_sided": False,
-    }
+    whole = {"signals": "both", "bias_window_s": 0.0, "two_sided": False}
+    assert told["members"][1] == {**SHARP, **whole}
     assert specify_detector(told) == entry
-    again = make_detector(make_detector(POOL))
-    assert again.members == make_detector(told).members
+    assert make_detector(make_detector(POOL)).members == make_detector(told).members
 
 
-def test_what_a_pool_has_in_common():
-    pool = make_detector(POOL)
-    assert (pool.scope, pool.measures, pool.oracle) == ("receiver", "satellites", False)
-    assert make_detector({"name": "pool", "members": ["ewma", "cusum"]}).scope == "channel"
-    assert make_detector({"name": "pool", "members": ["rio", "never"]}).measures == "position"
-    assert make_detector({"name": "pool", "members": ["oracle-step", "ewma"]}).oracle
+@pytest.mark.parametrize(
+    ("members", "scope", "measures", "oracle"),
+    [
+        (MEMBERS, "receiver", "satellites", False),
+        (["ewma", "cusum"], "channel", "satellites", False),
+        (["rio", "never"], "receiver", "position", False),
+        (["oracle-step", "ewma"], "channel", "satellites", True),
+    ],
+)
+def test_what_a_pool_has_in_common(members, scope, measures, oracle):
+    pool = make_detector({"name": "pool", "members": members})
+    assert (pool.scope, pool.measures, pool.oracle) == (scope, measures, oracle)
+    assert pool.needs == frozenset().union(*(judge.needs for judge in pool.judges))
 
 
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
         ({"members": []}, "at least one opponent, got none"),
+        ({"members": "ewma"}, "`members` must be a list of detectors, got 'ewma'"),
         ({"members": ["emwa"]}, "unknown detector 'emwa'; .* did you mean 'ewma'"),
         ({"members": [POOL]}, "can't be one of the detectors of a pool"),
-        (
-            {"members": ["ewma", "rio"]},
-            r"measure the same, got Ewma \(satellites\), Rio \(position\)",
-        ),
+        ({"members": ["ewma", "rio"]}, r"the same, got Ewma \(satellites\), Rio \(position\)"),
         ({"members": ["ewma"], "weights": [1.0, 2.0]}, "one number for each of the 1 opponents"),
         ({"members": ["ewma"], "weights": [0.0]}, "not all 0"),
     ],
 )
 def test_what_no_pool_is(settings, told):
-    with pytest.raises(ValueError, match=told):
-        make_detector({"name": "pool", **settings})
-    with pytest.raises(TypeError, match="`members` must be a list of detectors, got 'ewma'"):
-        PooledDetector("ewma")
+    with pytest.raises((ValueError, TypeError), match=told):
+        PooledDetector(**settings)

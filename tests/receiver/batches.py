@@ -22,7 +22,7 @@ from spoofgym.truth.gnss_errors import GnssErrors
 from spoofgym.truth.noise import pad_count
 from spoofgym.truth.sensors import IMU_GRADES, ImuGrade, SensorBuffers
 
-from .test_kalman import covariance, measured, sky
+from .reference import covariance, measured, sky
 
 N, EPOCHS, MOST = 6, 40, 37
 """Channels, epochs, most samples between two: more than two `CHUNK`, and no multiple of it."""
@@ -39,9 +39,9 @@ class HandMade:
     satellites: np.ndarray
 
 
-def hand_made(seed: int = 0) -> HandMade:
+def hand_made() -> HandMade:
     """A world whose epochs have 1 to `MOST` samples of 8 to 12 ms, and few satellites at times."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     counts = rng.integers(1, MOST + 1, EPOCHS)
     counts[:2] = MOST, 1
     counts[8:16] = 20  # eight receivers in a row with as many samples
@@ -55,41 +55,25 @@ def hand_made(seed: int = 0) -> HandMade:
     visible = rng.uniform(size=(EPOCHS + 1, N)) < rng.uniform(0.2, 1.2, (EPOCHS + 1, 1))
     satellites[:, :, 6] = visible * np.linalg.norm(satellites[:, :, :3] - PLACE, axis=-1)
     satellites[:, :, 7] = visible * rng.normal(0.0, 500.0, (EPOCHS + 1, N))
-    return HandMade(
-        run=np.vstack([samples, lengths, lengths**-0.5]),
-        epoch_time=np.concatenate([[0.0], np.cumsum(lengths)])[ends],
-        epoch_end=ends,
-        satellites=satellites,
-    )
+    time = np.concatenate([[0.0], np.cumsum(lengths)])[ends]
+    return HandMade(np.vstack([samples, lengths, lengths**-0.5]), time, ends, satellites)
 
 
 WORLD = hand_made()
-EXACT = ImuGrade(
-    **{
-        **IMU_GRADES["consumer"]._asdict(),
-        "accel_quantization": 0.0,
-        "gyro_quantization": 0.0,
-    }
-)
+CONSUMER = IMU_GRADES["consumer"]._asdict()
+EXACT = ImuGrade(**{**CONSUMER, "accel_quantization": 0.0, "gyro_quantization": 0.0})
 GRADES = (*IMU_GRADES.values(), EXACT)
-QUIET = GnssErrors(
-    code_sd_m=1.0,
-    range_rate_sd_mps=0.1,
-    signal_in_space_sd_m=0.0,
-    zenith_iono_sd_m=0.0,
-    zenith_tropo_sd_m=0.0,
-    clock=ReceiverClock(offset_m=1e4, drift_mps=100.0),
-)
-REALISTIC = GnssErrors(
-    code_sd_m=0.5,
-    range_rate_sd_mps=0.05,
-    signal_in_space_sd_m=1.0,
-    zenith_iono_sd_m=1.0,
-    zenith_tropo_sd_m=0.1,
-    correlated_sd_m=0.8,
-    correlation_s=35.0,
-    clock=TCXO,
-)
+SDS = ["code_sd_m", "range_rate_sd_mps", "signal_in_space_sd_m"]
+SDS += ["zenith_iono_sd_m", "zenith_tropo_sd_m", "correlated_sd_m"]
+
+
+def gnss_errors(*sds, **others):
+    return GnssErrors(**dict(zip(SDS, sds, strict=True)), **others)
+
+
+CONSTANT = ReceiverClock(offset_m=1e4, drift_mps=100.0)
+QUIET = gnss_errors(1.0, 0.1, 0.0, 0.0, 0.0, 0.0, clock=CONSTANT)
+REALISTIC = gnss_errors(0.5, 0.05, 1.0, 1.0, 0.1, 0.8, correlation_s=35.0, clock=TCXO)
 
 
 class Batch:
@@ -146,18 +130,7 @@ class Batch:
                 sensors.authentic[row] = rng.choice([0.0, 1.0], 2 * N)
         self.weights[row] = rng.uniform(0.0, 1.0, 2 * N) if number % 4 > 1 else 1.0
 
-    def run(
-        self,
-        what,
-        lo=0,
-        hi=None,
-        *,
-        weights=None,
-        update="unweighted",
-        least=4,
-        orthonormal=False,
-        count=1,
-    ):
+    def run(self, what, lo=0, hi=None, weights=None, count=1, **settings):
         """Call the engine's kernel, without an attack and a detector of its own.
 
         What it predicts without measuring has been measured before.
@@ -168,61 +141,41 @@ class Batch:
         sizes = pad_count(6 * MOST), pad_count(2 * N)
         work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
         work[:] = np.nan  # so that nothing is read of it that has not been written
+        truth = world.run, world.epoch_time, world.epoch_end, world.satellites
+        chosen = {"update": "unweighted", "least": 4, "orthonormal": False, **settings}
+        rules = np.array([COVARIANCE_UPDATES[chosen.pop("update")], *chosen.values(), *sizes])
+        attack = np.zeros(0), *np.zeros((2, EPOCHS + 1, 3)), np.zeros(1, dtype=np.bool_)
+        rest = sensors.signals.data, *attack, np.zeros(1, dtype=np.int64), np.zeros(4)
+        table = kernel_table(buffers, sensors, *truth, rules, *rest)
         memories = ArrayTable(NOTHING_REMEMBERED)
-        table = kernel_table(
-            buffers,
-            sensors,
-            world.run,
-            world.epoch_time,
-            world.epoch_end,
-            world.satellites,
-            np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
-            sensors.signals.data,
-            np.zeros(0),
-            *np.zeros((2, EPOCHS + 1, 3)),
-            np.zeros(1, dtype=np.bool_),
-            np.zeros(1, dtype=np.int64),
-            np.zeros(4),
-        )
-        found = run_epochs(
-            table.entries,
-            memories.entries,
-            np.zeros((1, 1)),
-            self.weights if weights is None else weights,
-            work,
-            *(NO_FORM, True, NO_FORM),
-            what,
-            count,
-            lo,
-            buffers.receivers if hi is None else hi,
-        )
-        assert not found
+        weights = self.weights if weights is None else weights
+        scratch = memories.entries, np.zeros((1, 1)), weights, work, NO_FORM, True, NO_FORM
+        hi = buffers.receivers if hi is None else hi
+        assert not run_epochs(table.entries, *scratch, what, count, lo, hi)
 
-    def predict(self, lo=0, hi=None):
+    def predict(self):
         """Move on to the next epoch, with samples and ranges as they have been measured."""
-        self.run(PREDICT + SHOW, lo, hi)
+        self.run(PREDICT + SHOW)
 
-    def update(self, weights=None, lo=0, hi=None, **settings):
+    def update(self, weights=None, **settings):
         weights = np.ones_like(self.weights) if weights is None else weights
-        self.run(UPDATE, lo, hi, weights=weights, **settings)
+        self.run(UPDATE, weights=weights, **settings)
 
     def everything(self, row):
-        """All that there is of a receiver, by name."""
         buffers, sensors, rows = self.buffers, self.sensors, np.array([row])
         plain = ("time", "interval", "position_e", "velocity_e", "visible", "coasting")
-        found = {
-            **{name: buffers.fields.get(name, rows)[0] for name in buffers.fields.shapes},
-            **{name: buffers.assumed.get(name, rows)[0] for name in buffers.assumed.shapes},
+        parts = {"": buffers.fields, "assumed ": buffers.assumed}
+        parts |= {"sensor ": sensors.fields, "constant ": sensors.constants}
+        return {
             **{
-                f"sensor {name}": each.get(name, rows)[0]
-                for each in (sensors.fields, sensors.constants)
-                for name in each.shapes
+                f"{k}{name}": part.get(name, rows)[0]
+                for k, part in parts.items()
+                for name in part.shapes
             },
-            **{f"seen {name}": array[row] for name, array in buffers.seen.items()},
-            **{f"plain {name}": getattr(buffers, name)[row] for name in plain},
-            "epoch": sensors.epoch[row],
+            **{f"seen {name}": array[row].copy() for name, array in buffers.seen.items()},
+            **{f"plain {name}": np.array(getattr(buffers, name)[row]) for name in plain},
+            "epoch": np.array(sensors.epoch[row]),
         }
-        return {name: np.array(value) for name, value in found.items()}
 
 
 def check_same(mine, theirs):

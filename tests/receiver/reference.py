@@ -1,12 +1,10 @@
 """A plain tightly coupled receiver: dense matrices, one epoch after the other.
 
 Written from the conventions that the golden runs of the reference software are reproduced with,
-and from nothing of the package but its constants.
+and from nothing of the package but its constants; and the textbook's update in one step.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
@@ -85,22 +83,11 @@ def range_and_rate(s, sv, r, v):
     return rho, u @ (sagnac @ (sv + OMEGA @ s) - (v + OMEGA @ r)), u
 
 
-class Epoch(NamedTuple):
-    """State after the update of an epoch."""
-
-    position_e: np.ndarray
-    velocity_e: np.ndarray
-    C_eb: np.ndarray
-    accel_bias_b: np.ndarray
-    gyro_bias_b: np.ndarray
-    clock: np.ndarray
-    sd: np.ndarray
-    innovation: np.ndarray
-    coasting: bool
-
-
 def replay(recording, ends, P, psd, R, start, min_satellites=4):
-    """Run the receiver over a recording; `ends` are the numbers of samples up to each epoch."""
+    """Run the receiver over a recording: its state after each update.
+
+    `ends` are the numbers of samples up to each epoch.
+    """
     C, v, r = np.array(start.C_eb), np.array(start.velocity_e), np.array(start.position_e)
     clock = np.array([start.clock_bias_m, start.clock_drift_mps])
     biases = np.zeros(6)
@@ -139,5 +126,55 @@ def replay(recording, ends, P, psd, R, start, min_satellites=4):
             v, r = v - x[3:6], r - x[6:9]
             biases = biases + x[9:15]
             clock = clock + x[15:17]
-        sd = np.sqrt(np.diag(P))
-        yield Epoch(r, v, C, biases[:3], biases[3:], clock.copy(), sd, z, bool(coasting))
+        known = {"position_e": r, "velocity_e": v, "C_eb": C, "clock": clock.copy()}
+        known |= {"accel_bias_b": biases[:3], "gyro_bias_b": biases[3:], "innovation": z}
+        yield {**known, "sd": np.sqrt(np.diag(P)), "coasting": bool(coasting)}
+
+
+# --- made-up beliefs, and the update of one epoch ------------------------------------------------
+
+SD = np.array([*np.repeat([2e-4, 0.05, 8.0, 3e-4, 5e-9], 3), 6.0, 0.3])
+"""Standard deviations of the 17 states that a filter has in flight."""
+
+
+def measured(rng, n):
+    R = np.concatenate([rng.uniform(0.5, 30.0, n), rng.uniform(1e-3, 0.1, n)])
+    return rng.standard_normal(2 * n) * 3.0 * np.sqrt(R), R
+
+
+def covariance(rng):
+    root = rng.standard_normal((17, 17))
+    correlation = root @ root.T / 17.0 + 0.05 * np.eye(17)
+    return correlation * np.outer(SD, SD)
+
+
+def sky(rng, n):
+    u = rng.standard_normal((n, 3))
+    return u / np.linalg.norm(u, axis=1)[:, None]
+
+
+def design(u, visible):
+    """H of all 2n rows; zero where invisible."""
+    n = len(u)
+    H = np.zeros((2 * n, 17))
+    H[:n, 6:9], H[:n, 15] = u, 1.0
+    H[n:, 3:6], H[n:, 16] = u, 1.0
+    return H * np.concatenate([visible, visible])[:, None]
+
+
+def textbook(P, u, z, R, w, visible, update):
+    """State correction and updated covariance, with the weights W on the gain's columns."""
+    both = np.concatenate([visible, visible])
+    H = design(u, visible)[both]
+    z, R, w = z[both], np.diag(R[both]), w[both]
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    KW = K * w
+    if update == "unweighted":
+        after = (np.eye(17) - K @ H) @ P
+    elif update == "plain":
+        after = (np.eye(17) - KW @ H) @ P
+        after = 0.5 * (after + after.T)
+    else:
+        left = np.eye(17) - KW @ H
+        after = left @ P @ left.T + KW @ R @ KW.T
+    return KW @ z, after

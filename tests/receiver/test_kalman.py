@@ -1,159 +1,19 @@
-"""The update on eight sums against the textbook's, row by row, in one lane and in eight."""
+"""What the filter believes of innovations, and small solvers, against dense algebra."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from spoofgym.core.compile import njit
 from spoofgym.core.simd import LANES
 from spoofgym.receiver import kalman
 from spoofgym.receiver._kernels import solve_in_place
-from spoofgym.receiver.kalman import COVARIANCE_UPDATES, OBSERVED
-from spoofgym.receiver.states import INDEX, PACKED
+from spoofgym.receiver.kalman import normalized_innovation_squared
+from spoofgym.receiver.states import PACKED
 
 from ..lanes import in_all_lanes, side_by_side
+from .reference import covariance, design, measured, sky
 
-SD = np.repeat([2e-4, 0.05, 8.0, 3e-4, 5e-9, 0.0], 3)[:17].copy()
-SD[15:] = 6.0, 0.3
-"""Standard deviations of the 17 states that a filter has in flight."""
 UPPER = np.triu_indices(17)
-PROPERTY = settings(max_examples=15, deadline=None)
-
-
-def covariance(rng, scale=1.0):
-    root = rng.standard_normal((17, 17))
-    correlation = root @ root.T / 17.0 + 0.05 * np.eye(17)
-    return correlation * np.outer(SD, SD) * scale
-
-
-def sky(rng, n):
-    u = rng.standard_normal((n, 3))
-    return u / np.linalg.norm(u, axis=1)[:, None]
-
-
-def design(u, visible):
-    """H of all 2n rows; zero where invisible."""
-    n = len(u)
-    H = np.zeros((2 * n, 17))
-    H[:n, 6:9], H[:n, 15] = u, 1.0
-    H[n:, 3:6], H[n:, 16] = u, 1.0
-    return H * np.concatenate([visible, visible])[:, None]
-
-
-def textbook(P, u, z, R, w, visible, update):
-    """State correction and updated covariance, with the weights W on the gain's columns."""
-    both = np.concatenate([visible, visible])
-    H = design(u, visible)[both]
-    z, R, w = z[both], np.diag(R[both]), w[both]
-    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    KW = K * w
-    if update == "unweighted":
-        after = (np.eye(17) - K @ H) @ P
-    elif update == "plain":
-        after = (np.eye(17) - KW @ H) @ P
-        after = 0.5 * (after + after.T)
-    else:
-        left = np.eye(17) - KW @ H
-        after = left @ P @ left.T + KW @ R @ KW.T
-    return KW @ z, after
-
-
-@njit
-def sum_and_update(x, precision, weights, codes, work):
-    """What `_kernels.correct` calls; `x`: packed covariance, lines of sight, innovations."""
-    n, code = weights.shape[0] // 2, codes.shape[0]
-    u, z = PACKED, PACKED + 3 * n
-    for half in range(2):
-        for power in range(1 if code == kalman.UNWEIGHTED else 3):
-            kalman.information(x, u, z, precision, weights, half, n, power, work)
-    kalman.update(x, 0, code, work)
-
-
-def eight_sums(cases, update):
-    """Corrections and covariances of up to eight receivers, side by side; the first fill up.
-
-    A case is (P, u, z, R, w, visible) with as many slots as the others; each receiver gets from
-    eight lanes what it gets alone.
-    """
-    filled = [cases[i % len(cases)] for i in range(LANES)]
-    P = side_by_side([case[0][UPPER] for case in filled])
-    seen = side_by_side([np.concatenate([case[5], case[5]]) for case in filled])
-    u, z, R, w = (side_by_side([case[k] for case in filled]) for k in (1, 2, 3, 4))
-    u, z = u * np.repeat(seen[: len(seen) // 2], 3, axis=0), z * seen
-    code, work = (
-        np.empty((COVARIANCE_UPDATES[update], LANES)),
-        np.full((kalman.WORK, LANES), np.nan),
-    )
-    x = np.vstack([P, u, z])
-    in_all_lanes(sum_and_update, x, np.where(seen, 1.0 / R, 0.0), w, code, work)
-    dx = work[kalman.X : kalman.X + 17]
-    return [(dx[:, i], x[:PACKED, i][INDEX]) for i in range(len(cases))]
-
-
-def check(cases, update, tolerance=1e-10):
-    for case, (dx, after) in zip(cases, eight_sums(cases, update), strict=True):
-        want_dx, want = textbook(*case, update)
-        sd = np.sqrt(np.diag(case[0]))
-        np.testing.assert_allclose(dx / sd, want_dx / sd, rtol=tolerance, atol=tolerance * 10)
-        np.testing.assert_allclose(
-            after / np.outer(sd, sd), want / np.outer(sd, sd), rtol=0, atol=tolerance
-        )
-
-
-def measured(rng, n):
-    R = np.concatenate([rng.uniform(0.5, 30.0, n), rng.uniform(1e-3, 0.1, n)])
-    return rng.standard_normal(2 * n) * 3.0 * np.sqrt(R), R
-
-
-@pytest.mark.parametrize("update", COVARIANCE_UPDATES)
-@PROPERTY
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 14), weighted=st.booleans())
-def test_any_sky_and_any_weights_give_the_textbook_s_update(update, seed, n, weighted):
-    rng, cases = np.random.default_rng(seed), []
-    for _ in range(LANES):
-        z, R = measured(rng, n)
-        w = rng.uniform(0.0, 1.0, 2 * n) if weighted else np.ones(2 * n)
-        w[rng.uniform(size=2 * n) < 0.2] = 0.0 if weighted else 1.0
-        visible = rng.uniform(size=n) < 0.8
-        cases.append((covariance(rng), sky(rng, n), z, R, w, visible))
-    check(cases, update)
-
-
-@pytest.mark.nojit
-@pytest.mark.parametrize("update", COVARIANCE_UPDATES)
-def test_few_satellites_or_none(update):
-    rng, cases = np.random.default_rng(0), []
-    for n in range(5):
-        z, R = measured(rng, 6)
-        w = rng.uniform(0.0, 1.0, 12)
-        cases.append((covariance(rng), sky(rng, 6), z, R, w, np.arange(6) < n))
-    check(cases, update)
-    dx, after = eight_sums(cases, update)[0]
-    np.testing.assert_array_equal(dx, 0.0)
-    np.testing.assert_array_equal(after, cases[0][0][UPPER][INDEX])
-
-
-SINGULAR = (
-    np.tile([0.6, 0.0, 0.8], (8, 1)),  # all in one direction
-    np.repeat([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8]], 4, axis=0),  # in two
-    np.array([[0.6 * np.cos(a), 0.6 * np.sin(a), 0.8] for a in range(8)]),  # on a cone
-    np.array([[np.cos(a), np.sin(a), 0.0] for a in range(8)]),  # in a plane
-)
-
-
-@pytest.mark.parametrize("update", COVARIANCE_UPDATES)
-def test_singular_geometry_and_sure_and_unsure_filters_side_by_side(update):
-    rng, cases = np.random.default_rng(9), []
-    for scale in (1e-6, 1.0, 1e4):
-        z, R = measured(rng, 8)
-        P = covariance(rng, scale)
-        cases.append((P, sky(rng, 8), z, R, np.ones(16), np.ones(8, dtype=bool)))
-    for u in (*SINGULAR, sky(rng, 8)):
-        z, R = measured(rng, 8)
-        w = rng.uniform(0.0, 1.0, 16)
-        cases.append((covariance(rng), u, z, R, w, np.ones(8, dtype=bool)))
-    check(cases, update, 1e-9)
 
 
 @njit
@@ -189,12 +49,6 @@ def test_the_innovation_covariance_is_h_p_h_plus_r():
 
 
 @pytest.mark.nojit
-def test_the_states_that_satellites_see():
-    H = design(np.array([[0.1, 0.2, 0.3]]), np.array([True]))
-    assert set(np.flatnonzero(H.any(axis=0))) == set(OBSERVED)
-
-
-@pytest.mark.nojit
 @pytest.mark.parametrize("k", [1, 4, 8])
 def test_elimination_solves_what_needs_pivots(k):
     rng = np.random.default_rng(k)
@@ -204,3 +58,23 @@ def test_elimination_solves_what_needs_pivots(k):
     x = M @ y
     solve_in_place(M.copy(), x)
     np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize(("first", "last"), [(0, 8), (4, 8), (2, 3)])
+def test_normalized_innovations_are_the_quadratic_form(first, last):
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((5, 8, 8))
+    S = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(8)
+    z = rng.standard_normal((5, 8))
+    rows = [r for r in range(first, last) if r != 5]  # that of an invisible satellite adds nothing
+    z[:, 5], S[:, 5], S[:, :, 5] = 0.0, 0.0, 0.0
+    S[:, 5, 5] = 1.0
+    want = [
+        a[rows] @ np.linalg.solve(B[np.ix_(rows, rows)], a[rows]) for a, B in zip(z, S, strict=True)
+    ]
+    np.testing.assert_allclose(normalized_innovation_squared(z, S, first, last), want, rtol=1e-10)
+    assert not normalized_innovation_squared(0.0 * z, S, first, last).any()
+    S[1, 2, 2] = -1.0  # which is no covariance
+    found = normalized_innovation_squared(z, S, first, last)
+    assert np.isinf(found).tolist() == [False, first <= 2, False, False, False]

@@ -3,70 +3,88 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from spoofgym.core.simd import LANES
-from spoofgym.earth.wgs84 import range_and_rate
 from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
 
-from .batches import EPOCHS, WORLD, Batch, HandMade, N, check_same
-from .reference import skew
-from .test_kalman import SD, design, sky, textbook
+from .batches import EPOCHS, WORLD, Batch, N, check_same
+from .reference import design, skew, sky, textbook
 
 ROOT = Path(__file__).resolve().parents[2]
-STATE = ("C_eb", "velocity_e", "position_e", "accel_bias_b", "gyro_bias_b", "clock")
+VECTORS = ("velocity_e", "position_e", "accel_bias_b", "gyro_bias_b", "clock")
+ATOL = (1e-9, 1e-8, 1e-9, 1e-15, 1e-9)
+
+
+def check_all_same(mine, theirs):
+    for row in range(len(mine.numbers)):
+        check_same(mine.everything(row), theirs.everything(row))
+
+
+def seeing(counts):
+    """Receivers that see so many satellites each, all alike otherwise."""
+    batch = Batch(range(len(counts)))
+    seen = np.arange(N)[None, :] < counts[:, None]
+    u = np.array([sky(np.random.default_rng(number), N) for number in range(len(counts))])
+    batch.fields["visible"] = seen
+    batch.fields["innovation"] = np.tile(seen, 2) * 3.0
+    batch.fields["line_of_sight"] = u * seen[:, :, None]
+    return batch
+
+
+SINGULAR = (
+    np.tile([0.6, 0.0, 0.8], (N, 1)),  # all in one direction
+    np.repeat([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8]], N // 2, axis=0),  # in two
+    np.array([[0.6 * np.cos(a), 0.6 * np.sin(a), 0.8] for a in range(N)]),  # on a cone
+    np.array([[np.cos(a), np.sin(a), 0.0] for a in range(N)]),  # in a plane
+)
+
+
+def hard_cases():
+    """Skies that are singular or nearly empty, and filters that are sure and unsure."""
+    batch = seeing(np.array([6, 6, 6, 6, 0, 1, 2, 3, 4, 5, 6, 6]))
+    batch.fields["line_of_sight"] = np.concatenate([SINGULAR, batch.fields["line_of_sight"][4:]])
+    for row, scale in ((10, 1e-6), (11, 1e4)):
+        batch.buffers.put_covariance(np.array([row]), scale * batch.buffers.covariance[row])
+    return batch
 
 
 @pytest.mark.nojit
-@pytest.mark.parametrize("receivers", [1, 9])
-@pytest.mark.parametrize("covariance_update", COVARIANCE_UPDATES)
-def test_corrections_are_fed_back(covariance_update, receivers):
-    batch, before = Batch(range(receivers)), Batch(range(receivers))
-    weights = np.random.default_rng(9).uniform(0.0, 1.0, (receivers, 2 * N))
-    batch.update(weights, update=covariance_update, least=0)
-    old, new = before.fields, batch.fields
-    for b in range(receivers):
-        x, P = textbook(
-            before.buffers.covariance[b],
-            old["line_of_sight"][b],
-            old["innovation"][b],
-            before.buffers.assumed["noise_variance"][b],
-            weights[b],
-            old["visible"][b] > 0.0,
-            covariance_update,
-        )
-        close = {"rtol": 0, "atol": 1e-9}
+@pytest.mark.parametrize("update", COVARIANCE_UPDATES)
+@pytest.mark.parametrize("make", [lambda: Batch(range(17)), hard_cases], ids=["usual", "hard"])
+def test_corrections_are_those_of_the_textbook_with_any_weights(make, update):
+    batch, before, rng = make(), make(), np.random.default_rng(9)
+    weights = rng.uniform(0.0, 1.0, batch.weights.shape)
+    weights[rng.uniform(size=weights.shape) < 0.2] = 0.0
+    weights[::4] = 1.0
+    batch.update(weights, update=update, least=0)
+    old, new, R = before.fields, batch.fields, before.buffers.assumed["noise_variance"]
+    P, u, z = before.buffers.covariance, old["line_of_sight"], old["innovation"]
+    for b in range(len(weights)):
+        seen = old["visible"][b] > 0.0
+        x, after = textbook(P[b], u[b], z[b], R[b], weights[b], seen, update)
         turned = (np.eye(3) - skew(x[:3])) @ old["C_eb"][b]
-        np.testing.assert_allclose(new["C_eb"][b], turned, **close)
-        np.testing.assert_allclose(new["velocity_e"][b], old["velocity_e"][b] - x[3:6], **close)
-        np.testing.assert_allclose(
-            new["position_e"][b], old["position_e"][b] - x[6:9], rtol=0, atol=1e-8
-        )
-        np.testing.assert_allclose(
-            new["accel_bias_b"][b], old["accel_bias_b"][b] + x[9:12], **close
-        )
-        np.testing.assert_allclose(
-            new["gyro_bias_b"][b], old["gyro_bias_b"][b] + x[12:15], rtol=1e-9
-        )
-        np.testing.assert_allclose(new["clock"][b], old["clock"][b] + x[15:], **close)
-        np.testing.assert_allclose(
-            batch.buffers.covariance[b] / np.outer(SD, SD), P / np.outer(SD, SD), rtol=0, atol=1e-9
-        )
+        np.testing.assert_allclose(new["C_eb"][b], turned, rtol=0, atol=1e-9)
+        changes = -x[3:6], -x[6:9], x[9:12], x[12:15], x[15:]
+        for name, change, atol in zip(VECTORS, changes, ATOL, strict=True):
+            np.testing.assert_allclose(new[name][b], old[name][b] + change, rtol=0, atol=atol)
+        scale = np.sqrt(np.outer(np.diag(P[b]), np.diag(P[b])))
+        mine = batch.buffers.covariance[b]
+        np.testing.assert_allclose(mine / scale, after / scale, rtol=0, atol=1e-9)
     assert not batch.buffers.coasting.any()
 
 
 def test_errors_that_nobody_replaces_all_stay():
-    told = Batch(range(9))
+    told, untold = Batch(range(9)), Batch(range(9), with_authentic=False)
     told.sensors.authentic[:] = 1.0
-    untold = Batch(range(9), with_authentic=False)
     for batch in (told, untold):
         batch.run(MEASURE + PREDICT + SHOW)
-    for row in range(9):
-        check_same(untold.everything(row), told.everything(row))
+    check_all_same(untold, told)
 
 
 @pytest.mark.parametrize("receivers", [1, 17])
@@ -79,15 +97,21 @@ def test_what_all_assume_is_kept_once_and_used_by_all(receivers):
             batch.buffers.assumed[name] = value
         batch.run(MEASURE + PREDICT + SHOW)
         batch.update()
-    for row in range(receivers):
-        check_same(together.everything(row), each.everything(row))
+    check_all_same(together, each)
 
 
 @pytest.mark.parametrize(
-    ("covariance_update", "orthonormal"),
-    [("unweighted", False), ("plain", True), ("general", False)],
+    ("receivers", "covariance_update", "orthonormal"),
+    [
+        pytest.param(3, "unweighted", False, marks=pytest.mark.nojit),
+        pytest.param(3, "general", False, marks=pytest.mark.nojit),
+        (7, "plain", True),
+        (8, "general", False),
+        (9, "unweighted", False),
+        (17, "plain", True),
+        (17, "unweighted", False),
+    ],
 )
-@pytest.mark.parametrize("receivers", [pytest.param(3, marks=pytest.mark.nojit), 7, 8, 9, 17])
 def test_a_receiver_is_the_same_alone_and_in_any_batch(receivers, covariance_update, orthonormal):
     """Epochs, samples, skies, grades, errors, attacks and weights of its own; some coast."""
     settings = {"update": covariance_update, "least": 4, "orthonormal": orthonormal}
@@ -103,9 +127,7 @@ def test_a_receiver_is_the_same_alone_and_in_any_batch(receivers, covariance_upd
         each.run(MEASURE + PREDICT + UPDATE, count=2, **settings)
         each.run(MEASURE, **settings)
         each.run(PREDICT + SHOW, **settings)
-    if receivers > LANES:
-        assert coasted.any()
-        assert not coasted.all()
+    assert receivers <= LANES or 0 < coasted.sum() < receivers
     for row, single in enumerate(singles):
         check_same(batch.everything(row), single.everything(0))
 
@@ -114,21 +136,18 @@ PLAYED = """
 import hashlib
 import numpy as np
 from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
-from spoofgym.receiver.kalman import COVARIANCE_UPDATES
 from tests.receiver.batches import Batch
-for numbers in ([3], range(9)):
-    for update in COVARIANCE_UPDATES:
-        batch = Batch(numbers)
-        for what in (MEASURE + PREDICT + SHOW, UPDATE, MEASURE + PREDICT + UPDATE):
-            batch.run(what, update=update, orthonormal=True)
-        for row in range(len(numbers)):
-            for name, array in batch.everything(row).items():
-                print(update, row, name, hashlib.sha256(array.tobytes()).hexdigest())
+for numbers, update in (([3], "general"), ([4], "unweighted"), (range(9), "plain")):
+    batch = Batch(numbers)
+    for what in (MEASURE + PREDICT + SHOW, UPDATE, MEASURE + PREDICT + UPDATE):
+        batch.run(what, update=update, orthonormal=True)
+    for row in range(len(numbers)):
+        for name, array in batch.everything(row).items():
+            print(update, row, name, hashlib.sha256(array.tobytes()).hexdigest())
 """
 
 
 def test_what_is_compiled_computes_what_the_source_says():
-    """To the last bit: Python makes every operation as IEEE 754 has it."""
     lines = []
     for disabled in ("0", "1"):
         environment = os.environ | {"NUMBA_DISABLE_JIT": disabled}
@@ -138,7 +157,7 @@ def test_what_is_compiled_computes_what_the_source_says():
         )
         assert done.returncode == 0, done.stderr
         lines.append(done.stdout.splitlines())
-    assert len(lines[0]) > 1000
+    assert len(lines[0]) > 300
     assert lines[0] == lines[1]
 
 
@@ -149,8 +168,7 @@ def test_slices_of_whole_lanes_are_the_whole():
         whole.run(what)
         for lo, hi in ((LANES, 2 * LANES), (2 * LANES, receivers), (0, LANES)):
             sliced.run(what, lo, hi)
-    for row in range(receivers):
-        check_same(whole.everything(row), sliced.everything(row))
+    check_all_same(whole, sliced)
 
 
 @pytest.mark.parametrize("what", [MEASURE + PREDICT, UPDATE, MEASURE])
@@ -173,111 +191,53 @@ def test_lanes_without_a_receiver_follow_the_last(what):
     sensors = batch.sensors.fields, batch.sensors.constants
     for fields in (batch.fields, batch.buffers.assumed, *sensors):
         group = fields.data.reshape(2, fields.rows, LANES)[1]
-        for index in range(3, LANES):
-            assert group[:, index].tobytes() == group[:, 2].tobytes()
+        assert group[:, 3:].tobytes() == np.repeat(group[:, 2:3], LANES - 3, axis=1).tobytes()
 
 
-def seeing(counts):
-    """Receivers that see so many satellites each, all alike otherwise."""
-    batch = Batch(range(len(counts)))
-    seen = np.arange(N)[None, :] < np.asarray(counts)[:, None]
-    u = np.array([sky(np.random.default_rng(number), N) for number in range(len(counts))])
-    batch.fields["visible"] = seen
-    batch.fields["innovation"] = np.tile(seen, 2) * 3.0
-    batch.fields["line_of_sight"] = u * seen[:, :, None]
-    return batch
-
-
-@pytest.mark.parametrize(
-    ("covariance_update", "orthonormal"),
-    [("unweighted", False), ("unweighted", True), ("plain", False), ("general", True)],
-)
-@pytest.mark.parametrize("min_satellites", [0, 4, 7])
-def test_with_fewer_satellites_than_it_wants_a_receiver_coasts(
-    min_satellites, covariance_update, orthonormal
-):
-    """In one group with others that do not."""
+@pytest.mark.parametrize("update", ["unweighted", "general"])
+@pytest.mark.parametrize("orthonormal", [False, True])
+@pytest.mark.parametrize("least", [0, 4])
+def test_with_fewer_satellites_than_it_wants_a_receiver_coasts(least, orthonormal, update):
     counts = np.array([0, 1, 2, 3, 4, 5, 6, 3, 6])
     batch, before = seeing(counts), seeing(counts)
     weights = np.random.default_rng(1).uniform(0.1, 1.0, (len(counts), 2 * N))
-    batch.update(weights, least=min_satellites, update=covariance_update, orthonormal=orthonormal)
-    coasting = counts < min_satellites
+    batch.update(weights, least=least, update=update, orthonormal=orthonormal)
+    coasting = counts < least
     np.testing.assert_array_equal(batch.buffers.coasting, coasting)
     for b, count in enumerate(counts):
-        rows = np.array([b])
+        mine, theirs = batch.everything(b), before.everything(b)
         same = [
-            np.array_equal(batch.fields.get(name, rows), before.fields.get(name, rows))
-            for name in (*STATE, "packed_covariance")
+            mine[name].tobytes() == theirs[name].tobytes()
+            for name in ("C_eb", *VECTORS, "packed_covariance")
         ]
         if count == 0 and not coasting[b] and orthonormal:
             same = same[1:]  # an update without satellites, too, makes the attitude orthonormal
         assert all(same) == (coasting[b] or count == 0)
 
 
-def test_the_attitude_is_made_orthonormal_only_when_wanted():
-    plain, orthonormal = Batch(range(2)), Batch(range(2))
-    for batch, wanted in ((plain, False), (orthonormal, True)):
-        batch.fields["C_eb"] = batch.fields["C_eb"] * (1.0 + 1e-7)
-        batch.update(orthonormal=wanted)
-
-    def off(batch):
-        C = batch.fields["C_eb"]
-        return np.abs(C @ C.transpose(0, 2, 1) - np.eye(3)).max()
-
-    assert off(plain) > 1e-7
-    assert off(orthonormal) < 1e-12
-
-
-@pytest.mark.nojit
-def test_innovations_are_measured_less_predicted():
-    batch, before = Batch(range(9)), Batch(range(9))
-    batch.predict()
-    fields, seen = batch.fields, batch.buffers.seen
-    tau = batch.buffers.interval
-    np.testing.assert_allclose(
-        fields["clock"][:, 0], before.fields["clock"] @ [1.0, 0.0] + tau * fields["clock"][:, 1]
-    )
-    for b in range(9):
-        epoch = batch.sensors.epoch[b]
-        assert epoch == before.sensors.epoch[b] + 1
-        assert batch.buffers.time[b] == WORLD.epoch_time[epoch]
-        assert tau[b] == WORLD.epoch_time[epoch] - WORLD.epoch_time[epoch - 1]
-        satellites = WORLD.satellites[epoch]
-        np.testing.assert_array_equal(batch.buffers.visible[b], satellites[:, 6] > 0.0)
-        r, v = fields["position_e"][b], fields["velocity_e"][b]
-        np.testing.assert_array_equal(batch.buffers.position_e[b], r)
-        np.testing.assert_array_equal(batch.buffers.velocity_e[b], v)
-        bias, drift = fields["clock"][b]
-        sights = np.zeros((N, 3))
-        for s in range(N):
-            z, zdot = seen["innovation"][b, [s, N + s]]
-            if satellites[s, 6] == 0.0:
-                assert (z, zdot) == (0.0, 0.0)
-                continue
-            rho, rate, *sights[s] = range_and_rate(satellites[s, :3], satellites[s, 3:6], r, v)
-            measured = before.measured[b, [s, N + s]]
-            assert abs(z - (measured[0] - rho - bias)) <= 1e-8
-            assert abs(zdot - (measured[1] - rate - drift)) <= 1e-9
-        np.testing.assert_allclose(fields["line_of_sight"][b], sights, rtol=0, atol=1e-15)
-
-
 @pytest.mark.nojit
 def test_what_is_shown_of_an_epoch_is_what_the_update_uses():
-    """Its equations hold among them, to rounding."""
     batch, before = Batch(range(9)), Batch(range(9))
     batch.predict()
-    fields, seen, tau = batch.fields, batch.buffers.seen, batch.buffers.interval
-    assumed = batch.buffers.assumed
-    np.testing.assert_array_equal(seen["innovation"], fields["innovation"])
-    np.testing.assert_array_equal(seen["predicted_cov"], batch.buffers.covariance)
-    np.testing.assert_array_equal(seen["imu_delta"], fields["imu_delta"])
-    measured = np.hstack([seen["pseudorange"], seen["range_rate"]])
-    np.testing.assert_array_equal(measured, before.measured)
-    now = WORLD.satellites[batch.sensors.epoch]
-    np.testing.assert_array_equal(seen["satellite_position"], now[:, :, :3])
-    np.testing.assert_array_equal(seen["satellite_velocity"], now[:, :, 3:6])
+    buffers, fields, seen = batch.buffers, batch.fields, batch.buffers.seen
+    assumed, tau, epoch = buffers.assumed, buffers.interval, batch.sensors.epoch
+    np.testing.assert_array_equal(epoch, before.sensors.epoch + 1)
+    np.testing.assert_array_equal(buffers.time, WORLD.epoch_time[epoch])
+    np.testing.assert_array_equal(tau, WORLD.epoch_time[epoch] - WORLD.epoch_time[epoch - 1])
+    for shown, used in (
+        (seen["innovation"], fields["innovation"]),
+        (seen["predicted_cov"], buffers.covariance),
+        (seen["imu_delta"], fields["imu_delta"]),
+        (buffers.position_e, fields["position_e"]),
+        (buffers.velocity_e, fields["velocity_e"]),
+        (np.hstack([seen["pseudorange"], seen["range_rate"]]), before.measured),
+        (seen["satellite_position"], WORLD.satellites[epoch, :, :3]),
+        (seen["satellite_velocity"], WORLD.satellites[epoch, :, 3:6]),
+        (buffers.visible, WORLD.satellites[epoch, :, 6] > 0.0),
+    ):
+        np.testing.assert_array_equal(shown, used)
     for b in range(9):
-        visible, R = batch.buffers.visible[b], assumed["noise_variance"][b]
+        visible, R = buffers.visible[b], assumed["noise_variance"][b]
         H, P, S = seen["design"][b], seen["predicted_cov"][b], seen["innovation_cov"][b]
         np.testing.assert_array_equal(H, design(fields["line_of_sight"][b], visible))
         want = H @ P @ H.T + np.diag(np.where(np.tile(visible, 2), R, 1.0))
@@ -287,10 +247,8 @@ def test_what_is_shown_of_an_epoch_is_what_the_update_uses():
         Phi = seen["transition"][b]
         Q = np.diag(assumed["noise_psd"][b] * tau[b])
         want = Phi @ (before.buffers.covariance[b] + Q / 2) @ Phi.T + Q / 2
-        sd = np.sqrt(np.diag(want))
-        np.testing.assert_allclose(
-            P / np.outer(sd, sd), want / np.outer(sd, sd), rtol=0, atol=1e-12
-        )
+        scale = np.sqrt(np.outer(np.diag(want), np.diag(want)))
+        np.testing.assert_allclose(P / scale, want / scale, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("wanted", [(), ("design", "imu_delta")])
@@ -306,24 +264,23 @@ def test_what_nobody_looks_at_changes_nothing(wanted):
         check_same(mine, {name: theirs[name] for name in mine})
 
 
-@pytest.mark.parametrize("receivers", [1, 9])
-@pytest.mark.parametrize("covariance_update", ["unweighted", "general"])
-def test_an_invisible_slot_tells_nothing_whatever_it_holds(receivers, covariance_update):
+@pytest.mark.parametrize(("receivers", "update"), [(1, "general"), (9, "unweighted")])
+def test_an_invisible_slot_tells_nothing_whatever_it_holds(receivers, update):
     satellites = WORLD.satellites.copy()
     hidden = satellites[:, :, 6] == 0.0
     satellites[hidden, :6] = np.nan
-    strange = HandMade(WORLD.run, WORLD.epoch_time, WORLD.epoch_end, satellites)
     wanted = ("innovation_cov", "design")
-    clean, odd = Batch(range(receivers), wanted), Batch(range(receivers), wanted, strange)
-    unseen = hidden[clean.sensors.epoch + 1]
+    clean = Batch(range(receivers), wanted)
+    odd = Batch(range(receivers), wanted, replace(WORLD, satellites=satellites))
+    unseen = np.tile(hidden[clean.sensors.epoch + 1], 2)
     assert unseen.any()
     R = odd.buffers.assumed.get("noise_variance")
-    R[np.tile(unseen, 2)] = odd.measured[np.tile(unseen, 2)] = np.nan
+    R[unseen] = odd.measured[unseen] = np.nan
     odd.buffers.assumed["noise_variance"] = R
     for batch in (clean, odd):
         batch.predict()
-        batch.update(batch.weights, update=covariance_update)
+        batch.update(batch.weights, update=update)
     for row in range(receivers):
         mine, theirs = odd.everything(row), clean.everything(row)
-        del mine["noise_variance"], theirs["noise_variance"]
+        del mine["assumed noise_variance"], theirs["assumed noise_variance"]
         check_same(mine, theirs)

@@ -1,4 +1,6 @@
-"""The loosely coupled receiver: its error model, its update, its covariance."""
+"""The loosely coupled receiver: its error model, its update, and noise that tunes itself."""
+
+from functools import cache
 
 import numpy as np
 import pytest
@@ -7,44 +9,44 @@ from spoofgym.core.memory import Memory
 from spoofgym.earth.wgs84 import ecef_to_geodetic, radii_of_curvature
 from spoofgym.receiver import SelfTuning
 from spoofgym.receiver._loose_kernels import invert, joseph, propagate_loose
+from spoofgym.receiver.adaptive import CLAMPED, RAW, SKIP, process_factor, windowed_covariance
 from spoofgym.receiver.loose import LooselyCoupled, LooseReceivers
 from spoofgym.receiver.loose_states import STATES, fill_local_axes, geodetic_point
-from spoofgym.truth.flight import flight_from_velocity, inverse_kinematics
-from spoofgym.truth.run import flown_world, loose_world
+from spoofgym.truth.run import flown_world
 
 WORLD = flown_world("shadmehri2025", 0.1)
 ARCSEC = np.pi / 180.0 / 3600.0
-BIASES = np.concatenate([np.full(3, 0.01 * ARCSEC), np.full(3, 100e-6 * 9.80665)])
+BIASES = np.repeat([0.01 * ARCSEC, 100e-6 * 9.80665], 3)
+SD = np.array([2.0, 1.0, 3.0])
 
 
-def receivers(count, settings=None, world=WORLD):
-    return LooseReceivers(
-        LooselyCoupled() if settings is None else settings,
-        Memory(count),
-        world.samples,
-        world.imu_interval_s,
-    )
+def begun(error, **tuning):
+    settings = LooselyCoupled(self_tuning=tuning or None)
+    batch = LooseReceivers(settings, Memory(len(error)), WORLD.samples, WORLD.imu_interval_s)
+    first = np.zeros(len(error), dtype=np.int64)
+    truth = WORLD.position_e[first], WORLD.velocity_e[first], WORLD.C_eb[first]
+    batch.start_episodes(*truth, np.asarray(error, dtype=float))
+    return batch
 
 
-def feed(batch, world, epoch, bias=0.0):
-    """Perfect samples, but for constant biases, and the true position."""
-    n = world.samples
-    batch.samples[:] = world.run[(epoch - 1) * n : epoch * n]
-    batch.samples[:, :, :3] += bias if np.ndim(bias) == 0 else bias[None, None, 3:]
-    batch.samples[:, :, 3:] += bias if np.ndim(bias) == 0 else bias[None, None, :3]
-    batch.fix_e[:] = world.position_e[epoch]
+def predict(batch, epoch, bias=0.0, error=0.0):
+    """Up to an epoch by perfect samples, but for constant biases, and a position that is off."""
+    n = WORLD.samples
+    batch.samples[:] = WORLD.run[(epoch - 1) * n : epoch * n] + bias
+    batch.fix_e[:] = WORLD.position_e[epoch] + error
+    batch.predict()
 
 
 def local(position_e):
-    latitude, longitude, height = ecef_to_geodetic(position_e)
+    latitude, longitude, height = map(float, ecef_to_geodetic(position_e))
     C_el = np.empty((3, 3))
-    fill_local_axes(float(latitude), float(longitude), C_el)
-    return C_el, float(latitude), float(longitude), float(height)
+    fill_local_axes(latitude, longitude, C_el)
+    return C_el, latitude, longitude, height
 
 
-def error_states(state, world, epoch):
+def error_states(state, epoch):
     """Errors of one receiver by their definitions, not by the filter's formulas."""
-    true_e = world.position_e[epoch]
+    true_e = WORLD.position_e[epoch]
     C_el, latitude, longitude, height = local(true_e)
     D_el, latitude_hat, longitude_hat, height_hat = local(state.position_e[0])
     meridian, transverse = radii_of_curvature(latitude)
@@ -53,93 +55,50 @@ def error_states(state, world, epoch):
         (meridian + height) * (latitude_hat - latitude),
         height_hat - height,
     ]
-    velocity = D_el.T @ state.velocity_e[0] - C_el.T @ world.velocity_e[epoch]
-    turned = (D_el.T @ state.C_eb[0]) @ (C_el.T @ world.C_eb[epoch]).T  # I - [phi x]
+    velocity = D_el.T @ state.velocity_e[0] - C_el.T @ WORLD.velocity_e[epoch]
+    turned = (D_el.T @ state.C_eb[0]) @ (C_el.T @ WORLD.C_eb[epoch]).T  # I - [phi x]
     skew = 0.5 * (turned.T - turned)
     return np.concatenate([[skew[2, 1], skew[0, 2], skew[1, 0]], velocity, position])
 
 
-CASES = {
-    "attitude": (np.repeat([20 * ARCSEC, 180 * ARCSEC], [2, 1]), 0.0, 0.0, 0.0),
-    "velocity": (0.0, np.array([0.1, -0.1, 0.1]), 0.0, 0.0),
-    "position": (0.0, 0.0, np.array([4.0, -4.0, 6.0]), 0.0),
-    "biases": (0.0, 0.0, 0.0, 1.0),
-    "all": (
-        np.array([20.0, -20.0, 180.0]) * ARCSEC,
-        np.array([-0.1, 0.1, 0.1]),
-        np.array([-4.0, 4.0, 6.0]),
-        1.0,
-    ),
-}
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_errors_grow_as_the_transition_says(case):
+@pytest.mark.parametrize(
+    ("arcsec", "velocity", "position", "biased"),
+    [
+        ([20.0, 20.0, 180.0], 0.0, 0.0, 0.0),
+        (0.0, [0.1, -0.1, 0.1], 0.0, 0.0),
+        (0.0, 0.0, [4.0, -4.0, 6.0], 0.0),
+        (0.0, 0.0, 0.0, 1.0),
+        ([20.0, -20.0, 180.0], [-0.1, 0.1, 0.1], [-4.0, 4.0, 6.0], 1.0),
+    ],
+)
+def test_errors_grow_as_the_transition_says(arcsec, velocity, position, biased):
     """Linear propagation explains the drift of a noise-free INS over 30 s."""
-    first = np.zeros(STATES)
-    for i, part in enumerate(CASES[case][:3]):
-        first[3 * i : 3 * i + 3] = part
-    bias = CASES[case][3] * BIASES
-    first[9:] = bias
-    batch = receivers(1)
-    batch.start_episodes(WORLD.position_e[:1], WORLD.velocity_e[:1], WORLD.C_eb[:1], first[None])
-    x, apart, size = first.copy(), [], []
+    parts = [np.multiply(arcsec, ARCSEC), velocity, position, biased * BIASES[:3]]
+    x = np.concatenate([np.broadcast_to(part, 3) for part in [*parts, biased * BIASES[3:]]])
+    bias, batch = np.concatenate([x[12:], x[9:12]]), begun(x[None])
+    apart, size = [], []
     for k in range(1, 301):
-        feed(batch, WORLD, k, bias)
-        batch.predict()
+        predict(batch, k, bias)
         x = batch._transition[0] @ x
-        apart.append(error_states(batch.state, WORLD, k) - x[:9])
+        apart.append(error_states(batch.state, k) - x[:9])
         size.append(x[:9])
-    apart, size = np.array(apart), np.abs(size).max(axis=0)
-    rms = np.sqrt((apart**2).mean(axis=0))
+    rms, size = np.sqrt(np.mean(np.square(apart), axis=0)), np.abs(size).max(axis=0)
     assert rms[6:].max() < 0.6e-3  # m
     assert (rms < 2e-3 * size.reshape(3, 3).max(axis=1).repeat(3) + 1e-10).all()
 
 
-def at_rest(seconds):
-    n = round(seconds * 160.0)
-    zero = np.zeros(n + 1)
-    flight = flight_from_velocity(
-        "rest", 0.6, 0.9, 1000.0, np.zeros((n + 1, 3)), zero, zero, zero, 1.0 / 160.0
-    )
-    return loose_world(inverse_kinematics(flight), 0.1)
-
-
-@pytest.mark.parametrize("corrected", [False, True])
-def test_what_stands_still_stays_still(corrected):
-    world = at_rest(60.0)
-    batch = receivers(1, world=world)
-    batch.start_episodes(
-        world.position_e[:1], world.velocity_e[:1], world.C_eb[:1], np.zeros((1, STATES))
-    )
-    for k in range(1, world.epochs):
-        feed(batch, world, k)
-        batch.predict()
-        if corrected:
-            batch.update(None)
-    assert np.linalg.norm(batch.state.position_e[0] - world.position_e[0]) < 1e-6
-    assert np.linalg.norm(batch.state.velocity_e[0]) < 1e-7
-
-
 def test_perfect_measurements_take_the_initial_errors_away():
-    batch = receivers(2)
-    sd = batch.settings.initial_sd() / 3.0
-    first = [0, 0]
-    batch.start_episodes(
-        WORLD.position_e[first], WORLD.velocity_e[first], WORLD.C_eb[first], np.array([sd, -sd])
-    )
+    sd = LooselyCoupled().initial_sd()
+    batch = begun([sd / 3.0, -sd / 3.0])
     for k in range(1, 301):
-        feed(batch, WORLD, k)
-        batch.predict()
+        predict(batch, k)
         batch.update(None)
-    for b in range(2):
-        apart = batch.state.position_e[b] - WORLD.position_e[300]
-        assert np.linalg.norm(apart) < 0.2 * np.linalg.norm(sd[6:9])
-        product = batch.state.C_eb[b] @ batch.state.C_eb[b].T
-        np.testing.assert_allclose(product, np.eye(3), atol=1e-8)
-    diagonal = np.diagonal(batch.state.covariance, axis1=1, axis2=2)
-    assert (diagonal[:, :9] < batch.settings.initial_sd()[:9] ** 2).all()
-    np.testing.assert_array_equal(batch.state.covariance, batch.state.covariance.transpose(0, 2, 1))
+    C, P = batch.state.C_eb, batch.state.covariance
+    apart = np.linalg.norm(batch.state.position_e - WORLD.position_e[300], axis=1)
+    assert (apart < 0.2 / 3.0 * np.linalg.norm(sd[6:9])).all()
+    np.testing.assert_allclose(C @ C.transpose(0, 2, 1), np.tile(np.eye(3), (2, 1, 1)), atol=1e-8)
+    assert (np.diagonal(P, axis1=1, axis2=2)[:, :9] < sd[:9] ** 2).all()
+    np.testing.assert_array_equal(P, P.transpose(0, 2, 1))
 
 
 def random_covariance(rng, size):
@@ -171,13 +130,8 @@ def test_covariance_kernels_are_their_matrix_equations():
 
 
 def test_a_rejected_fix_changes_nothing():
-    batch = receivers(1)
-    batch.start_episodes(
-        WORLD.position_e[:1], WORLD.velocity_e[:1], WORLD.C_eb[:1], np.zeros((1, STATES))
-    )
-    feed(batch, WORLD, 1)
-    batch.fix_e += 50.0
-    batch.predict()
+    batch = begun(np.zeros((1, STATES)))
+    predict(batch, 1, error=50.0)
     before = [np.array(a) for a in batch.state]
     batch.update(np.zeros((1, 3)))
     for name, mine, theirs in zip(batch.state._fields, batch.state, before, strict=True):
@@ -191,20 +145,89 @@ def test_a_position_s_latitude_longitude_and_height():
     for _ in range(20):
         position = rng.standard_normal(3)
         position *= (6.37e6 + rng.uniform(0.0, 2e4)) / np.linalg.norm(position)
-        want = [float(x) for x in ecef_to_geodetic(position)]
+        *angles, height = map(float, ecef_to_geodetic(position))
         got = geodetic_point(*position)
-        np.testing.assert_allclose(got[:2], want[:2], atol=1e-11)
-        assert got[2] == pytest.approx(want[2], abs=1e-4)
+        np.testing.assert_allclose(got[:2], angles, atol=1e-11)
+        assert got[2] == pytest.approx(height, abs=1e-4)
 
 
-def test_self_tuning_is_a_record_or_its_settings():
+def test_what_is_refused():
     assert LooselyCoupled(self_tuning={"window": 50}).tuning == SelfTuning(window=50)
     with pytest.raises(ValueError, match="`window` must be a whole number from 2 to 100000, got 1"):
         LooselyCoupled(self_tuning={"window": 1})
     with pytest.raises(TypeError, match=r"`self_tuning` must be a dict of settings .* got 'r'"):
         LooselyCoupled(self_tuning="r")
-
-
-def test_an_epoch_has_a_whole_number_of_samples():
     with pytest.raises(ValueError, match=r"must be a multiple of .* 0\.00625 s, got 0\.1001"):
         flown_world("shadmehri2025", 0.1001)
+
+
+# --- noise that tunes itself ---------------------------------------------------------------------
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize(
+    ("rule", "ratio", "factor"),
+    [
+        (RAW, 4.0, 2.0),
+        (RAW, -1.0, 0.0),
+        (SKIP, -1.0, 1.0),
+        (SKIP, 0.25, 0.5),
+        (CLAMPED, 100.0, 2.0),
+        (CLAMPED, -1.0, 0.5),
+    ],
+)
+def test_what_the_rules_make_of_a_ratio_and_a_window_of_residuals(rule, ratio, factor):
+    assert process_factor(rule, ratio) == factor
+    window, out = np.random.default_rng(0).standard_normal((20, 3)), np.empty((3, 3))
+    windowed_covariance(window, out)
+    np.testing.assert_allclose(out, window.T @ window / 20, rtol=1e-12)
+
+
+@cache
+def flown(receivers, epochs, weight=1.0, **tuning):
+    """White errors of SD on every fix, and perfect inertial samples; what every epoch had of S and
+    P, and after it of R and P."""
+    rng, log = np.random.default_rng(0), []
+    batch = begun(np.zeros((receivers, STATES)), **tuning)
+    for k in range(1, epochs + 1):
+        error = SD * rng.standard_normal((receivers, 3))
+        predict(batch, k, error=error @ WORLD.C_el[k].T)
+        state = batch.state
+        row = [np.array(state.innovation_cov), np.array(state.covariance[:, 6:9, 6:9])]
+        batch.update(np.full((receivers, 3), weight))
+        log.append([*row, np.array(state.measurement_cov), np.array(state.covariance[:, 6:9, 6:9])])
+    return batch, log
+
+
+@pytest.mark.parametrize("weight", [1.0, 0.0])
+def test_the_noise_is_residuals_and_what_the_estimate_adds(weight):
+    batch, log = flown(3, 60, weight, window=20)
+    residuals = batch.state.residuals
+    want = np.einsum("bwi,bwj->bij", residuals, residuals) / 20 + log[-1][3]
+    np.testing.assert_allclose(batch.state.measurement_cov, want, rtol=1e-12)
+    # it stays until the window is full and holds from the next epoch on
+    stated = np.diag(batch.settings.noise_variance())
+    for k, (S, P, R, _) in enumerate(log, start=1):
+        before = stated if k <= 20 else log[k - 2][2]
+        np.testing.assert_allclose(S, P + before, rtol=1e-12)
+        assert np.allclose(R, stated) == (k < 20)
+    if weight == 0.0:  # rejected fixes raise the noise so that they are believed again
+        S, _, _, P = (np.trace(each, axis1=1, axis2=2) for each in log[-1])
+        assert (S > P).all()
+
+
+def test_white_noise_is_found_and_a_floor_holds():
+    R = flown(40, 200, window=100)[0].state.measurement_cov
+    variance = np.diagonal(R, axis1=1, axis2=2)
+    np.testing.assert_allclose(variance.mean(axis=0), SD**2, rtol=0.1)
+    assert np.linalg.eigvalsh(R).min() > 0.0
+    R = flown(4, 60, window=20, floor_m=5.0)[0].state.measurement_cov
+    np.testing.assert_allclose(np.diagonal(R, axis1=1, axis2=2), 25.0)
+
+
+def test_the_paper_s_process_noise_has_no_rest_under_white_noise():
+    assert (flown(10, 300, window=30)[0].state.process_scale == 1.0).all()
+    for process in ("raw", "clamped"):
+        state = flown(10, 300, window=30, process=process)[0].state
+        assert np.median(state.process_scale) > 100.0
+        assert np.isfinite(state.covariance).all()

@@ -13,7 +13,6 @@ from onnx import TensorProto, helper, numpy_helper
 
 from spoofgym.detectors.learned import DetectorAgent, action_names, detector_card
 from spoofgym.detectors.observation import DetectorObserver
-from spoofgym.policies.card import DetectorCard
 from spoofgym.policies.load import card_path
 
 CHANNELS = 12
@@ -98,7 +97,3 @@ def edit_card(path: Path, **fields: Any) -> None:
     card.update(fields)
     kept = {name: value for name, value in card.items() if value is not ...}
     path.with_suffix(".json").write_text(json.dumps(kept))
-
-
-def card(path: Path) -> DetectorCard:
-    return DetectorCard.load(card_path(path))
