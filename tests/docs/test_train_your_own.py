@@ -3,7 +3,6 @@
 import re
 import shlex
 import sys
-import types
 from dataclasses import fields
 
 import pytest
@@ -18,12 +17,11 @@ from spoofgym import cli
 from spoofgym.calibration import thresholds
 from train import ppo_spoofer
 
-from .pages import blocks_of, run, text_of
+from .pages import text_of
 
 # as users have it
 pytestmark = pytest.mark.usefixtures("default_rate")
-NAME = "train_your_own.md"
-PAGE = text_of(NAME)
+PAGE = text_of("train_your_own.md")
 COMMANDS = "\n".join(re.findall(r"```console\n(.*?)```", PAGE, flags=re.DOTALL)).split("\n")
 PROGRAMS = {
     "make": ppo_spoofer.main,  # train
@@ -72,13 +70,6 @@ def test_the_commands_run_in_their_order(tmp_path, monkeypatch, capsys):
     assert {"my-first.onnx", "my-first.json", "results.json"} <= written
     assert {"curve.png", "seed.png", "attack.png"} <= written
     assert "my-first" in (folder / "bench" / "results.md").read_text()
-
-
-@pytest.mark.parametrize("number", range(len(blocks_of(NAME))))
-def test_every_block_of_code_runs(number, monkeypatch):
-    module = types.ModuleType("page")
-    monkeypatch.setitem(sys.modules, "page", module)  # pickle looks classes up
-    run(blocks_of(NAME)[number][1], f"{NAME} block {number}", module.__dict__)
 
 
 def test_every_setting_of_the_table_exists():

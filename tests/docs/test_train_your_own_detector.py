@@ -21,7 +21,7 @@ from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from spoofgym.tasks import TASKS
 from train.detector import Arguments, train
 
-from .pages import blocks_of, run, text_of
+from .pages import blocks_of, text_of
 
 PAGE = "train_your_own_detector.md"
 COMMANDS = [
@@ -44,14 +44,6 @@ LEARNED = {"solution-separation-ppo": "step:size_m=3", "hidden-pool-ppo": "inter
 """Spoofers that fit no shorter attack, and who stands in for them."""
 
 
-def test_the_page_is_tidy() -> None:
-    assert [line.split()[1] for line in COMMANDS if line.startswith("spoofgym")] == [
-        "dataset",
-        "calibrate",
-        "run",
-    ]
-
-
 def test_its_commands_and_its_code_run(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "calibrations"))
@@ -71,4 +63,4 @@ def test_its_commands_and_its_code_run(tmp_path: Any, monkeypatch: pytest.Monkey
     torch.set_num_threads(before)
     monkeypatch.setattr(sys, "argv", [""])
     for _, code in blocks_of(PAGE):
-        run(code, PAGE, {})
+        exec(compile(code, PAGE, "exec"), {})

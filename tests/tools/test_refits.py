@@ -52,12 +52,16 @@ def test_the_table_has_median_range_and_who_is_over_the_budget():
         assert f"| T3 | 256 {shown}" in table({"a": case})
 
 
-def test_bad_options_are_refused():
-    with pytest.raises(ValueError, match="`entropies` must be different"):
-        options(["--entropies", "1", "1"])
-    with pytest.raises(ValueError, match="no learned spoofer is shipped for T4: give `spoofer`"):
-        options(["--task", "T4"])
-    with pytest.raises(ValueError, match="unknown task 'T9'"):
-        options(["--task", "T9"])
-    with pytest.raises(ValueError, match="listed twice: dash"):
-        list_specs("T1", ["dash", "dash"])
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--entropies 1 1", "`entropies` must be different"),
+        ("--task T4", "no learned spoofer is shipped for T4: give `spoofer`"),
+        ("--task T9", "unknown task 'T9'"),
+        ("--spoofer dash dash", "listed twice: dash"),
+    ],
+)
+def test_bad_options_are_refused(words, message):
+    with pytest.raises(ValueError, match=message):
+        settings = options(words.split())
+        list_specs(settings.task, settings.spoofer)

@@ -59,8 +59,7 @@ def test_what_is_kept_is_not_played_again(folder, rows, monkeypatch):
     monkeypatch.setattr(Evaluator, "score", None)
     monkeypatch.setattr(Evaluator, "fit", None)
     worlds = evaluators("T1", CHANGES, **SIZES, threads=1)
-    again = table(worlds, [({"name": "ramp"}, None)], folder)
-    assert again == list(rows.values())
+    assert table(worlds, [({"name": "ramp"}, None)], folder) == list(rows.values())
 
 
 def test_one_that_was_trained_in_a_world_has_that_home_alone(folder, rows, monkeypatch, capsys):
@@ -77,13 +76,14 @@ def test_one_that_was_trained_in_a_world_has_that_home_alone(folder, rows, monke
     assert found[1]["refitted"] == rows["home", "blunt"]["refitted"]
 
 
-def test_a_mistake_says_what_is_wanted():
-    for text, message in (
-        ("blunt", "must be NAME=JSON"),
-        ("blunt={", "must be NAME=JSON"),
-        ("blunt=[1]", "with an object of settings"),
-    ):
-        with pytest.raises(SystemExit, match=f"^error: .*{message}"):
-            transfer.main(["--spoofer", "ramp", "--world", text])
-    with pytest.raises(SystemExit, match=r"^error: .*moon.*home"):
-        transfer.main(["--spoofer", "ramp@moon"])
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["ramp", "--world", "blunt={"], "must be NAME=JSON"),
+        (["ramp", "--world", "blunt=[1]"], "with an object of settings"),
+        (["ramp@moon"], "moon.*home"),
+    ],
+)
+def test_a_mistake_says_what_is_wanted(words, message):
+    with pytest.raises(SystemExit, match=f"^error: .*{message}"):
+        transfer.main(["--spoofer", *words])
