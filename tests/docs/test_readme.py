@@ -77,8 +77,7 @@ def test_what_it_says_of_times_holds():
     """Of the table's attacks, and of those that the shipped learned detector was trained on."""
     assert load_card("trolley-guard").training["task"] == "T3"
     settings = get_task("T3").world_kwargs
-    assert settings["scenario"] == WORLD
-    assert settings["receiver"] == "matched"
+    assert (settings["scenario"], settings["receiver"]) == (WORLD, "matched")
     line = Timeline(**settings.get("timeline", {}))
     assert f"attacks last {line.attack_s:.0f} s" in README
     assert 300.0 < line.warmup_s + line.attack_s <= 360.0
@@ -111,18 +110,17 @@ def test_the_first_output_is_typical_of_its_push():
         ended = over & np.isnan(reached)
         reached[ended] = info["undetected_displacement_m"][ended]
         alarmed[ended] = info["detected"][ended]
-    low, middle, high = np.percentile(reached, [10, 50, 90])
+    lowest, low, middle, high, highest = np.percentile(reached, [10, 40, 50, 60, 90])
     said = (
         f"over the seeds 0 to 99 the median is {middle:.0f} m, the 10th and the 90th percentile "
-        f"are {low:.1f} and {high:.0f} m, and {alarmed.sum()} of them end with an alarm"
+        f"are {lowest:.1f} and {highest:.0f} m, and {alarmed.sum()} of them end with an alarm"
     )
     assert said in " ".join(README.split())
     (seed,) = re.findall(r"seed=(\d+)", BLOCKS[0])
     printed, alarm = re.findall(r"`undetected: (\S+) m, alarm: (True|False)`", README)[0]
     assert alarm == str(alarmed[int(seed)]) == str(alarmed.sum() > 50)
-    assert float(printed) == pytest.approx(reached[int(seed)], abs=0.051)
-    low, high = np.percentile(reached, [40, 60])
-    assert low - 0.05 < float(printed) < high + 0.05  # as it is rounded
+    assert float(printed) == pytest.approx(reached[int(seed)], abs=0.051)  # as it is rounded
+    assert low - 0.05 < float(printed) < high + 0.05
 
 
 @pytest.fixture(scope="module")

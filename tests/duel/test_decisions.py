@@ -23,33 +23,23 @@ EPOCHS, HOLD = 30, 4
 DECISIONS = np.random.default_rng(7).uniform(-1.0, 1.0, ((EPOCHS + HOLD) // EVERY + 1, 2))
 
 
-def trusting(k):
+def trusting(k, _=None):
     """Weights of epoch k, so that it matters which epoch a decision is applied to."""
     return np.r_[-1.0, np.random.default_rng(k).uniform(0.0, 1.0, 12)]
 
 
-def commands(decisions, between):
-    """Command of every epoch, by hand."""
-    before, found = np.zeros(2), []
-    for decision in decisions:
-        for part in (1 / 3, 2 / 3, 1.0):
-            on_the_way = before + part * (decision - before)
-            found.append(decision if between == "hold" else on_the_way)
-        before = decision
-    return np.array(found)
-
-
-def by_epoch(k, observation):
-    return trusting(k)
-
-
 @pytest.mark.parametrize("between", ["hold", "linear"])
 def test_in_the_aec_form_the_detector_has_the_turns_between(between):
-    given = commands(DECISIONS, between)
+    before, given = np.zeros(2), []  # the command of every epoch
+    for decision in DECISIONS:
+        for part in (1 / 3, 2 / 3, 1.0):
+            on_the_way = before + part * (decision - before)
+            given.append(decision if between == "hold" else on_the_way)
+        before = decision
     turns, own, paid, last = aec_epochs(
-        aec(**SLOW, between=between), 4, lambda epoch: DECISIONS[epoch // EVERY], by_epoch
+        aec(**SLOW, between=between), 4, lambda epoch: DECISIONS[epoch // EVERY], trusting
     )
-    _, expected, each, same = aec_epochs(aec(**QUICK), 4, lambda epoch: given[epoch], by_epoch)
+    _, expected, each, same = aec_epochs(aec(**QUICK), 4, lambda epoch: given[epoch], trusting)
     cycle = ["spoofer_0", *["detector_0"] * EVERY]
     assert turns == (cycle * (len(DECISIONS)))[: len(turns)]
     assert turns.count("detector_0") == EPOCHS + HOLD
@@ -83,9 +73,9 @@ def test_in_the_parallel_form_actions_between_are_not_looked_at():
     def push(epoch):
         return noise.uniform(-1.0, 1.0, 2) if epoch % EVERY else DECISIONS[epoch // EVERY]
 
-    due, own, *_ = parallel_epochs(parallel(**SLOW), 4, push, by_epoch)
+    due, own, *_ = parallel_epochs(parallel(**SLOW), 4, push, trusting)
     never, expected, *_ = parallel_epochs(
-        parallel(**QUICK), 4, lambda k: DECISIONS[k // EVERY], by_epoch
+        parallel(**QUICK), 4, lambda k: DECISIONS[k // EVERY], trusting
     )
     np.testing.assert_array_equal(own, expected)
     assert due == [k % EVERY == 0 for k in range(EPOCHS + HOLD)]
@@ -141,10 +131,9 @@ def test_after_the_last_command_the_rate_is_held():
     env.reset(seed=2)
     memory, rates = env.duel.core.engine.simulator.commands, []
     while env.agents:
-        push = np.array([0.3, 0.5]) if len(rates) < EPOCHS else np.zeros(2)
+        push = np.array([0.3, 0.5]) * (len(rates) < EPOCHS)
         env.step({"spoofer_0": push, "detector_0": QUIET})
         rates.append(memory["rate"][0].copy())
-    assert len(rates) == EPOCHS + HOLD
     assert rates[-1].all()
     np.testing.assert_array_equal(rates, np.tile(rates[0], (EPOCHS + HOLD, 1)))
 
@@ -168,15 +157,14 @@ def test_a_duel_that_is_pickled_between_two_decisions_goes_on_identically():
     for each in (duel, copy):
         for action in (QUIET, QUIET, np.zeros(2), QUIET):
             each.step(action)
-    for name in ("spoofer_0", "detector_0"):
+    for name in duel.possible_agents:
         np.testing.assert_array_equal(duel.observe(name), copy.observe(name))
     assert duel.infos == copy.infos
 
 
 def test_a_calibration_holds_however_often_a_spoofer_decides():
+    """A clean episode has no attack, however seldom it is commanded."""
     settings = {**PAPERS, "false_alarm": 0.5, "runs": 2, "timeline": SHORT}
     policy = duel_v0.FunctionPolicy(wary, "wary")
     quick = duel_v0.calibrate_policy(policy, **settings)
-    slow = duel_v0.calibrate_policy(policy, **settings, decision_interval_s=1.5)
-    # a clean episode has no attack, however seldom it is commanded
-    assert slow == quick
+    assert duel_v0.calibrate_policy(policy, **settings, decision_interval_s=1.5) == quick

@@ -23,10 +23,6 @@ def run(env, seed, push=PUSH, decision=QUIET):
     return trace
 
 
-def attacked(trace):
-    return trace[0][2]["spoofer_0"]["attacked"]
-
-
 def test_half_of_the_episodes_are_attacked():
     keys = np.random.default_rng(0).integers(0, 2**64, size=(4000, 2), dtype=np.uint64)
     nature = uniforms(keys, NATURE)
@@ -41,7 +37,7 @@ def test_half_of_the_episodes_are_attacked():
 
 def test_a_clean_episode_is_the_clean_run_whatever_is_commanded_and_pays_nothing():
     env = parallel(threshold=1.0)
-    found = {seed: attacked(run(env, seed)) for seed in range(8)}
+    found = {seed: run(env, seed)[0][2]["spoofer_0"]["attacked"] for seed in range(8)}
     assert {True, False} == set(found.values())
     seed = next(seed for seed, hit in found.items() if not hit)
     reference = SpoofEnv(detector="never", action="full-command", **with_world(BRIEF))
@@ -80,41 +76,33 @@ def test_the_detector_observes_no_truth():
     env.reset(seed=3)
     env.step(PUSH)
     duel = env.unwrapped.duel
-    seen = duel.observe_detector()
-    agent, batch = duel.agent, duel.core.engine.simulator
-    remembered = {name: np.array(array) for name, array in agent.memory.items()}
-    agent.reset()
-    agent.look(batch.epoch)
-    first = agent.memory["observation"].copy()
-    agent.reset()
-    batch.sensors.fields.data[:] = np.nan
-    agent.look(batch.epoch)
-    np.testing.assert_array_equal(agent.memory["observation"], first)
-    assert np.isfinite(seen).all()
-    assert set(remembered) == {"observation", "average", "elapsed", "excluded_s"}
+    assert np.isfinite(duel.observe_detector()).all()
+    agent, batch, seen = duel.agent, duel.core.engine.simulator, []
+    assert {*agent.memory} == {"observation", "average", "elapsed", "excluded_s"}
+    for _ in range(2):
+        agent.reset()
+        agent.look(batch.epoch)
+        seen.append(agent.memory["observation"].copy())
+        batch.sensors.fields.data[:] = np.nan
+    np.testing.assert_array_equal(*seen)
 
 
-@pytest.mark.parametrize("payoff", ["neyman-pearson", "weighted"])
-def test_the_return_is_the_undetected_displacement(payoff):
+@pytest.mark.parametrize(("payoff", "late"), [("neyman-pearson", 0.0), ("weighted", 0.05)])
+def test_the_return_is_the_undetected_displacement(payoff, late):
     env = parallel(attack_probability=1.0, payoff=payoff, threshold=1.0)
     trace = run(env, 2)
-    total = {name: sum(step[1][name] for step in trace) for name in ("spoofer_0", "detector_0")}
-    assert total["spoofer_0"] == -total["detector_0"]
+    paid = sum(rewards["spoofer_0"] for _, rewards, _ in trace)
+    assert paid == -sum(rewards["detector_0"] for _, rewards, _ in trace)
     induced = trace[-1][2]["spoofer_0"]["undetected_displacement_m"]
     assert induced > 1.0
-    late = 0.1 * 0.5 * (len(trace) - 1) if payoff == "weighted" else 0.0
-    assert total["spoofer_0"] == pytest.approx(induced + late, rel=1e-9)
+    assert paid == pytest.approx(induced + late * (len(trace) - 1), rel=1e-9)
 
 
 def test_the_weighted_payoff_charges_false_alarms_to_the_detector_alone():
-    env = parallel(
-        attack_probability=0.0,
-        payoff={"name": "weighted", "false_alarm": 7.0, "error_per_m": 0.0},
-        threshold=0.5,
-    )
-    trace = run(env, 2, decision=ALARM)
-    assert len(trace) == 2
-    assert trace[-1][1] == {"spoofer_0": 0.0, "detector_0": -7.0}
+    payoff = {"name": "weighted", "false_alarm": 7.0, "error_per_m": 0.0}
+    env = parallel(attack_probability=0.0, payoff=payoff, threshold=0.5)
+    _, (_, rewards, _) = run(env, 2, decision=ALARM)
+    assert rewards == {"spoofer_0": 0.0, "detector_0": -7.0}
 
 
 class Still:
@@ -123,10 +111,8 @@ class Still:
     def __init__(self, receivers):
         zeros = np.zeros(receivers, dtype=np.int64)
         nothing, to_east = np.zeros((receivers, 0)), np.tile([0.0, 1.0], (receivers, 1))
-        self._arrays = zeros, zeros > 0, nothing, nothing, to_east
-
-    def step_arrays(self):
-        return self._arrays
+        arrays = zeros, zeros > 0, nothing, nothing, to_east
+        self.step_arrays = lambda: arrays
 
 
 def test_the_time_to_alert_counts_the_same_at_once_as_epoch_by_epoch():

@@ -21,21 +21,17 @@ class Odd(Spoofer):
         return self.action
 
 
-def steps(envs, count=1):
+def steps(envs, count=1, seed=None):
+    if seed is not None:
+        envs.reset(seed=seed)
     for _ in range(count):
         envs.step(np.tile(QUIET, (envs.num_envs, 1)).astype(np.float32))
-
-
-def one_epoch(envs):
-    envs.reset(seed=1)
-    steps(envs)
 
 
 @pytest.mark.parametrize(
     ("action", "message"),
     [
         (np.zeros(2), r"must have shape \(3, 2\) \(north_.*, east_.*\), got \(2,\)"),
-        (np.zeros((3, 3)), r"must have shape \(3, 2\) .*, got \(3, 3\)"),
         (None, r"must have shape \(3, 2\) .*, got \(\)"),
         ("east", "could not convert"),
         (np.full((3, 2), np.nan), "'north_.*' of receiver 0 is nan"),
@@ -45,7 +41,7 @@ def test_a_spoofer_that_breaks_the_contract_is_named(action, message):
     for delay in (0, 1):
         envs = duel_v0.DetectorVectorView(3, Odd(action), **BRIEF, decision_delay=delay)
         with pytest.raises(ValueError, match=f"the spoofer 'Odd' of the pool: .*{message}"):
-            one_epoch(envs)
+            steps(envs, 1, seed=1)
 
 
 def test_a_spoofer_starts_again_only_where_an_episode_does():
