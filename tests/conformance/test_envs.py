@@ -21,10 +21,8 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode
 
-from spoofgym.tasks import TASKS
 from tests.nightly import heavy
 
 from ..duel.support import ONE_SKY
@@ -33,7 +31,6 @@ from ..envs.players import (
     DUELS,
     IDS,
     MODES,
-    SETTINGS,
     SHORT,
     SMALL_IDS,
     VICTIM_IDS,
@@ -137,40 +134,11 @@ def rewards(rows: list[list[dict[str, Any]]]) -> list[list[float]]:
     return [[each["reward"] for each in row if "reward" in each] for row in rows]
 
 
-def went_over_an_end(rows: list[list[dict[str, Any]]]) -> bool:
+def passed_an_end(rows: list[list[dict[str, Any]]]) -> bool:
     return all(any("reward" not in each for each in row[1:]) for row in rows)
 
 
-def test_the_tasks_are_among_the_ids() -> None:
-    assert {task.env_id for task in TASKS.values()} < set(IDS)
-    assert set(SETTINGS) < set(IDS)
-
-
 # --- checkers --------------------------------------------------------------------------------
-
-
-class Squeezed(gym.Env):
-    """A vector environment of one, seen as a single one."""
-
-    render_mode = None
-
-    def __init__(self, name: str, **kwargs: Any) -> None:
-        self.env = gym.make_vec(name, num_envs=1, autoreset_mode="next_step", **kwargs)
-        self.observation_space = self.env.single_observation_space
-        self.action_space = self.env.single_action_space
-
-    @staticmethod
-    def _plain(info: dict[str, Any]) -> dict[str, Any]:
-        return {name: info[name].item() for name in info if not name.startswith("_")}
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        observation, info = self.env.reset(seed=seed)
-        return observation[0], self._plain(info)
-
-    def step(self, action):
-        observation, *rest, info = self.env.step(np.asarray(action)[None])
-        return observation[0], *(part[0].item() for part in rest), self._plain(info)
 
 
 @every_id
@@ -191,12 +159,6 @@ def test_gymnasium_check_env_at(name: str, kwargs: dict[str, Any]) -> None:
 def test_stable_baselines3_check_env(name: str) -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     checker.check_env(gym.make(name, **short(name)).unwrapped, warn=True)
-
-
-@every_code
-def test_gymnasium_finds_the_vector_env_of_one_and_the_single_env_alike(name: str) -> None:
-    env = gym.make(name, **short(name)).unwrapped
-    check_environments_match(env, Squeezed(name, **short(name)), num_steps=30, seed=7)
 
 
 @every_code
@@ -246,7 +208,7 @@ def test_a_seed_tells_all_that_happens(name: str, form: str) -> None:
     player = Player(make(name, form, **early(name)), form)
     steps = enough(player.env)
     first = player.begin(5).go(steps)
-    assert went_over_an_end(first)
+    assert passed_an_end(first)
     assert_same(first, player.begin(5).go(steps), name)
     assert rewards(first) != rewards(player.begin(50).go(steps))
 
@@ -272,7 +234,7 @@ def pickled(name: str, form: str, **settings: Any) -> None:
     mine = player.go(steps)
     for each in copies:
         assert_same(mine, each.go(steps), name)
-    assert went_over_an_end(mine)
+    assert passed_an_end(mine)
 
 
 @every_duel
@@ -290,28 +252,21 @@ def test_a_duel_is_told_by_its_seed_and_survives_pickling(
 # --- receivers of a batch --------------------------------------------------------------------
 
 
-def singles(name: str, steps: int, **settings: Any) -> list[list[dict[str, Any]]]:
-    """What the single environments of the receivers go through."""
-    found = []
-    for i in range(COUNT):
-        player = Player(make(name, "single", **settings), "single", first=i)
-        found += player.begin(20 + i).go(steps)
-    return found
-
-
 def assert_receivers_are_single(name: str, form: str, **settings: Any) -> None:
     """Observations, rewards, ends and information over autoresets, to the last bit."""
     player = Player(make(name, form, **settings), form).begin(20)
     steps = 2 * enough(player.env)
-    many, alone = player.go(steps), singles(name, steps, **settings)
-    assert went_over_an_end(alone)
+    many, alone = player.go(steps), []
+    for i in range(COUNT):
+        single = Player(make(name, "single", **settings), "single", first=i)
+        alone += single.begin(20 + i).go(steps)
+    assert passed_an_end(alone)
     if form == "SB3":  # its rewards are single, its first observations without information
-        for row in alone:
-            for each in row:
-                if "reward" in each:
-                    each["reward"] = np.float32(each["reward"])
-                else:
-                    each["info"] = None
+        for each in (each for row in alone for each in row):
+            if "reward" in each:
+                each["reward"] = np.float32(each["reward"])
+            else:
+                each["info"] = None
     assert_same(many, alone, f"{name} {form}")
 
 
@@ -421,9 +376,8 @@ import sys
 from spoofgym.detectors import calibrated
 from tests.golden.trajectories import cases, digest
 calibrated.DEFAULT_RATE = None  # as here
-table = cases()
 for name in sys.argv[1:]:
-    print(digest(table[name]()))
+    print(digest(cases()[name]()))
 """
 
 

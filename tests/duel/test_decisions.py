@@ -20,6 +20,8 @@ SLOW = {
 }
 QUICK = {**SLOW, "decision_interval_s": None}
 EPOCHS, HOLD = 30, 4
+FORMS = (aec, aec_epochs), (parallel, parallel_epochs)
+"""Without and with a delay."""
 DECISIONS = np.random.default_rng(7).uniform(-1.0, 1.0, ((EPOCHS + HOLD) // EVERY + 1, 2))
 
 
@@ -82,31 +84,45 @@ def test_in_the_parallel_form_actions_between_are_not_looked_at():
     assert set(never) == {None}
 
 
-@pytest.mark.parametrize(("delay", "between"), [(0, "linear"), (1, "hold")])
-def test_the_spoofers_view_is_the_same_game_with_a_step_a_decision(delay, between):
+@pytest.mark.parametrize(
+    ("delay", "pace", "live_s"),
+    [
+        (0, {"decision_interval_s": 1.5, "between": "linear"}, 10.0),
+        (1, {"decision_interval_s": 1.5, "between": "hold"}, 10.0),
+        (0, {}, 10.0),
+        (1, {}, 10.0),
+        (1, {}, 0.0),
+    ],
+)
+def test_the_spoofers_view_of_a_policy_is_the_duel_with_a_step_a_decision(delay, pace, live_s):
+    every = EVERY if pace else 1
+    timeline = {**SHORT, "live_s": live_s}
+    world = {**PAPERS, "timeline": timeline, "action": "full-command", "attack": STRONG, **pace}
     policy = duel_v0.FunctionPolicy(wary)
     opponent = duel_v0.PolicyDetector(policy=policy, threshold=0.2, decision_delay=delay)
-    world = {**PAPERS, "attack": STRONG, "decision_interval_s": 1.5, "between": between}
-    view = duel_v0.SpooferView(opponent, timeline=SHORT, action="full-command", **world)
-    duel = (parallel if delay else aec)(**{**SLOW, **world, "threshold": 0.2})
-    run, detected = parallel_epochs if delay else aec_epochs, set()
+    view = duel_v0.SpooferView(opponent, **world)
+    make, run = FORMS[delay]
+    duel, detected = make(**world, threshold=0.2, attack_probability=1.0), set()
+    decisions = np.abs(np.tile(DECISIONS, (EVERY, 1)))
     for size in (0.002, 0.8):
-        decisions = size * np.abs(DECISIONS)
         view.reset(seed=3)
         over, expected, total = False, [], 0.0
         while not over:
-            _, reward, over, _, info = view.step(decisions[len(expected)])
+            _, reward, over, _, info = view.step(size * decisions[len(expected)])
             total += reward
             expected.append(info["displacement_m"])
         detected.add(info["detected"])
         _, own, _, last = run(
-            duel, 3, lambda k, d=decisions: d[k // EVERY], lambda k, seen: wary(seen[None])[0]
+            duel,
+            3,
+            lambda k, s=size: s * decisions[k // every],
+            lambda k, seen: wary(seen[None])[0],
         )
-        ends = own[EVERY - 1 :: EVERY][: len(expected)]
+        ends = own[every - 1 :: every][: len(expected)]
         np.testing.assert_array_equal(ends, expected[: len(ends)])
         assert last["undetected_displacement_m"] == info["undetected_displacement_m"]
         assert total == pytest.approx(last["undetected_displacement_m"])
-    assert detected == {False, True}
+    assert detected == {False, True} or not live_s
 
 
 @pytest.mark.parametrize("delay", [0, 1])

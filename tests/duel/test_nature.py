@@ -7,7 +7,6 @@ from spoofgym import duel_v0
 from spoofgym.detectors.pool import NATURE, OPPONENT, draw_members, normalize_weights, uniforms
 from spoofgym.duel.duel import with_world
 from spoofgym.envs import SpoofEnv
-from spoofgym.envs.scoring import DisplacementScore, FusedStep, StepResult
 
 from .support import ALARM, BRIEF, QUIET, aec, parallel
 
@@ -103,42 +102,3 @@ def test_the_weighted_payoff_charges_false_alarms_to_the_detector_alone():
     env = parallel(attack_probability=0.0, payoff=payoff, threshold=0.5)
     _, (_, rewards, _) = run(env, 2, decision=ALARM)
     assert rewards == {"spoofer_0": 0.0, "detector_0": -7.0}
-
-
-class Still:
-    """Receivers that stay at the first epoch."""
-
-    def __init__(self, receivers):
-        zeros = np.zeros(receivers, dtype=np.int64)
-        nothing, to_east = np.zeros((receivers, 0)), np.tile([0.0, 1.0], (receivers, 1))
-        arrays = zeros, zeros > 0, nothing, nothing, to_east
-        self.step_arrays = lambda: arrays
-
-
-def test_the_time_to_alert_counts_the_same_at_once_as_epoch_by_epoch():
-    steps, hold, runs = 12, 4, 200
-    rng = np.random.default_rng(3)
-    displacement = rng.normal(size=(steps + hold, runs)).cumsum(axis=0)
-    alarms = rng.random((steps + hold, runs)) < 0.06
-    scores = []
-    for window in (steps, steps + hold):
-        score = DisplacementScore(runs, steps, hold)
-        fused = FusedStep(score, np.zeros(1), at_alarm=True, window=window)
-        for k in range(window):
-            result = StepResult(fused.layout)
-            result.displacement[:] = displacement[k]
-            nobody, seen = score.no_rows, np.empty(0, dtype=np.float32)
-            fused(
-                Still(runs),
-                alarms[k][:, None],
-                nobody,
-                nobody,
-                result,
-                seen,
-                lambda rows: (alarms[steps:, rows], None),
-            )
-        scores.append(score)
-    at_once, by_epoch = scores
-    np.testing.assert_allclose(by_epoch.undetected, at_once.undetected, atol=1e-12)
-    np.testing.assert_array_equal(by_epoch.detected, at_once.detected)
-    assert 0.2 < by_epoch.detected.mean() < 0.9

@@ -1,8 +1,6 @@
 """Detector policies in ONNX files, with their cards."""
 
-import copy
 import json
-import pickle
 
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from spoofgym.calibration import calibrate_detectors, check
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, run_probability
 from spoofgym.duel.duel import with_world
 from spoofgym.duel.opponents import make_opponent
-from spoofgym.policies.contract import PolicyContext
 from spoofgym.simulation import TightlyCoupledSetup
 
 from ..spoofers.policies import network, write_policy, written
@@ -36,28 +33,8 @@ def file(tmp_path):
 
 
 def edit(path, **fields):
-    card = json.loads(path.with_suffix(".json").read_text())
-    card.update(fields)
-    path.with_suffix(".json").write_text(json.dumps(card))
-
-
-def test_the_policy_is_the_same_in_any_batch_and_in_copies(file):
-    policy = duel_v0.OnnxDetector(file)
-    view = duel_v0.DetectorView(**BRIEF)
-    low, high = view.observation_space.low, view.observation_space.high
-    observation = np.random.default_rng(0).uniform(low, high, (9, len(low))).astype(np.float32)
-    bounds = tuple(low.tolist()), tuple(high.tolist())
-
-    def decided(policy, observation):
-        names = view.observation_names, *bounds, view.action_names
-        policy.bind(PolicyContext(len(observation), 0.5, *names))
-        return policy.decide(observation)
-
-    together = decided(policy, observation)
-    again = pickle.loads(pickle.dumps(copy.deepcopy(policy)))
-    for i in range(9):
-        np.testing.assert_array_equal(decided(again, observation[i : i + 1])[0], together[i])
-    assert np.abs(together).max() <= 1.0
+    card = path.with_suffix(".json")
+    card.write_text(json.dumps(json.loads(card.read_text()) | fields))
 
 
 def test_a_file_stands_in_a_pool(file, tmp_path):

@@ -16,7 +16,6 @@ from .support import (
     BRIEF,
     PAPERS,
     QUIET,
-    SHORT,
     aec,
     aec_epochs,
     parallel,
@@ -101,28 +100,6 @@ def test_the_spoofers_view_of_one_detector_is_the_env_with_it():
 
 FORMS = (aec, aec_epochs), (parallel, parallel_epochs)
 """Without and with a delay."""
-
-
-@pytest.mark.parametrize(("delay", "live_s"), [(0, 10.0), (1, 10.0), (1, 0.0)])
-def test_a_policy_in_a_pool_plays_as_its_agent_does_in_the_duel(delay, live_s):
-    timeline = {**SHORT, "live_s": live_s}
-    policy = duel_v0.FunctionPolicy(wary)
-    opponent = duel_v0.PolicyDetector(policy=policy, threshold=0.1, decision_delay=delay)
-    view = duel_v0.SpooferView(opponent, **{**FULL, "timeline": timeline})
-    settings = {"timeline": timeline, "attack": STRONG, "threshold": 0.1, "attack_probability": 1.0}
-    duel, run = FORMS[delay][0](**settings), FORMS[delay][1]
-    detected = set()
-    for seed, push in ((3, np.array([0.0, 1.0])), (4, np.array([0.0, 0.01]))):
-        view.reset(seed=seed)
-        over, expected = False, []
-        while not over:
-            _, _, over, _, info = view.step(push)
-            expected.append(info["displacement_m"])
-        detected.add(info["detected"])
-        _, own, _, last = run(duel, seed, lambda k, p=push: p, lambda k, seen: wary(seen[None])[0])
-        np.testing.assert_array_equal(own[: len(expected)], expected)
-        assert last["undetected_displacement_m"] == info["undetected_displacement_m"]
-    assert detected == ({False, True} if live_s else {False})
 
 
 @pytest.mark.parametrize("delay", [0, 1])
