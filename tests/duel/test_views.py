@@ -11,17 +11,7 @@ from spoofgym.envs import SpoofEnv
 from spoofgym.spoofers import Ramp
 
 from ..envs.players import Player, assert_same
-from .support import (
-    ALARM,
-    BRIEF,
-    PAPERS,
-    QUIET,
-    aec,
-    aec_epochs,
-    parallel,
-    parallel_epochs,
-    wary,
-)
+from .support import ALARM, BRIEF, PAPERS, QUIET, aec, aec_epochs, parallel, parallel_epochs, wary
 
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 FULL = {**BRIEF, "attack": STRONG, "action": "full-command"}

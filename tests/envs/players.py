@@ -38,10 +38,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
         "timeline": {"warmup_s": 10.0, "live_s": 5.0, "attack_s": 60.0, "time_to_alert_s": 2.0},
         "scenario": "trolley-tactical",
     },
-    "spoofgym/BenchT5-v1": {
-        "timeline": SHORT,
-        "domain": FEW_WORLDS,
-    },
+    "spoofgym/BenchT5-v1": {"timeline": SHORT, "domain": FEW_WORLDS},
     "spoofgym/LooselyCoupled-v0": {
         "timeline": {"warmup_s": 1.0, "live_s": 1.0, "attack_s": 2.4, "time_to_alert_s": 0.5},
         "detector": {"name": "windowed-chi2", "window": 8},

@@ -103,22 +103,6 @@ def test_the_tolerance_is_relative_to_the_largest_value_and_takes_nan_for_no_num
     assert Tolerance(1e-12).unequal(old, three).all()
 
 
-def test_the_worst_deviation_of_every_column_is_reported(tmp_path):
-    tolerance = Tolerance(1e-9)
-    largest = max(np.abs(step["cost"]).max() for step in steps())
-    new = steps(cost=lambda x: x + 1e-10, final_info=lambda i: {"error": i["error"] * 2})
-    (found,) = differences(tmp_path, new, tolerance=tolerance)
-    assert found.key.startswith("info/final_info/error")
-    assert {*tolerance.worst} == {"info/cost", "info/final_info/error"}
-    cost = tolerance.worst["info/cost"]
-    assert (cost.within, cost.case) == (True, CASE.name)
-    assert cost.ratio == pytest.approx(1e-10 / largest, rel=1e-3)
-    assert cost.absolute == pytest.approx(1e-10, rel=1e-3)
-    assert not tolerance.worst["info/final_info/error"].within
-    differences(tmp_path, steps(cost=lambda x: x + 1e-12), tolerance=tolerance)
-    assert tolerance.worst["info/cost"] is cost
-
-
 def test_another_type_and_another_step_differ(tmp_path):
     new = steps()
     del new[2]["count"]
@@ -164,10 +148,9 @@ def test_added_and_dropped_keys_have_to_be_declared(tmp_path):
     for step in new:
         del step["count"]
     assert {each.key for each in differences(tmp_path, new)} == {"info/count", "info/more"}
-    scope = Scope(added={"more": "said why"}, dropped={"count": "said why"})
-    assert differences(tmp_path, new, scope) == []
-    # a declaration that is wrong is found; what is both has other values
     why = {"count": "said why"}
+    assert differences(tmp_path, new, Scope(added={"more": "said why"}, dropped=why)) == []
+    # a declaration that is wrong is found; what is both has other values
     for scope, said in ((Scope(added=why), "declared as added"), (Scope(dropped=why), "still")):
         (found,) = differences(tmp_path, steps(), scope)
         assert found.new.startswith(said)
@@ -264,8 +247,8 @@ def test_thresholds_are_as_published_or_those_that_users_have(tmp_path, monkeypa
         frozen_probe.set_thresholds(imports, usual=usual)
         assert getattr(owner, rate) == expected
         assert os.environ[variable] == str(tmp_path / "own")
+    gone = {**imports, "default_rate": "spoofgym.core:NO_RATE"}
     with pytest.raises(AttributeError):  # what is patched has to be there
-        gone = {**imports, "default_rate": "spoofgym.core:NO_RATE"}
         frozen_probe.set_thresholds(gone, usual=False)
 
 
