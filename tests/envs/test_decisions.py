@@ -99,18 +99,6 @@ def test_with_a_twin_displacement_is_what_the_attack_has_induced_and_nothing_els
     assert total > 1.0
 
 
-def test_a_twin_is_the_run_without_attack(kind):
-    env, clean = (victim(kind, twin=twin, end_at_alarm=False).unwrapped for twin in (True, False))
-    env.reset(seed=11)
-    clean.reset(seed=11)
-    for _ in range(STEPS - 1):
-        env.step(pushed(env, 1.0))
-        clean.step(pushed(clean, 0.0))
-        twin, alone = env.core.engine.twin, clean.core.engine.simulator
-        np.testing.assert_array_equal(twin.error_n(), alone.error_n())
-        np.testing.assert_array_equal(twin.ratio(), alone.ratio())
-
-
 COARSE = {
     "detector": "snapshot-chi2",
     "attack": {"name": "false-position", "acceleration_limit_mps2": 5.0, "rate_limit_mps": 50.0},

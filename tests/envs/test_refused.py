@@ -70,8 +70,6 @@ NO_FILTER = (
         (LOOSE, {"detector": "raim"}, f"Raim {SATELLITES}"),
         (SNAPSHOT, {"watch": ["never", "rio"]}, "Rio needs .*, which a snapshot receiver does"),
         (ROBOT, {"observation": "satellite-geometry"}, "a wheeled robot has no satellites"),
-        (ROBOT, {"domain": {"imu": ["tactical"]}}, "no 'imu' for a wheeled robot; valid: start_s"),
-        (SNAPSHOT, {"domain": {"start_s": [0.0, 5.0]}}, "no 'start_s' for a snapshot receiver; va"),
         (SNAPSHOT, {"end": {"name": "at-stealth-budget", "budget_nats": 2.0}}, NO_FILTER),
         (ROBOT, {"observation": ["time", "divergence-spent"]}, NO_FILTER),
     ],
