@@ -1,7 +1,5 @@
 """What is compiled stands where the cache is named by the sources that it comes from."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

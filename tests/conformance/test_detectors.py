@@ -1,7 +1,5 @@
 """Every detector keeps the contract, and `check_detector` catches whoever breaks it."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

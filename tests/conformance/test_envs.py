@@ -6,15 +6,12 @@ pickling within an episode, that receiver i is the single environment seeded ``s
 a spec goes through JSON and makes the same environment again.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import pickle
 import subprocess
 import sys
 from copy import deepcopy
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -46,7 +43,7 @@ from ..golden import trajectories
 MAIN = VICTIM_IDS[0]
 WORLDS = {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2}
 PUSHED = {"name": "at-displacement", "limit_m": 9.0}
-MAIN_VARIANTS: dict[str, dict[str, Any]] = {
+MAIN_VARIANTS = {
     "twin": {"twin": True},
     "watch": {"watch": ["snapshot-chi2", {"name": "cusum"}], "end_at_alarm": False},
     "domain": {"domain": WORLDS, "target_heading_deg": "random"},
@@ -76,7 +73,7 @@ SMALL_DOMAINS = {
 INTERVALS = {"spoofgym/LooselyCoupled-v0": 0.1, MAIN: 0.5}
 
 
-def small_variants(name: str) -> dict[str, dict[str, Any]]:
+def small_variants(name):
     """The like, of a small id."""
     domain, interval = SMALL_DOMAINS[name], INTERVALS.get(name, 1.0)
     return {
@@ -124,17 +121,17 @@ some_duels = pytest.mark.parametrize(
 )
 
 
-def enough(env: Any) -> int:
+def enough(env):
     """Steps that go over the end of the first episode of every receiver."""
-    steps: int = getattr(env, "unwrapped", env).core.episode_steps
+    steps = getattr(env, "unwrapped", env).core.episode_steps
     return steps + 4
 
 
-def rewards(rows: list[list[dict[str, Any]]]) -> list[list[float]]:
+def rewards(rows):
     return [[each["reward"] for each in row if "reward" in each] for row in rows]
 
 
-def passed_an_end(rows: list[list[dict[str, Any]]]) -> bool:
+def passed_an_end(rows):
     return all(any("reward" not in each for each in row[1:]) for row in rows)
 
 
@@ -142,7 +139,7 @@ def passed_an_end(rows: list[list[dict[str, Any]]]) -> bool:
 
 
 @every_id
-def test_gymnasium_check_env(name: str) -> None:
+def test_gymnasium_check_env(name):
     # a warning is an error here, so that the advice of the checker counts, too;
     # pictures are checked in `tests/envs/rendering`
     env = gym.make(name, **short(name)).unwrapped
@@ -151,19 +148,19 @@ def test_gymnasium_check_env(name: str) -> None:
 
 
 @every_variant
-def test_gymnasium_check_env_at(name: str, kwargs: dict[str, Any]) -> None:
+def test_gymnasium_check_env_at(name, kwargs):
     check_env(gym.make(name, **short(name, **kwargs)).unwrapped, skip_render_check=True)
 
 
 @every_code
-def test_stable_baselines3_check_env(name: str) -> None:
+def test_stable_baselines3_check_env(name):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     checker.check_env(gym.make(name, **short(name)).unwrapped, warn=True)
 
 
 @every_code
 @every_mode
-def test_spaces_types_and_masks_of_a_vector_env(name: str, mode: str) -> None:
+def test_spaces_types_and_masks_of_a_vector_env(name, mode):
     envs = make(name, mode, **early(name))
     assert envs.metadata["autoreset_mode"] == AutoresetMode[mode.upper()]
     observation, info = envs.reset(seed=4)
@@ -192,7 +189,7 @@ def test_spaces_types_and_masks_of_a_vector_env(name: str, mode: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in IDS if name not in CODE_IDS])
-def test_a_task_plays_in_every_form_alike(name: str) -> None:
+def test_a_task_plays_in_every_form_alike(name):
     first, *others = (
         Player(make(name, form, **early(name)), form).begin(5).go(2) for form in forms_of(name)
     )
@@ -204,7 +201,7 @@ def test_a_task_plays_in_every_form_alike(name: str) -> None:
 
 
 @every_form
-def test_a_seed_tells_all_that_happens(name: str, form: str) -> None:
+def test_a_seed_tells_all_that_happens(name, form):
     player = Player(make(name, form, **early(name)), form)
     steps = enough(player.env)
     first = player.begin(5).go(steps)
@@ -214,19 +211,17 @@ def test_a_seed_tells_all_that_happens(name: str, form: str) -> None:
 
 
 @every_form
-def test_an_unfinished_episode_survives_pickling(name: str, form: str) -> None:
+def test_an_unfinished_episode_survives_pickling(name, form):
     pickled(name, form, **early(name))
 
 
 @every_variant
 @pytest.mark.parametrize("form", ["single", "same_step"])
-def test_an_unfinished_episode_survives_pickling_at(
-    name: str, form: str, kwargs: dict[str, Any]
-) -> None:
+def test_an_unfinished_episode_survives_pickling_at(name, form, kwargs):
     pickled(name, form, **short(name, **kwargs))
 
 
-def pickled(name: str, form: str, **settings: Any) -> None:
+def pickled(name, form, **settings):
     player = Player(make(name, form, **settings), form)
     player.begin(5).go(3)
     copies = pickle.loads(pickle.dumps(player)), deepcopy(player)
@@ -239,9 +234,7 @@ def pickled(name: str, form: str, **settings: Any) -> None:
 
 @every_duel
 @some_duels
-def test_a_duel_is_told_by_its_seed_and_survives_pickling(
-    form: str, kwargs: dict[str, Any]
-) -> None:
+def test_a_duel_is_told_by_its_seed_and_survives_pickling(form, kwargs):
     player = Player(make("", form, **{"timeline": SHORT, "domain": ONE_SKY, **kwargs}), form)
     first = player.begin(6).go(5)
     assert_same(first, player.begin(6).go(5), form)
@@ -252,7 +245,7 @@ def test_a_duel_is_told_by_its_seed_and_survives_pickling(
 # --- receivers of a batch --------------------------------------------------------------------
 
 
-def assert_receivers_are_single(name: str, form: str, **settings: Any) -> None:
+def assert_receivers_are_single(name, form, **settings):
     """Observations, rewards, ends and information over autoresets, to the last bit."""
     player = Player(make(name, form, **settings), form).begin(20)
     steps = 2 * enough(player.env)
@@ -274,17 +267,17 @@ def assert_receivers_are_single(name: str, form: str, **settings: Any) -> None:
     ("name", "form"),
     [(name, form) for name in CODE_IDS for form in forms_of(name) if form != "single"],
 )
-def test_every_receiver_of_a_batch_is_the_single_env(name: str, form: str) -> None:
+def test_every_receiver_of_a_batch_is_the_single_env(name, form):
     assert_receivers_are_single(name, form, **early(name))
 
 
 @every_variant
-def test_every_receiver_of_a_batch_is_the_single_env_at(name: str, kwargs: dict[str, Any]) -> None:
+def test_every_receiver_of_a_batch_is_the_single_env_at(name, kwargs):
     assert_receivers_are_single(name, "same_step", **short(name, **kwargs))
 
 
 @pytest.mark.parametrize("kwargs", MAIN_VARIANTS.values(), ids=MAIN_VARIANTS)
-def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(kwargs: dict[str, Any]) -> None:
+def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(kwargs):
     kwargs = short(MAIN, autoreset_mode="same_step", **kwargs)
     few = gym.make_vec(MAIN, num_envs=3, threads=1, **kwargs)
     many = gym.make_vec(MAIN, num_envs=19, threads=2, **kwargs)
@@ -300,13 +293,13 @@ def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(kwargs: dict[s
 
 
 @every_id
-def test_the_spec_of_an_id_goes_through_json(name: str) -> None:
+def test_the_spec_of_an_id_goes_through_json(name):
     spec = gym.spec(name)
     assert spec.max_episode_steps is None
     assert EnvSpec.from_json(spec.to_json()) == spec
 
 
-def remade(env: Any) -> Any:
+def remade(env):
     """The environment that the spec of another makes, after it has been through JSON."""
     make_it = gym.make if isinstance(env, gym.Env) else gym.make_vec
     return make_it(EnvSpec.from_json(env.spec.to_json()))
@@ -314,7 +307,7 @@ def remade(env: Any) -> Any:
 
 @every_code
 @pytest.mark.parametrize("form", ["single", *MODES])
-def test_a_spec_makes_the_same_environment_again(name: str, form: str) -> None:
+def test_a_spec_makes_the_same_environment_again(name, form):
     """To the last step: with an episode's length as its limit a `TimeLimit` would truncate it."""
     # an alarm ends no episode, but where the detector learns
     detects = "DetectorView" in name or "BenchD" in name
@@ -341,14 +334,14 @@ def test_a_spec_makes_the_same_environment_again(name: str, form: str) -> None:
 
 
 @every_variant
-def test_a_spec_makes_the_same_environment_again_at(name: str, kwargs: dict[str, Any]) -> None:
+def test_a_spec_makes_the_same_environment_again_at(name, kwargs):
     env = make(name, "single", **json.loads(json.dumps(short(name, **kwargs))))
     mine, theirs = (Player(each, "single").begin(3).go(5) for each in (env, remade(env)))
     assert_same(mine, theirs, name)
 
 
 @every_code
-def test_a_limit_that_would_cut_an_episode_is_refused(name: str) -> None:
+def test_a_limit_that_would_cut_an_episode_is_refused(name):
     steps = gym.make(name, **short(name)).unwrapped.core.episode_steps
     for limit in (steps, 1.5):
         with pytest.raises(ValueError, match=rf"`max_episode_steps` must be .* got {limit}"):
@@ -356,7 +349,7 @@ def test_a_limit_that_would_cut_an_episode_is_refused(name: str) -> None:
 
 
 @every_code
-def test_a_seed_may_be_one_of_numpy(name: str) -> None:
+def test_a_seed_may_be_one_of_numpy(name):
     env, envs = gym.make(name, **short(name)), gym.make_vec(name, num_envs=2, **short(name))
     expected = env.reset(seed=3)[0]
     np.testing.assert_array_equal(env.reset(seed=np.int64(3))[0], expected)
@@ -381,7 +374,7 @@ for name in sys.argv[1:]:
 """
 
 
-def test_trajectories_are_the_same_in_another_process() -> None:
+def test_trajectories_are_the_same_in_another_process():
     """In another order, with other hashes of strings."""
     table = trajectories.cases()
     here = [trajectories.digest(table[name]()) for name in SOME]
@@ -392,7 +385,7 @@ def test_trajectories_are_the_same_in_another_process() -> None:
     assert done.stdout.split() == here[::-1]
 
 
-def test_processes_of_async_vector_env_after_threads_in_the_parent() -> None:
+def test_processes_of_async_vector_env_after_threads_in_the_parent():
     """A forked child can compute, though its parent has run kernels in threads."""
     kwargs = short(MAIN)
     threaded = gym.make_vec(MAIN, num_envs=33, threads=2, **kwargs)

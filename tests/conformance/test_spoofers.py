@@ -1,7 +1,5 @@
 """Every spoofer keeps the contract, and `check_spoofer` catches whoever breaks it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -30,29 +29,29 @@ QUIET = 6
 """Verdicts before the first wrong one, which comes at the second step."""
 
 
-def timeline(interval_s: float) -> dict[str, float]:
+def timeline(interval_s):
     return {name: count * interval_s for name, count in EPOCHS.items()}
 
 
-def part(name: str, change: Callable[[np.ndarray], Any]) -> Callable[[Verdict], Any]:
+def part(name, change):
     return lambda verdict: verdict._replace(**{name: change(getattr(verdict, name))})
 
 
-def last(value: float) -> Callable[[np.ndarray], np.ndarray]:
+def last(value):
     """The last receiver's last column is another value."""
 
-    def change(array: np.ndarray) -> np.ndarray:
+    def change(array):
         array[-1, -1] = value
         return array
 
     return change
 
 
-def more_rows(verdict: Verdict) -> Verdict:
+def more_rows(verdict):
     return Verdict(*(np.vstack([array, array]) for array in verdict))
 
 
-FAULTS: dict[str, tuple[Callable[[Verdict], Any], type[Exception], str]] = {
+FAULTS = {
     "narrow weights": (part("weights", lambda w: w[:, :1].copy()), ValueError, "`weights` must ha"),
     "flat weights": (part("weights", np.ravel), ValueError, "`weights` must have shape"),
     "weights above 1": (part("weights", last(2.0)), ValueError, "lie within 0 and 1, got 2.0 for"),
@@ -84,11 +83,11 @@ class Wrong(Detector):
     paper: ClassVar[str] = "barshalom2001"
     measures: ClassVar[str] = "any"
 
-    def bind(self, context: Any) -> None:
+    def bind(self, context):
         super().bind(context)
         self.memory.declare("judged", np.zeros(context.receivers))
 
-    def judge(self, epoch: Any) -> Any:
+    def judge(self, epoch):
         self.memory["judged"] = self.memory["judged"] + 1.0
         one = np.ones((len(epoch.time), 1))
         verdict = Verdict(0.0 * one, one, one < 0.0, np.ones_like(epoch.innovation))
@@ -96,33 +95,33 @@ class Wrong(Detector):
         return FAULTS[self.fault][0](verdict) if wrong else verdict
 
 
-def single(name: str = "spoofgym/TightlyCoupled-v0", **given: Any) -> Any:
+def single(name="spoofgym/TightlyCoupled-v0", **given):
     return gym.make(name, timeline=timeline(INTERVALS.get(name, 0.5)), **given)
 
 
-def several(name: str = "spoofgym/TightlyCoupled-v0", **given: Any) -> Any:
+def several(name="spoofgym/TightlyCoupled-v0", **given):
     mode = {"vectorization_mode": "vector_entry_point"}
     return gym.make_vec(name, B, timeline=timeline(INTERVALS.get(name, 0.5)), **mode, **given)
 
 
-def pool_of(detector: Detector) -> dict[str, Any]:
+def pool_of(detector):
     return {"name": "pool", "members": [detector, Wrong()], "weights": [1.0, 0.0]}
 
 
-def stepped(env: Any) -> Iterator[None]:
+def stepped(env):
     env.reset(seed=1)
     yield
     for _ in range(EPOCHS["attack_s"] - 1):
         env.step(np.zeros(env.action_space.shape))
 
 
-def small_suite(detector: Detector) -> Suite:
+def small_suite(detector):
     return Suite(
         timeline=Timeline(**timeline(0.5)), runs=B, detectors=(detector,), spoofers=("step",)
     )
 
 
-def bench(detector: Detector) -> Iterator[None]:
+def bench(detector):
     suite = small_suite(detector)
     setup = suite.setup(suite.detector_players[0])
     start = WarmStart(setup, suite.generators("evaluation", B), threads=1)
@@ -130,14 +129,14 @@ def bench(detector: Detector) -> Iterator[None]:
     play(start, "step")
 
 
-def episode(detector: Detector) -> Iterator[None]:
+def episode(detector):
     suite = small_suite(detector)
     yield
     play_episode(suite.world, suite.detector_players[0], suite.spoofer_players[0])
 
 
 ROBOT = "spoofgym/WheeledRobot-v0"
-SIMULATIONS: dict[str, tuple[int, Callable[[Detector], Iterator[None]]]] = {
+SIMULATIONS = {
     "single": (1, lambda judge: stepped(single(detector=judge))),
     "watching": (1, lambda judge: stepped(single(watch=[judge]))),
     "several": (B, lambda judge: stepped(several(detector=judge))),
@@ -167,7 +166,7 @@ SIMULATIONS: dict[str, tuple[int, Callable[[Detector], Iterator[None]]]] = {
         ),
     ],
 )
-def test_a_wrong_verdict_is_refused(name: str, fault: str) -> None:
+def test_a_wrong_verdict_is_refused(name, fault):
     receivers, simulate = SIMULATIONS[name]
     _, error, words = FAULTS[fault]
     run = simulate(Wrong(fault))
@@ -178,12 +177,12 @@ def test_a_wrong_verdict_is_refused(name: str, fault: str) -> None:
         assert f"for receiver {receivers - 1} of {receivers}, column" in str(refused.value)
 
 
-def test_a_wrong_verdict_of_the_warm_up_is_refused() -> None:
+def test_a_wrong_verdict_of_the_warm_up_is_refused():
     with pytest.raises(ValueError, match=r"^Wrong, epoch at .* got 2\.0 for receiver 2 of 3"):
         next(SIMULATIONS["several"][1](Wrong("weights above 1", quiet=1)))
 
 
-def test_a_duel_takes_no_decision_that_is_no_number() -> None:
+def test_a_duel_takes_no_decision_that_is_no_number():
     view = duel_v0.DetectorView(pool=["none"], timeline=timeline(0.5), threshold=0.5)
     view.reset(seed=1)
     action = np.full((1, *view.action_space.shape), np.nan)
@@ -192,11 +191,11 @@ def test_a_duel_takes_no_decision_that_is_no_number() -> None:
         view.core.duel.decide(action)
 
 
-def test_a_frozen_policy_is_checked_as_any_detector() -> None:
+def test_a_frozen_policy_is_checked_as_any_detector():
     class NoNumber(duel_v0.DetectorPolicy):
         """Does without the check of decisions that the policies of this package make."""
 
-        def decide(self, observation: np.ndarray) -> np.ndarray:
+        def decide(self, observation):
             return np.full((len(observation), len(self.context.action_names)), np.nan)
 
     detector = duel_v0.PolicyDetector(policy=NoNumber(), threshold=0.2)
@@ -204,7 +203,7 @@ def test_a_frozen_policy_is_checked_as_any_detector() -> None:
         list(SIMULATIONS["several"][1](detector))
 
 
-def test_the_weights_of_an_update_are_checked_whoever_gives_them() -> None:
+def test_the_weights_of_an_update_are_checked_whoever_gives_them():
     setup = small_suite(Wrong()).setup(small_suite(Wrong()).detector_players[0])
     engine = Engine(B, setup, threads=1)
     engine.reset([np.random.default_rng(row) for row in range(B)])
@@ -217,7 +216,7 @@ def test_the_weights_of_an_update_are_checked_whoever_gives_them() -> None:
     engine.update(verdict)
 
 
-WAYS: tuple[Callable[[Any], np.ndarray], ...] = (
+WAYS = (
     lambda owner: owner,
     lambda owner: owner.view(),
     lambda owner: owner.reshape(-1),
@@ -229,9 +228,9 @@ WAYS: tuple[Callable[[Any], np.ndarray], ...] = (
 )
 
 
-def ways_in(array: np.ndarray) -> Iterator[np.ndarray]:
+def ways_in(array):
     """Writable arrays over the memory of an array, as attributes and views lead there."""
-    owner: Any = array
+    owner = array
     while owner is not None:
         for attempt in WAYS:
             try:
@@ -251,7 +250,7 @@ class Burglar(Wrong):
     found: ClassVar[list[str]] = []
     looked: ClassVar[int] = 0
 
-    def judge(self, epoch: Any) -> Verdict:
+    def judge(self, epoch):
         for name, array in epoch._asdict().items():
             if array is not None and array.size:
                 type(self).looked += 1
@@ -260,7 +259,7 @@ class Burglar(Wrong):
 
 
 @pytest.mark.parametrize("name", SIMULATIONS)
-def test_no_epoch_leads_to_memory_that_may_be_written(name: str) -> None:
+def test_no_epoch_leads_to_memory_that_may_be_written(name):
     # ctypes, forged addresses, `gc` and imports of this package's private names are not looked at
     Burglar.found.clear()
     before = Burglar.looked

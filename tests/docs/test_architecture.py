@@ -1,7 +1,5 @@
 """The page on the architecture names files and things that exist, and its picture is up to date."""
 
-from __future__ import annotations
-
 import ast
 import re
 import runpy

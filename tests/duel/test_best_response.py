@@ -1,7 +1,5 @@
 """Best responses, chosen on runs of their own, and both ends of the exploitability."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Zero-sum matrix games: known equilibria, guarantees of both sides, and bad input."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

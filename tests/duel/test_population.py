@@ -1,7 +1,5 @@
 """Payoffs of populations on paired runs, what is kept of them, and what is refused."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

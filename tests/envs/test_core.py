@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spoofgym.detectors import Never, Verdict
+from spoofgym.detectors import Never
 from spoofgym.envs.core import ALARM_PRICE
 from spoofgym.envs.terms.reward import DisplacementGain
 
@@ -94,11 +94,11 @@ def test_the_target_direction_counts(kind):
 class AlarmOfMoved(AlarmAt):
     """Alarms at one epoch for every receiver, at an earlier one for those that are spoofed."""
 
-    def __init__(self, epoch: int, moved: int) -> None:
+    def __init__(self, epoch, moved):
         super().__init__(epoch)
         self.moved = moved
 
-    def judge(self, epoch) -> Verdict:
+    def judge(self, epoch):
         verdict = super().judge(epoch)
         innovation = np.abs(epoch.innovation).max(axis=1, keepdims=True)
         hit = (self.memory["seen"][:, None] == self.moved) & (innovation > 30.0)

@@ -1,7 +1,5 @@
 """Decisions over several epochs, target directions, and displacement from a clean twin."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """After an interrupt within a step or a reset none is stepped on, until a reset makes all whole."""
 
-from __future__ import annotations
-
 import re
 import threading
 

@@ -1,7 +1,5 @@
 """What is refused, and what is said of it: settings of an environment and of its resets."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest

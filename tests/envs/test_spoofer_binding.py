@@ -1,10 +1,7 @@
 """A spoofer and an environment: what fits is bound, and what does not is told in full."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -22,16 +19,16 @@ RATE = {"name": "false-position", "control": "rate"}
 SLOW = {"name": "false-position", "rate_limit_mps": 3.0}
 
 
-def single(**changes: Any) -> gym.Env:
+def single(**changes):
     return gym.make(ID, **{**ENV, **FULL, "knowledge": "blind", **changes})
 
 
 @pytest.fixture(scope="module")
-def policy(tmp_path_factory: pytest.TempPathFactory) -> str:
+def policy(tmp_path_factory):
     return str(write_policy(tmp_path_factory.mktemp("policy")))
 
 
-def test_it_plays_environments_of_every_form(policy: str) -> None:
+def test_it_plays_environments_of_every_form(policy):
     env = single()
     spoofer = attach(policy, env)
     assert spoofer.context.receivers == 1
@@ -69,9 +66,7 @@ def test_it_plays_environments_of_every_form(policy: str) -> None:
         ({"name": "accelerating-ramp", "acceleration_mps2": 0.01}, "linear", 0.14),
     ],
 )
-def test_a_scripted_spoofer_goes_by_the_time_between_its_decisions(
-    spec: dict[str, Any], between: str, last: float
-) -> None:
+def test_a_scripted_spoofer_goes_by_the_time_between_its_decisions(spec, between, last):
     env = single(detector="never", decision_interval_s=2.5, between=between)
     spoofer = attach(spec, env)
     assert (spoofer.context.interval_s, spoofer.context.steps) == (2.5, 6)
@@ -85,7 +80,7 @@ def test_a_scripted_spoofer_goes_by_the_time_between_its_decisions(
     assert max(rates) < last + 1e-9
 
 
-def test_other_settings_are_a_transfer(policy: str) -> None:
+def test_other_settings_are_a_transfer(policy):
     env = single(
         detector={"name": "ewma", "smoothing": 0.2},
         scenario={"errors": "white", "imu_rate_hz": 20},
@@ -124,16 +119,14 @@ def test_other_settings_are_a_transfer(policy: str) -> None:
         ({"scenario": {"epoch_interval_s": 1.0}}, r"interval_s: 0\.5 on the card, 1\.0 here"),
     ],
 )
-def test_another_meaning_is_never_allowed(
-    policy: str, changes: dict[str, Any], message: str
-) -> None:
+def test_another_meaning_is_never_allowed(policy, changes, message):
     env = single(**changes)
     for transfer in (False, True):
         with pytest.raises(ValueError, match=message):
             attach(policy, env, transfer=transfer)
 
 
-def test_other_scales_of_the_space_are_seen(policy: str) -> None:
+def test_other_scales_of_the_space_are_seen(policy):
     rescale = gym.wrappers.RescaleObservation, gym.wrappers.RescaleAction
     for wrapper, word in zip(rescale, ("observation", "action"), strict=True):
         env = wrapper(single(), np.float32(0.0), np.float32(1.0))
@@ -141,9 +134,7 @@ def test_other_scales_of_the_space_are_seen(policy: str) -> None:
             attach(policy, env, transfer=True)
 
 
-def test_a_shipped_profile_is_compared_by_its_card(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_shipped_profile_is_compared_by_its_card(tmp_path, monkeypatch):
     monkeypatch.setattr("spoofgym.policies.zoo.ZOO_FOLDER", tmp_path)
     card = json.loads(write_policy(tmp_path).with_suffix(".json").read_text())
     settings = {"rates_mps": [0.0, 0.2], "heading_deg": 90.0}
@@ -157,7 +148,7 @@ def test_a_shipped_profile_is_compared_by_its_card(
 
 @pytest.mark.usefixtures("default_rate")
 @pytest.mark.parametrize("name", list_shipped("spoofer"))
-def test_a_shipped_spoofer_plays_the_environment_of_its_card(name: str) -> None:
+def test_a_shipped_spoofer_plays_the_environment_of_its_card(name):
     """Also where that looks its thresholds up by a rate of false alarms."""
     card = load_card(name)
     envs = gym.make_vec(card.env_id, num_envs=2, **card.env_kwargs)
@@ -170,7 +161,7 @@ def test_a_shipped_spoofer_plays_the_environment_of_its_card(name: str) -> None:
         attach(name, gym.make_vec(card.env_id, num_envs=2, **other))
 
 
-def test_what_is_no_environment_of_ours_is_refused(policy: str) -> None:
+def test_what_is_no_environment_of_ours_is_refused(policy):
     for env in (3, gym.make_vec(ID, 1, vectorization_mode="sync", **ENV)):
         with pytest.raises(TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or"):
             attach(policy, env)

@@ -1,7 +1,5 @@
 """One step is a short way through the package."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
@@ -17,10 +15,10 @@ ELSEWHERE = ("attacks", "detectors", "envs/terms")
 MOST_CALLS = 15
 
 
-def calls_of(work) -> list[str]:
+def calls_of(work):
     """Python functions of the package that are called, in order; not what terms and kernels do."""
-    found: list[str] = []
-    outside: list[int] = []
+    found = []
+    outside = []
 
     def profile(frame, event, _):
         path = Path(frame.f_code.co_filename)

@@ -13,11 +13,10 @@ from spoofgym.envs.terms.reward import (
     AlarmedEpochs,
     AlarmPenalty,
     DisplacementGain,
-    Outcome,
     Retraction,
     compute_shares,
 )
-from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement, EpochState
+from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement
 from spoofgym.simulation import TightlyCoupledSetup
 
 ID = "spoofgym/TightlyCoupled-v0"
@@ -35,10 +34,10 @@ class Own:
     term: Any
 
     @property
-    def name(self) -> str:
+    def name(self):
         return self.term.name
 
-    def __call__(self, outcome: Outcome) -> Any:
+    def __call__(self, outcome):
         return self.term(outcome)
 
 
@@ -48,7 +47,7 @@ class Nowhere(AtDisplacement):
 
     name = "nowhere"
 
-    def __call__(self, state: EpochState) -> Any:
+    def __call__(self, state):
         return state.displacement >= np.inf
 
 
@@ -56,7 +55,7 @@ class Nowhere(AtDisplacement):
 class Backwards(OwnCommand):
     """Inherits factors that are not its own."""
 
-    def __call__(self, snapshot: Any, out: Any) -> None:
+    def __call__(self, snapshot, out):
         super().__call__(snapshot, out)
         out *= -1.0
 
@@ -65,11 +64,11 @@ class Backwards(OwnCommand):
 class Doubled(DisplacementGain):
     """Inherits a share that is not its own."""
 
-    def __call__(self, outcome: Outcome) -> Any:
+    def __call__(self, outcome):
         return 2.0 * super().__call__(outcome)
 
 
-def played(**settings: Any) -> list[dict[str, Any]]:
+def played(**settings):
     """Rewards, ends and infos of all steps of a vector environment, with alarms and resets."""
     envs = gym.make_vec(ID, num_envs=3, **{**PLAIN, **settings})
     envs.reset(seed=4)
@@ -86,8 +85,8 @@ def played(**settings: Any) -> list[dict[str, Any]]:
     return found
 
 
-def test_compiled_rewards_are_those_of_the_terms_and_their_sum() -> None:
-    settings: dict[str, Any] = {"detector": NERVOUS, "end_at_alarm": False}
+def test_compiled_rewards_are_those_of_the_terms_and_their_sum():
+    settings = {"detector": NERVOUS, "end_at_alarm": False}
     steps = played(reward=TERMS, **settings)
     own = played(reward=[Own(term) for term in TERMS], **settings)
     for term in TERMS:
@@ -110,9 +109,7 @@ def test_compiled_rewards_are_those_of_the_terms_and_their_sum() -> None:
     ],
     ids=str,
 )
-def test_a_step_that_is_scored_at_once_has_the_bits_of_one_scored_apart(
-    settings: dict[str, Any],
-) -> None:
+def test_a_step_that_is_scored_at_once_has_the_bits_of_one_scored_apart(settings):
     ends = None, [AtAlarm(), Nowhere(1.0)]
     plain, apart = (gym.make(ID, timeline=SHORT, end=end, **settings) for end in ends)
     seed, rng = 4, np.random.default_rng(1)
@@ -130,12 +127,12 @@ def test_a_step_that_is_scored_at_once_has_the_bits_of_one_scored_apart(
         seed = 5 if mine[2] else None
 
 
-def test_only_what_stands_beside_its_own_call_is_believed() -> None:
+def test_only_what_stands_beside_its_own_call_is_believed():
     expected = [[0, 0, -0.7, 0], [0.3, 0, 0, 0], [0, 1.7, 0, 0], [0, 0, 0, -0.1]]
     np.testing.assert_array_equal(compute_shares(TERMS), expected)
     assert compute_shares([*TERMS, Doubled()]) is None
     setup = TightlyCoupledSetup(timeline=SHORT, detector="never")
-    seen: Any = [Backwards(1.0, 1.0)]
+    seen = [Backwards(1.0, 1.0)]
     core = SpoofCore(2, setup, observation=seen, action="full-command", reward=[])
     core.reset(np.random.default_rng(0).spawn(2))
     for _ in range(3):
@@ -150,9 +147,7 @@ def test_only_what_stands_beside_its_own_call_is_believed() -> None:
     [(None, 40), ({"start_s": (10.0, 10.0), "turned_deg": (0.0, 360.0), "worlds": 2}, 3)],
     ids=["one", "two"],
 )
-def test_motion_and_time_are_tabled_to_the_bit_where_no_start_is_drawn(
-    domain: Any, steps: int
-) -> None:
+def test_motion_and_time_are_tabled_to_the_bit_where_no_start_is_drawn(domain, steps):
     setup = TightlyCoupledSetup(timeline=SHORT, detector="never", domain=domain)
     terms = Time(), TargetMotion(least_change=0.0)
     core = SpoofCore(3, setup, observation=terms, reward=[], end_at_alarm=False)

@@ -1,7 +1,5 @@
 """Vector environments: seeds of some, final observations, and the information that is asked for."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest

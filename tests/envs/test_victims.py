@@ -1,7 +1,5 @@
 """The environments of all victims: settings, names, commands, circumstances and records."""
 
-from __future__ import annotations
-
 import itertools
 
 import gymnasium as gym

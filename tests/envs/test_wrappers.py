@@ -1,7 +1,5 @@
 """Wrappers, single and vector: sugar for arguments, and a recorder of epochs."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import pickle

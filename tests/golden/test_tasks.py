@@ -1,7 +1,5 @@
 """The tasks of both sides stay as they are: settings by a digest, and what stated players get."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,11 +1,8 @@
 """Mutants: one change of a line each, drawn by seed, and what became of them in a file."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import typer
@@ -23,7 +20,7 @@ def f(a, b):
 """
 
 
-def test_what_is_changed() -> None:
+def test_what_is_changed():
     found = [(each.line, each.kind, each.before, each.after) for each in find_changes("f", TEXT)]
     assert sorted(found) == [
         (2, "constant", "2", "3"),
@@ -35,7 +32,7 @@ def test_what_is_changed() -> None:
     ]
 
 
-def test_every_change_of_the_package_leaves_a_program() -> None:
+def test_every_change_of_the_package_leaves_a_program():
     drawn = draw_mutants(mutants.ROOT, 120, 40, 0)
     assert drawn == draw_mutants(mutants.ROOT, 120, 40, 0)
     assert len({(each.file, each.line, each.start, each.kind) for each in drawn}) == 120
@@ -54,7 +51,7 @@ SUMS, ADD = "spoofgym/receiver/sums.py", "def add(a, b):\n    return a + b\n"
 
 
 @pytest.fixture
-def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def checkout(tmp_path, monkeypatch):
     """A project of one function, with a test that notices some of its mutants."""
     root = tmp_path / "project"
     files = {"spoofgym/__init__.py": "", "spoofgym/receiver/__init__.py": "", SUMS: ADD}
@@ -75,7 +72,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return root
 
 
-def test_mutants_are_tried_and_a_run_goes_on(checkout: Path, tmp_path: Path) -> None:
+def test_mutants_are_tried_and_a_run_goes_on(checkout, tmp_path):
     out = tmp_path / "mutants.csv"
     mutants.main(out, count=2, kernels=0)
     operator, returned = sorted(read_mutants(out), key=lambda each: each.kind)
@@ -87,9 +84,7 @@ def test_mutants_are_tried_and_a_run_goes_on(checkout: Path, tmp_path: Path) -> 
     assert out.read_text() == content
 
 
-def test_what_was_killed_before_is_killed_again_or_fails_the_run(
-    checkout: Path, tmp_path: Path
-) -> None:
+def test_what_was_killed_before_is_killed_again_or_fails_the_run(checkout, tmp_path):
     path, before, again = checkout / SUMS, tmp_path / "before.csv", tmp_path / "again.csv"
     found = {each.kind: each for each in find_changes(SUMS, ADD)}
     mutants.write_mutants(before, [replace(found["returned value"], outcome=KILLED)])

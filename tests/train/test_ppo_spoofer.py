@@ -23,15 +23,7 @@ from spoofgym.policies import SpooferCard
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import OnnxPolicy
 from train import ppo_spoofer
-from train.ppo_spoofer import (
-    CHECKPOINT,
-    PICTURE,
-    RECORD,
-    Arguments,
-    Training,
-    score_seed,
-    train,
-)
+from train.ppo_spoofer import CHECKPOINT, PICTURE, RECORD, Arguments, Training, score_seed, train
 
 WORLD = {"timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}}
 PLAIN = json.dumps({**WORLD, "attack": "paper-ideal"})

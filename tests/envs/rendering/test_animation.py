@@ -1,7 +1,5 @@
 """Moving pictures."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What pictures show: the history of an episode beside its clean twin."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pictures of the environments, by Gymnasium's contract."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import pickle
