@@ -216,9 +216,8 @@ def test_an_unfinished_episode_survives_pickling(name, form):
 
 
 @every_variant
-@pytest.mark.parametrize("form", ["single", "same_step"])
-def test_an_unfinished_episode_survives_pickling_at(name, form, kwargs):
-    pickled(name, form, **short(name, **kwargs))
+def test_an_unfinished_episode_survives_pickling_at(name, kwargs):
+    pickled(name, "same_step", **short(name, **kwargs))
 
 
 def pickled(name, form, **settings):

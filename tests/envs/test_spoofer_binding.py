@@ -11,10 +11,12 @@ from spoofgym.detectors import Ewma
 from spoofgym.envs.spoofer_binding import attach, setup_of_card
 from spoofgym.policies import SpooferCard, list_shipped, load_card
 from spoofgym.spoofers import Ramp
+from tests.nightly import heavy
 
 from ..spoofers.policies import ENV, FULL, TIMELINE, write_policy
 from .support import ID, vector
 
+SHIPPED = list_shipped("spoofer")
 RATE = {"name": "false-position", "control": "rate"}
 SLOW = {"name": "false-position", "rate_limit_mps": 3.0}
 
@@ -147,7 +149,7 @@ def test_a_shipped_profile_is_compared_by_its_card(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("default_rate")
-@pytest.mark.parametrize("name", list_shipped("spoofer"))
+@pytest.mark.parametrize("name", heavy(SHIPPED, *SHIPPED[2:]))
 def test_a_shipped_spoofer_plays_the_environment_of_its_card(name):
     """Also where that looks its thresholds up by a rate of false alarms."""
     card = load_card(name)

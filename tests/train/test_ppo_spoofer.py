@@ -187,7 +187,9 @@ def environment(**given):
         ({}, {"name": "rate-setpoint", "full_scale_mps": 5.0}, 40.0),  # of a short attack
         pytest.param({**NO_ONE, "task": "T4"}, {"full_scale_mps": 5.0}, 556.0, **NIGHTLY),
         ({**NO_ONE, "task": "T3"}, {"full_scale_mps": 4 * 20.0 / 150.0}, 20.0),
-        ({**NO_ONE, "task": "T3", "length_m": 30.0}, {"full_scale_mps": 0.8}, 30.0),
+        pytest.param(
+            {**NO_ONE, "task": "T3", "length_m": 30.0}, {"full_scale_mps": 0.8}, 30.0, **NIGHTLY
+        ),
         ({"settings": '{"target_heading_deg": "worst"}'}, {"dimensions": 2}, 40.0),
         ({"settings": PLAIN}, {}, 40.0),  # without a wanted rate it is commanded as it is
     ],
@@ -244,7 +246,7 @@ def test_bad_input_is_refused_at_once(monkeypatch, capsys, tmp_path, given, mess
         ({"settings": json.dumps({**WORLD, "decision_interval_s": 5.0})}, 2),  # as the world has it
         ({"task": "T1", "settings": "{}"}, 15),
         pytest.param({"task": "T4", "settings": "{}"}, 26, **NIGHTLY),
-        ({"task": "T6", "settings": "{}"}, 15),
+        pytest.param({"task": "T6", "settings": "{}"}, 15, **NIGHTLY),
     ],
 )
 def test_decisions_are_as_often_as_wanted_and_divide_the_attack(given, steps):

@@ -52,7 +52,8 @@ def test_frames_are_pixels_that_change(name):
     plain = make(name).unwrapped
     assert plain.metadata["render_modes"] == ["human", "rgb_array"]
     assert plain.metadata["render_fps"] == pytest.approx(1.0 / plain.core.setup.interval_s)
-    check_env(plain)
+    if "twin" not in IDS[name] or "Snapshot" in name:  # two are enough
+        check_env(plain)
 
 
 def test_a_render_mode_leaves_the_game_alone_and_goes_on_in_a_copy():
