@@ -7,7 +7,18 @@ import pytest
 
 from spoofgym import duel_v0
 
-from .support import ALARM, PAPERS, QUIET, SHORT, aec, aec_epochs, parallel, parallel_epochs, wary
+from .support import (
+    ALARM,
+    FORMS,
+    PAPERS,
+    QUIET,
+    SHORT,
+    aec,
+    aec_epochs,
+    parallel,
+    parallel_epochs,
+    wary,
+)
 
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 EVERY = 3
@@ -20,8 +31,6 @@ SLOW = {
 }
 QUICK = {**SLOW, "decision_interval_s": None}
 EPOCHS, HOLD = 30, 4
-FORMS = (aec, aec_epochs), (parallel, parallel_epochs)
-"""Without and with a delay."""
 DECISIONS = np.random.default_rng(7).uniform(-1.0, 1.0, ((EPOCHS + HOLD) // EVERY + 1, 2))
 
 

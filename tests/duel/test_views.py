@@ -11,7 +11,7 @@ from spoofgym.envs import SpoofEnv
 from spoofgym.spoofers import Ramp
 
 from ..envs.players import Player, assert_same
-from .support import ALARM, BRIEF, PAPERS, QUIET, aec, aec_epochs, parallel, parallel_epochs, wary
+from .support import ALARM, BRIEF, FORMS, PAPERS, QUIET, wary
 
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 FULL = {**BRIEF, "attack": STRONG, "action": "full-command"}
@@ -88,15 +88,12 @@ def test_the_spoofers_view_of_one_detector_is_the_env_with_it():
         assert mine[1:] == other[1:]
 
 
-FORMS = (aec, aec_epochs), (parallel, parallel_epochs)
-"""Without and with a delay."""
-
-
 @pytest.mark.parametrize("delay", [0, 1])
 def test_the_detectors_view_is_the_duel_against_that_spoofer(delay):
     kwargs = {**BRIEF, "attack": STRONG, "threshold": 1.0}
     view = duel_v0.DetectorView({"name": "ramp", "rate_mps": 0.5}, decision_delay=delay, **kwargs)
-    duel, run, attacked = FORMS[delay][0](**kwargs), FORMS[delay][1], set()
+    make, run = FORMS[delay]
+    duel, attacked = make(**kwargs), set()
     for seed in range(3):
         view.reset(seed=seed)
         over, total = False, 0.0

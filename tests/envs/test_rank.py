@@ -13,18 +13,18 @@ from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.spoofers import make_spoofer
 
 RUNS = 256
-SHAPE = (0.0, 0.4, 0.5, 0.6, 0.8, 1.0, 1.5)
+
+
+def family(name, setting, low, high, count, shape=1.0):
+    sizes = np.geomspace(low, high, count)
+    return [{"name": name, setting: np.multiply(size, shape).tolist()} for size in sizes]
+
+
 POLICIES = [
-    *({"name": "ramp", "rate_mps": r} for r in np.geomspace(0.02, 2.0, 9).tolist()),
-    *(
-        {"name": "accelerating-ramp", "acceleration_mps2": a}
-        for a in np.geomspace(2e-4, 0.02, 9).tolist()
-    ),
-    *(
-        {"name": "profile", "rates_mps": [r * part for part in SHAPE]}
-        for r in np.geomspace(0.05, 1.5, 6).tolist()
-    ),
-    *({"name": "feedback", "rate_mps": r} for r in np.geomspace(0.03, 1.2, 6).tolist()),
+    *family("ramp", "rate_mps", 0.02, 2.0, 9),
+    *family("accelerating-ramp", "acceleration_mps2", 2e-4, 0.02, 9),
+    *family("profile", "rates_mps", 0.05, 1.5, 6, (0.0, 0.4, 0.5, 0.6, 0.8, 1.0, 1.5)),
+    *family("feedback", "rate_mps", 0.03, 1.2, 6),
 ]
 
 
