@@ -7,19 +7,9 @@ import pytest
 
 from spoofgym import duel_v0
 
-from .support import (
-    ALARM,
-    FORMS,
-    PAPERS,
-    QUIET,
-    SHORT,
-    aec,
-    aec_epochs,
-    parallel,
-    parallel_epochs,
-    wary,
-)
+from .support import ALARM, FORMS, PAPERS, QUIET, SHORT, wary
 
+(aec, aec_epochs), (parallel, parallel_epochs) = FORMS
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 EVERY = 3
 SLOW = {
