@@ -15,7 +15,7 @@ FOUNDATION = {Path(name).stem for name in FOUNDATION_FILES}
 """Modules of `core` that are in every digest."""
 OF_NUMBA = {"core/compile.py", "core/simd.py"}
 """The decorator, how it compiles, and the types of vectors."""
-DECORATORS = {"njit", "inlined", "joined"}
+DECORATORS = {"njit", "inline_njit"}
 BRIDGES = {"envs/spoofer_binding.py"}
 """Files of compiled layers that may know of other packages, since nothing compiled imports them."""
 
