@@ -17,8 +17,8 @@ BLOCK = re.compile(r"(?:<!-- needs (\w+) -->\n)?```python\n(.*?)```", flags=re.D
 
 def text_of(name: str) -> str:
     """A page of the docs, or one beside them."""
-    page = ROOT / "docs" / name
-    return (page if page.is_file() else ROOT / name).read_text()
+    page = ROOT / name
+    return (page if page.is_file() else ROOT / "docs" / name).read_text()
 
 
 def blocks_of(name: str) -> list[tuple[str | None, str]]:
