@@ -105,7 +105,7 @@ def test_some_receivers_are_not_enough_for_the_reset_after_an_interrupt(monkeypa
     env.close()
 
 
-@pytest.mark.parametrize("name", ["copy_rows", "_slots", "prepared"])
+@pytest.mark.parametrize("name", ["copy_rows", "_slots", "find_prepared"])
 def test_next_episodes_whose_books_an_interrupt_broke_are_thrown_away(name, monkeypatch):
     setup = TightlyCoupledSetup(timeline=TIMELINE)
     ahead, plain = (SpoofCore(9, setup, threads=1, prefetch=on) for on in (True, False))
