@@ -30,7 +30,6 @@ def one_record() -> Ephemerides:
 
 
 EXAMPLES: dict[type, Callable[[], Any]] = {
-    # truth, data
     Accelerate: lambda: Accelerate(10.0),
     BroadcastConstellation: lambda: BroadcastConstellation(one_record(), 1.0),
     Climb: lambda: Climb(100.0),
@@ -46,24 +45,13 @@ EXAMPLES: dict[type, Callable[[], Any]] = {
     Straight: lambda: Straight(1.0),
     Turn: lambda: Turn(45.0),
     Until: lambda: Until(1.0),
-    # attacks, spoofers
     OnnxPolicy: lambda: OnnxPolicy("ewma-ppo"),
-    # -
-    # receiver, simulation, calibration
-    # -
-    # -
-    # detectors
     Calibrated: lambda: Calibrated(SnapshotChi2(), scale=1.0),
     LearnedDetector: lambda: LearnedDetector("trolley-guard"),
     PolicyDetector: lambda: PolicyDetector(policy=FunctionPolicy(abs)),
-    # envs, duel
     Channels: lambda: Channels(("north",)),
     AtDisplacement: lambda: AtDisplacement(50.0),
     AtStealthBudget: lambda: AtStealthBudget(2.0),
     AtSteps: lambda: AtSteps(7),
-    # -
-    # bench, limits, cli
     Plan: lambda: Plan(World().setup, 40.0),
-    # -
-    # -
 }

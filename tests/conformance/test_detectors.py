@@ -1,7 +1,5 @@
 """Every detector keeps the contract, and `check_detector` catches whoever breaks it."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np
@@ -11,6 +9,7 @@ from spoofgym.detectors import DETECTORS, Detector, Verdict
 from spoofgym.testing import check_detector
 from spoofgym.testing.epochs import COORDINATES, ZERO, position_script
 
+LATE = {"start_s": 4.0, "settled_s": 8.0, "max_exclusion_s": 6.0, "min_satellites": 4}
 VARIANTS = [
     *DETECTORS,
     {"name": "acna", "variant": "literal"},
@@ -22,16 +21,7 @@ VARIANTS = [
     {"name": "glr-ramp", "signals": "both", "window": 20, "baseline": 10},
     {"name": "glr-step", "signals": "range_rate", "window": 8, "baseline": 30},
     {"name": "innovation-rate", "weight_scale": 1.0},
-    {
-        "name": "innovation-rate",
-        "threshold": 0.05,
-        "weight_scale": 0.5,
-        "memory_s": 20.0,
-        "start_s": 4.0,
-        "settled_s": 8.0,
-        "max_exclusion_s": 6.0,
-        "min_satellites": 4,
-    },
+    {"name": "innovation-rate", "threshold": 0.05, "weight_scale": 0.5, "memory_s": 20.0, **LATE},
     {"name": "lag-cusum", "signals": "both", "lag": 10, "baseline": 15, "threshold": 3.0},
     {"name": "oracle-ramp", "onset_s": 10.0, "min_satellites": 0},
     {"name": "oracle-step", "onset_s": 10.0, "max_exclusion_s": None, "threshold": 0.01},
@@ -69,7 +59,6 @@ class Sum(Detector):
 
     paper = "page1954"
     scope = "channel"
-    drift = 0.5
 
     def bind(self, context):
         super().bind(context)
@@ -78,7 +67,7 @@ class Sum(Detector):
     def statistic(self, epoch):
         n = epoch.visible.shape[1]
         normalized = np.abs(epoch.innovation[:, :n]) / np.sqrt(epoch.innovation_variance[:, :n])
-        total = np.maximum(0.0, self.memory["sum"] + normalized - self.drift)
+        total = np.maximum(0.0, self.memory["sum"] + normalized - 0.5)
         total[~epoch.visible] = 0.0
         return total
 
@@ -173,37 +162,6 @@ def test_a_detector_of_satellites_refuses_a_position():
         FarFix().bind(position_script(2).context._replace(channels=4))
 
 
-class NoPaper(Sum):
-    paper = " "
-
-
-class OddScope(Sum):
-    scope = "satellite"
-
-
-class OddWatch(Sum):
-    measures = "positions"
-
-
-class OddOracle(Sum):
-    oracle = 1
-
-
-class OneWeight(FarFix):
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        return verdict._replace(weights=verdict.weights[:, :1].copy())
-
-
-class UnknownNeed(Sum):
-    needs = frozenset({"true_position"})
-
-
-class NoBase(Sum):
-    def bind(self, context):
-        self.total = np.zeros((context.receivers, context.channels))
-
-
 class NoBaseButDeclares(Sum):
     def bind(self, context):
         self.memory.declare("sum", np.zeros((context.receivers, context.channels)))
@@ -225,76 +183,6 @@ class Shrunk(Sum):
     def judge(self, epoch):
         verdict = super().judge(epoch)
         self.memory["sum"] = self.memory["sum"].max(axis=1)
-        return verdict
-
-
-class PlainTuple(Sum):
-    def judge(self, epoch):
-        return tuple(super().judge(epoch))
-
-
-class ListOfAlarms(Sum):
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        return verdict._replace(alarm=verdict.alarm.tolist())
-
-
-class OneColumn(Sum):
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        return verdict._replace(statistic=verdict.statistic[:, :1].copy())
-
-
-class SinglePrecision(Sum):
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        return verdict._replace(statistic=verdict.statistic.astype(np.float32))
-
-
-class NumberedAlarms(Sum):
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        return verdict._replace(alarm=verdict.alarm.astype(int))
-
-
-class RelativeInnovation(Sum):
-    def statistic(self, epoch):
-        n = epoch.visible.shape[1]
-        with np.errstate(invalid="ignore"):
-            share = np.abs(epoch.innovation[:, :n]) / np.abs(epoch.innovation).sum(axis=1)[:, None]
-        return np.where(epoch.visible, share, 0.0)
-
-
-class MeanOfNone(AnyChannel):
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        visible = epoch.visible.sum(axis=1, keepdims=True)
-        mean = np.abs(epoch.innovation).sum(axis=1, keepdims=True) / visible
-        return verdict._replace(statistic=np.nan_to_num(mean))
-
-
-class NegativeWeights(Sum):
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        return verdict._replace(weights=1.0 - 2.0 * (verdict.weights < 1.0))
-
-
-class SeesTheInvisible(Sum):
-    def statistic(self, epoch):
-        return super().statistic(epoch) + 0.1
-
-
-class AlarmsInTheDark(Sum):
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        return verdict._replace(alarm=verdict.alarm | ~epoch.visible)
-
-
-class RejectsTheInvisible(Sum):
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        n = epoch.visible.shape[1]
-        verdict.weights[:, n:] = epoch.visible
         return verdict
 
 
@@ -324,17 +212,6 @@ class KeepsTheEpoch(Sum):
         return total
 
 
-class HandsOutItsMemory(Sum):
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        return verdict._replace(statistic=self.memory["sum"])
-
-
-class HandsOutTheEpoch(Sum):
-    def judge(self, epoch):
-        return super().judge(epoch)._replace(alarm=epoch.visible)
-
-
 class OneBuffer(Sum):
     def bind(self, context):
         super().bind(context)
@@ -346,47 +223,14 @@ class OneBuffer(Sum):
         return verdict._replace(statistic=self.out)
 
 
-class BroadcastWeights(Sum):
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        return verdict._replace(weights=np.broadcast_to(1.0, epoch.innovation.shape))
-
-
-class SometimesWatches(Sum):
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        return verdict if verdict.alarm.any() else verdict._replace(weights=None)
-
-
-class AveragesReceivers(Sum):
-    def statistic(self, epoch):
-        total = super().statistic(epoch)
-        return np.where(epoch.visible, total + total.mean(axis=0), 0.0)
-
-
-class RollsGlobalDice(Sum):
-    def judge(self, epoch):
-        np.random.random()  # noqa: NPY002 - what nobody may do
-        return super().judge(epoch)
-
-
-class RollsDice(Sum):
-    def bind(self, context):
-        super().bind(context)
-        self.rng = np.random.default_rng()
-
-    def statistic(self, epoch):
-        return np.where(epoch.visible, super().statistic(epoch) + self.rng.random(), 0.0)
-
-
-class RollsSeededDice(RollsDice):
+class RollsSeededDice(Sum):
     def bind(self, context):
         super().bind(context)
         self.rng = np.random.default_rng(0)
 
     def statistic(self, epoch):
         jitter = self.rng.random(epoch.visible.shape)
-        return np.where(epoch.visible, Sum.statistic(self, epoch) + jitter, 0.0)
+        return np.where(epoch.visible, super().statistic(epoch) + jitter, 0.0)
 
 
 class CountsInTheClass(Sum):
@@ -413,11 +257,6 @@ class CountsOutsideButResets(CountsOutsideTheMemory):
         self.count[slice(None) if mask is None else mask] = 0.0
 
 
-class NeverForgets(Sum):
-    def reset(self, mask=None):
-        pass
-
-
 class ForgetsAll(Sum):
     def reset(self, mask=None):
         super().reset(None)
@@ -438,44 +277,107 @@ class ForgetsWhenCopied(Sum):
         return state
 
 
+STATED = {
+    ("paper", " "): "must be a key in references.bib",
+    ("scope", "satellite"): "must be 'channel' .* got 'satellite'",
+    ("measures", "positions"): "must be 'satellites', 'position' or 'any', got 'positions'",
+    ("oracle", 1): "must be True or False, got 1",
+    ("needs", frozenset({"true_position"})): r"optional fields .* got frozenset\({'true_position'}",
+}
+
+
+@pytest.mark.parametrize(("name", "value"), STATED, ids=str)
+def test_what_a_detector_may_not_say_of_itself(name, value):
+    with pytest.raises(AssertionError, match=STATED[name, value]):
+        check_detector(type("Odd", (Sum,), {name: value})())
+
+
+def mean_over(epoch, verdict):
+    return verdict.statistic.mean(axis=0) * epoch.visible
+
+
+def dice():
+    return np.random.random()  # noqa: NPY002 - what nobody may do
+
+
+CHANGES = {
+    "a tuple": (lambda d, e, v: tuple(v), "must return a `Verdict`, got tuple"),
+    "one column": (
+        lambda d, e, v: v._replace(statistic=v.statistic[:, :1].copy()),
+        r"`statistic` must have shape \(5, 12\) .* got \(5, 1\)",
+    ),
+    "relative": (
+        lambda d, e, v: v._replace(statistic=np.where(e.innovation.any(), v.statistic, np.nan)),
+        "`statistic` must be finite, got nan for receiver",
+    ),
+    "seen in the dark": (
+        lambda d, e, v: v._replace(statistic=v.statistic + 0.1),
+        "the statistic of a channel that isn't visible must be 0, got 0.1",
+    ),
+    "alarm in the dark": (
+        lambda d, e, v: v._replace(alarm=v.alarm | ~e.visible),
+        "a channel that isn't visible must not alarm",
+    ),
+    "weight in the dark": (
+        lambda d, e, v: v._replace(weights=np.hstack([e.visible, e.visible]).astype(float)),
+        "the weights of a channel that isn't visible must be 1, .* got 0",
+    ),
+    "its memory": (
+        lambda d, e, v: v._replace(statistic=d.memory["sum"]),
+        r"`statistic` is \(part of\) `memory\['sum'\]`",
+    ),
+    "the epoch": (
+        lambda d, e, v: v._replace(alarm=e.visible),
+        r"`alarm` is \(part of\) `epoch.visible`",
+    ),
+    "some weights": (
+        lambda d, e, v: v if v.alarm.any() else v._replace(weights=None),
+        "an array at every epoch or None at every epoch",
+    ),
+    "an average": (
+        lambda d, e, v: v._replace(statistic=v.statistic + mean_over(e, v)),
+        "must be the same, bit for bit, among 1 and among 5 receivers",
+    ),
+    "global dice": (
+        lambda d, e, v: v._replace(statistic=v.statistic + 0.0 * dice()),
+        "uses the global random numbers",
+    ),
+    "dice": (
+        lambda d, e, v: v._replace(statistic=v.statistic * np.random.default_rng().random()),
+        "When all is done again, the detector must do the same",
+    ),
+}
+
+
+class Changed(Sum):
+    """Changes what it says."""
+
+    def __init__(self, name):
+        self.name = name
+
+    def judge(self, epoch):
+        return CHANGES[self.name][0](self, epoch, super().judge(epoch))
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_wrong_verdict_is_caught(name):
+    with pytest.raises(AssertionError, match=CHANGES[name][1]):
+        check_detector(Changed(name))
+
+
 BROKEN = {
-    NoPaper: "`NoPaper.paper` must be a key in references.bib",
-    OddScope: "`OddScope.scope` must be 'channel' .* got 'satellite'",
-    OddWatch: "`OddWatch.measures` must be 'satellites', 'position' or 'any', got 'positions'",
-    OddOracle: "`OddOracle.oracle` must be True or False, got 1",
-    OneWeight: "`weights` must have shape \\(5, 2\\) for 5 receivers with a position of 2 coor",
-    UnknownNeed: "optional fields of an epoch .* got frozenset\\({'true_position'}\\)",
-    NoBase: "must have a `memory` made by the base class, got None",
-    NoBaseButDeclares: "`bind` finds no memory .* call `super\\(\\).bind",
+    NoBaseButDeclares: r"`bind` finds no memory .* call `super\(\).bind",
     BoundOnce: "must be of 1 receivers, got 5; make it again in every `bind`",
     Undeclared: "keeps 'last' in its memory without having declared it",
-    Shrunk: "memory 'sum' .* declared as float64 of shape \\(5, 12\\) and has become .* \\(5,\\)",
-    PlainTuple: "must return a `Verdict`, got tuple",
-    ListOfAlarms: "`alarm` must be an array, got list",
-    OneColumn: "`statistic` must have shape \\(5, 12\\) .* got \\(5, 1\\)",
-    SinglePrecision: "`statistic` must be of type float64, got float32",
-    NumberedAlarms: "`alarm` must be of type bool, got int64",
-    RelativeInnovation: "`statistic` must be finite, got nan for receiver",
-    NegativeWeights: "`weights` must lie within 0 and 1, got -1.0 for receiver",
-    SeesTheInvisible: "the statistic of a channel that isn't visible must be 0, got 0.1",
-    AlarmsInTheDark: "a channel that isn't visible must not alarm",
-    RejectsTheInvisible: "the weights of a channel that isn't visible must be 1, .* got 0",
+    Shrunk: r"memory 'sum' .* declared as float64 of shape \(5, 12\) and has become .* \(5,\)",
     Writes: "the detector writes into its epoch, which is read-only",
     BreaksTheSeal: "has changed `epoch.innovation`",
     KeepsTheEpoch: "valid during `judge` only",
-    HandsOutItsMemory: "`statistic` is \\(part of\\) `memory\\['sum'\\]`",
-    HandsOutTheEpoch: "`alarm` is \\(part of\\) `epoch.visible`",
     OneBuffer: "`statistic` has changed while the detector went on",
-    BroadcastWeights: "`weights` must be a C-contiguous array",
-    SometimesWatches: "an array at every epoch or None at every epoch",
-    AveragesReceivers: "must be the same, bit for bit, among 1 and among 5 receivers",
-    RollsGlobalDice: "uses the global random numbers",
-    RollsDice: "When all is done again, the detector must do the same",
     RollsSeededDice: "must be the same, bit for bit, among 1 and among 5 receivers",
     CountsInTheClass: "When all is done again, the detector must do the same",
     CountsOutsideTheMemory: "After a reset the detector must be as it was after `bind`",
     CountsOutsideButResets: "When the rows of its memory are moved to another batch",
-    NeverForgets: "After a reset the detector must be as it was after `bind`",
     ForgetsAll: "A reset of some receivers must leave the others alone",
     HoldsALambda: "cannot be pickled",
     ForgetsWhenCopied: "A deep-copied detector must go on as if it had not been",
@@ -488,12 +390,14 @@ def test_a_broken_detector_is_caught(kind):
         check_detector(kind())
 
 
-def test_a_warning_where_nothing_is_in_view_is_an_error():
+class MeanOfNone(Sum):
+    def statistic(self, epoch):
+        return super().statistic(epoch) / epoch.visible.sum(axis=1, keepdims=True)
+
+
+def test_what_warns_or_is_no_detector_is_refused():
     with pytest.raises(RuntimeWarning, match="invalid value encountered in divide"):
         check_detector(MeanOfNone())
-
-
-def test_what_is_no_detector_is_refused():
     with pytest.raises(TypeError, match="a detector is a name"):
         check_detector(Sum)
     with pytest.raises(ValueError, match=r"unknown detector 'ewna'.*did you mean 'ewma'"):

@@ -4,8 +4,6 @@ numpydoc's own validation takes no dataclass field for a parameter, hence these 
 the names in an `__all__` and the terms; whatever else has sections must have them right.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import re

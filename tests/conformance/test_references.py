@@ -1,7 +1,5 @@
 """Every source that is cited is a key of references.bib."""
 
-from __future__ import annotations
-
 import re
 
 from spoofgym.detectors import DETECTORS

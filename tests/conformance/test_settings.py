@@ -3,8 +3,6 @@
 Bounds and annotations come from the classes, so that a new setting is tried without a word here.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import math

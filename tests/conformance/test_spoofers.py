@@ -1,7 +1,5 @@
 """Every spoofer keeps the contract, and `check_spoofer` catches whoever breaks it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -73,8 +71,9 @@ class Follower(Spoofer):
         return np.clip(self.memory["mean"], -1.0, 1.0)
 
 
-class Tracking(Follower):
-    knowledge = "tracking"
+def odd(**changes):
+    """A follower that says something else of itself."""
+    return type("Odd", (Follower,), changes)
 
 
 class Blind(Follower):
@@ -82,18 +81,15 @@ class Blind(Follower):
     tunable = None
 
 
-@pytest.mark.parametrize("kind", [Follower, Tracking, Blind])
+@pytest.mark.parametrize("kind", [Follower, Blind])
 def test_a_new_spoofer_that_keeps_the_contract_passes(kind):
     spoofer = kind()
     check_spoofer(spoofer)
     assert not hasattr(spoofer, "memory")  # the object itself was left alone
 
 
-class Planned(Follower):
+class Planned(Blind):
     """Goes by a plan that has an entry for every decision of its own."""
-
-    knowledge = "blind"
-    tunable = None
 
     def __init__(self, decision_interval_s, between="hold"):
         self.decision_interval_s, self.between = decision_interval_s, between
@@ -109,83 +105,17 @@ class Planned(Follower):
         return np.repeat(now[:, None], len(self.context.action_names), axis=1)
 
 
-@pytest.mark.parametrize("every_s", [0.5, 2.5, 5.0, 10.0])
-@pytest.mark.parametrize("between", ["hold", "linear"])
+@pytest.mark.parametrize(
+    ("every_s", "between"), [(0.5, "hold"), (2.5, "linear"), (2.5, "hold"), (10.0, "linear")]
+)
 def test_a_spoofer_that_decides_seldom_is_asked_as_often_as_it_decides(every_s, between):
     check_spoofer(Planned(every_s, between))
 
 
-@pytest.mark.parametrize("every_s", [0.7, 0.0, -1.0, float("nan"), "ten", 1e6])
+@pytest.mark.parametrize("every_s", [0.7, 0.0, float("nan"), "ten", 1e6])
 def test_a_pace_that_makes_no_sense_is_told(every_s):
     with pytest.raises(ValueError, match="decision_interval_s"):
         check_spoofer(Planned(every_s))
-
-
-class AllKnowing(Follower):
-    knowledge = "everything"
-
-
-class TunesNothing(Follower):
-    tunable = "speed"
-
-
-class NoRange(Follower):
-    @classmethod
-    def tuning_range(cls, context):
-        return 0.0, 0.0
-
-
-class NoBase(Follower):
-    def bind(self, context):
-        self.context = context
-
-
-class Undeclared(Follower):
-    def act(self, observation):
-        self.memory["seen"] = observation.copy()
-        return super().act(observation)
-
-
-class OneForAll(Follower):
-    def act(self, observation):
-        return super().act(observation)[0]
-
-
-class SinglePrecision(Follower):
-    def act(self, observation):
-        return super().act(observation).astype(np.float32)
-
-
-class Transposed(Follower):
-    def act(self, observation):
-        return np.asfortranarray(super().act(observation))
-
-
-class Listing(Follower):
-    def act(self, observation):
-        return super().act(observation).tolist()
-
-
-class Unbounded(Follower):
-    def act(self, observation):
-        return super().act(observation) + 1.5
-
-
-class NotANumber(Follower):
-    def act(self, observation):
-        return super().act(observation) * np.nan
-
-
-class Writes(Follower):
-    def act(self, observation):
-        observation[observation > 1.0] = 1.0
-        return super().act(observation)
-
-
-class HandsOutItsMemory(Follower):
-    def act(self, observation):
-        super().act(observation)
-        return self.memory["mean"]
 
 
 class KeepsTheObservation(Follower):
@@ -198,69 +128,64 @@ class KeepsTheObservation(Follower):
         return np.nan_to_num(super().act(later), nan=0.5)
 
 
-class AveragesReceivers(Follower):
-    def act(self, observation):
-        action = super().act(observation)
-        return np.clip(0.1 * action + action.mean(axis=0), -1.0, 1.0)
-
-
-class RollsDice(Follower):
-    def act(self, observation):
-        return np.random.default_rng().uniform(-1.0, 1.0, super().act(observation).shape)
-
-
-class RollsGlobalDice(Follower):
-    def act(self, observation):
-        np.random.random()  # noqa: NPY002 - what nobody may do
-        return super().act(observation)
-
-
-class CountsOutsideTheMemory(Follower):
-    def bind(self, context):
-        super().bind(context)
-        self.count = np.zeros((context.receivers, 1))
-
-    def act(self, observation):
-        self.count += 0.01
-        return np.clip(super().act(observation) + self.count, -1.0, 1.0)
-
-
 class ForgetsAll(Follower):
     def reset(self, mask=None):
         super().reset(None)
 
 
-class HoldsALambda(Follower):
-    def bind(self, context):
-        super().bind(context)
-        self.curve = lambda x: x
+def write(spoofer, observation, action):
+    observation[observation > 1.0] = 1.0
+    return action
 
 
-BROKEN = {
-    AllKnowing: "`AllKnowing.knowledge` must be one of 'blind', 'tracking', 'oracle'",
-    TunesNothing: "`TunesNothing.tunable` must name a setting that is a number",
-    NoRange: "`tuning_range` must return two numbers, 0 < low < high, got 0.0 and 0.0",
-    NoBase: "must have a `memory` made by the base class, got None",
-    Undeclared: "keeps 'seen' in its memory without having declared it",
-    OneForAll: "array of shape \\(5, 2\\), .* got float64 of shape \\(2,\\)",
-    SinglePrecision: "array of shape \\(5, 2\\), .* got float32 of shape \\(5, 2\\)",
-    Transposed: "a C-contiguous float64 array",
-    Listing: "`act` must return an array, got list",
-    Unbounded: "actions must be finite and within \\[-1, 1\\], got 1.5",
-    NotANumber: "actions must be finite and within \\[-1, 1\\], got nan",
-    Writes: "the spoofer writes into its observation",
-    HandsOutItsMemory: "the action is \\(part of\\) `memory\\['mean'\\]`",
-    KeepsTheObservation: "valid during `act` only",
-    AveragesReceivers: "must be the same, bit for bit, among 1 and among 5 receivers",
-    RollsDice: "When all is done again, the spoofer must do the same",
-    RollsGlobalDice: "uses the global random numbers",
-    CountsOutsideTheMemory: "After a reset the spoofer must be as it was after `bind`",
-    ForgetsAll: "A reset of some receivers must leave the others alone",
-    HoldsALambda: "cannot be pickled",
+def roll_dice(spoofer, observation, action):
+    return action + 0.0 * np.random.random()  # noqa: NPY002 - what nobody may do
+
+
+CHANGES = {
+    "one for all": (
+        lambda s, o, a: a[0].copy(),
+        r"of shape \(5, 2\), .* got float64 of shape \(2,\)",
+    ),
+    "single": (lambda s, o, a: np.float32(a), r"array of shape \(5, 2\), .* got float32 of"),
+    "transposed": (lambda s, o, a: np.asfortranarray(a), "a C-contiguous float64 array"),
+    "a list": (lambda s, o, a: a.tolist(), "`act` must return an array, got list"),
+    "unbounded": (lambda s, o, a: 0.0 * a + 1.5, r"finite and within \[-1, 1\], got 1.5"),
+    "NaN": (lambda s, o, a: a * np.nan, r"finite and within \[-1, 1\], got nan"),
+    "its memory": (lambda s, o, a: s.memory["mean"], r"is \(part of\) `memory\['mean'\]`"),
+    "an average": (lambda s, o, a: 0.1 * a + 0.1 * a.mean(axis=0), "among 1 and among 5 receivers"),
+    "writes": (write, "the spoofer writes into its observation"),
+    "global dice": (roll_dice, "uses the global random numbers"),
 }
 
 
-@pytest.mark.parametrize("kind", BROKEN, ids=lambda kind: kind.__name__)
-def test_a_broken_spoofer_is_caught(kind):
-    with pytest.raises(AssertionError, match=BROKEN[kind]):
+class Changed(Follower):
+    """Changes what it does."""
+
+    def __init__(self, name):
+        super().__init__()
+        self.name = name
+
+    def act(self, observation):
+        return CHANGES[self.name][0](self, observation, super().act(observation))
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_wrong_action_is_caught(name):
+    with pytest.raises(AssertionError, match=CHANGES[name][1]):
+        check_spoofer(Changed(name))
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (odd(knowledge="everything"), "knowledge` must be one of 'blind', 'tracking', 'oracle'"),
+        (odd(tunable="speed"), "tunable` must name a setting that is a number"),
+        (odd(tuning_range=lambda context: (0.0, 0.0)), "two numbers, 0 < low < high, got 0.0 and"),
+        (KeepsTheObservation, "valid during `act` only"),
+        (ForgetsAll, "A reset of some receivers must leave the others alone"),
+    ],
+)
+def test_a_broken_spoofer_is_caught(kind, said):
+    with pytest.raises(AssertionError, match=said):
         check_spoofer(kind())

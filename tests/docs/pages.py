@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
+import sys
+import types
+from collections.abc import Iterable
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 BLOCK = re.compile(r"(?:<!-- needs (\w+) -->\n)?```python\n(.*?)```", flags=re.DOTALL)
 
 
 def text_of(name: str) -> str:
-    """A page of the docs."""
-    return (ROOT / "docs" / name).read_text()
+    """A page of the docs, or one beside them."""
+    page = ROOT / name
+    return (page if page.is_file() else ROOT / "docs" / name).read_text()
 
 
 def blocks_of(name: str) -> list[tuple[str | None, str]]:
@@ -19,6 +26,22 @@ def blocks_of(name: str) -> list[tuple[str | None, str]]:
     return [(needs or None, code) for needs, code in BLOCK.findall(text_of(name))]
 
 
-def run(code: str, name: str, scope: dict[str, object]) -> None:
-    """Run a block after those before it."""
-    exec(compile(code, name, "exec"), scope)
+def play(
+    name: str, patch: pytest.MonkeyPatch, smaller: Iterable[tuple[str, str]] = ()
+) -> types.ModuleType:
+    """A module after all blocks of a page but for those that need what is not installed.
+
+    `smaller`: patterns, which have to be on the page, and what stands in their place.
+    """
+    module = types.ModuleType("page")
+    patch.setitem(sys.modules, "page", module)  # pickle looks classes up
+    blocks = blocks_of(name)
+    assert blocks
+    for old, _ in smaller:
+        assert any(re.search(old, code) for _, code in blocks), old
+    for number, (needs, code) in enumerate(blocks):
+        if needs is None or importlib.util.find_spec(needs):
+            for old, new in smaller:
+                code = re.sub(old, new, code)
+            exec(compile(code, f"{name} block {number}", "exec"), module.__dict__)
+    return module

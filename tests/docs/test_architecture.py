@@ -1,7 +1,5 @@
 """The page on the architecture names files and things that exist, and its picture is up to date."""
 
-from __future__ import annotations
-
 import ast
 import re
 import runpy
@@ -10,7 +8,6 @@ from .pages import ROOT, text_of
 
 PAGE = text_of("architecture.md")
 SPAN = re.compile(r"`([^`\n]+)`")
-PATHS = sorted({span for span in SPAN.findall(PAGE) if re.fullmatch(r"[\w./]*(/|\.py)", span)})
 ROWS = [line for line in PAGE.splitlines() if line.startswith("|") and ".py`" in line]
 
 
@@ -24,10 +21,6 @@ def test_the_picture_is_that_of_the_layers():
     assert (ROOT / "docs" / "house.svg").read_text() == house["draw"]()
 
 
-def test_the_paths_of_the_page_exist():
-    assert [path for path in PATHS if not places(path)] == []
-
-
 def test_what_a_row_names_is_in_a_file_of_the_row():
     for row in ROWS:
         spans = SPAN.findall(row)
@@ -39,46 +32,35 @@ def test_what_a_row_names_is_in_a_file_of_the_row():
                     assert re.search(rf"\b{name}\b", sources), (name, row)
 
 
-def test_the_files_of_the_flow_of_a_step_exist():
-    (flow,) = re.findall(r"```text\n(.*?)```", PAGE, flags=re.DOTALL)
+def test_the_paths_of_the_page_exist():
+    (flow,) = re.findall(r"```text\n(.*?)```", PAGE, flags=re.DOTALL)  # of a step
     paths = re.findall(r"(?<=\s)[\w/]+\.py", flow)
     assert len(paths) > 10
-    assert [path for path in paths if not places(path)] == []
+    spans = [span for span in SPAN.findall(PAGE) if re.fullmatch(r"[\w./]*(/|\.py)", span)]
+    assert [path for path in paths + spans if not places(path)] == []
 
 
-def only_exports(path):
-    """Whether a module has neither a function nor a class of its own."""
-    body = ast.parse(path.read_text()).body
-    return not any(isinstance(node, ast.FunctionDef | ast.ClassDef) for node in body)
-
-
-def files_of_the_tree():
-    """Paths that docs/tree.md lists, without their `.py`."""
+def test_every_file_of_the_package_stands_in_the_tree_once():
     (block,) = re.findall(r"```text\n(.*?)```", text_of("tree.md"), flags=re.DOTALL)
     folder, found = "", []
     for line in block.splitlines():
         if line.startswith("  "):
-            name, words = line.split(maxsplit=1)
-            assert words
+            name, _ = line.split(maxsplit=1)
             found.append(folder + name)
         else:
             assert line.endswith("/")
             folder = line.removeprefix("spoofgym/")
-    return found
-
-
-def test_every_file_of_the_package_stands_in_the_tree_once():
     package = ROOT / "spoofgym"
-    found = files_of_the_tree()
-    files = {
-        str(path.relative_to(package).with_suffix(""))
-        for path in package.rglob("*.py")
-        if path == package / "__init__.py" or path.name != "__init__.py" or not only_exports(path)
-    }
-    bare = {name for name in found if name.endswith("/__init__")}  # a registry may be listed, too
+    files, bare = set(), set()
+    for path in package.rglob("*.py"):
+        name = str(path.relative_to(package).with_suffix(""))
+        # an `__init__` that only exports may be listed where it is a registry
+        own = (ast.FunctionDef, ast.ClassDef)
+        exports = not any(isinstance(node, own) for node in ast.parse(path.read_text()).body)
+        only = path.name == "__init__.py" and exports and path.parent != package
+        (bare if only else files).add(name)
     assert len(found) == len(set(found))
-    assert set(found) - files <= bare
-    assert sorted(files - set(found)) == []
+    assert files <= set(found) <= files | bare
 
 
 def test_the_rooms_of_the_page_are_the_layers_from_top_to_bottom():

@@ -11,7 +11,7 @@ from tools.calibrations import HEADLINES
 from tools.holdouts import DATA_FILE, END, START, load_world, shown
 from tools.pages import part_between
 
-from .pages import blocks_of, run, text_of
+from .pages import play, text_of
 
 # as users have it
 pytestmark = pytest.mark.usefixtures("default_rate")
@@ -19,14 +19,11 @@ pytestmark = pytest.mark.usefixtures("default_rate")
 PAGE = "calibration.md"
 
 
-def test_the_code_runs_in_its_order():
-    scope = {}
-    for _, code in blocks_of(PAGE):
-        run(code.replace("runs=1000", "runs=24"), PAGE, scope)
-    point = scope["env"].unwrapped.core.setup.detector.point
-    assert point.false_alarms_per_hour == 0.2
-    assert [each.detector["name"] for each in scope["found"]] == ["snapshot-chi2", "ewma"]
-    assert [each.runs for each in scope["held"]] == [24, 24]
+def test_the_code_runs_in_its_order(monkeypatch):
+    page = play(PAGE, monkeypatch, [("runs=1000", "runs=24")])
+    assert page.env.unwrapped.core.setup.detector.point.false_alarms_per_hour == 0.2
+    assert [each.detector["name"] for each in page.found] == ["snapshot-chi2", "ewma"]
+    assert [each.runs for each in page.held] == [24, 24]
 
 
 @pytest.mark.parametrize("rate", [0.2, 0.002])
@@ -36,21 +33,19 @@ def test_it_takes_as_many_runs_as_the_page_says(rate):
     assert re.search(said, text_of(PAGE)), said
 
 
-LATER = ("cumulative-bank", "fma", "solution-separation")
-"""Detectors that came later, and have fewer runs."""
-
-
 @pytest.mark.parametrize("name", HEADLINES)
 def test_as_many_runs_are_shipped_as_the_page_says(name):
-    said = text_of(PAGE)
-    assert "200,000 runs of passive detectors and 6000 to 12,000 of those that de-weight" in said
-    assert "it is their 17th largest ratio" in said
-    assert "and 20,000 of" in said
-    assert all(f"`{each}`" in said for each in LATER)
+    later = ("cumulative-bank", "fma", "solution-separation")  # came later, and have fewer runs
+    for said in (
+        "200,000 runs of passive detectors and 6000 to 12,000 of those that de-weight",
+        "it is their 17th largest ratio",
+        "and 20,000 of",
+        *(f"`{each}`" for each in later),
+    ):
+        assert said in text_of(PAGE)
     world = load_world(name)
     points = {made.detector["name"]: made.point(0.002) for made, _ in world.passive}
-    later = {points.pop(each).runs for each in LATER}
-    assert later == {20_000}
+    assert {points.pop(each).runs for each in later} == {20_000}
     assert {(point.runs, point.rank) for point in points.values()} == {(200_000, 17)}
     assert all(6_000 <= made.runs <= 12_000 for made, _ in world.weighing)
     folder = world.passive[0][0].path.parent

@@ -1,10 +1,7 @@
 """The code of pages runs, block after block, and prints what they say."""
 
-import importlib.util
 import re
 import shlex
-import sys
-import types
 from pathlib import Path
 
 import pytest
@@ -13,8 +10,10 @@ from typer.testing import CliRunner
 from spoofgym.attacks import THREATS
 from spoofgym.cli import app
 from spoofgym.envs.terms import TERMS
+from spoofgym.policies import DetectorCard
+from spoofgym.testing import check_detector
 
-from .pages import blocks_of, run, text_of
+from .pages import play, text_of
 
 # as users have it
 pytestmark = pytest.mark.usefixtures("default_rate_of_module", "in_tmp_path")
@@ -24,31 +23,29 @@ SHORT = {"warmup_s": 10.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 1
 
 @pytest.fixture
 def played(monkeypatch, capsys):
-    """Plays a page's blocks, apart from those that need what is not there; names, and lines."""
+    """Plays a page's blocks, where the modules are there that it needs; names, and lines."""
 
-    def play(page, *needed):
+    def play_page(page, *needed):
         for module in needed:
             pytest.importorskip(module)
         for kind in TERMS:  # a page may add to the registry
             monkeypatch.setitem(TERMS, kind, dict(TERMS[kind]))
-        module = types.ModuleType("page")
-        monkeypatch.setitem(sys.modules, "page", module)
-        assert blocks_of(page)
-        for needs, code in blocks_of(page):
-            if needs is None or importlib.util.find_spec(needs):
-                run(code, page, module.__dict__)
-        return module, capsys.readouterr().out.splitlines()
+        return play(page, monkeypatch), capsys.readouterr().out.splitlines()
 
-    return play
+    return play_page
 
 
-@pytest.mark.parametrize("page", ["game.md", "own_observation_term.md"])
-def test_the_code_of_a_page_runs(page, played):
-    played(page)
-
-
-def test_the_code_on_terms_runs(played):
-    played("terms.md", "pyarrow")  # as `RecordEpochs`
+@pytest.mark.parametrize(
+    ("page", "needed"),
+    [
+        ("game.md", ()),
+        ("own_observation_term.md", ()),
+        ("terms.md", ("pyarrow",)),  # as `RecordEpochs`
+        ("train_your_own.md", ("stable_baselines3",)),
+    ],
+)
+def test_the_code_of_a_page_runs(page, needed, played):
+    played(page, *needed)
 
 
 def test_the_code_on_own_data_prints_what_the_page_says(played):
@@ -91,3 +88,15 @@ def test_every_threat_has_its_two_rows_and_plays(played):
         alarmed, east, undetected = code.play(name, runs=2, timeline=SHORT)
         assert 0.0 <= alarmed <= 1.0
         assert undetected >= east - 1e-9 or alarmed > 0.0
+
+
+def test_a_learned_detector_is_written_as_the_catalogue_says(played):
+    code, _ = played("catalogue.md", "onnxscript")
+    assert sorted(path.name for path in Path().iterdir()) == ["guard.json", "guard.onnx"]
+    card = DetectorCard.load("guard.json")
+    assert card == code.card
+    assert [each.name for each in card.state] == ["hidden"]
+
+
+def test_the_detector_of_the_contributors_guide_keeps_the_contract(played):
+    check_detector(played("CONTRIBUTING.md")[0].CumulativeSum())

@@ -8,7 +8,7 @@ from spoofgym.detectors import DETECTORS, SolutionSeparation
 from spoofgym.limits import deflection_for
 from spoofgym.limits.no_alarm import check_convex
 
-from .pages import blocks_of, run, text_of
+from .pages import play, text_of
 
 PAGE = "limits.md"
 KINDS = {
@@ -22,15 +22,12 @@ KINDS = {
 """What the package says of a detector without a bound, by the word of the page."""
 
 
-def test_the_code_runs_in_its_order_and_gives_the_figures_of_the_page():
-    scope = {}
-    for _, code in blocks_of(PAGE):
-        run(code, PAGE, scope)
-    assert round(scope["half"], 1) == 4.7
-    assert round(scope["known"], 1) == 1.3
-    bound = scope["bound"]
+def test_the_code_runs_in_its_order_and_gives_the_figures_of_the_page(monkeypatch):
+    page = play(PAGE, monkeypatch)
+    assert (round(page.half, 1), round(page.known, 1)) == (4.7, 1.3)
+    bound = page.bound
     assert (round(bound.free_m), round(bound.restricted_m), bound.kind) == (722, 460, "exact")
-    (size,) = scope["found"].sizes()
+    (size,) = page.found.sizes()
     row = re.search(r"\| `zhong2025` \| ([\d.]+) m \| ([\d.]+) m \|", text_of(PAGE))
     assert (float(row[1]), float(row[2])) == (round(size, 2), round(2.0 * size, 1))
 

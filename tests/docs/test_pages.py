@@ -1,5 +1,6 @@
 """What all pages of the docs name exists: modules and what is in them, and other pages."""
 
+import importlib
 import pkgutil
 import re
 import shlex
@@ -14,15 +15,29 @@ from spoofgym.core.registry import parse_spec
 from spoofgym.detectors import detector_in_world
 from spoofgym.truth.scenario import make_scenario
 
-from .pages import BLOCK, ROOT
+from .as_users import PAGES, name_of, steps_of
+from .pages import ROOT, blocks_of
 
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 NAME = re.compile(r"(?<![\w/])spoofgym(?:\.[A-Za-z]\w*)+")
 INVENTED = {"spoofgym.detectors.your_name"}
 """What a reader is to write."""
+COMMANDS = sorted(
+    {
+        step.text.removeprefix(".venv/bin/").replace(
+            "make train ARGS=", "python -m train.ppo_spoofer "
+        )
+        for page in PAGES
+        for step in steps_of(page)
+        if step.kind == "command"
+    }
+)
+OURS = [line for line in COMMANDS if line.startswith("spoofgym ")]
+TRAININGS = [line for line in COMMANDS if line.startswith("python -m train.")]
+assert len(OURS) > 15
+assert len(TRAININGS) > 5
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=name_of)
 def test_a_dotted_name_on_a_page_exists_and_its_links_lead_somewhere(page):
     for name in sorted(set(NAME.findall(page.read_text())) - INVENTED):
         assert pkgutil.resolve_name(name) is not None, name
@@ -30,35 +45,13 @@ def test_a_dotted_name_on_a_page_exists_and_its_links_lead_somewhere(page):
     assert [target for target in targets if not (page.parent / target).exists()] == []
 
 
-def commands_of(page):
-    """Command lines of ``spoofgym`` in the blocks of a page, each with its continuation."""
-    blocks = re.findall(r"```(?:console|bash|sh)\n(.*?)```", page.read_text(), flags=re.DOTALL)
-    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
-    return [line for line in lines if line.startswith("spoofgym ")]
-
-
-@pytest.fixture
-def my_detector(monkeypatch):
-    """The module that the README lets its reader write."""
-    (code,) = (
-        code for _, code in BLOCK.findall((ROOT / "README.md").read_text()) if "class " in code
-    )
-    module = types.ModuleType("my_detector")
-    monkeypatch.setitem(sys.modules, "my_detector", module)
-    exec(compile(code, "README.md", "exec"), module.__dict__)
-
-
-COMMANDS = [(page, line) for page in PAGES for line in commands_of(page)]
-
-
-IDS = [f"{page.name}-{k}" for k, (page, _) in enumerate(COMMANDS)]
-assert len(COMMANDS) > 15
-
-
-@pytest.mark.parametrize(("page", "line"), COMMANDS, ids=IDS)
-def test_a_command_on_a_page_is_understood(page, line, my_detector):
+@pytest.mark.parametrize("line", OURS)
+def test_a_command_on_a_page_is_understood(line, monkeypatch):
     """Its options exist and take these values; its scenario and detectors do, too."""
-    words = shlex.split(line, comments=True)[1:]
+    module = types.ModuleType("my_detector")  # which the README lets its reader write
+    monkeypatch.setitem(sys.modules, "my_detector", module)
+    exec(blocks_of("README.md")[1][1], module.__dict__)
+    words = shlex.split(line)[1:]
     command = typer.main.get_command(app)
     context = command.make_context("spoofgym", list(words))
     while words and hasattr(command, "resolve_command"):  # of click, or of typer's copy of it
@@ -72,3 +65,15 @@ def test_a_command_on_a_page_is_understood(page, line, my_detector):
     for text in [detectors] if isinstance(detectors, str) else detectors:
         if text != "all" and ".onnx" not in text:
             detector_in_world(parse_spec(text))
+
+
+@pytest.mark.parametrize("line", TRAININGS)
+def test_a_training_on_a_page_is_understood(line):
+    tyro = pytest.importorskip("tyro")
+    pytest.importorskip("stable_baselines3")
+    name, *words = shlex.split(line)[2:]
+    module = importlib.import_module(name)
+    kind = getattr(module, "Arguments", None) or module.Settings
+    if "--help" not in words:
+        given = shlex.split(words[0]) if len(words) == 1 else words
+        assert isinstance(tyro.cli(kind, args=given), kind)

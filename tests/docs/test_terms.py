@@ -13,16 +13,6 @@ from .pages import text_of
 PAGE = text_of("terms.md")
 
 
-def row_of(kind, name, term):
-    settings = [
-        f"`{f.name}`" if f.default is dataclasses.MISSING else f"`{f.name}={f.default!r}`"
-        for f in dataclasses.fields(term)
-    ]
-    known = [term.knowledge] if kind == "observation" else []
-    text = " ".join(term.__doc__.split("\n\n")[0].split())
-    return f"| {' | '.join([f'`{name}`', ', '.join(settings) or 'none', *known, text])} |"
-
-
 def table_of(kind):
     (table,) = re.findall(rf"<!-- {kind} -->\n(.*?)\n<!-- -->", PAGE, flags=re.DOTALL)
     return table.splitlines()[2:]
@@ -30,7 +20,17 @@ def table_of(kind):
 
 @pytest.mark.parametrize("kind", TERMS)
 def test_the_table_is_that_of_the_registry(kind):
-    assert table_of(kind) == [row_of(kind, *each) for each in TERMS[kind].items()]
+    rows = []
+    for name, term in TERMS[kind].items():
+        settings = [
+            f"`{f.name}`" if f.default is dataclasses.MISSING else f"`{f.name}={f.default!r}`"
+            for f in dataclasses.fields(term)
+        ]
+        known = [term.knowledge] if kind == "observation" else []
+        text = " ".join(term.__doc__.split("\n\n")[0].split())
+        cells = [f"`{name}`", ", ".join(settings) or "none", *known, text]
+        rows.append(f"| {' | '.join(cells)} |")
+    assert table_of(kind) == rows
 
 
 def test_the_keys_of_the_information_are_those_of_the_table():

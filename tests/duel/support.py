@@ -67,3 +67,7 @@ def parallel_epochs(duel, seed, push_of, decide):
         observations, *_, infos = duel.step(actions)
         own.append(infos["spoofer_0"]["displacement_m"])
     return due, np.array(own), None, infos["spoofer_0"]
+
+
+FORMS = (aec, aec_epochs), (parallel, parallel_epochs)
+"""Without and with a delay."""

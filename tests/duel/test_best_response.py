@@ -1,7 +1,5 @@
 """Best responses, chosen on runs of their own, and both ends of the exploitability."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -35,26 +33,25 @@ def mix_of(side, *specs):
 
 
 @pytest.fixture(scope="module")
-def answered():
-    mix = mix_of("detector", SHARP, SEPARATION)
+def asked():
     given = make_player({"name": "ramp", "rate_mps": 0.01}, "spoofer", label="slow")
     warm = make_player({"name": "profile", "rates_mps": [0.0, 0.1, 0.4]}, "spoofer", label="curve")
-    return mix, best_spoofer(
-        game(), mix, BUDGET, entropy=3, given=[given], warm=[warm], label="new"
-    )
+    return {"given": [given], "warm": [warm], "label": "new", "entropy": 3}
 
 
-def test_a_response_is_the_best_of_all_families(answered):
-    _, found = answered
+@pytest.fixture(scope="module")
+def answered(asked):
+    mix = mix_of("detector", SHARP, SEPARATION)
+    return mix, best_spoofer(game(), mix, BUDGET, **asked)
+
+
+def test_a_response_is_the_best_of_all_families_and_not_scored_on_the_runs_that_chose_it(answered):
+    mix, found = answered
     assert {"slow", "ramp", "accelerating-ramp", "feedback", "blind-optimum"} <= set(found.best)
     assert set(found.best) == set(found.by_family)
     assert found.value > found.best["slow"]
     assert found.member.label.startswith("new: ")
     assert json.dumps(found.as_json(), allow_nan=False)
-
-
-def test_a_response_is_not_scored_on_the_runs_that_chose_it(answered):
-    mix, found = answered
     assert found.member.decided_on == {(3, "selection"), (3, "search")}
     with pytest.raises(ValueError, match="trained or chosen on"):
         game(split="selection", entropy=3).matrix([found.member], [mix], oracles=True)
@@ -62,19 +59,14 @@ def test_a_response_is_not_scored_on_the_runs_that_chose_it(answered):
     assert np.isfinite(fresh.values).all()
 
 
-def test_the_same_budget_finds_the_same_response(answered):
+def test_the_same_budget_finds_the_same_response(asked, answered):
     mix, found = answered
-    given, warm = (
-        found.by_family["slow"],
-        make_player({"name": "profile", "rates_mps": [0.0, 0.1, 0.4]}, "spoofer", label="curve"),
-    )
-    again = best_spoofer(game(), mix, BUDGET, entropy=3, given=[given], warm=[warm], label="new")
-    assert again == found
-    assert BUDGET.as_json()["digest"] == AttackBudget(**vars(BUDGET)).as_json()["digest"]
-    assert BUDGET.as_json()["digest"] != AttackBudget().as_json()["digest"]
+    assert best_spoofer(game(), mix, BUDGET, **asked) == found
+    digest = BUDGET.as_json()["digest"]
     learned = AttackBudget(further={"ppo_steps": 8}).as_json()
     assert learned["further"] == {"ppo_steps": 8}
-    assert learned["digest"] != AttackBudget().as_json()["digest"]
+    assert AttackBudget(**vars(BUDGET)).as_json()["digest"] == digest
+    assert len({digest, learned["digest"], AttackBudget().as_json()["digest"]}) == 3
 
 
 def test_without_oracles_and_a_search_no_such_spoofer_answers():
@@ -116,27 +108,21 @@ def test_what_a_side_gains_is_paired_and_nothing_for_its_own_mix():
 
 
 def test_the_upper_end_is_the_bounds_weighted_by_the_mix():
-    one, why = upper_end(game(limit_m=100.0), mix_of("detector", SEPARATION))
+    found = game(limit_m=100.0)
+    one, why = upper_end(found, mix_of("detector", SEPARATION))
     assert 0.0 < one < 1.0
     assert "solution-separation" in why
-    other, _ = upper_end(game(limit_m=100.0), mix_of("detector", SHARP))
-    both, _ = upper_end(game(limit_m=100.0), mix_of("detector", SEPARATION, SHARP))
+    other, _ = upper_end(found, mix_of("detector", SHARP))
+    both, _ = upper_end(found, mix_of("detector", SEPARATION, SHARP))
     assert both == pytest.approx((one + other) / 2)
     all_of_it, why = upper_end(game(limit_m=1e-3), mix_of("detector", SEPARATION))
-    assert all_of_it == 1.0
-    assert why.endswith("so that they say nothing")
+    assert (all_of_it, why.endswith("so that they say nothing")) == (1.0, True)
     # nobody exceeds it
     spoofers = [{"name": "accelerating-ramp", "acceleration_mps2": a} for a in (0.01, 0.03, 0.05)]
-    matrix = game(limit_m=100.0).matrix(spoofers, [SEPARATION])
-    assert matrix.values.max() <= one
-
-
-def test_there_is_no_upper_end_where_a_member_has_no_bound():
+    assert found.matrix(spoofers, [SEPARATION]).values.max() <= one
     bound, why = upper_end(game(), mix_of("detector", SEPARATION, EWMA))
     assert bound is None
     assert why.startswith("ewma")
     assert why.endswith(" has no bound: it takes weight off measurements")
     with pytest.raises(ValueError, match="detectors"):
         upper_end(game(), mix_of("spoofer", RAMP))
-    with pytest.raises(ValueError, match="sift_runs"):
-        AttackBudget(sift_runs=0)

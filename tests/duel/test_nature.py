@@ -7,7 +7,6 @@ from spoofgym import duel_v0
 from spoofgym.detectors.pool import NATURE, OPPONENT, draw_members, normalize_weights, uniforms
 from spoofgym.duel.duel import with_world
 from spoofgym.envs import SpoofEnv
-from spoofgym.envs.scoring import DisplacementScore, FusedStep, StepResult
 
 from .support import ALARM, BRIEF, QUIET, aec, parallel
 
@@ -21,10 +20,6 @@ def run(env, seed, push=PUSH, decision=QUIET):
         observations, rewards, *_, infos = env.step({"spoofer_0": push, "detector_0": decision})
         trace.append((observations, rewards, infos))
     return trace
-
-
-def attacked(trace):
-    return trace[0][2]["spoofer_0"]["attacked"]
 
 
 def test_half_of_the_episodes_are_attacked():
@@ -41,7 +36,7 @@ def test_half_of_the_episodes_are_attacked():
 
 def test_a_clean_episode_is_the_clean_run_whatever_is_commanded_and_pays_nothing():
     env = parallel(threshold=1.0)
-    found = {seed: attacked(run(env, seed)) for seed in range(8)}
+    found = {seed: run(env, seed)[0][2]["spoofer_0"]["attacked"] for seed in range(8)}
     assert {True, False} == set(found.values())
     seed = next(seed for seed, hit in found.items() if not hit)
     reference = SpoofEnv(detector="never", action="full-command", **with_world(BRIEF))
@@ -80,79 +75,30 @@ def test_the_detector_observes_no_truth():
     env.reset(seed=3)
     env.step(PUSH)
     duel = env.unwrapped.duel
-    seen = duel.observe_detector()
-    agent, batch = duel.agent, duel.core.engine.simulator
-    remembered = {name: np.array(array) for name, array in agent.memory.items()}
-    agent.reset()
-    agent.look(batch.epoch)
-    first = agent.memory["observation"].copy()
-    agent.reset()
-    batch.sensors.fields.data[:] = np.nan
-    agent.look(batch.epoch)
-    np.testing.assert_array_equal(agent.memory["observation"], first)
-    assert np.isfinite(seen).all()
-    assert set(remembered) == {"observation", "average", "elapsed", "excluded_s"}
+    assert np.isfinite(duel.observe_detector()).all()
+    agent, batch, seen = duel.agent, duel.core.engine.simulator, []
+    assert {*agent.memory} == {"observation", "average", "elapsed", "excluded_s"}
+    for _ in range(2):
+        agent.reset()
+        agent.look(batch.epoch)
+        seen.append(agent.memory["observation"].copy())
+        batch.sensors.fields.data[:] = np.nan
+    np.testing.assert_array_equal(*seen)
 
 
-@pytest.mark.parametrize("payoff", ["neyman-pearson", "weighted"])
-def test_the_return_is_the_undetected_displacement(payoff):
+@pytest.mark.parametrize(("payoff", "late"), [("neyman-pearson", 0.0), ("weighted", 0.05)])
+def test_the_return_is_the_undetected_displacement(payoff, late):
     env = parallel(attack_probability=1.0, payoff=payoff, threshold=1.0)
     trace = run(env, 2)
-    total = {name: sum(step[1][name] for step in trace) for name in ("spoofer_0", "detector_0")}
-    assert total["spoofer_0"] == -total["detector_0"]
+    paid = sum(rewards["spoofer_0"] for _, rewards, _ in trace)
+    assert paid == -sum(rewards["detector_0"] for _, rewards, _ in trace)
     induced = trace[-1][2]["spoofer_0"]["undetected_displacement_m"]
     assert induced > 1.0
-    late = 0.1 * 0.5 * (len(trace) - 1) if payoff == "weighted" else 0.0
-    assert total["spoofer_0"] == pytest.approx(induced + late, rel=1e-9)
+    assert paid == pytest.approx(induced + late * (len(trace) - 1), rel=1e-9)
 
 
 def test_the_weighted_payoff_charges_false_alarms_to_the_detector_alone():
-    env = parallel(
-        attack_probability=0.0,
-        payoff={"name": "weighted", "false_alarm": 7.0, "error_per_m": 0.0},
-        threshold=0.5,
-    )
-    trace = run(env, 2, decision=ALARM)
-    assert len(trace) == 2
-    assert trace[-1][1] == {"spoofer_0": 0.0, "detector_0": -7.0}
-
-
-class Still:
-    """Receivers that stay at the first epoch."""
-
-    def __init__(self, receivers):
-        zeros = np.zeros(receivers, dtype=np.int64)
-        nothing, to_east = np.zeros((receivers, 0)), np.tile([0.0, 1.0], (receivers, 1))
-        self._arrays = zeros, zeros > 0, nothing, nothing, to_east
-
-    def step_arrays(self):
-        return self._arrays
-
-
-def test_the_time_to_alert_counts_the_same_at_once_as_epoch_by_epoch():
-    steps, hold, runs = 12, 4, 200
-    rng = np.random.default_rng(3)
-    displacement = rng.normal(size=(steps + hold, runs)).cumsum(axis=0)
-    alarms = rng.random((steps + hold, runs)) < 0.06
-    scores = []
-    for window in (steps, steps + hold):
-        score = DisplacementScore(runs, steps, hold)
-        fused = FusedStep(score, np.zeros(1), at_alarm=True, window=window)
-        for k in range(window):
-            result = StepResult(fused.layout)
-            result.displacement[:] = displacement[k]
-            nobody, seen = score.no_rows, np.empty(0, dtype=np.float32)
-            fused(
-                Still(runs),
-                alarms[k][:, None],
-                nobody,
-                nobody,
-                result,
-                seen,
-                lambda rows: (alarms[steps:, rows], None),
-            )
-        scores.append(score)
-    at_once, by_epoch = scores
-    np.testing.assert_allclose(by_epoch.undetected, at_once.undetected, atol=1e-12)
-    np.testing.assert_array_equal(by_epoch.detected, at_once.detected)
-    assert 0.2 < by_epoch.detected.mean() < 0.9
+    payoff = {"name": "weighted", "false_alarm": 7.0, "error_per_m": 0.0}
+    env = parallel(attack_probability=0.0, payoff=payoff, threshold=0.5)
+    _, (_, rewards, _) = run(env, 2, decision=ALARM)
+    assert rewards == {"spoofer_0": 0.0, "detector_0": -7.0}

@@ -21,21 +21,17 @@ class Odd(Spoofer):
         return self.action
 
 
-def steps(envs, count=1):
+def steps(envs, count=1, seed=None):
+    if seed is not None:
+        envs.reset(seed=seed)
     for _ in range(count):
         envs.step(np.tile(QUIET, (envs.num_envs, 1)).astype(np.float32))
-
-
-def one_epoch(envs):
-    envs.reset(seed=1)
-    steps(envs)
 
 
 @pytest.mark.parametrize(
     ("action", "message"),
     [
         (np.zeros(2), r"must have shape \(3, 2\) \(north_.*, east_.*\), got \(2,\)"),
-        (np.zeros((3, 3)), r"must have shape \(3, 2\) .*, got \(3, 3\)"),
         (None, r"must have shape \(3, 2\) .*, got \(\)"),
         ("east", "could not convert"),
         (np.full((3, 2), np.nan), "'north_.*' of receiver 0 is nan"),
@@ -45,7 +41,7 @@ def test_a_spoofer_that_breaks_the_contract_is_named(action, message):
     for delay in (0, 1):
         envs = duel_v0.DetectorVectorView(3, Odd(action), **BRIEF, decision_delay=delay)
         with pytest.raises(ValueError, match=f"the spoofer 'Odd' of the pool: .*{message}"):
-            one_epoch(envs)
+            steps(envs, 1, seed=1)
 
 
 def test_a_spoofer_starts_again_only_where_an_episode_does():
@@ -64,11 +60,9 @@ def test_every_spoofer_commands_in_double_precision_whoever_acts_first():
     for name, pool in (("alone", [double]), ("pair", [single, double])):
         envs = duel_v0.DetectorVectorView(8, pool, **BRIEF)
         envs.reset(seed=2)
-        game = envs.core
-        commands[name] = game.pool.act(game.duel.snapshot(), np.arange(8))
-        opponents = np.array(envs.opponents)
-    assert set(opponents) == {"Odd", "Even"}
-    mine = opponents == "Even"
+        commands[name] = envs.core.pool.act(envs.core.duel.snapshot(), np.arange(8))
+    mine = np.array(envs.opponents) == "Even"
+    assert {*mine} == {True, False}
     np.testing.assert_array_equal(commands["pair"][mine], commands["alone"][mine])
     assert (commands["pair"][~mine] == np.float32(0.1)).all()
 

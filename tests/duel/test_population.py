@@ -1,7 +1,5 @@
 """Payoffs of populations on paired runs, what is kept of them, and what is refused."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -32,6 +30,7 @@ EWMA = {"name": "ewma", **NOMINAL}
 DETECTORS = [CHI2, CUSUM, SHARP, EWMA]
 RAMP = {"name": "ramp", "rate_mps": 0.2}
 SPOOFERS = ["none", RAMP, {"name": "ramp", "rate_mps": 0.8}, "feedback"]
+MINE = make_player(RAMP, "spoofer", label="my")
 RUNS = 6
 
 
@@ -69,19 +68,20 @@ def test_all_entries_have_the_same_runs(played):
     assert len(np.unique(matrix.displacement[1, 0])) == RUNS  # and about runs that differ
     np.testing.assert_array_equal(matrix.values[0], 0.0)  # nothing is paid for nothing
     assert 0.1 < matrix.values[1:].max() <= 1.0
-    shown = repr(matrix)
-    assert "'feedback'" in shown
-    assert f"{RUNS} runs of (0, 'game')" in shown
-    assert "array" not in shown
-
-
-def test_a_part_of_the_matrix_has_the_entries_of_the_whole(played):
-    _, matrix = played
+    assert "'feedback'" in repr(matrix)
+    assert "array" not in repr(matrix)
+    # a difference of two detectors that never alarm is paired
+    same = np.zeros(matrix.values.shape)
+    same[1, 0], same[1, 1] = 1.0, -1.0
+    assert matrix.contrast(same) == (0.0, 0.0, 0.0)
+    spread = matrix.spread(50).value
+    assert 0.0 <= spread.low <= spread.value <= spread.high <= 1.0
+    # a part of the matrix has the entries of the whole
     part = game().matrix([SPOOFERS[1]], [DETECTORS[2]])
     np.testing.assert_array_equal(part.displacement[0, 0], matrix.displacement[1, 2])
     np.testing.assert_allclose(part.values, matrix.values[1:2, 2:3])
-    more = game(runs=RUNS - 2).matrix([SPOOFERS[1]], [DETECTORS[2]])
-    np.testing.assert_array_equal(more.displacement[0, 0], matrix.displacement[1, 2, : RUNS - 2])
+    fewer = game(runs=RUNS - 2).matrix([SPOOFERS[1]], [DETECTORS[2]])
+    np.testing.assert_array_equal(fewer.displacement[0, 0], matrix.displacement[1, 2, : RUNS - 2])
 
 
 def test_payoffs_need_no_budget():
@@ -121,16 +121,6 @@ def test_an_equilibrium_is_a_pool_for_both_sides(played):
     assert matrix.seeds in detectors.decided_on
 
 
-def test_a_difference_is_paired(played):
-    _, matrix = played
-    same = np.zeros(matrix.values.shape)
-    same[1, 0], same[1, 1] = 1.0, -1.0  # two detectors that never alarm
-    assert matrix.contrast(same) == (0.0, 0.0, 0.0)
-    spread = matrix.spread(50)
-    assert spread.value.low <= spread.value.value <= spread.value.high
-    assert 0.0 <= spread.value.low <= spread.value.high <= 1.0
-
-
 def test_what_is_finished_is_not_played_again_and_is_the_same(tmp_path, monkeypatch, played):
     _, matrix = played
     game(folder=tmp_path).matrix(SPOOFERS[:2], DETECTORS)
@@ -166,44 +156,44 @@ def test_objects_play_and_leave_nothing_in_the_folder(tmp_path):
 def test_nobody_is_scored_on_runs_that_decided_on_it(played):
     found, matrix = played
     chosen = make_player(RAMP, "spoofer", label="chosen", decided_on=[(0, "game")])
-    with pytest.raises(ValueError, match="trained or chosen on the runs"):
-        found.matrix([chosen], [CHI2])
     for fresh in (found.on("evaluation"), found.on("game", entropy=1)):
         assert fresh.seeds not in chosen.decided_on
     mix, _ = matrix.mixes(matrix.solve())
-    with pytest.raises(ValueError, match="spoofers' mix was trained or chosen"):
-        found.matrix([mix], [CHI2], oracles=True)
     guard = make_player(CHI2, "detector", decided_on=[(0, "game")])
-    with pytest.raises(ValueError, match="trained or chosen"):
-        found.matrix([RAMP], [mixture("mix", [guard], [1.0])])
+    for spoofer, detector, words in (
+        (chosen, CHI2, "trained or chosen on the runs"),
+        (mix, CHI2, "spoofers' mix was trained or chosen"),
+        (RAMP, mixture("mix", [guard], [1.0]), "trained or chosen"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            found.matrix([spoofer], [detector], oracles=True)
 
 
-def test_what_is_shipped_says_by_its_card_what_decided_on_it(played):
+def test_what_is_shipped_says_by_its_card_what_decided_on_it(played, monkeypatch):
     found, _ = played
+    for name in list_shipped():
+        decided_on = find_card(name).decided_on
+        assert decided_on
+        assert {split for _, split in decided_on} <= {*SPLITS}
     learned = make_player("hidden-pool-ppo", "spoofer", decided_on=[(4, "search")])
-    assert learned.decided_on == {(0, "training"), (0, "evaluation"), (4, "search")}
     with pytest.raises(ValueError, match="trained or chosen on the runs of the split 'training'"):
         found.on("training").matrix([learned], [CHI2])
-    profile = make_player("ewma-profile", "spoofer")
-    halved = {"name": "hidden-pool-ppo", "amplitude": 0.5}
-    for given in (profile.spec, make_spoofer("ewma-profile")):
-        assert make_player(given, "spoofer").decided_on == {(0, "training")}
-    for given in (learned.spec, halved):
-        assert make_player(given, "spoofer").decided_on == {(0, "training"), (0, "evaluation")}
-    other = {**profile.spec, "rates_mps": [0.0, 0.1]}
-    assert make_player(other, "spoofer").decided_on == frozenset()
-    seeds = {(0, "dataset-train"), (0, "dataset-validation")}
+    profile = make_player("ewma-profile", "spoofer").spec
+    trained, seen = (0, "training"), (0, "evaluation")
     guard = {"name": "trolley-guard", "threshold": 0.5}
-    for given in (guard, {"name": "pool", "members": [CHI2, guard]}):
-        assert make_player(given, "detector").decided_on == seeds
-    assert make_player(CHI2, "detector").decided_on == frozenset()
-
-
-def test_every_learned_card_names_runs_that_decided_on_it(monkeypatch):
-    for name in list_shipped():
-        card = find_card(name)
-        assert card.decided_on
-        assert {split for _, split in card.decided_on} <= {*SPLITS}
+    sets = [(0, "dataset-train"), (0, "dataset-validation")]
+    for side, given, seeds in (
+        ("spoofer", profile, [trained]),
+        ("spoofer", make_spoofer("ewma-profile"), [trained]),
+        ("spoofer", learned.spec, [trained, seen]),
+        ("spoofer", {"name": "hidden-pool-ppo", "amplitude": 0.5}, [trained, seen]),
+        ("spoofer", {**profile, "rates_mps": [0.0, 0.1]}, []),
+        ("detector", guard, sets),
+        ("detector", {"name": "pool", "members": [CHI2, guard]}, sets),
+        ("detector", CHI2, []),
+    ):
+        assert make_player(given, side).decided_on == {*seeds}
+    assert learned.decided_on == {trained, seen, (4, "search")}
     card = load_card("ewma-profile")
     for wrong in (3, ["training"], [[0]], [["x", "training"]], [[0.9, "training"]], [[-1, "tr"]]):
         told = card.model_copy(update={"training": {"decided_on": wrong}})
@@ -216,11 +206,8 @@ def test_every_learned_card_names_runs_that_decided_on_it(monkeypatch):
 
 def test_an_oracle_is_marked_and_not_compared_unasked(played):
     found, matrix = played
-    assert matrix.spoofers[3].knowledge == "oracle"
-    assert [each.get("knowledge") for each in matrix.as_json()["spoofers"]] == [
-        *["blind"] * 3,
-        "oracle",
-    ]
+    told = [each.get("knowledge") for each in matrix.as_json()["spoofers"]]
+    assert told == ["blind", "blind", "blind", "oracle"]
     with pytest.raises(ValueError, match=r"feedback: an oracle.*oracles=True`, --oracles"):
         found.matrix(SPOOFERS, [CHI2])
     assert found.matrix(["none", "feedback"], [CHI2]).values.shape == (2, 1)
@@ -239,6 +226,12 @@ def test_an_oracle_is_marked_and_not_compared_unasked(played):
         ([RAMP], ["oracle-ramp"], "oracle"),
         ([RAMP], ["no-such.onnx"], "no-such.onnx"),
         ([RAMP], [{"name": "pool", "members": [CHI2, "guard.zip"]}], "guard.zip is a pickled file"),
+        (
+            [MINE, make_player("ramp", "spoofer", label="my")],
+            [CHI2],
+            "two spoofers are called 'my'",
+        ),
+        ([RAMP], [MINE], "is a spoofer, and no detector"),
     ],
 )
 def test_bad_members_are_named(spoofers, detectors, words):
@@ -246,22 +239,20 @@ def test_bad_members_are_named(spoofers, detectors, words):
         game().matrix(spoofers, detectors)
 
 
-def test_bad_games_are_refused():
-    one, other = (make_player(spec, "spoofer", label="mine") for spec in (RAMP, "ramp"))
-    with pytest.raises(ValueError, match="two spoofers are called 'mine'"):
-        game().matrix([one, other], [CHI2])
-    with pytest.raises(ValueError, match="is a spoofer, and no detector"):
-        game().matrix([RAMP], [one])
-    for settings, words in (
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
         ({"limit_m": None}, "limit_m"),
         ({"limit_m": -1.0}, "limit_m"),
         ({"split": "calibration"}, "split"),
         ({"payoff": "gold"}, "must be 'stealth' or 'hmi', got 'gold'"),
         ({"speed": 1.0}, "speed"),
         ({"task": "T3"}, "can't be given with task T3"),
-    ):
-        with pytest.raises((ValueError, TypeError), match=words):
-            game(**settings)
+    ],
+)
+def test_bad_games_are_refused(settings, words):
+    with pytest.raises((ValueError, TypeError), match=words):
+        game(**settings)
 
 
 def test_a_detector_that_leaves_no_run_has_no_payoff():

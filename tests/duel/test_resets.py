@@ -5,7 +5,7 @@ import pytest
 
 from spoofgym import duel_v0
 
-from .support import BRIEF, QUIET, SHORT, aec, parallel
+from .support import BRIEF, SHORT, aec, parallel
 
 DRAWN = {
     **BRIEF,
@@ -28,7 +28,7 @@ VECTOR = {
 
 def batch_of(env):
     """Receivers of an environment of any kind."""
-    inner = getattr(env, "unwrapped", env)
+    inner = env.unwrapped
     duel = inner.duel if hasattr(inner, "duel") else getattr(inner.core, "duel", None)
     return (inner.core if duel is None else duel.core).engine.simulator
 
@@ -36,9 +36,8 @@ def batch_of(env):
 def circumstances(env):
     """World, time from its begin to the onset, and heading of every receiver."""
     batch = batch_of(env)
-    each = batch.setup.epochs_each
-    interval = batch.setup.interval_s
-    return batch.onset // each, (batch.onset % each) * interval, np.degrees(batch.heading)
+    world, epochs = np.divmod(batch.onset, batch.setup.epochs_each)
+    return world, epochs * batch.setup.interval_s, np.degrees(batch.heading)
 
 
 def check_told(env, rows=slice(None)):
@@ -67,16 +66,15 @@ def test_what_is_wrong_leaves_the_episode_alone(name):
     env = SINGLE[name]()
     env.reset(seed=1)
     before = batch_of(env).epochs.copy()
-    for given, error in (
-        ({"wurld": 1}, ValueError),
-        ({"start_s": 40.0}, ValueError),
-        (3, TypeError),
+    for given, message in (
+        ({"options": {"domain": {"wurld": 1}}}, "wurld"),
+        ({"options": {"domain": {"start_s": 40.0}}}, "`start_s` must be"),
+        ({"options": {"domain": 3}}, "`domain` of a reset must be"),
+        ({"seed": -1}, "a seed must be a whole number of at least 0, got -1"),
     ):
-        with pytest.raises(error, match=r"wurld|`start_s` must be|`domain` of a reset must be"):
-            env.reset(options={"domain": given})
+        with pytest.raises((ValueError, TypeError), match=message):
+            env.reset(**given)
         np.testing.assert_array_equal(batch_of(env).epochs, before)
-    with pytest.raises(ValueError, match="a seed must be a whole number of at least 0, got -1"):
-        env.reset(seed=-1)
 
 
 @pytest.mark.parametrize("name", VECTOR)
@@ -96,15 +94,16 @@ def test_a_batch(name):
 
 
 def test_both_forms_and_the_views_begin_alike():
-    observations, _ = (duel := SINGLE["parallel"]()).reset(seed=8, options={"domain": TOLD})
-    seen = observations["detector_0"]
-    (other := SINGLE["aec"]()).reset(seed=8, options={"domain": TOLD})
-    np.testing.assert_array_equal(other.observe("detector_0"), seen)
-    np.testing.assert_array_equal(other.observe("spoofer_0"), observations["spoofer_0"])
-    view = SINGLE["spoofer"]()
-    np.testing.assert_array_equal(
-        view.reset(seed=8, options={"domain": TOLD})[0], observations["spoofer_0"]
-    )
-    assert duel.step({"spoofer_0": np.zeros(2), "detector_0": QUIET})
-    guard = duel_v0.DetectorView(RAMP, decision_delay=1, **DRAWN)
-    np.testing.assert_array_equal(guard.reset(seed=8, options={"domain": TOLD})[0], seen)
+    told = {"seed": 8, "options": {"domain": TOLD}}
+    observations, _ = SINGLE["parallel"]().reset(**told)
+    attack, guard = observations["spoofer_0"], observations["detector_0"]
+    aec_form = SINGLE["aec"]()
+    aec_form.reset(**told)
+    view = duel_v0.DetectorView(RAMP, decision_delay=1, **DRAWN)
+    for mine, expected in (
+        (aec_form.observe("detector_0"), guard),
+        (aec_form.observe("spoofer_0"), attack),
+        (SINGLE["spoofer"]().reset(**told)[0], attack),
+        (view.reset(**told)[0], guard),
+    ):
+        np.testing.assert_array_equal(mine, expected)

@@ -18,14 +18,18 @@ NAMED = "spoofgym/TightlyCoupled-v0"
 
 
 @pytest.mark.parametrize(
-    ("given", "same"),
+    ("given", "same", "met"),
     [
-        ({}, GAME),
-        ({"scenario": PAPERS}, {}),
-        ({"receiver": "paper", "domain": None}, {"scenario": "trolley", "receiver": "paper"}),
+        ({}, GAME, "solution-separation"),  # the best detector of the game
+        ({"scenario": PAPERS}, {}, "ewma"),
+        (
+            {"receiver": "paper", "domain": None},
+            {"scenario": "trolley", "receiver": "paper"},
+            "solution-separation",
+        ),
     ],
 )
-def test_all_forms_are_played_in_the_world_that_is_given_or_in_that_of_t3(given, same):
+def test_all_forms_are_played_in_the_world_that_is_given_or_in_that_of_t3(given, same, met):
     own = {"timeline": SHORT, **given}
     expected = SpoofEnv(**same, timeline=SHORT).core.setup.world_settings()
     for setup in (
@@ -35,6 +39,8 @@ def test_all_forms_are_played_in_the_world_that_is_given_or_in_that_of_t3(given,
         gym.make("spoofgym/SpooferView-v0", **own).unwrapped.core.setup,
     ):
         assert setup.world_settings() == expected
+    assert duel_v0.SpooferVectorView(2, **own).opponents == [met, met]
+    assert side_of("spoofgym/SpooferView-v0", **given).pool == met
 
 
 def side_of(env_id=None, task=None, side="spoofer", pool=None, weights=None, **settings):
@@ -66,25 +72,12 @@ def test_its_signature_shows_it_and_settings_are_not_changed():
     assert with_world(given) == {**GAME, "receiver": "paper"}
     assert given == {"receiver": "paper"}
     assert with_world({"scenario": None}) == GAME
-
-
-def test_the_detectors_side_of_a_task_is_its_world_without_the_spoofers_reward():
+    # the detectors' side of a task is its world without the spoofer's reward
     side = side_of(task="T6", side="detector", timeline=SHORT)
     assert side.pool == "ramp"
-    core = side.core(1, 1, False, "test")
     expected = SpoofEnv(**get_task("T6").world_kwargs, timeline=SHORT, detector="never")
-    assert core.duel.setup.world_settings() == expected.core.setup.world_settings()
-
-
-@pytest.mark.parametrize(
-    ("given", "met"),
-    [({}, "solution-separation"), ({"scenario": PAPERS}, "ewma")],
-)
-def test_a_spoofer_meets_the_best_detector_of_the_game_by_default(given, met):
-    own = {"timeline": SHORT, **given}
-    assert duel_v0.SpooferView(**own)._side.labels == (met,)
-    assert duel_v0.SpooferVectorView(2, **own).opponents == [met, met]
-    assert side_of("spoofgym/SpooferView-v0", **given).pool == met
+    found = side.core(1, 1, False, "test").duel.setup
+    assert found.world_settings() == expected.core.setup.world_settings()
 
 
 @pytest.mark.parametrize(

@@ -25,35 +25,24 @@ DUELS = {"AEC duel": "env", "parallel duel": "parallel_env"}
 COUNT = 3
 SHORT = {"warmup_s": 8.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
 FEW_WORLDS = {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2}
+PLANT = {"warmup_s": 10, "live_s": 10, "attack_s": 24, "time_to_alert_s": 5}
+DRAWN = {"timeline": SHORT, "scenario": "trolley", "domain": FEW_WORLDS}
 SETTINGS: dict[str, dict[str, Any]] = {
-    **{
-        f"spoofgym/{side}View-v0": {"timeline": SHORT, "domain": ONE_SKY}
-        for side in ("Detector", "Spoofer")
-    },
-    **{
-        f"spoofgym/BenchD{k}-v1": {"timeline": SHORT, "scenario": "trolley", "domain": FEW_WORLDS}
-        for k in range(1, 5)
-    },
+    **{f"spoofgym/BenchD{k}-v1": DRAWN for k in range(1, 5)},
+    "spoofgym/DetectorView-v0": {"timeline": SHORT, "domain": ONE_SKY},
+    "spoofgym/SpooferView-v0": {"timeline": SHORT, "domain": ONE_SKY},
     "spoofgym/BenchT4-v1": {
-        "timeline": {"warmup_s": 10.0, "live_s": 5.0, "attack_s": 60.0, "time_to_alert_s": 2.0},
+        "timeline": {**SHORT, "warmup_s": 10.0, "attack_s": 60.0},
         "scenario": "trolley-tactical",
     },
-    "spoofgym/BenchT5-v1": {
-        "timeline": SHORT,
-        "domain": FEW_WORLDS,
-    },
+    "spoofgym/BenchT5-v1": {"timeline": SHORT, "domain": FEW_WORLDS},
     "spoofgym/LooselyCoupled-v0": {
         "timeline": {"warmup_s": 1.0, "live_s": 1.0, "attack_s": 2.4, "time_to_alert_s": 0.5},
         "detector": {"name": "windowed-chi2", "window": 8},
     },
-    **{
-        f"spoofgym/{kind}-v0": {
-            "timeline": {"warmup_s": 10, "live_s": 10, "attack_s": 24, "time_to_alert_s": 5}
-        }
-        for kind in ("Snapshot", "WheeledRobot")
-    },
+    "spoofgym/Snapshot-v0": {"timeline": PLANT},
+    "spoofgym/WheeledRobot-v0": {"timeline": PLANT},
 }
-"""Short flights and few worlds, so that all of them are made within seconds."""
 
 
 class Sooner(Detector):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spoofgym.detectors import Never, Verdict
+from spoofgym.detectors import Never
 from spoofgym.envs.core import ALARM_PRICE
 from spoofgym.envs.terms.reward import DisplacementGain
 
@@ -13,10 +13,6 @@ from .support import HOLD, LIVE, SMALL, STEPS, VICTIMS, AlarmAt, victim
 @pytest.fixture(params=VICTIMS)
 def kind(request):
     return request.param
-
-
-def price_of(kind):
-    return ALARM_PRICE * victim(kind).unwrapped.core.setup.scales["length_m"]
 
 
 def play(kind, detector, **kwargs):
@@ -38,20 +34,22 @@ def play(kind, detector, **kwargs):
     return np.array(displacement), np.array(reward), infos
 
 
-EDGES = [1, HOLD, HOLD + 1, HOLD + 2, STEPS, STEPS + 1, STEPS + HOLD, STEPS + HOLD + 1]
-"""Epochs of an alarm: with all taken back, a part, and after the last command; then too late."""
-
-
 @pytest.mark.parametrize(
     ("kind", "at"),
-    [*(("TightlyCoupled", at) for at in EDGES), *((kind, at) for kind in SMALL for at in (20, 44))],
+    [
+        # all is taken back, a part, and after the last command; then it is too late
+        *(("TightlyCoupled", at) for at in (1, HOLD, HOLD + 1, HOLD + 2, STEPS, STEPS + 1)),
+        *(("TightlyCoupled", STEPS + at) for at in (HOLD, HOLD + 1)),
+        *((kind, at) for kind in SMALL for at in (20, 44)),
+    ],
 )
 def test_an_alarm_takes_back_the_time_to_alert(kind, at):
     displacement, reward, infos = play(kind, AlarmAt(LIVE + at))
     detected = at <= STEPS + HOLD
     assert len(reward) == min(at, STEPS)
     kept = displacement[: max(at - HOLD - 1, 0) + 1].max()
-    assert sum(reward) == pytest.approx(kept - detected * price_of(kind))
+    price = ALARM_PRICE * victim(kind).unwrapped.core.length_m
+    assert sum(reward) == pytest.approx(kept - detected * price)
     assert infos[-1]["undetected_displacement_m"] == pytest.approx(kept)
     assert infos[-1]["detected"] == infos[-1]["alarm"] == detected
 
@@ -93,17 +91,14 @@ def test_the_target_direction_counts(kind):
     assert east[-1] > 1.0
 
 
-# --- with a clean twin an alarm costs only where that one has not alarmed so far ---------------
-
-
 class AlarmOfMoved(AlarmAt):
     """Alarms at one epoch for every receiver, at an earlier one for those that are spoofed."""
 
-    def __init__(self, epoch: int, moved: int) -> None:
+    def __init__(self, epoch, moved):
         super().__init__(epoch)
         self.moved = moved
 
-    def judge(self, epoch) -> Verdict:
+    def judge(self, epoch):
         verdict = super().judge(epoch)
         innovation = np.abs(epoch.innovation).max(axis=1, keepdims=True)
         hit = (self.memory["seen"][:, None] == self.moved) & (innovation > 30.0)
@@ -111,11 +106,9 @@ class AlarmOfMoved(AlarmAt):
         return verdict._replace(statistic=alarm * 2.0, alarm=alarm)
 
 
-PUSH = {"name": "false-position", "acceleration_limit_mps2": 50.0, "rate_limit_mps": 500.0}
-
-
 def play_twins(detector, **settings):
-    env = victim("TightlyCoupled", detector=detector, twin=True, attack=PUSH, **settings)
+    push = {"name": "false-position", "acceleration_limit_mps2": 50.0, "rate_limit_mps": 500.0}
+    env = victim("TightlyCoupled", detector=detector, twin=True, attack=push, **settings)
     env.reset(seed=1)
     infos, total, over = [], 0.0, False
     while not over:
@@ -125,31 +118,25 @@ def play_twins(detector, **settings):
     return infos, total
 
 
-@pytest.mark.parametrize("at", [5, STEPS + 3])
-def test_an_alarm_of_both_is_chance(at):
-    infos, total = play_twins(AlarmAt(LIVE + at))
+@pytest.mark.parametrize(
+    ("detector", "steps", "cost"),
+    [
+        (AlarmAt(LIVE + 5), 5, 0.0),
+        (AlarmAt(LIVE + STEPS + 3), STEPS, 0.0),
+        (AlarmOfMoved(LIVE + 15, LIVE + 9), 9, 1.0),
+        # in the time to alert
+        (AlarmOfMoved(LIVE + STEPS + HOLD - 1, LIVE + STEPS + 2), STEPS, 1.0),
+    ],
+)
+def test_an_alarm_is_paid_where_the_twin_has_not_alarmed_so_far(detector, steps, cost):
+    infos, total = play_twins(detector)
+    assert len(infos) == steps
     assert infos[-1]["detected"]
-    assert infos[-1]["twin_alarm"]
-    assert sum(info["cost"] for info in infos) == 0.0
-    assert total == pytest.approx(infos[-1]["undetected_displacement_m"])
-
-
-def test_an_alarm_before_that_of_the_twin_is_paid():
-    infos, total = play_twins(AlarmOfMoved(LIVE + 15, LIVE + 9))
-    assert len(infos) == 9
-    assert not infos[-1]["twin_alarm"]
-    assert infos[-1]["cost"] == 1.0
-    price = ALARM_PRICE * 40.0
+    assert infos[-1]["twin_alarm"] == (not cost)
+    assert [info["cost"] for info in infos] == [0.0] * (steps - 1) + [cost]
+    price = cost * ALARM_PRICE * 40.0
     assert infos[-1]["reward_alarm"] == -price
     assert total == pytest.approx(infos[-1]["undetected_displacement_m"] - price)
-
-
-def test_an_alarm_in_the_time_to_alert_before_the_twins_is_paid():
-    infos, _ = play_twins(AlarmOfMoved(LIVE + STEPS + HOLD - 1, LIVE + STEPS + 2))
-    assert len(infos) == STEPS
-    assert infos[-1]["detected"]
-    assert infos[-1]["cost"] == 1.0
-    assert not infos[-1]["twin_alarm"]
 
 
 def test_a_twins_alarm_is_remembered_for_the_episode():

@@ -1,8 +1,6 @@
 """The return of the environment ranks policies as the score does, and its best one is stealthy.
 
-Thirty policies as they are, no amplitude fitted: constant and accelerating ramps, profiles and
-feedback in several sizes, by factors of about two.  The score of a policy is its mean undetected
-displacement with alarmed runs counted 0, on the same runs as the mean return.
+The score is the mean undetected displacement, alarmed runs counted 0, on the runs of the return.
 """
 
 import numpy as np
@@ -15,18 +13,18 @@ from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.spoofers import make_spoofer
 
 RUNS = 256
-SHAPE = (0.0, 0.4, 0.5, 0.6, 0.8, 1.0, 1.5)
+
+
+def family(name, setting, low, high, count, shape=1.0):
+    sizes = np.geomspace(low, high, count)
+    return [{"name": name, setting: np.multiply(size, shape).tolist()} for size in sizes]
+
+
 POLICIES = [
-    *({"name": "ramp", "rate_mps": r} for r in np.geomspace(0.02, 2.0, 9).tolist()),
-    *(
-        {"name": "accelerating-ramp", "acceleration_mps2": a}
-        for a in np.geomspace(2e-4, 0.02, 9).tolist()
-    ),
-    *(
-        {"name": "profile", "rates_mps": [r * part for part in SHAPE]}
-        for r in np.geomspace(0.05, 1.5, 6).tolist()
-    ),
-    *({"name": "feedback", "rate_mps": r} for r in np.geomspace(0.03, 1.2, 6).tolist()),
+    *family("ramp", "rate_mps", 0.02, 2.0, 9),
+    *family("accelerating-ramp", "acceleration_mps2", 2e-4, 0.02, 9),
+    *family("profile", "rates_mps", 0.05, 1.5, 6, (0.0, 0.4, 0.5, 0.6, 0.8, 1.0, 1.5)),
+    *family("feedback", "rate_mps", 0.03, 1.2, 6),
 ]
 
 
@@ -55,20 +53,15 @@ def played(detector):
 
 
 @pytest.mark.nightly
-@pytest.mark.usefixtures("default_rate")
-@pytest.mark.parametrize("detector", ["ewma", "snapshot-chi2"])
-def test_by_default_the_return_ranks_as_the_score_and_its_best_is_stealthy(detector):
-    rows, clean = played(detector)
+@pytest.mark.parametrize("detector", ["ewma", "snapshot-chi2", "nominal"])
+def test_the_return_ranks_as_the_score_and_its_best_is_stealthy(detector, request):
+    """At its nominal threshold every fifth clean run alarms: what is best is over the budget."""
+    nominal = detector == "nominal"
+    if not nominal:
+        request.getfixturevalue("default_rate")
+    rows, clean = played("ewma" if nominal else detector)
     assert len(rows) == 30
-    assert 0.001 < clean < 0.03
     returns, silent, alarmed = rows.T
     assert spearmanr(returns, silent)[0] >= 0.9
-    assert alarmed[returns.argmax()] <= 0.05
-
-
-@pytest.mark.nightly
-def test_at_its_nominal_threshold_the_default_ranks_as_the_score():
-    """Every fifth clean run alarms: what is best by the score is over the budget there."""
-    rows, clean = played("ewma")
-    assert 0.1 < clean < 0.3
-    assert spearmanr(rows[:, 0], rows[:, 1])[0] >= 0.9
+    assert (0.1 < clean < 0.3) if nominal else (0.001 < clean < 0.03)
+    assert nominal or alarmed[returns.argmax()] <= 0.05

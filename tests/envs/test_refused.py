@@ -1,7 +1,5 @@
 """What is refused, and what is said of it: settings of an environment and of its resets."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -12,13 +10,12 @@ from spoofgym.envs.terms.reward import AlarmPenalty
 from .support import VICTIMS, single, vector, victim, victims
 
 TIGHT, LOOSE, SNAPSHOT, ROBOT = VICTIMS
-TWICE = ["at-alarm", "at-alarm"]
 SATELLITES = "measures satellites, but the receiver measures position"
-LONG = [{"name": "windowed-chi2", "window": 5000}]
-TACTICAL = {"receiver": {"grade": "tactical"}, "domain": {"imu": ["consumer"]}}
-SPENT = {"name": "at-stealth-budget", "budget_nats": 2.0}
+LONG = {"name": "windowed-chi2", "window": 5000}
+GRADES = {"receiver": {"grade": "tactical"}, "domain": {"imu": ["consumer"]}}
+LIMITS = {"action": "along-target", "rate_limit_mps": [5.0, 2.0, 5.0, 5.0]}
 NO_FILTER = (
-    r"the divergence of an attack needs the filter of a tightly coupled receiver, which a .* d"
+    "the divergence of an attack needs the filter of a tightly coupled receiver, which a .* d"
 )
 
 
@@ -32,7 +29,6 @@ NO_FILTER = (
         (LOOSE, {"target_heading_deg": "east"}, "target_heading_deg.*'east'"),
         (SNAPSHOT, {"alarm_price": -1.0}, "`alarm_price` must be a number of at least 0, got -1"),
         (TIGHT, {"length_m": 0.0}, "`length_m` must be a number above 0, got 0.0"),
-        (TIGHT, {"timeline": {"attack_s": 0.0}}, "`attack_s` must be "),
         (TIGHT, {"timeline": {"warmup_s": 500.0}}, "lasts 418 s"),
         (LOOSE, {"decision_interval_s": 0.25}, "a multiple of the interval between epochs, 0.1 s"),
         (TIGHT, {"decision_interval_s": 2.0}, "attack window of 15 s must hold a whole number"),
@@ -42,24 +38,19 @@ NO_FILTER = (
         (TIGHT, {"end_at_alarm": 1}, "`end_at_alarm` must be True or False, got 1"),
         # detectors, attacks, worlds
         (TIGHT, {"detector": "ewna"}, "valid: acna, .*; did you mean 'ewma'"),
-        (TIGHT, {"detector": LONG[0]}, "t alarm in its first 4999 epochs, and an episode has 60"),
-        (TIGHT, {"detector": 3}, "a detector is a name"),
-        (TIGHT, {"watch": LONG}, "can't alarm in its first"),
+        (TIGHT, {"detector": LONG}, "t alarm in its first 4999 epochs, and an episode has 60"),
+        (TIGHT, {"watch": [LONG]}, "can't alarm in its first"),
         (TIGHT, {"watch": 3}, "`watch` must be a detector or a list of detectors, got 3"),
         (TIGHT, {"attack": "meaconner"}, "unknown attack .*did you mean 'meaconer'"),
         (TIGHT, {"attack": {"name": "per-channel", "channels": ["S99"]}}, "'S99' is not in view"),
-        (TIGHT, TACTICAL, "`receiver` has the grade 'tactical', but"),
+        (TIGHT, GRADES, "`receiver` has the grade 'tactical', but"),
         # terms
         (TIGHT, {"observation": ["time", Time()]}, "two terms write the same"),
         (TIGHT, {"observation": [AlarmPenalty()]}, "it has no knowledge, names, bounds"),
         (TIGHT, {"end": {"name": "at-steps", "step": 3}}, "no setting 'step'; valid: steps"),
         (TIGHT, {"end": "at-displacement"}, "needs the setting 'limit_m'"),
-        (
-            TIGHT,
-            {"end": {"limit_m": 5.0}},
-            "it has no `name`; `spoofgym.envs.terms.describe_terms`",
-        ),
-        (ROBOT, {"end": TWICE}, "two end terms have the same name"),
+        (TIGHT, {"end": {"limit_m": 5.0}}, "no `name`; `spoofgym.envs.terms.describe_terms`"),
+        (ROBOT, {"end": ["at-alarm"] * 2}, "two end terms have the same name"),
         (TIGHT, {"end": "at-alarm", "end_at_alarm": False}, "`end` lists 'at-alarm', but"),
         (TIGHT, {"reward": ["retraction"] * 2}, "two reward terms have the same name"),
         (TIGHT, {"reward": [3]}, "a term of kind 'reward' is a name .*got 3"),
@@ -71,19 +62,13 @@ NO_FILTER = (
         (ROBOT, {"action": {"name": "channels", "ids": ["clock"]}}, "valid: north, east"),
         (TIGHT, {"action": {"name": "channels", "ids": ["east"] * 2}}, "must be different"),
         (LOOSE, {"action": "common-offset"}, "per channel, 'per-channel', got 'loose'"),
-        (
-            SNAPSHOT,
-            {"action": "along-target", "rate_limit_mps": [5.0, 2.0, 5.0, 5.0]},
-            "needs the same limit north and east, got 5 and 2",
-        ),
+        (SNAPSHOT, LIMITS, "needs the same limit north and east, got 5 and 2"),
         # what a victim does not have
         (ROBOT, {"watch": "ewma"}, f"Ewma {SATELLITES}"),
         (LOOSE, {"detector": "raim"}, f"Raim {SATELLITES}"),
         (SNAPSHOT, {"watch": ["never", "rio"]}, "Rio needs .*, which a snapshot receiver does"),
         (ROBOT, {"observation": "satellite-geometry"}, "a wheeled robot has no satellites"),
-        (ROBOT, {"domain": {"imu": ["tactical"]}}, "no 'imu' for a wheeled robot; valid: start_s"),
-        (SNAPSHOT, {"domain": {"start_s": [0.0, 5.0]}}, "no 'start_s' for a snapshot receiver; va"),
-        (SNAPSHOT, {"end": SPENT}, NO_FILTER),
+        (SNAPSHOT, {"end": {"name": "at-stealth-budget", "budget_nats": 2.0}}, NO_FILTER),
         (ROBOT, {"observation": ["time", "divergence-spent"]}, NO_FILTER),
     ],
 )
@@ -93,33 +78,29 @@ def test_a_wrong_setting_says_what_is_valid(kind, kwargs, message):
             make(kind, **kwargs)
 
 
-def test_a_wrong_setting_of_a_vector_environment_says_what_is_valid():
-    for kwargs, message in (
-        ({"autoreset_mode": "sometimes"}, "`autoreset_mode` must be .* got 'sometimes'"),
-        (
-            {"render_mode": "rgb_array"},
-            r"nothing to render .* seeded with seed \+ i shows receiver",
-        ),
-        ({"infos": ("alarms",)}, "unknown info 'alarms'; valid: alarm.*did you mean"),
-        ({"infos": "some"}, "`infos` must be 'all' or 'none', got 'some'"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            vector(2, **kwargs)
-    with pytest.raises(ValueError, match="`num_envs` must be a whole number of at least 1, got 1"):
-        vector(1.5)
+@pytest.mark.parametrize(
+    ("count", "kwargs", "message"),
+    [
+        (2, {"autoreset_mode": "sometimes"}, "`autoreset_mode` must be .* got 'sometimes'"),
+        (2, {"render_mode": "rgb_array"}, r"nothing to render .* seed \+ i shows receiver"),
+        (2, {"infos": ("alarms",)}, "unknown info 'alarms'; valid: alarm.*did you mean"),
+        (2, {"infos": "some"}, "`infos` must be 'all' or 'none', got 'some'"),
+        (1.5, {}, "`num_envs` must be a whole number of at least 1, got 1.5"),
+    ],
+)
+def test_a_wrong_setting_of_a_vector_environment_says_what_is_valid(count, kwargs, message):
+    with pytest.raises(ValueError, match=message):
+        vector(count, **kwargs)
 
 
 @pytest.mark.usefixtures("default_rate")
-@pytest.mark.parametrize(
-    ("detector", "message"),
-    [
+def test_who_can_not_judge_is_not_told_to_be_calibrated():
+    for detector, message in (
         ({"name": "pool", "members": ["raim", "ewma"]}, "Raim measures satellites"),
         ({"name": "windowed-chi2", "window": 900}, "shorten its windows"),
-    ],
-)
-def test_who_can_not_judge_is_not_told_to_be_calibrated(detector, message):
-    with pytest.raises(ValueError, match=message):
-        gym.make("spoofgym/LooselyCoupled-v0", detector=detector)
+    ):
+        with pytest.raises(ValueError, match=message):
+            gym.make("spoofgym/LooselyCoupled-v0", detector=detector)
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,12 @@
 """Vector environments: seeds of some, final observations, and the information that is asked for."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
 from .players import COUNT, MODES, early
-from .support import ID, LIVE, AlarmAt, vector
+from .support import ID, LIVE, AlarmAt, vector, victims
 
 SMALL = "spoofgym/Snapshot-v0"
 
@@ -48,23 +46,21 @@ def test_the_last_information_is_that_of_gymnasium(name):
             assert [last is None for last in told["final_obs"]] == (~over).tolist()
         found, right = types(told), types(expected)
         # where nobody has a key, Gymnasium leaves it out, and ours is masked
-        assert found.keys() >= right.keys()
-        assert {key: found[key] for key in right} == right
-    ours.close()
-    theirs.close()
+        assert right.items() <= found.items()
 
 
 def test_a_finished_receiver_must_be_reset():
     envs = make(SMALL, "disabled")
+    still = np.zeros(envs.action_space.shape)
     with pytest.raises(RuntimeError, match="call reset"):
-        envs.step(np.zeros(envs.action_space.shape))
+        envs.step(still)
     envs.reset(seed=0)
     terminated = np.zeros(COUNT, dtype=bool)
     while not terminated.any():
-        *_, terminated, _, _ = envs.step(np.zeros(envs.action_space.shape))
+        *_, terminated, _, _ = envs.step(still)
     which = ", ".join(map(str, np.flatnonzero(terminated)))
     with pytest.raises(RuntimeError, match=rf"receivers {which} are over: call reset"):
-        envs.step(np.zeros(envs.action_space.shape))
+        envs.step(still)
 
 
 def test_a_part_of_the_receivers_can_be_seeded():
@@ -88,15 +84,11 @@ def test_a_part_of_the_receivers_can_be_seeded():
 
 
 def test_some_receivers_have_the_circumstances_that_are_given_for_them():
-    domain = {"start_s": [0.0, 20.0]}
-    envs = gym.make_vec(
-        "spoofgym/LooselyCoupled-v0", 3, autoreset_mode="disabled", domain=domain
-    ).unwrapped
+    envs = victims("LooselyCoupled", 3, autoreset_mode="disabled", domain={"start_s": [0.0, 20.0]})
     begun = envs.reset(seed=5, options={"domain": {"start_s": [1.0, 2.0, 3.0]}})[1]["time_s"]
-    options = {"domain": {"start_s": [7.0, 8.0, 9.0]}}
-    options["reset_mask"] = np.array([False, True, True])
-    again = envs.reset(options=options)[1]["time_s"]
-    np.testing.assert_allclose(again - begun, [0.0, 6.0, 6.0])
+    mask = np.array([False, True, True])
+    options = {"domain": {"start_s": [7.0, 8.0, 9.0]}, "reset_mask": mask}
+    np.testing.assert_allclose(envs.reset(options=options)[1]["time_s"] - begun, [0.0, 6.0, 6.0])
 
 
 def test_the_information_of_a_reset_is_the_users_own():
@@ -113,11 +105,9 @@ def test_the_information_of_a_reset_is_the_users_own():
 
 @pytest.mark.parametrize("mode", MODES)
 def test_only_the_information_that_was_asked_for(mode):
-    every = make(SMALL, mode)
-    every.reset(seed=3)
-    info = every.step(np.zeros(every.action_space.shape))[4]
-    assert set(every.unwrapped.core.info_names) == {key for key in info if key[0] != "_"}
-    for asked, names in (("none", set()), (("alarm", "time_s"), {"alarm", "time_s"})):
+    every = make(SMALL, mode).unwrapped.core.info_names
+    for asked, names in (("all", {*every}), ("none", set()), (("alarm", "time_s"), None)):
+        names = {*asked} if names is None else names
         envs = make(SMALL, mode, infos=asked)
         begun = envs.reset(seed=3)[1]
         assert {key for key in begun if key[0] != "_"} <= names

@@ -1,7 +1,6 @@
 """Wrappers, single and vector: sugar for arguments, and a recorder of epochs."""
 
-from __future__ import annotations
-
+import itertools
 import json
 import pickle
 from functools import partial
@@ -17,8 +16,22 @@ from spoofgym.envs import wrappers
 from spoofgym.envs.wrappers import EpochRecorder
 from spoofgym.envs.wrappers import vector as vector_wrappers
 
-from .players import Player, Sooner
-from .support import ID, LIVE, SHORT, STEPS, AlarmAt, single, vector, victims
+from .players import MODES, Player, Sooner
+from .support import (
+    HOLD,
+    LIVE,
+    SHORT,
+    STEPS,
+    VICTIMS,
+    AlarmAt,
+    single,
+    timeline_of,
+    vector,
+    victim,
+    victims,
+)
+
+parquet = pytest.importorskip("pyarrow.parquet")
 
 
 def transitions(env, steps=36, seed=4):
@@ -43,31 +56,18 @@ def assert_same(mine, theirs):
         np.testing.assert_array_equal(a, b)
 
 
-VECTOR = partial(gym.make_vec, num_envs=2)
-BENCH = "spoofgym/BenchT3-v1"
-"""Brings a detector of its own, solution separation."""
-MAKERS = [
-    pytest.param(single, wrappers, id="single"),
-    pytest.param(lambda **kwargs: vector(2, **kwargs), vector_wrappers, id="vector"),
-]
-
-
-def inner(env):
-    """Name of the detector in the loop, and what is asked of its thresholds."""
-    spec = spec_of_judge(env.unwrapped.core.setup.detector)
-    return spec["name"], spec.get("false_alarms_per_hour")
-
-
-@pytest.mark.parametrize(("make", "module"), MAKERS)
+@pytest.mark.parametrize(
+    ("make", "module"),
+    [(single, wrappers), (partial(vector, 2), vector_wrappers)],
+    ids=["single", "vector"],
+)
 def test_a_wrapper_is_the_same_as_its_argument(make, module):
     detector = {"name": "cusum"}
-    budget = {"name": "at-stealth-budget", "budget_nats": 3.0}
     wrapped = module.DetectorWrapper(make(knowledge="oracle"), detector)
     wrapped = module.WatchWrapper(wrapped, ["snapshot-chi2"])
     wrapped = module.StealthBudget(wrapped, 3.0)
-    given = make(
-        knowledge="oracle", detector=detector, watch="snapshot-chi2", end=["at-alarm", budget]
-    )
+    end = ["at-alarm", {"name": "at-stealth-budget", "budget_nats": 3.0}]
+    given = make(knowledge="oracle", detector=detector, watch="snapshot-chi2", end=end)
     assert wrapped.unwrapped.observation_names == given.unwrapped.observation_names
     assert wrapped.observation_space == given.observation_space
     mine, theirs = transitions(wrapped), transitions(given)
@@ -90,8 +90,6 @@ def test_the_spec_of_a_wrapped_environment_makes_it_again():
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     assert type(again.unwrapped.core.setup.detector).__name__ == "SnapshotChi2"
     assert_same(transitions(env)[0], transitions(again)[0])
-    with pytest.raises(gym.error.Error, match="vector_entry_point"):  # hence the twins
-        gym.make_vec(ID, num_envs=2, timeline=SHORT, wrappers=[wrappers.StealthBudget])
     for other in (gym.make("spoofgym/SpooferView-v0", timeline=SHORT), gym.make("CartPole-v1")):
         with pytest.raises(TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or a Sp"):
             wrappers.WatchWrapper(other, ["cusum"])
@@ -99,27 +97,25 @@ def test_the_spec_of_a_wrapped_environment_makes_it_again():
 
 @pytest.mark.usefixtures("default_rate")
 @pytest.mark.parametrize(
-    ("make", "module", "detector", "rate", "found"),
+    ("make", "detector", "rate", "found"),
     [
-        (VECTOR, vector_wrappers, {"name": "snapshot-chi2"}, None, STANDARD_RATE),
-        (gym.make, wrappers, SnapshotChi2, 0.5, 0.5),
-        (gym.make, wrappers, "spoofgym.detectors:SnapshotChi2", None, STANDARD_RATE),
-        (gym.make, wrappers, "trolley-guard", None, STANDARD_RATE),
-        (gym.make, wrappers, SnapshotChi2(), None, None),  # keeps its own thresholds
+        (partial(gym.make_vec, num_envs=2), {"name": "snapshot-chi2"}, None, STANDARD_RATE),
+        (gym.make, SnapshotChi2, 0.5, 0.5),
+        (gym.make, "spoofgym.detectors:SnapshotChi2", None, STANDARD_RATE),
+        (gym.make, "trolley-guard", None, STANDARD_RATE),
+        (gym.make, SnapshotChi2(), None, None),  # keeps its own thresholds
     ],
 )
-def test_the_detector_of_an_id_is_replaced(make, module, detector, rate, found):
-    env = make(BENCH)
-    name = "trolley-guard" if detector == "trolley-guard" else "snapshot-chi2"
-    assert inner(env)[0] != name
+def test_the_detector_of_an_id_is_replaced(make, detector, rate, found):
+    env = make("spoofgym/BenchT3-v1")  # which brings one of its own, solution separation
+    module = wrappers if make is gym.make else vector_wrappers
     env = module.DetectorWrapper(env, detector, false_alarms_per_hour=rate)
-    assert inner(env) == (name, found)
+    spec = spec_of_judge(env.unwrapped.core.setup.detector)
+    name = "trolley-guard" if detector == "trolley-guard" else "snapshot-chi2"
+    assert (spec["name"], spec.get("false_alarms_per_hour")) == (name, found)
     with pytest.raises(ValueError, match="two detectors are set at once"):
         module.DetectorWrapper(env, "ewma")
     env.close()
-
-
-RAISES = "tests.envs.raises:Mine"
 
 
 @pytest.mark.usefixtures("default_rate")
@@ -130,7 +126,7 @@ RAISES = "tests.envs.raises:Mine"
         ("TightlyCoupled", "rio", 0.3, "^Rio needs auxiliary_position, gnss_position, which a ti"),
         ("TightlyCoupled", "fma", None, "^there is no calibration of fma in .*`spoofgym calibrate"),
         ("TightlyCoupled", {"name": "ewma", "thresholds": "nominal"}, 0.2, "thresholds of its own"),
-        ("TightlyCoupled", RAISES, None, f"{RAISES}. raises RuntimeError"),
+        ("TightlyCoupled", "tests.envs.raises:Mine", None, ":Mine. raises RuntimeError"),
     ],
 )
 def test_a_detector_is_refused_for_its_reason(env, detector, rate, message):
@@ -144,6 +140,7 @@ class Nervous(Detector):
     """Alarms at about every eightieth epoch, by the last digits of an innovation."""
 
     paper = "groves2013"
+    measures = "any"
 
     def bind(self, context):
         super().bind(context)
@@ -154,111 +151,105 @@ class Nervous(Detector):
         return Verdict(statistic, threshold, statistic > threshold)
 
 
-ACNA = {"name": "acna", "variant": "production"}
-
-
-def test_a_detector_that_watches_a_small_victim_sees_what_the_loop_sees():
-    kwargs = {"end": ["at-window-end"], "detector": ACNA, "rate_limit_mps": 1.0}
-    plain, passive = (victims("WheeledRobot", 2, **kwargs, **w) for w in ({}, {"watch": [ACNA]}))
-    mine, theirs = transitions(plain, 30), transitions(passive, 30)
-    assert_same(mine[0], theirs[0])
-    alarms = [info["alarm"] for info in theirs[1]]
-    assert_same(alarms[:-1], [info["watch_acna_alarm"] for info in theirs[1]][:-1])
-    assert np.any(alarms)
-
-
-@pytest.mark.parametrize("prefetch", [False, True])
-def test_detectors_that_watch_change_nothing_and_see_everything(prefetch):
+@pytest.mark.parametrize(
+    ("kind", "prefetch"),
+    [("TightlyCoupled", False), ("TightlyCoupled", True), ("WheeledRobot", False)],
+)
+def test_detectors_that_watch_change_nothing_and_see_everything(kind, prefetch):
     """Warm-up, commands and time to alert, over episodes that end by themselves."""
-    kwargs = {"end": ["at-window-end"], "timeline": {**SHORT, "warmup_s": 40.0, "live_s": 40.0}}
-    loud = Nervous()
-    alone = vector(3, detector=loud, prefetch=prefetch, **kwargs)
-    watched = vector(3, detector=loud, watch=[loud, "ewma", "ewma"], prefetch=prefetch, **kwargs)
+    loud, weighs = Nervous(), "ewma" if kind == "TightlyCoupled" else "acna"
+    timeline = {**timeline_of(kind), "live_s": timeline_of(kind)["warmup_s"]}
+    kwargs = {"end": ["at-window-end"], "timeline": timeline, "detector": loud}
+    kwargs |= {"prefetch": prefetch} if kind == "TightlyCoupled" else {}
+    alone, watched = (
+        victims(kind, 3, **kwargs, **w) for w in ({}, {"watch": [loud, weighs, weighs]})
+    )
     assert [name for name in watched.core.info_names if name.endswith("_ratio")] == [
         "watch_nervous_ratio",
-        "watch_ewma_ratio",
-        "watch_ewma_2_ratio",
+        f"watch_{weighs}_ratio",
+        f"watch_{weighs}_2_ratio",
     ]
     mine, theirs = transitions(alone, 70), transitions(watched, 70)
     assert_same(mine[0], theirs[0])
-    assert (
-        max(np.max(info.get("watch_ewma_ratio", 0.0)) for info in theirs[1]) > 0.0
-    )  # with weights
+    assert max(np.max(info.get(f"watch_{weighs}_ratio", 0.0)) for info in theirs[1]) > 0.0
     warmup, alarmed = [], []
     for info in theirs[1]:
-        watching = info["watch_nervous_warmup_alarm"]
-        np.testing.assert_array_equal(watching, info["warmup_alarm"])
+        np.testing.assert_array_equal(info["watch_nervous_warmup_alarm"], info["warmup_alarm"])
         warmup.append(info["warmup_alarm"])
-        if "alarm" not in info:  # all begin anew
-            continue
-        here = info["_alarm"]
-        seen = info["watch_nervous_alarm"][here]
-        # the time to alert is only run by those without an alarm before
-        np.testing.assert_array_equal(seen, info["alarm"][here])
-        alarmed += seen.tolist()
+        if "alarm" in info:  # else all begin anew
+            here = info["_alarm"]
+            # the time to alert is only run by those without an alarm before
+            seen = info["watch_nervous_alarm"][here]
+            np.testing.assert_array_equal(seen, info["alarm"][here])
+            alarmed += seen.tolist()
     for found in (np.array(warmup), np.array(alarmed)):
         assert found.any()
         assert not found.all()
 
 
 def read(path):
-    parquet = pytest.importorskip("pyarrow.parquet")
     table = parquet.read_table(path)
     return table, json.loads(table.schema.metadata[b"spoofgym"])
 
 
-@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
+@pytest.mark.parametrize("mode", MODES)
 def test_every_epoch_of_every_episode_is_written(tmp_path, mode):
-    pytest.importorskip("pyarrow")
     envs = vector(2, autoreset_mode=mode, detector=Sooner())
     played = Player(vector_wrappers.RecordEpochs(envs, tmp_path), mode).begin(3)
     rows = played.go(2 * STEPS)
     played.env.close()
     for i, row in enumerate(rows):
-        episodes = []
-        for each in row:
-            if "reward" in each:
-                episodes[-1].append(each["info"]["displacement_m"])
-            else:
-                episodes.append([])
-        assert len(episodes) > 2  # the third is not over
-        for episode, expected in enumerate(episodes[:2]):
+        starts = [k for k, each in enumerate(row) if "reward" not in each]
+        assert len(starts) > 2  # the third is not over
+        for episode, (first, last) in enumerate(itertools.pairwise(starts[:3])):
+            expected = [each["info"]["displacement_m"] for each in row[first + 1 : last]]
             table, told = read(tmp_path / f"receiver-00{i}-episode-00000{episode}.parquet")
-            assert told["complete"]
-            assert (told["receiver"], told["episode"]) == (i, episode)
+            assert (told["receiver"], told["episode"], told["complete"]) == (i, episode, True)
             assert table["step"].to_pylist() == list(range(1, table.num_rows + 1))
             assert table["displacement_m"].to_pylist() == expected
     names = set(table.column_names)
     assert {"time_s", "innovation", "innovation_variance", "statistic", "alarm"} <= names
-    assert np.array(table["innovation"].to_pylist()).shape == (table.num_rows, 24)
     assert not list(tmp_path.glob("*.part"))
 
 
 @pytest.mark.parametrize(
-    ("decision_interval_s", "at", "warmup_alarm", "alarm"),
-    [(None, -5, True, False), (2.5, 33, False, True)],
+    ("kind", "epochs", "at", "width"),
+    [
+        ("TightlyCoupled", 1, -5, 24),
+        ("TightlyCoupled", 5, 33, 24),
+        ("LooselyCoupled", 3, 33, 3),
+        ("Snapshot", 3, 33, 24),
+        ("WheeledRobot", 3, -5, 2),
+    ],
 )
 def test_what_is_written_are_the_epochs_of_the_commands_and_no_others(
-    tmp_path, decision_interval_s, at, warmup_alarm, alarm
+    tmp_path, kind, epochs, at, width
 ):
     """Neither the warm-up nor the time to alert: the information tells of alarms there."""
-    pytest.importorskip("pyarrow")
-    env = single(detector=AlarmAt(LIVE + at), decision_interval_s=decision_interval_s)
+    interval_s = round(epochs * VICTIMS[kind], 6) if epochs > 1 else None
+    env = victim(kind, detector=AlarmAt(LIVE + at), decision_interval_s=interval_s)
     env = wrappers.RecordEpochs(env, tmp_path)
     _, begun = env.reset(seed=3)
-    assert begun["warmup_alarm"] == warmup_alarm
+    push = np.zeros(env.action_space.shape)
+    push[1] = 0.1
     over = False
     while not over:
-        *_, over, _, info = env.step([0.0, 0.1])
+        *_, over, _, info = env.step(push)
     env.close()
-    assert info["alarm"] == alarm
+    assert (begun["warmup_alarm"], info["alarm"]) == (at < 0, at > 0)
     table, told = read(tmp_path / "receiver-000-episode-000000.parquet")
-    # 15 s of commands from 20 s on, in epochs of half a second
-    np.testing.assert_allclose(table["time_s"].to_pylist(), 20.0 + 0.5 * np.arange(1, 31))
-    assert not any(table["alarm"].to_pylist())
     assert told["complete"]
+    assert table["step"].to_pylist() == list(range(1, STEPS + 1))
+    time_s = VICTIMS[kind] * (2 * LIVE + np.arange(STEPS + HOLD + 1))
+    np.testing.assert_allclose(table["time_s"].to_pylist(), time_s[1 : STEPS + 1])
+    assert not any(table["alarm"].to_pylist())
+    assert np.array(table["innovation"].to_pylist()).shape == (STEPS, width)
+    assert ("visible" in table.column_names) == (width == 24)
+    if kind != "TightlyCoupled":
+        commanded = np.array(table["commanded_displacement_m"].to_pylist())
+        assert (np.diff(commanded[:, 1]) > 0.0).all()
     # the receiver has run the time to alert, which no file tells of
-    assert (begun["time_s"], info["time_s"]) == (20.0, 40.0)
+    np.testing.assert_allclose((begun["time_s"], info["time_s"]), time_s[[0, -1]])
 
 
 def test_what_can_not_be_recorded_is_refused_at_birth(monkeypatch, tmp_path):
@@ -273,7 +264,6 @@ def test_what_can_not_be_recorded_is_refused_at_birth(monkeypatch, tmp_path):
 
 
 def test_a_reset_of_some_goes_on_with_the_files_of_the_others(tmp_path):
-    pytest.importorskip("pyarrow")
     envs = vector(2, autoreset_mode="disabled", detector="never")
     envs = vector_wrappers.RecordEpochs(envs, tmp_path)
     envs.reset(seed=3)
@@ -282,16 +272,14 @@ def test_a_reset_of_some_goes_on_with_the_files_of_the_others(tmp_path):
             envs.step(np.zeros((2, 2)))
         envs.reset(options={"reset_mask": np.array([True, False])})
     envs.close()
-    counts = {path.stem: read(path)[0].num_rows for path in tmp_path.glob("*.parquet")}
-    assert counts == {
-        "receiver-000-episode-000000": 2,
-        "receiver-000-episode-000001": 3,
-        "receiver-001-episode-000000": 5,
-    }
+    files = sorted(tmp_path.glob("*.parquet"))
+    assert [path.stem for path in files] == [
+        f"receiver-00{i}-episode-00000{k}" for i, k in ((0, 0), (0, 1), (1, 0))
+    ]
+    assert [read(path)[0].num_rows for path in files] == [2, 3, 5]
 
 
 def test_a_later_run_counts_on_and_a_broken_episode_says_so(tmp_path):
-    pytest.importorskip("pyarrow")
     for _ in range(2):
         env = wrappers.RecordEpochs(wrappers.WatchWrapper(single(), ["cusum"]), tmp_path)
         env.reset(seed=1)

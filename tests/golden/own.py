@@ -6,7 +6,6 @@ version of the environment's id, and a line in the changelog.
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ from spoofgym.receiver import NavState, Recording, Solution, TightlyCoupled, rep
 from spoofgym.simulation import TightlyCoupledSetup, Timeline
 from spoofgym.simulation.recording import record_run
 from spoofgym.truth.manoeuvres import Climb, Straight, Turn, fly
-from spoofgym.truth.noise import normals, threefry
 from spoofgym.truth.scenario import Scenario
 
 FILE = Path(__file__).with_name("own_run.npz")
@@ -66,22 +64,6 @@ def solve(initial: NavState, recording: Recording) -> Solution:
     return replay(recording, TightlyCoupled(grade=GRADE), initial=initial)
 
 
-def noise_words() -> str:
-    """Digest of random bits: integers, so that they are the same on every machine."""
-    words = [
-        int(word)
-        for counter in range(64)
-        for word in threefry(np.uint64(counter), np.uint64(7), np.uint64(SEED), np.uint64(1))
-    ]
-    return hashlib.sha256(np.array(words, dtype=np.uint64).tobytes()).hexdigest()
-
-
-def noise_values() -> np.ndarray:
-    out = np.empty(64)
-    normals(np.uint64(SEED), np.uint64(1), 7, out)
-    return out
-
-
 def main() -> None:
     initial, recording, _ = simulate()
     solution = solve(initial, recording)
@@ -97,8 +79,6 @@ def main() -> None:
         C_eb=solution.C_eb,
         clock_bias_m=solution.clock_bias_m,
         sd=solution.sd,
-        noise_words=noise_words(),
-        noise_values=noise_values(),
     )
 
 

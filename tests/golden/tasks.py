@@ -74,18 +74,12 @@ def differences(kept: Any, now: Any, at: str = "") -> list[str]:
     """Keys at which settings differ, with both values."""
     if isinstance(kept, dict) and isinstance(now, dict):
         keys = [*kept, *(key for key in now if key not in kept)]
-        none = "nothing"
-        return [
-            line
-            for key in keys
-            for line in differences(
-                kept.get(key, none), now.get(key, none), f"{at}.{key}" if at else str(key)
-            )
-        ]
-    if isinstance(kept, list) and isinstance(now, list) and len(kept) == len(now):
-        pairs = enumerate(zip(kept, now, strict=True))
-        return [line for k, pair in pairs for line in differences(*pair, f"{at}[{k}]")]
-    return [] if kept == now else [f"{at}: {kept!r} is {now!r} now"]
+        pairs = [(f".{key}", kept.get(key), now.get(key)) for key in keys]
+    elif isinstance(kept, list) and isinstance(now, list) and len(kept) == len(now):
+        pairs = [(f"[{k}]", *pair) for k, pair in enumerate(zip(kept, now, strict=True))]
+    else:
+        return [] if kept == now else [f"{at}: {kept!r} is {now!r} now"]
+    return [line for part, one, other in pairs for line in differences(one, other, at + part)]
 
 
 def main() -> None:

@@ -1,56 +1,57 @@
-"""The tasks stay as they are: their settings by a digest, and what a stated spoofer gets."""
+"""The tasks of both sides stay as they are: settings by a digest, and what stated players get."""
 
-from __future__ import annotations
-
-import copy
 import json
 
 import numpy as np
 import pytest
 
 from spoofgym.core.settings import compute_digest
-from spoofgym.tasks import TASKS
+from spoofgym.tasks import DETECTOR_TASKS, TASKS
 from tests.nightly import heavy
 
-from .tasks import KEPT, differences, resolved, returns
+from . import detector_tasks, tasks
 
 # as users have it
 pytestmark = pytest.mark.usefixtures("default_rate")
 
-
-@pytest.fixture(scope="module")
-def kept():
-    return json.loads(KEPT.read_text())
+KEPT = {**json.loads(tasks.KEPT.read_text()), **json.loads(detector_tasks.KEPT.read_text())}
+EVERY = {**TASKS, **DETECTOR_TASKS}
 
 
-@pytest.mark.parametrize("key", heavy(TASKS, "T4"))
-def test_the_settings_of_a_task_never_change(key, kept):
-    now = resolved(TASKS[key])
-    changed = differences(kept[key]["settings"], now)
+@pytest.mark.parametrize("key", heavy(EVERY, "T4", "D2"))
+def test_the_settings_of_a_task_never_change(key):
+    kept = KEPT[key]
+    now = (tasks if key in TASKS else detector_tasks).resolved(EVERY[key])
+    changed = tasks.differences(kept["settings"], now)
     assert not changed, f"task {key} has changed, which makes it another task: {changed}"
-    assert compute_digest(now) == kept[key]["sha256"]
+    assert compute_digest(now) == kept["sha256"]
 
 
 @pytest.mark.parametrize("key", heavy(TASKS, "T4"))
-def test_a_stated_spoofer_gets_what_it_got(key, kept):
-    found = returns(TASKS[key])
+def test_a_stated_spoofer_gets_what_it_got(key):
+    found = tasks.returns(TASKS[key])
     for name, values in found.items():
-        np.testing.assert_allclose(values, kept[key][name], rtol=1e-6, atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(values, KEPT[key][name], rtol=1e-6, atol=1e-6, err_msg=name)
 
 
-def test_a_change_is_named_by_its_key(kept):
-    changed = copy.deepcopy(kept["T3"]["settings"])
-    changed["spec"]["domain"]["worlds"] = 33
-    changed["world"]["more"] = 1
-    assert differences(kept["T3"]["settings"], changed) == [
-        "world.more: 'nothing' is 1 now",
-        "spec.domain.worlds: 32 is 33 now",
-    ]
-    assert compute_digest(changed) != kept["T3"]["sha256"]
+@pytest.mark.parametrize("key", heavy(DETECTOR_TASKS, "D2"))
+def test_stated_attacks_come_as_far_as_they_did(key):
+    task, kept = DETECTOR_TASKS[key], KEPT[key]["reached"]
+    assert list(kept) == [family.key for family in task.held_out]
+    for family in task.held_out:
+        found, before = detector_tasks.reached(task, family), kept[family.key]
+        assert found["numbers"] == before["numbers"], family.key
+        np.testing.assert_allclose(
+            found["displacement_m"], before["displacement_m"], rtol=1e-6, atol=2e-6
+        )
 
 
-def test_tasks_differ_and_are_all_kept(kept):
-    assert list(kept) == list(TASKS)
-    assert len({each["sha256"] for each in kept.values()}) == len(TASKS)
-    for each in kept.values():
-        assert max(each["undetected_displacement_m"]) > 0.5
+def test_tasks_differ_and_are_all_kept():
+    assert list(KEPT) == list(EVERY)
+    assert len({each["sha256"] for each in KEPT.values()}) == len(EVERY)
+    for key, each in KEPT.items():
+        if key in TASKS:
+            assert max(each["undetected_displacement_m"]) > 0.5
+        else:
+            moved = [np.max(found["displacement_m"]) for found in each["reached"].values()]
+            assert min(moved) > 1.0

@@ -83,17 +83,15 @@ def play_aec(steps: int = STEPS) -> Record:
     env.reset(seed=SEED)
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in env.possible_agents}
     for k in range(steps):
-        for name in env.possible_agents:
+        for name, row in rows.items():
             observation, reward, terminated, _, _ = env.last()
-            row = {"observation": observation, "reward": reward, "terminated": terminated}
-            rows[name].append(row)
+            row.append({"observation": observation, "reward": reward, "terminated": terminated})
             shape = env.action_space(name).shape
             env.step(None if terminated else action_at(k, shape))
         if not env.agents:
             env.reset()
-    return {
-        f"{name}_{key}": array for name, of in rows.items() for key, array in stacked(of).items()
-    }
+    parts = {name: stacked(row) for name, row in rows.items()}
+    return {f"{name}_{key}": array for name, part in parts.items() for key, array in part.items()}
 
 
 def cases() -> dict[str, Callable[[], Record]]:

@@ -74,7 +74,7 @@ def test_averages_are_those_of_the_paper_and_every_row_is_in_its_band_but_those_
     )
 
 
-def test_averages_of_the_paper_are_those_of_its_rows():
+def test_averages_of_the_paper_are_those_of_its_rows_and_figures_are_drawn(tmp_path):
     """The weight of a row is its number of subsets; fits are pooled over what did not fail."""
     for method in ("srv", "traversal"):
         rates = np.array([published.RATES[method][k] for k in range(1, 12)])
@@ -83,6 +83,9 @@ def test_averages_of_the_paper_are_those_of_its_rows():
         assert pool_fits(table) == pytest.approx(published.POSITIONINGS_AVERAGE[method], abs=0.06)
     separated = np.array([published.SEPARATED[k] for k in range(1, 12)])
     np.testing.assert_allclose(WEIGHT @ separated, published.SEPARATED_AVERAGE, atol=0.06)
+    paths = wu2024.figures(run(), tmp_path)
+    assert [p.name for p in paths] == ["wu2024_figure_1.png", "wu2024_figure_2.png"]
+    assert all(p.stat().st_size > 10_000 for p in paths)
 
 
 def test_traversal_takes_as_many_fits_as_there_are_subsets_before():
@@ -118,10 +121,10 @@ def test_hybrids_do_not_depend_on_the_length_or_on_the_axes():
     base = separate(lines, spoofed, moved)
     longer = separate(lines, spoofed, 7.0 * moved)
     rotated = separate(np.ascontiguousarray(lines @ turn.T), spoofed, turned)
-    for k in range(2):
-        np.testing.assert_array_equal(base[k], longer[k])
-        np.testing.assert_array_equal(base[k], rotated[k])
-    np.testing.assert_array_equal(base[2], longer[2])
+    for mine, same in zip(base, longer, strict=True):
+        np.testing.assert_array_equal(mine, same)
+    for mine, same in ((base[0], rotated[0]), (base[1], rotated[1])):
+        np.testing.assert_array_equal(mine, same)
     np.testing.assert_array_equal(base[2][:, 0], rotated[2][:, 0])
     assert (base[2][:, 1] != rotated[2][:, 1]).any()  # search vectors belong to the axes
 
@@ -147,7 +150,7 @@ def test_hybrids_of_a_case_worked_out_by_all_directions():
         assert seeded[c, 0] == (ends.all(axis=-1) | ~ends.any(axis=-1)).any()
 
 
-def test_draws_keep_to_table_1():
+def test_draws_keep_to_table_1_and_skies_are_sane():
     lines, spoofed, moved = cases(3, 2000)
     assert len(spoofed) == 2200
     assert (spoofed.sum(axis=1) == 3).all()
@@ -156,17 +159,7 @@ def test_draws_keep_to_table_1():
     changed = offsets(lines, spoofed, moved)
     assert (np.abs(changed[spoofed]) > 100.0).all()
     assert not changed[~spoofed].any()
-
-
-def test_skies_are_sane():
     for number in range(len(PLACES)):
         lines = sky(number)
-        assert lines.shape == (12, 3)
-        np.testing.assert_allclose(np.linalg.norm(lines, axis=1), 1.0)
+        np.testing.assert_allclose(np.linalg.norm(lines, axis=1), np.ones(12))
         assert GDOP[0] <= gdop(lines) <= GDOP[1]
-
-
-def test_figures_are_drawn(tmp_path):
-    paths = wu2024.figures(run(), tmp_path)
-    assert [p.name for p in paths] == ["wu2024_figure_1.png", "wu2024_figure_2.png"]
-    assert all(p.stat().st_size > 10_000 for p in paths)

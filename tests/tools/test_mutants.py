@@ -1,11 +1,8 @@
 """Mutants: one change of a line each, drawn by seed, and what became of them in a file."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import typer
@@ -23,7 +20,7 @@ def f(a, b):
 """
 
 
-def test_what_is_changed() -> None:
+def test_what_is_changed():
     found = [(each.line, each.kind, each.before, each.after) for each in find_changes("f", TEXT)]
     assert sorted(found) == [
         (2, "constant", "2", "3"),
@@ -35,7 +32,7 @@ def test_what_is_changed() -> None:
     ]
 
 
-def test_every_change_of_the_package_leaves_a_program() -> None:
+def test_every_change_of_the_package_leaves_a_program():
     drawn = draw_mutants(mutants.ROOT, 120, 40, 0)
     assert drawn == draw_mutants(mutants.ROOT, 120, 40, 0)
     assert len({(each.file, each.line, each.start, each.kind) for each in drawn}) == 120
@@ -50,22 +47,23 @@ def test_every_change_of_the_package_leaves_a_program() -> None:
         assert all((mutants.ROOT / folder).is_dir() for folder in mutants.find_tests(each.file))
 
 
+SUMS, ADD = "spoofgym/receiver/sums.py", "def add(a, b):\n    return a + b\n"
+
+
 @pytest.fixture
-def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def checkout(tmp_path, monkeypatch):
     """A project of one function, with a test that notices some of its mutants."""
     root = tmp_path / "project"
-    for folder in ("spoofgym/receiver", "tests/receiver", *mutants.ALWAYS):
-        (root / folder).mkdir(parents=True)
-        (root / folder / f"test_{folder.count('/')}_{len(folder)}.py").write_text(
-            "def test_nothing():\n    pass\n"
-        )
-    for package in ("spoofgym", "spoofgym/receiver"):
-        (root / package / "__init__.py").touch()
-    (root / "spoofgym/receiver/sums.py").write_text("def add(a, b):\n    return a + b\n")
-    (root / "tests/receiver/test_sums.py").write_text(
+    files = {"spoofgym/__init__.py": "", "spoofgym/receiver/__init__.py": "", SUMS: ADD}
+    files["tests/receiver/test_sums.py"] = (
         "from spoofgym.receiver.sums import add\n\n\n"
         "def test_it_adds():\n    assert abs(add(1, 2)) == 3\n"
     )
+    for k, folder in enumerate(mutants.ALWAYS):
+        files[f"{folder}/test_{k}.py"] = "def test_nothing():\n    pass\n"
+    for name, text in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
     for words in (["init", "-q"], ["add", "."], ["commit", "-qm", "all"]):
         name = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
         subprocess.run(["git", *name, *words], cwd=root, check=True)
@@ -74,50 +72,32 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return root
 
 
-def test_mutants_are_tried_and_a_run_goes_on(checkout: Path, tmp_path: Path) -> None:
+def test_mutants_are_tried_and_a_run_goes_on(checkout, tmp_path):
     out = tmp_path / "mutants.csv"
     mutants.main(out, count=2, kernels=0)
     operator, returned = sorted(read_mutants(out), key=lambda each: each.kind)
-    assert (operator.outcome, operator.test) == (
-        KILLED,
-        "tests/receiver/test_sums.py::test_it_adds",
-    )
+    assert operator.outcome == KILLED
+    assert operator.test == "tests/receiver/test_sums.py::test_it_adds"
     assert (returned.outcome, returned.test) == (SURVIVED, "")
     content = out.read_text()
     mutants.main(out)  # nothing is left to do
     assert out.read_text() == content
 
 
-def test_one_that_is_no_longer_killed_fails_the_run(checkout: Path, tmp_path: Path) -> None:
-    (found,) = (
-        each
-        for each in find_changes("spoofgym/receiver/sums.py", "def add(a, b):\n    return a + b\n")
-        if each.kind == "returned value"
-    )
-    before = tmp_path / "before.csv"
-    mutants.write_mutants(before, [replace(found, outcome=KILLED)])
+def test_what_was_killed_before_is_killed_again_or_fails_the_run(checkout, tmp_path):
+    path, before, again = checkout / SUMS, tmp_path / "before.csv", tmp_path / "again.csv"
+    found = {each.kind: each for each in find_changes(SUMS, ADD)}
+    mutants.write_mutants(before, [replace(found["returned value"], outcome=KILLED)])
     with pytest.raises(typer.Exit):
-        mutants.main(tmp_path / "again.csv", killed_in=before)
-    assert [each.outcome for each in read_mutants(tmp_path / "again.csv")] == [SURVIVED]
-
-
-def test_a_line_that_was_moved_is_found_and_one_that_is_gone_is_counted_apart(
-    checkout: Path, tmp_path: Path
-) -> None:
-    moved, gone = (
-        each
-        for sign in "+-"
-        for each in find_changes(
-            "spoofgym/receiver/sums.py", f"def add(a, b):\n    return a {sign} b\n"
-        )
-        if each.kind == "operator"
-    )
-    path = checkout / "spoofgym/receiver/sums.py"
+        mutants.main(again, killed_in=before)
+    assert [each.outcome for each in read_mutants(again)] == [SURVIVED]
+    # a line that was moved is found, and one that is gone is counted apart
+    changes = find_changes(SUMS, ADD.replace("+", "-"))
+    (gone,) = (each for each in changes if each.kind == "operator")
     path.write_text("def add(a, b):\n    if True:\n        return a + b\n")
     assert not mutants.apply(gone, checkout)
-    assert mutants.apply(moved, checkout)
+    assert mutants.apply(found["operator"], checkout)
     assert path.read_text() == "def add(a, b):\n    if True:\n        return a - b\n"
-    before = tmp_path / "before.csv"
     mutants.write_mutants(before, [replace(gone, outcome=KILLED)])
-    mutants.main(tmp_path / "again.csv", killed_in=before)
-    assert [each.outcome for each in read_mutants(tmp_path / "again.csv")] == [mutants.GONE]
+    mutants.main(tmp_path / "third.csv", killed_in=before)
+    assert [each.outcome for each in read_mutants(tmp_path / "third.csv")] == [mutants.GONE]

@@ -39,25 +39,26 @@ def test_the_table_has_median_range_and_who_is_over_the_budget():
         known = {"knowledge": knowledge, "of_ramp": {"value": times}}
         return {"stealthy_displacement_m": value, **kept, **known}
 
+    three = [score(9.0, 3.0, True), score(2.0, 1.0, True), score(4.0, 2.0, False)]
     for name, scores, shown in (
         ("mine", [score(1.0, None, True)], "| `mine` | 1 | 1.0 [1.0, 1.0] | - |  |"),
-        (
-            "mine",
-            [score(9.0, 3.0, True), score(2.0, 1.0, True), score(4.0, 2.0, False)],
-            "| `mine` | 3 | 4.0 [2.0, 9.0] | 2.00 [1.00, 3.00] | 1 |",
-        ),
+        ("mine", three, "| `mine` | 3 | 4.0 [2.0, 9.0] | 2.00 [1.00, 3.00] | 1 |"),
         ("it", [score(1.0, 2.0, True, "oracle")], "| `it` (oracle) |"),
     ):
         case = {"task": "T3", "fit_runs": 256, "spoofers": {name: scores}}
         assert f"| T3 | 256 {shown}" in table({"a": case})
 
 
-def test_bad_options_are_refused():
-    with pytest.raises(ValueError, match="`entropies` must be different"):
-        options(["--entropies", "1", "1"])
-    with pytest.raises(ValueError, match="no learned spoofer is shipped for T4: give `spoofer`"):
-        options(["--task", "T4"])
-    with pytest.raises(ValueError, match="unknown task 'T9'"):
-        options(["--task", "T9"])
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--entropies 1 1", "`entropies` must be different"),
+        ("--task T4", "no learned spoofer is shipped for T4: give `spoofer`"),
+        ("--task T9", "unknown task 'T9'"),
+    ],
+)
+def test_bad_options_are_refused(words, message):
+    with pytest.raises(ValueError, match=message):
+        options(words.split())
     with pytest.raises(ValueError, match="listed twice: dash"):
         list_specs("T1", ["dash", "dash"])

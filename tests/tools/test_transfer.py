@@ -16,11 +16,7 @@ CHANGES = {
     "home": {"timeline": TIMES, "receiver": "matched", "detector": SHARP},
     "blunt": {"timeline": TIMES, "receiver": "matched", "detector": {"name": "never"}},
 }
-SHORT = replace(
-    get_task("T1"),
-    settings={**get_task("T1").settings, "timeline": TIMES, "receiver": "matched"},
-    detectors=(SHARP,),
-)
+
 SIZES = {"runs": 24, "fit_runs": 80, "entropy": 3}
 
 
@@ -59,31 +55,34 @@ def test_what_is_kept_is_not_played_again(folder, rows, monkeypatch):
     monkeypatch.setattr(Evaluator, "score", None)
     monkeypatch.setattr(Evaluator, "fit", None)
     worlds = evaluators("T1", CHANGES, **SIZES, threads=1)
-    again = table(worlds, [({"name": "ramp"}, None)], folder)
-    assert again == list(rows.values())
+    assert table(worlds, [({"name": "ramp"}, None)], folder) == list(rows.values())
 
 
 def test_one_that_was_trained_in_a_world_has_that_home_alone(folder, rows, monkeypatch, capsys):
+    task = get_task("T1")
+    own = {**task.settings, "timeline": TIMES, "receiver": "matched"}
+    short = replace(task, settings=own, detectors=(SHARP,))
     monkeypatch.setattr(transfer, "HOME", "first")
-    monkeypatch.setattr(transfer, "get_task", lambda key: SHORT)
+    monkeypatch.setattr(transfer, "get_task", lambda key: short)
     given = ["--out", str(folder), "--runs", "24", "--fit-runs", "80", "--seed", "3", "--json"]
     world = f"blunt={json.dumps(CHANGES['blunt'])}"
     transfer.main([*given, "--world", world, "--spoofer", "ramp@first"])
-    found = json.loads(capsys.readouterr().out)
-    assert [(row["home"], row["world"]) for row in found] == [
+    home, blunt = json.loads(capsys.readouterr().out)
+    assert [(each["home"], each["world"]) for each in (home, blunt)] == [
         ("first", "first"),
         ("first", "blunt"),
     ]
-    assert found[1]["refitted"] == rows["home", "blunt"]["refitted"]
+    assert blunt["refitted"] == rows["home", "blunt"]["refitted"]
 
 
-def test_a_mistake_says_what_is_wanted():
-    for text, message in (
-        ("blunt", "must be NAME=JSON"),
-        ("blunt={", "must be NAME=JSON"),
-        ("blunt=[1]", "with an object of settings"),
-    ):
-        with pytest.raises(SystemExit, match=f"^error: .*{message}"):
-            transfer.main(["--spoofer", "ramp", "--world", text])
-    with pytest.raises(SystemExit, match=r"^error: .*moon.*home"):
-        transfer.main(["--spoofer", "ramp@moon"])
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["ramp", "--world", "blunt={"], "must be NAME=JSON"),
+        (["ramp", "--world", "blunt=[1]"], "with an object of settings"),
+        (["ramp@moon"], "moon.*home"),
+    ],
+)
+def test_a_mistake_says_what_is_wanted(words, message):
+    with pytest.raises(SystemExit, match=f"^error: .*{message}"):
+        transfer.main(["--spoofer", *words])

@@ -4,6 +4,7 @@ import json
 import shutil
 import sys
 from dataclasses import replace
+from functools import cache
 from io import StringIO
 from pathlib import Path
 
@@ -18,7 +19,7 @@ for name in ("onnxscript", "stable_baselines3", "tyro"):
 from rich.console import Console
 
 from agents.detector_loss import compute_undetected
-from agents.detector_score import area, score_non_learned, score_statistic
+from agents.detector_score import score_non_learned, score_statistic
 from agents.record import read_record
 from spoofgym.bench.experiments import Store, run_experiment
 from spoofgym.bench.experiments.dataset import Episodes, Plan, load_dataset
@@ -31,10 +32,12 @@ from train import detector as module
 from train.detector import CHECKPOINT, RECORD, Arguments, Trainer, train
 
 TIMES = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 30.0, "time_to_alert_s": 2.0}
+QUIET = Console(quiet=True)
 OFTEN = 30.0
 """False alarms an hour that few clean runs can tell."""
 
 
+@cache
 def setup():
     return World.of(timeline=TIMES).setup
 
@@ -54,14 +57,10 @@ def arguments(data, out, **changes):
     return Arguments(data=data, out=out, false_alarms_per_hour=OFTEN, **{**small, **changes})
 
 
-def quiet():
-    return Console(quiet=True)
-
-
 @pytest.fixture(scope="module")
 def file(data, tmp_path_factory):
     """What a training of three passes has written."""
-    return train(arguments(data, tmp_path_factory.mktemp("whole") / "guard"), quiet())
+    return train(arguments(data, tmp_path_factory.mktemp("whole") / "guard"), QUIET)
 
 
 @pytest.fixture
@@ -77,10 +76,12 @@ def test_what_was_trained_is_a_detector_like_any_other(data, file):
     assert [point["step"] for point in points] == [1, 2, 3]
     assert points[-1]["train_loss"] < points[0]["train_loss"]
     card = json.loads(file.with_suffix(".json").read_text())["training"]
-    assert card["data"] == load_dataset(data).digest
+    made_of = load_dataset(data)
+    assert card["data"] == made_of.digest
     assert "quiet" in card["held_out"]
-    entropy = load_dataset(data).config["entropy"]
+    entropy = made_of.config["entropy"]
     assert card["decided_on"] == [[entropy, f"dataset-{part}"] for part in ("train", "validation")]
+    assert list(score_non_learned(made_of, made_of.episodes("test"), OFTEN)) == ["snapshot_chi2"]
     world = setup().copy_with(detector=make_detector({"name": str(file), "threshold": 0.5}))
     seeds = seeds_of_runs(0, "training", world.name, range(4))
     start = WarmStart(world, make_generators(seeds), threads=1)
@@ -121,21 +122,21 @@ def test_a_killed_training_comes_to_the_same_result(data, file, trainer, tmp_pat
     with monkeypatch.context() as patch:
         patch.setattr(Trainer, "learn", until_killed)
         with pytest.raises(KeyboardInterrupt):
-            train(given, quiet())
+            train(given, QUIET)
     monkeypatch.setattr(module, "_export", lambda trainer, console: trainer)
-    again = train(given, quiet())
+    again = train(given, QUIET)
     trainer.restore(file.parent / CHECKPOINT)
     assert (again.done, again.best, again.best_pass) == (3, trainer.best, trainer.best_pass)
-    assert all(
-        torch.equal(again.best_weights[name], weight)
-        for name, weight in trainer.best_weights.items()
+    for name, weight in trainer.best_weights.items():
+        assert torch.equal(again.best_weights[name], weight)
+    mine, theirs = (
+        [{**line, "wall_s": 0} for line in read_record(path / RECORD)]
+        for path in (file.parent, given.out)
     )
-    lines = [read_record(path / RECORD) for path in (file.parent, given.out)]
-    for mine, theirs in zip(*lines, strict=True):
-        assert {**mine, "wall_s": 0} == {**theirs, "wall_s": 0}
+    assert mine == theirs
     (given.out / CHECKPOINT).write_bytes(b"no checkpoint")
     with pytest.raises(ValueError, match=r"checkpoint\.pt is damaged, .*: remove it"):
-        train(given, quiet())
+        train(given, QUIET)
 
 
 def test_minibatches_begin_at_drawn_moments_before_the_onset(trainer, monkeypatch):
@@ -151,30 +152,35 @@ def test_minibatches_begin_at_drawn_moments_before_the_onset(trainer, monkeypatc
         lengths.append(seen.shape[1])
         return log_odds(seen)
 
-    monkeypatch.setattr(Trainer, "_loss", logged)
-    monkeypatch.setattr(trainer.network, "log_odds", measured)
-    for _ in range(5):
-        trainer.learn(trainer.data.episodes("train"))
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "_loss", logged)
+        patch.setattr(trainer.network, "log_odds", measured)
+        for _ in range(5):
+            trainer.learn(trainer.data.episodes("train"))
     epochs = trainer.config["epochs"]
     least = 2.0 / trainer.config["interval_s"]
     assert len(set(begins)) > 5
     assert 0 <= min(begins) <= max(begins) <= epochs["live"] - least
     assert lengths == [epochs["all"] - begin for begin in begins]
-
-
-def test_the_loss_from_a_later_moment_is_that_of_episodes_cut_there(trainer):
+    # the loss from a later moment is that of episodes cut there
     episodes = trainer.data.episodes("train")
     late = trainer._loss(episodes, 7)
     assert not torch.equal(late, trainer._loss(episodes, 0))
     cut = [part[:, 7:] if part.ndim > 1 else part for part in episodes]
-    epochs = trainer.config["epochs"]
     trainer.config = {**trainer.config, "epochs": {**epochs, "live": epochs["live"] - 7}}
     assert torch.equal(late, trainer._loss(Episodes(*cut), 0))
 
 
-def test_the_best_is_kept_where_training_diverges(data, tmp_path, monkeypatch):
-    loss = Trainer._loss
-    good = 1
+def test_the_best_is_kept_where_training_diverges(data, trainer, tmp_path, monkeypatch):
+    validation, network = trainer.data.episodes("validation"), trainer.network
+    assert np.isfinite(trainer.score(validation).loss)
+    with monkeypatch.context() as patch:
+        patch.setattr(network, "log_odds", lambda seen: torch.full(seen.shape[:2], torch.inf))
+        found = trainer.score(validation)
+    assert found.loss == np.inf
+    trainer.keep(found.loss)
+    assert not trainer.best_weights
+    loss, good = Trainer._loss, 1
 
     def broken(self, *given):
         return loss(self, *given) * (np.nan if self.done == good else 1.0)
@@ -183,54 +189,38 @@ def test_the_best_is_kept_where_training_diverges(data, tmp_path, monkeypatch):
     console = Console(record=True, quiet=False, width=200, file=StringIO())
     with monkeypatch.context() as patch:
         patch.setattr(module, "_export", lambda trainer, console: trainer.best_pass)
-        assert train(arguments(data, tmp_path / "guard"), console) == 1
+        assert train(arguments(data, tmp_path / "kept"), console) == 1
     assert "pass 2 diverged" in console.export_text()
     good = 0
     with pytest.raises(ValueError, match="nothing to keep"):
-        train(arguments(data, tmp_path / "none"), quiet())
-
-
-def test_a_network_whose_answers_are_not_finite_is_not_kept(trainer, monkeypatch):
-    validation = trainer.data.episodes("validation")
-    assert np.isfinite(trainer.score(validation).loss)
-    monkeypatch.setattr(
-        trainer.network, "log_odds", lambda seen: torch.full(seen.shape[:2], torch.inf)
-    )
-    found = trainer.score(validation)
-    assert found.loss == np.inf
-    trainer.keep(found.loss)
-    assert not trainer.best_weights
+        train(arguments(data, tmp_path / "none"), QUIET)
 
 
 def test_what_does_not_fit_is_refused_before_anything_is_written(data, file, tmp_path, monkeypatch):
     monkeypatch.setattr(Trainer, "learn", None)
     given = arguments(data, file.parent)
-    with pytest.raises(ValueError, match=r"other results.*width: 8, not 9"):
-        train(replace(given, width=9), quiet())
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.txt").write_text("keep")
-    with pytest.raises(ValueError, match="not empty"):
-        train(replace(given, out=tmp_path / "other"), quiet())
-    with pytest.raises(ValueError, match="clean runs are too few"):
-        train(replace(given, out=tmp_path / "few", false_alarms_per_hour=0.2), quiet())
-    copy = tmp_path / "copy"
-    shutil.copytree(data, copy)
+    copy = shutil.copytree(data, tmp_path / "copy")
     next(copy.glob("cells/test-*.npz")).unlink()
-    with pytest.raises(ValueError, match=r"test-\d+\.npz is missing"):
-        train(arguments(copy, tmp_path / "late"), quiet())
+    few = {"out": tmp_path / "few", "false_alarms_per_hour": 0.2}
+    for changes, message in (
+        ({"width": 9}, r"other results.*width: 8, not 9"),
+        ({"out": tmp_path / "other"}, "not empty"),
+        (few, "clean runs are too few"),
+        ({"data": copy, "out": tmp_path / "late"}, r"test-\d+\.npz is missing"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            train(replace(given, **changes), QUIET)
     assert {path.name for path in tmp_path.iterdir()} == {"other", "copy"}  # names are still free
     for bad in ({"passes": 0}, {"learning_rate": 0.0}, {"seed": -1}, {"out": Path("a b")}):
         with pytest.raises(ValueError, match=f"`{next(iter(bad))}`"):
             replace(given, **bad)
-
-
-def test_a_mistake_is_one_line(tmp_path, monkeypatch):
     words = ["detector", "--data", str(tmp_path / "no"), "--out", str(tmp_path / "guard")]
     monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit, match=r"^error: .*no") as found:
         module.main()
     assert "\n" not in str(found.value.code)
-    assert not (tmp_path / "guard").exists()
 
 
 MOVED = np.tile([0.0, 1.0, 2.0, 3.0, 4.0, 4.0], (9, 1))
@@ -281,14 +271,3 @@ def test_the_smooth_loss_is_the_score_where_odds_are_sharp():
     assert odds.grad is not None
     assert (odds.grad[~of_clean, 1:] <= 0.0).all()  # alarms do good
     assert (odds.grad[of_clean] >= 0.0).all()
-
-
-def test_the_area_is_a_share_of_pairs():
-    statistic = np.array([[0.0, 1.0], [2.0, 1.0]])
-    attack = np.array([[False, False], [True, True]])
-    assert area(statistic, attack) == pytest.approx(3.5 / 4.0)
-
-
-def test_classics_among_the_observations_are_scored_too(data):
-    found = load_dataset(data)
-    assert list(score_non_learned(found, found.episodes("test"), OFTEN)) == ["snapshot_chi2"]

@@ -92,7 +92,7 @@ def test_a_killed_game_goes_on_to_the_same_result(tmp_path, whole, monkeypatch):
     assert play(tmp_path / "killed") == whole
 
 
-def test_what_is_not_valid_is_refused(tmp_path):
+def test_what_is_not_valid_is_refused(tmp_path, monkeypatch):
     config = {**Arguments(out=tmp_path, **QUICK).config, "runs": 7}
     Store(tmp_path).open("double-oracle", {**config, "versions": learning_versions()})
     with pytest.raises(ValueError, match=r"other results \(config\.runs: 7, not 6\)"):
@@ -101,12 +101,10 @@ def test_what_is_not_valid_is_refused(tmp_path):
     for name, value in {**bad, "detector_response": "learned"}.items():
         with pytest.raises(ValueError, match=r"T9|payoff|iterations|detector_command"):
             Arguments(out=tmp_path, **{name: value})
-
-
-def test_a_misspelt_detector_does_not_occupy_the_folder(tmp_path, monkeypatch):
+    # a detector that is misspelt does not occupy the folder
     out = tmp_path / "game"
-    words = ["--task", "T3", "--detectors", "cusumm"]
-    monkeypatch.setattr(sys, "argv", ["double_oracle", "--out", str(out), *words])
+    words = ["double_oracle", "--out", str(out), "--task", "T3", "--detectors", "cusumm"]
+    monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit, match=r"^error: .*cusumm") as found:
         main()
     assert "\n" not in found.value.code

@@ -43,11 +43,8 @@ def test_a_seed_is_trained_once_and_compared_on_the_same_runs(settings, monkeypa
     assert row["untrained"]["counted"] == row["score"]["counted"]
     assert "| T1 | plain | 1 |" in build_table(results)
 
-    def never(*_):
-        raise AssertionError("it is finished")
-
-    monkeypatch.setattr(plain_ppo, "train", never)
-    monkeypatch.setattr(Evaluator, "score", never)
+    monkeypatch.setattr(plain_ppo, "train", None)  # it is finished
+    monkeypatch.setattr(Evaluator, "score", None)
     assert play(settings) == results
     with pytest.raises(ValueError, match=r"other results \(config\.steps: 40, not 80\)"):
         play(replace(settings, steps=80))
@@ -60,8 +57,6 @@ def test_a_seed_is_trained_once_and_compared_on_the_same_runs(settings, monkeypa
     [
         ({"kinds": ("fancy",)}, "unknown kind 'fancy'; valid: defaults, plain"),
         ({"steps": 3, "scores": 4}, r"`scores` must be in \[1, 3\], the steps, got 4"),
-        ({"steps": 0}, "`steps`"),
-        ({"entropy": -1}, "`entropy`"),
     ],
 )
 def test_bad_input_is_refused(tmp_path, changes, message):

@@ -23,18 +23,11 @@ from spoofgym.policies import SpooferCard
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import OnnxPolicy
 from train import ppo_spoofer
-from train.ppo_spoofer import (
-    CHECKPOINT,
-    PICTURE,
-    RECORD,
-    RESULTS,
-    Arguments,
-    Training,
-    score_seed,
-    train,
-)
+from train.ppo_spoofer import CHECKPOINT, PICTURE, RECORD, Arguments, Training, score_seed, train
 
 WORLD = {"timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}}
+PLAIN = json.dumps({**WORLD, "attack": "paper-ideal"})
+NO_ONE = {"detector": "never", "settings": "{}"}
 QUICK = {
     "task": "T1",
     "detector": "snapshot-chi2:thresholds=nominal",
@@ -58,11 +51,6 @@ def arguments(out, **settings):
     return Arguments(out=out, **{**QUICK, **settings})
 
 
-def heavy(*case):
-    """A case whose world takes a minute to make."""
-    return pytest.param(*case, marks=pytest.mark.nightly)
-
-
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     args = arguments(tmp_path_factory.mktemp("runs") / "tiny")
@@ -72,14 +60,13 @@ def trained(tmp_path_factory):
 def test_a_run_leaves_a_policy_that_plays_and_a_card_that_says_how_it_was_made(trained):
     args, results = trained
     policy = OnnxPolicy(str(args.out / "tiny.onnx"))
-    assert policy.knowledge == "blind"
-    assert (policy.decision_interval_s, policy.between) == (2.5, "linear")
     pace = {"decision_interval_s": 2.5, "between": "linear"}
+    assert (policy.knowledge, policy.decision_interval_s) == ("blind", 2.5)
+    assert policy.between == "linear"
     envs = SpoofVecEnv(3, seed=0, knowledge="blind", **args.world, **pace)
-    spoofer = attach(policy, envs)
-    assert spoofer.act(envs.reset()).shape == (3, 1)
+    assert attach(policy, envs).act(envs.reset()).shape == (3, 1)
     envs.close()
-    kept = args.out / f"seed-{results['kept']}" / f"tiny-{results['kept']}.onnx"
+    kept = args.policy(results["kept"])
     assert (args.out / "tiny.onnx").read_bytes() == kept.read_bytes()
     assert (args.out / PICTURE).stat().st_size > 1000
     card = SpooferCard.load(args.out / "tiny.json")
@@ -115,16 +102,22 @@ def test_every_seed_has_a_learning_curve_and_a_score_on_the_same_runs(trained):
 def test_a_finished_run_stays_as_it_is_and_further_seeds_join_it(trained, tmp_path, monkeypatch):
     args, results = trained
     copy = replace(args, out=shutil.copytree(args.out, tmp_path / "tiny"))
-    before = (args.out / "tiny.onnx").read_bytes()
     with pytest.raises(ValueError, match=r"other results.*gae_lambda: 0.98, not 0.9") as e:
         train(replace(copy, gae_lambda=0.9))
     assert "learning_rate" not in str(e.value)
     monkeypatch.setattr(Evaluator, "score", None)
-    monkeypatch.setattr(ppo_spoofer, "Training", None)
-    assert train(copy) == results
-    assert (copy.out / "tiny.onnx").read_bytes() == before
-    more = train(replace(copy, seeds=(7,)))
+    with monkeypatch.context() as patch:
+        patch.setattr(ppo_spoofer, "Training", None)
+        assert train(copy) == results
+        assert (copy.out / "tiny.onnx").read_bytes() == (args.out / "tiny.onnx").read_bytes()
+        more = train(replace(copy, seeds=(7,)))
     assert more["seeds"][0]["score"] == results["seeds"][1]["score"]
+    broken = replace(args, out=tmp_path / "broken", seeds=(0,))
+    Store(broken.out).open("ppo-spoofer", broken.config)
+    (broken.out / "seed-0").mkdir()
+    (broken.out / "seed-0" / CHECKPOINT).write_bytes(b"no archive")
+    with pytest.raises(ValueError, match="is damaged, or of another model"):
+        train(broken)
 
 
 def test_a_killed_run_goes_on_to_the_same_result(trained, tmp_path, monkeypatch):
@@ -144,16 +137,6 @@ def test_a_killed_run_goes_on_to_the_same_result(trained, tmp_path, monkeypatch)
     assert {**mine, "wall_s": 0, "ratios": {}} == {**theirs, "wall_s": 0, "ratios": {}}
     file = "seed-0/tiny-0.onnx"
     assert (again.out / file).read_bytes() == (args.out / file).read_bytes()
-
-
-def test_a_damaged_checkpoint_is_refused(trained, tmp_path):
-    args, _ = trained
-    again = replace(args, out=tmp_path / "tiny", seeds=(0,))
-    Store(again.out).open("ppo-spoofer", again.config)
-    (again.out / "seed-0").mkdir()
-    (again.out / "seed-0" / CHECKPOINT).write_bytes(b"no archive")
-    with pytest.raises(ValueError, match="is damaged, or of another model"):
-        train(again)
 
 
 def test_what_is_learned_from_can_be_copies_of_a_few_warm_ups(tmp_path):
@@ -189,34 +172,38 @@ def test_what_is_learned_from_can_be_copies_of_a_few_warm_ups(tmp_path):
     again.envs.close()
 
 
+NIGHTLY = {"marks": pytest.mark.nightly}  # a world that takes a minute to make
+
+
+def environment(**given):
+    quick = {"full_scale_mps": None, "num_envs": 1}
+    return arguments(Path("x"), **{**quick, **given}).make_envs()
+
+
 @pytest.mark.parametrize(
     ("given", "action", "length_m"),
     [
         ({"full_scale_mps": 3.0}, {"name": "rate-setpoint", "full_scale_mps": 3.0}, 40.0),
         ({}, {"name": "rate-setpoint", "full_scale_mps": 5.0}, 40.0),  # of a short attack
-        heavy({"task": "T4", "detector": "never"}, {"full_scale_mps": 5.0}, 556.0),
-        ({"task": "T3", "detector": "never"}, {"full_scale_mps": 4 * 20.0 / 150.0}, 20.0),
-        ({"task": "T3", "detector": "never", "length_m": 30.0}, {"full_scale_mps": 0.8}, 30.0),
+        pytest.param({**NO_ONE, "task": "T4"}, {"full_scale_mps": 5.0}, 556.0, **NIGHTLY),
+        ({**NO_ONE, "task": "T3"}, {"full_scale_mps": 4 * 20.0 / 150.0}, 20.0),
+        pytest.param(
+            {**NO_ONE, "task": "T3", "length_m": 30.0}, {"full_scale_mps": 0.8}, 30.0, **NIGHTLY
+        ),
         ({"settings": '{"target_heading_deg": "worst"}'}, {"dimensions": 2}, 40.0),
+        ({"settings": PLAIN}, {}, 40.0),  # without a wanted rate it is commanded as it is
     ],
 )
 def test_the_full_scale_fits_the_attack_and_the_alert_limit_of_the_task(given, action, length_m):
-    world = {"settings": "{}"} if {"task", "settings"} & {*given} else {}
-    quick = {"full_scale_mps": None, "num_envs": 1, **world}
-    envs = arguments(Path("x"), **{**quick, **given}).make_envs()
-    assert action.items() <= envs.env_kwargs["action"].items()
+    envs = environment(**given)
+    if action:
+        assert action.items() <= envs.env_kwargs["action"].items()
+    else:
+        assert "action" not in envs.env_kwargs
+        with pytest.raises(ValueError, match="`full_scale_mps` is that of a wanted rate"):
+            environment(**given, full_scale_mps=2.0)
     assert envs.core.length_m == length_m
     envs.close()
-
-
-def test_an_attack_without_a_wanted_rate_is_commanded_as_it_is():
-    assert arguments(Path("x"), detector="", settings="{}").world == {"task": "T1"}
-    settings = json.dumps({**WORLD, "attack": "paper-ideal"})
-    envs = arguments(Path("x"), settings=settings, full_scale_mps=None).make_envs()
-    assert "action" not in envs.env_kwargs
-    envs.close()
-    with pytest.raises(ValueError, match="`full_scale_mps` is that of a wanted rate"):
-        arguments(Path("x"), settings=settings, full_scale_mps=2.0).make_envs()
 
 
 @pytest.mark.parametrize(
@@ -250,15 +237,6 @@ def test_bad_input_is_refused_at_once(monkeypatch, capsys, tmp_path, given, mess
         arguments(tmp_path / "a b")
 
 
-def test_the_command_prints_help(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["train.ppo_spoofer", "--help"])
-    with pytest.raises(SystemExit, match="0"):
-        ppo_spoofer.main()
-    shown = capsys.readouterr().out
-    assert "--full-scale-mps" in shown
-    assert RESULTS in shown
-
-
 @pytest.mark.parametrize(
     ("given", "steps"),
     [
@@ -267,12 +245,11 @@ def test_the_command_prints_help(monkeypatch, capsys):
         ({}, 1),
         ({"settings": json.dumps({**WORLD, "decision_interval_s": 5.0})}, 2),  # as the world has it
         ({"task": "T1", "settings": "{}"}, 15),
-        heavy({"task": "T4", "settings": "{}"}, 26),
-        ({"task": "T6", "settings": "{}"}, 15),
+        pytest.param({"task": "T4", "settings": "{}"}, 26, **NIGHTLY),
+        pytest.param({"task": "T6", "settings": "{}"}, 15, **NIGHTLY),
     ],
 )
 def test_decisions_are_as_often_as_wanted_and_divide_the_attack(given, steps):
-    quick = {"decision_interval_s": None, "num_envs": 1, "full_scale_mps": None}
-    envs = arguments(Path("x"), **{**quick, **given}).make_envs()
+    envs = environment(**{"decision_interval_s": None, **given})
     assert envs.core.episode_steps == steps
     envs.close()

@@ -13,45 +13,33 @@ from agents.spoofer_table import page
 from train import spoofers
 from train.spoofers import DETECTORS, PAGE, TABLE, Settings, play
 
-QUICK = {
-    "settings": json.dumps(
-        {
-            "timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2},
-            "scenario": "zhong2025",
-            "domain": {},
-        }
-    ),
-    "num_envs": 5,
-    "batch_size": 50,
-    "n_epochs": 1,
-    "stages": 1,
-    "threads": 1,
-    "decision_interval_s": 2.5,
-}
-
 
 @pytest.fixture
 def small(tmp_path, monkeypatch):
     """One detector of one world, with thresholds as published."""
     monkeypatch.setitem(DETECTORS, "snapshot-chi2", "snapshot-chi2:thresholds=nominal")
     monkeypatch.setattr(spoofers, "RIVALS", ("ramp",))
-    return Settings(
-        out=tmp_path,
-        only=("T3", "snapshot-chi2"),
-        seeds=(0,),
-        steps=100,
-        fit_runs=80,
-        runs=10,
-        warm_pool=8,
-        further=json.dumps(QUICK),
-    )
+    timeline = {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}
+    world = {"timeline": timeline, "scenario": "zhong2025", "domain": {}}
+    few = {"num_envs": 5, "batch_size": 50, "n_epochs": 1, "stages": 1, "threads": 1}
+    quick = {"seeds": (0,), "steps": 100, "fit_runs": 80, "runs": 10, "warm_pool": 8}
+    further = json.dumps({"settings": json.dumps(world), "decision_interval_s": 2.5, **few})
+    return Settings(out=tmp_path, only=("T3", "snapshot-chi2"), further=further, **quick)
 
 
-def test_all_cells_are_a_hundred_and_eighty_trainings(tmp_path):
+def test_all_cells_are_a_hundred_and_eighty_trainings_and_settings_are_checked(tmp_path):
     settings = Settings(out=tmp_path)
     assert len(settings.cells()) * len(settings.seeds) == 180
     names = {settings.folder(*cell).name for cell in settings.cells()}
     assert len(names) == len(settings.cells())
+    for given, message in (
+        ({"further": "{"}, "`further` is not JSON"),
+        ({"further": "[1]"}, "`further` must be a JSON object"),
+        ({"further": '{"stepz": 3}'}, "unknown further setting 'stepz'"),
+        ({"only": ("T9",)}, "unknown world, detector or knowledge 'T9'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Settings(out=tmp_path, **given)
 
 
 def test_a_part_is_trained_and_stays_when_another_part_follows(small, monkeypatch):
@@ -84,20 +72,6 @@ def test_a_part_is_trained_and_stays_when_another_part_follows(small, monkeypatc
     monkeypatch.setattr(spoofers, "page", str)
     more = play(replace(blind, seeds=(0, 1)))
     assert more["T3/snapshot-chi2/blind"] == {"seeds": [0, 1]}
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"further": "{"}, "`further` is not JSON"),
-        ({"further": "[1]"}, "`further` must be a JSON object"),
-        ({"further": '{"stepz": 3}'}, "unknown further setting 'stepz'"),
-        ({"only": ("T9",)}, "unknown world, detector or knowledge 'T9'"),
-    ],
-)
-def test_settings_are_checked(tmp_path, given, message):
-    with pytest.raises(ValueError, match=message):
-        Settings(out=tmp_path, **given)
 
 
 @pytest.mark.parametrize(("reach_m", "length_m"), [(12.0, 20.0), (82.0, 41.0), (495.0, 247.5)])

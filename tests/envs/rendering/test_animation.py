@@ -1,7 +1,5 @@
 """Moving pictures."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np
@@ -40,30 +38,30 @@ def test_an_mp4_is_one(tmp_path):
     assert b"ftyp" in path.read_bytes()[:16]
 
 
+@pytest.mark.parametrize(
+    ("name", "fps", "count", "message"),
+    [
+        ("run.avi", 25.0, 3, "unknown ending of an animation '.avi'; valid: .gif, .mp4"),
+        ("run.gif", 0.0, 3, "`fps` must be a number above 0 and at most 100, got 0"),
+        ("run.gif", 1000.0, 3, "`fps` must be a number above 0 and at most 100, got 1000"),
+        ("run.gif", 25.0, 0, "at least one frame"),
+    ],
+)
+def test_wrong_settings_are_told(tmp_path, name, fps, count, message):
+    with pytest.raises(ValueError, match=message):
+        save_animation(frames(count), tmp_path / name, fps)
+
+
 def test_what_ffmpeg_lacks_is_told_and_leaves_no_file(tmp_path, monkeypatch):
-    film = tmp_path / "run.mp4"
+    film, program = tmp_path / "run.mp4", tmp_path / "ffmpeg"
     with monkeypatch.context() as patch:
         patch.setattr(animation.shutil, "which", lambda name: None)
         patch.setitem(sys.modules, "imageio_ffmpeg", None)
         with pytest.raises(ImportError, match=r"spoofgym\[video\], or write a .gif"):
             save_animation(frames(), film)
-    assert not list(tmp_path.iterdir())
-    program = tmp_path / "ffmpeg"
     program.write_text("#!/bin/sh\necho no such codec >&2\nexit 3\n")
     program.chmod(0o755)
     monkeypatch.setattr(animation, "ffmpeg_program", lambda: str(program))
     with pytest.raises(OSError, match="code 3: no such codec"):
         save_animation(frames(200, 200, 300), film)
-    assert not film.exists()
-
-
-def test_wrong_settings_are_told(tmp_path):
-    for name, fps, message in (
-        ("run.avi", 25.0, "unknown ending of an animation '.avi'; valid: .gif, .mp4"),
-        ("run.gif", 0.0, "`fps` must be a number above 0 and at most 100, got 0"),
-        ("run.gif", 1000.0, "`fps` must be a number above 0 and at most 100, got 1000"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            save_animation(frames(), tmp_path / name, fps)
-    with pytest.raises(ValueError, match="at least one frame"):
-        save_animation(iter(()), tmp_path / "run.gif")
+    assert [*tmp_path.iterdir()] == [program]

@@ -26,16 +26,9 @@ TABLES = {
 }
 
 
-def made(name, knowledge):
-    """The environment in the world of the tables, which the duel's views have not by themselves."""
-    world = {"scenario": "zhong2025"} if name == "SpooferView" else {}
-    return gym.make(f"spoofgym/{name}-v0", knowledge=knowledge, **world)
-
-
-def told(kind, number):
+def table_of(kind, number=0):
     """Rows of a table in a docstring: index, name, unit, scale, knowledge."""
-    rule = r"^ *=====  =+ .*$"
-    parts = re.split(rule, kind.__doc__, flags=re.MULTILINE)
+    parts = re.split(r"^ *=====  =+ .*$", kind.__doc__, flags=re.MULTILINE)
     rows = parts[3 * number + 2].strip().splitlines()
     return [re.split(r" {2,}", row.strip()) for row in rows]
 
@@ -79,7 +72,9 @@ def observed(terms, setup):
 
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_is_what_the_terms_observe(name):
-    env = made(name, MOST).unwrapped
+    # the world of the tables, which the duel's views have not by themselves
+    world = {"scenario": "zhong2025"} if name == "SpooferView" else {}
+    env = gym.make(f"spoofgym/{name}-v0", knowledge=MOST, **world).unwrapped
     setup = env.core.setup
     along = CommandMap(default_action(setup), setup).along_target
     terms = default_terms(setup, MOST, along_target=along)
@@ -88,7 +83,7 @@ def test_a_table_is_what_the_terms_observe(name):
     for first, last, words, unit, scale, knowledge in observed(terms, setup):
         index = str(first) if first == last else f"{first}-{last}"
         rows.append([index, words, unit, f"{float(f'{scale:.4g}'):g}", knowledge])
-    assert told(*TABLES[name]) == rows
+    assert table_of(*TABLES[name]) == rows
 
 
 def test_the_table_of_the_detector_s_view_is_what_it_observes():
@@ -103,10 +98,7 @@ def test_the_table_of_the_detector_s_view_is_what_it_observes():
         "elapsed": Elapsed.scale_s,
     }
     next_one = 0
-    rule = r"^ *=====  =+ .*$"
-    table = re.split(rule, DetectorView.__doc__, flags=re.MULTILINE)[2]
-    for line in table.strip().splitlines():
-        index, words, _, scale = re.split(r" {2,}", line.strip())
+    for index, words, _, scale in table_of(DetectorView):
         first, _, last = index.partition("-")
         word = re.sub(r"_(slotJJ|XXX)$", "", words)
         assert int(first) == next_one
