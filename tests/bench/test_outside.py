@@ -1,18 +1,12 @@
 """Results of classes that are not ours follow their sources."""
 
-from __future__ import annotations
-
 import importlib
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 from spoofgym.bench.experiments import Store
-from spoofgym.bench.experiments.suite import Suite
 from spoofgym.core.settings import outside_sources
 from spoofgym.detectors import Ewma
 from spoofgym.policies.contract import DetectorPolicy
@@ -24,7 +18,6 @@ DETECTOR = """
 from dataclasses import dataclass
 import numpy as np
 from helper_a34 import SCALE
-import helper_a34
 from spoofgym.attacks import make_attack
 from spoofgym.detectors import Ewma
 from spoofgym.policies.contract import DetectorPolicy
@@ -32,8 +25,7 @@ from spoofgym.spoofers import Ramp
 
 @dataclass
 class Mine(Ewma):
-    def judge(self, epoch):
-        return super().judge(epoch)
+    pass
 
 @dataclass
 class Pusher(Ramp):
@@ -51,7 +43,7 @@ class Grab(type(make_attack("false-position"))):
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def folder(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     write(tmp_path)
@@ -59,21 +51,21 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     forget()
 
 
-def write(folder: Path, detector: str = DETECTOR, helper: str = "SCALE = 1.0\n") -> None:
+def write(folder, detector=DETECTOR, helper="SCALE = 1.0\n"):
     for name, text in zip(MODULES, (detector, helper), strict=True):
         (folder / f"{name}.py").write_text(text)
     forget()
 
 
-def forget() -> None:
+def forget():
     """As a new process begins."""
     for name in MODULES:
         sys.modules.pop(name, None)
     importlib.invalidate_caches()
 
 
-def suites() -> dict[str, Suite]:
-    module: Any = importlib.import_module("mine_a34")
+def suites():
+    module = importlib.import_module("mine_a34")
     return {
         "detector": small_suite(detectors=("ewma", "mine_a34:Mine")),
         "detector, an object": small_suite(detectors=(module.Mine(),)),
@@ -82,57 +74,42 @@ def suites() -> dict[str, Suite]:
     }
 
 
-@pytest.mark.parametrize(
-    "edit",
-    [{"detector": DETECTOR + "\nANOTHER = 1\n"}, {"helper": "SCALE = 2.0\n"}],
-    ids=["its file", "what it imports"],
-)
-def test_an_edited_class_is_another_campaign(folder: Path, edit: dict[str, str]) -> None:
-    for name, suite in suites().items():
-        Store(folder / name).open("campaign", suite.config)
-    write(folder, DETECTOR + "\n# a comment\n")
-    for name, suite in suites().items():
-        Store(folder / name).open("campaign", suite.config)
-    write(folder, **edit)
-    for name, suite in suites().items():
-        with pytest.raises(
-            ValueError, match=r"other results \(config\.outside\.(mine|helper)_a34: "
-        ):
-            Store(folder / name).open("campaign", suite.config)
-
-
-def test_only_what_is_the_users_counts(folder: Path) -> None:
+def test_an_edited_class_is_another_campaign(folder):
     assert small_suite().config["outside"] == {}
-    for suite in suites().values():
-        assert set(suite.config["outside"]) == set(MODULES)
+    for comment in ("", "\n# a comment\n"):
+        write(folder, DETECTOR + comment)
+        for name, suite in suites().items():
+            assert set(suite.config["outside"]) == set(MODULES)
+            Store(folder / name).open("campaign", suite.config)
+    edits = {"mine": {"detector": DETECTOR + "\nANOTHER = 1\n"}, "helper": {"helper": "SCALE = 2"}}
+    for which, edit in edits.items():
+        write(folder, **edit)
+        for name, suite in suites().items():
+            with pytest.raises(
+                ValueError, match=rf"other results \(config\.outside\.{which}_a34: "
+            ):
+                Store(folder / name).open("campaign", suite.config)
 
 
-def test_a_policy_and_its_card_count(tmp_path: Path) -> None:
+def test_a_policy_and_its_card_count(tmp_path):
     path = tmp_path / "push.onnx"
     write_policy(path, small_suite(), "blind", (0.0, 0.1))
-
-    def outside() -> Any:
-        return small_suite(spoofers=(str(path),)).config["outside"]
-
-    before = outside()
+    before = small_suite(spoofers=(str(path),)).config["outside"]
     assert set(before) == {"push.onnx", "push.json"}
     card = path.with_suffix(".json")
     card.write_text(card.read_text().replace("ewma, by hand", "ewma, by foot"))
-    after = outside()
+    after = small_suite(spoofers=(str(path),)).config["outside"]
     assert [name for name in after if after[name] != before[name]] == [card.name]
 
 
-def test_a_class_without_a_source_is_never_taken_up_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_class_without_a_source_is_never_taken_up_again(tmp_path, monkeypatch):
     typed = type("Typed", (Ewma,), {"__module__": "__main__"})
     monkeypatch.setattr(sys.modules["__main__"], "Typed", typed, raising=False)
-    suite = small_suite(detectors=(typed(),))
+    suite, again = (small_suite(detectors=(typed(),)) for _ in range(2))
     with pytest.warns(UserWarning, match="source of __main__:Typed can't be read: its results are"):
         Store(tmp_path).open("campaign", suite.config)
     assert "never taken up again" in suite.config["notes"][-1]
     Store(tmp_path).open("campaign", suite.config)
-    again = small_suite(detectors=(typed(),))
     with (
         pytest.warns(UserWarning, match="can't be read"),
         pytest.raises(ValueError, match=r"other results \(config\.outside\.__main__:Typed: "),
@@ -140,8 +117,8 @@ def test_a_class_without_a_source_is_never_taken_up_again(
         Store(tmp_path).open("campaign", again.config)
 
 
-def test_a_calibration_is_not_that_of_an_edited_policy(folder: Path) -> None:
-    def digest() -> Any:
+def test_a_calibration_is_not_that_of_an_edited_policy(folder):
+    def digest():
         return importlib.import_module("mine_a34").Calm().digest()
 
     before = digest()
@@ -150,6 +127,6 @@ def test_a_calibration_is_not_that_of_an_edited_policy(folder: Path) -> None:
     write(folder, DETECTOR.replace("np.zeros", "np.ones"))
     assert digest() != before
     members = {"decide": print, "__module__": "__main__"}
-    typed: Any = dataclass(type("Typed", (DetectorPolicy,), members))
+    typed = dataclass(type("Typed", (DetectorPolicy,), members))
     assert None in outside_sources(typed()).values()
     assert typed().digest() is None

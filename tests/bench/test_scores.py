@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from spoofgym.bench.report.table import interval
 from spoofgym.bench.runs.record import mask_valid_runs, undetected_displacement
 from spoofgym.bench.scores.scores import (
     bootstrap_quantile,
@@ -24,6 +23,7 @@ from spoofgym.bench.scores.statistics import (
     alarm_limit,
     draw_resamples,
     fewest_runs,
+    interval,
     keeps,
     most_alarms,
 )
