@@ -69,16 +69,6 @@ def test_bootstrap_interval_of_a_mean_is_the_normal_one():
     assert found.high == pytest.approx(values.mean() + spread, abs=0.1 * spread)
 
 
-def test_paired_differences_are_narrower_than_both():
-    rng = np.random.default_rng(4)
-    one = 10.0 * rng.standard_normal(200)
-    gap = 1.0 + 0.1 * rng.standard_normal(200)
-    samples = resamples(np.arange(200), rng)
-    found = bootstrap_mean(gap, samples)
-    assert 0.9 < found.low <= found.high < 1.1
-    assert width(one, samples) > 1.0
-
-
 def test_runs_that_are_alike_are_drawn_together():
     """The spread of a mean over 40 clusters, and the plain one where nothing is alike."""
     rng = np.random.default_rng(5)

@@ -6,10 +6,9 @@ import pytest
 
 from spoofgym.bench.report.figures import frame_count, play_frames
 from spoofgym.bench.runs.play import WarmStart, play
-from spoofgym.bench.runs.players import specify_policy, specify_spoofer
+from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.envs.spoofer_binding import apply_pace, attach, bound_spoofer, get_tuning_range
 from spoofgym.spoofers import OnnxPolicy, make_spoofer
-from spoofgym.spoofers.learned import ModelPolicy
 from spoofgym.spoofers.scaled import Scaled
 
 from .support import LATE, Mirror, small_suite, write_policy
@@ -81,32 +80,13 @@ def test_a_policy_of_an_onnx_file_decides_as_its_card_says(tmp_path):
         assert len(frames) == frame_count(suite, detector, every=4) == 1 + decisions // 4
 
 
-def test_a_model_takes_its_pace_from_its_environment():
-    sb3 = pytest.importorskip("spoofgym.sb3")
-    envs = sb3.SpoofVecEnv(2, detector="never", **LATE)
-
-    class Model:
-        def predict(self, seen, deterministic):
-            return np.zeros((len(seen), 1)), None
-
-        def get_env(self):
-            return envs
-
-    spoofer = specify_policy(Model(), None, None).fixed_spec
-    assert isinstance(spoofer, ModelPolicy)
-    assert (spoofer.decision_interval_s, spoofer.between) == (2.5, "linear")
-    envs.close()
-
-
 @pytest.mark.parametrize(
     ("own", "world", "message"),
     [
         ({"decision_interval_s": 0.7}, {}, "Mirror decides by .*=0.7 .*multiple of the interval"),
         ({"decision_interval_s": 3.0}, {}, "Mirror decides by .*=3.0 .*whole number of decisions"),
         ({"decision_interval_s": "ten"}, {}, "Mirror decides by .*='ten' .*decision_interval_s"),
-        ({"decision_interval_s": 0.0}, LATE, "Mirror decides by .*=0.0 .*must be a number above 0"),
         ({"between": "linear"}, {}, "needs a `decision_interval_s`"),
-        ({**LATE, "between": "spline"}, {}, "`between` must be 'hold' or 'linear', got"),
         ({"decision_interval_s": 5.0}, LATE, "Mirror decides every 5 s .hold between., but this"),
         ({"decision_interval_s": 2.5}, LATE, "this world every 2.5 s .linear between."),
     ],

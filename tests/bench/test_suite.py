@@ -1,5 +1,6 @@
 """What a campaign runs, where, and where its chance comes from; the standard suite."""
 
+from functools import partial
 from importlib import import_module
 
 import numpy as np
@@ -126,7 +127,7 @@ def test_a_campaign_has_its_world_and_its_runs():
         (Suite, {"spoofers": ("rmap",)}, "unknown spoofer 'rmap'"),
         (Tuning, {"runs": 58}, r"`runs` must be at least 59 for a budget of 0.05: .* 58"),
         (World.of, {"env": "T3"}, "unknown environment of the benchmark 'T3'"),
-        (World.of, {"task": "T3", "env": "x", "scenario": "trolley"}, "`env`, `scenario` can't be"),
+        (partial(World.of, "T3"), {"env": "x", "scenario": "y"}, "`env`, `scenario` can't be"),
         (World.of, {"settings": {"speed": 1.0}}, "has no setting 'speed', got 1.0"),
         (World.of, {"attack": "quiet", "settings": {"attack": "quiet"}}, "given by name, too"),
     ],

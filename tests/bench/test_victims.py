@@ -101,24 +101,6 @@ def test_the_detectors_of_a_victim_fit_it(env):
     assert len(suite.detector_players) == len(VICTIMS[env].detectors)
 
 
-def test_runs_are_those_of_the_settings():
-    base, *others = suites = [
-        suite_of(SNAPSHOT, **changes)
-        for changes in (
-            {},
-            {"settings": {"satellites": 10}},
-            {"settings": {"noise_m": 1.0}},
-            {"target_heading_deg": 0.0},
-            {"timeline": {"attack_s": 12.0}},
-            {"detectors": ("never",)},
-        )
-    ]
-    assert len({suite.digest for suite in suites}) == len(suites)
-    # a default that is written out changes nothing
-    assert suite_of(SNAPSHOT, settings={"satellites": 12}).digest == base.digest
-    assert len(others[0].setup(base.detector_players[0]).weight_names) == 10
-
-
 def test_no_spoofer_of_another_environment_plays_unasked():
     suite = suite_of(ROBOT, spoofers=None)
     labels = [entry.label for entry in suite.spoofer_players]
