@@ -14,7 +14,7 @@ from spoofgym.policies.contract import DetectorPolicy
 from .support import small_suite, write_policy
 
 MODULES = ("mine_a34", "helper_a34")
-DETECTOR = """
+MINE = """
 from dataclasses import dataclass
 import numpy as np
 from helper_a34 import SCALE
@@ -23,23 +23,28 @@ from spoofgym.detectors import Ewma
 from spoofgym.policies.contract import DetectorPolicy
 from spoofgym.spoofers import Ramp
 
-@dataclass
 class Mine(Ewma):
     pass
 
-@dataclass
 class Pusher(Ramp):
+    pass
+
+class Grab(type(make_attack("false-position"))):
     pass
 
 @dataclass
 class Calm(DetectorPolicy):
     def decide(self, observation):
         return np.zeros((len(observation), 1))
-
-@dataclass(kw_only=True)
-class Grab(type(make_attack("false-position"))):
-    pass
 """
+
+
+def write(folder, mine=MINE, helper="SCALE = 1.0\n"):
+    """Sources as a new process finds them."""
+    for name, text in zip(MODULES, (mine, helper), strict=True):
+        (folder / f"{name}.py").write_text(text)
+        sys.modules.pop(name, None)
+    importlib.invalidate_caches()
 
 
 @pytest.fixture
@@ -48,20 +53,8 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     write(tmp_path)
     yield tmp_path
-    forget()
-
-
-def write(folder, detector=DETECTOR, helper="SCALE = 1.0\n"):
-    for name, text in zip(MODULES, (detector, helper), strict=True):
-        (folder / f"{name}.py").write_text(text)
-    forget()
-
-
-def forget():
-    """As a new process begins."""
     for name in MODULES:
         sys.modules.pop(name, None)
-    importlib.invalidate_caches()
 
 
 def suites():
@@ -77,17 +70,14 @@ def suites():
 def test_an_edited_class_is_another_campaign(folder):
     assert small_suite().config["outside"] == {}
     for comment in ("", "\n# a comment\n"):
-        write(folder, DETECTOR + comment)
+        write(folder, MINE + comment)
         for name, suite in suites().items():
             assert set(suite.config["outside"]) == set(MODULES)
             Store(folder / name).open("campaign", suite.config)
-    edits = {"mine": {"detector": DETECTOR + "\nANOTHER = 1\n"}, "helper": {"helper": "SCALE = 2"}}
-    for which, edit in edits.items():
+    for module, edit in (("mine", {"mine": f"{MINE}\nX = 1\n"}), ("helper", {"helper": "SCALE=2"})):
         write(folder, **edit)
         for name, suite in suites().items():
-            with pytest.raises(
-                ValueError, match=rf"other results \(config\.outside\.{which}_a34: "
-            ):
+            with pytest.raises(ValueError, match=rf"results \(config\.outside\.{module}_a34: "):
                 Store(folder / name).open("campaign", suite.config)
 
 
@@ -118,14 +108,11 @@ def test_a_class_without_a_source_is_never_taken_up_again(tmp_path, monkeypatch)
 
 
 def test_a_calibration_is_not_that_of_an_edited_policy(folder):
-    def digest():
-        return importlib.import_module("mine_a34").Calm().digest()
-
-    before = digest()
-    forget()
-    assert digest() == before
-    write(folder, DETECTOR.replace("np.zeros", "np.ones"))
-    assert digest() != before
+    digests = []
+    for text in (MINE, MINE, MINE.replace("np.zeros", "np.ones")):
+        write(folder, text)
+        digests.append(importlib.import_module("mine_a34").Calm().digest())
+    assert digests[0] == digests[1] != digests[2]
     members = {"decide": print, "__module__": "__main__"}
     typed = dataclass(type("Typed", (DetectorPolicy,), members))
     assert None in outside_sources(typed()).values()

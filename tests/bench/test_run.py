@@ -10,14 +10,11 @@ from spoofgym.bench.runs.play import (
     SpooferController,
     WarmStart,
     induced_error,
-    list_attack_epochs,
     make_bound_spoofer,
     play,
-    to_local,
 )
 from spoofgym.bench.runs.record import compute_displacement, record_runs
 from spoofgym.detectors import Ewma
-from spoofgym.envs import SpoofCore
 from spoofgym.simulation import Engine
 from spoofgym.spoofers import Spoofer
 
@@ -121,38 +118,6 @@ def test_no_attack_is_not_seen_by_its_tracking_error():
     np.testing.assert_array_equal(clean.position, play(other, "none").position)
     still = play(start, {"name": "ramp", "rate_mps": 0.0})
     assert (still.peak > 2.0 * clean.peak).all()
-
-
-@pytest.mark.parametrize("between", ["hold", "linear"])
-def test_runs_of_a_domain_are_those_of_the_environment(between):
-    """Worlds, begins, decisions: a cell scores what `SpoofEnv` with a twin pays, run by run."""
-    start, suite = start_of(
-        6,
-        domain={"start_s": (0.0, 30.0), "turned_deg": (0.0, 360.0), "worlds": 2},
-        target_heading_deg="worst",
-        decision_interval_s=2.0,
-        between=between,
-    )
-    setup = start.setup
-    spec = {"name": "accelerating-ramp", "acceleration_mps2": 0.05}
-    attacked = play(start, spec)
-    scored = compute_displacement(setup, attacked, play(start, "none"))
-    assert len(set(attacked.onset)) > 2
-    settings = {"knowledge": "blind", "action": "full-command", "end_at_alarm": False}
-    core = SpoofCore(6, setup, threads=1, twin=True, **settings)
-    core.reset(suite.generators("evaluation", 6))
-    spoofer, *_ = make_bound_spoofer(spec, setup, 6)
-    for _ in range(setup.steps // setup.repeat):
-        result, _ = core.step(spoofer.act(core.observe()))
-    np.testing.assert_allclose(result.info["undetected_displacement_m"], scored, rtol=1e-9)
-    assert scored.max() > 0.5
-
-
-def test_local_axes_keep_lengths(start):
-    frames = start.setup.world.C_en[list_attack_epochs(start.setup, np.full(3, start.setup.onset))]
-    vector = np.random.default_rng(0).standard_normal((len(frames), 3, 3))
-    turned = np.linalg.norm(to_local(vector, frames), axis=-1)
-    np.testing.assert_allclose(turned, np.linalg.norm(vector, axis=-1))
 
 
 @dataclass

@@ -35,13 +35,11 @@ def test_a_column_takes_a_key_or_a_function_and_none_is_a_dash(capsys):
     ]
     # JSON has the values themselves
     assert TABLE.json(ROWS) == [{key: row[key] for key in ("name", "per_run")} for row in ROWS]
-    # on a terminal a unit in brackets is no style
-    TABLE.print("rates [red]", ROWS)
+    TABLE.print("rates [red]", ROWS)  # a unit in brackets is no style
     title, *lines = capsys.readouterr().out.splitlines()
     assert title.strip() == "rates [red]"
     assert "per run [%]" in lines[1]
     (row,) = (line for line in lines if line.strip().startswith("never"))
-    assert row.split() == ["never", "-", "none"]
     assert row.index("-") == lines[1].index("]")  # at the right
 
 

@@ -14,6 +14,7 @@ from spoofgym.bench.runs.episode import TWIN, draw_episode, play_episode
 from spoofgym.bench.runs.play import WarmStart, induced_error, make_bound_spoofer, play
 from spoofgym.bench.runs.record import compute_displacement
 from spoofgym.bench.runs.world import VICTIMS
+from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofCore
 
 from .support import RAMP
@@ -23,6 +24,7 @@ LOOSE, SNAPSHOT, ROBOT = SMALL = (
     "spoofgym/Snapshot-v0",
     "spoofgym/WheeledRobot-v0",
 )
+TIGHT = "spoofgym/TightlyCoupled-v0"
 PUSH = {"name": "ramp", "rate_mps": 0.5}
 
 
@@ -61,14 +63,29 @@ def test_a_campaign_is_scored_tabled_and_drawn(env, tmp_path):
     assert draw_campaign(folder, summary).stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("env", SMALL)
-def test_a_cell_scores_what_the_environment_pays_and_a_run_is_that_of_the_campaign(env, tmp_path):
-    suite = suite_of(env, target_heading_deg="worst", decision_interval_s=2.0, between="linear")
+DOMAIN = {
+    "detectors": (Ewma(false_alarm=0.02),),
+    "domain": {"start_s": (0.0, 30.0), "turned_deg": (0.0, 360.0), "worlds": 2},
+}
+
+
+@pytest.mark.parametrize(
+    ("env", "between", "changes"),
+    [*((env, "linear", {}) for env in SMALL), (TIGHT, "linear", DOMAIN), (TIGHT, "hold", DOMAIN)],
+)
+def test_a_cell_scores_what_the_environment_pays_and_a_run_is_that_of_the_campaign(
+    env, between, changes, tmp_path
+):
+    """Worlds, begins, decisions: what `SpoofEnv` with a twin pays, run by run."""
+    pace = {"decision_interval_s": 2.0, "between": between}
+    suite = suite_of(env, target_heading_deg="worst", **pace, **changes)
     judge, player = suite.detector_players[-1], suite.spoofer_players[-1]
     setup = suite.setup(judge)
     start = WarmStart(setup, suite.generators("evaluation", 5), threads=1)
     attacked, clean = play(start, PUSH), play(start, "none")
-    core = SpoofCore(5, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True)
+    assert not changes or len(set(attacked.onset)) > 2
+    own = {"action": "full-command"} if changes else {}
+    core = SpoofCore(5, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True, **own)
     core.reset(suite.generators("evaluation", 5))
     spoofer, *_ = make_bound_spoofer(PUSH, setup, 5)
     for _ in range(core.episode_steps):
@@ -76,7 +93,7 @@ def test_a_cell_scores_what_the_environment_pays_and_a_run_is_that_of_the_campai
     scored = compute_displacement(setup, attacked, clean)
     assert scored.max() > 0.1
     np.testing.assert_allclose(
-        result.info["undetected_displacement_m"], scored, rtol=1e-4, atol=1e-6
+        result.info["undetected_displacement_m"], scored, rtol=1e-9 if changes else 1e-4, atol=1e-6
     )
     episode = play_episode(suite.world, judge, player, run=2)
     np.testing.assert_array_equal(episode.alarm[episode.onset :, 0], attacked.alarm[:, 2])
@@ -112,7 +129,7 @@ def test_no_spoofer_of_another_environment_plays_unasked():
     assert told["transfer"] == ["environment"]
 
 
-TIGHT, LONG = "spoofgym/TightlyCoupled-v0", {"name": "windowed-chi2", "window": 500}
+LONG = {"name": "windowed-chi2", "window": 500}
 
 
 @pytest.mark.parametrize(

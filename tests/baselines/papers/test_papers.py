@@ -8,7 +8,8 @@ import pytest
 
 from baselines.papers.frame import Settings
 from baselines.papers.page import DOCS, page_text
-from baselines.papers.paper import KEYS, check_rows, list_parts, load_paper, rows_from_record
+from baselines.papers import paper as papers
+from baselines.papers.paper import KEYS, list_parts, load_paper, rows_from_record
 from baselines.papers.tables import COUNTS, by_table
 
 every_paper = pytest.mark.parametrize("key", KEYS)
@@ -41,7 +42,8 @@ def test_a_page_agrees_with_its_json_and_has_its_counts_and_pictures(key):
     stored, page = read(key), (DOCS / f"{key}.md").read_text()
     assert page == page_text(load_paper(key), stored), "run `python -m baselines.papers.page`"
     rows = rows_from_record(stored)
-    check_rows(rows)
+    papers.check_rows(rows)
+    assert {**stored, **papers.rows_record(rows)} == stored
     assert stored["paper"] == key
     assert by_table(stored["rows"])
     for verdict, words in (

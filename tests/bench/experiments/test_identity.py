@@ -31,7 +31,6 @@ def library(tmp_path, monkeypatch):
         (folder / name).write_text(CODE)
     monkeypatch.setattr(identity, "LIBRARY", folder)
     monkeypatch.setattr(identity, "cache_parent", lambda: tmp_path / "cache")
-    digest_of_sources.cache_clear()
     yield folder
     digest_of_sources.cache_clear()
 
@@ -44,12 +43,11 @@ def in_new_process():
 @pytest.mark.parametrize(
     ("old", "new", "counts"),
     [
-        ("  # not Indiana's", "", False),
         ('"""Its area."""', '"""Area of a circle."""', False),
         ('        """Its area."""\n', "", False),
         ('"""A module."""', "# a comment\n", False),
-        ("math.pi * r**2", "(math.pi\n            * r ** 2)", False),
         ('    """A circle."""\n', "", False),
+        ("math.pi * r**2  # not Indiana's", "(math.pi\n            * r ** 2)", False),
         ("r**2", "r**3", True),
         ("math.pi", "3.2", True),
         ("Circle", "Disc", True),
@@ -62,33 +60,31 @@ def test_code_counts_and_comments_docstrings_and_layout_do_not(old, new, counts)
     assert (changed != digest_of_code(CODE.encode())) == counts
 
 
-def test_only_what_computes_voids_results(library):
+def test_only_what_computes_and_versions_void_results(library, tmp_path, monkeypatch):
     before = in_new_process()
+    run_experiment(Numbers(), Store(tmp_path / "out"))
+    whole = content(tmp_path / "out")
     for name in WORDS:
         (library / name).write_text("print('another text')")
     (library / "core.py").write_text(f"# an edited comment\n{CODE}")
     (library / "page.md").write_text("a page")
     assert in_new_process() == before
+    run_experiment(Numbers(), Store(tmp_path / "out"))
+    assert content(tmp_path / "out") == whole
     (library / "core.py").write_text(CODE.replace("r**2", "r**3"))
     assert in_new_process() != before
     (library / "core.py").write_text(CODE)
     assert in_new_process() == before
+    assert {*before} == {"sources", "python", "numpy", "scipy", "numba", "onnxruntime"}
+    with monkeypatch.context() as patch:
+        patch.setattr(identity, "version", lambda name: f"99 of {name}")
+        with pytest.raises(ValueError, match=r"code.numpy: '.*', not '99 of numpy'"):
+            run_experiment(Numbers(), Store(tmp_path / "out"))
+    more = code_identity(["rich"], [library])  # further packages and folders
+    assert more["rich"]
+    assert more["sources"] != before["sources"]
     (library / "core.py").rename(library / "moved.py")
     assert in_new_process() != before
-
-
-def test_a_version_voids_results_and_is_named(library, tmp_path, monkeypatch):
-    out = tmp_path / "out"
-    run_experiment(Numbers(), Store(out))
-    before = content(out)
-    (library / "core.py").write_text(f"# an edited comment\n{CODE}")
-    digest_of_sources.cache_clear()
-    run_experiment(Numbers(), Store(out))
-    assert content(out) == before
-    monkeypatch.setattr(identity, "version", lambda name: f"99 of {name}")
-    with pytest.raises(ValueError, match=r"code.numpy: '.*', not '99 of numpy'"):
-        run_experiment(Numbers(), Store(out))
-    assert {*code_identity()} == {"sources", "python", "numpy", "scipy", "numba", "onnxruntime"}
 
 
 def test_digests_are_kept_and_a_damaged_cache_is_no_harm(library, tmp_path, monkeypatch):
@@ -105,10 +101,3 @@ def test_digests_are_kept_and_a_damaged_cache_is_no_harm(library, tmp_path, monk
         (tmp_path / "cache" / "sources.json").write_bytes(damage)
         assert in_new_process() == before
     assert parsed
-
-
-def test_further_packages_and_folders_count(tmp_path):
-    (tmp_path / "a.py").write_text(CODE)
-    more = code_identity(["rich"], [tmp_path])
-    assert more["rich"]
-    assert more["sources"] != code_identity()["sources"]

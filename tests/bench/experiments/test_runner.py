@@ -13,14 +13,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from spoofgym.bench.experiments import (
-    Cell,
-    Result,
-    Store,
-    parse_shard,
-    run_experiment,
-    runner,
-)
+from spoofgym.bench.experiments import Cell, Result, Store, parse_shard, run_experiment, runner
 
 from .support import Numbers, content
 
@@ -40,15 +33,6 @@ class Listed(Numbers):
     def run(self, cell, results, context):
         self.order.append(cell.key)
         return Result(record=[*results])
-
-
-@contextmanager
-def bar_of(seen):
-    class Bar:
-        def advance(self, amount, now):
-            seen.append(amount)
-
-    yield Bar()
 
 
 def test_the_largest_that_is_ready_comes_first_and_sees_what_it_comes_after(tmp_path):
@@ -99,27 +83,27 @@ def test_cells_that_make_no_sense_are_named(tmp_path, cells, said):
         run_experiment(Listed(listed=cells), Store(tmp_path))
 
 
-def test_progress_adds_up_to_the_work_that_is_left(tmp_path):
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_processes_leave_the_same_bytes_and_progress_adds_up_to_what_is_left(tmp_path, whole, jobs):
     seen, totals = [], []
 
+    @contextmanager
     def bar(total):
-        totals.append(total)
-        return bar_of(seen)
+        class Bar:
+            def advance(self, amount, now):
+                seen.append(amount)
 
-    run_experiment(Numbers(), Store(tmp_path), progress=bar)
+        totals.append(total)
+        yield Bar()
+
+    run_experiment(Numbers(), Store(tmp_path), jobs=jobs, threads=2, progress=bar)
+    assert content(tmp_path) == whole
     assert totals == [sum(cell.work for cell in Numbers().cells())]
     assert sum(seen) == pytest.approx(totals[0])
     Store(tmp_path).build_path("draw-2").unlink()
     for _ in range(2):
         run_experiment(Numbers(), Store(tmp_path), progress=bar)
     assert totals[1:] == [3.0, 0.0]
-
-
-def test_processes_leave_the_same_bytes(tmp_path, whole):
-    seen = []
-    run_experiment(Numbers(), Store(tmp_path), jobs=2, threads=2, progress=lambda _: bar_of(seen))
-    assert content(tmp_path) == whole
-    assert sum(seen) == sum(cell.work for cell in Numbers().cells())
 
 
 def test_shards_are_parts_that_need_no_other(tmp_path, whole):
@@ -294,10 +278,8 @@ def test_an_address_that_does_not_answer(tmp_path, monkeypatch, answers):
         if answers:
             listening.listen()
         address = f"127.0.0.1:{listening.getsockname()[1]}"
-        begin = time.monotonic()
         with pytest.raises(ConnectionError, match=f"no dask cluster answers at '{address}'"):
             run_experiment(Numbers(), Store(tmp_path), backend=f"dask:{address}")
-    assert time.monotonic() - begin < 20.0
 
 
 @pytest.mark.nightly
