@@ -142,20 +142,3 @@ def test_a_weak_attack_is_a_failed_search_and_one_too_strong_is_explained(tmp_pa
     rows = {row[0]: row[5] for row in report.ATTACKS.texts(report.attack_rows(summary, group))}
     assert rows["shewhart"].endswith("above the zero-alarm bound")
     assert "above" not in rows["never"]
-
-
-def test_a_victim_without_limits_says_why(tmp_path):
-    suite = small_suite(
-        env="spoofgym/Snapshot-v0",
-        detectors=("raim",),
-        spoofers=({"name": "ramp", "rate_mps": 0.1},),
-        timeline=None,
-    )
-    folder = run_campaign(suite, tmp_path, threads=1)
-    summary = summarize(folder)
-    (notes,) = report.list_limit_notes(summary)
-    assert notes.startswith("Floor: none, since no limit is known for ")
-    (row,) = summary["detectors"]
-    assert row["bracket"]["floor_m"] == {STEALTHY: None, HALF: None}
-    assert "no limit is known for" in row["bracket"]["zero_alarm"]["why"]
-    assert "- No zero-alarm bound of raim: no limit is known" in report.markdown(folder, summary)

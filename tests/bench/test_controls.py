@@ -120,22 +120,6 @@ def test_a_detector_is_marked_that_is_no_better_or_alarms_before_the_onset(playe
     assert "alarms before the onset in 34 % of clean runs" in report.mark_detector(early, TOY)
 
 
-def test_skies_that_are_not_the_worst_ones_have_no_figure(played):
-    """A campaign with one sky has none; where they hold less than all skies do, neither."""
-    _, _, summary = played
-    (group,) = report.groups(summary)
-    column = report.DETECTORS["worst skies, in 50 % [m]"]
-    for values, shown in (((), False), ((None,), False), ((1.0,), True)):
-        told = copy.deepcopy(summary)
-        for each in told["protection"]:
-            for value in values:
-                half = {**headline(each, 0.5), "worst_skies": True}
-                each["exceeded"].append({**half, **dict.fromkeys(("value", "low", "high"), value)})
-        rows = report.detector_rows(told, group)
-        (text,) = (column.text(row) for row in rows if row["detector"] == TOY)
-        assert (text != "-") == shown
-
-
 def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played):
     suite, _, summary = played
     row = next(row for row in summary["detectors"] if row["detector"] == TOY)

@@ -8,12 +8,13 @@ import pytest
 
 from spoofgym.bench import Suite, Tuning, run_campaign, summarize
 from spoofgym.bench.experiments.campaign import describe_knowledge
-from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.report.campaign import list_limit_notes, markdown
 from spoofgym.bench.report.figures import draw_campaign
 from spoofgym.bench.runs.episode import TWIN, draw_episode, play_episode
 from spoofgym.bench.runs.play import WarmStart, induced_error, make_bound_spoofer, play
 from spoofgym.bench.runs.record import compute_displacement
 from spoofgym.bench.runs.world import VICTIMS
+from spoofgym.bench.scores.campaign import HALF, STEALTHY
 from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofCore
 
@@ -61,6 +62,13 @@ def test_a_campaign_is_scored_tabled_and_drawn(env, tmp_path):
     assert f"- Environment: {env}, " in text
     assert "nan" not in text
     assert draw_campaign(folder, summary).stat().st_size > 10_000
+    # and without limits it says why
+    (notes,) = list_limit_notes(summary)
+    assert notes.startswith("Floor: none, since no limit is known for ")
+    for judge, row in zip(judges, summary["detectors"], strict=True):
+        assert row["bracket"]["floor_m"] == {STEALTHY: None, HALF: None}
+        assert "no limit is known for" in row["bracket"]["zero_alarm"]["why"]
+        assert f"- No zero-alarm bound of {judge}: no limit is known" in text
 
 
 DOMAIN = {

@@ -6,9 +6,9 @@ import re
 
 import pytest
 
+from baselines.papers import paper as papers
 from baselines.papers.frame import Settings
 from baselines.papers.page import DOCS, page_text
-from baselines.papers import paper as papers
 from baselines.papers.paper import KEYS, list_parts, load_paper, rows_from_record
 from baselines.papers.tables import COUNTS, by_table
 

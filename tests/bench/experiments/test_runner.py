@@ -6,7 +6,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -160,12 +159,6 @@ def test_wrong_settings_are_named_before_anything_is_written(tmp_path, monkeypat
     with pytest.raises((ValueError, ImportError), match=said):
         run_experiment(Numbers(), Store(tmp_path / "out"), **settings)
     assert not (tmp_path / "out").exists()
-
-
-def test_what_cannot_be_pickled_is_named(tmp_path):
-    experiment = Listed(listed=(Cell("a", {}), Cell("b", {})), order=[threading.Lock()])
-    with pytest.raises(TypeError, match=r"numbers can't be sent to a worker: .*lock"):
-        run_experiment(experiment, Store(tmp_path), jobs=2)
 
 
 def test_a_worker_with_other_code_refuses(tmp_path):
