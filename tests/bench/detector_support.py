@@ -10,8 +10,6 @@ NOMINAL = {"thresholds": "nominal"}
 
 @dataclass(frozen=True)
 class SmallTask(DetectorTask):
-    """Families of a task in a world of its own."""
-
     alert_limit_m = 2.0
 
     @property

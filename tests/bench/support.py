@@ -37,7 +37,6 @@ def small_suite(**changes):
 
 
 def use_zoo(folder, monkeypatch):
-    """Let the files of a folder be the shipped ones."""
     monkeypatch.setattr(zoo, "ZOO_FOLDER", folder)
 
 
@@ -53,7 +52,6 @@ def write_zoo(folder, suite):
 
 
 def write_policy(path, suite, knowledge, action, **conditions):
-    """A policy that always acts alike, with its card."""
     context = context_of(suite, knowledge)
     model = network(len(context.observation_names), len(action))
     for tensor in model.graph.initializer:

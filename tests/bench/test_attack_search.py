@@ -35,8 +35,6 @@ class FakePanel:
 
 
 class Halving(WorstAttacks):
-    """As detectors are scored in their tasks."""
-
     by_skies = FamilyAttacks.by_skies
     neighbours, rounds = FamilyAttacks.neighbours, FamilyAttacks.rounds
 
@@ -52,8 +50,13 @@ MEMBERS = (
 CURVE = member("c", name="profile", rates_mps=[0.1, 0.2], amplitude="tuned")
 
 
+@pytest.fixture(scope="module")
+def panel():
+    return FakePanel()
+
+
 @pytest.fixture
-def found_by(monkeypatch):
+def found_by(panel, monkeypatch):
     """Search where a function of spec and number of runs says what an attack displaces."""
 
     def found(moved, limits=(), kind=WorstAttacks, attacks=MEMBERS):
@@ -61,7 +64,7 @@ def found_by(monkeypatch):
             WorstAttacks, "measured", lambda self, panel, attack: moved(attack.spec, attack.runs)
         )
         settings = Selection(runs=RUNS, sift_runs=36, values=9)
-        search = kind(FakePanel(), 0, attacks, settings)
+        search = kind(panel, 0, attacks, settings)
         axes = ("east_rate", "north_rate")
         search.context = SpooferContext(1, 0.5, 40, "rate", 1.0, 10.0, axes)
         (winners,) = play_searches(search.panel, [(0, search.winners([*limits]))])

@@ -131,9 +131,6 @@ def test_an_amplitude_is_between_those_that_were_judged():
     assert open_loop.crossing(scales, 500.0 * scales) == 1e-2
 
 
-# --- players -------------------------------------------------------------------------------------
-
-
 class Known:
     """Largest ratio and error are products of the curve's last value and the run's number."""
 
@@ -207,9 +204,6 @@ def test_attacks_on_single_channels_are_commanded_as_scripted_spoofers_do():
         np.ones((1, len(setup.action_names))),
     )
     assert backends.get_rate_limits(setup) == (5.0, 0.05 * setup.interval_s)
-
-
-# --- in a campaign -------------------------------------------------------------------------------
 
 
 def blind_suite(**changes):

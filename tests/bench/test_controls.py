@@ -24,8 +24,6 @@ TOY, LOTTERY = (f"{name}(false_alarms_per_hour=20)" for name in ("toy", "lottery
 
 @dataclass
 class Toy(Detector):
-    """Largest normalised innovation of an epoch."""
-
     unit: float = 3.0
     paper: ClassVar[str] = "barshalom2001"
 

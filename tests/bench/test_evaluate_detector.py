@@ -147,8 +147,8 @@ def test_detectors_of_one_name_do_not_share_runs(tmp_path):
         (["never"], "D1", {"families": ["ramp"]}, "unknown family of attacks of D1 'ramp'"),
         (["never"], "D1", {"families": []}, "`families` must name at least one"),
         (["never"], "D1", {"runs": 1}, "`runs` must be"),
-        ([], "D1", {}, "no detector is given"),
-        (["never", "never"], "D1", {}, "listed twice"),
+        ([], small_task(), {}, "no detector is given"),
+        (["never", "never"], small_task(), {}, "listed twice"),
         ([{**CHI2, "false_alarms_per_hour": 0.2}], small_task(), {}, "no calibration of snapshot-"),
     ],
 )

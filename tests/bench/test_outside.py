@@ -40,7 +40,6 @@ class Calm(DetectorPolicy):
 
 
 def write(folder, mine=MINE, helper="SCALE = 1.0\n"):
-    """Sources as a new process finds them."""
     for name, text in zip(MODULES, (mine, helper), strict=True):
         (folder / f"{name}.py").write_text(text)
         sys.modules.pop(name, None)

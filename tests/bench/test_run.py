@@ -122,8 +122,6 @@ def test_no_attack_is_not_seen_by_its_tracking_error():
 
 @dataclass
 class Wild(Spoofer):
-    """Commands what no attack takes."""
-
     value: float = 0.0
     wide: int = 0
     knowledge: ClassVar[str] = "blind"

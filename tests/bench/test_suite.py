@@ -137,9 +137,6 @@ def test_what_is_no_suite_or_world_is_refused(make, given, message):
         make(**given)
 
 
-# --- the standard suite --------------------------------------------------------------------------
-
-
 class Mine(Shewhart):
     """Somebody's own detector."""
 

@@ -58,7 +58,6 @@ class Numbers(Experiment):
 
 
 def content(folder):
-    """All files but temporary ones."""
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in sorted(folder.rglob("*"))
