@@ -61,7 +61,7 @@ def found_by(panel, monkeypatch):
 
     def found(moved, limits=(), kind=WorstAttacks, attacks=MEMBERS):
         monkeypatch.setattr(
-            WorstAttacks, "measured", lambda self, panel, attack: moved(attack.spec, attack.runs)
+            WorstAttacks, "measure", lambda self, panel, attack: moved(attack.spec, attack.runs)
         )
         settings = Selection(runs=RUNS, sift_runs=36, values=9)
         search = kind(panel, 0, attacks, settings)

@@ -198,12 +198,12 @@ def test_a_killed_worker_is_one_line_and_the_same_command_goes_on(tmp_path, whol
     assert content(out) == whole
 
 
-def begun(path, jobs):
+def begun(path):
     """An experiment in processes of their own that has finished a cell."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         process = subprocess.Popen(
-            [*COMMAND, str(path), "1.0", jobs],
+            [*COMMAND, str(path), "1.0", "2"],
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
@@ -221,9 +221,9 @@ def wait_for_group(number):
         time.sleep(0.1)
 
 
-@pytest.mark.parametrize(("jobs", "kill"), [("1", False), ("2", False), ("2", True)])
-def test_ctrl_c_and_a_kill_keep_what_is_finished_and_end_the_workers(jobs, kill, tmp_path, whole):
-    process = begun(tmp_path, jobs)
+@pytest.mark.parametrize("kill", [False, True])
+def test_ctrl_c_and_a_kill_keep_what_is_finished_and_end_the_workers(kill, tmp_path, whole):
+    process = begun(tmp_path)
     if kill:
         process.kill()
         process.communicate(timeout=120.0)
