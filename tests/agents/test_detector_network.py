@@ -15,26 +15,19 @@ RANGES, RATES, SHOWN = (slice(k * SLOTS, (k + 1) * SLOTS) for k in range(3))
 both = pytest.mark.parametrize("words", [SIGHTED, WORDS], ids=["sighted", "without sights"])
 
 
-def names(words):
-    return (*(f"{word}_slot{k:02d}" for word in words for k in range(SLOTS)), *RECEIVER)
-
-
-def network(words):
+def made(words):
+    """A network, and what it sees in three episodes."""
     torch.manual_seed(3)
-    made = DetectorNetwork(names(words), 0.5, width=8, projections=3)
-    for each in made.parameters():
+    names = (*(f"{word}_slot{k:02d}" for word in words for k in range(SLOTS)), *RECEIVER)
+    judge = DetectorNetwork(names, 0.5, width=8, projections=3)
+    for each in judge.parameters():
         torch.nn.init.normal_(each, std=0.5)
-    return made.eval()
-
-
-def episodes(words, batch=3, epochs=25):
     rng = np.random.default_rng(5)
-    seen = rng.normal(size=(batch, epochs, len(names(words)))).astype(np.float32)
-    shown = rng.random((batch, epochs, SLOTS)) < 0.8
-    for k in range(len(words)):
-        seen[:, :, k * SLOTS : (k + 1) * SLOTS] *= shown
+    seen = rng.normal(size=(3, 25, len(names))).astype(np.float32)
+    shown = rng.random((3, 25, SLOTS)) < 0.8
+    seen[..., : -len(RECEIVER)] *= np.tile(shown, len(words))
     seen[:, :, SHOWN] = shown
-    return torch.from_numpy(seen)
+    return judge.eval(), torch.from_numpy(seen)
 
 
 @pytest.fixture(autouse=True)
@@ -45,10 +38,10 @@ def no_grad():
 
 @both
 def test_slots_may_be_exchanged_and_nothing_else(words):
-    judge, seen = network(words), episodes(words)
+    judge, seen = made(words)
     order = np.random.default_rng(1).permutation(SLOTS)
-    moved = np.concatenate([k * SLOTS + order for k in range(len(words))])
-    moved = np.concatenate([moved, np.arange(len(moved), seen.shape[-1])])
+    moved = np.arange(seen.shape[-1])
+    moved[: -len(RECEIVER)] = np.concatenate([k * SLOTS + order for k in range(len(words))])
     before, after = judge.log_odds(seen), judge.log_odds(seen[:, :, moved])
     torch.testing.assert_close(before, after, atol=1e-4, rtol=1e-4)
     alone = seen.clone()
@@ -57,7 +50,7 @@ def test_slots_may_be_exchanged_and_nothing_else(words):
 
 
 def test_it_knows_nothing_of_the_future_and_remembers_the_past():
-    judge, seen = network(SIGHTED), episodes(SIGHTED)
+    judge, seen = made(SIGHTED)
     other = seen.clone()
     other[:, 10] += 0.5
     before, after = judge.log_odds(seen), judge.log_odds(other)
@@ -66,7 +59,7 @@ def test_it_knows_nothing_of_the_future_and_remembers_the_past():
 
 
 def test_hidden_satellites_and_the_clock_of_the_receiver_move_nothing():
-    judge, seen = network(SIGHTED), episodes(SIGHTED)
+    judge, seen = made(SIGHTED)
     other = seen.clone()
     other[..., RANGES] += 3.0 * seen[..., SHOWN]  # alike on all ranges
     vectors = [judge.encode(each)[1] for each in (seen, other)]
@@ -80,7 +73,7 @@ def test_hidden_satellites_and_the_clock_of_the_receiver_move_nothing():
 
 @both
 def test_epoch_by_epoch_it_says_what_it_says_of_an_episode(words):
-    judge, seen = network(words), episodes(words)
+    judge, seen = made(words)
     state = [torch.zeros(len(seen), size) for size in judge.state.values()]
     found = []
     for t in range(seen.shape[1]):
@@ -91,20 +84,18 @@ def test_epoch_by_epoch_it_says_what_it_says_of_an_episode(words):
 
 
 def test_centre_and_scale_are_those_of_satellites_in_view():
-    judge, seen = network(WORDS), episodes(WORDS).reshape(-1, len(names(WORDS)))
+    judge, seen = made(WORDS)
+    seen = seen.reshape(-1, seen.shape[-1])
     seen[:, RANGES] = torch.where(seen[:, SHOWN] > 0.5, 4.0 + 2.0 * seen[:, RANGES], 0.0)
     judge.normalize_by(seen.numpy())
     assert judge.slot_mean[0].item() == pytest.approx(4.0, abs=0.3)
     assert judge.slot_scale[0].item() == pytest.approx(2.0, rel=0.2)
     assert judge.encode(seen)[0][:, :2].mean(dim=0).abs().max() < 1e-4  # of the receiver
+    with pytest.raises(ValueError, match="must have visible_slotNN"):
+        DetectorNetwork(("range_innovation_slot00",), 0.5)
 
 
 def test_the_tail_of_the_statistic_keeps_its_resolution():
     odds = np.arange(0.0, 40.0, 0.01, dtype=np.float32)
     single = compute_statistic(odds).astype(np.float32)  # as it comes from a file
     assert (np.diff(single) > 0.0).all()  # which those of a sigmoid are not
-
-
-def test_observations_without_satellites_in_view_are_refused():
-    with pytest.raises(ValueError, match="must have visible_slotNN"):
-        DetectorNetwork(names(["range_innovation"]), 0.5)

@@ -1,7 +1,5 @@
 """Tables of trainings say what everybody observes, and which seeds are over the budget."""
 
-import pytest
-
 from agents.seeds import build_table, comparable
 from agents.spoofer_table import page
 
@@ -24,15 +22,10 @@ def test_the_table_says_what_everybody_observes():
     assert {len(row) for row in rows} == {len(head)}
     known = {name: observes for name, observes, *_ in rows}
     assert known == {"ramp": "blind", "feedback": "oracle", "PPO, seed 3": "blind+reported"}
-
-
-@pytest.mark.parametrize(
-    ("knowledge", "names"),
-    [("tracking+reported", ["ramp"]), ("oracle+reported", ["ramp", "feedback", "both"])],
-)
-def test_oracles_are_compared_with_oracles(knowledge, names):
+    # oracles are compared with oracles
     known = {"ramp": "blind", "feedback": "oracle", "both": "oracle+reported"}
-    assert comparable(known, knowledge) == names
+    assert comparable(known, "tracking+reported") == ["ramp"]
+    assert comparable(known, "oracle+reported") == ["ramp", "feedback", "both"]
 
 
 def cell(*values, over=(), optimum=None):
@@ -47,24 +40,21 @@ def cell(*values, over=(), optimum=None):
     return {"seeds": rows, "rivals": rivals}
 
 
-def row_of(text):
-    head, _, *lines = [[x.strip() for x in y.strip("|").split(" | ")] for y in text.splitlines()]
-    return dict(zip(head, lines[-1], strict=True))
+def rows_of(table):
+    head, _, *lines = ([x.strip() for x in y.strip("|").split(" | ")] for y in table.splitlines())
+    return [dict(zip(head, line, strict=True)) for line in lines]
 
 
 def test_a_line_of_the_page_has_what_is_there_and_a_dash_for_the_rest():
-    row = row_of(page({"T3/ewma/blind": cell(9.0, 12.0, 8.0, optimum=10.0)}))
+    (row,) = rows_of(page({"T3/ewma/blind": cell(9.0, 12.0, 8.0, optimum=10.0)}))
     assert row["world"] == "T3"
     assert row["PPO (blind)"] == "9.0 [8.0, 12.0]"
     assert row["of the blind-optimum"] == "0.90 (0.00 to 2.00)"
     assert row["blind-optimum (blind)"] == "10.0 (9.0 to 11.0)"
     assert row["PPO (oracle)"] == row["PPO (blind+reported)"] == row["feedback"] == "-"
     # seeds over the budget are counted, and one without a policy is nothing
-    row = row_of(page({"T5/aime/oracle": cell(9.0, None, 8.0, over=(9.0,))}))
+    (row,) = rows_of(page({"T5/aime/oracle": cell(9.0, None, 8.0, over=(9.0,))}))
     assert row["PPO (oracle)"] == "8.0 [0.0, 9.0], 1 over"
     assert row["PPO (blind)"] == "-"
-
-
-def test_a_line_for_each_detector_in_a_world():
     table = {f"T3/{name}/{known}": cell(1.0) for name in "ab" for known in ("blind", "oracle")}
-    assert [line.split(" | ")[1] for line in page(table).splitlines()[2:]] == ["a", "b"]
+    assert len(rows_of(page(table))) == 2  # one for each detector in a world

@@ -24,73 +24,55 @@ WORLD = {
     "attack": {"name": "false-position", "acceleration_limit_mps2": 0.5},
     "detector": {"name": "ewma", "false_alarm": 1e-4, "thresholds": "nominal"},
 }
-SEARCH = OpenLoopSearch(runs=12, batch=6, knots=8, population=4, generations=2)
+TINY = shlex.split(
+    "--detector ewma:false_alarm=0.0001 --attack false-position:acceleration_limit_mps2=0.5 "
+    "--population 4 --knots 8 --runs 8 --batch 4 --select-runs 80 --score-runs 8 --generations 1 "
+    "--warmup-s 20 --live-s 10 --attack-s 20 --time-to-alert-s 5 --threads 1"
+)
 
 
-def judge_of():
+def read(kept):
+    return {name: TuningResult.from_dict(each) for name, each in kept.items()}
+
+
+def test_a_killed_search_goes_on_to_a_card_that_gets_as_far_as_ramps(tmp_path, monkeypatch):
     judge = Evaluator(runs=20, fit_runs=80, threads=1, **WORLD)
-    judge.optima.settings = SEARCH
-    return judge
-
-
-@pytest.fixture(scope="module")
-def found(tmp_path_factory):
-    judge = judge_of()
-    kept = build_experiment(judge, 90.0, {}).play(tmp_path_factory.mktemp("profile"))
-    return judge, {name: TuningResult.from_dict(each) for name, each in kept.items()}
-
-
-def test_the_card_makes_the_profile_that_gets_as_far_as_ramps(found):
-    judge, fits = found
-    assert all(fit.within_budget for fit in fits.values())
-    best = fits[SEARCHED]
-    assert best.score >= max(fit.score for name, fit in fits.items() if name != SEARCHED) > 0.0
-    assert best.chosen.alarm_limit <= judge.optima.tuning.budget
-    card = make_card(judge, fits, 90.0, "mine", "python")
-    made = make_spoofer({"name": card.kind, **card.settings})
-    assert isinstance(made, Profile)
-    assert made.label == "mine"
-    assert made.designed_on == card.knowledge.design_time
-    assert best.found is not None
-    rates = best.value * np.array(best.found["played"]["rates_mps"])
-    np.testing.assert_array_equal(made.rates_mps, np.clip(rates, -5.0, 5.0))
-    (score,) = card.scores
-    again = judge.score({"name": card.kind, **card.settings}, amplitude=None)
-    assert score.undetected_displacement_m == again.stealthy_displacement_m.value
-    assert score.split == "evaluation"
-    assert card.decided_on == {(0, "training"), (0, "search")}
-    assert [row["spoofer"].split(":")[0] for row in card.rivals][-1].startswith(SEARCHED)
-    loud = TuningResult.from_dict({**best.as_dict(), "within_budget": False})
-    with pytest.raises(ValueError, match=r"no profile is within the alarm budget"):
-        make_card(judge, {**fits, SEARCHED: loud}, 90.0, "mine", "python")
-
-
-def test_a_killed_search_goes_on_to_the_identical_result(found, tmp_path, monkeypatch):
-    _, fits = found
-    judge = judge_of()
-    fit = judge.fit
+    judge.optima.settings = OpenLoopSearch(runs=12, batch=6, knots=8, population=4, generations=2)
+    fit, asked = judge.fit, []
 
     def killed(spec):
         if spec["name"] == SEARCHED:
             raise KeyboardInterrupt
         return fit(spec)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(judge, "fit", killed)
-        with pytest.raises(KeyboardInterrupt, match="2 of 3 cells are finished"):
-            build_experiment(judge, 90.0, {}).play(tmp_path)
-    asked = []
+    fits = read(build_experiment(judge, 90.0, {}).play(tmp_path / "whole"))
+    monkeypatch.setattr(judge, "fit", killed)
+    with pytest.raises(KeyboardInterrupt, match="2 of 3 cells are finished"):
+        build_experiment(judge, 90.0, {}).play(tmp_path / "killed")
     monkeypatch.setattr(judge, "fit", lambda spec: asked.append(spec["name"]) or fit(spec))
-    again = build_experiment(judge, 90.0, {}).play(tmp_path)
+    assert read(build_experiment(judge, 90.0, {}).play(tmp_path / "killed")) == fits
     assert asked == [SEARCHED]
-    assert {name: TuningResult.from_dict(each) for name, each in again.items()} == fits
 
-
-TINY = shlex.split(
-    "--detector ewma:false_alarm=0.0001 --attack false-position:acceleration_limit_mps2=0.5 "
-    "--population 4 --knots 8 --runs 8 --batch 4 --select-runs 80 --score-runs 8 --generations 1 "
-    "--warmup-s 20 --live-s 10 --attack-s 20 --time-to-alert-s 5 --threads 1"
-)
+    assert all(each.within_budget for each in fits.values())
+    best = fits[SEARCHED]
+    assert best.score >= max(each.score for name, each in fits.items() if name != SEARCHED) > 0.0
+    assert best.chosen.alarm_limit <= judge.optima.tuning.budget
+    card = make_card(judge, fits, 90.0, "mine", "python")
+    spec = {"name": card.kind, **card.settings}
+    made = make_spoofer(spec)
+    assert isinstance(made, Profile)
+    assert (made.label, made.designed_on) == ("mine", card.knowledge.design_time)
+    rates = best.value * np.array(best.found["played"]["rates_mps"])
+    np.testing.assert_array_equal(made.rates_mps, np.clip(rates, -5.0, 5.0))
+    (score,) = card.scores
+    again = judge.score(spec, amplitude=None)
+    assert score.undetected_displacement_m == again.stealthy_displacement_m.value
+    assert score.split == "evaluation"
+    assert card.decided_on == {(0, "training"), (0, "search")}
+    assert card.rivals[-1]["spoofer"].startswith(SEARCHED)
+    loud = TuningResult.from_dict({**best.as_dict(), "within_budget": False})
+    with pytest.raises(ValueError, match=r"no profile is within the alarm budget"):
+        make_card(judge, {**fits, SEARCHED: loud}, 90.0, "mine", "python")
 
 
 def called(*words):
@@ -122,7 +104,6 @@ def test_the_command_of_a_card_makes_it_again(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--detector", "ewmaa"], "did you mean 'ewma'"),
         (["--knots", "1"], "knots` must be "),
         (["--task", "T3"], "--task"),
         (["--out", "card.txt"], "`out` must be a .json file"),

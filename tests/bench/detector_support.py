@@ -1,9 +1,6 @@
 """A task for detectors that takes seconds: short episodes of T3's flight, an alert limit of 2 m."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any
 
 from spoofgym.tasks import AttackFamily, DetectorTask, get_detector_task
 
@@ -13,25 +10,17 @@ NOMINAL = {"thresholds": "nominal"}
 
 @dataclass(frozen=True)
 class SmallTask(DetectorTask):
-    """Families of a task in a world of its own."""
+    alert_limit_m = 2.0
 
     @property
-    def alert_limit_m(self) -> float:
-        return 2.0
-
-    @property
-    def world_kwargs(self) -> dict[str, Any]:
+    def world_kwargs(self):
         drawn = {"start_s": [0.0, None], "turned_deg": [0.0, 360.0], "worlds": 8}
         drawn["constellation_time_s"] = [0.0, 86_400.0]
-        return {
-            "scenario": "trolley",
-            "receiver": "matched",
-            "timeline": dict(TIMELINE),
-            "domain": drawn,
-        }
+        world = {"scenario": "trolley", "receiver": "matched"}
+        return {**world, "timeline": dict(TIMELINE), "domain": drawn}
 
 
-def small_task(of: str = "D1") -> SmallTask:
+def small_task(of="D1"):
     families = get_detector_task(of).families
     # its own timeline has onsets of all kinds
     kept = (AttackFamily(**{**vars(each), "timeline": None}) for each in families)

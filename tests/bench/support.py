@@ -1,15 +1,11 @@
-"""A campaign that takes seconds."""
+"""A campaign that takes seconds, and shipped spoofers for it."""
 
-from __future__ import annotations
-
-import dataclasses
 import hashlib
-from pathlib import Path
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import ClassVar
 
 import numpy as np
-import pytest
-from onnx import TensorProto, helper, numpy_helper
+from onnx import numpy_helper
 
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.search.amplitude import Tuning
@@ -18,91 +14,83 @@ from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.policies import zoo
 from spoofgym.policies.card import SpooferCard, describe_context
 from spoofgym.simulation import Timeline
-from spoofgym.spoofers import SpooferContext
+from spoofgym.spoofers import Spoofer
 
-from ..spoofers.policies import written
+from ..spoofers.policies import network, written
 
-OPSET = 18
 SHORT = Timeline(warmup_s=20.0, live_s=10.0, attack_s=20.0, time_to_alert_s=5.0)
 QUICK = Tuning(runs=6, sift_runs=3, values=4, refined=2, budget=0.45)
+RAMP = {"name": "ramp", "rate_mps": "tuned"}
+LATE = {"decision_interval_s": 2.5, "between": "linear"}
 
 
-def small_suite(**changes: Any) -> Suite:
-    settings: dict[str, Any] = {
+def small_suite(**changes):
+    settings = {
         "timeline": SHORT,
         "tuning": QUICK,
         "runs": 5,
         "detectors": ("snapshot-chi2", "ewma"),
-        "spoofers": ("step", {"name": "ramp", "rate_mps": "tuned"}),
+        "spoofers": ("step", RAMP),
         **changes,
     }
     return Suite(**settings)
 
 
-def use_zoo(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the files of a folder be the shipped ones."""
+def use_zoo(folder, monkeypatch):
     monkeypatch.setattr(zoo, "ZOO_FOLDER", folder)
 
 
-def write_zoo(folder: Path, suite: Suite, **changes: Any) -> None:
+def write_zoo(folder, suite):
     """Shipped spoofers for a suite: `push` and `track`, learned, and the profile `curve`."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, knowledge, push in (("push", "blind", 0.02), ("track", "tracking", 0.01)):
-        write_policy(folder / f"{name}.onnx", suite, knowledge, (0.0, push), **changes)
+    write_policy(folder / "push.onnx", suite, "blind", (0.0, 0.02))
+    write_policy(folder / "track.onnx", suite, "tracking", (0.0, 0.01))
     curve = {"rates_mps": [0.0, 0.05, 0.2], "heading_deg": 90.0, "label": "curve"}
     settings = {**curve, "designed_on": "ewma, by hand"}
-    make_card("curve", suite, settings=settings, **changes).save(folder / "curve.json")
+    card = make_card("curve", suite, "blind", kind="profile", settings=settings)
+    card.save(folder / "curve.json")
 
 
-def write_policy(
-    path: Path, suite: Suite, knowledge: str, action: tuple[float, ...], **changes: Any
-) -> None:
-    """A policy that always acts alike, with its card."""
+def write_policy(path, suite, knowledge, action, **conditions):
     context = context_of(suite, knowledge)
-    content = constant_policy(len(context.observation_names), action)
+    model = network(len(context.observation_names), len(action))
+    for tensor in model.graph.initializer:
+        if tensor.name in ("w2", "b2"):
+            value = np.array(action if tensor.name == "b2" else np.zeros(tensor.dims), np.float32)
+            tensor.CopyFrom(numpy_helper.from_array(value, tensor.name))
+    content = written(model)
     path.write_bytes(content)
-    file = {
-        "name": path.name,
-        "sha256": hashlib.sha256(content).hexdigest(),
-        "bytes": len(content),
-        "opset": OPSET,
+    file = {"name": path.name, "sha256": hashlib.sha256(content).hexdigest()}
+    learned = {
+        "kind": "onnx-policy",
+        "observation": describe_context(context)["observation"],
+        "file": {**file, "bytes": len(content), "opset": 18},
+        "env": {"action": "full-command"},
+        **conditions,
     }
-    seen = describe_context(context)["observation"]
-    learned = {"kind": "onnx-policy", "observation": seen, "file": file, "knowledge": knowledge}
-    learned["env"] = {"action": "full-command"}
-    make_card(path.stem, suite, **learned, **changes).save(path.with_suffix(".json"))
+    make_card(path.stem, suite, knowledge, **learned).save(path.with_suffix(".json"))
 
 
-def context_of(suite: Suite, knowledge: str) -> SpooferContext:
+def context_of(suite, knowledge):
     setup = suite.setup(suite.detector_players[0])
     return spoofer_context(setup, 1, Observer(default_terms(setup, knowledge), setup))
 
 
 def make_card(
-    name: str,
-    suite: Suite,
-    *,
-    knowledge: str = "blind",
-    kind: str = "profile",
-    observation: dict[str, Any] | None = None,
-    file: dict[str, Any] | None = None,
-    settings: dict[str, Any] | None = None,
-    env: dict[str, Any] | None = None,
-    **conditions: Any,
-) -> SpooferCard:
+    name, suite, knowledge, *, kind, observation=None, file=None, settings=None, env=None, **changes
+):
     fields = describe_context(context_of(suite, knowledge))
     score = {"undetected_displacement_m": 12.5, "low": 11.0, "high": 14.0, "runs": 5}
     rates = {"alarm_rate": 0.2, "clean_alarm_rate": 0.18, "budget": 0.05}
-    world = {"detector": {"name": "ewma"}, "timeline": dataclasses.asdict(suite.timeline)}
-    world |= suite.settings
+    world = {"detector": {"name": "ewma"}, "timeline": asdict(suite.timeline)}
     return SpooferCard(
         name=name,
         kind=kind,
         env_id="spoofgym/TightlyCoupled-v0",
-        env_kwargs={**world, **(env or {})},
+        env_kwargs={**world, **suite.settings, **(env or {})},
         observation=observation,
         action=fields["action"],
-        conditions={**fields["conditions"], **conditions},
+        conditions={**fields["conditions"], **changes},
         knowledge={"run_time": knowledge, "design_time": "ewma, by hand"},
         training={"command": "python -m by.hand", "seed": 0},
         versions={"spoofgym": "0"},
@@ -112,18 +100,14 @@ def make_card(
     )
 
 
-def constant_policy(observations: int, action: tuple[float, ...]) -> bytes:
-    """ONNX file of a network that returns the same action whatever it sees."""
-    weights = np.zeros((observations, len(action)), dtype=np.float32)
-    graph = helper.make_graph(
-        [helper.make_node("Gemm", ["observation", "weights", "bias"], ["action"])],
-        "policy",
-        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", observations])],
-        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", len(action)])],
-        [
-            numpy_helper.from_array(weights, "weights"),
-            numpy_helper.from_array(np.array(action, dtype=np.float32), "bias"),
-        ],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=10)
-    return written(model)
+@dataclass
+class Mirror(Spoofer):
+    """Commands what it observes; all the bits of an observation show in its run."""
+
+    decision_interval_s: float | None = None
+    between: str = "hold"
+    knowledge: ClassVar[str] = "oracle"
+
+    def act(self, observation):
+        a = len(self.context.action_names)
+        return np.ascontiguousarray(np.clip(observation[:, -a:].astype(np.float64), -1.0, 1.0))

@@ -1,10 +1,5 @@
 """On fresh seeds a blind optimum gets as far as every ramp, profile and zero-alarm shape."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,15 +7,15 @@ from spoofgym.bench import Suite, run_campaign
 from spoofgym.bench.search.amplitude import RESOLUTION, Tuning
 
 LINE = {"warmup_s": 60.0, "live_s": 40.0, "attack_s": 60.0, "time_to_alert_s": 5.0}
-RIVALS: list[dict[str, Any]] = [
+PROFILE = {"name": "profile", "amplitude": "tuned"}
+RIVALS = [
     {"name": "ramp", "rate_mps": "tuned"},
     {"name": "accelerating-ramp", "acceleration_mps2": "tuned"},
-    {"name": "profile", "rates_mps": (0.0, 0.05, 0.4), "label": "late", "amplitude": "tuned"},
+    {**PROFILE, "rates_mps": (0.0, 0.05, 0.4), "label": "late"},
 ]
-BLIND = {"name": "blind-optimum", "amplitude": "tuned"}
 
 
-def suite_of(detector: str, spoofers: list[dict[str, Any]]) -> Suite:
+def suite_of(detector, spoofers):
     return Suite(
         scenario="trolley",
         receiver="matched",
@@ -32,7 +27,7 @@ def suite_of(detector: str, spoofers: list[dict[str, Any]]) -> Suite:
     )
 
 
-def displacements(suite: Suite, path: Path) -> dict[str, np.ndarray]:
+def displacements(suite, path):
     """D_u of every run that counts, by spoofer."""
     folder = run_campaign(suite, path)
     (detector,) = suite.detector_players
@@ -43,19 +38,15 @@ def displacements(suite: Suite, path: Path) -> dict[str, np.ndarray]:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("detector", ["snapshot-chi2", "windowed-chi2", "shewhart"])
-def test_no_known_curve_gets_farther(detector: str, tmp_path: Path) -> None:
+def test_no_known_curve_gets_farther(detector, tmp_path):
     bare = suite_of(detector, [])
     (entry,) = bare.detector_players
     shape = np.mean(bare.build_bounds().zero_alarm(entry).rates_mps, axis=0)
-    zero_alarm = {
-        "name": "profile",
-        "rates_mps": tuple(shape.tolist()),
-        "label": "zero-alarm shape",
-        "amplitude": "tuned",
-    }
+    zero_alarm = {**PROFILE, "rates_mps": tuple(shape.tolist()), "label": "zero-alarm shape"}
     # in campaigns of their own, so that none of the profiles is among the curves that are fitted
     others = displacements(suite_of(detector, [*RIVALS, zero_alarm]), tmp_path / "others")
-    (best,) = displacements(suite_of(detector, [BLIND]), tmp_path / "blind").values()
+    blind = suite_of(detector, [{"name": "blind-optimum", "amplitude": "tuned"}])
+    (best,) = displacements(blind, tmp_path / "blind").values()
     assert len(others) == len(RIVALS) + 1
     for name, reached in others.items():
         apart = best - reached

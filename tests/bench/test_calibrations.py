@@ -26,6 +26,8 @@ from spoofgym.detectors import SnapshotChi2, calibrated
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
+TIMES = "--warmup-s 20 --live-s 10 --attack-s 15 --time-to-alert-s 2 --seeds 2"
+CLEAN = f"bench {TIMES} --selection-seeds 0 --spoofer none --set domain={{}}"
 
 
 @dataclass
@@ -38,15 +40,20 @@ def few(tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "own"))
     monkeypatch.setattr(calibration, "PASSIVE_RUNS", 60)
     monkeypatch.setattr(calibration, "WEIGHING_RUNS", 40)
+    monkeypatch.chdir(tmp_path)
 
 
 def small(*detectors):
     return Suite(detectors=detectors, spoofers=["none"], timeline=SHORT, runs=4)
 
 
+def call(words):
+    return CliRunner().invoke(app, f"{CLEAN} {words}".split())
+
+
 def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
-    name = f"{__name__}:Toy"
-    suite = small({"name": name, "false_alarms_per_hour": 20.0}, "never")
+    label = "Toy(false_alarms_per_hour=20)"
+    suite = small({"name": f"{__name__}:Toy", "false_alarms_per_hour": 20.0}, "never")
     with pytest.raises(ValueError, match=r"detector Toy.* in spoofgym/.*: there is no calibration"):
         suite.check_fit()
     totals = []
@@ -55,21 +62,18 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
         totals.append(total)
         return no_progress(total)
 
-    for _ in range(2):
+    for _ in range(2):  # the second one replays what is there
         calibrate_players(suite.world, suite.detector_players, progress=bar)
     assert totals == [60]
     suite.check_fit()
     (caption,) = suite.captions
-    assert caption == (
-        "Toy(false_alarms_per_hour=20): 20 false alarms an hour, 9.01 % of runs of 17 s (60 clean "
-        "runs)"
-    )
+    rate = "20 false alarms an hour, 9.01 % of runs of 17 s (60 clean runs)"
+    assert caption == f"{label}: {rate}"
     assert caption in suite.config["notes"]
-    point = suite.config["calibrations"]["Toy(false_alarms_per_hour=20)"][0]
+    point = suite.config["calibrations"][label][0]
     assert (point["runs"], point["rank"]) == (60, 5)
     folder = run_campaign(suite, tmp_path / "results", threads=1)
-    assert folder.runs("Toy(false_alarms_per_hour=20)", "none").runs == 4
-    calibrate_players(suite.world, suite.detector_players)  # replays what is there
+    assert folder.runs(label, "none").runs == 4
 
 
 def test_killed_calibrations_and_hold_outs_go_on(tmp_path, monkeypatch):
@@ -78,7 +82,7 @@ def test_killed_calibrations_and_hold_outs_go_on(tmp_path, monkeypatch):
     asked = {"false_alarms_per_hour": 20.0, "runs": 40, "threads": 1}
     whole = calibration.calibrate_detectors(setup, specs, **asked, folder=tmp_path / "whole")
     counted = holdouts.hold_out(setup, whole, specs, **asked)
-    played, left = [], tmp_path / "own" / "unfinished"
+    played, left, play = [], tmp_path / "own" / "unfinished", clean_runs._play
 
     def until_killed(*given):
         played.append(given)
@@ -86,54 +90,47 @@ def test_killed_calibrations_and_hold_outs_go_on(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return play(*given)
 
-    play = clean_runs._play
     monkeypatch.setattr(clean_runs, "_play", until_killed)
     asked["player"] = partial(ResumablePlayer, chunk=8)
-    for function, given in (
-        (calibrate, {**asked, "folder": tmp_path / "again"}),
-        (partial(hold_out, calibrations=whole), asked),
+    for function, given, wanted in (
+        (calibrate, {**asked, "folder": tmp_path / "again"}, whole),
+        (partial(hold_out, calibrations=whole), asked, counted),
     ):
         played.clear()
         with pytest.raises(Interrupted, match="2 of 5 cells are finished"):
             function(setup, detectors=specs, **given)
         (folder,) = left.iterdir()
         assert len(list((folder / "cells").iterdir())) == 2
-        before = len(played)
-        found = function(setup, detectors=specs, **given)
-        assert found in (whole, counted)
-        assert len(played) - before == 3
+        assert function(setup, detectors=specs, **given) == wanted
+        assert len(played) == 3 + 3
         assert not list(left.iterdir())
 
 
 def test_specs_say_what_is_asked_of_thresholds(monkeypatch):
+    def labels(*detectors):
+        return [each.label for each in small(*detectors).detector_players]
+
     rate = {"name": "ewma", "false_alarms_per_hour": 0.5}
     (entry,) = small(rate).detector_players
     assert entry.label == "ewma(false_alarms_per_hour=0.5)"
     assert small(entry.spec).detector_players == (entry,)
-    assert [each.label for each in small("ewma").detector_players] == ["ewma"]
     nominal = {"name": "ewma", "thresholds": "nominal"}
     assert small(nominal).detector_players == small("ewma").detector_players
+    assert labels("ewma") == ["ewma"]
     monkeypatch.setattr(calibrated, "DEFAULT_RATE", 0.5)
-    assert [each.label for each in small("ewma", nominal).detector_players] == [
-        "ewma",
-        "ewma(thresholds=nominal)",
-    ]
+    assert labels("ewma", nominal) == ["ewma", "ewma(thresholds=nominal)"]
     assert small("ewma").detector_players[0].spec == entry.spec
     (entry,) = small(nominal).detector_players
     assert small(entry.spec).detector_players == (entry,)
 
 
 @pytest.mark.nightly
-def test_of_all_detectors_those_without_a_calibration_are_left_out(monkeypatch):
+def test_of_all_detectors_those_without_a_calibration_are_left_out():
     """In this receiver's belief clean innovations never exceed what a CUSUM allows for."""
-    monkeypatch.chdir(calibration.user_folder().parent)
-    times = "--warmup-s 20 --live-s 10 --attack-s 15 --time-to-alert-s 2 --seeds 2"
-    world = "--scenario trolley --tuning matched --selection-seeds 0 --spoofer none --json"
-    asked = f"bench {times} {world} --false-alarms-per-hour 20 --set domain={{}}".split()
-    named = CliRunner().invoke(app, [*asked, "--detector", "cusum"])
+    world = "--scenario trolley --tuning matched --json --false-alarms-per-hour 20 --detector"
+    named, found = (call(f"{world} {name}") for name in ("cusum", "all"))
     assert named.exit_code == 2, named.output
     assert "the statistic of cusum is degenerate" in named.output
-    found = CliRunner().invoke(app, [*asked, "--detector", "all"])
     assert found.exit_code == 0, found.output
     summary = json.loads(found.stdout)
     labels = [row["detector"] for row in summary["detectors"]]
@@ -145,11 +142,8 @@ def test_of_all_detectors_those_without_a_calibration_are_left_out(monkeypatch):
 
 
 @pytest.mark.usefixtures("default_rate")
-def test_nominal_is_what_it_says_whatever_the_default(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    times = "--warmup-s 20 --live-s 10 --attack-s 15 --time-to-alert-s 2 --seeds 2"
-    asked = f"bench {times} --nominal --selection-seeds 0 --spoofer none --set domain={{}}".split()
-    found = CliRunner().invoke(app, asked)
+def test_nominal_is_what_it_says_whatever_the_default(tmp_path):
+    found = call("--nominal")
     assert found.exit_code == 0, found.output
     config = CampaignResults.load(tmp_path / "results").config
     assert config["calibrations"] == {}

@@ -1,53 +1,36 @@
 """A campaign at one rate of false alarms: controls, and a toy detector."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from spoofgym.bench import run_campaign, summarize
 from spoofgym.bench.experiments.calibration import calibrate_players
-from spoofgym.bench.report.campaign import (
-    ATTACKS,
-    attack_rows,
-    detector_rows,
-    groups,
-    mark_detector,
-    markdown,
-)
-from spoofgym.bench.report.campaign import (
-    DETECTORS as TABLE,
-)
+from spoofgym.bench.report import campaign as report
 from spoofgym.bench.runs.record import MEASURES
-from spoofgym.bench.scores.campaign import compare_controls, compute_times
+from spoofgym.bench.scores.campaign import compare_controls, compute_times, headline
 from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.detectors import DETECTORS, Detector, Verdict
 
-from .support import small_suite
+from .support import RAMP, small_suite
 
-RATE = 20.0
-"""So many an hour are an alarm in 13 % of the runs of 25 s."""
-LABEL = "false_alarms_per_hour=20"
-RUNS = 60
+RATE = 20.0  # so many an hour are an alarm in 13 % of the runs of 25 s
+TOY, LOTTERY = (f"{name}(false_alarms_per_hour=20)" for name in ("toy", "lottery"))
 
 
 @dataclass
 class Toy(Detector):
-    """Largest normalised innovation of an epoch."""
-
     unit: float = 3.0
-
     paper: ClassVar[str] = "barshalom2001"
 
-    def bind(self, context: Any) -> None:
+    def bind(self, context):
         super().bind(context)
 
-    def judge(self, epoch: Any) -> Verdict:
+    def judge(self, epoch):
         size = np.abs(epoch.innovation) / np.sqrt(epoch.innovation_variance)
         statistic = size.max(axis=1, keepdims=True)
         threshold = np.full_like(statistic, self.unit)
@@ -55,191 +38,130 @@ class Toy(Detector):
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def played(tmp_path_factory):
     """Results of `never`, `lottery`, a detector of the package, and one that is new to it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(DETECTORS, "toy", Toy)
         patch.setenv("SPOOFGYM_CALIBRATIONS", str(tmp_path_factory.mktemp("calibrations")))
         # fewer clean runs than by default: an alarm in 13 % of them needs few
         patch.setattr("spoofgym.calibration.thresholds.PASSIVE_RUNS", 200)
+        rated = [
+            {"name": name, "false_alarms_per_hour": RATE}
+            for name in ("lottery", "snapshot-chi2", "toy")
+        ]
         suite = small_suite(
-            detectors=[
-                "never",
-                *({"name": n, "false_alarms_per_hour": RATE} for n in ("lottery", "snapshot-chi2")),
-                {"name": "toy", "false_alarms_per_hour": RATE},
-            ],
-            spoofers=[
-                {"name": "ramp", "rate_mps": "tuned"},
-                {"name": "step", "amplitude": "tuned"},
-            ],
+            detectors=["never", *rated],
+            spoofers=[RAMP, {"name": "step", "amplitude": "tuned"}],
             tuning=Tuning(runs=24, sift_runs=8, values=5, refined=2, budget=0.2),
             attack={"name": "false-position", "acceleration_limit_mps2": 0.5},
             selection=Selection(runs=24, sift_runs=8, values=4),
-            runs=RUNS,
+            runs=60,
         )
         calibrate_players(suite.world, suite.detector_players, threads=1)
         folder = run_campaign(suite, tmp_path_factory.mktemp("played") / "results", threads=1)
         yield suite, folder, summarize(folder)
 
 
-def test_never_and_lottery_can_not_be_told_apart(played: Any) -> None:
+def test_a_detector_helps_and_chance_can_not_be_told_from_nothing(played):
     _, _, summary = played
-    rows = [
-        row
-        for row in summary["comparisons"]
-        if {row["detector"].partition("(")[0], row["control"].partition("(")[0]}
-        == {"never", "lottery"}
-    ]
+    against_never = [row for row in summary["comparisons"] if row["control"] == "never"]
+    rows = [row for row in against_never if row["detector"] == LOTTERY]
     scores = {row["score"] for row in rows}
     assert scores == {"stealthy displacement", "protection 50 %", "protection 5 %"}
     for row in rows:
-        gap = row["difference_m"]
-        assert gap["low"] <= 0.0 <= gap["high"]
+        assert row["difference_m"]["low"] <= 0.0 <= row["difference_m"]["high"]
         assert not row["above"]
-    lottery = next(row for row in summary["detectors"] if "lottery" in row["detector"])
-    # it does alarm, and by chance alone
-    assert lottery["false_alarm_per_run"]["value"] > 0.0
+    lottery = next(row for row in summary["detectors"] if row["detector"] == LOTTERY)
+    assert lottery["false_alarm_per_run"]["value"] > 0.0  # it does alarm
+    (half,) = (
+        row["difference_m"]
+        for row in against_never
+        if (row["detector"], row["score"]) == (TOY, "protection 50 %")
+    )
+    assert half["high"] < 0.0
 
 
-def test_who_reads_the_statistic_is_compared_with_never_alone(played: Any) -> None:
+def test_who_reads_the_statistic_is_compared_with_never_alone(played):
     """It obeys that of a lottery, too."""
     _, folder, summary = played
     footings = {row["detector"]: row["footing"] for row in summary["detectors"]}
     cells = [folder.runs(label, "step") for label in footings]
-    reading = [
-        replace(each, head={**each.head, "knowledge": {"run_time": "oracle"}}) for each in cells
-    ]
-    assert {row["control"] for row in compare_controls(cells, [], footings)} == {
-        "never",
-        f"lottery({LABEL})",
-    }
+    oracle = {"knowledge": {"run_time": "oracle"}}
+    reading = [replace(each, head={**each.head, **oracle}) for each in cells]
+    controls = {row["control"] for row in compare_controls(cells, [], footings)}
+    assert controls == {"never", LOTTERY}
     rows = compare_controls(reading, [], footings)
     assert {row["control"] for row in rows} == {"never"}
     assert not any("lottery" in row["detector"] for row in rows)
 
 
-def test_an_alarm_by_chance_is_no_detection_in_time(played: Any) -> None:
-    """All that a lottery catches is chance."""
+def test_an_alarm_by_chance_is_no_detection_in_time(played):
     _, folder, _ = played
-    cell = folder.runs(f"lottery({LABEL})", "step")
+    cell = folder.runs(LOTTERY, "step")
     assert ((cell.records["first_alarm"] > 0) & ~cell.records["warmup_alarm"]).any()
     # as if every run came beyond the limit at once
     crossed = {**cell.records, "crossing": np.ones(cell.runs, dtype=np.int64)}
     found = compute_times(replace(cell, records=crossed))
-    assert found["missed"]["value"] == 1.0
-    assert found["after_crossing_s"] is None
+    assert (found["missed"]["value"], found["after_crossing_s"]) == (1.0, None)
 
 
-def test_a_detector_that_alarms_before_the_onset_is_marked(played: Any) -> None:
+def test_a_detector_is_marked_that_is_no_better_or_alarms_before_the_onset(played):
     _, _, summary = played
-    label = f"toy({LABEL})"
-    rows = [
-        {**row, "claimed": row["claimed"] and {**row["claimed"], "warmup_alarms": 0.34}}
-        for row in summary["detectors"]
-    ]
-    assert mark_detector(summary, label) == ""
+    assert report.mark_detector(summary, TOY) == ""
     nothing = {"value": 0.0, "low": 0.0, "high": 0.0}
     alike = [{**row, "difference_m": nothing, "below": False} for row in summary["comparisons"]]
-    assert mark_detector({**summary, "comparisons": alike}, label) == "no better than never"
-    text = "alarms before the onset in 34 % of clean runs"
-    assert text in mark_detector({**summary, "detectors": rows}, label)
-    assert text not in mark_detector(summary, label)
+    changed = {**summary, "comparisons": alike}
+    assert report.mark_detector(changed, TOY) == "no better than never"
+    early = copy.deepcopy(summary)
+    for row in early["detectors"]:
+        (row["claimed"] or {})["warmup_alarms"] = 0.34
+    assert "alarms before the onset in 34 % of clean runs" in report.mark_detector(early, TOY)
 
 
-def test_skies_that_are_not_the_worst_ones_have_no_figure(played: Any) -> None:
-    """A campaign with one sky has none; where they hold less than all skies do, neither."""
-    _, _, summary = played
-    label = f"toy({LABEL})"
-    (group,) = (each for each in groups(summary) if each.rate == f"{RATE:g}")
-    column = TABLE["worst skies, in 50 % [m]"]
-
-    def cell(*values: float | None) -> str:
-        found = [
-            {**each, "exceeded": [*each["exceeded"], *(skies(each, value) for value in values)]}
-            for each in summary["protection"]
-        ]
-        rows = detector_rows({**summary, "protection": found}, group)
-        return next(column.text(row) for row in rows if row["detector"] == label)
-
-    def skies(found: dict[str, Any], value: float | None) -> dict[str, Any]:
-        half = next(row for row in found["exceeded"] if row["share"] == 0.5)
-        names = ("value", "low", "high")
-        three = {key: None if value is None else half[key] + value for key in names}
-        return {**half, **three, "worst_skies": True}
-
-    assert cell() == cell(None) == "-"
-    assert cell(1.0) != "-"
-
-
-def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played: Any) -> None:
+def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played):
     suite, _, summary = played
-    label = f"toy({LABEL})"
-    row = next(row for row in summary["detectors"] if row["detector"] == label)
+    row = next(row for row in summary["detectors"] if row["detector"] == TOY)
     (point,) = suite.world.points(suite.detector_players[-1])
-    assert (
-        row["claimed"]["per_run"] == point.per_run == pytest.approx(1 - np.exp(-RATE * 25 / 3600))
-    )
-    low, high = (row["false_alarm_per_run"][key] for key in ("low", "high"))
-    assert low <= 1.6 * point.per_run
-    assert high >= 0.6 * point.per_run
-    cells = [cell for cell in summary["cells"] if cell["detector"] == label]
+    expected = pytest.approx(1 - np.exp(-RATE * 25 / 3600))
+    assert row["claimed"]["per_run"] == point.per_run == expected
+    assert row["false_alarm_per_run"]["low"] <= 1.6 * point.per_run
+    assert row["false_alarm_per_run"]["high"] >= 0.6 * point.per_run
+    cells = [cell for cell in summary["cells"] if cell["detector"] == TOY]
     assert [cell["spoofer"] for cell in cells] == ["none", "ramp(tuned)", "step"]
-    for cell in cells[1:]:
-        assert cell["stealthy_displacement_m"]["value"] > 0.0
-    (found,) = [each for each in summary["protection"] if each["detector"] == label]
-    half, few = (
-        next(
-            row
-            for row in found["exceeded"]
-            if (row["measure"], row["share"], row["worst_skies"]) == (MEASURES[0], share, False)
-        )
-        for share in (0.5, 0.05)
-    )
+    assert all(cell["stealthy_displacement_m"]["value"] > 0.0 for cell in cells[1:])
+    (found,) = [each for each in summary["protection"] if each["detector"] == TOY]
+    half, few = (headline(found, share) for share in (0.5, 0.05))
+    assert half["measure"] == MEASURES[0]
     assert 0.0 < half["value"] <= few["value"]
 
 
-def test_a_detector_helps_where_never_does_not(played: Any) -> None:
-    _, _, summary = played
-    gaps = {
-        row["detector"]: row["difference_m"]["high"]
-        for row in summary["comparisons"]
-        if row["control"] == "never" and row["score"] == "protection 50 %"
-    }
-    assert gaps[f"toy({LABEL})"] < 0.0
-
-
-def test_every_table_has_one_rate(played: Any) -> None:
+def test_every_table_has_one_rate(played):
     _, folder, summary = played
-    (group,) = groups(summary)
+    (group,) = report.groups(summary)
     assert (group.rate, len(group.detectors)) == ("20", 4)
-    assert len(detector_rows(summary, group)) == 4
-    column = ATTACKS["spoofer"]
-    names = [column.text(row) for row in attack_rows(summary, group)]
-    assert len(names) == 8
-    assert not any("oracle" in name for name in names)
-    for cell in (told := copy.deepcopy(summary))["cells"]:
+    assert len(report.detector_rows(summary, group)) == 4
+    told = copy.deepcopy(summary)
+    for cell in told["cells"]:
         cell["knowledge"]["run_time"] = "oracle+reported"
-    told_names = [column.text(row) for row in attack_rows(told, group)]
-    assert told_names == [f"{name} (oracle)" for name in names]
     for protection in told["protection"]:
         for row in protection["exceeded"]:
             row["letter"] = "e"
-    worst = TABLE["worst attack"]
-    marked = [text for row in detector_rows(told, group) if (text := worst.text(row)) != "-"]
-    assert marked
-    assert all(row.startswith("(e) ") and " (oracle), " in row for row in marked)
-    text = markdown(folder, summary)
-    for part in (
-        "## Detectors at 20 false alarms an hour",
-        "the suite spoofgym-scripted 2",
-        "lottery(false_alarms_per_hour=20) less never",
-    ):
-        assert part in text
+    column = report.ATTACKS["spoofer"]
+    names, marked = (
+        [column.text(row) for row in report.attack_rows(each, group)] for each in (summary, told)
+    )
+    assert len(names) == 8
+    assert marked == [f"{name} (oracle)" for name in names]
+    worst = report.DETECTORS["worst attack"]
+    texts = {worst.text(row) for row in report.detector_rows(told, group)} - {"-"}
+    assert texts
+    assert all(row.startswith("(e) ") and " (oracle), " in row for row in texts)
+    text = report.markdown(folder, summary)
+    assert "## Detectors at 20 false alarms an hour" in text
+    assert "the suite spoofgym-scripted 2" in text
+    assert f"{LOTTERY} less never" in text
     assert "nan" not in text
-
-
-def test_detectors_at_different_rates_share_no_table() -> None:
     rates = {"a": "0.2", "b": "0.002", "never": "any", "c": "nominal"}
-    summary = {"detectors": [{"detector": k, "footing": v} for k, v in rates.items()]}
-    found = {group.rate: group.detectors for group in groups(summary)}
+    several = {"detectors": [{"detector": k, "footing": v} for k, v in rates.items()]}
+    found = {group.rate: group.detectors for group in report.groups(several)}
     assert found == {"0.002": ["b", "never"], "0.2": ["a", "never"], "": ["c"]}

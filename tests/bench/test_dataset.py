@@ -1,9 +1,6 @@
 """Data sets: what is in them, that they are whole, and that they come to the same after a kill."""
 
-from __future__ import annotations
-
 import json
-from typing import Any
 
 import cloudpickle
 import numpy as np
@@ -14,31 +11,30 @@ from spoofgym.bench.experiments.dataset import PARTS, Plan, load_dataset
 from spoofgym.bench.experiments.training_attacks import FAMILIES
 from spoofgym.bench.report.tasks import load_optima
 from spoofgym.bench.runs.world import World
-from spoofgym.simulation.setup import SPLITS, seeds_of_runs
+from spoofgym.simulation.setup import SPLITS
 from spoofgym.spoofers import make_spoofer
-from spoofgym.tasks import TASKS
 
 from .experiments.support import content
-from .support import SHORT, small_suite, write_policy
+from .support import LATE, SHORT, small_suite, write_policy
 
 SIZES = {"train": 5, "validation": 2, "test": 2}
 TERMS = ["innovation", "in-view", {"name": "classic", "detector": {"name": "snapshot-chi2"}}]
+TEST = {"name": "snapshot-chi2", "thresholds": "nominal"}
 
 
-def plan(**changes: Any) -> Plan:
-    setup = World.of(timeline=SHORT, **changes.pop("world", {})).setup
+def plan(world=None, **changes):
     given = {"runs": SIZES, "shard": 2, "terms": TERMS, "length_m": 20.0, **changes}
-    return Plan(setup, **given)
+    return Plan(World.of(timeline=SHORT, **(world or {})).setup, **given)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("data") / "set"
     run_experiment(plan(), Store(path), threads=1)
     return path
 
 
-def test_an_episode_has_its_observations_label_and_displacement(folder: Any) -> None:
+def test_an_episode_has_its_observations_label_and_displacement(folder):
     data = load_dataset(folder)
     epochs = data.config["epochs"]
     assert epochs["all"] == 20 + 40 + 10
@@ -55,31 +51,22 @@ def test_an_episode_has_its_observations_label_and_displacement(folder: Any) -> 
         assert (found.family[found.clean] == -1).all()
         named = [json.loads(text)["name"] for text in found.setting[~found.clean]]
         assert named == [data.config["families"][k] for k in found.family[~found.clean]]
+        # twins are alike until the attack and no longer
+        clean, attacked = found.observation[::2], found.observation[1::2]
+        assert (clean[:, :20] == attacked[:, :20]).all()
+        assert (clean[:, 20:] != attacked[:, 20:]).any(axis=(1, 2)).all()
 
 
-def test_twins_are_alike_until_the_attack_and_no_longer(folder: Any) -> None:
-    found, live = load_dataset(folder).episodes("train"), 20
-    clean, attacked = found.observation[::2], found.observation[1::2]
-    assert (clean[:, :live] == attacked[:, :live]).all()
-    assert (clean[:, live:] != attacked[:, live:]).any(axis=(1, 2)).all()
-
-
-def test_runs_of_all_splits_have_noise_of_their_own(folder: Any) -> None:
+def test_runs_of_all_splits_have_noise_of_their_own(folder):
     data = load_dataset(folder)
     first = [data.episodes(part).observation[0] for part in PARTS]
     assert not any((first[k] == first[k - 1]).all() for k in range(3))
     used = {SPLITS[PARTS[part]] for part in PARTS}
     assert len(used) == 3
     assert not used & {number for name, number in SPLITS.items() if name not in PARTS.values()}
-    keys = {
-        seed.spawn_key
-        for split in SPLITS
-        for seed in seeds_of_runs(data.config["entropy"], split, "zhong2025", range(9))
-    }
-    assert len(keys) == len(SPLITS) * 9
 
 
-def test_a_run_is_the_same_in_any_file_thread_and_process(folder: Any, tmp_path: Any) -> None:
+def test_a_run_is_the_same_in_any_file_thread_and_process(folder, tmp_path):
     found = load_dataset(folder).episodes("train")
     for given in (plan(), cloudpickle.loads(cloudpickle.dumps(plan()))):
         for mine, theirs in zip(given.play("train", [3]), found, strict=True):
@@ -88,12 +75,10 @@ def test_a_run_is_the_same_in_any_file_thread_and_process(folder: Any, tmp_path:
     assert content(tmp_path / "again") == content(folder)
 
 
-def test_a_killed_process_goes_on(
-    folder: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_process_goes_on(folder, tmp_path, monkeypatch):
     play, calls = Plan.play, []
 
-    def until_killed(self: Plan, *given: Any) -> Any:
+    def until_killed(self, *given):
         calls.append(given[:2])
         if len(calls) == 3:
             raise KeyboardInterrupt
@@ -104,92 +89,75 @@ def test_a_killed_process_goes_on(
         run_experiment(plan(), Store(tmp_path), threads=1)
     with pytest.raises(ValueError, match=r"train-0002.npz is missing: `spoofgym dataset`"):
         load_dataset(tmp_path).episodes("train")
-    before = len(calls)
     run_experiment(plan(), Store(tmp_path), threads=1)
-    assert len(calls) - before == 3
+    assert len(calls) == 6
     assert content(tmp_path) == content(folder)
 
 
-def test_attacks_of_all_families_are_drawn_and_some_are_hard_to_see() -> None:
+def test_attacks_of_all_families_are_drawn_and_some_are_hard_to_see():
     optima = load_optima("T3")
-    assert optima
-    given = plan(
-        detector={"name": "snapshot-chi2", "thresholds": "nominal"},
-        optima=optima,
-        spoofers=[{"name": "step"}],
-    )
+    assert {len(rates) for rates in optima} == {24}
+    assert load_optima("T1") == load_optima("no task") == []
+    attacks = plan(detector=TEST, optima=optima, spoofers=[{"name": "step"}]).attacks
     rng = np.random.default_rng(1)
-    drawn = [given.attacks.draw(rng) for _ in range(400)]
-    named = {given.attacks.families[k]: spec for k, spec in drawn}
-    assert set(named) == {*FAMILIES, "step"}
+    drawn = [attacks.draw(rng) for _ in range(400)]
+    assert {attacks.families[k] for k, _ in drawn} == {*FAMILIES, "step"}
     for _, spec in drawn:
         make_spoofer(spec)
-    window = SHORT.attack_s
-    goal = np.array([spec["rate_mps"] * window for _, spec in drawn if spec["name"] == "ramp"])
-    assert goal.min() < 20.0 / 4
-    assert goal.max() > 20.0
+    goal = [spec["rate_mps"] * SHORT.attack_s for _, spec in drawn if spec["name"] == "ramp"]
+    assert min(goal) < 20.0 / 4
+    assert max(goal) > 20.0
     assert len({spec["heading_deg"] for _, spec in drawn if "heading_deg" in spec}) > 300
-    counts = np.bincount([k for k, _ in drawn])
-    assert counts.min() > 30
+    assert np.bincount([k for k, _ in drawn]).min() > 30
 
 
-def test_no_family_that_tasks_hold_out_is_in_a_data_set(folder: Any) -> None:
+OWN = {"code_sd_m": 0.0, "range_rate_sd_mps": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("attack", "task", "message"),
+    [
+        ("quiet", None, r"held out.*quiet"),
+        ({"name": "false-position", "errors": "replaced"}, None, r"held out.*quiet"),
+        ({"name": "false-position", "errors": OWN}, None, r"held out.*quiet"),
+        ({"name": "false-position", "errors": "replaced"}, "T5", r"held out.*quiet"),
+        ("meaconer", None, r"held out.*meaconer"),
+        ({"name": "false-position", "channels": ["S01", "S02"]}, None, r"held out.*subset"),
+        (None, "T5", "held out"),
+    ],
+)
+def test_no_family_that_tasks_hold_out_is_in_a_data_set(folder, attack, task, message):
     config = load_dataset(folder).config
     assert not set(config["held_out"]) & set(config["families"])
     assert config["attack"]["errors"] == "inherited"
-    with pytest.raises(ValueError, match=r"held out.*quiet"):
-        plan(world={"attack": "quiet"})
-    own = {"code_sd_m": 0.0, "range_rate_sd_mps": 0.0}
-    for errors, task in (("replaced", None), (own, None), ("replaced", "T5")):
-        with pytest.raises(ValueError, match=r"held out.*quiet"):
-            plan(world={"attack": {"name": "false-position", "errors": errors}}, task=task)
-    with pytest.raises(ValueError, match=r"held out.*meaconer"):
-        plan(world={"attack": "meaconer"})
-    some = {"name": "false-position", "channels": ["S01", "S02"]}
-    with pytest.raises(ValueError, match=r"held out.*subset"):
-        plan(world={"attack": some})
-    with pytest.raises(ValueError, match="held out"):
-        plan(task="T5")
+    with pytest.raises(ValueError, match=message):
+        plan(world={} if attack is None else {"attack": attack}, task=task)
     assert plan(world={"attack": "quiet"}, task="T5").task == "T5"
 
 
-def test_feedback_sees_its_detector_and_a_spoofer_may_be_a_file(tmp_path: Any) -> None:
-    write_policy(tmp_path / "mine.onnx", small_suite(), "blind", (0.0, 0.02))
-    given = plan(
-        detector={"name": "snapshot-chi2", "thresholds": "nominal"},
-        families=["feedback"],
-        spoofers=[{"name": str(tmp_path / "mine.onnx")}],
-        runs={"train": 6},
-    )
-    found = given.play("train", range(6))
-    assert set(found.family[~found.clean].tolist()) == {0, 1}
-    assert (found.displacement_m[~found.clean].max(axis=1) > 0.0).all()
-
-
-def test_a_spoofer_that_decides_seldom_does_so_in_a_data_set(tmp_path: Any) -> None:
-    """It commands the same, as far as it is commanded the same at every decision."""
-    late = small_suite(settings={"decision_interval_s": 2.5, "between": "linear"})
+def test_feedback_sees_its_detector_and_a_spoofer_may_be_a_file(tmp_path):
+    """One that decides seldom does so: it commands the same at every decision, and so less."""
+    late = small_suite(settings=LATE)
     write_policy(tmp_path / "late.onnx", late, "blind", (0.0, 0.02))
     write_policy(tmp_path / "often.onnx", small_suite(), "blind", (0.0, 0.02))
-    rates = {}
-    for name in ("late", "often"):
+    farthest = []
+    for name, more in (
+        ("often", {"detector": TEST, "families": ["feedback"]}),
+        ("often", {"families": []}),
+        ("late", {"families": []}),
+    ):
         spoofers = [{"name": str(tmp_path / f"{name}.onnx")}]
-        given = plan(families=[], spoofers=spoofers, runs={"train": 6})
-        found = given.play("train", range(6))
-        rates[name] = found.displacement_m[~found.clean]
+        found = plan(spoofers=spoofers, runs={"train": 6}, **more).play("train", range(6))
+        assert set(found.family[~found.clean].tolist()) == set(range(1 + ("detector" in more)))
+        moved = found.displacement_m[~found.clean].max(axis=1)
+        assert (moved > 0.0).all()
+        farthest.append(moved.max())
     # the first decision is a line from nothing: (1 + ... + 5) / 5 epochs instead of 5 of them
-    assert 0.0 < rates["late"].max() < rates["often"].max()
-    wrong = small_suite(settings={"decision_interval_s": 0.5, "between": "linear"})
+    assert farthest[2] < farthest[1]
+    wrong = small_suite(settings={**LATE, "decision_interval_s": 0.5})
     write_policy(tmp_path / "wrong.onnx", wrong, "blind", (0.0, 0.02), steps=7)
     with pytest.raises(ValueError, match=r"does not fit this attack: conditions\.steps"):
         plan(spoofers=[{"name": str(tmp_path / "wrong.onnx")}])
-
-
-def test_optima_are_those_of_the_card() -> None:
-    assert all(len(rates) == 24 for rates in load_optima("T3"))
-    assert load_optima("T1") == []
-    assert load_optima("no task") == []
-    assert set(TASKS) >= {"T3"}
 
 
 @pytest.mark.parametrize(
@@ -205,13 +173,14 @@ def test_optima_are_those_of_the_card() -> None:
         ({"world": {"decision_interval_s": 5.0}}, "decision_interval_s"),
     ],
 )
-def test_bad_plans_are_refused(changes: dict[str, Any], message: str) -> None:
+def test_bad_plans_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         plan(**changes)
 
 
-def test_what_is_no_whole_data_set_is_refused(tmp_path: Any) -> None:
-    run_experiment(plan(runs={"train": 2, "test": 1}), Store(tmp_path), threads=1)
+def test_what_is_no_whole_data_set_is_refused_and_that_of_other_code_is_read(folder, tmp_path):
+    mine, path = plan(runs={"train": 2, "test": 1}), tmp_path / "config.json"
+    run_experiment(mine, Store(tmp_path), threads=1)
     with pytest.raises(ValueError, match="unknown split of this data set 'validation'"):
         load_dataset(tmp_path).episodes("validation")
     cells = tmp_path / "cells"
@@ -219,26 +188,19 @@ def test_what_is_no_whole_data_set_is_refused(tmp_path: Any) -> None:
     with pytest.raises(ValueError, match=r"train-0000.npz is another cell"):
         load_dataset(tmp_path).episodes("train")
     load_dataset(tmp_path).episodes("test")
-    config = json.loads((tmp_path / "config.json").read_text())
+    config = json.loads(path.read_text())
     for fields, message in (
         ({"format": 2}, "has the format 2"),
         ({"experiment": "game"}, "holds the experiment 'game' and not 'dataset'"),
     ):
-        (tmp_path / "config.json").write_text(json.dumps({**config, **fields}))
+        path.write_text(json.dumps({**config, **fields}))
         with pytest.raises(ValueError, match=message):
             load_dataset(tmp_path)
     with pytest.raises(ValueError, match=r"there is no config\.json"):
         load_dataset(cells)
-
-
-def test_a_data_set_of_other_code_can_still_be_read(folder: Any, tmp_path: Any) -> None:
-    other = plan(runs={"test": 1})
-    run_experiment(other, Store(tmp_path), threads=1)
-    config = json.loads((tmp_path / "config.json").read_text())
-    config["code"]["numpy"] = "1.0"
-    (tmp_path / "config.json").write_text(json.dumps(config))
-    assert load_dataset(tmp_path).config == load_dataset(folder).config | {
-        name: load_dataset(tmp_path).config[name] for name in ("runs", "splits")
-    }
+    path.write_text(json.dumps({**config, "code": {**config["code"], "numpy": "1.0"}}))
+    found = load_dataset(tmp_path).config
+    other = {name: found[name] for name in ("runs", "splits")}
+    assert found == load_dataset(folder).config | other
     with pytest.raises(ValueError, match=r"code.numpy: '1.0', not"):
-        run_experiment(other, Store(tmp_path))
+        run_experiment(mine, Store(tmp_path))

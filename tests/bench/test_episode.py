@@ -1,16 +1,14 @@
 """One run looked at closely is the run of the campaign."""
 
-from __future__ import annotations
-
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report.figures import play_frames
-from spoofgym.bench.runs.episode import TWIN, Episode, draw_episode, play_episode
+from spoofgym.bench.runs.episode import TWIN, alarm_intervals, draw_episode, play_episode
 from spoofgym.bench.runs.play import WarmStart, induced_error, play
 from spoofgym.bench.runs.record import compute_displacement
 from spoofgym.core.plots import check_picture
@@ -24,16 +22,16 @@ SPOOFER = {"name": "ramp", "rate_mps": 0.4}
 
 
 @pytest.fixture(scope="module")
-def suite() -> Suite:
+def suite():
     return small_suite(detectors=("ewma",), spoofers=(SPOOFER,))
 
 
 @pytest.fixture(scope="module")
-def episode(suite: Suite) -> Episode:
+def episode(suite):
     return play_episode(suite.world, suite.detector_players[0], suite.spoofer_players[1], run=3)
 
 
-def test_it_is_the_run_of_that_number(suite: Suite, episode: Episode) -> None:
+def test_it_is_the_run_of_that_number(suite, episode):
     setup = suite.setup(suite.detector_players[0])
     start = WarmStart(setup, suite.generators("evaluation", 5), threads=1)
     attacked, clean = play(start, SPOOFER), play(start, "none")
@@ -45,25 +43,20 @@ def test_it_is_the_run_of_that_number(suite: Suite, episode: Episode) -> None:
     assert summary["undetected_displacement_m"] == pytest.approx(expected, abs=1e-4)
     assert summary["warmup_alarm"] == start.warmup_alarm[3]
     assert summary["peak_ratio"] == pytest.approx(attacked.peak[3], abs=1e-4)
-
-
-def test_a_number_may_be_one_of_numpy(suite: Suite, episode: Episode) -> None:
-    again = play_episode(suite.world, episode.detector, episode.spoofer, run=np.int64(3))
-    assert json.dumps(again.summary()) == json.dumps(episode.summary())
-    with pytest.raises(ValueError, match="`run` must be a whole number of at least 0, got -1"):
-        play_episode(suite.world, episode.detector, episode.spoofer, run=-1)
-
-
-def test_the_twin_is_not_attacked(episode: Episode) -> None:
-    onset = episode.onset
+    # the twin is not attacked
     np.testing.assert_array_equal(episode.ratio[:onset, 0], episode.ratio[:onset, TWIN])
     assert episode.time[onset - 1] == 0.0
     assert np.abs(episode.error_n[:, TWIN, :2]).max() < 10.0
     assert episode.displacement[-1, 1] > 5.0
+    # a number may be one of NumPy
+    again = play_episode(suite.world, episode.detector, episode.spoofer, run=np.int64(3))
+    assert json.dumps(again.summary()) == json.dumps(summary)
+    with pytest.raises(ValueError, match="`run` must be a whole number of at least 0, got -1"):
+        play_episode(suite.world, episode.detector, episode.spoofer, run=-1)
 
 
 @pytest.mark.parametrize("attack", ["false-position", "per-channel"])
-def test_it_can_be_drawn(tmp_path: Path, attack: str) -> None:
+def test_it_can_be_drawn(tmp_path, attack):
     suite = small_suite(detectors=(Ewma(false_alarm=0.5),), spoofers=("step",), attack=attack)
     drawn = play_episode(suite.world, suite.detector_players[0], suite.spoofer_players[1])
     assert drawn.summary()["alarm"]
@@ -72,25 +65,36 @@ def test_it_can_be_drawn(tmp_path: Path, attack: str) -> None:
     assert written.stat().st_size > 10_000
 
 
-def test_its_spoofing_intervals_are_those_of_its_alarms(episode: Episode) -> None:
-    alarm = np.zeros(len(episode.time), dtype=bool)
-    for onset, end in episode.intervals:
-        alarm |= (episode.time >= onset) & (episode.time < end)
-    np.testing.assert_array_equal(alarm, episode.alarm[:, 0])
-    told = episode.summary()["spoofing_intervals_s"]
-    assert [onset for onset, _ in told] == [onset for onset, _ in episode.intervals]
-
-
-def test_the_ending_of_a_picture_is_a_format_in_any_case() -> None:
+def test_the_ending_of_a_picture_is_a_format_in_any_case():
     assert check_picture(Path("a")) == Path("a.png")
     assert check_picture(Path("a.PNG")) == Path("a.PNG")
     with pytest.raises(ValueError, match=r"unknown ending of a picture '\.gift'; valid: "):
         check_picture(Path("a.gift"))
 
 
-def test_a_spoofer_of_a_campaign_sees_what_the_victim_reports(
-    monkeypatch: pytest.MonkeyPatch, episode: Episode
-) -> None:
+@pytest.mark.nojit
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("......", []),
+        ("..xx..", [(1.0, 2.0)]),
+        ("x.x.x.", [(0.0, 0.5), (1.0, 1.5), (2.0, 2.5)]),
+        ("x..xx", [(0.0, 0.5), (1.5, math.inf)]),
+        ("xx", [(0.0, math.inf)]),
+    ],
+)
+def test_an_interval_is_from_the_first_alarm_to_the_first_epoch_without(text, found):
+    alarm = np.array([letter == "x" for letter in text])
+    assert alarm_intervals(alarm, 0.5 * np.arange(len(text))) == found
+
+
+def test_its_spoofing_intervals_are_those_of_its_alarms(episode):
+    assert episode.intervals == alarm_intervals(episode.alarm[:, 0], episode.time)
+    told = episode.summary()["spoofing_intervals_s"]
+    assert [onset for onset, _ in told] == [onset for onset, _ in episode.intervals]
+
+
+def test_a_spoofer_of_a_campaign_sees_what_the_victim_reports(monkeypatch, episode):
     monkeypatch.setattr(Ramp, "knowledge", "blind+reported")
     reported = small_suite(detectors=("ewma",), spoofers=(SPOOFER,))
     reported.check_fit()

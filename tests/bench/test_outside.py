@@ -1,18 +1,12 @@
 """Results of classes that are not ours follow their sources."""
 
-from __future__ import annotations
-
 import importlib
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 from spoofgym.bench.experiments import Store
-from spoofgym.bench.experiments.suite import Suite
 from spoofgym.core.settings import outside_sources
 from spoofgym.detectors import Ewma
 from spoofgym.policies.contract import DetectorPolicy
@@ -20,60 +14,50 @@ from spoofgym.policies.contract import DetectorPolicy
 from .support import small_suite, write_policy
 
 MODULES = ("mine_a34", "helper_a34")
-DETECTOR = """
+MINE = """
 from dataclasses import dataclass
 import numpy as np
 from helper_a34 import SCALE
-import helper_a34
 from spoofgym.attacks import make_attack
 from spoofgym.detectors import Ewma
 from spoofgym.policies.contract import DetectorPolicy
 from spoofgym.spoofers import Ramp
 
-@dataclass
 class Mine(Ewma):
-    def judge(self, epoch):
-        return super().judge(epoch)
+    pass
 
-@dataclass
 class Pusher(Ramp):
+    pass
+
+class Grab(type(make_attack("false-position"))):
     pass
 
 @dataclass
 class Calm(DetectorPolicy):
     def decide(self, observation):
         return np.zeros((len(observation), 1))
-
-@dataclass(kw_only=True)
-class Grab(type(make_attack("false-position"))):
-    pass
 """
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    write(tmp_path)
-    yield tmp_path
-    forget()
-
-
-def write(folder: Path, detector: str = DETECTOR, helper: str = "SCALE = 1.0\n") -> None:
-    for name, text in zip(MODULES, (detector, helper), strict=True):
+def write(folder, mine=MINE, helper="SCALE = 1.0\n"):
+    for name, text in zip(MODULES, (mine, helper), strict=True):
         (folder / f"{name}.py").write_text(text)
-    forget()
-
-
-def forget() -> None:
-    """As a new process begins."""
-    for name in MODULES:
         sys.modules.pop(name, None)
     importlib.invalidate_caches()
 
 
-def suites() -> dict[str, Suite]:
-    module: Any = importlib.import_module("mine_a34")
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    write(tmp_path)
+    yield tmp_path
+    for name in MODULES:
+        sys.modules.pop(name, None)
+
+
+def suites():
+    module = importlib.import_module("mine_a34")
     return {
         "detector": small_suite(detectors=("ewma", "mine_a34:Mine")),
         "detector, an object": small_suite(detectors=(module.Mine(),)),
@@ -82,57 +66,39 @@ def suites() -> dict[str, Suite]:
     }
 
 
-@pytest.mark.parametrize(
-    "edit",
-    [{"detector": DETECTOR + "\nANOTHER = 1\n"}, {"helper": "SCALE = 2.0\n"}],
-    ids=["its file", "what it imports"],
-)
-def test_an_edited_class_is_another_campaign(folder: Path, edit: dict[str, str]) -> None:
-    for name, suite in suites().items():
-        Store(folder / name).open("campaign", suite.config)
-    write(folder, DETECTOR + "\n# a comment\n")
-    for name, suite in suites().items():
-        Store(folder / name).open("campaign", suite.config)
-    write(folder, **edit)
-    for name, suite in suites().items():
-        with pytest.raises(
-            ValueError, match=r"other results \(config\.outside\.(mine|helper)_a34: "
-        ):
-            Store(folder / name).open("campaign", suite.config)
-
-
-def test_only_what_is_the_users_counts(folder: Path) -> None:
+def test_an_edited_class_is_another_campaign(folder):
     assert small_suite().config["outside"] == {}
-    for suite in suites().values():
-        assert set(suite.config["outside"]) == set(MODULES)
+    for comment in ("", "\n# a comment\n"):
+        write(folder, MINE + comment)
+        for name, suite in suites().items():
+            assert set(suite.config["outside"]) == set(MODULES)
+            Store(folder / name).open("campaign", suite.config)
+    for module, edit in (("mine", {"mine": f"{MINE}\nX = 1\n"}), ("helper", {"helper": "SCALE=2"})):
+        write(folder, **edit)
+        for name, suite in suites().items():
+            with pytest.raises(ValueError, match=rf"results \(config\.outside\.{module}_a34: "):
+                Store(folder / name).open("campaign", suite.config)
 
 
-def test_a_policy_and_its_card_count(tmp_path: Path) -> None:
+def test_a_policy_and_its_card_count(tmp_path):
     path = tmp_path / "push.onnx"
     write_policy(path, small_suite(), "blind", (0.0, 0.1))
-
-    def outside() -> Any:
-        return small_suite(spoofers=(str(path),)).config["outside"]
-
-    before = outside()
+    before = small_suite(spoofers=(str(path),)).config["outside"]
     assert set(before) == {"push.onnx", "push.json"}
     card = path.with_suffix(".json")
     card.write_text(card.read_text().replace("ewma, by hand", "ewma, by foot"))
-    after = outside()
+    after = small_suite(spoofers=(str(path),)).config["outside"]
     assert [name for name in after if after[name] != before[name]] == [card.name]
 
 
-def test_a_class_without_a_source_is_never_taken_up_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_class_without_a_source_is_never_taken_up_again(tmp_path, monkeypatch):
     typed = type("Typed", (Ewma,), {"__module__": "__main__"})
     monkeypatch.setattr(sys.modules["__main__"], "Typed", typed, raising=False)
-    suite = small_suite(detectors=(typed(),))
+    suite, again = (small_suite(detectors=(typed(),)) for _ in range(2))
     with pytest.warns(UserWarning, match="source of __main__:Typed can't be read: its results are"):
         Store(tmp_path).open("campaign", suite.config)
     assert "never taken up again" in suite.config["notes"][-1]
     Store(tmp_path).open("campaign", suite.config)
-    again = small_suite(detectors=(typed(),))
     with (
         pytest.warns(UserWarning, match="can't be read"),
         pytest.raises(ValueError, match=r"other results \(config\.outside\.__main__:Typed: "),
@@ -140,16 +106,13 @@ def test_a_class_without_a_source_is_never_taken_up_again(
         Store(tmp_path).open("campaign", again.config)
 
 
-def test_a_calibration_is_not_that_of_an_edited_policy(folder: Path) -> None:
-    def digest() -> Any:
-        return importlib.import_module("mine_a34").Calm().digest()
-
-    before = digest()
-    forget()
-    assert digest() == before
-    write(folder, DETECTOR.replace("np.zeros", "np.ones"))
-    assert digest() != before
+def test_a_calibration_is_not_that_of_an_edited_policy(folder):
+    digests = []
+    for text in (MINE, MINE, MINE.replace("np.zeros", "np.ones")):
+        write(folder, text)
+        digests.append(importlib.import_module("mine_a34").Calm().digest())
+    assert digests[0] == digests[1] != digests[2]
     members = {"decide": print, "__module__": "__main__"}
-    typed: Any = dataclass(type("Typed", (DetectorPolicy,), members))
+    typed = dataclass(type("Typed", (DetectorPolicy,), members))
     assert None in outside_sources(typed()).values()
     assert typed().digest() is None

@@ -1,9 +1,6 @@
 """The worst attack of the suite: chosen on its own runs, kept by run, scored by formula."""
 
-from __future__ import annotations
-
 import json
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,30 +10,37 @@ from spoofgym.bench.scores.campaign import compare_controls, score_protection
 from spoofgym.bench.scores.scores import compute_upper_quantile
 from spoofgym.bench.search.attack_suite import list_aims
 
-FIRST = MEASURES[0]
+FIRST, TOTAL = MEASURES[0], "undetected_total_m"
 
 
-def protected(label: str, displacement: Any, counts: Any = None) -> Protection:
+def winner(spoofer, aims, first, total=None):
+    moved = {FIRST: first} if total is None else {FIRST: first, TOTAL: total}
+    return Winner("a", spoofer, "rate_mps", 0.5, {"name": "ramp"}, tuple(aims), moved)
+
+
+def protected(label, displacement, counts=None):
     x = np.asarray(displacement, dtype=np.float64)
-    measures = {FIRST: x, "undetected_total_m": x + 2.0}
-    aims = list_aims(list(measures), [10.0], skies=True)
-    winner = Winner("a", "ramp(tuned)", "rate_mps", 0.5, {"name": "ramp"}, aims, measures)
+    best = winner("ramp(tuned)", list_aims([FIRST, TOTAL], [10.0], skies=True), x, x + 2.0)
     kept = np.ones(len(x), dtype=np.bool_) if counts is None else np.asarray(counts)
-    sky = np.arange(len(x)) % 20
-    return Protection({"detector": label}, (winner,), kept, sky, np.array([3, 4]))
+    return Protection({"detector": label}, (best,), kept, np.arange(len(x)) % 20, np.array([3, 4]))
 
 
-def test_the_scores_are_what_the_runs_say() -> None:
+def of_winners(*winners, sky=None):
+    count = len(winners[0].displacement[FIRST])
+    under = np.zeros(count, dtype=np.int64) if sky is None else sky
+    return Protection({"detector": "x"}, winners, np.ones(count, dtype=np.bool_), under, None)
+
+
+def test_the_scores_are_what_the_runs_say():
     x = np.arange(200.0)
     counts = np.arange(200) % 2 == 0
     found = score_protection(protected("ewma", x, counts), [10.0])
     assert found["counted"] == 100
     by_aim = {(r["measure"], r["share"], r["worst_skies"]): r for r in found["exceeded"]}
-    assert by_aim[FIRST, 0.5, False]["value"] == compute_upper_quantile(x[counts], 0.5)
-    assert by_aim[FIRST, 0.05, False]["value"] == compute_upper_quantile(x[counts], 0.05)
-    assert by_aim["undetected_total_m", 0.5, False]["value"] == compute_upper_quantile(
-        x[counts] + 2.0, 0.5
-    )
+    for share in (0.5, 0.05):
+        wanted = compute_upper_quantile(x[counts], share)
+        assert by_aim[FIRST, share, False]["value"] == wanted
+        assert by_aim[TOTAL, share, False]["value"] == wanted + 2.0
     under = counts & np.isin(np.arange(200) % 20, (3, 4))
     worst = by_aim[FIRST, 0.5, True]
     assert (worst["value"], worst["runs"]) == (compute_upper_quantile(x[under], 0.5), under.sum())
@@ -48,61 +52,60 @@ def test_the_scores_are_what_the_runs_say() -> None:
         assert (row["letter"], row["setting"], row["at"]) == ("a", "rate_mps", 0.5)
     p_hmi = {row["measure"]: row["value"] for row in found["p_hmi"]}
     assert p_hmi[FIRST] == pytest.approx((x[counts] > 10.0).mean(), abs=1e-6)
-    assert p_hmi["undetected_total_m"] == pytest.approx((x[counts] > 8.0).mean(), abs=1e-6)
-    assert p_hmi[FIRST] < p_hmi["undetected_total_m"]
+    assert p_hmi[TOTAL] == pytest.approx((x[counts] > 8.0).mean(), abs=1e-6)
+    assert p_hmi[FIRST] < p_hmi[TOTAL]
 
 
-def test_what_exceeds_a_limit_exceeds_the_lower_ones() -> None:
-    """Also where the attack that was chosen for a lower one comes less far in these runs."""
+def test_the_worst_of_all_winners_counts_at_every_limit():
+    """Also where the attack that was chosen for a limit comes less far in these runs."""
     near, far = np.r_[np.full(40, 15.0), np.zeros(60)], np.r_[np.full(90, 50.0), np.zeros(10)]
-    winners = tuple(
-        Winner("a", spoofer, "rate_mps", 0.5, {}, (Aim(FIRST, limit_m=limit),), {FIRST: x})
-        for spoofer, limit, x in (("far", 40.0, far), ("near", 10.0, near))
+    low, high = (Aim(FIRST, limit_m=limit) for limit in (10.0, 40.0))
+    found = score_protection(
+        of_winners(winner("far", [high], far), winner("near", [low], near)), [10.0, 40.0]
     )
-    runs = np.ones(100, dtype=np.bool_), np.zeros(100, dtype=np.int64)
-    found = score_protection(Protection({"detector": "x"}, winners, *runs, None), [10.0, 40.0])
-    assert [(p["alert_limit_m"], p["value"], p["spoofer"]) for p in found["p_hmi"]] == [
-        (10.0, 0.9, "far"),
-        (40.0, 0.9, "far"),
+    rows = [(p["alert_limit_m"], p["value"], p["spoofer"]) for p in found["p_hmi"]]
+    assert rows == [(10.0, 0.9, "far"), (40.0, 0.9, "far")]
+    # what is exceeded in a share of the runs counts at the limits, too
+    moved, none = np.r_[np.full(10, 50.0), np.zeros(90)], np.zeros(100)
+    found = score_protection(
+        of_winners(winner("limit", [high], none), winner("share", [Aim(FIRST, 0.05)], moved)),
+        [40.0],
+    )
+    assert found["exceeded"][0]["value"] == 50.0
+    assert found["p_hmi"][0]["value"] == pytest.approx(0.1)
+    # and by the total error another attack may be the worst
+    same, zero, big = np.full(50, 30.0), np.zeros(50), np.full(50, 60.0)
+    limits = [Aim(FIRST, limit_m=limit) for limit in (20.0, 40.0)]
+    off = winner("off", [Aim(TOTAL, 0.5)], zero, big)
+    found = score_protection(of_winners(winner("near", limits, same, same), off), [20.0, 40.0])
+    rows = [(r["measure"], r["alert_limit_m"], r["value"], r["spoofer"]) for r in found["p_hmi"]]
+    assert rows == [
+        (FIRST, 20.0, 1.0, "near"),
+        (FIRST, 40.0, 0.0, "near"),
+        (TOTAL, 20.0, 1.0, "near"),
+        (TOTAL, 40.0, 1.0, "off"),
     ]
 
 
-def test_what_is_exceeded_in_a_share_of_the_runs_counts_at_the_limits_too() -> None:
-    moved, none = np.r_[np.full(10, 50.0), np.zeros(90)], np.zeros(100)
-    winners = tuple(
-        Winner("a", spoofer, "rate_mps", 0.5, {}, (aim,), {FIRST: x})
-        for spoofer, aim, x in (
-            ("limit", Aim(FIRST, limit_m=40.0), none),
-            ("share", Aim(FIRST, 0.05), moved),
-        )
-    )
-    runs = np.ones(100, dtype=np.bool_), np.zeros(100, dtype=np.int64)
-    found = score_protection(Protection({"detector": "x"}, winners, *runs, None), [40.0])
-    assert found["exceeded"][0]["value"] == 50.0
-    assert found["p_hmi"][0]["value"] == pytest.approx(0.1)
-
-
-def test_what_is_exceeded_in_few_runs_is_no_less_than_in_many() -> None:
+def test_what_is_exceeded_in_few_runs_is_no_less_than_in_many():
     """Also where the attack that was chosen for few of them fails on fresh runs."""
     sure, rash = np.full(100, 30.0), np.r_[np.full(4, 400.0), np.full(96, 10.0)]
-    winners = tuple(
-        Winner("a", name, "rate_mps", 0.5, {}, (Aim(FIRST, share),), {FIRST: x})
+    winners = (
+        winner(name, [Aim(FIRST, share)], x)
         for name, share, x in (("sure", 0.5, sure), ("rash", 0.05, rash))
     )
-    runs = np.ones(100, dtype=np.bool_), np.arange(100) % 20
-    protections = Protection({"detector": "x"}, winners, *runs, None)
-    found = score_protection(protections, [])["exceeded"]
+    protection = of_winners(*winners, sky=np.arange(100) % 20)
+    found = score_protection(protection, [])["exceeded"]
     rows = [(row["share"], row["value"], row["low"], row["spoofer"]) for row in found]
     assert rows == [(0.5, 30.0, 30.0, "sure"), (0.05, 30.0, 30.0, "sure")]
     none = protected("never", np.zeros(100))
-    few = compare_controls([], [none, protections], {"never": "any", "x": "0.2"})[-1]
+    few = compare_controls([], [none, protection], {"never": "any", "x": "0.2"})[-1]
     assert (few["score"], few["difference_m"]["value"]) == ("protection 5 %", 30.0)
 
 
-def test_worst_skies_that_hold_less_than_all_have_no_figure() -> None:
+def test_worst_skies_that_hold_less_than_all_have_no_figure():
     """The few runs of the choice have not found them; some millimetres are nothing."""
-    sky = np.arange(200) % 20
-    chosen = np.isin(sky, (3, 4))
+    chosen = np.isin(np.arange(200) % 20, (3, 4))
     for less, kept in ((1.0, False), (1e-3, True)):
         x = np.where(chosen, 50.0 - less, 50.0)
         found = score_protection(protected("ewma", x), [])["exceeded"]
@@ -110,37 +113,18 @@ def test_worst_skies_that_hold_less_than_all_have_no_figure() -> None:
         assert values == ([50.0 - less] * 2 if kept else [None] * 2)
 
 
-def test_as_far_as_against_never_is_no_merit_of_millimetres() -> None:
+def test_as_far_as_against_never_is_no_merit_of_millimetres():
     """All are paired: a hundredth of a millimetre is told apart, and says nothing."""
     none = protected("never", np.full(200, 500.0))
     for less, below in ((1e-5, False), (1.0, True)):
         other = protected("x", np.full(200, 500.0 - less))
         rows = compare_controls([], [none, other], {"never": "any", "x": "0.2"})
-        assert [row["below"] for row in rows if row["detector"] == "x"] == [below, below]
-        assert all(row["difference_m"]["high"] < 0.0 for row in rows if row["detector"] == "x")
+        rows = [row for row in rows if row["detector"] == "x"]
+        assert [row["below"] for row in rows] == [below, below]
+        assert all(row["difference_m"]["high"] < 0.0 for row in rows)
 
 
-def test_by_the_total_error_another_attack_may_be_the_worst_at_a_limit() -> None:
-    total = "undetected_total_m"
-    limits = (Aim(FIRST, limit_m=20.0), Aim(FIRST, limit_m=40.0))
-    near = {FIRST: np.full(50, 30.0), total: np.full(50, 30.0)}
-    off = {FIRST: np.zeros(50), total: np.full(50, 60.0)}
-    winners = (
-        Winner("a", "near", "rate_mps", 0.5, {}, limits, near),
-        Winner("a", "off", "rate_mps", 0.5, {}, (Aim(total, 0.5),), off),
-    )
-    runs = np.ones(50, dtype=np.bool_), np.zeros(50, dtype=np.int64)
-    found = score_protection(Protection({"detector": "x"}, winners, *runs, None), [20.0, 40.0])
-    rows = [(r["measure"], r["alert_limit_m"], r["value"], r["spoofer"]) for r in found["p_hmi"]]
-    assert rows == [
-        (FIRST, 20.0, 1.0, "near"),
-        (FIRST, 40.0, 0.0, "near"),
-        (total, 20.0, 1.0, "near"),
-        (total, 40.0, 1.0, "off"),
-    ]
-
-
-def test_intervals_are_wider_where_runs_under_a_sky_are_alike() -> None:
+def test_intervals_are_wider_where_runs_under_a_sky_are_alike():
     """Also where some skies have no run that counts, but not for the worst skies alone."""
     rng = np.random.default_rng(7)
     sky = np.arange(200) % 20
@@ -148,21 +132,20 @@ def test_intervals_are_wider_where_runs_under_a_sky_are_alike() -> None:
     apart, few = rng.permutation(alike), alike.copy()
     few[counts] = rng.permutation(alike[counts])
 
-    def widths(x: Any, kept: Any = None) -> list[float]:
-        found = score_protection(protected("ewma", x, kept), [10.0])["exceeded"]
-        everywhere = [row for row in found if row["share"] == 0.5 and not row["worst_skies"]]
-        return [row["high"] - row["low"] for row in everywhere]
+    def width(x, kept=None):
+        row = score_protection(protected("ewma", x, kept), [10.0])["exceeded"][0]
+        assert (row["share"], row["worst_skies"]) == (0.5, False)
+        return row["high"] - row["low"]
 
-    together = widths(alike)
-    assert together[0] > 2.0 * widths(apart)[0]
-    assert widths(alike, counts)[0] > 2.0 * widths(few, counts)[0]
+    assert width(alike) > 2.0 * width(apart)
+    assert width(alike, counts) > 2.0 * width(few, counts)
     never, worse = protected("never", np.zeros(200)), protected("worse", alike)
     rows = compare_controls([], [never, worse], {"never": "any", "worse": "0.2"})
     gap = next(row for row in rows if row["detector"] == "worse")["difference_m"]
-    assert gap["high"] - gap["low"] == pytest.approx(together[0], rel=1e-6)
+    assert gap["high"] - gap["low"] == pytest.approx(width(alike), rel=1e-6)
 
 
-def test_of_attacks_that_exceed_a_limit_as_often_the_surer_one_is_chosen() -> None:
+def test_of_attacks_that_exceed_a_limit_as_often_the_surer_one_is_chosen():
     """Not that which goes farthest where it is not alarmed."""
     aim = Aim(FIRST, limit_m=10.0)
     sure, rash = np.full(20, 19.0), np.r_[np.full(19, 400.0), 11.0]
@@ -172,7 +155,7 @@ def test_of_attacks_that_exceed_a_limit_as_often_the_surer_one_is_chosen() -> No
     assert aim.worth(np.full(20, 9.9)) > aim.worth(np.full(20, 2.0)) > aim.worth(np.zeros(20))
 
 
-def test_it_comes_back_as_it_was_written() -> None:
+def test_it_comes_back_as_it_was_written():
     made = protected("ewma", [1.0, 2.5, 3.0], [True, False, True])
     arrays, record = made.parts()
     again = Protection.from_parts(arrays, json.loads(json.dumps(record, allow_nan=False)))
@@ -182,15 +165,18 @@ def test_it_comes_back_as_it_was_written() -> None:
     np.testing.assert_array_equal(again.counts, made.counts)
 
 
-def test_detectors_are_compared_over_the_runs_that_count_for_both() -> None:
+def test_detectors_are_compared_over_the_runs_that_count_for_both():
     rng = np.random.default_rng(1)
     x = rng.exponential(10.0, 300)
     drawn = rng.random(300) > 0.05
-    lottery = protected("lottery", np.where(drawn, x, 0.0), drawn)
-    worse = protected("worse", x + 5.0)
     footings = {"never": "any", "lottery": "0.2", "worse": "0.2", "mine": "0.3", "as-is": "nominal"}
-    others = [protected(label, x + 9.0) for label in ("mine", "as-is")]
-    rows = compare_controls([], [protected("never", x), lottery, worse, *others], footings)
+    played = [
+        protected("never", x),
+        protected("lottery", np.where(drawn, x, 0.0), drawn),
+        protected("worse", x + 5.0),
+        *(protected(label, x + 9.0) for label in ("mine", "as-is")),
+    ]
+    rows = compare_controls([], played, footings)
     found = {(r["detector"], r["control"], r["score"]): r for r in rows}
     for score in ("protection 50 %", "protection 5 %"):
         # what chance takes out counts for neither

@@ -1,9 +1,6 @@
 """Every score by its formula, on arrays made by hand."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +23,7 @@ from spoofgym.bench.scores.statistics import (
     alarm_limit,
     draw_resamples,
     fewest_runs,
+    interval,
     keeps,
     most_alarms,
 )
@@ -33,22 +31,13 @@ from spoofgym.bench.scores.statistics import (
 pytestmark = pytest.mark.nojit
 
 
-def test_undetected_displacement_by_hand() -> None:
+def test_undetected_displacement_by_hand():
     # five epochs of errors, two epochs to alert
     error = np.array([[1.0, 3.0, 2.0, 5.0, 4.0]]).T
-    for first_alarm, expected in [
-        (0, 5.0),
-        (7, 5.0),
-        (6, 3.0),
-        (5, 3.0),
-        (4, 1.0),
-        (3, 0.0),
-        (1, 0.0),
-    ]:
-        assert undetected_displacement(error, [first_alarm], 2)[0] == expected
-
-
-def test_what_comes_after_the_alarm_may_be_unknown() -> None:
+    first = [0, 7, 6, 5, 4, 3, 1]
+    found = [undetected_displacement(error, [alarm], 2)[0] for alarm in first]
+    assert found == [5.0, 5.0, 3.0, 3.0, 1.0, 0.0, 0.0]
+    # what comes after the alarm may be unknown
     error = np.array([[1.0, 2.0, np.nan, np.nan]]).T
     assert undetected_displacement(error, [3], 1)[0] == 1.0
 
@@ -58,9 +47,7 @@ def test_what_comes_after_the_alarm_may_be_unknown() -> None:
     alarms=st.lists(st.booleans(), min_size=15, max_size=15),
     hold=st.integers(0, 3),
 )
-def test_undetected_displacement_is_what_its_definition_says(
-    error: list[float], alarms: list[bool], hold: int
-) -> None:
+def test_undetected_displacement_is_what_its_definition_says(error, alarms, hold):
     alarm = np.array(alarms[: len(error) + hold])
     first = int(alarm.argmax()) + 1 if alarm.any() else 0
     # the largest error at k with no alarm in epochs 1 to k + hold
@@ -68,15 +55,13 @@ def test_undetected_displacement_is_what_its_definition_says(
     assert undetected_displacement(np.array(error)[:, None], [first], hold)[0] == expected
 
 
-def test_a_run_counts_that_is_silent_before_the_onset_and_has_a_silent_twin() -> None:
-    warmup = [False, True, False, True]
-    np.testing.assert_array_equal(
-        mask_valid_runs(warmup, [0, 0, 7, 7]), [True, False, False, False]
-    )
+def test_a_run_counts_that_is_silent_before_the_onset_and_has_a_silent_twin():
+    found = mask_valid_runs([False, True, False, True], [0, 0, 7, 7])
+    np.testing.assert_array_equal(found, [True, False, False, False])
     np.testing.assert_array_equal(mask_valid_runs([False] * 2, [True, False]), [False, True])
 
 
-def test_stealthy_displacement_is_over_the_runs_that_count() -> None:
+def test_stealthy_displacement_is_over_the_runs_that_count():
     moved, alarm = [10.0, 20.0, 90.0, 30.0], [False, True, True, False]
     found = score_stealth(moved, alarm, [True, True, False, True])
     assert (found.runs, found.alarms, found.displacement_m) == (3, 1, 20.0)
@@ -89,12 +74,12 @@ def test_stealthy_displacement_is_over_the_runs_that_count() -> None:
 
 
 @pytest.mark.parametrize(("alarms", "runs"), [(0, 59), (0, 1), (3, 200), (39, 1024)])
-def test_the_limit_of_an_alarm_rate_is_one_sided(alarms: int, runs: int) -> None:
+def test_the_limit_of_an_alarm_rate_is_one_sided(alarms, runs):
     # as many alarms or fewer come by chance in one of twenty cases at the limit
     assert binom.cdf(alarms, runs, alarm_limit(alarms, runs)) == pytest.approx(0.05)
 
 
-def test_what_runs_can_show_of_a_budget() -> None:
+def test_what_runs_can_show_of_a_budget():
     assert fewest_runs(0.05) == 59
     assert keeps(0, 59, 0.05)
     assert not keeps(0, 58, 0.05)
@@ -110,16 +95,14 @@ def test_what_runs_can_show_of_a_budget() -> None:
 @pytest.mark.parametrize(
     ("share", "expected"), [(0.5, 3.0), (0.25, 4.0), (0.05, 4.0), (1.0, 1.0), (0.51, 2.0)]
 )
-def test_the_displacement_that_is_reached_in_a_share_of_the_runs(
-    share: float, expected: float
-) -> None:
+def test_the_displacement_that_is_reached_in_a_share_of_the_runs(share, expected):
     x = [2.0, 4.0, 1.0, 3.0]
     assert compute_upper_quantile(x, share) == expected
     assert np.mean(np.array(x) >= expected) >= share
     assert np.mean(np.array(x) > expected) < share
 
 
-def test_the_interval_of_an_exceeded_displacement_is_that_of_its_resamples() -> None:
+def test_the_interval_of_an_exceeded_displacement_is_that_of_its_resamples():
     x = np.random.default_rng(3).exponential(10.0, 400)
     found = bootstrap_quantile(x, 0.5, draw_resamples(np.arange(400)))
     assert found.value == compute_upper_quantile(x, 0.5)
@@ -130,50 +113,46 @@ def test_the_interval_of_an_exceeded_displacement_is_that_of_its_resamples() -> 
     assert math.isnan(bootstrap_quantile([], 0.5, draw_resamples(np.arange(3))).value)
 
 
-def test_the_worst_tenth_of_the_skies() -> None:
+def test_the_worst_tenth_of_the_skies():
     sky = np.repeat(np.arange(20), 5)
     moved = np.where(np.isin(sky, (3, 17)), 9.0, 1.0)
-    found = worst_skies(moved, sky)
-    assert found is not None
-    np.testing.assert_array_equal(found, [3, 17])
+    np.testing.assert_array_equal(worst_skies(moved, sky), [3, 17])
     assert worst_skies(moved[:45], sky[:45]) is None  # nine of them
 
 
-def test_an_alarm_is_chance_where_the_twin_has_alarmed_by_then() -> None:
+def test_an_alarm_is_chance_where_the_twin_has_alarmed_by_then():
     first, twin = [5, 5, 5, 5, 0, 0], [0, 4, 5, 6, 3, 0]
     np.testing.assert_array_equal(by_chance(first, twin), [False, True, True, False, False, False])
 
 
-def test_missed_is_no_alarm_in_time_after_the_crossing() -> None:
+def test_missed_is_no_alarm_in_time_after_the_crossing():
     first, crossing = [0, 12, 13, 8, 3], [10, 10, 10, 10, 0]
     # two epochs to alert; the last run never crosses the limit
     np.testing.assert_array_equal(missed_in_time(first, crossing, 2), [True, False, True, False])
 
 
-@given(st.data())
-def test_a_run_is_missed_where_its_undetected_displacement_is_above_the_limit(data: Any) -> None:
-    epochs, hold, limit = 12, 3, 50.0
-    error = np.array(data.draw(st.lists(st.floats(0, 100), min_size=epochs, max_size=epochs)))
-    first = data.draw(st.integers(0, epochs + hold))
-    above = error > limit
-    crossing = int(above.argmax()) + 1 if above.any() else 0
-    moved = undetected_displacement(error[:, None], [first], hold)[0]
-    missed = missed_in_time([first], [crossing], hold)
-    assert bool(missed.any()) == (moved > limit)
-
-
-def test_kaplan_meier_by_hand() -> None:
+def test_kaplan_meier_by_hand():
     # detected at 1 and 3, one run no longer watched at 2: S = 1, 2/3 from 1 on, 0 from 3 on
     found = survival([1.0, 2.0, 3.0], [True, False, True], [0.5, 1.0, 2.5, 3.0])
     np.testing.assert_allclose(found.share, [1.0, 2.0 / 3.0, 2.0 / 3.0, 0.0])
     np.testing.assert_array_equal(found.at_risk, [3, 3, 1, 1])
     assert (found.low <= found.share).all()
     assert (found.high >= found.share).all()
-
-
-def test_where_nobody_detected_the_horizon_has_wilsons_interval() -> None:
+    # where nobody detected the horizon has Wilson's interval
     found = survival(np.full(20, 160.0), np.zeros(20, dtype=bool), [80.0, 160.0])
     np.testing.assert_array_equal(found.share, 1.0)
-    z = 1.959963984540054
-    np.testing.assert_allclose(found.low, 20 / (20 + z * z))
+    np.testing.assert_allclose(found.low, 20 / (20 + 1.959963984540054**2))
     np.testing.assert_array_equal(found.high, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "digits", "text"),
+    [
+        ((12.345, 11.0, 13.21), None, "12.3 (11.0 to 13.2)"),
+        ((0.0012, 0.0, 0.004), 3, "0.001 (0.000 to 0.004)"),
+        ((359.2, 350.0, 366.0), None, "359 (350 to 366)"),
+        ((None, None, None), None, "-"),
+    ],
+)
+def test_numbers_with_intervals(numbers, digits, text):
+    assert interval(dict(zip(("value", "low", "high"), numbers, strict=True)), digits) == text

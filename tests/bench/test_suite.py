@@ -1,52 +1,56 @@
-"""What a campaign runs, and where its chance comes from."""
+"""What a campaign runs, where, and where its chance comes from; the standard suite."""
 
-from __future__ import annotations
-
-from typing import Any
+from functools import partial
+from importlib import import_module
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from spoofgym.bench.experiments import suite as standard
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.runs.players import DEFAULT_DETECTORS
+from spoofgym.bench.runs.players import DEFAULT_DETECTORS, add_tuned_setting
+from spoofgym.bench.runs.world import World
 from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.bench.search.attack_suite import Selection
+from spoofgym.cli import app
+from spoofgym.cli.suites import standard_suite
 from spoofgym.core.settings import compute_digest
-from spoofgym.detectors import DETECTORS
+from spoofgym.detectors import DETECTORS, Shewhart
 from spoofgym.simulation.setup import SPLITS, seed_sequences
+from spoofgym.tasks import RANGE_RATE_TESTS, get_task
 
 from .support import small_suite
 
-
-def words(seed: np.random.SeedSequence) -> tuple[int, ...]:
-    return tuple(int(word) for word in seed.generate_state(4))
+TIMES = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
 
 
-def test_runs_share_no_noise_between_splits_scenarios_runs_and_campaigns() -> None:
+def words(*given):
+    return [tuple(seed.generate_state(4).tolist()) for seed in seed_sequences(*given)]
+
+
+def test_runs_share_no_noise_between_splits_scenarios_runs_and_campaigns():
     found = {
-        words(seed)
+        word
         for entropy in (0, 1)
         for split in SPLITS
         for scenario in ("zhong2025", "groves")
-        for seed in seed_sequences(entropy, split, scenario, 5)
+        for word in words(entropy, split, scenario, 5)
     }
     assert len(found) == 2 * len(SPLITS) * 2 * 5
+    # more runs begin with the same ones
+    few, many = (words(3, "evaluation", "zhong2025", runs) for runs in (4, 9))
+    assert many[:4] == few
 
 
-def test_spoofers_that_ignore_a_target_that_is_drawn_are_warned_of() -> None:
+def test_spoofers_that_ignore_a_target_that_is_drawn_are_warned_of():
     drawn = {"target_heading_deg": "random", "detectors": ("never",)}
     with pytest.warns(UserWarning, match=r"push Ramp \(heading_deg=90\), Step \(heading_deg=90\);"):
         small_suite(spoofers=("ramp", "step"), **drawn).check_fit()
     small_suite(spoofers=({"name": "step", "heading_deg": "target"},), **drawn).check_fit()
 
 
-def test_more_runs_begin_with_the_same_ones() -> None:
-    few = [words(seed) for seed in seed_sequences(3, "evaluation", "zhong2025", 4)]
-    many = [words(seed) for seed in seed_sequences(3, "evaluation", "zhong2025", 9)]
-    assert many[:4] == few
-
-
-def test_the_digest_follows_everything_that_results_depend_on() -> None:
+def test_the_digest_follows_everything_that_results_depend_on():
     digests = [
         small_suite(**changes).digest
         for changes in (
@@ -63,16 +67,19 @@ def test_the_digest_follows_everything_that_results_depend_on() -> None:
         )
     ]
     assert len(set(digests)) == len(digests)
-    assert small_suite().digest == digests[0]
-    # a default that is written out changes nothing
-    written_out = small_suite(detectors=("snapshot-chi2", {"name": "ewma", "smoothing": 0.1}))
-    assert compute_digest(written_out.config) == digests[0]
-    assert small_suite(entropy=np.int64(1)).digest == digests[2]
-    assert small_suite(runs=np.int64(6)).digest == digests[1]
-    assert small_suite(tuning=Tuning(budget=0.1, runs=np.int64(Tuning.runs))).digest == digests[8]
+    # neither a default that is written out nor NumPy's numbers change anything
+    written_out = ("snapshot-chi2", {"name": "ewma", "smoothing": 0.1})
+    tuning = Tuning(budget=0.1, runs=np.int64(Tuning.runs))
+    for n, changes in (
+        (0, {"detectors": written_out}),
+        (1, {"runs": np.int64(6)}),
+        (2, {"entropy": np.int64(1)}),
+        (8, {"tuning": tuning}),
+    ):
+        assert compute_digest(small_suite(**changes).config) == digests[n]
 
 
-def test_the_rate_of_the_inertial_sensors_is_named_in_results() -> None:
+def test_the_rate_of_the_inertial_sensors_is_named_in_results():
     own, keyword = small_suite(), small_suite(settings={"imu_rate_hz": 20})
     mapping = small_suite(scenario={"name": "zhong2025", "imu_rate_hz": 20})
     assert "imu_rate_hz" not in own.config["scenario"]
@@ -81,39 +88,98 @@ def test_the_rate_of_the_inertial_sensors_is_named_in_results() -> None:
     assert keyword.digest == mapping.digest != own.digest
 
 
-def test_the_clean_twin_is_always_played_first() -> None:
+def test_the_clean_twin_is_always_played_first():
     suite = small_suite(spoofers=("step", "none"))
     assert [entry.label for entry in suite.spoofer_players] == ["none", "step"]
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"detectors": ()}, "at least one detector"),
-        ({"detectors": ("ewma", "ewma")}, "listed twice: ewma"),
-        ({"detectors": ("emwa",)}, "unknown detector 'emwa'; valid: .*did you mean 'ewma'"),
-        ({"spoofers": ("rmap",)}, "unknown spoofer 'rmap'"),
-    ],
-)
-def test_bad_suites_are_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Suite(**changes)
-
-
-def test_a_search_needs_runs_that_can_show_its_budget() -> None:
-    with pytest.raises(ValueError, match=r"`runs` must be at least 59 for a budget of 0.05: .* 58"):
-        Tuning(runs=58)
-
-
-def test_oracles_are_refused_unless_they_are_asked_for() -> None:
+def test_oracles_are_refused_unless_they_are_asked_for():
     assert not any(DETECTORS[spec["name"]].oracle for spec in DEFAULT_DETECTORS)
     oracles = ("ewma", {"name": "oracle-ramp", "rate_mps": 0.2})
     with pytest.raises(ValueError, match=r"oracle-ramp\(rate_mps=0.2\): an oracle knows the"):
         Suite(detectors=oracles)
     suite = Suite(detectors=oracles, allow_oracles=True)
-    (note,) = suite._oracle_notes
-    assert note == "oracle-ramp(rate_mps=0.2) is an oracle: it knows the attack"
+    note = "oracle-ramp(rate_mps=0.2) is an oracle: it knows the attack"
+    assert suite._oracle_notes == (note,)
     assert note in suite.config["notes"]
-    assert (
-        Suite(detectors=("ewma",), allow_oracles=True).digest == Suite(detectors=("ewma",)).digest
-    )
+    plain = [Suite(detectors=("ewma",), allow_oracles=allow).digest for allow in (True, False)]
+    assert plain[0] == plain[1]
+
+
+def test_a_campaign_has_its_world_and_its_runs():
+    assert World.of("T3") == World(settings=get_task("T3").world_kwargs)
+    named = World.of(timeline=TIMES, between="hold", scenario=None)
+    assert named == World.of(timeline=TIMES, settings={"between": "hold"})
+    assert named.copy_with(between="ramp").settings == {"timeline": TIMES, "between": "ramp"}
+    suite = Suite(timeline=TIMES, entropy=3, detectors=["never"], spoofers=["none"])
+    world = World.of(timeline=TIMES)
+    assert {name: suite.config[name] for name in world.config} == world.config
+    one, few = world.generators(3, "training", 3, first=2), suite.generators("training", 3)
+    assert one[0].random() == few[2].random()
+
+
+@pytest.mark.parametrize(
+    ("make", "given", "message"),
+    [
+        (Suite, {"detectors": ()}, "at least one detector"),
+        (Suite, {"detectors": ("ewma", "ewma")}, "listed twice: ewma"),
+        (Suite, {"detectors": ("emwa",)}, "unknown detector 'emwa'; valid: .*did you mean 'ewma'"),
+        (Suite, {"spoofers": ("rmap",)}, "unknown spoofer 'rmap'"),
+        (Tuning, {"runs": 58}, r"`runs` must be at least 59 for a budget of 0.05: .* 58"),
+        (World.of, {"env": "T3"}, "unknown environment of the benchmark 'T3'"),
+        (partial(World.of, "T3"), {"env": "x", "scenario": "y"}, "`env`, `scenario` can't be"),
+        (World.of, {"settings": {"speed": 1.0}}, "has no setting 'speed', got 1.0"),
+        (World.of, {"attack": "quiet", "settings": {"attack": "quiet"}}, "given by name, too"),
+    ],
+)
+def test_what_is_no_suite_or_world_is_refused(make, given, message):
+    with pytest.raises(ValueError, match=message):
+        make(**given)
+
+
+class Mine(Shewhart):
+    """Somebody's own detector."""
+
+
+def test_everyone_who_suits_plays_in_the_world_of_the_task_at_one_rate_and_the_controls_with_them():
+    tuned = [add_tuned_setting(name) for name in standard.SPOOFERS]
+    suite, task = standard_suite(None, {"spoofers": tuned}), get_task(standard.TASK)
+    assert {name: suite.world.settings[name] for name in task.world_kwargs} == task.world_kwargs
+    assert suite.alert_limit_m == (task.alert_limit_m or Suite.alert_limit_m)
+    specs = [entry.spec for entry in suite.detector_players]
+    names = [spec["name"] for spec in specs]
+    assert names[:3] == ["never", "lottery", "solution-separation"]
+    first = specs[3 : 3 + len(RANGE_RATE_TESTS)]
+    assert [(spec["name"], spec["signals"]) for spec in first] == [
+        (spec["name"], "range_rate") for spec in RANGE_RATE_TESTS
+    ]
+    assert {"lottery", "snapshot-chi2", "ewma", "windowed-chi2", "raim"} <= {*names}
+    assert {spec.get("false_alarms_per_hour") for spec in specs[1:]} == {standard.RATE}
+    played = suite.spoofer_players[1:]
+    labels = [entry.spec.get("label") or entry.spec["name"] for entry in played]
+    assert labels == list(standard.SPOOFERS)
+    assert all(entry.tuned for entry in played)
+    # named ones play with the controls
+    named = ["ewma", "tests.bench.test_suite:Mine"]
+    specs = [each.spec for each in standard_suite(named, {"spoofers": []}).detector_players]
+    assert [spec["name"] for spec in specs] == ["never", "lottery", *named]
+    assert {spec.get("false_alarms_per_hour") for spec in specs[1:]} == {standard.RATE}
+
+
+def test_its_sizes_are_defaults_and_may_be_given(monkeypatch):
+    asked = []
+
+    def seen(detectors, settings):
+        asked.append(settings)
+        raise SystemExit  # it would play
+
+    monkeypatch.setattr(import_module("spoofgym.cli.bench"), "standard_suite", seen)
+    for options in ("", "--seeds 40 --training-seeds 100 --selection-seeds 20 --seed 3"):
+        CliRunner().invoke(app, ["bench", "--suite", "standard", *options.split()])
+    sizes = [
+        (found["runs"], found["tuning"].runs, found["selection"].runs, found["entropy"])
+        for found in asked
+    ]
+    own = (standard.SIZES[f"{split}seeds"] for split in ("", "training_", "selection_"))
+    assert sizes == [(*own, 0), (40, 100, 20, 3)]
+    assert [len(found["spoofers"]) for found in asked] == [len(standard.SPOOFERS)] * 2

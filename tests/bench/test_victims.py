@@ -1,51 +1,49 @@
 """The benchmark of the small victims: scores, detectors that fit, settings, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import re
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from spoofgym.bench import Suite, Tuning, run_campaign, summarize
 from spoofgym.bench.experiments.campaign import describe_knowledge
-from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.report.campaign import list_limit_notes, markdown
 from spoofgym.bench.report.figures import draw_campaign
 from spoofgym.bench.runs.episode import TWIN, draw_episode, play_episode
 from spoofgym.bench.runs.play import WarmStart, induced_error, make_bound_spoofer, play
 from spoofgym.bench.runs.record import compute_displacement
 from spoofgym.bench.runs.world import VICTIMS
+from spoofgym.bench.scores.campaign import HALF, STEALTHY
+from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofCore
 
-LOOSE, SNAPSHOT, ROBOT = (
+from .support import RAMP
+
+LOOSE, SNAPSHOT, ROBOT = SMALL = (
     "spoofgym/LooselyCoupled-v0",
     "spoofgym/Snapshot-v0",
     "spoofgym/WheeledRobot-v0",
 )
-SMALL = (LOOSE, SNAPSHOT, ROBOT)
+TIGHT = "spoofgym/TightlyCoupled-v0"
 PUSH = {"name": "ramp", "rate_mps": 0.5}
-QUICK = Tuning(runs=9, sift_runs=2, values=3, refined=2, budget=0.3)
 
 
-def suite_of(env: str, **changes: Any) -> Suite:
-    settings: dict[str, Any] = {
+def suite_of(env, **changes):
+    settings = {
         "env": env,
         "timeline": {"warmup_s": 12.0, "live_s": 4.0, "attack_s": 12.0, "time_to_alert_s": 3.0},
         "spoofers": (PUSH,),
         "runs": 6,
-        "tuning": QUICK,
+        "tuning": Tuning(runs=9, sift_runs=2, values=3, refined=2, budget=0.3),
         **changes,
     }
     return Suite(**settings)
 
 
 @pytest.mark.parametrize("env", SMALL)
-def test_a_campaign_is_scored_tabled_and_drawn(env: str, tmp_path: Path) -> None:
-    tuned = {"name": "ramp", "rate_mps": "tuned"}
-    suite = suite_of(env, spoofers=("step", tuned))
+def test_a_campaign_is_scored_tabled_and_drawn(env, tmp_path):
+    suite = suite_of(env, spoofers=("step", RAMP))
     suite.check_fit()
     folder = run_campaign(suite, tmp_path, threads=1)
     summary = summarize(folder)
@@ -64,17 +62,38 @@ def test_a_campaign_is_scored_tabled_and_drawn(env: str, tmp_path: Path) -> None
     assert f"- Environment: {env}, " in text
     assert "nan" not in text
     assert draw_campaign(folder, summary).stat().st_size > 10_000
+    # and without limits it says why
+    (notes,) = list_limit_notes(summary)
+    assert notes.startswith("Floor: none, since no limit is known for ")
+    for judge, row in zip(judges, summary["detectors"], strict=True):
+        assert row["bracket"]["floor_m"] == {STEALTHY: None, HALF: None}
+        assert "no limit is known for" in row["bracket"]["zero_alarm"]["why"]
+        assert f"- No zero-alarm bound of {judge}: no limit is known" in text
 
 
-@pytest.mark.parametrize("env", SMALL)
-def test_a_cell_scores_what_the_environment_pays(env: str) -> None:
-    suite = suite_of(
-        env, target_heading_deg="worst", decision_interval_s=2.0, between="linear", runs=5
-    )
-    setup = suite.setup(suite.detector_players[-1])
+DOMAIN = {
+    "detectors": (Ewma(false_alarm=0.02),),
+    "domain": {"start_s": (0.0, 30.0), "turned_deg": (0.0, 360.0), "worlds": 2},
+}
+
+
+@pytest.mark.parametrize(
+    ("env", "between", "changes"),
+    [*((env, "linear", {}) for env in SMALL), (TIGHT, "linear", DOMAIN), (TIGHT, "hold", DOMAIN)],
+)
+def test_a_cell_scores_what_the_environment_pays_and_a_run_is_that_of_the_campaign(
+    env, between, changes, tmp_path
+):
+    """Worlds, begins, decisions: what `SpoofEnv` with a twin pays, run by run."""
+    pace = {"decision_interval_s": 2.0, "between": between}
+    suite = suite_of(env, target_heading_deg="worst", **pace, **changes)
+    judge, player = suite.detector_players[-1], suite.spoofer_players[-1]
+    setup = suite.setup(judge)
     start = WarmStart(setup, suite.generators("evaluation", 5), threads=1)
     attacked, clean = play(start, PUSH), play(start, "none")
-    core = SpoofCore(5, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True)
+    assert not changes or len(set(attacked.onset)) > 2
+    own = {"action": "full-command"} if changes else {}
+    core = SpoofCore(5, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True, **own)
     core.reset(suite.generators("evaluation", 5))
     spoofer, *_ = make_bound_spoofer(PUSH, setup, 5)
     for _ in range(core.episode_steps):
@@ -82,62 +101,32 @@ def test_a_cell_scores_what_the_environment_pays(env: str) -> None:
     scored = compute_displacement(setup, attacked, clean)
     assert scored.max() > 0.1
     np.testing.assert_allclose(
-        result.info["undetected_displacement_m"], scored, rtol=1e-4, atol=1e-6
+        result.info["undetected_displacement_m"], scored, rtol=1e-9 if changes else 1e-4, atol=1e-6
     )
-
-
-@pytest.mark.parametrize("env", SMALL)
-def test_a_run_looked_at_closely_is_that_of_the_campaign(env: str, tmp_path: Path) -> None:
-    suite = suite_of(env)
-    judge, player = suite.detector_players[-1], suite.spoofer_players[-1]
     episode = play_episode(suite.world, judge, player, run=2)
-    setup = suite.setup(judge)
-    start = WarmStart(setup, suite.generators("evaluation", 4), threads=1)
-    attacked, clean = play(start, PUSH), play(start, "none")
     np.testing.assert_array_equal(episode.alarm[episode.onset :, 0], attacked.alarm[:, 2])
     np.testing.assert_array_equal(episode.alarm[episode.onset :, TWIN], clean.alarm[:, 2])
-    np.testing.assert_allclose(
-        episode.induced_error_m, induced_error(setup, attacked, clean)[:, 2], atol=1e-6
-    )
+    induced = induced_error(setup, attacked, clean)[:, 2]
+    np.testing.assert_allclose(episode.induced_error_m, induced, atol=1e-6)
     assert episode.summary()["scenario"] == setup.name
     assert draw_episode(episode, tmp_path / "run").stat().st_size > 10_000
 
 
-def test_a_heading_of_a_snapshot_leaves_down_and_clock_alone() -> None:
+def test_a_heading_of_a_snapshot_leaves_down_and_clock_alone():
     suite = suite_of(SNAPSHOT)
-    setup = suite.setup(suite.detector_players[0])
-    spoofer, *_ = make_bound_spoofer(PUSH, setup, 1)
+    spoofer, *_ = make_bound_spoofer(PUSH, suite.setup(suite.detector_players[0]), 1)
     action = spoofer.act(np.zeros((1, 0), dtype=np.float32))
     np.testing.assert_allclose(action, [[0.0, 0.1, 0.0, 0.0]], atol=1e-12)
 
 
 @pytest.mark.parametrize("env", VICTIMS)
-def test_the_detectors_of_a_victim_fit_it(env: str) -> None:
+def test_the_detectors_of_a_victim_fit_it(env):
     suite = Suite(env=env, spoofers=())
     suite.check_fit()
     assert len(suite.detector_players) == len(VICTIMS[env].detectors)
 
 
-def test_runs_are_those_of_the_settings() -> None:
-    suites = [
-        suite_of(SNAPSHOT, **changes)
-        for changes in (
-            {},
-            {"settings": {"satellites": 10}},
-            {"settings": {"noise_m": 1.0}},
-            {"target_heading_deg": 0.0},
-            {"timeline": {"attack_s": 12.0}},
-            {"detectors": ("never",)},
-        )
-    ]
-    assert len({suite.digest for suite in suites}) == len(suites)
-    # a default that is written out changes nothing
-    assert suite_of(SNAPSHOT, settings={"satellites": 12}).digest == suites[0].digest
-    judge = suites[1].detector_players[0]
-    assert len(suites[1].setup(judge).weight_names) == 10
-
-
-def test_no_spoofer_of_another_environment_plays_unasked() -> None:
+def test_no_spoofer_of_another_environment_plays_unasked():
     suite = suite_of(ROBOT, spoofers=None)
     labels = [entry.label for entry in suite.spoofer_players]
     assert labels == ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)", "blind-optimum"]
@@ -148,26 +137,19 @@ def test_no_spoofer_of_another_environment_plays_unasked() -> None:
     assert told["transfer"] == ["environment"]
 
 
+LONG = {"name": "windowed-chi2", "window": 500}
+
+
 @pytest.mark.parametrize(
     ("env", "detector", "message"),
     [
         (LOOSE, "ewma", "Ewma measures satellites, but the receiver measures position"),
-        (LOOSE, "rio", "Rio needs auxiliary_position, which a loosely coupled receiver does not"),
         (SNAPSHOT, "acna", "Acna needs gnss_position, which a snapshot receiver does not have"),
-        (ROBOT, "srv-raim", "SrvRaim measures satellites, but the receiver measures position"),
-        (
-            ROBOT,
-            {"name": "windowed-chi2", "window": 500},
-            "WindowedChi2 can't alarm in its first 499 epochs, and an episode has 19",
-        ),
-        (
-            "spoofgym/TightlyCoupled-v0",
-            "rio",
-            "Rio needs auxiliary_position, gnss_position, which a tightly coupled receiver",
-        ),
+        (ROBOT, LONG, "WindowedChi2 can't alarm in its first 499 epochs, and an episode has 19"),
+        (TIGHT, "rio", "Rio needs auxiliary_position, gnss_position, which a tightly coupled rec"),
     ],
 )
-def test_detectors_that_do_not_fit_are_refused(env: str, detector: Any, message: str) -> None:
+def test_detectors_that_do_not_fit_are_refused(env, detector, message):
     suite = suite_of(env, detectors=(detector,))
     (entry,) = suite.detector_players
     text = f"detector {entry.label} in {env}: {message}"
@@ -181,24 +163,16 @@ def test_detectors_that_do_not_fit_are_refused(env: str, detector: Any, message:
         ({"env": "Snapshot"}, "unknown environment of the benchmark 'Snapshot'; valid: .*Loosely"),
         ({"settings": {"sats": 8}}, "Snapshot-v0 has no setting 'sats', got 8; valid: t"),
         ({"scenario": "groves"}, "Snapshot-v0 has no setting 'scenario', got 'groves'; valid:"),
-        ({"receiver": "matched"}, "Snapshot-v0 has no setting 'receiver', got 'matched'"),
         ({"settings": {"timeline": {}}}, "`settings` has 'timeline', which is given by name, too"),
         ({"settings": {"detector": "never"}}, "has no setting 'detector', got 'never'"),
-        ({"settings": {"satellites": 3}}, "`satellites` must be a whole number >= 4, got 3"),
         ({"settings": {"noise_m": "much"}}, "`noise_m` must be a number above 0, got 'much'"),
-        ({"settings": {"rate_limit_mps": "5"}}, "`rate_limit_mps` must be a number above 0, .*'5'"),
+        ({"settings": {"speed_mps": None, "heading_deg": "n"}}, "must be a finite number, got 'n'"),
         (
-            {"settings": {"speed_mps": None, "heading_deg": "n"}},
-            "`heading_deg` must be a finite number, got 'n'",
+            {"settings": {"rate_limit_mps": [1.0, 1.0, 1.0, 9.0]}},
+            r"one limit of the rate .* got \(1.0, 1.0, 1.0, 9.0\)",
         ),
     ],
 )
-def test_wrong_settings_are_refused(changes: dict[str, Any], message: str) -> None:
+def test_wrong_settings_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         suite_of(**{"env": SNAPSHOT, **changes}).check_fit()
-
-
-def test_spoofers_need_one_limit_of_the_rate() -> None:
-    suite = suite_of(SNAPSHOT, settings={"rate_limit_mps": [1.0, 1.0, 1.0, 9.0]})
-    with pytest.raises(ValueError, match=r"one limit of the rate .* got \(1.0, 1.0, 1.0, 9.0\)"):
-        suite.check_fit()

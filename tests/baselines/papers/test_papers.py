@@ -3,41 +3,23 @@
 import json
 import math
 import re
-from pathlib import Path
 
 import pytest
 
+from baselines.papers import paper as papers
 from baselines.papers.frame import Settings
 from baselines.papers.page import DOCS, page_text
-from baselines.papers.paper import (
-    KEYS,
-    check_rows,
-    list_parts,
-    load_paper,
-    rows_from_record,
-    rows_record,
-)
+from baselines.papers.paper import KEYS, list_parts, load_paper, rows_from_record
 from baselines.papers.tables import COUNTS, by_table
 
-ROOT = Path(__file__).resolve().parents[3]
-FIGURES_OF_M2 = ("Fig. 8", "Fig. 10")
+every_paper = pytest.mark.parametrize("key", KEYS)
 
 
-@pytest.fixture(params=KEYS)
-def key(request):
-    return request.param
-
-
-@pytest.fixture
-def stored(key):
+def read(key):
     return json.loads((DOCS / f"{key}.json").read_text())
 
 
-@pytest.fixture
-def page(key):
-    return (DOCS / f"{key}.md").read_text()
-
-
+@every_paper
 def test_parts_have_names_of_their_own_and_can_be_run_elsewhere(key):
     for quick in (True, False):
         first, other = (list_parts(load_paper(key), Settings(quick, seed)) for seed in (0, 1))
@@ -46,30 +28,22 @@ def test_parts_have_names_of_their_own_and_can_be_run_elsewhere(key):
         assert [part.settings for part in first] != [part.settings for part in other]
 
 
-def test_the_texts_say_something_and_indices_name_every_paper(key):
-    paper = load_paper(key)
-    for name in ("TITLE", "CLAIMS", "FINDINGS", "READINGS"):
-        assert getattr(paper, name).strip(), name
-        assert not getattr(paper, name).lstrip().startswith("#"), "headings are the page's own"
-    assert key[-4:] in paper.TITLE
-    assert f"{{{key}," in (ROOT / "references.bib").read_text()
-    assert f"](papers/{key}.md)" in (DOCS.parent / "README.md").read_text()
-    assert f"| `{key}` |" in (DOCS.parent / "papers.md").read_text()
-
-
 def test_every_other_link_of_the_index_leads_somewhere():
-    targets = re.findall(r"\]\(([^)#:]+)\)", (DOCS.parent / "README.md").read_text())
-    pages = {path.relative_to(DOCS.parent).as_posix() for path in DOCS.parent.rglob("*.md")}
+    docs = DOCS.parent
+    targets = re.findall(r"\]\(([^)#:]+)\)", (docs / "README.md").read_text())
+    pages = {path.relative_to(docs).as_posix() for path in docs.rglob("*.md")} - {"README.md"}
     # the API has an index of its own
     listed = {page for page in pages if page == "api/README.md" or not page.startswith("api/")}
-    assert sorted(targets) == sorted(listed - {"README.md"})
+    assert sorted(targets) == sorted(listed)
 
 
-def test_a_page_agrees_with_its_json_and_has_its_counts_and_pictures(key, stored, page):
+@every_paper
+def test_a_page_agrees_with_its_json_and_has_its_counts_and_pictures(key):
+    stored, page = read(key), (DOCS / f"{key}.md").read_text()
     assert page == page_text(load_paper(key), stored), "run `python -m baselines.papers.page`"
     rows = rows_from_record(stored)
-    check_rows(rows)
-    assert {**stored, **rows_record(rows)} == stored
+    papers.check_rows(rows)
+    assert {**stored, **papers.rows_record(rows)} == stored
     assert stored["paper"] == key
     assert by_table(stored["rows"])
     for verdict, words in (
@@ -78,15 +52,16 @@ def test_a_page_agrees_with_its_json_and_has_its_counts_and_pictures(key, stored
     ):
         told = [row[verdict] for row in stored["rows"] if row[verdict] is not None]
         assert f"- {sum(told)} of {len(told)} {words}." in page
-    assert stored["pictures"]
-    for name in stored["pictures"]:
+    drawn = {path.name for path in (DOCS / "figures").glob(f"{key}*")}
+    assert drawn == set(stored["pictures"]) != set()
+    for name in drawn:
         assert f"(figures/{name})" in page
         assert (DOCS / "figures" / name).read_bytes().startswith(b"\x89PNG")
-    drawn = {path.name for path in (DOCS / "figures").glob(f"{key}*")}
-    assert drawn == set(stored["pictures"])
 
 
-def test_a_band_that_excludes_the_printed_value_is_never_met(stored):
+@every_paper
+def test_a_band_that_excludes_the_printed_value_is_never_met_and_says_where_it_is_from(key):
+    stored = read(key)
     for row in stored["rows"]:
         kind = row["origin"] and stored["origins"][row["origin"]]["kind"]
         # an independent band never serves as a margin around the paper
@@ -102,51 +77,33 @@ def test_a_band_that_excludes_the_printed_value_is_never_met(stored):
         high = math.inf if row["high"] is None else row["high"]
         if row["ours"] is None or not low <= row["paper"] <= high or not low <= row["ours"] <= high:
             assert row["printed_inside"] is False, where
-
-
-def test_an_origin_says_whose_runs_and_seeds(stored):
     for letter, origin in stored["origins"].items():
         words = origin["text"]
         assert "{" not in words, letter
         assert re.search("seed|SeedSequence|no noise|processor time", words), (letter, words)
-        if origin["kind"] == "independent":
-            assert "second program" in words, letter
-
-
-def test_no_page_names_what_its_reader_cannot_see(key):
-    unseen = re.compile(r"\b(notes|prototypes?|prototype's|design notes)\b", re.IGNORECASE)
-    sources = [DOCS / f"{key}.md", DOCS / f"{key}.json"]
-    for path in [*sources, *sorted((ROOT / "baselines" / "papers" / key).glob("*.py"))]:
-        assert not unseen.findall(path.read_text()), path.name
+        assert origin["kind"] != "independent" or "second program" in words, letter
 
 
 def stored_rows(key):
-    record = json.loads((DOCS / f"{key}.json").read_text())
-    return {(row.table, row.row, row.quantity): row for row in rows_from_record(record)}
+    return {(row.table, row.row, row.quantity): row for row in rows_from_record(read(key))}
 
 
 def test_ke2022_has_what_is_printed_and_says_where_the_paper_contradicts_itself():
     rows = stored_rows("ke2022")
     shorter = {row.paper for (_, _, what), row in rows.items() if what == "shorter than M2 [%]"}
     assert shorter == {64.0, 38.0, 41.5}
-    twice = [rows[figure, "M2, ramp 0.05 m/s", "detection time [s]"] for figure in FIGURES_OF_M2]
+    twice = [
+        rows[figure, "M2, ramp 0.05 m/s", "detection time [s]"] for figure in ("Fig. 8", "Fig. 10")
+    ]
     assert [row.paper for row in twice] == [157.0, 147.0]
     assert all("contradicts itself" in row.note for row in twice)
     assert sum(row.band is not None for row in twice) == 1  # one value of ours counts once
-
-
-@pytest.mark.parametrize(("table", "told", "paper"), [("6", "5 m", 74.0), ("8", "0.05 m/s", 42.0)])
-def test_ke2022_holds_its_misses_against_all_satellites(table, told, paper):
-    rows = stored_rows("ke2022")
-    row = rows[f"Table {table}", f"M2, {told}, each satellite in turn", "missed [%]"]
-    assert row.paper == paper
-    assert row.band is not None
-    assert "eight satellites" in row.band.origin.text
-
-
-def test_ke2022_holds_its_position_errors_against_single_runs():
-    figures = ("Fig. 9b", "Fig. 10b")
-    errors = [row for key, row in stored_rows("ke2022").items() if key[0] in figures]
+    # its misses are held against all satellites, and its position errors against single runs
+    for table, told, paper in (("6", "5 m", 74.0), ("8", "0.05 m/s", 42.0)):
+        row = rows[f"Table {table}", f"M2, {told}, each satellite in turn", "missed [%]"]
+        assert row.paper == paper
+        assert "eight satellites" in row.band.origin.text
+    errors = [row for key, row in rows.items() if key[0] in ("Fig. 9b", "Fig. 10b")]
     assert len(errors) == 16
     assert all(row.band is not None and row.paper is not None for row in errors)
 
@@ -163,7 +120,3 @@ def test_shadmehri2025_explains_the_alarms_of_its_smallest_r():
     )
     assert max(white) < 1e-3 < min(correlated)
     assert correlated == sorted(correlated)
-
-
-def test_song2021_says_what_stands_for_its_seven_measurements():
-    assert "seven measurements (eq. 9)" in load_paper("song2021").READINGS

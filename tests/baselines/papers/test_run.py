@@ -13,14 +13,7 @@ from baselines.papers import paper as papers
 from baselines.papers import run as running
 from baselines.papers import sources
 from baselines.papers.frame import Band, Origin, Part, Row, Settings, fill_origins
-from baselines.papers.paper import (
-    check_rows,
-    format_letter,
-    list_parts,
-    load_paper,
-    rows_from_record,
-    rows_record,
-)
+from baselines.papers.paper import check_rows, format_letter, rows_from_record, rows_record
 from baselines.papers.run import PaperRun, PartError
 
 from . import toy
@@ -29,14 +22,15 @@ QUICK = Settings(quick=True, seed=0)
 
 
 @pytest.fixture
-def dice(monkeypatch, tmp_path):
-    """The toy, as one of the papers, and the file in which its parts leave marks."""
+def thrown(monkeypatch, tmp_path):
+    """The toy, as one of the papers; numbers of throws of the parts that were run."""
     monkeypatch.setitem(sys.modules, f"baselines.papers.{toy.KEY}", toy)
     for module in (papers, command):
         monkeypatch.setattr(module, "KEYS", (toy.KEY,))
     marks = tmp_path / "marks"
+    marks.write_text("")
     monkeypatch.setattr(toy, "marks", str(marks))
-    return marks
+    return lambda: sorted(marks.read_text().split())
 
 
 def play(out, settings=QUICK, jobs=1, **options):
@@ -44,7 +38,7 @@ def play(out, settings=QUICK, jobs=1, **options):
     return run, run.play(jobs, **options)
 
 
-def test_parts_run_in_processes_that_have_a_thread_each(dice, tmp_path, monkeypatch):
+def test_parts_run_in_processes_that_have_a_thread_each(thrown, tmp_path, monkeypatch):
     parts = [Part(name, toy.place, {"seed": 0}) for name in ("a", "b")]
     monkeypatch.setattr(toy, "parts", lambda settings: parts)
     before = os.environ.get("OMP_NUM_THREADS")
@@ -54,16 +48,16 @@ def test_parts_run_in_processes_that_have_a_thread_each(dice, tmp_path, monkeypa
     assert os.environ.get("OMP_NUM_THREADS") == before
 
 
-def test_stored_parts_are_not_run_again_and_a_damaged_one_is_named(dice, tmp_path, monkeypatch):
-    run, first = play(tmp_path, jobs=2)
-    assert sorted(dice.read_text().split()) == ["100", "200"]
+def test_stored_parts_are_not_run_again_and_a_damaged_one_is_named(thrown, tmp_path, monkeypatch):
+    run, first = play(tmp_path)
+    assert thrown() == ["100", "200"]
     again, found = play(tmp_path)
-    assert sorted(dice.read_text().split()) == ["100", "200"]
+    assert thrown() == ["100", "200"]
     assert again.record(found) == run.record(first)
     assert found["100 throws"]["eyes"].tolist() == toy.throw(100, 0)["eyes"].tolist()
     run.store.build_path("100 throws").unlink()
     play(tmp_path)
-    assert sorted(dice.read_text().split()) == ["100", "100", "200"]
+    assert thrown() == ["100", "100", "200"]
     run.store.build_path("200 throws").write_bytes(b"half a file")
     with pytest.raises(ValueError, match=r"200-throws.* is damaged .*; delete it and run again"):
         play(tmp_path)
@@ -72,58 +66,54 @@ def test_stored_parts_are_not_run_again_and_a_damaged_one_is_named(dice, tmp_pat
         with pytest.raises(ValueError, match=r"holds other results \(config\.sources: "):
             use()
     play(tmp_path, overwrite=True)
-    assert len(dice.read_text().split()) == 5
+    assert len(thrown()) == 5
 
 
-def test_another_seed_and_the_full_run_have_results_of_their_own(dice, tmp_path):
+def test_another_seed_and_the_full_run_have_results_of_their_own(thrown, tmp_path):
     others = (QUICK, replace(QUICK, seed=1), replace(QUICK, quick=False), QUICK)
-    played = [play(tmp_path, settings) for settings in others]
-    means = [run.rows(data)[0].ours for run, data in played]
+    means = [run.rows(data)[0].ours for run, data in (play(tmp_path, each) for each in others)]
     assert len(set(means)) == 3
     assert means[0] == means[-1]
-    assert len(dice.read_text().split()) == 6
+    assert len(thrown()) == 6
 
 
-@pytest.mark.parametrize("place", [0, 2])
-def test_a_part_that_fails_is_named_and_those_before_it_are_kept(
-    dice, tmp_path, monkeypatch, place
-):
-    parts = [replace(part, weight=1.0) for part in toy.parts(QUICK)]
-    parts.insert(place, Part("odd", toy.fail, {"seed": 0}))
+def test_a_part_that_fails_is_named_and_those_before_it_are_kept(thrown, tmp_path, monkeypatch):
+    first, last = (replace(part, weight=1.0) for part in toy.parts(QUICK))
+    parts = [first, Part("odd", toy.fail, {"seed": 0}), last]
     monkeypatch.setattr(toy, "parts", lambda settings: parts)
     with pytest.raises(PartError, match=r"part 'odd' of toy2025 has failed: no die"):
         play(tmp_path)
-    assert len(dice.read_text().split() if dice.exists() else []) == place
+    assert thrown() == ["100"]
     with pytest.raises(ValueError, match="is not in"):
         PaperRun(toy.KEY, QUICK, tmp_path).load_data()
 
 
-def test_a_run_prints_json_or_tables_and_draws_figures(dice, tmp_path):
-    arguments = [toy.KEY, "--quick", "--jobs", "1", "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(command.app, [*arguments, "--json"])
-    assert result.exit_code == 0
-    told = json.loads(result.stdout)
+def test_a_run_prints_json_or_tables_and_draws_figures(thrown, tmp_path):
+    def called(key, *more):
+        words = [key, "--quick", "--jobs", "1", "--out", str(tmp_path / "out"), *more]
+        result = CliRunner().invoke(command.app, words)
+        assert result.exit_code == 0
+        return result.stdout
+
+    told = json.loads(called(toy.KEY, "--json"))
     assert list(told) == ["paper", "runs", "seed", "origins", "rows"]
     assert (told["paper"], told["runs"], told["seed"]) == (toy.KEY, 300, 0)
-    values = ["table", "row", "quantity", "paper", "ours", "low", "high", "origin"]
-    for row in told["rows"]:
-        assert list(row) == [*values, "printed_inside", "agrees", "kept", "note"]
+    names = "table row quantity paper ours low high origin printed_inside agrees kept note"
     columns = {
         "printed_inside": [True, True, None, False, False, None],
         "agrees": [None, None, None, None, True, None],
         "kept": [None] * 5 + [True],
         "origin": ["A", "A", None, "A", "B", "C"],
     }
+    assert all(list(row) == names.split() for row in told["rows"])
     assert columns == {name: [row[name] for row in told["rows"]] for name in columns}
     kinds = {letter: origin["kind"] for letter, origin in told["origins"].items()}
     assert kinds == {"A": "tolerance", "B": "independent", "C": "bound"}
-    every = CliRunner().invoke(command.app, ["all", *arguments[1:], "--json"])
-    assert json.loads(every.stdout) == [told]
-    result = CliRunner().invoke(command.app, [*arguments, "--figures", str(tmp_path / "fig")])
-    assert result.exit_code == 0
-    assert "Dice et al. (2025), Table 2" in result.stdout
-    assert "2 of 4 printed values lie inside the tolerance of the reproduction." in result.stdout
-    assert "Bands B (independent): Another die." in result.stdout
+    assert json.loads(called("all", "--json")) == [told]
+    text = called(toy.KEY, "--figures", str(tmp_path / "fig"))
+    assert "Dice et al. (2025), Table 2" in text
+    assert "2 of 4 printed values lie inside the tolerance of the reproduction." in text
+    assert "Bands B (independent): Another die." in text
     assert (tmp_path / "fig" / toy.KEY / "dice_7.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -132,7 +122,7 @@ def test_an_unknown_key_lists_the_valid_ones():
     assert result.exit_code == 2
     assert "valid: all, ke2022, shadmehri2025, song2021, wu2024, zhong2025" in result.stderr
     with pytest.raises(ValueError, match="did you mean 'wu2024'"):
-        load_paper("wu2023")
+        papers.load_paper("wu2023")
 
 
 @pytest.mark.parametrize(
@@ -149,39 +139,38 @@ def test_parts_are_checked(part, message, monkeypatch):
     parts = [*toy.parts(QUICK), part]
     monkeypatch.setattr(toy, "parts", lambda settings: parts)
     with pytest.raises(ValueError, match=message):
-        list_parts(toy, QUICK)
+        papers.list_parts(toy, QUICK)
 
 
-def test_rows_and_bands_are_checked():
-    for ours, band, message in (
-        (float("nan"), None, "row T, r, q: `ours` must be a finite number or None"),
-        (True, None, "`ours` must be a finite number or None, got True"),
-        (1.0, Band(2.0, 1.0, toy.NEAR), "its band is empty, from 2.0 to 1.0"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            check_rows([Row("T", "r", "q", 1.0, ours, band)])
-    row = Row("T", "r", "q", 1.0, 1.0)
-    with pytest.raises(ValueError, match="stands there twice"):
-        check_rows([row, row])
-    with pytest.raises(ValueError, match="must have `low` or `high`"):
-        Band(None, None, toy.NEAR)
-    with pytest.raises(ValueError, match="valid: bound, independent, tolerance"):
-        Origin("guess", "A guess.")
-    with pytest.raises(ValueError, match="must say where it comes from"):
-        Origin("bound", " ")
-    assert Origin("bound", "Some\n   text.").text == "Some text."
+ROW = Row("T", "r", "q", 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: [replace(ROW, ours=float("nan"))], "row T, r, q: `ours` must be a finite number"),
+        (lambda: [replace(ROW, ours=True)], "`ours` must be a finite number or None, got True"),
+        (lambda: [replace(ROW, band=Band(2.0, 1.0, toy.NEAR))], "its band is empty, from 2.0 to 1"),
+        (lambda: [ROW, ROW], "stands there twice"),
+        (lambda: Band(None, None, toy.NEAR), "must have `low` or `high`"),
+        (lambda: Origin("guess", "A guess."), "valid: bound, independent, tolerance"),
+        (lambda: Origin("bound", " "), "must say where it comes from"),
+    ],
+)
+def test_rows_and_bands_are_checked(make, message):
+    with pytest.raises(ValueError, match=message):
+        check_rows(make())
 
 
 def test_a_band_has_its_ends_and_may_be_open():
-    for low, value, high, inside in (
-        (1.0, 1.0, 2.0, True),
-        (1.0, 2.5, 2.0, False),
-        (None, 2.0, 2.0, True),
-        (2.0, 1.0, None, False),
-        (1.0, None, 2.0, False),
-        (0.0, 0.0, 0.0, True),
+    for low, high, inside, outside in (
+        (1.0, 2.0, [1.0, 2.0], [0.9, 2.1, None]),
+        (None, 2.0, [-9.0, 2.0], [2.1]),
+        (2.0, None, [2.0, 9.0], [1.9]),
+        (0.0, 0.0, [0.0], [0.1]),
     ):
-        assert Band(low, high, toy.NEAR).holds(value) is inside
+        found = [Band(low, high, toy.NEAR).holds(value) for value in [*inside, *outside]]
+        assert found == [True] * len(inside) + [False] * len(outside)
 
 
 @pytest.mark.parametrize(
@@ -195,25 +184,22 @@ def test_a_band_has_its_ends_and_may_be_open():
     ],
 )
 def test_the_printed_value_and_ours_both_have_to_lie_in_the_band(paper, ours, printed_inside):
-    mine = ours == 1.5
+    row, mine = replace(ROW, paper=paper, ours=ours), ours == 1.5
     for origin in (toy.NEAR, toy.SECOND, toy.SIDES):
-        row = Row("T", "r", "q", paper, ours, Band(1.0, 2.0, origin))
-        assert row.printed_inside is printed_inside
-        assert row.agrees is (mine if origin is toy.SECOND else None)
-        assert row.kept is (mine if origin is toy.SIDES else None)
-    bare = Row("T", "r", "q", paper, ours)
-    assert (bare.printed_inside, bare.agrees, bare.kept) == (None,) * 3
+        held = replace(row, band=Band(1.0, 2.0, origin))
+        assert held.printed_inside is printed_inside
+        assert held.agrees is (mine if origin is toy.SECOND else None)
+        assert held.kept is (mine if origin is toy.SIDES else None)
+    assert (row.printed_inside, row.agrees, row.kept) == (None,) * 3
 
 
 def test_rows_come_back_from_their_record():
-    rows = fill_origins(
-        [
-            Row("T", "r", "a", 1.0, 1.5, Band(1.0, None, toy.NEAR), "a note"),
-            Row("T", "r", "b", None, 1.5, Band(None, 2.0, toy.SECOND)),
-            Row("T", "r", "c", None, None),
-        ],
-        seed=4,
-    )
+    made = [
+        Row("T", "r", "a", 1.0, 1.5, Band(1.0, None, toy.NEAR), "a note"),
+        Row("T", "r", "b", None, 1.5, Band(None, 2.0, toy.SECOND)),
+        Row("T", "r", "c", None, None),
+    ]
+    rows = fill_origins(made, seed=4)
     assert rows[0].band.origin.text == "Half an eye to either side; seed 4."
     assert rows_from_record(json.loads(json.dumps(rows_record(rows)))) == rows
     assert [format_letter(n) for n in (0, 25, 26, 51, 52)] == ["A", "Z", "AA", "AZ", "BA"]
@@ -231,7 +217,7 @@ def test_texts_and_comments_cost_no_run_but_code_does(tmp_path, monkeypatch):
     digest("draws", "SIDES = 6\n")
     digest("helper", "from .draws import SIDES\n")
     digest("__init__", "from .runs import play\n")
-    begin = "\n".join(['"""A paper."""', "def play():", "    from . import helper", ""])
+    begin = '"""A paper."""\ndef play():\n    from . import helper\n'
     first = digest("runs", f'{begin}FINDINGS = "a"\nRUNS = 3\ndef rows(): return 1\n')
     changed = begin.replace("A paper", "Paper") + "# told\n"
     assert digest("runs", f'{changed}FINDINGS = "b"\nRUNS = 3\ndef rows(): return 2\n') == first
@@ -241,7 +227,5 @@ def test_texts_and_comments_cost_no_run_but_code_does(tmp_path, monkeypatch):
     assert digest("draws", "SIDES = 5\n") != first
     assert digest("draws", "SIDES = 6\n") == first
     assert digest("runs", f'{begin}FINDINGS = "b"\nRUNS = 4\n') != first
-    digest("__init__", "RUNS = 4\n")
-    of_package = begin.replace("helper", "helper, RUNS")
-    other = digest("runs", of_package)
+    other = digest("runs", begin.replace("helper", "helper, RUNS"))
     assert digest("__init__", "RUNS = 5\n") != other

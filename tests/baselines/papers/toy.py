@@ -2,11 +2,10 @@
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from baselines.papers.frame import Band, Origin, Part, Row, Settings, fill_origins
+from baselines.papers.frame import Band, Origin, Part, Row, fill_origins
 
 TITLE = "Dice et al. (2025)"
 CLAIMS = "The mean of a die is 3.5."
@@ -17,8 +16,10 @@ NEAR = Origin("tolerance", "Half an eye to either side; seed {seed}.")
 SECOND = Origin("independent", "Another die.")
 SIDES = Origin("bound", "A die has six sides.")
 
+marks = None
 
-def throw(runs: int, seed: int, marks: str | None = None) -> dict[str, Any]:
+
+def throw(runs, seed, marks=None):
     """Throw a die; leave a mark, so that a test can count."""
     if marks is not None:
         with Path(marks).open("a") as file:
@@ -27,20 +28,16 @@ def throw(runs: int, seed: int, marks: str | None = None) -> dict[str, Any]:
     return {"eyes": eyes, "mean": eyes.mean(), "ends": [np.int64(eyes.min()), int(eyes.max())]}
 
 
-def place(seed: int) -> dict[str, Any]:
+def place(seed):
     """Where a part runs."""
     return {"process": os.getpid(), "threads": os.environ.get("OMP_NUM_THREADS")}
 
 
-def fail(seed: int) -> dict[str, Any]:
-    """A part that cannot be."""
+def fail(seed):
     raise ZeroDivisionError("no die")
 
 
-marks: str | None = None
-
-
-def parts(settings: Settings) -> list[Part]:
+def parts(settings):
     counts = (100, 200) if settings.quick else (1000, 2000)
     return [
         Part(f"{runs} throws", throw, {"runs": runs, "seed": settings.seed, "marks": marks}, runs)
@@ -48,7 +45,7 @@ def parts(settings: Settings) -> list[Part]:
     ]
 
 
-def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
+def rows(data, settings):
     made = [
         Row("Table 1", name, "mean", 3.5, result["mean"], Band(3.0, 4.0, NEAR))
         for name, result in data.items()
@@ -63,13 +60,11 @@ def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
     return fill_origins(made, seed=settings.seed)
 
 
-def figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
+def figures(data, folder):
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots()
-    for name, result in data.items():
-        axes.hist(result["eyes"], label=name)
-    axes.set(title="Dice", xlabel="eyes [1]", ylabel="throws [1]")
+    axes.hist(next(iter(data.values()))["eyes"])
     path = folder / "dice_7.png"
     figure.savefig(path)
     plt.close(figure)

@@ -1,7 +1,5 @@
 """A small experiment: numbers, their sums, and a group in one pass."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -12,7 +10,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from spoofgym.bench.experiments import Cell, Experiment, Result, Store, run_experiment
+from spoofgym.bench.experiments import (
+    Cell,
+    Experiment,
+    Interrupted,
+    Result,
+    Store,
+    run_experiment,
+)
 
 
 @dataclass(frozen=True)
@@ -48,16 +53,11 @@ class Numbers(Experiment):
         context.tick(0.5 * cell.work)
         return Result(record={"sum": before.arrays["normal"].sum(), "key": cell.key})
 
-    def run_group(self, cells, results, context):
-        context.cache["calls"] = context.cache.get("calls", 0) + 1
-        return super().run_group(cells, results, context)
-
     def report(self, results):
         return {key: result.record for key, result in results.items()}
 
 
-def content(folder: Path) -> dict[str, bytes]:
-    """All files but temporary ones."""
+def content(folder):
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in sorted(folder.rglob("*"))
@@ -65,20 +65,9 @@ def content(folder: Path) -> dict[str, bytes]:
     }
 
 
-def expected(folder: Path, **settings) -> dict[str, bytes]:
-    """What a run that nothing interrupts leaves."""
-    run_experiment(Numbers(**settings), Store(folder))
-    return content(folder)
-
-
 if __name__ == "__main__":  # folder, seconds a cell, jobs, file of the kill
-    from spoofgym.bench.experiments import Interrupted
-
+    folder, seconds, jobs, *kills = sys.argv[1:]
     try:
-        run_experiment(
-            Numbers(seconds=float(sys.argv[2]), kills=sys.argv[4] if sys.argv[4:] else ""),
-            Store(sys.argv[1]),
-            jobs=int(sys.argv[3]),
-        )
+        run_experiment(Numbers(3, float(seconds), *kills), Store(folder), jobs=int(jobs))
     except (Interrupted, OSError) as error:
         sys.exit(str(error))
