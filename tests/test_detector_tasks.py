@@ -61,7 +61,7 @@ def test_names_are_told_apart_and_copies_handed_out():
     assert LearnersSide.of(None, "D1", "detector", ["ramp"], None, {}).pool == ["ramp"]
     with pytest.raises(ValueError, match=r"unknown task for detectors 'D9'; valid: D1.*D4"):
         get_detector_task("D9")
-    with pytest.raises(ValueError, match=r"unknown family of attacks of D3 'quiet'; valid: .*inh"):
+    with pytest.raises(ValueError, match=r"unknown family of attacks of D3 'quiet'; valid: .*inhe"):
         get_detector_task("D3").family("quiet")
     with pytest.raises(ValueError, match="D1 is for detectors: it needs `side` 'detector'"):
         LearnersSide.of(None, "D1", "spoofer", None, None, {})
