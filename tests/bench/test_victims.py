@@ -65,10 +65,10 @@ def test_a_campaign_is_scored_tabled_and_drawn(env, tmp_path):
     # and without limits it says why
     (notes,) = list_limit_notes(summary)
     assert notes.startswith("Floor: none, since no limit is known for ")
-    for judge, row in zip(judges, summary["detectors"], strict=True):
+    assert f"- No zero-alarm bound of {', '.join(judges)}: no limit is known" in text
+    for row in summary["detectors"]:
         assert row["bracket"]["floor_m"] == {STEALTHY: None, HALF: None}
         assert "no limit is known for" in row["bracket"]["zero_alarm"]["why"]
-        assert f"- No zero-alarm bound of {judge}: no limit is known" in text
 
 
 DOMAIN = {
