@@ -72,8 +72,9 @@ def test_a_training_on_a_page_is_understood(line):
     tyro = pytest.importorskip("tyro")
     pytest.importorskip("stable_baselines3")
     name, *words = shlex.split(line)[2:]
-    module = importlib.import_module(name)
-    kind = getattr(module, "Arguments", None) or module.Settings
+    names = vars(importlib.import_module(name))
+    named = [names[each] for each in ("Arguments", "Settings") if each in names]
+    (kind,) = (each for each in named if each.__module__ == name)
     if "--help" not in words:
         given = shlex.split(words[0]) if len(words) == 1 else words
         assert isinstance(tyro.cli(kind, args=given), kind)
