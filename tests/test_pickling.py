@@ -18,10 +18,10 @@ from spoofgym.earth import wgs84
 from .envs.support import VICTIMS, victim, victims
 
 
-def play(env: Any) -> list[Any]:
+def play(env: Any, steps: int = 4) -> list[Any]:
     """What some steps show, with the same command for every receiver."""
     command = np.full(env.action_space.shape, 0.3, dtype=np.float32)
-    return [part for _ in range(4) for part in env.step(command)[:2]]
+    return [part for _ in range(steps) for part in env.step(command)[:2]]
 
 
 def go_on(env: Any) -> list[Any]:
@@ -30,7 +30,7 @@ def go_on(env: Any) -> list[Any]:
 
 def under_way(env: Any) -> Any:
     env.reset(seed=1)
-    play(env)
+    play(env, 1)
     return env
 
 
