@@ -86,7 +86,10 @@ def test_the_line_of_the_error_is_a_line_that_helps():
             "has no argument 'scenario'",
         ),
         *(
-            (["--detector", f"snapshot-chi2:{asked}=3"], f"asks for `{asked}`, but thresholds are")
+            (
+                ["--detector", f"snapshot-chi2:{asked}=3"],
+                f"has `{asked}`, which this command computes",
+            )
             for asked in ("thresholds", "false_alarms_per_hour", "calibration")
         ),
         (["--runs", "5"], "5 clean runs are too few: it takes at least 7"),

@@ -283,8 +283,8 @@ class Dice(Recurrent):
 @pytest.mark.parametrize(
     ("module", "options", "message"),
     [
-        (Forgets, {}, r"of action and states, got \(2, 1\)"),
-        (partial(Recurrent, decided=2), {}, r"of action and states, got \(2, 2\), \(2, 6\)"),
+        (Forgets, {}, r"for action and states, got \(2, 1\)"),
+        (partial(Recurrent, decided=2), {}, r"for action and states, got \(2, 2\), \(2, 6\)"),
         (lambda size: Recurrent(size + 1), {}, r"can't be run with \(B, 37\), \(B, 6\), to ret"),
         (Recurrent, {"state": {"hidden": 5}}, r"can't be run with \(B, 37\), \(B, 5\)"),
         (Recurrent, {"state": {}}, r"can't be run with \(B, 37\), to return \(B, 1\)"),

@@ -93,7 +93,7 @@ def shown() -> str:
         waiting=waiting,
         missing=tasks.missing(),
         family_table=tasks.family_table,
-        ranked=tasks.rank_scores,
+        rank_scores=tasks.rank_scores,
     )
 
 

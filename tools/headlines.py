@@ -102,7 +102,7 @@ def shown(kept: dict[str, Any]) -> str:
         notes = (note.partition(LEFT_OUT) for note in world["notes"])
         left_out = [label for label, found, _ in notes if found]
         worlds.append({**world, "tables": _tables(world), "per_run": per_run, "left_out": left_out})
-    return render_page("headlines.md.j2", worlds=worlds, floor_notes=report.list_limit_notes)
+    return render_page("headlines.md.j2", worlds=worlds, list_limit_notes=report.list_limit_notes)
 
 
 def _tables(world: dict[str, Any]) -> str:

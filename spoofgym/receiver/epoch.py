@@ -261,7 +261,7 @@ class TracedEpoch(Epoch):
 
     @property
     def read_fields(self) -> set[str]:
-        found: set[str] = self.__dict__.setdefault("read", set())
+        found: set[str] = self.__dict__.setdefault("read_fields", set())
         return found
 
     def __getattribute__(self, name: str) -> Any:

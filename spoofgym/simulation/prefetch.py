@@ -119,7 +119,7 @@ class NextEpisodes:
 
     def __getstate__(self) -> dict[str, Any]:
         pending = {**self._open(self._groups), **self._requests}
-        return {**self.__dict__, "_asked": pending, "_groups": [], "_generation": None}
+        return {**self.__dict__, "_requests": pending, "_groups": [], "_generation": None}
 
     def _slots(self, rows: NDArray[np.intp], ahead: NDArray[np.int64] | int) -> NDArray[np.intp]:
         """Where the episodes lie that some receivers come to after some others."""

@@ -123,9 +123,9 @@ def test_identities_are_resolved_settings():
         ({"thresholds": "usual"}, "`thresholds` must be 'nominal', 'calibrated' or 'rescaled', go"),
         ({"thresholds": "rescaled", **RATE}, "'rescaled' is for detectors with a drift term"),
         ({"thresholds": "nominal", **RATE}, "has `thresholds` 'nominal' and `false_ala"),
-        ({"threshold_scale": 1.0, **RATE}, "a factor of your own, and for `false_alarms_per_hour`"),
-        ({"threshold_scale": 1.0, "calibration": "a.json"}, "of your own, and for `calibration`"),
-        ({"threshold_scale": 1.0, "thresholds": "rescaled"}, "of your own, and for `thresholds`"),
+        ({"threshold_scale": 1.0, **RATE}, "a factor of your own, and `false_alarms_per_hour`"),
+        ({"threshold_scale": 1.0, "calibration": "a.json"}, "of your own, and `calibration`"),
+        ({"threshold_scale": 1.0, "thresholds": "rescaled"}, "of your own, and `thresholds`"),
         ({"calibration": "no-such-file.json"}, "no-such-file.json"),
     ],
 )

@@ -75,7 +75,7 @@ SMALLER: dict[str, tuple[str | None, str]] = {
 """How commands begin that would take more than some ten minutes or can't run here; with what
 options they run instead, None where they do not; and why."""
 SMALLER_CODE = {
-    "calibrate(setup, [": "calibrate(setup, runs=2000, detectors=[",
+    "calibrate_detectors(setup, [": "calibrate_detectors(setup, runs=2000, detectors=[",
     "TURNS, STEPS, RUNS = 4, 20_000, 200": "TURNS, STEPS, RUNS = 1, 1_024, 19",
     "learn(100_000": "learn(9_600",
     "learn(1_000_000": "learn(9_600",

@@ -121,7 +121,7 @@ def test_after_a_change_of_the_pool_all_receivers_begin_anew(view, kwargs, pool)
     envs.step(action)
     envs.set_pool([pool], [2.0])
     for options in ({"reset_mask": np.array([True, False])}, {"domain": 3}):
-        with pytest.raises((ValueError, TypeError), match=r"that of all receivers|must be a dict"):
+        with pytest.raises((ValueError, TypeError), match=r"reset all receivers|must be a dict"):
             envs.reset(options=options)
         with pytest.raises(RuntimeError, match="the pool has changed"):
             envs.step(action)

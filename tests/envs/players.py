@@ -99,8 +99,7 @@ def make(name: str, form: str, count: int = COUNT, **settings: Any) -> Any:
         pytest.importorskip("stable_baselines3")
         from spoofgym.sb3 import SpoofVecEnv
 
-        kwargs = {**gym.spec(name).kwargs, **settings}
-        return SpoofVecEnv(count, infos="all", torch_threads=None, **kwargs)
+        return SpoofVecEnv(count, env_id=name, infos="all", torch_threads=None, **settings)
     if importlib.util.find_spec("pettingzoo") is None:
         pytest.skip("the duel needs pettingzoo")
     return getattr(duel_v0, DUELS[form])(**settings)

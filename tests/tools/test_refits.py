@@ -28,7 +28,7 @@ def test_every_set_is_fitted_and_scored_by_itself(tmp_path, monkeypatch):
     assert rows[ramp][1] == {**alone.as_dict(), "of_ramp": alone.ratio_to(alone).as_json()}
     assert rows[ramp][0]["value"] != rows[ramp][1]["value"]
     assert json.loads((settings.out / RESULTS).read_text()) == found
-    monkeypatch.setattr("tools.refits.scored", None)  # what is finished is not played again
+    monkeypatch.setattr("tools.refits.score_specs", None)  # what is finished is not played again
     assert play(settings) == found
 
 

@@ -139,7 +139,7 @@ def test_what_learns_enters_on_both_sides(tmp_path, monkeypatch):
         "for end in ('.onnx', '.json'):\n"
         "    shutil.copy(guard.with_suffix(end), out.with_suffix(end))\n"
     )
-    monkeypatch.setattr(double_oracle, "calibrate_detectors", partial(calibrate_detectors, runs=60))
+    monkeypatch.setattr(double_oracle, "calibrate", partial(calibrate_detectors, runs=60))
     command = f"{sys.executable} {script} {guard} {{out}} {{pool}}"
     torn = tmp_path / "game" / "detector-0.onnx"  # as a kill leaves it, before the card
     kept = DoubleOracle._train_detector

@@ -163,7 +163,7 @@ def test_what_is_learned_from_can_be_copies_of_a_few_warm_ups(tmp_path):
     expected = next_price(6.0, scored_once.value, args.price_gain)
     assert prices == pytest.approx([6.0, expected])
     assert training.price == expected != 6.0
-    assert "is kept" in found["diverged"]
+    assert "is saved" in found["diverged"]
     assert found["chosen_at"] in (0, 100)
     assert score_seed(args, training.judge, found, {})["score"] is not None
     assert SpooferCard.load(args.policy(0).with_suffix(".json")).env_kwargs["warm_pool"] == 6
