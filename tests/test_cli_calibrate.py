@@ -100,7 +100,7 @@ def test_the_line_of_the_error_is_a_line_that_helps():
 )
 def test_wrong_input_is_refused_before_anything_is_played(folder, arguments, message):
     assert message in refused(*SHORT_RATE, *arguments)
-    assert not folder.exists()
+    assert not list(folder.rglob("*.json"))
 
 
 def test_the_world_may_be_that_of_a_task(monkeypatch):
