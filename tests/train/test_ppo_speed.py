@@ -27,15 +27,15 @@ def test_ratio_and_speeds_are_medians_each_of_its_environment(monkeypatch, capsy
     engine, nothing = found["engine_steps_per_s"], found["without_physics_steps_per_s"]
     assert min(engine, nothing) > 0.0
     assert found["ratio"] == found["ratios"][0] == pytest.approx(engine / nothing, abs=1e-3)
+    for given, message in ((("--rounds", "0"), "`rounds`"), (("--detector", "ewna"), "'ewma'")):
+        with pytest.raises(SystemExit) as told:
+            call(*given)
+        assert message in f"{told.value.code} {capsys.readouterr().err}"  # Python prints a word
     speeds = {SpoofVecEnv: iter((30.0, 20.0, 40.0)), Nothing: iter((60.0, 80.0, 50.0))}
     monkeypatch.setattr(ppo_speed, "steps_per_s", lambda kind, *_: next(speeds[kind]))
     found = call("--rounds", "3", "--json")
     assert (found["engine_steps_per_s"], found["without_physics_steps_per_s"]) == (30.0, 60.0)
     assert (found["ratio"], found["ratios"]) == (0.5, [0.5, 0.25, 0.8])
-    for given, message in ((("--rounds", "0"), "`rounds`"), (("--detector", "ewna"), "'ewma'")):
-        with pytest.raises(SystemExit) as told:
-            call(*given)
-        assert message in f"{told.value.code} {capsys.readouterr().err}"  # Python prints a word
 
 
 def test_the_environment_without_physics_looks_like_the_engine():
