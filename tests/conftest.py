@@ -33,7 +33,6 @@ MEANWHILE = (
 )
 """For the other processes in these two minutes: needs little of it, or nothing."""
 LONG = (
-    "docs/test_train_your_own.py",
     "train/",
     "test_cli.py",
     "test_cli_shipped.py",

@@ -14,8 +14,7 @@ from ..core.registry import refuse_overrides
 from ..detectors.pool import normalize_weights
 from ..envs.core import SpoofCore
 from ..envs.factory import CORE, DEFAULT_VICTIM, make_core, select_victim
-from ..envs.spoofer_binding import ENV_ID, SETUPS
-from ..envs.victims import SpoofEnv
+from ..envs.spoofer_binding import ENV_ID, find_env_id
 from ..simulation.setup import Setup
 from ..simulation.tight import TightlyCoupledSetup
 from ..tasks import DETECTOR_TASKS, get_detector_task, get_task
@@ -90,7 +89,7 @@ class LearnersSide(NamedTuple):
 
     @property
     def card_id(self) -> str:
-        return next(name for name, setup in SETUPS.items() if setup is self.setup)
+        return find_env_id(self.setup)
 
     def card_kwargs(self) -> dict[str, Any]:
         """Settings of `card_id` as a card has them: a pool is one detector."""
@@ -119,7 +118,7 @@ def _look_up(env_id: str) -> tuple[type[Setup], str, dict[str, Any]]:
         raise ValueError(f"unknown environment {env_id!r}; valid: {', '.join(valid)}")
     spec = gym.spec(env_id)
     view = str(spec.entry_point).rpartition(":")[2]
-    if view not in (SpoofEnv.__name__, *VIEWS):
+    if spec.entry_point != gym.spec(ENV_ID).entry_point and view not in VIEWS:
         raise ValueError(f"{env_id} is no environment of a spoofer or a detector")
     settings = copy.deepcopy(dict(spec.kwargs))
     return select_victim(settings.pop("victim", DEFAULT_VICTIM)), view, settings

@@ -271,7 +271,7 @@ class TracedEpoch(Epoch):
 
     def _replace(self, /, **changed: Any) -> TracedEpoch:
         other = super()._replace(**changed)
-        other.__dict__["read"] = self.read_fields
+        other.__dict__["read_fields"] = self.read_fields
         return other
 
 

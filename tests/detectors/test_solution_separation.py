@@ -224,3 +224,9 @@ def test_on_the_augmented_receiver_it_is_chi_square_with_two_degrees_of_freedom(
     assert q.mean() == pytest.approx(2.0, abs=4.0 * 2.0 / np.sqrt(q.size))
     beyond = (q > scipy.stats.chi2.isf(0.1, 2)).mean()
     assert beyond == pytest.approx(0.1, abs=4 * 0.3 / q.size**0.5)
+
+
+def test_a_victim_whose_filter_carries_no_position_is_refused():
+    few = DetectorContext(1, 4, 1.0, np.ones(8), ("",) * 4, states=4)
+    with pytest.raises(ValueError, match="needs a filter that carries .* victim's has 4 states"):
+        SolutionSeparation().bind(few)

@@ -96,7 +96,7 @@ def test_some_receivers_are_not_enough_for_the_reset_after_an_interrupt(monkeypa
     interrupt_once(monkeypatch, TightlyCoupledSimulator, "step")
     with pytest.raises(KeyboardInterrupt):
         act(env)
-    with pytest.raises(ValueError, match=r"must .* all receivers"):
+    with pytest.raises(ValueError, match="must be that of all receivers"):
         env.reset(options={"reset_mask": np.arange(17) < 3})
     env.reset()
     with pytest.raises(ValueError, match="start_s"):  # leaves the episodes as they were
