@@ -36,7 +36,7 @@ from .detectors.learned import DetectorAgent, action_names, detector_card
 from .detectors.observation import DetectorObserver
 from .duel.views import write_card
 from .envs.factory import select_victim
-from .envs.spoofer_binding import SETUPS, spoofer_context
+from .envs.spoofer_binding import find_env_id, spoofer_context
 from .policies.card import (
     Card,
     DetectorCard,
@@ -587,8 +587,7 @@ def _describe_env(inner: Any) -> tuple[str, dict[str, Any]]:
             env_id = "spoofgym/TightlyCoupled-v0"
     own = {name: value for name, value in dict(given or {}).items() if value is not None}
     if "victim" in own:
-        kind = select_victim(own["victim"])
-        env_id = next(name for name, setup in SETUPS.items() if setup is kind)
+        env_id = find_env_id(select_victim(own["victim"]))
     own = {name: value for name, value in own.items() if name not in OF_THE_CALL}
     try:
         return env_id, json.loads(json.dumps({k: describe(x) for k, x in own.items()}))

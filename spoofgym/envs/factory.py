@@ -48,10 +48,12 @@ def list_parameters(setup_type: type[Setup]) -> dict[str, inspect.Parameter]:
     return {**own, **CORE}
 
 
-def expand_signature(setup_type: type[Setup], own: inspect.Signature) -> inspect.Signature:
-    """Arguments `own` of an environment's class, with all settings in place of ``**settings``."""
+def expand_signature(env: type[Any]) -> inspect.Signature:
+    """Arguments of an environment's class, with all settings in place of ``**settings``."""
+    own = inspect.signature(env.__init__)
     named = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD and p.name != "self"]
-    return own.replace(parameters=[*named, *list_parameters(setup_type).values()])
+    every = list_parameters(VICTIMS[DEFAULT_VICTIM])
+    return own.replace(parameters=[*named, *every.values()])
 
 
 def make_setup(setup_type: type[S], settings: Mapping[str, Any]) -> S:

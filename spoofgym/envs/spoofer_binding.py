@@ -41,6 +41,10 @@ SETUPS: dict[str, type[Setup]] = {
 """Kinds of victims by the environments of the spoofer's side."""
 
 
+def find_env_id(kind: type[Setup]) -> str:
+    return next(name for name, setup in SETUPS.items() if setup is kind)
+
+
 def attach(
     spoofer: Spoofer | Mapping[str, Any] | str, env: Any, *, transfer: bool = False
 ) -> Spoofer:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import inspect
 from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
 from .core import SpoofCore
 from .env import CoreEnv, CoreVectorEnv
-from .factory import DEFAULT_VICTIM, VICTIMS, expand_signature, make_core, select_victim
+from .factory import DEFAULT_VICTIM, expand_signature, make_core, select_victim
 from .options import InfoSpec, check_vector_settings
 
 
@@ -375,9 +374,5 @@ class SpoofVectorEnv(CoreVectorEnv[SpoofCore]):
         super().__init__(core, autoreset_mode, infos, max_episode_steps)
 
 
-def _sign(env: type[Any]) -> None:
-    env.__signature__ = expand_signature(VICTIMS[DEFAULT_VICTIM], inspect.signature(env.__init__))
-
-
-_sign(SpoofEnv)
-_sign(SpoofVectorEnv)
+SpoofEnv.__signature__ = expand_signature(SpoofEnv)  # type: ignore[attr-defined]
+SpoofVectorEnv.__signature__ = expand_signature(SpoofVectorEnv)  # type: ignore[attr-defined]

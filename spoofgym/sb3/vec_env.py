@@ -32,7 +32,6 @@ from ..envs.options import (
 )
 from ..envs.scoring import PlainResult, StepResult
 from ..envs.terms import RewardSpec, make_terms
-from ..simulation.tight import TightlyCoupledSetup
 
 AT_THE_END = (
     "undetected_displacement_m",
@@ -267,9 +266,7 @@ class SpoofVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
-SpoofVecEnv.__signature__ = expand_signature(
-    TightlyCoupledSetup, inspect.signature(SpoofVecEnv.__init__)
-)
+SpoofVecEnv.__signature__ = expand_signature(SpoofVecEnv)
 
 
 class DetectorWrapper(VecEnvWrapper):
