@@ -228,5 +228,5 @@ def test_on_the_augmented_receiver_it_is_chi_square_with_two_degrees_of_freedom(
 
 def test_a_victim_whose_filter_carries_no_position_is_refused():
     few = DetectorContext(1, 4, 1.0, np.ones(8), ("",) * 4, states=4)
-    with pytest.raises(ValueError, match="needs a filter that carries .* victim's has 4 states"):
+    with pytest.raises(ValueError, match=r"needs a filter that carries .* victim's has 4 states"):
         SolutionSeparation().bind(few)
