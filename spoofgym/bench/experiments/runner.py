@@ -41,6 +41,8 @@ BACKENDS = {"local": None, "dask": "dask", "ray": "ray-campaign"}
 """Names, and the extras that install them."""
 CONNECT_S = 15.0
 """How long an address is waited for."""
+HAND_OVER_S = 5.0
+"""How long loky's thread may take over the last task before its workers end."""
 LOOK_S = 0.5
 """How often a worker looks whether the process that started it is there."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -354,14 +356,19 @@ def _loky(work: Send, _: str, jobs: int, threads: int) -> Iterator[_Workers]:
         jobs, initializer=_initialize_worker, initargs=(os.getpid(),), env=env
     )
 
+    last: list[Future[None]] = []
+
     def submit(task: _Task, _: RemainingWork) -> Future[None]:
         with _block_ctrl_c():  # this may start workers
-            submitted: Future[None] = pool.submit(work, task)
-        return submitted
+            last[:] = [pool.submit(work, task)]
+        return last[0]
 
     try:
         yield _Workers(submit, lambda: jobs, (BrokenProcessPool,))
     finally:
+        end = time.monotonic() + HAND_OVER_S
+        while last and not (last[0].running() or last[0].done()) and time.monotonic() < end:
+            time.sleep(0.001)  # loky's thread fails over a task that it did not take yet
         pool.shutdown(wait=True, kill_workers=True)
 
 

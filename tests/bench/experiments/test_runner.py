@@ -229,7 +229,9 @@ def test_ctrl_c_and_a_kill_keep_what_is_finished_and_end_the_workers(kill, tmp_p
         process.communicate(timeout=120.0)
     else:
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-        (line,) = process.communicate(timeout=120.0)[1].splitlines()
+        printed = process.communicate(timeout=120.0)[1]
+        line = printed.splitlines()[0]  # loky's tracker may warn after it, of what a worker held
+        assert "Traceback" not in printed
         assert process.returncode == 1
         assert "of 8 cells are finished" in line
         assert f"in {tmp_path}; the same command goes on" in line
