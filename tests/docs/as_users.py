@@ -49,7 +49,7 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     ),
     r"python -m train\.ppo_spoofer ": (f"{LEARNING} --seeds 0", "12 to 35 minutes each"),
     r"python -m train\.plain_ppo ": (
-        "--steps 400 --stages 1 --fit-runs 80 --runs 20 --seeds 0",
+        "--steps 400 --scores 1 --fit-runs 80 --runs 20 --seeds 0",
         "a quarter of an hour a seed",
     ),
     r"python -m train\.spoofers ": (None, "180 trainings; tests/train plays it small"),
