@@ -5,14 +5,15 @@ from __future__ import annotations
 import ast
 import dataclasses
 import hashlib
+import importlib.util
 import inspect
 import json
 import math
 import sys
 from collections.abc import Iterator, Mapping
 from datetime import date
+from itertools import accumulate
 from pathlib import Path, PurePath
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -140,33 +141,58 @@ def digest_of_code(source: bytes) -> str:
     return digest_of_bytes(ast.dump(tree).encode())
 
 
+def _find_file(module: str) -> str:
+    """A module's file, imported or not; empty for what has none, or can't be found."""
+    if module in sys.modules:
+        return getattr(sys.modules[module], "__file__", None) or ""
+    package = module.rpartition(".")[0]
+    if package and package not in sys.modules:  # which to find the module would import
+        return ""
+    try:
+        spec = importlib.util.find_spec(module)
+    except (ImportError, ValueError):
+        return ""
+    return spec.origin or "" if spec and spec.has_location else ""
+
+
 def _is_outside(module: str, kind: type) -> bool:
     """Whether a module is the user's; an installed one is where the class is of its package."""
     package = module.partition(".")[0]
-    file = getattr(sys.modules.get(module), "__file__", None) or ""
-    installed = bool({"site-packages", "dist-packages"} & {*Path(file).parts})
-    own = package == kind.__module__.partition(".")[0]
-    return package not in LIBRARIES and (own or not installed)
+    if package in LIBRARIES:
+        return False
+    installed = bool({"site-packages", "dist-packages"} & {*Path(_find_file(module)).parts})
+    return package == kind.__module__.partition(".")[0] or not installed
 
 
 def _sources(kind: type) -> dict[str, str]:
+    """Digests of a class's module and of the user's modules that it imports, anywhere in it."""
     found: dict[str, str] = {}
     waiting = [kind.__module__]
     while waiting:
         name = waiting.pop()
-        module = sys.modules.get(name)
-        file = getattr(module, "__file__", None)
-        if name in found or file is None or not _is_outside(name, kind):
+        if name in found or not _is_outside(name, kind) or not (file := _find_file(name)):
             continue
-        found[name] = _digest_of_file(Path(file))
-        for value in list(vars(module).values()):
-            inner = getattr(value, "__module__", None)
-            if isinstance(value, ModuleType):
-                # what a package holds depends on what else was imported
-                inner = None if value.__name__.startswith(f"{name}.") else value.__name__
-            if isinstance(inner, str):
-                waiting.append(inner)
+        path = Path(file)
+        found[name] = _digest_of_file(path)
+        if path.suffix == ".py":
+            package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+            waiting += _list_imports(path.read_bytes(), package)
     return found
+
+
+def _list_imports(source: bytes, package: str) -> Iterator[str]:
+    """Modules that source in a package imports, and what may be one, each after its packages."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            parts = package.split(".")[: len(package.split(".")) + 1 - node.level]
+            base = ".".join([*(parts if node.level else ()), *filter(None, [node.module])])
+            names = [f"{base}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for name in names:
+            yield from accumulate(name.split("."), "{}.{}".format)
 
 
 def diff_settings(one: Any, other: Any, where: str = "") -> list[tuple[str, Any, Any]]:

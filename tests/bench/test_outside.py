@@ -18,7 +18,6 @@ MINE = """
 from dataclasses import dataclass
 import numpy as np
 from helper_a34 import SCALE
-import helper_a34
 from spoofgym.attacks import make_attack
 from spoofgym.detectors import Ewma
 from spoofgym.policies.contract import DetectorPolicy
