@@ -258,6 +258,11 @@ class Calibration:
     ) -> OperatingPoint:
         """Where the detector works at a rate of false alarms, by the hour or by the run."""
         n = self.runs
+        if None not in (false_alarms_per_hour, per_run):
+            raise ValueError(
+                "a rate is given by the hour or by the run, got "
+                f"false_alarms_per_hour={false_alarms_per_hour!r} and per_run={per_run!r}"
+            )
         if per_run is None:
             rate = check_rate(false_alarms_per_hour)
             p = run_probability(rate, self.window_s)
@@ -294,6 +299,7 @@ class Calibration:
         outwards, 0 and infinity beyond them."""
         from scipy.stats import binom
 
+        check_number("per_run", per_run, above=0.0, below=1.0)
         check_number("confidence", confidence, above=0.0, below=1.0)
         tail = 0.5 * (1.0 - confidence)
         fewest, most = binom.ppf([tail, 1.0 - tail], self.runs, per_run)

@@ -121,6 +121,14 @@ def test_what_runs_cannot_say_is_refused(maxima, rate, said):
         calibration(maxima).point(rate)
 
 
+def test_a_rate_is_by_the_hour_or_by_the_run():
+    with pytest.raises(ValueError, match=r"hour=0\.2 and per_run=0\.05"):
+        calibration(RUNS_499).point(0.2, per_run=0.05)
+    for per_run in (0.0, 1.0):
+        with pytest.raises(ValueError, match="`per_run` must be a number above 0 and below 1"):
+            calibration(RUNS_499).interval(per_run)
+
+
 def test_what_runs_can_just_say():
     assert 1.0 <= calibration(RUNS_499).point(0.999999 * MOST_499).scale < 7.0  # ranks are thinned
     assert calibration(np.r_[np.zeros(1990), np.arange(1.0, 11.0)]).point(0.05).scale > 0.0
