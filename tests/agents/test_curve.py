@@ -54,15 +54,15 @@ def test_records_of_one_name_are_both_drawn(tmp_path, monkeypatch):
     drawn = {}
     monkeypatch.setattr("agents.curve.draw_curves", lambda records, path: drawn.update(records))
     names = ("seed0/blind/record.jsonl", "seed1/blind/record.jsonl", "other.jsonl")
-    first, second, third = (written(tmp_path / name, k) for k, name in enumerate(names, start=2))
-    done = call(first, second, third, "--out", tmp_path / "curve.png")
+    paths = [written(tmp_path / name, k) for k, name in enumerate(names, start=2)]
+    done = call(*paths, "--out", tmp_path / "curve.png")
     assert done.exit_code == 0, done.output
     lengths = {name: len(points) for name, points in drawn.items()}
-    assert lengths == {str(first): 2, str(second): 3, "other": 4}
+    assert lengths == {str(paths[0]): 2, str(paths[1]): 3, "other": 4}
     # one of that name alone is named by its folder
-    assert name_records([first, third]) == ["blind", "other"]
+    assert name_records([paths[0], paths[2]]) == ["blind", "other"]
     with pytest.raises(ValueError, match="is given twice"):
-        name_records([first, first])
+        name_records([paths[0], paths[0]])
 
 
 @pytest.mark.parametrize(

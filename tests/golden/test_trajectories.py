@@ -20,7 +20,7 @@ def test_the_files_are_small_and_every_id_has_one():
 
 
 @pytest.mark.parametrize(
-    "name", heavy(trajectories.cases(), "BenchD1-v1", "BenchD2-v1", "BenchT4-v1")
+    "name", heavy(trajectories.cases(), "BenchD1-v1", "BenchD2-v1", "BenchD3-v1", "BenchT4-v1")
 )
 def test_the_trajectory_is_the_stored_one(name):
     mine, stored = trajectories.cases()[name](), trajectories.load(name)

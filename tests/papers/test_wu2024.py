@@ -1,7 +1,6 @@
 """wu2024: separation of residual vectors, SRV-RAIM and traversal RAIM, against its tables.
 
-A second program on nine skies gave the bands of the averages.  Each average here is of 99 000
-draws.
+A second program on nine skies gave the bands of the averages, each of 99 000 draws here.
 """
 
 from collections import Counter
@@ -20,26 +19,7 @@ from baselines.papers.wu2024.separation import separate
 from baselines.papers.wu2024.tables import WEIGHT, pool_fits
 
 SETTINGS = Settings(quick=True, seed=20)
-AVERAGES = {
-    ("Table 2", "NH0 = 0 [%]"): (80.5, 4.0),
-    ("Table 3", "NH(e4) = 0 [%]"): (38.0, 10.0),
-    ("Table 4", "p(H0; S0) [%]"): (98.4, 1.0),
-    ("Table 4", "p(H0; S1) [%]"): (92.0, 3.5),
-    ("Table 4", "p(H0; S2) [%]"): (95.9, 2.0),
-    ("Table 4", "p(H0; S3) [%]"): (97.6, 1.3),
-    ("Table 5", "success [%]"): (87.3, 1.5),
-    ("Table 5", "false [%]"): (3.2, 1.0),
-    ("Table 5", "fail [%]"): (9.5, 1.6),
-    ("Table 6", "mean n_s"): (22.75, 2.75),
-    ("Table 7", "success [%]"): (90.1, 0.8),
-    ("Table 7", "false [%]"): (2.85, 0.6),
-    ("Table 7", "fail [%]"): (7.05, 0.6),
-    ("Table 8", "mean n_s"): (1362.0, 10.0),
-    ("Table 8", "n_s, SRV over traversal [%]"): (1.7, 0.2),
-}
 NOT_MET = {("Table 3", f"NH(e4) = {bin} [%]") for bin in ("2", "3")}
-WITHOUT_BAND = {"fail [%]", "n_s, SRV over traversal [%]"}
-"""Follow from other averages."""
 
 
 @cache
@@ -58,13 +38,7 @@ def cases(count, draws, number=0, seed=0):
     return lines, spoofed, displacements(np.random.default_rng(seed), lines, spoofed)
 
 
-def test_averages_are_those_of_the_paper_and_every_row_is_in_its_band_but_those_not_met():
-    found = {(row.table, row.quantity): row for row in rows() if row.row == "average"}
-    for key, (middle, margin) in AVERAGES.items():
-        assert abs(found[key].ours - middle) <= margin, key
-        assert abs(found[key].paper - middle) <= margin, key
-        banded = None if key[1] in WITHOUT_BAND else True
-        assert (found[key].printed_inside, found[key].agrees) == (banded, banded), key
+def test_every_row_is_in_its_band_but_those_not_met():
     outside = [r for r in rows() if False in (r.printed_inside, r.agrees) and r.table != "Speed"]
     assert {(r.table, r.quantity) for r in outside} <= NOT_MET
     assert all(r.note.startswith("not met") for r in outside)
@@ -72,6 +46,8 @@ def test_averages_are_those_of_the_paper_and_every_row_is_in_its_band_but_those_
     assert Counter(row.table for row in rows()) == dict(
         zip(tables, (60, 5, 48, 36, 12, 36, 13, 2), strict=True)
     )
+    (ratio,) = (row.ours for row in rows() if row.quantity == "n_s, SRV over traversal [%]")
+    assert ratio == pytest.approx(1.7, abs=0.2)
 
 
 def test_averages_of_the_paper_are_those_of_its_rows_and_figures_are_drawn(tmp_path):
@@ -118,15 +94,15 @@ def test_hybrids_do_not_depend_on_the_length_or_on_the_axes():
     lines, spoofed, moved = cases(5, 300)
     turn, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))
     turned = np.column_stack([moved[:, :3] @ turn.T, moved[:, 3]])
-    base = separate(lines, spoofed, moved)
+    hybrids, clock, seeded = separate(lines, spoofed, moved)
     longer = separate(lines, spoofed, 7.0 * moved)
     rotated = separate(np.ascontiguousarray(lines @ turn.T), spoofed, turned)
-    for mine, same in zip(base, longer, strict=True):
-        np.testing.assert_array_equal(mine, same)
-    for mine, same in ((base[0], rotated[0]), (base[1], rotated[1])):
-        np.testing.assert_array_equal(mine, same)
-    np.testing.assert_array_equal(base[2][:, 0], rotated[2][:, 0])
-    assert (base[2][:, 1] != rotated[2][:, 1]).any()  # search vectors belong to the axes
+    np.testing.assert_array_equal(longer[2], seeded)
+    for other in (longer, rotated):
+        np.testing.assert_array_equal(other[0], hybrids)
+        np.testing.assert_array_equal(other[1], clock)
+        np.testing.assert_array_equal(other[2][:, 0], seeded[:, 0])
+    assert (seeded[:, 1] != rotated[2][:, 1]).any()  # search vectors belong to the axes
 
 
 def test_hybrids_of_a_case_worked_out_by_all_directions():

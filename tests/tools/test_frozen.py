@@ -3,14 +3,14 @@
 import os
 import subprocess
 import sys
-from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from tools import frozen, frozen_probe
-from tools.frozen import Case, Names, Scope, Tolerance
+from tools.frozen import Case, Column, Names, Scope, Tolerance
 from tools.frozen_probe import CALLS, COMMANDS, IMPORTS, Player, Record, list_cases
 
 CASE = Case("spoofgym/Snapshot-v0", "same_step", 3)
@@ -44,8 +44,8 @@ def steps(**changes):
     return made
 
 
-def differences(tmp_path, new, scope=None, tolerance=None, old=None):
-    before, after = recorded(tmp_path, steps() if old is None else old), recorded(tmp_path, new)
+def differences(tmp_path, new, scope=None, tolerance=None):
+    before, after = recorded(tmp_path, steps()), recorded(tmp_path, new)
     return frozen.compare(CASE, before, after, scope or Scope(), tolerance or Tolerance())
 
 
@@ -103,59 +103,70 @@ def test_the_tolerance_is_relative_to_the_largest_value_and_takes_nan_for_no_num
     assert Tolerance(1e-12).unequal(old, three).all()
 
 
-def test_another_type_and_another_step_differ(tmp_path):
+def test_another_step_differs_and_a_dataclass_is_kept_by_its_fields(tmp_path):
     new = steps()
     del new[2]["count"]
     (found,) = differences(tmp_path, new)
     assert (found.step, found.key, found.old, found.new) == (2, "info/count", "there", "missing")
-    for change in (np.float32, float, np.int64):
-        new = [{**each, "count": change(each["count"])} for each in steps()]
-        (found,) = differences(tmp_path, new)
-        assert found.key == "info/count"
-
-    @dataclass
-    class Score:
-        value: float
-        runs: object
-
-    columns = recorded(tmp_path, [Score(1.5, [Score(2.5, np.arange(3))])])  # by its fields
-    assert columns[("info", "value")].values.tolist() == [1.5]
-    assert columns[("info", "runs", "[0]", "runs")].values.tolist() == [[0, 1, 2]]
+    score = Column(1.5, [Column(np.arange(3), 2.5, ())], ())
+    columns = recorded(tmp_path, [score])
+    assert columns[("info", "steps")].values.tolist() == [1.5]
+    assert columns[("info", "values", "[0]", "steps")].values.tolist() == [[0, 1, 2]]
 
 
-def test_the_name_map_renames_keys_and_their_masks(tmp_path):
-    new = steps()
-    for step in new:
-        step |= {"price": step.pop("cost"), "_price": step.pop("_cost")}
-    found = {each.key for each in differences(tmp_path, new)}
-    assert found == {"info/cost", "info/_cost", "info/price", "info/_price"}
-    assert differences(tmp_path, new, Scope({"cost": "price"})) == []
-    new[3]["price"] = one_bit(new[3]["price"])
-    (found,) = differences(tmp_path, new, Scope({"cost": "price"}))
-    assert found.key == "info/price[2]"
+def without(step, *keys):
+    return {key: x for key, x in step.items() if key not in keys}
+
+
+def priced(step):
+    return {**without(step, "cost", "_cost"), "price": step["cost"], "_price": step["_cost"]}
+
+
+def numbered(step, cost=lambda x: x):
+    return {**without(step, "count"), "number": 9.0 + step["count"], "cost": cost(step["cost"])}
+
+
+WHY = "said why"
+PRICE, NUMBER = Scope({"cost": "price"}), Scope({"count": "number"}, volatile={"number": WHY})
+DECLARED = Scope(added={"number": WHY}, dropped={"count": WHY})
+
+
+@pytest.mark.parametrize(
+    ("change", "scope", "expected"),
+    [
+        # names, with their masks
+        (priced, Scope(), "cost _cost price _price"),
+        (priced, PRICE, ""),
+        (lambda step: {**priced(step), "price": one_bit(step["cost"])}, PRICE, "price[2]"),
+        # what is added and dropped has to be declared, and declarations have to be right
+        (numbered, Scope(), "count number"),
+        (numbered, DECLARED, ""),
+        (dict, Scope(added={"count": WHY}), "count"),
+        (dict, Scope(dropped={"count": WHY}), "count"),
+        (lambda step: {**step, "label": "step"}, Scope({}, {"label": WHY}, {"label": WHY}), ""),
+        # what is volatile is not compared in either tree
+        (numbered, NUMBER, ""),
+        (lambda step: without(step, "count"), NUMBER, ""),
+        (lambda step: numbered(step, one_bit), NUMBER, "cost[2]"),
+        # types
+        (lambda step: {**step, "count": np.float32(step["count"])}, Scope(), "count"),
+        (lambda step: {**step, "count": float(step["count"])}, Scope(), "count"),
+        (lambda step: {**step, "count": np.int64(step["count"])}, Scope(), "count"),
+    ],
+)
+def test_what_differs_is_named_but_for_what_is_declared(tmp_path, change, scope, expected):
+    found = differences(tmp_path, [change(step) for step in steps()], scope)
+    assert {each.key for each in found} == {f"info/{key}" for key in expected.split()}
+
+
+def test_a_part_of_a_name_is_not_renamed_and_a_slash_within_is_not_between_parts():
     scope = Scope({"cost": "price", "a/b": "c", "pool": "opponents"})
     for path, expected in (
-        ("cost_m", "cost_m"),  # a part of a name is not renamed
+        ("cost_m", "cost_m"),
         ("a b cost", "c price"),
-        # a slash within is not between parts
         ("json [spoofgym/Snapshot-v0] pool", "json [spoofgym/Snapshot-v0] opponents"),
     ):
         assert scope.rename(tuple(path.split())) == tuple(expected.split())
-
-
-def test_added_and_dropped_keys_have_to_be_declared(tmp_path):
-    new = [{**step, "more": 1.0} for step in steps()]
-    for step in new:
-        del step["count"]
-    assert {each.key for each in differences(tmp_path, new)} == {"info/count", "info/more"}
-    why = {"count": "said why"}
-    assert differences(tmp_path, new, Scope(added={"more": "said why"}, dropped=why)) == []
-    # a declaration that is wrong is found; what is both has other values
-    for scope, said in ((Scope(added=why), "declared as added"), (Scope(dropped=why), "still")):
-        (found,) = differences(tmp_path, steps(), scope)
-        assert found.new.startswith(said)
-    both = Scope(added={"label": "reworded"}, dropped={"label": "reworded"})
-    assert differences(tmp_path, steps(label=lambda _: "step"), both) == []
 
 
 def test_elements_of_an_observation_are_named_and_mapped(tmp_path):
@@ -221,20 +232,6 @@ def test_an_error_and_an_id_of_one_tree_alone_are_differences():
     assert frozen.missing_cases([both, old], [both, new], names) == ([both], [])
 
 
-def test_what_is_volatile_is_not_compared_in_either_tree(tmp_path):
-    scope = Scope({"count": "number"}, volatile={"number": "the clock's"})
-    new = [{**step, "number": 9.0 + step["count"]} for step in steps()]
-    for step in new:
-        del step["count"]
-    assert differences(tmp_path, new, scope) == []
-    for step in new:
-        del step["number"]
-    assert differences(tmp_path, new, scope) == []
-    new[3]["cost"] = one_bit(new[3]["cost"])
-    (found,) = differences(tmp_path, new, scope)
-    assert found.key == "info/cost[2]"
-
-
 def test_thresholds_are_as_published_or_those_that_users_have(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     imports = {**IMPORTS, **Names.load(frozen.NAMES).imports}
@@ -247,23 +244,15 @@ def test_thresholds_are_as_published_or_those_that_users_have(tmp_path, monkeypa
         frozen_probe.set_thresholds(imports, usual=usual)
         assert getattr(owner, rate) == expected
         assert os.environ[variable] == str(tmp_path / "own")
-    gone = {**imports, "default_rate": "spoofgym.core:NO_RATE"}
     with pytest.raises(AttributeError):  # what is patched has to be there
-        frozen_probe.set_thresholds(gone, usual=False)
+        frozen_probe.set_thresholds({**imports, "default_rate": "spoofgym.core:NO"}, usual=False)
 
 
-def test_a_killed_command_has_to_be_killed_while_it_works(tmp_path):
-    player, out = Player(Case("bench", "killed"), {}), tmp_path / "results"
-
-    def started(code):
-        words = [sys.executable, "-c", code]
-        return subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
-
+def test_a_command_that_ends_before_it_is_killed_is_told(tmp_path):
+    words = [sys.executable, "-c", "pass"]
+    child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
     with pytest.raises(RuntimeError, match="ended before it was killed"):
-        player.kill(started("pass"), out)
-    out.mkdir()
-    (out / "cell.npz").touch()
-    player.kill(started("import time; time.sleep(600)"), out)
+        Player(Case("bench", "killed"), {}).kill(child, tmp_path)
 
 
 def test_every_id_has_every_form_and_the_quick_ones_every_command_and_score():
@@ -271,9 +260,7 @@ def test_every_id_has_every_form_and_the_quick_ones_every_command_and_score():
     assert len({case.name for case in every}) == len(every)
     assert all(frozen.is_wanted(case, quick=False) for case in every)
     forms = {(case.form, case.batch) for case in every if case.id == "spoofgym/BenchT3-v1"}
-    modes = {
-        (mode, b) for mode in ("next_step", "same_step", "disabled", "sb3") for b in (1, 3, 17)
-    }
+    modes = product(("next_step", "same_step", "disabled", "sb3"), (1, 3, 17))
     assert forms >= {("single", None), *modes}
     cases = [each for each in list_cases(["spoofgym/BenchT3-v1"]) if frozen.is_wanted(each, True)]
     assert {(case.id, case.form) for case in cases} >= {*COMMANDS, *CALLS}

@@ -2,6 +2,7 @@
 
 import ast
 import subprocess
+from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
@@ -33,10 +34,10 @@ def test_what_is_changed():
 
 
 def test_every_change_of_the_package_leaves_a_program():
-    drawn = draw_mutants(mutants.ROOT, 120, 40, 0)
-    assert drawn == draw_mutants(mutants.ROOT, 120, 40, 0)
-    assert len({(each.file, each.line, each.start, each.kind) for each in drawn}) == 120
-    assert sum(each.file.endswith(mutants.KERNELS) for each in drawn) == 40
+    drawn = draw_mutants(mutants.ROOT, 36, 12, 0)
+    assert drawn == draw_mutants(mutants.ROOT, 36, 12, 0)
+    assert len({(each.file, each.line, each.start, each.kind) for each in drawn}) == 36
+    assert sum(each.file.endswith(mutants.KERNELS) for each in drawn) == 12
     assert {each.kind for each in drawn} == {"operator", "comparison", "constant", "returned value"}
     for each in drawn:
         lines = (mutants.ROOT / each.file).read_text().splitlines()
@@ -54,13 +55,11 @@ SUMS, ADD = "spoofgym/receiver/sums.py", "def add(a, b):\n    return a + b\n"
 def checkout(tmp_path, monkeypatch):
     """A project of one function, with a test that notices some of its mutants."""
     root = tmp_path / "project"
+    notices = "from spoofgym.receiver.sums import add\ndef test_it(): assert abs(add(1, 2)) == 3\n"
     files = {"spoofgym/__init__.py": "", "spoofgym/receiver/__init__.py": "", SUMS: ADD}
-    files["tests/receiver/test_sums.py"] = (
-        "from spoofgym.receiver.sums import add\n\n\n"
-        "def test_it_adds():\n    assert abs(add(1, 2)) == 3\n"
-    )
+    files["tests/receiver/test_sums.py"] = notices
     for k, folder in enumerate(mutants.ALWAYS):
-        files[f"{folder}/test_{k}.py"] = "def test_nothing():\n    pass\n"
+        files[f"{folder}/test_{k}.py"] = "def test_nothing(): pass\n"
     for name, text in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
@@ -77,27 +76,31 @@ def test_mutants_are_tried_and_a_run_goes_on(checkout, tmp_path):
     mutants.main(out, count=2, kernels=0)
     operator, returned = sorted(read_mutants(out), key=lambda each: each.kind)
     assert operator.outcome == KILLED
-    assert operator.test == "tests/receiver/test_sums.py::test_it_adds"
+    assert operator.test == "tests/receiver/test_sums.py::test_it"
     assert (returned.outcome, returned.test) == (SURVIVED, "")
     content = out.read_text()
     mutants.main(out)  # nothing is left to do
     assert out.read_text() == content
 
 
-def test_what_was_killed_before_is_killed_again_or_fails_the_run(checkout, tmp_path):
-    path, before, again = checkout / SUMS, tmp_path / "before.csv", tmp_path / "again.csv"
-    found = {each.kind: each for each in find_changes(SUMS, ADD)}
-    mutants.write_mutants(before, [replace(found["returned value"], outcome=KILLED)])
-    with pytest.raises(typer.Exit):
-        mutants.main(again, killed_in=before)
-    assert [each.outcome for each in read_mutants(again)] == [SURVIVED]
+def test_what_was_killed_before_is_killed_again_or_fails_the_run(checkout, tmp_path, monkeypatch):
+    path, before = checkout / SUMS, tmp_path / "before.csv"
+    found, changed = (
+        {each.kind: each for each in find_changes(SUMS, text)}
+        for text in (ADD, ADD.replace("+", "-"))
+    )
     # a line that was moved is found, and one that is gone is counted apart
-    changes = find_changes(SUMS, ADD.replace("+", "-"))
-    (gone,) = (each for each in changes if each.kind == "operator")
     path.write_text("def add(a, b):\n    if True:\n        return a + b\n")
+    gone = changed["operator"]
     assert not mutants.apply(gone, checkout)
     assert mutants.apply(found["operator"], checkout)
     assert path.read_text() == "def add(a, b):\n    if True:\n        return a - b\n"
-    mutants.write_mutants(before, [replace(gone, outcome=KILLED)])
-    mutants.main(tmp_path / "third.csv", killed_in=before)
-    assert [each.outcome for each in read_mutants(tmp_path / "third.csv")] == [mutants.GONE]
+    for outcome in (mutants.GONE, SURVIVED):
+        tried = replace(gone, outcome=outcome)
+        monkeypatch.setattr(mutants, "try_mutant", lambda *_, tried=tried: tried)
+        mutants.write_mutants(before, [replace(gone, outcome=KILLED)])
+        expected = pytest.raises(typer.Exit) if outcome == SURVIVED else nullcontext()
+        again = tmp_path / f"{outcome}.csv"
+        with expected:
+            mutants.main(again, killed_in=before)
+        assert [each.outcome for each in read_mutants(again)] == [outcome]

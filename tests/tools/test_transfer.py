@@ -20,6 +20,9 @@ CHANGES = {
 SIZES = {"runs": 24, "fit_runs": 80, "entropy": 3}
 
 
+RAMP = [({"name": "ramp"}, None)]
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("transfer")
@@ -27,7 +30,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rows(folder):
-    found = table(evaluators("T1", CHANGES, **SIZES), [({"name": "ramp"}, None)], folder)
+    found = table(evaluators("T1", CHANGES, **SIZES), RAMP, folder)
     assert len(found) == 4
     return {(row["home"], row["world"]): row for row in found}
 
@@ -55,24 +58,21 @@ def test_what_is_kept_is_not_played_again(folder, rows, monkeypatch):
     monkeypatch.setattr(Evaluator, "score", None)
     monkeypatch.setattr(Evaluator, "fit", None)
     worlds = evaluators("T1", CHANGES, **SIZES, threads=1)
-    assert table(worlds, [({"name": "ramp"}, None)], folder) == list(rows.values())
+    assert table(worlds, RAMP, folder) == list(rows.values())
 
 
 def test_one_that_was_trained_in_a_world_has_that_home_alone(folder, rows, monkeypatch, capsys):
-    task = get_task("T1")
-    own = {**task.settings, "timeline": TIMES, "receiver": "matched"}
-    short = replace(task, settings=own, detectors=(SHARP,))
+    own = {**get_task("T1").settings, "timeline": TIMES, "receiver": "matched"}
+    short = replace(get_task("T1"), settings=own, detectors=(SHARP,))
     monkeypatch.setattr(transfer, "HOME", "first")
     monkeypatch.setattr(transfer, "get_task", lambda key: short)
     given = ["--out", str(folder), "--runs", "24", "--fit-runs", "80", "--seed", "3", "--json"]
     world = f"blunt={json.dumps(CHANGES['blunt'])}"
     transfer.main([*given, "--world", world, "--spoofer", "ramp@first"])
-    home, blunt = json.loads(capsys.readouterr().out)
-    assert [(each["home"], each["world"]) for each in (home, blunt)] == [
-        ("first", "first"),
-        ("first", "blunt"),
-    ]
-    assert blunt["refitted"] == rows["home", "blunt"]["refitted"]
+    found = json.loads(capsys.readouterr().out)
+    where = [(each["home"], each["world"]) for each in found]
+    assert where == [("first", "first"), ("first", "blunt")]
+    assert found[1]["refitted"] == rows["home", "blunt"]["refitted"]
 
 
 @pytest.mark.parametrize(

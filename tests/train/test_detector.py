@@ -141,22 +141,21 @@ def test_a_killed_training_comes_to_the_same_result(data, file, trainer, tmp_pat
 
 def test_minibatches_begin_at_drawn_moments_before_the_onset(trainer, monkeypatch):
     """Else a network that remembers could count the epochs to the onset of all attacks."""
-    begins, lengths, loss = [], [], Trainer._loss
-    log_odds = trainer.network.log_odds
+    begins, lengths = [], []
+    loss, log_odds = trainer._loss, trainer.network.log_odds
 
-    def logged(self, some, begin):
+    def noted(some, begin):
         begins.append(begin)
-        return loss(self, some, begin)
+        return loss(some, begin)
 
     def measured(seen):
         lengths.append(seen.shape[1])
         return log_odds(seen)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "_loss", logged)
-        patch.setattr(trainer.network, "log_odds", measured)
-        for _ in range(5):
-            trainer.learn(trainer.data.episodes("train"))
+    monkeypatch.setattr(trainer, "_loss", noted)
+    monkeypatch.setattr(trainer.network, "log_odds", measured)
+    for _ in range(5):
+        trainer.learn(trainer.data.episodes("train"))
     epochs = trainer.config["epochs"]
     least = 2.0 / trainer.config["interval_s"]
     assert len(set(begins)) > 5
@@ -164,11 +163,11 @@ def test_minibatches_begin_at_drawn_moments_before_the_onset(trainer, monkeypatc
     assert lengths == [epochs["all"] - begin for begin in begins]
     # the loss from a later moment is that of episodes cut there
     episodes = trainer.data.episodes("train")
-    late = trainer._loss(episodes, 7)
-    assert not torch.equal(late, trainer._loss(episodes, 0))
+    late = loss(episodes, 7)
+    assert not torch.equal(late, loss(episodes, 0))
     cut = [part[:, 7:] if part.ndim > 1 else part for part in episodes]
     trainer.config = {**trainer.config, "epochs": {**epochs, "live": epochs["live"] - 7}}
-    assert torch.equal(late, trainer._loss(Episodes(*cut), 0))
+    assert torch.equal(late, loss(Episodes(*cut), 0))
 
 
 def test_the_best_is_kept_where_training_diverges(data, trainer, tmp_path, monkeypatch):
@@ -203,11 +202,10 @@ def test_what_does_not_fit_is_refused_before_anything_is_written(data, file, tmp
     (tmp_path / "other" / "mine.txt").write_text("keep")
     copy = shutil.copytree(data, tmp_path / "copy")
     next(copy.glob("cells/test-*.npz")).unlink()
-    few = {"out": tmp_path / "few", "false_alarms_per_hour": 0.2}
     for changes, message in (
         ({"width": 9}, r"other results.*width: 8, not 9"),
         ({"out": tmp_path / "other"}, "not empty"),
-        (few, "clean runs are too few"),
+        ({"out": tmp_path / "few", "false_alarms_per_hour": 0.2}, "clean runs are too few"),
         ({"data": copy, "out": tmp_path / "late"}, r"test-\d+\.npz is missing"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -218,9 +216,8 @@ def test_what_does_not_fit_is_refused_before_anything_is_written(data, file, tmp
             replace(given, **bad)
     words = ["detector", "--data", str(tmp_path / "no"), "--out", str(tmp_path / "guard")]
     monkeypatch.setattr(sys, "argv", words)
-    with pytest.raises(SystemExit, match=r"^error: .*no") as found:
+    with pytest.raises(SystemExit, match=r"^error: [^\n]*no[^\n]*$"):
         module.main()
-    assert "\n" not in str(found.value.code)
 
 
 MOVED = np.tile([0.0, 1.0, 2.0, 3.0, 4.0, 4.0], (9, 1))

@@ -25,9 +25,8 @@ from spoofgym.spoofers import OnnxPolicy
 from train import ppo_spoofer
 from train.ppo_spoofer import CHECKPOINT, PICTURE, RECORD, Arguments, Training, score_seed, train
 
-WORLD = {"timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}}
-PLAIN = json.dumps({**WORLD, "attack": "paper-ideal"})
-NO_ONE = {"detector": "never", "settings": "{}"}
+TIMES = {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}
+WORLD = {"timeline": TIMES}
 QUICK = {
     "task": "T1",
     "detector": "snapshot-chi2:thresholds=nominal",
@@ -93,9 +92,8 @@ def test_every_seed_has_a_learning_curve_and_a_score_on_the_same_runs(trained):
     # and share no runs, neither with each other nor with what scores them
     world = Evaluator(runs=2, fit_runs=80, **args.world).world
     draws = [world.generators(0, split, 1)[0] for split in ("training", "evaluation")]
-    for seed in args.seeds:
-        chance = int(np.random.SeedSequence([seed, 0]).generate_state(1)[0])
-        draws.append(np.random.default_rng(chance))
+    chances = (np.random.SeedSequence([seed, 0]).generate_state(1)[0] for seed in args.seeds)
+    draws += map(np.random.default_rng, chances)
     assert len({each.bit_generator.state["state"]["state"] for each in draws}) == 4
 
 
@@ -172,37 +170,50 @@ def test_what_is_learned_from_can_be_copies_of_a_few_warm_ups(tmp_path):
     again.envs.close()
 
 
-NIGHTLY = {"marks": pytest.mark.nightly}  # a world that takes a minute to make
-
-
 def environment(**given):
-    quick = {"full_scale_mps": None, "num_envs": 1}
+    quick = {"full_scale_mps": None, "decision_interval_s": None, "num_envs": 1}
     return arguments(Path("x"), **{**quick, **given}).make_envs()
 
 
+def world(attack_s=10, **settings):
+    return {"settings": json.dumps({"timeline": {**TIMES, "attack_s": attack_s}, **settings})}
+
+
+def whole(task, **given):
+    """A world that takes a minute to make."""
+    return {"detector": "never", "settings": "{}", "task": task, **given}
+
+
 @pytest.mark.parametrize(
-    ("given", "action", "length_m"),
+    ("given", "action", "length_m", "steps"),
     [
-        ({"full_scale_mps": 3.0}, {"name": "rate-setpoint", "full_scale_mps": 3.0}, 40.0),
-        ({}, {"name": "rate-setpoint", "full_scale_mps": 5.0}, 40.0),  # of a short attack
-        pytest.param({**NO_ONE, "task": "T4"}, {"full_scale_mps": 5.0}, 556.0, **NIGHTLY),
-        ({**NO_ONE, "task": "T3"}, {"full_scale_mps": 4 * 20.0 / 150.0}, 20.0),
-        pytest.param(
-            {**NO_ONE, "task": "T3", "length_m": 30.0}, {"full_scale_mps": 0.8}, 30.0, **NIGHTLY
+        ({"full_scale_mps": 3.0, "decision_interval_s": 2.5}, {"full_scale_mps": 3.0}, 40.0, 4),
+        ({"decision_interval_s": 0.0}, {"full_scale_mps": 5.0}, 40.0, 20),  # of a short attack
+        (world(40), {"name": "rate-setpoint", "full_scale_mps": 4.0}, 40.0, 4),
+        ({**world(40), "length_m": 30.0}, {"full_scale_mps": 3.0}, 30.0, 4),
+        (world(target_heading_deg="worst", decision_interval_s=5.0), {"dimensions": 2}, 40.0, 2),
+        (world(attack="paper-ideal"), {}, 40.0, 1),  # without a wanted rate it stays as it is
+        *(
+            pytest.param(*case, marks=pytest.mark.nightly)
+            for case in (
+                (whole("T1"), {"full_scale_mps": 4 * 40.0 / 150.0}, 40.0, 15),
+                (whole("T3"), {"full_scale_mps": 4 * 20.0 / 150.0}, 20.0, 15),
+                (whole("T4"), {"full_scale_mps": 5.0}, 556.0, 26),
+                (whole("T6"), {}, 40.0, 15),
+            )
         ),
-        ({"settings": '{"target_heading_deg": "worst"}'}, {"dimensions": 2}, 40.0),
-        ({"settings": PLAIN}, {}, 40.0),  # without a wanted rate it is commanded as it is
     ],
 )
-def test_the_full_scale_fits_the_attack_and_the_alert_limit_of_the_task(given, action, length_m):
+def test_full_scale_and_decisions_fit_attack_and_alert_limit(given, action, length_m, steps):
     envs = environment(**given)
+    assert envs.core.episode_steps == steps
+    assert envs.core.length_m == length_m
     if action:
         assert action.items() <= envs.env_kwargs["action"].items()
-    else:
+    elif "task" not in given:
         assert "action" not in envs.env_kwargs
         with pytest.raises(ValueError, match="`full_scale_mps` is that of a wanted rate"):
             environment(**given, full_scale_mps=2.0)
-    assert envs.core.length_m == length_m
     envs.close()
 
 
@@ -211,7 +222,6 @@ def test_the_full_scale_fits_the_attack_and_the_alert_limit_of_the_task(given, a
     [
         (("--task", "T9"), "unknown task 'T9'; valid: T1"),
         (("--alarm-price", 9), "`alarm_price`"),
-        (("--warm-pool", 0), "`warm_pool`"),
         (("--learning-rate", "nan"), "`learning_rate`"),
         (("--seeds", 1, 1), "`seeds` must be different numbers"),
         (("--settings", "{"), "`settings` is not JSON"),
@@ -235,21 +245,3 @@ def test_bad_input_is_refused_at_once(monkeypatch, capsys, tmp_path, given, mess
     assert not (tmp_path / "x").exists()
     with pytest.raises(ValueError, match="names the spoofer"):
         arguments(tmp_path / "a b")
-
-
-@pytest.mark.parametrize(
-    ("given", "steps"),
-    [
-        ({"decision_interval_s": 2.5}, 4),
-        ({"decision_interval_s": 0.0}, 20),
-        ({}, 1),
-        ({"settings": json.dumps({**WORLD, "decision_interval_s": 5.0})}, 2),  # as the world has it
-        ({"task": "T1", "settings": "{}"}, 15),
-        pytest.param({"task": "T4", "settings": "{}"}, 26, **NIGHTLY),
-        pytest.param({"task": "T6", "settings": "{}"}, 15, **NIGHTLY),
-    ],
-)
-def test_decisions_are_as_often_as_wanted_and_divide_the_attack(given, steps):
-    envs = environment(**{"decision_interval_s": None, **given})
-    assert envs.core.episode_steps == steps
-    envs.close()
