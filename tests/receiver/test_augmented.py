@@ -1,7 +1,5 @@
 """The filter with states for all that is not white: in its own world its innovations are white."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np
@@ -18,8 +16,6 @@ DRAWN = {"turn_on": "drawn", "events": {}}
 
 
 class Matrices(Never):
-    """Looks at what the filter works with."""
-
     needs = frozenset({"transition", "predicted_cov", "design", "innovation_cov"})
 
 
@@ -44,7 +40,6 @@ def begun(scenario, receivers, domain=None, receiver="augmented", seed=7):
     ],
 )
 def test_in_its_own_world_innovations_are_white_and_of_the_size_that_it_believes(name, receivers):
-    """NIS within 1 % of its degrees of freedom, correlation of neighbours within 0.01 of 0."""
     simulator, found = begun(name, receivers, DRAWN), []
     for _ in range(500):
         epoch = simulator.advance()

@@ -91,7 +91,7 @@ def test_attitude_and_velocity(flight, grade, want_deg):
 @pytest.mark.parametrize("errors", ["white", "groves"])
 def test_belief_and_innovations(errors):
     """Innovations by their believed deviations after 200 s at 2 Hz, the beliefs, and NIS a run."""
-    runs, epochs = 64, 80
+    runs, epochs = 64, 40
     batch = begin(Scenario(errors=errors), TightlyCoupled(), runs, 300.0)
     batch.run_filter_only(400)
     ratios, nis = [], np.zeros(runs)
