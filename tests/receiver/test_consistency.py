@@ -104,12 +104,6 @@ def test_innovations_are_those_of_their_covariance_where_noise_is_white(grade):
     assert (0.8 if grade == "consumer" else low) < rates < high
 
 
-def test_range_rates_keep_their_power_among_correlated_errors():
-    _, rates, satellites = mean_innovations(Scenario(errors="trolley"), matched("aviation"), 40)
-    low, high = bounds(satellites, 1)
-    assert low < rates < high
-
-
 @pytest.mark.parametrize(
     "case",
     heavy(

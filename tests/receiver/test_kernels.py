@@ -153,16 +153,6 @@ def test_what_is_compiled_computes_what_the_source_says():
     assert lines == [*digests()]
 
 
-def test_slices_of_whole_lanes_are_the_whole():
-    receivers = 2 * LANES + 5
-    whole, sliced = Batch(range(receivers)), Batch(range(receivers))
-    for what in (MEASURE + PREDICT + SHOW, UPDATE):
-        whole.run(what)
-        for lo, hi in ((LANES, 2 * LANES), (2 * LANES, receivers), (0, LANES)):
-            sliced.run(what, lo, hi)
-    check_all_same(whole, sliced)
-
-
 @pytest.mark.parametrize("what", [PREDICT, MEASURE + PREDICT + SHOW])
 def test_lanes_without_a_receiver_follow_the_last(what):
     batch = Batch(range(11))
@@ -230,19 +220,6 @@ def test_what_is_shown_of_an_epoch_is_what_the_update_uses():
         want = Phi @ (before.buffers.covariance[b] + Q / 2) @ Phi.T + Q / 2
         scale = np.sqrt(np.outer(np.diag(want), np.diag(want)))
         np.testing.assert_allclose(P / scale, want / scale, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("wanted", [(), ("design", "imu_delta")])
-def test_what_nobody_looks_at_changes_nothing(wanted):
-    few, all_of_it = Batch(range(9), wanted), Batch(range(9))
-    assert set(few.buffers.seen) == {"innovation", "innovation_variance", *wanted}
-    for batch in (few, all_of_it):
-        for _ in range(2):
-            batch.run(MEASURE + PREDICT + SHOW)
-            batch.run(UPDATE)
-    for row in range(9):
-        mine, theirs = few.everything(row), all_of_it.everything(row)
-        check_same(mine, {name: theirs[name] for name in mine})
 
 
 @pytest.mark.parametrize(("receivers", "update"), [(1, "general"), (9, "unweighted")])

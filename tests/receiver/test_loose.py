@@ -86,20 +86,6 @@ def test_errors_grow_as_the_transition_says(arcsec, velocity, position, biased):
     assert (rms < 2e-3 * size.reshape(3, 3).max(axis=1).repeat(3) + 1e-10).all()
 
 
-def test_perfect_measurements_take_the_initial_errors_away():
-    sd = LooselyCoupled().initial_sd()
-    batch = begun([sd / 3.0, -sd / 3.0])
-    for k in range(1, 301):
-        predict(batch, k)
-        batch.update(None)
-    C, P = batch.state.C_eb, batch.state.covariance
-    apart = np.linalg.norm(batch.state.position_e - WORLD.position_e[300], axis=1)
-    assert (apart < 0.2 / 3.0 * np.linalg.norm(sd[6:9])).all()
-    np.testing.assert_allclose(C @ C.transpose(0, 2, 1), np.tile(np.eye(3), (2, 1, 1)), atol=1e-8)
-    assert (np.diagonal(P, axis1=1, axis2=2)[:, :9] < sd[:9] ** 2).all()
-    np.testing.assert_array_equal(P, P.transpose(0, 2, 1))
-
-
 def random_covariance(rng, size):
     root = rng.standard_normal((size, size))
     return root @ root.T + 0.1 * np.eye(size)
