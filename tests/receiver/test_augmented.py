@@ -54,7 +54,7 @@ def test_in_its_own_world_innovations_are_white_and_of_the_size_that_it_believes
 
 def test_the_covariance_is_that_of_the_errors():
     simulator = begun("trolley", 150, DRAWN)
-    simulator.run_filter_only(240)
+    simulator.run_filter_only(120)
     error, C = simulator.error_n(), simulator.setup.world.C_en[int(simulator.epochs[0])]
     P = C.T @ simulator.buffers.covariance[0][6:9, 6:9] @ C
     ratio = (error**2).mean(axis=0) / np.diag(P)
