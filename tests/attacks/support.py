@@ -1,7 +1,5 @@
 """Attacks without a receiver: one command an epoch, and what it writes."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -25,7 +25,7 @@ SEEN = WORLD.visible[ONSET + 1]
 
 
 def test_a_tracking_error_is_a_second_order_gauss_markov_process():
-    sd, receivers, tau, beta = 3.0, 4000, 0.5, 1.0 / 30.0
+    sd, receivers, tau, beta = 3.0, 1000, 0.5, 1.0 / 30.0
     attack = FalsePosition(tracking=TrackingError(sd_m=sd, correlation_s=30.0))
     errors = offsets(attack, [None] * 41, receivers, watch="target_error")
     position, rate = errors[..., :3], errors[..., 3:]
@@ -128,11 +128,11 @@ def test_counterfeit_errors_have_the_standard_deviations_given():
 def play(attack):
     """Core after 15 steps without commands, and what each step told."""
     setup = TightlyCoupledSetup(
-        scenario="trolley",
+        scenario={"name": "trolley", "imu_rate_hz": 20.0},
         receiver="matched",
         attack=attack,
         detector="never",
-        timeline={"warmup_s": 10, "live_s": 5, "attack_s": 10, "time_to_alert_s": 1},
+        timeline={"warmup_s": 4, "live_s": 2, "attack_s": 8, "time_to_alert_s": 1},
     )
     setup.fields = frozenset({"pseudorange", "range_rate"})
     core = SpoofCore(3, setup, knowledge="blind", threads=1)
@@ -176,7 +176,6 @@ def test_zero_command_and_inherited_errors_are_the_clean_run_to_the_bit(attack):
 
 
 def test_counterfeit_errors_replace_the_authentic_ones():
-    """Measurements less truth and clock have the counterfeit signal's errors alone."""
     none = {"code_sd_m": 0.0, "range_rate_sd_mps": 0.0, "bias_sd_m": 0.0}
     core = played(errors=none, channels="S1*")[0]
     errors, seen = errors_of(core)

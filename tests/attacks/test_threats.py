@@ -17,8 +17,6 @@ from spoofgym.simulation.simulator import run_serially
 from spoofgym.truth.scenario import Scenario, make_scenario
 from tests.nightly import heavy
 
-from ..envs.support import single
-
 RUNS = 32
 NAMES = sorted({*ATTACKS, *THREATS})
 REFERENCE = [
@@ -61,16 +59,6 @@ def test_changed_settings_of_a_threat_stand_in_its_label():
 def test_messages_list_attacks_and_threats_once(attack, said):
     with pytest.raises((ValueError, TypeError), match=said):
         make_attack(attack)
-
-
-def test_a_threat_is_taken_where_an_attack_is():
-    env = single(attack="meaconer", scenario="trolley", receiver="matched")
-    assert env.action_space.shape == (1,)
-    assert env.unwrapped.core.setup.attack.label == "meaconer"
-    assert env.unwrapped.core.setup.receiver.tuning == "matched"
-    env.close()
-    with pytest.raises(ValueError, match=r"unknown receiver 'match'; .*did you mean 'matched'"):
-        single(receiver="match")
 
 
 def test_a_partial_constellation_is_one_of_two():
@@ -120,7 +108,7 @@ def added_nis(errors, sd_m, correlation_s, by_data_sheet=True):
     return total / setup.steps
 
 
-@pytest.mark.parametrize("case", heavy(REFERENCE, *REFERENCE[1:6]), ids=str)
+@pytest.mark.parametrize("case", heavy(REFERENCE, *REFERENCE[:6], REFERENCE[7]), ids=str)
 def test_a_tracking_error_costs_what_the_reference_says(case):
     """Pseudorange noise of the matched receiver, inertial sensors as their data sheet says."""
     *settings, wanted = case

@@ -35,7 +35,7 @@ class Push:
 
 
 class Doubled:
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         self.rate_mps *= 2
 
 

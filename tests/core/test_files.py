@@ -1,19 +1,14 @@
 """Files are whole or absent."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from spoofgym.core.files import remove_stale_parts, whole_file, write_file
 
 
-def test_a_file_is_written_with_its_folder_and_is_whole_or_absent(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_is_written_with_its_folder_and_is_whole_or_absent(tmp_path, monkeypatch):
     path = tmp_path / "new" / "file.bin"
     for content in (b"first", b"", b"last \x00 one"):
         write_file(path, content)
@@ -25,7 +20,7 @@ def test_a_file_is_written_with_its_folder_and_is_whole_or_absent(
         assert mine.read_bytes() == b"mine"
     assert path.read_bytes() == b"mine"
 
-    def dies(_: int) -> None:
+    def dies(_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("os.fsync", dies)
@@ -36,10 +31,8 @@ def test_a_file_is_written_with_its_folder_and_is_whole_or_absent(
 
 
 @pytest.mark.parametrize("links", [True, False])
-def test_an_exclusive_file_replaces_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
-) -> None:
-    def refused(*_: object) -> None:
+def test_an_exclusive_file_replaces_none(tmp_path, monkeypatch, links):
+    def refused(*_):
         raise PermissionError
 
     if not links:
@@ -52,7 +45,7 @@ def test_an_exclusive_file_replaces_none(
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_only_parts_of_dead_processes_are_removed(tmp_path: Path) -> None:
+def test_only_parts_of_dead_processes_are_removed(tmp_path):
     code = (
         "import os, sys\nfrom pathlib import Path\nfrom spoofgym.core.files import whole_file\n"
         "with whole_file(Path(sys.argv[1])) as part:\n"

@@ -1,7 +1,5 @@
 """Quantities in the memory order of the kernels: by name in, by name out, and no lane undefined."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 

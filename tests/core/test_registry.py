@@ -83,8 +83,8 @@ def test_an_unknown_setting_is_named():
         build_record("grid", Grid, {"cell": 1})
 
 
-def test_unknown_keywords_are_named_with_all_valid_ones() -> None:
-    def draw(colour: str, *, width: float = 1.0, **style: object) -> None:
+def test_unknown_keywords_are_named_with_all_valid_ones():
+    def draw(colour, *, width=1.0, **style):
         """Takes some arguments by name, and some by `style`."""
 
     check_keywords(draw, ["dash", "colour"], ["dash"])

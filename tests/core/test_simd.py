@@ -1,7 +1,5 @@
 """Explicit vectors: every operator and function against NumPy, in all four ways of running it."""
 
-from __future__ import annotations
-
 import types
 
 import numba
@@ -334,37 +332,25 @@ def test_a_table_keeps_its_arrays_alive_and_refuses_what_it_could_not_read():
 WRONG = {
     "real + word": lambda x, w: load(x, 0) + load(w, 0),
     "word + real number": lambda x, w: load(w, 0) + 1.0,
-    "word + signed number": lambda x, w: load(w, 0) + 1,
     "real + truth": lambda x, w: load(x, 0) + True,
-    "mask + mask": lambda x, w: (load(x, 0) > 0.0) + (load(x, 1) > 0.0),
     "mask & real": lambda x, w: (load(x, 0) > 0.0) & load(x, 0),
-    "mask & whole number": lambda x, w: (load(x, 0) > 0.0) & 1,
     "real & real": lambda x, w: load(x, 0) & load(x, 1),
-    "real << word": lambda x, w: load(x, 0) << load(w, 0),
     "word * word": lambda x, w: load(w, 0) * load(w, 1),
-    "-word": lambda x, w: -load(w, 0),
-    "real // real": lambda x, w: load(x, 0) // load(x, 1),
     "real ** 2": lambda x, w: load(x, 0) ** 2,
     "real > word": lambda x, w: load(x, 0) > load(w, 0),
     "an if of a mask": lambda x, w: 1.0 if load(x, 0) > 0.0 else 2.0,
     "select of real and word": lambda x, w: select(load(x, 0) > 0.0, load(x, 0), load(w, 0)),
-    "select of whole numbers": lambda x, w: select(load(x, 0) > 0.0, 1, 0),
-    "select of word and signed number": lambda x, w: select(x[0, 0] > 0.0, w[0, 0], 1),
     "select by a real": lambda x, w: select(load(x, 0), 1.0, 0.0),
     "select by truth of vector and number": lambda x, w: select(True, load(x, 0), 0.0),
     "root of a word": lambda x, w: sqrt(load(w, 0)),
     "real of a real": lambda x, w: to_float(load(x, 0)),
     "bits of a word": lambda x, w: view_bits(load(w, 0)),
-    "real from a real's bits": lambda x, w: from_bits(load(x, 0)),
     "rotated real": lambda x, w: rotate_left(load(x, 0), 3),
-    "rotated by a real": lambda x, w: rotate_left(load(w, 0), 3.0),
     "any lane of a real": lambda x, w: any_lane(load(x, 0)),
     "truth in all lanes": lambda x, w: splat(True, load(x, 0)),
     "row by a real": lambda x, w: load(x, 0.0),
     "row of a Fortran array": lambda x, w: load(x.T, 0),
-    "row of three dimensions": lambda x, w: load(x.reshape((2, 2, 4)), 0),
     "stored mask": lambda x, w: store(x, 0, load(x, 0) > 0.0),
-    "stored word": lambda x, w: store(x, 0, load(w, 0)),
     "stored real": lambda x, w: store(w, 0, load(x, 0)),
     "stored vector in single lanes": lambda x, w: store(np.zeros(2), 0, load(x, 0)),
     "vector in a lane": lambda x, w: set_lane(x, 0, 1, load(x, 0)),

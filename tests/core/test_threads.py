@@ -1,7 +1,5 @@
 """Threads in the background: none outlives the wait for all, wherever an interrupt comes."""
 
-from __future__ import annotations
-
 import signal
 import threading
 import time
@@ -14,26 +12,24 @@ LATE_S = 0.3
 NAME = "late"
 
 
-def running() -> list[threading.Thread]:
+def running():
     return [each for each in threading.enumerate() if each.name == NAME]
 
 
-def test_a_thread_that_has_not_begun_when_its_start_is_interrupted_is_waited_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    said: list[str] = []
+def test_a_thread_that_has_not_begun_when_its_start_is_interrupted_is_waited_for(monkeypatch):
+    said = []
     stopped = threading.Event()
     bootstrap, wait = threading.Thread._bootstrap, threading.Event.wait
 
-    def late(thread: threading.Thread) -> None:
+    def late(thread):
         time.sleep(LATE_S)
         bootstrap(thread)
 
-    def interrupted(event: threading.Event, timeout: float | None = None) -> bool:
+    def interrupted(event, timeout=None):
         monkeypatch.setattr(threading.Event, "wait", wait)
         raise KeyboardInterrupt
 
-    def target() -> None:
+    def target():
         said.append("begun")
         stopped.wait()
         said.append("ended")
@@ -48,13 +44,11 @@ def test_a_thread_that_has_not_begun_when_its_start_is_interrupted_is_waited_for
     assert not running()
 
 
-def test_a_thread_is_waited_for_until_it_has_left_the_interpreter(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_thread_is_waited_for_until_it_has_left_the_interpreter(monkeypatch):
     leaving = threading.Event()
     delete = threading.Thread._delete
 
-    def late(thread: threading.Thread) -> None:
+    def late(thread):
         leaving.set()
         time.sleep(LATE_S)
         delete(thread)
@@ -67,11 +61,11 @@ def test_a_thread_is_waited_for_until_it_has_left_the_interpreter(
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no signal to one thread")
-def test_an_interrupt_does_not_end_the_wait_for_a_thread() -> None:
+def test_an_interrupt_does_not_end_the_wait_for_a_thread():
     """After an interrupted `join`, Python 3.11 says that the thread is over."""
     stopped, ended = threading.Event(), threading.Event()
 
-    def target() -> None:
+    def target():
         stopped.wait()
         time.sleep(LATE_S / 3)
         signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
@@ -88,7 +82,7 @@ def test_an_interrupt_does_not_end_the_wait_for_a_thread() -> None:
     assert not running()
 
 
-def test_the_end_does_not_wait_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_end_does_not_wait_for_ever(monkeypatch):
     monkeypatch.setattr(_threads, "END_S", 0.05)
     stopped, before = threading.Event(), _threads.generation()
     thread = _threads.start(stopped.wait, lambda: None, NAME)
@@ -99,7 +93,7 @@ def test_the_end_does_not_wait_for_ever(monkeypatch: pytest.MonkeyPatch) -> None
     thread.join()
 
 
-def test_threads_that_are_over_are_forgotten() -> None:
+def test_threads_that_are_over_are_forgotten():
     for _ in range(3):
         _threads.start(lambda: None, lambda: None, NAME).join()
     assert sum(each.name == NAME for each in _threads._known) == 1

@@ -6,13 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from spoofgym.data.cleaning import (
-    clean_track,
-    isolated_outliers,
-    late_positions,
-    repeated_positions,
-    stale_runs,
-)
+from spoofgym.data.cleaning import clean_track, isolated_outliers, stale_runs
 from spoofgym.data.tracks import FOOT, KNOT, read_track, track_from_frame
 from spoofgym.truth.manoeuvres import Straight, Turn, fly
 
@@ -20,7 +14,7 @@ from .test_damaged_files import check_damage, check_track
 
 pandas = pytest.importorskip("pandas")
 
-START_S = 1_700_000_000
+START_S, NAN = 1_700_000_000, np.nan
 
 
 @pytest.fixture(scope="module")
@@ -165,14 +159,10 @@ def spoil(table, column, row, value):
         (lambda t: spoil(t, "timestamp", 3, None), "every row must have a time, got none in row 4"),
         (lambda t: spoil(t, "timestamp", 3, "noon"), "`timestamp` must hold numbers or ISO 8601"),
         (lambda t: spoil(t, "latitude", 5, 91.5), r"-90 and 90 deg, got 91.5 deg in row 6"),
-        (lambda t: spoil(t, "longitude", 5, np.inf), r"360 deg, got inf deg in row 6"),
         (lambda t: spoil(t, "altitude", 5, 1e9), r"`altitude` must .* 50000 m, got 304800000 m in"),
-        (lambda t: spoil(t, "altitude", 5, 10**400), "`altitude` must hold numbers"),
         (lambda t: t.assign(timestamp=9e9), r"`time` must lie between 0 and 4102444800 s, got 9"),
         (lambda t: t.assign(LATITUDE=0.0), "each column once, got 'latitude' twice"),
-        (lambda t: spoil(t, "altitude", 5, "high"), "`altitude` must hold numbers"),
         (lambda t: t.iloc[:4], "at least 6 rows with a position and an altitude, got 4"),
-        (lambda t: t.assign(latitude=np.nan), "at least 6 rows with a position .*, got 0"),
         (lambda t: t.assign(altitude=0.0), "airborne stretch of at least 6 fixes"),
         (lambda t: t.assign(groundspeed=50.0, track=np.nan).iloc[::9], "a gap over 30 s"),
     ],
@@ -269,11 +259,7 @@ def taxiing(table):
             {"late": 1},
             [8],
         ),
-        (
-            lambda t: stored(t, latitude={3: np.nan}, altitude={8: np.nan}),
-            {"incomplete": 2},
-            [3, 8],
-        ),
+        (lambda t: stored(t, latitude={3: NAN}, altitude={8: NAN}), {"incomplete": 2}, [3, 8]),
         *(
             (
                 lambda t, rows=rows: t.assign(latitude=t["latitude"] + 0.03 * t.index.isin(rows)),
@@ -365,10 +351,6 @@ def test_ten_minutes_are_the_default():
 
 
 def test_single_rules():
-    nothing = np.array([])
-    assert late_positions(nothing).size == 0
-    assert repeated_positions(nothing, nothing, nothing.astype(bool)).size == 0
-    assert stale_runs(nothing, nothing.astype(bool)).size == 0
     # only runs with too much wrong are stale
     wrong = np.isin(np.arange(30), [3, 13, 14])
     stale = stale_runs(np.repeat([1.0, 2.0, np.nan], 10), wrong)

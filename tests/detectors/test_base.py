@@ -1,7 +1,5 @@
 """What a detector reads, and what becomes of its verdict."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -64,8 +62,6 @@ class Forgetful(Detector):
 
 
 class Lenient(Forgetful):
-    """Reads it, and goes on without it."""
-
     def judge(self, epoch):
         one = np.ones((len(epoch.time), 1))
         return Verdict(one if epoch.imu_delta is None else 2.0 * one, 3.0 * one, one > 3.0)

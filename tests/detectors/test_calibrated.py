@@ -66,7 +66,6 @@ def test_a_state_takes_the_factor_itself_and_weighs_without_it():
 @pytest.mark.parametrize(
     "detector",
     [
-        Calibrated(Ewma(), 1.3),
         Calibrated(JointChart(), 1.1),
         Calibrated(Cusum(), 2.0, rescaled=True, rescale=(2.0, 1.5, 3.0, 1.0)),
         make_detector({"name": "pool", "members": ["ewma", "cusum"], "threshold_scale": 1.2}),
@@ -124,8 +123,6 @@ def test_identities_are_resolved_settings():
         ({"thresholds": "rescaled", **RATE}, "'rescaled' is for detectors with a drift term"),
         ({"thresholds": "nominal", **RATE}, "has `thresholds` 'nominal' and `false_ala"),
         ({"threshold_scale": 1.0, **RATE}, "a factor of your own, and `false_alarms_per_hour`"),
-        ({"threshold_scale": 1.0, "calibration": "a.json"}, "of your own, and `calibration`"),
-        ({"threshold_scale": 1.0, "thresholds": "rescaled"}, "of your own, and `thresholds`"),
         ({"calibration": "no-such-file.json"}, "no-such-file.json"),
     ],
 )

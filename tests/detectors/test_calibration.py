@@ -57,14 +57,6 @@ def test_the_rank_is_the_lowest_that_keeps_the_probability(p):
     assert compute_rank(p, least - 1) < 1 <= compute_rank(p, least)
 
 
-def test_a_new_run_exceeds_the_scale_with_the_stated_probability():
-    rng, n = np.random.default_rng(3), 400
-    p = run_probability(2.0, WINDOW_S)
-    exceeded = np.mean([1.0 - calibration(rng.random(n)).point(2.0).scale for _ in range(500)])
-    assert exceeded == pytest.approx(compute_rank(p, n) / (n + 1), rel=0.05)
-    assert exceeded < p
-
-
 def test_a_thinned_file_never_exceeds_a_rate():
     maxima = np.random.default_rng(4).permutation(50_000) + 1.0
     found = calibration(maxima)

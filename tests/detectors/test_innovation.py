@@ -68,7 +68,6 @@ def test_the_mean_of_the_first_epochs_is_taken_away_and_no_channel_judged_before
 
 @pytest.mark.parametrize("name", WITH_BIAS_WINDOW)
 def test_with_a_bias_window_a_constant_bias_is_no_attack_but_a_later_one_is(name):
-    """A bias of two standard deviations, different for every satellite, then a drift of both."""
     rng = np.random.default_rng(2)
     receivers, window = 20, 200
     z = rng.standard_normal((window + 150, receivers, 2 * N))

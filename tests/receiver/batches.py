@@ -39,7 +39,7 @@ class HandMade:
     satellites: np.ndarray
 
 
-def hand_made() -> HandMade:
+def hand_made():
     """A world whose epochs have 1 to `MOST` samples of 8 to 12 ms, and few satellites at times."""
     rng = np.random.default_rng(0)
     counts = rng.integers(1, MOST + 1, EPOCHS)

@@ -4,8 +4,6 @@ Written from the conventions that the golden runs of the reference software are 
 and from nothing of the package but its constants; and the textbook's update in one step.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 MU, J2, R0, E2 = 3.986004418e14, 1.082627e-3, 6378137.0, 0.0818191908425**2
@@ -16,11 +14,6 @@ I3 = np.eye(3)
 def skew(a):
     x, y, z = a
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def cross_matrices(vectors):
-    """(..., 3, 3) of vectors (..., 3)."""
-    return np.cross(np.asarray(vectors)[..., None, :], I3).swapaxes(-1, -2)
 
 
 OMEGA = skew([0.0, 0.0, RATE])

@@ -5,18 +5,16 @@ states that GNSS does not see, the mean over runs has to stay below the upper bo
 an overcautious filter would give.
 """
 
-import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from spoofgym.receiver import NoiseModel, TightlyCoupled, replay
+from spoofgym.receiver import NoiseModel, TightlyCoupled
 from spoofgym.receiver.kalman import normalized_innovation_squared
 from spoofgym.receiver.matching import WINDOW_S, Motion, compute_motion, inflation, matched_sensors
 from spoofgym.receiver.tight import FILTER_GRADES
-from spoofgym.simulation.recording import record_run
 from spoofgym.truth.scenario import Scenario
 from spoofgym.truth.sensors import IMU_GRADES
 from tests.nightly import heavy
@@ -106,12 +104,6 @@ def test_innovations_are_those_of_their_covariance_where_noise_is_white(grade):
     assert (0.8 if grade == "consumer" else low) < rates < high
 
 
-def test_range_rates_keep_their_power_among_correlated_errors():
-    _, rates, satellites = mean_innovations(Scenario(errors="trolley"), matched("aviation"), 40)
-    low, high = bounds(satellites, 1)
-    assert low < rates < high
-
-
 @pytest.mark.parametrize(
     "case",
     heavy(
@@ -182,13 +174,3 @@ def test_without_manoeuvres_the_sensors_are_those_of_the_data_sheet(grade):
     assert sensors.gyro_noise_psd == pytest.approx(sheet.noise[1] ** 2)
     assert sensors.accel_bias_psd == sensors.gyro_bias_psd == 0.0
     assert sensors.accel_bias_sd > np.sqrt(np.mean(sheet.accel_bias**2))
-
-
-def test_a_matched_run_replays_to_the_same_bits():
-    receiver = matched("tactical")
-    setup = begin(Scenario(errors="groves", imu="tactical"), receiver, 1, 100.0).setup
-    initial, recording, position_e = record_run(setup, np.random.default_rng(3), epochs=30)
-    told = dataclasses.replace(receiver, noise=setup.combinations[0].noise)
-    variance = np.tile(setup.combinations[0].noise_variance, (30, 1))
-    solution = replay(recording, told, initial=initial, noise_variance=variance)
-    np.testing.assert_array_equal(solution.position_e, position_e)

@@ -91,21 +91,6 @@ def test_the_epoch_is_read_only_and_consistent():
     assert not any(array.flags.writeable for array in epoch if array is not None)
 
 
-def test_the_belief_holds_in_a_world_as_it_assumes():
-    rng, runs = np.random.default_rng(1), 400
-    made = begun(runs, drift_rate_mps=0.0)
-    q, R = made.settings.process_noise(1.0), made.settings.noise_variance
-    truth = rng.normal(0.0, np.sqrt(R), (runs, 2))
-    squares = []
-    for k in range(60):
-        truth += rng.normal(0.0, np.sqrt(q), truth.shape)
-        fix = truth + rng.normal(0.0, np.sqrt(R), truth.shape)
-        epoch = made.predict(np.full(runs, k + 1.0), np.zeros((runs, 2)), fix)
-        squares.append((epoch.innovation**2 / epoch.innovation_cov[:, [0, 1], [0, 1]]).mean())
-        made.update(None)
-    assert np.mean(squares) == pytest.approx(1.0, abs=0.03)
-
-
 def test_the_drift_rate_must_leave_room_for_the_gain():
     with pytest.raises(ValueError, match=r"must be at most 0\.178.* a gain of 0\.16"):
         begun(drift_rate_mps=1.0)

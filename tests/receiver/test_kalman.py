@@ -3,49 +3,8 @@
 import numpy as np
 import pytest
 
-from spoofgym.core.compile import njit
-from spoofgym.core.simd import LANES
-from spoofgym.receiver import kalman
 from spoofgym.receiver._kernels import solve_in_place
 from spoofgym.receiver.kalman import normalized_innovation_squared
-from spoofgym.receiver.states import PACKED
-
-from ..lanes import in_all_lanes, side_by_side
-from .reference import covariance, design, measured, sky
-
-UPPER = np.triu_indices(17)
-
-
-@njit
-def belief_of_the_measurements(x, S, variance, t):
-    n = variance.shape[0] // 2
-    u, R, visible = PACKED, PACKED + 3 * n, PACKED + 5 * n
-    kalman.innovation_covariance(x, 0, u, x, R, visible, n, S, t)
-    kalman.innovation_variance(x, 0, u, x, R, visible, n, variance)
-
-
-@pytest.mark.nojit
-def test_the_innovation_covariance_is_h_p_h_plus_r():
-    rng, n, cases = np.random.default_rng(14), 7, []
-    for _ in range(LANES):
-        P, u, (_, R) = covariance(rng), sky(rng, n), measured(rng, n)
-        cases.append((P, u, R, rng.uniform(size=n) < 0.7))
-    x = side_by_side(
-        [np.concatenate([P[UPPER], np.ravel(u * v[:, None]), R, v]) for P, u, R, v in cases]
-    )
-    S, variance = np.full((4 * n * n, LANES), np.nan), np.full((2 * n, LANES), np.nan)
-    in_all_lanes(belief_of_the_measurements, x, S, variance, np.empty((8, LANES)), scratch=1)
-    for i, (P, u, R, visible) in enumerate(cases):
-        H = design(u, visible)
-        both = np.concatenate([visible, visible])
-        want = H @ P @ H.T + np.diag(np.where(both, R, 1.0))
-        upper = np.triu_indices(2 * n)
-        mine = S[:, i].reshape(2 * n, 2 * n)[upper]
-        np.testing.assert_allclose(mine, want[upper], rtol=1e-12, atol=1e-12)
-        unseen = ~(both[:, None] & both)[upper]
-        np.testing.assert_array_equal(mine[unseen], np.eye(2 * n)[upper][unseen])
-        np.testing.assert_allclose(variance[:, i], np.diag(want), rtol=1e-14)
-        np.testing.assert_array_equal(variance[~both, i], 1.0)
 
 
 @pytest.mark.nojit

@@ -46,13 +46,13 @@ def truth(flight):
     return ends, position, velocity, ranges
 
 
-def recorded(flight, truth, noise=1.0):
+def recorded(flight, truth):
     """Measurements with noise and biases, and satellites that come and go."""
     ends, position, velocity, ranges = truth
     rng, K, time = np.random.default_rng(0), len(ends), flight.time[ends]
     pseudorange = ranges[..., 0] + 5000.0 + 30.0 * time[:, None]
-    pseudorange += noise * rng.normal(0.0, 1.5, (K, N))
-    range_rate = ranges[..., 1] + 30.0 + noise * rng.normal(0.0, 0.05, (K, N))
+    pseudorange += rng.normal(0.0, 1.5, (K, N))
+    range_rate = ranges[..., 1] + 30.0 + rng.normal(0.0, 0.05, (K, N))
     position, velocity = position.copy(), velocity.copy()
     pseudorange[: K // 3, 2] = np.nan  # rises
     range_rate[K // 2 :, 5] = np.nan  # sets
@@ -61,7 +61,7 @@ def recorded(flight, truth, noise=1.0):
     pseudorange[K - 6 : K - 3, 3:] = np.nan  # three are left: the receiver coasts
     range_rate[K // 5] = np.nan  # none
     felt = np.hstack([flight.specific_force_b, flight.angular_rate_b])
-    felt += noise * (np.repeat([2e-3, 1e-5], 3) + rng.normal(0.0, SAMPLE_SD, felt.shape))
+    felt += np.repeat([2e-3, 1e-5], 3) + rng.normal(0.0, SAMPLE_SD, felt.shape)
     return Recording(
         imu_time=flight.time[1:],
         specific_force_b=felt[:, :3],
@@ -74,13 +74,13 @@ def recorded(flight, truth, noise=1.0):
     )
 
 
-def initial(flight, error=1.0):
+def initial(flight):
     return NavState(
-        position_e=flight.position_e[0] + error * np.array([3.0, -4.0, 5.0]),
-        velocity_e=flight.velocity_e[0] + error * np.array([0.05, 0.1, -0.05]),
-        C_eb=(np.eye(3) + error * reference.skew([1e-4, -2e-4, 1e-4])) @ flight.C_eb[0],
-        clock_bias_m=5000.0 + 4.0 * error,
-        clock_drift_mps=30.0 + 0.1 * error,
+        position_e=flight.position_e[0] + np.array([3.0, -4.0, 5.0]),
+        velocity_e=flight.velocity_e[0] + np.array([0.05, 0.1, -0.05]),
+        C_eb=(np.eye(3) + reference.skew([1e-4, -2e-4, 1e-4])) @ flight.C_eb[0],
+        clock_bias_m=5004.0,
+        clock_drift_mps=30.1,
     )
 
 
@@ -122,18 +122,7 @@ def test_the_replay_is_the_plain_receiver(flight, truth, name):
     assert not solution.innovation[np.hstack([absent, absent])].any()
 
 
-def test_without_errors_the_flight_is_found(flight, truth):
-    perfect, ends = recorded(flight, truth, noise=0.0), truth[0]
-    solution = replay(perfect, TightlyCoupled(grade="tactical"), initial=initial(flight, 0.0))
-    np.testing.assert_allclose(solution.position_e, flight.position_e[ends], rtol=0, atol=1e-4)
-    np.testing.assert_allclose(solution.velocity_e, flight.velocity_e[ends], rtol=0, atol=1e-5)
-    np.testing.assert_allclose(solution.C_eb, flight.C_eb[ends], rtol=0, atol=1e-7)
-    np.testing.assert_allclose(solution.clock_bias_m, 5000.0 + 30.0 * solution.time, atol=1e-4)
-    np.testing.assert_allclose(solution.innovation, 0.0, atol=1e-4)
-
-
 def test_what_tells_nothing_changes_nothing(flight, truth):
-    """What an absent satellite holds, samples after the last epoch, and the last bits of times."""
     recording, last = recorded(flight, truth), truth[0][-1]
     range_rate = np.array(recording.range_rate)
     range_rate[np.isnan(recording.pseudorange)] = 1e9
@@ -212,9 +201,7 @@ NOT_A_NUMBER = np.where(np.arange(10)[:, None] == 4, np.nan, np.zeros((10, 3)))
     [
         ({"pseudorange": np.ones(2)}, r"`pseudorange` must have shape \(K, n\), got \(2,\)"),
         ({"specific_force_b": np.zeros((9, 3))}, r"has shape \(9, 3\), but N is 10"),
-        ({"angular_rate_b": np.zeros((10, 2))}, r"has shape \(10, 2\), but 3 is 3"),
         ({"range_rate": np.zeros((2, 5))}, r"`range_rate` has shape \(2, 5\), but n is 4"),
-        ({"satellite_position_e": np.ones((3, 4, 3))}, "but K is 2"),
         ({"specific_force_b": NOT_A_NUMBER}, "`specific_force_b` must be finite"),
         ({"gnss_time": [0.5, np.nan]}, "`gnss_time` must be finite"),
         ({"imu_time": TIMES[[0, 1, 3, 2, *range(4, 10)]]}, "increase from above 0, .* at index 3"),

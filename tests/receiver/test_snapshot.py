@@ -70,7 +70,6 @@ def test_a_satellite_with_a_nan_anywhere_is_left_out(where):
 
 
 def test_the_fix_is_that_of_least_squares():
-    """With noise, the residuals are orthogonal to the geometry."""
     noisy = np.array(GIVEN[:2]) + np.random.default_rng(0).normal(0.0, [[5.0], [0.1]], (2, 8))
     fix = least_squares_fix(*noisy, S, SV)
     own = fix.position_e, fix.velocity_e
@@ -123,21 +122,12 @@ def pseudoranges(noise_m, receivers, spoofed=(), displacement=(0.0, 0.0, 0.0, 0.
     """(B, 12) pseudoranges at the first epoch, with a clock of 1000 m."""
     b = receivers
     rho, satellites = np.empty((b, 12)), np.empty((b, 12, 3))
-    measure_snapshot(
-        np.zeros(b, dtype=np.int64),
-        np.arange(2 * b, dtype=np.uint64).reshape(b, 2),
-        np.tile([1000.0, 5.0], (b, 1)),
-        np.tile(displacement, (b, 1)).astype(float),
-        np.tile(np.isin(np.arange(12), spoofed), (b, 1)),
-        SKY.time,
-        SKY.position_e,
-        SKY.C_en,
-        SKY.satellite_position_e,
-        noise_m,
-        np.empty(pad_count(12)),
-        rho,
-        satellites,
-    )
+    episode = np.zeros(b, dtype=np.int64), np.arange(2 * b, dtype=np.uint64).reshape(b, 2)
+    each = [1000.0, 5.0], np.array(displacement, dtype=float), np.isin(np.arange(12), spoofed)
+    clock_and_attack = [np.tile(value, (b, 1)) for value in each]
+    sky = SKY.time, SKY.position_e, SKY.C_en, SKY.satellite_position_e
+    noise = noise_m, np.empty(pad_count(12))
+    measure_snapshot(*episode, *clock_and_attack, *sky, *noise, rho, satellites)
     return rho, satellites
 
 
@@ -158,14 +148,6 @@ def test_all_spoofed_by_one_position_give_that_position(displacement):
     assert fix.clock_bias_m == pytest.approx(1000.0 + displacement[3], abs=1e-4)
 
 
-def test_absurd_ranges_lead_nowhere():
-    (rho,), (satellites,) = pseudoranges(0.0, 1)
-    absurd = rho[:4] + 2e7 * np.random.default_rng(57).standard_normal(4)
-    known = np.zeros(4), satellites[:4], np.zeros((4, 3))
-    with pytest.raises(ValueError, match="no convergence within 20 iterations"):
-        least_squares_fix(absurd, *known, guess_e=np.zeros(3))
-
-
 def test_weights_leave_satellites_out_and_without_a_fix_the_last_one_stays():
     rho, satellites = pseudoranges(4.0, 3, [2], [0.0, 0.0, 0.0, 900.0])
     weights = np.ones((3, 12))
@@ -183,7 +165,6 @@ def test_weights_leave_satellites_out_and_without_a_fix_the_last_one_stays():
 
 
 def test_innovations_belong_to_their_belief():
-    """Derivative of the predicted pseudorange by position and clock, and S = G P G' + R."""
     rho, satellites = pseudoranges(4.0, 1)
 
     def expected(position, clock):

@@ -5,14 +5,7 @@ import copy
 import numpy as np
 import pytest
 
-from spoofgym.receiver.epoch import (
-    OPTIONAL,
-    SEEN,
-    Epoch,
-    ReceiverBuffers,
-    TracedEpoch,
-    epoch_view,
-)
+from spoofgym.receiver.epoch import OPTIONAL, SEEN, Epoch, ReceiverBuffers, TracedEpoch, epoch_view
 
 OF_OTHER_RECEIVERS = ("gnss_position", "auxiliary_position", "cn0_dbhz")
 

@@ -100,7 +100,6 @@ def test_eight_receivers_step_as_each_alone():
 
 @pytest.mark.parametrize("receivers", [1, LANES + 3])
 def test_lanes_go_the_steps_of_single_samples(receivers):
-    """Each as many as its interval has; the last specific force enters the transition."""
     batch, start = Batch(range(receivers)), Batch(range(receivers))
     batch.predict()
     after, before, counts = batch.fields, start.fields, set()

@@ -17,7 +17,6 @@ MICRO_G = 9.80665e-6
     ("settings", "said"),
     [
         ({"pseudorange_sd": math.nan}, "`noise.pseudorange_sd` must be a number above 0, got nan"),
-        ({"range_rate_sd": 0.0}, "`noise.range_rate_sd` must be a number above 0, got 0"),
         ({"clock_frequency_psd": math.inf}, "`noise.clock_frequency_psd` must be a number of at"),
         (
             {"inertial": FILTER_GRADES["aviation"]._replace(gyro_noise_psd=-1.0)},

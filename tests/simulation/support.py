@@ -1,23 +1,17 @@
 """Short episodes of every victim, and a detector in the loop for those that take positions."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
 from spoofgym.detectors import Detector, Verdict
 from spoofgym.simulation import (
     LooselyCoupledSetup,
-    Setup,
-    Simulator,
     SnapshotSetup,
     TightlyCoupledSetup,
     WheeledRobotSetup,
 )
 from spoofgym.simulation.simulator import run_serially
 
-SHORT: dict[str, dict[str, Any]] = {
+SHORT = {
     "tightly-coupled": {
         "timeline": {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 5.0}
     },
@@ -35,14 +29,14 @@ SHORT: dict[str, dict[str, Any]] = {
     },
 }
 """Settings of a short episode by victim, as JSON has them."""
-DOMAINS: dict[str, dict[str, Any]] = {
+DOMAINS = {
     "tightly-coupled": {"start_s": (5.0, 40.0), "constellation_time_s": (0.0, 9e3), "worlds": 2},
     "loose": {"start_s": (1.0, 30.0)},
     "snapshot": {"turned_deg": (0.0, 360.0), "constellation_time_s": (0.0, 2e3), "worlds": 3},
     "robot": {"start_s": (3.0, None)},
 }
 """Something to be drawn for every episode."""
-SETUPS: dict[str, type[Setup]] = {
+SETUPS = {
     "tightly-coupled": TightlyCoupledSetup,
     "loose": LooselyCoupledSetup,
     "snapshot": SnapshotSetup,
@@ -50,24 +44,24 @@ SETUPS: dict[str, type[Setup]] = {
 }
 
 
-def setup_of(kind: str, **settings: Any) -> Any:
+def setup_of(kind, **settings):
     if kind == "loose":  # no detector of the registry gives weights to its positions
         settings = {"detector": Weigher(), **settings}
     return SETUPS[kind](**{**SHORT[kind], **settings})
 
 
-def rngs(receivers: int, first: int = 100) -> list[np.random.Generator]:
+def rngs(receivers, first=100):
     return [np.random.default_rng(first + row) for row in range(receivers)]
 
 
-def warm(setup: Setup, receivers: int, first: int = 100, **given: Any) -> Any:
+def warm(setup, receivers, first=100, **given):
     """Receivers at the onset."""
-    simulator: Simulator = setup.simulator(receivers, run_serially)
+    simulator = setup.simulator(receivers, run_serially)
     simulator.warm_up(rngs(receivers, first), given=given or None)
     return simulator
 
 
-def step(simulator: Simulator, command: Any = None) -> np.ndarray:
+def step(simulator, command=None):
     """One epoch with the detector in the loop; (B,) bool alarms."""
     if command is not None:
         shape = (simulator.receivers, len(simulator.setup.action_names))

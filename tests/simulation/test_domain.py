@@ -1,7 +1,5 @@
 """What differs from episode to episode: worlds, begins, sensors, errors, target directions."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -29,7 +27,7 @@ def settings(**kwargs):
 
 
 def test_an_episode_is_played_in_the_circumstances_that_it_has_drawn():
-    envs = gym.make_vec(ID, num_envs=24, **settings(domain=ALL, target_heading_deg="random"))
+    envs = gym.make_vec(ID, num_envs=12, **settings(domain=ALL, target_heading_deg="random"))
     observation, info = envs.reset(seed=0)
     core = envs.unwrapped.core
     setup, simulator = core.setup, core.engine.simulator
@@ -86,7 +84,7 @@ def test_a_reset_that_tells_nonsense_is_refused_and_nothing_is_lost():
     for each in (envs, other):
         each.reset(seed=2)
     for given, message in (
-        ({"word": 1}, "unknown choice of a reset 'word'; valid: .*did you mean 'world'"),
+        ({"word": 1}, "unknown choice of a reset 'word'"),
         ({"world": 3}, "`world` must be whole numbers, 0 to 2, got 3"),
         ({"world": [0, 1, 2]}, "`world` must be one value or 2 of them, got 3"),
         ({"start_s": 41.0}, "`start_s` must be 5 to 40, got 41"),
@@ -102,7 +100,6 @@ def test_a_reset_that_tells_nonsense_is_refused_and_nothing_is_lost():
 @pytest.mark.parametrize(
     ("domain", "message"),
     [
-        ({"start": (0, 1)}, "`domain` has no setting 'start'; valid: start_s"),
         ({"start_s": (5.0, 2.0)}, "`start_s` must be finite, the least first"),
         ({"start_s": (-1.0, 2.0)}, "`start_s` must not begin before 0 s"),
         ({"constellation_time_s": (0.0, 1e12)}, "`constellation_time_s` must be"),

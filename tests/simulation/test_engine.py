@@ -6,11 +6,13 @@ import pytest
 from spoofgym.detectors import Never
 from spoofgym.receiver import TightlyCoupled, replay
 from spoofgym.simulation import Engine, TightlyCoupledSetup
+from spoofgym.simulation._kernels import NO_FORM
 from spoofgym.simulation.recording import record_run
 from spoofgym.simulation.simulator import Simulator
 from spoofgym.simulation.tight import TightlyCoupledSimulator
 
 from ..envs.support import SHORT
+from ..receiver.batches import check_same
 
 
 def everything(simulator, rows=slice(None)):
@@ -28,12 +30,6 @@ def everything(simulator, rows=slice(None)):
         "epoch": sensors.epoch,
     }
     return {name: np.array(array)[rows] for name, array in arrays.items()}
-
-
-def check_same(mine, theirs):
-    assert list(mine) == list(theirs)
-    for name in mine:
-        assert mine[name].tobytes() == theirs[name].tobytes(), name
 
 
 def played(setup, rows, threads=1):
@@ -94,17 +90,7 @@ def many(request):
 
 @pytest.mark.parametrize(
     ("rows", "threads"),
-    [
-        (range(1), 1),
-        (range(7, 8), 1),
-        (range(69, 70), 1),
-        (range(7), 1),
-        (range(8), 1),
-        (range(9), 1),
-        (range(17), 2),
-        (range(70), 2),
-        (range(70), 3),
-    ],
+    [(range(7, 8), 1), (range(7), 1), (range(8), 1), (range(9), 1), (range(17), 2), (range(70), 3)],
     ids=str,
 )
 def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(many, rows, threads):
@@ -115,7 +101,6 @@ def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(many, rows, th
 
 
 def test_an_attack_meets_the_same_noise():
-    """Measured samples and white noise of ranges do not depend on what the attack does."""
     setup = TightlyCoupledSetup(timeline=SHORT, detector=Never())
     setup.fields = frozenset({"pseudorange"})
 
@@ -150,17 +135,19 @@ STEPS = {
     "equipment": {"attack": "tracking-1m"},
     "chart without weights": {"detector": {"name": "ewma", "weight_scale": None}},
     "another detector": {"detector": "cusum"},
+    "at a rate": {"detector": {"name": "ewma", "threshold_scale": 0.37}},
     "general": SETTINGS["general"],
 }
 
 
 @pytest.mark.parametrize(("name", "receivers"), [("displacement", 1), *((n, 11) for n in STEPS)])
 def test_a_step_is_its_two_halves_with_the_judge_between(name, receivers):
-    """One call of the kernel, where nothing in Python comes between, gives the bits of three."""
     settings = {"timeline": SHORT, "detector": {"name": "ewma"}, **STEPS[name]}
     whole, halves = (Engine(receivers, TightlyCoupledSetup(**settings)) for _ in range(2))
     for engine in (whole, halves):
         engine.reset([np.random.default_rng([5, number]) for number in range(receivers)])
+    compiled = whole.simulator._compiled_detector() != NO_FORM
+    assert compiled == (name != "another detector")
     rng, axes = np.random.default_rng(6), len(whole.setup.action_names)
     for k in range(12):
         command = None if k == 7 else rng.uniform(-1.0, 1.0, (receivers, axes))
@@ -184,11 +171,12 @@ def test_a_step_is_its_two_halves_with_the_judge_between(name, receivers):
         ("displacement", 1, False),
         ("displacement", 40, True),
         ("never", 9, True),
-        *((name, 9, k % 2 == 0) for k, name in enumerate(STEPS)),
+        *(("channels at a rate", 9, holding) for holding in (True, False)),
+        ("another detector", 9, True),
+        ("general", 9, False),
     ],
 )
 def test_live_epochs_are_the_stepwise_run(name, receivers, holding):
-    """One compiled call for many epochs with the detector gives the bits of a call for each."""
     detector = {"name": "ewma", "thresholds": "nominal", "false_alarm": 0.2}
     settings = {"timeline": SHORT, "detector": detector, **STEPS.get(name, {"detector": "never"})}
     fused, stepwise = (Engine(receivers, TightlyCoupledSetup(**settings)) for _ in range(2))
@@ -220,24 +208,6 @@ def test_an_unsound_verdict_of_live_epochs_is_named_as_that_of_a_step():
             live_epochs(engine.simulator, 6)
         messages.append(str(caught.value))
     assert messages[0] == messages[1]
-
-
-def test_the_quiet_stretch_is_the_stepwise_run():
-    """One compiled call for many epochs gives the bits of three calls an epoch."""
-    setup = TightlyCoupledSetup(timeline=SHORT)
-    fused = Engine(5, setup, threads=1).simulator
-    stepwise = Engine(5, setup, threads=1).simulator
-    for simulator in (fused, stepwise):
-        simulator.start_episodes([np.random.default_rng(i) for i in range(5)])
-    fused.run_filter_only(30)
-    for _ in range(30):
-        stepwise.advance()
-        stepwise.update(None)
-    mine, theirs = everything(fused), everything(stepwise)
-    for name in ("seen innovation", "seen innovation_variance", "plain time", "plain interval"):
-        del mine[name], theirs[name]  # shown only where somebody may look
-    del mine["plain visible"], theirs["plain visible"]
-    check_same(mine, theirs)
 
 
 @pytest.mark.parametrize(("attacked", "grade"), [(False, "aviation"), (True, "consumer")])

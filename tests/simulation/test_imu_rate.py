@@ -1,7 +1,5 @@
 """Fewer inertial samples: the same flight, the same sensors, the same errors of the receiver."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gymnasium as gym
@@ -73,12 +71,7 @@ def test_increments_are_rounded_before_they_are_summed_up(grade):
 @pytest.mark.parametrize(
     ("kind", "settings", "said"),
     [
-        (
-            TightlyCoupledSetup,
-            {"imu_rate_hz": 30},
-            "epochs of 0.5 s: 100, 50, 20, 10, 4, 2; got 30",
-        ),
-        (TightlyCoupledSetup, {"imu_rate_hz": 200}, "got 200"),
+        (TightlyCoupledSetup, {"imu_rate_hz": 30}, "0.5 s: 100, 50, 20, 10, 4, 2; got 30"),
         (TightlyCoupledSetup, {"scenario": ODD}, "epochs of 0.13 s: 100, 7.69231; got 20"),
         (LooselyCoupledSetup, {"imu_rate_hz": 50}, "160, 80, 40, 20, 10; got 50"),
         (SnapshotSetup, {"imu_rate_hz": 20}, "imu_rate_hz"),  # which has no such sensors
@@ -122,7 +115,7 @@ def test_every_victim_environment_and_duel_take_it():
     duel.reset(seed=3)
 
 
-def statistics(name: str, rate: float | None, receivers: int, seconds: float) -> np.ndarray:
+def statistics(name, rate, receivers, seconds):
     """(3, B) mean squared errors of position and velocity and NIS, over the last quarter."""
     scenario = replace(SCENARIOS[name](), imu_rate_hz=rate)
     victim = TightlyCoupled(grade=scenario.imu)

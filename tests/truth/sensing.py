@@ -1,7 +1,5 @@
 """The kernel of the inertial sensors, called by itself: one receiver, or eight side by side."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from spoofgym.core.compile import njit
@@ -42,6 +40,13 @@ def sensors_of(receivers=1, **values):
     for name, value in {**PERFECT, **values}.items():
         fields[name] = value
     return fields
+
+
+def modelled(errors, truth):
+    """(6, N) samples of true ones without noise and quantization, by the errors of sensors."""
+    force = errors["accel_bias"][:, None] + errors["accel_matrix"] @ truth[:3]
+    rate = errors["gyro_bias"][:, None] + errors["gyro_matrix"] @ truth[3:]
+    return np.vstack([force, rate + errors["g_dependence"] @ truth[:3]])
 
 
 def sensed(fields, run, deviates, first=0):

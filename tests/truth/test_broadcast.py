@@ -1,16 +1,11 @@
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from numpy.typing import NDArray
 
 from spoofgym.data.ephemerides import (
     GPS_EARTH_RATE,
@@ -23,14 +18,13 @@ from spoofgym.data.ephemerides import (
     solve_kepler,
 )
 from spoofgym.data.rinex import read_navigation
-from spoofgym.truth.satellites import Constellation
 
 from .records import HOUR, ORBIT, SATURDAY_22, chain, joined, later, one_record
 
 PROPERTY = settings(deadline=None, max_examples=50)
 
 
-def test_gps_seconds_of_known_weeks() -> None:
+def test_gps_seconds_of_known_weeks():
     assert gps_seconds(datetime(1980, 1, 6)) == 0.0
     # header of igs15904.sp3: week 1590, second 345600
     assert gps_seconds(datetime(2010, 7, 1)) == 1590 * SECONDS_PER_WEEK + 345600.0
@@ -38,7 +32,7 @@ def test_gps_seconds_of_known_weeks() -> None:
     assert gps_seconds(datetime(2019, 4, 7)) == 2048 * SECONDS_PER_WEEK
 
 
-def test_civil_time_gains_the_leap_seconds() -> None:
+def test_civil_time_gains_the_leap_seconds():
     kathmandu = timezone(timedelta(hours=5, minutes=45))
     for moment, leap_seconds in (
         (datetime(1980, 1, 6), 0),
@@ -55,7 +49,7 @@ def test_civil_time_gains_the_leap_seconds() -> None:
 
 @PROPERTY
 @given(mean_anomaly=st.floats(-10.0, 10.0), eccentricity=st.floats(0.0, 0.5) | st.just(0.02))
-def test_kepler_equation_holds(mean_anomaly: float, eccentricity: float) -> None:
+def test_kepler_equation_holds(mean_anomaly, eccentricity):
     E = solve_kepler(mean_anomaly, eccentricity)
     residual = E - eccentricity * np.sin(E) - mean_anomaly
     assert abs(np.remainder(residual + np.pi, 2.0 * np.pi) - np.pi) < 5e-15
@@ -67,9 +61,7 @@ def test_kepler_equation_holds(mean_anomaly: float, eccentricity: float) -> None
     shape=st.tuples(st.floats(0.0, 0.1), st.floats(-np.pi, np.pi), st.floats(-np.pi, np.pi)),
     corrections=st.lists(st.floats(-1.0, 1.0), min_size=8, max_size=8),
 )
-def test_velocity_is_the_derivative_of_position(
-    elapsed: float, shape: tuple[float, ...], corrections: list[float]
-) -> None:
+def test_velocity_is_the_derivative_of_position(elapsed, shape, corrections):
     # corrections a hundred times those of GPS, so that each of their rates is seen
     names = ("cuc", "cus", "cic", "cis", "crc", "crs", "inclination_rate", "node_rate")
     scales = (1e-3, 1e-3, 1e-4, 1e-4, 3e4, 3e4, 1e-7, 1e-6)
@@ -82,7 +74,7 @@ def test_velocity_is_the_derivative_of_position(
 
 @PROPERTY
 @given(elapsed=st.floats(-2e4, 2e4), eccentricity=st.floats(0.0, 0.2))
-def test_without_corrections_it_is_the_two_body_orbit(elapsed: float, eccentricity: float) -> None:
+def test_without_corrections_it_is_the_two_body_orbit(elapsed, eccentricity):
     shape = {"root_semi_major_axis", "mean_anomaly", "perigee", "node", "inclination"}
     none = dict.fromkeys(ORBIT.keys() - shape, 0.0)
     record = one_record(**none | {"eccentricity": eccentricity})
@@ -102,7 +94,7 @@ def test_without_corrections_it_is_the_two_body_orbit(elapsed: float, eccentrici
 
 
 @pytest.mark.parametrize("by", [-16.0, 16.0, 4 * HOUR])
-def test_a_record_of_the_next_week_continues_the_orbit(by: float) -> None:
+def test_a_record_of_the_next_week_continues_the_orbit(by):
     first = one_record("G05", SATURDAY_22 + 2 * HOUR - 16.0)
     second = later(first, by)
     times = np.linspace(0.0, HOUR, 7)
@@ -116,7 +108,7 @@ def test_a_record_of_the_next_week_continues_the_orbit(by: float) -> None:
 
 
 @pytest.mark.parametrize("late", [0.0, 1800.0])
-def test_the_nearest_record_is_followed_whenever_the_run_starts(late: float) -> None:
+def test_the_nearest_record_is_followed_whenever_the_run_starts(late):
     records = chain(0.0, 50.0, 0.0)  # 22:00, 00:00 of the next week, 02:00
     constellation = BroadcastConstellation(records, SATURDAY_22 + late)
     times = np.array([-1.9, 0.9, 1.1, 2.9, 3.1, 5.9]) * HOUR
@@ -127,7 +119,7 @@ def test_the_nearest_record_is_followed_whenever_the_run_starts(late: float) -> 
     assert_allclose(states.velocity_e[:, 0], expected.velocity_e, rtol=0, atol=1e-9)
 
 
-def test_nothing_beyond_two_hours_of_a_record() -> None:
+def test_nothing_beyond_two_hours_of_a_record():
     constellation = BroadcastConstellation(chain(0.0, 0.0, interval=6 * HOUR), SATURDAY_22)
     times = np.array([-2.01, -2.0, 2.0, 2.01, 3.99, 4.0, 8.0, 8.01]) * HOUR
     known = [False, True, True, False, False, True, True, False]
@@ -136,11 +128,11 @@ def test_nothing_beyond_two_hours_of_a_record() -> None:
         assert_array_equal(np.isnan(array).all(axis=(1, 2)), np.logical_not(known))
 
 
-def test_unhealthy_satellites_are_not_flown() -> None:
+def test_unhealthy_satellites_are_not_flown():
     first = one_record()
     others = one_record("G02", health=1.0), one_record("G11")
     records = joined(first, later(first, 2 * HOUR, health=63.0), *others)
-    constellation: Constellation = BroadcastConstellation(records, SATURDAY_22)
+    constellation = BroadcastConstellation(records, SATURDAY_22)
     assert constellation.satellite_ids == ("G02", "G05", "G11")
     known = np.isfinite(constellation.states([0.0, 1.5 * HOUR]).position_e).all(axis=-1)
     assert_array_equal(known, [[False, True, True], [False, False, True]])
@@ -156,26 +148,23 @@ def test_unhealthy_satellites_are_not_flown() -> None:
     [
         (lambda: gps_seconds(datetime(1979, 12, 31)), "1980-01-06"),
         (lambda: BroadcastConstellation(one_record(), 0.0), r"2024-09-14 22:00:00 .* got 0.0"),
-        (lambda: BroadcastConstellation(one_record(), np.nan), "finite number, got nan"),
         (lambda: BroadcastConstellation(one_record(health=1.0), SATURDAY_22), "none of the 1"),
         (lambda: one_record(eccentricity=1.0), r"0 <= e < 1, got 1\.0"),
-        (lambda: one_record(eccentricity=-0.1), r"0 <= e < 1, got -0\.1"),
         (lambda: one_record(root_semi_major_axis=0.0), r"positive, got 0\.0"),
         (lambda: one_record(node=np.nan), "`node` must be finite, got nan for G05, record 0"),
         (lambda: replace(one_record(), cuc=np.zeros(2)), r"`cuc` must have shape \(1,\)"),
-        (lambda: one_record().take(np.array([], dtype=int)), r"R >= 1, got \(0,\)"),
         (lambda: one_record().node.fill(0.0), "read-only"),
     ],
 )
-def test_what_cannot_be_is_refused(make: Callable[[], object], said: str) -> None:
+def test_what_cannot_be_is_refused(make, said):
     with pytest.raises(ValueError, match=said):
         make()
 
 
-def read_sp3(path: Path) -> tuple[list[datetime], dict[str, NDArray[np.float64]]]:
+def read_sp3(path):
     """Epochs and, for each satellite, (K, 3) precise positions, ECEF [m]; NaN where missing."""
-    dates: list[datetime] = []
-    positions: dict[str, list[list[float]]] = {}
+    dates = []
+    positions = {}
     for line in path.read_text().splitlines():
         if line.startswith("*"):
             year, month, day, hour, minute = map(int, line[1:].split()[:5])
@@ -186,7 +175,7 @@ def read_sp3(path: Path) -> tuple[list[datetime], dict[str, NDArray[np.float64]]
     return dates, {satellite: np.array(rows) for satellite, rows in positions.items()}
 
 
-def test_orbits_of_a_day_agree_with_the_precise_ones(data_folder: Path) -> None:
+def test_orbits_of_a_day_agree_with_the_precise_ones(data_folder):
     folder = data_folder / "gnss_broadcast"
     dates, precise = read_sp3(folder / "igs15904.sp3")
     records = read_navigation(folder / "brdc1820.10n")
@@ -213,7 +202,7 @@ def test_orbits_of_a_day_agree_with_the_precise_ones(data_folder: Path) -> None:
     assert flown[:, others].all()
 
 
-def test_unhealthy_satellites_of_a_day(data_folder: Path) -> None:
+def test_unhealthy_satellites_of_a_day(data_folder):
     path = data_folder / "gnss_broadcast" / "brdc3050.12n"
     kept, report = screen(read_navigation(path))
     constellation = BroadcastConstellation(kept, gps_seconds(datetime(2012, 10, 31, 12)))

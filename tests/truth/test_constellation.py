@@ -1,8 +1,4 @@
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +6,9 @@ import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from numpy.typing import NDArray
 
 from spoofgym.earth.wgs84 import EARTH_RATE, GRAVITATIONAL_CONSTANT
-from spoofgym.truth.satellites import CircularConstellation, CombinedConstellation, Constellation
+from spoofgym.truth.satellites import CircularConstellation, CombinedConstellation
 
 PROPERTY = settings(deadline=None, max_examples=50)
 EARTH_RATE_E = np.array([0.0, 0.0, EARTH_RATE])
@@ -27,9 +22,7 @@ CONSTELLATIONS = st.builds(
 )
 
 
-def inertial(
-    time: float, position_e: NDArray[np.float64], velocity_e: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def inertial(time, position_e, velocity_e):
     """Position and velocity in the inertial axes that are the ECEF axes at time 0."""
     a = EARTH_RATE * time
     C_ie = np.array([[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]])
@@ -39,7 +32,7 @@ def inertial(
 @pytest.mark.parametrize(
     "name", ["golden_aviation_profile1_1Hz.mat", "golden_tactical_profile3_first120s_1Hz.mat"]
 )
-def test_golden_satellites(data_folder: Path, name: str) -> None:
+def test_golden_satellites(data_folder, name):
     rows = scipy.io.loadmat(data_folder / "groves_reference" / name)["gnss_meas"]
     times, epoch = np.unique(rows[:, 0], return_inverse=True)
     position_e, velocity_e = CircularConstellation().states(times)
@@ -53,9 +46,7 @@ def test_golden_satellites(data_folder: Path, name: str) -> None:
 
 @PROPERTY
 @given(constellation=CONSTELLATIONS, time=TIMES)
-def test_orbits_are_circles_in_planes_that_stand_still(
-    constellation: CircularConstellation, time: float
-) -> None:
+def test_orbits_are_circles_in_planes_that_stand_still(constellation, time):
     states = constellation.states([time, 0.0])
     position_i, velocity_i = inertial(time, states.position_e[0], states.velocity_e[0])
     r = constellation.radius_m
@@ -71,7 +62,7 @@ def test_orbits_are_circles_in_planes_that_stand_still(
     assert_allclose(shifted.states([0.0]).position_e[0], states.position_e[0], atol=1e-3)
 
 
-def test_five_satellites_on_each_of_six_planes() -> None:
+def test_five_satellites_on_each_of_six_planes():
     position_e, velocity_e = CircularConstellation().states([0.0])
     h = np.cross(*inertial(0.0, position_e[0], velocity_e[0]))
     node_deg = np.rad2deg(np.arctan2(h[:, 0], -h[:, 1])) % 360.0
@@ -81,15 +72,15 @@ def test_five_satellites_on_each_of_six_planes() -> None:
     assert_allclose(np.round(node_deg / 60.0) * 60.0, node_deg, atol=1e-9)
 
 
-def test_satellites_have_ids_in_order_and_contiguous_states() -> None:
-    constellation: Constellation = CircularConstellation()
+def test_satellites_have_ids_in_order_and_contiguous_states():
+    constellation = CircularConstellation()
     assert constellation.satellite_ids == tuple(f"S{k:02d}" for k in range(1, 31))
     for array in constellation.states(np.arange(4)):
         assert array.shape == (4, 30, 3)
         assert array.flags.c_contiguous
 
 
-def test_constellations_combined_are_those_they_are_made_of() -> None:
+def test_constellations_combined_are_those_they_are_made_of():
     own = CircularConstellation()
     other = CircularConstellation(satellites=4, prefix="A", planes=2, radius_m=3e7)
     both = CombinedConstellation((own, other))
@@ -106,11 +97,9 @@ def test_constellations_combined_are_those_they_are_made_of() -> None:
         (lambda: CombinedConstellation((CircularConstellation(),) * 2), "'S01' twice"),
         (lambda: CombinedConstellation(()), "at least one constellation, got none"),
         (lambda: CircularConstellation(prefix="g"), "capital letter, A to Z, got 'g'"),
-        (lambda: CircularConstellation(prefix=""), "capital letter, A to Z, got ''"),
-        (lambda: CircularConstellation().states(0.0), r"shape \(K,\), got \(\)"),
         (lambda: CircularConstellation().states([0.0, np.nan]), "finite, got nan"),
     ],
 )
-def test_what_cannot_be_is_refused(make: Callable[[], object], said: str) -> None:
+def test_what_cannot_be_is_refused(make, said):
     with pytest.raises(ValueError, match=said):
         make()

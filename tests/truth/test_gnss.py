@@ -49,20 +49,10 @@ def epochs_of(errors, count, tau=0.5, bias_sd=0.0, change=None, seed=3):
     truth = np.zeros((1, N, 8))
     truth[0, :, 6], truth[0, :, 7] = 2.2e7 + np.arange(N), 100.0 * np.arange(N)
     out, clocks = np.empty((count, 2 * N)), np.empty((count, 2))
+    own = [each.data for each in (buffers.fields, buffers.constants, buffers.words)]
     for k in range(count):
-        interval = np.array([tau if k else 0.0])
-        epoch = np.array([k], dtype=np.uint64)
-        measured(
-            buffers.fields.data,
-            buffers.constants.data,
-            buffers.words.data,
-            epoch,
-            interval,
-            truth.ravel(),
-            np.empty(pad_count(2 * N)),
-            added,
-            out[k],
-        )
+        now = np.array([k], dtype=np.uint64), np.array([tau if k else 0.0])
+        measured(*own, *now, truth.ravel(), np.empty(pad_count(2 * N)), added, out[k])
         clocks[k] = buffers.fields["clock"][0]
     out -= truth[0, :, 6:].T.ravel()
     return out[:, :N], out[:, N:], clocks, buffers.fields
@@ -109,20 +99,6 @@ def test_biases_stay_and_the_rest_is_white():
         assert np.abs(channels).max() < 5.0 / math.sqrt(count)
     assert abs(np.corrcoef(white.ravel(), rates.ravel())[0, 1]) < 4.0 / math.sqrt(count * N)
     assert 0.5 < fields["satellite_bias"][0].std() < 6.0
-
-
-def test_a_noisy_clock_wanders_as_its_densities_say():
-    count, tau = 4000, 0.5
-    clock = ReceiverClock(offset_m=0.0, drift_mps=0.0, phase_psd=0.3, frequency_psd=0.2)
-    _, _, clocks, _ = epochs_of(replace(SILENT, clock=clock), count, tau)
-    noise = np.column_stack([np.diff(clocks[:, 0]) - tau * clocks[:-1, 1], np.diff(clocks[:, 1])])
-    Q = np.array(
-        [[0.3 * tau + 0.2 * tau**3 / 3.0, 0.2 * tau**2 / 2.0], [0.2 * tau**2 / 2.0, 0.2 * tau]]
-    )
-    np.testing.assert_allclose(np.cov(noise.T), Q, rtol=0.12, atol=0)
-    whitened = np.linalg.solve(np.linalg.cholesky(Q), noise.T)
-    assert scipy.stats.kstest(whitened.ravel(), "norm").pvalue > 1e-3
-    assert abs(np.mean(whitened[:, 1:] * whitened[:, :-1])) < 4.0 / math.sqrt(2 * count)
 
 
 def test_sources_of_noise_have_streams_of_their_own():

@@ -12,7 +12,7 @@ from spoofgym.truth.gnss_errors import ERRORS
 from spoofgym.truth.noise import normals, pad_count
 from spoofgym.truth.sensors import IMU_GRADES, SensorBuffers
 
-from .sensing import draw_group, run_of, sensed_by_eight, sensors_of
+from .sensing import draw_group, modelled, run_of, sensed_by_eight, sensors_of
 
 DEG = math.pi / 180.0
 
@@ -39,22 +39,10 @@ def errors_of(rng, quantization):
     }
 
 
-def modelled(errors, truth, deviates, lengths):
-    """(6, N) samples before quantization."""
-    white = deviates * np.asarray(lengths) ** -0.5
-    force = errors["accel_bias"][:, None] + errors["accel_matrix"] @ truth[:3]
-    rate = errors["gyro_bias"][:, None] + errors["gyro_matrix"] @ truth[3:]
-    rate = rate + errors["g_dependence"] @ truth[:3]
-    return np.vstack(
-        [force + errors["imu_noise"][0] * white[:3], rate + errors["imu_noise"][1] * white[3:]]
-    )
-
-
 @pytest.mark.nojit
 @pytest.mark.parametrize("count", [1, CHUNK, 2 * CHUNK + 3])
 @pytest.mark.parametrize("together", [True, False])
 def test_eight_receivers_sense_as_each_alone(count, together):
-    """Other errors, levels, samples and intervals; those who wait keep their residuals."""
     rng = np.random.default_rng(count)
     lengths, most = rng.uniform(0.005, 0.02, 100), 100 - count
     truth, deviates = rng.normal(0.0, 1.0, (6, 100)), rng.normal(0.0, 1.0, (LANES, 6, count))
@@ -69,7 +57,8 @@ def test_eight_receivers_sense_as_each_alone(count, together):
     got = sensed_by_eight(fields, run_of(truth, lengths), deviates, first, active)
     for b, each in enumerate(errors):
         now = slice(first[b], first[b] + count)
-        want = modelled(each, truth[:, now], deviates[b], lengths[now])
+        noise = np.repeat(each["imu_noise"][:2], 3)[:, None] * deviates[b] * lengths[now] ** -0.5
+        want = modelled(each, truth[:, now]) + noise
         for c in range(6):
             level, left = levels[b][c // 3], each["residual"][c]
             expected, left = rounded(want[c], level, left) if level else (want[c], left)
@@ -116,7 +105,8 @@ def test_drawn_samples_are_the_error_model_of_the_grade():
         deviates = np.empty(size)
         normals(keys[0], keys[1], epoch, deviates)
         white = deviates[: 6 * count].reshape(6, -1)
-        want = modelled(errors, truth[:, 20:70], white, np.full(count, step))
+        noise = np.repeat(grade.noise[:2], 3)[:, None] * white * step**-0.5
+        want = modelled(errors, truth[:, 20:70]) + noise
         for c in range(6):
             expected, residual[c] = rounded(want[c], levels[c], residual[c])
             got = samples[c * count : (c + 1) * count]

@@ -105,8 +105,6 @@ def test_the_antimeridian_is_a_meridian_like_any_other():
     [
         (lambda: flown(), "at least one manoeuvre"),
         (lambda: flown(Straight(1.0), latitude_deg=91.0), "`latitude_deg`.*got 91"),
-        (lambda: flown(Straight(1.0), speed_mps=-1.0), "`speed_mps` must be"),
-        (lambda: flown(Straight(1.0), rate_hz=0.0), "`rate_hz`"),
         (lambda: flown(Turn(10.0), speed_mps=0.0), "speed above 0 m/s"),
         (lambda: flown(Climb(100.0, rate_mps=20.0), speed_mps=10.0), "at most 8.66 m/s"),
         (lambda: flown(Accelerate(-130.0)), "`change_mps` must be at least -120 m/s"),

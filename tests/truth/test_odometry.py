@@ -28,24 +28,12 @@ def dead_reckoning(odometer, epochs, receivers=1, loop=None):
     left, right = track.wheels(odometer.wheel_base_m)
     keys, phase = draw_keys(generators(receivers))
     increment, yaw, noise = np.empty((receivers, 2)), np.zeros(receivers), np.empty(BLOCK)
+    degrees = odometer.hard_iron_deg, odometer.yaw_noise_deg
+    errors = odometer.count_m, *map(math.radians, degrees), phase
+    way = np.zeros(receivers, dtype=np.int64), left, right, track.yaw, SAMPLES
     found = [np.zeros((receivers, 2))]
     for k in range(epochs + 1):
-        measure_odometry(
-            keys,
-            np.full(receivers, k),
-            np.zeros(receivers, dtype=np.int64),
-            left,
-            right,
-            track.yaw,
-            SAMPLES,
-            odometer.count_m,
-            math.radians(odometer.hard_iron_deg),
-            math.radians(odometer.yaw_noise_deg),
-            phase,
-            noise,
-            yaw,
-            increment,
-        )
+        measure_odometry(keys, np.full(receivers, k), *way, *errors, noise, yaw, increment)
         found.append(found[-1] + increment)
     return np.array(found[1:]), track.position_ne[::SAMPLES]
 
@@ -86,22 +74,14 @@ def test_the_noise_of_the_heading_adds_up_across_the_way():
 def fixes(errors, epochs, receivers, offset=0.0, available=None):
     keys, _ = draw_keys(generators(receivers))
     correlated, noise = np.zeros((receivers, 2)), np.empty(BLOCK)
-    out = np.empty((epochs, receivers, 2))
+    out, first = np.empty((epochs, receivers, 2)), np.zeros(receivers, dtype=np.int64)
+    available = np.ones(epochs, dtype=np.bool_) if available is None else available
+    track = first, np.tile([1.0, -2.0], (epochs, 1)), available
+    sizes = errors.correlated_sd_m, errors.decay(1.0), errors.white_sd_m
+    offsets = np.full((receivers, 2), offset)
     for k in range(epochs):
-        measure_fix(
-            keys,
-            np.full(receivers, k),
-            np.zeros(receivers, dtype=np.int64),
-            np.tile([1.0, -2.0], (epochs, 1)),
-            np.ones(epochs, dtype=np.bool_) if available is None else available,
-            errors.correlated_sd_m,
-            errors.decay(1.0),
-            errors.white_sd_m,
-            np.full((receivers, 2), offset),
-            noise,
-            correlated,
-            out[k],
-        )
+        now = np.full(receivers, k)
+        measure_fix(keys, now, *track, *sizes, offsets, noise, correlated, out[k])
     return out
 
 

@@ -19,25 +19,11 @@ def measured(decay, receivers=300, epochs=30):
     epoch, displacement = np.zeros(receivers, dtype=np.int64), np.zeros((receivers, 3))
     displacement[:, 1] = 7.0
     samples, fix = np.empty((receivers, WORLD.samples, 6)), np.empty((receivers, 3))
+    world = WORLD.run, WORLD.position_e, WORLD.C_el, WORLD.imu_interval_s
+    given = inertial.noise, first[:, 9:].copy(), decay, errors.sd, displacement
     noise, seen = [], []
     for k in range(1, epochs + 1):
-        measure_loose(
-            keys,
-            epoch,
-            WORLD.run,
-            WORLD.position_e,
-            WORLD.C_el,
-            WORLD.imu_interval_s,
-            inertial.noise,
-            first[:, 9:].copy(),
-            decay,
-            errors.sd,
-            displacement,
-            deviates,
-            error,
-            samples,
-            fix,
-        )
+        measure_loose(keys, epoch, *world, *given, deviates, error, samples, fix)
         seen.append((fix - WORLD.position_e[k]) @ WORLD.C_el[k])
         truth = WORLD.run[(k - 1) * WORLD.samples : k * WORLD.samples]
         bias = np.hstack([first[:, 12:], first[:, 9:12]])

@@ -1,7 +1,5 @@
 """Screening of broadcast records: which are copies, and which their neighbours contradict."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from spoofgym.data.ephemerides import Ephemerides, screen
+from spoofgym.data.ephemerides import screen
 
 from .records import HOUR, SATURDAY_22, chain, joined, later, one_record
 
 PROPERTY = settings(deadline=None, max_examples=50)
 
 
-def rejected_records(ephemerides: Ephemerides) -> list[int]:
+def rejected_records(ephemerides):
     _, report = screen(ephemerides)
     toe = ephemerides.time_of_ephemeris.tolist()
     return [toe.index(rejection.time_of_ephemeris) for rejection in report.rejections]
@@ -25,9 +23,7 @@ def rejected_records(ephemerides: Ephemerides) -> list[int]:
 
 @PROPERTY
 @given(count=st.integers(3, 9), data=st.data(), error=st.floats(110.0, 2e7) | st.floats(-2e7, -110))
-def test_a_single_bad_record_is_found_wherever_it_stands(
-    count: int, data: st.DataObject, error: float
-) -> None:
+def test_a_single_bad_record_is_found_wherever_it_stands(count, data, error):
     bad = data.draw(st.integers(0, count - 1))
     errors = [0.0] * count
     errors[bad] = error
@@ -40,7 +36,7 @@ def test_a_single_bad_record_is_found_wherever_it_stands(
 
 @PROPERTY
 @given(errors=st.lists(st.floats(-45.0, 45.0), min_size=1, max_size=9))
-def test_broadcast_errors_are_no_contradiction(errors: list[float]) -> None:
+def test_broadcast_errors_are_no_contradiction(errors):
     kept, report = screen(chain(*errors))
     assert len(kept) == len(errors)
     assert (report.rejected, report.unresolved) == (0, 0)
@@ -56,7 +52,7 @@ def test_broadcast_errors_are_no_contradiction(errors: list[float]) -> None:
         ((5000, 0, 0, -9000), [0, 3]),
     ],
 )
-def test_two_bad_records_are_found(errors: tuple[float, ...], bad: list[int]) -> None:
+def test_two_bad_records_are_found(errors, bad):
     # half an hour apart, so that records beyond the bad ones are near enough to compare
     assert rejected_records(chain(*errors, interval=0.5 * HOUR)) == bad
 
@@ -72,15 +68,13 @@ def test_two_bad_records_are_found(errors: tuple[float, ...], bad: list[int]) ->
         (chain(0, 5000, 0, interval=4.0 * HOUR), (1, 0, 2)),
     ],
 )
-def test_what_neighbours_cannot_tell_is_kept_and_counted(
-    records: Ephemerides, counts: tuple[int, int, int]
-) -> None:
+def test_what_neighbours_cannot_tell_is_kept_and_counted(records, counts):
     kept, report = screen(records)
     assert (report.rejected, report.unresolved, report.unchecked) == counts
     assert len(kept) == len(records) - report.rejected
 
 
-def test_unhealthy_neighbours_bear_witness() -> None:
+def test_unhealthy_neighbours_bear_witness():
     # G01 in brdc1820.10n: the only record marked healthy is the wrong one
     records = chain(0, 0, 2e7, 0)
     records = replace(records, health=np.array([63.0, 63.0, 0.0, 63.0]))
@@ -90,7 +84,7 @@ def test_unhealthy_neighbours_bear_witness() -> None:
     assert not kept.healthy.any()
 
 
-def test_copies_and_records_of_other_satellites_bear_no_witness() -> None:
+def test_copies_and_records_of_other_satellites_bear_no_witness():
     records = chain(0, 5000, 0)
     rounded = replace(records, node=records.node * (1.0 + 1e-13))
     kept, report = screen(joined(records, rounded, records))
@@ -107,7 +101,7 @@ def test_copies_and_records_of_other_satellites_bear_no_witness() -> None:
 
 @PROPERTY
 @given(order=st.permutations(range(7)))
-def test_the_order_of_the_records_does_not_matter(order: list[int]) -> None:
+def test_the_order_of_the_records_does_not_matter(order):
     records = chain(0, 0, 5000, 0, 0, -9000, 0)
     kept, report = screen(records)
     shuffled, same_report = screen(records.take(order))

@@ -7,7 +7,7 @@ import pytest
 
 from spoofgym.truth.clock import ReceiverClock
 from spoofgym.truth.gnss_errors import ERRORS
-from spoofgym.truth.sensors import CONSTANTS, IMU_GRADES, SOURCES, SensorBuffers
+from spoofgym.truth.sensors import IMU_GRADES, SOURCES, SensorBuffers
 
 N = 5
 BIAS_SD = np.linspace(1.0, 3.0, N)
@@ -47,22 +47,7 @@ def test_an_episode_begins_with_the_errors_of_the_grade():
         np.testing.assert_array_equal(constants["gnss_noise"][b], [0.5, 0.1])
 
 
-@pytest.mark.parametrize("receivers", [1, 9])
-def test_sensors_that_are_alike_keep_their_constants_once(receivers):
-    each, together = (
-        begin(SensorBuffers(receivers, N, alike=alike), generators(receivers))
-        for alike in (False, True)
-    )
-    assert together.constants.groups == 1
-    taken = SensorBuffers(receivers, N, alike=True)
-    taken.copy_rows(np.array([0]), together, np.array([receivers - 1]))
-    for name in CONSTANTS:
-        np.testing.assert_array_equal(together.constants[name], each.constants[name])
-        np.testing.assert_array_equal(taken.constants[name], each.constants[name])
-
-
 def test_chance_is_that_of_the_seed_and_the_number_of_the_episode():
-    """Whatever the batch, and whatever was drawn of the generator itself."""
     many, one, seen = generators(3), generators(1, first=2), []
     for _ in range(3):
         batch, alone = begin(SensorBuffers(3, N), many), begin(SensorBuffers(1, N), one)

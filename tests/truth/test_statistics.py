@@ -17,7 +17,7 @@ from spoofgym.truth.scenario import Scenario
 from spoofgym.truth.sensors import IMU_GRADES
 
 from ..golden import reference
-from .sensing import run_of, sensors_of
+from .sensing import modelled, run_of, sensors_of
 from .sensing import sensed as measured_by
 
 STANDARD_ERRORS = 4.5
@@ -34,22 +34,15 @@ def run(grade, data_folder):
     return reference.load(data_folder, grade)
 
 
+def constants_of(sheet):
+    names = ("accel_bias", "gyro_bias", "accel_matrix", "gyro_matrix", "g_dependence")
+    return {name: getattr(sheet, name) for name in names}
+
+
 def sensed(sheet, truth, interval, rng):
     """(N, 6) measured samples of true ones."""
-    names = ("accel_bias", "gyro_bias", "accel_matrix", "gyro_matrix", "g_dependence")
-    sensors = sensors_of(imu_noise=sheet.noise, **{name: getattr(sheet, name) for name in names})
+    sensors = sensors_of(imu_noise=sheet.noise, **constants_of(sheet))
     return measured_by(sensors, run_of(truth.T, interval), rng.standard_normal(truth.T.shape)).T
-
-
-def modelled(sheet, truth):
-    """(N, 6) what the sensors would measure without noise and quantization."""
-    force, rate = truth[:, :3], truth[:, 3:]
-    return np.hstack(
-        [
-            sheet.accel_bias + force @ sheet.accel_matrix.T,
-            sheet.gyro_bias + rate @ sheet.gyro_matrix.T + force @ sheet.g_dependence.T,
-        ]
-    )
 
 
 def lag_one(errors):
@@ -65,7 +58,8 @@ def test_inertial_errors_are_distributed_as_the_references(run, grade):
     levels = np.repeat(sheet.noise[2:], 3)
     for samples in (measured, ours):
         np.testing.assert_allclose(samples / levels, np.round(samples / levels), atol=1e-6)
-    theirs, ours = measured - modelled(sheet, truth), ours - modelled(sheet, truth)
+    exact = modelled(constants_of(sheet), truth.T).T
+    theirs, ours = measured - exact, ours - exact
     n = len(truth)
     # rounding carries its rest, so that the mean is that of the white noise
     noise = np.repeat(sheet.noise[:2], 3) / math.sqrt(interval.mean())

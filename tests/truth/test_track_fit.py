@@ -50,7 +50,6 @@ def true():
 
 @pytest.fixture(scope="module")
 def fitted(true):
-    """A flight by its fixes without errors, and the report on it."""
     return fit_track(sampled(true))
 
 
@@ -171,11 +170,9 @@ def test_what_is_no_track_is_refused(true, monkeypatch):
     track = sampled(true)
     for changes, message in (
         ({"time": np.zeros(61)}, "rise from fix to fix"),
-        ({"time": np.arange(61) + 1.0}, "start at 0 s"),
         ({"latitude": np.full(61, math.radians(89.5))}, "within 89 deg.*got 89.5"),
         ({"height": np.full(61, np.nan)}, "`height` must be finite"),
         ({"groundspeed": np.full(61, np.inf)}, "`groundspeed` must be finite or NaN"),
-        ({"groundspeed": np.zeros(3)}, r"shape \(61,\), got \(3,\)"),
         ({"start_utc": datetime(2024, 1, 1)}, "time zone"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -1,14 +1,8 @@
 """Small networks of learned detectors in ONNX files, with their cards."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from spoofgym.detectors.learned import DetectorAgent, action_names, detector_card
@@ -20,16 +14,16 @@ TERMS = ("innovation", "in-view", "elapsed")
 HIDDEN = {"hidden": 4}
 
 
-def value(name: str, size: int, batch: Any = "batch") -> Any:
+def value(name, size, batch="batch"):
     return helper.make_tensor_value_info(name, TensorProto.FLOAT, [batch, size])
 
 
-def recurrent(inputs: int, outputs: int, states: dict[str, int]) -> onnx.ModelProto:
+def recurrent(inputs, outputs, states):
     """Leaky averages of tanh, one for each state, and actions that are linear in the first."""
     rng = np.random.default_rng(3)
     nodes, tensors = [], [numpy_helper.from_array(np.float32([0.7]), "keep")]
 
-    def product(name: str, fan: int, out: int, source: str) -> None:
+    def product(name, fan, out, source):
         weight = rng.normal(0.0, fan**-0.5, (out, fan)).astype(np.float32)
         bias = rng.normal(0.0, 0.1, out).astype(np.float32)
         tensors.extend([numpy_helper.from_array(weight, f"{name}_w")])
@@ -55,17 +49,17 @@ def recurrent(inputs: int, outputs: int, states: dict[str, int]) -> onnx.ModelPr
 
 
 def write_guard(
-    folder: Path,
-    name: str = "guard",
+    folder,
+    name="guard",
     *,
-    terms: Any = TERMS,
-    state: dict[str, int] | None = HIDDEN,
-    statistic: str = "receiver",
-    weighs: bool = False,
-    threshold: float | None = None,
-    quiet_epochs: int = 0,
-    edit: Callable[[onnx.ModelProto], onnx.ModelProto | None] | None = None,
-) -> Path:
+    terms=TERMS,
+    state=HIDDEN,
+    statistic="receiver",
+    weighs=False,
+    threshold=None,
+    quiet_epochs=0,
+    edit=None,
+):
     """A detector of random weights, passive by default; `edit` changes the model or returns one."""
     from ...spoofers.policies import network, written
 
@@ -91,7 +85,7 @@ def write_guard(
     return path
 
 
-def edit_card(path: Path, **fields: Any) -> None:
+def edit_card(path, **fields):
     """Change fields of a card, or remove those that are ``...``."""
     card = json.loads(path.with_suffix(".json").read_text())
     card.update(fields)

@@ -1,7 +1,5 @@
 """A detector by file, wherever a detector is named."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil
@@ -19,7 +17,7 @@ from spoofgym.bench.runs.world import World
 from spoofgym.calibration.clean_runs import Player
 from spoofgym.cli.app import app
 from spoofgym.core.registry import parse_spec
-from spoofgym.detectors import LearnedDetector, calibrated, detector_in_world, make_detector
+from spoofgym.detectors import LearnedDetector, detector_in_world, make_detector
 from spoofgym.detectors.calibrated import describe_identity, resolve_thresholds
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, SHIPPED_FOLDER
 from spoofgym.envs.wrappers import DetectorWrapper, WatchWrapper
@@ -66,8 +64,6 @@ def test_a_name_makes_a_detector_with_the_threshold_of_its_card(guard):
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"level": 1.0}, r"no setting 'level'; valid: threshold, quiet_epochs, sha"),
-        ({"threshold": 2}, "must be a number above 0 and at most 1, got 2"),
         ({"threshold": 0.5, **RATE}, "has a `threshold` of its own, and a request for another"),
         ({"name": "nowhere.onnx"}, r"there is no ONNX file nowhere\.onnx"),
         ({"sha256": "0" * 64}, "has the SHA-256 .*; `sha256` must be 0000"),
@@ -210,23 +206,6 @@ def test_a_campaign_names_it_by_content(guard, tmp_path):
     assert one.digest == other.digest
     edit_card(moved, threshold=0.8)
     assert Suite(detectors=[str(moved)], **suite).digest != one.digest
-
-
-def test_limits_say_that_it_has_no_bound(guard, capsys):
-    arguments = ["limits", "--set", f"timeline={json.dumps(FAST)}", "--json"]
-    app([*arguments, "--detector", f"{guard}:threshold=0.9"], standalone_mode=False)
-    found = json.loads(capsys.readouterr().out)["zero_alarm"]
-    assert "no zero-alarm bound for LearnedDetector" in json.dumps(found)
-
-
-def test_the_default_rate_is_asked_for_in_a_world(guard, monkeypatch):
-    monkeypatch.setattr(calibrated, "DEFAULT_RATE", 0.2)
-    own = {"name": guard, "threshold": 0.4}
-    assert tight().copy_with(detector=detector_in_world(own)).detector.scale == 0.4
-    with pytest.raises(ValueError, match=r"no calibration of .*guard\.onnx .* 0\.2 false alarms"):
-        make(guard)
-    pool = {"name": "pool", "members": [own, "never"]}
-    assert tight(pool).detector.judges[0].scale == 0.4
 
 
 @pytest.mark.parametrize("name", list_shipped("detector"))
