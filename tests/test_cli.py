@@ -1,12 +1,9 @@
 """The command line: what it prints, writes and plays."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import pytest
@@ -30,7 +27,7 @@ WORLD = ("run", "render", "tune", "bench", "limits", "dataset")
 """Commands with the options of a world."""
 
 
-def test_help_of_every_command() -> None:
+def test_help_of_every_command():
     text = call("--help").output
     for command in (*WORLD, "list", "card", "protect", "game", "report", "warmup"):
         assert command in text
@@ -43,12 +40,11 @@ def test_help_of_every_command() -> None:
     assert call("--version").output.strip() == __version__
 
 
-def test_the_options_of_the_world_are_those_of_every_command_that_plays() -> None:
-    """And the world that a command gets holds what is on its command line."""
-    worlds: list[WorldOptions] = []
+def test_the_options_of_the_world_are_those_of_every_command_that_plays():
+    worlds = []
 
     @with_options
-    def play(*, first: int = 1, options: WorldOptions, last: int = 2) -> None:
+    def play(*, first=1, options, last=2):
         worlds.append(options)
         assert (first, last) == (1, 3)
 
@@ -69,7 +65,7 @@ def test_the_options_of_the_world_are_those_of_every_command_that_plays() -> Non
         assert options[start : start + len(names)] == names
 
 
-def test_list_names_all_there_is_and_marks_oracles(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_list_names_all_there_is_and_marks_oracles(monkeypatch):
     fixes = type("Fixes", (DETECTORS["ewma"],), {"__doc__": "Fixes.", "measures": "position"})
     monkeypatch.setitem(DETECTORS, "fixes", fixes)
     found = read("list", "--json")
@@ -110,7 +106,7 @@ def test_list_names_all_there_is_and_marks_oracles(monkeypatch: pytest.MonkeyPat
     assert not any(word in by_name["ewma"] + by_name["snapshot-chi2"] for word in ("oracle", "["))
 
 
-def test_bench_writes_table_picture_and_json() -> None:
+def test_bench_writes_table_picture_and_json():
     result = call("bench", *QUICK, "--out", "out", "--spoofer", "ramp:rate_mps=tuned")
     assert result.exit_code == 0, result.output
     assert "stealthy attacks" in result.output
@@ -132,13 +128,13 @@ def test_bench_writes_table_picture_and_json() -> None:
 
 
 def test_an_interrupted_bench_is_kept_and_goes_on_and_run_is_a_run_of_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     world = ["--tuning", "matched", "--imu", "tactical", "--errors", "groves", "--seed", "7"]
     world += ["--attack", "false-position:rate_limit_mps=2"]
     original, line = Store.put, ("bench", *QUICK, *TWO, *world, "--out", "out")
 
-    def interrupted(self: Store, cell: Any, result: Any) -> None:
+    def interrupted(self, cell, result):
         original(self, cell, result)
         raise KeyboardInterrupt
 
@@ -166,7 +162,7 @@ def test_an_interrupted_bench_is_kept_and_goes_on_and_run_is_a_run_of_it(
     assert call(*line, "--seeds", "5", "--overwrite").exit_code == 0
 
 
-def test_run_draws_one_attack() -> None:
+def test_run_draws_one_attack():
     summary = read("run", *SHORT, "--spoofer", "step:size_m=20", "--out", "a.png", "--json")
     assert summary["spoofer"]["size_m"] == 20
     assert summary["largest_error_m"] > 1.0
@@ -177,7 +173,7 @@ def test_run_draws_one_attack() -> None:
     assert not Path("episode.png").exists()
 
 
-def test_the_other_victims_are_played_by_their_environment() -> None:
+def test_the_other_victims_are_played_by_their_environment():
     env = ["--env", "spoofgym/Snapshot-v0", "--set", "satellites=9", "--set", "noise_m=2.0"]
     times = ["--attack-s", "12", "--spoofer", "ramp:rate_mps=0.4"]
     more = [*FIXED[:3], *["--seeds", "4", "--out", "small", "--json", "--threads", "1"]]
@@ -224,7 +220,7 @@ class Slow(Ramp):
 """
 
 
-def test_classes_of_the_user_are_found_in_the_working_directory() -> None:
+def test_classes_of_the_user_are_found_in_the_working_directory():
     Path("homemade.py").write_text(HOMEMADE)
     own = ["--detector", "homemade:Nervous", "--spoofer", "homemade:Slow:rate_mps=0.1"]
     try:
@@ -236,7 +232,7 @@ def test_classes_of_the_user_are_found_in_the_working_directory() -> None:
     assert cells[1]["spoofer"] == "Slow(rate_mps=0.1)"
 
 
-def test_bench_on_a_real_flight(data_folder: Path) -> None:
+def test_bench_on_a_real_flight(data_folder):
     flight = data_folder / "adsb_flights" / "ajaccio.json.gz"
     broadcast = data_folder / "gnss_broadcast" / "brdc3050.12n"
     line = ["bench", *QUICK, *TWO, "--track", flight, "--ephemeris", broadcast]

@@ -44,7 +44,6 @@ def test_a_calibration_is_made_shown_and_used(folder):
 
 
 def test_a_degenerate_statistic_that_was_named_is_a_failure():
-    """The others are calibrated all the same, and shown."""
     result = call(*DEGENERATE, "--detector", "cusum", *CHI2, "--json")
     assert result.exit_code == 1, result.output
     found = json.loads(result.stdout)
@@ -64,7 +63,6 @@ def test_rescaled_takes_of_all_those_that_it_is_for():
 
 
 def test_the_line_of_the_error_is_a_line_that_helps():
-    """What an environment says is run as it stands."""
     times = {"warmup_s": 10.0, "live_s": 10.0, "attack_s": 20.0}
     asked = {"name": "raim", "confidence": 0.99, "false_alarms_per_hour": 20.0}
     settings = {"detector": asked, "timeline": times, "satellites": 9}

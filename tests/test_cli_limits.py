@@ -1,7 +1,5 @@
 """spoofgym limits: its figures are those of the package, its tables those of its JSON."""
 
-from __future__ import annotations
-
 import pytest
 
 from spoofgym.bench.report.table import format_number

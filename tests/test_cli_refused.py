@@ -1,7 +1,5 @@
 """What the command line refuses."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -16,7 +14,7 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
     ("command", "option", "largest"),
     [("run", "--run", 999_999), ("bench", "--seeds", 1_000_000), ("limits", "--worlds", 1024)],
 )
-def test_absurd_numbers_of_runs_end_at_once(command: str, option: str, largest: int) -> None:
+def test_absurd_numbers_of_runs_end_at_once(command, option, largest):
     result = call(command, option, "99999999999")
     assert result.exit_code == 2
     assert f"Invalid value for '{option}'" in result.stderr
@@ -61,18 +59,18 @@ def test_absurd_numbers_of_runs_end_at_once(command: str, option: str, largest: 
         (["bench", "--task", "T1", "--detector", "ewma"], "--detector can't be given with --task"),
     ],
 )
-def test_wrong_input_gets_one_clear_line(arguments: list[str], message: str) -> None:
+def test_wrong_input_gets_one_clear_line(arguments, message):
     assert message in refused(*arguments)
 
 
-def test_a_folder_of_something_else_is_left_alone() -> None:
+def test_a_folder_of_something_else_is_left_alone():
     Path("out").mkdir()
     Path("out", "letter.txt").write_text("dear")
     assert "letter.txt" in refused("bench", *QUICK, *TWO, "--out", "out", "--overwrite")
     assert [path.name for path in Path("out").iterdir()] == ["letter.txt"]
 
 
-def test_bad_tracks_and_ephemerides_are_refused(data_folder: Path) -> None:
+def test_bad_tracks_and_ephemerides_are_refused(data_folder):
     broadcast = data_folder / "gnss_broadcast" / "brdc3050.12n"
     flight = data_folder / "adsb_flights" / "ajaccio.json.gz"
     place = {"longitude": 8.0, "altitude": 10_000.0}

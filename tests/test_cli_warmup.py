@@ -1,7 +1,5 @@
 """`spoofgym warmup`."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -18,9 +16,7 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
-def test_after_warmup_another_process_compiles_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_after_warmup_another_process_compiles_nothing(tmp_path, monkeypatch):
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
     command = [sys.executable, "-m", "spoofgym", "warmup", "Snapshot-v0", "--json"]
@@ -37,8 +33,8 @@ def test_after_warmup_another_process_compiles_nothing(
 
 
 def test_warmup_says_where_the_code_is_and_refuses_what_cannot_be_compiled(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     if not numba.config.DISABLE_JIT:
         text = call("warmup", "WheeledRobot-v0", "spoofgym/Snapshot-v0").output
         for word in ("spoofgym/WheeledRobot-v0", "spoofgym/Snapshot-v0", "single", "batch"):

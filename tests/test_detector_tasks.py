@@ -1,7 +1,5 @@
 """Tasks for detectors: what is public, what is held out, and how they are named."""
 
-from __future__ import annotations
-
 import json
 from contextlib import nullcontext
 
@@ -30,7 +28,6 @@ each_task = pytest.mark.parametrize("key", DETECTOR_TASKS)
 
 @each_task
 def test_held_out_families_are_not_in_the_public_pool(key):
-    """What families there are is kept in tests/golden."""
     task = DETECTOR_TASKS[key]
     assert (task.world_of, task.public) == (WORLDS[key], PUBLIC)
     assert (*task.public, *task.held_out) == task.families
@@ -117,11 +114,6 @@ def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():
 
 
 def test_the_learned_detector_is_in_two_tasks_no_worse_than_the_best_classic_by_a_tenth():
-    """By the upper end of the paired interval of the hazard; D2 is another world.
-
-    It has learned from counterfeits as in T3, which D3 holds out, and from nothing that D1 or D4
-    do: spoofers of PPO move all channels along a line, from any onset, and no family has them.
-    """
     cards = detector_cards.stored_detector_cards()
     learned = {
         key: [spec["name"] for spec in detector_cards.list_learned(task)]

@@ -1,7 +1,5 @@
 """From a model to an ONNX file with its card: the same actions, the right card, or nothing."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 

@@ -1,7 +1,5 @@
 """The vector environment of stable-baselines3."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np
@@ -79,7 +77,6 @@ IDS = {
 
 @pytest.mark.parametrize("name", IDS)
 def test_every_id_is_the_same_as_by_make_vec(name):
-    """Whose receivers are single environments, see tests/conformance."""
     env_id, settings = f"spoofgym/{name}", IDS[name]
     vector = gym.make_vec(env_id, num_envs=3, autoreset_mode="same_step", **settings)
     envs = SpoofVecEnv(3, env_id=env_id, seed=5, prefetch=name != "TightlyCoupled-v0", **settings)
@@ -288,7 +285,6 @@ def test_a_reset_may_be_told_the_circumstances():
 
 
 def test_recorded_epochs_are_those_of_the_vector_environment(tmp_path):
-    """Every file of it is the same but for the learner's last, unfinished episodes."""
     pytest.importorskip("pyarrow")
     envs = RecordEpochs(VecNormalize(make(decision_interval_s=1.0)), tmp_path / "sb3")
     envs.reset()

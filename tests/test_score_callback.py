@@ -50,7 +50,6 @@ def weights_of(model):
 
 
 def test_a_callback_scores_the_policy_as_it_learns_and_keeps_the_best(tmp_path):
-    """Another goes on from its state."""
     pytest.importorskip("onnxscript")
     envs = VecNormalize(SpoofVecEnv(8, knowledge="blind", seed=0, **WORLD), norm_reward=False)
     callback = scored(every=160, path=tmp_path / "best.onnx")

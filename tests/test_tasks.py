@@ -1,7 +1,5 @@
 """The tasks of the benchmark: versioned environments, their scores, and the command line."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -51,7 +49,6 @@ def test_prices_limits_and_settings_of_a_task():
 
 @pytest.mark.parametrize("key", ["T1", "T3", "T5", "T6"])
 def test_no_task_is_won_by_full_throttle(key):
-    """What pushes as hard as the attack allows is caught, in most runs of every task."""
     suite = Suite(**TASKS[key].suite_kwargs, runs=2)
     start = WarmStart(suite.setup(suite.detector_players[0]), suite.generators("training", 16))
     push = {"name": "accelerating-ramp", "acceleration_mps2": 0.05}

@@ -74,7 +74,6 @@ def found_by(panel, monkeypatch):
 
 
 def test_each_aim_has_its_worst_attack(found_by):
-    """The ramp is best at 0.3 m/s in half of the runs, the dash at 2 m/s in a few."""
 
     def moved(spec, runs):
         run, rate = np.arange(runs), spec["rate_mps"]
@@ -121,7 +120,6 @@ def test_a_found_curve_is_played_beyond_its_range_while_that_is_worse(found_by, 
 
 @pytest.mark.parametrize("width", [1.03, 1.3])
 def test_what_just_passes_an_alert_limit_is_found_between_values_of_the_grid(found_by, width):
-    """A ramp displaces in proportion, by 2 % more or less, and is caught where it is faster."""
     missed = 0
     for limit_m in np.geomspace(8.0, 80.0, 12):
         played, aim = {}, Aim(FIRST, limit_m=limit_m)

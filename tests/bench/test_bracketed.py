@@ -79,7 +79,6 @@ def test_a_floor_is_of_the_detectors_own_rate(changes, floors):
 
 
 def test_a_mean_above_the_zero_alarm_bound_is_marked():
-    """By more than two standard errors: the half width of 0.98 m is two of 0.5 m."""
     cells = [cell("ramp", 10.9, half=0.98), cell("blind-optimum", 11.1, half=0.98)]
     found = bounds(*cells, free_m=30.0, restricted_m=10.0, kind="exact")
     zero_alarm = {"value": 10.0, "kind": "exact", "attacker": "restricted", "why": ""}

@@ -77,7 +77,6 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
 
 
 def test_killed_calibrations_and_hold_outs_go_on(tmp_path, monkeypatch):
-    """From the runs that they have played, with the same counts; they leave nothing behind."""
     setup, specs = World.of(timeline=SHORT).setup, ["snapshot-chi2", "cusum"]
     asked = {"false_alarms_per_hour": 20.0, "runs": 40, "threads": 1}
     whole = calibration.calibrate_detectors(setup, specs, **asked, folder=tmp_path / "whole")
@@ -126,7 +125,6 @@ def test_specs_say_what_is_asked_of_thresholds(monkeypatch):
 
 @pytest.mark.nightly
 def test_of_all_detectors_those_without_a_calibration_are_left_out():
-    """In this receiver's belief clean innovations never exceed what a CUSUM allows for."""
     world = "--scenario trolley --tuning matched --json --false-alarms-per-hour 20 --detector"
     named, found = (call(f"{world} {name}") for name in ("cusum", "all"))
     assert named.exit_code == 2, named.output

@@ -82,7 +82,6 @@ def test_a_detector_helps_and_chance_can_not_be_told_from_nothing(played):
 
 
 def test_who_reads_the_statistic_is_compared_with_never_alone(played):
-    """It obeys that of a lottery, too."""
     _, folder, summary = played
     footings = {row["detector"]: row["footing"] for row in summary["detectors"]}
     cells = [folder.runs(label, "step") for label in footings]

@@ -123,7 +123,6 @@ def test_the_other_families_are_played_too(key):
 
 
 def test_detectors_of_one_name_do_not_share_runs(tmp_path):
-    """As two files of one name in two folders have it."""
     judge, found = judge_of(12, 6, ["ramps"]), []
     for name, bias in (("deaf", -1e6), ("nervous", 1e6)):  # of the statistic
 

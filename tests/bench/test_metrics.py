@@ -70,7 +70,6 @@ def test_bootstrap_interval_of_a_mean_is_the_normal_one():
 
 
 def test_runs_that_are_alike_are_drawn_together():
-    """The spread of a mean over 40 clusters, and the plain one where nothing is alike."""
     rng = np.random.default_rng(5)
     clusters = np.repeat(np.arange(40), 25)
     alike = rng.standard_normal(40)[clusters] + 0.5 * rng.standard_normal(1000)
@@ -84,7 +83,6 @@ def test_runs_that_are_alike_are_drawn_together():
 
 
 def test_the_largest_value_of_a_share_in_every_sample():
-    """Against every sample written out."""
     rng = np.random.default_rng(6)
     x = rng.exponential(1.0, 30)
     samples = resamples(np.arange(30) // 2, rng, 50)

@@ -53,7 +53,6 @@ def test_forms():
 
 
 def test_the_wheel_has_every_template():
-    """It takes the whole folder of the package but what git ignores."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     assert project["tool"]["hatch"]["build"]["targets"]["wheel"] == {"packages": ["spoofgym"]}
     assert TEMPLATES.is_relative_to(ROOT / "spoofgym")

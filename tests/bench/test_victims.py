@@ -84,7 +84,6 @@ DOMAIN = {
 def test_a_cell_scores_what_the_environment_pays_and_a_run_is_that_of_the_campaign(
     env, between, changes, tmp_path
 ):
-    """Worlds, begins, decisions: what `SpoofEnv` with a twin pays, run by run."""
     pace = {"decision_interval_s": 2.0, "between": between}
     suite = suite_of(env, target_heading_deg="worst", **pace, **changes)
     judge, player = suite.detector_players[-1], suite.spoofer_players[-1]

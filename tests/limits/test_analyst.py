@@ -143,7 +143,6 @@ def test_best_commands_shift_the_statistic_by_d_and_the_victim_to_the_frontier()
 
 @pytest.mark.parametrize("scenario", ["trolley-tactical", "aviation-actual"])
 def test_a_shift_of_the_analyst_is_that_of_its_filter_on_the_simulator(scenario):
-    """Where range rates or sensors are such that what they say of the position counts."""
     setup = unwatched(
         scenario={"name": scenario, "events": None},
         attack={"name": "false-position", "control": "rate"},

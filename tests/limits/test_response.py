@@ -133,7 +133,6 @@ def test_what_can_not_be_replayed_is_refused_by_name(name):
     ],
 )
 def test_every_detector_alarms_as_on_the_simulator(settings, names, runs):
-    """The replay and the simulator, at thresholds among which alarms come and go."""
     setup, plain = setup_of(**settings), [make_detector(name) for name in names]
     curve = ramp_of(setup)
     clean, _, still = played(setup, plain, runs, 0.0 * curve)

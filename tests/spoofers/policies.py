@@ -1,12 +1,8 @@
 """Small ONNX policies with their cards."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
@@ -46,15 +42,13 @@ BLIND = SpooferContext(
 """What a blind spoofer that commands accelerations is told, with the timeline above."""
 
 
-def context_of(
-    receivers: int = 3, knowledge: str = "blind", env: dict[str, Any] | None = None
-) -> SpooferContext:
+def context_of(receivers=3, knowledge="blind", env=None):
     kwargs = {**ENV, **(env or {})}
     setup = TightlyCoupledSetup(**kwargs)
     return spoofer_context(setup, receivers, Observer(default_terms(setup, knowledge), setup))
 
 
-def network(inputs: int, outputs: int, *, batch: Any = "batch", width: int = 16) -> onnx.ModelProto:
+def network(inputs, outputs, *, batch="batch", width=16):
     """Two layers of tanh, and a clip, as an export has them."""
     rng = np.random.default_rng(7)
     sizes = [inputs, width, width, outputs]
@@ -85,10 +79,10 @@ def network(inputs: int, outputs: int, *, batch: Any = "batch", width: int = 16)
 Edit = Callable[[onnx.ModelProto], onnx.ModelProto | None]
 
 
-def behind(*nodes: onnx.NodeProto, **tensors: Any) -> Edit:
+def behind(*nodes, **tensors):
     """The mean of a result ``r``, cut, added to the actions; all of `tensors` by their names."""
 
-    def edit(model: onnx.ModelProto) -> None:
+    def edit(model):
         for name, value in tensors.items():
             model.graph.initializer.append(numpy_helper.from_array(np.array(value), name))
         del model.graph.node[-1]
@@ -103,7 +97,7 @@ def behind(*nodes: onnx.NodeProto, **tensors: Any) -> Edit:
     return edit
 
 
-def less_the_mean(model: onnx.ModelProto) -> None:
+def less_the_mean(model):
     """Centred over the batch, as a normalization in training mode does."""
     model.graph.initializer.append(numpy_helper.from_array(np.array([0]), "axes"))
     mean = helper.make_node("ReduceMean", ["z2", "axes"], ["mean"], keepdims=1)
@@ -111,16 +105,14 @@ def less_the_mean(model: onnx.ModelProto) -> None:
     model.graph.node.append(helper.make_node("Sub", ["z2", "mean"], ["action"]))
 
 
-def written(model: onnx.ModelProto) -> bytes:
+def written(model):
     """File of a model, which is tried in this process, as what it has exported."""
     content = bytes(model.SerializeToString())
     trust(content)
     return content
 
 
-def card_fields(
-    name: str, content: bytes, context: SpooferContext, knowledge: str, env: dict[str, Any]
-) -> dict[str, Any]:
+def card_fields(name, content, context, knowledge, env):
     return {
         "format": 2,
         "side": "spoofer",
@@ -145,14 +137,14 @@ def card_fields(
 
 
 def write_policy(
-    folder: Path,
-    name: str = "tiny",
+    folder,
+    name="tiny",
     *,
-    knowledge: str = "blind",
-    env: dict[str, Any] | None = None,
-    model: Edit | None = None,
-    card: Callable[[dict[str, Any]], None] | None = None,
-) -> Path:
+    knowledge="blind",
+    env=None,
+    model=None,
+    card=None,
+):
     """Write a policy and its card; the callables edit the model and the card's fields."""
     context = context_of(1, knowledge, env)
     made = network(len(context.observation_names), len(context.action_names))

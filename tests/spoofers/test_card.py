@@ -1,10 +1,7 @@
 """Cards: what is written is read again, and what is wrong is named."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -27,18 +24,18 @@ SCORE = {
 }
 
 
-def fields(**changes: Any) -> dict[str, Any]:
+def fields(**changes):
     made = card_fields("tiny", b"content", BLIND, "blind", {})
     return json.loads(json.dumps({**made, "scores": [SCORE], **changes}))
 
 
-def profile(**changes: Any) -> dict[str, Any]:
+def profile(**changes):
     settings = {"rates_mps": [0.0, 0.2], "heading_deg": 90.0}
     made = {"kind": "profile", "observation": None, "file": None, "settings": settings}
     return fields(**{**made, **changes})
 
 
-def test_a_card_is_read_as_it_was_written_in_either_format(tmp_path: Path) -> None:
+def test_a_card_is_read_as_it_was_written_in_either_format(tmp_path):
     path = tmp_path / "a" / "card.json"
     for given in (fields(), profile()):
         card = SpooferCard(**given)
@@ -55,7 +52,7 @@ def test_a_card_is_read_as_it_was_written_in_either_format(tmp_path: Path) -> No
     assert SpooferCard(**fields(scores=[before])).scores[0].counted is None
 
 
-def _other(path: str, value: Any) -> dict[str, Any]:
+def _other(path, value):
     """Fields with one of them changed."""
     made = fields()
     *way, last = path.split(".")
@@ -88,7 +85,7 @@ def _other(path: str, value: Any) -> dict[str, Any]:
         ({"format": 1}, r"`name`: Field required"),
     ],
 )
-def test_what_is_wrong_is_named(made: dict[str, Any], message: str, tmp_path: Path) -> None:
+def test_what_is_wrong_is_named(made, message, tmp_path):
     path = tmp_path / "tiny.json"
     path.write_text(json.dumps(made))
     with pytest.raises(ValueError, match=message) as caught:
@@ -98,7 +95,7 @@ def test_what_is_wrong_is_named(made: dict[str, Any], message: str, tmp_path: Pa
         SpooferCard.load(tmp_path / "nothing.json")
 
 
-def test_what_is_no_card_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_card_is_refused(tmp_path):
     path = tmp_path / "tiny.json"
     for text, message in (
         ('{"format": 1, "na', "is not JSON: "),
@@ -117,7 +114,7 @@ def test_what_is_no_card_is_refused(tmp_path: Path) -> None:
             Card.load(path)
 
 
-def test_what_is_no_json_is_not_written(tmp_path: Path) -> None:
+def test_what_is_no_json_is_not_written(tmp_path):
     for value in (float("nan"), Path("a")):
         card = SpooferCard(**fields()).model_copy(update={"training": {"x": value}})
         with pytest.raises(ValueError, match="card of 'tiny' can't be written"):
@@ -147,7 +144,7 @@ def test_what_is_no_json_is_not_written(tmp_path: Path) -> None:
         ),
     ],
 )  # fmt: skip
-def test_differences_are_told(changes: dict[str, Any], lines: list[str]) -> None:
+def test_differences_are_told(changes, lines):
     assert SpooferCard(**fields()).diff_context(BLIND._replace(**changes)) == lines
     wider = BLIND._replace(observation_high=(200.0, *BLIND.observation_high[1:]))
     (line,) = SpooferCard(**fields()).diff_context(wider)
@@ -155,7 +152,7 @@ def test_differences_are_told(changes: dict[str, Any], lines: list[str]) -> None
     assert SpooferCard(**profile()).diff_context(wider) == []  # which looks at nothing
 
 
-def test_by_rate_the_limit_of_the_acceleration_does_not_matter() -> None:
+def test_by_rate_the_limit_of_the_acceleration_does_not_matter():
     by_rate = BLIND._replace(control="rate", action_names=("north_rate", "east_rate"))
     card = SpooferCard(**fields(**json.loads(json.dumps(describe_context(by_rate)))))
     assert card.diff_context(by_rate._replace(acceleration_limit_mps2=0.01)) == []

@@ -1,7 +1,5 @@
 """A model in memory as a spoofer."""
 
-from __future__ import annotations
-
 import copy
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """A factor on what a spoofer commands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -38,15 +36,14 @@ def test_commands_are_so_many_times_as_large(name):
 
 
 def test_a_plan_that_looks_at_its_own_commands_is_scaled_as_a_whole():
-    """Of its own commands a scaled policy observes what it has planned."""
 
-    def chases(seen: np.ndarray) -> np.ndarray:
+    def chases(seen):
         return np.stack([0 * seen[:, 0], 0.3 - 0.5 * seen[:, 0] - 0.2 * seen[:, 1]], axis=1)
 
     names = ("own_displacement_east", "own_rate_east", "time_since_onset")
     context = CONTEXT._replace(observation_names=names)
 
-    def commanded(amplitude: float) -> np.ndarray:
+    def commanded(amplitude):
         spoofer = Scaled(ModelPolicy(chases), amplitude)
         spoofer.bind(context)
         spoofer.reset()
