@@ -127,9 +127,7 @@ def test_bench_writes_table_picture_and_json():
     assert Path("out", "results.md").is_file()
 
 
-def test_an_interrupted_bench_is_kept_and_goes_on_and_run_is_a_run_of_it(
-    monkeypatch,
-):
+def test_an_interrupted_bench_is_kept_and_goes_on_and_run_is_a_run_of_it(monkeypatch):
     world = ["--tuning", "matched", "--imu", "tactical", "--errors", "groves", "--seed", "7"]
     world += ["--attack", "false-position:rate_limit_mps=2"]
     original, line = Store.put, ("bench", *QUICK, *TWO, *world, "--out", "out")

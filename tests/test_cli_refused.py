@@ -47,10 +47,7 @@ def test_absurd_numbers_of_runs_end_at_once(command, option, largest):
             ["bench", "--env", "spoofgym/Snapshot-v0", "--attack", "paper-ideal"],
             "--attack is an option of spoofgym/TightlyCoupled-v0, not of spoofgym/Snapshot-v0, ",
         ),
-        (
-            ["run", "--env", "spoofgym/WheeledRobot-v0", "--detector", "ewma"],
-            "detector ewma in ",
-        ),
+        (["run", "--env", "spoofgym/WheeledRobot-v0", "--detector", "ewma"], "detector ewma in "),
         (["bench", "--set", "satellites"], "a setting is written `name=value`, got 'satellites'"),
         (["bench", "--set", "between=a", "--set", "between=b"], "--set between is given twice"),
         (["bench", "--task", "T1", "--set", "worlds=2"], "--set can't be given with --task"),

@@ -32,9 +32,7 @@ def test_after_warmup_another_process_compiles_nothing(tmp_path, monkeypatch):
     assert compiled[1] == 0
 
 
-def test_warmup_says_where_the_code_is_and_refuses_what_cannot_be_compiled(
-    monkeypatch,
-):
+def test_warmup_says_where_the_code_is_and_refuses_what_cannot_be_compiled(monkeypatch):
     if not numba.config.DISABLE_JIT:
         text = call("warmup", "WheeledRobot-v0", "spoofgym/Snapshot-v0").output
         for word in ("spoofgym/WheeledRobot-v0", "spoofgym/Snapshot-v0", "single", "batch"):

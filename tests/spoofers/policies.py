@@ -136,15 +136,7 @@ def card_fields(name, content, context, knowledge, env):
     }
 
 
-def write_policy(
-    folder,
-    name="tiny",
-    *,
-    knowledge="blind",
-    env=None,
-    model=None,
-    card=None,
-):
+def write_policy(folder, name="tiny", *, knowledge="blind", env=None, model=None, card=None):
     """Write a policy and its card; the callables edit the model and the card's fields."""
     context = context_of(1, knowledge, env)
     made = network(len(context.observation_names), len(context.action_names))

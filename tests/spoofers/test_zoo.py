@@ -76,9 +76,7 @@ def test_every_file_of_the_zoo_has_its_card_and_a_name_of_its_own():
 
 
 @pytest.mark.parametrize("name", list_shipped("spoofer"))
-def test_every_shipped_spoofer_is_whole_and_fits_its_own_world_and_the_default_one(
-    name,
-):
+def test_every_shipped_spoofer_is_whole_and_fits_its_own_world_and_the_default_one(name):
     card, spoofer = load_card(name), make_spoofer(name)
     assert card.name == name == spoofer.label
     assert spoofer.knowledge == card.knowledge.run_time
