@@ -33,10 +33,7 @@ def test_help_of_every_command():
         assert command in text
         page = call(command, "--help")
         assert page.exit_code == 0
-        assert "Usage" in page.output
-        if command in WORLD:
-            assert "--env" in page.output
-            assert "--set" in page.output
+        assert ("--set" in page.output) == (command in WORLD)
     assert call("--version").output.strip() == __version__
 
 
@@ -82,28 +79,17 @@ def test_list_names_all_there_is_and_marks_oracles(monkeypatch):
     assert {*names["spoofers"]} == {*SPOOFERS}
     assert [*names["shipped"]] == [*list_shipped("spoofer"), *list_shipped("detector")]
     assert all(row["summary"] for rows in found.values() for row in rows)
-    ramp = names["spoofers"]["ramp"]
-    told = (ramp["settings"]["rate_mps"], ramp["tunable"], ramp["knowledge"])
-    assert told == (0.5, "rate_mps", "blind")
+    ramp = {"settings": {"heading_deg": 90.0, "rate_mps": 0.5}, "tunable": "rate_mps"}
+    assert names["spoofers"]["ramp"].items() >= {**ramp, "knowledge": "blind"}.items()
     for name, row in names["envs"].items():
         assert row["settings"].items() >= json.loads(json.dumps(gym.spec(name).kwargs)).items()
-    plain, random = (
-        names["envs"][f"spoofgym/{each}-v0"]["settings"]
-        for each in ("TightlyCoupled", "RandomStart")
-    )
-    assert plain["target_heading_deg"] == 90.0
-    changed = {"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"}
-    assert {**plain, **random} == {**plain, **changed}
     assert "target_heading_deg=random" in " ".join(call("list", "envs").output.split())
     oracles = [name for name, row in names["detectors"].items() if row["oracle"]]
     assert oracles == ["oracle-ramp", "oracle-step"]
     assert names["detectors"]["fixes"]["measures"] == "position"
-    table = call("list", "detectors").output
-    assert "[oracle, knows what no receiver does]" in " ".join(table.split())
-    assert "accelerating-ramp" not in table
-    by_name = {line.split()[0]: line for line in table.splitlines() if line.strip()}
-    assert "for positions" in by_name["fixes"]
-    assert not any(word in by_name["ewma"] + by_name["snapshot-chi2"] for word in ("oracle", "["))
+    table = " ".join(call("list", "detectors").output.split())
+    assert table.count("[oracle, knows what no receiver does]") == len(oracles)
+    assert "for positions" in table
 
 
 def test_bench_writes_table_picture_and_json():
@@ -114,7 +100,7 @@ def test_bench_writes_table_picture_and_json():
         assert Path("out", name).is_file()
     assert "| stealthy displacement [m] |" in Path("out", "results.md").read_text()
     assert not list(Path("out").rglob("*.part"))
-    # a ramp without settings is tuned, so that this is the same campaign
+    # a ramp without settings is tuned: the same campaign
     summary = read("bench", *QUICK, "--out", "out", "--spoofer", "ramp", "--json")
     judges = {"never", "lottery", "snapshot-chi2", "ewma"}
     assert {cell["detector"] for cell in summary["cells"]} == judges
@@ -165,8 +151,6 @@ def test_run_draws_one_attack():
     assert summary["spoofer"]["size_m"] == 20
     assert summary["largest_error_m"] > 1.0
     assert Path("a.png").is_file()
-    assert "run1.png" in call("run", *SHORT, "--out", "run1").stdout.split()
-    assert Path("run1.png").is_file()
     assert "undetected_displacement_m" in call("run", *SHORT, "--no-picture").output
     assert not Path("episode.png").exists()
 
@@ -183,7 +167,6 @@ def test_the_other_victims_are_played_by_their_environment():
     assert (config["settings"]["satellites"], config["settings"]["noise_m"]) == (9, 2.0)
     assert config["timeline"]["attack_s"] == 12.0
     assert config["timeline"]["warmup_s"] == 10.0  # the victim's own, not that of the option
-    assert "satellites=9" in Path("small/results.md").read_text()
     found = CampaignResults.load("small").runs("srv-raim", "ramp(rate_mps=0.4)")
     assert found is not None
     played = json.dumps(found.head["spoofer_settings"])  # with its amplitude
@@ -196,12 +179,10 @@ def test_the_other_victims_are_played_by_their_environment():
     assert drawn.exit_code == 0, drawn.output
     assert Path("small.gif").stat().st_size > 10_000
     line = ("tune", *env, "--spoofer", "ramp", *TRAINING[-6:], "--attack-s", "5")
-    tuned = read(*line, "--json")
-    assert [found["detector"] for found in tuned] == ["raim", "srv-raim"]
-    for found in tuned:
-        assert (found["setting"], found["runs"], found["budget"]) == ("rate_mps", 11, 0.25)
-        assert len({trial["value"] for trial in found["trials"]}) >= 20
-    assert "(chosen)" in call(*line).output
+    for found, name in zip(read(*line, "--json"), ("raim", "srv-raim"), strict=True):
+        told = {"detector": name, "setting": "rate_mps", "runs": 11, "budget": 0.25}
+        assert found.items() >= told.items()
+    assert "(chosen)" in call(*line, "--detector", "raim").output
 
 
 HOMEMADE = """

@@ -7,6 +7,7 @@ import pytest
 
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
 from spoofgym.bench.scores.campaign import compare_controls, score_protection
+from spoofgym.bench.scores.detector import FamilyScore
 from spoofgym.bench.scores.scores import compute_upper_quantile
 from spoofgym.bench.search.attack_suite import list_aims
 
@@ -84,6 +85,14 @@ def test_the_worst_of_all_winners_counts_at_every_limit():
         (TOTAL, 20.0, 1.0, "near"),
         (TOTAL, 40.0, 1.0, "off"),
     ]
+
+
+def test_a_hazard_lies_beyond_the_limit():
+    at, beyond = (
+        FamilyScore("ramps", False, 10.0, protected("x", np.full(40, x))) for x in (10.0, 10.5)
+    )
+    assert (at.p_hmi.value, at.resample_hmi().max()) == (0.0, 0.0)
+    assert (beyond.p_hmi.value, beyond.resample_hmi().min()) == (1.0, 1.0)
 
 
 def test_what_is_exceeded_in_few_runs_is_no_less_than_in_many():

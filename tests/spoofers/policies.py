@@ -51,28 +51,24 @@ def context_of(receivers=3, knowledge="blind", env=None):
 def network(inputs, outputs, *, batch="batch", width=16):
     """Two layers of tanh, and a clip, as an export has them."""
     rng = np.random.default_rng(7)
-    sizes = [inputs, width, width, outputs]
     nodes, tensors, name = [], [], "observation"
-    for k, (fan, out) in enumerate(pairwise(sizes)):
-        weight = rng.normal(0.0, fan**-0.5, (out, fan)).astype(np.float32)
-        bias = rng.normal(0.0, 0.1, out).astype(np.float32)
-        tensors += [
-            numpy_helper.from_array(weight, f"w{k}"),
-            numpy_helper.from_array(bias, f"b{k}"),
-        ]
+    for k, (fan, out) in enumerate(pairwise([inputs, width, width, outputs])):
+        for letter, drawn in (
+            ("w", rng.normal(0.0, fan**-0.5, (out, fan))),
+            ("b", rng.normal(0.0, 0.1, out)),
+        ):
+            tensors.append(numpy_helper.from_array(drawn.astype(np.float32), f"{letter}{k}"))
         nodes.append(helper.make_node("Gemm", [name, f"w{k}", f"b{k}"], [f"z{k}"], transB=1))
         name = f"z{k}"
         if k < 2:
             nodes.append(helper.make_node("Tanh", [name], [f"h{k}"]))
             name = f"h{k}"
     nodes.append(helper.make_node("Identity", [name], ["action"]))
-    graph = helper.make_graph(
-        nodes,
-        "policy",
-        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, [batch, inputs])],
-        [helper.make_tensor_value_info("action", TensorProto.FLOAT, [batch, outputs])],
-        tensors,
+    ends = (
+        [helper.make_tensor_value_info(end, TensorProto.FLOAT, [batch, size])]
+        for end, size in (("observation", inputs), ("action", outputs))
     )
+    graph = helper.make_graph(nodes, "policy", *ends, tensors)
     return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=8)
 
 

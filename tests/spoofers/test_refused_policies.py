@@ -12,7 +12,7 @@ from onnx import TensorProto, helper, numpy_helper
 from spoofgym.policies.onnx_file import LARGEST_BYTES, MOST_OPERATORS
 from spoofgym.spoofers import OnnxPolicy, make_spoofer
 
-from .policies import BLIND, behind, less_the_mean, network, write_policy
+from .policies import BLIND, behind, network, write_policy
 
 
 def replaced(op_type, **changes):
@@ -211,7 +211,6 @@ LOADED = {
         lambda model: last(model, "Reshape", "z2", "shape", tensors={"shape": np.array([7, 2])}),
         r"tiny\.onnx can't be run: .*",
     ),
-    "less the mean": (less_the_mean, "answers the same observation otherwise in another batch"),
     "grown": (
         behind(
             NODE("ReduceMax", ["observation"], ["most"], keepdims=0),

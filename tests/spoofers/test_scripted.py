@@ -16,16 +16,8 @@ CALM = np.zeros((3, 1), dtype=np.float32)
 
 
 def context(control="acceleration", axes=PLANE, **changes):
-    told = SpooferContext(
-        receivers=3,
-        interval_s=0.5,
-        steps=300,
-        control=control,
-        acceleration_limit_mps2=0.05,
-        rate_limit_mps=5.0,
-        action_names=tuple(f"{axis}_{control}" for axis in axes),
-        observation_names=("statistic_ratio",),
-    )
+    names = tuple(f"{axis}_{control}" for axis in axes)
+    told = SpooferContext(3, 0.5, 300, control, 0.05, 5.0, names, ("statistic_ratio",))
     return told._replace(**changes)
 
 
@@ -142,8 +134,6 @@ def test_what_the_attack_does_not_allow_is_refused_with_both_names():
             r"0\.06 .* `acceleration_limit_mps2` = 0\.05",
         ),
         ({"name": "ramp", "heading_deg": 0.0}, context(axes=axes), "`heading_deg` = 0 needs a"),
-        ("rampe", context(), r"unknown spoofer 'rampe'; valid: .*did you mean 'ramp'"),
-        ({"name": "ramp", "rate": 1.0}, context(), "no setting 'rate'; valid: heading_deg, rate"),
     ):
         with pytest.raises(ValueError, match=message):
             make_spoofer(spec).bind(told)
