@@ -17,6 +17,7 @@ from spoofgym.simulation.recording import record_run
 
 from . import cpus, digests
 from .envs.support import single
+from .nightly import heavy
 
 LANES_SIGNATURE = "(A, int64, A, A, int64, A, A)".replace("A", "float64[:, ::1]")
 """Of `mechanize`, of eight receivers."""
@@ -31,6 +32,10 @@ def compiled(kernel, *signatures):
     for signature in signatures or kernel.signatures:
         copy.compile(signature)
     return copy
+
+
+MORE = step.play_epoch, run_epochs, step.finish
+"""Which take long, and have what they call from the same decorator."""
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +60,7 @@ def _played():
 @pytest.mark.usefixtures("_played")
 @pytest.mark.parametrize(
     "kernel",
-    [step.play_epoch, run_epochs, receiver.run_epoch, step.finish],
+    heavy([step.play_epoch, run_epochs, receiver.run_epoch, step.finish], *MORE),
     ids=lambda kernel: kernel.__name__,
 )
 def test_no_operations_are_fused_and_no_sums_regrouped(kernel):

@@ -1,9 +1,11 @@
 """What a campaign runs, where, and where its chance comes from; the standard suite."""
 
 from functools import partial
+from importlib import import_module
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from spoofgym.bench.experiments import suite as standard
 from spoofgym.bench.experiments.suite import Suite
@@ -11,6 +13,7 @@ from spoofgym.bench.runs.players import DEFAULT_DETECTORS, add_tuned_setting
 from spoofgym.bench.runs.world import World
 from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.bench.search.attack_suite import Selection
+from spoofgym.cli import app
 from spoofgym.cli.suites import standard_suite
 from spoofgym.core.settings import compute_digest
 from spoofgym.detectors import DETECTORS, Shewhart
@@ -158,3 +161,17 @@ def test_everyone_who_suits_plays_in_the_world_of_the_task_at_one_rate_and_the_c
     specs = [each.spec for each in standard_suite(named, {"spoofers": []}).detector_players]
     assert [spec["name"] for spec in specs] == ["never", "lottery", *named]
     assert {spec.get("false_alarms_per_hour") for spec in specs[1:]} == {standard.RATE}
+
+
+def test_its_sizes_are_defaults_and_may_be_given(monkeypatch):
+    asked = []
+
+    def seen(detectors, settings):
+        asked.append((settings["runs"], settings["tuning"].runs, settings["selection"].runs))
+        raise SystemExit  # it would play
+
+    monkeypatch.setattr(import_module("spoofgym.cli.bench"), "standard_suite", seen)
+    for options in ([], ["--seeds", "40", "--selection-seeds", "20"]):
+        CliRunner().invoke(app, ["bench", "--suite", "standard", *options])
+    sizes = [standard.SIZES[f"{split}seeds"] for split in ("", "training_", "selection_")]
+    assert asked == [tuple(sizes), (40, sizes[1], 20)]

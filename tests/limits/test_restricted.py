@@ -41,32 +41,21 @@ YOUNG = Timing(0.5, live=0)
 PASSIVE = [
     SnapshotChi2(),
     SnapshotChi2(signals="pseudorange", bias_window_s=5.0),
-    WindowedChi2(),
     WindowedChi2(signals="range_rate", window=5),
-    SequentialChi2(),
     SequentialChi2(signals="both", window_s=5.0),
-    Aime(),
     Aime(signals="both", windows_s=(1.0, 4.0), bias_window_s=10.0),
     Ewma(weight_scale=None),
     JointChart(weight_scale=None, alarm_scale=1.2),
-    Shewhart(),
     Shewhart(signals="both", bias_window_s=3.0),
-    Cusum(limit=4.0),
     Cusum(signals="both"),
-    LagCusum(threshold=4.0, lag=10, baseline=20),
     LagCusum(threshold=4.0, lag=3, baseline=5, signals="range_rate"),
-    ClockDrift(),
     ClockDrift(signals="pseudorange", window_s=4.0),
     GlrStep(window=12, baseline=20),
-    GlrRamp(window=12, baseline=20),
     GlrRamp(window=30, baseline=10, signals="both"),
-    FiniteMovingAverage(),
     FiniteMovingAverage(window_s=3.0, shape="ramp", signals="both", bias_window_s=4.0),
     FiniteMovingAverage(window_s=40.0, shape="ramp", signals="range_rate"),
-    CumulativeBank(),
     CumulativeBank(windows_s=(1.0, 4.0, 9.0), signals="pseudorange", bias_window_s=3.0),
     CumulativeBank(windows_s=(2.0, 40.0), signals="range_rate"),
-    InnovationRate(),
     InnovationRate(memory_s=20.0, settled_s=18.0, start_s=3.0, alarm_scale=0.5),
 ]
 CASES = {f"{type(each).__name__}-{i}": each for i, each in enumerate(PASSIVE)}
@@ -196,16 +185,6 @@ def ewma(u, limits):
     return held
 
 
-def moving(u, limits):
-    y = np.concatenate([np.zeros((TIMING.live, 4, WHITE.shape[2])), NORMAL[:, :4]])
-    return moving_sums([each @ u for each in y], np.arange(1, 11) / 10.0, limits, 4)
-
-
-def bank(u, tau):
-    energy = [squares(u, WHITE, k, k + 1) for k in range(EPOCHS)]
-    return bank_sums(energy, (4, 20), 8)
-
-
 def cusum(u, limits):
     up, down = (cp.Variable((EPOCHS, 4), nonneg=True) for _ in range(2))
     held = []
@@ -239,8 +218,6 @@ def steps(u, limits):
         (Aime(windows_s=(2.0, 5.0)), averages),
         (Ewma(weight_scale=None), ewma),
         (Cusum(limit=4.0), cusum),
-        (FiniteMovingAverage(window_s=5.0, shape="ramp"), moving),
-        (CumulativeBank(windows_s=(2.0, 10.0)), bank),
         (GlrStep(window=12, baseline=20), steps),
     ],
     ids=lambda each: type(each).__name__ if not callable(each) else "",
@@ -297,7 +274,6 @@ class Mine(SnapshotChi2):
         (Shewhart(weight_scale=0.3), "Shewhart: its weights change the gains"),
         (SnapshotChi2(two_sided=True), "SnapshotChi2: it alarms at innovations that are too small"),
         (WindowedChi2(covariance="estimated"), "WindowedChi2: an estimated covariance lets"),
-        (Calibrated(Ewma(), scale=2.0), "Ewma: its weights change the gains"),
         (Mine(), "Mine: nothing is known of its statistic"),
         *((DETECTORS[name](), f"{DETECTORS[name].__name__}: ") for name in sorted(WITHOUT)),
     ],
@@ -339,7 +315,7 @@ def test_a_solver_that_stops_short_has_an_upper_bound_or_none(monkeypatch, attac
     assert exact <= bound.value_m <= 1.2 * exact
 
 
-@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_energies_of_any_size_are_solved(scale):
     detector = SequentialChi2(signals="range_rate")
     plain = bound_of(detector, attacker=ATTACKER)
