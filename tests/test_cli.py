@@ -218,13 +218,6 @@ def test_bench_on_a_real_flight(data_folder):
     line += ["--duration", "120", "--out", "out"]
     result = call(*line)
     assert result.exit_code == 0, result.output
-    text = " ".join(result.output.split())
-    for part in (
-        "of them modulo 256",
-        "the barometric altitude is taken as height above the ellipsoid",
-        "the time of day is mapped to another day",
-        "distance of the fixes: RMS",
-    ):
-        assert part in text
-        assert part in Path("out", "results.md").read_text()
+    for text in (" ".join(result.output.split()), Path("out", "results.md").read_text()):
+        assert "the barometric altitude is taken as height above the ellipsoid" in text
     assert read(*line, "--json")["input"]["track"]["interpolated"] == 1210

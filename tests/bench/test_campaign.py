@@ -61,18 +61,6 @@ def test_a_finished_campaign_is_only_read(finished, summary, monkeypatch):
     assert contents(finished.path) == before
 
 
-def test_other_results_are_refused_and_replaced_only_on_demand(tmp_path):
-    none = {"spoofers": (), "detectors": ("never",)}
-    campaign(tmp_path, small_suite(**none))
-    (tmp_path / "mine.txt").write_text("keep")
-    before, other = {*contents(tmp_path)}, small_suite(runs=4, **none)
-    with pytest.raises(ValueError, match=r"holds other results \(config.runs: 5, not 4\)"):
-        campaign(tmp_path, other)
-    campaign(tmp_path, other, overwrite=True)
-    assert {*contents(tmp_path)} == before
-    assert CampaignResults.load(tmp_path).config["runs"] == 4
-
-
 def test_what_is_no_folder_or_cell_of_this_campaign_is_refused(finished, tmp_path):
     (tmp_path / "config.json").write_text('{"format": 5, "detectors": [], "versions": {}}')
     for use in (campaign, CampaignResults.load):
@@ -85,7 +73,12 @@ def test_what_is_no_folder_or_cell_of_this_campaign_is_refused(finished, tmp_pat
     with pytest.raises(ValueError, match=r"is another cell than the one requested \(key: "):
         summarize(folder)
     mine.unlink()
-    assert summarize(folder)["missing"] == ["ewma / step"]
+    summary = summarize(folder)
+    assert summary["missing"] == ["ewma / step"]
+    assert "**Not finished**: ewma / step." in markdown(folder, summary)
+    assert draw_campaign(folder, summary).stat().st_size > 10_000
+    with pytest.raises(ValueError, match=r"holds other results \(config.runs: 5, not 4\)"):
+        campaign(tmp_path / "one", small_suite(runs=4))
 
 
 @pytest.mark.usefixtures("default_rate")  # which processes of their own have, too
@@ -143,27 +136,3 @@ def test_the_report_tells_what_was_run_and_what_came_out(finished, summary):
     ):
         assert part in text
     assert "nan" not in text
-
-
-def test_an_unfinished_campaign_is_reported_as_such(tmp_path, monkeypatch):
-    suite = small_suite(spoofers=("step",), notes=("flown by a swallow",))
-    original = Store.put
-
-    def first_only(self, cell, result):
-        original(self, cell, result)
-        if cell.key.endswith("runs"):
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(Store, "put", first_only)
-    with pytest.raises(KeyboardInterrupt):
-        campaign(tmp_path, suite)
-    results = CampaignResults.load(tmp_path)
-    summary = summarize(results)
-    (played,) = summary["cells"]
-    text = markdown(results, summary)
-    left = [f"{d} / {s}" for d in ("snapshot-chi2", "ewma") for s in ("none", "step")]
-    left.remove(f"{played['detector']} / {played['spoofer']}")
-    assert f"**Not finished**: {', '.join(left)}." in text
-    assert "- flown by a swallow" in text
-    picture = draw_campaign(results, summary)
-    assert picture.stat().st_size > 10_000

@@ -125,9 +125,6 @@ def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played):
     assert row["claimed"]["per_run"] == point.per_run == expected
     assert row["false_alarm_per_run"]["low"] <= 1.6 * point.per_run
     assert row["false_alarm_per_run"]["high"] >= 0.6 * point.per_run
-    cells = [cell for cell in summary["cells"] if cell["detector"] == TOY]
-    assert [cell["spoofer"] for cell in cells] == ["none", "ramp(tuned)", "step"]
-    assert all(cell["stealthy_displacement_m"]["value"] > 0.0 for cell in cells[1:])
     (found,) = [each for each in summary["protection"] if each["detector"] == TOY]
     half, few = (headline(found, share) for share in (0.5, 0.05))
     assert half["measure"] == MEASURES[0]
