@@ -137,3 +137,17 @@ def test_what_the_attack_does_not_allow_is_refused_with_both_names():
     ):
         with pytest.raises(ValueError, match=message):
             make_spoofer(spec).bind(told)
+
+
+@pytest.mark.parametrize("name", sorted(SPOOFERS))
+@pytest.mark.parametrize("control", ["rate", "acceleration"])
+def test_the_range_of_a_search_can_be_bound(name, control):
+    kind, told = SPOOFERS[name], context(control)
+    if kind.tunable is None:
+        with pytest.raises(ValueError, match="has no setting to tune"):
+            kind.tuning_range(told)
+        return
+    low, high = kind.tuning_range(told)
+    assert 0.0 < low < high
+    for value in (low, high):
+        make_spoofer({"name": name, kind.tunable: value}).bind(told)
