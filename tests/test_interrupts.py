@@ -46,19 +46,6 @@ for _ in itertools.count():
 if end == "error":
     raise ArithmeticError("on purpose")
 """
-FAILING = """
-from spoofgym.detectors.charts import Ewma
-
-
-class Failing(Ewma):
-    left = 70
-
-    def judge(self, epoch):
-        Failing.left -= 1
-        if not Failing.left:
-            raise ArithmeticError("on purpose")
-        return super().judge(epoch)
-"""
 AFTER_THE_INTERPRETER = """
 import atexit, ctypes, os, signal, sys
 from spoofgym.cli import app, main
@@ -172,15 +159,6 @@ def test_a_campaign_ends_at_any_moment_and_goes_on(moment, whole, tmp_path):
     again = CliRunner().invoke(app, [*BENCH, "--out", str(out)])
     assert again.exit_code == 0, again.output
     assert cells_of(out) == expected
-
-
-def test_an_error_within_a_campaign_ends_it_with_1(tmp_path):
-    (tmp_path / "own.py").write_text(FAILING)
-    arguments = [*BENCH, "--detector", "own:Failing", "--out", "out"]
-    process = started("-m", "spoofgym", *arguments, folder=tmp_path)
-    code, said = code_of(process, 120.0)
-    assert code == 1, said
-    assert "ArithmeticError: on purpose" in said
 
 
 @pytest.mark.parametrize(

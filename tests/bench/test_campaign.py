@@ -82,15 +82,16 @@ def test_what_is_no_folder_or_cell_of_this_campaign_is_refused(finished, tmp_pat
 
 
 @pytest.mark.usefixtures("default_rate")  # which processes of their own have, too
-def test_processes_and_shards_write_what_one_process_does(tmp_path):
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.nightly)])
+def test_processes_and_shards_write_what_one_process_does(jobs, tmp_path):
     nominal = [{"name": name, "thresholds": "nominal"} for name in ("never", "snapshot-chi2")]
     weighing = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3, "thresholds": "nominal"}
     suite = small_suite(detectors=[*nominal, weighing])
     whole = contents(campaign(tmp_path / "one", suite).path)
-    assert contents(campaign(tmp_path / "two", suite, jobs=2).path) == whole
     for part in (1, 2):
-        run_experiment(Campaign(suite), Store(tmp_path / "shards"), shard=(part, 2), threads=1)
-    assert contents(tmp_path / "shards") == whole
+        shard = {"shard": (part, 2)} if jobs == 1 else {}
+        run_experiment(Campaign(suite), Store(tmp_path / "two"), jobs=jobs, threads=1, **shard)
+    assert contents(tmp_path / "two") == whole
 
 
 def test_scores_follow_from_the_records(finished, summary):

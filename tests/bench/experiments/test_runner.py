@@ -244,6 +244,7 @@ def test_workers_have_ctrl_c_blocked_before_they_begin(tmp_path):
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("default")  # of dask's own
 def test_dask_leaves_the_same_bytes(tmp_path, whole):
     from distributed import LocalCluster
