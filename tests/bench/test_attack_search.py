@@ -139,16 +139,3 @@ def test_what_just_passes_an_alert_limit_is_found_between_values_of_the_grid(fou
         assert fine == pytest.approx(silent, abs=0.01) if width > 1.1 else fine > 0.5 * silent
         missed += coarse < 0.5 * silent
     assert missed > 1  # which values of the grid alone do not do
-
-
-def test_a_limit_that_is_always_passed_is_not_looked_at_any_closer(found_by):
-    played = []
-
-    def moved(spec, runs):
-        played.append(spec["rate_mps"])
-        return {FIRST: np.full(runs, 100.0 * spec["rate_mps"])}
-
-    search, _ = found_by(moved, [20.0], Halving)
-    coarse = len(MEMBERS) * search.settings.values
-    # what is largest in a share of the runs is the end of the range, with one gap beside it
-    assert len(played) < coarse + 2 * search.rounds + 2 * len(search.neighbours)
