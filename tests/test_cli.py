@@ -8,13 +8,12 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 import typer
-from typer.testing import CliRunner
 
 from spoofgym import __version__
 from spoofgym.bench.experiments import Store
 from spoofgym.bench.experiments.campaign import CampaignResults
 from spoofgym.cli import app
-from spoofgym.cli.options import ENV, WorldOptions, with_options
+from spoofgym.cli.options import WorldOptions
 from spoofgym.detectors import DETECTORS
 from spoofgym.policies import list_shipped
 from spoofgym.spoofers import SPOOFERS
@@ -38,22 +37,6 @@ def test_help_of_every_command():
 
 
 def test_the_options_of_the_world_are_those_of_every_command_that_plays():
-    worlds = []
-
-    @with_options
-    def play(*, first=1, options, last=2):
-        worlds.append(options)
-        assert (first, last) == (1, 3)
-
-    small = typer.Typer()
-    small.command()(play)
-    line = ["--imu", "tactical", "--from", "3", "--set", "a=1", "--set", "b=2", "--last", "3"]
-    assert CliRunner().invoke(small, line).exit_code == 0
-    (world,) = worlds
-    assert (world.imu, world.from_s, world.settings) == ("tactical", 3.0, ["a=1", "b=2"])
-    assert (world.env, world.attack_s, world.track) == (ENV, 150.0, None)
-    passed = world.find_passed(("from_s", "imu", "errors", "last"))
-    assert passed == {"imu": "--imu", "from_s": "--from", "last": "--last"}
     group = typer.main.get_group(app)
     names = [field.name for field in dataclasses.fields(WorldOptions) if field.name != "context"]
     for command in WORLD:

@@ -2,7 +2,6 @@
 
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from spoofgym.bench.report.figures import play_frames
 from spoofgym.bench.runs.episode import TWIN, alarm_intervals, draw_episode, play_episode
 from spoofgym.bench.runs.play import WarmStart, induced_error, play
 from spoofgym.bench.runs.record import compute_displacement
-from spoofgym.core.plots import check_picture
 from spoofgym.detectors import Ewma
 from spoofgym.simulation.monitors import PastPositions
 from spoofgym.spoofers import Ramp
@@ -63,13 +61,6 @@ def test_it_can_be_drawn(tmp_path):
     written = draw_episode(drawn, tmp_path / "new" / "picture")
     assert written == tmp_path / "new" / "picture.png"
     assert written.stat().st_size > 10_000
-
-
-def test_the_ending_of_a_picture_is_a_format_in_any_case():
-    assert check_picture(Path("a")) == Path("a.png")
-    assert check_picture(Path("a.PNG")) == Path("a.PNG")
-    with pytest.raises(ValueError, match=r"unknown ending of a picture '\.gift'; valid: "):
-        check_picture(Path("a.gift"))
 
 
 @pytest.mark.nojit

@@ -69,9 +69,7 @@ def test_a_function_is_fitted_to_the_budget_and_commands_along_the_target(judge,
     assert quiet.value == pytest.approx(1000.0 * fitted.value, rel=0.05)
     assert quiet.ratio_to(fitted).value == pytest.approx(1.0, abs=0.05)
     assert quiet.keeps_budget
-    usual = judge.score(constant(1e-4))
-    assert usual.value == 10.0  # the largest one that is tried
-    assert usual.ratio_to(fitted).value < 0.1
+    assert judge.score(constant(1e-4)).value == 10.0  # the largest one that is tried
 
 
 def test_what_alarms_too_often_is_no_score(judge):

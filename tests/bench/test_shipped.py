@@ -9,7 +9,7 @@ from spoofgym.simulation import Timeline
 from spoofgym.spoofers import make_spoofer
 from spoofgym.spoofers.build import card_behind
 
-from .support import RAMP, SHORT, small_suite, use_zoo, write_policy, write_zoo
+from .support import RAMP, SHORT, small_suite, use_zoo, write_zoo
 
 USUAL = ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)", "blind-optimum"]
 
@@ -54,20 +54,6 @@ def test_those_that_do_not_fit_are_named_with_the_reason(tmp_path):
     asked = small_suite(attack={"name": "false-position", "rate_limit_mps": 2.0}, spoofers=["push"])
     with pytest.raises(ValueError, match=r"conditions.rate_limit_mps: 5.0 on the card, 2.0 here"):
         run_campaign(asked, tmp_path, threads=1)
-
-
-def test_the_file_is_part_of_the_campaign(tmp_path):
-    path = tmp_path / "mine.onnx"
-    with pytest.raises(ValueError, match=r"there is no ONNX file .*mine\.onnx"):
-        small_suite(spoofers=(str(path),))
-    digests = set()
-    for push in (0.01, 0.02):
-        write_policy(path, small_suite(), "blind", (0.0, push))
-        suite = small_suite(spoofers=(str(path),))
-        (_, entry) = suite.spoofer_players
-        assert (entry.label, len(entry.spec["sha256"])) == ("mine", 64)
-        digests.add(suite.digest)
-    assert len(digests) == 2
 
 
 def known(spec, detector="ewma", **changes):
