@@ -15,6 +15,7 @@ from .command_line import call, refused
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 def test_after_warmup_another_process_compiles_nothing(tmp_path, monkeypatch):
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))

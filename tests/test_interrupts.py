@@ -20,7 +20,7 @@ from spoofgym.core import threads as _threads
 from tests.nightly import heavy
 
 SEED = 10
-USUAL = 2  # moments that are tried always
+USUAL = 1  # moments that are tried always
 IN_TIME_S = 10.0 if os.getloadavg()[0] <= (os.cpu_count() or 1) else 300.0
 """On a machine that does nothing else; what is looked for under load is one that never ends."""
 TIMES = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "60", "--time-to-alert-s", "5"]
