@@ -116,7 +116,10 @@ def test_finished_parts_are_kept_and_go_with_their_settings(tmp_path, monkeypatc
     assert played
 
 
-@pytest.mark.parametrize("key", heavy(["quiet", "satellite-switch", "chance-alarm"], "quiet"))
+OTHERS = ["quiet", "satellite-switch", "chance-alarm", "feedback"]
+
+
+@pytest.mark.parametrize("key", heavy(OTHERS, *OTHERS[:2]))
 def test_the_other_families_are_played_too(key):
     sizes = {"runs": 4, "selection_runs": 4, "threads": 1}
     score = spoofgym.evaluate_detector(TEST, small_task(), families=[key], **sizes)
