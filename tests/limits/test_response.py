@@ -79,12 +79,14 @@ def test_all_detectors_of_satellites_but_those_that_weigh_are_replayed():
 )
 def test_every_detector_alarms_as_on_the_simulator(settings, names, runs):
     setup, plain = setup_of(**settings), [make_detector(name) for name in names]
-    heading = "target" if "target_heading_deg" in settings else 90.0
-    attack = PanelAttack({**RAMP, "heading_deg": heading}, runs)
-    attacks = [(attack, k) for k in range(len(names))]
+    number, heading = range(len(names)), "target" if "target_heading_deg" in settings else 90.0
+    still, ramp = (
+        [(PanelAttack({**RAMP, "rates_mps": x, "heading_deg": heading}, runs), k) for k in number]
+        for x in ([0.0, 0.0], RAMP["rates_mps"])
+    )
     panel = panel_of(setup, plain, runs)
     # at thresholds among which alarms come and go
-    typical = [[np.median(each.peak) for each in x] for x in (panel.clean, panel.play(attacks))]
+    typical = [[np.median(each.peak) for each in panel.play(x)] for x in (still, ramp)]
     scales = np.where(np.array(typical[1]) > 0.0, np.sqrt(np.prod(typical, axis=0)), 1.0)
     scaled = [
         make_detector({"name": name, "threshold_scale": float(scale)})
@@ -94,11 +96,12 @@ def test_every_detector_alarms_as_on_the_simulator(settings, names, runs):
     ]
     replay = Replay(setup, scaled, seeds_of(setup, runs), threads=1)
     panel, late = panel_of(setup, scaled, runs), 0
-    for k, played in enumerate(panel.play(attacks, drop=False)):
+    pairs = zip(*(panel.play(x, drop=False) for x in (still, ramp)), strict=True)
+    for k, (idle, played) in enumerate(pairs):
         found = replay.play(k, ramp_of(setup)[None])
         assert (found.first_alarm[0] == played.first_alarm).mean() >= 0.9, names[k]
         np.testing.assert_allclose(found.peak[0], played.peak, rtol=0.005, err_msg=names[k])
-        induced = induced_error(setup, played, panel.clean[k])
+        induced = induced_error(setup, played, idle)
         np.testing.assert_allclose(found.error[:, 0], induced, atol=5e-4 * induced.max())
         late += int((played.first_alarm > 1).sum())
     assert late > len(names) * runs // 4  # so that something has been compared
