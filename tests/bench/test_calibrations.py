@@ -21,6 +21,7 @@ from spoofgym.bench.runs.world import World
 from spoofgym.calibration import clean_runs, holdouts
 from spoofgym.calibration import thresholds as calibration
 from spoofgym.cli import app
+from spoofgym.core.progress import no_progress
 from spoofgym.detectors import SnapshotChi2, calibrated
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 
@@ -55,10 +56,11 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
     suite = small({"name": f"{__name__}:Toy", "false_alarms_per_hour": 20.0}, "never")
     with pytest.raises(ValueError, match=r"detector Toy.* in spoofgym/.*: there is no calibration"):
         suite.check_fit()
-    calibrate_players(suite.world, suite.detector_players)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(clean_runs, "_play", None)  # what is there is not played again
-        calibrate_players(suite.world, suite.detector_players)
+    totals = []
+    bar = {"progress": lambda total: totals.append(total) or no_progress(total)}
+    for _ in range(2):  # the second one replays what is there
+        calibrate_players(suite.world, suite.detector_players, **bar)
+    assert totals == [60]
     suite.check_fit()
     (caption,) = suite.captions
     rate = "20 false alarms an hour, 9.01 % of runs of 17 s (60 clean runs)"
