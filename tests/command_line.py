@@ -1,12 +1,8 @@
 """Calls of the command line, and the short settings of its tests."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
-from typing import Any
 
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from spoofgym.cli import app
 
@@ -17,18 +13,18 @@ QUICK = [*TRAINING, *FIXED, "--seeds", "4"]
 TWO = ["--detector", "ewma", "--spoofer", "none", "--spoofer", "ramp:rate_mps=0.4"]
 
 
-def call(*arguments: str | Path) -> Result:
+def call(*arguments):
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
-def read(*arguments: str | Path) -> Any:
+def read(*arguments):
     """What a command with ``--json`` prints."""
     result = call(*arguments)
     assert result.exit_code == 0, result.output
     return json.loads(result.stdout)
 
 
-def refused(*arguments: str | Path) -> str:
+def refused(*arguments):
     """The one line that a wrong command prints."""
     result = call(*arguments)
     assert result.exit_code == 2, result.output

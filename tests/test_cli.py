@@ -1,23 +1,19 @@
 """The command line: what it prints, writes and plays."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import pytest
 import typer
-from typer.testing import CliRunner
 
 from spoofgym import __version__
 from spoofgym.bench.experiments import Store
 from spoofgym.bench.experiments.campaign import CampaignResults
 from spoofgym.cli import app
-from spoofgym.cli.options import ENV, WorldOptions, with_options
+from spoofgym.cli.options import WorldOptions
 from spoofgym.detectors import DETECTORS
 from spoofgym.policies import list_shipped
 from spoofgym.spoofers import SPOOFERS
@@ -30,37 +26,17 @@ WORLD = ("run", "render", "tune", "bench", "limits", "dataset")
 """Commands with the options of a world."""
 
 
-def test_help_of_every_command() -> None:
+def test_help_of_every_command():
     text = call("--help").output
     for command in (*WORLD, "list", "card", "protect", "game", "report", "warmup"):
         assert command in text
         page = call(command, "--help")
         assert page.exit_code == 0
-        assert "Usage" in page.output
-        if command in WORLD:
-            assert "--env" in page.output
-            assert "--set" in page.output
+        assert ("--set" in page.output) == (command in WORLD)
     assert call("--version").output.strip() == __version__
 
 
-def test_the_options_of_the_world_are_those_of_every_command_that_plays() -> None:
-    """And the world that a command gets holds what is on its command line."""
-    worlds: list[WorldOptions] = []
-
-    @with_options
-    def play(*, first: int = 1, options: WorldOptions, last: int = 2) -> None:
-        worlds.append(options)
-        assert (first, last) == (1, 3)
-
-    small = typer.Typer()
-    small.command()(play)
-    line = ["--imu", "tactical", "--from", "3", "--set", "a=1", "--set", "b=2", "--last", "3"]
-    assert CliRunner().invoke(small, line).exit_code == 0
-    (world,) = worlds
-    assert (world.imu, world.from_s, world.settings) == ("tactical", 3.0, ["a=1", "b=2"])
-    assert (world.env, world.attack_s, world.track) == (ENV, 150.0, None)
-    passed = world.find_passed(("from_s", "imu", "errors", "last"))
-    assert passed == {"imu": "--imu", "from_s": "--from", "last": "--last"}
+def test_the_options_of_the_world_are_those_of_every_command_that_plays():
     group = typer.main.get_group(app)
     names = [field.name for field in dataclasses.fields(WorldOptions) if field.name != "context"]
     for command in WORLD:
@@ -69,7 +45,7 @@ def test_the_options_of_the_world_are_those_of_every_command_that_plays() -> Non
         assert options[start : start + len(names)] == names
 
 
-def test_list_names_all_there_is_and_marks_oracles(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_list_names_all_there_is_and_marks_oracles(monkeypatch):
     fixes = type("Fixes", (DETECTORS["ewma"],), {"__doc__": "Fixes.", "measures": "position"})
     monkeypatch.setitem(DETECTORS, "fixes", fixes)
     found = read("list", "--json")
@@ -86,31 +62,20 @@ def test_list_names_all_there_is_and_marks_oracles(monkeypatch: pytest.MonkeyPat
     assert {*names["spoofers"]} == {*SPOOFERS}
     assert [*names["shipped"]] == [*list_shipped("spoofer"), *list_shipped("detector")]
     assert all(row["summary"] for rows in found.values() for row in rows)
-    ramp = names["spoofers"]["ramp"]
-    told = (ramp["settings"]["rate_mps"], ramp["tunable"], ramp["knowledge"])
-    assert told == (0.5, "rate_mps", "blind")
+    ramp = {"settings": {"heading_deg": 90.0, "rate_mps": 0.5}, "tunable": "rate_mps"}
+    assert names["spoofers"]["ramp"].items() >= {**ramp, "knowledge": "blind"}.items()
     for name, row in names["envs"].items():
         assert row["settings"].items() >= json.loads(json.dumps(gym.spec(name).kwargs)).items()
-    plain, random = (
-        names["envs"][f"spoofgym/{each}-v0"]["settings"]
-        for each in ("TightlyCoupled", "RandomStart")
-    )
-    assert plain["target_heading_deg"] == 90.0
-    changed = {"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"}
-    assert {**plain, **random} == {**plain, **changed}
     assert "target_heading_deg=random" in " ".join(call("list", "envs").output.split())
     oracles = [name for name, row in names["detectors"].items() if row["oracle"]]
     assert oracles == ["oracle-ramp", "oracle-step"]
     assert names["detectors"]["fixes"]["measures"] == "position"
-    table = call("list", "detectors").output
-    assert "[oracle, knows what no receiver does]" in " ".join(table.split())
-    assert "accelerating-ramp" not in table
-    by_name = {line.split()[0]: line for line in table.splitlines() if line.strip()}
-    assert "for positions" in by_name["fixes"]
-    assert not any(word in by_name["ewma"] + by_name["snapshot-chi2"] for word in ("oracle", "["))
+    table = " ".join(call("list", "detectors").output.split())
+    assert table.count("[oracle, knows what no receiver does]") == len(oracles)
+    assert "for positions" in table
 
 
-def test_bench_writes_table_picture_and_json() -> None:
+def test_bench_writes_table_picture_and_json():
     result = call("bench", *QUICK, "--out", "out", "--spoofer", "ramp:rate_mps=tuned")
     assert result.exit_code == 0, result.output
     assert "stealthy attacks" in result.output
@@ -118,7 +83,7 @@ def test_bench_writes_table_picture_and_json() -> None:
         assert Path("out", name).is_file()
     assert "| stealthy displacement [m] |" in Path("out", "results.md").read_text()
     assert not list(Path("out").rglob("*.part"))
-    # a ramp without settings is tuned, so that this is the same campaign
+    # a ramp without settings is tuned: the same campaign
     summary = read("bench", *QUICK, "--out", "out", "--spoofer", "ramp", "--json")
     judges = {"never", "lottery", "snapshot-chi2", "ewma"}
     assert {cell["detector"] for cell in summary["cells"]} == judges
@@ -131,14 +96,12 @@ def test_bench_writes_table_picture_and_json() -> None:
     assert Path("out", "results.md").is_file()
 
 
-def test_an_interrupted_bench_is_kept_and_goes_on_and_run_is_a_run_of_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_interrupted_bench_is_kept_and_goes_on_and_run_is_a_run_of_it(monkeypatch):
     world = ["--tuning", "matched", "--imu", "tactical", "--errors", "groves", "--seed", "7"]
     world += ["--attack", "false-position:rate_limit_mps=2"]
     original, line = Store.put, ("bench", *QUICK, *TWO, *world, "--out", "out")
 
-    def interrupted(self: Store, cell: Any, result: Any) -> None:
+    def interrupted(self, cell, result):
         original(self, cell, result)
         raise KeyboardInterrupt
 
@@ -166,18 +129,16 @@ def test_an_interrupted_bench_is_kept_and_goes_on_and_run_is_a_run_of_it(
     assert call(*line, "--seeds", "5", "--overwrite").exit_code == 0
 
 
-def test_run_draws_one_attack() -> None:
+def test_run_draws_one_attack():
     summary = read("run", *SHORT, "--spoofer", "step:size_m=20", "--out", "a.png", "--json")
     assert summary["spoofer"]["size_m"] == 20
     assert summary["largest_error_m"] > 1.0
     assert Path("a.png").is_file()
-    assert "run1.png" in call("run", *SHORT, "--out", "run1").stdout.split()
-    assert Path("run1.png").is_file()
     assert "undetected_displacement_m" in call("run", *SHORT, "--no-picture").output
     assert not Path("episode.png").exists()
 
 
-def test_the_other_victims_are_played_by_their_environment() -> None:
+def test_the_other_victims_are_played_by_their_environment():
     env = ["--env", "spoofgym/Snapshot-v0", "--set", "satellites=9", "--set", "noise_m=2.0"]
     times = ["--attack-s", "12", "--spoofer", "ramp:rate_mps=0.4"]
     more = [*FIXED[:3], *["--seeds", "4", "--out", "small", "--json", "--threads", "1"]]
@@ -189,7 +150,6 @@ def test_the_other_victims_are_played_by_their_environment() -> None:
     assert (config["settings"]["satellites"], config["settings"]["noise_m"]) == (9, 2.0)
     assert config["timeline"]["attack_s"] == 12.0
     assert config["timeline"]["warmup_s"] == 10.0  # the victim's own, not that of the option
-    assert "satellites=9" in Path("small/results.md").read_text()
     found = CampaignResults.load("small").runs("srv-raim", "ramp(rate_mps=0.4)")
     assert found is not None
     played = json.dumps(found.head["spoofer_settings"])  # with its amplitude
@@ -202,12 +162,10 @@ def test_the_other_victims_are_played_by_their_environment() -> None:
     assert drawn.exit_code == 0, drawn.output
     assert Path("small.gif").stat().st_size > 10_000
     line = ("tune", *env, "--spoofer", "ramp", *TRAINING[-6:], "--attack-s", "5")
-    tuned = read(*line, "--json")
-    assert [found["detector"] for found in tuned] == ["raim", "srv-raim"]
-    for found in tuned:
-        assert (found["setting"], found["runs"], found["budget"]) == ("rate_mps", 11, 0.25)
-        assert len({trial["value"] for trial in found["trials"]}) >= 20
-    assert "(chosen)" in call(*line).output
+    for found, name in zip(read(*line, "--json"), ("raim", "srv-raim"), strict=True):
+        told = {"detector": name, "setting": "rate_mps", "runs": 11, "budget": 0.25}
+        assert found.items() >= told.items()
+    assert "(chosen)" in call(*line, "--detector", "raim").output
 
 
 HOMEMADE = """
@@ -224,7 +182,7 @@ class Slow(Ramp):
 """
 
 
-def test_classes_of_the_user_are_found_in_the_working_directory() -> None:
+def test_classes_of_the_user_are_found_in_the_working_directory():
     Path("homemade.py").write_text(HOMEMADE)
     own = ["--detector", "homemade:Nervous", "--spoofer", "homemade:Slow:rate_mps=0.1"]
     try:
@@ -236,20 +194,13 @@ def test_classes_of_the_user_are_found_in_the_working_directory() -> None:
     assert cells[1]["spoofer"] == "Slow(rate_mps=0.1)"
 
 
-def test_bench_on_a_real_flight(data_folder: Path) -> None:
+def test_bench_on_a_real_flight(data_folder):
     flight = data_folder / "adsb_flights" / "ajaccio.json.gz"
     broadcast = data_folder / "gnss_broadcast" / "brdc3050.12n"
     line = ["bench", *QUICK, *TWO, "--track", flight, "--ephemeris", broadcast]
     line += ["--duration", "120", "--out", "out"]
     result = call(*line)
     assert result.exit_code == 0, result.output
-    text = " ".join(result.output.split())
-    for part in (
-        "of them modulo 256",
-        "the barometric altitude is taken as height above the ellipsoid",
-        "the time of day is mapped to another day",
-        "distance of the fixes: RMS",
-    ):
-        assert part in text
-        assert part in Path("out", "results.md").read_text()
+    for text in (" ".join(result.output.split()), Path("out", "results.md").read_text()):
+        assert "the barometric altitude is taken as height above the ellipsoid" in text
     assert read(*line, "--json")["input"]["track"]["interpolated"] == 1210

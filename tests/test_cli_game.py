@@ -1,7 +1,5 @@
 """`spoofgym game`: the matrix, both mixes, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

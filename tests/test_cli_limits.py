@@ -1,7 +1,5 @@
 """spoofgym limits: its figures are those of the package, its tables those of its JSON."""
 
-from __future__ import annotations
-
 import pytest
 
 from spoofgym.bench.report.table import format_number
@@ -89,15 +87,8 @@ def test_the_tables_are_those_of_the_json(setup):
         (["--figure", "floor.foo"], "unknown ending of a picture '.foo'; valid: "),
         (["--set", "domain={}", "--false-alarms-per-hour", "1000"], "valid: below 15.6 an hour"),
         (["--false-alarms-per-hour", "1", "--nominal"], "can't both be given"),
-        (["--budget", "2"], "--budget must be"),
         (["--task", "T3", "--detector", "never"], "--detector can't be given with --task, which"),
     ],
 )
 def test_wrong_input(arguments, message):
     assert message in refused("limits", *arguments)
-
-
-def test_a_world_without_a_limit_says_why():
-    result = call("limits", *SHORT, "--set", 'domain={"imu": ["aviation", "tactical"]}')
-    assert result.exit_code == 2
-    assert "limits are known for one grade of inertial sensors at a time" in result.stderr

@@ -1,7 +1,5 @@
 """What is shipped, on the command line: lists, cards, and playing it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -15,19 +13,19 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("zoo")
     write_zoo(folder, small_suite())
     return folder
 
 
 @pytest.fixture
-def zoo_folder(written: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def zoo_folder(written, monkeypatch):
     use_zoo(written, monkeypatch)
     return written
 
 
-def test_list_and_card_show_what_is_shipped(zoo_folder: Path) -> None:
+def test_list_and_card_show_what_is_shipped(zoo_folder):
     rows = read("list", "shipped", "--json")["shipped"]
     assert [row["name"] for row in rows] == ["curve", "push", "track"]
     assert (rows[2]["knowledge"], rows[2]["designed_on"]) == ("tracking", "ewma, by hand")
@@ -42,26 +40,21 @@ def test_list_and_card_show_what_is_shipped(zoo_folder: Path) -> None:
     assert "rates_mps" in call("card", "curve").output
     wrong = " ".join(refused("card", "pull").split())
     assert "unknown shipped spoofer or detector 'pull'; valid: curve, push, track" in wrong
-    for nowhere in ("ONNX file nowhere.onnx", "card nowhere.json"):
-        assert f"there is no {nowhere}" in refused("card", nowhere.split()[-1])
+    assert "there is no card nowhere.json" in refused("card", "nowhere.json")
 
 
-def test_a_card_of_a_detector_is_shown_by_name_and_by_file() -> None:
+def test_a_card_of_a_detector_is_shown_by_name_and_by_file():
     file = resolve_path("trolley-guard")
     for name in ("trolley-guard", file, file.with_suffix(".json")):
         shown = call("card", name).output
         for part in ("detector-policy", "hidden (32)", "12 slots, epochs of 0.5 s", "best_pass"):
             assert part in shown
         assert read("card", name, "--json")["statistic"] == "receiver"
-    card = file.with_suffix(".json").read_text().replace('"channels": 12', '"channels": 13')
-    Path("other.json").write_text(card.replace(file.name, "other.onnx"))
-    Path("other.onnx").write_bytes(file.read_bytes()[:-8])
-    assert "other.onnx has" in refused("card", "other.onnx")
     Path("damaged.json").write_text('{"kind": "detector-policy"}')
     assert "card damaged.json" in refused("card", "damaged.json")
 
 
-def test_bench_and_run_take_learned_and_optimised_spoofers(zoo_folder: Path) -> None:
+def test_bench_and_run_take_learned_and_optimised_spoofers(zoo_folder):
     inline = '{"name": "profile", "rates_mps": [0, 0.1, 0.2], "label": "inline"}'
     chosen = ["--spoofer", "push", "--spoofer", inline, "--detector", "ewma"]
     summary = read("bench", *QUICK, *chosen, "--out", "out", "--json")
@@ -75,7 +68,7 @@ def test_bench_and_run_take_learned_and_optimised_spoofers(zoo_folder: Path) -> 
 
 
 @pytest.mark.usefixtures("zoo_folder")
-def test_shipped_spoofers_that_do_not_fit_are_named() -> None:
+def test_shipped_spoofers_that_do_not_fit_are_named():
     north = [*QUICK, "--out", "out", "--attack", "false-position:axes=n"]
     assert "needs a command to the east" in refused("bench", *north)
     assert "push does not fit this attack: " in refused("bench", *north, "--spoofer", "push")

@@ -17,6 +17,7 @@ from spoofgym.simulation.recording import record_run
 
 from . import cpus, digests
 from .envs.support import single
+from .nightly import heavy
 
 LANES_SIGNATURE = "(A, int64, A, A, int64, A, A)".replace("A", "float64[:, ::1]")
 """Of `mechanize`, of eight receivers."""
@@ -31,6 +32,10 @@ def compiled(kernel, *signatures):
     for signature in signatures or kernel.signatures:
         copy.compile(signature)
     return copy
+
+
+MORE = step.play_epoch, run_epochs, step.finish
+"""Which take long, and have what they call from the same decorator."""
 
 
 @pytest.fixture(scope="module")
@@ -55,11 +60,10 @@ def _played():
 @pytest.mark.usefixtures("_played")
 @pytest.mark.parametrize(
     "kernel",
-    [step.play_epoch, run_epochs, receiver.run_epoch, step.finish],
+    heavy([step.play_epoch, run_epochs, receiver.run_epoch, step.finish], *MORE),
     ids=lambda kernel: kernel.__name__,
 )
 def test_no_operations_are_fused_and_no_sums_regrouped(kernel):
-    """These are called from Python, and hold the code of all that they call, attacks and charts."""
     code = compiled(kernel).inspect_llvm()
     assert code
     for text in code.values():
@@ -70,7 +74,6 @@ def test_no_operations_are_fused_and_no_sums_regrouped(kernel):
 
 
 def test_the_machine_code_is_for_the_processor_that_is_asked_for():
-    """``zmm`` are the registers of AVX-512, ``ymm`` those of AVX."""
     name = numba.config.CPU_NAME
     features = set(cpus.KINDS[name].split()) if name else cpus.host_features()
     (code,) = compiled(receiver.mechanize, LANES_SIGNATURE).inspect_asm().values()
@@ -91,5 +94,4 @@ def test_the_runs_hold_every_attack_with_all_equipment():
 @pytest.mark.usefixtures("default_rate")
 @pytest.mark.parametrize("name", digests.RUNS)
 def test_a_process_of_its_own_can_play_the_runs(name):
-    """No test's settings are there: nothing that is named may need a calibration."""
     Engine(1, digests.setup_of(name), threads=1).close()

@@ -1,7 +1,5 @@
 """From a model to an ONNX file with its card: the same actions, the right card, or nothing."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 
@@ -79,10 +77,6 @@ def test_the_normalization_of_observations_is_folded_in(tmp_path):
     acted = read(tmp_path / "mine.onnx")(seen)
     np.testing.assert_allclose(acted, np.clip(2.0 * np.clip(wanted, -1, 1), -1, 1), atol=2e-5)
     assert np.abs(wanted - model.predict(seen, deterministic=True)[0]).max() > 0.01
-    judge = Evaluator(**WORLD, runs=20, fit_runs=80)
-    mine = judge.score(model, amplitude=2.0)
-    file = judge.score(str(tmp_path / "mine.onnx"), amplitude=None)
-    assert file.stealthy_displacement_m.value == pytest.approx(mine.stealthy_displacement_m.value)
     onnx(model.policy, envs, tmp_path / "alone.onnx", amplitude=2.0)  # a module, behind `envs`
     np.testing.assert_array_equal(read(tmp_path / "alone.onnx")(seen), acted)
     other = VecNormalize(make(), norm_reward=False)
@@ -93,10 +87,8 @@ def test_the_normalization_of_observations_is_folded_in(tmp_path):
 
 
 def test_a_card_says_where_it_was_made_and_the_file_fits_there(tmp_path):
-    envs, path = (
-        make(task="T3", domain={"worlds": 2, "turned_deg": [0.0, 360.0]}),
-        tmp_path / "a.onnx",
-    )
+    envs = make(task="T3", domain={"worlds": 2, "turned_deg": [0.0, 360.0]})
+    path = tmp_path / "a.onnx"
     model = PPO("MlpPolicy", envs, n_steps=8, batch_size=32, seed=3, device="cpu")
     model.learn(32)
     card = onnx(model, path=path, training={"note": "short"})
@@ -119,8 +111,11 @@ def sb3(env_id, **settings):
 @pytest.mark.parametrize(
     ("name", "build"),
     [
-        *(("TightlyCoupled", build) for build in (gym.make, gym.make_vec)),
-        *((name, sb3) for name in ("LooselyCoupled", "Snapshot", "WheeledRobot")),
+        ("TightlyCoupled", gym.make),
+        ("Snapshot", sb3),
+        pytest.param("TightlyCoupled", gym.make_vec, marks=pytest.mark.nightly),
+        pytest.param("LooselyCoupled", sb3, marks=pytest.mark.nightly),
+        pytest.param("WheeledRobot", sb3, marks=pytest.mark.nightly),
     ],
 )
 def test_a_torch_module_of_any_environment(name, build, tmp_path):
@@ -144,10 +139,8 @@ def test_a_torch_module_of_any_environment(name, build, tmp_path):
 
 
 def test_a_detector_that_has_learned_is_a_detector_policy(tmp_path):
-    envs, path = (
-        SpoofVecEnv(2, side="detector", pool="ramp", timeline=TIMELINE),
-        tmp_path / "g.onnx",
-    )
+    envs = SpoofVecEnv(2, side="detector", pool="ramp", timeline=TIMELINE)
+    path = tmp_path / "g.onnx"
     model = PPO("MlpPolicy", envs, n_steps=8, batch_size=16, seed=0, device="cpu")
     model.learn(16)
     card = onnx(model, path=path)
@@ -176,7 +169,6 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written(tmp_path, monkeypat
     for model, env, error, message in (
         (3, envs, TypeError, "can be exported, got int"),
         (linear(size, 1), None, TypeError, "`env` must be an environment of spoofgym"),
-        (discrete, None, TypeError, "environment of spoofgym"),
         (discrete, envs, TypeError, "only a policy with a Gaussian action"),
         (linear(size + 1, 1), envs, ValueError, f"can't be run with {size} obs"),
         (linear(size, 2), envs, ValueError, r"actions of shape \(B, 1\), got \(2, 2\)"),
@@ -187,10 +179,8 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written(tmp_path, monkeypat
         with pytest.raises(error, match=message):
             onnx(model, env, tmp_path / "x.onnx")
     for name, options, message in (
-        ("x.pt", {}, r"`path` must end in \.onnx"),
         ("x.onnx", {"amplitude": 0.0}, "`amplitude` must be a number above 0, got 0"),
         ("x.onnx", {"training": [1]}, r"`training` must be a mapping, got \[1\]"),
-        ("x.onnx", {"training": {"decided_on": [[0, 5]]}}, "pairs of an entropy and a split"),
         ("x.onnx", {"training": {"decided_on": [[0, "trial"]]}}, "unknown split 'trial'; valid: "),
         ("x y.onnx", {}, r"card of .*x y\.onnx: `name`: [^\n]*$"),
     ):
@@ -274,27 +264,16 @@ class Forgets(Recurrent):
         return super().forward(observation, hidden)[:1]
 
 
-class Dice(Recurrent):
-    def forward(self, observation, hidden):
-        action, after = super().forward(observation, hidden)
-        return action, after + 0.1 * torch.randn_like(after)
-
-
 @pytest.mark.parametrize(
     ("module", "options", "message"),
     [
         (Forgets, {}, r"for action and states, got \(2, 1\)"),
         (partial(Recurrent, decided=2), {}, r"for action and states, got \(2, 2\), \(2, 6\)"),
-        (lambda size: Recurrent(size + 1), {}, r"can't be run with \(B, 37\), \(B, 6\), to ret"),
         (Recurrent, {"state": {"hidden": 5}}, r"can't be run with \(B, 37\), \(B, 5\)"),
-        (Recurrent, {"state": {}}, r"can't be run with \(B, 37\), to return \(B, 1\)"),
-        (Recurrent, {"terms": ["inovation"]}, "did you mean 'innovation'"),
         (Recurrent, {"state": {"next hidden": 6}}, "state 'next hidden' of size 6: `name`"),
-        (Recurrent, {"state": {"hidden": -1}}, "state 'hidden' of size -1: `size`"),
         (Recurrent, {"state": {"action": 6}}, "can't have the name 'action'"),
         (Recurrent, {"state": [6]}, "`state` must be sizes by name"),
         (Recurrent, {"threshold": 2.0}, r"card of .*guard\.onnx: `threshold`"),
-        (Dice, {}, "has the operator RandomNormalLike"),
     ],
 )
 def test_a_module_that_is_no_detector_is_refused_and_nothing_is_written(

@@ -3,15 +3,12 @@
 Some moments are tried always, others by `make test-nightly`; ``--interrupts 200`` tries more.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +20,7 @@ from spoofgym.core import threads as _threads
 from tests.nightly import heavy
 
 SEED = 10
-USUAL = 4  # moments that are tried always
+USUAL = 1  # moments that are tried always
 IN_TIME_S = 10.0 if os.getloadavg()[0] <= (os.cpu_count() or 1) else 300.0
 """On a machine that does nothing else; what is looked for under load is one that never ends."""
 TIMES = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "60", "--time-to-alert-s", "5"]
@@ -48,19 +45,6 @@ for _ in itertools.count():
         break
 if end == "error":
     raise ArithmeticError("on purpose")
-"""
-FAILING = """
-from spoofgym.detectors.charts import Ewma
-
-
-class Failing(Ewma):
-    left = 70
-
-    def judge(self, epoch):
-        Failing.left -= 1
-        if not Failing.left:
-            raise ArithmeticError("on purpose")
-        return super().judge(epoch)
 """
 AFTER_THE_INTERPRETER = """
 import atexit, ctypes, os, signal, sys
@@ -104,13 +88,13 @@ main()
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("default_rate")]
 
 
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+def pytest_generate_tests(metafunc):
     if "moment" in metafunc.fixturenames:
         moments = range(metafunc.config.getoption("--interrupts"))
         metafunc.parametrize("moment", heavy(moments, *moments[USUAL:]))
 
 
-def started(*arguments: str, folder: Path) -> subprocess.Popen[bytes]:
+def started(*arguments, folder):
     """A child that hears Ctrl-C, also where these tests themselves don't."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     command = [sys.executable, "-X", "faulthandler", *arguments]
@@ -121,7 +105,7 @@ def started(*arguments: str, folder: Path) -> subprocess.Popen[bytes]:
         signal.signal(signal.SIGINT, before)
 
 
-def code_of(process: subprocess.Popen[bytes], within_s: float) -> tuple[int, str]:
+def code_of(process, within_s):
     """Exit code as a shell has it, and what was said."""
     try:
         _, said = process.communicate(timeout=within_s)
@@ -133,17 +117,17 @@ def code_of(process: subprocess.Popen[bytes], within_s: float) -> tuple[int, str
     return (code if code >= 0 else 128 - code), said.decode()
 
 
-def wait_for(path: Path, process: subprocess.Popen[bytes]) -> None:
+def wait_for(path, process):
     while not path.exists() and process.poll() is None:
         time.sleep(2e-3)
 
 
-def cells_of(out: Path) -> dict[str, bytes]:
+def cells_of(out):
     return {path.name: path.read_bytes() for path in sorted((out / "cells").glob("*.npz"))}
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, bytes], float, float]:
+def whole(tmp_path_factory):
     """Results of a campaign that nothing interrupts, and how long it takes to start and to end."""
     folder = tmp_path_factory.mktemp("whole")
     for out in ("first", "out"):  # the first one may compile
@@ -157,9 +141,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, bytes], f
     return cells, begun - began, time.monotonic() - begun
 
 
-def test_a_campaign_ends_at_any_moment_and_goes_on(
-    moment: int, whole: tuple[dict[str, bytes], float, float], tmp_path: Path
-) -> None:
+def test_a_campaign_ends_at_any_moment_and_goes_on(moment, whole, tmp_path):
     expected, starting_s, running_s = whole
     rng = np.random.default_rng([SEED, moment])
     number = signal.SIGTERM if rng.random() < 0.3 else signal.SIGINT
@@ -179,22 +161,11 @@ def test_a_campaign_ends_at_any_moment_and_goes_on(
     assert cells_of(out) == expected
 
 
-def test_an_error_within_a_campaign_ends_it_with_1(tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text(FAILING)
-    arguments = [*BENCH, "--detector", "own:Failing", "--out", "out"]
-    process = started("-m", "spoofgym", *arguments, folder=tmp_path)
-    code, said = code_of(process, 120.0)
-    assert code == 1, said
-    assert "ArithmeticError: on purpose" in said
-
-
 @pytest.mark.parametrize(
     ("end", "expected", "fraction"),
-    [("interrupt", 130, 0.1), ("interrupt", 130, 0.5), ("error", 1, 0.1), ("end", 0, 0.5)],
+    [("interrupt", 130, 0.3), ("error", 1, 0.1), ("end", 0, 0.5)],
 )
-def test_an_environment_with_warm_ups_in_the_background_ends(
-    end: str, expected: int, fraction: float, tmp_path: Path
-) -> None:
+def test_an_environment_with_warm_ups_in_the_background_ends(end, expected, fraction, tmp_path):
     process = started("-c", ENVIRONMENT, end, str(fraction), folder=tmp_path)
     assert process.stdout is not None
     assert process.stdout.readline() == b"begun\n"
@@ -214,15 +185,15 @@ def test_an_environment_with_warm_ups_in_the_background_ends(
     ],
 )
 def test_an_interrupt_ends_the_program_before_the_interpreter_and_is_not_dropped(
-    program: str, number: signal.Signals, printed: bytes, tmp_path: Path
-) -> None:
+    program, number, printed, tmp_path
+):
     process = started("-c", program, number.name, folder=tmp_path)
     found, said = process.communicate(timeout=120.0)
     assert process.returncode == 128 + number, said.decode()
     assert (found, said) == (printed, b"")
 
 
-def test_progress_leaves_no_thread_that_nobody_waits_for() -> None:
+def test_progress_leaves_no_thread_that_nobody_waits_for():
     before = set(threading.enumerate())
     with progress(1.0) as bar:
         bar.advance(0.5, "half")

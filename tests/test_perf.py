@@ -11,6 +11,7 @@ from benchmarks import perf
 EPOCH = [name for name in perf.KERNELS if name not in (perf.COVARIANCE_S, perf.FLOOR)]
 
 
+@pytest.mark.nightly
 def test_the_parts_of_a_step_one_after_the_other_are_an_epoch(monkeypatch):
     monkeypatch.setattr(perf, "COMMAND", 0.0)
     rig = perf.Rig(5, 1)
@@ -60,10 +61,6 @@ def test_the_command_reports_every_part_of_every_batch(measured):
         together = sum(us[name] for name in (*EPOCH, perf.ATTACK, perf.JUDGE))
         assert run["parts_us"] == pytest.approx(together, rel=0.01)
         assert run["env_steps_per_s"] == pytest.approx(1e6 / us[perf.EPISODE], rel=0.01)
-    lines = measured("--receivers", "1", "--threads", "1", "--markdown").stdout.splitlines()
-    assert "| part | B = 1 |" in lines
-    rows = {line.split(" | ")[0] for line in lines}
-    assert {f"| {name}" for name in (*perf.PARTS, perf.EPISODE, perf.TOTAL)} <= rows
     refused = measured("--receivers", "8", "--threads", "2")
     assert refused.exit_code == 2
     said = "spoofgym: error: no batch of [8] receivers has a group of 8 for each of 2"

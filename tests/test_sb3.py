@@ -1,7 +1,5 @@
 """The vector environment of stable-baselines3."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np
@@ -12,11 +10,13 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
 import gymnasium as gym
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from spoofgym.envs.terms.reward import AlarmPenalty, default_rewards
 from spoofgym.envs.wrappers import vector as vector_wrappers
 from spoofgym.sb3 import DetectorWrapper, RecordEpochs, SpoofVecEnv
+
+from .nightly import heavy
 
 TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 5.0, "time_to_alert_s": 1.0}
 SETTINGS = {
@@ -55,8 +55,6 @@ def assert_same(one, other):
             assert np.array_equal(a, b)
 
 
-# --- any environment, either side ---
-
 SHORT = {"timeline": TIMELINE}
 NOMINAL = {"name": "snapshot-chi2", "thresholds": "nominal"}
 TWO_WORLDS = {"worlds": 2, "turned_deg": [0.0, 360.0]}
@@ -77,9 +75,8 @@ IDS = {
 }
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", heavy(IDS, "LooselyCoupled-v0", "WheeledRobot-v0", "BenchT6-v1"))
 def test_every_id_is_the_same_as_by_make_vec(name):
-    """Whose receivers are single environments, see tests/conformance."""
     env_id, settings = f"spoofgym/{name}", IDS[name]
     vector = gym.make_vec(env_id, num_envs=3, autoreset_mode="same_step", **settings)
     envs = SpoofVecEnv(3, env_id=env_id, seed=5, prefetch=name != "TightlyCoupled-v0", **settings)
@@ -107,10 +104,8 @@ def test_every_id_is_the_same_as_by_make_vec(name):
             assert told["TimeLimit.truncated"] is bool(truncated[row])
             assert told["episode"]["l"] == lengths[row]
             assert told["episode"]["r"] == pytest.approx(returns[row], abs=1e-5)
-            for key in ("undetected_displacement_m", "detected", "warmup_alarm", "coasting"):
-                assert (key in told) == (key in all_infos["final_info"])
-                assert key not in told or told[key] == all_infos["final_info"][key][row]
-            assert "undetected_displacement_m" in told
+            key = "undetected_displacement_m"
+            assert told[key] == all_infos["final_info"][key][row]
             returns[row], lengths[row], ended = 0.0, 0, ended + 1
     assert ended
     vector.close()
@@ -126,9 +121,8 @@ def test_a_task_a_side_or_a_pool_alone_chooses_the_environment():
     assert SpoofVecEnv(2, side="detector", pool="step", **SHORT).core.opponents() == ["step"] * 2
     pooled = SpoofVecEnv(2, pool=[NOMINAL, "never"], weights=[0, 1], seed=0, **SHORT)
     pooled.reset()
-    detector = pooled.env_kwargs["detector"]
-    assert (detector["members"], detector["weights"]) == ([NOMINAL, "never"], [0, 1])
-    assert SpoofVecEnv(2, pool="never", **SHORT).env_kwargs["detector"] == "never"
+    pool = {"members": [NOMINAL, "never"], "weights": [0, 1]}
+    assert pooled.env_kwargs["detector"].items() >= pool.items()
 
 
 @pytest.mark.parametrize(
@@ -137,19 +131,13 @@ def test_a_task_a_side_or_a_pool_alone_chooses_the_environment():
         ({"env_id": "nix"}, ValueError, "unknown environment 'nix'; valid: spoofgym/Bench"),
         ({"env_id": "CartPole-v1"}, ValueError, "CartPole-v1 is no environment of a spoofer"),
         ({"env_id": "a", "task": "T1"}, ValueError, "`env_id` can't be given with task T1"),
-        ({"task": "T9"}, ValueError, "unknown task 'T9'"),
         ({"side": "referee"}, ValueError, "`side` must be 'spoofer' or 'detector', got 'referee'"),
         ({"side": "detector", "detector": "ewma"}, ValueError, "the detector is the learner"),
         ({"weights": [1.0]}, ValueError, "`weights` needs a `pool`"),
         ({"env_id": "spoofgym/Snapshot-v0", "side": "detector"}, ValueError, "has none"),
-        ({"env_id": "spoofgym/Snapshot-v0", "pool": ["raim"]}, ValueError, "has none"),
-        ({"pool": ["never"], "detector": "ewma"}, ValueError, "two detectors are set at once"),
         ({"pool": ["never"], "foo": 1}, TypeError, "has no argument 'foo'"),
-        ({"side": "detector", "foo": 1}, TypeError, "has no argument 'foo'"),
-        ({"pool": ["nobody"]}, ValueError, "nobody"),
         ({"pool": []}, ValueError, "`pool` must have at least one opponent, got none"),
         ({"seed": 1.5}, ValueError, "`seed` must be a whole number of at least 0, got 1.5"),
-        ({"torch_threads": 0}, ValueError, "`torch_threads` must be a whole number of at least 1"),
         ({"infos": ["costs"]}, ValueError, r"unknown info 'costs'.*did you mean 'cost'"),
     ],
 )
@@ -164,12 +152,6 @@ def test_what_belongs_to_the_spoofers_side_is_refused_on_the_other(tmp_path):
         envs.set_rewards(default_rewards(7.0))
     with pytest.raises(TypeError, match="this SpoofVecEnv has the side 'detector'"):
         RecordEpochs(envs, tmp_path)
-    others = DummyVecEnv([lambda: gym.make("spoofgym/Snapshot-v0")])
-    with pytest.raises(TypeError, match=r"needs a SpoofVecEnv, wrapped or not, got <.*Dummy"):
-        RecordEpochs(others, tmp_path)
-
-
-# --- as stable-baselines3 wants it ---
 
 
 def test_resets_copies_and_refusals_leave_no_trace():
@@ -204,38 +186,30 @@ def test_resets_copies_and_refusals_leave_no_trace():
 def test_attributes_and_methods_are_shared():
     envs = make()
     assert envs.get_attr("action_names") == [envs.action_names] * ENVS
-    assert envs.get_attr("action_names", indices=[1, 2]) == [envs.action_names] * 2
     assert envs.get_attr("render_mode", indices=0) == [None]
     envs.set_attr("note", 5)
     assert envs.note == 5
     assert envs.env_is_wrapped(gym.Wrapper) == [False] * ENVS
     envs.env_method("set_rewards", default_rewards(7.0))
-    for call in (
-        lambda: envs.set_attr("note", 6, indices=0),
-        lambda: envs.env_method("close", indices=[1]),
-    ):
-        with pytest.raises(ValueError, match="`indices` must be None"):
-            call()
-    with pytest.raises(AttributeError, match="nothing"):
-        envs.get_attr("nothing")
+    with pytest.raises(ValueError, match="`indices` must be None"):
+        envs.set_attr("note", 6, indices=0)
+    with pytest.raises(ValueError, match="`indices` must be None"):
+        envs.env_method("close", indices=[1])
 
 
 def test_rewards_can_change_between_steps_also_by_name():
-    one, other = make(end_at_alarm=True), make()
-    one.reset(), other.reset()
-    other.set_rewards([AlarmPenalty(100.0)])
-    turns = zip(play(one, 25), play(other, 25), strict=True)
+    envs = make()
+    envs.reset()
+    envs.set_rewards([AlarmPenalty(100.0)])
     prices = {
         (float(rewards[i]), info["detected"])
-        for _, (_, rewards, _, infos) in turns
+        for _, rewards, _, infos in play(envs, 25)
         for i, info in enumerate(infos)
         if info
     }
     assert prices == {(-100.0, True), (0.0, False)}
-    one.set_rewards(["alarm-penalty"])
-    assert one.step(actions(1)[0])[1].max() <= 0.0
-    with pytest.raises(ValueError, match="did you mean 'alarm-penalty'"):
-        one.set_rewards("alarm-penality")
+    envs.set_rewards(["alarm-penalty"])
+    assert envs.step(actions(1)[0])[1].max() <= 0.0
 
 
 def test_torch_gets_one_thread_unless_told():
@@ -246,28 +220,17 @@ def test_torch_gets_one_thread_unless_told():
     assert torch.get_num_threads() == 1
 
 
-def test_vec_monitor_agrees_on_decisions_of_more_than_an_epoch():
-    settings = {"detector": "never", "decision_interval_s": 2.5}
-    envs, plain = VecMonitor(make(**settings)), make(**settings)
-    envs.reset(), plain.reset()
-    infos, own = (play(each, 2)[-1][-1] for each in (envs, plain))
-    for info, mine in zip(infos, own, strict=True):
-        assert info["episode"]["r"] == pytest.approx(mine["episode"]["r"], abs=1e-5)
-        assert info["episode"]["l"] == mine["episode"]["l"] == 2
-
-
 def test_information_of_every_step_is_handed_out_where_it_is_asked_for():
     plain, told = make(watch="snapshot-chi2"), make(watch="snapshot-chi2", infos=["cost"])
     plain.reset(), told.reset()
-    ends, costs = 0, 0.0
-    for (*_, over, infos), (*_, more) in zip(play(plain, 30), play(told, 30), strict=True):
-        for row in range(ENVS):
-            assert set(infos[row]) >= {"cost", "watch_snapshot_chi2_alarm"} or not over[row]
-            assert infos[row].keys() | {"cost"} == more[row].keys()
-            costs += more[row]["cost"]
-        ends += over.sum()
-    assert costs > 0.0
-    assert ends > ENVS
+    pairs = [
+        pair
+        for (*_, infos), (*_, more) in zip(play(plain, 30), play(told, 30), strict=True)
+        for pair in zip(infos, more, strict=True)
+    ]
+    assert all(one.keys() | {"cost"} == other.keys() for one, other in pairs)
+    assert sum("watch_snapshot_chi2_alarm" in one for one, _ in pairs) > ENVS
+    assert sum(other["cost"] for _, other in pairs) > 0.0
 
 
 def test_a_reset_may_be_told_the_circumstances():
@@ -279,16 +242,9 @@ def test_a_reset_may_be_told_the_circumstances():
     envs.set_options([{"domain": {"start_s": 1.0}}] + [{}] * (ENVS - 1))
     with pytest.raises(ValueError, match="the same circumstances for every receiver"):
         envs.reset()
-    envs.set_options({"start": 1.0})
-    with pytest.warns(UserWarning, match="reset has no option 'start'; valid: domain"):
-        envs.reset()
-
-
-# --- wrappers ---
 
 
 def test_recorded_epochs_are_those_of_the_vector_environment(tmp_path):
-    """Every file of it is the same but for the learner's last, unfinished episodes."""
     pytest.importorskip("pyarrow")
     envs = RecordEpochs(VecNormalize(make(decision_interval_s=1.0)), tmp_path / "sb3")
     envs.reset()
@@ -324,12 +280,8 @@ def test_a_wrapper_sets_the_detector_as_its_argument_does():
     DetectorWrapper(VecMonitor(envs), "snapshot-chi2", false_alarms_per_hour=0.2)
     rated = {"name": "snapshot-chi2", "false_alarms_per_hour": 0.2}
     assert envs.env_kwargs["detector"] == rated
-    for refused in (envs, make(), SpoofVecEnv(2, pool=["ewma", "never"])):
+    for refused in (envs, SpoofVecEnv(2, pool=["ewma", "never"])):
         with pytest.raises(ValueError, match="two detectors are set at once"):
             DetectorWrapper(refused, "cusum")
     with pytest.raises(TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofV"):
         DetectorWrapper(SpoofVecEnv(2, side="detector"), "cusum")
-    begun = SpoofVecEnv(2, timeline=TIMELINE)
-    begun.reset()
-    with pytest.raises(RuntimeError, match="before reset"):
-        DetectorWrapper(begun, "cusum")

@@ -1,7 +1,5 @@
 """The tasks of the benchmark: versioned environments, their scores, and the command line."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -20,7 +18,7 @@ from tools.pages import part_between
 from tools.task_cards import END, PAGE, START, dealt, shown, spread
 
 
-@pytest.mark.parametrize("key", heavy(TASKS, "T4"))
+@pytest.mark.parametrize("key", heavy(TASKS, "T2", "T4", "T6"))
 def test_a_task_has_a_detector_and_a_campaign(key):
     make_detector(TASKS[key].detector)
     assert Suite(**TASKS[key].suite_kwargs, runs=2).detector_players
@@ -49,9 +47,8 @@ def test_prices_limits_and_settings_of_a_task():
         get_task("T7")
 
 
-@pytest.mark.parametrize("key", ["T1", "T3", "T5", "T6"])
+@pytest.mark.parametrize("key", heavy(["T1", "T3", "T5", "T6"], "T1", "T5", "T6"))
 def test_no_task_is_won_by_full_throttle(key):
-    """What pushes as hard as the attack allows is caught, in most runs of every task."""
     suite = Suite(**TASKS[key].suite_kwargs, runs=2)
     start = WarmStart(suite.setup(suite.detector_players[0]), suite.generators("training", 16))
     push = {"name": "accelerating-ramp", "acceleration_mps2": 0.05}
@@ -120,6 +117,4 @@ def test_the_command_line_lists_the_tasks():
     assert all(found[key]["card"]["bracket"] for key in TASKS)
     for key in DETECTOR_TASKS:
         assert (found[key]["card"] is None) == (found[key]["play"] is not None)
-    table = call("tasks").stdout
-    assert "spoofgym/BenchT4-v1" in table
-    assert "spoofgym/BenchD2-v1" in table
+    assert "spoofgym/BenchD2-v1" in call("tasks").stdout

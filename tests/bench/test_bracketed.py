@@ -79,7 +79,6 @@ def test_a_floor_is_of_the_detectors_own_rate(changes, floors):
 
 
 def test_a_mean_above_the_zero_alarm_bound_is_marked():
-    """By more than two standard errors: the half width of 0.98 m is two of 0.5 m."""
     cells = [cell("ramp", 10.9, half=0.98), cell("blind-optimum", 11.1, half=0.98)]
     found = bounds(*cells, free_m=30.0, restricted_m=10.0, kind="exact")
     zero_alarm = {"value": 10.0, "kind": "exact", "attacker": "restricted", "why": ""}
@@ -127,13 +126,7 @@ def test_a_weak_attack_is_a_failed_search_and_one_too_strong_is_explained(tmp_pa
     above = "*Above the zero-alarm bound*: a mean that exceeds it"
     assert above not in text
     assert draw_campaign(folder, summary).stat().st_size > 10_000
-    # JSON has what the tables have
-    again = json.loads(json.dumps(summary, allow_nan=False))
-    assert again == summary
-    (group,) = report.groups(summary)
-    rows = [report.DETECTORS.texts(report.detector_rows(x, group)) for x in (again, summary)]
-    assert rows[0] == rows[1]
-    assert {len(row) for row in rows[0]} == {len(report.DETECTORS.titles)}
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
     # as if it got farther than the bound
     (label,) = {each["spoofer"] for each in summary["cells"]} - {"none"}
     found["above_zero_alarm"] = [{"spoofer": label, "value": 5.0, "low": 4.0, "high": 6.0}]

@@ -57,13 +57,9 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
     with pytest.raises(ValueError, match=r"detector Toy.* in spoofgym/.*: there is no calibration"):
         suite.check_fit()
     totals = []
-
-    def bar(total):
-        totals.append(total)
-        return no_progress(total)
-
+    bar = {"progress": lambda total: totals.append(total) or no_progress(total)}
     for _ in range(2):  # the second one replays what is there
-        calibrate_players(suite.world, suite.detector_players, progress=bar)
+        calibrate_players(suite.world, suite.detector_players, **bar)
     assert totals == [60]
     suite.check_fit()
     (caption,) = suite.captions
@@ -77,7 +73,6 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
 
 
 def test_killed_calibrations_and_hold_outs_go_on(tmp_path, monkeypatch):
-    """From the runs that they have played, with the same counts; they leave nothing behind."""
     setup, specs = World.of(timeline=SHORT).setup, ["snapshot-chi2", "cusum"]
     asked = {"false_alarms_per_hour": 20.0, "runs": 40, "threads": 1}
     whole = calibration.calibrate_detectors(setup, specs, **asked, folder=tmp_path / "whole")
@@ -126,7 +121,6 @@ def test_specs_say_what_is_asked_of_thresholds(monkeypatch):
 
 @pytest.mark.nightly
 def test_of_all_detectors_those_without_a_calibration_are_left_out():
-    """In this receiver's belief clean innovations never exceed what a CUSUM allows for."""
     world = "--scenario trolley --tuning matched --json --false-alarms-per-hour 20 --detector"
     named, found = (call(f"{world} {name}") for name in ("cusum", "all"))
     assert named.exit_code == 2, named.output
@@ -139,13 +133,3 @@ def test_of_all_detectors_those_without_a_calibration_are_left_out():
     assert any("snapshot-chi2" in label for label in labels)
     notes = CampaignResults.load(summary["folder"]).config["notes"]
     assert any("cusum" in note and "is left out" in note for note in notes)
-
-
-@pytest.mark.usefixtures("default_rate")
-def test_nominal_is_what_it_says_whatever_the_default(tmp_path):
-    found = call("--nominal")
-    assert found.exit_code == 0, found.output
-    config = CampaignResults.load(tmp_path / "results").config
-    assert config["calibrations"] == {}
-    labels = [entry["label"] for entry in config["detectors"]]
-    assert "ewma(thresholds=nominal)" in labels

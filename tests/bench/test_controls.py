@@ -82,7 +82,6 @@ def test_a_detector_helps_and_chance_can_not_be_told_from_nothing(played):
 
 
 def test_who_reads_the_statistic_is_compared_with_never_alone(played):
-    """It obeys that of a lottery, too."""
     _, folder, summary = played
     footings = {row["detector"]: row["footing"] for row in summary["detectors"]}
     cells = [folder.runs(label, "step") for label in footings]
@@ -126,9 +125,6 @@ def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played):
     assert row["claimed"]["per_run"] == point.per_run == expected
     assert row["false_alarm_per_run"]["low"] <= 1.6 * point.per_run
     assert row["false_alarm_per_run"]["high"] >= 0.6 * point.per_run
-    cells = [cell for cell in summary["cells"] if cell["detector"] == TOY]
-    assert [cell["spoofer"] for cell in cells] == ["none", "ramp(tuned)", "step"]
-    assert all(cell["stealthy_displacement_m"]["value"] > 0.0 for cell in cells[1:])
     (found,) = [each for each in summary["protection"] if each["detector"] == TOY]
     half, few = (headline(found, share) for share in (0.5, 0.05))
     assert half["measure"] == MEASURES[0]
@@ -143,19 +139,12 @@ def test_every_table_has_one_rate(played):
     told = copy.deepcopy(summary)
     for cell in told["cells"]:
         cell["knowledge"]["run_time"] = "oracle+reported"
-    for protection in told["protection"]:
-        for row in protection["exceeded"]:
-            row["letter"] = "e"
     column = report.ATTACKS["spoofer"]
     names, marked = (
         [column.text(row) for row in report.attack_rows(each, group)] for each in (summary, told)
     )
     assert len(names) == 8
     assert marked == [f"{name} (oracle)" for name in names]
-    worst = report.DETECTORS["worst attack"]
-    texts = {worst.text(row) for row in report.detector_rows(told, group)} - {"-"}
-    assert texts
-    assert all(row.startswith("(e) ") and " (oracle), " in row for row in texts)
     text = report.markdown(folder, summary)
     assert "## Detectors at 20 false alarms an hour" in text
     assert "the suite spoofgym-scripted 2" in text

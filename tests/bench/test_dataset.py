@@ -6,7 +6,7 @@ import cloudpickle
 import numpy as np
 import pytest
 
-from spoofgym.bench.experiments import Interrupted, Store, run_experiment
+from spoofgym.bench.experiments import Store, run_experiment
 from spoofgym.bench.experiments.dataset import PARTS, Plan, load_dataset
 from spoofgym.bench.experiments.training_attacks import FAMILIES
 from spoofgym.bench.report.tasks import load_optima
@@ -55,12 +55,6 @@ def test_an_episode_has_its_observations_label_and_displacement(folder):
         clean, attacked = found.observation[::2], found.observation[1::2]
         assert (clean[:, :20] == attacked[:, :20]).all()
         assert (clean[:, 20:] != attacked[:, 20:]).any(axis=(1, 2)).all()
-
-
-def test_runs_of_all_splits_have_noise_of_their_own(folder):
-    data = load_dataset(folder)
-    first = [data.episodes(part).observation[0] for part in PARTS]
-    assert not any((first[k] == first[k - 1]).all() for k in range(3))
     used = {SPLITS[PARTS[part]] for part in PARTS}
     assert len(used) == 3
     assert not used & {number for name, number in SPLITS.items() if name not in PARTS.values()}
@@ -73,25 +67,6 @@ def test_a_run_is_the_same_in_any_file_thread_and_process(folder, tmp_path):
             assert (mine == theirs[6:8]).all()
     run_experiment(plan(), Store(tmp_path / "again"), threads=2)
     assert content(tmp_path / "again") == content(folder)
-
-
-def test_a_killed_process_goes_on(folder, tmp_path, monkeypatch):
-    play, calls = Plan.play, []
-
-    def until_killed(self, *given):
-        calls.append(given[:2])
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return play(self, *given)
-
-    monkeypatch.setattr(Plan, "play", until_killed)
-    with pytest.raises(Interrupted, match="2 of 5 cells are finished"):
-        run_experiment(plan(), Store(tmp_path), threads=1)
-    with pytest.raises(ValueError, match=r"train-0002.npz is missing: `spoofgym dataset`"):
-        load_dataset(tmp_path).episodes("train")
-    run_experiment(plan(), Store(tmp_path), threads=1)
-    assert len(calls) == 6
-    assert content(tmp_path) == content(folder)
 
 
 def test_attacks_of_all_families_are_drawn_and_some_are_hard_to_see():
@@ -117,13 +92,11 @@ OWN = {"code_sd_m": 0.0, "range_rate_sd_mps": 0.0}
 @pytest.mark.parametrize(
     ("attack", "task", "message"),
     [
-        ("quiet", None, r"held out.*quiet"),
         ({"name": "false-position", "errors": "replaced"}, None, r"held out.*quiet"),
         ({"name": "false-position", "errors": OWN}, None, r"held out.*quiet"),
         ({"name": "false-position", "errors": "replaced"}, "T5", r"held out.*quiet"),
         ("meaconer", None, r"held out.*meaconer"),
         ({"name": "false-position", "channels": ["S01", "S02"]}, None, r"held out.*subset"),
-        (None, "T5", "held out"),
     ],
 )
 def test_no_family_that_tasks_hold_out_is_in_a_data_set(folder, attack, task, message):
@@ -131,12 +104,11 @@ def test_no_family_that_tasks_hold_out_is_in_a_data_set(folder, attack, task, me
     assert not set(config["held_out"]) & set(config["families"])
     assert config["attack"]["errors"] == "inherited"
     with pytest.raises(ValueError, match=message):
-        plan(world={} if attack is None else {"attack": attack}, task=task)
+        plan(world={"attack": attack}, task=task)
     assert plan(world={"attack": "quiet"}, task="T5").task == "T5"
 
 
 def test_feedback_sees_its_detector_and_a_spoofer_may_be_a_file(tmp_path):
-    """One that decides seldom does so: it commands the same at every decision, and so less."""
     late = small_suite(settings=LATE)
     write_policy(tmp_path / "late.onnx", late, "blind", (0.0, 0.02))
     write_policy(tmp_path / "often.onnx", small_suite(), "blind", (0.0, 0.02))
@@ -154,10 +126,6 @@ def test_feedback_sees_its_detector_and_a_spoofer_may_be_a_file(tmp_path):
         farthest.append(moved.max())
     # the first decision is a line from nothing: (1 + ... + 5) / 5 epochs instead of 5 of them
     assert farthest[2] < farthest[1]
-    wrong = small_suite(settings={**LATE, "decision_interval_s": 0.5})
-    write_policy(tmp_path / "wrong.onnx", wrong, "blind", (0.0, 0.02), steps=7)
-    with pytest.raises(ValueError, match=r"does not fit this attack: conditions\.steps"):
-        plan(spoofers=[{"name": str(tmp_path / "wrong.onnx")}])
 
 
 @pytest.mark.parametrize(
@@ -165,11 +133,9 @@ def test_feedback_sees_its_detector_and_a_spoofer_may_be_a_file(tmp_path):
     [
         ({"runs": {"train": 0}}, "`runs\\['train'\\]` must be"),
         ({"runs": {"trial": 4}}, "unknown split of a data set 'trial'"),
-        ({"families": ["ramps"]}, "unknown family of attacks 'ramps'"),
         ({"families": ["feedback"]}, "needs a detector"),
         ({"families": ["blind-optimum"]}, "needs curves"),
         ({"spoofers": [{"name": "none"}]}, "transmits nothing"),
-        ({"detector": {"name": "ewma", "thresholds": "nominal"}}, "must be passive"),
         ({"world": {"decision_interval_s": 5.0}}, "decision_interval_s"),
     ],
 )
@@ -183,21 +149,14 @@ def test_what_is_no_whole_data_set_is_refused_and_that_of_other_code_is_read(fol
     run_experiment(mine, Store(tmp_path), threads=1)
     with pytest.raises(ValueError, match="unknown split of this data set 'validation'"):
         load_dataset(tmp_path).episodes("validation")
-    cells = tmp_path / "cells"
-    (cells / "train-0000.npz").write_bytes((cells / "test-0000.npz").read_bytes())
-    with pytest.raises(ValueError, match=r"train-0000.npz is another cell"):
+    (tmp_path / "cells" / "train-0000.npz").unlink()
+    with pytest.raises(ValueError, match=r"train-0000.npz is missing: `spoofgym dataset`"):
         load_dataset(tmp_path).episodes("train")
     load_dataset(tmp_path).episodes("test")
     config = json.loads(path.read_text())
-    for fields, message in (
-        ({"format": 2}, "has the format 2"),
-        ({"experiment": "game"}, "holds the experiment 'game' and not 'dataset'"),
-    ):
-        path.write_text(json.dumps({**config, **fields}))
-        with pytest.raises(ValueError, match=message):
-            load_dataset(tmp_path)
-    with pytest.raises(ValueError, match=r"there is no config\.json"):
-        load_dataset(cells)
+    path.write_text(json.dumps({**config, "experiment": "game"}))
+    with pytest.raises(ValueError, match="holds the experiment 'game' and not 'dataset'"):
+        load_dataset(tmp_path)
     path.write_text(json.dumps({**config, "code": {**config["code"], "numpy": "1.0"}}))
     found = load_dataset(tmp_path).config
     other = {name: found[name] for name in ("runs", "splits")}

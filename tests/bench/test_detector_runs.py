@@ -85,7 +85,6 @@ def test_detectors_that_share_a_pass_get_what_each_gets_alone(setup):
 
 
 def test_attacks_side_by_side_are_what_each_is_alone(setup):
-    """Also with a spoofer that reads statistics, and in front of some of the detectors."""
     judges = [make_detector(TEST), Calibrated(SnapshotChi2(), scale=0.3), Never()]
     panel = Panel(setup, judges, rngs_of(setup, range(9)), 1)
     attacks = [

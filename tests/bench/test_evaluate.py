@@ -69,9 +69,7 @@ def test_a_function_is_fitted_to_the_budget_and_commands_along_the_target(judge,
     assert quiet.value == pytest.approx(1000.0 * fitted.value, rel=0.05)
     assert quiet.ratio_to(fitted).value == pytest.approx(1.0, abs=0.05)
     assert quiet.keeps_budget
-    usual = judge.score(constant(1e-4))
-    assert usual.value == 10.0  # the largest one that is tried
-    assert usual.ratio_to(fitted).value < 0.1
+    assert judge.score(constant(1e-4)).value == 10.0  # the largest one that is tried
 
 
 def test_what_alarms_too_often_is_no_score(judge):
@@ -103,9 +101,8 @@ def test_ratios_are_paired_and_have_an_interval(judge, half):
 def test_an_oracle_is_compared_with_others_only_where_that_is_asked_for(judge, half):
     oracle = judge.score("feedback", amplitude=0.5)
     assert (half.oracle, oracle.oracle) == (False, True)
-    for one, other in ((half, oracle), (oracle, half)):
-        with pytest.raises(ValueError, match=r"\(oracle\).*`oracles=True`"):
-            one.ratio_to(other)
+    with pytest.raises(ValueError, match=r"\(oracle\).*`oracles=True`"):
+        half.ratio_to(oracle)
     assert oracle.ratio_to(oracle).value == pytest.approx(1.0)
     both = half.ratio_to(oracle, oracles=True).value * oracle.ratio_to(half, oracles=True).value
     assert both == pytest.approx(1.0)
@@ -134,12 +131,8 @@ def test_whether_a_spoofer_fits_is_told_before_anything_is_played(judge, monkeyp
     [
         (3, {}, "a policy must be a model of stable-baselines3"),
         ("C:/models/a.ZIP", {}, "C:/models/a.ZIP is a pickled file, which is never opened"),
-        ("nobody", {}, "unknown spoofer 'nobody'; valid: "),
-        ("nobody.onnx", {}, "there is no ONNX file nobody.onnx"),
         (constant(np.nan), {}, "returned NaN for receiver 0"),
-        (lambda seen: np.zeros((len(seen), 3)), {}, r"not \(\d+, 1\)"),
         (constant(), {"amplitude": "large"}, "`amplitude` must be 'fitted', a number"),
-        (constant(), {"knowledge": "psychic"}, "psychic"),
         ("ramp", {"knowledge": "blind"}, "are for models"),
         ("ramp", {"largest_amplitude": 1e4}, "`largest_amplitude` is for models"),
         (constant(), {"largest_amplitude": 1e-3}, "above 0.001, got 0.001"),
@@ -157,9 +150,7 @@ def test_what_is_no_spoofer_is_refused(judge, policy, settings, message):
     ("settings", "message"),
     [
         ({}, "needs a task, or a `detector` and its world"),
-        ({"task": "T9"}, "unknown task 'T9'"),
         ({"task": "T3", "scenario": "trolley"}, "`scenario` can't be given with task"),
-        ({**WORLD, "skenario": "trolley"}, "did you mean 'scenario'"),
         ({**WORLD, "runs": 1}, "`runs` must be a whole number of at least 2, got 1"),
         ({**WORLD, "fit_runs": 58}, "`fit_runs` must be .* at least 59, got 58"),
         ({**WORLD, "detector": "ewma"}, "there is no calibration of ewma .* `spoofgym calibrate"),
@@ -170,23 +161,15 @@ def test_worlds_are_checked_before_anything_is_played(settings, message):
         Evaluator(**settings)
 
 
-def test_what_the_victim_reports_is_seen_and_changes_no_bit_of_the_others(judge):
-    ramp = {"name": "ramp", "rate_mps": 0.1}
-    before, seen = judge.score(ramp), []
+def test_what_the_victim_reports_is_seen_by_a_policy_that_knows_it(judge, half):
+    seen = []
 
     def follow(observation):
-        seen.append(observation.copy())
-        return np.full((len(observation), 1), 0.1)
+        seen.append(observation[:, -3:-1].copy())  # north and east, in parts of their scale
+        return constant(0.05)(observation)
 
     known = judge.score(follow, amplitude=None, knowledge="blind+reported")
-    assert known.knowledge == "blind+reported"
-    assert len(seen) == 60  # one a command, of all runs together; and the policy is not copied
-    blind = judge.score(constant(), amplitude=None)
-    assert np.array_equal(known.displacement_m, blind.displacement_m)  # it does not use them
-    assert np.array_equal(known.counts, blind.counts)
-    assert np.array_equal(judge.score(ramp).displacement_m, before.displacement_m)
-    # north and east, in parts of their scale, 30 s into the attack
-    late, start = seen[-1][:, -3:-1], seen[0][:, -3:-1]
-    assert np.ptp(late[:, 1]) > 0.0
-    assert not np.array_equal(late, start)
-    assert judge.fit(follow, knowledge="blind+reported").within_budget
+    assert (known.knowledge, len(seen)) == ("blind+reported", 60)  # one a command, of all runs
+    assert np.array_equal(known.displacement_m, half.displacement_m)  # it does not use them
+    assert np.ptp(seen[-1][:, 1]) > 0.0
+    assert not np.array_equal(seen[-1], seen[0])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from spoofgym.bench.scores.matrix_game import PayoffMatrix, RunPayoff, checked_payoff
 from spoofgym.bench.scores.statistics import (
     bootstrap_mean,
     clopper_pearson,
@@ -51,7 +52,10 @@ def test_epochs_that_alarm_together_count_as_runs():
     # the same number of alarms spread evenly counts fully
     spread = clustered_proportion(np.full(100, 32), 320)
     assert spread == pytest.approx(clopper_pearson(3200, 32000))
-    assert clustered_proportion(np.zeros(100), 320).high == clopper_pearson(0, 100).high
+    # without a design effect only the runs count
+    for each, runs in ((0.0, 100), (320.0, 100), (160.0, 1)):
+        found = clustered_proportion(np.full(runs, each), 320)
+        assert found == clopper_pearson(runs * each / 320, runs)
 
 
 def width(values, samples):
@@ -70,7 +74,6 @@ def test_bootstrap_interval_of_a_mean_is_the_normal_one():
 
 
 def test_runs_that_are_alike_are_drawn_together():
-    """The spread of a mean over 40 clusters, and the plain one where nothing is alike."""
     rng = np.random.default_rng(5)
     clusters = np.repeat(np.arange(40), 25)
     alike = rng.standard_normal(40)[clusters] + 0.5 * rng.standard_normal(1000)
@@ -84,7 +87,6 @@ def test_runs_that_are_alike_are_drawn_together():
 
 
 def test_the_largest_value_of_a_share_in_every_sample():
-    """Against every sample written out."""
     rng = np.random.default_rng(6)
     x = rng.exponential(1.0, 30)
     samples = resamples(np.arange(30) // 2, rng, 50)
@@ -93,6 +95,18 @@ def test_the_largest_value_of_a_share_in_every_sample():
         for row, value in zip(samples.astype(int), found, strict=True):
             drawn = np.sort(np.repeat(x, row))[::-1]
             assert value == drawn[max(math.ceil(share * len(drawn) - 1e-9), 1) - 1]
+
+
+def test_a_contrast_of_payoffs_is_their_weighted_sum():
+    moved = np.array([[[10.0, 40.0]], [[0.0, 20.0]]])  # of two spoofers, in two runs
+    sides = (), (), RunPayoff(limit_m=40.0), np.eye(2), np.eye(1)
+    counts = np.ones((1, 2), dtype=bool)
+    played = PayoffMatrix(*sides, moved, moved > 50.0, counts, np.arange(2), (0, "evaluation"))
+    np.testing.assert_allclose(played.values, [[0.625], [0.25]])
+    found = played.contrast([[2.0], [-1.0]])
+    assert found == (pytest.approx(1.0), pytest.approx(0.5), pytest.approx(1.5))
+    with pytest.raises(ValueError, match=r"got nan at \(0, 1\)"):
+        checked_payoff([[1.0, np.nan, 2.0], [np.inf, 3.0, 4.0]])
 
 
 def test_nothing_to_estimate_from_is_unknown():

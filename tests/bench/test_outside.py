@@ -71,7 +71,6 @@ def test_an_edited_class_is_another_campaign(folder):
     for comment in ("", "\n# a comment\n"):
         write(folder, MINE + comment)
         for name, suite in suites().items():
-            assert set(suite.config["outside"]) == set(MODULES)
             Store(folder / name).open("campaign", suite.config)
     for module, edit in (("mine", {"mine": f"{MINE}\nX = 1\n"}), ("helper", {"helper": "SCALE=2"})):
         write(folder, **edit)
@@ -83,7 +82,9 @@ def test_an_edited_class_is_another_campaign(folder):
 def test_a_policy_and_its_card_count(tmp_path):
     path = tmp_path / "push.onnx"
     write_policy(path, small_suite(), "blind", (0.0, 0.1))
-    before = small_suite(spoofers=(str(path),)).config["outside"]
+    suite = small_suite(spoofers=(str(path),))
+    before, (_, entry) = suite.config["outside"], suite.spoofer_players
+    assert (entry.label, len(entry.spec["sha256"])) == ("push", 64)
     assert set(before) == {"push.onnx", "push.json"}
     card = path.with_suffix(".json")
     card.write_text(card.read_text().replace("ewma, by hand", "ewma, by foot"))

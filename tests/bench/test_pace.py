@@ -85,10 +85,8 @@ def test_a_policy_of_an_onnx_file_decides_as_its_card_says(tmp_path):
     [
         ({"decision_interval_s": 0.7}, {}, "Mirror decides by .*=0.7 .*multiple of the interval"),
         ({"decision_interval_s": 3.0}, {}, "Mirror decides by .*=3.0 .*whole number of decisions"),
-        ({"decision_interval_s": "ten"}, {}, "Mirror decides by .*='ten' .*decision_interval_s"),
         ({"between": "linear"}, {}, "needs a `decision_interval_s`"),
         ({"decision_interval_s": 5.0}, LATE, "Mirror decides every 5 s .hold between., but this"),
-        ({"decision_interval_s": 2.5}, LATE, "this world every 2.5 s .linear between."),
     ],
 )
 def test_a_pace_that_does_not_fit_is_told(own, world, message):
@@ -96,28 +94,19 @@ def test_a_pace_that_does_not_fit_is_told(own, world, message):
         apply_pace(setup_of(**world), Mirror(**own))
 
 
-@pytest.mark.parametrize("amplitude", [None, 0.5])
-def test_a_pace_that_a_campaign_would_lose_is_refused(amplitude):
+def test_a_pace_that_a_campaign_would_lose_is_refused():
     ramp = make_spoofer("ramp")
     ramp.decision_interval_s = 2.5
-    with pytest.raises(ValueError, match=r"`decision_interval_s` = 2.5 was set on an object of"):
-        specify_spoofer(ramp if amplitude is None else Scaled(ramp, amplitude))
+    for each in (ramp, Scaled(ramp, 0.5)):
+        with pytest.raises(ValueError, match=r"`decision_interval_s` = 2.5 was set on an object"):
+            specify_spoofer(each)
     assert specify_spoofer(Mirror(**LATE)).spec["between"] == "linear"
 
 
 def test_an_environment_asks_it_as_often_as_it_decides():
     often, late = (
-        gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=2, knowledge="oracle", **pace)
-        for pace in ({}, LATE)
+        gym.make("spoofgym/TightlyCoupled-v0", knowledge="oracle", **pace) for pace in ({}, LATE)
     )
     with pytest.raises(ValueError, match=r"make it with decision_interval_s=2\.5, between='lin"):
         attach(Mirror(**LATE), often)
     assert attach(Mirror(**LATE), late).context.interval_s == 2.5
-    often.close()
-    late.close()
-
-
-def test_calibrations_hold_however_often_a_spoofer_decides():
-    often, late = (setup_of(**pace).conditions for pace in ({}, LATE))
-    assert often.settings == late.settings
-    assert "decision" not in late.options

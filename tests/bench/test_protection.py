@@ -7,6 +7,7 @@ import pytest
 
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
 from spoofgym.bench.scores.campaign import compare_controls, score_protection
+from spoofgym.bench.scores.detector import FamilyScore
 from spoofgym.bench.scores.scores import compute_upper_quantile
 from spoofgym.bench.search.attack_suite import list_aims
 
@@ -57,7 +58,6 @@ def test_the_scores_are_what_the_runs_say():
 
 
 def test_the_worst_of_all_winners_counts_at_every_limit():
-    """Also where the attack that was chosen for a limit comes less far in these runs."""
     near, far = np.r_[np.full(40, 15.0), np.zeros(60)], np.r_[np.full(90, 50.0), np.zeros(10)]
     low, high = (Aim(FIRST, limit_m=limit) for limit in (10.0, 40.0))
     found = score_protection(
@@ -87,8 +87,15 @@ def test_the_worst_of_all_winners_counts_at_every_limit():
     ]
 
 
+def test_a_hazard_lies_beyond_the_limit():
+    at, beyond = (
+        FamilyScore("ramps", False, 10.0, protected("x", np.full(40, x))) for x in (10.0, 10.5)
+    )
+    assert (at.p_hmi.value, at.resample_hmi().max()) == (0.0, 0.0)
+    assert (beyond.p_hmi.value, beyond.resample_hmi().min()) == (1.0, 1.0)
+
+
 def test_what_is_exceeded_in_few_runs_is_no_less_than_in_many():
-    """Also where the attack that was chosen for few of them fails on fresh runs."""
     sure, rash = np.full(100, 30.0), np.r_[np.full(4, 400.0), np.full(96, 10.0)]
     winners = (
         winner(name, [Aim(FIRST, share)], x)
@@ -104,7 +111,6 @@ def test_what_is_exceeded_in_few_runs_is_no_less_than_in_many():
 
 
 def test_worst_skies_that_hold_less_than_all_have_no_figure():
-    """The few runs of the choice have not found them; some millimetres are nothing."""
     chosen = np.isin(np.arange(200) % 20, (3, 4))
     for less, kept in ((1.0, False), (1e-3, True)):
         x = np.where(chosen, 50.0 - less, 50.0)
@@ -114,7 +120,6 @@ def test_worst_skies_that_hold_less_than_all_have_no_figure():
 
 
 def test_as_far_as_against_never_is_no_merit_of_millimetres():
-    """All are paired: a hundredth of a millimetre is told apart, and says nothing."""
     none = protected("never", np.full(200, 500.0))
     for less, below in ((1e-5, False), (1.0, True)):
         other = protected("x", np.full(200, 500.0 - less))
@@ -125,7 +130,6 @@ def test_as_far_as_against_never_is_no_merit_of_millimetres():
 
 
 def test_intervals_are_wider_where_runs_under_a_sky_are_alike():
-    """Also where some skies have no run that counts, but not for the worst skies alone."""
     rng = np.random.default_rng(7)
     sky = np.arange(200) % 20
     alike, counts = 5.0 * sky, sky < 9
@@ -146,7 +150,6 @@ def test_intervals_are_wider_where_runs_under_a_sky_are_alike():
 
 
 def test_of_attacks_that_exceed_a_limit_as_often_the_surer_one_is_chosen():
-    """Not that which goes farthest where it is not alarmed."""
     aim = Aim(FIRST, limit_m=10.0)
     sure, rash = np.full(20, 19.0), np.r_[np.full(19, 400.0), 11.0]
     assert aim.worth(sure) > aim.worth(rash)

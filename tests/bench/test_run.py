@@ -61,7 +61,6 @@ def test_a_shared_warm_up_gives_the_bits_of_one_of_its_own(start, fast):
 
 
 def test_neither_cells_before_nor_threads_nor_other_runs_change_a_bit(start, fast):
-    """Also of what an observing spoofer sees of the warm-up."""
     fresh, _ = start_of(threads=2)
     np.testing.assert_array_equal(fresh._engine.simulator.weights, start.engine().simulator.weights)
     for one, other in (
@@ -110,7 +109,6 @@ def test_no_attack_induces_nothing_and_a_slow_one_carries_the_victim_along(start
 
 
 def test_no_attack_is_not_seen_by_its_tracking_error():
-    """An attack that is commanded nothing is one all the same; `none` transmits nothing."""
     few = {"runs": 4, "split": "training", "detectors": ("snapshot-chi2",)}
     tracked = {"name": "tracking-1m", "tracking": {"sd_m": 5.0}}
     start, other = (start_of(**few, attack=x)[0] for x in (tracked, "false-position-ideal"))
@@ -131,14 +129,10 @@ class Wild(Spoofer):
         return np.full((len(observation), a), self.value)
 
 
-@pytest.mark.parametrize(
-    ("spoofer", "message"),
-    [
+def test_bad_actions_are_refused(start):
+    for spoofer, message in (
         (Wild(float("nan")), r"Wild must return actions within \[-1, 1\], got nan"),
-        (Wild(1.5), r"within \[-1, 1\], got 1.5"),
         (Wild(wide=1), r"actions of shape \(40, 2\) .* got \(40, 3\)"),
-    ],
-)
-def test_bad_actions_are_refused(start, spoofer, message):
-    with pytest.raises(ValueError, match=message):
-        play(start, spoofer)
+    ):
+        with pytest.raises(ValueError, match=message):
+            play(start, spoofer)

@@ -2,15 +2,14 @@
 
 import pytest
 
-from spoofgym.bench import Suite, run_campaign, summarize
-from spoofgym.bench.report.campaign import format_target, markdown
-from spoofgym.bench.report.figures import draw_campaign
-from spoofgym.bench.runs.players import DEFAULT_SPOOFERS, describe_knowledge, specify_spoofer
+from spoofgym.bench import Suite, run_campaign
+from spoofgym.bench.report.campaign import format_target
+from spoofgym.bench.runs.players import describe_knowledge, specify_spoofer
 from spoofgym.simulation import Timeline
 from spoofgym.spoofers import make_spoofer
 from spoofgym.spoofers.build import card_behind
 
-from .support import RAMP, SHORT, small_suite, use_zoo, write_policy, write_zoo
+from .support import RAMP, SHORT, small_suite, use_zoo, write_zoo
 
 USUAL = ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)", "blind-optimum"]
 
@@ -35,7 +34,6 @@ def test_those_that_fit_play_by_default(tmp_path, monkeypatch):
     suite = Suite(timeline=SHORT)
     assert labels(suite) == [*USUAL, "curve", "push", "track"]
     assert suite.left_out == ()
-    assert labels(Suite(timeline=SHORT, spoofers=DEFAULT_SPOOFERS)) == USUAL
     use_zoo(tmp_path, monkeypatch)
     suite = Suite(timeline=SHORT)
     assert (labels(suite), suite.config["notes"]) == (USUAL, [])
@@ -56,20 +54,6 @@ def test_those_that_do_not_fit_are_named_with_the_reason(tmp_path):
     asked = small_suite(attack={"name": "false-position", "rate_limit_mps": 2.0}, spoofers=["push"])
     with pytest.raises(ValueError, match=r"conditions.rate_limit_mps: 5.0 on the card, 2.0 here"):
         run_campaign(asked, tmp_path, threads=1)
-
-
-def test_the_file_is_part_of_the_campaign(tmp_path):
-    path = tmp_path / "mine.onnx"
-    with pytest.raises(ValueError, match=r"there is no ONNX file .*mine\.onnx"):
-        small_suite(spoofers=(str(path),))
-    digests = set()
-    for push in (0.01, 0.02):
-        write_policy(path, small_suite(), "blind", (0.0, push))
-        suite = small_suite(spoofers=(str(path),))
-        (_, entry) = suite.spoofer_players
-        assert (entry.label, len(entry.spec["sha256"])) == ("mine", 64)
-        digests.add(suite.digest)
-    assert len(digests) == 2
 
 
 def known(spec, detector="ewma", **changes):
@@ -112,26 +96,3 @@ def test_two_of_one_label_are_refused():
     curves[1]["label"] = "profile?"  # another label, but the same file
     with pytest.raises(ValueError, match=r"listed twice: profile, profile\?"):
         small_suite(spoofers=curves)
-
-
-def test_a_campaign_with_learned_and_optimised_spoofers(tmp_path):
-    suite = small_suite(spoofers=("step", RAMP, "curve", "push", "track"))
-    folder = run_campaign(suite, tmp_path, threads=1)
-    summary = summarize(folder)
-    push, track = (
-        cell["stealthy_displacement_m"]["value"]
-        for cell in summary["cells"]
-        if cell["detector"] == "ewma" and cell["spoofer"] in ("push", "track")
-    )
-    # twice the command, half the displacement apart
-    assert push > track > 0.0
-    text = markdown(folder, summary)
-    for part in (
-        "| snapshot-chi2 | push | ewma (transfer) | sha256=",
-        "| ewma | push | ewma | sha256=",
-        "| ewma | curve | ewma | rates_mps: 3 from 0 to 0.2 |",
-        "| track | tracking | ewma, by hand |",
-        "knowledge of the spoofers at run time: blind, tracking",
-    ):
-        assert part in text
-    assert draw_campaign(folder, summary).stat().st_size > 10_000

@@ -16,8 +16,7 @@ from spoofgym.bench.runs.players import (
 )
 from spoofgym.core.registry import build_spec, load_class, make, parse_spec, slug
 from spoofgym.core.settings import compute_digest, describe, diff_settings
-from spoofgym.detectors import DETECTORS, Calibrated, Detector, Ewma, make_detector
-from spoofgym.detectors.build import LOADERS, bare_detector
+from spoofgym.detectors import DETECTORS, Detector, Ewma
 from spoofgym.spoofers import SPOOFERS, Ramp, Scaled, Spoofer, make_spoofer
 
 EWMA = "spoofgym.detectors.charts:Ewma"
@@ -37,7 +36,7 @@ def test_text_becomes_name_and_settings(text, expected):
     assert parse_spec(text) == expected
 
 
-@pytest.mark.parametrize("text", ['{"smoothing": 1}', "{name: ewma}", "ewma:=3", "ewma:a=1,b"])
+@pytest.mark.parametrize("text", ['{"smoothing": 1}', "{name: ewma}", "ewma:a=1,b"])
 def test_bad_text_is_refused(text):
     with pytest.raises(ValueError, match=r"must have a|is not JSON|is written `name=value`"):
         parse_spec(text)
@@ -81,13 +80,6 @@ class Forgetful(Plain):
         super().__init__(level=2.0 * factor)
 
 
-class Loaded(Plain):
-    """As if it were from a file, whose card has a threshold."""
-
-    class card:
-        threshold = 0.25
-
-
 def test_a_class_of_the_user():
     assert load_class(EWMA, Detector) is Ewma
     assert specify_detector({"name": EWMA, "smoothing": 0.5}).spec["name"] == "ewma"
@@ -121,19 +113,6 @@ def test_a_setting_that_only_one_has_is_a_difference():
     assert diff_settings(one, other) == expected
     expected = [("own.c", 3, None), ("more", [4], None), ("a", None, 1)]
     assert diff_settings(other, one) == expected
-
-
-def test_a_file_is_loaded_by_what_its_ending_is_registered_for(monkeypatch):
-    asked = []
-    monkeypatch.setitem(LOADERS, ".toy", lambda spec: asked.append(spec) or Loaded())
-    specs = [{"name": "mine.toy", **own} for own in ({"quiet_epochs": 2}, {"threshold": 0.5}, {})]
-    made, own = map(make_detector, specs[:2])
-    assert isinstance(made, Calibrated)
-    assert (type(made.detector), made.scale, own.scale) == (Loaded, 0.25, 0.5)
-    assert type(bare_detector("mine.toy")) is Loaded
-    assert asked == specs
-    with pytest.raises(ValueError, match=r"unknown detector 'mine\.doll'"):
-        make_detector("mine.doll")
 
 
 def test_a_player_is_built_from_its_settings_or_is_an_object():

@@ -58,7 +58,6 @@ def test_the_digest_follows_everything_that_results_depend_on():
             {"runs": 6},
             {"entropy": 1},
             {"scenario": "groves"},
-            {"receiver": {"tuning": "matched"}},
             {"attack": {"name": "false-position", "coherent": False}},
             {"detectors": ("ewma",)},
             {"spoofers": ("step",)},
@@ -74,7 +73,7 @@ def test_the_digest_follows_everything_that_results_depend_on():
         (0, {"detectors": written_out}),
         (1, {"runs": np.int64(6)}),
         (2, {"entropy": np.int64(1)}),
-        (8, {"tuning": tuning}),
+        (7, {"tuning": tuning}),
     ):
         assert compute_digest(small_suite(**changes).config) == digests[n]
 
@@ -123,12 +122,9 @@ def test_a_campaign_has_its_world_and_its_runs():
     [
         (Suite, {"detectors": ()}, "at least one detector"),
         (Suite, {"detectors": ("ewma", "ewma")}, "listed twice: ewma"),
-        (Suite, {"detectors": ("emwa",)}, "unknown detector 'emwa'; valid: .*did you mean 'ewma'"),
-        (Suite, {"spoofers": ("rmap",)}, "unknown spoofer 'rmap'"),
         (Tuning, {"runs": 58}, r"`runs` must be at least 59 for a budget of 0.05: .* 58"),
         (World.of, {"env": "T3"}, "unknown environment of the benchmark 'T3'"),
         (partial(World.of, "T3"), {"env": "x", "scenario": "y"}, "`env`, `scenario` can't be"),
-        (World.of, {"settings": {"speed": 1.0}}, "has no setting 'speed', got 1.0"),
         (World.of, {"attack": "quiet", "settings": {"attack": "quiet"}}, "given by name, too"),
     ],
 )
@@ -170,16 +166,11 @@ def test_its_sizes_are_defaults_and_may_be_given(monkeypatch):
     asked = []
 
     def seen(detectors, settings):
-        asked.append(settings)
+        asked.append((settings["runs"], settings["tuning"].runs, settings["selection"].runs))
         raise SystemExit  # it would play
 
     monkeypatch.setattr(import_module("spoofgym.cli.bench"), "standard_suite", seen)
-    for options in ("", "--seeds 40 --training-seeds 100 --selection-seeds 20 --seed 3"):
-        CliRunner().invoke(app, ["bench", "--suite", "standard", *options.split()])
-    sizes = [
-        (found["runs"], found["tuning"].runs, found["selection"].runs, found["entropy"])
-        for found in asked
-    ]
-    own = (standard.SIZES[f"{split}seeds"] for split in ("", "training_", "selection_"))
-    assert sizes == [(*own, 0), (40, 100, 20, 3)]
-    assert [len(found["spoofers"]) for found in asked] == [len(standard.SPOOFERS)] * 2
+    for options in ([], ["--seeds", "40", "--selection-seeds", "20"]):
+        CliRunner().invoke(app, ["bench", "--suite", "standard", *options])
+    sizes = [standard.SIZES[f"{split}seeds"] for split in ("", "training_", "selection_")]
+    assert asked == [tuple(sizes), (40, sizes[1], 20)]

@@ -1,15 +1,10 @@
-"""One table is printed for a terminal, as Markdown and as JSON, and the wheel has the templates."""
-
-import subprocess
-import tomllib
-from pathlib import Path
+"""One table is printed for a terminal, as Markdown and as JSON."""
 
 import pytest
 from jinja2 import UndefinedError
 
-from spoofgym.bench.report.table import TEMPLATES, Table, metres, percent, render_block, share
+from spoofgym.bench.report.table import Table, metres, percent, render_block, share
 
-ROOT = Path(__file__).resolve().parents[2]
 TABLE = Table(
     ("detector", "name"),
     ("per run [%]", "per_run", share(1), "right"),
@@ -50,13 +45,3 @@ def test_forms():
     assert [metres(x) for x in (None, "unbounded", 12.34)] == ["-", "unbounded", "12.3"]
     with pytest.raises(UndefinedError):  # what a template lacks
         render_block("campaign.md.j2", "floor", {"summary": {}})
-
-
-def test_the_wheel_has_every_template():
-    """It takes the whole folder of the package but what git ignores."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    assert project["tool"]["hatch"]["build"]["targets"]["wheel"] == {"packages": ["spoofgym"]}
-    assert TEMPLATES.is_relative_to(ROOT / "spoofgym")
-    files = [*map(str, TEMPLATES.iterdir())]
-    done = subprocess.run(["git", "-C", str(ROOT), "check-ignore", *files], check=False)
-    assert done.returncode == 1

@@ -9,15 +9,14 @@ import pytest
 from spoofgym.bench import Suite, Tuning, run_campaign, summarize
 from spoofgym.bench.experiments.campaign import describe_knowledge
 from spoofgym.bench.report.campaign import list_limit_notes, markdown
-from spoofgym.bench.report.figures import draw_campaign
-from spoofgym.bench.runs.episode import TWIN, draw_episode, play_episode
+from spoofgym.bench.runs.episode import TWIN, play_episode
 from spoofgym.bench.runs.play import WarmStart, induced_error, make_bound_spoofer, play
 from spoofgym.bench.runs.record import compute_displacement
-from spoofgym.bench.runs.world import VICTIMS
 from spoofgym.bench.scores.campaign import HALF, STEALTHY
 from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofCore
 
+from ..nightly import heavy
 from .support import RAMP
 
 LOOSE, SNAPSHOT, ROBOT = SMALL = (
@@ -41,7 +40,7 @@ def suite_of(env, **changes):
     return Suite(**settings)
 
 
-@pytest.mark.parametrize("env", SMALL)
+@pytest.mark.parametrize("env", heavy(SMALL, LOOSE))
 def test_a_campaign_is_scored_tabled_and_drawn(env, tmp_path):
     suite = suite_of(env, spoofers=("step", RAMP))
     suite.check_fit()
@@ -61,7 +60,6 @@ def test_a_campaign_is_scored_tabled_and_drawn(env, tmp_path):
     text = markdown(folder, summary)
     assert f"- Environment: {env}, " in text
     assert "nan" not in text
-    assert draw_campaign(folder, summary).stat().st_size > 10_000
     # and without limits it says why
     (notes,) = list_limit_notes(summary)
     assert notes.startswith("Floor: none, since no limit is known for ")
@@ -79,12 +77,17 @@ DOMAIN = {
 
 @pytest.mark.parametrize(
     ("env", "between", "changes"),
-    [*((env, "linear", {}) for env in SMALL), (TIGHT, "linear", DOMAIN), (TIGHT, "hold", DOMAIN)],
+    [
+        (SNAPSHOT, "linear", {}),
+        (TIGHT, "linear", DOMAIN),
+        pytest.param(TIGHT, "hold", DOMAIN, marks=pytest.mark.nightly),
+        pytest.param(LOOSE, "linear", {}, marks=pytest.mark.nightly),
+        pytest.param(ROBOT, "linear", {}, marks=pytest.mark.nightly),
+    ],
 )
 def test_a_cell_scores_what_the_environment_pays_and_a_run_is_that_of_the_campaign(
-    env, between, changes, tmp_path
+    env, between, changes
 ):
-    """Worlds, begins, decisions: what `SpoofEnv` with a twin pays, run by run."""
     pace = {"decision_interval_s": 2.0, "between": between}
     suite = suite_of(env, target_heading_deg="worst", **pace, **changes)
     judge, player = suite.detector_players[-1], suite.spoofer_players[-1]
@@ -109,7 +112,6 @@ def test_a_cell_scores_what_the_environment_pays_and_a_run_is_that_of_the_campai
     induced = induced_error(setup, attacked, clean)[:, 2]
     np.testing.assert_allclose(episode.induced_error_m, induced, atol=1e-6)
     assert episode.summary()["scenario"] == setup.name
-    assert draw_episode(episode, tmp_path / "run").stat().st_size > 10_000
 
 
 def test_a_heading_of_a_snapshot_leaves_down_and_clock_alone():
@@ -117,13 +119,6 @@ def test_a_heading_of_a_snapshot_leaves_down_and_clock_alone():
     spoofer, *_ = make_bound_spoofer(PUSH, suite.setup(suite.detector_players[0]), 1)
     action = spoofer.act(np.zeros((1, 0), dtype=np.float32))
     np.testing.assert_allclose(action, [[0.0, 0.1, 0.0, 0.0]], atol=1e-12)
-
-
-@pytest.mark.parametrize("env", VICTIMS)
-def test_the_detectors_of_a_victim_fit_it(env):
-    suite = Suite(env=env, spoofers=())
-    suite.check_fit()
-    assert len(suite.detector_players) == len(VICTIMS[env].detectors)
 
 
 def test_no_spoofer_of_another_environment_plays_unasked():
@@ -160,12 +155,8 @@ def test_detectors_that_do_not_fit_are_refused(env, detector, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"env": "Snapshot"}, "unknown environment of the benchmark 'Snapshot'; valid: .*Loosely"),
         ({"settings": {"sats": 8}}, "Snapshot-v0 has no setting 'sats', got 8; valid: t"),
-        ({"scenario": "groves"}, "Snapshot-v0 has no setting 'scenario', got 'groves'; valid:"),
         ({"settings": {"timeline": {}}}, "`settings` has 'timeline', which is given by name, too"),
-        ({"settings": {"detector": "never"}}, "has no setting 'detector', got 'never'"),
-        ({"settings": {"noise_m": "much"}}, "`noise_m` must be a number above 0, got 'much'"),
         ({"settings": {"speed_mps": None, "heading_deg": "n"}}, "must be a finite number, got 'n'"),
         (
             {"settings": {"rate_limit_mps": [1.0, 1.0, 1.0, 9.0]}},

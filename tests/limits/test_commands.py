@@ -70,7 +70,7 @@ def assert_same_offsets(commands, found, rates):
         np.testing.assert_allclose(expected[:, rows], found[:, rows], atol=1e-5 * size + 1e-9)
 
 
-@pytest.mark.parametrize(("every_s", "between"), [(None, "hold"), (10.0, "hold"), (10.0, "linear")])
+@pytest.mark.parametrize(("every_s", "between"), [(None, "hold"), (10.0, "linear")])
 @pytest.mark.parametrize("attack", ATTACKS.values(), ids=ATTACKS)
 def test_offsets_are_what_the_attack_makes_of_its_rates(attack, every_s, between):
     setup = setup_of({**attack, "control": "rate"}, decision_interval_s=every_s, between=between)
@@ -111,8 +111,8 @@ def test_a_meaconer_moves_the_victim_when_it_is_idle_and_only_the_clock_when_com
     assert not np.any(unit_commands(setup_of(), at_onset(setup).onset[0]).idle)
 
 
-@pytest.mark.parametrize("world", [5, 13])
-def test_satellites_that_rise_or_set_have_no_offset_out_of_view(world):
+def test_satellites_that_rise_or_set_have_no_offset_out_of_view():
+    world = 5
     sky = {"turned_deg": (0.0, 0.0), "constellation_time_s": (0.0, 86_400.0), "worlds": 32}
     long = {"warmup_s": 200.0, "live_s": 20.0, "attack_s": 130.0, "time_to_alert_s": 5.0}
     setup = unwatched(domain=sky, timeline=long)

@@ -28,7 +28,7 @@ def played(setup, actions):
 
 @pytest.mark.parametrize(
     ("scenario", "receiver"),
-    [("zhong2025", "paper"), ("trolley-consumer", "paper"), ("trolley", "matched")],
+    [("trolley-consumer", "paper"), ("trolley", "matched")],
 )
 def test_innovations_and_position_move_as_the_simulator_s(scenario, receiver):
     attack = {"name": "false-position", "control": "rate"}

@@ -1,24 +1,23 @@
 """Response replay against the simulator that it stands for."""
 
-import copy
 import functools
 
 import numpy as np
 import pytest
 
+from spoofgym.bench.runs.panel import Panel, PanelAttack
+from spoofgym.bench.runs.play import induced_error
 from spoofgym.bench.runs.world import HEADLINE_DOMAIN
 from spoofgym.calibration.clean_runs import weighs
 from spoofgym.detectors import DETECTORS, Calibrated, Ewma, Never, make_detector
-from spoofgym.detectors.base import judge_epoch
 from spoofgym.limits import NotReplayable, Replay
 from spoofgym.limits.response import check_replayable
 from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.monitors import Monitor
 from spoofgym.simulation.setup import make_generators, seed_sequences
-from spoofgym.simulation.simulator import run_serially
 
 SHORT = {"warmup_s": 60.0, "live_s": 40.0, "attack_s": 60.0, "time_to_alert_s": 5.0}
 TOP_MPS = 0.4
+RAMP = {"name": "profile", "rates_mps": [0.0, TOP_MPS]}
 SPECIAL = {"pool", "oracle-step", "oracle-ramp"}
 """Of other detectors, and of what an attack is."""
 
@@ -48,58 +47,9 @@ def seeds_of(setup, runs):
     return seed_sequences(0, "training", setup.name, runs)
 
 
-class Series(Monitor):
-    """Ratios and alarms of detectors that look at every epoch."""
-
-    def __init__(self, detectors):
-        self.detectors = detectors
-        self.needs = frozenset().union(*(each.needs for each in detectors))
-        self.ratio, self.alarm = [], []
-
-    def bind(self, simulator):
-        for each in self.detectors:
-            simulator.bind_detector(each)
-
-    def start_episodes(self):
-        for each in self.detectors:
-            each.reset()
-
-    def update(self, simulator):
-        verdicts = [judge_epoch(each, simulator.epoch) for each in self.detectors]
-        ratios = [(each.statistic / each.threshold).max(axis=1) for each in verdicts]
-        self.ratio.append(ratios)
-        self.alarm.append([each.alarm.any(axis=1) for each in verdicts])
-
-
-def played(setup, detectors, runs, curve):
-    """(K, D, R) ratios and alarms, and (K, R, 2) positions north and east, of the simulator."""
-    series = Series([copy.deepcopy(each) for each in detectors])
-    told = setup.copy_with(detector=Never(), monitors=())
-    told.fields = setup.fields | series.needs
-    simulator = told.simulator(runs, run_serially)
-    simulator.start_episodes(make_generators(seeds_of(setup, runs)))
-    simulator.run_filter_only(setup.filter_only)
-    series.bind(simulator)
-    series.start_episodes()
-    place, limit = [], setup.attack.acceleration_limit_mps2 * setup.interval_s * setup.repeat
-    actions = np.diff(curve, prepend=0.0) / limit
-    aim = np.stack([np.cos(simulator.heading), np.sin(simulator.heading)], axis=1)
-    for k in range(setup.live + setup.steps + setup.hold):
-        command, at = None, k - setup.live
-        if 0 <= at < setup.steps:
-            command = np.ascontiguousarray(actions[at // setup.repeat] * aim)
-        simulator.predict(command) if at >= 0 else simulator.advance()
-        series.update(simulator)
-        simulator.update(None)
-        if at >= 0:
-            axes = setup.C_en[simulator.epochs]
-            place.append(np.einsum("bij,bi->bj", axes, simulator.position)[:, :2])
-    parts = (np.array(each)[setup.live :] for each in (series.ratio, series.alarm))
-    return (*parts, np.array(place))
-
-
-def first_of(alarm):
-    return np.where(alarm.any(axis=0), alarm.argmax(axis=0) + 1, 0)
+def panel_of(setup, detectors, runs):
+    """Runs of the simulator in front of all detectors, which only look."""
+    return Panel(setup, detectors, lambda: make_generators(seeds_of(setup, runs)), 1)
 
 
 def ramp_of(setup, top=TOP_MPS):
@@ -107,56 +57,53 @@ def ramp_of(setup, top=TOP_MPS):
 
 
 def test_all_detectors_of_satellites_but_those_that_weigh_are_replayed():
-    can, cannot = map(set, sorted_out())
+    can, cannot = sorted_out()
     assert len(can) >= 15
-    assert {"ewma", "joint-chart"} <= cannot
-    assert {"snapshot-chi2", "aime", "raim", "solution-separation", "never"} <= can
-
-
-@pytest.mark.parametrize("name", sorted_out()[1])
-def test_what_can_not_be_replayed_is_refused_by_name(name):
-    setup, detector = setup_of(), make_detector(name)
-    with pytest.raises(
-        NotReplayable, match=rf"^{type(detector).__name__} .*: play it on the engine$"
-    ):
-        Replay(setup, [Never(), detector], seeds_of(setup, 1))
+    assert {"snapshot-chi2", "aime", "raim", "solution-separation", "never"} <= {*can}
+    assert {"ewma", "joint-chart"} <= {*cannot}
+    setup = setup_of()
+    for detector in map(make_detector, cannot):
+        said = rf"^{type(detector).__name__} .*: play it on the engine$"
+        with pytest.raises(NotReplayable, match=said):
+            Replay(setup, [Never(), detector], seeds_of(setup, 1))
 
 
 @pytest.mark.parametrize(
     ("settings", "names", "runs"),
     [
-        ({}, sorted_out()[0], 24),
-        ({"decision_interval_s": 10.0}, ["snapshot-chi2", "shewhart", "aime"], 24),
-        ({"attack": "quiet"}, ["snapshot-chi2", "aime", "solution-separation"], 24),
+        ({}, sorted_out()[0], 12),
+        ({"decision_interval_s": 10.0, "attack": "quiet"}, ["snapshot-chi2", "aime"], 16),
         ({"target_heading_deg": "random"}, ["snapshot-chi2", "raim"], 16),
-        pytest.param({"domain": HEADLINE_DOMAIN}, sorted_out()[0], 16, marks=pytest.mark.slow),
+        pytest.param({"domain": HEADLINE_DOMAIN}, sorted_out()[0], 16, marks=pytest.mark.nightly),
     ],
 )
 def test_every_detector_alarms_as_on_the_simulator(settings, names, runs):
-    """The replay and the simulator, at thresholds among which alarms come and go."""
     setup, plain = setup_of(**settings), [make_detector(name) for name in names]
-    curve = ramp_of(setup)
-    clean, _, still = played(setup, plain, runs, 0.0 * curve)
-    ratio, _, place = played(setup, plain, runs, curve)
-    typical = [np.median(each.max(axis=0), axis=1) for each in (clean, ratio)]
-    scales = np.where(typical[1] > 0.0, np.sqrt(typical[0] * typical[1]), 1.0)
+    number, heading = range(len(names)), "target" if "target_heading_deg" in settings else 90.0
+    still, ramp = (
+        [(PanelAttack({**RAMP, "rates_mps": x, "heading_deg": heading}, runs), k) for k in number]
+        for x in ([0.0, 0.0], RAMP["rates_mps"])
+    )
+    panel = panel_of(setup, plain, runs)
+    # at thresholds among which alarms come and go
+    typical = [[np.median(each.peak) for each in panel.play(x)] for x in (still, ramp)]
+    scales = np.where(np.array(typical[1]) > 0.0, np.sqrt(np.prod(typical, axis=0)), 1.0)
     scaled = [
         make_detector({"name": name, "threshold_scale": float(scale)})
         if DETECTORS[name].calibrates
         else make_detector(name)
         for name, scale in zip(names, scales, strict=True)
     ]
-    _, alarm, _ = played(setup, scaled, runs, curve)
     replay = Replay(setup, scaled, seeds_of(setup, runs), threads=1)
-    induced = np.hypot(*np.moveaxis(place - still, 2, 0))
-    late = 0
-    for k, name in enumerate(names):
-        found, wanted = replay.play(k, curve[None]), first_of(alarm[:, k])
-        assert (found.first_alarm[0] == wanted).mean() >= 0.9, name
-        largest = ratio[:, k].max(axis=0) / scales[k]
-        np.testing.assert_allclose(found.peak[0], largest, rtol=0.005, err_msg=name)
+    panel, late = panel_of(setup, scaled, runs), 0
+    pairs = zip(*(panel.play(x, drop=False) for x in (still, ramp)), strict=True)
+    for k, (idle, played) in enumerate(pairs):
+        found = replay.play(k, ramp_of(setup)[None])
+        assert (found.first_alarm[0] == played.first_alarm).mean() >= 0.9, names[k]
+        np.testing.assert_allclose(found.peak[0], played.peak, rtol=0.005, err_msg=names[k])
+        induced = induced_error(setup, played, idle)
         np.testing.assert_allclose(found.error[:, 0], induced, atol=5e-4 * induced.max())
-        late += int((wanted > 1).sum())
+        late += int((played.first_alarm > 1).sum())
     assert late > len(names) * runs // 4  # so that something has been compared
 
 
@@ -179,9 +126,9 @@ def test_no_attack_is_the_clean_run():
     detector = make_detector({"name": "snapshot-chi2", "threshold_scale": 0.2})
     replay = Replay(setup, [detector], seeds_of(setup, 8))
     found = replay.play(0, np.zeros((1, setup.steps)))
-    ratio, alarm, _ = played(setup, [detector], 8, np.zeros(setup.steps))
-    np.testing.assert_array_equal(found.peak[0], ratio[:, 0].max(axis=0))
-    np.testing.assert_array_equal(found.first_alarm[0], first_of(alarm[:, 0]))
+    (clean,) = panel_of(setup, [detector], 8).clean
+    np.testing.assert_array_equal(found.peak[0], clean.peak)
+    np.testing.assert_array_equal(found.first_alarm[0], clean.first_alarm)
     assert not found.error.any()
     quiet = Replay(setup_of(attack="quiet"), [detector], seeds_of(setup, 8))
     assert (quiet.play(0, np.zeros((1, setup.steps))).peak != found.peak).all()

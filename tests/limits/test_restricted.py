@@ -3,10 +3,8 @@
 import sys
 from types import SimpleNamespace
 
-import cvxpy as cp
 import numpy as np
 import pytest
-from scipy import stats
 
 from spoofgym.detectors import (
     DETECTORS,
@@ -29,11 +27,9 @@ from spoofgym.detectors import (
     WindowedChi2,
 )
 from spoofgym.limits import convex
-from spoofgym.limits.linear import white
 from spoofgym.limits.no_alarm import SETS, Timing, judge_run, judged_by
-from spoofgym.limits.zero_alarm import sensitivity
 
-from .toy import EAST, TIMING, bound_of, false_position, toy_run
+from .toy import TIMING, bound_of, false_position, toy_run
 
 RUN = toy_run()
 SETTING = toy_run(setting=(12, 22))
@@ -41,32 +37,21 @@ YOUNG = Timing(0.5, live=0)
 PASSIVE = [
     SnapshotChi2(),
     SnapshotChi2(signals="pseudorange", bias_window_s=5.0),
-    WindowedChi2(),
     WindowedChi2(signals="range_rate", window=5),
-    SequentialChi2(),
     SequentialChi2(signals="both", window_s=5.0),
-    Aime(),
     Aime(signals="both", windows_s=(1.0, 4.0), bias_window_s=10.0),
     Ewma(weight_scale=None),
     JointChart(weight_scale=None, alarm_scale=1.2),
-    Shewhart(),
     Shewhart(signals="both", bias_window_s=3.0),
-    Cusum(limit=4.0),
     Cusum(signals="both"),
-    LagCusum(threshold=4.0, lag=10, baseline=20),
     LagCusum(threshold=4.0, lag=3, baseline=5, signals="range_rate"),
-    ClockDrift(),
     ClockDrift(signals="pseudorange", window_s=4.0),
     GlrStep(window=12, baseline=20),
-    GlrRamp(window=12, baseline=20),
     GlrRamp(window=30, baseline=10, signals="both"),
-    FiniteMovingAverage(),
     FiniteMovingAverage(window_s=3.0, shape="ramp", signals="both", bias_window_s=4.0),
     FiniteMovingAverage(window_s=40.0, shape="ramp", signals="range_rate"),
-    CumulativeBank(),
     CumulativeBank(windows_s=(1.0, 4.0, 9.0), signals="pseudorange", bias_window_s=3.0),
     CumulativeBank(windows_s=(2.0, 40.0), signals="range_rate"),
-    InnovationRate(),
     InnovationRate(memory_s=20.0, settled_s=18.0, start_s=3.0, alarm_scale=0.5),
 ]
 CASES = {f"{type(each).__name__}-{i}": each for i, each in enumerate(PASSIVE)}
@@ -119,144 +104,43 @@ def test_a_scan_knows_no_satellite_that_was_offset_when_it_rose(kind):
         assert bound_of(detector, run, timing).kind == "unbounded"
 
 
-def moving_sums(y, weights, limits, last):
-    """Normalized sums of y (L + K) x r of the run's epochs, newest weight last."""
-    held, window = [], len(weights)
-    for k in range(TIMING.live, TIMING.live + len(limits)):
-        root = np.linalg.norm(weights[-min(window, k + 1) :])
-        part = sum(weights[-1 - i] * y[k - i] for i in range(min(window, k + 1)))
-        held.append(cp.abs(part[:last]) <= limits[k - TIMING.live] * root)
-    return held
-
-
-def bank_sums(energy, windows, degrees, false_alarm=1e-5):
-    """Sums of the energies of windows of so many epochs, `degrees` rows in each epoch."""
-    held = []
-    for window in windows:
-        for k in range(len(RUN.gain)):
-            count = min(window, k + 1 + TIMING.live) * degrees
-            limit = stats.chi2.isf(false_alarm / len(windows), count)
-            held.append(sum(energy[i] for i in range(max(k + 1 - window, 0), k + 1)) <= limit)
-    return held
-
-
-EPOCHS = len(RUN.gain)
 ATTACKER = false_position(RUN, **LOOSE)
-WHITE = white(RUN.innovation_cov, ATTACKER.response.innovation)
-RANGES = white(RUN.innovation_cov[:, :4, :4], ATTACKER.response.innovation[:, :4])
-SD = np.sqrt(np.einsum("kii->ki", RUN.innovation_cov))
-NORMAL = ATTACKER.response.innovation / SD[:, :, None]
-
-
-@pytest.mark.parametrize("shape", ["step", "ramp"])
-def test_a_free_bound_of_moving_sums_is_the_largest_that_another_solver_finds(shape):
-    detector = FiniteMovingAverage(window_s=4.0, shape=shape, signals="both")
-    y = cp.Variable((EPOCHS, 8))
-    limits = np.tile(judge_run(detector, RUN, TIMING).threshold, 2)
-    weights = np.ones(8) if shape == "step" else np.arange(1, 9) / 8.0
-    held = moving_sums([*[np.zeros(8)] * TIMING.live, *y], weights, limits, 8)
-    value = cp.sum(cp.multiply(sensitivity(RUN, 45, EAST).rows * SD, y))
-    wanted = cp.Problem(cp.Maximize(value), held).solve(solver=cp.HIGHS)
-    assert bound_of(detector).value_m == pytest.approx(wanted, rel=1e-4)
-
-
-def test_a_free_bound_of_a_bank_is_the_largest_that_another_solver_finds():
-    energy = cp.Variable(EPOCHS, nonneg=True)
-    value = sensitivity(RUN, 45, EAST).weights @ cp.sqrt(energy)
-    held = bank_sums(energy, (2, 8, 120), 8)
-    wanted = cp.Problem(cp.Maximize(value), held).solve(solver=cp.CLARABEL)
-    bound = bound_of(CumulativeBank(windows_s=(1.0, 4.0, 60.0)))
-    assert bound.value_m == pytest.approx(wanted, rel=1e-4)
-
-
-def squares(u, rows, first, last):
-    """Sum of the squares of some epochs."""
-    return cp.sum_squares(rows[max(first, 0) : last].reshape(-1, rows.shape[2]) @ u)
-
-
-def energies(rows, window):
-    return lambda u, tau: [squares(u, rows, k + 1 - window, k + 1) <= tau[k] for k in range(EPOCHS)]
-
-
-def averages(u, tau):
-    total = np.cumsum(np.vstack([np.zeros_like(RANGES[:1]), RANGES]), axis=0)
-    held = []
-    for window, k in [(w, k) for w in (4, 10) for k in range(EPOCHS)]:
-        count = min(window, k + 1 + TIMING.live)
-        part = total[k + 1] - total[max(k + 1 - window, 0)]
-        held.append(cp.sum_squares(part @ u) <= tau[k] * count)
-    return held
-
-
-def ewma(u, limits):
-    average, held = np.zeros_like(NORMAL[0]), []
-    for k in range(EPOCHS):
-        average = 0.1 * ATTACKER.response.innovation[k] + 0.9 * average
-        held.append(cp.abs(average[:4] @ u) <= limits[k])
-    return held
-
-
-def moving(u, limits):
-    y = np.concatenate([np.zeros((TIMING.live, 4, WHITE.shape[2])), NORMAL[:, :4]])
-    return moving_sums([each @ u for each in y], np.arange(1, 11) / 10.0, limits, 4)
-
-
-def bank(u, tau):
-    energy = [squares(u, WHITE, k, k + 1) for k in range(EPOCHS)]
-    return bank_sums(energy, (4, 20), 8)
-
-
-def cusum(u, limits):
-    up, down = (cp.Variable((EPOCHS, 4), nonneg=True) for _ in range(2))
-    held = []
-    for k in range(EPOCHS):
-        y = NORMAL[k, :4] @ u
-        for total, sign in ((up, 1.0), (down, -1.0)):
-            before = total[k - 1] if k else 0.0
-            held += [total[k] >= before + sign * y - 0.5, total[k] <= limits[k]]
-    return held
-
-
-def steps(u, limits):
-    """Every onset of the last 12 epochs, with a baseline of at most 20."""
-    y = np.concatenate([np.zeros((TIMING.live, 4, WHITE.shape[2])), NORMAL[:, :4]])
-    held = []
-    for k in range(TIMING.live, TIMING.live + EPOCHS):
-        for n in range(1, 13):
-            m = min(k + 1 - n, 20)
-            change = y[k + 1 - n : k + 1].mean(axis=0) - y[k + 1 - n - m : k + 1 - n].mean(axis=0)
-            root = np.sqrt((1.0 / n + 1.0 / m) * limits[k - TIMING.live])
-            held.append(cp.abs(change @ u) <= root)
-    return held
+LIMITED = false_position(RUN, rate=12.0, change=3.0)
 
 
 @pytest.mark.parametrize(
-    ("detector", "held"),
+    ("detector", "loose", "limited"),
     [
-        (SnapshotChi2(), energies(WHITE, 1)),
-        (WindowedChi2(), energies(WHITE, 10)),
-        (SequentialChi2(), energies(RANGES, EPOCHS)),
-        (Aime(windows_s=(2.0, 5.0)), averages),
-        (Ewma(weight_scale=None), ewma),
-        (Cusum(limit=4.0), cusum),
-        (FiniteMovingAverage(window_s=5.0, shape="ramp"), moving),
-        (CumulativeBank(windows_s=(2.0, 10.0)), bank),
-        (GlrStep(window=12, baseline=20), steps),
+        (SnapshotChi2(), 299.795, 218.660),
+        (WindowedChi2(), 188.397, 179.763),
+        (SequentialChi2(), 351.475, 265.078),
+        (Aime(windows_s=(2.0, 5.0)), 217.313, 197.674),
+        (Ewma(weight_scale=None), 206.412, 190.349),
+        (Cusum(limit=4.0), 99.4821, 99.0203),
+        (FiniteMovingAverage(window_s=5.0, shape="ramp"), 276.394, 240.167),
+        (CumulativeBank(windows_s=(2.0, 10.0)), 177.407, 174.051),
+        (GlrStep(window=12, baseline=20), 577.140, 259.031),
     ],
-    ids=lambda each: type(each).__name__ if not callable(each) else "",
+    ids=lambda each: type(each).__name__ if not isinstance(each, float) else "",
 )
-@pytest.mark.parametrize("limited", [False, True])
-def test_a_restricted_bound_is_the_largest_that_another_solver_finds(detector, held, limited):
-    limits = judge_run(detector, RUN, TIMING).threshold
-    limits = limits[:, 0] if limits.shape[1] == 1 else limits
-    u, rest, attacker = cp.Variable(WHITE.shape[2]), [], ATTACKER
-    if limited:
-        attacker = attacker._replace(rate_limit_mps=0.3, change_limit_mps=0.02)
-        rest = [cp.abs(u) <= 0.3, cp.abs(u[0]) <= 0.02, cp.abs(cp.diff(u)) <= 0.02]
-    value = attacker.response.position[45, 1] @ u
-    wanted = cp.Problem(cp.Maximize(value), held(u, limits) + rest).solve(solver=cp.CLARABEL)
-    bound = bound_of(detector, attacker=attacker)
-    assert bound.value_m == pytest.approx(wanted, rel=1e-4)
+def test_a_restricted_bound_is_the_optimum_of_its_cone_program(detector, loose, limited):
+    """As cvxpy found it from the detector's definition, written out, with Clarabel."""
+    for attacker, optimum in ((ATTACKER, loose), (LIMITED, limited)):
+        assert bound_of(detector, attacker=attacker).value_m == pytest.approx(optimum, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("detector", "optimum"),
+    [
+        (FiniteMovingAverage(window_s=4.0, shape="step", signals="both"), 154.685),
+        (FiniteMovingAverage(window_s=4.0, shape="ramp", signals="both"), 165.567),
+        (CumulativeBank(windows_s=(1.0, 4.0, 60.0)), 212.811),
+    ],
+    ids=["step", "ramp", "bank"],
+)
+def test_a_free_bound_is_the_optimum_of_its_program(detector, optimum):
+    """The same, with HiGHS for sums and Clarabel for the bank."""
+    assert bound_of(detector).value_m == pytest.approx(optimum, rel=1e-5)
 
 
 @pytest.mark.parametrize("attacker", [None, ATTACKER], ids=["free", "restricted"])
@@ -297,7 +181,6 @@ class Mine(SnapshotChi2):
         (Shewhart(weight_scale=0.3), "Shewhart: its weights change the gains"),
         (SnapshotChi2(two_sided=True), "SnapshotChi2: it alarms at innovations that are too small"),
         (WindowedChi2(covariance="estimated"), "WindowedChi2: an estimated covariance lets"),
-        (Calibrated(Ewma(), scale=2.0), "Ewma: its weights change the gains"),
         (Mine(), "Mine: nothing is known of its statistic"),
         *((DETECTORS[name](), f"{DETECTORS[name].__name__}: ") for name in sorted(WITHOUT)),
     ],
@@ -339,7 +222,7 @@ def test_a_solver_that_stops_short_has_an_upper_bound_or_none(monkeypatch, attac
     assert exact <= bound.value_m <= 1.2 * exact
 
 
-@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_energies_of_any_size_are_solved(scale):
     detector = SequentialChi2(signals="range_rate")
     plain = bound_of(detector, attacker=ATTACKER)

@@ -1,12 +1,8 @@
 """Small ONNX policies with their cards."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
@@ -46,49 +42,43 @@ BLIND = SpooferContext(
 """What a blind spoofer that commands accelerations is told, with the timeline above."""
 
 
-def context_of(
-    receivers: int = 3, knowledge: str = "blind", env: dict[str, Any] | None = None
-) -> SpooferContext:
+def context_of(receivers=3, knowledge="blind", env=None):
     kwargs = {**ENV, **(env or {})}
     setup = TightlyCoupledSetup(**kwargs)
     return spoofer_context(setup, receivers, Observer(default_terms(setup, knowledge), setup))
 
 
-def network(inputs: int, outputs: int, *, batch: Any = "batch", width: int = 16) -> onnx.ModelProto:
+def network(inputs, outputs, *, batch="batch", width=16):
     """Two layers of tanh, and a clip, as an export has them."""
     rng = np.random.default_rng(7)
-    sizes = [inputs, width, width, outputs]
     nodes, tensors, name = [], [], "observation"
-    for k, (fan, out) in enumerate(pairwise(sizes)):
-        weight = rng.normal(0.0, fan**-0.5, (out, fan)).astype(np.float32)
-        bias = rng.normal(0.0, 0.1, out).astype(np.float32)
-        tensors += [
-            numpy_helper.from_array(weight, f"w{k}"),
-            numpy_helper.from_array(bias, f"b{k}"),
-        ]
+    for k, (fan, out) in enumerate(pairwise([inputs, width, width, outputs])):
+        for letter, drawn in (
+            ("w", rng.normal(0.0, fan**-0.5, (out, fan))),
+            ("b", rng.normal(0.0, 0.1, out)),
+        ):
+            tensors.append(numpy_helper.from_array(drawn.astype(np.float32), f"{letter}{k}"))
         nodes.append(helper.make_node("Gemm", [name, f"w{k}", f"b{k}"], [f"z{k}"], transB=1))
         name = f"z{k}"
         if k < 2:
             nodes.append(helper.make_node("Tanh", [name], [f"h{k}"]))
             name = f"h{k}"
     nodes.append(helper.make_node("Identity", [name], ["action"]))
-    graph = helper.make_graph(
-        nodes,
-        "policy",
-        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, [batch, inputs])],
-        [helper.make_tensor_value_info("action", TensorProto.FLOAT, [batch, outputs])],
-        tensors,
+    ends = (
+        [helper.make_tensor_value_info(end, TensorProto.FLOAT, [batch, size])]
+        for end, size in (("observation", inputs), ("action", outputs))
     )
+    graph = helper.make_graph(nodes, "policy", *ends, tensors)
     return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=8)
 
 
 Edit = Callable[[onnx.ModelProto], onnx.ModelProto | None]
 
 
-def behind(*nodes: onnx.NodeProto, **tensors: Any) -> Edit:
+def behind(*nodes, **tensors):
     """The mean of a result ``r``, cut, added to the actions; all of `tensors` by their names."""
 
-    def edit(model: onnx.ModelProto) -> None:
+    def edit(model):
         for name, value in tensors.items():
             model.graph.initializer.append(numpy_helper.from_array(np.array(value), name))
         del model.graph.node[-1]
@@ -103,7 +93,7 @@ def behind(*nodes: onnx.NodeProto, **tensors: Any) -> Edit:
     return edit
 
 
-def less_the_mean(model: onnx.ModelProto) -> None:
+def less_the_mean(model):
     """Centred over the batch, as a normalization in training mode does."""
     model.graph.initializer.append(numpy_helper.from_array(np.array([0]), "axes"))
     mean = helper.make_node("ReduceMean", ["z2", "axes"], ["mean"], keepdims=1)
@@ -111,16 +101,14 @@ def less_the_mean(model: onnx.ModelProto) -> None:
     model.graph.node.append(helper.make_node("Sub", ["z2", "mean"], ["action"]))
 
 
-def written(model: onnx.ModelProto) -> bytes:
+def written(model):
     """File of a model, which is tried in this process, as what it has exported."""
     content = bytes(model.SerializeToString())
     trust(content)
     return content
 
 
-def card_fields(
-    name: str, content: bytes, context: SpooferContext, knowledge: str, env: dict[str, Any]
-) -> dict[str, Any]:
+def card_fields(name, content, context, knowledge, env):
     return {
         "format": 2,
         "side": "spoofer",
@@ -144,15 +132,7 @@ def card_fields(
     }
 
 
-def write_policy(
-    folder: Path,
-    name: str = "tiny",
-    *,
-    knowledge: str = "blind",
-    env: dict[str, Any] | None = None,
-    model: Edit | None = None,
-    card: Callable[[dict[str, Any]], None] | None = None,
-) -> Path:
+def write_policy(folder, name="tiny", *, knowledge="blind", env=None, model=None, card=None):
     """Write a policy and its card; the callables edit the model and the card's fields."""
     context = context_of(1, knowledge, env)
     made = network(len(context.observation_names), len(context.action_names))

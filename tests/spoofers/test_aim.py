@@ -1,9 +1,5 @@
 """Spoofers that follow the target direction that they observe."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -17,18 +13,16 @@ SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 30.0, "time_to_alert_s": 
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 WORLD = {"timeline": SHORT, "attack": STRONG, "detector": "never", "action": "full-command"}
 FOLLOWING = {"name": "ramp", "rate_mps": 2.0, "heading_deg": "target"}
-SCRIPTED: list[dict[str, Any]] = [
+SCRIPTED = [
     FOLLOWING,
-    {"name": "accelerating-ramp", "acceleration_mps2": 0.02, "heading_deg": "target"},
     {"name": "step", "size_m": 30.0, "heading_deg": "target"},
     {"name": "intermittent", "shapes": ["step"], "heading_deg": "target"},
-    {"name": "profile", "rates_mps": [0.0, 2.0], "heading_deg": "target"},
     {"name": "profile", "cross_rates_mps": [0.0, 1.0], "heading_deg": "target"},
 ]
 HEADINGS = np.array([0.0, 90.0, 312.0])
 
 
-def context(control: str, axes: tuple[str, ...], *seen: str) -> SpooferContext:
+def context(control, axes, *seen):
     names = tuple(f"{axis}_{control}" for axis in axes)
     return SpooferContext(3, 0.5, 300, control, 0.05, 5.0, names, seen)
 
@@ -37,9 +31,7 @@ def context(control: str, axes: tuple[str, ...], *seen: str) -> SpooferContext:
     ("control", "axes"), [("rate", ("north", "east")), ("acceleration", ("east", "down", "north"))]
 )
 @pytest.mark.parametrize("spec", SCRIPTED, ids=lambda spec: spec["name"])
-def test_each_receiver_is_pushed_as_along_its_own_heading(
-    spec: dict[str, Any], control: str, axes: tuple[str, ...]
-) -> None:
+def test_each_receiver_is_pushed_as_along_its_own_heading(spec, control, axes):
     told = context(control, axes, "time", *TARGET_NAMES)
     following = make_spoofer(spec)
     following.bind(told)
@@ -57,7 +49,7 @@ def test_each_receiver_is_pushed_as_along_its_own_heading(
             np.testing.assert_allclose(action[i], one.act(seen)[i], atol=2e-7)
 
 
-def test_where_a_target_cannot_be_followed() -> None:
+def test_where_a_target_cannot_be_followed():
     for axes, seen, message in (
         (("north", "east"), (), "needs target_direction_north and target_direction_east among"),
         (("east",), TARGET_NAMES, "'target' needs a command to the north, but the attack"),
@@ -79,7 +71,7 @@ def test_where_a_target_cannot_be_followed() -> None:
 @pytest.mark.parametrize(
     "action", ["full-command", {"name": "rate-setpoint", "full_scale_mps": 2.0}]
 )
-def test_a_target_that_is_drawn_is_reached(action: str | dict[str, Any]) -> None:
+def test_a_target_that_is_drawn_is_reached(action):
     envs = gym.make_vec("spoofgym/RandomStart-v0", num_envs=6, **{**WORLD, "action": action})
     spoofer = attach(FOLLOWING, envs)
     observation, _ = envs.reset(seed=4)
@@ -90,7 +82,7 @@ def test_a_target_that_is_drawn_is_reached(action: str | dict[str, Any]) -> None
     assert (info["undetected_displacement_m"] > 10.0).all()
 
 
-def test_a_fixed_heading_is_warned_of_once() -> None:
+def test_a_fixed_heading_is_warned_of_once():
     envs = gym.make_vec("spoofgym/RandomStart-v0", num_envs=2, **WORLD)
     ramp = {"name": "ramp", "rate_mps": 2.0}
     with pytest.warns(UserWarning, match=r"Ramp \(heading_deg=90\); with heading_deg='target'"):
@@ -104,18 +96,5 @@ def test_a_fixed_heading_is_warned_of_once() -> None:
     assert len(told) == 1
     duel_v0.DetectorView(["none", FOLLOWING], **drawn)
     duel_v0.DetectorView(ramp, **drawn, attack="per-channel")
-    duel_v0.DetectorView(ramp, timeline=SHORT, target_heading_deg="worst")
     with pytest.raises(ValueError, match="'target' needs target_direction_north"):
         duel_v0.DetectorView(FOLLOWING, timeline=SHORT)
-
-
-def test_a_pool_follows_the_target_direction_of_every_receiver() -> None:
-    settings = {"timeline": SHORT, "attack": STRONG, "attack_probability": 1.0, "threshold": 1.0}
-    envs = duel_v0.DetectorVectorView(6, FOLLOWING, **settings, target_heading_deg="random")
-    envs.reset(seed=4)
-    quiet = np.tile(np.r_[-1.0, np.ones(12)], (6, 1))
-    over = np.zeros(6, dtype=bool)
-    while not over.any():
-        _, _, over, _, info = envs.step(quiet)
-    assert over.all()
-    assert (info["undetected_displacement_m"] > 10.0).all()

@@ -43,7 +43,6 @@ def test_along_a_curve_the_room_is_a_part_of_its_rate():
 
 
 def test_with_nothing_held_back_it_is_the_profile_up_to_the_alarm():
-    """So that it can't be fitted worse than the curve."""
     curve, _ = bound(kind=Profile, receivers=2, rates_mps=CURVE)
     settings = {"rates_mps": CURVE, "full_ratio": 1.0, "zero_ratio": 1.01}
     spoofer, names = bound(kind=FeedbackProfile, receivers=2, **settings)

@@ -1,15 +1,10 @@
 """A policy in a file: run as it is, bit for bit in any batch."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import multiprocessing
 import os
 import pickle
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
@@ -23,18 +18,18 @@ from spoofgym.testing import check_spoofer
 from .policies import BLIND, context_of, network, write_policy
 
 
-def observations(count: int, size: int = 6) -> np.ndarray:
+def observations(count, size=6):
     return np.random.default_rng(3).uniform(-2.0, 2.0, (count, size)).astype(np.float32)
 
 
-def bound(path: Path, receivers: int = 3) -> OnnxPolicy:
+def bound(path, receivers=3):
     policy = OnnxPolicy(str(path))
     policy.bind(BLIND._replace(receivers=receivers))
     policy.reset()
     return policy
 
 
-def test_it_does_what_the_network_says(tmp_path: Path) -> None:
+def test_it_does_what_the_network_says(tmp_path):
     path = write_policy(tmp_path, knowledge="tracking")
     policy = make_spoofer(str(path))
     size = len(policy.card.observation.names)
@@ -62,12 +57,12 @@ def test_it_does_what_the_network_says(tmp_path: Path) -> None:
     check_spoofer(str(path))
 
 
-@pytest.mark.parametrize(("inputs", "width"), [(6, 16), (60, 64), (61, 33)])
-def test_the_bits_do_not_depend_on_the_batch(inputs: int, width: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("inputs", "width"), [(6, 16), (61, 33)])
+def test_the_bits_do_not_depend_on_the_batch(inputs, width, tmp_path):
     names = tuple(f"element_{k}" for k in range(inputs))
     told = BLIND._replace(observation_names=names, observation_low=(), observation_high=())
 
-    def card(fields: dict[str, Any]) -> None:
+    def card(fields):
         fields["observation"] = {"names": names, "low": [-10.0] * inputs, "high": [10.0] * inputs}
 
     path = write_policy(tmp_path, model=lambda _: network(inputs, 2, width=width), card=card)
@@ -75,39 +70,30 @@ def test_the_bits_do_not_depend_on_the_batch(inputs: int, width: int, tmp_path: 
     seen = observations(1024, inputs)
     policy.bind(told._replace(receivers=1024))
     whole = policy.act(seen)
-    for size in (1, 2, 7, 8, 15, 16, 33, 64, 255, 256, 1023):
+    for size in (1, 7, 8, 17, 257, 1023):
         policy.bind(told._replace(receivers=size))
         for begin in range(0, 1024 - size + 1, max(size, 101)):
             part = policy.act(seen[begin : begin + size])
             assert part.tobytes() == whole[begin : begin + size].tobytes(), (size, begin)
 
 
-def test_it_keeps_the_contract_with_another_attack(tmp_path: Path) -> None:
-    attack = {"name": "per-channel", "control": "rate"}
-    path = write_policy(tmp_path, env={"attack": attack})
-    check_spoofer(str(path))
-    with pytest.raises(ValueError, match=r"does not fit this attack: action: .*only on the card"):
-        check_spoofer(str(path), attack="false-position")
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-def test_a_copy_needs_no_file(copied: Callable[[OnnxPolicy], OnnxPolicy], tmp_path: Path) -> None:
+def test_a_copy_needs_no_file(tmp_path):
     path, seen = write_policy(tmp_path), observations(3)
     policy = bound(path)
-    other = copied(policy)
     path.unlink()  # its content is kept in memory
-    assert other.act(seen).tobytes() == policy.act(seen).tobytes()
-    assert copied(policy) == other == policy
+    for other in (copy.deepcopy(policy), pickle.loads(pickle.dumps(policy))):
+        assert other.act(seen).tobytes() == policy.act(seen).tobytes()
+        assert other == policy
 
 
-def _in_child(policy: OnnxPolicy, seen: np.ndarray, queue: Any) -> None:
+def _in_child(policy, seen, queue):
     before = policy.model._session
     queue.put((policy.act(seen).tobytes(), policy.model._session is before))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
-def test_a_forked_child_makes_its_own_session(tmp_path: Path) -> None:
+def test_a_forked_child_makes_its_own_session(tmp_path):
     policy, seen = bound(write_policy(tmp_path)), observations(3)
     mine = policy.act(seen).tobytes()
     session = policy.model._session
@@ -118,5 +104,4 @@ def test_a_forked_child_makes_its_own_session(tmp_path: Path) -> None:
     assert queue.get() == (mine, False)
     child.join()
     assert child.exitcode == 0
-    assert policy.act(seen).tobytes() == mine
     assert policy.model._session is session

@@ -1,9 +1,5 @@
 """Profiles: the curve goes through its knots, and is flown within the attack's limits."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -17,7 +13,7 @@ pytestmark = pytest.mark.nojit
 RATES = (0.1, 0.4, 0.35, 0.35, 0.9, 0.2)
 
 
-def test_the_curve_meets_its_knots_and_stays_between_them() -> None:
+def test_the_curve_meets_its_knots_and_stays_between_them():
     curve = sample_curve(RATES, 300)
     # five spans of 60 epochs; the first knot is at the onset, before the first epoch's end
     np.testing.assert_allclose(curve[[59, 119, 179, 239, 299]], RATES[1:], rtol=1e-12)
@@ -29,7 +25,7 @@ def test_the_curve_meets_its_knots_and_stays_between_them() -> None:
 
 
 @pytest.mark.parametrize("control", ["rate", "acceleration"])
-def test_knots_on_a_straight_line_are_a_ramp(control: str) -> None:
+def test_knots_on_a_straight_line_are_a_ramp(control):
     told = context(control)
     ramp = flown(make_spoofer({"name": "accelerating-ramp", "acceleration_mps2": 0.01}), told)
     line = make_spoofer({"name": "profile", "rates_mps": np.linspace(0.0, 1.5, 7).tolist()})
@@ -41,7 +37,7 @@ def test_knots_on_a_straight_line_are_a_ramp(control: str) -> None:
         np.testing.assert_allclose(profile, ramp, atol=1e-9)
 
 
-def test_what_is_wanted_too_fast_comes_later() -> None:
+def test_what_is_wanted_too_fast_comes_later():
     told = context()
     _, rate = flown(Profile(rates_mps=(2.0, 2.0, -2.0, -2.0)), told)
     east = rate[:, 1]
@@ -51,7 +47,7 @@ def test_what_is_wanted_too_fast_comes_later() -> None:
 
 
 @pytest.mark.parametrize("control", ["rate", "acceleration"])
-def test_a_curve_across_goes_to_the_right(control: str) -> None:
+def test_a_curve_across_goes_to_the_right(control):
     told = context(control)
     along, across = (0.0, 0.4, 0.2), (0.0, -0.1, 0.3, 0.3)
     profile = Profile(rates_mps=along, cross_rates_mps=across, heading_deg=0.0)
@@ -62,7 +58,7 @@ def test_a_curve_across_goes_to_the_right(control: str) -> None:
         assert profile.memory[name][0] == pytest.approx(displacement[-1, i], rel=1e-9)
 
 
-def test_limits_hold_for_the_size_of_both_curves() -> None:
+def test_limits_hold_for_the_size_of_both_curves():
     told = context(rate_limit_mps=3.0)
     profile = Profile(rates_mps=(2.0, -2.0, 2.0), cross_rates_mps=(2.0, 2.0, -2.0))
     displacement, rate = flown(profile, told)
@@ -79,10 +75,8 @@ def test_limits_hold_for_the_size_of_both_curves() -> None:
     ("settings", "axes", "message"),
     [
         ({"rates_mps": (0.1,)}, PLANE, "`rates_mps` must have 2 to 64 rates, got 1"),
-        ({"rates_mps": (0.1,) * 65}, PLANE, "`rates_mps` must have 2 to 64 rates, got 65"),
-        ({"cross_rates_mps": (0.1,)}, PLANE, "`cross_rates_mps` must have 2 to 64 rates, got 1"),
+        ({"cross_rates_mps": (0.1,) * 65}, PLANE, "`cross_rates_mps` must have 2 to 64 rates"),
         ({"rates_mps": (0.0, -6.0)}, PLANE, "`rates_mps` = 6 .* `rate_limit_mps` = 5"),
-        ({"cross_rates_mps": (5.5, 0.0)}, PLANE, r"`cross_rates_mps` = 5\.5 .* `rate_limit_mps`"),
         (
             {"rates_mps": (4.0, 4.0), "cross_rates_mps": (4.0, 4.0)},
             PLANE,
@@ -92,9 +86,7 @@ def test_limits_hold_for_the_size_of_both_curves() -> None:
         ({"cross_rates_mps": (0.0, 0.1)}, ("east",), "needs .* `heading_deg` = 90, .* only"),
     ],
 )
-def test_what_the_attack_does_not_allow_is_refused(
-    settings: dict[str, Any], axes: tuple[str, ...], message: str
-) -> None:
+def test_what_the_attack_does_not_allow_is_refused(settings, axes, message):
     told = context(axes=axes)
     Profile(rates_mps=(0.0, 0.1), heading_deg=90.0).bind(told)
     with pytest.raises(ValueError, match=message):

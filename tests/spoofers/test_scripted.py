@@ -1,16 +1,12 @@
 """Scripted spoofers: closed forms of what they command, by the attack's own kinematics."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from spoofgym.attacks._kernels import kinematic_step
-from spoofgym.spoofers import SPOOFERS, Dash, Spoofer, SpooferContext, make_spoofer
+from spoofgym.spoofers import SPOOFERS, Dash, SpooferContext, make_spoofer
 
 pytestmark = pytest.mark.nojit
 
@@ -19,23 +15,13 @@ CALM = np.zeros((3, 1), dtype=np.float32)
 """What a spoofer observes that sees nothing but the detector's statistic: there is all room."""
 
 
-def context(
-    control: str = "acceleration", axes: tuple[str, ...] = PLANE, **changes: Any
-) -> SpooferContext:
-    told = SpooferContext(
-        receivers=3,
-        interval_s=0.5,
-        steps=300,
-        control=control,
-        acceleration_limit_mps2=0.05,
-        rate_limit_mps=5.0,
-        action_names=tuple(f"{axis}_{control}" for axis in axes),
-        observation_names=("statistic_ratio",),
-    )
+def context(control="acceleration", axes=PLANE, **changes):
+    names = tuple(f"{axis}_{control}" for axis in axes)
+    told = SpooferContext(3, 0.5, 300, control, 0.05, 5.0, names, ("statistic_ratio",))
     return told._replace(**changes)
 
 
-def flown(spoofer: Spoofer, told: SpooferContext) -> tuple[np.ndarray, np.ndarray]:
+def flown(spoofer, told):
     """Displacement and rate (steps, a) of the first receiver, by the attack's kinematics."""
     spoofer.bind(told)
     spoofer.reset()
@@ -57,7 +43,7 @@ def flown(spoofer: Spoofer, told: SpooferContext) -> tuple[np.ndarray, np.ndarra
 
 @pytest.mark.parametrize("name", sorted(SPOOFERS.keys() - {"onnx-policy"}))
 @pytest.mark.parametrize("control", ["rate", "acceleration"])
-def test_what_is_remembered_is_what_the_attack_does(name: str, control: str) -> None:
+def test_what_is_remembered_is_what_the_attack_does(name, control):
     found = {"rates_mps": (0.0, 0.1, 0.4)} if name == "blind-optimum" else {}
     spoofer = make_spoofer({"name": name, **found})
     displacement, rate = flown(spoofer, context(control))
@@ -69,7 +55,7 @@ def test_what_is_remembered_is_what_the_attack_does(name: str, control: str) -> 
     assert not displacement[:, 0].any()
 
 
-def test_a_ramp_and_a_step_by_rate_are_straight_lines() -> None:
+def test_a_ramp_and_a_step_by_rate_are_straight_lines():
     displacement, _ = flown(make_spoofer({"name": "ramp", "rate_mps": 0.2}), context("rate"))
     np.testing.assert_allclose(displacement[:, 1], 0.1 * np.arange(1, 301), rtol=1e-12)
     displacement, rate = flown(make_spoofer({"name": "ramp", "rate_mps": 0.2}), context())
@@ -84,7 +70,7 @@ def test_a_ramp_and_a_step_by_rate_are_straight_lines() -> None:
 
 
 @pytest.mark.parametrize("control", ["rate", "acceleration"])
-def test_an_accelerating_ramp_is_a_parabola_up_to_the_limit_of_the_rate(control: str) -> None:
+def test_an_accelerating_ramp_is_a_parabola_up_to_the_limit_of_the_rate(control):
     told = context(control, rate_limit_mps=1.0)
     spoofer = make_spoofer({"name": "accelerating-ramp", "acceleration_mps2": 0.01})
     displacement, rate = flown(spoofer, told)
@@ -102,9 +88,7 @@ def test_an_accelerating_ramp_is_a_parabola_up_to_the_limit_of_the_rate(control:
     fastest=st.floats(0.2, 10.0),
     interval=st.sampled_from([0.2, 0.5, 1.0]),
 )
-def test_a_step_arrives_stops_and_never_overshoots(
-    size: float, limit: float, fastest: float, interval: float
-) -> None:
+def test_a_step_arrives_stops_and_never_overshoots(size, limit, fastest, interval):
     told = context(
         acceleration_limit_mps2=limit, rate_limit_mps=fastest, interval_s=interval, steps=400
     )
@@ -122,7 +106,7 @@ def test_a_step_arrives_stops_and_never_overshoots(
         np.testing.assert_allclose(v[arrived:], 0.0, atol=1e-9)
 
 
-def test_a_heading_and_its_opposite_mirror_each_other() -> None:
+def test_a_heading_and_its_opposite_mirror_each_other():
     one, other = (
         flown(make_spoofer({"name": "ramp", "heading_deg": heading}), context())[0]
         for heading in (30.0, 210.0)
@@ -132,14 +116,14 @@ def test_a_heading_and_its_opposite_mirror_each_other() -> None:
 
 
 @pytest.mark.parametrize(("last_s", "waits"), [(5.0, 30), (20.0, 0), (1000.0, 0)])
-def test_a_dash_waits_and_then_is_as_fast_as_it_may_be(last_s: float, waits: int) -> None:
+def test_a_dash_waits_and_then_is_as_fast_as_it_may_be(last_s, waits):
     _, rate = flown(Dash(rate_mps=2.0, last_s=last_s), context(steps=40))
     pushes = np.diff(rate[:, 1], prepend=0.0) / (0.05 * 0.5)
     # 2 m/s are 80 epochs at the largest acceleration
     np.testing.assert_allclose(pushes, np.arange(40) >= waits, atol=1e-9)
 
 
-def test_what_the_attack_does_not_allow_is_refused_with_both_names() -> None:
+def test_what_the_attack_does_not_allow_is_refused_with_both_names():
     make_spoofer({"name": "accelerating-ramp", "acceleration_mps2": 0.06}).bind(context("rate"))
     axes = ("east", "down")
     for spec, told, message in (
@@ -150,8 +134,6 @@ def test_what_the_attack_does_not_allow_is_refused_with_both_names() -> None:
             r"0\.06 .* `acceleration_limit_mps2` = 0\.05",
         ),
         ({"name": "ramp", "heading_deg": 0.0}, context(axes=axes), "`heading_deg` = 0 needs a"),
-        ("rampe", context(), r"unknown spoofer 'rampe'; valid: .*did you mean 'ramp'"),
-        ({"name": "ramp", "rate": 1.0}, context(), "no setting 'rate'; valid: heading_deg, rate"),
     ):
         with pytest.raises(ValueError, match=message):
             make_spoofer(spec).bind(told)
@@ -159,7 +141,7 @@ def test_what_the_attack_does_not_allow_is_refused_with_both_names() -> None:
 
 @pytest.mark.parametrize("name", sorted(SPOOFERS))
 @pytest.mark.parametrize("control", ["rate", "acceleration"])
-def test_the_range_of_a_search_can_be_bound(name: str, control: str) -> None:
+def test_the_range_of_a_search_can_be_bound(name, control):
     kind, told = SPOOFERS[name], context(control)
     if kind.tunable is None:
         with pytest.raises(ValueError, match="has no setting to tune"):

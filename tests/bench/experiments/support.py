@@ -10,14 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from spoofgym.bench.experiments import (
-    Cell,
-    Experiment,
-    Interrupted,
-    Result,
-    Store,
-    run_experiment,
-)
+from spoofgym.bench.experiments import Cell, Experiment, Interrupted, Result, Store, run_experiment
 
 
 @dataclass(frozen=True)

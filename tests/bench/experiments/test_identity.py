@@ -44,7 +44,6 @@ def in_new_process():
     ("old", "new", "counts"),
     [
         ('"""Its area."""', '"""Area of a circle."""', False),
-        ('        """Its area."""\n', "", False),
         ('"""A module."""', "# a comment\n", False),
         ('    """A circle."""\n', "", False),
         ("math.pi * r**2  # not Indiana's", "(math.pi\n            * r ** 2)", False),
