@@ -30,17 +30,18 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text())
 
 
-def imported(tree: ast.AST, path: Path) -> Iterator[tuple[str, list[str]]]:
+@cache
+def imports_of(path: Path) -> list[tuple[str, list[str]]]:
     """Absolute name and imported names of every import of a file."""
-    package = ("spoofgym", *path.relative_to(ROOT).parent.parts)
-    for node in ast.walk(tree):
+    package, found = ("spoofgym", *path.relative_to(ROOT).parent.parts), []
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield alias.name, []
+            found += [(alias.name, []) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else ()
             module = ".".join((*base, *(node.module or "").split("."))).strip(".")
-            yield module, [alias.name for alias in node.names]
+            found.append((module, [alias.name for alias in node.names]))
+    return found
 
 
 def modules() -> Iterator[ModuleType]:

@@ -31,7 +31,7 @@ def test_numba_is_used_by_the_one_decorator_alone():
     users = {
         sources.name_of(path)
         for path in sources.files()
-        for name, _ in sources.imported(sources.tree_of(path), path)
+        for name, _ in sources.imports_of(path)
         if name.split(".")[0] == "numba"
     }
     assert users <= OF_NUMBA
@@ -43,7 +43,7 @@ def test_compiled_functions_stand_in_compiled_layers_and_decorators_are_bare():
         where, text = sources.name_of(path), path.read_text().replace("spoofgym.core.compile", "")
         takes = {
             name
-            for module, names in sources.imported(sources.tree_of(path), path)
+            for module, names in sources.imports_of(path)
             if module == "spoofgym.core.compile"
             for name in names
         }
@@ -64,7 +64,7 @@ def test_compiled_layers_import_only_from_those_whose_sources_count():
         if layer is None:
             continue
         counted = {*PLAIN, *FOUNDATION, *COMPILED_LAYERS[: layer + 1]}
-        for module, names in sources.imported(sources.tree_of(path), path):
+        for module, names in sources.imports_of(path):
             package = module.split(".")
             if package[0] == "spoofgym" and where not in BRIDGES:
                 assert {*(package[1:2] or names)} <= counted, (where, module)

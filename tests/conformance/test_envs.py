@@ -1,7 +1,7 @@
 """One matrix: every id, in every form that it has, keeps every contract.
 
 The forms are the single environment, the vector one in its three autoreset modes, the adapter for
-stable-baselines3, and the duel's two; the contracts are those of Gymnasium's checkers, determinism,
+stable-baselines3; the contracts are those of Gymnasium's checkers, determinism,
 pickling within an episode, that receiver i is the single environment seeded ``seed + i``, and that
 a spec goes through JSON and makes the same environment again.
 """
@@ -12,6 +12,7 @@ import pickle
 import subprocess
 import sys
 from copy import deepcopy
+from functools import cache
 
 import gymnasium as gym
 import numpy as np
@@ -22,13 +23,10 @@ from gymnasium.vector import AutoresetMode
 
 from tests.nightly import heavy
 
-from ..duel.support import ONE_SKY
 from ..envs.players import (
     COUNT,
-    DUELS,
     IDS,
     MODES,
-    SHORT,
     SMALL_IDS,
     VICTIM_IDS,
     Player,
@@ -77,12 +75,15 @@ def small_variants(name):
     """The like, of a small id."""
     domain, interval = SMALL_DOMAINS[name], INTERVALS.get(name, 1.0)
     return {
-        "twin": {"twin": True},
-        "watch": {"watch": ["never", "never"], "end_at_alarm": False},
-        "domain": {"domain": domain, "target_heading_deg": "random"},
-        "oracle": {"knowledge": "oracle"},
-        "worst": {"target_heading_deg": "worst", "twin": True},
-        "interval": {"decision_interval_s": 2.0 * interval, "between": "linear"},
+        "worst": {
+            "target_heading_deg": "worst",
+            "twin": True,
+            "watch": ["never", "never"],
+            "end_at_alarm": False,
+            "knowledge": "oracle",
+            "decision_interval_s": 2.0 * interval,
+            "between": "linear",
+        },
         "all": {
             "twin": True,
             "watch": ["never"],
@@ -98,27 +99,21 @@ def small_variants(name):
 
 
 VARIED = [
-    *(pytest.param(MAIN, kwargs, id=word) for word, kwargs in MAIN_VARIANTS.items()),
-    *(
-        pytest.param(name, kwargs, id=f"{name[9:-3]}-{word}")
-        for name in SMALL_IDS
-        for word, kwargs in small_variants(name).items()
-    ),
+    *((MAIN, word, kwargs) for word, kwargs in MAIN_VARIANTS.items()),
+    *((name, *variant) for name in SMALL_IDS for variant in small_variants(name).items()),
 ]
 CODE_IDS = [name for name in IDS if "/Bench" not in name]
 """Ids that differ in code; a task is one of them at other settings, which is made and played."""
-every_id = pytest.mark.parametrize("name", IDS)
+TASKS = [name for name in IDS if name not in CODE_IDS]
+ROUTINE = ("spoofgym/BenchD1-v1", "spoofgym/BenchT3-v1")
+"""A task of each side that does not wait for the nightly tests to be played at full size."""
 every_code = pytest.mark.parametrize("name", CODE_IDS)
-every_victim = pytest.mark.parametrize("name", VICTIM_IDS)
-every_variant = pytest.mark.parametrize(("name", "kwargs"), VARIED)
-every_form = pytest.mark.parametrize(
-    ("name", "form"), [(name, form) for name in CODE_IDS for form in forms_of(name)]
+some_codes = pytest.mark.parametrize("name", [MAIN, "spoofgym/DetectorView-v0"])
+every_variant = pytest.mark.parametrize(
+    ("name", "kwargs"),
+    [pytest.param(name, kwargs, id=f"{name[9:-3]}-{word}") for name, word, kwargs in VARIED],
 )
-every_mode = pytest.mark.parametrize("mode", MODES)
-every_duel = pytest.mark.parametrize("form", DUELS)
-some_duels = pytest.mark.parametrize(
-    "kwargs", [MAIN_VARIANTS["domain"], {"attack": "tracking-1m"}], ids=["domain", "tracking"]
-)
+FORMS = [(name, form) for name in CODE_IDS for form in forms_of(name)]
 
 
 def enough(env):
@@ -131,6 +126,10 @@ def rewards(rows):
     return [[each["reward"] for each in row if "reward" in each] for row in rows]
 
 
+def seen_and_paid(rows):
+    return [[(each["seen"].tolist(), each.get("reward")) for each in row] for row in rows]
+
+
 def passed_an_end(rows):
     return all(any("reward" not in each for each in row[1:]) for row in rows)
 
@@ -138,18 +137,22 @@ def passed_an_end(rows):
 # --- checkers --------------------------------------------------------------------------------
 
 
-@every_id
-def test_gymnasium_check_env(name):
+def check(name, kwargs):
     # a warning is an error here, so that the advice of the checker counts, too;
     # pictures are checked in `tests/envs/rendering`
-    env = gym.make(name, **short(name)).unwrapped
+    env = gym.make(name, **short(name, **kwargs)).unwrapped
     assert env.spec is not None
     check_env(env, skip_render_check=True)
 
 
+@every_code
+def test_gymnasium_check_env(name):
+    check(name, {})
+
+
 @every_variant
 def test_gymnasium_check_env_at(name, kwargs):
-    check_env(gym.make(name, **short(name, **kwargs)).unwrapped, skip_render_check=True)
+    check(name, kwargs)
 
 
 @every_code
@@ -159,13 +162,13 @@ def test_stable_baselines3_check_env(name):
 
 
 @every_code
-@every_mode
+@pytest.mark.parametrize("mode", MODES)
 def test_spaces_types_and_masks_of_a_vector_env(name, mode):
     envs = make(name, mode, **early(name))
     assert envs.metadata["autoreset_mode"] == AutoresetMode[mode.upper()]
     observation, info = envs.reset(seed=4)
     rng, ended, held = np.random.default_rng(0), np.zeros(COUNT, dtype=int), []
-    for _ in range(2 * enough(envs)):
+    for _ in range(enough(envs)):
         held.append((observation, observation.copy()))
         assert envs.observation_space.contains(observation)
         assert observation.dtype == np.float32
@@ -183,105 +186,90 @@ def test_spaces_types_and_masks_of_a_vector_env(name, mode):
         if mode == "disabled" and over.any():
             observation, info = envs.reset(options={"reset_mask": over})
             np.testing.assert_array_equal(info["_time_s"], over)
-    assert ended.min() >= 2
+    assert ended.min() >= 1
     for given, kept in held:  # nothing that was handed out is written again
         np.testing.assert_array_equal(given, kept)
 
 
-@pytest.mark.parametrize("name", [name for name in IDS if name not in CODE_IDS])
+@pytest.mark.parametrize("name", TASKS)
 def test_a_task_plays_in_every_form_alike(name):
+    forms = {*forms_of(name)} - {"next_step", "disabled"}  # which do not depend on the id
     first, *others = (
-        Player(make(name, form, **early(name)), form).begin(5).go(2) for form in forms_of(name)
+        Player(make(name, form, **early(name)), form).begin(5).go(2) for form in sorted(forms)
     )
     for found in others:
         np.testing.assert_allclose(rewards(found)[0], rewards(first)[0], rtol=1e-6)
 
 
-# --- determinism and pickling ----------------------------------------------------------------
+# --- determinism, pickling, and receivers of a batch ------------------------------------------
 
 
-@every_form
-def test_a_seed_tells_all_that_happens(name, form):
-    player = Player(make(name, form, **early(name)), form)
-    steps = enough(player.env)
-    first = player.begin(5).go(steps)
-    assert passed_an_end(first)
-    assert_same(first, player.begin(5).go(steps), name)
-    assert rewards(first) != rewards(player.begin(50).go(steps))
+@pytest.mark.parametrize(("name", "form"), FORMS)
+def test_a_seed_tells_all_that_happens_and_copies_go_on_within_an_episode(name, form):
+    player = Player(make(name, form, **early(name)), form).begin(5)
+    steps, first = enough(player.env), player.go(3)
+    copies = {"unpickled": pickle.loads(pickle.dumps(player)), "copied": deepcopy(player)}
+    later = player.go(steps)
+    assert passed_an_end(later)
+    for word, copy in copies.items():
+        assert_same(later, copy.go(steps), word)
+    player.begin(5)
+    assert_same([first, later], [player.go(3), player.go(steps)], "again")
+    other = player.begin(50).go(3)
+    assert seen_and_paid(first) != seen_and_paid(other)
 
 
-@every_form
-def test_an_unfinished_episode_survives_pickling(name, form):
-    pickled(name, form, **early(name))
-
-
-@every_variant
-def test_an_unfinished_episode_survives_pickling_at(name, kwargs):
-    pickled(name, "same_step", **short(name, **kwargs))
-
-
-def pickled(name, form, **settings):
-    player = Player(make(name, form, **settings), form)
-    player.begin(5).go(3)
-    copies = pickle.loads(pickle.dumps(player)), deepcopy(player)
-    steps = enough(player.env)
-    mine = player.go(steps)
-    for each in copies:
-        assert_same(mine, each.go(steps), name)
-    assert passed_an_end(mine)
-
-
-@every_duel
-@some_duels
-def test_a_duel_is_told_by_its_seed_and_survives_pickling(form, kwargs):
-    player = Player(make("", form, **{"timeline": SHORT, "domain": ONE_SKY, **kwargs}), form)
-    first = player.begin(6).go(5)
-    assert_same(first, player.begin(6).go(5), form)
-    copy = pickle.loads(pickle.dumps(player))
-    assert_same(player.go(30), copy.go(30), form)
-
-
-# --- receivers of a batch --------------------------------------------------------------------
-
-
-def assert_receivers_are_single(name, form, **settings):
-    """Observations, rewards, ends and information over autoresets, to the last bit."""
-    player = Player(make(name, form, **settings), form).begin(20)
-    steps = 2 * enough(player.env)
-    many, alone = player.go(steps), []
+@cache
+def alone(name):
+    """What single environments go through, beyond the ends of their first episodes."""
+    rows = []
     for i in range(COUNT):
-        single = Player(make(name, "single", **settings), "single", first=i)
-        alone += single.begin(20 + i).go(steps)
-    assert passed_an_end(alone)
-    if form == "SB3":  # its rewards are single, its first observations without information
-        for each in (each for row in alone for each in row):
-            if "reward" in each:
-                each["reward"] = np.float32(each["reward"])
-            else:
-                each["info"] = None
-    assert_same(many, alone, f"{name} {form}")
+        player = Player(make(name, "single", **early(name)), "single", first=i).begin(20 + i)
+        rows += player.go(enough(player.env) + 8)
+    assert passed_an_end(rows)
+    return rows
 
 
-@pytest.mark.parametrize(
-    ("name", "form"),
-    [(name, form) for name in CODE_IDS for form in forms_of(name) if form != "single"],
-)
+@pytest.mark.parametrize(("name", "form"), [each for each in FORMS if each[1] != "single"])
 def test_every_receiver_of_a_batch_is_the_single_env(name, form):
-    assert_receivers_are_single(name, form, **early(name))
+    """Observations, rewards, ends and information over autoresets, to the last bit."""
+    player, expected = Player(make(name, form, **early(name)), form).begin(20), alone(name)
+    if form == "SB3":  # its rewards are single, its first observations without information
+        expected = [
+            [
+                {**each, "reward": np.float32(each["reward"])}
+                if "reward" in each
+                else {**each, "info": None}
+                for each in row
+            ]
+            for row in expected
+        ]
+    assert_same(player.go(enough(player.env) + 8), expected, f"{name} {form}")
 
 
 @every_variant
-def test_every_receiver_of_a_batch_is_the_single_env_at(name, kwargs):
-    assert_receivers_are_single(name, "same_step", **short(name, **kwargs))
+def test_at_other_settings_a_batch_survives_pickling_and_is_what_the_spec_makes(name, kwargs):
+    settings = json.loads(json.dumps(short(name, **kwargs)))
+    player = Player(make(name, "same_step", **settings), "same_step").begin(20)
+    steps, first = enough(player.env), player.go(3)
+    copy = pickle.loads(pickle.dumps(player))
+    later = player.go(steps)
+    assert passed_an_end(later)
+    assert_same(later, copy.go(steps), "unpickled")
+    for i in range(COUNT):
+        env = remade(make(name, "single", **settings))
+        single = Player(env, "single", first=i).begin(20 + i)
+        assert_same([first[i]], single.go(3), f"receiver {i}")
+        assert_same([later[i]], single.go(steps), f"receiver {i}, later")
 
 
-@pytest.mark.parametrize("kwargs", MAIN_VARIANTS.values(), ids=MAIN_VARIANTS)
-def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(kwargs):
-    kwargs = short(MAIN, autoreset_mode="same_step", **kwargs)
+@pytest.mark.parametrize("word", ["oracle", "tracking-1m", "meaconer", "per channel", "all"])
+def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(word):
+    kwargs = short(MAIN, autoreset_mode="same_step", **MAIN_VARIANTS[word])
     few = gym.make_vec(MAIN, num_envs=3, threads=1, **kwargs)
     many = gym.make_vec(MAIN, num_envs=19, threads=2, **kwargs)
     np.testing.assert_array_equal(few.reset(seed=20)[0], many.reset(seed=4)[0][16:])
-    for k in range(25):
+    for k in range(12):
         action = trajectories.action_at(k, many.action_space.shape)
         mine, theirs = few.step(action[16:]), many.step(action)
         for one, other in zip(mine[:4], theirs[:4], strict=True):
@@ -291,11 +279,11 @@ def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(kwargs):
 # --- specs -----------------------------------------------------------------------------------
 
 
-@every_id
-def test_the_spec_of_an_id_goes_through_json(name):
-    spec = gym.spec(name)
-    assert spec.max_episode_steps is None
-    assert EnvSpec.from_json(spec.to_json()) == spec
+def test_the_spec_of_every_id_goes_through_json():
+    for name in IDS:
+        spec = gym.spec(name)
+        assert spec.max_episode_steps is None
+        assert EnvSpec.from_json(spec.to_json()) == spec
 
 
 def remade(env):
@@ -305,12 +293,11 @@ def remade(env):
 
 
 @every_code
-@pytest.mark.parametrize("form", ["single", *MODES])
+@pytest.mark.parametrize("form", ["single", "same_step"])
 def test_a_spec_makes_the_same_environment_again(name, form):
     """To the last step: with an episode's length as its limit a `TimeLimit` would truncate it."""
     # an alarm ends no episode, but where the detector learns
-    detects = "DetectorView" in name or "BenchD" in name
-    lasting = {} if detects else {"end_at_alarm": False}
+    lasting = {} if "DetectorView" in name else {"end_at_alarm": False}
     env = make(name, form, **json.loads(json.dumps(short(name, **lasting))))
     again = remade(remade(env))
     steps = env.unwrapped.core.episode_steps
@@ -319,9 +306,6 @@ def test_a_spec_makes_the_same_environment_again(name, form):
         assert "TimeLimit" not in str(env)
         assert "TimeLimit" in str(again)
         assert gym.make_vec(env.spec, num_envs=2).spec.max_episode_steps == steps + 1
-    else:
-        assert again.spec == env.spec
-        assert again.metadata["autoreset_mode"] == AutoresetMode[form.upper()]
     mine, theirs = (Player(each, form, push=0.0).begin(3).go(2 * steps) for each in (env, again))
     assert_same(mine, theirs, name)
     for row in mine:
@@ -330,24 +314,21 @@ def test_a_spec_makes_the_same_environment_again(name, form):
         ends = [k for k, each in enumerate(taken, 1) if each["terminated"]]
         assert max(np.diff([0, *ends])) == steps
         assert ends == [steps, 2 * steps] or not lasting
-
-
-@every_variant
-def test_a_spec_makes_the_same_environment_again_at(name, kwargs):
-    env = make(name, "single", **json.loads(json.dumps(short(name, **kwargs))))
-    mine, theirs = (Player(each, "single").begin(3).go(5) for each in (env, remade(env)))
-    assert_same(mine, theirs, name)
-
-
-@every_code
-def test_a_limit_that_would_cut_an_episode_is_refused(name):
-    steps = gym.make(name, **short(name)).unwrapped.core.episode_steps
-    for limit in (steps, 1.5):
+    for limit in (steps, 1.5):  # which would cut an episode
         with pytest.raises(ValueError, match=rf"`max_episode_steps` must be .* got {limit}"):
             gym.make_vec(name, num_envs=2, max_episode_steps=limit, **short(name))
 
 
-@every_code
+@some_codes
+@pytest.mark.parametrize("mode", MODES)
+def test_the_spec_of_a_vector_environment_keeps_its_mode(name, mode):
+    envs = make(name, mode, **short(name))
+    again = remade(envs)
+    assert again.spec == envs.spec
+    assert again.metadata["autoreset_mode"] == AutoresetMode[mode.upper()]
+
+
+@some_codes
 def test_a_seed_may_be_one_of_numpy(name):
     env, envs = gym.make(name, **short(name)), gym.make_vec(name, num_envs=2, **short(name))
     expected = env.reset(seed=3)[0]
@@ -362,7 +343,7 @@ def test_a_seed_may_be_one_of_numpy(name):
 
 # --- processes -------------------------------------------------------------------------------
 
-SOME = ("DetectorView-v0", "LooselyCoupled-v0", "RandomStart-v0", "Snapshot-v0", "duel_v0-aec")
+SOME = ("LooselyCoupled-v0", "RandomStart-v0", "duel_v0-aec")
 REMOTE = """
 import sys
 from spoofgym.detectors import calibrated
@@ -404,7 +385,7 @@ def test_processes_of_async_vector_env_after_threads_in_the_parent():
 
 
 @pytest.mark.usefixtures("default_rate")
-@pytest.mark.parametrize("name", heavy(IDS, "spoofgym/BenchD2-v1", "spoofgym/BenchT4-v1"))
+@pytest.mark.parametrize("name", heavy(IDS, *(each for each in TASKS if each not in ROUTINE)))
 def test_it_plays_as_users_have_it(name):
     """With the detector that it has by default, at the rate that is shipped."""
     env = gym.make(name)

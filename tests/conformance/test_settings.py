@@ -25,8 +25,7 @@ RECORDS = sorted(
     },
     key=lambda kind: f"{kind.__module__}.{kind.__qualname__}",
 )
-CASES = [(kind, name) for kind in RECORDS for name in list_declarations(kind)]
-IDS = [f"{kind.__name__}-{name}" for kind, name in CASES]
+every_record = pytest.mark.parametrize("kind", RECORDS, ids=lambda kind: kind.__name__)
 
 
 def bad_numbers(declared, whole):
@@ -77,40 +76,28 @@ def example_of(kind):
     return kind()
 
 
-@pytest.mark.parametrize(("kind", "name"), CASES, ids=IDS)
-def test_what_is_not_valid_is_refused_by_name_and_value(kind, name):
-    declared, annotation = list_declarations(kind)[name]
+@every_record
+def test_what_is_not_valid_is_refused_by_name_and_value(kind):
     example = example_of(kind)
-    for bad in bad_values(declared, annotation):
-        with pytest.raises(ValueError, match=f"^`{name}` must be ") as raised:
-            dataclasses.replace(example, **{name: bad})
-        said = str(raised.value)
-        assert said.startswith(f"`{name}` must be {declared.valid(annotation)}, got {bad!r}")
+    for name, (declared, annotation) in list_declarations(kind).items():
+        for bad in bad_values(declared, annotation):
+            with pytest.raises(ValueError, match=f"^`{name}` must be ") as raised:
+                dataclasses.replace(example, **{name: bad})
+            said = str(raised.value)
+            assert said.startswith(f"`{name}` must be {declared.valid(annotation)}, got {bad!r}")
 
 
-@pytest.mark.parametrize(("kind", "name"), CASES, ids=IDS)
-def test_bounds_that_are_included_are_valid(kind, name):
-    declared, annotation = list_declarations(kind)[name]
-    bounds, kinds = declared, set(split_union(annotation))
-    numbers = [each for each in (bounds.least, bounds.most) if each is not None]
-    if {"int", "float"} & kinds:
-        for value in [*numbers, *map(np.float64, numbers)]:
-            declared.check(name, value, annotation)
-    for word in bounds.one_of:
-        declared.check(name, word, annotation)
-    if "None" in kinds:
-        declared.check(name, None, annotation)
-
-
-@pytest.mark.parametrize("kind", RECORDS, ids=lambda kind: kind.__name__)
-def test_defaults_are_valid_and_documented(kind):
-    for each in dataclasses.fields(kind):
-        if "setting" in each.metadata and each.default is not dataclasses.MISSING:
-            declared, annotation = list_declarations(kind)[each.name]
-            declared.check(each.name, each.default, annotation)
+@every_record
+def test_bounds_that_are_included_and_defaults_are_valid_and_documented(kind):
     text = inspect.getdoc(kind)
-    for name, (declared, _) in list_declarations(kind).items():
+    for name, (declared, annotation) in list_declarations(kind).items():
+        kinds = set(split_union(annotation))
+        numbers = [each for each in (declared.least, declared.most) if each is not None]
+        fine = [*numbers, *map(np.float64, numbers)] if {"int", "float"} & kinds else []
+        fine += [*declared.one_of, *([None] if "None" in kinds else [])]
+        default = kind.__dataclass_fields__[name].default
+        for value in fine if default is dataclasses.MISSING else [*fine, default]:
+            declared.check(name, value, annotation)
         assert f"\n{name} : " in text
-        assert declared.help
-        assert declared.help[0].isupper()
-        assert declared.help.endswith(".")
+        assert declared.help[0].isupper(), name
+        assert declared.help.endswith("."), name

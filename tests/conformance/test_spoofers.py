@@ -73,7 +73,7 @@ class Follower(Spoofer):
 
 def odd(**changes):
     """A follower that says something else of itself."""
-    return type("Odd", (Follower,), changes)
+    return type("Odd", (Follower,), changes)()
 
 
 class Blind(Follower):
@@ -128,18 +128,9 @@ class KeepsTheObservation(Follower):
         return np.nan_to_num(super().act(later), nan=0.5)
 
 
-class ForgetsAll(Follower):
-    def reset(self, mask=None):
-        super().reset(None)
-
-
 def write(spoofer, observation, action):
     observation[observation > 1.0] = 1.0
     return action
-
-
-def roll_dice(spoofer, observation, action):
-    return action + 0.0 * np.random.random()  # noqa: NPY002 - what nobody may do
 
 
 CHANGES = {
@@ -153,9 +144,7 @@ CHANGES = {
     "unbounded": (lambda s, o, a: 0.0 * a + 1.5, r"finite and within \[-1, 1\], got 1.5"),
     "NaN": (lambda s, o, a: a * np.nan, r"finite and within \[-1, 1\], got nan"),
     "its memory": (lambda s, o, a: s.memory["mean"], r"is \(part of\) `memory\['mean'\]`"),
-    "an average": (lambda s, o, a: 0.1 * a + 0.1 * a.mean(axis=0), "among 1 and among 5 receivers"),
     "writes": (write, "the spoofer writes into its observation"),
-    "global dice": (roll_dice, "uses the global random numbers"),
 }
 
 
@@ -170,22 +159,16 @@ class Changed(Follower):
         return CHANGES[self.name][0](self, observation, super().act(observation))
 
 
-@pytest.mark.parametrize("name", CHANGES)
-def test_a_wrong_action_is_caught(name):
-    with pytest.raises(AssertionError, match=CHANGES[name][1]):
-        check_spoofer(Changed(name))
-
-
 @pytest.mark.parametrize(
-    ("kind", "said"),
+    ("spoofer", "said"),
     [
+        *((Changed(name), said) for name, (_, said) in CHANGES.items()),
         (odd(knowledge="everything"), "knowledge` must be one of 'blind', 'tracking', 'oracle'"),
         (odd(tunable="speed"), "tunable` must name a setting that is a number"),
         (odd(tuning_range=lambda context: (0.0, 0.0)), "two numbers, 0 < low < high, got 0.0 and"),
-        (KeepsTheObservation, "valid during `act` only"),
-        (ForgetsAll, "A reset of some receivers must leave the others alone"),
+        (KeepsTheObservation(), "valid during `act` only"),
     ],
 )
-def test_a_broken_spoofer_is_caught(kind, said):
+def test_a_broken_spoofer_is_caught(spoofer, said):
     with pytest.raises(AssertionError, match=said):
-        check_spoofer(kind())
+        check_spoofer(spoofer)

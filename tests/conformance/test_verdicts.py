@@ -191,18 +191,6 @@ def test_a_duel_takes_no_decision_that_is_no_number():
         view.core.duel.decide(action)
 
 
-def test_a_frozen_policy_is_checked_as_any_detector():
-    class NoNumber(duel_v0.DetectorPolicy):
-        """Does without the check of decisions that the policies of this package make."""
-
-        def decide(self, observation):
-            return np.full((len(observation), len(self.context.action_names)), np.nan)
-
-    detector = duel_v0.PolicyDetector(policy=NoNumber(), threshold=0.2)
-    with pytest.raises(ValueError, match=r"^PolicyDetector, epoch at .* `statistic` .* got nan"):
-        list(SIMULATIONS["several"][1](detector))
-
-
 def test_the_weights_of_an_update_are_checked_whoever_gives_them():
     setup = small_suite(Wrong()).setup(small_suite(Wrong()).detector_players[0])
     engine = Engine(B, setup, threads=1)

@@ -43,13 +43,6 @@ def test_neither_side_gains_by_leaving_a_random_game(seed):
     assert payoff.max(axis=0).min() >= found.value - 1e-6 * size
 
 
-def test_two_by_two_games_agree_with_every_mix_of_a_fine_grid():
-    p = np.linspace(0.0, 1.0, 20_001)
-    for payoff in np.random.default_rng(100).uniform(size=(20, 2, 2)):
-        sure = (np.column_stack([p, 1.0 - p]) @ payoff).min(axis=1).max()
-        assert solve(payoff).value == pytest.approx(sure, abs=1e-4)
-
-
 def test_value_moves_with_the_payoffs():
     payoff = np.random.default_rng(5).uniform(size=(4, 3))
     plain, moved = solve(payoff), solve(3.0 * payoff - 2.0)

@@ -20,7 +20,8 @@ from spoofgym.simulation.setup import SPLITS
 from spoofgym.spoofers import Ramp, make_spoofer
 from spoofgym.spoofers.learned import ModelPolicy
 
-SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
+from .support import BRIEF, SHORT
+
 NOMINAL = {"thresholds": "nominal"}
 CHI2 = {"name": "snapshot-chi2", **NOMINAL}
 CUSUM = {"name": "cusum", "signals": "range_rate", **NOMINAL}
@@ -113,7 +114,7 @@ def test_an_equilibrium_is_a_pool_for_both_sides(played):
     pool = json.loads(json.dumps(detectors.pool()))
     assert len(make_detector(pool).judges) == len(detectors.members)
     given = json.loads(json.dumps(spoofers.pool()))
-    view = duel_v0.DetectorView(**given, timeline=SHORT, target_heading_deg=90.0)
+    view = duel_v0.DetectorView(**given, **BRIEF, target_heading_deg=90.0)
     view.reset(seed=1)
     view.close()
     assert json.dumps(matrix.as_json(), allow_nan=False)

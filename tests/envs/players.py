@@ -124,8 +124,7 @@ class Player:
         self.told = [0] * self.count
         self.steps = np.zeros(self.count, dtype=int)
         self.due, self.over = np.zeros_like(self.steps), np.zeros(self.count, dtype=bool)
-        kinds = {"single": self._single, "SB3": self._adapted}
-        self.advance = self._vector if form in MODES else kinds.get(form, self._duel)
+        self.advance = {"single": self._single, "SB3": self._adapted}.get(form, self._vector)
 
     def begin(self, seed: int) -> Player:
         """Start the first episode of a seed."""
@@ -137,12 +136,10 @@ class Player:
             observation, info = self.env.reset(seed=seed)
             for i in range(self.count):
                 self._start(i, observation[i], of_row(info, i))
-        elif self.form == "SB3":
+        else:
             self.env.seed(seed)
             for i, observation in enumerate(self.env.reset()):
                 self._start(i, observation, None)
-        else:
-            self.env.reset(seed=seed)
         return self
 
     def go(self, steps: int) -> list[list[dict[str, Any]]]:
@@ -212,24 +209,6 @@ class Player:
             self._step(i, last, reward[i].item(), (over[i] and not truncated, truncated), info)
             if over[i]:
                 self._start(i, seen[i], None)
-
-    def _duel(self) -> None:
-        """One step of both agents; what they get is one row."""
-        env, k = self.env, int(self.steps[0])
-        if self.form == "parallel duel":
-            result = env.step({a: action_of(0, k, env.action_space(a).shape) for a in env.agents})
-            told = {agent: [part[agent] for part in result] for agent in result[0]}
-        else:
-            told = {}
-            for agent in list(env.agents):
-                told[agent] = list(env.last())
-                over = told[agent][2] or told[agent][3]
-                shape = env.action_space(agent).shape
-                env.step(None if over else action_of(0, k, shape))
-        self.rows[0].append({"reward": {a: part[1] for a, part in told.items()}, "info": told})
-        self.steps[0] += 1
-        if not env.agents:
-            env.reset()
 
 
 def of_row(info: dict[str, Any], i: int) -> dict[str, Any]:

@@ -84,13 +84,6 @@ def test_own_reward_terms_and_a_price_of_an_alarm():
     assert not any(name in info for name in ("reward_retraction", "reward_alarm"))
 
 
-def test_the_target_direction_counts(kind):
-    east = play(kind, Never(), target_heading_deg=90.0)[0]
-    west = play(kind, Never(), target_heading_deg=270.0)[0]
-    np.testing.assert_allclose(east, -west, atol=1e-9)
-    assert east[-1] > 1.0
-
-
 class AlarmOfMoved(AlarmAt):
     """Alarms at one epoch for every receiver, at an earlier one for those that are spoofed."""
 

@@ -10,7 +10,6 @@ from spoofgym.envs.terms.reward import AlarmPenalty
 from .support import VICTIMS, single, vector, victim, victims
 
 TIGHT, LOOSE, SNAPSHOT, ROBOT = VICTIMS
-SATELLITES = "measures satellites, but the receiver measures position"
 LONG = {"name": "windowed-chi2", "window": 5000}
 GRADES = {"receiver": {"grade": "tactical"}, "domain": {"imu": ["consumer"]}}
 LIMITS = {"action": "along-target", "rate_limit_mps": [5.0, 2.0, 5.0, 5.0]}
@@ -64,8 +63,6 @@ NO_FILTER = (
         (LOOSE, {"action": "common-offset"}, "per channel, 'per-channel', got 'loose'"),
         (SNAPSHOT, LIMITS, "needs the same limit north and east, got 5 and 2"),
         # what a victim does not have
-        (ROBOT, {"watch": "ewma"}, f"Ewma {SATELLITES}"),
-        (LOOSE, {"detector": "raim"}, f"Raim {SATELLITES}"),
         (SNAPSHOT, {"watch": ["never", "rio"]}, "Rio needs .*, which a snapshot receiver does"),
         (ROBOT, {"observation": "satellite-geometry"}, "a wheeled robot has no satellites"),
         (SNAPSHOT, {"end": {"name": "at-stealth-budget", "budget_nats": 2.0}}, NO_FILTER),
