@@ -13,8 +13,11 @@ NAMES = [name for name, kind in DETECTORS.items() if kind.measures != "position"
 
 @pytest.fixture(scope="module", params=NAMES)
 def engine(request):
+    kind = DETECTORS[request.param]
     spec = {"name": request.param}
-    if DETECTORS[request.param].oracle:
+    if kind.calibrates:  # no calibration has this world
+        spec["thresholds"] = "nominal"
+    if kind.oracle:
         spec["onset_s"] = 200.0
     scenario = {"name": "zhong2025", "epoch_interval_s": 1.0}
     made = Engine(RECEIVERS, TightlyCoupledSetup(scenario=scenario, detector=spec), threads=1)
