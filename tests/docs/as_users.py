@@ -60,6 +60,7 @@ SMALLER: dict[str, tuple[str | None, str]] = {
         f"--detector ewma {CAMPAIGN}",
         "1000 runs against every detector",
     ),
+    r"spoofgym bench --detector guard\.onnx ": (CAMPAIGN, "most of an hour"),
     r"spoofgym bench --suite standard$": (
         f"--detector ewma {CAMPAIGN}",
         "searches against every detector, two minutes each",
