@@ -28,6 +28,8 @@ BESIDE = {
 """Commands that a page gives but for the words that do not change."""
 LEARNING = "--steps 200 --num-envs 4 --batch-size 400 --stages 1 --fit-runs 80 --runs 20 --rivals"
 CAMPAIGN = "--seeds 8 --training-seeds 80 --selection-seeds 12"
+ELSEWHERE = '--out "$(mktemp -d)"'
+"""Folder of a campaign that a sentence names as the origin of its figures."""
 PROTECTION = "--seeds 8 --selection-seeds 4"
 SMALLER: dict[str, tuple[str | None, str]] = {
     r"pip install ": (None, "the tests' environment has them; test_readme compares the extras"),
@@ -57,12 +59,12 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     r"python -m tools\.task_cards ": (None, "hours; tests/tools plays it small"),
     r"python -m tools\.detector_cards ": (None, "over an hour; tests/tools plays it small"),
     r"spoofgym bench --detector all ": (
-        f"--detector ewma {CAMPAIGN}",
+        f"--detector ewma {CAMPAIGN} {ELSEWHERE}",
         "1000 runs against every detector",
     ),
     r"spoofgym bench --detector guard\.onnx ": (CAMPAIGN, "most of an hour"),
     r"spoofgym bench --suite standard$": (
-        f"--detector ewma {CAMPAIGN}",
+        f"--detector ewma {CAMPAIGN} {ELSEWHERE}",
         "searches against every detector, two minutes each",
     ),
     r"spoofgym bench --track ": (f"--detector ewma {CAMPAIGN}", "a calibration for each detector"),

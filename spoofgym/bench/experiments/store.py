@@ -115,8 +115,10 @@ class Store:
         return dict(self._config["config"])
 
     def _content(self) -> list[str]:
+        """What the folder holds, but for folders of other experiments."""
         items = self.path.iterdir() if self.path.is_dir() else ()
-        return sorted(item.name for item in items if not item.name.endswith(".part"))
+        own = (item for item in items if not (item / CONFIG).is_file())
+        return sorted(item.name for item in own if not item.name.endswith(".part"))
 
     def _read_config(self, experiment: str | None = None) -> dict[str, Any]:
         """Configuration in the folder, of this format; raises where it is of another experiment."""

@@ -245,3 +245,9 @@ def test_a_reader_has_finished_cells_alone(opened):
         reader["b"]
     with pytest.raises(KeyError, match=r"not among the cells.*'a', 'b'"):
         reader["c"]
+
+
+def test_a_folder_may_hold_those_of_other_experiments(tmp_path):
+    Store(tmp_path / "detectors").open("words", {})
+    Store(tmp_path).open("numbers", {"size": 3})
+    assert (tmp_path / "detectors" / "config.json").is_file()
