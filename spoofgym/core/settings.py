@@ -186,8 +186,11 @@ def _list_imports(source: bytes, package: str) -> Iterator[str]:
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            parts = package.split(".")[: len(package.split(".")) + 1 - node.level]
-            base = ".".join([*(parts if node.level else ()), *filter(None, [node.module])])
+            relative = "." * node.level + (node.module or "")
+            try:
+                base = importlib.util.resolve_name(relative, package)
+            except ImportError:  # beyond the top, where it would fail, too
+                continue
             names = [f"{base}.{alias.name}" for alias in node.names]
         else:
             continue

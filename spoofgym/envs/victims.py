@@ -374,5 +374,6 @@ class SpoofVectorEnv(CoreVectorEnv[SpoofCore]):
         super().__init__(core, autoreset_mode, infos, max_episode_steps)
 
 
+# for help(), editors and pages; to a type checker a class has no such attribute
 SpoofEnv.__signature__ = expand_signature(SpoofEnv)  # type: ignore[attr-defined]
 SpoofVectorEnv.__signature__ = expand_signature(SpoofVectorEnv)  # type: ignore[attr-defined]
