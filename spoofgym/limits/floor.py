@@ -62,6 +62,7 @@ from .linear import (
     record,
     record_from,
     respond,
+    run_to_onset,
     unit_commands,
     white,
 )
@@ -164,7 +165,7 @@ class Analyst:
             lost = (blind - simulator.memory["augmented_covariance"])[:, PLACE, PLACE]
             blocks.append(epoch.axes.transpose(0, 2, 1) @ lost @ epoch.axes)
 
-        simulator.run_filter_only(self.setup.onset)
+        run_to_onset(simulator)
         blind = simulator.memory["augmented_covariance"].copy()
         runs = record_from(simulator, look)
         coasting = np.stack(blocks, axis=1)

@@ -113,7 +113,7 @@ def record(
     """
     simulator = observer(setup, len(rngs))
     simulator.start_episodes(rngs, given)
-    simulator.run_filter_only(setup.onset)
+    run_to_onset(simulator)
     return [as_it_happens(run, setup.world) for run in record_from(simulator)]
 
 
@@ -159,6 +159,12 @@ def observer(
     bare_setup.fields = setup.fields | fields
     simulator: TightlyCoupledSimulator = bare_setup.simulator(receivers, run_serially)
     return simulator
+
+
+def run_to_onset(simulator: TightlyCoupledSimulator) -> None:
+    """Let filters run to their onsets."""
+    for part, epochs in simulator.ageing():
+        part.run_filter_only(epochs)
 
 
 def unused_seed(seed: np.random.SeedSequence) -> np.random.SeedSequence:

@@ -49,12 +49,13 @@ def record_run(
     position_e : ndarray
         (K, 3) estimated after every epoch, ECEF [m].
     """
-    count = setup.onset + setup.steps if epochs is None else epochs
-    check_number("epochs", count, least=1, most=setup.world.epochs - 1, whole=True)
     with_ranges = copy.copy(setup)
     with_ranges.fields = setup.fields.union(RANGES)
     victim = with_ranges.simulator(1, run_serially)
     victim.start_episodes([rng])
+    onset = int(victim.ages[0])
+    count = onset + setup.steps if epochs is None else epochs
+    check_number("epochs", count, least=1, most=setup.world.epochs - 1, whole=True)
     buffers, clock = victim.buffers, victim.buffers.fields["clock"][0]
     initial = NavState(
         position_e=buffers.position_e[0],
@@ -66,10 +67,10 @@ def record_run(
     parts = []
     for k in range(count):
         samples = _next_samples(victim)
-        if command is None or k < setup.onset:
+        if command is None or k < onset:
             epoch = victim.advance()
         else:
-            epoch = victim.predict(command(k - setup.onset))
+            epoch = victim.predict(command(k - onset))
         seen, measured = epoch.visible[0], (buffers.seen[name][0] for name in RANGES)
         sky = setup.world.satellites[int(victim.epochs[0])]
         ranges = [np.where(seen, each, np.nan) for each in measured]

@@ -147,7 +147,7 @@ class TightlyCoupledSetup(Setup):
 
     @property
     def onsets(self) -> NDArray[np.int64] | None:
-        if self.bounds.first != self.bounds.last:
+        if self.bounds.first != self.bounds.last or self.youngest != self.onset:
             return None
         epochs = np.arange(self.world.epochs)
         starts: NDArray[np.int64] = epochs - epochs % self.epochs_each
@@ -341,13 +341,11 @@ class TightlyCoupledSimulator(Simulator):
 
     def _draw_events(self, events: BenignEvents) -> None:
         setup, world, signals = self.setup, self.setup.world, self.sensors.signals
-        lasts = setup.live + setup.steps + setup.hold
         sky = setup.interval_s, world.visible, world.azimuth, world.elevation
-        for row in range(self.receivers):
-            first = int(self.onset[row]) - setup.live + 1
-            found = draw_events(
-                events, self.memory["key"][row], EventWindow(first, first + lasts - 1, *sky)
-            )
+        lasts = self.onset + setup.steps + setup.hold
+        for row, start in enumerate(self.memory["first"].tolist()):
+            window = EventWindow(start + setup.filter_only + 1, int(lasts[row]), *sky)
+            found = draw_events(events, self.memory["key"][row], window)
             for name, value in found.items():
                 signals.put(name, [row], value)
 
