@@ -81,6 +81,9 @@ class DetectorContext(NamedTuple):
         Error states of a tightly coupled filter, s of the fields of an epoch.
     min_satellites : int
         Fewest satellites with which a tightly coupled filter updates; with fewer it coasts.
+    inertial_states : int
+        Of `states` the first ones: of navigation, clock and inertial sensors.  The others are
+        errors of signals, which move no other state.
     """
 
     receivers: int
@@ -91,6 +94,7 @@ class DetectorContext(NamedTuple):
     single_epoch_sd: FloatArray | None = None
     states: int = STATES
     min_satellites: int = 4
+    inertial_states: int = STATES
 
 
 class Detector(ABC):
