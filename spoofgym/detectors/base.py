@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..core.compile import njit
 from ..core.memory import Memory
+from ..receiver.augmented import FIRST
 from ..receiver.epoch import OPTIONAL, Epoch, TracedEpoch
 from ..receiver.states import STATES
 
@@ -82,8 +83,8 @@ class DetectorContext(NamedTuple):
     min_satellites : int
         Fewest satellites with which a tightly coupled filter updates; with fewer it coasts.
     inertial_states : int
-        Of `states` the first ones: of navigation, clock and inertial sensors.  The others are
-        errors of signals, which move no other state.
+        How many of `states`, as far as there are, are of navigation, clock and inertial sensors.
+        The others are errors of signals, which move no other state.
     """
 
     receivers: int
@@ -94,7 +95,7 @@ class DetectorContext(NamedTuple):
     single_epoch_sd: FloatArray | None = None
     states: int = STATES
     min_satellites: int = 4
-    inertial_states: int = STATES
+    inertial_states: int = FIRST
 
 
 class Detector(ABC):

@@ -109,7 +109,7 @@ class SolutionSeparation(Detector):
                 "solution-separation needs a filter that carries attitude, velocity and position "
                 f"from epoch to epoch; this victim's has {context.states} states"
             )
-        b, tracked = context.receivers, context.inertial_states
+        b, tracked = context.receivers, min(context.states, context.inertial_states)
         self._interval_s, self._fewest = context.epoch_interval_s, context.min_satellites
         self._spacing = count_epochs(self.spacing_s, context)
         longest = math.ceil(self.longest_s / context.epoch_interval_s - 1e-9)

@@ -45,10 +45,10 @@ IN_RUN = "in_run"  # the kind of its states that the inertial sensors have: bias
 
 
 class SignalModel(NamedTuple):
-    """States behind the constants, of biases that wander and of the signals: how they go on, and what
-    of them is in codes and range rates. `transition`, `driving` (q, q) over one interval; `first`
-    (q,) variances at the start; `places`: first state of every kind that there is; `smoothed` (4,)
-    amplitudes of multipath and noise."""
+    """States behind the constants, of biases that wander and of the signals: how they go on, and
+    what of them is in codes and range rates. `transition`, `driving` (q, q) over one interval;
+    `first` (q,) variances at the start; `places`: first state of every kind that there is;
+    `smoothed` (4,) amplitudes of multipath and noise."""
 
     transition: FloatArray
     driving: FloatArray

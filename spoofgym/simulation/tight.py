@@ -268,9 +268,11 @@ class TightlyCoupledSimulator(Simulator):
         sizes, variance = (self.receivers, world.channels), cases.largest_variance
         single = np.sqrt(cases.largest_epoch_variance)
         known = *sizes, setup.interval_s, variance, world.satellite_ids, single
-        filter_, fewest = self.augmented, setup.receiver.min_satellites
-        states = (STATES, STATES) if filter_ is None else (filter_.states, filter_.inertial)
-        return DetectorContext(*known, states[0], fewest, states[1])
+        context = DetectorContext(*known, min_satellites=setup.receiver.min_satellites)
+        if self.augmented is None:
+            return context
+        filter_ = self.augmented
+        return context._replace(states=filter_.states, inertial_states=filter_.inertial)
 
     def __getstate__(self) -> dict[str, Any]:
         views = ("epoch", "_table", "_memories", "_no_memories", "_known", "_spare", "_history")
