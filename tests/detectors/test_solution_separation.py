@@ -17,6 +17,7 @@ B, N, STATES = 2, 6, 17
 ALL = np.ones(N, dtype=np.bool_)
 PLACE = slice(6, 9)
 POSITION = np.array([3.9e6, 3.1e5, 5.0e6])
+WANDERING = {"name": "trolley-tactical", "in_run": "wandering"}
 
 
 def bound(states=STATES, **settings):
@@ -153,7 +154,7 @@ def test_the_bank_has_at_most_a_hundred_spacings():
 
 def receivers(world, tuning, count, **settings):
     setup = TightlyCoupledSetup(
-        scenario={"name": world, "imu_rate_hz": 20.0},
+        scenario={"imu_rate_hz": 20.0, **(world if isinstance(world, dict) else {"name": world})},
         receiver=tuning,
         detector=SolutionSeparation(**settings),
         timeline={"warmup_s": 40.0, "live_s": 20.0, "attack_s": 60.0, "time_to_alert_s": 1.0},
@@ -179,7 +180,10 @@ def separated(simulator):
     return simulator.detector.memory["separation"][:, PLACE, 0]
 
 
-@pytest.mark.parametrize(("world", "tuning"), [("trolley", "augmented"), ("zhong2025", "matched")])
+@pytest.mark.parametrize(
+    ("world", "tuning"),
+    [("trolley", "augmented"), ("zhong2025", "matched"), (WANDERING, "augmented")],
+)
 def test_it_is_the_distance_from_a_receiver_that_coasts_and_shifts_by_what_an_attack_induces(
     world, tuning
 ):
