@@ -64,7 +64,7 @@ def test_biases_that_wander_fast_have_states(monkeypatch):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("grade", ["aviation", "tactical", "consumer"])
+@pytest.mark.parametrize("grade", ["aviation", "tactical"])
 def test_where_biases_wander_innovations_stay_white_with_age(grade):
     scenario = {**WANDERING, "flight": "airway", "imu": grade, "imu_rate_hz": 10.0}
     simulator, now = begun(scenario, 112, DRAWN), 0
