@@ -303,7 +303,8 @@ class Combination(NamedTuple):
     `bias_sd` (n,) of the satellites' constant biases [m]; `noise_variance` (2n,) R;
     `epoch_variance` (2n,) what it assumes of one epoch alone; `noise` of clock and inertial
     sensors; `noise_psd` (17,) of its states; `covariance` (17, 17) at the start; `assumed` errors
-    of the signals, and `assumed_bias_sd` (n,) of their constants [m].
+    of the signals, and `assumed_bias_sd` (n,) of their constants [m]; `assumed_grade` of the
+    inertial sensors.
     """
 
     grade: ImuGrade
@@ -316,6 +317,7 @@ class Combination(NamedTuple):
     covariance: FloatArray
     assumed: GnssErrors
     assumed_bias_sd: FloatArray
+    assumed_grade: str
 
 
 def build_worlds(scenario: Scenario, domain: Domain) -> list[GroundTruth]:
@@ -329,7 +331,7 @@ def build_worlds(scenario: Scenario, domain: Domain) -> list[GroundTruth]:
         )
     if isinstance(scenario.flight, str):
         # a world knows nothing of these
-        bare = replace(scenario, errors="white", imu="aviation", name="")
+        bare = replace(scenario, errors="white", imu="aviation", in_run="constant", name="")
         return _variants(bare, constellation, domain)
     return _variants.__wrapped__(scenario, constellation, domain)
 
@@ -366,6 +368,7 @@ class Combinations:
         errors = named or [scenario.gnss_errors]
         assumed = named or [scenario.assumed_errors]
         self.drawn = (scenario.turn_on if domain.turn_on is None else domain.turn_on) == "drawn"
+        self.wandering = scenario.in_run == "wandering"
         events = scenario.events if domain.events is None else domain.events
         self.events = events if events is not None and events.any else None
         self.with_signals = self.events is not None or any(each.signals for each in errors)
@@ -374,7 +377,7 @@ class Combinations:
         grades = self.names["imu"]
         victims = [(g, replace(receiver, grade=g) if domain.imu else receiver) for g in grades]
         self._all = [
-            _combination(world, grade, error, belief, victim, epochs, flown)
+            _combination(world, grade, error, belief, victim, epochs, flown, self.wandering)
             for world in worlds
             for grade, victim in victims
             for error, belief in zip(errors, assumed, strict=True)
@@ -397,7 +400,8 @@ class Combinations:
                 "a receiver with `tuning` 'augmented' takes one grade of inertial sensors and "
                 "one kind of errors, with the same constants in all worlds of the domain",
             )
-        return signal_model(first.assumed, first.assumed_bias_sd, interval_s)
+        wandering = IMU_GRADES[first.assumed_grade] if self.wandering else None
+        return signal_model(first.assumed, first.assumed_bias_sd, interval_s, wandering)
 
     def __getitem__(self, index: int) -> Combination:
         return self._all[index]
@@ -440,11 +444,13 @@ def _combination(
     receiver: TightlyCoupled,
     epochs: int,
     flown: int,
+    wandering: bool,
 ) -> Combination:
     elevation = world.first_elevation
     bias_sd = errors.bias_sd(elevation)
     believed = assumed.bias_sd(elevation)
-    variance, noise = compute_assumed_noise(receiver, assumed, believed, world, epochs, flown)
+    given = assumed, believed, world, epochs, flown
+    variance, noise = compute_assumed_noise(receiver, *given, wandering=wandering)
     single = variance
     if receiver.matches:
         interval_s = float(world.epoch_time[1] - world.epoch_time[0])
@@ -456,9 +462,8 @@ def _combination(
         accel_quantization=sheet.accel_quantization / world.decimation,
         gyro_quantization=sheet.gyro_quantization / world.decimation,
     )
-    return Combination(
-        sheet, errors, bias_sd, variance, single, noise, psd, covariance, assumed, believed
-    )
+    beliefs = assumed, believed, receiver.grade
+    return Combination(sheet, errors, bias_sd, variance, single, noise, psd, covariance, *beliefs)
 
 
 def _first_attitudes(world: GroundTruth, grade: ImuGrade) -> FloatArray:

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..core.declared import check_number
 from ..receiver import NavState, Recording
-from ..truth._kernels import CHUNK, sense
-from ..truth.noise import deviates, pad_count
+from ..truth._kernels import CHUNK, CONSTANT_ROWS, advance_biases, sense
+from ..truth.noise import BLOCK, deviates, pad_count
 from .domain import FloatArray
 from .simulator import run_serially
 from .tight import TightlyCoupledSetup, TightlyCoupledSimulator
@@ -102,7 +102,11 @@ def _next_samples(victim: TightlyCoupledSimulator) -> FloatArray:
     count, parts = end - first, sensors.fields.data.copy()
     key0, key1 = sensors.words["imu"][0]
     deviates(key0, key1, np.uint64(k + 1), len(samples), 6 * count, samples)
-    truth, active = np.empty(8 * CHUNK), np.ones(1)
-    given = parts, 0, sensors.constants.data, 0
+    truth, active, constants = np.empty(8 * CHUNK), np.ones(1), sensors.constants.data
+    if sensors.in_run.rows:
+        noise, constants = np.empty(BLOCK), np.empty(CONSTANT_ROWS)
+        wandering = sensors.in_run.data.copy(), 0, sensors.constants.data, 0
+        advance_biases(*wandering, key0, key1, np.uint64(k + 1), noise, constants)
+    given = parts, 0, constants, 0
     sense(world.run, np.array([first]), count, *given, samples, dt, truth, active)
     return samples[: 6 * count].reshape(6, -1).T.copy()

@@ -221,6 +221,7 @@ class TightlyCoupledSimulator(Simulator):
             world.channels,
             with_signals=self.setup.combinations.with_signals,
             with_authentic=self.setup.attack.replaces_errors,
+            with_in_run=self.setup.combinations.wandering,
             alike=self.setup.combinations.sense_alike,
         )
         self._all_rows = np.arange(receivers)
@@ -267,8 +268,11 @@ class TightlyCoupledSimulator(Simulator):
         sizes, variance = (self.receivers, world.channels), cases.largest_variance
         single = np.sqrt(cases.largest_epoch_variance)
         known = *sizes, setup.interval_s, variance, world.satellite_ids, single
-        states = STATES if self.augmented is None else self.augmented.states
-        return DetectorContext(*known, states, setup.receiver.min_satellites)
+        context = DetectorContext(*known, min_satellites=setup.receiver.min_satellites)
+        if self.augmented is None:
+            return context
+        filter_ = self.augmented
+        return context._replace(states=filter_.states, inertial_states=filter_.inertial)
 
     def __getstate__(self) -> dict[str, Any]:
         views = ("epoch", "_table", "_memories", "_no_memories", "_known", "_spare", "_history")
@@ -335,7 +339,7 @@ class TightlyCoupledSimulator(Simulator):
             assumed.put("noise_psd", rows, its.noise_psd)
             self.buffers.put_covariance(rows, its.covariance)
             if self.augmented is not None:
-                self.augmented.start_episodes(rows, its.covariance, self.setup.receiver.grade)
+                self.augmented.start_episodes(rows, its.covariance, its.assumed_grade)
         if combinations.events is not None:
             self._draw_events(combinations.events)
 

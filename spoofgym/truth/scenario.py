@@ -32,6 +32,7 @@ from .satellites import (
 from .sensors import IMU_GRADES
 
 TURN_ON = ("specimen", "drawn")  # inertial constants: of the data sheet, or drawn per episode
+IN_RUN = ("constant", "wandering")  # biases of inertial sensors during an episode
 
 
 @settings_record(frozen=True, kw_only=True)
@@ -103,6 +104,13 @@ class Scenario:
         omitted=True,
         help="Inertial sensors with the constants of the grade's data sheet, or with others in "
         "every episode, as large in the mean.",
+    )
+    in_run: str = setting(
+        default="constant",
+        one_of=IN_RUN,
+        omitted=True,
+        help="Biases of the inertial sensors that stay the same for an episode, or that wander by "
+        "the in-run instability of their grade.",
     )
     events: BenignEvents | None = setting(
         default=None,
