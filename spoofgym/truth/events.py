@@ -62,6 +62,14 @@ class BenignEvents:
     front_speed_mps: tuple[float, float] = setting(
         default=(100.0, 300.0), unit="m/s", help="Range of its speed against the lines of sight."
     )
+    within_s: float | None = setting(
+        default=None,
+        above=0.0,
+        omitted=True,
+        unit="s",
+        help="Time for which the parts are given: in an episode that is longer or shorter each "
+        "event is as likely at any time.  By default they are parts of episodes of any length.",
+    )
 
     def __post_init__(self) -> None:
         for name in RANGES:
@@ -76,6 +84,10 @@ class BenignEvents:
     @property
     def any(self) -> bool:
         return max(self.clock_step, self.satellite_loss, self.front) > 0.0
+
+    def scale(self, part: float, lasts_s: float) -> float:
+        """Part of the episodes of some length [s] that have an event."""
+        return part if self.within_s is None else 1.0 - (1.0 - part) ** (lasts_s / self.within_s)
 
 
 class EventWindow(NamedTuple):
@@ -99,17 +111,18 @@ def draw_events(
     rng = np.random.default_rng([*key.tolist(), STREAM])
     u = rng.random(12)
     span = window.last - window.first + 1
+    lasts_s = span * window.interval_s
     epochs = window.first + (u[:3] * span).astype(int)
     found: dict[str, Any] = {}
-    if u[3] < events.clock_step:
+    if u[3] < events.scale(events.clock_step, lasts_s):
         size = _between(events.clock_step_m, u[4])
         found["clock_step"] = (float(epochs[0]), math.copysign(size, u[5] - 0.5))
     seen = np.flatnonzero(window.visible[epochs[1]])
-    if u[6] < events.satellite_loss:
+    if u[6] < events.scale(events.satellite_loss, lasts_s):
         lasts = _between(events.satellite_loss_s, u[7]) / window.interval_s
         slot = seen[int(rng.random() * len(seen))]
         found["loss"] = (float(slot), float(epochs[1]), float(epochs[1]) + max(round(lasts), 1))
-    if u[8] < events.front:
+    if u[8] < events.scale(events.front, lasts_s):
         slope = 1e-6 * _between(events.front_slope_mm_per_km, u[9])
         width = 1e3 * _between(events.front_width_km, u[10])
         speed = _between(events.front_speed_mps, u[11])

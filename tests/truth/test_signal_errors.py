@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.simulator import run_serially
 from spoofgym.truth.clock import ReceiverClock
-from spoofgym.truth.events import BenignEvents
+from spoofgym.truth.events import BenignEvents, EventWindow, draw_events
 from spoofgym.truth.gnss_errors import ERRORS, GnssErrors
 from spoofgym.truth.noise import normals
 from spoofgym.truth.scenario import Scenario
@@ -258,6 +259,17 @@ def test_a_front_delays_codes_and_advances_carriers_one_after_the_other():
     arrival = simulator.sensors.signals["front_arrival"]
     spread = [np.ptp(row[row < 1e17]) * 0.5 * 3000.0 for row in arrival]
     assert 3e5 < np.mean(spread) < 3e6  # pierce points lie hundreds of kilometres apart
+
+
+@pytest.mark.parametrize(("within_s", "parts"), [(None, (0.2, 0.2)), (100.0, (0.2, 1.0 - 0.8**4))])
+def test_events_are_parts_of_episodes_or_as_likely_at_any_time(within_s, parts):
+    events, rng = BenignEvents(clock_step=0.2, within_s=within_s), np.random.default_rng(3)
+    sky = np.ones((801, 4), dtype=np.bool_), np.zeros((801, 4)), np.ones((801, 4))
+    keys = rng.integers(0, 2**63, (1000, 2), dtype=np.uint64)
+    for epochs, part in zip((200, 800), parts, strict=True):
+        window = EventWindow(1, epochs, 0.5, *sky)
+        came = sum("clock_step" in draw_events(events, key, window) for key in keys)
+        assert binomtest(came, len(keys), part).pvalue > 1e-4
 
 
 @pytest.mark.parametrize(
