@@ -101,12 +101,10 @@ class TightlyCoupledSetup(Setup):
         self.attack = make_attack(attack)
         interval_s = self.scenario.epoch_interval_s
         self._phase(detector, timeline, interval_s, decision_interval_s, between)
-        worlds = build_worlds(self.scenario, self.domain)
-        first, last = self._starts(worlds[0].epochs, worlds[0].name)
-        self.combinations = Combinations(
-            worlds, self.scenario, self.receiver, self.domain, self.length, last + self.length
-        )
-        self.world = self.combinations.world
+        self.world, worlds = build_worlds(self.scenario, self.domain)
+        first, last = self._starts(self.world.epochs // worlds, self.world.name)
+        given = self.world, worlds, self.scenario, self.receiver, self.domain
+        self.combinations = Combinations(*given, self.length, last + self.length)
         self.epoch_time = self.world.epoch_time
         self.true_position, self.C_en = self.world.position_e, self.world.C_en
         cases = self.combinations
@@ -114,9 +112,7 @@ class TightlyCoupledSetup(Setup):
         self.epochs_each = self.world.epochs // self.bounds.worlds
         self.mappings = np.zeros(0)
         if cases.with_signals:
-            self.mappings = compute_mappings(
-                self.world.elevation, self.interval_s, self.epochs_each
-            )
+            self.mappings = self._tabulate_mappings()
         slots = [f"slot{s:02d}" for s in range(self.world.channels)]
         self.weight_names = tuple(slots)
         self.geometry_names = (
@@ -124,6 +120,15 @@ class TightlyCoupledSetup(Setup):
             *(f"visible_{slot}" for slot in slots),
         )
         self._check_first_fixes()
+
+    def _tabulate_mappings(self) -> FloatArray:
+        """(K, n, 6) `compute_mappings` at all epochs, world by world."""
+        each = self.epochs_each
+        table = np.empty((self.world.epochs, self.world.channels, MAPPINGS))
+        for first in range(0, len(table), each):
+            elevation, _ = self.world.look(slice(first, first + each))
+            table[first : first + each] = compute_mappings(elevation, self.interval_s, each)
+        return table
 
     def world_settings(self) -> dict[str, Any]:
         scenario = describe(self.scenario)
@@ -342,7 +347,7 @@ class TightlyCoupledSimulator(Simulator):
     def _draw_events(self, events: BenignEvents) -> None:
         setup, world, signals = self.setup, self.setup.world, self.sensors.signals
         lasts = setup.live + setup.steps + setup.hold
-        sky = setup.interval_s, world.visible, world.azimuth, world.elevation
+        sky = setup.interval_s, world.visible, world.look
         for row in range(self.receivers):
             first = int(self.onset[row]) - setup.live + 1
             found = draw_events(
@@ -624,10 +629,11 @@ class TightlyCoupledSimulator(Simulator):
 
     def _sky(self) -> SkyData:
         world, epoch, offsets = self.setup.world, int(self.epochs[0]), self.sensors
+        elevation, azimuth = world.look(self.epochs[:1])
         return SkyData(
             names=world.satellite_ids,
-            azimuth=world.azimuth[epoch],
-            elevation=world.elevation[epoch],
+            azimuth=azimuth[0],
+            elevation=elevation[0],
             visible=world.visible[epoch],
             spoofed=(offsets.range_offset[0] != 0.0) | (offsets.rate_offset[0] != 0.0),
             weight=self.weights[0, : world.channels].copy(),
