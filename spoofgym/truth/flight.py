@@ -22,6 +22,7 @@ from ._kernels import invert_samples
 DEFAULT_STEP = 0.01  # interval of the inertial samples [s], as in Groves' profiles (`groves2013`)
 CLOSURE_TOLERANCE = 1e-5  # largest distance of a position from the integral of the velocity [m]
 ORTHONORMALITY_TOLERANCE = 1e-9  # largest element of C C' - I
+PIECE = 8192  # states whose axes are computed at a time
 _PICARD_STOP = 1e-6
 _PICARD_LIMIT = 100
 
@@ -55,9 +56,9 @@ class Flight:
         self._settle("velocity_e", (count, 3))
         self._settle("C_eb", (count, 3, 3))
         self._check_time()
-        product = self.C_eb @ np.swapaxes(self.C_eb, 1, 2)
-        product -= np.eye(3)
-        if (worst := float(np.abs(product, out=product).max())) > ORTHONORMALITY_TOLERANCE:
+        pieces = (self.C_eb[piece] for piece in _pieces(count))
+        worst = max(float(np.abs(C @ C.swapaxes(1, 2) - np.eye(3)).max()) for C in pieces)
+        if worst > ORTHONORMALITY_TOLERANCE:
             raise ValueError(
                 f"`C_eb` must be orthonormal to {ORTHONORMALITY_TOLERANCE:g}, got an error of "
                 f"{worst:.3g}"
@@ -217,17 +218,25 @@ def flight_from_velocity(
     velocity_n = np.asarray(velocity_n, dtype=np.float64)
     start = geodetic_to_ecef(latitude, longitude, height)
     position = np.broadcast_to(start, velocity_n.shape)
+    velocity_e, pieces = np.empty_like(velocity_n), _pieces(len(velocity_n))
     for _ in range(_PICARD_LIMIT):
         before = position
-        C_en = dcm_e_from_n(*ecef_to_geodetic(before)[:2])
-        velocity_e = np.einsum("nij,nj->ni", C_en, velocity_n)
+        for piece in pieces:
+            C_en = dcm_e_from_n(*ecef_to_geodetic(before[piece])[:2])
+            np.einsum("nij,nj->ni", C_en, velocity_n[piece], out=velocity_e[piece])
         position = integrate_velocity(start, velocity_e, step)
         if np.abs(position - before).max() < _PICARD_STOP:
             break
-    C_eb = C_en @ euler_to_dcm(roll, pitch, yaw)
-    return Flight(
-        name, np.arange(len(position), dtype=np.float64) * step, position, velocity_e, C_eb
-    )
+    C_eb, angles = np.empty((*velocity_n.shape, 3)), np.broadcast_arrays(roll, pitch, yaw)
+    for piece in pieces:
+        C_en = dcm_e_from_n(*ecef_to_geodetic(before[piece])[:2])
+        C_eb[piece] = C_en @ euler_to_dcm(*(angle[piece] for angle in angles))
+    time = np.arange(len(position), dtype=np.float64) * step
+    return Flight(name, time, position, velocity_e, C_eb)
+
+
+def _pieces(count: int) -> list[slice]:
+    return [slice(first, first + PIECE) for first in range(0, count, PIECE)]
 
 
 LARGEST_ROTATION = math.radians(90.0)  # over one sample [rad]; beyond, its direction is uncertain
