@@ -63,6 +63,15 @@ class Domain:
         help="Number of worlds, pairs of a turn and a time of the constellation, that are computed "
         "once and drawn from; 1 where none of these has a range; by default 16 where one has.",
     )
+    turns: int | None = setting(
+        default=None,
+        least=1,
+        most=MOST_WORLDS,
+        omitted=True,
+        help="Number of different turns among the worlds, which take them in rotation; by default "
+        "each has its own.  Worlds of one turn share the samples of the inertial sensors, a third "
+        "of their memory.",
+    )
     world_seed: int = setting(default=0, least=0, help="Seed of these pairs.")
     imu: tuple[str, ...] = setting(
         default=(),
@@ -122,6 +131,7 @@ class Domain:
         count = self.worlds if self.worlds is not None else (16 if self.varies else 1)
         rng = np.random.default_rng(self.world_seed)
         turns = rng.uniform(*self.turned_deg, count)
+        turns = turns[np.arange(count) % (self.turns or count)]
         times = rng.uniform(*self.constellation_time_s, count)
         return list(zip(turns.tolist(), times.tolist(), strict=True))
 

@@ -28,6 +28,7 @@ from ..receiver.epoch import Epoch, ReceiverBuffers, epoch_view, kernel_table
 from ..receiver.states import STATES
 from ..receiver.tight import TUNINGS
 from ..truth.events import BenignEvents, EventWindow, draw_events
+from ..truth.flight import split_rows
 from ..truth.noise import pad_count
 from ..truth.run import GroundTruth
 from ..truth.scenario import Scenario, make_scenario
@@ -168,10 +169,14 @@ class TightlyCoupledSetup(Setup):
 
     def geometry_table(self) -> FloatArray:
         world = self.world
-        sight = world.satellites[:, :, :3] - world.position_e[:, None, :]
-        sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
-        sight = np.einsum("kji,knj->kni", world.C_en, sight) * world.visible[:, :, None]
-        return np.hstack([sight.reshape(world.epochs, -1), world.visible])
+        table = np.empty((world.epochs, len(self.geometry_names)))
+        for rows in split_rows(world.epochs):
+            seen = world.visible[rows]
+            sight = world.satellites[rows, :, :3] - world.position_e[rows, None, :]
+            sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+            sight = np.einsum("kji,knj->kni", world.C_en[rows], sight) * seen[:, :, None]
+            table[rows] = np.hstack([sight.reshape(len(seen), -1), seen])
+        return table
 
     def simulator(self, receivers: int, run: Run) -> TightlyCoupledSimulator:
         return TightlyCoupledSimulator(self, receivers, run)

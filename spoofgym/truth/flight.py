@@ -22,7 +22,7 @@ from ._kernels import invert_samples
 DEFAULT_STEP = 0.01  # interval of the inertial samples [s], as in Groves' profiles (`groves2013`)
 CLOSURE_TOLERANCE = 1e-5  # largest distance of a position from the integral of the velocity [m]
 ORTHONORMALITY_TOLERANCE = 1e-9  # largest element of C C' - I
-PIECE = 8192  # states whose axes are computed at a time
+PIECE = 8192  # rows, of a table over time, that are computed at a time
 _PICARD_STOP = 1e-6
 _PICARD_LIMIT = 100
 
@@ -56,7 +56,7 @@ class Flight:
         self._settle("velocity_e", (count, 3))
         self._settle("C_eb", (count, 3, 3))
         self._check_time()
-        pieces = (self.C_eb[piece] for piece in _pieces(count))
+        pieces = (self.C_eb[piece] for piece in split_rows(count))
         worst = max(float(np.abs(C @ C.swapaxes(1, 2) - np.eye(3)).max()) for C in pieces)
         if worst > ORTHONORMALITY_TOLERANCE:
             raise ValueError(
@@ -218,7 +218,7 @@ def flight_from_velocity(
     velocity_n = np.asarray(velocity_n, dtype=np.float64)
     start = geodetic_to_ecef(latitude, longitude, height)
     position = np.broadcast_to(start, velocity_n.shape)
-    velocity_e, pieces = np.empty_like(velocity_n), _pieces(len(velocity_n))
+    velocity_e, pieces = np.empty_like(velocity_n), split_rows(len(velocity_n))
     for _ in range(_PICARD_LIMIT):
         before = position
         for piece in pieces:
@@ -235,7 +235,8 @@ def flight_from_velocity(
     return Flight(name, time, position, velocity_e, C_eb)
 
 
-def _pieces(count: int) -> list[slice]:
+def split_rows(count: int) -> list[slice]:
+    """Slices of at most `PIECE` rows, which need no more memory than they do."""
     return [slice(first, first + PIECE) for first in range(0, count, PIECE)]
 
 

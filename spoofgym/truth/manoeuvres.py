@@ -426,7 +426,7 @@ def approach() -> Flight:
 LONG_S = 9060.0  # an onset two hours after switch-on, and half an hour of attack
 
 
-def en_route() -> Flight:
+def en_route(rate_hz: float = 100.0) -> Flight:
     """Flight of 2 h 31 min en route: 200 m/s, a turn or a change of level every 400 s. No paper's
     flight: for attacks of half an hour whose onset comes up to two hours after switch-on. Turns are
     of 20 to 40 deg at less than standard rate, levels change by 1000 ft and 2000 ft; of ten
@@ -438,10 +438,10 @@ def en_route() -> Flight:
     legs: list[Manoeuvre] = []
     for k in range(23):
         legs += [Until(400.0 * k + 100.0), cycle[k % len(cycle)]]
-    return fly([*legs, Until(LONG_S)], **_CRUISE, name="en-route")
+    return fly([*legs, Until(LONG_S)], **_CRUISE, rate_hz=rate_hz, name="en-route")
 
 
-def terminal() -> Flight:
+def terminal(rate_hz: float = 100.0) -> Flight:
     """Flight of 2 h 31 min in a terminal area: holding, down level by level and up again. No
     paper's flight: for attacks of some minutes whose onset comes up to two hours after switch-on. A
     jet flies right-hand laps of 5 min at 110 m/s, two turns of 180 deg at 25 deg of bank with a
@@ -460,6 +460,7 @@ def terminal() -> Flight:
         height_m=3600.0,
         speed_mps=110.0,
         heading_deg=80.0,
+        rate_hz=rate_hz,
         name="terminal",
     )
 

@@ -21,10 +21,11 @@ from ..earth.wgs84 import (
     dcm_e_from_n,
     ecef_to_geodetic,
     geodetic_to_ecef,
+    look_angles,
     turning_of_local_axes,
 )
 from ._kernels import fill_ranges
-from .flight import Trajectory, trajectory_at
+from .flight import Trajectory, split_rows, trajectory_at
 from .manoeuvres import FLIGHTS
 from .satellites import Constellation
 
@@ -103,7 +104,7 @@ class GroundTruth:
     def look(self, epochs: NDArray[np.int64] | slice) -> tuple[FloatArray, FloatArray]:
         """Elevation and azimuth of every slot at some epochs, (b, n) [rad]; 0 for an empty slot."""
         places = self.satellites[epochs, :, :3]
-        angles = _look(places, self.position_e[epochs], self.C_en[epochs])
+        angles = look_angles(places, self.position_e[epochs], self.C_en[epochs])
         empty = ~places.any(axis=-1)
         for each in angles:
             each[empty] = 0.0
@@ -127,7 +128,10 @@ class GroundTruth:
     @cached_property
     def axes_turning(self) -> FloatArray:
         """(K, 3, 3) rate of change of `C_en` [1/s], since the axes move with the true position."""
-        return np.ascontiguousarray(turning_of_local_axes(self.position_e, self.velocity_e))
+        turning = np.empty_like(self.C_en)
+        for piece in split_rows(self.epochs):
+            turning[piece] = turning_of_local_axes(self.position_e[piece], self.velocity_e[piece])
+        return turning
 
     @cached_property
     def epoch_truth(self) -> EpochTruth:
@@ -162,7 +166,7 @@ def build_world(
     velocity_e = trajectory.velocity_e[epoch_end]
     states = constellation.states(time[epoch_end])
     C_en = np.ascontiguousarray(dcm_e_from_n(*ecef_to_geodetic(position_e)[:2]))
-    elevation, _ = _look(states.position_e, position_e, C_en)
+    elevation, _ = look_angles(states.position_e, position_e, C_en)
     usable = np.isfinite(states.position_e).all(-1) & np.isfinite(states.velocity_e).all(-1)
     visible = usable & (elevation > np.radians(mask_deg))
     chosen = _choose(visible, channels)
@@ -203,17 +207,6 @@ def build_world(
         C_en=C_en,
         decimation=trajectory.decimation,
     )
-
-
-def _look(
-    satellites: FloatArray, position_e: FloatArray, C_en: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Elevation and azimuth [rad], (K, n), of satellites (K, n, 3) seen from (K, 3). Sums are
-    written out, so that an epoch has the same bits among any others."""
-    x, y, z = np.moveaxis(satellites - position_e[:, None, :], -1, 0)
-    C = C_en[:, None]
-    north, east, down = (C[..., 0, i] * x + C[..., 1, i] * y + C[..., 2, i] * z for i in range(3))
-    return np.arctan2(-down, np.hypot(north, east)), np.arctan2(east, north)
 
 
 def _in_slots(array: NDArray[Any], chosen: list[int], channels: int) -> FloatArray:
@@ -368,11 +361,7 @@ def chain_worlds(worlds: Iterable[GroundTruth], runs: Sequence[int]) -> GroundTr
         return first
     each, samples, ids = first.epochs, first.run.shape[1], first.satellite_ids
     run = np.empty((len(first.run), (max(runs) + 1) * samples))
-    joined = {
-        name: np.empty((len(runs) * each, *array.shape[1:]), dtype=array.dtype)
-        for name in _AT_EPOCHS
-        for array in (getattr(first, name),)
-    }
+    joined = _place_arrays({name: getattr(first, name) for name in _AT_EPOCHS}, len(runs))
     for w, world in enumerate(chain((first,), iterator)):
         require(
             world.channels == first.channels
@@ -389,6 +378,19 @@ def chain_worlds(worlds: Iterable[GroundTruth], runs: Sequence[int]) -> GroundTr
         joined["epoch_end"][w * each : (w + 1) * each] += runs[w] * samples
         run[:, runs[w] * samples : (runs[w] + 1) * samples] = world.run
     return replace(first, satellite_ids=ids, run=run, **joined)
+
+
+def _place_arrays(first: dict[str, NDArray[Any]], count: int) -> dict[str, Any]:
+    """Empty arrays, `count` times as long, in one block: it doesn't pin the holes that the memory
+    of what is computed leaves between smaller ones."""
+    sizes = np.cumsum([0, *(-8 * (-count * array.nbytes // 8) for array in first.values())])
+    block = np.empty(sizes[-1], dtype=np.uint8)
+    return {
+        name: block[start : start + count * array.nbytes]
+        .view(array.dtype)
+        .reshape(-1, *array.shape[1:])
+        for (name, array), start in zip(first.items(), sizes.tolist(), strict=False)
+    }
 
 
 def take_world(chained: GroundTruth, w: int, worlds: int) -> GroundTruth:
