@@ -153,7 +153,7 @@ def causal_mappings(
     .. math:: \dot M_k = (M_k - M_{k-1}) / \tau
 
     in place of the central differences of `compute_mappings`, from which it differs by
-    :math:`\tau \ddot M / 2`: up to 3e-6 /s at 2 Hz.  0 where a satellite was not visible before.
+    :math:`\tau \ddot M / 2`: up to 4e-6 /s at 2 Hz.  0 where a satellite was not visible before.
 
     `satellite_position` (B, n, 3), `position_e` (B, 3) and `visible` (B, n) of an epoch, as its
     `predicted_position`, ECEF [m]; `last`: what was returned at the epoch before, None at the
