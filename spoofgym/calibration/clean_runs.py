@@ -35,12 +35,13 @@ UNREACHED = 2.0**100
 
 
 class CleanRuns(NamedTuple):
-    """What R runs without an attack have come to, for each of D detectors, (R, D) but for `world`.
+    """What R runs without an attack have come to, for each of D detectors, (R, D) but for the last.
 
     - `before`, `judged`: largest ratio of statistic to threshold in the monitored warm-up, and in
       the judged window, over channels and the epochs at which alarms are on;
     - `early`, `alarmed`: bool, whether there was an alarm in each of them;
-    - `world`: (R,) number of the world that was drawn, of a domain with several.
+    - `world`: (R,) number of the world that was drawn, of a domain with several;
+    - `age_s`: (R,) age of the receiver where the judged window begins [s].
     """
 
     before: FloatArray
@@ -48,6 +49,7 @@ class CleanRuns(NamedTuple):
     early: NDArray[np.bool_]
     alarmed: NDArray[np.bool_]
     world: NDArray[np.int64]
+    age_s: FloatArray
 
     def column(self, k: int) -> CleanRuns:
         """One of the detectors, (R,) each."""
@@ -206,7 +208,8 @@ def _play(setup: Setup, rngs: list[np.random.Generator], stopped: threading.Even
         check_stopped(stopped)
         simulator.step(attacked=False)
     judged, alarmed = maxima.pop_maxima()
-    return CleanRuns(before, judged, early, alarmed, world)
+    age_s = np.asarray(simulator.ages * setup.interval_s, dtype=np.float64)
+    return CleanRuns(before, judged, early, alarmed, world, age_s)
 
 
 def map_ordered(

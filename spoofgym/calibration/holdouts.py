@@ -23,6 +23,8 @@ from .thresholds import DetectorSpec, inner_detectors, list_rates
 
 HOLDOUT_PASSIVE, HOLDOUT_WEIGHING = 100_000, 1_000
 """Runs of a hold-out by default."""
+AGES_S = (0.0, 60.0, 180.0, 600.0, 1800.0, 3600.0)
+"""Ages from which on alarms are counted apart [s]."""
 CONFIDENCE = 0.99
 """Of all intervals of a hold-out together."""
 
@@ -38,7 +40,9 @@ class HoldOut(NamedTuple):
     - `per_hour`: measured rate;
     - `early`: runs with an alarm before the attack;
     - `worlds`: runs and alarms of each world that was drawn, of a domain with several;
-    - `false_alarms_per_hour`: rate that is promised.
+    - `false_alarms_per_hour`: rate that is promised;
+    - `ages`: the least age where the judged window begins [s], of `AGES_S`, runs and alarms from
+      there to the next, where ages are drawn: the hazard by the time since switch-on.
     """
 
     name: str
@@ -52,6 +56,16 @@ class HoldOut(NamedTuple):
     window_s: float
     worlds: tuple[tuple[int, int], ...]
     false_alarms_per_hour: float
+    ages: tuple[tuple[float, int, int], ...] = ()
+
+    @property
+    def per_hour_by_age(self) -> dict[float, float]:
+        """Measured rate from each least age on, up to the next."""
+        return {
+            age: hourly_rate(alarms / runs, self.window_s)
+            for age, runs, alarms in self.ages
+            if runs
+        }
 
     @property
     def worst_world(self) -> tuple[float, float] | None:
@@ -84,6 +98,7 @@ class HoldOut(NamedTuple):
             "holds": self.holds,
             "worst_world_per_hour": _finite(worst[0]),
             "worst_world_by_chance": _finite(worst[1]),
+            "per_hour_by_age": [[age, _finite(x)] for age, x in self.per_hour_by_age.items()],
         }
 
 
@@ -173,8 +188,15 @@ def _count_alarms(
     worlds = [found.world == each for each in np.unique(found.world)]
     each = tuple((int(there.sum()), int(found.alarmed[there].sum())) for there in worlds)
     early = int(found.early.sum())
+    ages: tuple[tuple[float, int, int], ...] = ()
+    if np.ptp(found.age_s) > 0.0:
+        bins = np.searchsorted(AGES_S, found.age_s, side="right") - 1
+        of = [found.alarmed[bins == k] for k in range(len(AGES_S))]
+        counted = zip(AGES_S, of, strict=True)
+        ages = tuple((age, len(own), int(own.sum())) for age, own in counted if len(own))
     nominal = point.false_alarms_per_hour
-    return HoldOut(name, runs, alarms, promised, low, high, rate, early, window_s, each, nominal)
+    counts = runs, alarms, promised, low, high, rate, early, window_s, each, nominal, ages
+    return HoldOut(name, *counts)
 
 
 def predictive_interval(runs: int, calibrated: int, rank: int, cells: int = 1) -> tuple[int, int]:

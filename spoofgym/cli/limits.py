@@ -13,7 +13,7 @@ from .app import print_json, print_lines, progress
 from .options import SuiteOptions, with_options
 from .suites import build_suite, calibrate_suite, make_tuning
 
-MOST_WORLDS = 1024
+MOST_WORLDS, BOUND_WORLDS = 1024, 8
 
 
 @with_options
@@ -41,11 +41,14 @@ def limits(
         ),
     ] = None,
     worlds: Annotated[
-        int,
+        int | None,
         Option(
-            min=1, max=MOST_WORLDS, help="Worlds to draw; one is enough where nothing is drawn."
+            min=1,
+            max=MOST_WORLDS,
+            help="Worlds to draw. Default: one under every sky of the domain for the floor, and "
+            f"{BOUND_WORLDS} for zero-alarm bounds.",
         ),
-    ] = 8,
+    ] = None,
     sensors: Annotated[
         str,
         Option(
@@ -115,7 +118,8 @@ def limits(
         )
     if detector or task:
         suite = calibrate_suite(suite, detector, threads)
-        report.add_bounds(record, suite, progress)
+        drawn = worlds or min(BOUND_WORLDS, record["worlds"])
+        report.add_bounds(record, suite, progress, drawn)
     notes = [*suite.notes, *suite.captions]
     if "zero_alarm" in record and nominal:
         notes.append("detectors have their thresholds as published, not the floor's rate")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..core.compile import njit
 from ..core.memory import Memory
+from ..receiver.augmented import FIRST
 from ..receiver.epoch import OPTIONAL, Epoch, TracedEpoch
 from ..receiver.states import STATES
 
@@ -81,6 +82,9 @@ class DetectorContext(NamedTuple):
         Error states of a tightly coupled filter, s of the fields of an epoch.
     min_satellites : int
         Fewest satellites with which a tightly coupled filter updates; with fewer it coasts.
+    inertial_states : int
+        How many of `states`, as far as there are, are of navigation, clock and inertial sensors.
+        The others are errors of signals, which move no other state.
     """
 
     receivers: int
@@ -91,6 +95,7 @@ class DetectorContext(NamedTuple):
     single_epoch_sd: FloatArray | None = None
     states: int = STATES
     min_satellites: int = 4
+    inertial_states: int = FIRST
 
 
 class Detector(ABC):

@@ -58,7 +58,6 @@ import numpy as np
 from scipy import special
 
 from ..core.declared import setting, settings_record
-from ..receiver.augmented import FIRST
 from ..receiver.epoch import Epoch
 from ..receiver.states import POSITION
 from ._solution_separation_kernels import advance_bank, judge_bank, whiten_bank
@@ -110,7 +109,7 @@ class SolutionSeparation(Detector):
                 "solution-separation needs a filter that carries attitude, velocity and position "
                 f"from epoch to epoch; this victim's has {context.states} states"
             )
-        b, tracked = context.receivers, min(context.states, FIRST)
+        b, tracked = context.receivers, min(context.states, context.inertial_states)
         self._interval_s, self._fewest = context.epoch_interval_s, context.min_satellites
         self._spacing = count_epochs(self.spacing_s, context)
         longest = math.ceil(self.longest_s / context.epoch_interval_s - 1e-9)

@@ -104,7 +104,7 @@ def calibrate_policy(
         agent.exclusion_s,
         policy=frozen,
         decision_delay=decision_delay,
-        quiet_epochs=setup.live,
+        quiet_epochs=setup.least_live,
     )
     player = Player(setup, entropy=seed, threads=1, chunk=min(receivers, runs))
     # its threshold is 1, so that a ratio is a statistic; one of 0 is no alarm at any threshold

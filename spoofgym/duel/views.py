@@ -72,7 +72,9 @@ class SpooferSide:
         self.core = self._against(pool, weights)
 
     def _against(self, pool: DetectorPool, weights: Weights) -> SpoofCore:
-        setup = self._setup.copy_with(detector=pooled_detector(pool, weights, self._setup.live))
+        setup = self._setup.copy_with(
+            detector=pooled_detector(pool, weights, self._setup.least_live)
+        )
         core = SpoofCore(self._receivers, setup, **self._rules)
         self.labels = tuple(label_opponent(spec) for spec in list_opponents(pool, Detector))
         return core
@@ -461,7 +463,7 @@ def write_card(
         file,
         name=name,
         interval_s=setup.interval_s,
-        quiet_epochs=setup.live,
+        quiet_epochs=setup.least_live,
         decision_delay=duel.decision_delay,
         threshold=None if calibration is None else calibration.point(per_run=false_alarm).scale,
         calibration={} if calibration is None else _summarize(calibration, false_alarm),

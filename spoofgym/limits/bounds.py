@@ -333,7 +333,7 @@ def _separation(
         bank = copy.deepcopy(inner)
         simulator.bind_detector(bank)
         simulator.run_filter_only(setup.filter_only)
-        for _ in range(setup.live + setup.steps):
+        for _ in range(int(simulator.ages[0]) - setup.filter_only + setup.steps):
             bank.judge(simulator.advance())
             simulator.update(None)
         attack_s = setup.steps * setup.interval_s

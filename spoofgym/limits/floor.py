@@ -62,6 +62,7 @@ from .linear import (
     record,
     record_from,
     respond,
+    run_to_onset,
     unit_commands,
     white,
 )
@@ -72,6 +73,7 @@ HATS = 60
 """Hat functions of the rate, by axis; as many decisions lose 0.1 to 1 % of the frontier."""
 HEADINGS = 24  # of a target direction that is drawn
 QUANTILES = (0.1, 0.5, 0.9)
+RESAMPLES = 2000  # of worlds, for the interval of their median
 ASSUMPTIONS = (
     "the detector sees pseudoranges, range rates and the inertial sensors: no signal strength, "
     "barometer or second antenna",
@@ -164,7 +166,7 @@ class Analyst:
             lost = (blind - simulator.memory["augmented_covariance"])[:, PLACE, PLACE]
             blocks.append(epoch.axes.transpose(0, 2, 1) @ lost @ epoch.axes)
 
-        simulator.run_filter_only(self.setup.onset)
+        run_to_onset(simulator)
         blind = simulator.memory["augmented_covariance"].copy()
         runs = record_from(simulator, look)
         coasting = np.stack(blocks, axis=1)
@@ -319,17 +321,21 @@ class Frontier:
         return self._sizes(self.coasting if free else self.per_deflection)
 
     def _sizes(self, matrices: FloatArray) -> FloatArray:
+        return self._by_world(matrices).ravel()
+
+    def _by_world(self, matrices: FloatArray) -> FloatArray:
+        """(W, H) frontiers at d = 1 by world and heading [m]."""
         if self.any_direction:
             bad = np.asarray(~np.isfinite(matrices).all(axis=(1, 2)))
             largest = np.linalg.eigvalsh(np.where(bad[:, None, None], 0.0, matrices))[:, -1]
-            return np.sqrt(np.where(bad, np.inf, np.maximum(largest, 0.0)))
+            return np.sqrt(np.where(bad, np.inf, np.maximum(largest, 0.0)))[:, None]
         angles = np.array([self.heading])
         if self.heading is None:
             angles = np.arange(HEADINGS) * (np.pi / HEADINGS)
         c = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         with np.errstate(invalid="ignore"):
             squares: FloatArray = np.einsum("hi,wij,hj->wh", c, matrices, c)
-        return np.sqrt(np.where(np.isfinite(squares), squares, np.inf)).ravel()
+        return np.sqrt(np.where(np.isfinite(squares), squares, np.inf))
 
     def lower_limit_m(
         self, p_fa: float, p_d: float, *, heading: str = "unknown", quantile: float = 0.5
@@ -353,6 +359,28 @@ class Frontier:
         d = deflection_for(p_fa, p_d, heading=heading)
         return float(d * np.quantile(self.sizes(), quantile, method="nearest"))
 
+    def lower_limit_interval_m(
+        self, p_fa: float, p_d: float, *, heading: str = "unknown"
+    ) -> tuple[float, float]:
+        """Confidence interval of the median over worlds.
+
+        Parameters
+        ----------
+        p_fa, p_d, heading
+            As of `lower_limit_m`.
+
+        Returns
+        -------
+        tuple of float
+            95 % interval [m], by the bootstrap of whole worlds; of one world the value itself.
+        """
+        sizes = self._by_world(self.per_deflection)
+        rows = np.random.default_rng(0).integers(len(sizes), size=(RESAMPLES, len(sizes)))
+        drawn = np.quantile(sizes[rows].reshape(RESAMPLES, -1), 0.5, axis=1, method="nearest")
+        d = deflection_for(p_fa, p_d, heading=heading)
+        low, high = d * np.quantile(drawn, (0.025, 0.975), method="nearest")
+        return float(low), float(high)
+
     def course_m(
         self, p_fa: float, p_d: float, *, heading: str = "unknown", quantile: float = 0.5
     ) -> FloatArray:
@@ -369,7 +397,7 @@ class Frontier:
 def compute_frontier(
     setup: TightlyCoupledSetup,
     *,
-    worlds: int = 8,
+    worlds: int | None = None,
     sensors_known: bool = False,
     entropy: int = 0,
     times: int = 0,
@@ -381,8 +409,9 @@ def compute_frontier(
     ----------
     setup : TightlyCoupledSetup
         World, victim, attack and timeline; the detector does not matter.
-    worlds : int
-        Runs whose worlds are drawn, at least 1; one is enough where nothing is drawn.
+    worlds : int, optional
+        Runs whose worlds are drawn, at least 1; by default one under every sky of the domain.  One
+        is enough where nothing is drawn.
     sensors_known : bool
         Whether the constants of the inertial sensors are known to the perfect detector.
     entropy : int
@@ -412,7 +441,8 @@ def compute_frontier(
     4.7
     """
     check_linear_victim(setup)
-    count = whole_number("`worlds`", worlds, 1)
+    every = setup.bounds.worlds
+    count = every if worlds is None else whole_number("`worlds`", worlds, 1)
     times, steps = whole_number("`times`", times, 0), setup.steps
     lasts = sorted({round(steps * (k + 1) / times) - 1 for k in range(times)} - {-1})
     if setup.bounds._replace(heading=0.0).single:
@@ -423,9 +453,10 @@ def compute_frontier(
     matrices, coasting, course = [], [], []
     for run in range(count):
         seeds = seeds_of_runs(entropy, "selection", setup.name, [run])
-        victim = record(setup, make_generators(seeds))[0]
+        given = {"world": run} if worlds is None else None
+        victim = record(setup, make_generators(seeds), given)[0]
         again = seeds_of_runs(entropy, "selection", setup.name, [run])
-        its_analyst = analyst.record(make_generators(again))[0]
+        its_analyst = analyst.record(make_generators(again), given)[0]
         commands = unit_commands(setup, victim.onset).in_hats(HATS)
         if np.any(commands.idle):
             raise ValueError(

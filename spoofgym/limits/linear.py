@@ -32,6 +32,7 @@ from ..attacks import Attack, AttackContext
 from ..detectors import Never
 from ..detectors.base import BoolArray, FloatArray
 from ..receiver.states import POSITION, STATES
+from ..simulation.monitors import Monitor
 from ..simulation.simulator import FixedChoices, run_serially
 from ..simulation.tight import TightlyCoupledSetup, TightlyCoupledSimulator
 from ..truth.run import GroundTruth
@@ -113,7 +114,7 @@ def record(
     """
     simulator = observer(setup, len(rngs))
     simulator.start_episodes(rngs, given)
-    simulator.run_filter_only(setup.onset)
+    run_to_onset(simulator)
     return [as_it_happens(run, setup.world) for run in record_from(simulator)]
 
 
@@ -152,13 +153,22 @@ def mechanize_transition(transition: FloatArray) -> FloatArray:
 
 
 def observer(
-    setup: TightlyCoupledSetup, receivers: int, fields: frozenset[str] = NEEDED
+    setup: TightlyCoupledSetup,
+    receivers: int,
+    fields: frozenset[str] = NEEDED,
+    monitors: Sequence[Monitor] = (),
 ) -> TightlyCoupledSimulator:
-    """Receivers without a detector, whose epochs have some optional fields."""
-    bare_setup = setup.copy_with(detector=Never(), monitors=())
+    """Receivers without a detector in the loop, whose epochs have some optional fields."""
+    bare_setup = setup.copy_with(detector=Never(), monitors=monitors)
     bare_setup.fields = setup.fields | fields
     simulator: TightlyCoupledSimulator = bare_setup.simulator(receivers, run_serially)
     return simulator
+
+
+def run_to_onset(simulator: TightlyCoupledSimulator) -> None:
+    """Let filters run to their onsets."""
+    for part, epochs in simulator.ageing():
+        part.run_filter_only(epochs)
 
 
 def unused_seed(seed: np.random.SeedSequence) -> np.random.SeedSequence:

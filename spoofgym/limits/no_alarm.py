@@ -82,6 +82,7 @@ class Timing(NamedTuple):
 
     @classmethod
     def of(cls, setup: Setup) -> Timing:
+        setup.require_one_age("this zero-alarm bound")
         return cls(setup.interval_s, setup.live, float(setup.epoch_time[setup.onset + 1]))
 
 

@@ -24,11 +24,12 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..detectors import Calibrated, Detector, PooledDetector, SolutionSeparation
+from ..detectors import Calibrated, Detector, PooledDetector, SolutionSeparation, Verdict
 from ..detectors.base import FloatArray, IntArray, check_needs, judge_epoch
 from ..receiver.epoch import ALWAYS, Epoch
 from ..simulation._kernels import turn
 from ..simulation.engine import available_threads
+from ..simulation.monitors import Monitored, PassiveDetectors
 from ..simulation.setup import make_generators
 from ..simulation.tight import TightlyCoupledSetup
 from .linear import hat_functions, observer, record, respond, unit_commands, unused_seed
@@ -85,6 +86,24 @@ def check_replayable(detector: Detector) -> None:
         )
 
 
+def _judge(detector: Detector, epoch: Epoch) -> Verdict:
+    verdict = judge_epoch(detector, epoch)
+    if verdict.weights is not None:
+        raise NotReplayable(
+            f"{type(_inner(detector)).__name__} takes weight off measurements, which changes "
+            "the gains of the filter: play it on the engine"
+        )
+    return verdict
+
+
+class _Watch(PassiveDetectors):
+    """Detectors that are to be replayed, over the warm-up."""
+
+    def update(self, simulator: Monitored) -> None:
+        for k, detector in enumerate(self.detectors):
+            self.memory["alarmed"][:, k] |= _judge(detector, simulator.epoch).alarm.any(axis=1)
+
+
 class Replay:
     """Clean runs of a world, and the responses of their filters.
 
@@ -126,31 +145,23 @@ class Replay:
         self.setup, self.runs = setup, len(seeds)
         self._banks: dict[tuple[int, bytes], LinearBank] = {}
         self.threads = available_threads(10**9) if threads is None else threads
-        self.detectors = [copy.deepcopy(each) for each in detectors]
-        for each in self.detectors:
+        for each in detectors:
             check_replayable(each)
-        self.needs = frozenset().union(*(check_needs(each) for each in self.detectors))
+        self.needs = frozenset().union(*map(check_needs, detectors))
         self._tick = tick or (lambda part: None)
-        self._record(seeds)
+        self._record(detectors, seeds)
         self._respond(seeds)
 
-    def _record(self, seeds: Sequence[np.random.SeedSequence]) -> None:
-        simulator = observer(self.setup, self.runs, self.needs)
+    def _record(
+        self, detectors: Sequence[Detector], seeds: Sequence[np.random.SeedSequence]
+    ) -> None:
+        simulator = observer(self.setup, self.runs, self.needs, [_Watch(detectors)])
         world = simulator.setup
-        simulator.start_episodes(make_generators(seeds))
+        simulator.warm_up(make_generators(seeds))
         self._context = simulator._context()
-        for each in self.detectors:
-            simulator.bind_detector(each)
-            each.reset()
-        simulator.run_filter_only(world.filter_only)
-        self.warmup_alarm = np.zeros((len(self.detectors), self.runs), dtype=np.bool_)
-        for _ in range(world.live):
-            epoch = simulator.advance()
-            for k, each in enumerate(self.detectors):
-                self.warmup_alarm[k] |= self._judge(each, epoch).alarm.any(axis=1)
-            simulator.update(None)
-        self.first, self.onset = simulator.memory["first"].copy(), simulator.onset.copy()
-        self.heading = simulator.heading.copy()
+        watch = simulator.monitor(_Watch)
+        self.detectors, self.warmup_alarm = watch.detectors, watch.memory["alarmed"].T.copy()
+        self.onset, self.heading = simulator.onset.copy(), simulator.heading.copy()
         self.sky = self.onset // world.epochs_each
         stored: dict[str, list[NDArray[Any]]] = {}
         idle = simulator.advance if world.attack.idle_is_clean else lambda: simulator.predict(None)
@@ -162,21 +173,12 @@ class Replay:
             simulator.update(None)
         self._epochs, self.epochs = stored, len(stored["time"])
 
-    def _judge(self, detector: Detector, epoch: Epoch) -> Any:
-        verdict = judge_epoch(detector, epoch)
-        if verdict.weights is not None:
-            raise NotReplayable(
-                f"{type(_inner(detector)).__name__} takes weight off measurements, which changes "
-                "the gains of the filter: play it on the engine"
-            )
-        return verdict
-
     def _respond(self, seeds: Sequence[np.random.SeedSequence]) -> None:
         """Responses to hat functions of the rate, once for all runs of a sky, start and view."""
         views: dict[bytes, int] = {}
         seen = np.array(self._epochs["visible"]).transpose(1, 0, 2)
-        pairs = zip(self.first, seen, strict=True)
-        keys = [first.tobytes() + view.tobytes() for first, view in pairs]
+        pairs = zip(self.onset, seen, strict=True)
+        keys = [onset.tobytes() + view.tobytes() for onset, view in pairs]
         self.group = np.array([views.setdefault(key, len(views)) for key in keys])
         ones = [int(np.flatnonzero(self.group == g)[0]) for g in range(len(views))]
         self.hats = hat_functions(self.setup.steps // self.setup.repeat, HATS)
@@ -248,7 +250,7 @@ class Replay:
         buffers: dict[str, NDArray[Any]] = {}
         for k in range(self.epochs):
             epoch = self._epoch(k, moved, rows, len(rates), detector.needs, buffers)
-            verdict = self._judge(detector, epoch)
+            verdict = _judge(detector, epoch)
             np.maximum(peak, (verdict.statistic / verdict.threshold).max(axis=1), out=peak)
             first[verdict.alarm.any(axis=1) & (first == 0)] = k + 1
         shape = len(rates), len(rows)
@@ -287,7 +289,7 @@ class Replay:
         stored = []
         for k in range(self.epochs):
             epoch = self._epoch(k, moved, rows, len(rates), detector.needs, buffers)
-            verdict = self._judge(detector, epoch)
+            verdict = _judge(detector, epoch)
             place = np.tile(self._epochs["predicted_position"][k][rows], (len(rates), 1))
             size = np.sqrt(verdict.threshold[:, :, None])
             stored.append((inner.whiten(place) / size).reshape(len(rates), len(rows), -1, 2))

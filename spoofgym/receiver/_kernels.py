@@ -294,7 +294,14 @@ def sample(a, w, group, epoch, measured, base):
     first, counts, start = w.index[1], w.index[2], w.index[3]
     lanes, size = counts.shape[0], a.rules[3]
     sensor_base, key_row = group * (world.CHANNELS + 2 * a.visible.shape[1]), group * world.KEYS
-    sensors = a.sensors, sensor_base, a.constants, constant_row(a, group)
+    keys = load(a.keys, key_row + world.IMU_KEY), load(a.keys, key_row + world.IMU_KEY + 1)
+    constants, fixed = a.constants, constant_row(a, group)
+    if a.in_run.shape[0] and not measured:
+        own = w.product[: world.CONSTANT_ROWS]
+        wandering = a.in_run, group * world.WANDERING_ROWS
+        world.advance_biases(*wandering, constants, fixed, keys[0], keys[1], epoch, w.noise, own)
+        constants, fixed = own, 0
+    sensors = a.sensors, sensor_base, constants, fixed
     samples, work = w.rest[:size], w.rest[size:]
     dt, truth, active = work[: size // 6], work[size // 6 :], w.force[3:4]
     for leader in range(lanes):
@@ -310,7 +317,6 @@ def sample(a, w, group, epoch, measured, base):
         if measured:
             world.replay_samples(a.run, start, count, samples, dt)
         else:
-            keys = load(a.keys, key_row + world.IMU_KEY), load(a.keys, key_row + world.IMU_KEY + 1)
             deviates(keys[0], keys[1], epoch, size, 6 * count, samples)
             world.sense(a.run, start, count, *sensors, samples, dt, truth, active)
         mechanize(a.x, base, samples, dt, count, active, w.force)
@@ -323,6 +329,7 @@ def sample(a, w, group, epoch, measured, base):
 # - `out`, `places`: `seen_floats` and `places` of `ReceiverBuffers`;
 # - `visible`, `coasting`: (B, n) and (B,) bool; `epochs` (B,) that each receiver is at;
 # - `range_offset`, `rate_offset`, `authentic`: of `SensorBuffers`;
+# - `in_run`: lane array of `WANDERING`; empty where biases are constant;
 # - `run` (8, N) true samples, their lengths and root rates, as `GroundTruth.run`, or measured ones;
 # - `epoch_time`, `epoch_end`, `satellites`: of `World`;
 # - `rules`: covariance update, fewest satellites, whether to re-orthonormalize, deviates of an
@@ -332,7 +339,7 @@ def sample(a, w, group, epoch, measured, base):
 Arrays = namedtuple(
     "Arrays",
     "x assumed out places visible coasting sensors constants keys epochs range_offset rate_offset "
-    "authentic run epoch_time epoch_end satellites rules signals mappings",
+    "authentic in_run run epoch_time epoch_end satellites rules signals mappings",
 )
 # Scratch memory of a thread, in lane arrays; `index` (4, lanes) int64.
 Scratch = namedtuple(
@@ -460,9 +467,9 @@ def update_group(a, w, group, weights):
 
 @njit
 def arrays_at(table, work, channels):
-    n, epochs, epoch_time = channels, integers_at(table, 9), floats_at(table, 14)
-    receivers, run = epochs.shape[0], floats_at(table, 13)
-    authentic, mappings = floats_at(table, 12), floats_at(table, 19)
+    n, epochs, epoch_time = channels, integers_at(table, 9), floats_at(table, 15)
+    receivers, run = epochs.shape[0], floats_at(table, 14)
+    authentic, mappings = floats_at(table, 12), floats_at(table, 20)
     return Arrays(
         rows_at(table, 0, work),
         rows_at(table, 1, work),
@@ -477,12 +484,13 @@ def arrays_at(table, work, channels):
         floats_at(table, 10).reshape((receivers, n)),
         floats_at(table, 11).reshape((receivers, n)),
         authentic.reshape((authentic.shape[0] // (2 * n), 2 * n)),
+        rows_at(table, 13, work),
         run.reshape((8, run.shape[0] // 8)),
         epoch_time,
-        integers_at(table, 15),
-        floats_at(table, 16).reshape((epoch_time.shape[0], n, SKY)),
-        integers_at(table, 17),
-        rows_at(table, 18, work),
+        integers_at(table, 16),
+        floats_at(table, 17).reshape((epoch_time.shape[0], n, SKY)),
+        integers_at(table, 18),
+        rows_at(table, 19, work),
         mappings.reshape((mappings.shape[0] // (MAPPINGS * n), n, MAPPINGS)),
     )
 

@@ -7,6 +7,8 @@ To the 17 states of `receiver.states` come
 
   .. math:: b_f = M_f f, \qquad b_\omega = M_\omega \omega + G f
 
+- where biases wander, what those of accelerometers and gyros have wandered by, first-order
+  Gauss-Markov as in the world;
 - for every satellite, as far as its world has them: a constant, an error of the code that wanders,
   orbit and clock with their rate, the smoothed error of the code, and the last two readings of the
   carrier, whose difference is the noise of the range rate;
@@ -32,25 +34,32 @@ from numpy.typing import NDArray
 
 from ..core.memory import Memory
 from ..truth.gnss_errors import GnssErrors
-from ..truth.sensors import IMU_GRADES
+from ..truth.sensors import IMU_GRADES, ImuGrade
 from ..truth.signal_errors import HALF_LIFE, SignalErrors, process_coefficients
-from .states import GYRO_BIAS, STATES
+from .states import ACCEL_BIAS, CLOCK_BIAS, GYRO_BIAS, STATES
 
 FloatArray = NDArray[np.float64]
 MATRICES = 27  # elements of M_f, M_w and G
-FIRST = STATES + MATRICES  # first state of the signals
+FIRST = STATES + MATRICES  # first state of what has a `SignalModel`
+IN_RUN = "in_run"  # the kind of its states that the inertial sensors have: biases that wander
 
 
 class SignalModel(NamedTuple):
-    """States of the signals: how they go on, and what of them is in codes and range rates.
-    `transition`, `driving` (q, q) over one interval; `first` (q,) variances at the start; `places`:
-    first state of every kind that there is; `smoothed` (4,) amplitudes of multipath and noise."""
+    """States behind the constants, of biases that wander and of the signals: how they go on, and
+    what of them is in codes and range rates. `transition`, `driving` (q, q) over one interval;
+    `first` (q,) variances at the start; `places`: first state of every kind that there is;
+    `smoothed` (4,) amplitudes of multipath and noise."""
 
     transition: FloatArray
     driving: FloatArray
     first: FloatArray
     places: dict[str, int]
     smoothed: tuple[float, ...]
+
+    @property
+    def wandering(self) -> int:
+        """How many states are biases of inertial sensors; they come first."""
+        return 6 if IN_RUN in self.places else 0
 
     def rows(
         self, mapping: FloatArray, visible: NDArray[np.bool_], interval_s: float
@@ -79,9 +88,10 @@ class SignalModel(NamedTuple):
         return H * np.hstack([visible, visible])[:, :, None]
 
 
-def _kinds(errors: GnssErrors, bias_sd: FloatArray) -> dict[str, int]:
+def _kinds(errors: GnssErrors, bias_sd: FloatArray, wandering: bool) -> dict[str, int]:
     n, signals = len(bias_sd), errors.signals
     wanted = {
+        IN_RUN: (wandering, 6),
         "constant": (bias_sd.any(), n),
         "correlated": (errors.correlated_sd_m > 0.0, n),
     }
@@ -96,9 +106,16 @@ def _kinds(errors: GnssErrors, bias_sd: FloatArray) -> dict[str, int]:
     return {name: count for name, (there, count) in wanted.items() if there}
 
 
-def signal_model(errors: GnssErrors, bias_sd: FloatArray, interval_s: float) -> SignalModel:
-    """States of the signals for some errors; `bias_sd` (n,) of the constants of satellites [m]."""
-    counts, s = _kinds(errors, bias_sd), np.arange(len(bias_sd))
+def signal_model(
+    errors: GnssErrors,
+    bias_sd: FloatArray,
+    interval_s: float,
+    wandering: ImuGrade | None = None,
+) -> SignalModel:
+    """States of the signals for some errors; `bias_sd` (n,) of the constants of satellites [m];
+    `wandering`: sensors whose biases wander, which have states, too."""
+    counts = _kinds(errors, bias_sd, wandering is not None)
+    s = np.arange(len(bias_sd))
     firsts = np.cumsum([0, *counts.values()]).tolist()
     places, q = dict(zip(counts, firsts, strict=False)), firsts[-1]
     signals = SignalErrors() if errors.signals is None else errors.signals
@@ -106,14 +123,16 @@ def signal_model(errors: GnssErrors, bias_sd: FloatArray, interval_s: float) -> 
     model = SignalModel(np.eye(q), np.zeros((q, q)), np.zeros(q), places, smoothed)
     if "constant" in places:
         model.first[places["constant"] + s] = bias_sd**2
+    if wandering is not None:
+        _put_gauss_markov(
+            model, np.arange(6), np.repeat(wandering.in_run, 3), wandering.in_run_s, interval_s
+        )
     for name, sd, time_s in (
         ("correlated", errors.correlated_sd_m, errors.correlation_s),
         ("smoothed", 1.0, signals.smoothing_s),
     ):
         if name in places:
-            j, alpha = places[name] + s, math.exp(-interval_s / time_s)
-            model.transition[j, j], model.first[j] = alpha, sd**2
-            model.driving[j, j] = (1.0 - alpha * alpha) * sd**2
+            _put_gauss_markov(model, places[name] + s, sd, time_s, interval_s)
     for name, sd, time_s, which in (
         ("ionosphere", signals.ionosphere_sd_m, signals.ionosphere_s, s[:1]),
         ("troposphere", signals.troposphere_sd_m, signals.troposphere_s, s[:1]),
@@ -128,6 +147,18 @@ def signal_model(errors: GnssErrors, bias_sd: FloatArray, interval_s: float) -> 
         model.transition[j, j], model.transition[k, j], model.transition[k, k] = 0.0, 1.0, 0.0
         model.driving[j, j] = model.first[j] = model.first[k] = signals.carrier_sd_m**2
     return model
+
+
+def _put_gauss_markov(
+    model: SignalModel,
+    j: NDArray[np.intp],
+    sd: float | FloatArray,
+    time_s: float,
+    interval_s: float,
+) -> None:
+    alpha = math.exp(-interval_s / time_s)
+    model.transition[j, j], model.first[j] = alpha, sd**2
+    model.driving[j, j] = (1.0 - alpha * alpha) * sd**2
 
 
 def _put_process(model: SignalModel, j: NDArray[np.intp], coefficients: list[float]) -> None:
@@ -147,8 +178,8 @@ def matrix_variances(grade: str) -> FloatArray:
 
 class Predicted(NamedTuple):
     """What an update needs of the prediction. `gain` (B, N, m) P H'; `S` (B, m, m); `innovation`
-    (B, m); `drift` (B, 17) error of the strapdown that the matrices have brought; `enough` (B,)
-    bool, satellites for an update."""
+    (B, m); `drift` (B, 17) error of the strapdown that matrices and wandering biases have brought;
+    `enough` (B,) bool, satellites for an update."""
 
     gain: FloatArray
     S: FloatArray
@@ -176,7 +207,7 @@ class AugmentedFilter:
     ) -> None:
         self.memory, self.model, self.interval_s = memory, model, interval_s
         b, size = memory.receivers, FIRST + len(model.first)
-        self.states = size
+        self.states, self.inertial = size, FIRST + model.wandering
         memory.declare("augmented_covariance", np.zeros((b, size, size)))
         memory.declare("augmented", np.zeros((b, size - STATES)))
         shapes = {"predicted_cov": size, "design": 2 * channels, "transition": size}
@@ -218,23 +249,25 @@ class AugmentedFilter:
     ) -> Predicted:
         """Go on by one interval, and form the innovations, as arrays of `Epoch` and the filter."""
         P, a = self.memory["augmented_covariance"], self.memory["augmented"]
-        D, b = self.model.transition, len(tau)
+        D, b, inertial = self.model.transition, len(tau), self.inertial
         turned = np.ascontiguousarray(transition[:, :3, GYRO_BIAS : GYRO_BIAS + 3])  # C tau
         f, w = imu_delta[:, :3] / tau[:, None], imu_delta[:, 3:] / tau[:, None]
-        moved = np.zeros((b, STATES, MATRICES))
+        moved = np.zeros((b, STATES, inertial - STATES))
         by_force = (turned[:, :, :, None] * f[:, None, None, :]).reshape(b, 3, 9)
-        moved[:, 3:6, :9] = moved[:, :3, 18:] = by_force
+        moved[:, 3:6, :9] = moved[:, :3, 18:MATRICES] = by_force
         moved[:, :3, 9:18] = (turned[:, :, :, None] * w[:, None, None, :]).reshape(b, 3, 9)
+        if inertial > FIRST:  # wandering biases do what the constant ones do
+            moved[:, :ACCEL_BIAS, MATRICES:] = transition[:, :ACCEL_BIAS, ACCEL_BIAS:CLOCK_BIAS]
         top = np.concatenate([transition, moved], axis=2)
         index, half = np.arange(STATES), 0.5 * tau[:, None] * noise_psd
         P[:, index, index] += half
-        P[:, :STATES] = top @ P[:, :FIRST]
-        P[:, :, :STATES] = P[:, :, :FIRST] @ top.transpose(0, 2, 1)
+        P[:, :STATES] = top @ P[:, :inertial]
+        P[:, :, :STATES] = P[:, :, :inertial] @ top.transpose(0, 2, 1)
         P[:, index, index] += half
         P[:, FIRST:] = D @ P[:, FIRST:]
         P[:, :, FIRST:] = P[:, :, FIRST:] @ D.T
         P[:, FIRST:, FIRST:] += self.model.driving
-        drift = (moved @ a[:, :MATRICES, None])[:, :, 0]
+        drift = (moved @ a[:, : inertial - STATES, None])[:, :, 0]
         a[:, MATRICES:] = (D @ a[:, MATRICES:, None])[:, :, 0]
         signals = self.model.rows(mapping, visible, self.interval_s)
         H = np.concatenate([design, np.zeros((*design.shape[:2], MATRICES)), signals], axis=2)
@@ -249,7 +282,7 @@ class AugmentedFilter:
     def _show(self, top: FloatArray, H: FloatArray, P: FloatArray) -> None:
         shown = self.shown
         if "transition" in shown:
-            shown["transition"][:, :STATES, :FIRST] = top
+            shown["transition"][:, :STATES, : self.inertial] = top
         for name, array in (("design", H), ("predicted_cov", P)):
             if name in shown:
                 shown[name][:] = array

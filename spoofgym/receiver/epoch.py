@@ -174,6 +174,7 @@ def kernel_table(
             sensors.range_offset,
             sensors.rate_offset,
             sensors.authentic,
+            sensors.in_run.data,
             *more,
         ]
     )

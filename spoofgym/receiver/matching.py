@@ -56,6 +56,16 @@ which over `WINDOW_S` add up to the same variance, in the window of the run wher
 and the same with the g-dependent error for the gyro biases.  With m the root mean square of the
 nine elements of the data sheet, initial biases have the variance of the biases and of what the
 specific force of 1 g makes of the errors of scale.
+
+**Biases that wander** by a first-order Gauss-Markov process of variance :math:`\sigma^2` and time
+T change over a lag t by :math:`2 \sigma^2 (1 - e^{-t / T})` in the mean square.  The filter takes
+that for a random walk, whose change is S t, and for a larger constant at the start:
+
+.. math:: S = 2 \sigma^2 / T, \qquad P_0 = \sigma_b^2 + \sigma^2 .
+
+It is right for lags that are short to T, which are those over which a filter with range rates
+learns a bias, and bounds the change at all others: over t = T by a factor of 1.6.  A filter that
+coasts for longer believes in more error than there is.
 """
 
 from __future__ import annotations
@@ -111,20 +121,21 @@ def _largest_change(history: FloatArray, window: int) -> float:
     return float(np.max(np.sum(change**2, axis=0))) / window
 
 
-def matched_sensors(grade: str, motion: Motion) -> FilterGrade:
+def matched_sensors(grade: str, motion: Motion, wandering: bool = False) -> FilterGrade:
     sheet = IMU_GRADES[grade]
+    accel_sd, gyro_sd = sheet.in_run.tolist() if wandering else (0.0, 0.0)
     accel_noise, gyro_noise = sheet.noise[:2]
     accel_scale = _rms(sheet.accel_matrix - np.eye(3))
     gyro_scale = _rms(sheet.gyro_matrix - np.eye(3))
     g_dependence = _rms(sheet.g_dependence)
     return FILTER_GRADES[grade]._replace(
         position_sd=FIRST_FIX_SD_M,
-        accel_bias_sd=math.hypot(_rms(sheet.accel_bias), accel_scale * STANDARD_GRAVITY),
-        gyro_bias_sd=math.hypot(_rms(sheet.gyro_bias), g_dependence * STANDARD_GRAVITY),
+        accel_bias_sd=math.hypot(_rms(sheet.accel_bias), accel_sd, accel_scale * STANDARD_GRAVITY),
+        gyro_bias_sd=math.hypot(_rms(sheet.gyro_bias), gyro_sd, g_dependence * STANDARD_GRAVITY),
         gyro_noise_psd=float(gyro_noise**2 + gyro_scale**2 * motion.turning),
         accel_noise_psd=float(accel_noise**2),
-        accel_bias_psd=accel_scale**2 * motion.forcing,
-        gyro_bias_psd=g_dependence**2 * motion.forcing,
+        accel_bias_psd=accel_scale**2 * motion.forcing + 2.0 * accel_sd**2 / sheet.in_run_s,
+        gyro_bias_psd=g_dependence**2 * motion.forcing + 2.0 * gyro_sd**2 / sheet.in_run_s,
     )
 
 
@@ -162,10 +173,12 @@ def compute_assumed_noise(
     world: GroundTruth,
     epochs: int,
     flown: int | None = None,
+    wandering: bool = False,
 ) -> tuple[FloatArray, NoiseModel]:
     """R (2n,) that a receiver assumes, pseudoranges first [m^2], [m^2/s^2], and its clock and
     inertial sensors. `bias_sd` (n,) of the constant biases [m]; `flown`: epochs of the world whose
-    manoeuvres it may meet; as many as `epochs` by default."""
+    manoeuvres it may meet; as many as `epochs` by default; `wandering`: whether the biases of the
+    inertial sensors do."""
     n = len(bias_sd)
     interval_s = float(world.epoch_time[1] - world.epoch_time[0])
     if receiver.tuning == "augmented":
@@ -179,7 +192,7 @@ def compute_assumed_noise(
         clock_phase_psd=errors.clock.phase_psd,
         clock_frequency_psd=errors.clock.frequency_psd,
         inertial=matched_sensors(
-            receiver.grade, compute_motion(world, epochs if flown is None else flown)
+            receiver.grade, compute_motion(world, epochs if flown is None else flown), wandering
         ),
     )
     pseudorange = model.pseudorange_sd**2 + epochs * bias_sd**2

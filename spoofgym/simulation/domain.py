@@ -29,7 +29,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 MOST_WORLDS = 256
 MOST_TIME_S = 1e8  # three years; beyond, the rounding of the time shows in positions of satellites
-CHOICES = ("world", "start_s", "imu", "errors", "target_heading_deg")  # what a reset may be given
+CHOICES = ("world", "start_s", "imu", "errors", "target_heading_deg", "age_s")
+"""What a reset may be given."""
 
 
 @settings_record(frozen=True, kw_only=True)
@@ -45,6 +46,14 @@ class Domain:
         unit="s",
         help="Earliest and latest time of the flight at which the receiver is switched on; the "
         "attack starts a warm-up later.  None as the latest: as late as the flight allows.",
+    )
+    age_s: tuple[float, float] | None = setting(
+        default=None,
+        omitted=True,
+        unit="s",
+        help="Range of the age of receiver and detectors at the onset, the time since they were "
+        "switched on, of which the logarithm is uniform; by default the warm-up of the timeline.  "
+        "Detectors are live from the same time after switch-on as there.",
     )
     turned_deg: tuple[float, float] = setting(
         default=(0.0, 0.0),
@@ -102,6 +111,9 @@ class Domain:
         require(
             self.start_s[0] >= 0.0, f"`start_s` must not begin before 0 s, got {self.start_s[0]}"
         )
+        if self.age_s is not None:
+            object.__setattr__(self, "age_s", _range("age_s", self.age_s, False))
+            require(self.age_s[0] > 0.0, f"`age_s` must be above 0 s, got {self.age_s}")
         for name, valid in (("imu", IMU_GRADES), ("errors", ERRORS)):
             given = getattr(self, name)
             given = (given,) if isinstance(given, str) else given
@@ -155,17 +167,20 @@ def _range(name: str, given: Any, open_end: bool) -> tuple[float, float | None]:
 class Choice(NamedTuple):
     """Circumstances of some receivers' episodes, (b,) each. `world`, `grade`, `error`: index of the
     world, and in `Domain.imu` and `Domain.errors`; `start`: epoch of the world at which the episode
-    starts; `heading`: direction in which displacement counts, clockwise from north [rad]."""
+    starts; `heading`: direction in which displacement counts, clockwise from north [rad]; `age`:
+    epochs from the start to the onset."""
 
     world: IntArray
     grade: IntArray
     error: IntArray
     start: IntArray
     heading: FloatArray
+    age: IntArray
 
 
 class DomainBounds(NamedTuple):
-    """Among how many of each an episode chooses, its starts, and its heading, None if drawn."""
+    """Among how many of each an episode chooses, its starts, its heading, None if drawn, and its
+    least and largest age."""
 
     worlds: int
     grades: int
@@ -173,10 +188,13 @@ class DomainBounds(NamedTuple):
     first: int
     last: int
     heading: float | None
+    youngest: int
+    oldest: int
 
     @property
     def single(self) -> bool:
-        counts = (self.worlds, self.grades, self.errors, self.last - self.first + 1)
+        starts, ages = self.last - self.first + 1, self.oldest - self.youngest + 1
+        counts = (self.worlds, self.grades, self.errors, starts, ages)
         return max(counts) == 1 and self.heading is not None
 
 
@@ -185,17 +203,20 @@ def draw(bounds: DomainBounds, keys: NDArray[np.uint64]) -> Choice:
     count = len(keys)
     whole = np.zeros((4, count), dtype=np.int64)
     whole[3] = bounds.first
+    age = np.full(count, bounds.youngest)
     heading = np.full(count, 0.0 if bounds.heading is None else bounds.heading)
     if not bounds.single:
         for i, key in enumerate(keys.tolist()):
-            u = np.random.default_rng(key).random(5)
+            u = np.random.default_rng(key).random(6)
             # all are drawn, so that one does not depend on whether another has a range
             sizes = (bounds.worlds, bounds.grades, bounds.errors, bounds.last - bounds.first + 1)
             whole[:, i] = [int(x * size) for x, size in zip(u[:4], sizes, strict=True)]
             whole[3, i] += bounds.first
             if bounds.heading is None:
                 heading[i] = 2.0 * np.pi * u[4]
-    return Choice(whole[0], whole[1], whole[2], whole[3], heading)
+            if bounds.youngest < bounds.oldest:
+                age[i] = round(bounds.youngest * (bounds.oldest / bounds.youngest) ** u[5])
+    return Choice(whole[0], whole[1], whole[2], whole[3], heading, age)
 
 
 def apply_choices(
@@ -210,22 +231,15 @@ def apply_choices(
     for name in given:
         check_choice("choice of a reset", name, CHOICES)
     values = {name: expand_values(name, value, count) for name, value in given.items()}
-    world, grade, error, start, heading = drawn
+    world, grade, error, start, heading, age = drawn
     if "world" in values:
         world = _whole("world", values["world"], 0, bounds.worlds - 1)
     if "start_s" in values:
-        epochs = [x / interval_s for x in _numbers("start_s", values["start_s"])]
-        span = (bounds.first * interval_s, bounds.last * interval_s)
-        require(
-            all(span[0] - 1e-6 <= x * interval_s <= span[1] + 1e-6 for x in epochs),
-            f"`start_s` must be {span[0]:g} to {span[1]:g}, got {given['start_s']}",
-        )
-        start = np.array([round(x) for x in epochs], dtype=np.int64)
-        require(
-            all(abs(x - k) <= 1e-6 for x, k in zip(epochs, start.tolist(), strict=True)),
-            f"`start_s` must be a multiple of the interval between epochs, {interval_s:g} s, "
-            f"got {given['start_s']}",
-        )
+        starts = bounds.first, bounds.last
+        start = _epochs("start_s", given["start_s"], count, starts, interval_s)
+    if "age_s" in values:
+        ages = bounds.youngest, bounds.oldest
+        age = _epochs("age_s", given["age_s"], count, ages, interval_s)
     if "imu" in values:
         grade = _index("imu", values["imu"], names["imu"])
     if "errors" in values:
@@ -236,7 +250,23 @@ def apply_choices(
             "a reset can be given `target_heading_deg` only where it is 'random'",
         )
         heading = np.radians(_numbers("target_heading_deg", values["target_heading_deg"]))
-    return Choice(world, grade, error, start, heading)
+    return Choice(world, grade, error, start, heading, age)
+
+
+def _epochs(name: str, given: Any, count: int, span: tuple[int, int], step_s: float) -> IntArray:
+    """Times that are given [s] as (count,) numbers of epochs within a span of them."""
+    epochs = [x / step_s for x in _numbers(name, expand_values(name, given, count))]
+    first, last = (k * step_s for k in span)
+    require(
+        all(first - 1e-6 <= x * step_s <= last + 1e-6 for x in epochs),
+        f"`{name}` must be {first:g} to {last:g}, got {given}",
+    )
+    whole = [round(x) for x in epochs]
+    require(
+        all(abs(x - k) <= 1e-6 for x, k in zip(epochs, whole, strict=True)),
+        f"`{name}` must be a multiple of the interval between epochs, {step_s:g} s, got {given}",
+    )
+    return np.array(whole, dtype=np.int64)
 
 
 def expand_values(name: str, value: Any, count: int) -> list[Any]:
@@ -283,7 +313,8 @@ class Combination(NamedTuple):
     `bias_sd` (n,) of the satellites' constant biases [m]; `noise_variance` (2n,) R;
     `epoch_variance` (2n,) what it assumes of one epoch alone; `noise` of clock and inertial
     sensors; `noise_psd` (17,) of its states; `covariance` (17, 17) at the start; `assumed` errors
-    of the signals, and `assumed_bias_sd` (n,) of their constants [m].
+    of the signals, and `assumed_bias_sd` (n,) of their constants [m]; `assumed_grade` of the
+    inertial sensors.
     """
 
     grade: ImuGrade
@@ -296,6 +327,7 @@ class Combination(NamedTuple):
     covariance: FloatArray
     assumed: GnssErrors
     assumed_bias_sd: FloatArray
+    assumed_grade: str
 
 
 HELD_BYTES = 256e6  # size up to which worlds are held for setups to come, though none has them
@@ -347,6 +379,7 @@ class Combinations:
         errors = named or [scenario.gnss_errors]
         assumed = named or [scenario.assumed_errors]
         self.drawn = (scenario.turn_on if domain.turn_on is None else domain.turn_on) == "drawn"
+        self.wandering = scenario.in_run == "wandering"
         events = scenario.events if domain.events is None else domain.events
         self.events = events if events is not None and events.any else None
         self.with_signals = self.events is not None or any(each.signals for each in errors)
@@ -355,7 +388,7 @@ class Combinations:
         grades = self.names["imu"]
         victims = [(g, replace(receiver, grade=g) if domain.imu else receiver) for g in grades]
         self._all = [
-            _combination(each, grade, error, belief, victim, epochs, flown)
+            _combination(each, grade, error, belief, victim, epochs, flown, self.wandering)
             for each in (take_world(world, w, worlds) for w in range(worlds))
             for grade, victim in victims
             for error, belief in zip(errors, assumed, strict=True)
@@ -377,7 +410,8 @@ class Combinations:
                 "a receiver with `tuning` 'augmented' takes one grade of inertial sensors and "
                 "one kind of errors, with the same constants in all worlds of the domain",
             )
-        return signal_model(first.assumed, first.assumed_bias_sd, interval_s)
+        wandering = IMU_GRADES[first.assumed_grade] if self.wandering else None
+        return signal_model(first.assumed, first.assumed_bias_sd, interval_s, wandering)
 
     def __getitem__(self, index: int) -> Combination:
         return self._all[index]
@@ -429,11 +463,13 @@ def _combination(
     receiver: TightlyCoupled,
     epochs: int,
     flown: int,
+    wandering: bool,
 ) -> Combination:
     elevation = world.first_elevation
     bias_sd = errors.bias_sd(elevation)
     believed = assumed.bias_sd(elevation)
-    variance, noise = compute_assumed_noise(receiver, assumed, believed, world, epochs, flown)
+    given = assumed, believed, world, epochs, flown
+    variance, noise = compute_assumed_noise(receiver, *given, wandering=wandering)
     single = variance
     if receiver.matches:
         interval_s = float(world.epoch_time[1] - world.epoch_time[0])
@@ -445,6 +481,5 @@ def _combination(
         accel_quantization=sheet.accel_quantization / world.decimation,
         gyro_quantization=sheet.gyro_quantization / world.decimation,
     )
-    return Combination(
-        sheet, errors, bias_sd, variance, single, noise, psd, covariance, assumed, believed
-    )
+    beliefs = assumed, believed, receiver.grade
+    return Combination(sheet, errors, bias_sd, variance, single, noise, psd, covariance, *beliefs)

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..core.declared import check_number
 from ..receiver import NavState, Recording
-from ..truth._kernels import CHUNK, sense
-from ..truth.noise import deviates, pad_count
+from ..truth._kernels import CHUNK, CONSTANT_ROWS, advance_biases, sense
+from ..truth.noise import BLOCK, deviates, pad_count
 from .domain import FloatArray
 from .simulator import run_serially
 from .tight import TightlyCoupledSetup, TightlyCoupledSimulator
@@ -49,12 +49,13 @@ def record_run(
     position_e : ndarray
         (K, 3) estimated after every epoch, ECEF [m].
     """
-    count = setup.onset + setup.steps if epochs is None else epochs
-    check_number("epochs", count, least=1, most=setup.world.epochs - 1, whole=True)
     with_ranges = copy.copy(setup)
     with_ranges.fields = setup.fields.union(RANGES)
     victim = with_ranges.simulator(1, run_serially)
     victim.start_episodes([rng])
+    onset = int(victim.ages[0])
+    count = onset + setup.steps if epochs is None else epochs
+    check_number("epochs", count, least=1, most=setup.world.epochs - 1, whole=True)
     buffers, clock = victim.buffers, victim.buffers.fields["clock"][0]
     initial = NavState(
         position_e=buffers.position_e[0],
@@ -66,10 +67,10 @@ def record_run(
     parts = []
     for k in range(count):
         samples = _next_samples(victim)
-        if command is None or k < setup.onset:
+        if command is None or k < onset:
             epoch = victim.advance()
         else:
-            epoch = victim.predict(command(k - setup.onset))
+            epoch = victim.predict(command(k - onset))
         seen, measured = epoch.visible[0], (buffers.seen[name][0] for name in RANGES)
         sky = setup.world.satellites[int(victim.epochs[0])]
         ranges = [np.where(seen, each, np.nan) for each in measured]
@@ -101,7 +102,11 @@ def _next_samples(victim: TightlyCoupledSimulator) -> FloatArray:
     count, parts = end - first, sensors.fields.data.copy()
     key0, key1 = sensors.words["imu"][0]
     deviates(key0, key1, np.uint64(k + 1), len(samples), 6 * count, samples)
-    truth, active = np.empty(8 * CHUNK), np.ones(1)
-    given = parts, 0, sensors.constants.data, 0
+    truth, active, constants = np.empty(8 * CHUNK), np.ones(1), sensors.constants.data
+    if sensors.in_run.rows:
+        noise, constants = np.empty(BLOCK), np.empty(CONSTANT_ROWS)
+        wandering = sensors.in_run.data.copy(), 0, sensors.constants.data, 0
+        advance_biases(*wandering, key0, key1, np.uint64(k + 1), noise, constants)
+    given = parts, 0, constants, 0
     sense(world.run, np.array([first]), count, *given, samples, dt, truth, active)
     return samples[: 6 * count].reshape(6, -1).T.copy()

@@ -9,7 +9,7 @@ import shlex
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -22,7 +22,7 @@ from ..detectors import Detector, detector_in_world
 from ..detectors.calibration_file import Conditions, describe_as_json
 from ..receiver.epoch import OPTIONAL
 from ._kernels import local_motion
-from .domain import Domain, DomainBounds, FloatArray
+from .domain import Choice, Domain, DomainBounds, FloatArray
 from .monitors import Monitor
 
 MOST_EPOCHS = 100_000  # longest episode
@@ -58,6 +58,16 @@ class Timeline:
             self.live_s <= self.warmup_s,
             f"`live_s` must be at most `warmup_s` = {self.warmup_s}, got {self.live_s}",
         )
+
+    def aged(self, age_s: float) -> Timeline:
+        """The same phases with another warm-up, whose first part stays."""
+        before = self.warmup_s - self.live_s
+        require(
+            age_s >= before,
+            f"`age_s` must be at least the {before:g} s from switch-on to when detectors are live "
+            f"(`warmup_s` - `live_s`), got {age_s:g}",
+        )
+        return replace(self, warmup_s=age_s, live_s=age_s - before)
 
     def epochs(self, interval_s: float) -> tuple[int, int, int, int]:
         """Epochs of the filter-only and the monitored warm-up, the command phase, and the hold."""
@@ -125,7 +135,8 @@ class Setup(ABC):
       axes from local north, east (and down);
     - `filter_only`, `live`, `steps`, `hold`: epochs of the filter-only warm-up, the monitored
       warm-up, the command phase, and the time to alert; `onset` is the sum of the first two,
-      `repeat` epochs make a decision;
+      `repeat` epochs make a decision; where ages are drawn, `live` and `onset` are the largest,
+      and `youngest` is the smallest onset;
     - `bounds`: what an episode chooses from;
     - `motion_names`, `error_names`, `weight_names`, `geometry_names`: elements of what a simulator
       of this victim writes as motion of the target, error of the estimate, weights and geometry;
@@ -192,8 +203,12 @@ class Setup(ABC):
         self.timeline, self.interval_s = timeline, interval_s
         self.monitors: tuple[Monitor, ...] = ()
         self.kernel: SequelKernel | None = None
-        self.filter_only, self.live, self.steps, self.hold = timeline.epochs(interval_s)
-        self.onset = self.filter_only + self.live
+        age_s = self.domain.age_s
+        oldest = timeline if age_s is None else timeline.aged(age_s[1])
+        self.filter_only, self.live, self.steps, self.hold = oldest.epochs(interval_s)
+        self.onset = self.youngest = self.filter_only + self.live
+        if age_s is not None:
+            self.youngest = sum(timeline.aged(age_s[0]).epochs(interval_s)[:2])
         self._decide_every(decision_interval_s, between)
         # one epoch more, which a finished receiver may run until it is reset
         self.length = self.onset + self.steps + self.hold + 1
@@ -273,7 +288,24 @@ class Setup(ABC):
         heading, fixed = self.target_heading_deg, None
         if heading != "random":  # where "worst" counts, no direction does
             fixed = 0.0 if isinstance(heading, str) else float(np.radians(heading))
-        return DomainBounds(worlds, grades, errors, first, last, fixed)
+        ages = self.youngest, self.onset
+        return DomainBounds(worlds, grades, errors, first, last, fixed, *ages)
+
+    @property
+    def least_live(self) -> int:
+        """Epochs of the monitored warm-up of the youngest receivers."""
+        return self.youngest - self.filter_only
+
+    def find_onsets(self, choice: Choice) -> NDArray[np.int64]:
+        """(b,) epochs of `epoch_time` after which the attacks of some episodes start."""
+        return choice.world * self.epochs_each + choice.start + choice.age
+
+    def require_one_age(self, what: str) -> None:
+        require(
+            self.youngest == self.onset,
+            f"{what} needs receivers of one age at the onset, but the domain's `age_s` is "
+            f"{self.domain.age_s}",
+        )
 
     def _starts(self, epochs: int, name: str) -> tuple[int, int]:
         interval, length = self.interval_s, self.length
@@ -289,11 +321,12 @@ class Setup(ABC):
         if max(first, last) > room:
             line = self.timeline
             start = f" from a start at {max(first, last) * interval:g} s" if first or last else ""
+            before = self.onset * interval
             valid = f"a start is at most at {room * interval:g} s"
             if room < 0:
                 valid = f"the three take at most {(epochs - 2) * interval:g} s"
             raise ValueError(
-                f"an episode takes {length * interval:g} s{start} (warm-up {line.warmup_s:g} s, "
+                f"an episode takes {length * interval:g} s{start} (warm-up {before:g} s, "
                 f"attack {line.attack_s:g} s, time to alert {line.time_to_alert_s:g} s, and one "
                 f"epoch of {interval:g} s in reserve), but {name!r} lasts "
                 f"{(epochs - 1) * interval:g} s: {valid}"

@@ -35,6 +35,7 @@ FixedChoices = Mapping[str, Any]  # circumstances that are not to be drawn, by `
 Written = NDArray[np.floating[Any]]
 StepArrays = tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray, FloatArray]
 M = TypeVar("M", bound=Monitor)
+DROPPED = 0.125  # part of the receivers of a warm-up that are at their onset when these are left
 DOMAIN_STREAM = 0xD0  # key of the stream of an episode's seed from which a domain is drawn
 
 
@@ -245,6 +246,11 @@ class Simulator(ABC):
         return self.memory["onset"]
 
     @property
+    def ages(self) -> NDArray[np.int64]:
+        """(B,) epochs from the start of the episode to its onset."""
+        return np.asarray(self.onset - self.memory["first"])
+
+    @property
     def heading(self) -> FloatArray:
         """(B,) direction in which displacement counts, clockwise from north [rad]."""
         return self.memory["heading"]
@@ -265,7 +271,7 @@ class Simulator(ABC):
         )
         resolve_thresholds(detector, setup)
         detector.bind(self._context())
-        if setup.live < detector.memory_epochs:
+        if setup.domain.age_s is None and setup.live < detector.memory_epochs:
             ages = (setup.live * setup.interval_s, detector.memory_epochs * setup.interval_s)
             warnings.warn(
                 f"{type(detector).__name__} is live for {ages[0]:g} s before the attack and its "
@@ -274,7 +280,7 @@ class Simulator(ABC):
                 YoungMemoryWarning,
                 stacklevel=2,
             )
-        epochs = setup.live + setup.steps + setup.hold
+        epochs = setup.least_live + setup.steps + setup.hold
         require(
             detector.silent_epochs < epochs,
             f"{type(detector).__name__} can't alarm in its first {detector.silent_epochs} "
@@ -307,6 +313,7 @@ class Simulator(ABC):
             monitor.start_episodes()
         self._start(choice)
         self.verdict, self.weights = None, self.ones
+        self.memory["warmup_alarm"][:] = False
 
     def _choose(self, keys: NDArray[np.uint64], given: FixedChoices | None) -> Choice:
         setup = self.setup
@@ -314,9 +321,8 @@ class Simulator(ABC):
         if given:
             names = setup.combination_names
             choice = apply_choices(given, choice, setup.bounds, names, setup.interval_s)
-        first = choice.world * setup.epochs_each + choice.start
-        self.memory["first"][:] = first
-        self.memory["onset"][:] = first + setup.onset
+        self.memory["onset"][:] = setup.find_onsets(choice)
+        self.memory["first"][:] = self.memory["onset"] - choice.age
         self.memory["heading"][:] = choice.heading
         for b, heading in enumerate(choice.heading.tolist()):
             self.memory["direction"][b] = math.cos(heading), math.sin(heading)
@@ -390,15 +396,37 @@ class Simulator(ABC):
     ) -> Iterator[None]:
         """`warm_up` that stops after pieces of some epochs of single receivers."""
         self.start_episodes(rngs, given)
-        alarmed, each = np.zeros(self.receivers, dtype=np.bool_), max(1, piece // self.receivers)
+        each = max(1, piece // self.receivers)
         for start in range(0, self.setup.filter_only, each):
             yield
             self.run_filter_only(min(each, self.setup.filter_only - start))
-        each = each if self.judges_compiled else 1
-        for start in range(0, self.setup.live, each):
-            yield
-            alarmed |= self.live_epochs(min(each, self.setup.live - start)).any(axis=0)
-        self.memory["warmup_alarm"] = alarmed
+        for part, count in self.ageing(self.setup.filter_only):
+            each = max(1, piece // part.receivers) if part.judges_compiled else 1
+            for start in range(0, count, each):
+                yield
+                alarms = part.live_epochs(min(each, count - start))
+                part.memory["warmup_alarm"] |= alarms.any(axis=0)
+
+    def ageing(self, past: int = 0) -> Iterator[tuple[Self, int]]:
+        """Receivers that are to go on together, and by how many epochs, until each is at its
+        onset, `past` epochs after the start. Those that are there stay as they are."""
+        left = self.ages - past
+        if (left == left[0]).all():
+            yield self, int(left[0])
+            return
+        part, rows, gone = self._copy(np.arange(self.receivers)), np.arange(self.receivers), 0
+        for end in np.unique(left).tolist():
+            yield part, end - gone
+            gone, there = end, np.flatnonzero(left[rows] == end)
+            self.copy_rows(rows[there], part, there)
+            young = np.flatnonzero(left[rows] > end)
+            if 0 < len(young) <= (1.0 - DROPPED) * len(rows):
+                part, rows = part._copy(young), rows[young]
+
+    def _copy(self, rows: Rows) -> Self:
+        part: Self = self.setup.simulator(len(rows), self._run)
+        part.copy_rows(np.arange(len(rows)), self, rows)
+        return part
 
     def start_from(self, pool: Self, rows: Rows, rngs: Rngs) -> None:
         """Let some receivers start new episodes as copies of a pool's that have come to the onset.

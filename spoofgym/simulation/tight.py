@@ -153,7 +153,7 @@ class TightlyCoupledSetup(Setup):
 
     @property
     def onsets(self) -> NDArray[np.int64] | None:
-        if self.bounds.first != self.bounds.last:
+        if self.bounds.first != self.bounds.last or self.youngest != self.onset:
             return None
         epochs = np.arange(self.world.epochs)
         starts: NDArray[np.int64] = epochs - epochs % self.epochs_each
@@ -231,6 +231,7 @@ class TightlyCoupledSimulator(Simulator):
             world.channels,
             with_signals=self.setup.combinations.with_signals,
             with_authentic=self.setup.attack.replaces_errors,
+            with_in_run=self.setup.combinations.wandering,
             alike=self.setup.combinations.sense_alike,
         )
         self._all_rows = np.arange(receivers)
@@ -277,8 +278,11 @@ class TightlyCoupledSimulator(Simulator):
         sizes, variance = (self.receivers, world.channels), cases.largest_variance
         single = np.sqrt(cases.largest_epoch_variance)
         known = *sizes, setup.interval_s, variance, world.satellite_ids, single
-        states = STATES if self.augmented is None else self.augmented.states
-        return DetectorContext(*known, states, setup.receiver.min_satellites)
+        context = DetectorContext(*known, min_satellites=setup.receiver.min_satellites)
+        if self.augmented is None:
+            return context
+        filter_ = self.augmented
+        return context._replace(states=filter_.states, inertial_states=filter_.inertial)
 
     def __getstate__(self) -> dict[str, Any]:
         views = ("epoch", "_table", "_memories", "_no_memories", "_known", "_spare", "_history")
@@ -345,19 +349,17 @@ class TightlyCoupledSimulator(Simulator):
             assumed.put("noise_psd", rows, its.noise_psd)
             self.buffers.put_covariance(rows, its.covariance)
             if self.augmented is not None:
-                self.augmented.start_episodes(rows, its.covariance, self.setup.receiver.grade)
+                self.augmented.start_episodes(rows, its.covariance, its.assumed_grade)
         if combinations.events is not None:
             self._draw_events(combinations.events)
 
     def _draw_events(self, events: BenignEvents) -> None:
         setup, world, signals = self.setup, self.setup.world, self.sensors.signals
-        lasts = setup.live + setup.steps + setup.hold
         sky = setup.interval_s, world.visible, world.look
-        for row in range(self.receivers):
-            first = int(self.onset[row]) - setup.live + 1
-            found = draw_events(
-                events, self.memory["key"][row], EventWindow(first, first + lasts - 1, *sky)
-            )
+        lasts = self.onset + setup.steps + setup.hold
+        for row, start in enumerate(self.memory["first"].tolist()):
+            window = EventWindow(start + setup.filter_only + 1, int(lasts[row]), *sky)
+            found = draw_events(events, self.memory["key"][row], window)
             for name, value in found.items():
                 signals.put(name, [row], value)
 

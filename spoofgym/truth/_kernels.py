@@ -10,8 +10,8 @@ from ..core.simd import any_lane, floor, load, select, set_lane, splat, sqrt, st
 from ..earth.wgs84 import EARTH_RATE, STILL, gravity, range_and_rate
 from .clock import advance_clock
 from .gnss_errors import gauss_markov_step
-from .noise import deviates, exponential, normals
-from .sensors import CONSTANTS, SOURCES, sensor_shapes
+from .noise import BLOCK, deviates, exponential, normals
+from .sensors import CONSTANTS, SOURCES, WANDERING, sensor_shapes
 from .signal_errors import MAPPINGS, count_deviates, signal_shapes
 
 _ROWS = first_rows(sensor_shapes(1))
@@ -23,6 +23,9 @@ G_DEPENDENCE = _CONSTANTS["g_dependence"]
 IMU_NOISE, CLOCK_PSD = _CONSTANTS["imu_noise"], _CONSTANTS["clock_psd"]
 GNSS_NOISE, CORRELATED_NOISE = _CONSTANTS["gnss_noise"], _CONSTANTS["correlated_noise"]
 CONSTANT_ROWS = CORRELATED_NOISE + 2
+_WANDERING = first_rows(WANDERING)
+BIAS, STEP = _WANDERING["bias"], _WANDERING["step"]
+WANDERING_ROWS = STEP + 3
 CHANNELS = _ROWS["satellite_bias"]  # first row of the biases; n rows later the correlated errors
 IMU_KEY, CLOCK_KEY, GNSS_KEY, CORRELATED_KEY = (
     2 * SOURCES.index(source) for source in ("imu", "clock", "gnss", "correlated")
@@ -36,7 +39,9 @@ CARRIER, CLOCK_STEP, LOSS = _SIGNALS["carrier"], _SIGNALS["clock_step"], _SIGNAL
 FRONT, ZENITH, SIGNALS = _SIGNALS["front"], _SIGNALS["zenith"], _SIGNALS["front_arrival"]
 SIGNAL_ROWS = 6
 DISTURBED = 4  # rows of each signal that `disturb` writes
-LATER = 1 << 40  # first counter of deviates of signals, under the key of the correlated errors
+# First counter of deviates of signals, under the key of the correlated errors, and of biases that
+# wander, under that of the inertial sensors.
+LATER = 1 << 40
 CHUNK = 16  # samples whose truth is gathered at a time, so that it stays in the nearest cache
 SKY = 8  # of a satellite: position, velocity, true range and range rate, 0 if invisible
 
@@ -177,6 +182,28 @@ def sense(run, first, count, sensors, base, constants, fixed, samples, dt, truth
     now = load(active, 0) > 0.0
     keep3(sensors, b, now & (qa > 0.0), (c0 - p0, c1 - p1, c2 - p2))
     keep3(sensors, b + 3, now & (qg > 0.0), (c3 - p3, c4 - p4, c5 - p5))
+
+
+@njit
+def advance_biases(in_run, base, constants, fixed, key0, key1, epoch, noise, out):
+    r"""Write a group's constants as they are up to an epoch, with what their biases have wandered
+    by, and advance that: first-order Gauss-Markov.
+
+    .. math:: b^+ = \alpha b + \sigma \sqrt{1 - \alpha^2}\, w, \qquad \alpha = e^{-\tau / T}
+
+    `in_run`, `base`: of `WANDERING`, and its first row; `constants`, `fixed`: as in `sense`;
+    `epoch`: of each lane, as a word; `noise`: scratch memory of `BLOCK` rows; `out`: lane array,
+    written, what `sense` takes for `constants` then.
+    """
+    deviates(key0, key1, epoch + np.uint64(LATER), BLOCK, 6, noise)
+    for row in range(CONSTANT_ROWS):
+        store(out, row, load(constants, fixed + row))
+    alpha = load(in_run, base + STEP)
+    for i in range(6):
+        row = ACCEL_BIAS + i if i < 3 else GYRO_BIAS + i - 3
+        bias, driving = load(in_run, base + BIAS + i), load(in_run, base + STEP + 1 + i // 3)
+        store(out, row, load(out, row) + bias)
+        store(in_run, base + BIAS + i, alpha * bias + driving * load(noise, i))
 
 
 @njit

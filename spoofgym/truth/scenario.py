@@ -37,6 +37,7 @@ _OF_WORLD = (  # settings that a world depends on
     *("turned_deg", "imu_rate_hz"),
 )
 TURN_ON = ("specimen", "drawn")  # inertial constants: of the data sheet, or drawn per episode
+IN_RUN = ("constant", "wandering")  # biases of inertial sensors during an episode
 
 
 @settings_record(frozen=True, kw_only=True)
@@ -108,6 +109,13 @@ class Scenario:
         omitted=True,
         help="Inertial sensors with the constants of the grade's data sheet, or with others in "
         "every episode, as large in the mean.",
+    )
+    in_run: str = setting(
+        default="constant",
+        one_of=IN_RUN,
+        omitted=True,
+        help="Biases of the inertial sensors that stay the same for an episode, or that wander by "
+        "the in-run instability of their grade.",
     )
     events: BenignEvents | None = setting(
         default=None,

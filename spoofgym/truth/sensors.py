@@ -5,10 +5,23 @@
 white noise of a given root power spectral density, then rounded to the quantization level, what
 the rounding left over being carried to the next sample.  What kernels need at every epoch lies in
 lane arrays, group by group.
+
+Where biases wander, a first-order Gauss-Markov process comes to each of the constant ones, the same
+over an interval between two epochs, stationary from the start.  Its standard deviation is what a
+data sheet calls in-run bias stability, which is the lowest point of the Allan deviation; that of
+the process itself has its highest one at 0.62 of it.  Sources by grade:
+
+- aviation: a tenth of the constant biases of that class, 30 to 100 ug and 0.01 deg/h (`groves2013`,
+  section 4.4.1);
+- tactical: `stim300`;
+- consumer: `adis16405`.
+
+The correlation time is a choice: programs that simulate such sensors take 100 s to an hour.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -33,7 +46,9 @@ class ImuGrade(NamedTuple):
     - `accel_bias_ug`, `gyro_bias_deg_per_h`: constant biases, body x, y, z;
     - `accel_matrix_ppm`, `gyro_matrix_ppm`: scale-factor and cross-coupling errors, row by row;
     - `gyro_g_dependence`: g-dependent gyro bias, row by row [deg/h/g];
-    - `accel_quantization`, `gyro_quantization`: quantization levels [m/s^2], [rad/s].
+    - `accel_quantization`, `gyro_quantization`: quantization levels [m/s^2], [rad/s];
+    - `accel_in_run_ug`, `gyro_in_run_deg_per_h`, `in_run_s`: standard deviations of what biases
+      wander by during a run, and its correlation time [s].
     """
 
     attitude_error_deg: tuple[float, float, float]
@@ -46,6 +61,9 @@ class ImuGrade(NamedTuple):
     gyro_noise_deg_per_rth: float
     accel_quantization: float
     gyro_quantization: float
+    accel_in_run_ug: float
+    gyro_in_run_deg_per_h: float
+    in_run_s: float = 1000.0
 
     @property
     def accel_bias(self) -> NDArray[np.float64]:
@@ -79,6 +97,13 @@ class ImuGrade(NamedTuple):
             ]
         )
 
+    @property
+    def in_run(self) -> NDArray[np.float64]:
+        """(2,) standard deviations of wandering biases of accelerometers and gyros, SI units."""
+        return np.array(
+            [self.accel_in_run_ug * MICRO_G, self.gyro_in_run_deg_per_h * _DEG_PER_HOUR]
+        )
+
 
 IMU_GRADES: dict[str, ImuGrade] = {  # sensor errors by grade (`groves2013`, the book's software)
     "aviation": ImuGrade(
@@ -92,6 +117,8 @@ IMU_GRADES: dict[str, ImuGrade] = {  # sensor errors by grade (`groves2013`, the
         gyro_noise_deg_per_rth=0.002,
         accel_quantization=5e-5,
         gyro_quantization=1e-6,
+        accel_in_run_ug=5.0,
+        gyro_in_run_deg_per_h=0.001,
     ),
     "tactical": ImuGrade(
         attitude_error_deg=(-0.05, 0.04, 1.0),
@@ -108,6 +135,8 @@ IMU_GRADES: dict[str, ImuGrade] = {  # sensor errors by grade (`groves2013`, the
         gyro_noise_deg_per_rth=0.01,
         accel_quantization=1e-2,
         gyro_quantization=2e-4,
+        accel_in_run_ug=50.0,
+        gyro_in_run_deg_per_h=0.5,
     ),
     "consumer": ImuGrade(
         attitude_error_deg=(-0.5, 0.4, 2.0),
@@ -128,11 +157,15 @@ IMU_GRADES: dict[str, ImuGrade] = {  # sensor errors by grade (`groves2013`, the
         gyro_noise_deg_per_rth=1.0,
         accel_quantization=1e-1,
         gyro_quantization=2e-3,
+        accel_in_run_ug=200.0,
+        gyro_in_run_deg_per_h=25.0,
     ),
 }
 
 
-TURN_ON = 1  # counter, under a satellite bias's key, of the deviates of inertial sensors
+# Counters, under a satellite bias's key, of the deviates of inertial sensors: of their constants,
+# and of the first of the biases that wander.
+TURN_ON, IN_RUN = 1, 2
 # Sources of chance; each has a key of its own in every episode. New ones come last, which leaves
 # the keys of the others as they are.
 SOURCES = ("imu", "clock", "gnss", "bias", "trajectory", "domain", "spoofer", "correlated")
@@ -172,6 +205,14 @@ CONSTANTS: dict[str, tuple[int, ...]] = {
 """
 
 
+WANDERING: dict[str, tuple[int, ...]] = {"bias": (6,), "step": (3,)}
+"""What is stored of biases that wander, in the order of the lane array.
+
+- `bias` (6,) accelerometers, gyros, over the interval to the next epoch [m/s^2], [rad/s];
+- `step` (3,) factor over one interval, and driving noise of accelerometers and gyros.
+"""
+
+
 def draw_source_keys(episodes: Sequence[np.random.SeedSequence]) -> dict[str, NDArray[np.uint64]]:
     """(b, 2) keys of the noise of each of `SOURCES`, from the seeds of episodes."""
     drawn = np.array([seed.generate_state(2 * len(SOURCES), np.uint64) for seed in episodes])
@@ -189,7 +230,8 @@ class SensorBuffers:
     - `authentic` (B, 2n) share of the authentic errors that stays, pseudoranges first: 1 without
       a counterfeit signal, 1 down to 0 with one, -1 where the receiver's own noise is replaced,
       too; no rows where no attack replaces errors;
-    - `signals`: those of `signal_shapes`; no rows where no receiver has such errors.
+    - `signals`: those of `signal_shapes`; no rows where no receiver has such errors;
+    - `in_run`: those of `WANDERING`; no rows where biases are constant.
     """
 
     def __init__(
@@ -199,9 +241,11 @@ class SensorBuffers:
         *,
         with_signals: bool = False,
         with_authentic: bool = False,
+        with_in_run: bool = False,
         alike: bool = False,
     ) -> None:
         self.receivers, self.channels = receivers, channels
+        self.in_run = LaneFields(receivers, WANDERING if with_in_run else {})
         self.signals = LaneFields(receivers, signal_shapes(channels) if with_signals else {})
         self.fields = LaneFields(receivers, sensor_shapes(channels))
         self.constants = LaneFields(receivers, CONSTANTS, shared=alike)
@@ -220,6 +264,7 @@ class SensorBuffers:
         self.constants.copy_rows(to, other.constants, rows)
         self.words.copy_rows(to, other.words, rows)
         self.signals.copy_rows(to, other.signals, rows)
+        self.in_run.copy_rows(to, other.in_run, rows)
         for name in ("epoch", "range_offset", "rate_offset"):
             getattr(self, name)[to] = getattr(other, name)[rows]
         if len(self.authentic):
@@ -253,9 +298,8 @@ class SensorBuffers:
         drawn: bool = False,
     ) -> None:
         """Draw the errors of a new episode, by its keys. `bias_sd` (n,) standard deviation of the
-        satellite biases [m]; `interval_s` between epochs, for errors of signals; `drawn`: whether
-        the inertial sensors' constants are others in every episode, as large as those of the
-        grade."""
+        satellite biases [m]; `interval_s` between epochs, for what wanders; `drawn`: whether the
+        inertial sensors' constants are others in every episode, as large as those of the grade."""
         clock, n = errors.clock, len(bias_sd)
         constants: dict[str, Any] = {
             "accel_bias": grade.accel_bias,
@@ -285,8 +329,23 @@ class SensorBuffers:
             signals = SignalErrors() if errors.signals is None else errors.signals
             keys = self.words.get("correlated", rows)
             start_signals(self.signals, rows, signals, interval_s, keys)
+        if self.in_run.rows:
+            self._start_in_run(rows, grade, interval_s)
         if drawn:
             self._draw_constants(rows, grade)
+
+    def _start_in_run(self, rows: NDArray[np.intp], grade: ImuGrade, interval_s: float) -> None:
+        sds, factor = grade.in_run, math.exp(-interval_s / grade.in_run_s)
+        deviates = self._draw_deviates(rows, IN_RUN)[:, :6]
+        self.in_run.put("bias", rows, np.repeat(sds, 3) * deviates)
+        self.in_run.put("step", rows, (factor, *(math.sqrt(1.0 - factor * factor) * sds)))
+
+    def _draw_deviates(self, rows: NDArray[np.intp], counter: int) -> FloatArray:
+        """(b, BLOCK) under the key of the satellites' biases."""
+        deviates = np.empty((len(rows), BLOCK))
+        for row, (k0, k1) in zip(deviates, self.words.get("bias", rows), strict=True):
+            normals(k0, k1, counter, row)
+        return deviates
 
     def _draw_constants(self, rows: NDArray[np.intp], grade: ImuGrade) -> None:
         """Draw biases and matrices of the inertial sensors, by the RMS of those of the grade."""
@@ -298,10 +357,7 @@ class SensorBuffers:
             "gyro_matrix": (one, grade.gyro_matrix - one),
             "g_dependence": (0.0 * one, grade.g_dependence),
         }
-        deviates = np.empty((len(rows), BLOCK))
-        for row, (k0, k1) in zip(deviates, self.words.get("bias", rows), strict=True):
-            normals(k0, k1, TURN_ON, row)
-        first = 0
+        deviates, first = self._draw_deviates(rows, TURN_ON), 0
         for name, (mean, spread) in means.items():
             own = deviates[:, first : first + spread.size].reshape(len(rows), *spread.shape)
             self.constants.put(name, rows, mean + np.sqrt(np.mean(spread**2)) * own)

@@ -97,10 +97,14 @@ def test_a_mean_above_the_zero_alarm_bound_is_marked():
 
 
 def test_the_blind_optimum_is_that_of_the_search():
-    search = {"by": "response replay", "played": {"curve": "linear"}}
+    search = {"by": "response replay", "unbeaten_start": "ramp"}
     searches = [{"spoofer": "blind-optimum", "found": search}]
     found = bounds(cell("blind-optimum", 9.0), searches=searches)["blind_optimum"]
-    assert (found["value"], found["by"], found["curve"]) == (9.0, "response replay", "linear")
+    assert (found["value"], found["by"], found["unbeaten_start"]) == (
+        9.0,
+        "response replay",
+        "ramp",
+    )
     assert bounds(cell("ramp", 9.0))["blind_optimum"] is None
 
 

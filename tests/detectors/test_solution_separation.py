@@ -12,11 +12,13 @@ from spoofgym.receiver.augmented import FIRST
 from spoofgym.receiver.epoch import Epoch
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.simulator import run_serially
+from spoofgym.truth.sensors import IMU_GRADES
 
 B, N, STATES = 2, 6, 17
 ALL = np.ones(N, dtype=np.bool_)
 PLACE = slice(6, 9)
 POSITION = np.array([3.9e6, 3.1e5, 5.0e6])
+WANDERING = {"name": "trolley", "in_run": "wandering"}
 
 
 def bound(states=STATES, **settings):
@@ -153,7 +155,7 @@ def test_the_bank_has_at_most_a_hundred_spacings():
 
 def receivers(world, tuning, count, **settings):
     setup = TightlyCoupledSetup(
-        scenario={"name": world, "imu_rate_hz": 20.0},
+        scenario={"imu_rate_hz": 20.0, **(world if isinstance(world, dict) else {"name": world})},
         receiver=tuning,
         detector=SolutionSeparation(**settings),
         timeline={"warmup_s": 40.0, "live_s": 20.0, "attack_s": 60.0, "time_to_alert_s": 1.0},
@@ -179,10 +181,15 @@ def separated(simulator):
     return simulator.detector.memory["separation"][:, PLACE, 0]
 
 
-@pytest.mark.parametrize(("world", "tuning"), [("trolley", "augmented"), ("zhong2025", "matched")])
+@pytest.mark.parametrize(
+    ("world", "tuning"),
+    [("trolley", "augmented"), ("zhong2025", "matched"), (WANDERING, "augmented")],
+)
 def test_it_is_the_distance_from_a_receiver_that_coasts_and_shifts_by_what_an_attack_induces(
-    world, tuning
+    world, tuning, monkeypatch
 ):
+    restless = IMU_GRADES["aviation"]._replace(accel_in_run_ug=1000.0, in_run_s=100.0)
+    monkeypatch.setitem(IMU_GRADES, "aviation", restless)  # whose biases show, where they wander
     clean = receivers(world, tuning, 2, longest_s=60.0)
     attacked, coasting = copy.deepcopy(clean), copy.deepcopy(clean)
     for k in range(120):

@@ -14,6 +14,7 @@ from .toy import best_commands, rates_of, rngs_of, unwatched
 LINE = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 2.0}
 DRAWN = {"turn_on": "drawn"}
 SCENARIOS = ["zhong2025", "trolley"]
+WANDERING = {"name": "trolley-tactical", "imu_rate_hz": 20.0, "in_run": "wandering"}
 EAST = np.array([0.0, 1.0])
 
 
@@ -35,7 +36,7 @@ def every_channel(run):
 
 @pytest.mark.parametrize(
     ("scenario", "hold_s", "sensors_known"),
-    [("zhong2025", 0.0, True), ("trolley", 2.0, False)],
+    [("zhong2025", 0.0, True), ("trolley", 2.0, False), (WANDERING, 0.0, True)],
 )
 def test_where_every_channel_is_free_the_frontier_is_the_spread_of_a_coasting_twin(
     scenario, hold_s, sensors_known, monkeypatch

@@ -83,6 +83,12 @@ def test_a_drawn_world_has_a_frontier_of_its_own():
     assert np.ptp(sizes) > 0.0
     low, high = (found.lower_limit_m(0.01, 0.5, quantile=part) for part in (0.0, 1.0))
     assert low == pytest.approx(sizes.min() * high / sizes.max())
+    # by default every sky has its run, and the median over them an interval
+    found = compute_frontier(short_setup(domain=domain))
+    assert len(found.sizes()) == 4
+    low, high = found.lower_limit_interval_m(0.01, 0.5)
+    assert low <= found.lower_limit_m(0.01, 0.5) <= high
+    assert low < high
     ticks = []  # one world is enough where nothing is drawn
     found = compute_frontier(short_setup(), worlds=3, tick=ticks.append)
     assert (len(found.per_deflection), sum(ticks)) == (1, 1.0)

@@ -13,6 +13,7 @@ from spoofgym.truth.gnss_errors import ERRORS
 from spoofgym.truth.scenario import Scenario
 
 DRAWN = {"turn_on": "drawn", "events": {}}
+WANDERING = {"name": "trolley-tactical", "in_run": "wandering"}
 
 
 class Matrices(Never):
@@ -22,6 +23,8 @@ class Matrices(Never):
 def begun(scenario, receivers, domain=None, receiver="augmented", seed=7):
     if isinstance(scenario, str):
         scenario = {"name": scenario, "imu_rate_hz": 20.0}
+    if isinstance(scenario, dict):
+        scenario = {"imu_rate_hz": 20.0, **scenario}
     phases = {"warmup_s": 10.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 1.0}
     simulator = TightlyCoupledSetup(
         scenario=scenario, domain=domain, receiver=receiver, detector=Matrices(), timeline=phases
@@ -50,6 +53,34 @@ def test_in_its_own_world_innovations_are_white_and_of_the_size_that_it_believes
     settled = np.array(found[100:])
     assert np.nanmean(settled**2) == pytest.approx(1.0, abs=0.01)
     assert np.nanmean(settled[1:] * settled[:-1]) == pytest.approx(0.0, abs=0.01)
+
+
+def test_biases_that_wander_fast_have_states(monkeypatch):
+    # as white innovations as without, of sensors that no filter of constants could follow
+    sheet = augmented.IMU_GRADES["tactical"]
+    restless = {"accel_in_run_ug": 2000.0, "gyro_in_run_deg_per_h": 200.0, "in_run_s": 20.0}
+    monkeypatch.setitem(augmented.IMU_GRADES, "tactical", sheet._replace(**restless))
+    test_in_its_own_world_innovations_are_white_and_of_the_size_that_it_believes(WANDERING, 24)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("grade", ["aviation", "tactical"])
+def test_where_biases_wander_innovations_stay_white_with_age(grade):
+    scenario = {**WANDERING, "flight": "airway", "imu": grade, "imu_rate_hz": 10.0}
+    simulator, now = begun(scenario, 112, DRAWN), 0
+    for age_s in (60, 600, 1000):
+        simulator.run_filter_only(2 * age_s - 40 - now)
+        now, seen = 2 * age_s + 40, []
+        for _ in range(80):
+            epoch = simulator.advance()
+            factor = np.linalg.cholesky(epoch.innovation_cov)
+            y = np.linalg.solve(factor, epoch.innovation[:, :, None])[:, :, 0]
+            seen.append(np.where(np.hstack([epoch.visible, epoch.visible]), y, np.nan))
+            simulator.update(None)
+        y = np.array(seen)
+        slack = 4.0 / np.sqrt(np.isfinite(y).sum())  # of four standard deviations
+        assert np.nanmean(y**2) == pytest.approx(1.0, abs=np.sqrt(2.0) * slack)
+        assert np.nanmean(y[1:] * y[:-1]) == pytest.approx(0.0, abs=slack)
 
 
 def test_the_covariance_is_that_of_the_errors():
@@ -129,7 +160,7 @@ def test_detectors_weights_hold_the_filter_back():
         assert changed.all() if weights is None else not changed.any()
 
 
-@pytest.mark.parametrize("name", ["trolley", "aviation-actual"])
+@pytest.mark.parametrize("name", ["trolley", "aviation-actual", WANDERING])
 def test_an_epoch_shows_the_matrices_of_all_states(name):
     simulator = begun(name, 2)
     simulator.run_filter_only(5)
@@ -138,6 +169,7 @@ def test_an_epoch_shows_the_matrices_of_all_states(name):
     Phi, P, H = epoch.transition, epoch.predicted_cov, epoch.design
     assert Phi.shape == P.shape == (2, size, size)
     assert H.shape == (2, epoch.innovation.shape[1], size)
+    assert filter_.inertial == augmented.FIRST + (6 if name is WANDERING else 0)
     half, driving = np.zeros((2, size, size))
     psd = np.reshape(simulator.buffers.assumed["noise_psd"], (-1, 17))[0]
     half[:17, :17] = np.diag(0.5 * simulator.setup.interval_s * psd)

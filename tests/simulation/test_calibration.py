@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import betabinom
 
+from spoofgym.bench.report.results import print_hold_outs
 from spoofgym.bench.runs.world import VICTIMS
 from spoofgym.calibration import thresholds as calibration
 from spoofgym.calibration.clean_runs import Player, weighs
@@ -174,6 +175,23 @@ def test_a_hold_out_tells_the_worst_world():
     assert largest >= held.per_hour
     json.dumps(held.as_dict(), allow_nan=False)
     assert held.as_dict()["worst_world_by_chance"] == by_chance
+
+
+def test_a_hold_out_tells_the_hazard_by_the_time_since_switch_on():
+    timeline = {**SHORT, "warmup_s": 20.0, "live_s": 15.0}
+    aged = TightlyCoupledSetup(
+        detector="never", timeline=timeline, domain={"age_s": (30.0, 200.0)}, scenario="ke2022"
+    )
+    asked = {"false_alarms_per_hour": RATE, "runs": 100}
+    found = calibrate_detectors(aged, "snapshot-chi2", **asked)
+    (held,) = hold_out(aged, found, "snapshot-chi2", **asked)
+    ages, runs, alarms = zip(*held.ages, strict=True)
+    assert ages == (0.0, 60.0, 180.0)
+    assert runs[1] > runs[0] > runs[2] > 0
+    assert (sum(runs), sum(alarms)) == (100, held.alarms)
+    assert held.per_hour_by_age[60.0] == hourly_rate(alarms[1] / runs[1], held.window_s)
+    json.dumps(held.as_dict(), allow_nan=False)
+    print_hold_outs("aged", [held])
 
 
 def test_chance_in_the_worst_of_several_worlds():

@@ -3,10 +3,13 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
 import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.domain import draw
+from spoofgym.simulation.engine import Engine
+from spoofgym.simulation.simulator import run_serially
 from spoofgym.truth.flight import rotate_flight
 from spoofgym.truth.manoeuvres import car
 
@@ -144,3 +147,61 @@ def test_a_turned_flight_is_the_same_flight_in_another_direction():
     np.testing.assert_allclose(apart, 0.0, atol=1e-6)
     # over some hundred metres the vertical turns by 1e-4
     np.testing.assert_allclose(other.velocity_n, np.stack([-east, north, down]).T, atol=5e-3)
+
+
+AGED = {"age_s": (30.0, 120.0), "turned_deg": (0.0, 360.0), "worlds": 2}
+
+
+def test_ages_are_log_uniform_and_an_episode_is_the_same_in_any_batch():
+    setup = TightlyCoupledSetup(timeline=SHORT, domain=AGED)
+    keys = np.random.default_rng(1).integers(0, 2**63, (4000, 2), dtype=np.uint64)
+    age = draw(setup.bounds, keys).age * setup.interval_s
+    assert age.min() < 30.6
+    assert age.max() > 119.4
+    assert kstest(np.log(age / 30.0) / np.log(4.0), "uniform").pvalue > 1e-3
+    # the first part of the warm-up, without detectors, is as long for all
+    assert (setup.filter_only, setup.least_live, setup.live) == (20, 40, 220)
+
+    seeds = range(11)
+    engine = Engine(len(seeds), setup, threads=1)
+    engine.reset([np.random.default_rng(k) for k in seeds])
+    whole = engine.simulator
+    assert len(np.unique(whole.ages)) > 5
+    for k in seeds:
+        alone = setup.simulator(1, run_serially)
+        alone.warm_up([np.random.default_rng(k)])
+        assert alone.ages[0] == whole.ages[k]
+        for one, all_ in (
+            (alone.position, whole.position),
+            (alone.buffers.covariance, whole.buffers.covariance),
+            (alone.detector.memory["average"], whole.detector.memory["average"]),
+        ):
+            assert np.array_equal(one[0], all_[k])
+        assert alone.memory["warmup_alarm"][0] == whole.memory["warmup_alarm"][k]
+    assert np.array_equal(whole.epochs, whole.onset)
+
+
+def test_an_age_is_that_of_a_longer_warm_up_and_may_be_given():
+    aged = TightlyCoupledSetup(timeline=SHORT, domain={"age_s": (30.0, 120.0)})
+    longer = TightlyCoupledSetup(timeline={**SHORT, "warmup_s": 45.0, "live_s": 35.0})
+    found, wanted = aged.simulator(2, run_serially), longer.simulator(2, run_serially)
+    found.warm_up([np.random.default_rng(k) for k in range(2)], {"age_s": 45.0})
+    wanted.warm_up([np.random.default_rng(k) for k in range(2)])
+    assert np.array_equal(found.position, wanted.position)
+    for age_s, message in ((20.0, "30 to 120"), (45.2, "multiple of the interval")):
+        with pytest.raises(ValueError, match=message):
+            found.warm_up([np.random.default_rng(k) for k in range(2)], {"age_s": age_s})
+
+
+@pytest.mark.parametrize(
+    ("age_s", "message"),
+    [
+        ((5.0, 60.0), "`age_s` must be at least the 10 s"),
+        ((0.0, 60.0), "above 0"),
+        ((60.0, 30.0), "the least first"),
+        ((60.0, 400.0), r"warm-up 400 s.*but 'zhong2025' lasts 418 s"),
+    ],
+)
+def test_ages_that_cannot_be_are_refused(age_s, message):
+    with pytest.raises(ValueError, match=message):
+        TightlyCoupledSetup(timeline=SHORT, domain={"age_s": age_s})

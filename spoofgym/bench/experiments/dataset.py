@@ -267,6 +267,7 @@ class Plan(Experiment):
         another thread has failed.
         """
         setup, runs = self.world, len(numbers)
+        setup.require_one_age("a data set")
         seeds = seeds_of_runs(self.entropy, PARTS[part], setup.name, numbers)
         own = [
             np.random.SeedSequence(s.entropy, spawn_key=(*s.spawn_key, ATTACK_STREAM))

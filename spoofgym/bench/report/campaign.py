@@ -17,7 +17,6 @@ from ..experiments.campaign import CampaignResults
 from ..scores.campaign import ANY_RATE, CONTROLS, HALF, NOMINAL, STEALTHY, extract_name, headline
 from ..search.attack_suite import FAMILIES as FAMILIES
 from ..search.attack_suite import ORACLES
-from ..search.open_loop import BEST_CURVE
 from .table import (
     Table,
     format_number,
@@ -322,14 +321,14 @@ def bound_notes(summary: Row) -> list[str]:
 
 
 def group_optima(summary: Row) -> dict[str, list[str]]:
-    """Detectors by what their blind optima were found by; a shape where another curve got farther
-    once fitted."""
+    """Detectors by what their blind optima were found by, and where a search found nothing."""
     labels: dict[str, list[str]] = {}
     for row in summary["detectors"]:
         optimum = row["bracket"]["blind_optimum"]
         if optimum is not None and optimum["by"] is not None:
-            shape = optimum["curve"] not in (None, BEST_CURVE)
-            name = row["detector"] + (f" ({optimum['curve']})" if shape else "")
+            kept = optimum["unbeaten_start"]
+            text = f" (search found nothing better than the {kept})" if kept else ""
+            name = row["detector"] + text
             labels.setdefault(optimum["by"], []).append(name)
     return labels
 

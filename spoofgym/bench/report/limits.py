@@ -101,7 +101,7 @@ def build_limit_record(
         "budget": budget,
         "floors_m": {
             heading: {
-                purpose: {name: _json(value) for name, value in cell.items()}
+                purpose: {name: _as_json(value) for name, value in cell.items()}
                 for purpose, cell in compute_lower_limits(frontier, p_fa, budget, heading).items()
             }
             for heading in HEADINGS
@@ -119,11 +119,11 @@ def build_limit_record(
     return record
 
 
-def add_bounds(record: Record, suite: Suite, show: ProgressBar) -> None:
+def add_bounds(record: Record, suite: Suite, show: ProgressBar, worlds: int) -> None:
     """Add the zero-alarm bounds of all detectors of a suite, and where these work."""
-    brackets, entries = suite.build_bounds(worlds=record["worlds"]), suite.detector_players
+    brackets, entries = suite.build_bounds(worlds=worlds), suite.detector_players
     with show(1.0 + len(entries)) as bar:
-        brackets.cases(partial(bar.advance, now="worlds"))
+        record["bound_worlds"] = len(brackets.cases(partial(bar.advance, now="worlds")))
         bounds = [brackets.zero_alarm(x, partial(bar.advance, now=x.label)) for x in entries]
     record["zero_alarm"] = [
         {
@@ -164,6 +164,10 @@ def _json(value: float | None) -> float | str:
     return UNBOUNDED if value is None or math.isinf(value) else float(value)
 
 
+def _as_json(value: Any) -> Any:
+    return [_json(each) for each in value] if isinstance(value, list) else _json(value)
+
+
 def _spread(sizes: np.ndarray[Any, np.dtype[np.float64]]) -> Record:
     """Median over worlds and headings, 10th and 90th percentile."""
     low, middle, high = (float(np.quantile(sizes, q, method="nearest")) for q in QUANTILES)
@@ -198,7 +202,11 @@ def _heads(record: Record, cells: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _format_lower_limit(cell: Record) -> str:
-    return f"{spread_text(cell)}; d = {cell['deflection']:.2f}"
+    value = metres(cell["value"])
+    if cell["low"] != cell["high"]:  # of several worlds
+        low, high = map(metres, cell["interval"])
+        value += f" [{low}, {high}] ({metres(cell['low'])} to {metres(cell['high'])})"
+    return f"{value}; d = {cell['deflection']:.2f}"
 
 
 ZERO_ALARM = Table(

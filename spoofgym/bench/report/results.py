@@ -48,13 +48,18 @@ WORST_WORLD = (
     attrgetter("worst_world"),
     lambda rates: f"{_rate(rates[0])} ({_rate(rates[1])})",
 )
+BY_AGE = (
+    "per hour by age",
+    attrgetter("per_hour_by_age"),
+    lambda rates: ", ".join(f"{_rate(x)} from {age / 60:g} min" for age, x in rates.items()),
+)
 
 
 def print_hold_outs(title: str, found: Sequence[HoldOut]) -> None:
-    """Print counted alarms; the worst world too where several were drawn."""
-    several = any(one.worst_world for one in found)
-    table = Table(*HOLD_OUTS.columns, WORST_WORLD) if several else HOLD_OUTS
-    table.print(title, found)
+    """Print counted alarms; the worst world and the ages too where several were drawn."""
+    more = [WORST_WORLD] if any(one.worst_world for one in found) else []
+    more += [BY_AGE] if any(one.ages for one in found) else []
+    Table(*HOLD_OUTS.columns, *more).print(title, found)
 
 
 def print_game(task: str, matrix: PayoffMatrix, payoff: str, runs: int) -> None:

@@ -123,11 +123,12 @@ def play_episode(
     simulator, twin = engine.simulator, engine.twin
     assert twin is not None  # `twin=True` above
     everyone, epochs = np.zeros(1, dtype=np.intp), setup.steps + setup.hold
-    ratio = np.zeros((setup.live + epochs, 2))
-    alarm = np.zeros(ratio.shape, dtype=np.bool_)
     simulator.start_episodes(world.generators(entropy, "evaluation", run + 1, run))
     simulator.run_filter_only(setup.filter_only)
-    for k in range(setup.live):
+    live = int(simulator.ages[0]) - setup.filter_only
+    ratio = np.zeros((live + epochs, 2))
+    alarm = np.zeros(ratio.shape, dtype=np.bool_)
+    for k in range(live):
         alarm[k], ratio[k] = simulator.live_epochs(1)[0], simulator.ratio()
     twin.copy_rows(everyone, simulator, everyone)
     attacker = SpooferController([spoofer.spec], engine)
@@ -138,8 +139,8 @@ def play_episode(
         engine.step(attacker.command(k))
         for column, each in ((ATTACKED, simulator), (TWIN, twin)):
             assert each.verdict is not None  # an epoch has been judged
-            alarm[setup.live + k, column] = each.verdict.alarm.any()
-            ratio[setup.live + k, column] = each.ratio()[0]
+            alarm[live + k, column] = each.verdict.alarm.any()
+            ratio[live + k, column] = each.ratio()[0]
             apart[k, column] = (each.position - truth[each.epochs])[0]
         displacement[k] = simulator.commanded_displacement[0]
     return Episode(
@@ -148,7 +149,7 @@ def play_episode(
         spoofer=spoofer,
         entropy=entropy,
         run=run,
-        time=np.arange(1.0 - setup.live, epochs + 1) * setup.interval_s,
+        time=np.arange(1.0 - live, epochs + 1) * setup.interval_s,
         ratio=ratio,
         alarm=alarm,
         error_n=to_local(apart, setup.C_en[list_attack_epochs(setup, simulator.onset)]),
@@ -182,7 +183,7 @@ def _draw_flight(ax: Any, episode: Episode) -> None:
     setup = episode.setup
     world, onset = divmod(episode.onset_epoch, setup.epochs_each)
     flown = setup.true_position[world * setup.epochs_each :][: setup.epochs_each]
-    end, first = onset + setup.steps + setup.hold, onset - setup.onset
+    end, first = onset + setup.steps + setup.hold, onset - episode.onset - setup.filter_only
     axes = setup.C_en[episode.onset_epoch]
     north, east = ((flown - flown[onset]) @ axes).T[:2] / 1000.0
     ax.plot(east, north, color="#cccccc", lw=2, label="flight")

@@ -80,8 +80,7 @@ def select_runs(
         choice = draw(
             setup.bounds, draw_source_keys(episode_seeds(make_generators(seeds)))["domain"]
         )
-        onset = choice.world * setup.epochs_each + choice.start + setup.onset
-        found = np.concatenate([found, numbers[holds[onset]]])
+        found = np.concatenate([found, numbers[holds[setup.find_onsets(choice)]]])
         if len(found) >= runs:
             return found[:runs]
     raise ValueError(
@@ -107,22 +106,16 @@ def in_any_world(judge: Detector) -> Detector:
 
 
 class LateMaxima(RunMaxima):
-    """Largest ratio of the detector in the loop at the last epochs of the monitored warm-up.
-    `epochs`: of the warm-up; `last` of them count."""
+    """Largest ratio of the detector in the loop at the last epochs of the monitored warm-up, of
+    which `last` count."""
 
-    def __init__(self, epochs: int, last: int) -> None:
+    def __init__(self, last: int) -> None:
         super().__init__(())
-        self._skipped, self._seen = max(epochs - last, 0), 0
-
-    def start_episodes(self) -> None:
-        super().start_episodes()
-        self._seen = 0
+        self._last = last
 
     def update(self, simulator: Any) -> None:
         super().update(simulator)
-        self._seen += 1
-        if self._seen == self._skipped:
-            self.memory.reset()
+        self.memory.reset(simulator.epochs == simulator.onset - self._last)
 
 
 class PanelAttack(NamedTuple):
@@ -313,9 +306,9 @@ class NearAlarm(Panel):
 
     def __init__(self, setup: Setup, judge: Detector, rngs: Rngs, threads: int | None) -> None:
         self.world, self.judges, self.threads, self._watched = setup, [judge], threads, []
-        last = min(round(NEAR_ALARM_S / setup.interval_s), setup.live)
+        last = round(NEAR_ALARM_S / setup.interval_s)
         own = self._build_setup((0,))
-        watched = own.copy_with(monitors=[LateMaxima(setup.live, last)])
+        watched = own.copy_with(monitors=[LateMaxima(last)])
         everyone = WarmStart(watched, rngs(), threads=threads)
         ratio, _ = everyone.simulator.monitor(LateMaxima).pop_maxima()
         order = np.argsort(-ratio[:, 0], kind="stable")

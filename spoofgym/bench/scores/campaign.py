@@ -332,7 +332,7 @@ def _optimum(cells: Sequence[Row], searches: Sequence[Row]) -> Row | None:
     best = max(found, key=lambda each: (each["within_budget"], float(each["value"])))
     found_by = {each["spoofer"]: each["found"] or {} for each in searches}
     search = found_by.get(best["spoofer"], {})
-    return {**best, "by": search.get("by"), "curve": search.get("played", {}).get("curve")}
+    return {**best, "by": search.get("by"), "unbeaten_start": search.get("unbeaten_start")}
 
 
 def select_bound(found: Row | None) -> Row:

@@ -22,7 +22,7 @@ from ..runs.players import PlayerSpec
 from ..runs.world import World
 from ..scores.statistics import BUDGET
 
-WORLDS = 4  # drawn worlds over which floors and bounds are taken
+WORLDS = 4  # drawn worlds over which zero-alarm bounds are taken
 HEADING = "unknown"  # what a perfect detector knows of the attack's heading; it knows the rest
 
 
@@ -48,17 +48,25 @@ def summarize_lower_limit(frontier: Frontier, p_fa: float, budget: float) -> dic
 
 def compute_lower_limits(
     frontier: Frontier, p_fa: float, budget: float, heading: str = HEADING
-) -> dict[str, dict[str, float | None]]:
-    """Floors by purpose: the median over worlds, and the 10th and 90th percentile [m]. None where
-    the frontier has no end."""
+) -> dict[str, dict[str, Any]]:
+    """Floors by purpose: the median over worlds, its 95 % interval, and the 10th and 90th
+    percentile [m]. None where the frontier has no end."""
     found = {}
     for name, p_d in purposes(p_fa, budget).items():
         low, middle, high = (
             _finite(frontier.lower_limit_m(p_fa, p_d, heading=heading, quantile=q))
             for q in QUANTILES
         )
-        d = deflection_for(p_fa, p_d, heading=heading)
-        found[name] = {"p_d": p_d, "deflection": d, "value": middle, "low": low, "high": high}
+        found[name] = {
+            "p_d": p_d,
+            "deflection": deflection_for(p_fa, p_d, heading=heading),
+            "value": middle,
+            "low": low,
+            "high": high,
+            "interval": [
+                _finite(x) for x in frontier.lower_limit_interval_m(p_fa, p_d, heading=heading)
+            ],
+        }
     return found
 
 
@@ -99,7 +107,7 @@ class DisplacementBounds:
         if self.setup is None:
             return {"why": f"no limit is known for {self.world.setup.whose}"}
         try:
-            frontier = compute_frontier(self.setup, worlds=self.worlds, entropy=self.entropy)
+            frontier = compute_frontier(self.setup, entropy=self.entropy)
         except ValueError as error:
             return {"why": str(error)}
         return tabulate_lower_limits(frontier, self.rates, self.budget)

@@ -2,8 +2,11 @@
 
 Candidates (`hansen2006`) are played on response replay, which adds an attack to recorded clean runs
 and calls the detector itself; on the engine where a detector de-weights, so that replay does not
-hold.  Every generation is played on another part of the runs, so that the mean of the search does
-not learn the noise of a few of them by heart.  Every candidate is scored at the amplitude that its
+hold.  A rate at the start of a long window displaces much more than one at its end, and is seen as
+much sooner: so a search does not step in rates, but in parts of the rate at which each knot alone
+raises an alarm in half of the runs.  Every generation is played on another part of the runs, so
+that the mean of the search does not learn the noise of a few of them by heart.  Every candidate is
+scored at the amplitude that its
 share of alarms allows.  For each run the amplitude at which its largest ratio of statistic to
 threshold comes to 1 is interpolated between two that are judged; the score is the displacement at
 the quantile of these, by a line through the smaller ones against normal scores, which a single run
@@ -47,20 +50,19 @@ STEEPEST, FLATTEST = 4.0, 0.1
 """Largest and smallest power of the amplitude by which a largest ratio is taken to grow."""
 FEWEST = 2  # runs that a search takes
 AT_ONCE = 24  # attacks that are judged together
-SPREAD, SMOOTH_LENGTH, SMOOTH = 0.035, 0.2, 0.98
-"""Standard deviation of the first candidates, in units of the largest rate; part of the window over
-which neighbouring knots vary together, and for how much of the variance."""
+SPREAD = 0.15
+"""Standard deviation of the first candidates, as a part of the root mean square of the start."""
 LOWER_PART = 0.3  # part of the runs above the share; their amplitudes decide on the quantile, too
 SATURATION = 0.95
 """Part of the farthest reach of the attack from which on a search is over before it begins."""
 SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
-    "constant": lambda t: np.ones_like(t),
+    "ramp": lambda t: np.ones_like(t),
     "smooth entry": lambda t: np.where(t < 0.5, t * t * (12.0 - 16.0 * t), 1.0),
-    "linear": lambda t: t,
-    "quadratic": lambda t: t * t,
-    "late": lambda t: t**4,
-    "half linear": lambda t: 0.3 + 0.7 * t,
-    "late linear": lambda t: np.clip(2.0 * t - 1.0, 0.0, None),
+    "accelerating ramp": lambda t: t,
+    "cubic ramp": lambda t: t * t,
+    "ramp of the fifth degree": lambda t: t**4,
+    "ramp that accelerates": lambda t: 0.3 + 0.7 * t,
+    "late accelerating ramp": lambda t: np.clip(2.0 * t - 1.0, 0.0, None),
 }
 """Rates over the attack window of the curves that a search starts from."""
 
@@ -70,13 +72,13 @@ class OpenLoopSearch:
     """How a blind optimum is looked for."""
 
     runs: int = setting(
-        default=144, least=8, help="Clean runs of the search, of a split of their own."
+        default=512, least=8, help="Clean runs of the search, of a split of their own."
     )
-    batch: int = setting(default=48, least=4, help="Runs that play a generation.")
-    knots: int = setting(default=24, least=2, most=MOST_KNOTS, help="Knots of the curve.")
+    batch: int = setting(default=256, least=4, help="Runs that play a generation.")
+    knots: int = setting(default=12, least=2, most=MOST_KNOTS, help="Knots of the curve.")
     population: int = setting(default=12, least=4, help="Population of CMA-ES.")
     generations: int = setting(
-        default=12, least=0, help="Generations of CMA-ES; 0 for the best of the first curves."
+        default=60, least=0, help="Generations of CMA-ES; 0 for the best of the first curves."
     )
     seed: int = setting(default=0, least=0, help="Seed of the search.")
 
@@ -118,7 +120,7 @@ class OpenLoopOptimizer:
         t = np.linspace(0.0, 1.0, self.settings.knots)
         if self.backend.runs < FEWEST:
             slowest = np.full(len(t), LADDER[0] * self.backend.limits[0])
-            return OpenLoopAttack(slowest, 0.0, "constant", 0.0)
+            return OpenLoopAttack(slowest, 0.0, "ramp", 0.0)
         if (fastest := self._try_fastest(len(t))) is not None:
             return fastest
         shapes = {name: shape(t) for name, shape in SHAPES.items()}
@@ -143,22 +145,27 @@ class OpenLoopOptimizer:
         peak, reach = self._judge(fastest[None], self._batch(0))
         if (peak > 1.0).any():
             return None
-        return OpenLoopAttack(fastest, float(reach[0]), "constant", float(reach[0]), True)
+        return OpenLoopAttack(fastest, float(reach[0]), "ramp", float(reach[0]), True)
 
     def _ladder(self, shapes: dict[str, FloatArray]) -> tuple[OpenLoopAttack, bool]:
         limit, _ = self.backend.limits
-        scales, count = LADDER * limit, len(LADDER)
-        tried = [scale * shape for shape in shapes.values() for scale in scales]
-        peak, reach = self._judge(np.array(tried), self._batch(0))
-        found = OpenLoopAttack(np.zeros(0), -1.0, "", -1.0)
-        for k, (name, shape) in enumerate(shapes.items()):
-            own = slice(k * count, (k + 1) * count)
-            edges = np.array([crossing(scales, column) for column in peak[own].T])
-            scale = self._fit_amplitude(edges)
-            score = float(np.interp(math.log(scale), np.log(scales), reach[own]))
+        scales, found = LADDER * limit, OpenLoopAttack(np.zeros(0), -1.0, "", -1.0)
+        edges, reach = self._climb(np.array(list(shapes.values())), scales)
+        for (name, shape), of_runs, farthest in zip(shapes.items(), edges, reach, strict=True):
+            scale = self._fit_amplitude(of_runs)
+            score = float(np.interp(math.log(scale), np.log(scales), farthest))
             if score > found.displacement_m:
                 found = OpenLoopAttack(scale * shape, score, name, score)
         return found, found.displacement_m >= SATURATION * float(reach.max())
+
+    def _climb(self, shapes: FloatArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(P, N) amplitudes at which single runs alarm, and (P, L) how far shapes (P, knots) get at
+        each of L `scales`."""
+        tried = (shapes[:, None] * scales[:, None]).reshape(-1, shapes.shape[1])
+        peak, reach = self._judge(tried, self._batch(0))
+        by_shape = peak.reshape(len(shapes), len(scales), -1)
+        edges = [[crossing(scales, column) for column in own.T] for own in by_shape]
+        return np.array(edges), reach.reshape(len(shapes), -1)
 
     def _fit_amplitude(self, edges: FloatArray) -> float:
         """Amplitude that a share of alarms allows, by (N,) those at which single runs alarm."""
@@ -206,12 +213,11 @@ class OpenLoopOptimizer:
             raise ImportError(
                 "the search for a blind optimum needs cmaes: pip install 'spoofgym[limits]'"
             ) from error
-        settings, unit = self.settings, float(np.abs(start).max())
-        t = np.linspace(0.0, 1.0, settings.knots)
-        near = np.exp(-0.5 * ((t[:, None] - t) / SMOOTH_LENGTH) ** 2)
-        cov = SMOOTH * near + (1.0 - SMOOTH) * np.eye(len(t))
-        size = settings.population
-        cma = CMA(start / unit, SPREAD, seed=settings.seed, cov=cov, population_size=size)
+        settings, size, limit = self.settings, self.settings.population, self.backend.limits[0]
+        edges, _ = self._climb(np.eye(settings.knots), LADDER * limit)
+        unit = np.median(edges, axis=1)
+        sd = SPREAD * float(np.sqrt(np.mean((start / unit) ** 2)))
+        cma = CMA(start / unit, sd, seed=settings.seed, population_size=size)
         moved = float(start.mean())
         for turn in range(settings.generations):
             # the mean is one of the candidates: it learns the noise of a few runs the least
@@ -261,12 +267,25 @@ LINEAR_ERROR = 0.02
 """How far the displacement on the engine may be from that of the replay, as a part of it."""
 SPLIT = "search"
 """Runs that are searched on: an amplitude that is fitted on the same ones would be too large."""
+ON_ENGINE = {"batch": 48, "generations": 24}
+"""Most of a search on the engine, where a candidate costs a hundred times as much."""
+NOTHING_BETTER = 1.01
+"""Displacement, by that of the start, up to which a search has found nothing better."""
 IDLE = 1e-9  # part of its rates at which an attack is commanded nothing
 REPLAY, ENGINE = "response replay", "engine"
-BEST_CURVE, PLAIN = "found", ("constant", "linear")
+BEST_CURVE, PLAIN = "found", ("ramp", "accelerating ramp")
 """Curves whose amplitude is fitted: the one that was found, and shapes of the rate."""
 ZERO_ALARM, BEFORE = "zero-alarm shape", "found before"
 """A shape that is fitted, too, and one that a search starts from where another has found it."""
+
+
+def name_unbeaten_start(found: Mapping[str, Any]) -> str | None:
+    """Shape that a search started from, where it has found nothing better."""
+    played, search = found["played"]["curve"], found["aims"][AIMS[0]]
+    if played != BEST_CURVE:
+        return str(played)
+    improved = search["displacement_m"] > NOTHING_BETTER * search["start_m"]
+    return None if improved else str(search["start"])
 
 
 class Optima:
@@ -309,7 +328,7 @@ class Optima:
                 return {"by": REPLAY, "linear_error": error, "aims": found, "shapes": shape}
             why = f"the displacement by replay is off by {100.0 * error:.1f} %"
         start = self._start(self.world.build_setup(detector, self.spoofers))
-        found = self._search(EngineBackend(*start, heading_deg), tick)
+        found = self._search(EngineBackend(*start, heading_deg), tick, ON_ENGINE)
         return {
             "by": ENGINE,
             "why": why,
@@ -318,16 +337,19 @@ class Optima:
             "shapes": shape,
         }
 
-    def _search(self, backend: Backend, tick: WorkCallback) -> dict[str, Any]:
+    def _search(
+        self, backend: Backend, tick: WorkCallback, largest: Mapping[str, int] | None = None
+    ) -> dict[str, Any]:
         found: dict[str, Any] = {}
         best: OpenLoopAttack | None = None
-        least = 1.0
-        tuning = self.tuning
+        least, tuning, settings = 1.0, self.tuning, self.settings
+        for name, most in (largest or {}).items():
+            settings = replace(settings, **{name: min(getattr(settings, name), most)})
         for name, share in zip(AIMS, (aim(tuning.runs, tuning.budget), 0.5), strict=True):
             # what gets as far as any attack at few alarms does so at more of them
             if best is None or not best.saturated or share < least:
                 others = {} if best is None else {BEFORE: best.rates_mps}
-                best = OpenLoopOptimizer(backend, share, self.settings).search(others, tick)
+                best = OpenLoopOptimizer(backend, share, settings).search(others, tick)
                 least = share
             found[name] = {
                 "share": share,
@@ -449,4 +471,5 @@ def fit(
         best = max(fits, key=lambda name: fits[name].score)
         found["fitted_m"] = {name: fit.score for name, fit in fits.items()}
         found["played"] = {"curve": best, "rates_mps": curves[best]}
+        found["unbeaten_start"] = name_unbeaten_start(found)
         yield replace(fits[best], found=found)

@@ -153,7 +153,8 @@ class Time(_Term):
 def _varying(setup: Setup, table: NDArray[Any], least: float) -> NDArray[np.intp]:
     """Which columns of a table (K, k) change in the attack windows of all episodes by so much."""
     bounds, each = setup.bounds, setup.epochs_each
-    first, last = bounds.first + setup.onset, bounds.last + setup.onset + setup.steps + setup.hold
+    first = bounds.first + setup.youngest
+    last = bounds.last + setup.onset + setup.steps + setup.hold
     windows = table.reshape(bounds.worlds, each, -1)[:, first : last + 1]
     return np.flatnonzero(np.ptp(windows.reshape(-1, table.shape[1]), axis=0) >= least)
 
