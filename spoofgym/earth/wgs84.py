@@ -156,6 +156,18 @@ def dcm_e_from_n(latitude: ArrayLike, longitude: ArrayLike) -> NDArray[np.float6
     return np.stack([north, east, down], axis=-1)
 
 
+def look_angles(
+    satellites: NDArray[np.float64], position_e: NDArray[np.float64], C_en: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Elevation and azimuth [rad], (K, n), of satellites (K, n, 3) seen from (K, 3), ECEF [m], with
+    `C_en` (K, 3, 3) there. Sums are written out, so that a row has the same bits among any
+    others."""
+    x, y, z = np.moveaxis(satellites - position_e[:, None, :], -1, 0)
+    C = C_en[:, None]
+    north, east, down = (C[..., 0, i] * x + C[..., 1, i] * y + C[..., 2, i] * z for i in range(3))
+    return np.arctan2(-down, np.hypot(north, east)), np.arctan2(east, north)
+
+
 def turning_of_local_axes(position_e: ArrayLike, velocity_e: ArrayLike) -> NDArray[np.float64]:
     r"""Rate of change of the local axes of a moving point, `C_en` by time.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any, NamedTuple
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from ..receiver.matching import compute_assumed_noise
 from ..receiver.tight import NoiseModel
 from ..truth.events import BenignEvents
 from ..truth.gnss_errors import ERRORS, RENAMED, GnssErrors
-from ..truth.run import GroundTruth, chain_worlds
+from ..truth.run import GroundTruth, take_world
 from ..truth.satellites import CircularConstellation
 from ..truth.scenario import TURN_ON, Scenario
 from ..truth.sensors import IMU_GRADES, ImuGrade
@@ -71,6 +71,15 @@ class Domain:
         most=MOST_WORLDS,
         help="Number of worlds, pairs of a turn and a time of the constellation, that are computed "
         "once and drawn from; 1 where none of these has a range; by default 16 where one has.",
+    )
+    turns: int | None = setting(
+        default=None,
+        least=1,
+        most=MOST_WORLDS,
+        omitted=True,
+        help="Number of different turns among the worlds, which take them in rotation; by default "
+        "each has its own.  Worlds of one turn share the samples of the inertial sensors, a third "
+        "of their memory.",
     )
     world_seed: int = setting(default=0, least=0, help="Seed of these pairs.")
     imu: tuple[str, ...] = setting(
@@ -134,6 +143,7 @@ class Domain:
         count = self.worlds if self.worlds is not None else (16 if self.varies else 1)
         rng = np.random.default_rng(self.world_seed)
         turns = rng.uniform(*self.turned_deg, count)
+        turns = turns[np.arange(count) % (self.turns or count)]
         times = rng.uniform(*self.constellation_time_s, count)
         return list(zip(turns.tolist(), times.tolist(), strict=True))
 
@@ -320,49 +330,50 @@ class Combination(NamedTuple):
     assumed_grade: str
 
 
-def build_worlds(scenario: Scenario, domain: Domain) -> list[GroundTruth]:
+HELD_BYTES = 256e6  # size up to which worlds are held for setups to come, though none has them
+_in_use: WeakValueDictionary[Any, GroundTruth] = WeakValueDictionary()
+_held: dict[Any, GroundTruth] = {}  # the last two
+
+
+def build_worlds(scenario: Scenario, domain: Domain) -> tuple[GroundTruth, int]:
+    """All worlds of a domain, one after the other, and how many; setups alive share them."""
     if not domain.varies and domain.worlds is None and domain.pairs() == [(0.0, 0.0)]:
-        return [scenario.world()]
-    constellation = scenario.constellation
-    if not isinstance(constellation, CircularConstellation):
+        return scenario.world(), 1
+    base, pairs = scenario.constellation, domain.pairs()
+    if not isinstance(base, CircularConstellation):
         raise ValueError(
-            "`domain` can move a CircularConstellation alone in time, got "
-            f"{type(constellation).__name__}"
+            f"`domain` can move a CircularConstellation alone in time, got {type(base).__name__}"
         )
-    if isinstance(scenario.flight, str):
-        # a world knows nothing of these
-        bare = replace(scenario, errors="white", imu="aviation", in_run="constant", name="")
-        return _variants(bare, constellation, domain)
-    return _variants.__wrapped__(scenario, constellation, domain)
-
-
-@lru_cache(maxsize=2)
-def _variants(scenario: Scenario, base: CircularConstellation, domain: Domain) -> list[GroundTruth]:
-    return [
-        replace(
-            scenario,
-            turned_deg=scenario.turned_deg + turn,
-            constellation=replace(base, time_offset_s=base.time_offset_s + time),
-        ).world()
-        for turn, time in domain.pairs()
-    ]
+    skies = [(turn, replace(base, time_offset_s=base.time_offset_s + time)) for turn, time in pairs]
+    if not isinstance(scenario.flight, str):
+        return scenario.chained_world(skies), len(pairs)
+    key = scenario.bare, tuple(skies)
+    worlds = _held.pop(key, None) or _in_use.get(key) or scenario.bare.chained_world(skies)
+    _in_use[key] = worlds
+    if worlds.nbytes <= HELD_BYTES:
+        _held[key] = worlds
+        for old in list(_held)[:-2]:
+            del _held[old]
+    return worlds, len(pairs)
 
 
 class Combinations:
     """All combinations of world, grade and errors. `epochs`: of an episode, which a matched
-    receiver knows; `flown`: epochs of the flight that any episode may come to; `world`: all worlds,
-    one after the other; `names`: of the grades, ``"imu"``, and of the errors, ``"errors"``."""
+    receiver knows; `flown`: epochs of the flight that any episode may come to; `world`: all
+    `worlds`, one after the other; `names`: of the grades, ``"imu"``, and of the errors,
+    ``"errors"``."""
 
     def __init__(
         self,
-        worlds: Sequence[GroundTruth],
+        world: GroundTruth,
+        worlds: int,
         scenario: Scenario,
         receiver: TightlyCoupled,
         domain: Domain,
         epochs: int,
         flown: int,
     ) -> None:
-        self.world, self.worlds = chain_worlds(worlds), len(worlds)
+        self.world, self.worlds = world, worlds
         self.names = {"imu": domain.imu or (scenario.imu,), "errors": domain.errors or ("own",)}
         named = [ERRORS[name] for name in domain.errors]
         errors = named or [scenario.gnss_errors]
@@ -377,12 +388,11 @@ class Combinations:
         grades = self.names["imu"]
         victims = [(g, replace(receiver, grade=g) if domain.imu else receiver) for g in grades]
         self._all = [
-            _combination(world, grade, error, belief, victim, epochs, flown, self.wandering)
-            for world in worlds
+            _combination(each, grade, error, belief, victim, epochs, flown, self.wandering)
+            for each in (take_world(world, w, worlds) for w in range(worlds))
             for grade, victim in victims
             for error, belief in zip(errors, assumed, strict=True)
         ]
-        self._first_C_eb = [_first_attitudes(self.world, grade) for grade in self._grades]
 
     def index(
         self, world: NDArray[np.int64], grade: NDArray[np.int64], error: NDArray[np.int64]
@@ -431,9 +441,18 @@ class Combinations:
         return np.asarray(np.max([case.noise_variance for case in self._all], axis=0))
 
     def first_C_eb(self, grade: NDArray[np.int64], epochs: NDArray[np.int64]) -> FloatArray:
-        """(b, 3, 3) attitudes, to ECEF from body axes, with which receivers start at `epochs`."""
-        pairs = zip(grade.tolist(), epochs.tolist(), strict=True)
-        return np.array([self._first_C_eb[g][k] for g, k in pairs])
+        """(b, 3, 3) attitudes, to ECEF from body axes, with which receivers start at `epochs`, with
+        the first error of their grades."""
+        errors = np.array([_first_turn(each) for each in self._grades])[grade]
+        C_en, C_eb = self.world.C_en[epochs], self.world.C_eb[epochs]
+        # the error turns the local axes: C_nb (estimated) = dC C_nb
+        C_ne = np.ascontiguousarray(C_en.transpose(0, 2, 1))
+        return np.asarray(C_en @ (errors.transpose(0, 2, 1) @ (C_ne @ C_eb)))
+
+
+def _first_turn(grade: ImuGrade) -> FloatArray:
+    """(3, 3) error of the local axes with which a receiver of this grade starts."""
+    return euler_to_dcm(*(-np.radians(grade.attitude_error_deg)))
 
 
 def _combination(
@@ -464,11 +483,3 @@ def _combination(
     )
     beliefs = assumed, believed, receiver.grade
     return Combination(sheet, errors, bias_sd, variance, single, noise, psd, covariance, *beliefs)
-
-
-def _first_attitudes(world: GroundTruth, grade: ImuGrade) -> FloatArray:
-    """(K, 3, 3) attitudes with the grade's first error, for a start at every epoch."""
-    error = euler_to_dcm(*(-np.radians(grade.attitude_error_deg)))
-    # the error turns the local axes: C_nb (estimated) = dC C_nb
-    C_ne = np.ascontiguousarray(world.C_en.transpose(0, 2, 1))
-    return world.C_en @ (error.T @ (C_ne @ world.C_eb))

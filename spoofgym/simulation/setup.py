@@ -322,11 +322,14 @@ class Setup(ABC):
             line = self.timeline
             start = f" from a start at {max(first, last) * interval:g} s" if first or last else ""
             before = self.onset * interval
+            valid = f"a start is at most at {room * interval:g} s"
+            if room < 0:
+                valid = f"the three take at most {(epochs - 2) * interval:g} s"
             raise ValueError(
                 f"an episode takes {length * interval:g} s{start} (warm-up {before:g} s, "
                 f"attack {line.attack_s:g} s, time to alert {line.time_to_alert_s:g} s, and one "
                 f"epoch of {interval:g} s in reserve), but {name!r} lasts "
-                f"{(epochs - 1) * interval:g} s"
+                f"{(epochs - 1) * interval:g} s: {valid}"
             )
         return first, last
 

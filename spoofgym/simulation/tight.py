@@ -28,6 +28,7 @@ from ..receiver.epoch import Epoch, ReceiverBuffers, epoch_view, kernel_table
 from ..receiver.states import STATES
 from ..receiver.tight import TUNINGS
 from ..truth.events import BenignEvents, EventWindow, draw_events
+from ..truth.flight import split_rows
 from ..truth.noise import pad_count
 from ..truth.run import GroundTruth
 from ..truth.scenario import Scenario, make_scenario
@@ -101,12 +102,10 @@ class TightlyCoupledSetup(Setup):
         self.attack = make_attack(attack)
         interval_s = self.scenario.epoch_interval_s
         self._phase(detector, timeline, interval_s, decision_interval_s, between)
-        worlds = build_worlds(self.scenario, self.domain)
-        first, last = self._starts(worlds[0].epochs, worlds[0].name)
-        self.combinations = Combinations(
-            worlds, self.scenario, self.receiver, self.domain, self.length, last + self.length
-        )
-        self.world = self.combinations.world
+        self.world, worlds = build_worlds(self.scenario, self.domain)
+        first, last = self._starts(self.world.epochs // worlds, self.world.name)
+        given = self.world, worlds, self.scenario, self.receiver, self.domain
+        self.combinations = Combinations(*given, self.length, last + self.length)
         self.epoch_time = self.world.epoch_time
         self.true_position, self.C_en = self.world.position_e, self.world.C_en
         cases = self.combinations
@@ -114,9 +113,7 @@ class TightlyCoupledSetup(Setup):
         self.epochs_each = self.world.epochs // self.bounds.worlds
         self.mappings = np.zeros(0)
         if cases.with_signals:
-            self.mappings = compute_mappings(
-                self.world.elevation, self.interval_s, self.epochs_each
-            )
+            self.mappings = self._tabulate_mappings()
         slots = [f"slot{s:02d}" for s in range(self.world.channels)]
         self.weight_names = tuple(slots)
         self.geometry_names = (
@@ -124,6 +121,15 @@ class TightlyCoupledSetup(Setup):
             *(f"visible_{slot}" for slot in slots),
         )
         self._check_first_fixes()
+
+    def _tabulate_mappings(self) -> FloatArray:
+        """(K, n, 6) `compute_mappings` at all epochs, world by world."""
+        each = self.epochs_each
+        table = np.empty((self.world.epochs, self.world.channels, MAPPINGS))
+        for first in range(0, len(table), each):
+            elevation, _ = self.world.look(slice(first, first + each))
+            table[first : first + each] = compute_mappings(elevation, self.interval_s, each)
+        return table
 
     def world_settings(self) -> dict[str, Any]:
         scenario = describe(self.scenario)
@@ -163,10 +169,14 @@ class TightlyCoupledSetup(Setup):
 
     def geometry_table(self) -> FloatArray:
         world = self.world
-        sight = world.satellites[:, :, :3] - world.position_e[:, None, :]
-        sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
-        sight = np.einsum("kji,knj->kni", world.C_en, sight) * world.visible[:, :, None]
-        return np.hstack([sight.reshape(world.epochs, -1), world.visible])
+        table = np.empty((world.epochs, len(self.geometry_names)))
+        for rows in split_rows(world.epochs):
+            seen = world.visible[rows]
+            sight = world.satellites[rows, :, :3] - world.position_e[rows, None, :]
+            sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+            sight = np.einsum("kji,knj->kni", world.C_en[rows], sight) * seen[:, :, None]
+            table[rows] = np.hstack([sight.reshape(len(seen), -1), seen])
+        return table
 
     def simulator(self, receivers: int, run: Run) -> TightlyCoupledSimulator:
         return TightlyCoupledSimulator(self, receivers, run)
@@ -345,7 +355,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def _draw_events(self, events: BenignEvents) -> None:
         setup, world, signals = self.setup, self.setup.world, self.sensors.signals
-        sky = setup.interval_s, world.visible, world.azimuth, world.elevation
+        sky = setup.interval_s, world.visible, world.look
         lasts = self.onset + setup.steps + setup.hold
         for row, start in enumerate(self.memory["first"].tolist()):
             window = EventWindow(start + setup.filter_only + 1, int(lasts[row]), *sky)
@@ -626,10 +636,11 @@ class TightlyCoupledSimulator(Simulator):
 
     def _sky(self) -> SkyData:
         world, epoch, offsets = self.setup.world, int(self.epochs[0]), self.sensors
+        elevation, azimuth = world.look(self.epochs[:1])
         return SkyData(
             names=world.satellite_ids,
-            azimuth=world.azimuth[epoch],
-            elevation=world.elevation[epoch],
+            azimuth=azimuth[0],
+            elevation=elevation[0],
             visible=world.visible[epoch],
             spoofed=(offsets.range_offset[0] != 0.0) | (offsets.rate_offset[0] != 0.0),
             weight=self.weights[0, : world.channels].copy(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -92,14 +93,13 @@ class BenignEvents:
 
 class EventWindow(NamedTuple):
     """When events may come, and what is in view. `first`, `last`: epochs; `interval_s` between
-    epochs; `visible`, `azimuth`, `elevation` (K, n) at all epochs."""
+    epochs; `visible` (K, n) at all epochs; `look`: elevation and azimuth (b, n) at some."""
 
     first: int
     last: int
     interval_s: float
     visible: NDArray[np.bool_]
-    azimuth: FloatArray
-    elevation: FloatArray
+    look: Callable[[NDArray[np.int64]], tuple[FloatArray, FloatArray]]
 
 
 def draw_events(
@@ -128,7 +128,8 @@ def draw_events(
         speed = _between(events.front_speed_mps, u[11])
         heading = 2.0 * math.pi * rng.random()
         k = epochs[2]
-        along = _pierce_distance(window.elevation[k]) * np.cos(window.azimuth[k] - heading)
+        elevation, azimuth = window.look(epochs[2:])
+        along = _pierce_distance(elevation[0]) * np.cos(azimuth[0] - heading)
         arrival = k + (along - along.min()) / (speed * window.interval_s)
         found["front"] = (slope * speed * window.interval_s, slope * width)
         found["front_arrival"] = np.where(window.visible[k], arrival, NEVER)

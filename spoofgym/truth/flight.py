@@ -22,6 +22,7 @@ from ._kernels import invert_samples
 DEFAULT_STEP = 0.01  # interval of the inertial samples [s], as in Groves' profiles (`groves2013`)
 CLOSURE_TOLERANCE = 1e-5  # largest distance of a position from the integral of the velocity [m]
 ORTHONORMALITY_TOLERANCE = 1e-9  # largest element of C C' - I
+PIECE = 8192  # rows, of a table over time, that are computed at a time
 _PICARD_STOP = 1e-6
 _PICARD_LIMIT = 100
 
@@ -55,8 +56,9 @@ class Flight:
         self._settle("velocity_e", (count, 3))
         self._settle("C_eb", (count, 3, 3))
         self._check_time()
-        product = self.C_eb @ np.swapaxes(self.C_eb, 1, 2) - np.eye(3)
-        if (worst := float(np.abs(product).max())) > ORTHONORMALITY_TOLERANCE:
+        pieces = (self.C_eb[piece] for piece in split_rows(count))
+        worst = max(float(np.abs(C @ C.swapaxes(1, 2) - np.eye(3)).max()) for C in pieces)
+        if worst > ORTHONORMALITY_TOLERANCE:
             raise ValueError(
                 f"`C_eb` must be orthonormal to {ORTHONORMALITY_TOLERANCE:g}, got an error of "
                 f"{worst:.3g}"
@@ -135,12 +137,20 @@ def rotate_flight(flight: Flight, angle: float) -> Flight:
 
     `angle`: turn :math:`\psi`, clockwise seen from above [rad].
     """
-    latitude, longitude, _ = ecef_to_geodetic(flight.position_e[0])
-    C_en = dcm_e_from_n(latitude, longitude)
-    turn = C_en @ euler_to_dcm(0.0, 0.0, angle) @ C_en.T
-    velocity_e = flight.velocity_e @ turn.T
-    position_e = integrate_velocity(flight.position_e[0], velocity_e, flight.step)
-    return Flight(flight.name, flight.time, position_e, velocity_e, turn @ flight.C_eb)
+    return _thin_out(flight, 1, angle)
+
+
+def _thin_out(flight: Flight, count: int, angle: float) -> Flight:
+    """Every `count`-th state, turned as in `rotate_flight`; no more than these is computed."""
+    velocity_e, C_eb = flight.velocity_e, flight.C_eb[::count]
+    if angle != 0.0:
+        latitude, longitude, _ = ecef_to_geodetic(flight.position_e[0])
+        C_en = dcm_e_from_n(latitude, longitude)
+        turn = C_en @ euler_to_dcm(0.0, 0.0, angle) @ C_en.T
+        velocity_e, C_eb = velocity_e @ turn.T, turn @ C_eb
+    velocity_e = velocity_e[::count]
+    position_e = integrate_velocity(flight.position_e[0], velocity_e, count * flight.step)
+    return Flight(flight.name, flight.time[::count], position_e, velocity_e, C_eb)
 
 
 def check_closure(
@@ -208,17 +218,26 @@ def flight_from_velocity(
     velocity_n = np.asarray(velocity_n, dtype=np.float64)
     start = geodetic_to_ecef(latitude, longitude, height)
     position = np.broadcast_to(start, velocity_n.shape)
+    velocity_e, pieces = np.empty_like(velocity_n), split_rows(len(velocity_n))
     for _ in range(_PICARD_LIMIT):
         before = position
-        C_en = dcm_e_from_n(*ecef_to_geodetic(before)[:2])
-        velocity_e = np.einsum("nij,nj->ni", C_en, velocity_n)
+        for piece in pieces:
+            C_en = dcm_e_from_n(*ecef_to_geodetic(before[piece])[:2])
+            np.einsum("nij,nj->ni", C_en, velocity_n[piece], out=velocity_e[piece])
         position = integrate_velocity(start, velocity_e, step)
         if np.abs(position - before).max() < _PICARD_STOP:
             break
-    C_eb = C_en @ euler_to_dcm(roll, pitch, yaw)
-    return Flight(
-        name, np.arange(len(position), dtype=np.float64) * step, position, velocity_e, C_eb
-    )
+    C_eb, angles = np.empty((*velocity_n.shape, 3)), np.broadcast_arrays(roll, pitch, yaw)
+    for piece in pieces:
+        C_en = dcm_e_from_n(*ecef_to_geodetic(before[piece])[:2])
+        C_eb[piece] = C_en @ euler_to_dcm(*(angle[piece] for angle in angles))
+    time = np.arange(len(position), dtype=np.float64) * step
+    return Flight(name, time, position, velocity_e, C_eb)
+
+
+def split_rows(count: int) -> list[slice]:
+    """Slices of at most `PIECE` rows, which need no more memory than they do."""
+    return [slice(first, first + PIECE) for first in range(0, count, PIECE)]
 
 
 LARGEST_ROTATION = math.radians(90.0)  # over one sample [rad]; beyond, its direction is uncertain
@@ -247,20 +266,20 @@ class Trajectory(Flight):
         self._settle("angular_rate_b", (self.time.size - 1, 3))
 
 
-def trajectory_at(flight: Flight, imu_rate_hz: float | None, epoch_interval_s: float) -> Trajectory:
+def trajectory_at(
+    flight: Flight, imu_rate_hz: float | None, epoch_interval_s: float, turned: float = 0.0
+) -> Trajectory:
     """Trajectory whose inertial samples come at another rate; None for that of the flight. Velocity
     and attitude are those of the flight; the position is the integral of that velocity over the
-    longer samples, as of any flight, and so differs by millimetres."""
+    longer samples, as of any flight, and so differs by millimetres. `turned`: angle of
+    `rotate_flight` [rad]."""
     count = 1
     if imu_rate_hz is not None:
         count = compute_decimation(flight.step, imu_rate_hz, epoch_interval_s)
-    if count == 1:
-        return inverse_kinematics(flight)
-    velocity_e = flight.velocity_e[::count]
-    position_e = integrate_velocity(flight.position_e[0], velocity_e, count * flight.step)
-    every = flight.time[::count], position_e, velocity_e, flight.C_eb[::count]
-    longer = Flight(flight.name, *every)
-    return inverse_kinematics(longer, decimation=count, largest=LARGEST_DECIMATED)
+    if count > 1 or turned != 0.0:
+        flight = _thin_out(flight, count, turned)
+    largest = LARGEST_DECIMATED if count > 1 else LARGEST_ROTATION
+    return inverse_kinematics(flight, decimation=count, largest=largest)
 
 
 def compute_decimation(step: float, rate_hz: float, epoch_interval_s: float) -> int:

@@ -56,10 +56,14 @@ class Pulse:
         return self.peak * (self._edge(time) - self._edge(time - self.ramp - self.hold))
 
     def _edge(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Integral of a rise from 0 to 1 that stays there."""
+        """Integral of a rise from 0 to 1 that stays there. `time` (N,) rises."""
         inside = np.clip(time, 0.0, self.ramp)
-        swing = self.ramp / (2.0 * np.pi) * np.sin(np.pi * inside / self.ramp)
-        return 0.5 * inside - swing + np.maximum(time - self.ramp, 0.0)
+        end = np.searchsorted(time, self.ramp) + 1  # the sine stays as it is from there on
+        swing = self.ramp / (2.0 * np.pi) * np.sin(np.pi * inside[:end] / self.ramp)
+        value = 0.5 * inside
+        value[:end] -= swing
+        value[end:] -= swing[-1]
+        return value + np.maximum(time - self.ramp, 0.0)
 
 
 Axis = Literal["none", "turn", "steer", "climb", "speed"]
@@ -285,8 +289,11 @@ def _sum(
     value = np.zeros_like(time)
     for item in placed:
         if item.axis in axes:
-            local = time - item.start
-            value += item.pulse.total(local) if total else item.pulse.rate(local)
+            first = np.searchsorted(time, item.start)
+            last = np.searchsorted(time, item.start + item.pulse.duration) + 2
+            part = slice(first, None if total else last)  # elsewhere it is 0
+            local = time[part] - item.start
+            value[part] += item.pulse.total(local) if total else item.pulse.rate(local)
     return value
 
 
@@ -416,11 +423,55 @@ def approach() -> Flight:
     )
 
 
+LONG_S = 9060.0  # an onset two hours after switch-on, and half an hour of attack
+
+
+def en_route(rate_hz: float = 100.0) -> Flight:
+    """Flight of 2 h 31 min en route: 200 m/s, a turn or a change of level every 400 s. No paper's
+    flight: for attacks of half an hour whose onset comes up to two hours after switch-on. Turns are
+    of 20 to 40 deg at less than standard rate, levels change by 1000 ft and 2000 ft; of ten
+    manoeuvres, headings and levels come back to where they began."""
+    cycle: list[Manoeuvre] = []
+    for turn, height in ((30.0, 609.6), (-40.0, -304.8), (20.0, 304.8), (-30.0, -609.6)):
+        cycle += [Turn(turn, bank_deg=20.0, ramp_s=4.0), Climb(height, rate_mps=7.6, ramp_s=8.0)]
+    cycle += [Turn(40.0, bank_deg=20.0, ramp_s=4.0), Turn(-20.0, bank_deg=20.0, ramp_s=4.0)]
+    legs: list[Manoeuvre] = []
+    for k in range(23):
+        legs += [Until(400.0 * k + 100.0), cycle[k % len(cycle)]]
+    return fly([*legs, Until(LONG_S)], **_CRUISE, rate_hz=rate_hz, name="en-route")
+
+
+def terminal(rate_hz: float = 100.0) -> Flight:
+    """Flight of 2 h 31 min in a terminal area: holding, down level by level and up again. No
+    paper's flight: for attacks of some minutes whose onset comes up to two hours after switch-on. A
+    jet flies right-hand laps of 5 min at 110 m/s, two turns of 180 deg at 25 deg of bank with a
+    minute between them, and changes level on the way in: eight laps down by 1000 ft each, four up
+    by 2000 ft, and so on, so that at most a minute is straight and level."""
+    legs: list[Manoeuvre] = []
+    for lap in range(30):
+        height, rate = (-304.8, 6.0) if lap % 12 < 8 else (609.6, 12.0)
+        half = Turn(180.0, bank_deg=25.0, ramp_s=5.0)
+        climb = Climb(height, rate_mps=rate, ramp_s=6.0)
+        legs += [Until(300.0 * lap + 10.0), half, Straight(60.0), half, climb]
+    return fly(
+        [*legs, Until(LONG_S)],
+        latitude_deg=50.70,
+        longitude_deg=-3.60,
+        height_m=3600.0,
+        speed_mps=110.0,
+        heading_deg=80.0,
+        rate_hz=rate_hz,
+        name="terminal",
+    )
+
+
 FLIGHTS: dict[str, Callable[[], Flight]] = {  # the ready-made flights by name
     "airway": airway,
     "approach": approach,
     "car": car,
+    "en-route": en_route,
     "ke2022": ke2022,
     "shadmehri2025": shadmehri2025,
+    "terminal": terminal,
     "zhong2025": zhong2025,
 }

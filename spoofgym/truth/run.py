@@ -4,9 +4,10 @@ ones, which measure positions, and `Sky` of snapshot receivers, which have no in
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,10 +21,11 @@ from ..earth.wgs84 import (
     dcm_e_from_n,
     ecef_to_geodetic,
     geodetic_to_ecef,
+    look_angles,
     turning_of_local_axes,
 )
 from ._kernels import fill_ranges
-from .flight import Trajectory, trajectory_at
+from .flight import Trajectory, split_rows, trajectory_at
 from .manoeuvres import FLIGHTS
 from .satellites import Constellation
 
@@ -60,7 +62,6 @@ class GroundTruth:
     - `satellites` (K, n, 8) satellite position and velocity, ECEF, true range [m] and range rate
       [m/s] without clocks; the range is 0 where the slot is not visible;
     - `visible` (K, n) bool, above the mask;
-    - `elevation`, `azimuth` (K, n) [rad]; 0 for an empty slot;
     - `position_e`, `velocity_e` (K, 3) true antenna, ECEF [m], [m/s];
     - `C_eb` (K, 3, 3) true attitude;
     - `C_en` (K, 3, 3) to ECEF from the north-east-down axes at the true position;
@@ -75,8 +76,6 @@ class GroundTruth:
     epoch_end: NDArray[np.int64]
     satellites: FloatArray
     visible: NDArray[np.bool_]
-    elevation: FloatArray
-    azimuth: FloatArray
     position_e: FloatArray
     velocity_e: FloatArray
     C_eb: FloatArray
@@ -100,12 +99,39 @@ class GroundTruth:
         """(n,) elevation of each slot when it is first visible [rad]; 90 deg where it never is."""
         first = np.argmax(self.visible, axis=0)
         seen = self.visible.any(axis=0)
-        return np.where(seen, self.elevation[first, np.arange(self.channels)], np.pi / 2)
+        return np.where(seen, np.diagonal(self.look(first)[0]), np.pi / 2)
+
+    def look(self, epochs: NDArray[np.int64] | slice) -> tuple[FloatArray, FloatArray]:
+        """Elevation and azimuth of every slot at some epochs, (b, n) [rad]; 0 for an empty slot."""
+        places = self.satellites[epochs, :, :3]
+        angles = look_angles(places, self.position_e[epochs], self.C_en[epochs])
+        empty = ~places.any(axis=-1)
+        for each in angles:
+            each[empty] = 0.0
+        return angles
+
+    @property
+    def elevation(self) -> FloatArray:
+        """(K, n) at all epochs [rad], computed anew."""
+        return self.look(slice(None))[0]
+
+    @property
+    def azimuth(self) -> FloatArray:
+        """(K, n) at all epochs [rad], computed anew."""
+        return self.look(slice(None))[1]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of all arrays."""
+        return sum(x.nbytes for x in vars(self).values() if isinstance(x, np.ndarray))
 
     @cached_property
     def axes_turning(self) -> FloatArray:
         """(K, 3, 3) rate of change of `C_en` [1/s], since the axes move with the true position."""
-        return np.ascontiguousarray(turning_of_local_axes(self.position_e, self.velocity_e))
+        turning = np.empty_like(self.C_en)
+        for piece in split_rows(self.epochs):
+            turning[piece] = turning_of_local_axes(self.position_e[piece], self.velocity_e[piece])
+        return turning
 
     @cached_property
     def epoch_truth(self) -> EpochTruth:
@@ -139,7 +165,8 @@ def build_world(
     position_e = trajectory.position_e[epoch_end]
     velocity_e = trajectory.velocity_e[epoch_end]
     states = constellation.states(time[epoch_end])
-    elevation, azimuth = _look(states.position_e, position_e)
+    C_en = np.ascontiguousarray(dcm_e_from_n(*ecef_to_geodetic(position_e)[:2]))
+    elevation, _ = look_angles(states.position_e, position_e, C_en)
     usable = np.isfinite(states.position_e).all(-1) & np.isfinite(states.velocity_e).all(-1)
     visible = usable & (elevation > np.radians(mask_deg))
     chosen = _choose(visible, channels)
@@ -174,23 +201,12 @@ def build_world(
         epoch_end=epoch_end,
         satellites=satellites,
         visible=seen,
-        elevation=_in_slots(elevation, chosen, channels),
-        azimuth=_in_slots(azimuth, chosen, channels),
         position_e=position_e.copy(),
         velocity_e=velocity_e.copy(),
         C_eb=trajectory.C_eb[epoch_end].copy(),
-        C_en=np.ascontiguousarray(dcm_e_from_n(*ecef_to_geodetic(position_e)[:2])),
+        C_en=C_en,
         decimation=trajectory.decimation,
     )
-
-
-def _look(satellites: FloatArray, position_e: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Elevation and azimuth [rad], (K, n), of satellites (K, n, 3) seen from (K, 3)."""
-    latitude, longitude, _ = ecef_to_geodetic(position_e)
-    C_en = dcm_e_from_n(latitude, longitude)
-    sight = np.einsum("kji,knj->kni", C_en, satellites - position_e[:, None, :])
-    horizontal = np.hypot(sight[..., 0], sight[..., 1])
-    return np.arctan2(-sight[..., 2], horizontal), np.arctan2(sight[..., 1], sight[..., 0])
 
 
 def _in_slots(array: NDArray[Any], chosen: list[int], channels: int) -> FloatArray:
@@ -328,14 +344,25 @@ def flown_world(flight: str, interval_s: float, imu_rate_hz: float | None = None
     return loose_world(trajectory_at(FLIGHTS[flight](), imu_rate_hz, interval_s), interval_s)
 
 
-def chain_worlds(worlds: Sequence[GroundTruth]) -> GroundTruth:
+_AT_EPOCHS = (
+    *("epoch_time", "epoch_end", "satellites", "visible"),
+    *("position_e", "velocity_e", "C_eb", "C_en"),
+)
+
+
+def chain_worlds(worlds: Iterable[GroundTruth], runs: Sequence[int]) -> GroundTruth:
     """World in which the epochs of some worlds follow one another. World w of K epochs each has the
     epochs ``w K`` to ``(w + 1) K - 1``. Times start again with each; nothing may cross from one to
-    the next."""
-    first = worlds[0]
-    if len(worlds) == 1:
+    the next. Every world is copied to its place as it comes, and not held. `runs`: which run of
+    inertial samples each world has, from 0 on; one that several have is stored once."""
+    iterator = iter(worlds)
+    first = next(iterator)
+    if len(runs) == 1:
         return first
-    for world in worlds:
+    each, samples, ids = first.epochs, first.run.shape[1], first.satellite_ids
+    run = np.empty((len(first.run), (max(runs) + 1) * samples))
+    joined = _place_arrays({name: getattr(first, name) for name in _AT_EPOCHS}, len(runs))
+    for w, world in enumerate(chain((first,), iterator)):
         require(
             world.channels == first.channels
             and (
@@ -344,29 +371,35 @@ def chain_worlds(worlds: Sequence[GroundTruth]) -> GroundTruth:
             ),
             "worlds in a chain must have the same times and the same slots",
         )
-    same = all(world.satellite_ids == first.satellite_ids for world in worlds)
-    samples = first.run.shape[1]
-    ends = [world.epoch_end + w * samples for w, world in enumerate(worlds)]
-    ids = first.satellite_ids if same else tuple(f"slot{s:02d}" for s in range(first.channels))
+        if world.satellite_ids != ids:
+            ids = tuple(f"slot{s:02d}" for s in range(first.channels))
+        for name, array in joined.items():
+            array[w * each : (w + 1) * each] = getattr(world, name)
+        joined["epoch_end"][w * each : (w + 1) * each] += runs[w] * samples
+        run[:, runs[w] * samples : (runs[w] + 1) * samples] = world.run
+    return replace(first, satellite_ids=ids, run=run, **joined)
 
-    def join(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(world, name) for world in worlds])
 
-    return replace(
-        first,
-        satellite_ids=ids,
-        run=np.ascontiguousarray(np.concatenate([world.run for world in worlds], axis=1)),
-        epoch_time=join("epoch_time"),
-        epoch_end=np.concatenate(ends),
-        satellites=join("satellites"),
-        visible=join("visible"),
-        elevation=join("elevation"),
-        azimuth=join("azimuth"),
-        position_e=join("position_e"),
-        velocity_e=join("velocity_e"),
-        C_eb=join("C_eb"),
-        C_en=join("C_en"),
-    )
+def _place_arrays(first: dict[str, NDArray[Any]], count: int) -> dict[str, Any]:
+    """Empty arrays, `count` times as long, in one block: it doesn't pin the holes that the memory
+    of what is computed leaves between smaller ones."""
+    sizes = np.cumsum([0, *(-8 * (-count * array.nbytes // 8) for array in first.values())])
+    block = np.empty(sizes[-1], dtype=np.uint8)
+    return {
+        name: block[start : start + count * array.nbytes]
+        .view(array.dtype)
+        .reshape(-1, *array.shape[1:])
+        for (name, array), start in zip(first.items(), sizes.tolist(), strict=False)
+    }
+
+
+def take_world(chained: GroundTruth, w: int, worlds: int) -> GroundTruth:
+    """World w of as many in a chain, as views."""
+    each, samples = chained.epochs // worlds, len(chained.imu_time) - 1
+    views = {name: getattr(chained, name)[w * each : (w + 1) * each] for name in _AT_EPOCHS}
+    first = int(views["epoch_end"][0])
+    views["epoch_end"] = views["epoch_end"] - first
+    return replace(chained, run=chained.run[:, first : first + samples], **views)
 
 
 class Sky(NamedTuple):

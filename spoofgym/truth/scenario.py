@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import lru_cache, partial
 from typing import Any, TypeGuard
@@ -11,7 +11,7 @@ from typing import Any, TypeGuard
 from ..core.declared import setting, settings_record
 from ..core.registry import build_record, check_choice, require
 from .events import BenignEvents
-from .flight import Flight, rotate_flight, trajectory_at
+from .flight import Flight, Trajectory, trajectory_at
 from .gnss_errors import ERRORS, RENAMED, GnssErrors
 from .manoeuvres import FLIGHTS
 from .run import (
@@ -22,6 +22,7 @@ from .run import (
     MOST_CHANNELS,
     GroundTruth,
     build_world,
+    chain_worlds,
 )
 from .satellites import (
     TWO_CONSTELLATIONS,
@@ -31,6 +32,10 @@ from .satellites import (
 )
 from .sensors import IMU_GRADES
 
+_OF_WORLD = (  # settings that a world depends on
+    *("flight", "constellation", "epoch_interval_s", "channels", "mask_deg"),
+    *("turned_deg", "imu_rate_hz"),
+)
 TURN_ON = ("specimen", "drawn")  # inertial constants: of the data sheet, or drawn per episode
 IN_RUN = ("constant", "wandering")  # biases of inertial sensors during an episode
 
@@ -152,36 +157,43 @@ class Scenario:
         return ERRORS[self.assumed] if isinstance(self.assumed, str) else self.assumed
 
     def world(self) -> GroundTruth:
-        sky = self.epoch_interval_s, self.channels, self.mask_deg
-        recipe = *sky, self.turned_deg, self.imu_rate_hz
         if isinstance(self.flight, str) and _is_analytic(self.constellation):
-            return _named_world(self.flight, self.constellation, *recipe)
+            return _named_world(self.bare)
+        return self.chained_world([(0.0, self.constellation)])
+
+    @property
+    def bare(self) -> Scenario:
+        """Scenario with nothing but what its world depends on."""
+        return Scenario(name="", **{name: getattr(self, name) for name in _OF_WORLD})
+
+    def chained_world(self, skies: Sequence[tuple[float, Constellation]]) -> GroundTruth:
+        """Worlds of the flight under some skies, one after the other (`chain_worlds`). `skies`:
+        turn of the flight, on top of `turned_deg` [deg], and satellites of each; skies of one turn
+        have one run of inertial samples."""
+        turns = list(dict.fromkeys(turn for turn, _ in skies))
+        return chain_worlds(self._worlds(skies), [turns.index(turn) for turn, _ in skies])
+
+    def _worlds(self, skies: Sequence[tuple[float, Constellation]]) -> Iterator[GroundTruth]:
+        """Worlds of some skies, each made when it is asked for, from a flight that is made once."""
         flight = FLIGHTS[self.flight]() if isinstance(self.flight, str) else self.flight
-        return _world(flight, self.constellation, *recipe)
+
+        @lru_cache(maxsize=1)
+        def turned(turn: float) -> Trajectory:
+            angle = math.radians(self.turned_deg + turn)
+            return trajectory_at(flight, self.imu_rate_hz, self.epoch_interval_s, angle)
+
+        for turn, constellation in skies:
+            yield build_world(
+                turned(turn),
+                constellation,
+                epoch_interval_s=self.epoch_interval_s,
+                channels=self.channels,
+                mask_deg=self.mask_deg,
+            )
 
 
 def at_rate(name: str, imu_rate_hz: float | None) -> str:
     return name if imu_rate_hz is None else f"{name}@{imu_rate_hz:g}Hz"
-
-
-def _world(
-    flight: Flight,
-    constellation: Constellation,
-    epoch_interval_s: float,
-    channels: int,
-    mask_deg: float,
-    turned_deg: float,
-    imu_rate_hz: float | None,
-) -> GroundTruth:
-    if turned_deg != 0.0:
-        flight = rotate_flight(flight, math.radians(turned_deg))
-    return build_world(
-        trajectory_at(flight, imu_rate_hz, epoch_interval_s),
-        constellation,
-        epoch_interval_s=epoch_interval_s,
-        channels=channels,
-        mask_deg=mask_deg,
-    )
 
 
 def _is_analytic(
@@ -194,10 +206,8 @@ def _is_analytic(
 
 
 @lru_cache(maxsize=8)
-def _named_world(
-    flight: str, constellation: CircularConstellation | CombinedConstellation, *recipe: Any
-) -> GroundTruth:
-    return _world(FLIGHTS[flight](), constellation, *recipe)
+def _named_world(scenario: Scenario) -> GroundTruth:
+    return scenario.chained_world([(0.0, scenario.constellation)])
 
 
 _AVIATION: dict[str, Any] = {

@@ -116,7 +116,13 @@ def test_what_cannot_be_flown_is_refused(make, message):
         make()
 
 
-@pytest.mark.parametrize("name", sorted(FLIGHTS))
+LONG = {"en-route", "terminal"}  # millions of numbers each
+READY_MADE = [
+    pytest.param(name, marks=[pytest.mark.nightly] if name in LONG else []) for name in FLIGHTS
+]
+
+
+@pytest.mark.parametrize("name", READY_MADE)
 def test_every_ready_made_flight_is_smooth_and_gentle(name):
     flight = FLIGHTS[name]()
     trajectory = inverse_kinematics(flight)

@@ -1,0 +1,142 @@
+"""Worlds of hours: manoeuvres, satellites, memory, and the bits of the whole in pieces."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from spoofgym.simulation import TightlyCoupledSetup
+from spoofgym.simulation.domain import Domain, build_worlds
+from spoofgym.truth import flight as flights
+from spoofgym.truth.flight import inverse_kinematics, trajectory_at
+from spoofgym.truth.manoeuvres import LONG_S, car, en_route, terminal
+from spoofgym.truth.run import build_world, take_world
+from spoofgym.truth.satellites import CircularConstellation
+from spoofgym.truth.scenario import Scenario
+from spoofgym.truth.signal_errors import causal_mappings, compute_mappings
+
+STEP_S = 0.5
+
+
+@pytest.fixture(scope="module", params=[(en_route, 400.0), (terminal, 75.0)])
+def long_flight(request):
+    make, quiet_s = request.param
+    return make(rate_hz=1.0 / STEP_S), quiet_s
+
+
+def test_long_flights_turn_or_climb_throughout(long_flight):
+    flight, quiet_s = long_flight
+    assert flight.duration == LONG_S
+    north, east, down = flight.velocity_n.T
+    turning = np.abs(np.gradient(np.unwrap(np.arctan2(east, north)), STEP_S)) > np.radians(0.1)
+    at = np.flatnonzero(turning | (np.abs(down) > 0.5))
+    assert np.diff([0, *at, flight.time.size - 1]).max() * STEP_S < quiet_s
+    assert 1000.0 < flight.geodetic[2].min() <= flight.geodetic[2].max() < 11_000.0
+
+
+def test_the_slots_hold_enough_satellites_for_hours(long_flight):
+    """Six of twelve slots at least, and 16 slots lose nothing that is above the mask."""
+    trajectory = inverse_kinematics(long_flight[0])
+    for offset_s in np.random.default_rng(5).uniform(0.0, 86_400.0, 12):
+        sky = CircularConstellation(time_offset_s=offset_s)
+        twelve, sixteen, all_ = (
+            build_world(trajectory, sky, epoch_interval_s=20.0, channels=channels).visible.sum(1)
+            for channels in (12, 16, 32)
+        )
+        assert twelve.min() >= 6
+        np.testing.assert_array_equal(sixteen, all_)
+
+
+def test_a_flight_has_the_same_bits_in_pieces(monkeypatch):
+    whole = car()
+    monkeypatch.setattr(flights, "PIECE", 777)
+    pieces = car()
+    for name in ("position_e", "velocity_e", "C_eb"):
+        np.testing.assert_array_equal(getattr(pieces, name), getattr(whole, name))
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 360.0])
+def test_every_world_of_a_chain_is_the_one_built_alone(turned_deg):
+    domain = Domain(
+        worlds=4, turns=2, turned_deg=(0.0, turned_deg), constellation_time_s=(0.0, 86_400.0)
+    )
+    scenario = Scenario(flight="car", imu_rate_hz=20.0)
+    chained, count = build_worlds(scenario, domain)
+    turns = len({turn for turn, _ in domain.pairs()})
+    assert turns == (2 if turned_deg else 1)
+    assert chained.run.shape == (8, turns * 1200)
+    assert build_worlds(scenario, domain)[0] is chained
+    for w, (turn, time) in enumerate(domain.pairs()):
+        flight = flights.rotate_flight(car(), np.radians(turn)) if turn else car()
+        sky = CircularConstellation(time_offset_s=time)
+        alone = build_world(trajectory_at(flight, 20.0, 0.5), sky)
+        part = take_world(chained, w, count)
+        for name, array in vars(alone).items():
+            if isinstance(array, np.ndarray):
+                np.testing.assert_array_equal(getattr(part, name), array, err_msg=name)
+        some = np.array([7, 3])
+        for each, whole in zip(part.look(some), (alone.elevation, alone.azimuth), strict=True):
+            np.testing.assert_array_equal(each, whole[some])
+
+
+def test_mappings_of_the_past_are_those_of_the_truth_but_for_half_an_interval():
+    world = Scenario(flight="approach").world()
+    true = compute_mappings(world.elevation, 0.5, world.epochs)
+    last, found = None, []
+    for k in range(world.epochs):
+        seen = world.satellites[k, None, :, :3], world.position_e[k, None], world.visible[k, None]
+        last = causal_mappings(*seen, 0.5, last)
+        found.append(last[0])
+    found, both = np.array(found), world.visible[1:-1] & world.visible[:-2]
+    found, true = found[1:-1][both], true[1:-1][both]
+    np.testing.assert_array_equal(found[:, [0, 2, 4, 5]], true[:, [0, 2, 4, 5]])
+    apart = np.abs(found - true)[:, [1, 3]].max(axis=0)
+    assert (apart > 0.0).all()
+    assert (apart < 4e-6).all()
+    assert (np.abs(true[:, [1, 3]]).max(axis=0) > 30.0 * apart).all()
+
+
+def test_mappings_begin_again_with_a_satellite_that_rises():
+    world = Scenario(flight="approach").world()
+    first, second = (world.satellites[k, None, :, :3] for k in (100, 101))
+    position, seen = world.position_e[100:102], np.ones((1, world.channels), dtype=bool)
+    unseen = seen.copy()
+    unseen[0, 2] = False
+    before = causal_mappings(first, position[:1], unseen, 0.5)
+    now = causal_mappings(second, position[1:], seen, 0.5, before)
+    assert not before[0, 2].any()
+    assert not now[0, 2, [1, 3]].any()
+    assert now[0, 3, [1, 3]].all()
+
+
+@pytest.mark.parametrize(
+    ("timeline", "domain", "message"),
+    [
+        ({"warmup_s": 500.0}, None, "takes 660.5 s .* lasts 600 s: the three take at most 599.5 s"),
+        ({}, {"start_s": (0.0, 300.0)}, "from a start at 300 s .* a start is at most at 239.5 s"),
+    ],
+)
+def test_a_flight_too_short_for_age_and_window_says_what_fits(timeline, domain, message):
+    with pytest.raises(ValueError, match=message):
+        TightlyCoupledSetup(scenario={"flight": "approach"}, timeline=timeline, domain=domain)
+
+
+SKIES = """
+import resource
+from spoofgym.simulation import TightlyCoupledSetup
+setup = TightlyCoupledSetup(
+    scenario={"name": "aviation-actual", "flight": "en-route"}, imu_rate_hz=20.0,
+    receiver="matched", domain={"worlds": 32, "turns": TURNS, "turned_deg": (0.0, 360.0),
+    "constellation_time_s": (0.0, 86400.0), "start_s": (0.0, None)})
+assert setup.world.axes_turning.shape == (32 * 18121, 3, 3)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+"""
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("turns", "most_bytes"), [("8", 1.5e9), ("None", 1.7e9)])
+def test_32_skies_of_hours_fit_into_a_process(turns, most_bytes):
+    command = [sys.executable, "-c", SKIES.replace("TURNS", turns)]
+    done = subprocess.run(command, capture_output=True, check=True, text=True)
+    assert int(done.stdout.split()[-1]) < most_bytes
