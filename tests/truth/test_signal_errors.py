@@ -264,7 +264,7 @@ def test_a_front_delays_codes_and_advances_carriers_one_after_the_other():
 @pytest.mark.parametrize(("within_s", "parts"), [(None, (0.2, 0.2)), (100.0, (0.2, 1.0 - 0.8**4))])
 def test_events_are_parts_of_episodes_or_as_likely_at_any_time(within_s, parts):
     events, rng = BenignEvents(clock_step=0.2, within_s=within_s), np.random.default_rng(3)
-    sky = np.ones((801, 4), dtype=np.bool_), np.zeros((801, 4)), np.ones((801, 4))
+    sky = np.ones((801, 4), dtype=np.bool_), lambda _: (np.ones((1, 4)), np.zeros((1, 4)))
     keys = rng.integers(0, 2**63, (1000, 2), dtype=np.uint64)
     for epochs, part in zip((200, 800), parts, strict=True):
         window = EventWindow(1, epochs, 0.5, *sky)
