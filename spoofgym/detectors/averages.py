@@ -95,6 +95,7 @@ from .innovation import (
     signals_to_test,
     two_sided_quantile,
 )
+from .own_filter import filter_to_test
 
 SHAPES = ("step", "ramp")
 
@@ -243,6 +244,7 @@ class CumulativeBank(WindowsTest):
     )
     signals: str = signals_to_test("both")
     bias_window_s: float = first_window()
+    filter: str = filter_to_test()
 
     paper: ClassVar[str] = "quartararo2022"
 

@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 
 from ..core.compile import njit
 from ..core.memory import Memory
+from ..receiver.augmented import FilterModel
 from ..receiver.epoch import OPTIONAL, Epoch, TracedEpoch
 from ..receiver.states import STATES
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+HAVE_IT = "a tightly coupled receiver has one, in worlds with the same sensors and errors"
+"""Which victims have a `DetectorContext.model`, for messages."""
 DETECTORS: dict[str, type[Detector]] = {}
 """Detectors by name; the package has them all."""
 
@@ -81,6 +84,10 @@ class DetectorContext(NamedTuple):
         Error states of a tightly coupled filter, s of the fields of an epoch.
     min_satellites : int
         Fewest satellites with which a tightly coupled filter updates; with fewer it coasts.
+    model : FilterModel or None
+        What the designer of a receiver knows of the errors that he assumes, for a filter beside the
+        victim's (`own_filter`): that of a tightly coupled receiver whose worlds have the same
+        sensors and errors; None for any other victim.
     """
 
     receivers: int
@@ -91,6 +98,7 @@ class DetectorContext(NamedTuple):
     single_epoch_sd: FloatArray | None = None
     states: int = STATES
     min_satellites: int = 4
+    model: FilterModel | None = None
 
 
 class Detector(ABC):
@@ -134,6 +142,10 @@ class Detector(ABC):
         Of a detector that was loaded from a file.
     judges : tuple of Detector
         Members of a pool; none of any other detector.
+    from_start : bool
+        Whether it is shown the filter-only warm-up, too (`watch`), in which nothing counts.
+    needs_model : bool
+        Whether it takes a victim that has a `DetectorContext.model`.
     silent_epochs : int
         Epochs after a reset in which it can't alarm, since a window is not full; set by `bind`.
     memory_epochs : int
@@ -160,6 +172,8 @@ class Detector(ABC):
     card: ClassVar[Any] = None
     judges: ClassVar[tuple[Detector, ...]] = ()
     has_nominal: bool = True
+    from_start: bool = False
+    needs_model: bool = False
     silent_epochs: int = 0
     memory_epochs: int = 0
     memory: Memory
@@ -227,6 +241,17 @@ class Detector(ABC):
         Verdict
             Fresh arrays, finite, 0 and no alarm where a channel is invisible.
         """
+
+
+    def watch(self, epoch: Epoch) -> None:
+        """See an epoch of the filter-only warm-up, whose verdict does not count.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only, valid during this call.
+        """
+        self.judge(epoch)
 
 
 def check_needs(reader: object) -> frozenset[str]:

@@ -34,7 +34,8 @@ from scipy import special
 from ..core.compile import inline_njit, njit
 from ..core.declared import setting
 from ..receiver.epoch import Epoch
-from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray
+from .base import BoolArray, DetectorContext, FloatArray, IntArray
+from .own_filter import FilterTest
 
 SIGNALS = ("pseudorange", "range_rate", "both")
 
@@ -276,7 +277,7 @@ def remember_squares(
                 counts[b, k] += each
 
 
-class InnovationTest(Detector):
+class InnovationTest(FilterTest):
     """Base of the tests of innovations, less their mean over a first window if there is one. A
     subclass is a dataclass with the settings below, and with `false_alarm` where it has one."""
 
@@ -307,6 +308,7 @@ class InnovationTest(Detector):
     def _whiten_rows(self, epoch: Epoch) -> tuple[FloatArray, BoolArray]:
         """Whitened innovations of the rows (B, last - first) and the channels to judge. The test
         needs ``"innovation_cov"``."""
+        epoch = self._filtered(epoch)
         innovation, judged = self._without_bias(epoch)
         first, last = self._rows
         white = np.empty((len(judged), last - first))

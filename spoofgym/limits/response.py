@@ -142,7 +142,7 @@ class Replay:
         for each in self.detectors:
             simulator.bind_detector(each)
             each.reset()
-        simulator.run_filter_only(world.filter_only)
+        simulator.run_filter_only(world.filter_only, self.detectors)
         self.warmup_alarm = np.zeros((len(self.detectors), self.runs), dtype=np.bool_)
         for _ in range(world.live):
             epoch = simulator.advance()

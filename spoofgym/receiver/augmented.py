@@ -145,6 +145,18 @@ def matrix_variances(grade: str) -> FloatArray:
     return np.repeat([float(np.mean(part**2)) for part in parts], 9)
 
 
+class FilterModel(NamedTuple):
+    """What an augmented filter assumes of a world. `signals`: states of the signals; `noise_psd`
+    (17,) of the states of `receiver.states`; `noise_variance` (2n,) R; `covariance` (17, 17) at the
+    start; `grade` of the inertial sensors, whose constants are states."""
+
+    signals: SignalModel
+    noise_psd: FloatArray
+    noise_variance: FloatArray
+    covariance: FloatArray
+    grade: str
+
+
 class Predicted(NamedTuple):
     """What an update needs of the prediction. `gain` (B, N, m) P H'; `S` (B, m, m); `innovation`
     (B, m); `drift` (B, 17) error of the strapdown that the matrices have brought; `enough` (B,)

@@ -15,7 +15,7 @@ from ..core.declared import setting, settings_record
 from ..core.registry import build_record, check_choice, require
 from ..earth.attitude import euler_to_dcm
 from ..receiver import TightlyCoupled
-from ..receiver.augmented import SignalModel, signal_model
+from ..receiver.augmented import FilterModel, SignalModel, signal_model
 from ..receiver.matching import compute_assumed_noise
 from ..receiver.tight import NoiseModel
 from ..truth.events import BenignEvents
@@ -343,6 +343,7 @@ class Combinations:
         self.grades, self.errors = len(self._grades), len(errors)
         grades = self.names["imu"]
         victims = [(g, replace(receiver, grade=g) if domain.imu else receiver) for g in grades]
+        self._grade = victims[0][1].grade
         self._all = [
             _combination(world, grade, error, belief, victim, epochs, flown)
             for world in worlds
@@ -357,17 +358,43 @@ class Combinations:
         """(b,) index, for `__getitem__`, of combinations of a `Choice`."""
         return (world * self.grades + grade) * self.errors + error
 
+    @property
+    def _model_alike(self) -> bool:
+        """Whether one augmented filter fits all combinations."""
+        first = self._all[0]
+        return all(
+            case.assumed == first.assumed
+            and case.grade == first.grade
+            and np.array_equal(case.assumed_bias_sd, first.assumed_bias_sd)
+            for case in self._all
+        )
+
     def signal_model(self, interval_s: float) -> SignalModel:
         """States of the signals of an augmented filter; a ValueError where combinations differ."""
         first = self._all[0]
-        for case in self._all:
-            same = case.assumed == first.assumed and case.grade == first.grade
-            require(
-                same and np.array_equal(case.assumed_bias_sd, first.assumed_bias_sd),
-                "a receiver with `tuning` 'augmented' takes one grade of inertial sensors and "
-                "one kind of errors, with the same constants in all worlds of the domain",
-            )
+        require(
+            self._model_alike,
+            "a receiver with `tuning` 'augmented' takes one grade of inertial sensors and "
+            "one kind of errors, with the same constants in all worlds of the domain",
+        )
         return signal_model(first.assumed, first.assumed_bias_sd, interval_s)
+
+    def filter_model(self, interval_s: float) -> FilterModel | None:
+        """What a filter beside the victim's assumes, by the assumed errors and the victim's grade;
+        None where combinations differ."""
+        if not self._model_alike:
+            return None
+        first = self._all[0]
+        victim = TightlyCoupled(grade=self._grade, tuning="augmented")
+        bias_sd = first.assumed_bias_sd
+        variance, noise = compute_assumed_noise(victim, first.assumed, bias_sd, self.world, 0)
+        return FilterModel(
+            signals=self.signal_model(interval_s),
+            noise_psd=victim.noise_psd(noise),
+            noise_variance=variance,
+            covariance=victim.initial_covariance(noise),
+            grade=victim.grade,
+        )
 
     def __getitem__(self, index: int) -> Combination:
         return self._all[index]
