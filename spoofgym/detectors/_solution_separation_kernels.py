@@ -9,8 +9,7 @@ import numpy as np
 from ..core.compile import inline_njit, njit
 from ..earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS
 from ..receiver.states import POSITION
-from .base import BoolArray, FloatArray, IntArray
-from .innovation import cholesky_of_rows
+from .base import BoolArray, FloatArray, IntArray, cholesky_of_rows
 
 SINGULAR = 1e-9
 """Determinant of a covariance over the square of its trace, below which nothing is judged."""
@@ -170,8 +169,8 @@ def advance_bank(
     covariance: FloatArray,
 ) -> None:
     """Advance all solutions of some receivers by one epoch. `fewest`: least satellites for an
-    update; `firsts`, `periods` (J,) of the starts of the solutions [epochs]; memory: `epochs` (B,) so far, `separation` (B, d, J) s,
-    `covariance` (B, d, d, J) V. Where `innovation_cov` is not positive definite, s is infinite."""
+    update; `firsts`, `periods` (J,) of the starts of the solutions [epochs]; memory: `epochs` (B,)
+    so far, `separation` (B, d, J) s, `covariance` (B, d, d, J) V. Where `innovation_cov` is not positive definite, s is infinite."""
     m, (tracked, bank) = innovation.shape[1], separation.shape[1:]
     scratch, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
     A, y = np.empty((m, tracked)), np.empty(m)

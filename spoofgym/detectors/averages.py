@@ -83,12 +83,19 @@ import numpy as np
 from ..core.compile import njit
 from ..core.declared import setting, settings_record
 from ..receiver.epoch import Epoch
-from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict, compare
+from .base import (
+    BoolArray,
+    DetectorContext,
+    FloatArray,
+    IntArray,
+    Verdict,
+    cholesky_of_rows,
+    compare,
+)
 from .innovation import (
     InnovationTest,
     alarm_probability,
     chi2_thresholds,
-    cholesky_of_rows,
     count_epochs,
     first_window,
     remember_squares,

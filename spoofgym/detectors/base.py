@@ -6,6 +6,7 @@ nothing may reach it but what `Verdict` promises.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from typing import Any, ClassVar, NamedTuple
@@ -242,7 +243,6 @@ class Detector(ABC):
             Fresh arrays, finite, 0 and no alarm where a channel is invisible.
         """
 
-
     def watch(self, epoch: Epoch) -> None:
         """See an epoch of the filter-only warm-up, whose verdict does not count.
 
@@ -405,3 +405,35 @@ def _examine_part(
 
 def _at(kind: str, epoch: Epoch, row: int) -> str:
     return f"{kind}, epoch at {epoch.time[row]:g} s:"
+
+
+@njit
+def cholesky_of_rows(
+    innovation_cov: FloatArray,
+    judged: BoolArray,
+    first: int,
+    last: int,
+    rows: IntArray,
+    factor: FloatArray,
+) -> int:
+    """Cholesky's factor of the rows of one receiver that take part, with inverted diagonal.
+    `innovation_cov` (2n, 2n); `rows` (last - first,) and the first rows and columns of `factor` are
+    written; returns how many rows take part, -1 where S is not positive definite."""
+    n = judged.shape[0]
+    count = 0
+    for r in range(first, last):
+        if judged[r % n]:
+            rows[count] = r
+            count += 1
+    for i in range(count):
+        for j in range(i + 1):
+            value = innovation_cov[rows[i], rows[j]]
+            for k in range(j):
+                value -= factor[i, k] * factor[j, k]
+            if i > j:
+                factor[i, j] = value * factor[j, j]
+            elif value > 0.0:
+                factor[i, i] = 1.0 / math.sqrt(value)
+            else:
+                return -1
+    return count

@@ -34,7 +34,7 @@ from scipy import special
 from ..core.compile import inline_njit, njit
 from ..core.declared import setting
 from ..receiver.epoch import Epoch
-from .base import BoolArray, DetectorContext, FloatArray, IntArray
+from .base import BoolArray, DetectorContext, FloatArray, IntArray, cholesky_of_rows
 from .own_filter import FilterTest
 
 SIGNALS = ("pseudorange", "range_rate", "both")
@@ -191,38 +191,6 @@ def _remove_mean(
                     out[b, r] = (innovation[b, r] - total[b, r] / window) * scale
                 elif visible[b, j]:
                     total[b, r] += innovation[b, r]
-
-
-@njit
-def cholesky_of_rows(
-    innovation_cov: FloatArray,
-    judged: BoolArray,
-    first: int,
-    last: int,
-    rows: IntArray,
-    factor: FloatArray,
-) -> int:
-    """Cholesky's factor of the rows of one receiver that take part, with inverted diagonal.
-    `innovation_cov` (2n, 2n); `rows` (last - first,) and the first rows and columns of `factor` are
-    written; returns how many rows take part, -1 where S is not positive definite."""
-    n = judged.shape[0]
-    count = 0
-    for r in range(first, last):
-        if judged[r % n]:
-            rows[count] = r
-            count += 1
-    for i in range(count):
-        for j in range(i + 1):
-            value = innovation_cov[rows[i], rows[j]]
-            for k in range(j):
-                value -= factor[i, k] * factor[j, k]
-            if i > j:
-                factor[i, j] = value * factor[j, j]
-            elif value > 0.0:
-                factor[i, i] = 1.0 / math.sqrt(value)
-            else:
-                return -1
-    return count
 
 
 @njit

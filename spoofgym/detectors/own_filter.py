@@ -30,11 +30,17 @@ import numpy as np
 from ..core.declared import setting
 from ..core.memory import Memory
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
-from ..receiver.augmented import FIRST, AugmentedFilter
+from ..receiver.augmented import FIRST, AugmentedFilter, Predicted
 from ..receiver.epoch import Epoch
 from ..receiver.states import POSITION, STATES
 from ..truth.signal_errors import MAPPINGS, obliquities
-from .base import HAVE_IT, Detector, DetectorContext, FloatArray
+from ._own_filter_kernels import (
+    compute_feedback,
+    correct_covariance,
+    project_covariance,
+    propagate_covariance,
+)
+from .base import HAVE_IT, BoolArray, Detector, DetectorContext, FloatArray
 
 VICTIM, AUGMENTED = "victim", "augmented"
 NEEDS = "transition", "predicted_cov", "design", "innovation_cov", "imu_delta", "weights"
@@ -56,6 +62,31 @@ def count_tracked(states: int) -> int:
     return min(states, FIRST)
 
 
+class CompiledFilter(AugmentedFilter):
+    """The same filter with a compiled covariance cycle, whose last bits are others."""
+
+    def _propagate(self, P: FloatArray, top: FloatArray, half: FloatArray) -> None:
+        size = self.states - STATES
+        rest, driving = np.eye(size), np.zeros((size, size))
+        rest[FIRST - STATES :, FIRST - STATES :] = self.model.transition
+        driving[FIRST - STATES :, FIRST - STATES :] = self.model.driving
+        propagate_covariance(P, top, rest, half, driving)
+
+    def _project(
+        self, P: FloatArray, H: FloatArray, variance: FloatArray, visible: BoolArray
+    ) -> tuple[FloatArray, FloatArray]:
+        A, S = np.empty(H.shape), np.empty((*H.shape[:2], H.shape[1]))
+        project_covariance(P, H, variance, visible, A, S)
+        return A.transpose(0, 2, 1), S
+
+    def _correct(self, predicted: Predicted, used: FloatArray) -> FloatArray:
+        P, A = self.memory["augmented_covariance"], predicted.gain.transpose(0, 2, 1)
+        change = np.empty(P.shape[:2])
+        seen, enough = predicted.visible, predicted.enough
+        correct_covariance(P, A, predicted.S, used, seen, enough, change)
+        return change
+
+
 class OwnFilter:
     """Augmented filters beside those of B receivers; all that they remember is in `memory`."""
 
@@ -64,7 +95,7 @@ class OwnFilter:
         if model is None:
             raise ValueError(f"a filter beside the victim's needs a model of its errors; {HAVE_IT}")
         self.model, self.memory, self.fewest = model, memory, context.min_satellites
-        filter_ = AugmentedFilter(memory, model.signals, context.epoch_interval_s, n, SHOWN)
+        filter_ = CompiledFilter(memory, model.signals, context.epoch_interval_s, n, SHOWN)
         filter_.start_episodes(np.arange(b), model.covariance, model.grade)
         for name in ("augmented_covariance", "augmented"):
             memory.declare(name, memory[name])  # with which an episode starts
@@ -86,14 +117,15 @@ class OwnFilter:
         signals = H, self._map_signals(epoch), epoch.visible
         predicted = self.filter.predict(*inertial, *signals, z, variance, self.fewest)
         memory["victim_error"] = x + self.filter.update(predicted, None)
-        gain = np.linalg.solve(S, H @ P).transpose(0, 2, 1) * predicted.enough[:, None, None]
-        memory["feedback"] = gain * epoch.innovation[:, None, :]
-        return epoch._replace(
-            innovation=predicted.innovation,
-            innovation_cov=predicted.S,
-            innovation_variance=np.einsum("bii->bi", predicted.S).copy(),
+        measured = epoch.innovation, S, epoch.visible, predicted.enough
+        compute_feedback(P, H, *measured, memory["feedback"])
+        found: dict[str, Any] = {
+            "innovation": predicted.innovation,
+            "innovation_cov": predicted.S,
+            "innovation_variance": np.einsum("bii->bi", predicted.S).copy(),
             **self.filter.shown,
-        )
+        }
+        return epoch._replace(**{name: _protect(array) for name, array in found.items()})
 
     def _map_signals(self, epoch: Epoch) -> FloatArray:
         """(B, n, 6) as `compute_mappings` has it, with rates since the last epoch."""
@@ -104,7 +136,9 @@ class OwnFilter:
         up = -dcm_e_from_n(*ecef_to_geodetic(epoch.predicted_position)[:2])[:, :, 2]
         sight = cast(FloatArray, epoch.design)[:, :n, POSITION : POSITION + 3]
         sine = (sight * up[:, None, :]).sum(axis=2)
-        ionosphere, troposphere, *mapping_of_noise = obliquities(np.arcsin(np.clip(sine, -1.0, 1.0)))
+        ionosphere, troposphere, *mapping_of_noise = obliquities(
+            np.arcsin(np.clip(sine, -1.0, 1.0))
+        )
         now = np.stack([ionosphere, troposphere], axis=2) * epoch.visible[:, :, None]
         before = self.memory["obliquity"]
         rate = np.where((before > 0.0) & (now > 0.0), now - before, 0.0)
@@ -112,6 +146,12 @@ class OwnFilter:
         mapping[:, :, 4], mapping[:, :, 5] = mapping_of_noise
         self.memory["obliquity"] = now
         return mapping
+
+
+def _protect(array: FloatArray) -> FloatArray:
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 class FilterTest(Detector):

@@ -23,8 +23,11 @@ threshold for certain, and that of one run but for the clean part.
 
 One solution restarts every D epochs, so that there is always one of each age from D to J D epochs,
 in steps of D: for an attack of any length up to :math:`(J - 1) D` one that is older by at most D.
-The claim is made for attacks no longer than `covers_s` that began after the detector, and for no
-other.
+A bank of geometric spacing (`space_geometrically`) has few solutions for a long attack.  The claim
+is made for attacks no longer than `covers_s` that began after the detector, and for no other.
+
+With a filter of its own (`own_filter`) the recursion is that of the innovations and gains of that
+filter.  Its solution separates from those that coast, and is bounded, not the victim's.
 
 Symbols: z innovation, S its covariance, K gain, :math:`\Phi` transition of the error states,
 :math:`s_h` north and east part at the predicted position, :math:`\alpha` false-alarm probability of
@@ -124,8 +127,8 @@ class SolutionSeparation(FilterTest):
         default="equal",
         one_of=SPACINGS,
         newer=True,
-        help="How the ages of the solutions are spaced: equally, or such that they double, beginning "
-        "with `spacing_s`.",
+        help="How the ages of the solutions are spaced: equally, or such that they double from "
+        "`spacing_s` on.",
     )
 
     paper: ClassVar[str] = "tanil2018"
