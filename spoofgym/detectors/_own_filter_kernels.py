@@ -20,9 +20,10 @@ def append_rows(
     at: IntArray,
     of: FloatArray,
 ) -> tuple[int, int]:
-    """Append rows of a transition, a matrix (r, c) that begins on the diagonal at state `first`, but
-    for those of the identity: states in `rows`, where each ends in `ends`, and places and values of
-    what is not 0 in `at`, `of`. `count`, `size`: how many there are; returned with the new."""
+    """Append rows of a transition but for those of the identity: states in `rows`, where each ends
+    in `ends`, and places and values of what is not 0 in `at`, `of`. `matrix` (r, c): part of it
+    that begins on the diagonal at state `first`; `count`, `size`: how many there are already;
+    returned with the new."""
     for i in range(matrix.shape[0]):
         before, same = size, matrix[i, i] == 1.0
         for j in range(matrix.shape[1]):
@@ -134,7 +135,7 @@ def correct_covariance(
     `change` (B, N) written: :math:`A^T S^{-1} z`, infinite where S is not positive definite."""
     receivers, m, states = A.shape
     rows, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
-    white, y = np.empty((m, states)), np.empty(m)
+    white, y = np.empty((m + 3, states)), np.empty(m)
     for b in range(receivers):
         change[b] = 0.0
         count = 0
@@ -155,12 +156,14 @@ def correct_covariance(
             for k in range(states):
                 mine[k] *= factor[i, i]
                 change[b, k] += y[i] * mine[k]
+        white[count : count + 3] = 0.0  # four rows at a time
         for j in range(states):
             row = P[b, j]
-            for i in range(count):
-                a, mine = white[i, j], white[i]
+            for i in range(0, count, 4):
+                u, v, w, x = white[i], white[i + 1], white[i + 2], white[i + 3]
+                uj, vj, wj, xj = u[j], v[j], w[j], x[j]
                 for k in range(j, states):
-                    row[k] -= a * mine[k]
+                    row[k] -= uj * u[k] + vj * v[k] + wj * w[k] + xj * x[k]
             for k in range(j):
                 row[k] = P[b, k, j]
 

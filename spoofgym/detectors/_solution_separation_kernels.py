@@ -170,7 +170,8 @@ def advance_bank(
 ) -> None:
     """Advance all solutions of some receivers by one epoch. `fewest`: least satellites for an
     update; `firsts`, `periods` (J,) of the starts of the solutions [epochs]; memory: `epochs` (B,)
-    so far, `separation` (B, d, J) s, `covariance` (B, d, d, J) V. Where `innovation_cov` is not positive definite, s is infinite."""
+    so far, `separation` (B, d, J) s, `covariance` (B, d, d, J) V. Where `innovation_cov` is not
+    positive definite, s is infinite."""
     m, (tracked, bank) = innovation.shape[1], separation.shape[1:]
     scratch, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
     A, y = np.empty((m, tracked)), np.empty(m)
