@@ -40,7 +40,7 @@ def append_rows(
 
 
 @njit
-def propagate_covariance(
+def propagate_augmented(
     P: FloatArray, top: FloatArray, rest: FloatArray, half: FloatArray, driving: FloatArray
 ) -> None:
     r"""Go on by one interval in place, :math:`P \leftarrow \Phi (P + Q/2) \Phi^T + Q/2 + D`.
@@ -83,7 +83,7 @@ def propagate_covariance(
 
 
 @njit
-def project_covariance(
+def project_augmented(
     P: FloatArray,
     H: FloatArray,
     variance: FloatArray,
@@ -122,7 +122,7 @@ def project_covariance(
 
 
 @njit
-def correct_covariance(
+def correct_augmented(
     P: FloatArray,
     A: FloatArray,
     S: FloatArray,

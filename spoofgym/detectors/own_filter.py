@@ -36,9 +36,9 @@ from ..receiver.states import POSITION, STATES
 from ..truth.signal_errors import MAPPINGS, obliquities
 from ._own_filter_kernels import (
     compute_feedback,
-    correct_covariance,
-    project_covariance,
-    propagate_covariance,
+    correct_augmented,
+    project_augmented,
+    propagate_augmented,
 )
 from .base import HAVE_IT, BoolArray, Detector, DetectorContext, FloatArray
 
@@ -70,20 +70,20 @@ class CompiledFilter(AugmentedFilter):
         rest, driving = np.eye(size), np.zeros((size, size))
         rest[FIRST - STATES :, FIRST - STATES :] = self.model.transition
         driving[FIRST - STATES :, FIRST - STATES :] = self.model.driving
-        propagate_covariance(P, top, rest, half, driving)
+        propagate_augmented(P, top, rest, half, driving)
 
     def _project(
         self, P: FloatArray, H: FloatArray, variance: FloatArray, visible: BoolArray
     ) -> tuple[FloatArray, FloatArray]:
         A, S = np.empty(H.shape), np.empty((*H.shape[:2], H.shape[1]))
-        project_covariance(P, H, variance, visible, A, S)
+        project_augmented(P, H, variance, visible, A, S)
         return A.transpose(0, 2, 1), S
 
     def _correct(self, predicted: Predicted, used: FloatArray) -> FloatArray:
         P, A = self.memory["augmented_covariance"], predicted.gain.transpose(0, 2, 1)
         change = np.empty(P.shape[:2])
         seen, enough = predicted.visible, predicted.enough
-        correct_covariance(P, A, predicted.S, used, seen, enough, change)
+        correct_augmented(P, A, predicted.S, used, seen, enough, change)
         return change
 
 
