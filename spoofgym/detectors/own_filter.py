@@ -119,13 +119,14 @@ class OwnFilter:
         memory["victim_error"] = x + self.filter.update(predicted, None)
         measured = epoch.innovation, S, epoch.visible, predicted.enough
         compute_feedback(P, H, *measured, memory["feedback"])
-        found: dict[str, Any] = {
+        found = {
             "innovation": predicted.innovation,
             "innovation_cov": predicted.S,
             "innovation_variance": np.einsum("bii->bi", predicted.S).copy(),
             **self.filter.shown,
         }
-        return epoch._replace(**{name: _protect(array) for name, array in found.items()})
+        read_only: dict[str, Any] = {name: _protect(array) for name, array in found.items()}
+        return epoch._replace(**read_only)
 
     def _map_signals(self, epoch: Epoch) -> FloatArray:
         """(B, n, 6) as `compute_mappings` has it, with rates since the last epoch."""
