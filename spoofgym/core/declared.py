@@ -21,7 +21,7 @@ from typing import Any, TypeVar, dataclass_transform
 import numpy as np
 
 from .registry import is_number
-from .settings import OMITTED
+from .settings import NEWER, OMITTED
 
 T = TypeVar("T")
 NUMBERS = {"float": "number", "int": "whole number"}
@@ -136,6 +136,7 @@ def setting(
     unit: str = "",
     help: str = "",
     omitted: bool = False,
+    newer: bool = False,
     **options: Any,
 ) -> Any:
     """Field of a record, with what is valid for it.
@@ -156,6 +157,8 @@ def setting(
         What it means: a sentence or two, shown in docstrings and listings.
     omitted : bool
         Whether its default is not written down, because what is stored is older than the field.
+    newer : bool
+        The same for specs and the names of calibrations, too.
     **options : object
         Those of `dataclasses.field`: ``default``, ``default_factory``, ``kw_only``, ``hash``.
 
@@ -166,7 +169,8 @@ def setting(
     """
     limits = (above, least, below, most)
     declared = Setting(*limits, tuple(one_of), increasing, infinite, empty, unit, help)
-    return field(metadata={"setting": declared, **(OMITTED if omitted else {})}, **options)
+    left_out = NEWER if newer else OMITTED if omitted else {}
+    return field(metadata={"setting": declared, **left_out}, **options)
 
 
 @dataclass_transform(field_specifiers=(setting, field))

@@ -15,7 +15,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from .settings import describe
+from .settings import describe, list_written
 
 T = TypeVar("T")
 # Endings of files of models that would have to be unpickled.
@@ -262,7 +262,8 @@ def build_spec(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
             f"{word} {name!r} must keep its settings under their names, so that results can name "
             f"them; it has no {', '.join(map(repr, missing))}"
         )
-    return {"name": name, **{key: describe(getattr(thing, key)) for key in inspect_settings(kind)}}
+    written = list_written(thing, inspect_settings(kind))
+    return {"name": name, **{key: describe(getattr(thing, key)) for key in written}}
 
 
 def inspect_settings(kind: Callable[..., Any]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import inspect
 import json
 import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import date
 from itertools import accumulate
 from pathlib import Path, PurePath
@@ -20,6 +20,7 @@ import numpy as np
 
 LIBRARIES = {"spoofgym", "numpy", "pandas", *sys.stdlib_module_names}  # they have versions
 OMITTED = {"omitted": True}  # metadata of a default that is not written down: records are older
+NEWER = {**OMITTED, "newer": True}  # of one that no text names, calibrations and specs included
 DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 
 
@@ -40,6 +41,14 @@ def describe(value: Any) -> Any:
     if isinstance(value, PurePath):
         return value.name
     return _describe_parts(value)
+
+
+def list_written(record: Any, names: Iterable[str]) -> list[str]:
+    """Settings of a record by name, without those that are newer than what is stored and have their
+    default."""
+    fields = getattr(record, "__dataclass_fields__", {})
+    newer = {name for name, field in fields.items() if field.metadata.get("newer")}
+    return [n for n in names if n not in newer or getattr(record, n) != fields[n].default]
 
 
 def _describe_parts(value: Any) -> Any:

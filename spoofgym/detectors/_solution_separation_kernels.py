@@ -9,18 +9,17 @@ import numpy as np
 from ..core.compile import inline_njit, njit
 from ..earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS
 from ..receiver.states import POSITION
-from .base import BoolArray, FloatArray, IntArray
-from .innovation import cholesky_of_rows
+from .base import BoolArray, FloatArray, IntArray, cholesky_of_rows
 
 SINGULAR = 1e-9
 """Determinant of a covariance over the square of its trace, below which nothing is judged."""
 
 
 @inline_njit
-def compute_age(epochs: int, number: int, spacing: int, bank: int) -> int:
-    """Age of a solution in its bank at the epoch after so many [epochs]; 0 before its start."""
-    since = epochs - number * spacing
-    return since % (bank * spacing) + 1 if since >= 0 else 0
+def compute_age(epochs: int, first: int, period: int) -> int:
+    """Age of a solution at the epoch after so many [epochs]; 0 before its first start."""
+    since = epochs - first
+    return since % period + 1 if since >= 0 else 0
 
 
 @njit
@@ -163,14 +162,16 @@ def advance_bank(
     innovation_cov: FloatArray,
     visible: BoolArray,
     fewest: int,
-    spacing: int,
+    firsts: IntArray,
+    periods: IntArray,
     epochs: IntArray,
     separation: FloatArray,
     covariance: FloatArray,
 ) -> None:
     """Advance all solutions of some receivers by one epoch. `fewest`: least satellites for an
-    update; `spacing`: D [epochs]; memory: `epochs` (B,) so far, `separation` (B, d, J) s,
-    `covariance` (B, d, d, J) V. Where `innovation_cov` is not positive definite, s is infinite."""
+    update; `firsts`, `periods` (J,) of the starts of the solutions [epochs]; memory: `epochs` (B,)
+    so far, `separation` (B, d, J) s, `covariance` (B, d, d, J) V. Where `innovation_cov` is not
+    positive definite, s is infinite."""
     m, (tracked, bank) = innovation.shape[1], separation.shape[1:]
     scratch, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
     A, y = np.empty((m, tracked)), np.empty(m)
@@ -202,7 +203,7 @@ def advance_bank(
         changed = changed_rows(transition[b], tracked, rows, ends, at, of)
         s, V = separation[b], covariance[b]
         for j in range(bank):
-            age = compute_age(epochs[b], j, spacing, bank)
+            age = compute_age(epochs[b], firsts[j], periods[j])
             begun[j] = 1.0 if age > 0 else 0.0
             if age == 1:
                 s[:, j] = 0.0
@@ -264,7 +265,8 @@ def judge_bank(
     separation: FloatArray,
     covariance: FloatArray,
     epochs: IntArray,
-    spacing: int,
+    firsts: IntArray,
+    periods: IntArray,
     position_e: FloatArray,
     largest_sd: FloatArray,
     statistic: FloatArray,
@@ -278,7 +280,7 @@ def judge_bank(
         statistic[b] = 0.0
         for j in range(bank):
             largest_sd[b, j] = np.inf
-            if compute_age(epochs[b] - 1, j, spacing, bank) == 0:
+            if compute_age(epochs[b] - 1, firsts[j], periods[j]) == 0:
                 continue
             n, e, nn, ne, ee = horizontal_part(separation[b], covariance[b], j, north, east)
             half, det = 0.5 * (nn + ee), nn * ee - ne * ne
@@ -296,7 +298,8 @@ def whiten_bank(
     separation: FloatArray,
     covariance: FloatArray,
     epochs: IntArray,
-    spacing: int,
+    firsts: IntArray,
+    periods: IntArray,
     position_e: FloatArray,
     whitened: FloatArray,
 ) -> None:
@@ -307,7 +310,7 @@ def whiten_bank(
         north, east = horizontal_axes(position_e[b])
         for j in range(bank):
             whitened[b, j, :] = 0.0
-            if compute_age(epochs[b] - 1, j, spacing, bank) == 0:
+            if compute_age(epochs[b] - 1, firsts[j], periods[j]) == 0:
                 continue
             n, e, nn, ne, ee = horizontal_part(separation[b], covariance[b], j, north, east)
             half, det = 0.5 * (nn + ee), nn * ee - ne * ne

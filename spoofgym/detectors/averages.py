@@ -83,18 +83,26 @@ import numpy as np
 from ..core.compile import njit
 from ..core.declared import setting, settings_record
 from ..receiver.epoch import Epoch
-from .base import BoolArray, DetectorContext, FloatArray, IntArray, Verdict, compare
+from .base import (
+    BoolArray,
+    DetectorContext,
+    FloatArray,
+    IntArray,
+    Verdict,
+    cholesky_of_rows,
+    compare,
+)
 from .innovation import (
     InnovationTest,
     alarm_probability,
     chi2_thresholds,
-    cholesky_of_rows,
     count_epochs,
     first_window,
     remember_squares,
     signals_to_test,
     two_sided_quantile,
 )
+from .own_filter import filter_to_test
 
 SHAPES = ("step", "ramp")
 
@@ -243,6 +251,7 @@ class CumulativeBank(WindowsTest):
     )
     signals: str = signals_to_test("both")
     bias_window_s: float = first_window()
+    filter: str = filter_to_test()
 
     paper: ClassVar[str] = "quartararo2022"
 

@@ -6,6 +6,7 @@ nothing may reach it but what `Verdict` promises.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from typing import Any, ClassVar, NamedTuple
@@ -15,13 +16,15 @@ from numpy.typing import NDArray
 
 from ..core.compile import njit
 from ..core.memory import Memory
-from ..receiver.augmented import FIRST
+from ..receiver.augmented import FIRST, FilterModel
 from ..receiver.epoch import OPTIONAL, Epoch, TracedEpoch
 from ..receiver.states import STATES
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+HAVE_IT = "a tightly coupled receiver has one, in worlds with the same sensors and errors"
+"""Which victims have a `DetectorContext.model`, for messages."""
 DETECTORS: dict[str, type[Detector]] = {}
 """Detectors by name; the package has them all."""
 
@@ -85,6 +88,10 @@ class DetectorContext(NamedTuple):
     inertial_states : int
         How many of `states`, as far as there are, are of navigation, clock and inertial sensors.
         The others are errors of signals, which move no other state.
+    model : FilterModel or None
+        What the designer of a receiver knows of the errors that he assumes, for a filter beside the
+        victim's (`own_filter`): that of a tightly coupled receiver whose worlds have the same
+        sensors and errors; None for any other victim.
     """
 
     receivers: int
@@ -96,6 +103,7 @@ class DetectorContext(NamedTuple):
     states: int = STATES
     min_satellites: int = 4
     inertial_states: int = FIRST
+    model: FilterModel | None = None
 
 
 class Detector(ABC):
@@ -139,6 +147,10 @@ class Detector(ABC):
         Of a detector that was loaded from a file.
     judges : tuple of Detector
         Members of a pool; none of any other detector.
+    from_start : bool
+        Whether it is shown the filter-only warm-up, too (`watch`), in which nothing counts.
+    needs_model : bool
+        Whether it takes a victim that has a `DetectorContext.model`.
     silent_epochs : int
         Epochs after a reset in which it can't alarm, since a window is not full; set by `bind`.
     memory_epochs : int
@@ -165,6 +177,8 @@ class Detector(ABC):
     card: ClassVar[Any] = None
     judges: ClassVar[tuple[Detector, ...]] = ()
     has_nominal: bool = True
+    from_start: bool = False
+    needs_model: bool = False
     silent_epochs: int = 0
     memory_epochs: int = 0
     memory: Memory
@@ -232,6 +246,16 @@ class Detector(ABC):
         Verdict
             Fresh arrays, finite, 0 and no alarm where a channel is invisible.
         """
+
+    def watch(self, epoch: Epoch) -> None:
+        """See an epoch of the filter-only warm-up, whose verdict does not count.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only, valid during this call.
+        """
+        self.judge(epoch)
 
 
 def check_needs(reader: object) -> frozenset[str]:
@@ -385,3 +409,35 @@ def _examine_part(
 
 def _at(kind: str, epoch: Epoch, row: int) -> str:
     return f"{kind}, epoch at {epoch.time[row]:g} s:"
+
+
+@njit
+def cholesky_of_rows(
+    innovation_cov: FloatArray,
+    judged: BoolArray,
+    first: int,
+    last: int,
+    rows: IntArray,
+    factor: FloatArray,
+) -> int:
+    """Cholesky's factor of the rows of one receiver that take part, with inverted diagonal.
+    `innovation_cov` (2n, 2n); `rows` (last - first,) and the first rows and columns of `factor` are
+    written; returns how many rows take part, -1 where S is not positive definite."""
+    n = judged.shape[0]
+    count = 0
+    for r in range(first, last):
+        if judged[r % n]:
+            rows[count] = r
+            count += 1
+    for i in range(count):
+        for j in range(i + 1):
+            value = innovation_cov[rows[i], rows[j]]
+            for k in range(j):
+                value -= factor[i, k] * factor[j, k]
+            if i > j:
+                factor[i, j] = value * factor[j, j]
+            elif value > 0.0:
+                factor[i, i] = 1.0 / math.sqrt(value)
+            else:
+                return -1
+    return count

@@ -27,7 +27,7 @@ import numpy as np
 
 from ..core.compile import njit
 from ..core.declared import setting, settings_record
-from ..core.settings import outside_sources
+from ..core.settings import list_written, outside_sources
 from ..receiver.epoch import Epoch
 from .base import DETECTORS, BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
 from .calibration_file import (
@@ -122,7 +122,7 @@ class Calibrated(Detector):
             self.rescale = tuple(float(factor) for factor in self.rescale)
             if len(self.rescale) != 4:
                 raise ValueError(f"`rescale` must be four factors above 0, got {self.rescale}")
-        for name in ("paper", "needs", "scope", "measures", "oracle"):
+        for name in ("paper", "needs", "scope", "measures", "oracle", "from_start", "needs_model"):
             setattr(self, name, getattr(inner, name))
 
     @property
@@ -308,7 +308,10 @@ def describe_identity(detector: Detector) -> dict[str, Any]:
         )
     found = {
         "name": name,
-        **{key: describe_as_json(getattr(detector, key)) for key in sorted(settings)},
+        **{
+            key: describe_as_json(getattr(detector, key))
+            for key in list_written(detector, sorted(settings))
+        },
     }
     sources = {} if kind in names else outside_sources(detector)
     readable = {name: digest for name, digest in sources.items() if digest is not None}

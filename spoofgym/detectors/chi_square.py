@@ -69,6 +69,7 @@ from .innovation import (
     signals_to_test,
     window_epochs,
 )
+from .own_filter import filter_to_test
 
 
 def chi2_verdict(
@@ -93,6 +94,7 @@ class SnapshotChi2(InnovationTest):
     signals: str = signals_to_test("both")
     bias_window_s: float = first_window()
     two_sided: bool = both_sides()
+    filter: str = filter_to_test()
 
     paper: ClassVar[str] = "barshalom2001"
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
@@ -105,6 +107,7 @@ class SnapshotChi2(InnovationTest):
         self._lower = chi2_lower_thresholds(each_side, each * np.arange(n + 1.0))
 
     def judge(self, epoch: Epoch) -> Verdict:
+        epoch = self._filtered(epoch)
         innovation, judged = self._without_bias(epoch)
         belief = cast(FloatArray, epoch.innovation_cov)
         if self._bias_window > 0:
@@ -179,12 +182,14 @@ class WindowedChi2(InnovationTest):
         100, 'Window w of a self-tuning receiver; only with ``covariance="estimated"``.'
     )
     two_sided: bool = both_sides("  It takes a known covariance.")
+    filter: str = filter_to_test()
 
     paper: ClassVar[str] = "shadmehri2025"
     needs: ClassVar[frozenset[str]] = frozenset({"design", "innovation_cov"})
     measures: ClassVar[str] = "any"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.two_sided and self.covariance != "known":
             raise ValueError(
                 f"`two_sided` takes a known covariance, got `covariance` {self.covariance!r}"
@@ -228,6 +233,7 @@ class WindowedChi2(InnovationTest):
         )
 
     def judge(self, epoch: Epoch) -> Verdict:
+        epoch = self._filtered(epoch)
         belief = cast(FloatArray, epoch.innovation_cov)
         nis = normalized_innovation_squared(epoch.innovation, belief, *self._rows)
         if epoch.visible.shape[1]:
@@ -295,6 +301,7 @@ class SequentialChi2(InnovationTest):
     signals: str = signals_to_test("pseudorange")
     bias_window_s: float = first_window()
     two_sided: bool = both_sides()
+    filter: str = filter_to_test()
 
     paper: ClassVar[str] = "mehra1971"
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})

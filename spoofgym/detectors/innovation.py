@@ -34,7 +34,8 @@ from scipy import special
 from ..core.compile import inline_njit, njit
 from ..core.declared import setting
 from ..receiver.epoch import Epoch
-from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray
+from .base import BoolArray, DetectorContext, FloatArray, IntArray, cholesky_of_rows
+from .own_filter import FilterTest
 
 SIGNALS = ("pseudorange", "range_rate", "both")
 
@@ -193,38 +194,6 @@ def _remove_mean(
 
 
 @njit
-def cholesky_of_rows(
-    innovation_cov: FloatArray,
-    judged: BoolArray,
-    first: int,
-    last: int,
-    rows: IntArray,
-    factor: FloatArray,
-) -> int:
-    """Cholesky's factor of the rows of one receiver that take part, with inverted diagonal.
-    `innovation_cov` (2n, 2n); `rows` (last - first,) and the first rows and columns of `factor` are
-    written; returns how many rows take part, -1 where S is not positive definite."""
-    n = judged.shape[0]
-    count = 0
-    for r in range(first, last):
-        if judged[r % n]:
-            rows[count] = r
-            count += 1
-    for i in range(count):
-        for j in range(i + 1):
-            value = innovation_cov[rows[i], rows[j]]
-            for k in range(j):
-                value -= factor[i, k] * factor[j, k]
-            if i > j:
-                factor[i, j] = value * factor[j, j]
-            elif value > 0.0:
-                factor[i, i] = 1.0 / math.sqrt(value)
-            else:
-                return -1
-    return count
-
-
-@njit
 def whiten(
     innovation: FloatArray,
     innovation_cov: FloatArray,
@@ -276,7 +245,7 @@ def remember_squares(
                 counts[b, k] += each
 
 
-class InnovationTest(Detector):
+class InnovationTest(FilterTest):
     """Base of the tests of innovations, less their mean over a first window if there is one. A
     subclass is a dataclass with the settings below, and with `false_alarm` where it has one."""
 
@@ -307,6 +276,7 @@ class InnovationTest(Detector):
     def _whiten_rows(self, epoch: Epoch) -> tuple[FloatArray, BoolArray]:
         """Whitened innovations of the rows (B, last - first) and the channels to judge. The test
         needs ``"innovation_cov"``."""
+        epoch = self._filtered(epoch)
         innovation, judged = self._without_bias(epoch)
         first, last = self._rows
         white = np.empty((len(judged), last - first))

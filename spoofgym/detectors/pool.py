@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.declared import setting, settings_record
 from ..core.memory import Memory
+from ..core.settings import list_written
 from ..receiver.epoch import Epoch
 from .base import (
     DETECTORS,
@@ -93,8 +94,8 @@ def _describe_member(member: Any, detector: Detector) -> Any:
         return member
 
     def describe_settings(each: Any) -> dict[str, Any]:
-        settings = {field.name: getattr(each, field.name) for field in dataclasses.fields(each)}
-        return {"name": name, **settings}
+        written = list_written(each, (field.name for field in dataclasses.fields(each)))
+        return {"name": name, **{key: getattr(each, key) for key in written}}
 
     return spec_with_thresholds(detector, describe_settings)
 
@@ -145,6 +146,8 @@ class PooledDetector(Detector):
         self.scope = scopes.pop() if self._alike else "receiver"  # type: ignore[misc]
         self.needs = frozenset().union(*map(check_needs, self.judges))  # type: ignore[misc]
         self.oracle = any(judge.oracle for judge in self.judges)  # type: ignore[misc]
+        self.from_start = any(judge.from_start for judge in self.judges)
+        self.needs_model = any(judge.needs_model for judge in self.judges)
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
@@ -158,6 +161,11 @@ class PooledDetector(Detector):
     def draw(self, keys: NDArray[np.uint64]) -> None:
         """Draw the opponent of every receiver for new episodes, by their keys (B, 2)."""
         self.memory["opponent"] = draw_members(keys, self._chances)
+
+    def watch(self, epoch: Epoch) -> None:
+        for judge in self.judges:
+            if judge.from_start:
+                judge.watch(epoch)
 
     def judge(self, epoch: Epoch) -> Verdict:
         merged: Verdict | None = None

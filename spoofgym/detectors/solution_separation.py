@@ -23,8 +23,11 @@ threshold for certain, and that of one run but for the clean part.
 
 One solution restarts every D epochs, so that there is always one of each age from D to J D epochs,
 in steps of D: for an attack of any length up to :math:`(J - 1) D` one that is older by at most D.
-The claim is made for attacks no longer than `covers_s` that began after the detector, and for no
-other.
+A bank of geometric spacing (`space_geometrically`) has few solutions for a long attack.  The claim
+is made for attacks no longer than `covers_s` that began after the detector, and for no other.
+
+With a filter of its own (`own_filter`) the recursion is that of the innovations and gains of that
+filter.  Its solution separates from those that coast, and is bounded, not the victim's.
 
 Symbols: z innovation, S its covariance, K gain, :math:`\Phi` transition of the error states,
 :math:`s_h` north and east part at the predicted position, :math:`\alpha` false-alarm probability of
@@ -61,14 +64,44 @@ from ..core.declared import setting, settings_record
 from ..receiver.epoch import Epoch
 from ..receiver.states import POSITION
 from ._solution_separation_kernels import advance_bank, judge_bank, whiten_bank
-from .base import Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
+from .base import DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import alarm_probability, count_epochs
+from .own_filter import FilterTest, filter_to_test
 
 MOST_SOLUTIONS = 100
 
 
+Starts = tuple[IntArray, IntArray]  # (J,) first starts and periods of solutions [epochs]
+
+
+def space_equally(longest: int, spacing: int) -> Starts:
+    """One start every `spacing`, in turn."""
+    bank = math.ceil(longest / spacing) + 1
+    return np.arange(bank) * spacing, np.full(bank, bank * spacing)
+
+
+def space_geometrically(longest: int, spacing: int) -> Starts:
+    r"""Ages that double.
+
+    Solutions of level i start at odd multiples of :math:`2^i D`, two of them in turn, and those of
+    the highest level I at all multiples of :math:`2^I D`.  For an attack of any length t up to the
+    longest there is one older by at most D or 2/3 t.
+    """
+    levels = max(0, math.ceil(math.log2(longest / (3.0 * spacing)) - 1e-9))
+    top = 2**levels * spacing
+    count = math.ceil(longest / top) + 1
+    firsts, periods = [np.arange(count) * top], [np.full(count, count * top)]
+    for step in (2**i * spacing for i in range(levels)):
+        firsts.append(np.array([step, 3 * step]))
+        periods.append(np.full(2, 4 * step))
+    return np.concatenate(firsts), np.concatenate(periods)
+
+
+SPACINGS = {"equal": space_equally, "geometric": space_geometrically}
+
+
 @settings_record
-class SolutionSeparation(Detector):
+class SolutionSeparation(FilterTest):
     """Separation of the filter from solutions that coast since several times; monitor only."""
 
     described_as = "SolutionSeparation"
@@ -89,6 +122,14 @@ class SolutionSeparation(Detector):
         help="Time between two restarts in the bank: by at most this a solution is older than an "
         "attack.  The bank has `longest_s` / `spacing_s` + 1 solutions.",
     )
+    filter: str = filter_to_test()
+    spacing: str = setting(
+        default="equal",
+        one_of=SPACINGS,
+        newer=True,
+        help="How the ages of the solutions are spaced: equally, or such that they double from "
+        "`spacing_s` on.",
+    )
 
     paper: ClassVar[str] = "tanil2018"
     needs: ClassVar[frozenset[str]] = frozenset(
@@ -96,7 +137,8 @@ class SolutionSeparation(Detector):
     )
 
     def __post_init__(self) -> None:
-        if self.longest_s > MOST_SOLUTIONS * self.spacing_s:
+        super().__post_init__()
+        if self.spacing == "equal" and self.longest_s > MOST_SOLUTIONS * self.spacing_s:
             raise ValueError(
                 f"`longest_s` must be at most {MOST_SOLUTIONS} times `spacing_s`, got "
                 f"{self.longest_s} and {self.spacing_s}"
@@ -109,12 +151,15 @@ class SolutionSeparation(Detector):
                 "solution-separation needs a filter that carries attitude, velocity and position "
                 f"from epoch to epoch; this victim's has {context.states} states"
             )
-        b, tracked = context.receivers, min(context.states, context.inertial_states)
+        b, tracked = context.receivers, min(self._states, self._inertial)
         self._interval_s, self._fewest = context.epoch_interval_s, context.min_satellites
-        self._spacing = count_epochs(self.spacing_s, context)
         longest = math.ceil(self.longest_s / context.epoch_interval_s - 1e-9)
-        bank = math.ceil(longest / self._spacing) + 1
-        self.memory_epochs = bank * self._spacing
+        spacing = count_epochs(self.spacing_s, context)
+        self._starts = SPACINGS[self.spacing](longest, spacing)
+        firsts, periods = self._starts
+        bank, self.memory_epochs = len(firsts), int(periods.max())
+        # a solution starts anew by the largest step between two starts of the oldest ones
+        self._covers = self.memory_epochs - int(firsts[1] - firsts[0])
         self._threshold = float(special.chdtri(2.0, self.false_alarm / bank))
         self._declare(
             epochs=np.zeros(b, dtype=np.int64),
@@ -124,7 +169,7 @@ class SolutionSeparation(Detector):
         )
 
     def judge(self, epoch: Epoch) -> Verdict:
-        memory = self.memory
+        memory, epoch = self.memory, self._filtered(epoch)
         rows = np.arange(len(epoch.time)) if self.judged_rows is None else self.judged_rows
         advance_bank(
             rows,
@@ -135,7 +180,7 @@ class SolutionSeparation(Detector):
             cast(FloatArray, epoch.innovation_cov),
             epoch.visible,
             self._fewest,
-            self._spacing,
+            *self._starts,
             memory["epochs"],
             memory["separation"],
             memory["covariance"],
@@ -146,10 +191,10 @@ class SolutionSeparation(Detector):
         return compare(statistic, self._threshold)
 
     @property
-    def _bank(self) -> tuple[FloatArray, FloatArray, IntArray, int]:
-        """Separations and covariances, epochs so far, and the spacing."""
+    def _bank(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:
+        """Separations and covariances, epochs so far, and starts."""
         memory = self.memory
-        return memory["separation"], memory["covariance"], memory["epochs"], self._spacing
+        return memory["separation"], memory["covariance"], memory["epochs"], *self._starts
 
     def whiten(self, position_e: FloatArray) -> FloatArray:
         """(B, J, 2) separations of the last epoch, whitened to unit covariance, 0 where a solution
@@ -162,7 +207,7 @@ class SolutionSeparation(Detector):
     @property
     def covers_s(self) -> float:
         """Length of the longest attack whose displacement is bounded [s]; once it is bound."""
-        return (self.memory_epochs - self._spacing) * self._interval_s
+        return self._covers * self._interval_s
 
     def bound_m(self, attack_s: float) -> FloatArray:
         r"""Threshold at the last epoch as a horizontal displacement.
@@ -179,9 +224,9 @@ class SolutionSeparation(Detector):
             the attack, the smallest [m]; infinite without one.  With a factor on the
             threshold (`Calibrated`) it is its root times as much.
         """
-        epochs, bank = self.memory["epochs"], self.memory["largest_sd"].shape[1]
-        since = epochs[:, None] - 1 - np.arange(bank) * self._spacing
-        age = np.where(since >= 0, since % (bank * self._spacing) + 1, 0)
+        firsts, periods = self._starts
+        since = self.memory["epochs"][:, None] - 1 - firsts
+        age = np.where(since >= 0, since % periods + 1, 0)
         old = (age > 0) & (age >= attack_s / self._interval_s - 1e-9)
         sd = np.where(old, self.memory["largest_sd"], np.inf).min(axis=1)
         return np.asarray(math.sqrt(self._threshold) * sd)

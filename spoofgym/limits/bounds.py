@@ -326,17 +326,32 @@ def _separation(
     scale = detector.scale if isinstance(detector, Calibrated) else 1.0
     if scale is None:
         raise ValueError("the factor on the thresholds is not known yet")
-    bounds = []
+    attack_s, bounds = setup.steps * setup.interval_s, []
     for case in cases:
-        simulator = observer(setup, 1, inner.needs)
-        simulator.start_episodes(make_generators([unused_seed(case.seed)]))
-        bank = copy.deepcopy(inner)
+        simulator, bank = observer(setup, 1, inner.needs), copy.deepcopy(inner)
         simulator.bind_detector(bank)
-        simulator.run_filter_only(setup.filter_only)
+        why = _explain_unbounded(setup, bank, attack_s)
+        if why:
+            return ZeroAlarm(None, None, "", why, [])
+        simulator.start_episodes(make_generators([unused_seed(case.seed)]))
+        simulator.run_filter_only(setup.filter_only, [bank])
         for _ in range(int(simulator.ages[0]) - setup.filter_only + setup.steps):
             bank.judge(simulator.advance())
             simulator.update(None)
-        attack_s = setup.steps * setup.interval_s
         bounds.append(math.sqrt(scale) * float(bank.bound_m(attack_s)[0]))
     mean = float(np.mean(bounds))
     return ZeroAlarm(mean, mean, "upper" if math.isfinite(mean) else "unbounded", "", [])
+
+
+def _explain_unbounded(
+    setup: TightlyCoupledSetup, bank: SolutionSeparation, attack_s: float
+) -> str:
+    """Why a bound bank says nothing of the victim after an attack, "" where it does."""
+    if bank.filter == "augmented" and setup.receiver.tuning != "augmented":
+        return "its threshold bounds the solution of the filter beside the victim's, not the victim"
+    if attack_s > bank.covers_s + 1e-9:
+        return (
+            f"an attack of {attack_s:g} s is longer than the {bank.covers_s:g} s that its bank "
+            "covers, so that its threshold bounds nothing"
+        )
+    return ""

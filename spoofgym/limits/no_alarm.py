@@ -293,6 +293,9 @@ def check_convex(detector: Detector) -> None:
         why, instead = REFUSED[type(detector)]
     elif type(detector) not in SETS:
         why, instead = "nothing is known of its statistic", OPEN_LOOP_NOTE
+    elif settings.get("filter") == "augmented":
+        why = "it judges the innovations of a filter beside the victim's"
+        instead = "that of `limits` holds for every detector"
     elif settings.get("weight_scale") is not None:
         why, instead = "its weights change the gains", OPEN_LOOP_NOTE
     elif settings.get("two_sided"):

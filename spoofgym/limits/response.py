@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, cast
 
@@ -37,6 +37,8 @@ from .linear import hat_functions, observer, record, respond, unit_commands, unu
 HATS = 40
 """Hat functions of the rate by which the response is known, over the attack window."""
 UNKNOWN_RESPONSES = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
+MATRICES = {"transition", "predicted_cov", "design", "innovation_cov"}
+"""Fields that are stored in single precision, as the responses are."""
 RUNS_AT_ONCE = 32  # whose matrices are held in memory together
 BANKS_AT_ONCE = 4
 
@@ -117,6 +119,8 @@ class Replay:
         Of the runs.
     threads : int, optional
         That judge attacks; all useful cores by default.
+    given : mapping, optional
+        Circumstances that are not to be drawn, as of a reset, one value a run.
     tick : callable, optional
         Is given the part of the responses that is done.
 
@@ -140,9 +144,10 @@ class Replay:
         seeds: Sequence[np.random.SeedSequence],
         *,
         threads: int | None = None,
+        given: Mapping[str, Sequence[Any]] | None = None,
         tick: Callable[[float], None] | None = None,
     ) -> None:
-        self.setup, self.runs = setup, len(seeds)
+        self.setup, self.runs, self.given = setup, len(seeds), given or {}
         self._banks: dict[tuple[int, bytes], LinearBank] = {}
         self.threads = available_threads(10**9) if threads is None else threads
         for each in detectors:
@@ -157,28 +162,32 @@ class Replay:
     ) -> None:
         simulator = observer(self.setup, self.runs, self.needs, [_Watch(detectors)])
         world = simulator.setup
-        simulator.warm_up(make_generators(seeds))
+        simulator.warm_up(make_generators(seeds), self.given)
         self._context = simulator._context()
         watch = simulator.monitor(_Watch)
         self.detectors, self.warmup_alarm = watch.detectors, watch.memory["alarmed"].T.copy()
         self.onset, self.heading = simulator.onset.copy(), simulator.heading.copy()
+        self.first = simulator.memory["first"].copy()
         self.sky = self.onset // world.epochs_each
+        self._combination = simulator.memory["combination"].copy()
         stored: dict[str, list[NDArray[Any]]] = {}
         idle = simulator.advance if world.attack.idle_is_clean else lambda: simulator.predict(None)
         for _ in range(world.steps + world.hold):
             epoch = idle()
             for name, array in epoch._asdict().items():
                 if array is not None:
-                    stored.setdefault(name, []).append(np.array(array))
+                    dtype = np.float32 if name in MATRICES else array.dtype
+                    stored.setdefault(name, []).append(np.array(array, dtype=dtype))
             simulator.update(None)
         self._epochs, self.epochs = stored, len(stored["time"])
 
     def _respond(self, seeds: Sequence[np.random.SeedSequence]) -> None:
-        """Responses to hat functions of the rate, once for all runs of a sky, start and view."""
+        """Responses to hat functions of the rate, once for all runs of a sky, start, age, sensors
+        and view."""
         views: dict[bytes, int] = {}
         seen = np.array(self._epochs["visible"]).transpose(1, 0, 2)
-        pairs = zip(self.onset, seen, strict=True)
-        keys = [onset.tobytes() + view.tobytes() for onset, view in pairs]
+        circumstances = zip(self.first, self.onset, self._combination, seen, strict=True)
+        keys = [b"".join(part.tobytes() for part in each) for each in circumstances]
         self.group = np.array([views.setdefault(key, len(views)) for key in keys])
         ones = [int(np.flatnonzero(self.group == g)[0]) for g in range(len(views))]
         self.hats = hat_functions(self.setup.steps // self.setup.repeat, HATS)
@@ -186,7 +195,8 @@ class Replay:
         for at in range(0, len(ones), RUNS_AT_ONCE):
             part = ones[at : at + RUNS_AT_ONCE]
             again = make_generators([unused_seed(seeds[b]) for b in part])
-            for b, run in zip(part, record(self.setup, again), strict=True):
+            given = {name: [values[b] for b in part] for name, values in self.given.items()}
+            for b, run in zip(part, record(self.setup, again, given), strict=True):
                 offsets = self._offsets(int(self.onset[b])) * np.tile(run.visible, 2)[:, :, None]
                 found = respond(run, offsets)._asdict()
                 found["position"] = found["position"][:, :2]
@@ -375,7 +385,8 @@ class Replay:
         for name in ALWAYS | needs:
             array = self._epochs[name][k][rows]
             if name not in buffers:
-                buffers[name] = np.empty((attacks, *array.shape), dtype=array.dtype)
+                dtype = np.float64 if name in MATRICES else array.dtype
+                buffers[name] = np.empty((attacks, *array.shape), dtype=dtype)
             out = buffers[name]
             if name in moved:
                 np.add(array, moved[name][k], out=out)

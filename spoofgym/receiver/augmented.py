@@ -176,16 +176,29 @@ def matrix_variances(grade: str) -> FloatArray:
     return np.repeat([float(np.mean(part**2)) for part in parts], 9)
 
 
+class FilterModel(NamedTuple):
+    """What an augmented filter assumes of a world. `signals`: states of the signals; `noise_psd`
+    (17,) of the states of `receiver.states`; `noise_variance` (2n,) R; `covariance` (17, 17) at the
+    start; `grade` of the inertial sensors, whose constants are states."""
+
+    signals: SignalModel
+    noise_psd: FloatArray
+    noise_variance: FloatArray
+    covariance: FloatArray
+    grade: str
+
+
 class Predicted(NamedTuple):
     """What an update needs of the prediction. `gain` (B, N, m) P H'; `S` (B, m, m); `innovation`
     (B, m); `drift` (B, 17) error of the strapdown that matrices and wandering biases have brought;
-    `enough` (B,) bool, satellites for an update."""
+    `enough` (B,) bool, satellites for an update; `visible` (B, n) bool."""
 
     gain: FloatArray
     S: FloatArray
     innovation: FloatArray
     drift: FloatArray
     enough: NDArray[np.bool_]
+    visible: NDArray[np.bool_]
 
 
 class AugmentedFilter:
@@ -259,7 +272,21 @@ class AugmentedFilter:
         if inertial > FIRST:  # wandering biases do what the constant ones do
             moved[:, :ACCEL_BIAS, MATRICES:] = transition[:, :ACCEL_BIAS, ACCEL_BIAS:CLOCK_BIAS]
         top = np.concatenate([transition, moved], axis=2)
-        index, half = np.arange(STATES), 0.5 * tau[:, None] * noise_psd
+        self._propagate(P, top, 0.5 * tau[:, None] * noise_psd)
+        drift = (moved @ a[:, : inertial - STATES, None])[:, :, 0]
+        a[:, MATRICES:] = (D @ a[:, MATRICES:, None])[:, :, 0]
+        signals = self.model.rows(mapping, visible, self.interval_s)
+        H = np.concatenate([design, np.zeros((*design.shape[:2], MATRICES)), signals], axis=2)
+        known = (design @ drift[:, :, None] + signals @ a[:, MATRICES:, None])[:, :, 0]
+        self._show(top, H, P)
+        gain, S = self._project(P, H, noise_variance, visible)
+        enough = visible.sum(axis=1) >= fewest
+        return Predicted(gain, S, innovation - known, drift, enough, visible)
+
+    def _propagate(self, P: FloatArray, top: FloatArray, half: FloatArray) -> None:
+        """Go on by one interval in place; `top` (B, 17, c) of inertial states, `half` (B, 17) of
+        the noise."""
+        index, D, inertial = np.arange(STATES), self.model.transition, self.inertial
         P[:, index, index] += half
         P[:, :STATES] = top @ P[:, :inertial]
         P[:, :, :STATES] = P[:, :, :inertial] @ top.transpose(0, 2, 1)
@@ -267,17 +294,16 @@ class AugmentedFilter:
         P[:, FIRST:] = D @ P[:, FIRST:]
         P[:, :, FIRST:] = P[:, :, FIRST:] @ D.T
         P[:, FIRST:, FIRST:] += self.model.driving
-        drift = (moved @ a[:, : inertial - STATES, None])[:, :, 0]
-        a[:, MATRICES:] = (D @ a[:, MATRICES:, None])[:, :, 0]
-        signals = self.model.rows(mapping, visible, self.interval_s)
-        H = np.concatenate([design, np.zeros((*design.shape[:2], MATRICES)), signals], axis=2)
-        known = (design @ drift[:, :, None] + signals @ a[:, MATRICES:, None])[:, :, 0]
-        self._show(top, H, P)
+
+    def _project(
+        self, P: FloatArray, H: FloatArray, variance: FloatArray, visible: NDArray[np.bool_]
+    ) -> tuple[FloatArray, FloatArray]:
+        """P H' and S."""
         gain = P @ H.transpose(0, 2, 1)
         S = H @ gain
         rows, seen = np.arange(S.shape[1]), np.hstack([visible, visible])
-        S[:, rows, rows] += np.where(seen, noise_variance, 1.0)
-        return Predicted(gain, S, innovation - known, drift, visible.sum(axis=1) >= fewest)
+        S[:, rows, rows] += np.where(seen, variance, 1.0)
+        return gain, S
 
     def _show(self, top: FloatArray, H: FloatArray, P: FloatArray) -> None:
         shown = self.shown
@@ -288,13 +314,19 @@ class AugmentedFilter:
                 shown[name][:] = array
 
     def update(self, predicted: Predicted, weights: FloatArray | None) -> FloatArray:
-        gain, S, z, drift, enough = predicted
-        P, a = self.memory["augmented_covariance"], self.memory["augmented"]
-        used = z if weights is None else weights * z
+        z = predicted.innovation
+        change = self._correct(predicted, z if weights is None else weights * z)
+        a = self.memory["augmented"]
+        a += change[:, STATES:]
+        return predicted.drift + change[:, :STATES]
+
+    def _correct(self, predicted: Predicted, used: FloatArray) -> FloatArray:
+        """Update the covariance; (B, N) change of the estimates by innovations (B, m)."""
+        gain, S, _, _, enough, _ = predicted
+        P = self.memory["augmented_covariance"]
         solved = np.linalg.solve(S, np.concatenate([used[:, :, None], gain.transpose(0, 2, 1)], 2))
         change = (gain @ solved[:, :, :1])[:, :, 0] * enough[:, None]
         P -= (gain @ solved[:, :, 1:]) * enough[:, None, None]
         P += P.transpose(0, 2, 1).copy()
         P *= 0.5
-        a += change[:, STATES:]
-        return drift + change[:, :STATES]
+        return np.asarray(change)

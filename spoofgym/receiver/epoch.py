@@ -54,7 +54,7 @@ def assumed_shapes(channels: int) -> dict[str, tuple[int, ...]]:
     return {"noise_psd": (STATES,), "noise_variance": (2 * channels,)}
 
 
-SEEN = (  # fields of an epoch that kernels write, in the order in which they get their places
+SEEN = (  # fields of an epoch in memory, in the order in which kernels have their places
     "innovation",
     "innovation_variance",
     "innovation_cov",
@@ -66,6 +66,7 @@ SEEN = (  # fields of an epoch that kernels write, in the order in which they ge
     "range_rate",
     "satellite_position",
     "satellite_velocity",
+    "weights",  # which no kernel writes
 )
 ALWAYS_SEEN = frozenset({"innovation", "innovation_variance"})
 
@@ -73,7 +74,7 @@ ALWAYS_SEEN = frozenset({"innovation", "innovation_variance"})
 def _seen_shapes(channels: int) -> dict[str, tuple[int, ...]]:
     n = channels
     shapes = [(2 * n,), (2 * n,), (2 * n, 2 * n), (17, 17), (2 * n, 17), (17, 17), (6,)]
-    return dict(zip(SEEN, [*shapes, (n,), (n,), (n, 3), (n, 3)], strict=True))
+    return dict(zip(SEEN, [*shapes, (n,), (n,), (n, 3), (n, 3), (2 * n,)], strict=True))
 
 
 class ReceiverBuffers:
@@ -84,7 +85,7 @@ class ReceiverBuffers:
     - `time`, `interval` (B,) time of the epoch and time since the last one [s];
     - `position_e`, `velocity_e` (B, 3) estimated, ECEF [m], [m/s], as the last kernel left them;
     - `visible` (B, n) bool; `coasting` (B,) bool, whether the last epoch had no update;
-    - `seen`: fields of `SEEN` that are in use, (B, ...) each; `places` (11,) where in
+    - `seen`: fields of `SEEN` that are in use, (B, ...) each; `places` (12,) where in
       `seen_floats` each lies, -1 if unused.
     """
 
@@ -229,6 +230,9 @@ class Epoch(NamedTuple):
         (B, 3) position by odometry.
     cn0_dbhz : ndarray or None
         (B, n) carrier-to-noise density.
+    weights : ndarray or None
+        (B, m) with which the last epoch was updated, ones before the first: the feedback of the
+        filter was P H' S^-1 W z of that epoch.
     """
 
     time: FloatArray
@@ -250,6 +254,7 @@ class Epoch(NamedTuple):
     gnss_position: FloatArray | None = None
     auxiliary_position: FloatArray | None = None
     cn0_dbhz: FloatArray | None = None
+    weights: FloatArray | None = None
 
 
 OPTIONAL = tuple(Epoch._field_defaults)  # None unless some `needs` names them

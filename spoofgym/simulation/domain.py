@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
@@ -15,7 +16,7 @@ from ..core.declared import setting, settings_record
 from ..core.registry import build_record, check_choice, require
 from ..earth.attitude import euler_to_dcm
 from ..receiver import TightlyCoupled
-from ..receiver.augmented import SignalModel, signal_model
+from ..receiver.augmented import FilterModel, SignalModel, signal_model
 from ..receiver.matching import compute_assumed_noise
 from ..receiver.tight import NoiseModel
 from ..truth.events import BenignEvents
@@ -385,6 +386,7 @@ class Combinations:
         self.with_signals = self.events is not None or any(each.signals for each in errors)
         self._grades = [IMU_GRADES[name] for name in self.names["imu"]]
         self.grades, self.errors = len(self._grades), len(errors)
+        self._interval_s = scenario.epoch_interval_s
         grades = self.names["imu"]
         victims = [(g, replace(receiver, grade=g) if domain.imu else receiver) for g in grades]
         self._all = [
@@ -400,18 +402,45 @@ class Combinations:
         """(b,) index, for `__getitem__`, of combinations of a `Choice`."""
         return (world * self.grades + grade) * self.errors + error
 
+    @property
+    def _model_alike(self) -> bool:
+        """Whether one augmented filter fits all combinations."""
+        first = self._all[0]
+        return all(
+            case.assumed == first.assumed
+            and case.grade == first.grade
+            and np.array_equal(case.assumed_bias_sd, first.assumed_bias_sd)
+            for case in self._all
+        )
+
     def signal_model(self, interval_s: float) -> SignalModel:
         """States of the signals of an augmented filter; a ValueError where combinations differ."""
         first = self._all[0]
-        for case in self._all:
-            same = case.assumed == first.assumed and case.grade == first.grade
-            require(
-                same and np.array_equal(case.assumed_bias_sd, first.assumed_bias_sd),
-                "a receiver with `tuning` 'augmented' takes one grade of inertial sensors and "
-                "one kind of errors, with the same constants in all worlds of the domain",
-            )
+        require(
+            self._model_alike,
+            "a receiver with `tuning` 'augmented' takes one grade of inertial sensors and "
+            "one kind of errors, with the same constants in all worlds of the domain",
+        )
         wandering = IMU_GRADES[first.assumed_grade] if self.wandering else None
         return signal_model(first.assumed, first.assumed_bias_sd, interval_s, wandering)
+
+    @cached_property
+    def filter_model(self) -> FilterModel | None:
+        """What a filter beside the victim's assumes, by the assumed errors and the victim's grade;
+        None where combinations differ."""
+        if not self._model_alike:
+            return None
+        first = self._all[0]
+        victim = TightlyCoupled(grade=first.assumed_grade, tuning="augmented")
+        bias_sd = first.assumed_bias_sd
+        variance, noise = compute_assumed_noise(victim, first.assumed, bias_sd, self.world, 0)
+        return FilterModel(
+            signals=self.signal_model(self._interval_s),
+            noise_psd=victim.noise_psd(noise),
+            noise_variance=variance,
+            covariance=victim.initial_covariance(noise),
+            grade=victim.grade,
+        )
 
     def __getitem__(self, index: int) -> Combination:
         return self._all[index]

@@ -158,6 +158,7 @@ class Setup(ABC):
         "gnss_position",
         "auxiliary_position",
         "cn0_dbhz",
+        "weights",
     }  # optional fields of `Epoch` that the victim has
     fields: frozenset[str] = frozenset()  # wanted besides the `needs` of detectors and monitors
     domain_names: ClassVar[frozenset[str]] = frozenset()  # settings of `Domain` that the victim has

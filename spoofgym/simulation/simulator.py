@@ -22,7 +22,13 @@ from ..core.declared import check_number
 from ..core.memory import Memory
 from ..core.registry import require
 from ..detectors import DETECTORS, Calibrated, Detector, DetectorContext, PooledDetector, Verdict
-from ..detectors.base import YoungMemoryWarning, check_needs, checked_weights, judge_epoch
+from ..detectors.base import (
+    HAVE_IT,
+    YoungMemoryWarning,
+    check_needs,
+    checked_weights,
+    judge_epoch,
+)
 from ..detectors.calibrated import resolve_thresholds
 from ..receiver.epoch import Epoch
 from .domain import Choice, FloatArray, apply_choices, draw
@@ -260,7 +266,12 @@ class Simulator(ABC):
 
     def bind_detector(self, detector: Detector) -> None:
         """Bind a detector to these receivers; a ValueError where it can't judge or alarm."""
-        setup = self.setup
+        setup, context = self.setup, self._context()
+        require(
+            not detector.needs_model or context.model is not None,
+            f"{type(detector).__name__} needs a model of the victim's errors, which "
+            f"{setup.whose} does not have here; {HAVE_IT}",
+        )
         self._check_has(detector)
         late = detector.needs - self.fields
         require(
@@ -270,9 +281,10 @@ class Simulator(ABC):
             "have what they need in its own `needs`",
         )
         resolve_thresholds(detector, setup)
-        detector.bind(self._context())
-        if setup.domain.age_s is None and setup.live < detector.memory_epochs:
-            ages = (setup.live * setup.interval_s, detector.memory_epochs * setup.interval_s)
+        detector.bind(context)
+        seen = setup.onset if detector.from_start else setup.live
+        if setup.domain.age_s is None and seen < detector.memory_epochs:
+            ages = (seen * setup.interval_s, detector.memory_epochs * setup.interval_s)
             warnings.warn(
                 f"{type(detector).__name__} is live for {ages[0]:g} s before the attack and its "
                 f"memory is {ages[1]:g} s long, so that what it finds depends on when it went "
@@ -280,7 +292,8 @@ class Simulator(ABC):
                 YoungMemoryWarning,
                 stacklevel=2,
             )
-        epochs = setup.least_live + setup.steps + setup.hold
+        youngest = setup.youngest if detector.from_start else setup.least_live
+        epochs = youngest + setup.steps + setup.hold
         require(
             detector.silent_epochs < epochs,
             f"{type(detector).__name__} can't alarm in its first {detector.silent_epochs} "
@@ -367,8 +380,22 @@ class Simulator(ABC):
             sequel(self, verdict)
         return verdict
 
-    def run_filter_only(self, count: int) -> None:
+    def run_filter_only(self, count: int, more: Sequence[Detector] = ()) -> None:
+        """Run epochs that are not judged. Detectors that see them `from_start` are shown them: that
+        in the loop, those of the monitors, and `more` that are bound to these receivers."""
         self.weights = self.ones
+        beside = (each for monitor in self.monitors for each in getattr(monitor, "detectors", ()))
+        watching = [each for each in (self.detector, *beside, *more) if each.from_start]
+        if not watching:
+            self._run_unseen(count)
+            return
+        for _ in range(count):
+            epoch = self.advance()
+            for each in watching:
+                each.watch(epoch)
+            self._correct(None)
+
+    def _run_unseen(self, count: int) -> None:
         for _ in range(count):
             self._measure(None)
             self._correct(None)

@@ -66,6 +66,7 @@ class TightlyCoupledSetup(Setup):
     kind: ClassVar[str] = "tightly-coupled"
     env_id: ClassVar[str] = "spoofgym/TightlyCoupled-v0"
     whose: ClassVar[str] = "a tightly coupled receiver"
+    has: ClassVar[frozenset[str]] = Setup.has | {"weights"}
     domain_names: ClassVar[frozenset[str]] = frozenset(vars(Domain()))
     usual_detector: ClassVar[Mapping[str, Any]] = {
         "name": "ewma",
@@ -278,7 +279,11 @@ class TightlyCoupledSimulator(Simulator):
         sizes, variance = (self.receivers, world.channels), cases.largest_variance
         single = np.sqrt(cases.largest_epoch_variance)
         known = *sizes, setup.interval_s, variance, world.satellite_ids, single
-        context = DetectorContext(*known, min_satellites=setup.receiver.min_satellites)
+        context = DetectorContext(
+            *known,
+            min_satellites=setup.receiver.min_satellites,
+            model=cases.filter_model,
+        )
         if self.augmented is None:
             return context
         filter_ = self.augmented
@@ -463,6 +468,8 @@ class TightlyCoupledSimulator(Simulator):
         count: int = 1,
     ) -> None:
         """Run kernels that begin with an attack of some form, or none, as `step` does."""
+        if "weights" in self.fields:
+            self.buffers.seen["weights"][:] = self.weights
         action, in_python = self._no_action, attacked and form == _kernels.NO_FORM
         if form != _kernels.NO_FORM:
             what, action = what + _kernels.ATTACK, self.attack.idle if command is None else command
@@ -580,7 +587,7 @@ class TightlyCoupledSimulator(Simulator):
         return verdict
 
     def _compiled_detector(self) -> int:
-        if self.monitors or self.augmented is not None:
+        if self.monitors or self.augmented is not None or "weights" in self.fields:
             return _kernels.NO_FORM
         detector, _ = _split_scale(self.detector)
         if type(detector) is Never:
@@ -589,8 +596,7 @@ class TightlyCoupledSimulator(Simulator):
             return _kernels.NO_FORM
         return _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
 
-    def run_filter_only(self, count: int) -> None:
-        self.weights = self.ones
+    def _run_unseen(self, count: int) -> None:
         if self.augmented is not None:
             for _ in range(count):
                 self.advance()

@@ -70,6 +70,7 @@ def with_optional_fields(epoch: Epoch, rng: np.random.Generator) -> Epoch:
         "gnss_position": epoch.predicted_position + 2.0 * rng.standard_normal((b, 3)),
         "auxiliary_position": epoch.predicted_position + 5.0 * rng.standard_normal((b, 3)),
         "cn0_dbhz": 45.0 + rng.standard_normal((b, n)),
+        "weights": np.ones(epoch.innovation.shape),
     }
     for name in OPTIONAL:
         if getattr(epoch, name) is None:

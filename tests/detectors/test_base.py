@@ -117,7 +117,7 @@ def test_needs_are_checked(needs):
     detector = Never()
     detector.needs = needs
     wrong = r"\['designs'\]" if isinstance(needs, frozenset) else ""
-    message = rf"`Never.needs` must be a frozenset of optional .*cn0_dbhz\), got .*{wrong}"
+    message = rf"`Never.needs` must be a frozenset of optional .*weights\), got .*{wrong}"
     with pytest.raises(ValueError, match=message):
         detector.bind(trying_script().context)
     with pytest.raises(ValueError, match=message):

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...attacks import ATTACKS
 from ...core.declared import check_number
-from ...core.registry import Spec, build_spec, format_label, slug
+from ...core.registry import Spec, build_spec, format_label, inspect_settings, slug
 from ...core.settings import describe
 from ...detectors import DETECTORS, Calibrated, Detector, detector_in_world
 from ...detectors.build import get_default_request, spec_of_judge
@@ -233,7 +233,8 @@ def specify_spoofer(spec: str | Mapping[str, Any] | Spoofer) -> PlayerSpec:
 def _label(word: str, kinds: Mapping[str, type], thing: Any, full: Spec, usual: Spec) -> str:
     """Name, with the settings that are not the class's defaults or the usual ones of all."""
     try:
-        return format_label(full, {**build_spec(word, kinds, type(thing)()), **usual})
+        known = {**inspect_settings(type(thing)), **build_spec(word, kinds, type(thing)())}
+        return format_label(full, {**known, **usual})
     except TypeError:  # a setting has no default
         return format_label(full, None)
 

@@ -31,6 +31,7 @@ from scipy import special
 from ...calibration.clean_runs import weighs
 from ...core.declared import setting, settings_record
 from ...limits.response import NotReplayable, Replay, check_replayable
+from ...simulation.domain import draw
 from ...simulation.setup import Setup, seed_sequences
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.profile import MOST_KNOTS, sample_curve
@@ -265,6 +266,7 @@ AIMS = ("budget", "half")
 keeps it, or half of the runs alarming, by which the protection is given."""
 LINEAR_ERROR = 0.02
 """How far the displacement on the engine may be from that of the replay, as a part of it."""
+SHARED_STREAM = 0x5C  # of the seed of a search, for the circumstances that its runs share
 SPLIT = "search"
 """Runs that are searched on: an amplitude that is fitted on the same ones would be too large."""
 ON_ENGINE = {"batch": 48, "generations": 24}
@@ -286,6 +288,16 @@ def name_unbeaten_start(found: Mapping[str, Any]) -> str | None:
         return str(played)
     improved = search["displacement_m"] > NOTHING_BETTER * search["start_m"]
     return None if improved else str(search["start"])
+
+
+def share_skies(setup: Setup, entropy: int, runs: int) -> dict[str, Any]:
+    """World, start and age of runs: one start and one age for every sky, so that its runs share
+    their response, which is computed 32 times for 32 skies, and not for each of 512 runs."""
+    rng, bounds = np.random.default_rng([entropy, SHARED_STREAM]), setup.bounds
+    choice = draw(bounds, rng.integers(0, 2**63, (bounds.worlds, 2), dtype=np.uint64))
+    world = np.arange(runs) % bounds.worlds
+    times = {"start_s": choice.start, "age_s": choice.age}
+    return {"world": world, **{name: of[world] * setup.interval_s for name, of in times.items()}}
 
 
 class Optima:
@@ -399,7 +411,8 @@ class Optima:
             entropy, runs = self.bounds.entropy, self.settings.runs
             seeds = seed_sequences(entropy, SPLIT, setup.name, runs)
             everyone = list(judges.values())
-            self._replay = Replay(setup, everyone, seeds, threads=self.threads)
+            given = share_skies(setup, entropy, runs)
+            self._replay = Replay(setup, everyone, seeds, threads=self.threads, given=given)
             self._numbers = {label: k for k, label in enumerate(judges)}
         return self._replay, self._numbers
 
