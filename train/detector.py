@@ -104,8 +104,9 @@ class Trainer:
 
     def normalize(self, episodes: Episodes) -> None:
         """Centre and scale, of clean training runs."""
-        clean, valid = (part[episodes.clean, ::7] for part in (episodes.observation, episodes.valid))
-        self.network.normalize_by(clean[valid].astype(np.float32))
+        some = episodes.clean, slice(None, None, 7)
+        clean = episodes.observation[some][episodes.valid[some]]
+        self.network.normalize_by(clean.astype(np.float32))
 
     def learn(self, episodes: Episodes) -> float:
         """One pass through the training episodes.  Returns the mean loss."""
@@ -138,8 +139,7 @@ class Trainer:
         odds = self.network.log_odds(seen)
         moved = torch.from_numpy(some.displacement_m[:, begin:]) / self.config["length_m"]
         moved, clean = moved.clamp(max=1.0), torch.from_numpy(some.clean)
-        labels = (torch.from_numpy(part[:, begin:]) for part in (some.attack, some.valid))
-        attack, valid = labels
+        attack, valid = (torch.from_numpy(part[:, begin:]) for part in (some.attack, some.valid))
         loss = logistic(odds, attack, moved, valid)
         if clean.all() or not clean.any():  # a small rest of a pass
             return loss

@@ -35,8 +35,8 @@ class NeymanPearson:
     """Undetected displacement D_u, to the spoofer from the detector; clean episodes pay nothing.
 
     False alarms have no price: their rate is fixed by the threshold, which is calibrated on clean
-    episodes.  So has one before the onset, which ends an episode for nothing.  A payoff returns the rewards (B,) of the spoofer, 0 in clean episodes, and of the
-    detector.
+    episodes.  Nor has one before the onset, which ends the episode for nothing.  A payoff returns
+    the rewards (B,) of the spoofer, 0 in clean episodes, and of the detector.
     """
 
     described_as = "NeymanPearson"

@@ -71,7 +71,7 @@ class Engine:
     twin : Simulator or None
         The same receivers, not attacked.
     to_onset : bool
-        Whether a reset runs the whole warm-up, as it does by default, or the filter-only part alone.
+        Whether a reset runs the whole warm-up, as by default, or the filter-only part alone.
     """
 
     def __init__(

@@ -7,7 +7,7 @@ where they all begin at the same, as one that has learned from such a world may 
 import numpy as np
 import pytest
 
-from spoofgym import duel_v0
+from spoofgym.duel.views import DetectorCore
 
 RECEIVERS, FALSE_ALARM = 384, 0.1
 AGES_S = (12.0, 100.0)
@@ -20,9 +20,9 @@ Z = 2.6
 """Standard errors by which one of two equal shares is above the other in 1 of 200 tests."""
 
 
-def play(options):
+def play(given):
     """Largest normalized average innovation (L, B), age at the onset, and attacked, (B,)."""
-    envs = duel_v0.DetectorVectorView(
+    side = DetectorCore(
         RECEIVERS,
         {"name": "ramp", "rate_mps": 1.0, "heading_deg": "target"},
         scenario="zhong2025-white",
@@ -34,17 +34,14 @@ def play(options):
         weighs=False,
         threads=1,
     )
-    seen, _ = envs.reset(seed=1, options=options)
-    quiet = np.full(envs.action_space.shape, -1.0)
-    duel, statistic = envs.core.duel, []
+    side.reset([np.random.default_rng(k) for k in range(RECEIVERS)], given=given)
+    duel, seen, statistic = side.duel, side.observe(), []
     onset = duel.core.engine.simulator.ages - duel.setup.filter_only
-    attacked = duel.attacked.copy()  # of these episodes, not of those that follow
-    for _ in range(int(onset.max()) + duel.epochs):
-        statistic.append(np.abs(seen[:, 24:36]).max(axis=1))
-        seen = envs.step(quiet)[0]
-    end = onset + duel.epochs
-    past = np.arange(len(statistic))[:, None] >= end
-    return np.where(past, 0.0, statistic), onset, attacked
+    end, quiet = onset + duel.epochs, np.full((RECEIVERS, len(side.action_names)), -1.0)
+    for k in range(int(end.max())):
+        statistic.append(np.where(k < end, np.abs(seen[:, 24:36]).max(axis=1), 0.0))
+        _, seen = side.step(quiet)
+    return np.array(statistic), onset, duel.attacked
 
 
 def find_detected(statistic, onset, attacked):
@@ -58,8 +55,8 @@ def find_detected(statistic, onset, attacked):
 
 @pytest.mark.parametrize(("age_s", "gains"), [(USUAL_S, True), (None, False)])
 def test_a_detector_that_counts_gains_only_where_the_onset_is_always_the_same(age_s, gains):
-    """Attacks found of 198, by the first and the second test: 168 and 126; 37 and 78."""
-    statistic, onset, attacked = play(None if age_s is None else {"domain": {"age_s": age_s}})
+    """Attacks found of 198, by the first and the second test: 168 and 127; 37 and 79."""
+    statistic, onset, attacked = play(None if age_s is None else {"age_s": age_s})
     assert (np.ptp(onset) == 0) == gains
     epochs = np.arange(len(statistic))[:, None] / EPOCHS_PER_S + LINE["warmup_s"] - LINE["live_s"]
     usual = (epochs >= USUAL_S) & (epochs < USUAL_S + WINDOW_S)

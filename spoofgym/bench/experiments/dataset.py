@@ -291,11 +291,11 @@ class Plan(Experiment):
         seen = np.zeros((runs, 2, setup.live + epochs, names), dtype=np.float16)
         attacked.switch_on(make_generators(seeds))
         live, gone = attacked.ages - setup.filter_only, 0
-        for part, rows, count in attacked.ageing(setup.filter_only):
+        for some, rows, count in attacked.ageing(setup.filter_only):
             for k in range(gone, gone + count):
-                part.live_epochs(1)
+                some.live_epochs(1)
                 young = live[rows] > k
-                seen[rows[young], :, k] = _get_observation(part)[young, None]
+                seen[rows[young], :, k] = _get_observation(some)[young, None]
                 check_stopped(stopped)
             gone += count
         twin.copy_rows(everyone, attacked, everyone)
