@@ -170,6 +170,28 @@ def test_minibatches_begin_at_drawn_moments_before_the_onset(trainer, monkeypatc
     assert torch.equal(late, loss(shorter, 0))
 
 
+def test_what_follows_an_episode_counts_for_nothing(tmp_path):
+    world = World.of(timeline=TIMES, domain={"turn_on": "drawn", "age_s": (15.0, 60.0)}).setup
+    terms = ("innovation", "in-view", "line-of-sight", "chi-square")
+    plan = Plan(world, length_m=10.0, terms=terms, runs={"train": 8})
+    run_experiment(plan, Store(tmp_path / "aged"), threads=1)
+    data = load_dataset(tmp_path / "aged")
+    episodes, found = data.episodes("train"), []
+    after = ~episodes.valid
+    assert len(np.unique(episodes.epochs)) > 4
+    spoiled = episodes._replace(observation=episodes.observation.copy())
+    spoiled.observation[after] = 300.0
+    for each in (episodes, spoiled):
+        made = Trainer(arguments(tmp_path / "aged", tmp_path / "guard"), data)
+        made.normalize(each)
+        loss = made._loss(each, 3)
+        loss.backward()
+        gradients = [weight.grad for weight in made.network.parameters()]
+        found.append([loss, *gradients, torch.tensor(made.score(each))])
+    for mine, theirs in zip(*found, strict=True):
+        np.testing.assert_array_equal(mine.detach(), theirs.detach())
+
+
 def test_the_best_is_kept_where_training_diverges(data, trainer, tmp_path, monkeypatch):
     validation, network = trainer.data.episodes("validation"), trainer.network
     assert np.isfinite(trainer.score(validation).loss)
