@@ -19,7 +19,7 @@ def logistic(
     `odds`: (E, L) logarithm of the odds of an attack; `attack`: (E, L) bool, whether an attack is
     on; `moved`: (E, L) displacement in alert limits, at most 1: the weight of an attacked epoch;
     `valid`: (E, L) bool, which epochs count."""
-    weight = torch.where(attack, moved, (~attack & valid).float())
+    weight = torch.where(attack, moved, (~attack).float())
     loss = functional.binary_cross_entropy_with_logits(odds, attack.float(), reduction="none")
     parts = [
         (loss * weight)[kind].sum() / weight[kind].sum().clamp(min=1.0)
