@@ -44,6 +44,12 @@ def window_s(config: Mapping[str, Any]) -> float:
     return float((epochs["steps"] + epochs["hold"]) * config["interval_s"])
 
 
+def count_live(episodes: Episodes, config: Mapping[str, Any]) -> NDArray[np.int64]:
+    """(E,) epochs of every episode before the onset."""
+    epochs = config["epochs"]
+    return np.asarray(episodes.epochs - (epochs["steps"] + epochs["hold"]))
+
+
 def score_statistic(
     statistic: FloatArray,
     episodes: Episodes,
@@ -52,27 +58,32 @@ def score_statistic(
 ) -> Scored:
     """Score a statistic at the threshold that these runs' own clean episodes give. `statistic`: (E,
     L) of every epoch; `episodes`: of a data set, clean and attacked in turn."""
-    epochs, clean = config["epochs"], episodes.clean
-    live, steps, hold = (epochs[name] for name in ("live", "steps", "hold"))
+    clean, live = episodes.clean, count_live(episodes, config)
+    steps, hold = (config["epochs"][name] for name in ("steps", "hold"))
     check_runs(false_alarms_per_hour, int(clean.sum()), window_s(config), tail=False)
-    maxima = np.sort(statistic[clean, live:].max(axis=1))
+    window = np.arange(len(live))[:, None], live[:, None] + np.arange(steps + hold)
+    judged = statistic[window]
+    maxima = np.sort(judged[clean].max(axis=1))
     p = run_probability(false_alarms_per_hour, window_s(config))
     threshold = float(maxima[-compute_rank(p, len(maxima))])
-    alarm = statistic > threshold
+    alarm = judged > threshold
+    early = (statistic > threshold) & (np.arange(statistic.shape[1]) < live[:, None])
     # the two episodes of a run are neighbours, the clean one first
-    counts = mask_valid_runs(alarm[~clean, :live].any(axis=1), alarm[clean, live:].any(axis=1))
-    raised = alarm[~clean, live:]
+    counts = mask_valid_runs(early[~clean].any(axis=1), alarm[clean].any(axis=1))
+    raised = alarm[~clean]
     first = np.where(raised.any(axis=1), raised.argmax(axis=1) + 1, 0)
-    error = episodes.displacement_m[~clean, live : live + steps].T
+    error = episodes.displacement_m[window][~clean, :steps].T
     undetected = undetected_displacement(error, first, hold)[counts]
+    valid = episodes.valid
+    under = area(statistic[valid], episodes.attack[valid])
     if not counts.any():
-        return Scored(1.0, math.nan, threshold, 0, area(statistic, episodes.attack))
+        return Scored(1.0, math.nan, threshold, 0, under)
     return Scored(
         float(np.minimum(undetected / config["length_m"], 1.0).mean()),
         float(undetected.mean()),
         threshold,
         int(counts.sum()),
-        area(statistic, episodes.attack),
+        under,
     )
 
 

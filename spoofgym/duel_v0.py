@@ -89,7 +89,9 @@ def env(*, render_mode: None = None, **settings: Any) -> Any:
           `calibrate_policy` for one frozen detector;
         - ``false_alarm``: probability of an alarm in a clean episode that the threshold is for, in
           (0, 1);
-        - ``attack_probability``: that nature draws an attack, in [0, 1].
+        - ``attack_probability``: that nature draws an attack, in [0, 1];
+        - ``onset``, "reset" or "within": whether the detector's episode begins at the onset, or
+          when detectors go live, with the attack at the age that ``domain`` draws by ``age_s``.
 
         The decisions are the spoofer's; the detector decides on every epoch, since its weights gate
         the filter: here it has the turns in between, too; in `parallel_env` the spoofer's actions

@@ -33,7 +33,7 @@ from rich.console import Console
 from agents.checkpoint import open_checkpoint, write_checkpoint
 from agents.detector_loss import compute_undetected, logistic
 from agents.detector_network import DetectorNetwork, compute_statistic, count_parameters
-from agents.detector_score import Scored, score_non_learned, score_statistic, window_s
+from agents.detector_score import Scored, count_live, score_non_learned, score_statistic, window_s
 from agents.folder import error_lines, learning_versions
 from agents.record import read_record, write_record
 from spoofgym import export
@@ -61,8 +61,8 @@ class Arguments:
     width: int = 32  # Units of the recurrent unit; the encoder of a satellite has half of them.
     projections: int = 8  # Vectors onto which innovations are projected.
     least_live_s: float = 10.0
-    """Every minibatch begins at a drawn moment, at least so long before the onset: all attacks of a
-    data set start at one epoch, and a network that remembers could count."""
+    """Every minibatch begins at a drawn moment, at least so long before the first onset: where a
+    world draws no ages all attacks start at one epoch, and a network that remembers could count."""
     emphasis: float = 3.0  # Weight of what is scored, beside the logistic loss.
     false_alarms_per_hour: float = 0.2  # Rate of false alarms at which it is validated.
     seed: int = 0  # Seed of the random number generators.
@@ -104,19 +104,22 @@ class Trainer:
 
     def normalize(self, episodes: Episodes) -> None:
         """Centre and scale, of clean training runs."""
-        clean = episodes.observation[episodes.clean]
-        self.network.normalize_by(clean[:, ::7].reshape(-1, clean.shape[-1]).astype(np.float32))
+        some = episodes.clean, slice(None, None, 7)
+        clean = episodes.observation[some][episodes.valid[some]]
+        self.network.normalize_by(clean.astype(np.float32))
 
     def learn(self, episodes: Episodes) -> float:
         """One pass through the training episodes.  Returns the mean loss."""
         rng = np.random.default_rng([self.args.seed, self.done])
         order = rng.permutation(len(episodes.clean))
         size, losses = self.args.batch_size, []
+        least = math.ceil(self.args.least_live_s / self.config["interval_s"])
+        latest = max(int(count_live(episodes, self.config).min()) - least, 0)
         starts = range(0, len(order), size)
         with show_progress(len(starts), start=f"pass {self.done + 1}") as bar:
             for start in starts:
                 rows = np.sort(order[start : start + size])
-                begin = int(rng.integers(self.latest + 1))
+                begin = int(rng.integers(latest + 1))
                 loss = self._loss(Episodes(*(part[rows] for part in episodes)), begin)
                 self.optimizer.zero_grad()
                 loss.backward()
@@ -130,22 +133,19 @@ class Trainer:
         self.done += 1
         return float(np.mean(losses))
 
-    @property
-    def latest(self) -> int:
-        least = math.ceil(self.args.least_live_s / self.config["interval_s"])
-        return max(int(self.config["epochs"]["live"]) - least, 0)
-
     def _loss(self, some: Episodes, begin: int) -> torch.Tensor:
         """Loss of some episodes, from an epoch before the onset on."""
         seen = torch.from_numpy(some.observation[:, begin:].astype(np.float32))
         odds = self.network.log_odds(seen)
         moved = torch.from_numpy(some.displacement_m[:, begin:]) / self.config["length_m"]
         moved, clean = moved.clamp(max=1.0), torch.from_numpy(some.clean)
-        loss = logistic(odds, torch.from_numpy(some.attack[:, begin:]), moved)
+        attack, valid = (torch.from_numpy(part[:, begin:]) for part in (some.attack, some.valid))
+        loss = logistic(odds, attack, moved, valid)
         if clean.all() or not clean.any():  # a small rest of a pass
             return loss
-        epochs = {**self.config["epochs"], "live": self.config["epochs"]["live"] - begin}
-        return loss + self.args.emphasis * compute_undetected(odds, moved, clean, epochs)
+        live = torch.from_numpy(count_live(some, self.config) - begin)
+        found = compute_undetected(odds, moved, clean, live, self.config["epochs"])
+        return loss + self.args.emphasis * found
 
     def score(self, episodes: Episodes) -> Scored:
         """Play some runs; a network whose answers are not all finite has an infinite loss."""

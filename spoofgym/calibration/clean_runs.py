@@ -91,8 +91,7 @@ def weighs(setup: Setup, detector: Detector) -> bool:
     simulator: Simulator = setup.copy_with(detector=detector, monitors=()).simulator(
         1, run_serially
     )
-    simulator.start_episodes(make_generators(seeds_of_runs(0, "calibration", setup.name, [0])))
-    simulator.run_filter_only(setup.filter_only)
+    simulator.switch_on(make_generators(seeds_of_runs(0, "calibration", setup.name, [0])))
     return simulator.step(attacked=False).weights is not None
 
 

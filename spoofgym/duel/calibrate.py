@@ -21,7 +21,7 @@ from ..detectors.calibration_file import (
 )
 from ..detectors.learned import PolicyDetector
 from ..policies.contract import DetectorPolicy, as_policy
-from .duel import make_duel
+from .duel import WITHIN, make_duel
 
 
 def calibrate_policy(
@@ -38,7 +38,8 @@ def calibrate_policy(
     """Clean runs of a frozen detector policy, from which its thresholds are read.
 
     Clean episodes are played to their end without a threshold, and the largest statistic of each is
-    stored.  The weights of the policy are in the loop meanwhile.
+    stored.  The weights of the policy are in the loop meanwhile.  An episode begins where it begins
+    in the game: with ``onset="within"`` where detectors go live.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ def calibrate_policy(
         one is not computed again.
     **settings
         ``scenario``, ``receiver``, ``attack``, ``timeline``, ``statistic``, ``weighs``,
-        ``exclusion_s``, as in `spoofgym.duel_v0.env`.
+        ``exclusion_s``, ``onset``, as in `spoofgym.duel_v0.env`.
 
     Returns
     -------
@@ -86,6 +87,8 @@ def calibrate_policy(
     setup, agent = duel.setup, duel.agent
     duel.close()
     world = {**setup.conditions.settings, "decision_delay": decision_delay}
+    if duel.within:
+        world["onset"] = WITHIN
     detector = {"name": "policy", "policy": frozen.digest(), "agent": describe(agent)}
     path = None
     if store is not None:
@@ -104,7 +107,7 @@ def calibrate_policy(
         agent.exclusion_s,
         policy=frozen,
         decision_delay=decision_delay,
-        quiet_epochs=setup.least_live,
+        quiet_epochs=duel.quiet_epochs,
     )
     player = Player(setup, entropy=seed, threads=1, chunk=min(receivers, runs))
     # its threshold is 1, so that a ratio is a statistic; one of 0 is no alarm at any threshold
@@ -112,7 +115,11 @@ def calibrate_policy(
     before, judged = np.maximum(
         [played.before[:, 0], played.judged[:, 0]], np.finfo(np.float64).tiny
     )
-    ranks = list_stored_ranks(runs, setup.window_s, [hourly_rate(false_alarm, setup.window_s)])
+    window_s = setup.window_s
+    if duel.within:
+        judged = np.maximum(before, judged)
+        window_s += float(played.age_s.mean()) - setup.filter_only * setup.interval_s
+    ranks = list_stored_ranks(runs, window_s, [hourly_rate(false_alarm, window_s)])
     found = Calibration.from_maxima(
         before,
         judged,
@@ -120,7 +127,7 @@ def calibrate_policy(
         largest=np.sort(judged)[::-1][np.array(ranks) - 1],
         world=world,
         detector=detector,
-        window_s=setup.window_s,
+        window_s=window_s,
         entropy=seed,
         seed_name=player.seed_name,
     )

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.declared import check_number
-from ..core.registry import check_keywords
+from ..core.declared import check_number, check_word
+from ..core.registry import check_keywords, require
 from ..detectors.base import check_verdict
 from ..detectors.calibration_file import Calibration
 from ..detectors.learned import EXCLUSION_S, DetectorAgent, check_delay
@@ -32,6 +32,8 @@ from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
 GAME = "T3"
 """Task that gives a duel its world by default: the best detector that is known there still
 concedes part of the alert limit (docs/game.md)."""
+RESET, WITHIN = "reset", "within"
+"""Where an attack begins: at the reset, after the whole warm-up, or at a drawn moment within."""
 OPPONENT, ELSEWHERE = "solution-separation", "ewma"
 """Detector that a spoofer meets by default there, the best of `GAME`, and in any other scenario."""
 
@@ -72,6 +74,12 @@ class Duel:
     The episode ends at an alarm, or after the time to alert, which follows the last command and in
     which the offsets hold their rate.
 
+    With `onset` ``"within"`` an episode begins where the detectors go live, and the attack at the
+    age that the world draws (`Domain.age_s`). In the epochs before it the detector decides as in
+    all others, and the spoofer is not called: they are epochs of a clean episode, which an alarm
+    ends as a false one.
+
+    - `before_onset` (B,) bool, whether the last epoch that has arrived is one of these;
     - `setup`: its detector is a `DetectorAgent`;
     - `false_alarm`: rate that a running threshold keeps;
     - `decision_delay`: whether an epoch is judged by a decision on itself, or by one on the epoch
@@ -94,9 +102,17 @@ class Duel:
         decision_delay: int = 0,
         attack_probability: float = 0.5,
         action: ActionSpec | None = None,
+        onset: str = RESET,
         threads: int | None = None,
     ) -> None:
         check_delay(decision_delay)
+        check_word("onset", onset, (RESET, WITHIN))
+        self.within = onset == WITHIN
+        require(
+            not self.within or setup.youngest < setup.onset,
+            "`onset` 'within' needs a drawn onset, or a detector could count the epochs to it: "
+            "give the domain an `age_s`, such as {'age_s': (60, 600)}",
+        )
         if type(setup.detector) is not DetectorAgent:
             raise TypeError(f"the detector of `setup` must be an agent, got {setup.detector!r}")
         check_number("attack_probability", attack_probability, least=0.0, most=1.0)
@@ -107,10 +123,12 @@ class Duel:
         self.core = SpoofCore(
             receivers, setup, knowledge=knowledge, action=action, reward=(), threads=threads
         )
+        self.core.engine.to_onset = not self.within
         self.score = DisplacementScore(receivers, setup.steps, setup.hold)
         self._fused = FusedStep(self.score, setup.epoch_time, at_alarm=True, window=self.epochs)
         self.attacked = np.zeros(receivers, dtype=np.bool_)
         self.over = np.zeros(receivers, dtype=np.bool_)
+        self.before_onset = np.zeros(receivers, dtype=np.bool_)
         self._all_rows = np.arange(receivers)
         self._sources: list[np.random.Generator | None] = [None] * receivers
         shape = (receivers, len(self.core.action_names))
@@ -123,7 +141,18 @@ class Duel:
 
     @property
     def epochs(self) -> int:
+        """Of an episode from the onset on."""
         return self.setup.steps + self.setup.hold
+
+    @property
+    def episode_steps(self) -> int:
+        """Epochs of the longest episode."""
+        return self.epochs + (self.setup.live if self.within else 0)
+
+    @property
+    def quiet_epochs(self) -> int:
+        """Epochs after detectors go live in which the agent does not decide."""
+        return 0 if self.within else self.setup.least_live
 
     @property
     def holding(self) -> NDArray[np.bool_]:
@@ -133,7 +162,13 @@ class Duel:
     @property
     def deciding(self) -> NDArray[np.bool_]:
         """(B,) bool, whether the spoofer decides before the coming epoch."""
-        return np.asarray(self._decisions.due(self.score.step_count))
+        due = self._decisions.due(self.score.step_count)
+        return np.asarray(due & ~self._awaits_onset())
+
+    def _awaits_onset(self) -> NDArray[np.bool_]:
+        """(B,) bool, whether the coming epoch is before the onset."""
+        simulator = self.core.engine.simulator
+        return simulator.epochs < simulator.onset
 
     def reset(
         self,
@@ -141,7 +176,8 @@ class Duel:
         rows: NDArray[np.intp] | None = None,
         given: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin new episodes, and run their warm-up, in which the detector agent is not called.
+        """Begin new episodes, and run their warm-up, in which the detector agent is not called; of
+        one with the onset ``"within"`` only the part without detectors.
         `rngs`: one per row; one that a receiver has not had before restarts a running threshold."""
         where = self._all_rows if rows is None else rows
         self.core.reset(rngs, rows, given)
@@ -166,6 +202,7 @@ class Duel:
             if action is None:
                 raise ValueError("`action` must be given: a decision of the spoofer is due")
             self._decisions.take(action, due)
+        self.before_onset[where] = self._awaits_onset()[where]
         self._command[where] = command = self._select_commands()[where]
         self.core.engine.apart(where, lambda part: self._arrive(part, command, where))
 
@@ -175,11 +212,20 @@ class Duel:
         by_rate = self.setup.attack.control == "rate"
         held = self._command if by_rate else np.zeros_like(self._command)
         command = np.where(self.holding[:, None], held, action)
-        return np.where(self.attacked[:, None], command, 0.0)
+        return np.where(self._started[:, None], command, 0.0)
+
+    @property
+    def _started(self) -> NDArray[np.bool_]:
+        """(B,) bool, whether the last epoch that has arrived is attacked."""
+        return self.attacked & ~self.before_onset
 
     def _arrive(self, part: Simulator, command: FloatArray, rows: NDArray[np.intp]) -> None:
-        part.clean = ~self.attacked[rows]
+        part.clean = ~self._started[rows]
+        waiting = np.flatnonzero(self.before_onset[rows])
+        idle = {name: array[waiting] for name, array in part.commands.items()}
         epoch = part.predict(np.ascontiguousarray(command))
+        for name, array in idle.items():  # the spoofer's equipment starts at the onset
+            part.commands[name][waiting] = array
         cast("DetectorAgent", part.detector).look(epoch)
 
     def decide(self, action: FloatArray) -> DuelStep:
@@ -193,7 +239,10 @@ class Duel:
         simulator.verdict = verdict
         engine.update(verdict)
         holding, result = self.holding, StepResult(self._fused.layout)
-        result.displacement[:] = self.core.displacement()
+        before, attacked = self.before_onset, self._started
+        result.displacement[:] = np.where(before, 0.0, self.core.displacement())
+        score.step_count[before] = -1  # so that the first epoch that counts is that of the onset
+        self.core.set_origin(np.flatnonzero(before & (simulator.epochs == simulator.onset)))
         warmup_alarm, alarms = engine.warmup_alarm, verdict.alarm
         self._fused(
             simulator, alarms, score.no_rows, warmup_alarm, result, NOTHING_SEEN, engine.hold
@@ -203,7 +252,7 @@ class Duel:
             values[_kernels.GAIN],
             values[_kernels.RETRACTION],
             first,
-            self.attacked,
+            attacked,
             ~score.detected,
             self.setup.interval_s,
         )
@@ -216,10 +265,10 @@ class Duel:
             "alarm": alarms.any(axis=1),
             "statistic": verdict.statistic.max(axis=1),
             "threshold": limit,
-            "attacked": self.attacked.copy(),
+            "attacked": attacked,
             "holding": holding,
             "displacement_m": result.displacement,
-            "undetected_displacement_m": np.where(self.attacked, score.undetected, 0.0),
+            "undetected_displacement_m": np.where(attacked, score.undetected, 0.0),
         }
         return DuelStep(won, paid, terminated, info)
 

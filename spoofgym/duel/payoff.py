@@ -19,7 +19,8 @@ RUNNING = "running"
 
 class DuelOutcome(NamedTuple):
     """What a step has brought, (B,) each: gain and retraction as in `reward.Outcome`; whether it
-    brought the `first` alarm; whether nature drew an attack; and whether none has alarmed yet."""
+    brought the `first` alarm; whether an attack is on, which before the onset none is; and whether
+    none has alarmed yet."""
 
     gain: FloatArray
     retraction: FloatArray
@@ -34,8 +35,8 @@ class NeymanPearson:
     """Undetected displacement D_u, to the spoofer from the detector; clean episodes pay nothing.
 
     False alarms have no price: their rate is fixed by the threshold, which is calibrated on clean
-    episodes.  A payoff returns the rewards (B,) of the spoofer, 0 in clean episodes, and of the
-    detector.
+    episodes.  Nor has one before the onset, which ends the episode for nothing.  A payoff returns
+    the rewards (B,) of the spoofer, 0 in clean episodes, and of the detector.
     """
 
     described_as = "NeymanPearson"
@@ -51,7 +52,7 @@ class Weighted:
 
     described_as = "Weighted"
     false_alarm: float = setting(
-        default=100.0, least=0.0, help="Price of an alarm in a clean episode."
+        default=100.0, least=0.0, help="Price of an alarm in a clean episode, or before the onset."
     )
     delay_per_s: float = setting(
         default=0.1,
@@ -100,7 +101,8 @@ class FixedThreshold:
 
 
 class RunningThreshold:
-    r"""Threshold that follows the false alarms of the clean episodes that have been played.
+    r"""Threshold that follows the false alarms of the clean episodes that have been played, each of
+    them as a whole; an attacked episode moves nothing, not even by an alarm before its onset.
 
     After every clean episode,
 

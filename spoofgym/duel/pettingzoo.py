@@ -104,8 +104,8 @@ class _Form:
 
     def _due(self) -> dict[str, bool]:
         """Whether the spoofer's next action is a decision, where it acts without one, too."""
-        late = self.duel.decision_delay == 1
-        return {"decides": self.decides} if late and self.duel.setup.repeat > 1 else {}
+        late, idle = self.duel.decision_delay == 1, self.duel.within or self.duel.setup.repeat > 1
+        return {"decides": self.decides} if late and idle else {}
 
     def _reset_infos(self) -> dict[str, dict[str, Any]]:
         """Information of a reset; nature's choice is hidden from the detector."""
@@ -150,6 +150,8 @@ class DuelAEC(_Form, AECEnv[str, Observation, Observation]):
         self.truncations = dict.fromkeys(AGENTS, False)
         self.infos = self._reset_infos()
         self._observations = self._observe()
+        if not self.decides:
+            self._arrive(None)
 
     def observe(self, agent: str) -> Observation:
         """What an agent observes: the spoofer the game before its move, the detector the epoch.

@@ -101,6 +101,8 @@ class DetectorCore:
     """Episodes of B receivers, in which the learner is the detector. With ``decision_delay=0`` an
     observation is of the epoch that the next action judges; with 1 it is of the epoch before. A
     step is an epoch, however seldom the spoofers decide. `settings` are those of `make_duel`.
+    Nothing that the learner is shown before the end depends on when the attack begins, but for the
+    measurements and the payoff.
     `reset_names`, `info_names`: keys of `reset_info`, and of the information of a step."""
 
     reset_names: tuple[str, ...] = ("time_s", "decision_delay")
@@ -130,7 +132,7 @@ class DetectorCore:
         self.change(pool, weights)
         observer, self.action_names = duel.agent.observer, duel.agent.action_names
         self.observation_names, self.bounds = observer.names, (observer.low, observer.high)
-        self.receivers, self.episode_steps = duel.receivers, duel.epochs
+        self.receivers, self.episode_steps = duel.receivers, duel.episode_steps
         self._all_rows = np.arange(duel.receivers)
 
     def change(
@@ -339,7 +341,9 @@ class DetectorView(PooledView[DetectorCore]):
     **settings
         As in `spoofgym.duel_v0.env`, but for ``knowledge`` and ``action``, which each spoofer has
         of its own, and ``decision_delay``: 0 by default, as in the AEC form, or 1, as in the
-        parallel one.
+        parallel one.  With ``onset="within"`` an episode begins where detectors go live, and the
+        attack at the age that the domain's ``age_s`` draws; `attacked` in the last information says
+        whether it had begun.
 
     Attributes
     ----------
@@ -463,7 +467,7 @@ def write_card(
         file,
         name=name,
         interval_s=setup.interval_s,
-        quiet_epochs=setup.least_live,
+        quiet_epochs=duel.quiet_epochs,
         decision_delay=duel.decision_delay,
         threshold=None if calibration is None else calibration.point(per_run=false_alarm).scale,
         calibration={} if calibration is None else _summarize(calibration, false_alarm),

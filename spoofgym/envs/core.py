@@ -272,9 +272,13 @@ class SpoofCore:
         self._decisions.forget(where)
         self.commands.aim(self.heading_rad)
         if self.engine.twin is None:
-            self._origin[where] = self.engine.simulator.origin_ne()[where]
+            self.set_origin(where)
         if self._passive is not None:
             self._passive.reset(where, self._passive_memory)
+
+    def set_origin(self, rows: Rows) -> None:
+        """Count the displacement of some receivers from here on."""
+        self._origin[rows] = self.engine.simulator.origin_ne()[rows]
 
     @property
     def _passive_memory(self) -> Memory:

@@ -167,7 +167,7 @@ def observer(
 
 def run_to_onset(simulator: TightlyCoupledSimulator) -> None:
     """Let filters run to their onsets."""
-    for part, epochs in simulator.ageing():
+    for part, _, epochs in simulator.ageing():
         part.run_filter_only(epochs)
 
 

@@ -70,6 +70,8 @@ class Engine:
         The receivers.
     twin : Simulator or None
         The same receivers, not attacked.
+    to_onset : bool
+        Whether a reset runs the whole warm-up, as by default, or the filter-only part alone.
     """
 
     def __init__(
@@ -94,6 +96,7 @@ class Engine:
         self.twin: Simulator | None = (
             setup.copy_with(monitors=()).simulator(receivers, self._run) if twin else None
         )
+        self.to_onset = True
         self._all_rows = np.arange(receivers)
         self._few: dict[tuple[bool, int], Simulator] = {}
         self._pool: Simulator | None = None
@@ -170,12 +173,14 @@ class Engine:
         self._next.prepare(where, rngs)
 
     def _warm_up_rows(self, rngs: Rngs, rows: Rows, given: FixedChoices | None = None) -> None:
-        if len(rows) == self.receivers:
-            self.simulator.warm_up(rngs, given)
-            return
-        part: Simulator = self.setup.simulator(len(rngs), self._run)
-        part.warm_up(rngs, given)
-        self.simulator.copy_rows(rows, part, np.arange(len(rows)))
+        whole = len(rows) == self.receivers
+        part: Simulator = self.simulator if whole else self.setup.simulator(len(rngs), self._run)
+        if self.to_onset:
+            part.warm_up(rngs, given)
+        else:
+            part.switch_on(rngs, given)
+        if not whole:
+            self.simulator.copy_rows(rows, part, np.arange(len(rows)))
 
     def _warmed_pool(self, receivers: int) -> Simulator:
         seeds = (np.random.SeedSequence(POOL_SEED, spawn_key=(k,)) for k in range(receivers))

@@ -413,6 +413,11 @@ class Simulator(ABC):
             alarms[k] = self.step(attacked=holding).alarm.any(axis=1)
         return alarms
 
+    def switch_on(self, rngs: Rngs, given: FixedChoices | None = None) -> None:
+        """`warm_up` that ends where the detectors go live."""
+        self.start_episodes(rngs, given)
+        self.run_filter_only(self.setup.filter_only)
+
     def warm_up(self, rngs: Rngs, given: FixedChoices | None = None) -> NDArray[np.bool_]:
         for _ in self.warming(rngs, given):
             pass
@@ -427,23 +432,23 @@ class Simulator(ABC):
         for start in range(0, self.setup.filter_only, each):
             yield
             self.run_filter_only(min(each, self.setup.filter_only - start))
-        for part, count in self.ageing(self.setup.filter_only):
+        for part, _, count in self.ageing(self.setup.filter_only):
             each = max(1, piece // part.receivers) if part.judges_compiled else 1
             for start in range(0, count, each):
                 yield
                 alarms = part.live_epochs(min(each, count - start))
                 part.memory["warmup_alarm"] |= alarms.any(axis=0)
 
-    def ageing(self, past: int = 0) -> Iterator[tuple[Self, int]]:
-        """Receivers that are to go on together, and by how many epochs, until each is at its
-        onset, `past` epochs after the start. Those that are there stay as they are."""
-        left = self.ages - past
+    def ageing(self, past: int = 0) -> Iterator[tuple[Self, Rows, int]]:
+        """Receivers that are to go on together, their rows here, and by how many epochs, until each
+        is at its onset, `past` epochs after the start. Those that are there stay as they are."""
+        left, rows = self.ages - past, np.arange(self.receivers)
         if (left == left[0]).all():
-            yield self, int(left[0])
+            yield self, rows, int(left[0])
             return
-        part, rows, gone = self._copy(np.arange(self.receivers)), np.arange(self.receivers), 0
+        part, gone = self._copy(rows), 0
         for end in np.unique(left).tolist():
-            yield part, end - gone
+            yield part, rows, end - gone
             gone, there = end, np.flatnonzero(left[rows] == end)
             self.copy_rows(rows[there], part, there)
             young = np.flatnonzero(left[rows] > end)

@@ -24,7 +24,7 @@ TEST = {"name": "snapshot-chi2", "thresholds": "nominal"}
 
 def plan(world=None, **changes):
     given = {"runs": SIZES, "shard": 2, "terms": TERMS, "length_m": 20.0, **changes}
-    return Plan(World.of(timeline=SHORT, **(world or {})).setup, **given)
+    return Plan(World.of(**{"timeline": SHORT, **(world or {})}).setup, **given)
 
 
 @pytest.fixture(scope="module")
@@ -163,3 +163,31 @@ def test_what_is_no_whole_data_set_is_refused_and_that_of_other_code_is_read(fol
     assert found == load_dataset(folder).config | other
     with pytest.raises(ValueError, match=r"code.numpy: '1.0', not"):
         run_experiment(mine, Store(tmp_path))
+
+
+def test_where_ages_are_drawn_an_episode_is_as_long_as_it_is(tmp_path):
+    aged = plan({"domain": {"turn_on": "drawn", "age_s": (15.0, 60.0)}}, runs={"train": 6}, shard=4)
+    run_experiment(aged, Store(tmp_path), threads=1)
+    data, setup = load_dataset(tmp_path), aged.world
+    found, window = data.episodes("train"), setup.steps + setup.hold
+    assert found.observation.shape[1] == data.config["epochs"]["all"] == setup.live + window
+    assert len(np.unique(found.epochs)) > 3
+    assert (found.epochs[::2] == found.epochs[1::2]).all()
+    for part in (found.observation, found.attack, found.displacement_m):
+        assert not part[~found.valid].any()
+    assert found.observation[found.valid].any(axis=1).all()
+    last = np.arange(found.attack.shape[1]) >= found.epochs[:, None] - window
+    assert (found.attack[1::2] == (last & found.valid)[1::2]).all()
+    assert not found.attack[::2].any()
+    assert (found.displacement_m[1::2].max(axis=1) > 0.0).all()
+    # each is that of a world in which all receivers are so old
+    for run in (0, 1):
+        age_s = (setup.filter_only + found.epochs[2 * run] - window) * setup.interval_s
+        old = {"domain": {"turn_on": "drawn"}, "timeline": SHORT.aged(float(age_s))}
+        alone = plan(old).play("train", [run])
+        length = alone.observation.shape[1]
+        assert length == found.epochs[2 * run]
+        rows = slice(2 * run, 2 * run + 2)
+        for mine, theirs in ((found.observation, alone.observation), (found.attack, alone.attack)):
+            assert (mine[rows, :length] == theirs).all()
+        assert (found.displacement_m[rows, :length] == alone.displacement_m).all()

@@ -11,7 +11,7 @@ from spoofgym.envs import SpoofEnv
 from spoofgym.spoofers import Ramp
 
 from ..envs.players import Player, assert_same
-from .support import ALARM, BRIEF, FORMS, PAPERS, QUIET, wary
+from .support import ALARM, BRIEF, FORMS, ONE_SKY, PAPERS, QUIET, wary
 
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 FULL = {**BRIEF, "attack": STRONG, "action": "full-command"}
@@ -25,6 +25,7 @@ DETECTOR = {
     "pool": [{"name": "ramp", "rate_mps": 0.5}, "none", Ramp(rate_mps=3.0)],
     **{**BRIEF, "attack": STRONG, "threshold": 0.5},
 }
+AGED = {"domain": {**ONE_SKY, "age_s": (11.0, 16.0)}, "onset": "within"}
 FOLLOWING = [
     {"name": "ramp", "rate_mps": 0.5, "heading_deg": "target"},
     "none",
@@ -55,6 +56,8 @@ CASES = {
         "same_step",
         {**DETECTOR, "decision_interval_s": 1.5, "between": "linear"},
     ),
+    "within": ("Detector", "next_step", {**DETECTOR, **AGED}),
+    "late-within": ("Detector", "same_step", {**DETECTOR, **AGED, "decision_delay": 1}),
 }
 
 

@@ -166,8 +166,30 @@ def test_minibatches_begin_at_drawn_moments_before_the_onset(trainer, monkeypatc
     late = loss(episodes, 7)
     assert not torch.equal(late, loss(episodes, 0))
     cut = [part[:, 7:] if part.ndim > 1 else part for part in episodes]
-    trainer.config = {**trainer.config, "epochs": {**epochs, "live": epochs["live"] - 7}}
-    assert torch.equal(late, loss(Episodes(*cut), 0))
+    shorter = Episodes(*cut)._replace(epochs=episodes.epochs - 7)
+    assert torch.equal(late, loss(shorter, 0))
+
+
+def test_what_follows_an_episode_counts_for_nothing(tmp_path):
+    world = World.of(timeline=TIMES, domain={"turn_on": "drawn", "age_s": (15.0, 60.0)}).setup
+    terms = ("innovation", "in-view", "line-of-sight", "chi-square")
+    plan = Plan(world, length_m=10.0, terms=terms, runs={"train": 8})
+    run_experiment(plan, Store(tmp_path / "aged"), threads=1)
+    data = load_dataset(tmp_path / "aged")
+    episodes, found = data.episodes("train"), []
+    after = ~episodes.valid
+    assert len(np.unique(episodes.epochs)) > 4
+    spoiled = episodes._replace(observation=episodes.observation.copy())
+    spoiled.observation[after] = 300.0
+    for each in (episodes, spoiled):
+        made = Trainer(arguments(tmp_path / "aged", tmp_path / "guard"), data)
+        made.normalize(each)
+        loss = made._loss(each, 3)
+        loss.backward()
+        gradients = [weight.grad for weight in made.network.parameters()]
+        found.append([loss, *gradients, torch.tensor(made.score(each))])
+    for mine, theirs in zip(*found, strict=True):
+        np.testing.assert_array_equal(mine.detach(), theirs.detach())
 
 
 def test_the_best_is_kept_where_training_diverges(data, trainer, tmp_path, monkeypatch):
@@ -229,9 +251,10 @@ def made_up(clean, attacked):
     statistic[::2], statistic[1::2], displacement[1::2] = clean, attacked, MOVED
     attack = np.zeros((18, 6), dtype=np.bool_)
     attack[1::2, 1:] = True
-    nothing = np.zeros(18)
-    found = Episodes(nothing, attack, displacement, np.tile([True, False], 9), *[nothing] * 5)
-    epochs = {"live": 1, "steps": 4, "hold": 1}
+    nothing, epochs = np.zeros(18), {"steps": 4, "hold": 1}
+    length = np.full(18, 6)
+    clean = np.tile([True, False], 9)
+    found = Episodes(nothing, attack, displacement, clean, *[nothing] * 5, length)
     return statistic, found, {"epochs": epochs, "interval_s": 36.0, "length_m": 3.0}
 
 
@@ -262,9 +285,10 @@ def test_the_smooth_loss_is_the_score_where_odds_are_sharp():
     parts = torch.from_numpy(found.displacement_m / 3.0).clamp(max=1.0)
     of_clean = torch.from_numpy(found.clean)
     # one metre of three in five runs, all of it in four
-    loss = compute_undetected(odds, parts, of_clean, config["epochs"])
+    live, epochs = torch.ones(18, dtype=torch.long), config["epochs"]
+    loss = compute_undetected(odds, parts, of_clean, live, epochs)
     assert loss.item() == pytest.approx((5 / 3 + 4) / 9)
-    compute_undetected(odds / 1000.0, parts, of_clean, config["epochs"]).backward()
+    compute_undetected(odds / 1000.0, parts, of_clean, live, epochs).backward()
     assert odds.grad is not None
     assert (odds.grad[~of_clean, 1:] <= 0.0).all()  # alarms do good
     assert (odds.grad[of_clean] >= 0.0).all()

@@ -63,8 +63,8 @@ TERMS: tuple[Any, ...] = (
     {"name": "classic", "detector": {"name": "sequential-chi2", "signals": "range_rate"}},
     {"name": "classic", "detector": {"name": "cumulative-bank", "signals": "range_rate"}},
 )
-"""What is observed by default.  The time since switch-on is not: attacks of a data set all start at
-the same, which a detector must not rely on."""
+"""What is observed by default.  The time since switch-on is not: where the world draws no ages
+(`Domain.age_s`), attacks all start at the same, which a detector must not rely on."""
 RUNS = {"train": 768, "validation": 256, "test": 256}
 LARGEST = float(np.finfo(np.float16).max)
 
@@ -76,7 +76,10 @@ TOGETHER = 4
 
 
 class Episodes(NamedTuple):
-    """Labelled episodes, L epochs each, from switch-on to the end of the time to alert.
+    """Labelled episodes, up to L epochs each, from switch-on to the end of the time to alert.
+
+    Where the world draws ages, L is that of the oldest; all arrays are 0 after the end of an
+    episode.
 
     Attributes
     ----------
@@ -98,6 +101,8 @@ class Episodes(NamedTuple):
         (E,) which of the settings' ``skies``.
     onset_s : ndarray
         (E,) time of the flight at which the attack starts, or would [s].
+    epochs : ndarray
+        (E,) epochs that the episode has.
     """
 
     observation: NDArray[np.float16]
@@ -109,6 +114,12 @@ class Episodes(NamedTuple):
     run: NDArray[np.int64]
     world: NDArray[np.int64]
     onset_s: FloatArray
+    epochs: NDArray[np.int64]
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(E, L) bool, which epochs are of the episode."""
+        return np.asarray(np.arange(self.attack.shape[1]) < self.epochs[:, None])
 
 
 @settings_record(frozen=True)
@@ -267,7 +278,6 @@ class Plan(Experiment):
         another thread has failed.
         """
         setup, runs = self.world, len(numbers)
-        setup.require_one_age("a data set")
         seeds = seeds_of_runs(self.entropy, PARTS[part], setup.name, numbers)
         own = [
             np.random.SeedSequence(s.entropy, spawn_key=(*s.spawn_key, ATTACK_STREAM))
@@ -279,12 +289,15 @@ class Plan(Experiment):
         epochs, everyone = setup.steps + setup.hold, np.arange(runs)
         names = len(_get_observation(attacked)[0])
         seen = np.zeros((runs, 2, setup.live + epochs, names), dtype=np.float16)
-        attacked.start_episodes(make_generators(seeds))
-        attacked.run_filter_only(setup.filter_only)
-        for k in range(setup.live):
-            attacked.live_epochs(1)
-            seen[:, :, k] = _get_observation(attacked)[:, None]
-            check_stopped(stopped)
+        attacked.switch_on(make_generators(seeds))
+        live, gone = attacked.ages - setup.filter_only, 0
+        for some, rows, count in attacked.ageing(setup.filter_only):
+            for k in range(gone, gone + count):
+                some.live_epochs(1)
+                young = live[rows] > k
+                seen[rows[young], :, k] = _get_observation(some)[young, None]
+                check_stopped(stopped)
+            gone += count
         twin.copy_rows(everyone, attacked, everyone)
         specs = [spec for _, spec in drawn]
         attackers = Attackers(specs, engine, {} if observers is None else observers)
@@ -294,13 +307,13 @@ class Plan(Experiment):
             twin.step(attacked=False)
             apart[k] = attacked.position - twin.position
             for which, each in enumerate((twin, attacked)):
-                seen[:, which, setup.live + k] = _get_observation(each)
+                seen[everyone, which, live + k] = _get_observation(each)
             check_stopped(stopped)
         induced = horizontal(to_local(apart, setup.C_en[list_attack_epochs(setup, attacked.onset)]))
         displacement = np.zeros((runs, 2, setup.live + epochs), dtype=np.float32)
-        displacement[:, 1, setup.live :] = induced.T
         attack = np.zeros(displacement.shape, dtype=np.bool_)
-        attack[:, 1, setup.live :] = True
+        window = everyone[:, None], 1, live[:, None] + np.arange(epochs)
+        displacement[window], attack[window] = induced.T, True
         onset = np.repeat(attacked.onset, 2)
         return Episodes(
             observation=seen.reshape(2 * runs, *seen.shape[2:]),
@@ -312,6 +325,7 @@ class Plan(Experiment):
             run=np.repeat(np.asarray(numbers), 2).astype(np.int64),
             world=onset // setup.epochs_each,
             onset_s=setup.epoch_time[onset],
+            epochs=np.repeat(live + epochs, 2),
         )
 
     def report(self, results: Reader) -> dict[str, Any]:
