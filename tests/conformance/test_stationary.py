@@ -6,12 +6,12 @@ import pytest
 from spoofgym.detectors import DETECTORS, Detector
 from spoofgym.detectors.base import compare
 from spoofgym.testing import check_stationary
-from spoofgym.testing.stationary import RECEIVERS, add_ramp
+from spoofgym.testing.stationary import AGES_S, ATTACKS, RECEIVERS, add_ramp
 from spoofgym.testing.steady import STATE_SD, SteadyEpochs
 from tests.nightly import heavy
 
 KNOWN = {
-    "innovation-rate": "without attack",  # forgets nothing: its gain goes to 0
+    "innovation-rate": "a ramp of",  # forgets nothing: its gain goes to 0
     "sequential-chi2": "without attack",  # sums up the whole run
     "lottery": "without attack",  # waits for its moment
     "oracle-ramp": "without attack",  # is told when an attack begins
@@ -57,7 +57,8 @@ class Drifting(Size):
 
 def test_a_detector_of_any_age_passes_and_finds_the_attack_at_each():
     found = check_stationary(Size())
-    assert found.rate_mps == 0.2
+    assert None not in found.rates_mps
+    assert found.found.shape == (len(ATTACKS), len(AGES_S))
     assert found.found.min() > 0.9 * RECEIVERS
 
 
@@ -103,7 +104,7 @@ def test_epochs_of_the_steady_state_are_as_the_filter_believes(channels):
         mean = (whitened**2).sum() / (400 * seen)
         assert abs(mean - 1.0) < 5.0 * np.sqrt(2.0 / (400 * seen))
         assert epoch.time[0] == 0.5 * (number + 1)
-        moved = add_ramp(epoch, 2.0, 3.0)
+        moved = add_ramp(epoch, ATTACKS[1], 2.0, 3.0)
         assert np.abs(moved.innovation - epoch.innovation).max() == pytest.approx(6.0)
     # P solves the Riccati equation: prediction and update leave it alone
     gain = steady.predicted @ steady.design.T @ np.linalg.inv(steady.belief)
