@@ -51,8 +51,9 @@ class Ages(NamedTuple):
 def check_stationary(detector: Detector | Mapping[str, Any] | str) -> Ages:
     """Check that what a detector finds does not depend on the time since it was switched on.
 
-    A detector that was tuned on attacks of one age can find nothing later.  64 receivers with a filter in steady state are judged for half an hour.  At 3,
-    10 and 30 min after the reset, within a minute,
+    A detector that was tuned on attacks of one age can find nothing later.  64 receivers with a
+    filter in steady state are judged for half an hour.  At 3, 10 and 30 min after the reset, within
+    a minute,
 
     - the largest ratio of statistic to threshold without attack must have the same distribution;
     - a ramp of the position, and one on every second channel, the slowest of a few that is found in
