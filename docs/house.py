@@ -16,7 +16,7 @@ ROOMS = {
     "cli": "the command line, one file a command",
     "sb3": "stable-baselines3",
     "export": "torch to ONNX",
-    "testing": "check_detector, check_attack, check_spoofer",
+    "testing": "check_detector, check_attack, check_spoofer, check_stationary",
     "duel_v0": "the duel, for PettingZoo",
     "bench": "detectors x spoofers x paired seeds: runs, scores, searches, experiments, reports",
     "duel": "spoofer against detector, views of one side",

@@ -22,7 +22,7 @@ tasks        tasks for spoofers and for detectors, frozen settings
 duel         the game of a spoofer and a detector, its two forms and the views of one side
 bench        detectors x spoofers x paired seeds: runs, scores, searches, experiments, reports
 duel_v0      what is public of the duel, for PettingZoo and Gymnasium
-testing      check_detector, check_attack, check_spoofer
+testing      check_detector, check_attack, check_spoofer, check_stationary
 export       from a model to an ONNX file with its card
 sb3          the vector environment of stable-baselines3, and a callback that scores
 cli          the command line: `spoofgym --help`

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym.policies.zoo import resolve_path
-
 from .bench.support import small_suite, use_zoo, write_zoo
 from .command_line import QUICK, SHORT, call, read, refused
+from .detectors.learned.files import edit_card, write_guard
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -43,11 +42,13 @@ def test_list_and_card_show_what_is_shipped(zoo_folder):
     assert "there is no card nowhere.json" in refused("card", "nowhere.json")
 
 
-def test_a_card_of_a_detector_is_shown_by_name_and_by_file():
-    file = resolve_path("trolley-guard")
-    for name in ("trolley-guard", file, file.with_suffix(".json")):
+def test_a_card_of_a_detector_is_shown_by_name_and_by_file(tmp_path, monkeypatch):
+    use_zoo(tmp_path, monkeypatch)
+    file = write_guard(tmp_path)
+    edit_card(file, training={"best_pass": 7})
+    for name in ("guard", file, file.with_suffix(".json")):
         shown = call("card", name).output
-        for part in ("detector-policy", "hidden (32)", "12 slots, epochs of 0.5 s", "best_pass"):
+        for part in ("detector-policy", "hidden (4)", "12 slots, epochs of 0.5 s", "best_pass"):
             assert part in shown
         assert read("card", name, "--json")["statistic"] == "receiver"
     Path("damaged.json").write_text('{"kind": "detector-policy"}')

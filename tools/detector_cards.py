@@ -16,7 +16,6 @@ from spoofgym.bench.scores.campaign import CONTROLS, extract_name
 from spoofgym.bench.scores.detector import DetectorScore
 from spoofgym.cli.app import progress
 from spoofgym.core.registry import check_choice, format_label
-from spoofgym.policies import list_shipped
 from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, get_detector_task
 from tools.pages import DOCS, ROOT, keep_cards, put_between, render_page
 
@@ -28,8 +27,7 @@ def play_task(
     task: DetectorTask, out: Path, runs: int, selection_runs: int, only: list[str] | None
 ) -> dict[str, Any]:
     """Play a task, and return its card; `only` some detectors, and the best classic stored."""
-    judged = (*tasks.list_reference_detectors(task), *tasks.list_learned(task))
-    everyone = {format_label(each, None): each for each in judged}
+    everyone = {format_label(each, None): each for each in tasks.list_reference_detectors(task)}
     for label in only or ():
         check_choice("detector of this task", label, everyone)
     before = tasks.stored_detector_cards().get(task.key, {})
@@ -47,8 +45,7 @@ def play_task(
 
 
 def make_card(scores: list[DetectorScore]) -> dict[str, Any]:
-    others = (*CONTROLS, *list_shipped("detector"))
-    classics = [each for each in scores if extract_name(each.detector) not in others]
+    classics = [each for each in scores if extract_name(each.detector) not in CONTROLS]
     best = min(classics, key=lambda each: np.nan_to_num(each.p_hmi.value, nan=2.0))
     first = scores[0]
     return {

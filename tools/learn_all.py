@@ -47,7 +47,7 @@ OWN = {
 FRESH = ("T1", "T2", "T3")
 """Tasks with other seeds and other runs on that page, too."""
 GUARDS = {"guard": 3, "guard-0": 0, "guard-1": 1, "guard-2": 2, "guard-4": 4}
-"""Seeds of the shipped detector, which was best of five on validation runs, and of the others."""
+"""Seeds of the detector that was best of five on validation runs, and of the others."""
 
 
 class Step(NamedTuple):

@@ -7,5 +7,6 @@ was expected, what came instead, and how to mend it.
 from .attack import check_attack
 from .detector import check_detector
 from .spoofer import check_spoofer
+from .stationary import check_stationary
 
-__all__ = ["check_attack", "check_detector", "check_spoofer"]
+__all__ = ["check_attack", "check_detector", "check_spoofer", "check_stationary"]

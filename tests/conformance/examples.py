@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,12 +23,20 @@ from spoofgym.truth.gnss_errors import GnssErrors
 from spoofgym.truth.manoeuvres import Accelerate, Climb, Steer, Straight, Turn, Until
 from spoofgym.truth.satellites import TWO_CONSTELLATIONS, CombinedConstellation
 
+from ..detectors.learned.files import write_guard
+
 
 def one_record() -> Ephemerides:
     """A healthy record of the beginning of GPS time."""
     values = {each.name: np.zeros(1) for each in dataclasses.fields(Ephemerides)}
     values |= {"satellite_id": np.array(["G01"]), "root_semi_major_axis": np.array([5153.7])}
     return Ephemerides(**values)
+
+
+def one_file() -> LearnedDetector:
+    """Of a small network, read into memory."""
+    with tempfile.TemporaryDirectory() as folder:
+        return LearnedDetector(str(write_guard(Path(folder))))
 
 
 EXAMPLES: dict[type, Callable[[], Any]] = {
@@ -47,7 +57,7 @@ EXAMPLES: dict[type, Callable[[], Any]] = {
     Until: lambda: Until(1.0),
     OnnxPolicy: lambda: OnnxPolicy("ewma-ppo"),
     Calibrated: lambda: Calibrated(SnapshotChi2(), scale=1.0),
-    LearnedDetector: lambda: LearnedDetector("trolley-guard"),
+    LearnedDetector: one_file,
     PolicyDetector: lambda: PolicyDetector(policy=FunctionPolicy(abs)),
     Channels: lambda: Channels(("north",)),
     AtDisplacement: lambda: AtDisplacement(50.0),

@@ -148,14 +148,6 @@ def test_the_recipe_plays_every_shipped_spoofer(name, tmp_path):
     play(tmp_path, checkout(tmp_path), [(CODE, code.replace("ewma-ppo", name))])
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("name", list_shipped("detector"))
-def test_every_shipped_detector_plays(name, tmp_path):
-    code = f"import gymnasium as gym, spoofgym\ngym.make('spoofgym/BenchT3-v1', detector={name!r})"
-    line = f"spoofgym protect --task D1 --detector {name} --seeds 8 --selection-seeds 4"
-    play(tmp_path, checkout(tmp_path), [(CODE, code), ("command", line)])
-
-
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_no_block_is_left_out_without_a_reason(page):
     assert languages_of(page) <= {CODE, *COMMANDS, *SHOWN}

@@ -10,7 +10,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.policies.zoo import load_card
 from spoofgym.simulation.setup import Timeline
 from spoofgym.tasks import RANGE_RATE_TESTS, get_task
 from spoofgym.testing import check_detector
@@ -65,14 +64,10 @@ def test_detector_campaign_and_extras_are_those_that_it_names(saved, full):
 
 
 def test_what_it_says_of_times_holds():
-    """Of the table's attacks, and of those that the shipped learned detector was trained on."""
-    assert load_card("trolley-guard").training["task"] == "T3"
     settings = get_task("T3").world_kwargs
     assert (settings["scenario"], settings["receiver"]) == (WORLD, "matched")
     line = Timeline(**settings.get("timeline", {}))
     assert f"attacks last {line.attack_s:.0f} s" in README
-    assert 300.0 < line.warmup_s + line.attack_s <= 360.0
-    assert "within six minutes of switch-on" in README
 
 
 def test_the_rivals_of_the_training_are_those_of_the_table(full):

@@ -20,6 +20,7 @@ from spoofgym.simulation.setup import SPLITS
 from spoofgym.spoofers import Ramp, make_spoofer
 from spoofgym.spoofers.learned import ModelPolicy
 
+from ..detectors.learned.files import edit_card, write_guard
 from .support import BRIEF, SHORT
 
 NOMINAL = {"thresholds": "nominal"}
@@ -170,7 +171,7 @@ def test_nobody_is_scored_on_runs_that_decided_on_it(played):
             found.matrix([spoofer], [detector], oracles=True)
 
 
-def test_what_is_shipped_says_by_its_card_what_decided_on_it(played, monkeypatch):
+def test_what_is_shipped_says_by_its_card_what_decided_on_it(played, monkeypatch, tmp_path):
     found, _ = played
     for name in list_shipped():
         decided_on = find_card(name).decided_on
@@ -181,8 +182,10 @@ def test_what_is_shipped_says_by_its_card_what_decided_on_it(played, monkeypatch
         found.on("training").matrix([learned], [CHI2])
     profile = make_player("ewma-profile", "spoofer").spec
     trained, seen = (0, "training"), (0, "evaluation")
-    guard = {"name": "trolley-guard", "threshold": 0.5}
     sets = [(0, "dataset-train"), (0, "dataset-validation")]
+    path = write_guard(tmp_path)
+    edit_card(path, training={"decided_on": sets})
+    guard = {"name": str(path), "threshold": 0.5}
     for side, given, seeds in (
         ("spoofer", profile, [trained]),
         ("spoofer", make_spoofer("ewma-profile"), [trained]),

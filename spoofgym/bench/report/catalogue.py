@@ -10,10 +10,10 @@ from ...attacks import ATTACKS
 from ...core.declared import list_declarations
 from ...core.registry import check_choice, inspect_settings
 from ...core.settings import describe
-from ...detectors import DETECTORS, LearnedDetector
+from ...detectors import DETECTORS
 from ...envs.factory import VICTIMS, list_parameters
-from ...policies import DetectorCard, SpooferCard, list_shipped, load_card
-from ...policies.card import DETECTOR
+from ...policies import SpooferCard, list_shipped, load_card
+from ...policies.card import SPOOFER
 from ...simulation.setup import Setup
 from ...spoofers import SPOOFERS
 from ...truth.scenario import SCENARIOS, Scenario
@@ -92,27 +92,9 @@ def _envs() -> list[dict[str, Any]]:
     return rows
 
 
-def _detectors() -> list[dict[str, Any]]:
-    """Registered detectors, and learned ones that have names, whose settings are on their cards."""
-    keys = ("paper", "scope", "measures", "oracle")
-    learned = {name: LearnedDetector(name) for name in list_shipped(DETECTOR)}
-    return [
-        *_classes(DETECTORS, *keys),
-        *(
-            {
-                "name": name,
-                "summary": get_summary(detector),
-                "settings": {},
-                **{key: getattr(detector, key) for key in keys},
-            }
-            for name, detector in learned.items()
-        ),
-    ]
-
-
 def _list_shipped() -> list[dict[str, Any]]:
-    cards = [load_card(name) for name in list_shipped()]
-    spoofers = [
+    cards = [load_card(name, SpooferCard) for name in list_shipped(SPOOFER)]
+    return [
         {
             "name": card.name,
             "summary": "learned policy" if card.kind == "onnx-policy" else "optimised profile",
@@ -122,28 +104,14 @@ def _list_shipped() -> list[dict[str, Any]]:
             "scores": [score.model_dump() for score in card.scores],
         }
         for card in cards
-        if isinstance(card, SpooferCard)
     ]
-    detectors = [
-        {
-            "name": card.name,
-            "summary": "learned detector",
-            "kind": "detector-policy",
-            "scores": [],
-            "knowledge": "innovations of its receiver",
-            "designed_on": "attacks in " + card.training.get("task", "a world of its own"),
-        }
-        for card in cards
-        if isinstance(card, DetectorCard)
-    ]
-    return [*spoofers, *detectors]
 
 
 KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "envs": _envs,
     "scenarios": _scenarios,
     "attacks": lambda: _classes(ATTACKS),
-    "detectors": _detectors,
+    "detectors": lambda: _classes(DETECTORS, "paper", "scope", "measures", "oracle"),
     "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
     "shipped": _list_shipped,
 }

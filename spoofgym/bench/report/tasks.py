@@ -9,9 +9,7 @@ from operator import itemgetter
 from typing import Any
 
 from ...core.registry import format_label
-from ...policies import DetectorCard, list_shipped, load_card
-from ...policies.card import DETECTOR
-from ...tasks import DETECTOR_TASKS, SUITE, TASKS, DetectorTask, get_task
+from ...tasks import DETECTOR_TASKS, SUITE, TASKS, DetectorTask
 from ..experiments.suite import list_world_detectors, order_detectors
 from ..runs.world import World
 from .campaign import OVER, attack_of_suite, bound_text, format_spoofer
@@ -135,21 +133,8 @@ def list_reference_detectors(task: DetectorTask) -> tuple[dict[str, Any], ...]:
 def list_unscored(task: DetectorTask, card: dict[str, Any]) -> list[str]:
     """Labels of detectors that a card has no score of, and does not refuse, as yet."""
     known = {*(each["detector"] for each in card["detectors"]), *card["left_out"]}
-    everyone = (
-        format_label(each, None) for each in (*list_reference_detectors(task), *list_learned(task))
-    )
+    everyone = (format_label(each, None) for each in list_reference_detectors(task))
     return [label for label in everyone if label not in known]
-
-
-def list_learned(task: DetectorTask) -> tuple[dict[str, Any], ...]:
-    """Shipped detectors that have learned in this world, and so from no family held out here. A
-    world with another counterfeit holds out what they have learned from."""
-    return tuple({"name": name} for name in list_shipped(DETECTOR) if _is_trained_here(name, task))
-
-
-def _is_trained_here(name: str, task: DetectorTask) -> bool:
-    card = load_card(name, DetectorCard)
-    return get_task(card.training["task"]).settings == task.task.settings
 
 
 def stored_detector_cards() -> dict[str, Card]:

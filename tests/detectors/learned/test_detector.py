@@ -11,17 +11,15 @@ from gymnasium.envs.registration import EnvSpec
 
 from spoofgym import duel_v0
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.report.catalogue import KINDS
 from spoofgym.bench.runs.players import specify_detector
-from spoofgym.bench.runs.world import World
 from spoofgym.calibration.clean_runs import Player
 from spoofgym.cli.app import app
 from spoofgym.core.registry import parse_spec
 from spoofgym.detectors import LearnedDetector, detector_in_world, make_detector
-from spoofgym.detectors.calibrated import describe_identity, resolve_thresholds
-from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, SHIPPED_FOLDER
+from spoofgym.detectors.calibrated import describe_identity
+from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from spoofgym.envs.wrappers import DetectorWrapper, WatchWrapper
-from spoofgym.policies.zoo import ZOO_FOLDER, list_shipped, resolve_path
+from spoofgym.policies.zoo import list_shipped, resolve_path
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.testing import check_detector
@@ -208,26 +206,18 @@ def test_a_campaign_names_it_by_content(guard, tmp_path):
     assert Suite(detectors=[str(moved)], **suite).digest != one.digest
 
 
-@pytest.mark.parametrize("name", list_shipped("detector"))
-def test_a_shipped_name_stands_for_its_file_with_a_threshold_in_its_world(name):
-    named = make_detector({"name": name, "threshold": 0.9})
-    path, detector = resolve_path(name), named.detector
-    assert isinstance(detector, LearnedDetector)
-    assert (detector.label, detector.spec) == (name, {"name": name})
-    assert describe_identity(detector) == describe_identity(LearnedDetector(str(path)))
-    assert path.stat().st_size < 200_000
-    assert (ZOO_FOLDER / f"{name}.json").is_file()
-    assert name in {row["name"] for row in KINDS["detectors"]()}
-    made = make_detector({"name": name, "false_alarms_per_hour": 0.2})
-    world = World.of(detector.card.training["task"]).setup
-    resolve_thresholds(made, world)
-    assert 0.0 < (made.scale or 0.0) < 1.0
-    (found,) = made._load_candidates(world.conditions, describe_identity(detector))
-    assert found.path is not None
-    assert found.path.is_relative_to(SHIPPED_FOLDER)
+def test_a_shipped_name_stands_for_its_file(guard, tmp_path, monkeypatch):
+    assert list_shipped("detector") == ()
+    monkeypatch.setattr("spoofgym.policies.zoo.ZOO_FOLDER", tmp_path)
+    assert list_shipped("detector") == ("guard",)
+    made = make_detector("guard").detector
+    assert (made.label, made.spec) == ("guard", {"name": "guard"})
+    assert describe_identity(made) == describe_identity(LearnedDetector(guard))
+    with pytest.raises(ValueError, match="did you mean 'guard'"):
+        make_detector("gaurd")
 
 
 def test_other_names_are_paths_or_refused():
     assert resolve_path("runs/mine.onnx").as_posix() == "runs/mine.onnx"
-    with pytest.raises(ValueError, match="trolley-gaurd"):
-        make_detector("trolley-gaurd")
+    with pytest.raises(ValueError, match="unknown detector 'trolley-guard'"):
+        make_detector("trolley-guard")
