@@ -40,7 +40,7 @@ UNKNOWN_RESPONSES = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
 MATRICES = {"transition", "predicted_cov", "design", "innovation_cov"}
 """Fields that are stored in single precision, as the responses are."""
 RUNS_AT_ONCE = 32  # whose matrices are held in memory together
-BANKS_AT_ONCE = 4
+JUDGED_AT_ONCE = 160  # runs and attacks whose separations are judged together
 
 
 class Replayed(NamedTuple):
@@ -60,11 +60,13 @@ class LinearBank(NamedTuple):
     """A bank of solutions over the K epochs of N runs, whose statistic is a largest square.
 
     - `clean` (N, K, J, 2) whitened separations without an attack, in units of the threshold's root;
-    - `units` (N, K J 2, Q) their change by hat functions of the rate along the target direction.
+    - `units` (G, K J 2, Q) their change by hat functions of the rate along the target direction, of
+      one run of each group with the same response and direction; `group` (N,) of the runs.
     """
 
     clean: FloatArray
     units: NDArray[np.float32]
+    group: NDArray[np.intp]
 
 
 class NotReplayable(ValueError):
@@ -227,6 +229,10 @@ class Replay:
         """(Q, P) of the hat functions that come nearest to rates."""
         return np.asarray(np.linalg.lstsq(self.hats, rates.T, rcond=None)[0])
 
+    def sums(self, number: int) -> bool:
+        """Whether attacks on a detector are sums of what hat functions do, and not judged."""
+        return isinstance(_inner(self.detectors[number]), SolutionSeparation)
+
     def play(
         self,
         number: int,
@@ -237,9 +243,8 @@ class Replay:
         """Let one of the detectors judge P attacks on some runs, all by default. `rates` (P,
         decisions) along each run's target direction [m/s]."""
         rows = np.arange(self.runs) if rows is None else rows
-        in_bank = isinstance(_inner(self.detectors[number]), SolutionSeparation)
-        one = self._play_bank if in_bank else self._play
-        if in_bank:
+        one = self._play_bank if self.sums(number) else self._play
+        if self.sums(number):
             self._bank(number)  # once, before threads use it
         parts = np.array_split(rates, min(self.threads, len(rates)))
         if len(parts) == 1:
@@ -272,7 +277,7 @@ class Replay:
         first, peak = np.zeros(shape, dtype=np.int64), np.zeros(shape)
         for at, row in enumerate(rows.tolist()):
             clean = bank.clean[row]
-            moved = (bank.units[row] @ u).reshape(*clean.shape, len(rates))
+            moved = (bank.units[bank.group[row]] @ u).reshape(*clean.shape, len(rates))
             ratio = np.square(moved + clean[..., None]).sum(axis=2).max(axis=1)  # (K, P)
             peak[:, at] = ratio.max(axis=0)
             above = ratio > 1.0
@@ -282,16 +287,25 @@ class Replay:
     def _bank(self, number: int) -> LinearBank:
         key = number, self.heading.tobytes()
         if key not in self._banks:
-            parts = np.array_split(np.arange(self.runs), math.ceil(self.runs / BANKS_AT_ONCE))
-            with ThreadPoolExecutor(self.threads) as pool:
-                found = list(pool.map(lambda rows: self._build_bank(number, rows), parts))
-            clean, units = zip(*found, strict=True)
-            self._banks[key] = LinearBank(np.concatenate(clean), np.concatenate(units))
+            pairs = np.stack([self.group, self.heading], axis=1)
+            _, ones, group = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+            nothing, hats = np.zeros((1, len(self.hats))), self.hats.T
+            clean = self._whiten(number, nothing, np.arange(self.runs))[0]
+            units = self._whiten(number, hats, ones) - clean[ones]
+            units = units.transpose(1, 2, 3, 4, 0).reshape(len(ones), -1, len(hats))
+            single = np.ascontiguousarray(units, dtype=np.float32)
+            self._banks[key] = LinearBank(clean, single, group.ravel())
         return self._banks[key]
 
-    def _build_bank(self, number: int, rows: NDArray[np.intp]) -> LinearBank:
-        """The bank of some runs: the detector judges nothing and every hat function."""
-        rates = np.concatenate([np.zeros((1, len(self.hats))), self.hats.T])
+    def _whiten(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
+        """(P, N, K, J, 2) whitened separations under attacks, some runs at a time."""
+        count = math.ceil(len(rows) * len(rates) / JUDGED_AT_ONCE)
+        parts = np.array_split(rows, min(count, len(rows)))
+        with ThreadPoolExecutor(self.threads) as pool:
+            found = pool.map(lambda rows: self._whiten_some(number, rates, rows), parts)
+            return np.concatenate(list(found), axis=1)
+
+    def _whiten_some(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
         moved, _ = self.compute_shifts(rates, rows, check_needs(self.detectors[number]))
         detector = self._ready(number, rows, len(rates))
         inner = cast(SolutionSeparation, _inner(detector))
@@ -303,13 +317,7 @@ class Replay:
             place = np.tile(self._epochs["predicted_position"][k][rows], (len(rates), 1))
             size = np.sqrt(verdict.threshold[:, :, None])
             stored.append((inner.whiten(place) / size).reshape(len(rates), len(rows), -1, 2))
-        every = np.array(stored)  # (K, 1 + Q, N, J, 2)
-        clean = every[:, 0].transpose(1, 0, 2, 3)
-        units = (every[:, 1:] - every[:, :1]).transpose(2, 0, 3, 4, 1)
-        return LinearBank(
-            np.ascontiguousarray(clean),
-            np.ascontiguousarray(units.reshape(len(rows), -1, units.shape[-1]), dtype=np.float32),
-        )
+        return np.ascontiguousarray(np.array(stored).transpose(1, 2, 0, 3, 4))
 
     def compute_shifts(
         self, rates: FloatArray, rows: NDArray[np.intp], needs: frozenset[str]

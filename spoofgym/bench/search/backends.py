@@ -2,7 +2,7 @@
 
 A backend plays sampled curves of `steps` values on `runs` that count, which are silent without an
 attack, within `limits`: the largest rate, and its largest change between two values, which may be
-infinite [m/s].
+infinite [m/s].  `sums` says that a play is cheap: no detector judges it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class ReplayBackend:
     """One of the detectors of a replay, against attacks along a heading."""
 
     def __init__(self, replay: Replay, number: int, heading_deg: float | str = EAST_DEG) -> None:
-        self.replay, self.number = replay, number
+        self.replay, self.number, self.sums = replay, number, replay.sums(number)
         if not isinstance(heading_deg, str):
             self.replay = replay = copy.copy(replay)
             replay.heading = np.full(replay.runs, math.radians(heading_deg))
@@ -68,6 +68,8 @@ class ReplayBackend:
 class MixedBackend:
     """Several backends, each of which plays its share of the runs: a pool of their detectors."""
 
+    sums = False
+
     def __init__(self, backends: Sequence[ReplayBackend], weights: Sequence[float]) -> None:
         self.backends, self.steps, self.limits = backends, backends[0].steps, backends[0].limits
         self.runs = min(each.runs for each in backends)
@@ -86,6 +88,8 @@ class MixedBackend:
 
 class EngineBackend:
     """A detector on the engine, which also plays those that take weight off measurements."""
+
+    sums = False
 
     def __init__(self, start: WarmStart, clean: Runs, heading_deg: float | str = EAST_DEG) -> None:
         self.heading_deg = heading_deg

@@ -269,8 +269,8 @@ LINEAR_ERROR = 0.02
 SHARED_STREAM = 0x5C  # of the seed of a search, for the circumstances that its runs share
 SPLIT = "search"
 """Runs that are searched on: an amplitude that is fitted on the same ones would be too large."""
-ON_ENGINE = {"batch": 48, "generations": 24}
-"""Most of a search on the engine, where a candidate costs a hundred times as much."""
+JUDGED = {"batch": 48, "generations": 24}
+"""Most of a search where candidates are judged, and no sums, which cost a hundredth of that."""
 NOTHING_BETTER = 1.01
 """Displacement, by that of the start, up to which a search has found nothing better."""
 IDLE = 1e-9  # part of its rates at which an attack is commanded nothing
@@ -340,7 +340,7 @@ class Optima:
                 return {"by": REPLAY, "linear_error": error, "aims": found, "shapes": shape}
             why = f"the displacement by replay is off by {100.0 * error:.1f} %"
         start = self._start(self.world.build_setup(detector, self.spoofers))
-        found = self._search(EngineBackend(*start, heading_deg), tick, ON_ENGINE)
+        found = self._search(EngineBackend(*start, heading_deg), tick)
         return {
             "by": ENGINE,
             "why": why,
@@ -349,13 +349,11 @@ class Optima:
             "shapes": shape,
         }
 
-    def _search(
-        self, backend: Backend, tick: WorkCallback, largest: Mapping[str, int] | None = None
-    ) -> dict[str, Any]:
+    def _search(self, backend: Backend, tick: WorkCallback) -> dict[str, Any]:
         found: dict[str, Any] = {}
         best: OpenLoopAttack | None = None
         least, tuning, settings = 1.0, self.tuning, self.settings
-        for name, most in (largest or {}).items():
+        for name, most in {} if backend.sums else JUDGED.items():
             settings = replace(settings, **{name: min(getattr(settings, name), most)})
         for name, share in zip(AIMS, (aim(tuning.runs, tuning.budget), 0.5), strict=True):
             # what gets as far as any attack at few alarms does so at more of them
