@@ -214,7 +214,7 @@ def test_a_shipped_name_stands_for_its_file(guard, tmp_path, monkeypatch):
     assert (made.label, made.spec) == ("guard", {"name": "guard"})
     assert describe_identity(made) == describe_identity(LearnedDetector(guard))
     with pytest.raises(ValueError, match="did you mean 'guard'"):
-        make_detector("gaurd")
+        make_detector("gardx")
 
 
 def test_other_names_are_paths_or_refused():
