@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from .record import undetected_displacement
 from .world import World
 
 FloatArray = NDArray[np.float64]
+TITLE_WIDTH = 100  # characters of a line
 ATTACKED, TWIN = 0, 1
 """Columns of the two receivers."""
 
@@ -170,11 +172,9 @@ def draw_episode(episode: Episode, path: Path) -> Path:
     _draw_statistic(axes[1, 0], episode)
     _draw_error(axes[1, 1], episode)
     summary = episode.summary()
-    figure.suptitle(
-        f"{summary['scenario']}: {episode.spoofer.label} against {episode.detector.label}, "
-        f"run {episode.run}",
-        fontsize=13,
-    )
+    pair = f"{episode.spoofer.label} against {episode.detector.label}"
+    title = f"{summary['scenario']}: {pair}, run {episode.run}"
+    figure.suptitle(textwrap.fill(title, TITLE_WIDTH, break_on_hyphens=False), fontsize=13)
     return save_figure(figure, path, dpi=130)
 
 
