@@ -61,11 +61,7 @@ class HoldOut(NamedTuple):
     @property
     def per_hour_by_age(self) -> dict[float, float]:
         """Measured rate from each least age on, up to the next."""
-        return {
-            age: hourly_rate(alarms / runs, self.window_s)
-            for age, runs, alarms in self.ages
-            if runs
-        }
+        return {age: hourly_rate(alarms / n, self.window_s) for age, n, alarms in self.ages}
 
     @property
     def worst_world(self) -> tuple[float, float] | None:

@@ -5,38 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.compile import njit
-from ._solution_separation_kernels import whitened_response
-from .base import BoolArray, FloatArray, IntArray, cholesky_of_rows
-
-
-@njit
-def append_rows(
-    matrix: FloatArray,
-    first: int,
-    count: int,
-    size: int,
-    rows: IntArray,
-    ends: IntArray,
-    at: IntArray,
-    of: FloatArray,
-) -> tuple[int, int]:
-    """Append rows of a transition but for those of the identity: states in `rows`, where each ends
-    in `ends`, and places and values of what is not 0 in `at`, `of`. `matrix` (r, c): part of it
-    that begins on the diagonal at state `first`; `count`, `size`: how many there are already;
-    returned with the new."""
-    for i in range(matrix.shape[0]):
-        before, same = size, matrix[i, i] == 1.0
-        for j in range(matrix.shape[1]):
-            if matrix[i, j] != 0.0:
-                at[size], of[size] = first + j, matrix[i, j]
-                size += 1
-                same = same and i == j
-        if same:
-            size = before
-        else:
-            rows[count], ends[count] = first + i, size
-            count += 1
-    return count, size
+from ._solution_separation_kernels import append_rows, substitute_row, whitened_response
+from .base import BoolArray, FloatArray, cholesky_of_rows
 
 
 @njit
@@ -147,14 +117,8 @@ def correct_augmented(
             mine = white[i]
             mine[:] = A[b, rows[i]]
             y[i] = innovation[b, rows[i]]
-            for l in range(i):
-                f, other = factor[i, l], white[l]
-                y[i] -= f * y[l]
-                for k in range(states):
-                    mine[k] -= f * other[k]
-            y[i] *= factor[i, i]
+            substitute_row(factor, i, white, y)
             for k in range(states):
-                mine[k] *= factor[i, i]
                 change[b, k] += y[i] * mine[k]
         white[count : count + 3] = 0.0  # four rows at a time
         for j in range(states):

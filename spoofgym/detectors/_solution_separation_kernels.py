@@ -23,6 +23,21 @@ def compute_age(epochs: int, first: int, period: int) -> int:
 
 
 @njit
+def substitute_row(factor: FloatArray, i: int, rows: FloatArray, values: FloatArray) -> None:
+    """Solve with Cholesky's factor, whose diagonal is inverted, for row i of `rows` (m, d) and of
+    `values` (m,) in place; those before it are solved."""
+    mine = rows[i]
+    for l in range(i):
+        f, other = factor[i, l], rows[l]
+        values[i] -= f * values[l]
+        for k in range(len(mine)):
+            mine[k] -= f * other[k]
+    values[i] *= factor[i, i]
+    for k in range(len(mine)):
+        mine[k] *= factor[i, i]
+
+
+@njit
 def whitened_response(
     predicted_cov: FloatArray,
     design: FloatArray,
@@ -55,43 +70,38 @@ def whitened_response(
                 P = predicted_cov[j]
                 for k in range(tracked):
                     mine[k] += h * P[k]
-        for l in range(i):
-            f, other = factor[i, l], response[l]
-            white[i] -= f * white[l]
-            for k in range(tracked):
-                mine[k] -= f * other[k]
-        white[i] *= factor[i, i]
-        for k in range(tracked):
-            mine[k] *= factor[i, i]
+        substitute_row(factor, i, response, white)
     return count
 
 
 @njit
-def changed_rows(
-    transition: FloatArray,
-    tracked: int,
+def append_rows(
+    matrix: FloatArray,
+    first: int,
+    count: int,
+    size: int,
     rows: IntArray,
     ends: IntArray,
     at: IntArray,
     of: FloatArray,
-) -> int:
-    """Find the rows of the first `tracked` states of a transition that are not the identity's:
-    numbers in `rows`, where each ends in `ends` (d,), and places and values of what is not 0 in
-    `at`, `of` (d * d,), all written; returns how many rows."""
-    count, size = 0, 0
-    for i in range(tracked):
-        before, same = size, transition[i, i] == 1.0
-        for j in range(tracked):
-            if transition[i, j] != 0.0:
-                at[size], of[size] = j, transition[i, j]
+) -> tuple[int, int]:
+    """Append rows of a transition but for those of the identity: states in `rows`, where each ends
+    in `ends`, and places and values of what is not 0 in `at`, `of`. `matrix` (r, c): part of it
+    that begins on the diagonal at state `first`; `count`, `size`: how many there are already;
+    returned with the new."""
+    for i in range(matrix.shape[0]):
+        before, same = size, matrix[i, i] == 1.0
+        for j in range(matrix.shape[1]):
+            if matrix[i, j] != 0.0:
+                at[size], of[size] = first + j, matrix[i, j]
                 size += 1
                 same = same and i == j
         if same:
             size = before
         else:
-            rows[count], ends[count] = i, size
+            rows[count], ends[count] = first + i, size
             count += 1
-    return count
+    return count, size
 
 
 @njit
@@ -110,7 +120,7 @@ def propagate_bank(
 
     .. math:: s \leftarrow \Phi s, \qquad V \leftarrow \Phi V \Phi^T
 
-    `V` (d, d, J), `s` (d, J); `count`, `rows`, `ends`, `at`, `of` as of `changed_rows`; `moved`
+    `V` (d, d, J), `s` (d, J); `count`, `rows`, `ends`, `at`, `of` as of `append_rows`; `moved`
     (d, d J) and `shifted` (d, J), overwritten: the rows of Phi V and Phi s that are not those of V
     and s.
     """
@@ -200,7 +210,8 @@ def advance_bank(
                 gained[j] += a * y[i]
                 for k in range(tracked):
                     row[k] += a * mine[k]
-        changed = changed_rows(transition[b], tracked, rows, ends, at, of)
+        inertial = transition[b, :tracked, :tracked]
+        changed, _ = append_rows(inertial, 0, 0, 0, rows, ends, at, of)
         s, V = separation[b], covariance[b]
         for j in range(bank):
             age = compute_age(epochs[b], firsts[j], periods[j])

@@ -33,7 +33,7 @@ from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.augmented import FIRST, AugmentedFilter, Predicted
 from ..receiver.epoch import Epoch
 from ..receiver.states import POSITION, STATES
-from ..truth.signal_errors import MAPPINGS, obliquities
+from ..truth.signal_errors import MAPPINGS, causal_mappings
 from ._own_filter_kernels import (
     compute_feedback,
     correct_augmented,
@@ -96,7 +96,7 @@ class OwnFilter:
             memory.declare(name, memory[name])  # with which an episode starts
         memory.declare("victim_error", np.zeros((b, STATES)))
         memory.declare("feedback", np.zeros((b, STATES, 2 * n)))  # of every weight
-        memory.declare("obliquity", np.zeros((b, n, 2)))  # of the last epoch, 0 where not visible
+        memory.declare("mapping", np.zeros((b, n, MAPPINGS)))  # of the last epoch
         self.filter = filter_
         self.noise = np.tile(model.noise_psd, (b, 1)), np.tile(model.noise_variance, (b, 1))
 
@@ -125,23 +125,16 @@ class OwnFilter:
 
     def _map_signals(self, epoch: Epoch) -> FloatArray:
         """(B, n, 6) as `compute_mappings` has it, with rates since the last epoch."""
-        b, n = epoch.visible.shape
-        mapping = np.zeros((b, n, MAPPINGS))
+        memory, n = self.memory, epoch.visible.shape[1]
         if not {*self.model.signals.places} - {"constant", "correlated"}:
-            return mapping
+            return memory["mapping"]
         up = -dcm_e_from_n(*ecef_to_geodetic(epoch.predicted_position)[:2])[:, :, 2]
         sight = cast(FloatArray, epoch.design)[:, :n, POSITION : POSITION + 3]
         sine = (sight * up[:, None, :]).sum(axis=2)
-        ionosphere, troposphere, *mapping_of_noise = obliquities(
-            np.arcsin(np.clip(sine, -1.0, 1.0))
-        )
-        now = np.stack([ionosphere, troposphere], axis=2) * epoch.visible[:, :, None]
-        before = self.memory["obliquity"]
-        rate = np.where((before > 0.0) & (now > 0.0), now - before, 0.0)
-        mapping[:, :, 0:4:2], mapping[:, :, 1:4:2] = now, rate / epoch.interval[:, None, None]
-        mapping[:, :, 4], mapping[:, :, 5] = mapping_of_noise
-        self.memory["obliquity"] = now
-        return mapping
+        elevation = np.arcsin(np.clip(sine, -1.0, 1.0))
+        last = memory["mapping"]
+        memory["mapping"] = causal_mappings(elevation, epoch.visible, epoch.interval, last)
+        return memory["mapping"]
 
 
 def _protect(array: FloatArray) -> FloatArray:

@@ -158,7 +158,7 @@ class SolutionSeparation(FilterTest):
         self._starts = SPACINGS[self.spacing](longest, spacing)
         firsts, periods = self._starts
         bank, self.memory_epochs = len(firsts), int(periods.max())
-        # a solution starts anew by the largest step between two starts of the oldest ones
+        # a solution starts again by the largest step between two starts of the oldest ones
         self._covers = self.memory_epochs - int(firsts[1] - firsts[0])
         self._threshold = float(special.chdtri(2.0, self.false_alarm / bank))
         self._declare(

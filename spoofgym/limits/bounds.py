@@ -17,16 +17,16 @@ feedback included, averaged over runs.
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..detectors import Calibrated, Detector, SolutionSeparation
 from ..detectors.base import FloatArray, IntArray
+from ..simulation.monitors import PassiveDetectors
 from ..simulation.setup import make_generators, seeds_of_runs
 from ..simulation.tight import TightlyCoupledSetup
 from .convex import Optimum, Program
@@ -328,16 +328,14 @@ def _separation(
         raise ValueError("the factor on the thresholds is not known yet")
     attack_s, bounds = setup.steps * setup.interval_s, []
     for case in cases:
-        simulator, bank = observer(setup, 1, inner.needs), copy.deepcopy(inner)
-        simulator.bind_detector(bank)
+        simulator = observer(setup, 1, inner.needs, [PassiveDetectors([inner])])
+        bank = cast(SolutionSeparation, simulator.monitor(PassiveDetectors).detectors[0])
         why = _explain_unbounded(setup, bank, attack_s)
         if why:
             return ZeroAlarm(None, None, "", why, [])
-        simulator.start_episodes(make_generators([unused_seed(case.seed)]))
-        simulator.run_filter_only(setup.filter_only, [bank])
-        for _ in range(int(simulator.ages[0]) - setup.filter_only + setup.steps):
-            bank.judge(simulator.advance())
-            simulator.update(None)
+        simulator.warm_up(make_generators([unused_seed(case.seed)]))
+        for _ in range(setup.steps):
+            simulator.step(attacked=False)
         bounds.append(math.sqrt(scale) * float(bank.bound_m(attack_s)[0]))
     mean = float(np.mean(bounds))
     return ZeroAlarm(mean, mean, "upper" if math.isfinite(mean) else "unbounded", "", [])

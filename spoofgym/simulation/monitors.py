@@ -39,9 +39,10 @@ class Monitored(Protocol):
 
 class Monitor(ABC):
     """What looks at the epochs of a simulator; `memory` is all that it remembers of receivers.
-    `needs`: optional fields of `Epoch` that it reads, as of a `Detector`."""
+    `needs`: optional fields of `Epoch` that it reads, as of a `Detector`; `detectors`: its own."""
 
     needs: ClassVar[frozenset[str]] = frozenset()
+    detectors: Sequence[Detector] = ()
     memory: Memory
 
     @abstractmethod

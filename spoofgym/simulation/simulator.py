@@ -380,12 +380,12 @@ class Simulator(ABC):
             sequel(self, verdict)
         return verdict
 
-    def run_filter_only(self, count: int, more: Sequence[Detector] = ()) -> None:
+    def run_filter_only(self, count: int) -> None:
         """Run epochs that are not judged. Detectors that see them `from_start` are shown them: that
-        in the loop, those of the monitors, and `more` that are bound to these receivers."""
+        in the loop, and those of the monitors."""
         self.weights = self.ones
-        beside = (each for monitor in self.monitors for each in getattr(monitor, "detectors", ()))
-        watching = [each for each in (self.detector, *beside, *more) if each.from_start]
+        beside = (each for monitor in self.monitors for each in monitor.detectors)
+        watching = [each for each in (self.detector, *beside) if each.from_start]
         if not watching:
             self._run_unseen(count)
             return

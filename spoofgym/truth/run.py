@@ -112,12 +112,12 @@ class GroundTruth:
 
     @property
     def elevation(self) -> FloatArray:
-        """(K, n) at all epochs [rad], computed anew."""
+        """(K, n) at all epochs [rad], computed at every call."""
         return self.look(slice(None))[0]
 
     @property
     def azimuth(self) -> FloatArray:
-        """(K, n) at all epochs [rad], computed anew."""
+        """(K, n) at all epochs [rad], computed at every call."""
         return self.look(slice(None))[1]
 
     @property

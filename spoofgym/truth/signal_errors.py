@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from ..core.compile import inline_njit
 from ..core.declared import check_number, setting, settings_record
 from ..core.registry import require
-from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic, look_angles
 from .noise import normals, pad_count
 
 FloatArray = NDArray[np.float64]
@@ -142,11 +141,7 @@ def compute_mappings(elevation: FloatArray, interval_s: float, epochs_each: int)
 
 
 def causal_mappings(
-    satellite_position: FloatArray,
-    position_e: FloatArray,
-    visible: NDArray[np.bool_],
-    interval_s: float,
-    last: FloatArray | None = None,
+    elevation: FloatArray, visible: NDArray[np.bool_], interval: FloatArray, last: FloatArray
 ) -> FloatArray:
     r"""What a monitor can know of every line of sight (`MAPPINGS`), from present and past epochs.
 
@@ -155,18 +150,16 @@ def causal_mappings(
     in place of the central differences of `compute_mappings`, from which it differs by
     :math:`\tau \ddot M / 2`: up to 4e-6 /s at 2 Hz.  0 where a satellite was not visible before.
 
-    `satellite_position` (B, n, 3), `position_e` (B, 3) and `visible` (B, n) of an epoch, as its
-    `predicted_position`, ECEF [m]; `last`: what was returned at the epoch before, None at the
-    first; returns (B, n, 6), 0 where a satellite is not visible.
+    `elevation` (B, n) [rad] and `visible` (B, n) of an epoch; `interval` (B,) since the one before
+    [s]; `last`: what was returned there, 0 at the first; returns (B, n, 6), 0 where a satellite is
+    not visible.
     """
-    C_en = dcm_e_from_n(*ecef_to_geodetic(position_e)[:2])
-    elevation, _ = look_angles(satellite_position, position_e, C_en)
     now = np.zeros((*elevation.shape, MAPPINGS))
     for column, values in zip((0, 2, 4, 5), obliquities(elevation), strict=True):
         now[..., column] = np.where(visible, values, 0.0)
-    if last is not None:  # obliquities of visible satellites are above 0
-        both = visible & (last[..., 0] > 0.0)
-        now[..., 1:4:2] = both[..., None] * (now[..., :4:2] - last[..., :4:2]) / interval_s
+    both = visible & (last[..., 0] > 0.0)  # obliquities of visible satellites are above 0
+    change = np.where(both[..., None], now[..., :4:2] - last[..., :4:2], 0.0)
+    now[..., 1:4:2] = change / interval[:, None, None]
     return now
 
 

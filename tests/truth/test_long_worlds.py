@@ -14,9 +14,10 @@ from spoofgym.truth.manoeuvres import LONG_S, car, en_route, terminal
 from spoofgym.truth.run import build_world, take_world
 from spoofgym.truth.satellites import CircularConstellation
 from spoofgym.truth.scenario import Scenario
-from spoofgym.truth.signal_errors import causal_mappings, compute_mappings
+from spoofgym.truth.signal_errors import MAPPINGS, causal_mappings, compute_mappings
 
 STEP_S = 0.5
+INTERVAL = np.array([STEP_S])
 
 
 @pytest.fixture(scope="module", params=[(en_route, 400.0), (terminal, 75.0)])
@@ -83,10 +84,10 @@ def test_every_world_of_a_chain_is_the_one_built_alone(turned_deg):
 def test_mappings_of_the_past_are_those_of_the_truth_but_for_half_an_interval():
     world = Scenario(flight="approach").world()
     true = compute_mappings(world.elevation, 0.5, world.epochs)
-    last, found = None, []
+    last, found = np.zeros((1, world.channels, MAPPINGS)), []
     for k in range(world.epochs):
-        seen = world.satellites[k, None, :, :3], world.position_e[k, None], world.visible[k, None]
-        last = causal_mappings(*seen, 0.5, last)
+        elevation, _ = world.look(slice(k, k + 1))
+        last = causal_mappings(elevation, world.visible[k, None], INTERVAL, last)
         found.append(last[0])
     found, both = np.array(found), world.visible[1:-1] & world.visible[:-2]
     found, true = found[1:-1][both], true[1:-1][both]
@@ -99,12 +100,12 @@ def test_mappings_of_the_past_are_those_of_the_truth_but_for_half_an_interval():
 
 def test_mappings_begin_again_with_a_satellite_that_rises():
     world = Scenario(flight="approach").world()
-    first, second = (world.satellites[k, None, :, :3] for k in (100, 101))
-    position, seen = world.position_e[100:102], np.ones((1, world.channels), dtype=bool)
+    first, second = (world.look(slice(k, k + 1))[0] for k in (100, 101))
+    seen, none = np.ones((1, world.channels), dtype=bool), np.zeros((1, world.channels, MAPPINGS))
     unseen = seen.copy()
     unseen[0, 2] = False
-    before = causal_mappings(first, position[:1], unseen, 0.5)
-    now = causal_mappings(second, position[1:], seen, 0.5, before)
+    before = causal_mappings(first, unseen, INTERVAL, none)
+    now = causal_mappings(second, seen, INTERVAL, before)
     assert not before[0, 2].any()
     assert not now[0, 2, [1, 3]].any()
     assert now[0, 3, [1, 3]].all()

@@ -326,8 +326,8 @@ def group_optima(summary: Row) -> dict[str, list[str]]:
     for row in summary["detectors"]:
         optimum = row["bracket"]["blind_optimum"]
         if optimum is not None and optimum["by"] is not None:
-            kept = optimum["unbeaten_start"]
-            text = f" (search found nothing better than the {kept})" if kept else ""
+            start = optimum["unbeaten_start"]
+            text = f" (search found nothing better than the {start})" if start else ""
             name = row["detector"] + text
             labels.setdefault(optimum["by"], []).append(name)
     return labels

@@ -125,8 +125,7 @@ def play_episode(
     simulator, twin = engine.simulator, engine.twin
     assert twin is not None  # `twin=True` above
     everyone, epochs = np.zeros(1, dtype=np.intp), setup.steps + setup.hold
-    simulator.start_episodes(world.generators(entropy, "evaluation", run + 1, run))
-    simulator.run_filter_only(setup.filter_only)
+    simulator.switch_on(world.generators(entropy, "evaluation", run + 1, run))
     live = int(simulator.ages[0]) - setup.filter_only
     ratio = np.zeros((live + epochs, 2))
     alarm = np.zeros(ratio.shape, dtype=np.bool_)

@@ -6,11 +6,10 @@ hold.  A rate at the start of a long window displaces much more than one at its 
 much sooner: so a search does not step in rates, but in parts of the rate at which each knot alone
 raises an alarm in half of the runs.  Every generation is played on another part of the runs, so
 that the mean of the search does not learn the noise of a few of them by heart.  Every candidate is
-scored at the amplitude that its
-share of alarms allows.  For each run the amplitude at which its largest ratio of statistic to
-threshold comes to 1 is interpolated between two that are judged; the score is the displacement at
-the quantile of these, by a line through the smaller ones against normal scores, which a single run
-moves less than the quantile itself.
+scored at the amplitude that its share of alarms allows.  For each run the amplitude at which its
+largest ratio of statistic to threshold comes to 1 is interpolated between two that are judged; the
+score is the displacement at the quantile of these, by a line through the smaller ones against
+normal scores, which a single run moves less than the quantile itself.
 
 In a campaign passive detectors share one response replay.  A curve found by replay is played on the
 engine, too, and where its displacement is another one there, the search is done again on the
