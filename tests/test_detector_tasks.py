@@ -7,14 +7,14 @@ import pytest
 
 import spoofgym
 from spoofgym.attacks import make_attack
-from spoofgym.bench.experiments.protect import DetectorEvaluator
+from spoofgym.bench.experiments.protect import SEARCHED, DetectorEvaluator
 from spoofgym.bench.report import tasks as detector_cards
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.search.attack_suite import FAMILIES
 from spoofgym.detectors import make_detector
 from spoofgym.duel.learner import LearnersSide
 from spoofgym.spoofers import make_spoofer
-from spoofgym.tasks import DETECTOR_TASKS, ONSETS, PUBLIC, TASKS, get_detector_task
+from spoofgym.tasks import DETECTOR_TASKS, ONSETS, TASKS, get_detector_task, v2
 from tests.bench.detector_support import small_task
 from tests.command_line import call, read
 from tests.detectors.learned.files import edit_card, write_guard
@@ -22,69 +22,72 @@ from tests.nightly import heavy
 from tools.detector_cards import END, PAGE, START, shown, with_others
 from tools.pages import part_between
 
-WORLDS = {"D1": "T3", "D2": "T4", "D3": "T5", "D4": "T6"}
+WORLDS = {"D1": "S1", "D2": "S2", "D3": "S3"}
+WORLDS |= {"v1/D1": "T3", "v1/D2": "T4", "v1/D3": "T5", "v1/D4": "T6"}
 each_task = pytest.mark.parametrize("key", DETECTOR_TASKS)
 
 
 @each_task
 def test_held_out_families_are_not_in_the_public_pool(key):
     task = DETECTOR_TASKS[key]
-    assert (task.world_of, task.public) == (WORLDS[key], PUBLIC)
+    assert task.task is TASKS[WORLDS[key]]
     assert (*task.public, *task.held_out) == task.families
     assert not {each.key for each in task.public} & {each.key for each in task.held_out}
     for family in task.public:  # in the task's own world, at any onset
-        assert (family.overrides, family.onset) == ({}, None)
-        assert family.letters in FAMILIES
+        assert (task.get_overrides(family), family.onset) == ({}, None)
+        assert family.letters in {*FAMILIES, SEARCHED}
     for family in task.held_out:
-        assert family.overrides or family.onset in ONSETS
+        assert task.get_overrides(family) or family.onset in ONSETS
     # what a learner meets is in the task's own world, too: the spoofers alone are the pool's
     assert task.world_kwargs == TASKS[WORLDS[key]].world_kwargs
-    assert task.env_kwargs == {**task.world_kwargs, "pool": task.pool}
+    within = {"onset": "within"} if key in v2.DETECTOR_TASKS else {}
+    assert task.env_kwargs == {**task.world_kwargs, **within, "pool": task.pool}
     names = {make_spoofer(spec) and spec["name"] for spec in task.pool}
     assert names == {"ramp", "accelerating-ramp", "profile", "dash", "feedback"}
     assert [*map(json.dumps, task.pool)] == [*dict.fromkeys(map(json.dumps, task.pool))]
     # errors that are inherited, or quiet, are held out where the task's own are the other kind
     own = make_attack(task.world_kwargs.get("attack", "false-position"))
     other = "inherited" if own.label == "quiet" else "quiet"
-    assert (own.label == "quiet") == (key == "D3")
+    assert (own.label == "quiet") == (key == "v1/D3")
     errors = make_attack(task.family(other).attack).errors
     assert (errors == "inherited") == (other == "inherited")
     side = LearnersSide.of(None, key, "detector", None, None, {})
     assert (side.env_id, side.side, side.pool) == (task.env_id, "detector", task.pool)
-    assert side.settings == task.world_kwargs
+    assert side.settings == {**task.world_kwargs, **within}
 
 
 def test_names_are_told_apart_and_copies_handed_out():
     assert LearnersSide.of(None, "D1", "detector", ["ramp"], None, {}).pool == ["ramp"]
-    with pytest.raises(ValueError, match=r"unknown task for detectors 'D9'; valid: D1.*D4"):
+    with pytest.raises(ValueError, match=r"unknown task for detectors 'D9'; valid: D1.*v1/D4"):
         get_detector_task("D9")
-    with pytest.raises(ValueError, match=r"unknown family of attacks of D3 'quiet'; valid: .*inhe"):
-        get_detector_task("D3").family("quiet")
+    with pytest.raises(ValueError, match=r"unknown family of attacks of v1/D3 'quiet'; valid: .*inhe"):
+        get_detector_task("v1/D3").family("quiet")
     with pytest.raises(ValueError, match="D1 is for detectors: it needs `side` 'detector'"):
         LearnersSide.of(None, "D1", "spoofer", None, None, {})
     with pytest.raises(ValueError, match="unknown task 'D1'"):
         spoofgym.evaluate("ramp", "D1")
-    task = get_detector_task("D3")
-    task.family("subset").overrides["attack"]["channels"].clear()
+    task = get_detector_task("v1/D3")
+    task.get_overrides(task.family("subset"))["attack"]["channels"].clear()
     task.pool.clear()
     task.env_kwargs["domain"].clear()
-    assert task.family("subset").overrides["attack"]["channels"]
+    assert task.get_overrides(task.family("subset"))["attack"]["channels"]
     assert task.pool
     assert task.env_kwargs["domain"]
 
 
-@pytest.mark.parametrize("key", heavy(DETECTOR_TASKS, "D2", "D3", "D4"))
+@pytest.mark.parametrize("key", heavy(DETECTOR_TASKS, "D2", "D3", "v1/D2", "v1/D3", "v1/D4"))
 def test_classics_have_the_tasks_own_bank_and_both_controls(key):
     specs = detector_cards.list_reference_detectors(DETECTOR_TASKS[key])
     assert {"never", "lottery", "solution-separation"} <= {spec["name"] for spec in specs}
     assert len({specify_detector(spec).label for spec in specs}) == len(specs)
-    (bank,) = (spec for spec in specs if spec["name"] == "solution-separation")
-    assert ("longest_s" in bank) == (key == "D2")
+    banks = [spec for spec in specs if spec["name"] == "solution-separation"]
+    assert [each.get("filter") for each in banks] == [*["augmented"] * (key in v2.DETECTOR_TASKS), None]
+    assert ("longest_s" in banks[0]) == (key not in ("v1/D1", "v1/D3", "v1/D4"))
     for spec in specs:
         make_detector(spec)
 
 
-@pytest.mark.parametrize(("key", "warns"), [("D1", False), ("D3", True)])
+@pytest.mark.parametrize(("key", "warns"), [("v1/D1", False), ("v1/D3", True)])
 def test_a_learned_detector_is_warned_of_where_it_has_met_what_is_held_out(key, warns, tmp_path):
     path = write_guard(tmp_path, threshold=0.9)
     edit_card(path, training={"task": "T3", "held_out": ["quiet"]})
@@ -96,7 +99,7 @@ def test_a_learned_detector_is_warned_of_where_it_has_met_what_is_held_out(key, 
 
 def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():
     cards, missing = detector_cards.stored_detector_cards(), detector_cards.missing()
-    assert {*cards} | {*missing} == {*DETECTOR_TASKS}
+    assert {*cards} | {*missing} == {*v2.DETECTOR_TASKS}
     assert not {*cards} & {*missing}
     assert all(key in command for key, command in missing.items())
     for key, card in cards.items():

@@ -39,7 +39,7 @@ HEADLINES: dict[str, dict[str, Any]] = {
     },
 }
 """Worlds of the table of all detectors, drawn for every run."""
-OWN_WORLDS = ("T3", "T4")
+OWN_WORLDS = ("S1", "S2", "S3", "T3", "T4")
 """Tasks whose own detectors, tests of range rates and classics of the tasks for detectors are
 calibrated, and no others; the world of T3, which T5 and T6 have, too, is the headline `trolley`."""
 WORLDS = {
@@ -60,7 +60,7 @@ def list_detectors(name: str, setup: Setup) -> list[Detector]:
     """All detectors that suit a world, and those that its environment and benchmark name."""
     env_id, settings = WORLDS[name]
     if name in OWN_WORLDS:
-        judged = (each for each in DETECTOR_TASKS.values() if each.world_of == name)
+        judged = (each for each in DETECTOR_TASKS.values() if each.task.key == name)
         classics = [each for task in judged for each in list_reference_detectors(task)]
         return inner_detectors([*TASKS[name].detectors, *RANGE_RATE_TESTS, *classics])
     own = [settings["detector"]] if "detector" in settings else []

@@ -1,9 +1,9 @@
-"""Play the tasks of spoofgym-bench-v1, hold T3 to T6 against the admission test, keep their cards.
+"""Play the tasks of spoofgym-bench-v2, hold them against the admission test, keep their cards.
 
     python -m tools.task_cards                  # plays what is missing, into results/tasks
-    python -m tools.task_cards T4 --seeds 500   # one of them
+    python -m tools.task_cards S2 --seeds 500   # one of them
 
-The admission test has five figures on evaluation runs, with the best classic (docs/tasks.md).
+The conditions of the test are those of docs/tasks.md, on evaluation runs, which decide nothing.
 """
 
 from __future__ import annotations
@@ -30,7 +30,11 @@ from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.cli.app import progress
 from spoofgym.core.settings import describe
 from spoofgym.detectors.calibrated import STANDARD_RATE
-from spoofgym.tasks import SUITE, TASKS, Task, get_task
+from spoofgym.simulation.domain import draw
+from spoofgym.simulation.simulator import episode_seeds
+from spoofgym.tasks import TASKS, Task, get_task
+from spoofgym.tasks.v2 import TASKS as PLAYED
+from spoofgym.truth.sensors import draw_source_keys
 from tools.pages import DOCS, ROOT, keep_cards, put_between, render_page
 
 CARD_FILE, PAGE = ROOT / "spoofgym" / "bench" / tasks.FILE, DOCS / "tasks.md"
@@ -38,35 +42,42 @@ START, END = "<!-- cards:begin -->", "<!-- cards:end -->"
 RATE = {"false_alarms_per_hour": STANDARD_RATE}
 TRIVIAL = {"name": "shewhart", "signals": "range_rate", **RATE}
 """A threshold on each satellite's range-rate innovation of one epoch."""
-NON_LEARNED = tuple(
-    {"name": name, "signals": "range_rate", **RATE}
-    for name in ("aime", "sequential-chi2", "cumulative-bank")
+NON_LEARNED: tuple[dict[str, Any], ...] = (
+    {"name": "cumulative-bank", "filter": "augmented", **RATE},
+    *(
+        {"name": name, "signals": "range_rate", **RATE}
+        for name in ("aime", "sequential-chi2", "cumulative-bank")
+    ),
 )
-"""Together with a task's own detector; the tests of range rates that do best."""
-SPOOFERS = ("ramp", "accelerating-ramp", "snapshot-chi2-profile", "blind-optimum", "feedback")
+"""Together with a task's own detector, and the same on the victim's filter."""
+SPOOFERS = ("ramp", "accelerating-ramp", "blind-optimum", "feedback")
 EXCEEDED = ("value", "low", "high", "letter", "spoofer")
 MEASURE = "undetected_displacement_m"
-TWICE, OPTIMISED, ALIKE, TRIVIALLY = 2.0, 1.2, 3.0, 1.1
-HAZARDOUS = (0.1, 0.9)
+HAZARDOUS, HAZARDOUS_THEN = (0.1, 0.9), (0.05, 0.95)
+"""P(HMI) over all ages, and at some."""
+AGES_S = {"at 10 min": (300.0, 1200.0), "at 1 h": (2400.0, 3600.0)}
+WITHIN, ALIKE, TRIVIALLY = 3.0, 3.0, 1.1
 DEALS = 200
-FloatArray, IntArray = NDArray[np.float64], NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def list_classics(task: Task) -> list[dict[str, Any]]:
+    """Detectors of a task's card: its own first, then on the victim's filter, then others."""
+    own = task.detector
+    plain = {key: value for key, value in own.items() if key != "filter"}
+    return [own, plain, *map(dict, NON_LEARNED), dict(TRIVIAL)]
 
 
 def build_suite(task: Task, sizes: dict[str, int]) -> Suite:
-    own = specify_detector(task.detector).label
-    classics = () if task.pooled else NON_LEARNED  # the members of a pool are its classics
-    others = () if task.historical else (*classics, TRIVIAL)
-    whom = (task.detector, *(spec for spec in others if specify_detector(spec).label != own))
-    limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
+    settings = {**task.suite_kwargs, "detectors": list_classics(task)}
     return Suite(
-        **task.world_kwargs,
-        **limit,
-        detectors=whom,
+        **settings,
         spoofers=[add_tuned_setting({"name": name}) for name in SPOOFERS],
         runs=sizes["seeds"],
         tuning=Tuning(runs=sizes["training"], sift_runs=max(sizes["training"] // 16, 1)),
         selection=Selection(runs=sizes["selection"], sift_runs=max(sizes["selection"] // 4, 1)),
-        notes=(f"task {task.key} of {SUITE}",),
+        notes=(f"task {task.key} of {task.suite}",),
     )
 
 
@@ -76,10 +87,18 @@ def play_task(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
     suite.check_fit()
     campaign = Campaign(suite)
     reader = run_experiment(campaign, Store(out / task.key), progress=progress)
-    return make_card(task, campaign.results(reader))
+    return make_card(task, campaign.results(reader), find_ages(suite))
 
 
-def make_card(task: Task, results: CampaignResults) -> dict[str, Any]:
+def find_ages(suite: Suite) -> FloatArray:
+    """(R,) age of the receiver at the onset of the evaluation runs [s]."""
+    setup = suite.world.setup
+    seeds = episode_seeds(suite.generators("evaluation", suite.runs))
+    drawn = draw(setup.bounds, draw_source_keys(seeds)["domain"])
+    return np.asarray(drawn.age * setup.interval_s, dtype=np.float64)
+
+
+def make_card(task: Task, results: CampaignResults, age_s: FloatArray) -> dict[str, Any]:
     summary = summarize(results)
     own = specify_detector(task.detector).label
     detectors = {row["detector"]: row for row in summary["detectors"]}
@@ -108,9 +127,9 @@ def make_card(task: Task, results: CampaignResults) -> dict[str, Any]:
         },
         "optima_mps": list_optima(summary),
     }
-    if not task.historical:
-        card["admission"] = admission(task, summary, results, card)
-    return describe(card)
+    card["admission"] = admission(task, summary, results, card, age_s)
+    described: dict[str, Any] = describe(card)
+    return described
 
 
 def list_optima(summary: dict[str, Any]) -> dict[str, list[float]]:
@@ -134,9 +153,14 @@ def get_median_limit(card: dict[str, Any], detector: str) -> float:
 
 
 def admission(
-    task: Task, summary: dict[str, Any], results: CampaignResults, card: dict[str, Any]
+    task: Task,
+    summary: dict[str, Any],
+    results: CampaignResults,
+    card: dict[str, Any],
+    age_s: FloatArray,
 ) -> dict[str, Any]:
-    """The five figures of a task, and whether each is as it has to be."""
+    """The figures that a task has to have, whether each is as it has to be, and those that it may
+    have."""
     trivial = specify_detector(TRIVIAL).label
     classics = [name for name in card["protection_m"] if name != trivial]
     best = min(classics, key=lambda name: get_median_limit(card, name))
@@ -146,28 +170,34 @@ def admission(
         for cell in summary["cells"]
         if cell["detector"] == best
     }
-    limit = task.alert_limit_m  # as all have that are not historical
-    found = results.protection(best)  # every detector of the campaign has met the suite
-    sky = found.sky[found.counts]
+    limit = float(task.alert_limit_m or 0.0)  # which all of this suite have
+    found = results.protection(best)
+    assert found is not None  # every detector of the campaign has met the suite
+    sky, age_s = found.sky[found.counts], age_s[found.counts]
     moved = [winner.displacement[MEASURE][found.counts] for winner in found.winners]
-    hazard = max(float((x > limit).mean()) for x in moved)
-    skies, by_chance = spread(moved, sky), dealt(moved, sky)
+
+    def hazard(rows: NDArray[np.bool_]) -> float:
+        return max(float((x[rows] > limit).mean()) for x in moved)
+
     figures = {
-        "over_floor": (half / floor["half"]["value"], TWICE, math.inf),
-        "optimum_over_ramp": (cells["blind-optimum"] / cells["ramp"], OPTIMISED, math.inf),
-        "p_hmi": (hazard, *HAZARDOUS),
-        "skies": (skies, 0.0, ALIKE),
+        "p_hmi": (hazard(age_s > 0.0), *HAZARDOUS),
+        **{
+            f"p_hmi {name}": (hazard((age_s >= low) & (age_s <= high)), *HAZARDOUS_THEN)
+            for name, (low, high) in AGES_S.items()
+        },
+        "limit_over_half": (limit / floor["half"]["value"], 1.0 / WITHIN, WITHIN),
+        "skies": (spread(moved, sky), 0.0, ALIKE),
         "trivial_over_best": (get_median_limit(card, trivial) / half, TRIVIALLY, math.inf),
     }
     return {
         "best_classic": best,
         "half_m": half,
         "alert_limit_m": limit,
-        "limit_over_floor": limit / floor["certain"]["value"],
-        "skies_by_chance": by_chance,
+        "skies_by_chance": dealt(moved, sky),
+        "over_floor": half / floor["half"]["value"],
         "optimum_over_accelerating": cells["blind-optimum"] / cells["accelerating-ramp"],
         "figures": {
-            name: {"value": x, "passes": low <= x <= high}
+            name: {"value": x, "passes": bool(low <= x <= high)}
             for name, (x, low, high) in figures.items()
         },
     }
@@ -192,13 +222,13 @@ def shown() -> str:
         "tasks.md.j2",
         scores=tasks.TASK_SCORES.markdown(tasks.task_rows()),
         admission=tasks.ADMISSION.markdown(tasks.admission_rows()),
-        cards=tasks.stored_cards(),
+        cards={key: card for key, card in tasks.stored_cards().items() if key in PLAYED},
     )
 
 
 def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("tasks", nargs="*", help=f"of {', '.join(TASKS)}; by default all")
+    parser.add_argument("tasks", nargs="*", help=f"of {', '.join(PLAYED)}; by default all")
     parser.add_argument("--out", type=Path, default=Path("results/tasks"))
     parser.add_argument("--seeds", type=int, default=500, help="evaluation runs of every cell")
     parser.add_argument("--training-seeds", type=int, default=192)
@@ -206,7 +236,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     given = parser.parse_args(arguments)
     sizes = {name: getattr(given, f"{name}_seeds") for name in ("training", "selection")}
-    for key in () if given.tables_only else given.tasks or TASKS:
+    for key in () if given.tables_only else given.tasks or PLAYED:
         card = play_task(get_task(key), given.out, {**sizes, "seeds": given.seeds})
         keep_cards(CARD_FILE, {**tasks.stored_cards(), key: card}, TASKS)
         print(key, json.dumps(card.get("admission"), indent=1), flush=True)

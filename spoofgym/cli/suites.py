@@ -68,7 +68,7 @@ def build_suite(
     from ..bench.experiments.suite import Suite
     from ..bench.runs.world import HEADLINE_DOMAIN
     from ..detectors.calibrated import STANDARD_RATE
-    from ..tasks import SUITE, get_task
+    from ..tasks import get_task
 
     rate = options.false_alarms_per_hour
     if nominal and rate is not None:
@@ -77,7 +77,7 @@ def build_suite(
     if task is not None:
         refuse_decided(options, "--task", TASK_OPTIONS)
         chosen = get_task(task)
-        notes = (f"task {chosen.key} of {SUITE}: {chosen.title}",)
+        notes = (f"task {chosen.key} of {chosen.suite}: {chosen.title}",)
         return Suite(**chosen.suite_kwargs, notes=notes, **settings), None
     if rate is None and headline:
         rate = STANDARD_RATE

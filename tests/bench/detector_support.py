@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from spoofgym.tasks import AttackFamily, DetectorTask, get_detector_task
+from spoofgym.tasks import AttackFamily, DetectorTask, get_detector_task, get_task
 
 TIMELINE = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 4.0}
 NOMINAL = {"thresholds": "nominal"}
@@ -20,8 +20,8 @@ class SmallTask(DetectorTask):
         return {**world, "timeline": dict(TIMELINE), "domain": drawn}
 
 
-def small_task(of="D1"):
+def small_task(of="v1/D1"):
     families = get_detector_task(of).families
     # its own timeline has onsets of all kinds
     kept = (AttackFamily(**{**vars(each), "timeline": None}) for each in families)
-    return SmallTask("small", "short episodes", "T3", tuple(kept))
+    return SmallTask("small", "short episodes", get_task("T3"), tuple(kept))

@@ -27,6 +27,8 @@ KEPT = Path(__file__).with_name("detector_tasks.json")
 RUNS = 2
 RAMP = {"name": "ramp", "rate_mps": 0.3}
 WHOM = {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"}
+NEWER = ("domain", None)
+"""A setting of families, not of the first ones."""
 CONSTANTS = (
     "TURNING_DEGPS",
     "SWITCH_WITHIN_S",
@@ -42,9 +44,9 @@ def resolved(task: DetectorTask) -> dict[str, Any]:
     evaluator = DetectorEvaluator(task.key)
     families = {}
     for family in task.families:
-        setup = evaluator.worlds.setup(**family.overrides)
+        setup = evaluator.worlds.setup(**task.get_overrides(family))
         families[family.key] = {
-            **dataclasses.asdict(family),
+            **{k: x for k, x in dataclasses.asdict(family).items() if (k, x) != NEWER},
             "attack": build_spec("attack", ATTACKS, setup.attack),
             "timeline": describe(setup.timeline),
             "members": [
@@ -64,7 +66,7 @@ def resolved(task: DetectorTask) -> dict[str, Any]:
 
 def reached(task: DetectorTask, family: AttackFamily) -> dict[str, Any]:
     """Runs of a family that are drawn by its onset, and how far one stated attack comes in them."""
-    setup = DetectorEvaluator(task.key).worlds.setup(**family.overrides)
+    setup = DetectorEvaluator(task.key).worlds.setup(**task.get_overrides(family))
     onset = None if family.onset == "chance-alarm" else family.onset
     numbers = select_runs(setup, 0, "evaluation", RUNS, onset)
     judges = [make_detector("never"), make_detector(WHOM)]

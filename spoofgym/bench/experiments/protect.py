@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -45,6 +45,8 @@ from ..runs.players import (
 from ..runs.record import Protection
 from ..runs.world import World
 from ..scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
+from ..scores.statistics import BUDGET
+from ..search.amplitude import Tuning, with_rates
 from ..search.attack_suite import (
     ROUNDS,
     FamilyAttacks,
@@ -54,6 +56,8 @@ from ..search.attack_suite import (
     list_fitting_attacks,
     play_winners,
 )
+from ..search.bounds import DisplacementBounds
+from ..search.open_loop import AIMS, Optima
 from .runner import Context, Experiment, run_experiment
 from .store import Cell, MemoryStore, Reader, Result, Store
 from .training_attacks import QUIET_TASKS
@@ -64,6 +68,10 @@ SIFTED = 4
 """Part of the selection that sifts, as one in so many."""
 SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
 """Profiles of the letter c."""
+SEARCHED = "o"
+"""Letter of a family whose profiles are looked for against each detector."""
+SEARCH_PLAYS = 4000.0
+"""Runs that take about as long as a search for profiles."""
 CACHED_PANELS = 24
 """Panels that are held in memory, the youngest ones."""
 NEAR_ALARM = "chance-alarm"
@@ -164,12 +172,24 @@ class Worlds:
             )
         return self._panels[key]
 
+    def search_open_loop(
+        self, detector: ScoredDetector, tick: Callable[[float], None]
+    ) -> tuple[SuiteAttack, ...]:
+        """Best profiles that a search finds against a detector, for each of its aims."""
+        bounds = DisplacementBounds(self.world, [detector.player], self.entropy, BUDGET)
+        optima = Optima(bounds, Tuning(), threads=self.threads)
+        spoofer = specify_spoofer(add_tuned_setting({"name": "blind-optimum"}))
+        found = optima.find(detector.player, spoofer, tick)["aims"]
+        curves = {tuple(found[aim]["rates_mps"]) for aim in AIMS}
+        return tuple(SuiteAttack("c", with_rates(spoofer, [*x]), False) for x in sorted(curves))
+
     def list_attacks(self, family: AttackFamily) -> tuple[SuiteAttack, ...]:
-        """Attacks of a family, each with one setting that is looked for."""
+        """Attacks of a family, each with one setting that is looked for; none of one whose profiles
+        are looked for, too."""
         if family.letters == "m":
             spec = {**(family.attack or {}), "antenna_m": TUNED}
             return (SuiteAttack("m", PlayerSpec("meaconer", ATTACK, spec, "antenna_m"), False),)
-        setup = self.setup(**family.overrides)
+        setup = self.setup(**self.task.get_overrides(family))
         suite = list_fitting_attacks(setup, spoofer_context(setup))
         found = [member for member in suite if member.letter in family.letters]
         if "c" in family.letters:
@@ -253,7 +273,9 @@ class Protections(Experiment):
             name, plays = "false alarms", float(self.of.runs)
             if family is not None:
                 name, members = family.key, len(self.of.worlds.list_attacks(family))
+                members += len(AIMS) * (SEARCHED in family.letters)
                 plays = expected_plays(members, self.of.selection, self.of.runs, ROUNDS)
+                plays += SEARCH_PLAYS * (SEARCHED in family.letters)
             for each in self.detectors:
                 shared = each.passive and (family is None or family.onset != NEAR_ALARM)
                 group = f"{name}: {f'{passive} detectors' if shared else each.player.label}"
@@ -295,14 +317,20 @@ class Protections(Experiment):
         if family is None:
             yield from self._false_alarms(group)
             return
-        where = {"onset": family.onset, **family.overrides}
+        where = {"onset": family.onset, **self.of.task.get_overrides(family)}
         panel, members = (
             worlds.panel(group, "selection", settings.runs, **where),
             worlds.list_attacks(family),
         )
         antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
+        own = [members] * len(group)
+        if SEARCHED in family.letters:
+            share = SEARCH_PLAYS / len(group)
+            tick = lambda part: context.tick(share * part)  # noqa: E731
+            own = [(*members, *worlds.search_open_loop(each, tick)) for each in group]
         searches = [
-            FamilyAttacks(panel, k, members, settings, antenna_m=antenna) for k in range(len(group))
+            FamilyAttacks(panel, k, attacks, settings, antenna_m=antenna)
+            for k, attacks in enumerate(own)
         ]
         requests = [(each.number, each.winners([limit])) for each in searches]
         found = list(zip(searches, play_searches(panel, requests, context.tick), strict=True))

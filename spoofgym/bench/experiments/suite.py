@@ -25,7 +25,7 @@ from ...policies.onnx_file import SUFFIX
 from ...simulation.domain import Domain
 from ...simulation.setup import SPLITS, Setup, Timeline
 from ...spoofers import Spoofer
-from ...tasks import RANGE_RATE_TESTS, SUITE, get_task
+from ...tasks import RANGE_RATE_TESTS, get_task
 from ...truth.scenario import Scenario
 from ..runs.players import (
     DEFAULT_SPOOFERS,
@@ -332,5 +332,5 @@ def standard_kwargs() -> dict[str, Any]:
     """Keyword arguments of a `Suite`, but for its detectors."""
     task = get_task(TASK)
     limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
-    note = f"suite {STANDARD}: the world of task {task.key} of {SUITE}"
+    note = f"suite {STANDARD}: the world of task {task.key} of {task.suite}"
     return {**task.world_kwargs, **limit, "notes": (note,)}

@@ -9,29 +9,29 @@ from operator import itemgetter
 from typing import Any
 
 from ...core.registry import format_label
-from ...tasks import DETECTOR_TASKS, SUITE, TASKS, DetectorTask
+from ...tasks import DETECTOR_TASKS, TASKS, DetectorTask, v2
 from ..experiments.suite import list_world_detectors, order_detectors
 from ..runs.world import World
 from .campaign import OVER, attack_of_suite, bound_text, format_spoofer
 from .table import Table, format_number, interval, metres, percent, share
 
 Card = dict[str, Any]
-FILE = "task_cards_v1.json"
+FILE = "task_cards.json"
 """Stored with this module; made by `tools.task_cards`."""
 SCORES = {
     "ramp": "blind",
     "accelerating-ramp": "blind",
-    "snapshot-chi2-profile": "blind",
     "blind-optimum": "blind",
     "feedback": "oracle",
 }
 """Spoofers with known scores, each fitted to the alarm budget, and what they observe."""
 FIGURES = {
-    "over_floor": "(i) over the floor",
-    "optimum_over_ramp": "(ii) optimum over ramp",
-    "p_hmi": "(iii) P(HMI) [%]",
-    "skies": "(iv) skies, and by chance",
-    "trivial_over_best": "(v) trivial test",
+    "p_hmi": "P(HMI) [%]",
+    "p_hmi at 10 min": "at 10 min [%]",
+    "p_hmi at 1 h": "at 1 h [%]",
+    "limit_over_half": "limit over the floor of 50 %",
+    "skies": "skies, and by chance",
+    "trivial_over_best": "trivial test",
 }
 """Of the admission test, and how they are titled."""
 
@@ -48,8 +48,8 @@ def load_optima(key: str) -> list[list[float]]:
 
 
 def task_rows() -> list[Card]:
-    """Cards of all tasks, each with its key."""
-    return [{"task": key, **card} for key, card in stored_cards().items()]
+    """Cards of the youngest suite's tasks, each with its key."""
+    return [{"task": key, **card} for key, card in stored_cards().items() if key in v2.TASKS]
 
 
 def format_bounds(card: Card) -> str:
@@ -93,7 +93,8 @@ def admission_rows() -> list[Card]:
 
 def _figure(row: Card, name: str) -> str:
     figure = row["figures"][name]
-    text = share(0)(figure["value"]) if name == "p_hmi" else f"{figure['value']:.2f}"
+    shown = share(0) if name.startswith("p_hmi") else "{:.2f}".format
+    text = shown(figure["value"])
     chance = f", {row['skies_by_chance']:.2f}" if name == "skies" else ""
     return text + chance + ("" if figure["passes"] else " (fails)")
 
@@ -101,33 +102,34 @@ def _figure(row: Card, name: str) -> str:
 ADMISSION = Table(
     ("task", "task"),
     ("best classic", "best_classic"),
-    (
-        "alert limit [m]",
-        lambda row: (
-            f"{format_number(row['alert_limit_m'])}, {row['limit_over_floor']:.2f} x the floor"
-        ),
-    ),
+    ("alert limit [m]", "alert_limit_m", format_number),
     *((title, partial(_figure, name=name)) for name, title in FIGURES.items()),
-    ("optimum over accelerating ramp", "optimum_over_accelerating", "{:.2f}".format),
+    ("worst attack over the floor", "over_floor", "{:.2f}".format),
+    ("open-loop over accelerating ramp", "optimum_over_accelerating", "{:.2f}".format),
 )
 
 
-DETECTOR_FILE = "detector_cards_v1.json"
+DETECTOR_FILE = "detector_cards.json"
 """Stored with this module; made by `tools.detector_cards`."""
 COMMAND = "python -m tools.detector_cards {}"
 
 
 def list_reference_detectors(task: DetectorTask) -> tuple[dict[str, Any], ...]:
-    """Detectors with a reference score: both controls, and all classics that suit the world. At 0.2
-    false alarms an hour in the task's world; of solution separation the bank of the task. Tests of
-    range rates are there a second time where their defaults test pseudoranges, or both, and tests
-    with a drift term with rescaled innovations."""
+    """Detectors with a reference score, at 0.2 false alarms an hour in the task's world: both
+    controls, and all classics that suit the world. Of solution separation the bank of the task,
+    also on the victim's filter. Tests of range rates are there a second time where their defaults
+    test pseudoranges, or both, and tests with a drift term with rescaled innovations."""
     bank = next(each for each in task.task.detectors if each["name"] == "solution-separation")
     plain = {key: value for key, value in bank.items() if key != "false_alarms_per_hour"}
+    others = {key: value for key, value in plain.items() if key != "filter"}
+    own = (plain,) if others == plain else (plain, others)
     everyone = order_detectors(
         list_world_detectors(World(settings=task.task.world_kwargs).setup, rescaled=True)
     )
-    return tuple(plain if each["name"] == plain["name"] else each for each in everyone)
+    found: list[dict[str, Any]] = []
+    for each in everyone:
+        found += own if each["name"] == plain["name"] else [each]
+    return tuple(found)
 
 
 def list_unscored(task: DetectorTask, card: dict[str, Any]) -> list[str]:
@@ -144,7 +146,7 @@ def stored_detector_cards() -> dict[str, Card]:
 def missing() -> dict[str, str]:
     """Tasks without a card, and the command that plays each."""
     there = stored_detector_cards()
-    return {key: COMMAND.format(key) for key in DETECTOR_TASKS if key not in there}
+    return {key: COMMAND.format(key) for key in v2.DETECTOR_TASKS if key not in there}
 
 
 def list_tasks() -> list[Card]:
@@ -153,7 +155,7 @@ def list_tasks() -> list[Card]:
     tasks = [
         {
             "key": key,
-            "suite": SUITE,
+            "suite": task.suite,
             "env_id": task.env_id,
             "title": task.title,
             "historical": task.historical,
@@ -165,7 +167,7 @@ def list_tasks() -> list[Card]:
     detector_tasks = [
         {
             "key": key,
-            "suite": SUITE,
+            "suite": task.suite,
             "env_id": task.env_id,
             "title": task.title,
             "alert_limit_m": task.alert_limit_m,
@@ -240,11 +242,14 @@ def rank_scores(card: Card) -> list[Card]:
 
 TASK_LIST = Table(
     ("task", itemgetter(0)),
+    ("suite", lambda row: row[1].suite),
     ("environment", lambda row: row[1].env_id),
     ("what it asks for", lambda row: row[1].title + (", historical" if row[1].historical else "")),
 )
 DETECTOR_TASK_LIST = Table(
     ("task", itemgetter(0)),
+    ("suite", lambda row: row[1].suite),
+    ("suite", lambda row: row[1].suite),
     ("environment of a learner", lambda row: row[1].env_id),
     ("world", lambda row: row[1].title),
     ("families that are held out", lambda row: ", ".join(family.key for family in row[1].held_out)),
@@ -253,10 +258,10 @@ DETECTOR_TASK_LIST = Table(
 
 def print_tasks() -> None:
     """Print all tasks, with the scores that are known."""
-    TASK_LIST.print(SUITE, TASKS.items())
+    TASK_LIST.print("for spoofers", TASKS.items())
     TASK_SCORES.print("stealthy displacement", task_rows())
     ADMISSION.print("admission", admission_rows())
-    DETECTOR_TASK_LIST.print(f"{SUITE}, for detectors", DETECTOR_TASKS.items())
+    DETECTOR_TASK_LIST.print("for detectors", DETECTOR_TASKS.items())
     CARDS.print("protection", list_score_rows(stored_detector_cards()))
     for key, command in missing().items():
         print(f"{key} has no reference scores yet: {command}")

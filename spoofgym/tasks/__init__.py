@@ -1,0 +1,85 @@
+"""Tasks of the benchmark: environments whose settings never change.
+
+`v2` has those to compare with: S1 to S3 for spoofers, D1 to D3 for detectors.  `v1` has the first
+ones, T1 to T6 and v1/D1 to v1/D4, which stay playable; what was wrong with them is said there.
+"""
+
+from __future__ import annotations
+
+from ..core.registry import check_choice
+from . import v1, v2
+from .base import (
+    ALARM_PRICE,
+    ANTENNA_PARTS,
+    CANDIDATES,
+    EVENTS,
+    NEAR_ALARM_S,
+    ONSETS,
+    RANGE_RATE_TESTS,
+    SWITCH_WITHIN_S,
+    TURNING_DEGPS,
+    AttackFamily,
+    DetectorTask,
+    Task,
+)
+from .papers import PAPERS
+
+__all__ = [
+    "ALARM_PRICE",
+    "ANTENNA_PARTS",
+    "CANDIDATES",
+    "DETECTOR_TASKS",
+    "EVENTS",
+    "NEAR_ALARM_S",
+    "ONSETS",
+    "PAPERS",
+    "RANGE_RATE_TESTS",
+    "SWITCH_WITHIN_S",
+    "TASKS",
+    "TURNING_DEGPS",
+    "AttackFamily",
+    "DetectorTask",
+    "Task",
+    "get_detector_task",
+    "get_task",
+]
+
+TASKS: dict[str, Task] = {**v2.TASKS, **v1.TASKS}
+"""Tasks for spoofers by their keys, those of the youngest suite first."""
+DETECTOR_TASKS: dict[str, DetectorTask] = {**v2.DETECTOR_TASKS, **v1.DETECTOR_TASKS}
+"""Tasks for detectors by their keys, those of the youngest suite first."""
+
+
+def get_task(key: str) -> Task:
+    """Task by its key.
+
+    Parameters
+    ----------
+    key : str
+        ``"S1"`` to ``"S3"``, or ``"T1"`` to ``"T6"`` of the first suite.
+
+    Returns
+    -------
+    Task
+        The task.
+
+    Raises
+    ------
+    ValueError
+        Without such a task; the valid ones are listed.
+
+    Examples
+    --------
+    >>> from spoofgym.tasks import get_task
+    >>> get_task("S3").alert_limit_m
+    556.0
+    """
+    check_choice("task", key, TASKS)
+    return TASKS[key]
+
+
+def get_detector_task(key: str) -> DetectorTask:
+    """Task for detectors by its key, ``"D1"`` to ``"D3"``, or ``"v1/D1"`` to ``"v1/D4"`` of the
+    first suite; a ValueError lists the valid ones."""
+    check_choice("task for detectors", key, DETECTOR_TASKS)
+    return DETECTOR_TASKS[key]
