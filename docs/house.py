@@ -20,7 +20,7 @@ ROOMS = {
     "duel_v0": "the duel, for PettingZoo",
     "bench": "detectors x spoofers x paired seeds: runs, scores, searches, experiments, reports",
     "duel": "spoofer against detector, views of one side",
-    "tasks": "T1 to T6 and D1 to D4, frozen settings",
+    "tasks": "S1 to S3, D1 to D3 and the first suite, frozen settings",
     "envs": "what Gymnasium sees: one step path, terms, score, wrappers, pictures",
     "spoofers": "who decides what the attack does",
     "limits": "what no detector and no spoofer can beat",

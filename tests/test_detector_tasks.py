@@ -60,7 +60,9 @@ def test_names_are_told_apart_and_copies_handed_out():
     assert LearnersSide.of(None, "D1", "detector", ["ramp"], None, {}).pool == ["ramp"]
     with pytest.raises(ValueError, match=r"unknown task for detectors 'D9'; valid: D1.*v1/D4"):
         get_detector_task("D9")
-    with pytest.raises(ValueError, match=r"unknown family of attacks of v1/D3 'quiet'; valid: .*inhe"):
+    with pytest.raises(
+        ValueError, match=r"unknown family of attacks of v1/D3 'quiet'; valid: .*inhe"
+    ):
         get_detector_task("v1/D3").family("quiet")
     with pytest.raises(ValueError, match="D1 is for detectors: it needs `side` 'detector'"):
         LearnersSide.of(None, "D1", "spoofer", None, None, {})
@@ -81,7 +83,10 @@ def test_classics_have_the_tasks_own_bank_and_both_controls(key):
     assert {"never", "lottery", "solution-separation"} <= {spec["name"] for spec in specs}
     assert len({specify_detector(spec).label for spec in specs}) == len(specs)
     banks = [spec for spec in specs if spec["name"] == "solution-separation"]
-    assert [each.get("filter") for each in banks] == [*["augmented"] * (key in v2.DETECTOR_TASKS), None]
+    assert [each.get("filter") for each in banks] == [
+        *["augmented"] * (key in v2.DETECTOR_TASKS),
+        None,
+    ]
     assert ("longest_s" in banks[0]) == (key not in ("v1/D1", "v1/D3", "v1/D4"))
     for spec in specs:
         make_detector(spec)

@@ -11,14 +11,14 @@ from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.detectors import make_detector
 from spoofgym.envs import core
-from spoofgym.tasks import ALARM_PRICE, DETECTOR_TASKS, PAPERS, TASKS, get_task
+from spoofgym.tasks import ALARM_PRICE, DETECTOR_TASKS, PAPERS, TASKS, get_task, v2
 from tests.command_line import call, read
 from tests.nightly import heavy
 from tools.pages import part_between
 from tools.task_cards import END, PAGE, START, dealt, shown, spread
 
 
-@pytest.mark.parametrize("key", heavy(TASKS, "T2", "T4", "T6"))
+@pytest.mark.parametrize("key", heavy(TASKS, "S2", "S3", "T2", "T4", "T6"))
 def test_a_task_has_a_detector_and_a_campaign(key):
     make_detector(TASKS[key].detector)
     assert Suite(**TASKS[key].suite_kwargs, runs=2).detector_players
@@ -43,11 +43,11 @@ def test_prices_limits_and_settings_of_a_task():
     assert suite.config["alert_limit_m"] in suite.alert_limits_m
     get_task("T5").env_kwargs["domain"]["worlds"] = 1  # a copy
     assert get_task("T5").env_kwargs["domain"]["worlds"] == 32
-    with pytest.raises(ValueError, match=r"unknown task 'T7'; valid: T1, .*T6"):
+    with pytest.raises(ValueError, match=r"unknown task 'T7'; valid: S1, .*T6"):
         get_task("T7")
 
 
-@pytest.mark.parametrize("key", heavy(["T1", "T3", "T5", "T6"], "T1", "T5", "T6"))
+@pytest.mark.parametrize("key", heavy(["S1", "T1", "T3", "T5", "T6"], "S1", "T1", "T5", "T6"))
 def test_no_task_is_won_by_full_throttle(key):
     suite = Suite(**TASKS[key].suite_kwargs, runs=2)
     start = WarmStart(suite.setup(suite.detector_players[0]), suite.generators("training", 16))
@@ -64,8 +64,18 @@ def test_every_paper_has_an_environment(key):
     env.close()
 
 
+@pytest.mark.parametrize("key", v2.TASKS)
+def test_ages_and_events_are_drawn_and_the_bank_covers_the_attack(key):
+    task = TASKS[key]
+    setup = Suite(**task.suite_kwargs, runs=2).world.setup
+    assert (setup.bounds.youngest, setup.bounds.oldest) == (120, 7200)
+    assert setup.combinations.events.front == 0.1
+    (bank,) = task.detectors
+    assert bank["longest_s"] >= (setup.steps + setup.hold) * setup.interval_s
+
+
 @pytest.mark.usefixtures("default_rate")  # by which detectors are labelled
-@pytest.mark.parametrize("key", TASKS)
+@pytest.mark.parametrize("key", v2.TASKS)
 def test_every_task_has_a_card_of_its_detector_and_its_admission(key):
     cards = task_cards.stored_cards()
     assert list(cards) == list(TASKS)
@@ -73,27 +83,16 @@ def test_every_task_has_a_card_of_its_detector_and_its_admission(key):
     assert card["detector"] == specify_detector(task.detector).label
     assert card["alert_limit_m"] == task.alert_limit_m
     assert {*task_cards.SCORES} <= {*card["scores_m"]}
-    assert ("admission" in card) is not task.historical
-    if task.historical:
-        return
     found, floor = card["admission"], card["floor_m"]
     best, figures = found["best_classic"], found["figures"]
     half = {name: each["0.5"]["value"] for name, each in card["protection_m"].items()}
     trivial = next(name for name in half if name.startswith("shewhart"))
     assert half[best] == min(value for name, value in half.items() if name != trivial)
-    assert figures["over_floor"]["value"] == pytest.approx(half[best] / floor["half"]["value"])
     assert figures["trivial_over_best"]["value"] == pytest.approx(half[trivial] / half[best])
-    assert found["alert_limit_m"] == card["alert_limit_m"]
-    over = card["alert_limit_m"] / floor["certain"]["value"]
-    assert found["limit_over_floor"] == pytest.approx(over)
-    assert 1 / 3 <= over <= 3
-    limits = {"over_floor": (2.0, None), "optimum_over_ramp": (1.2, None), "p_hmi": (0.1, 0.9)}
-    limits |= {"skies": (None, 3.0), "trivial_over_best": (1.1, None)}
+    over = card["alert_limit_m"] / floor["half"]["value"]
+    assert figures["limit_over_half"]["value"] == pytest.approx(over)
     assert list(figures) == [*task_cards.FIGURES]
-    for name, (low, high) in limits.items():
-        value = figures[name]["value"]
-        inside = (low is None or value >= low) and (high is None or value <= high)
-        assert figures[name]["passes"] == inside, name
+    assert all(each["passes"] for each in figures.values())
 
 
 def test_skies_are_told_apart_by_the_mean_under_the_worst_attack_of_each():
@@ -115,6 +114,6 @@ def test_the_command_line_lists_the_tasks():
     found = {each["key"]: each for each in read("tasks", "--json")}
     assert [*found] == [*TASKS, *DETECTOR_TASKS]
     assert all(found[key]["card"]["bracket"] for key in TASKS)
-    for key in DETECTOR_TASKS:
+    for key in v2.DETECTOR_TASKS:
         assert (found[key]["card"] is None) == (found[key]["play"] is not None)
-    assert "spoofgym/BenchD2-v1" in call("tasks").stdout
+    assert "spoofgym/BenchD2-v2" in call("tasks").stdout

@@ -118,7 +118,7 @@ CALLS: dict[tuple[str, str], tuple[str, dict[str, Any]]] = {
         {"detector": PUBLISHED, "timeline": SHORT, "runs": 6, "fit_runs": 64},
     ),
     ("evaluate", "shipped"): ("solution-separation-ppo", {"task": "T3", "runs": 4, "fit_runs": 59}),
-    ("evaluate_detector", ""): ("solution-separation", {"task": "D1", **FEW}),
+    ("evaluate_detector", ""): ("solution-separation", {"task": "v1/D1", **FEW}),
 }
 """Functions of the package, by id and form: what they are asked about, and how."""
 SHIPPED = (MAIN, "spoofgym/BenchT3-v1")

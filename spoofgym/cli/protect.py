@@ -13,7 +13,7 @@ from .app import print_json, progress
 
 def protect(
     *,
-    task: Annotated[str, Option(help="Task for detectors, D1 to D4; see `spoofgym tasks`.")],
+    task: Annotated[str, Option(help="Task for detectors, as D1; see `spoofgym tasks`.")],
     detector: Annotated[list[str], Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")],
     family: Annotated[
         list[str] | None,

@@ -56,17 +56,17 @@ TASKS: dict[str, Task] = {
     for task in (
         Task(
             "S1",
-            "airborne signals, tactical sensors, 150 s in a terminal area, alert limit 20 m",
+            "airborne signals, tactical sensors, 150 s in a terminal area, alert limit 40 m",
             _world({"name": "aviation-actual", "flight": "terminal"}, 150.0, 10.0),
             (_reference(150.0),),
-            20.0,
+            40.0,
         ),
         Task(
             "S2",
-            "aviation sensors, ten minutes in a terminal area, alert limit 50 m",
+            "aviation sensors, ten minutes in a terminal area, alert limit 80 m",
             _world({"name": "trolley", "flight": "terminal"}, 600.0, 30.0),
             (_reference(600.0),),
-            50.0,
+            80.0,
         ),
         Task(
             "S3",

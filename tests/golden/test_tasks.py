@@ -18,7 +18,7 @@ KEPT = {**json.loads(tasks.KEPT.read_text()), **json.loads(detector_tasks.KEPT.r
 EVERY = {**TASKS, **DETECTOR_TASKS}
 
 
-@pytest.mark.parametrize("key", heavy(EVERY, "T4", "D2"))
+@pytest.mark.parametrize("key", heavy(EVERY, "S2", "S3", "D2", "D3", "T4", "v1/D2"))
 def test_the_settings_of_a_task_never_change(key):
     kept = KEPT[key]
     now = (tasks if key in TASKS else detector_tasks).resolved(EVERY[key])
@@ -27,14 +27,14 @@ def test_the_settings_of_a_task_never_change(key):
     assert compute_digest(now) == kept["sha256"]
 
 
-@pytest.mark.parametrize("key", heavy(TASKS, "T4"))
+@pytest.mark.parametrize("key", heavy(TASKS, "S2", "S3", "T4"))
 def test_a_stated_spoofer_gets_what_it_got(key):
     found = tasks.returns(TASKS[key])
     for name, values in found.items():
         np.testing.assert_allclose(values, KEPT[key][name], rtol=1e-6, atol=1e-6, err_msg=name)
 
 
-@pytest.mark.parametrize("key", heavy(DETECTOR_TASKS, "D2"))
+@pytest.mark.parametrize("key", heavy(DETECTOR_TASKS, "D1", "D2", "D3", "v1/D2"))
 def test_stated_attacks_come_as_far_as_they_did(key):
     task, kept = DETECTOR_TASKS[key], KEPT[key]["reached"]
     assert list(kept) == [family.key for family in task.held_out]

@@ -411,7 +411,7 @@ def evaluate_detector(
         As `make_detector` takes it, at 0.2 false alarms an hour where it requests none; the
         thresholds are those of the task's world everywhere.
     task : str or DetectorTask
-        ``"D1"`` to ``"D4"``, or one of your own.
+        ``"D1"`` to ``"D3"``, ``"v1/D1"`` to ``"v1/D4"``, or one of your own.
     runs, selection_runs : int
         Evaluation runs of every family, which decide nothing, and runs that its attacks are chosen
         on.
