@@ -126,8 +126,8 @@ class AttackFamily:
     - `letters`: attacks of the suite; ``"c"`` are the shipped profiles, ``"m"`` is a meaconer at
       the worst distance of its antenna;
     - `held_out`: whether no detector may be trained or tuned on it;
-    - `attack`, `timeline`: in place of those of the task's world; `domain`: what of that world's is
-      drawn otherwise; `onset`: one of `ONSETS`.
+    - `attack`: in place of that of the task's world; `timeline`, `domain`: what differs from those
+      of that world; `onset`: one of `ONSETS`.
     """
 
     key: str
@@ -182,10 +182,10 @@ class DetectorTask:
 
     def get_overrides(self, family: AttackFamily) -> dict[str, Any]:
         """Settings of the world in which a family attacks, where they are others; a copy."""
-        named = {"attack": family.attack, "timeline": family.timeline}
-        found = {name: each for name, each in named.items() if each is not None}
-        if family.domain is not None:
-            found["domain"] = {**self.world_kwargs["domain"], **family.domain}
+        found = {} if family.attack is None else {"attack": family.attack}
+        for name in ("timeline", "domain"):
+            if (changed := getattr(family, name)) is not None:
+                found[name] = {**self.world_kwargs.get(name, {}), **changed}
         return copy.deepcopy(found)
 
     @property
