@@ -8,6 +8,7 @@ import pytest
 import spoofgym
 from spoofgym.attacks import make_attack
 from spoofgym.bench.experiments.protect import SEARCHED, DetectorEvaluator
+from spoofgym.bench.experiments.suite import list_task_detectors
 from spoofgym.bench.report import tasks as detector_cards
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.search.attack_suite import FAMILIES
@@ -79,7 +80,7 @@ def test_names_are_told_apart_and_copies_handed_out():
 
 @pytest.mark.parametrize("key", heavy(DETECTOR_TASKS, "D2", "D3", "v1/D2", "v1/D3", "v1/D4"))
 def test_classics_have_the_tasks_own_bank_and_both_controls(key):
-    specs = detector_cards.list_reference_detectors(DETECTOR_TASKS[key])
+    specs = list_task_detectors(DETECTOR_TASKS[key].task)
     assert {"never", "lottery", "solution-separation"} <= {spec["name"] for spec in specs}
     assert len({specify_detector(spec).label for spec in specs}) == len(specs)
     banks = [spec for spec in specs if spec["name"] == "solution-separation"]

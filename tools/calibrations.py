@@ -15,7 +15,7 @@ import sys
 from typing import Any
 
 from spoofgym.bench.experiments.calibration import calibrate
-from spoofgym.bench.report.tasks import list_reference_detectors
+from spoofgym.bench.experiments.suite import list_task_detectors
 from spoofgym.bench.runs.world import HEADLINE_DOMAIN, VICTIMS
 from spoofgym.calibration.clean_runs import weighs
 from spoofgym.calibration.thresholds import WEIGHING_RUNS, inner_detectors, suitable_detectors
@@ -61,7 +61,7 @@ def list_detectors(name: str, setup: Setup) -> list[Detector]:
     env_id, settings = WORLDS[name]
     if name in OWN_WORLDS:
         judged = (each for each in DETECTOR_TASKS.values() if each.task.key == name)
-        classics = [each for task in judged for each in list_reference_detectors(task)]
+        classics = [each for task in judged for each in list_task_detectors(task.task)]
         return inner_detectors([*TASKS[name].detectors, *RANGE_RATE_TESTS, *classics])
     own = [settings["detector"]] if "detector" in settings else []
     return inner_detectors([*suitable_detectors(setup), *VICTIMS[env_id].detectors, *own])

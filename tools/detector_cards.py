@@ -11,6 +11,7 @@ import numpy as np
 
 from spoofgym.bench.experiments.calibration import calibrate_players
 from spoofgym.bench.experiments.protect import DetectorEvaluator, specify_detectors
+from spoofgym.bench.experiments.suite import list_task_detectors
 from spoofgym.bench.report import tasks
 from spoofgym.bench.scores.campaign import CONTROLS, extract_name
 from spoofgym.bench.scores.detector import DetectorScore
@@ -27,7 +28,7 @@ def play_task(
     task: DetectorTask, out: Path, runs: int, selection_runs: int, only: list[str] | None
 ) -> dict[str, Any]:
     """Play a task, and return its card; `only` some detectors, and the best classic stored."""
-    everyone = {format_label(each, None): each for each in tasks.list_reference_detectors(task)}
+    everyone = {format_label(each, None): each for each in list_task_detectors(task.task)}
     for label in only or ():
         check_choice("detector of this task", label, everyone)
     before = tasks.stored_detector_cards().get(task.key, {})

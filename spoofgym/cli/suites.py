@@ -130,14 +130,14 @@ def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) ->
         RATE,
         TASK,
         Suite,
-        list_world_detectors,
-        order_detectors,
+        list_task_detectors,
         standard_kwargs,
     )
-    from ..bench.runs.world import CONTROLS, World
+    from ..bench.runs.world import CONTROLS
+    from ..tasks import get_task
 
     if detectors is None:
-        chosen = order_detectors(list_world_detectors(World.of(TASK).setup, rescaled=True))
+        chosen = list_task_detectors(get_task(TASK))
     else:
         given = parse_specs(detectors)
         names = {spec["name"] for spec in given}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from spoofgym.bench.report.tasks import list_reference_detectors
+from spoofgym.bench.experiments.suite import list_task_detectors
 from spoofgym.calibration.thresholds import inner_detectors
 from spoofgym.detectors.calibrated import describe_identity
 from spoofgym.tasks import DETECTOR_TASKS
@@ -19,6 +19,6 @@ def test_the_classics_of_tasks_for_detectors_are_calibrated_in_their_world(world
         describe_identity(each) for each in list_detectors(world, None)
     ]  # which looks at no setup here
     for task in tasks:
-        wanted = inner_detectors(list_reference_detectors(task))
+        wanted = inner_detectors(list_task_detectors(task.task))
         assert len(wanted) > 8
         assert all(describe_identity(each) in made for each in wanted)

@@ -25,7 +25,7 @@ from ...policies.onnx_file import SUFFIX
 from ...simulation.domain import Domain
 from ...simulation.setup import SPLITS, Setup, Timeline
 from ...spoofers import Spoofer
-from ...tasks import RANGE_RATE_TESTS, get_task
+from ...tasks import RANGE_RATE_TESTS, Task, get_task
 from ...truth.scenario import Scenario
 from ..runs.players import (
     DEFAULT_SPOOFERS,
@@ -300,10 +300,10 @@ def _without_folders(value: Any) -> Any:
 STANDARD = "standard"
 SUITES = (STANDARD,)
 """Names of `spoofgym bench --suite`."""
-TASK = "T3"
+TASK = "S1"
 RATE = STANDARD_RATE
 """False alarms an hour of all detectors."""
-SPOOFERS = ("ramp", "accelerating-ramp", "snapshot-chi2-profile", "blind-optimum", "feedback")
+SPOOFERS = ("ramp", "accelerating-ramp", "blind-optimum", "feedback")
 """Each is fitted to the alarm budget."""
 SIZES = {"seeds": 400, "training_seeds": 128, "selection_seeds": 48}
 """Evaluation, training and selection runs, where no others are given."""
@@ -321,11 +321,18 @@ def list_world_detectors(setup: Setup, rescaled: bool = False) -> list[dict[str,
     return found
 
 
-def order_detectors(everyone: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Controls, solution separation, tests of range rates, which are added, and the others."""
-    controls = [dict(spec) for spec in CONTROLS]
-    first = [*controls, {"name": "solution-separation"}, *map(dict, RANGE_RATE_TESTS)]
-    return [*first, *(dict(spec) for spec in everyone if spec not in first)]
+def list_task_detectors(task: Task) -> list[dict[str, Any]]:
+    """Controls, and all classics that suit a task's world: solution separation with the task's
+    bank, also on the victim's filter, then tests of range rates, and others; tests with a drift
+    term also with rescaled innovations."""
+    bank = next(each for each in task.detectors if each["name"] == "solution-separation")
+    bank = {key: value for key, value in bank.items() if key != "false_alarms_per_hour"}
+    plain = {key: value for key, value in bank.items() if key != "filter"}
+    found = [*map(dict, CONTROLS), bank, *([plain] if plain != bank else [])]
+    found += map(dict, RANGE_RATE_TESTS)
+    known = [{"name": each["name"]} for each in found[: -len(RANGE_RATE_TESTS)]]
+    everyone = list_world_detectors(World(settings=task.world_kwargs).setup, rescaled=True)
+    return [*found, *(spec for spec in everyone if spec not in known)]
 
 
 def standard_kwargs() -> dict[str, Any]:

@@ -10,8 +10,7 @@ from typing import Any
 
 from ...core.registry import format_label
 from ...tasks import DETECTOR_TASKS, TASKS, DetectorTask, v2
-from ..experiments.suite import list_world_detectors, order_detectors
-from ..runs.world import World
+from ..experiments.suite import list_task_detectors
 from .campaign import OVER, attack_of_suite, bound_text, format_spoofer
 from .table import Table, format_number, interval, metres, percent, share
 
@@ -114,28 +113,10 @@ DETECTOR_FILE = "detector_cards.json"
 COMMAND = "python -m tools.detector_cards {}"
 
 
-def list_reference_detectors(task: DetectorTask) -> tuple[dict[str, Any], ...]:
-    """Detectors with a reference score, at 0.2 false alarms an hour in the task's world: both
-    controls, and all classics that suit the world. Of solution separation the bank of the task,
-    also on the victim's filter. Tests of range rates are there a second time where their defaults
-    test pseudoranges, or both, and tests with a drift term with rescaled innovations."""
-    bank = next(each for each in task.task.detectors if each["name"] == "solution-separation")
-    plain = {key: value for key, value in bank.items() if key != "false_alarms_per_hour"}
-    others = {key: value for key, value in plain.items() if key != "filter"}
-    own = (plain,) if others == plain else (plain, others)
-    everyone = order_detectors(
-        list_world_detectors(World(settings=task.task.world_kwargs).setup, rescaled=True)
-    )
-    found: list[dict[str, Any]] = []
-    for each in everyone:
-        found += own if each["name"] == plain["name"] else [each]
-    return tuple(found)
-
-
 def list_unscored(task: DetectorTask, card: dict[str, Any]) -> list[str]:
     """Labels of detectors that a card has no score of, and does not refuse, as yet."""
     known = {*(each["detector"] for each in card["detectors"]), *card["left_out"]}
-    everyone = (format_label(each, None) for each in list_reference_detectors(task))
+    everyone = (format_label(each, None) for each in list_task_detectors(task.task))
     return [label for label in everyone if label not in known]
 
 
