@@ -208,8 +208,7 @@ class Attack(ABC):
 
     @property
     def is_smooth(self) -> bool:
-        """Whether ranges change within an epoch as their rates at both ends say, as `check_attack`
-        has it; not where the signals' way bends."""
+        """Whether ranges change over an epoch by the mean of their rates at its two ends."""
         return True
 
     @property
