@@ -311,13 +311,14 @@ def _shake(steady: SteadyEpochs, size: float, rng: np.random.Generator) -> list[
         n, shape = epoch.visible.shape[1], epoch.innovation.shape
         shift = size * rng.choice([-1.0, 1.0], shape) * rng.uniform(1.0, 2.0, shape)
         shift *= np.sqrt(epoch.innovation_variance) * (epoch.innovation != 0.0)
-        moved = {"innovation": epoch.innovation + shift}
+        moved = epoch._replace(innovation=epoch.innovation + shift)
         if n:
-            moved["pseudorange"] = epoch.pseudorange + shift[:, :n]
-            moved["range_rate"] = epoch.range_rate + shift[:, n:]
+            ranges = np.array(epoch.pseudorange) + shift[:, :n]
+            rates = np.array(epoch.range_rate) + shift[:, n:]
+            moved = moved._replace(pseudorange=ranges, range_rate=rates)
         else:
-            moved["gnss_position"] = np.asarray(epoch.gnss_position) + shift
-        shaken.append(epoch._replace(**moved))
+            moved = moved._replace(gnss_position=np.array(epoch.gnss_position) + shift)
+        shaken.append(moved)
     return shaken
 
 
