@@ -8,7 +8,7 @@ import pytest
 from spoofgym.attacks import THREATS
 from spoofgym.envs.terms import TERMS
 from spoofgym.policies import DetectorCard
-from spoofgym.testing import check_detector
+from spoofgym.testing import check_attack, check_detector
 
 from .pages import play, text_of
 
@@ -93,5 +93,7 @@ def test_a_learned_detector_is_written_as_the_catalogue_says(played):
     assert [each.name for each in card.state] == ["hidden"]
 
 
-def test_the_detector_of_the_contributors_guide_keeps_the_contract(played):
-    check_detector(played("CONTRIBUTING.md")[0].CumulativeSum())
+def test_the_detector_and_the_attack_of_the_contributors_guide_keep_the_contract(played):
+    page = played("CONTRIBUTING.md")[0]
+    check_detector(page.CumulativeSum())
+    check_attack(page.ClockPush())
