@@ -188,6 +188,23 @@ class FilterModel(NamedTuple):
     grade: str
 
 
+def couple_errors(
+    transition: FloatArray, imu_delta: FloatArray, tau: FloatArray, inertial: int
+) -> FloatArray:
+    """(B, 17, c) columns of the transition behind those of `receiver.states`, up to the last of
+    the `inertial` ones."""
+    b = len(tau)
+    turned = np.ascontiguousarray(transition[:, :3, GYRO_BIAS : GYRO_BIAS + 3])  # C tau
+    f, w = imu_delta[:, :3] / tau[:, None], imu_delta[:, 3:] / tau[:, None]
+    moved = np.zeros((b, STATES, inertial - STATES))
+    by_force = (turned[:, :, :, None] * f[:, None, None, :]).reshape(b, 3, 9)
+    moved[:, 3:6, :9] = moved[:, :3, 18:MATRICES] = by_force
+    moved[:, :3, 9:18] = (turned[:, :, :, None] * w[:, None, None, :]).reshape(b, 3, 9)
+    if inertial > FIRST:  # wandering biases do what the constant ones do
+        moved[:, :ACCEL_BIAS, MATRICES:] = transition[:, :ACCEL_BIAS, ACCEL_BIAS:CLOCK_BIAS]
+    return moved
+
+
 class Predicted(NamedTuple):
     """What an update needs of the prediction. `gain` (B, N, m) P H'; `S` (B, m, m); `innovation`
     (B, m); `drift` (B, 17) error of the strapdown that matrices and wandering biases have brought;
@@ -262,15 +279,8 @@ class AugmentedFilter:
     ) -> Predicted:
         """Go on by one interval, and form the innovations, as arrays of `Epoch` and the filter."""
         P, a = self.memory["augmented_covariance"], self.memory["augmented"]
-        D, b, inertial = self.model.transition, len(tau), self.inertial
-        turned = np.ascontiguousarray(transition[:, :3, GYRO_BIAS : GYRO_BIAS + 3])  # C tau
-        f, w = imu_delta[:, :3] / tau[:, None], imu_delta[:, 3:] / tau[:, None]
-        moved = np.zeros((b, STATES, inertial - STATES))
-        by_force = (turned[:, :, :, None] * f[:, None, None, :]).reshape(b, 3, 9)
-        moved[:, 3:6, :9] = moved[:, :3, 18:MATRICES] = by_force
-        moved[:, :3, 9:18] = (turned[:, :, :, None] * w[:, None, None, :]).reshape(b, 3, 9)
-        if inertial > FIRST:  # wandering biases do what the constant ones do
-            moved[:, :ACCEL_BIAS, MATRICES:] = transition[:, :ACCEL_BIAS, ACCEL_BIAS:CLOCK_BIAS]
+        D, inertial = self.model.transition, self.inertial
+        moved = couple_errors(transition, imu_delta, tau, inertial)
         top = np.concatenate([transition, moved], axis=2)
         self._propagate(P, top, 0.5 * tau[:, None] * noise_psd)
         drift = (moved @ a[:, : inertial - STATES, None])[:, :, 0]
