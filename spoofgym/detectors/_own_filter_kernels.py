@@ -72,8 +72,8 @@ def whiten_rows(factor: FloatArray, count: int, wide: int, rows: FloatArray) -> 
 
 
 @njit
-def add_squares(sign: float, white: FloatArray, count: int, matrix: FloatArray) -> None:
-    r"""Add :math:`\pm A^T A` of some rows (count, W) to the upper half of a matrix (n, W), n even."""
+def subtract_squares(white: FloatArray, count: int, matrix: FloatArray) -> None:
+    """Subtract A' A of some rows A (count, W) from the upper half of a matrix (n, W), n even."""
     wide = matrix.shape[1] // LANES
     M, A = as_vectors(matrix), as_vectors(white)
     for j in range(0, len(matrix), 2):
@@ -81,9 +81,9 @@ def add_squares(sign: float, white: FloatArray, count: int, matrix: FloatArray) 
         for k in range(j // (2 * LANES) * 2, wide, 2):
             above, below = load_pair(M, upper + k), load_pair(M, lower + k)
             for i in range(count):
-                row = load_pair(A, i * wide + k)
-                above += (sign * white[i, j]) * row
-                below += (sign * white[i, j + 1]) * row
+                row, mine = load_pair(A, i * wide + k), white[i]
+                above -= mine[j] * row
+                below -= mine[j + 1] * row
             store(M, upper + k, above)
             store(M, lower + k, below)
 
@@ -91,12 +91,12 @@ def add_squares(sign: float, white: FloatArray, count: int, matrix: FloatArray) 
 @njit
 def mirror(half: FloatArray, matrix: FloatArray) -> None:
     """Write a symmetric matrix, of which the upper half is given, in wide rows."""
-    n = len(half)
-    for i0 in range(0, n, LANES):
-        for k0 in range(i0, n, LANES):
-            for i in range(i0, min(i0 + LANES, n)):
-                for k in range(max(i, k0), min(k0 + LANES, n)):
-                    matrix[i, k] = matrix[k, i] = half[i, k]
+    for i in range(len(half)):
+        for k in range(len(half)):
+            matrix[i, k] = half[i, k]
+    for i in range(len(half)):
+        for k in range(i):
+            matrix[i, k] = matrix[k, i]
 
 
 @njit
@@ -109,33 +109,25 @@ def propagate_wide(
     at: IntArray,
     of: FloatArray,
     moved: FloatArray,
-    turned: FloatArray,
-    corner: FloatArray,
 ) -> None:
     r"""Go on by one interval in place, :math:`P \leftarrow \Phi P \Phi^T`, and the column behind P.
-
-    `matrix` (n or more, W); `count`, `rows`, `ends`, `at`, `of` as of `append_rows`; scratch:
-    `moved` (n, W), `turned` (n, V), `corner` (n, V), wide rows.
-    """
-    wide, narrow, first = matrix.shape[1] // LANES, count_vectors(count), 0
+    `matrix` (n or more, W); `count`, `rows`, `ends`, `at`, `of` as of `append_rows`; `moved` (n, W)
+    scratch."""
+    wide = matrix.shape[1] // LANES
     M, X = as_vectors(matrix), as_vectors(moved)
-    T = as_vectors(turned)[: n * narrow]
-    flat, C = turned.reshape(turned.size), as_vectors(corner)
-    for c in range(count):
-        combine_rows(M, wide, at, of, first, ends[c], X, c)
-        first = ends[c]
-    for k in range(n):
+    for side in range(2):  # P Phi', then its rows
+        first = 0
         for c in range(count):
-            matrix[k, rows[c]] = flat[k * narrow * LANES + c] = moved[c, k]
-    first = 0
-    for c in range(count):
-        mine = matrix[rows[c]]
-        for k in range(matrix.shape[1]):
-            mine[k] = moved[c, k]
-        combine_rows(T, narrow, at, of, first, ends[c], C, 0)
-        first = ends[c]
-        for o in range(count):
-            mine[rows[o]] = corner[0, o]
+            combine_rows(M, wide, at, of, first, ends[c], X, c)
+            first = ends[c]
+        for c in range(count):
+            r = rows[c]
+            if side == 0:
+                for k in range(n):
+                    matrix[k, r] = moved[c, k]
+            else:
+                for k in range(wide * LANES):
+                    matrix[r, k] = moved[c, k]
 
 
 @njit
@@ -179,7 +171,6 @@ def advance_filters(
     wide, kept = count_vectors(states + 1), white.shape[2] - 1
     width = wide * LANES
     M, moved = np.zeros((states + states % 2, width)), np.zeros((states, width))
-    turned, corner = np.zeros((states, width)), np.zeros((1, width))
     A, factor = np.zeros((m, width)), np.empty((m, m))
     rows, ends = np.empty(states, dtype=np.int64), np.empty(states, dtype=np.int64)
     at, of = np.empty(states * states, dtype=np.int64), np.empty(states * states)
@@ -198,7 +189,7 @@ def advance_filters(
         for i in range(STATES, states):
             M[i, states] = more[b, i - STATES]
         count, _ = append_rows(top[b], 0, others, taken, rows, ends, at, of)
-        propagate_wide(M, states, count, rows, ends, at, of, moved, turned, corner)
+        propagate_wide(M, states, count, rows, ends, at, of, moved)
         for i in range(STATES):
             M[i, i] += half[b, i]
         for i in range(len(driving)):
@@ -231,7 +222,7 @@ def advance_filters(
             count = cholesky_of_rows(S[b], visible[b], 0, m, seen, factor)
         counts[b] = count
         whiten_rows(factor, count, wide, AV)
-        add_squares(-1.0, A, count, M)
+        subtract_squares(A, count, M)
         for i in range(count):
             for k in range(kept):
                 white[b, i, k] = A[i, k]
