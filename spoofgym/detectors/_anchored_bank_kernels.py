@@ -14,53 +14,56 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.compile import njit
-from ..core.simd import LANES
+from ..core.simd import LANES, load, store
 from ..receiver.states import POSITION
 from ._own_filter_kernels import (
     as_vectors,
     combine_rows,
+    count_vectors,
     mirror,
     propagate_wide,
     subtract_squares,
 )
 from ._solution_separation_kernels import append_rows, compute_age, propagate_bank
-from .base import FloatArray, IntArray
+from .base import BoolArray, FloatArray, IntArray
+
+
+def anchored_shapes(bank: int, d: int) -> dict[str, tuple[int, ...]]:
+    """What is remembered of J solutions of d states, as of `advance_anchored`."""
+    groups, wide = -(-bank // LANES), (d, count_vectors(d + 1) * LANES)
+    return {
+        "separation": (groups, d, LANES),
+        "covariance": (groups, d, d, LANES),
+        "reach": wide,
+        "since": wide,
+        "place": (3, groups * LANES),
+        "spread": (3, 3, groups * LANES),
+    }
 
 
 @njit
 def move_anchor(
-    age: IntArray, reach: FloatArray, since: FloatArray, s: FloatArray, half: FloatArray
+    restart: BoolArray, reach: FloatArray, since: FloatArray, s: FloatArray, V: FloatArray
 ) -> None:
-    """Let solutions catch up, and the anchor be here; those of the age 1 at the next epoch restart.
-    `age` (J,); `reach`, `since`, `s`, `half` of one receiver as of `advance_anchored`."""
-    d, bank = s.shape
+    """Let eight solutions catch up, so that the anchor is here, and those that `restart` (8,) be 0.
+    `reach`, `since` of one receiver, `s` (d, 8), `V` (d, d, 8) as of `advance_anchored`."""
+    d = len(s)
     rows, ends = np.empty(d, dtype=np.int64), np.empty(d, dtype=np.int64)
     at, of = np.empty(d * d, dtype=np.int64), np.empty(d * d)
-    moved, shifted = np.empty((d, d * bank)), np.empty((d, bank))
+    moved, shifted = np.empty((d, d * LANES)), np.empty((d, LANES))
+    for i in range(d):
+        for k in range(i):
+            for j in range(LANES):
+                V[k, i, j] = V[i, k, j]
     count, _ = append_rows(reach[:, :d], 0, 0, 0, rows, ends, at, of)
+    propagate_bank(V, s, count, rows, ends, at, of, moved, shifted)
     for i in range(d):
+        for j in range(LANES):
+            s[i, j] = 0.0 if restart[j] else s[i, j] - since[i, d]
         for k in range(i + 1):
-            same = 2.0 if i // 2 == k // 2 else 1.0
-            for j in range(bank):
-                half[i, k, j] = half[k, i, j] = same * half[k, i, j]
-    propagate_bank(half, s, count, rows, ends, at, of, moved, shifted)
-    for i in range(d):
-        for j in range(bank):
-            s[i, j] = s[i, j] - since[i, d] if age[j] != 1 else 0.0
-        for k in range(d):
-            same, more = 0.5 if i // 2 == k // 2 else 1.0, since[min(i, k), max(i, k)]
-            for j in range(bank):
-                half[i, k, j] = same * (half[i, k, j] - more) if age[j] != 1 else 0.0
-    for i in range(d):
-        for k in range(d + 1):
-            since[i, k] = 0.0
-            reach[i, k] = 1.0 if i == k else 0.0
-
-
-@njit
-def add_rows(x: float, row: FloatArray, y: float, other: FloatArray, total: FloatArray) -> None:
-    for k in range(len(total)):
-        total[k] += x * row[k] + y * other[k]
+            more = since[k, i]
+            for j in range(LANES):
+                V[i, k, j] = 0.0 if restart[j] else V[i, k, j] - more
 
 
 @njit
@@ -68,32 +71,41 @@ def locate_bank(
     reach: FloatArray,
     since: FloatArray,
     s: FloatArray,
-    half: FloatArray,
+    V: FloatArray,
     sums: FloatArray,
+    groups: int,
+    g: int,
     place: FloatArray,
     spread: FloatArray,
 ) -> None:
-    """Write `place` (3, J) and `spread` (3, 3, J): separations of position, and covariances. `sums`
-    (3, d J): scratch."""
-    d, bank = s.shape
-    flat, parts = half.reshape((d, d * bank)), sums.reshape((3, d, bank))
-    sums[:] = 0.0
-    for i in range(0, d, 2):
-        upper, lower = flat[i, i * bank :], flat[i + 1, i * bank :]
+    """Write what eight solutions have of `place` and `spread`, lane arrays in rows of `groups`, of
+    which theirs is `g`. `s`, `V` as of `move_anchor`; `sums` (3, 8) scratch."""
+    d = len(s)
+    flat, x, y, z = V.reshape((d * d, LANES)), reach[POSITION], reach[POSITION + 1], reach[POSITION + 2]
+    for a in range(3):
+        store(place, a * groups + g, -since[POSITION + a, d])
+        for c in range(3):
+            other = -since[POSITION + min(a, c), POSITION + max(a, c)]
+            store(spread, (3 * a + c) * groups + g, other)
+    for k in range(d):
+        v = 0.5 * load(flat, k * d + k)
+        first, second, third = x[k] * v, y[k] * v, z[k] * v
+        for i in range(k):
+            v = load(flat, k * d + i)
+            first += x[i] * v
+            second += y[i] * v
+            third += z[i] * v
+        store(sums, 0, first)
+        store(sums, 1, second)
+        store(sums, 2, third)
         for a in range(3):
-            x, y = reach[POSITION + a, i], reach[POSITION + a, i + 1]
-            add_rows(x, upper, y, lower, sums[a, i * bank :])
-    for j in range(bank):
-        for a in range(3):
-            row, total = POSITION + a, 0.0
-            for k in range(d):
-                total += reach[row, k] * s[k, j]
-            place[a, j] = total - since[row, d]
-            for c in range(a, 3):
-                column, total = POSITION + c, 0.0
-                for k in range(d):
-                    total += reach[row, k] * parts[c, k, j] + reach[column, k] * parts[a, k, j]
-                spread[a, c, j] = spread[c, a, j] = total - since[row, column]
+            mine = reach[POSITION + a, k]
+            row = a * groups + g
+            store(place, row, load(place, row) + mine * load(s, k))
+            for c in range(3):
+                more = reach[POSITION + c, k] * load(sums, a) + mine * load(sums, c)
+                row = (3 * a + c) * groups + g
+                store(spread, row, load(spread, row) + more)
 
 
 @njit
@@ -118,35 +130,39 @@ def advance_anchored(
 
     `top`, `white`, `counts` as of `advance_filters`; `rest` rows of the transition of the other
     inertial states; `spacing` of the grid of starts, `firsts`, `periods` (J,) [epochs]. Memory:
-    `epochs` (B,) so far, at the anchor `separation` (B, d, J) and `covariance` (B, d, d, J), of
-    which the upper half counts, with half of each 2 x 2 block on the diagonal (d is even); in wide rows (B, d, W) `reach`, the transition since then, and `since`, -W with -sigma behind it.
-    Written: `place` (B, 3, J), `spread` (B, 3, 3, J).
+    `epochs` (B,) so far; at the anchor, eight solutions after the other, `separation` (B, G, d, 8)
+    and `covariance` (B, G, d, d, 8), of which the lower half counts; in wide rows (B, d, W)
+    `reach`, the transition since then, and `since`, -W with -sigma behind it.
+    Written: `place` (B, 3, 8 G), `spread` (B, 3, 3, 8 G).
     """
-    d, bank = separation.shape[1:]
-    m, width = white.shape[1], reach.shape[2]
-    wide = width // LANES
-    M, moved, A = np.zeros((d, width)), np.zeros((d, width)), np.zeros((m, width))
-    sums = np.empty((3, d * bank))
+    groups, d = separation.shape[1:3]
+    m, width, wide = white.shape[1], reach.shape[2], reach.shape[2] // LANES
+    M, moved, A = np.zeros((d + d % 2, width)), np.zeros((d, width)), np.zeros((m, width))
+    sums, restart = np.empty((3, LANES)), np.zeros(groups * LANES, dtype=np.bool_)
     rows, ends = np.empty(d, dtype=np.int64), np.empty(d, dtype=np.int64)
     at, of = np.empty(d * d, dtype=np.int64), np.empty(d * d)
-    age = np.empty(bank, dtype=np.int64)
     others, taken = append_rows(rest, top.shape[1], 0, 0, rows, ends, at, of)
     for b in receivers:
-        s, half, reached, mine = separation[b], covariance[b], reach[b], since[b]
+        reached, mine = reach[b], since[b]
         if epochs[b] % spacing == 0:
-            for j in range(bank):
-                age[j] = compute_age(epochs[b], firsts[j], periods[j])
-            move_anchor(age, reached, mine, s, half)
+            for j in range(len(firsts)):
+                restart[j] = compute_age(epochs[b], firsts[j], periods[j]) == 1
+            for g in range(groups):
+                these = restart[g * LANES : (g + 1) * LANES]
+                move_anchor(these, reached, mine, separation[b, g], covariance[b, g])
+            for i in range(d):
+                for k in range(width):
+                    mine[i, k] = 0.0
+                    reached[i, k] = 1.0 if i == k else 0.0
         count, _ = append_rows(top[b], 0, others, taken, rows, ends, at, of)
-        first = 0
+        first, R, X = 0, as_vectors(reached), as_vectors(moved)
         for c in range(count):
-            combine_rows(
-                as_vectors(reached), wide, at, of, first, ends[c], as_vectors(moved), c
-            )
+            combine_rows(R, wide, at, of, first, ends[c], X, c)
             first = ends[c]
         for c in range(count):
-            for k in range(d):
-                reached[rows[c], k] = moved[c, k]
+            r = rows[c]
+            for k in range(width):
+                reached[r, k] = moved[c, k]
         mirror(mine, M)
         for i in range(d):
             M[i, d] = mine[i, d]
@@ -156,9 +172,12 @@ def advance_anchored(
                 A[i, k] = white[b, i, k]
         subtract_squares(A, counts[b], M)
         for i in range(d):
-            for k in range(i, d + 1):
+            for k in range(d + 1):
                 mine[i, k] = M[i, k]
             if counts[b] < 0:
                 mine[i, d] = np.inf
-        locate_bank(reached, mine, s, half, sums, place[b], spread[b])
+        placed, spreading = as_vectors(place[b]), as_vectors(spread[b])
+        for g in range(groups):
+            s, V = separation[b, g], covariance[b, g]
+            locate_bank(reached, mine, s, V, sums, groups, g, placed, spreading)
         epochs[b] += 1

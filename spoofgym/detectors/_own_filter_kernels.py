@@ -53,11 +53,14 @@ def combine_rows(
 ) -> None:
     """Write a row of `target`: rows `at` of a matrix times `of`, from `first` to `last`, summed.
     Lane arrays of rows of `wide` vectors."""
-    for k in range(0, wide, 2):
-        total = splat(0.0, load_pair(matrix, k))
+    for k in range(0, wide, 4):
+        l = min(k + 2, wide - 2)  # a second sum, so that one need not wait for the other
+        total = other = splat(0.0, load_pair(matrix, k))
         for e in range(first, last):
             total += of[e] * load_pair(matrix, at[e] * wide + k)
+            other += of[e] * load_pair(matrix, at[e] * wide + l)
         store(target, row * wide + k, total)
+        store(target, row * wide + l, other)
 
 
 @njit
@@ -180,9 +183,11 @@ def advance_filters(
     others, taken = append_rows(rest, STATES, 0, 0, rows, ends, at, of)
     for b in range(receivers):
         mirror(P[b], M)
+        mine = error[b]
         for r in range(m):
+            weight, taken_back = weights[b, r], feedback[b, r]
             for i in range(STATES):
-                error[b, i] -= weights[b, r] * feedback[b, r, i]
+                mine[i] -= weight * taken_back[i]
         for i in range(STATES):
             M[i, i] += half[b, i]
             M[i, states] = error[b, i]
@@ -228,7 +233,7 @@ def advance_filters(
                 white[b, i, k] = A[i, k]
             white[b, i, kept] = A[i, states]
         for i in range(states):
-            for k in range(i, states):
+            for k in range(states):
                 P[b, i, k] = M[i, k]
             value = M[i, states] if count >= 0 else np.inf
             if i < STATES:

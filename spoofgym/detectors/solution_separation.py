@@ -62,11 +62,9 @@ from numpy.typing import NDArray
 from scipy import special
 
 from ..core.declared import setting, settings_record
-from ..core.simd import LANES
 from ..receiver.epoch import Epoch
 from ..receiver.states import POSITION, STATES
-from ._anchored_bank_kernels import advance_anchored
-from ._own_filter_kernels import count_vectors
+from ._anchored_bank_kernels import advance_anchored, anchored_shapes
 from ._solution_separation_kernels import advance_bank, judge_bank, whiten_bank
 from .base import DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import alarm_probability, count_epochs
@@ -166,22 +164,14 @@ class SolutionSeparation(FilterTest):
         # a solution starts again by the largest step between two starts of the oldest ones
         self._covers = self.memory_epochs - int(firsts[1] - firsts[0])
         self._threshold = float(special.chdtri(2.0, self.false_alarm / bank))
-        self._declare(
-            epochs=np.zeros(b, dtype=np.int64),
-            separation=np.zeros((b, tracked, bank)),
-            covariance=np.zeros((b, tracked, tracked, bank)),
-            largest_sd=np.full((b, bank), np.inf),
-        )
-        if self._own is not None:
+        self._declare(epochs=np.zeros(b, dtype=np.int64), largest_sd=np.full((b, bank), np.inf))
+        if self._own is None:
+            shapes = {"separation": (tracked, bank), "covariance": (tracked, tracked, bank)}
+        else:
             self._spacing, others = spacing, tracked - STATES
             self._rest = np.ascontiguousarray(self._own.rest[:others, :others])
-            wide = (b, tracked, count_vectors(tracked + 1) * LANES)
-            self._declare(
-                reach=np.zeros(wide),
-                since=np.zeros(wide),
-                place=np.zeros((b, 3, bank)),
-                spread=np.zeros((b, 3, 3, bank)),
-            )
+            shapes = anchored_shapes(bank, tracked)
+        self._declare(**{name: np.zeros((b, *shape)) for name, shape in shapes.items()})
 
     def judge(self, epoch: Epoch) -> Verdict:
         memory, epoch = self.memory, self._filtered(epoch)
@@ -220,7 +210,8 @@ class SolutionSeparation(FilterTest):
         if self._own is None:
             s, V = memory["separation"][:, place], memory["covariance"][:, place, place]
         else:
-            s, V = memory["place"], memory["spread"]
+            bank = len(self._starts[0])
+            s, V = memory["place"][..., :bank], memory["spread"][..., :bank]
         return s, V, memory["epochs"], *self._starts
 
     def whiten(self, position_e: FloatArray) -> FloatArray:
