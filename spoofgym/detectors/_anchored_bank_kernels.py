@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.compile import njit
-from ..core.simd import LANES, load, store
+from ..core.simd import LANES, load, splat, store
 from ..receiver.states import POSITION
 from ._own_filter_kernels import (
     as_vectors,
@@ -33,7 +33,7 @@ def anchored_shapes(bank: int, d: int) -> dict[str, tuple[int, ...]]:
     groups, wide = -(-bank // LANES), (d, count_vectors(d + 1) * LANES)
     return {
         "separation": (groups, d, LANES),
-        "covariance": (groups, d, d, LANES),
+        "covariance": (groups, d * (d + 1) // 2, LANES),
         "reach": wide,
         "since": wide,
         "place": (3, groups * LANES),
@@ -46,24 +46,27 @@ def move_anchor(
     restart: BoolArray, reach: FloatArray, since: FloatArray, s: FloatArray, V: FloatArray
 ) -> None:
     """Let eight solutions catch up, so that the anchor is here, and those that `restart` (8,) be 0.
-    `reach`, `since` of one receiver, `s` (d, 8), `V` (d, d, 8) as of `advance_anchored`."""
+    `reach`, `since` of one receiver, `s` (d, 8), `V` (d (d + 1) / 2, 8) as of `advance_anchored`."""
     d = len(s)
     rows, ends = np.empty(d, dtype=np.int64), np.empty(d, dtype=np.int64)
     at, of = np.empty(d * d, dtype=np.int64), np.empty(d * d)
     moved, shifted = np.empty((d, d * LANES)), np.empty((d, LANES))
+    whole, n = np.empty((d, d, LANES)), 0
     for i in range(d):
-        for k in range(i):
+        for k in range(i + 1):
             for j in range(LANES):
-                V[k, i, j] = V[i, k, j]
+                whole[i, k, j] = whole[k, i, j] = V[n, j]
+            n += 1
     count, _ = append_rows(reach[:, :d], 0, 0, 0, rows, ends, at, of)
-    propagate_bank(V, s, count, rows, ends, at, of, moved, shifted)
+    propagate_bank(whole, s, count, rows, ends, at, of, moved, shifted)
+    n = 0
     for i in range(d):
         for j in range(LANES):
             s[i, j] = 0.0 if restart[j] else s[i, j] - since[i, d]
         for k in range(i + 1):
-            more = since[k, i]
             for j in range(LANES):
-                V[i, k, j] = 0.0 if restart[j] else V[i, k, j] - more
+                V[n, j] = 0.0 if restart[j] else whole[i, k, j] - since[k, i]
+            n += 1
 
 
 @njit
@@ -80,21 +83,23 @@ def locate_bank(
 ) -> None:
     """Write what eight solutions have of `place` and `spread`, lane arrays in rows of `groups`, of
     which theirs is `g`. `s`, `V` as of `move_anchor`; `sums` (3, 8) scratch."""
-    d = len(s)
-    flat, x, y, z = V.reshape((d * d, LANES)), reach[POSITION], reach[POSITION + 1], reach[POSITION + 2]
+    d, n = len(s), 0
+    x, y, z = reach[POSITION], reach[POSITION + 1], reach[POSITION + 2]
     for a in range(3):
         store(place, a * groups + g, -since[POSITION + a, d])
         for c in range(3):
             other = -since[POSITION + min(a, c), POSITION + max(a, c)]
             store(spread, (3 * a + c) * groups + g, other)
     for k in range(d):
-        v = 0.5 * load(flat, k * d + k)
-        first, second, third = x[k] * v, y[k] * v, z[k] * v
+        first = second = third = splat(0.0, sums)
         for i in range(k):
-            v = load(flat, k * d + i)
+            v = load(V, n + i)
             first += x[i] * v
             second += y[i] * v
             third += z[i] * v
+        v = 0.5 * load(V, n + k)  # the diagonal counts once for two
+        first, second, third = first + x[k] * v, second + y[k] * v, third + z[k] * v
+        n += k + 1
         store(sums, 0, first)
         store(sums, 1, second)
         store(sums, 2, third)
@@ -131,8 +136,7 @@ def advance_anchored(
     `top`, `white`, `counts` as of `advance_filters`; `rest` rows of the transition of the other
     inertial states; `spacing` of the grid of starts, `firsts`, `periods` (J,) [epochs]. Memory:
     `epochs` (B,) so far; at the anchor, eight solutions after the other, `separation` (B, G, d, 8)
-    and `covariance` (B, G, d, d, 8), of which the lower half counts; in wide rows (B, d, W)
-    `reach`, the transition since then, and `since`, -W with -sigma behind it.
+    and the lower half of `covariance` (B, G, d (d + 1) / 2, 8); in wide rows (B, d, W) `reach`, the transition since then, and `since`, -W with -sigma behind it.
     Written: `place` (B, 3, 8 G), `spread` (B, 3, 3, 8 G).
     """
     groups, d = separation.shape[1:3]
