@@ -19,10 +19,10 @@ from ..receiver.states import POSITION
 from ._own_filter_kernels import (
     as_vectors,
     combine_rows,
-    count_vectors,
     mirror,
     propagate_wide,
     subtract_squares,
+    wide_shape,
 )
 from ._solution_separation_kernels import append_rows, compute_age, propagate_bank
 from .base import BoolArray, FloatArray, IntArray
@@ -30,7 +30,7 @@ from .base import BoolArray, FloatArray, IntArray
 
 def anchored_shapes(bank: int, d: int) -> dict[str, tuple[int, ...]]:
     """What is remembered of J solutions of d states, as of `advance_anchored`."""
-    groups, wide = -(-bank // LANES), (d, count_vectors(d + 1) * LANES)
+    groups, wide = -(-bank // LANES), wide_shape(d)
     return {
         "separation": (groups, d, LANES),
         "covariance": (groups, d * (d + 1) // 2, LANES),
@@ -57,7 +57,7 @@ def move_anchor(
             for j in range(LANES):
                 whole[i, k, j] = whole[k, i, j] = V[n, j]
             n += 1
-    count, _ = append_rows(reach[:, :d], 0, 0, 0, rows, ends, at, of)
+    count, _ = append_rows(reach[:d, :d], 0, 0, 0, rows, ends, at, of)
     propagate_bank(whole, s, count, rows, ends, at, of, moved, shifted)
     n = 0
     for i in range(d):
@@ -107,10 +107,13 @@ def locate_bank(
             mine = reach[POSITION + a, k]
             row = a * groups + g
             store(place, row, load(place, row) + mine * load(s, k))
-            for c in range(3):
+            for c in range(a, 3):
                 more = reach[POSITION + c, k] * load(sums, a) + mine * load(sums, c)
                 row = (3 * a + c) * groups + g
                 store(spread, row, load(spread, row) + more)
+    for a in range(3):
+        for c in range(a):
+            store(spread, (3 * a + c) * groups + g, load(spread, (3 * c + a) * groups + g))
 
 
 @njit
@@ -141,7 +144,7 @@ def advance_anchored(
     """
     groups, d = separation.shape[1:3]
     m, width, wide = white.shape[1], reach.shape[2], reach.shape[2] // LANES
-    M, moved, A = np.zeros((d + d % 2, width)), np.zeros((d, width)), np.zeros((m, width))
+    moved, A = np.zeros((d, width)), np.zeros((m, width))
     sums, restart = np.empty((3, LANES)), np.zeros(groups * LANES, dtype=np.bool_)
     rows, ends = np.empty(d, dtype=np.int64), np.empty(d, dtype=np.int64)
     at, of = np.empty(d * d, dtype=np.int64), np.empty(d * d)
@@ -167,18 +170,14 @@ def advance_anchored(
             r = rows[c]
             for k in range(width):
                 reached[r, k] = moved[c, k]
-        mirror(mine, M)
-        for i in range(d):
-            M[i, d] = mine[i, d]
-        propagate_wide(M, d, count, rows, ends, at, of, moved)
+        mirror(mine, d)
+        propagate_wide(mine, d, count, rows, ends, at, of, moved)
         for i in range(counts[b]):
             for k in range(d + 1):
                 A[i, k] = white[b, i, k]
-        subtract_squares(A, counts[b], M)
-        for i in range(d):
-            for k in range(d + 1):
-                mine[i, k] = M[i, k]
-            if counts[b] < 0:
+        subtract_squares(A, counts[b], mine)
+        if counts[b] < 0:
+            for i in range(d):
                 mine[i, d] = np.inf
         placed, spreading = as_vectors(place[b]), as_vectors(spread[b])
         for g in range(groups):

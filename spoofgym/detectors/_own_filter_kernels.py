@@ -17,10 +17,13 @@ from ._solution_separation_kernels import append_rows
 from .base import BoolArray, FloatArray, IntArray, cholesky_of_rows
 
 
+BLOCK = 4  # rows that are corrected together
+
+
 @njit
-def count_vectors(columns: int) -> int:
-    """Vectors in a wide row."""
-    return 2 * ((columns + 2 * LANES - 1) // (2 * LANES))
+def wide_shape(n: int) -> tuple[int, int]:
+    """Shape of a matrix (n, n) and an error behind it in wide rows, whole blocks of them."""
+    return -(-n // BLOCK) * BLOCK, -(-(n + 1) // (2 * LANES)) * 2 * LANES
 
 
 @njit
@@ -76,28 +79,31 @@ def whiten_rows(factor: FloatArray, count: int, wide: int, rows: FloatArray) -> 
 
 @njit
 def subtract_squares(white: FloatArray, count: int, matrix: FloatArray) -> None:
-    """Subtract A' A of some rows A (count, W) from the upper half of a matrix (n, W), n even."""
+    """Subtract A' A of some rows A (count, W) from the upper half of a matrix (n, W), of which n is
+    a multiple of `BLOCK`."""
     wide = matrix.shape[1] // LANES
     M, A = as_vectors(matrix), as_vectors(white)
-    for j in range(0, len(matrix), 2):
-        upper, lower = j * wide, (j + 1) * wide
+    for j in range(0, len(matrix), BLOCK):
         for k in range(j // (2 * LANES) * 2, wide, 2):
-            above, below = load_pair(M, upper + k), load_pair(M, lower + k)
+            place = j * wide + k
+            first, second = load_pair(M, place), load_pair(M, place + wide)
+            third, fourth = load_pair(M, place + 2 * wide), load_pair(M, place + 3 * wide)
             for i in range(count):
                 row, mine = load_pair(A, i * wide + k), white[i]
-                above -= mine[j] * row
-                below -= mine[j + 1] * row
-            store(M, upper + k, above)
-            store(M, lower + k, below)
+                first -= mine[j] * row
+                second -= mine[j + 1] * row
+                third -= mine[j + 2] * row
+                fourth -= mine[j + 3] * row
+            store(M, place, first)
+            store(M, place + wide, second)
+            store(M, place + 2 * wide, third)
+            store(M, place + 3 * wide, fourth)
 
 
 @njit
-def mirror(half: FloatArray, matrix: FloatArray) -> None:
-    """Write a symmetric matrix, of which the upper half is given, in wide rows."""
-    for i in range(len(half)):
-        for k in range(len(half)):
-            matrix[i, k] = half[i, k]
-    for i in range(len(half)):
+def mirror(matrix: FloatArray, n: int) -> None:
+    """Copy the upper half of a matrix (n, n) into its lower one."""
+    for i in range(n):
         for k in range(i):
             matrix[i, k] = matrix[k, i]
 
@@ -135,9 +141,7 @@ def propagate_wide(
 
 @njit
 def advance_filters(
-    P: FloatArray,
-    error: FloatArray,
-    more: FloatArray,
+    filters: FloatArray,
     feedback: FloatArray,
     weights: FloatArray,
     top: FloatArray,
@@ -161,8 +165,7 @@ def advance_filters(
     .. math:: P \leftarrow \Phi (P + Q/2) \Phi^T + Q/2 + D, \quad A = L^{-1} H P, \quad
         S = H P H^T + R = L L^T, \quad P \leftarrow P - A^T A
 
-    Memory: `P` (B, N, N), `error` (B, 17) of the victim, `more` (B, N - 17) of the other states.
-    `feedback` (B, m, 17) of the last epoch, and its `weights` (B, m); `top` (B, 17, c) first rows
+    Memory: `filters` (B, N, W), P and behind it the errors of all states. `feedback` (B, 17, m) of the last epoch, and its `weights` (B, m); `top` (B, 17, c) first rows
     of the transition, 0 beyond; `rest` (N - 17, N - 17) of the others; `half` (B, 17) diagonal of
     Q/2; `driven` (k, 2) places, `driving` (k,) values of D; `design` (B, m, 17), `signals` (B, m,
     q) of H; `innovation` (B, m) of the victim; `variance` (m,) R. Written: `z` (B, m), `S` (B, m,
@@ -170,29 +173,23 @@ def advance_filters(
     them :math:`-L^{-1} z`, in `counts` (B,) rows, -1 where S is not positive definite: all errors
     are then infinite.
     """
-    receivers, states, m, n = len(P), P.shape[1], z.shape[1], visible.shape[1]
-    wide, kept = count_vectors(states + 1), white.shape[2] - 1
-    width = wide * LANES
-    M, moved = np.zeros((states + states % 2, width)), np.zeros((states, width))
+    receivers, width = len(filters), filters.shape[2]
+    states, m, n = STATES + len(rest), z.shape[1], visible.shape[1]
+    wide, kept, moved = width // LANES, white.shape[2] - 1, np.zeros((states, width))
     A, factor = np.zeros((m, width)), np.empty((m, m))
     rows, ends = np.empty(states, dtype=np.int64), np.empty(states, dtype=np.int64)
     at, of = np.empty(states * states, dtype=np.int64), np.empty(states * states)
     seen, until = np.empty(m, dtype=np.int64), np.zeros(m + 1, dtype=np.int64)
     places, values = np.empty(m * states, dtype=np.int64), np.empty(m * states)
-    MV, AV = as_vectors(M), as_vectors(A)
+    AV = as_vectors(A)
     others, taken = append_rows(rest, STATES, 0, 0, rows, ends, at, of)
     for b in range(receivers):
-        mirror(P[b], M)
-        mine = error[b]
-        for r in range(m):
-            weight, taken_back = weights[b, r], feedback[b, r]
-            for i in range(STATES):
-                mine[i] -= weight * taken_back[i]
+        M = filters[b]
+        mirror(M, states)
         for i in range(STATES):
             M[i, i] += half[b, i]
-            M[i, states] = error[b, i]
-        for i in range(STATES, states):
-            M[i, states] = more[b, i - STATES]
+            for r in range(m):
+                M[i, states] -= weights[b, r] * feedback[b, i, r]
         count, _ = append_rows(top[b], 0, others, taken, rows, ends, at, of)
         propagate_wide(M, states, count, rows, ends, at, of, moved)
         for i in range(STATES):
@@ -211,7 +208,7 @@ def advance_filters(
             size = append_part(design[b, r], 0, size, places, values)
             size = append_part(signals[b, r], FIRST, size, places, values)
             seen[count], until[count + 1] = r, size
-            combine_rows(MV, wide, places, values, until[count], size, AV, count)
+            combine_rows(as_vectors(M), wide, places, values, until[count], size, AV, count)
             A[count, states] -= innovation[b, r]
             z[b, r] = -A[count, states]
             for c in range(count + 1):
@@ -232,14 +229,9 @@ def advance_filters(
             for k in range(kept):
                 white[b, i, k] = A[i, k]
             white[b, i, kept] = A[i, states]
-        for i in range(states):
-            for k in range(states):
-                P[b, i, k] = M[i, k]
-            value = M[i, states] if count >= 0 else np.inf
-            if i < STATES:
-                error[b, i] = value
-            else:
-                more[b, i - STATES] = value
+        if count < 0:
+            for i in range(states):
+                M[i, states] = np.inf
 
 
 @njit
@@ -252,11 +244,11 @@ def compute_feedback(
     fewest: int,
     feedback: FloatArray,
 ) -> None:
-    r"""Write what each measurement moves the victim's states by, (B, m, s): the rows of
-    :math:`S^{-1} H P` times the innovations, to be multiplied with their weights."""
+    r"""Write what each measurement moves the victim's states by, (B, s, m): the columns of
+    its gain :math:`P H^T S^{-1}` times the innovations, to be multiplied with their weights."""
     receivers, m, states = H.shape
-    wide = count_vectors(states)
-    M, A = np.zeros((states, wide * LANES)), np.zeros((m, wide * LANES))
+    width = wide_shape(states)[1]
+    wide, M, A = width // LANES, np.zeros((states, width)), np.zeros((m, width))
     MV, AV = as_vectors(M), as_vectors(A)
     rows, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
     at, of = np.empty(states, dtype=np.int64), np.empty(states)
@@ -279,4 +271,4 @@ def compute_feedback(
                     total -= factor[l, i] * load_pair(AV, l * wide + k)
                 store(AV, i * wide + k, total * factor[i, i])
             for k in range(states):
-                feedback[b, rows[i], k] = A[i, k] * innovation[b, rows[i]]
+                feedback[b, k, rows[i]] = A[i, k] * innovation[b, rows[i]]

@@ -30,17 +30,16 @@ import numpy as np
 from ..core.declared import setting
 from ..core.memory import Memory
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
-from ..receiver.augmented import FIRST, IN_RUN, AugmentedFilter, couple_errors
+from ..receiver.augmented import FIRST, IN_RUN, couple_errors, first_covariance
 from ..receiver.epoch import Epoch
 from ..receiver.states import POSITION, STATES
 from ..truth.signal_errors import MAPPINGS, causal_mappings
-from ._own_filter_kernels import advance_filters, compute_feedback
+from ._own_filter_kernels import advance_filters, compute_feedback, wide_shape
 from .base import HAVE_IT, Detector, DetectorContext, FloatArray
 
 VICTIM, AUGMENTED = "victim", "augmented"
 NEEDS = "transition", "predicted_cov", "design", "innovation_cov", "imu_delta", "weights"
 FOUND = "innovation", "innovation_cov", "innovation_variance"  # of the filter beside
-REMEMBERED = "augmented_covariance", "victim_error", "augmented", "feedback"
 SLOW = frozenset({IN_RUN, "constant", "correlated"})  # states that no obliquity multiplies
 
 
@@ -68,14 +67,13 @@ class OwnFilter:
             raise ValueError(f"a filter beside the victim's needs a model of its errors; {HAVE_IT}")
         self.model, self.memory, self.fewest = model, memory, context.min_satellites
         self.interval_s = context.epoch_interval_s
-        filter_ = AugmentedFilter(memory, model.signals, context.epoch_interval_s, n)
-        filter_.start_episodes(np.arange(b), model.covariance, model.grade)
-        for name in ("augmented_covariance", "augmented"):
-            memory.declare(name, memory[name])  # with which an episode starts
-        memory.declare("victim_error", np.zeros((b, STATES)))
-        memory.declare("feedback", np.zeros((b, 2 * n, STATES)))  # of every weight
+        P = first_covariance(model.signals, model.covariance, model.grade)
+        self.states, self.inertial = len(P), FIRST + model.signals.wandering
+        filters = np.zeros((b, *wide_shape(self.states)))
+        filters[:, : self.states, : self.states] = P
+        memory.declare("filters", filters)  # covariances, and behind them the errors of all states
+        memory.declare("feedback", np.zeros((b, STATES, 2 * n)))  # of every weight
         memory.declare("mapping", np.zeros((b, n, MAPPINGS)))  # of the last epoch
-        self.states, self.inertial = filter_.states, filter_.inertial
         self.rest, driving = np.eye(self.states - STATES), model.signals.driving
         self.rest[FIRST - STATES :, FIRST - STATES :] = model.signals.transition
         self.driven = np.argwhere(driving)
@@ -85,7 +83,7 @@ class OwnFilter:
 
     def observe(self, epoch: Epoch) -> Epoch:
         """Go on by an epoch of the victim; the same with this filter's innovations and their
-        covariances. Its error of the victim is in ``victim_error`` of the memory."""
+        covariances."""
         memory, visible = self.memory, epoch.visible
         Phi, P, H, S, imu_delta, weights = (cast(FloatArray, getattr(epoch, n)) for n in NEEDS)
         moved = couple_errors(Phi, imu_delta, epoch.interval, self.inertial)
@@ -93,7 +91,8 @@ class OwnFilter:
         signals = self.model.signals.rows(self._map_signals(epoch), visible, self.interval_s)
         z, own_S = np.empty(epoch.innovation.shape), np.empty(S.shape)
         advance_filters(
-            *(memory[name] for name in REMEMBERED),
+            memory["filters"],
+            memory["feedback"],
             weights,
             self.top,
             self.rest,

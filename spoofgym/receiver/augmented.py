@@ -176,6 +176,14 @@ def matrix_variances(grade: str) -> FloatArray:
     return np.repeat([float(np.mean(part**2)) for part in parts], 9)
 
 
+def first_covariance(model: SignalModel, covariance: FloatArray, grade: str) -> FloatArray:
+    """(N, N) of all states at the start; `covariance` (17, 17) of those of `receiver.states`."""
+    more = np.concatenate([matrix_variances(grade), model.first])
+    P = np.diag(np.concatenate([np.zeros(STATES), more]))
+    P[:STATES, :STATES] = covariance
+    return P
+
+
 class FilterModel(NamedTuple):
     """What an augmented filter assumes of a world. `signals`: states of the signals; `noise_psd`
     (17,) of the states of `receiver.states`; `noise_variance` (2n,) R; `covariance` (17, 17) at the
@@ -258,10 +266,7 @@ class AugmentedFilter:
 
     def start_episodes(self, rows: NDArray[np.intp], covariance: FloatArray, grade: str) -> None:
         """Begin new episodes; `covariance` (17, 17) of the states of `receiver.states`."""
-        more = np.concatenate([matrix_variances(grade), self.model.first])
-        P = np.diag(np.concatenate([np.zeros(STATES), more]))
-        P[:STATES, :STATES] = covariance
-        self.memory["augmented_covariance"][rows] = P
+        self.memory["augmented_covariance"][rows] = first_covariance(self.model, covariance, grade)
         self.memory["augmented"][rows] = 0.0
 
     def predict(
