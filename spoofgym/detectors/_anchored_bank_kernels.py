@@ -6,7 +6,7 @@ same way, so that with a solution :math:`(\sigma, W)` that starts there, and
 
 .. math:: s_k = \Lambda s_a + \sigma_k, \qquad V_k = \Lambda V_a \Lambda^T + W_k,
 
-of which the rows of the position are wanted. This reads half of V at an epoch, and writes none.
+of which the rows of the position are wanted: an epoch reads half of V, and writes none.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def move_anchor(
     restart: BoolArray, reach: FloatArray, since: FloatArray, s: FloatArray, V: FloatArray
 ) -> None:
     """Let eight solutions catch up, so that the anchor is here, and those that `restart` (8,) be 0.
-    `reach`, `since` of one receiver, `s` (d, 8), `V` (d (d + 1) / 2, 8) as of `advance_anchored`."""
+    `reach`, `since` of one receiver, `s` (d, 8), `V` (d (d + 1) / 2, 8): `advance_anchored`."""
     d = len(s)
     rows, ends = np.empty(d, dtype=np.int64), np.empty(d, dtype=np.int64)
     at, of = np.empty(d * d, dtype=np.int64), np.empty(d * d)
@@ -139,7 +139,8 @@ def advance_anchored(
     `top`, `white`, `counts` as of `advance_filters`; `rest` rows of the transition of the other
     inertial states; `spacing` of the grid of starts, `firsts`, `periods` (J,) [epochs]. Memory:
     `epochs` (B,) so far; at the anchor, eight solutions after the other, `separation` (B, G, d, 8)
-    and the lower half of `covariance` (B, G, d (d + 1) / 2, 8); in wide rows (B, d, W) `reach`, the transition since then, and `since`, -W with -sigma behind it.
+    and the lower half of `covariance` (B, G, d (d + 1) / 2, 8); in wide rows (B, d, W) `reach`, the
+    transition since then, and `since`, -W with -sigma behind it.
     Written: `place` (B, 3, 8 G), `spread` (B, 3, 3, 8 G).
     """
     groups, d = separation.shape[1:3]

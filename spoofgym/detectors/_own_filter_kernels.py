@@ -16,7 +16,6 @@ from ..receiver.states import STATES
 from ._solution_separation_kernels import append_rows
 from .base import BoolArray, FloatArray, IntArray, cholesky_of_rows
 
-
 BLOCK = 4  # rows that are corrected together
 
 
@@ -165,12 +164,13 @@ def advance_filters(
     .. math:: P \leftarrow \Phi (P + Q/2) \Phi^T + Q/2 + D, \quad A = L^{-1} H P, \quad
         S = H P H^T + R = L L^T, \quad P \leftarrow P - A^T A
 
-    Memory: `filters` (B, N, W), P and behind it the errors of all states. `feedback` (B, 17, m) of the last epoch, and its `weights` (B, m); `top` (B, 17, c) first rows
-    of the transition, 0 beyond; `rest` (N - 17, N - 17) of the others; `half` (B, 17) diagonal of
-    Q/2; `driven` (k, 2) places, `driving` (k,) values of D; `design` (B, m, 17), `signals` (B, m,
-    q) of H; `innovation` (B, m) of the victim; `variance` (m,) R. Written: `z` (B, m), `S` (B, m,
-    m), 0 and the identity where not visible; `white` (B, m, d + 1) first columns of A, and behind
-    them :math:`-L^{-1} z`, in `counts` (B,) rows, -1 where S is not positive definite: all errors
+    Memory: `filters` (B, N, W), P and behind it the errors of all states. `feedback` (B, 17, m) of
+    the last epoch, and its `weights` (B, m); `top` (B, 17, c) first rows of the transition, 0
+    beyond; `rest` (N - 17, N - 17) of the others; `half` (B, 17) diagonal of Q/2; `driven` (k, 2)
+    places, `driving` (k,) values of D; `design` (B, m, 17), `signals` (B, m, q) of H; `innovation`
+    (B, m) of the victim; `variance` (m,) R. Written: `z` (B, m), `S` (B, m, m), 0 and the identity
+    where not visible; `white` (B, m, d + 1) first columns of A, and behind them :math:`-L^{-1} z`,
+    in `counts` (B,) rows, -1 where S is not positive definite: all errors
     are then infinite.
     """
     receivers, width = len(filters), filters.shape[2]
