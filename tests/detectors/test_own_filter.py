@@ -109,7 +109,7 @@ def test_its_kernels_and_those_of_its_bank_are_the_equations(world):
                 s[j], V[j] = 0.0, 0.0
             s[j], V[j] = move_on(F, s[j]) - step, F @ V[j] @ F.mT + spread
             np.testing.assert_allclose(place[..., j], s[j][:, 6:9], **close)
-            rounding = 1e-11 * np.abs(V[j]).max()
+            rounding = 1e-8 * np.abs(V[j]).max()
             np.testing.assert_allclose(belief[..., j], V[j][:, 6:9, 6:9], rtol=0.0, atol=rounding)
         simulator.update(None)
 
