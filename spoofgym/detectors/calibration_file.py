@@ -322,7 +322,7 @@ class Calibration:
         ranks = np.log(np.array(self.ranks)[known])
         scales = np.log(np.array(self.largest)[known])
         drawn = np.interp(np.log(share * (self.runs + 1)), ranks, scales)
-        return np.exp(drawn - np.interp(math.log(rank), ranks, scales))
+        return np.asarray(np.exp(drawn - np.interp(math.log(rank), ranks, scales)))
 
     def _tail(self, p: float, rate: float) -> float:
         n, count = self.runs, tail_exceedances(self.runs)

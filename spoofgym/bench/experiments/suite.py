@@ -16,7 +16,7 @@ from ... import __version__
 from ...attacks import Attack
 from ...calibration.thresholds import suitable_detectors
 from ...core.declared import setting, settings_record
-from ...core.settings import compute_digest, outside_sources
+from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import Detector, OperatingPoint
 from ...detectors.build import spec_of_judge
 from ...detectors.calibrated import STANDARD_RATE
@@ -39,7 +39,7 @@ from ..runs.players import (
     specify_spoofer,
 )
 from ..runs.world import CONTROLS, VICTIMS, WORLD, World
-from ..search.amplitude import Tuning
+from ..search.amplitude import EXACT, Tuning
 from ..search.attack_suite import (
     NAME,
     VERSION,
@@ -140,6 +140,11 @@ class Suite:
     def world(self) -> World:
         named = {name: getattr(self, name) for name in ("env", *WORLD, "settings")}
         return World.of(**named)
+
+    @property
+    def fit_runs(self) -> int:
+        """Runs that an amplitude is fitted on."""
+        return self.runs if self.tuning.rule == EXACT else self.tuning.runs
 
     @cached_property
     def detector_players(self) -> tuple[PlayerSpec, ...]:
@@ -251,7 +256,7 @@ class Suite:
             "runs": self.runs,
             "entropy": self.entropy,
             "splits": dict(SPLITS),
-            "tuning": dataclasses.asdict(self.tuning),
+            "tuning": self._describe_tuning(),
             "attack_suite": self._attack_suite(),
             "alert_limit_m": float(self.alert_limit_m),
             "alert_limits_m": list(ALERT_LIMITS_M),
@@ -263,6 +268,10 @@ class Suite:
                 *unknown,
             ],
         }
+
+    def _describe_tuning(self) -> dict[str, Any]:
+        named = describe(self.tuning)
+        return {key: value for key, value in named.items() if key != "kind"}
 
     @cached_property
     def suite_attacks(self) -> tuple[SuiteAttack, ...]:

@@ -257,9 +257,7 @@ class Panel:
         resolve_thresholds(judge, self.world)
         scaled = in_any_world(judge)
         scaled.scale *= factor  # type: ignore[attr-defined]
-        return Panel(
-            self.world, [scaled], lambda: self.rngs()[:runs], self.threads, self._watched
-        )
+        return Panel(self.world, [scaled], lambda: self.rngs()[:runs], self.threads, self._watched)
 
     def _start(
         self, numbers: Numbers, alone: bool, attack: PanelAttack, rows: NDArray[np.intp]

@@ -51,6 +51,7 @@ class AlarmCurve:
     - `alarm_amplitude` (R,) of each run; the first or the last amplitude where it lies beyond them;
     - `displacement` by measure (J, R), undetected [m]; `alarmed` (J, R) bool;
     - `sky` (R,) under which each run flew;
+    - `chosen`: the one of the amplitudes that is at the budget, rounded down to four digits;
     - `silent_share` of some runs that alarm at no amplitude within the range;
     - `elasticity` of amplitude and measures in the threshold, at a constant share of alarms.
     """
@@ -60,6 +61,7 @@ class AlarmCurve:
     displacement: Mapping[str, FloatArray]
     alarmed: NDArray[np.bool_]
     sky: NDArray[np.int64]
+    chosen: float
     silent_share: float = math.nan
     elasticity: Mapping[str, float] = field(default_factory=dict)
 
@@ -128,8 +130,7 @@ def _scores(
     """(1 + S,) amplitude and displacements in samples, the first of which is the estimate."""
     at = curve.fit(budget, samples)
     found = {AMPLITUDE: at} | {
-        name: curve.compute_mean(values, at, samples)
-        for name, values in curve.displacement.items()
+        name: curve.compute_mean(values, at, samples) for name, values in curve.displacement.items()
     }
     if factors is not None:
         drawn = np.concatenate([[1.0], factors])
@@ -192,9 +193,7 @@ def score_best(
     half[np.argsort(sky, kind="stable")] = np.arange(runs) % 2  # every sky is halved
     samples = _draw(sky)
     halves = [
-        np.array(
-            [_scores(x, budget, samples * (half == h), factors)[MEASURES[0]] for x in curves]
-        )
+        np.array([_scores(x, budget, samples * (half == h), factors)[MEASURES[0]] for x in curves])
         for h in (0, 1)
     ]
     each = np.arange(len(samples))

@@ -38,6 +38,12 @@ class Estimate(NamedTuple):
     low: float
     high: float
 
+    @classmethod
+    def of(cls, data: Mapping[str, float | None]) -> Estimate:
+        """Inverse of `as_json`."""
+        numbers = {key: math.nan if (x := data[key]) is None else x for key in cls._fields}
+        return cls(**numbers)
+
     def as_json(self) -> dict[str, float | None]:
         return {
             name: None if math.isnan(number) else round(number, 6)

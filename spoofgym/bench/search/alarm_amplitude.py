@@ -6,7 +6,8 @@
 3. Runs that alarm first between two of these halve the ratio until their alarm amplitude is known
    to `RESOLUTION`: all at once, each with its own value, from the same seeds.  The first crossing
    counts, since a run may be silent again above it.
-4. Some runs are played at thresholds that are `FACTOR` times as high, too, for the elasticity of
+4. All runs play the amplitude at the budget, too.
+5. Some runs are played at thresholds that are `FACTOR` times as high, too, for the elasticity of
    the score.
 """
 
@@ -33,9 +34,15 @@ from ..runs.record import (
     measure_displacement,
     undetected_displacement,
 )
-from ..scores.at_budget import AMPLITUDE, AlarmCurve, AtBudget, score_at_budget
+from ..scores.at_budget import AMPLITUDE, AlarmCurve, score_at_budget
 from ..scores.scores import Stealth
-from ..scores.statistics import RESAMPLES, FloatArray, build_log_grid, rounded_down
+from ..scores.statistics import (
+    RESAMPLES,
+    FloatArray,
+    build_log_grid,
+    rounded_down,
+    weighted_quantile,
+)
 from .amplitude import Trial, Tuning, TuningResult
 
 RESOLUTION = 1.005
@@ -108,8 +115,8 @@ class EngineRuns:
 
 
 class ReplayRuns:
-    """Runs of a response replay, against one of its detectors, which leave the filter alone. `curve`
-    gives the rates (decisions,) along the target direction [m/s] at a value within `span`."""
+    """Runs of a response replay, against one of its detectors; `curve` gives the rates (decisions,)
+    along the target direction [m/s] at a value within `span`."""
 
     def __init__(
         self,
@@ -145,9 +152,7 @@ class ReplayRuns:
         return found
 
 
-def trace_alarms(
-    runs: AttackedRuns, settings: Tuning, start: float | None = None
-) -> AlarmCurve:
+def trace_alarms(runs: AttackedRuns, settings: Tuning, start: float | None = None) -> AlarmCurve:
     """Play an attack around the budget, and find the alarm amplitudes there. `start`: a value near
     it; sifted for by default."""
     silent, low, high = math.nan, *runs.span
@@ -160,18 +165,24 @@ def trace_alarms(
     if not len(runs.sky):
         none = np.zeros((1, 0))
         return AlarmCurve(
-            np.array([start]), none[0], {MEASURES[0]: none}, none > 0.0, runs.sky, silent
+            np.array([low]), none[0], {MEASURES[0]: none}, none > 0.0, runs.sky, low, silent
         )
     played = _play_around(runs, settings.budget, start, (low, high))
     values = np.array(sorted(played))
     alarmed = np.array([played[value][0] for value in values.tolist()])
+    edges = _bisect(runs, values, alarmed)
+    at = rounded_down(float(weighted_quantile(edges, settings.budget, np.ones((1, len(edges))))[0]))
+    if at not in played:
+        played[at] = runs.play(at)
+    values = np.array(sorted(played))
     moved = [played[value][1] for value in values.tolist()]
     return AlarmCurve(
         amplitudes=values,
-        alarm_amplitude=_bisect(runs, values, alarmed),
+        alarm_amplitude=edges,
         displacement={name: np.array([each[name] for each in moved]) for name in moved[0]},
-        alarmed=alarmed,
+        alarmed=np.array([played[value][0] for value in values.tolist()]),
         sky=runs.sky,
+        chosen=at,
         silent_share=silent,
     )
 
@@ -201,7 +212,7 @@ def _bisect(runs: AttackedRuns, values: FloatArray, alarmed: Mask) -> FloatArray
         middle = np.sqrt(low[rows] * high[rows])
         above = runs.alarms(middle, rows)
         high[rows[above]], low[rows[~above]] = middle[above], middle[~above]
-    return np.sqrt(low * high)
+    return np.asarray(np.sqrt(low * high))
 
 
 def measure_elasticity(
@@ -217,9 +228,7 @@ def measure_elasticity(
         score = score_at_budget(trace_alarms(runs, settings, start), settings.budget)
         found.append({AMPLITUDE: score.amplitude, **score.displacement})
     ratio = {name: found[1][name].value / found[0][name].value for name in found[0]}
-    return {
-        name: math.log(each) / math.log(FACTOR) for name, each in ratio.items() if each > 0.0
-    }
+    return {name: math.log(each) / math.log(FACTOR) for name, each in ratio.items() if each > 0.0}
 
 
 def draw_threshold_factors(panel: Panel, number: int) -> FloatArray | None:
@@ -253,19 +262,36 @@ def trace_attack(
     return curve, factors
 
 
-def summarize_trace(
+def tune_at_budget(
     panel: Panel,
     number: int,
     entry: PlayerSpec,
     detector: str,
-    curve: AlarmCurve,
-    score: AtBudget,
-) -> TuningResult:
-    """A search as a campaign keeps it; its choice is the amplitude at the budget."""
-    moved = {name: x.mean(axis=1) if curve.runs else None for name, x in curve.displacement.items()}
+    settings: Tuning,
+    tick: Callable[[float], None] = lambda _: None,
+) -> tuple[TuningResult, AlarmCurve, FloatArray | None]:
+    """The value of a spoofer's setting at exactly the budget, by what is traced, and the factors on
+    the thresholds that are drawn."""
+    curve, factors = trace_attack(panel, number, entry, settings, tick)
+    score = score_at_budget(curve, settings.budget, factors)
     trials = []
     for k, value in enumerate(curve.amplitudes.tolist()):
-        mean = 0.0 if moved[MEASURES[0]] is None else float(moved[MEASURES[0]][k])
+        mean = float(curve.displacement[MEASURES[0]][k].mean()) if curve.runs else 0.0
         found = Stealth(curve.runs, int(curve.alarmed[k].sum()), mean)
-        trials.append(Trial.of(value, panel.runs, found, found.seems_to_keep(score.budget)))
-    raise NotImplementedError
+        within = found.seems_to_keep(settings.budget)
+        trials.append(Trial.of(value, panel.runs, found, within))
+    result = TuningResult(
+        detector=detector,
+        spoofer=entry.label,
+        setting=str(entry.tuned),
+        value=curve.chosen,
+        within_budget=score.within_range,
+        budget=settings.budget,
+        runs=panel.runs,
+        counted=curve.runs,
+        clean_alarm_rate=float((panel.twin_alarm[:, number] > 0).mean()),
+        warmup_alarms=int(panel.warmup_alarm[:, number].sum()),
+        trials=tuple(trials),
+        at_budget=score.as_json(),
+    )
+    return result, curve, factors

@@ -30,6 +30,10 @@ from ..runs.record import compute_displacement
 from ..scores.scores import Stealth, score_stealth
 from ..scores.statistics import BUDGET, build_log_grid, fewest_runs, rounded_down
 
+RULES = UPPER_LIMIT, EXACT = "upper-limit", "exact"
+"""How an amplitude is fitted to the alarm budget: by the upper 95 % limit of the alarm rate on
+training runs, or to exactly the budget on the runs that are scored (`alarm_amplitude`)."""
+EXACT_PLAYS = 10.0  # of each run that an exact search takes, roughly
 RESOLUTION = 1.02
 """Ratio of the smallest value known to be over the budget to the largest one known to keep it."""
 
@@ -57,6 +61,17 @@ class Tuning:
         help="Largest P(alarm | silent twin), which its upper 95 % limit on the training runs "
         "keeps.",
     )
+    rule: str = setting(
+        default=UPPER_LIMIT,
+        one_of=RULES,
+        omitted=True,
+        help="Whether the budget is kept by the upper limit of the alarm rate, or met exactly.",
+    )
+
+    @property
+    def split(self) -> str:
+        """Runs that an amplitude is fitted on."""
+        return "evaluation" if self.rule == EXACT else "training"
 
     def __post_init__(self) -> None:
         if self.runs < fewest_runs(self.budget):
@@ -104,7 +119,8 @@ class TuningResult:
     - `clean_alarm_rate`, `warmup_alarms`: part of them that alarms without attack, and how many
       alarm before it;
     - `trials`: all that was tried, by value; the choice is among those on all runs;
-    - `found`: settings of a spoofer that was looked for besides its value, and how; or None.
+    - `found`: settings of a spoofer that was looked for besides its value, and how; or None;
+    - `at_budget`: score at exactly the budget, by the rule `EXACT`; or None.
     """
 
     detector: str
@@ -119,6 +135,7 @@ class TuningResult:
     warmup_alarms: int
     trials: tuple[Trial, ...]
     found: dict[str, Any] | None = None
+    at_budget: dict[str, Any] | None = None
 
     @property
     def chosen(self) -> Trial:
@@ -131,7 +148,10 @@ class TuningResult:
         return self.chosen.stealthy_displacement_m if self.within_budget else 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        return {**asdict(self), "trials": [asdict(trial) for trial in self.trials]}
+        named = {**asdict(self), "trials": [asdict(trial) for trial in self.trials]}
+        if self.at_budget is None:
+            del named["at_budget"]
+        return named
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> TuningResult:
@@ -232,8 +252,10 @@ def tune_amplitude(
     )
 
 
-def search_work(settings: Tuning) -> float:
-    """Runs that a search takes, roughly."""
+def search_work(settings: Tuning, scored: int = 0) -> float:
+    """Runs that a search takes, roughly; `scored`: how many are scored, on which it is exact."""
+    if settings.rule == EXACT:
+        return settings.values * settings.sift_runs + EXACT_PLAYS * scored
     return settings.values * settings.sift_runs + (settings.refined + 2) * settings.runs
 
 
