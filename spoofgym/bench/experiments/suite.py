@@ -16,7 +16,7 @@ from ... import __version__
 from ...attacks import Attack
 from ...calibration.thresholds import suitable_detectors
 from ...core.declared import setting, settings_record
-from ...core.settings import compute_digest, describe, outside_sources
+from ...core.settings import compute_digest, outside_sources
 from ...detectors import Detector, OperatingPoint
 from ...detectors.build import spec_of_judge
 from ...detectors.calibrated import STANDARD_RATE
@@ -256,7 +256,7 @@ class Suite:
             "runs": self.runs,
             "entropy": self.entropy,
             "splits": dict(SPLITS),
-            "tuning": self._describe_tuning(),
+            "tuning": self.tuning.as_dict(),
             "attack_suite": self._attack_suite(),
             "alert_limit_m": float(self.alert_limit_m),
             "alert_limits_m": list(ALERT_LIMITS_M),
@@ -268,10 +268,6 @@ class Suite:
                 *unknown,
             ],
         }
-
-    def _describe_tuning(self) -> dict[str, Any]:
-        named = describe(self.tuning)
-        return {key: value for key, value in named.items() if key != "kind"}
 
     @cached_property
     def suite_attacks(self) -> tuple[SuiteAttack, ...]:

@@ -64,9 +64,13 @@ class Tuning:
     rule: str = setting(
         default=UPPER_LIMIT,
         one_of=RULES,
-        omitted=True,
         help="Whether the budget is kept by the upper limit of the alarm rate, or met exactly.",
     )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Settings, JSON-able; the rule where it is not the default, which is older than it."""
+        named = asdict(self)
+        return {key: x for key, x in named.items() if (key, x) != ("rule", UPPER_LIMIT)}
 
     @property
     def split(self) -> str:
