@@ -11,6 +11,7 @@ from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.runs.panel import Panel
 from spoofgym.bench.runs.players import specify_spoofer
+from spoofgym.bench.runs.record import undetected_displacement
 from spoofgym.bench.scores.at_budget import (
     AlarmCurve,
     compare_at_budget,
@@ -22,7 +23,6 @@ from spoofgym.bench.search.alarm_amplitude import (
     FACTOR,
     RESOLUTION,
     EngineRuns,
-    ReplayRuns,
     draw_threshold_factors,
     trace_alarms,
 )
@@ -195,6 +195,32 @@ def test_the_spread_of_the_calibration_enters_the_interval():
     assert score_at_budget(curve, 0.1, factors).displacement[MOVED] == before
 
 
+class ReplayRuns:
+    """Runs of a response replay in front of its first detector, attacked by curves of a value."""
+
+    def __init__(self, backend, span):
+        optimizer = OpenLoopOptimizer(backend, 0.5, OpenLoopSearch())
+        self.shape = lambda value: optimizer.curves(np.full((1, 12), value))
+        self.replay, self.rows, self.span = backend.replay, backend._rows, span
+        self.sky = self.replay.sky[self.rows]
+
+    def _first(self, value, rows):
+        return self.replay.play(0, self.shape(value), rows=self.rows[rows])
+
+    def play(self, value):
+        found, setup = self._first(value, slice(None)), self.replay.setup
+        first = found.first_alarm[0]
+        moved = undetected_displacement(found.error[: setup.steps, 0], first, setup.hold)
+        return first > 0, {MOVED: moved}
+
+    def sift(self, values, count):
+        return np.array([self._first(x, slice(count)).first_alarm[0] > 0 for x in values])
+
+    def alarms(self, values, rows):
+        each = zip(values, rows, strict=True)
+        return np.array([self._first(x, [row]).first_alarm[0, 0] > 0 for x, row in each])
+
+
 def test_replay_and_engine_have_the_same_alarm_amplitudes():
     settings = {key: value for key, value in WORLD.items() if key != "detector"}
     setup = TightlyCoupledSetup(detector="never", **settings)
@@ -204,9 +230,7 @@ def test_replay_and_engine_have_the_same_alarm_amplitudes():
     panel = Panel(setup, [detector], lambda: make_generators(seeds()), 1)
     engine = EngineRuns(panel, 0, RAMP)
     backend = ReplayBackend(Replay(setup, [detector], seeds(), threads=1), 0)
-    optimizer = OpenLoopOptimizer(backend, 0.5, OpenLoopSearch())
-    shape = lambda value: optimizer.curves(np.full((1, 12), value))[0]  # noqa: E731
-    replay = ReplayRuns(backend.replay, 0, shape, engine.span)
+    replay = ReplayRuns(backend, engine.span)
     np.testing.assert_array_equal(replay.rows, engine.rows)
     half = replace(SETTINGS, budget=0.5)
     played, replayed = (trace_alarms(runs, half) for runs in (engine, replay))

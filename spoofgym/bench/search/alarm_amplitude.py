@@ -24,15 +24,12 @@ from numpy.typing import NDArray
 from ...detectors import Calibrated
 from ...detectors.calibrated import resolve_thresholds
 from ...envs.spoofer_binding import get_tuning_range
-from ...limits.response import Replay
 from ...spoofers import make_spoofer
 from ..runs.panel import Panel, PanelAttack
 from ..runs.players import PlayerSpec
 from ..runs.record import (
     MEASURES,
-    mask_valid_runs,
     measure_displacement,
-    undetected_displacement,
 )
 from ..scores.at_budget import AMPLITUDE, AlarmCurve, score_at_budget
 from ..scores.scores import Stealth
@@ -112,44 +109,6 @@ class EngineRuns:
         specs = [self.player.with_value(value) for value in different.tolist()]
         runs = self.panel.play_each(self.number, specs, which, self.rows[rows])
         return np.asarray(runs.first_alarm > 0)
-
-
-class ReplayRuns:
-    """Runs of a response replay, against one of its detectors; `curve` gives the rates (decisions,)
-    along the target direction [m/s] at a value within `span`."""
-
-    def __init__(
-        self,
-        replay: Replay,
-        number: int,
-        curve: Callable[[float], FloatArray],
-        span: tuple[float, float],
-    ) -> None:
-        self.replay, self.number, self.curve, self.span = replay, number, curve, span
-        setup = replay.setup
-        idle = np.zeros((1, setup.steps // setup.repeat))
-        clean = replay.play(number, idle).first_alarm[0]
-        self.rows = np.flatnonzero(mask_valid_runs(replay.warmup_alarm[number], clean))
-        self.sky = np.asarray(replay.sky[self.rows])
-
-    def play(self, value: float) -> Played:
-        found = self.replay.play(self.number, self.curve(value)[None], rows=self.rows)
-        setup, first = self.replay.setup, found.first_alarm[0]
-        moved = undetected_displacement(found.error[: setup.steps, 0], first, setup.hold)
-        return first > 0, {MEASURES[0]: moved}
-
-    def sift(self, values: Sequence[float], count: int) -> Mask:
-        rates = np.array([self.curve(value) for value in values])
-        return self.replay.play(self.number, rates, rows=self.rows[:count]).first_alarm > 0
-
-    def alarms(self, values: FloatArray, rows: Rows) -> Mask:
-        found = np.zeros(len(rows), dtype=np.bool_)
-        for value in np.unique(values).tolist():
-            own = np.flatnonzero(values == value)
-            rates = self.curve(value)[None]
-            played = self.replay.play(self.number, rates, rows=self.rows[rows[own]])
-            found[own] = played.first_alarm[0] > 0
-        return found
 
 
 def trace_alarms(runs: AttackedRuns, settings: Tuning, start: float | None = None) -> AlarmCurve:
