@@ -22,6 +22,7 @@ from ...detectors.calibrated import resolve_thresholds
 from ..runs.panel import Panel, PanelAttack, play_searches
 from ..runs.players import PlayerSpec, describe_knowledge
 from ..runs.record import MEASURES, Protection, RunRecord, record_runs
+from ..scores.at_budget import score_best
 from ..scores.campaign import (
     compare_controls,
     compute_bounds,
@@ -92,7 +93,7 @@ class CampaignResults:
     def search(self, detector: str, spoofer: str) -> TuningResult | None:
         """What was found for a spoofer against a detector."""
         found = self._get(SEARCH, detector, spoofer)
-        return None if found is None else TuningResult.from_dict(found.record)
+        return None if found is None else TuningResult.from_dict(found.record, found.arrays)
 
     def protection(self, detector: str) -> Protection | None:
         """What the worst attacks of the suite did against a detector."""
@@ -164,6 +165,7 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
                 **score_detector(records[label, "none"]),
                 **points[label],
                 "bracket": score_bounds(label),
+                **score_strongest([searches[pair] for pair in pairs if pair in searches], label),
             }
             for label in detectors
             if (label, "none") in records
@@ -185,6 +187,16 @@ def with_exact_score(cell: dict[str, Any], search: TuningResult | None) -> dict[
         return cell
     exact = search.at_budget
     return {**cell, "stealthy_displacement_m": exact[MEASURES[0]], "at_budget": exact}
+
+
+def score_strongest(searches: Sequence[TuningResult], detector: str) -> dict[str, Any]:
+    """The strongest of the attacks on a detector at exactly the budget, chosen on other runs than
+    it is scored on; nothing where fewer than two were fitted so."""
+    own = [x for x in searches if x.detector == detector and x.trace is not None]
+    traces = [each.trace for each in own if each.trace is not None]
+    if len(traces) < 2:
+        return {}
+    return {"strongest_at_budget_m": score_best(traces, own[0].budget).as_json()}
 
 
 def run_campaign(
@@ -316,7 +328,7 @@ class Campaign(Experiment):
                 tuning = self.suite.tuning
                 panel = play.panel(tuning.split, self.suite.fit_runs)
                 found = fit(panel, numbers, spoofer, tuning, lambda: optima, context.tick)
-                yield from (Result(record=each.as_dict()) for each in found)
+                yield from (Result(each.arrays(), each.as_dict()) for each in found)
             else:
                 yield from (Result(*each.parts()) for each in play.records(numbers, spoofer))
 

@@ -36,6 +36,7 @@ ORACLE = " (oracle)"
 HIDDEN_SETTINGS = {"name", "heading_deg", "label", "designed_on", "file"}
 """Settings that a table leaves out: they are in other columns, or in the results only."""
 OVER, NONE_WITHIN = ", over budget", " (none within the budget)"
+STRONGEST = "the strongest of these"
 ABOVE_BOUND = ", above the zero-alarm bound"
 
 
@@ -241,9 +242,9 @@ ATTACKS = Table(
 EXACTLY = Table(
     ("detector", "detector"),
     ("spoofer", lambda cell: format_spoofer(cell["spoofer"], cell["knowledge"]["run_time"])),
-    ("amplitude or setting", lambda cell: interval(cell["at_budget"]["amplitude"])),
-    ("alarms there [%]", lambda cell: cell["at_budget"]["alarm_rate"], share(1)),
-    ("silent at any [%]", lambda cell: cell["at_budget"]["silent_share"], share(1)),
+    ("amplitude or setting", lambda cell: cell["at_budget"].get("amplitude"), interval),
+    ("alarms there [%]", lambda cell: cell["at_budget"].get("alarm_rate"), share(1)),
+    ("silent at any [%]", lambda cell: cell["at_budget"].get("silent_share"), share(1)),
     *(
         (f"{word} [m]", lambda cell, name=name: cell["at_budget"].get(name), interval)
         for word, name in zip(
@@ -255,8 +256,19 @@ EXACTLY = Table(
 
 
 def exact_rows(summary: Row, group: FalseAlarmGroup) -> list[Row]:
-    """Rows of `EXACTLY`: cells that were fitted to exactly the budget."""
-    return [cell for cell in group.rows(summary["cells"]) if "at_budget" in cell]
+    """Rows of `EXACTLY`: cells that were fitted to exactly the budget, and the strongest."""
+    cells = [cell for cell in group.rows(summary["cells"]) if "at_budget" in cell]
+    strongest = [
+        {
+            "detector": row["detector"],
+            "spoofer": STRONGEST,
+            "knowledge": {"run_time": ""},
+            "at_budget": {MEASURES[0]: row["strongest_at_budget_m"]},
+        }
+        for row in group.rows(summary["detectors"])
+        if "strongest_at_budget_m" in row
+    ]
+    return group.rows([*cells, *strongest])
 
 
 def attack_rows(summary: Row, group: FalseAlarmGroup) -> list[Row]:

@@ -87,6 +87,42 @@ class AlarmCurve:
         return np.asarray((1.0 - part) * means[each, low] + part * means[each, low + 1])
 
 
+class AlarmTrace(NamedTuple):
+    """An attack around the budget, and the factors on the thresholds that are drawn (S,), or None
+    where the threshold is no estimate."""
+
+    curve: AlarmCurve
+    factors: FloatArray | None
+
+    def parts(self) -> dict[str, NDArray[Any]]:
+        """Arrays of what another attack is compared with."""
+        curve, name = self.curve, MEASURES[0]
+        found: dict[str, NDArray[Any]] = {
+            "amplitudes": curve.amplitudes,
+            "alarm_amplitude": curve.alarm_amplitude,
+            "alarmed": curve.alarmed,
+            "sky": curve.sky,
+            name: curve.displacement[name].astype(np.float32),
+            "elasticity": np.array(curve.elasticity.get(name, 0.0)),
+        }
+        return found if self.factors is None else {**found, "factors": self.factors}
+
+    @classmethod
+    def from_parts(cls, arrays: Mapping[str, NDArray[Any]], chosen: float) -> AlarmTrace:
+        """Inverse of `parts`, with `AlarmCurve.chosen`."""
+        name = MEASURES[0]
+        curve = AlarmCurve(
+            amplitudes=arrays["amplitudes"],
+            alarm_amplitude=arrays["alarm_amplitude"],
+            displacement={name: arrays[name].astype(np.float64)},
+            alarmed=arrays["alarmed"],
+            sky=arrays["sky"],
+            chosen=chosen,
+            elasticity={name: float(arrays["elasticity"])},
+        )
+        return cls(curve, arrays.get("factors"))
+
+
 class AtBudget(NamedTuple):
     """An attack at exactly the alarm budget, with 95 % intervals.
 
@@ -181,11 +217,10 @@ def compare_at_budget(
     return _estimate(x - y)
 
 
-def score_best(
-    curves: Sequence[AlarmCurve], budget: float, factors: FloatArray | None = None
-) -> Estimate:
+def score_best(traces: Sequence[AlarmTrace], budget: float) -> Estimate:
     """Displacement of the best of several attacks on the same runs [m], chosen on one half of the
     runs and scored on the other, both ways round; choices are made again in every draw."""
+    curves, factors = [each.curve for each in traces], traces[0].factors
     sky, runs = curves[0].sky, curves[0].runs
     if runs < 2:
         return NOTHING

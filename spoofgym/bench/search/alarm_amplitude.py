@@ -31,7 +31,7 @@ from ..runs.record import (
     MEASURES,
     measure_displacement,
 )
-from ..scores.at_budget import AMPLITUDE, AlarmCurve, score_at_budget
+from ..scores.at_budget import AMPLITUDE, AlarmCurve, AlarmTrace, score_at_budget
 from ..scores.scores import Stealth
 from ..scores.statistics import (
     RESAMPLES,
@@ -186,8 +186,12 @@ def measure_elasticity(
         runs = EngineRuns(panel.at_thresholds(number, factor, count), 0, entry)
         score = score_at_budget(trace_alarms(runs, settings, start), settings.budget)
         found.append({AMPLITUDE: score.amplitude, **score.displacement})
-    ratio = {name: found[1][name].value / found[0][name].value for name in found[0]}
-    return {name: math.log(each) / math.log(FACTOR) for name, each in ratio.items() if each > 0.0}
+    pairs = {name: (found[0][name].value, found[1][name].value) for name in found[0]}
+    return {
+        name: math.log(above / here) / math.log(FACTOR)
+        for name, (here, above) in pairs.items()
+        if min(here, above) > 0.0
+    }
 
 
 def draw_threshold_factors(panel: Panel, number: int) -> FloatArray | None:
@@ -210,7 +214,7 @@ def trace_attack(
     entry: PlayerSpec,
     settings: Tuning,
     tick: Callable[[float], None] = lambda _: None,
-) -> tuple[AlarmCurve, FloatArray | None]:
+) -> AlarmTrace:
     """An attack around the budget, with its elasticity, and the factors that are drawn."""
     curve = trace_alarms(EngineRuns(panel, number, entry, tick), settings)
     factors = draw_threshold_factors(panel, number)
@@ -218,7 +222,7 @@ def trace_attack(
         start = score_at_budget(curve, settings.budget).amplitude.value
         elasticity = measure_elasticity(panel, number, entry, settings, start)
         curve = replace(curve, elasticity=elasticity)
-    return curve, factors
+    return AlarmTrace(curve, factors)
 
 
 def tune_at_budget(
@@ -228,18 +232,17 @@ def tune_at_budget(
     detector: str,
     settings: Tuning,
     tick: Callable[[float], None] = lambda _: None,
-) -> tuple[TuningResult, AlarmCurve, FloatArray | None]:
-    """The value of a spoofer's setting at exactly the budget, by what is traced, and the factors on
-    the thresholds that are drawn."""
-    curve, factors = trace_attack(panel, number, entry, settings, tick)
-    score = score_at_budget(curve, settings.budget, factors)
+) -> TuningResult:
+    """Find the value of a spoofer's setting at exactly the budget."""
+    trace = trace_attack(panel, number, entry, settings, tick)
+    curve, score = trace.curve, score_at_budget(trace.curve, settings.budget, trace.factors)
     trials = []
     for k, value in enumerate(curve.amplitudes.tolist()):
         mean = float(curve.displacement[MEASURES[0]][k].mean()) if curve.runs else 0.0
         found = Stealth(curve.runs, int(curve.alarmed[k].sum()), mean)
         within = found.seems_to_keep(settings.budget)
         trials.append(Trial.of(value, panel.runs, found, within))
-    result = TuningResult(
+    return TuningResult(
         detector=detector,
         spoofer=entry.label,
         setting=str(entry.tuned),
@@ -252,5 +255,5 @@ def tune_at_budget(
         warmup_alarms=int(panel.warmup_alarm[:, number].sum()),
         trials=tuple(trials),
         at_budget=score.as_json(),
+        trace=trace,
     )
-    return result, curve, factors

@@ -17,8 +17,8 @@ noise with those that are scored.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from ...core.declared import setting, settings_record
@@ -27,6 +27,7 @@ from ...spoofers import make_spoofer
 from ..runs.panel import Panel, PanelAttack, Search
 from ..runs.players import PlayerSpec
 from ..runs.record import compute_displacement
+from ..scores.at_budget import AlarmTrace
 from ..scores.scores import Stealth, score_stealth
 from ..scores.statistics import BUDGET, build_log_grid, fewest_runs, rounded_down
 
@@ -124,7 +125,8 @@ class TuningResult:
       alarm before it;
     - `trials`: all that was tried, by value; the choice is among those on all runs;
     - `found`: settings of a spoofer that was looked for besides its value, and how; or None;
-    - `at_budget`: score at exactly the budget, by the rule `EXACT`; or None.
+    - `at_budget`: score at exactly the budget, by the rule `EXACT`, and `trace`, by which attacks
+      are compared; or None.
     """
 
     detector: str
@@ -140,6 +142,7 @@ class TuningResult:
     trials: tuple[Trial, ...]
     found: dict[str, Any] | None = None
     at_budget: dict[str, Any] | None = None
+    trace: AlarmTrace | None = field(default=None, repr=False, compare=False)
 
     @property
     def chosen(self) -> Trial:
@@ -152,16 +155,23 @@ class TuningResult:
         return self.chosen.stealthy_displacement_m if self.within_budget else 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        named = {**asdict(self), "trials": [asdict(trial) for trial in self.trials]}
-        if self.at_budget is None:
-            del named["at_budget"]
-        return named
+        left_out = {"trace"} if self.at_budget else {"trace", "at_budget"}
+        named = asdict(replace(self, trace=None))
+        named["trials"] = [asdict(trial) for trial in self.trials]
+        return {key: x for key, x in named.items() if key not in left_out}
+
+    def arrays(self) -> dict[str, Any]:
+        """What `as_dict` leaves out."""
+        return {} if self.trace is None else self.trace.parts()
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> TuningResult:
-        """Inverse of `as_dict`."""
+    def from_dict(
+        cls, data: dict[str, Any], arrays: Mapping[str, Any] | None = None
+    ) -> TuningResult:
+        """Inverse of `as_dict`, and of `arrays`."""
         trials = tuple(Trial(**trial) for trial in data["trials"])
-        return cls(**{**data, "trials": trials})
+        trace = AlarmTrace.from_parts(arrays, data["value"]) if arrays else None
+        return cls(**{**data, "trials": trials, "trace": trace})
 
 
 class _Search:

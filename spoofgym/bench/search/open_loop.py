@@ -512,16 +512,16 @@ def _fit_exactly(
     for number, detector in detectors.items():
         tune = partial(tune_at_budget, panel, number, settings=settings, tick=tick)
         if not entry.needs_search:
-            yield tune(entry=entry, detector=detector.label)[0]
+            yield tune(entry=entry, detector=detector.label)
             continue
         found = optima().find(detector, entry, lambda _: None)
         curves = optima().curves_to_fit(found)
-        traced = {
+        fits = {
             name: tune(entry=with_rates(entry, rates), detector=detector.label)
             for name, rates in curves.items()
         }
-        best = _choose_curve(found, curves, {name: each[0] for name, each in traced.items()})
-        factors = next(iter(traced.values()))[2]
-        score = score_best([each[1] for each in traced.values()], settings.budget, factors)
+        best = _choose_curve(found, curves, fits)
+        traces = [each.trace for each in fits.values() if each.trace is not None]
+        score = score_best(traces, settings.budget)
         at_budget = {**(best.at_budget or {}), MEASURES[0]: score.as_json()}
         yield replace(best, at_budget=at_budget)
