@@ -20,6 +20,7 @@ from spoofgym.bench.scores.at_budget import (
     score_best,
 )
 from spoofgym.bench.scores.statistics import RESAMPLES, weighted_quantile
+from spoofgym.bench.search import open_loop
 from spoofgym.bench.search.alarm_amplitude import (
     FACTOR,
     RESOLUTION,
@@ -293,6 +294,19 @@ def test_a_campaign_shows_its_scores_at_the_budget(tmp_path):
     strongest = summary["detectors"][0]["strongest_at_budget_m"]
     assert strongest["low"] <= strongest["value"] <= strongest["high"]
     assert "| the strongest of these |" in text
+
+
+def test_the_best_curve_of_a_search_is_scored_where_it_was_not_chosen(monkeypatch):
+    few = OpenLoopSearch(runs=8, batch=4, knots=4, population=4, generations=1)
+    monkeypatch.setattr(open_loop, "OpenLoopSearch", lambda: few)
+    judge = Evaluator(**WORLD, runs=60, fit_runs=80, rule=EXACT)
+    found = judge.fit({"name": "blind-optimum", "amplitude": "tuned"})
+    curves = found.found["fitted_m"]
+    assert len(curves) > 2
+    assert found.score == max(curves.values()) == curves[found.found["played"]["curve"]]
+    score = found.at_budget[MOVED]
+    assert 0.0 < score["low"] < score["value"] < score["high"]
+    assert score["value"] < 1.1 * found.score
 
 
 def test_the_rule_is_written_only_where_it_is_not_the_default():
