@@ -32,11 +32,12 @@ from ..runs.record import (
     measure_displacement,
 )
 from ..scores.at_budget import AMPLITUDE, AlarmCurve, AlarmTrace, score_at_budget
-from ..scores.scores import Stealth
+from ..scores.scores import Stealth, select_clusters
 from ..scores.statistics import (
     RESAMPLES,
     FloatArray,
     build_log_grid,
+    draw_resamples,
     rounded_down,
     weighted_quantile,
 )
@@ -46,7 +47,7 @@ RESOLUTION = 1.005
 """Ratio of two values between which a run's alarm amplitude is known to lie."""
 STEP, GROWTH = 1.1, 1.25
 """Ratio of the first two values that all runs play, and the power by which it grows."""
-ERRORS, LEAST = 6.0, 0.2
+ERRORS, LEAST = 4.0, 0.2
 """Standard errors of a share of alarms by which these values go beyond the budget, and the part of
 the budget that is far enough below it."""
 FACTOR, FACTOR_RUNS = 1.1, 512
@@ -152,7 +153,7 @@ def _play_around(
     """What is played on all runs, by value."""
     start = min(max(start, span[0]), span[1])
     played = {start: runs.play(start)}
-    error = ERRORS * math.sqrt(budget * (1.0 - budget) / len(runs.sky))
+    error = ERRORS * _share_error(played[start][0], runs.sky, budget)
     ends = (-1, max(budget - error, LEAST * budget)), (1, budget + error)
     for sign, end in ends:
         value, power = start, 1.0
@@ -160,6 +161,17 @@ def _play_around(
             value = min(max(value * STEP ** (sign * power), span[0]), span[1])
             played[value], power = runs.play(value), power * GROWTH
     return played
+
+
+def _share_error(alarmed: Mask, sky: NDArray[np.int64], budget: float) -> float:
+    """Standard error of a share of alarms at the budget, of runs that come in skies as the alarms
+    (R,) at a value near it do."""
+    independent, share = math.sqrt(budget * (1.0 - budget) / len(sky)), float(alarmed.mean())
+    if not 0.0 < share < 1.0:
+        return independent
+    samples = draw_resamples(select_clusters(sky))
+    spread = np.std(samples @ alarmed / samples.sum(axis=1))
+    return independent * max(float(spread) / math.sqrt(share * (1.0 - share) / len(sky)), 1.0)
 
 
 def _bisect(runs: AttackedRuns, values: FloatArray, alarmed: Mask) -> FloatArray:
