@@ -78,6 +78,14 @@ def bench(
     options: SuiteOptions,
     budget: opt.Budget = 0.05,
     training_seeds: opt.Training = 256,
+    rule: Annotated[
+        str,
+        Option(
+            help="How amplitudes are fitted to the budget: upper-limit, by the upper 95 % limit of "
+            "the alarm rate on the training runs, or exact, on the evaluation runs, with intervals "
+            "that include the fit."
+        ),
+    ] = "upper-limit",
     nominal: Annotated[
         bool,
         Option(
@@ -121,7 +129,7 @@ def bench(
     settings: dict[str, Any] = {
         "spoofers": list(map(add_tuned_setting, opt.parse_specs(spoofer))) if spoofer else None,
         "runs": sizes["seeds"],
-        "tuning": make_tuning(sizes["training_seeds"], budget),
+        "tuning": make_tuning(sizes["training_seeds"], budget, rule),
         "selection": make_selection(sizes["selection_seeds"]),
     }
     if suite_name is not None:

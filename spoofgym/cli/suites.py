@@ -171,12 +171,12 @@ def calibrate_suite(suite: Suite, detectors: Sequence[str] | None, threads: int 
     return suite
 
 
-def make_tuning(runs: int, budget: float) -> Tuning:
+def make_tuning(runs: int, budget: float, rule: str = "upper-limit") -> Tuning:
     """A search on so many training runs, of which a sixteenth sifts."""
     from ..bench.search.amplitude import Tuning
 
     try:
-        return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget)
+        return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget, rule=rule)
     except ValueError as error:  # it knows its fields, not the options
         text = str(error).replace("`runs`", "--training-seeds")
         raise ValueError(text.replace("`budget`", "--budget")) from error

@@ -178,6 +178,14 @@ class Calibrated(Detector):
                 failure = error
         raise failure or ValueError(self._missing(conditions, identity))
 
+    def find_calibration(self, world: CalibrationWorld) -> Calibration | None:
+        """The stored calibration that gave its scale; None where the scale was passed."""
+        if self.point is None:
+            return None
+        rate = self.point.false_alarms_per_hour
+        found = self._load_candidates(world.conditions, describe_identity(self.detector))
+        return next((x for x in found if x.has(rate) and x.point(rate) == self.point), None)
+
     def take(self, calibration: Calibration, rate: float) -> None:
         point = calibration.point(rate)
         self.scale, self.point = point.scale, point  # type: ignore[misc]

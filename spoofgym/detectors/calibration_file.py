@@ -308,6 +308,22 @@ class Calibration:
         below = min((rank for rank in self.ranks if rank >= most + 1), default=None)
         return 0.0 if below is None else stored[below], math.inf if above is None else stored[above]
 
+    def draw_factors(
+        self, point: OperatingPoint, draws: int, rng: np.random.Generator
+    ) -> FloatArray:
+        r"""Scales that as many other clean runs would have given, as parts of that of a point.
+
+        With its rank r from the top, the share of all clean runs above the scale is distributed as
+        :math:`B(r, n + 1 - r)`; its quantile is interpolated between the stored ranks, and is that
+        of the last one beyond them.  Returns (draws,).
+        """
+        rank, known = max(point.rank, 1), np.array(self.largest) > 0.0
+        share = rng.beta(rank, self.runs + 1 - rank, draws)
+        ranks = np.log(np.array(self.ranks)[known])
+        scales = np.log(np.array(self.largest)[known])
+        drawn = np.interp(np.log(share * (self.runs + 1)), ranks, scales)
+        return np.asarray(np.exp(drawn - np.interp(math.log(rank), ranks, scales)))
+
     def _tail(self, p: float, rate: float) -> float:
         n, count = self.runs, tail_exceedances(self.runs)
         from scipy.stats import genpareto

@@ -21,7 +21,8 @@ from ...core.settings import compute_digest
 from ...detectors.calibrated import resolve_thresholds
 from ..runs.panel import Panel, PanelAttack, play_searches
 from ..runs.players import PlayerSpec, describe_knowledge
-from ..runs.record import Protection, RunRecord, record_runs
+from ..runs.record import MEASURES, Protection, RunRecord, record_runs
+from ..scores.at_budget import score_best
 from ..scores.campaign import (
     compare_controls,
     compute_bounds,
@@ -92,7 +93,7 @@ class CampaignResults:
     def search(self, detector: str, spoofer: str) -> TuningResult | None:
         """What was found for a spoofer against a detector."""
         found = self._get(SEARCH, detector, spoofer)
-        return None if found is None else TuningResult.from_dict(found.record)
+        return None if found is None else TuningResult.from_dict(found.record, found.arrays)
 
     def protection(self, detector: str) -> Protection | None:
         """What the worst attacks of the suite did against a detector."""
@@ -129,9 +130,13 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
     limits = sorted({*config["alert_limits_m"], config["alert_limit_m"]})
     points = {label: operating_point(config, label) for label in detectors}
     budget = float(config["tuning"]["budget"])
-    scores = [score_runs(found, limits, budget) for found in records.values()]
+    searches = {pair: search for pair in pairs if (search := results.search(*pair)) is not None}
+    scores = [
+        with_exact_score(score_runs(found, limits, budget), searches.get(pair))
+        for pair, found in records.items()
+    ]
     protected = [score_protection(found, limits) for found in known]
-    tuned = [search.as_dict() for pair in pairs if (search := results.search(*pair)) is not None]
+    tuned = [search.as_dict() for search in searches.values()]
     bounds = {each: bound for each in detectors if (bound := results.limits(each)) is not None}
     bracket = {"floor": results.limits(), "zero_alarm": bounds}
 
@@ -160,6 +165,7 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
                 **score_detector(records[label, "none"]),
                 **points[label],
                 "bracket": score_bounds(label),
+                **score_strongest([searches[pair] for pair in pairs if pair in searches], label),
             }
             for label in detectors
             if (label, "none") in records
@@ -173,6 +179,24 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
         "tuning": tuned,
         "missing": [each for each in missing if each not in finished],
     }
+
+
+def with_exact_score(cell: dict[str, Any], search: TuningResult | None) -> dict[str, Any]:
+    """Scores of a cell; at exactly the budget where it was fitted so, with the interval of that."""
+    if search is None or search.at_budget is None:
+        return cell
+    exact = search.at_budget
+    return {**cell, "stealthy_displacement_m": exact[MEASURES[0]], "at_budget": exact}
+
+
+def score_strongest(searches: Sequence[TuningResult], detector: str) -> dict[str, Any]:
+    """The strongest of the attacks on a detector at exactly the budget, chosen on other runs than
+    it is scored on; nothing where fewer than two were fitted so."""
+    own = [x for x in searches if x.detector == detector and x.trace is not None]
+    traces = [each.trace for each in own if each.trace is not None]
+    if len(traces) < 2:
+        return {}
+    return {"strongest_at_budget_m": score_best(traces, own[0].budget).as_json()}
 
 
 def run_campaign(
@@ -271,7 +295,9 @@ class Campaign(Experiment):
         """Work of a cell, in runs of an attack, roughly."""
         suite = self.suite
         if kind == SEARCH:
-            return search_work(suite.tuning) * (5.25 if spoofer and spoofer.needs_search else 1.0)
+            return search_work(suite.tuning, suite.runs) * (
+                5.25 if spoofer and spoofer.needs_search else 1.0
+            )
         if kind == RUNS:
             return suite.runs * (WARM_UP if spoofer and spoofer.label == "none" else 1.0)
         if kind == PROTECTION and suite.selection is not None:
@@ -299,9 +325,10 @@ class Campaign(Experiment):
             elif spoofer is None:
                 yield from (Result(*each.parts()) for each in play.protections(numbers))
             elif kind == SEARCH:
-                panel, tuning = play.panel("training", self.suite.tuning.runs), self.suite.tuning
+                tuning = self.suite.tuning
+                panel = play.panel(tuning.split, self.suite.fit_runs)
                 found = fit(panel, numbers, spoofer, tuning, lambda: optima, context.tick)
-                yield from (Result(record=each.as_dict()) for each in found)
+                yield from (Result(each.arrays(), each.as_dict()) for each in found)
             else:
                 yield from (Result(*each.parts()) for each in play.records(numbers, spoofer))
 

@@ -12,11 +12,19 @@ from ...spoofers.scaled import AMPLITUDE, Scaled
 from ...tasks import get_task
 from ..runs.panel import Panel, PanelAttack
 from ..runs.players import FITTED, PlayerSpec, refuse_oracles, specify_detector, specify_policy
+from ..runs.record import MEASURES
 from ..runs.world import WORLD, World
 from ..scores.scores import score_stealth, select_clusters
 from ..scores.spoofer import SpooferScore
-from ..scores.statistics import BUDGET, bootstrap_mean, draw_resamples, fewest_runs, wilson
-from ..search.amplitude import Tuning, TuningResult, with_rates
+from ..scores.statistics import (
+    BUDGET,
+    Estimate,
+    bootstrap_mean,
+    draw_resamples,
+    fewest_runs,
+    wilson,
+)
+from ..search.amplitude import UPPER_LIMIT, Tuning, TuningResult, with_rates
 from ..search.bounds import DisplacementBounds
 from ..search.open_loop import Optima, fit
 
@@ -48,6 +56,7 @@ class Evaluator:
         *,
         runs: int = RUNS,
         fit_runs: int = FIT_RUNS,
+        rule: str = UPPER_LIMIT,
         entropy: int = 0,
         threads: int | None = None,
         progress: ProgressCallback | None = None,
@@ -64,7 +73,7 @@ class Evaluator:
         fit_runs = whole_number("`fit_runs`", fit_runs, fewest_runs(BUDGET))
         self.runs = whole_number("`runs`", runs, 2)
         self.entropy = whole_number("`entropy`", entropy)
-        self.tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1))
+        self.tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1), rule=rule)
         self.task, self.threads, self.progress = task, threads, progress or NullProgress()
         self.world.check_fit([self.detector])
         self._panels: dict[tuple[str, tuple[type, ...]], Panel] = {}
@@ -88,7 +97,10 @@ class Evaluator:
         return self._panels[key]
 
     def _fit_player(self, entry: PlayerSpec) -> TuningResult:
-        panel, now = self._panel("training", entry), f"{self.detector.label}: tuning {entry.label}"
+        panel, now = (
+            self._panel(self.tuning.split, entry),
+            f"{self.detector.label}: tuning {entry.label}",
+        )
         tick = lambda work: self.progress.advance(work, now)  # noqa: E731
         optima = lambda: self.optima  # noqa: E731
         return next(fit(panel, {0: self.detector}, entry, self.tuning, optima, tick))
@@ -113,11 +125,13 @@ class Evaluator:
         """Score of one spoofer on the evaluation runs, as `evaluate` returns it."""
         entry = specify_policy(policy, amplitude, knowledge, label, largest_amplitude)
         setting, spec, within, value = entry.tuned, entry.fixed_spec, None, None
+        exact: dict[str, Any] | None = None
         if setting is not None:
             found = self._fit_player(entry)
             if found.found is not None:
                 entry = with_rates(entry, found.found["played"]["rates_mps"])
             spec, within, value = entry.with_value(found.value), found.within_budget, found.value
+            exact = found.at_budget
         elif isinstance(entry.thing, Scaled):
             setting, value = AMPLITUDE, entry.thing.amplitude
         panel, now = self._panel("evaluation", entry), f"{entry.label}: evaluation runs"
@@ -127,7 +141,7 @@ class Evaluator:
         moved, counts = record.displacement_m, record.counts
         stealth = score_stealth(moved, record.alarmed, counts)
         samples = draw_resamples(select_clusters(record.sky)[counts])
-        budget = self.tuning.budget
+        budget, mean = self.tuning.budget, bootstrap_mean(moved[counts], samples)
         return SpooferScore(
             task=self.task,
             detector=self.detector.label,
@@ -137,7 +151,7 @@ class Evaluator:
             value=value,
             runs=self.runs,
             counted=stealth.runs,
-            stealthy_displacement_m=bootstrap_mean(moved[counts], samples),
+            stealthy_displacement_m=mean if exact is None else Estimate.of(exact[MEASURES[0]]),
             alarm_rate=wilson(stealth.alarms, stealth.runs),
             clean_alarm_rate=float((panel.twin_alarm[:, 0] > 0).mean()),
             budget=budget,
@@ -147,6 +161,7 @@ class Evaluator:
             alarmed=record.alarmed,
             counts=counts,
             sky=record.sky,
+            at_budget=exact,
             twins=hashlib.sha256(panel.clean[0].position.tobytes()).hexdigest(),
         )
 
@@ -161,6 +176,7 @@ def evaluate(
     knowledge: str | None = None,
     label: str | None = None,
     largest_amplitude: float | None = None,
+    rule: str = UPPER_LIMIT,
     entropy: int = 0,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
@@ -201,6 +217,10 @@ def evaluate(
     largest_amplitude : float, optional
         Of a model whose amplitude is fitted, the largest one that is tried; 10 by default.  A
         network that has not learned answers by some hundredths, and needs a thousand.
+    rule : {"upper-limit", "exact"}
+        Whether the upper 95 % limit of the alarm rate keeps the budget on the training runs, or an
+        amplitude is fitted to exactly the budget on the evaluation runs; the interval then
+        includes the fit and the threshold, and `fit_runs` only say how many runs sift.
     entropy : int
         Seed of all of them.
     threads : int, optional
@@ -242,6 +262,7 @@ def evaluate(
         task,
         runs=runs,
         fit_runs=fit_runs,
+        rule=rule,
         entropy=entropy,
         threads=threads,
         progress=progress,

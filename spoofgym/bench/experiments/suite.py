@@ -39,7 +39,7 @@ from ..runs.players import (
     specify_spoofer,
 )
 from ..runs.world import CONTROLS, VICTIMS, WORLD, World
-from ..search.amplitude import Tuning
+from ..search.amplitude import EXACT, Tuning
 from ..search.attack_suite import (
     NAME,
     VERSION,
@@ -140,6 +140,11 @@ class Suite:
     def world(self) -> World:
         named = {name: getattr(self, name) for name in ("env", *WORLD, "settings")}
         return World.of(**named)
+
+    @property
+    def fit_runs(self) -> int:
+        """Runs that an amplitude is fitted on."""
+        return self.runs if self.tuning.rule == EXACT else self.tuning.runs
 
     @cached_property
     def detector_players(self) -> tuple[PlayerSpec, ...]:
@@ -251,7 +256,7 @@ class Suite:
             "runs": self.runs,
             "entropy": self.entropy,
             "splits": dict(SPLITS),
-            "tuning": dataclasses.asdict(self.tuning),
+            "tuning": self.tuning.as_dict(),
             "attack_suite": self._attack_suite(),
             "alert_limit_m": float(self.alert_limit_m),
             "alert_limits_m": list(ALERT_LIMITS_M),

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from ...detectors.calibrated import NOISY_WARMUP
 from ...spoofers.base import sees_statistics
 from ..experiments.campaign import CampaignResults
+from ..runs.record import MEASURES
 from ..scores.campaign import ANY_RATE, CONTROLS, HALF, NOMINAL, STEALTHY, extract_name, headline
 from ..search.attack_suite import FAMILIES as FAMILIES
 from ..search.attack_suite import ORACLES
@@ -35,6 +36,7 @@ ORACLE = " (oracle)"
 HIDDEN_SETTINGS = {"name", "heading_deg", "label", "designed_on", "file"}
 """Settings that a table leaves out: they are in other columns, or in the results only."""
 OVER, NONE_WITHIN = ", over budget", " (none within the budget)"
+STRONGEST = "the strongest of these"
 ABOVE_BOUND = ", above the zero-alarm bound"
 
 
@@ -238,6 +240,38 @@ ATTACKS = Table(
 )
 
 
+EXACTLY = Table(
+    ("detector", "detector"),
+    ("spoofer", lambda cell: format_spoofer(cell["spoofer"], cell["knowledge"]["run_time"])),
+    ("amplitude or setting", lambda cell: cell["at_budget"].get("amplitude"), interval),
+    ("alarms there [%]", lambda cell: cell["at_budget"].get("alarm_rate"), share(1)),
+    ("silent at any [%]", lambda cell: cell["at_budget"].get("silent_share"), share(1)),
+    *(
+        (f"{word} [m]", lambda cell, name=name: cell["at_budget"].get(name), interval)
+        for word, name in zip(
+            ("displacement", "vertical", "total error", "total vertical"), MEASURES, strict=True
+        )
+    ),
+)
+"""Attacks at exactly the alarm budget, with intervals that include the fit and the threshold."""
+
+
+def exact_rows(summary: Row, group: FalseAlarmGroup) -> list[Row]:
+    """Rows of `EXACTLY`: cells that were fitted to exactly the budget, and the strongest."""
+    cells = [cell for cell in group.rows(summary["cells"]) if "at_budget" in cell]
+    strongest = [
+        {
+            "detector": row["detector"],
+            "spoofer": STRONGEST,
+            "knowledge": {"run_time": ""},
+            "at_budget": {MEASURES[0]: row["strongest_at_budget_m"]},
+        }
+        for row in group.rows(summary["detectors"])
+        if "strongest_at_budget_m" in row
+    ]
+    return group.rows([*cells, *strongest])
+
+
 def attack_rows(summary: Row, group: FalseAlarmGroup) -> list[Row]:
     """Rows of `ATTACKS`: cells, with a mark above the zero-alarm bound."""
     above = {
@@ -353,6 +387,8 @@ def print_campaign(summary: Row) -> None:
             print(*notes, "", sep="\n")
         if rows := attack_rows(summary, group):
             ATTACKS.print(f"{name}: stealthy attacks", rows, names=2)
+        if rows := exact_rows(summary, group):
+            EXACTLY.print(f"{name}: at exactly {100 * summary['budget']:g} % alarms", rows, names=2)
         CLEAN.print(f"{name}: price", group.rows(summary["detectors"]))
     if summary["missing"]:
         print(f"not finished: {', '.join(summary['missing'])}")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ...calibration.clean_runs import RunMaxima
 from ...detectors import Calibrated, Detector, Never, PooledDetector
+from ...detectors.calibrated import resolve_thresholds
 from ...simulation.domain import draw
 from ...simulation.monitors import Monitor
 from ...simulation.setup import Setup, make_generators, seeds_of_runs
@@ -237,6 +238,26 @@ class Panel:
                             blamed=runs.blamed[own_rows],
                         )
         return [found[each.key, number] for each, number in attacks]
+
+    def play_each(
+        self, number: int, specs: Sequence[Any], which: NDArray[np.intp], rows: NDArray[np.intp]
+    ) -> Runs:
+        """What a detector makes of some runs, each under an attack of its own, `which` (r,) of the
+        specs; runs are left once they have alarmed."""
+        alone = len(self.judges) > 1 and sees_statistics(make_spoofer(specs[0]).knowledge)
+        start = self._start((number,), alone, PanelAttack(specs[0], len(rows)), rows)
+        return play_side_by_side(start, specs, which, drop_alarmed=True)[0]
+
+    def at_thresholds(self, number: int, factor: float, runs: int) -> Panel:
+        """The first runs in front of one of the detectors, its thresholds so many times as high.
+        A TypeError where it has no scaled thresholds."""
+        judge = copy.deepcopy(self.judges[number])
+        if not isinstance(judge, Calibrated):
+            raise TypeError(f"{judge!r} has no scaled thresholds")
+        resolve_thresholds(judge, self.world)
+        scaled = in_any_world(judge)
+        scaled.scale *= factor  # type: ignore[attr-defined]
+        return Panel(self.world, [scaled], lambda: self.rngs()[:runs], self.threads, self._watched)
 
     def _start(
         self, numbers: Numbers, alone: bool, attack: PanelAttack, rows: NDArray[np.intp]

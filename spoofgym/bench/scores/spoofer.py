@@ -31,7 +31,9 @@ class SpooferScore:
     - `fit_within_budget`: the same on the training runs, by the upper 95 % limit of the rate; None
       where nothing was fitted;
     - `displacement_m` (R,) of each run [m]; `counts` (R,) bool, whether it counts; `sky` (R,) under
-      which it flew; `alarmed` (R,) bool; `twins`: digest of the same runs without an attack.
+      which it flew; `alarmed` (R,) bool; `twins`: digest of the same runs without an attack;
+    - `at_budget`: score at exactly the budget, with total and vertical errors, where the amplitude
+      was fitted to it; its displacement is the stealthy one, with the interval of the fit.
     """
 
     task: str | None
@@ -53,6 +55,7 @@ class SpooferScore:
     counts: NDArray[np.bool_] = field(repr=False, compare=False)
     sky: NDArray[np.int64] = field(repr=False, compare=False)
     twins: str = field(repr=False)
+    at_budget: dict[str, Any] | None = field(default=None, repr=False, compare=False)
 
     @property
     def keeps_budget(self) -> bool:
@@ -97,6 +100,7 @@ class SpooferScore:
             "budget": self.budget,
             "within_budget": self.within_budget,
             "fit_within_budget": self.fit_within_budget,
+            **({} if self.at_budget is None else {"at_budget": self.at_budget}),
         }
 
     def __str__(self) -> str:

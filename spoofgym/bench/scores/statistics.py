@@ -38,6 +38,12 @@ class Estimate(NamedTuple):
     low: float
     high: float
 
+    @classmethod
+    def of(cls, data: Mapping[str, float | None]) -> Estimate:
+        """Inverse of `as_json`."""
+        numbers = {key: math.nan if (x := data[key]) is None else x for key in cls._fields}
+        return cls(**numbers)
+
     def as_json(self) -> dict[str, float | None]:
         return {
             name: None if math.isnan(number) else round(number, 6)
@@ -169,6 +175,20 @@ def largest_of_share(values: ArrayLike, share: float, samples: FloatArray) -> Fl
     reached = np.cumsum(samples[:, order], axis=1)
     needed = np.maximum(np.ceil(share * reached[:, -1] - 1e-9), 1.0)
     return np.asarray(x[order][np.argmax(reached >= needed[:, None], axis=1)])
+
+
+def weighted_quantile(values: ArrayLike, share: float, samples: FloatArray) -> FloatArray:
+    """In each bootstrap sample the largest value that at most a share of the runs does not exceed,
+    between two of them in proportion. `values` (R,), at least one; `samples` (S, R) of `resamples`;
+    returns (S,)."""
+    x = np.asarray(values, dtype=np.float64)
+    order = np.argsort(x, kind="stable")
+    below = np.cumsum(samples[:, order], axis=1)
+    wanted = share * below[:, -1]
+    whole = np.floor(wanted + 1e-9)
+    ends = np.clip([whole, whole + 1.0], 1.0, below[:, -1])
+    lower, upper = (x[order][np.argmax(below >= end[:, None], axis=1)] for end in ends)
+    return np.asarray(lower + np.maximum(wanted - whole, 0.0) * (upper - lower))
 
 
 def percentiles(value: float, drawn: FloatArray, confidence: float = CONFIDENCE) -> Estimate:

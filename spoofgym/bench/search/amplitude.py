@@ -17,8 +17,8 @@ noise with those that are scored.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from ...core.declared import setting, settings_record
@@ -27,9 +27,14 @@ from ...spoofers import make_spoofer
 from ..runs.panel import Panel, PanelAttack, Search
 from ..runs.players import PlayerSpec
 from ..runs.record import compute_displacement
+from ..scores.at_budget import AlarmTrace
 from ..scores.scores import Stealth, score_stealth
 from ..scores.statistics import BUDGET, build_log_grid, fewest_runs, rounded_down
 
+RULES = UPPER_LIMIT, EXACT = "upper-limit", "exact"
+"""How an amplitude is fitted to the alarm budget: by the upper 95 % limit of the alarm rate on
+training runs, or to exactly the budget on the runs that are scored (`alarm_amplitude`)."""
+EXACT_PLAYS = 10.0  # of each run that an exact search takes, roughly
 RESOLUTION = 1.02
 """Ratio of the smallest value known to be over the budget to the largest one known to keep it."""
 
@@ -57,6 +62,21 @@ class Tuning:
         help="Largest P(alarm | silent twin), which its upper 95 % limit on the training runs "
         "keeps.",
     )
+    rule: str = setting(
+        default=UPPER_LIMIT,
+        one_of=RULES,
+        help="Whether the budget is kept by the upper limit of the alarm rate, or met exactly.",
+    )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Settings, JSON-able; the rule where it is not the default, which is older than it."""
+        named = asdict(self)
+        return {key: x for key, x in named.items() if (key, x) != ("rule", UPPER_LIMIT)}
+
+    @property
+    def split(self) -> str:
+        """Runs that an amplitude is fitted on."""
+        return "evaluation" if self.rule == EXACT else "training"
 
     def __post_init__(self) -> None:
         if self.runs < fewest_runs(self.budget):
@@ -104,7 +124,9 @@ class TuningResult:
     - `clean_alarm_rate`, `warmup_alarms`: part of them that alarms without attack, and how many
       alarm before it;
     - `trials`: all that was tried, by value; the choice is among those on all runs;
-    - `found`: settings of a spoofer that was looked for besides its value, and how; or None.
+    - `found`: settings of a spoofer that was looked for besides its value, and how; or None;
+    - `at_budget`: score at exactly the budget, by the rule `EXACT`, and `trace`, by which attacks
+      are compared; or None.
     """
 
     detector: str
@@ -119,6 +141,8 @@ class TuningResult:
     warmup_alarms: int
     trials: tuple[Trial, ...]
     found: dict[str, Any] | None = None
+    at_budget: dict[str, Any] | None = None
+    trace: AlarmTrace | None = field(default=None, repr=False, compare=False)
 
     @property
     def chosen(self) -> Trial:
@@ -131,13 +155,23 @@ class TuningResult:
         return self.chosen.stealthy_displacement_m if self.within_budget else 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        return {**asdict(self), "trials": [asdict(trial) for trial in self.trials]}
+        left_out = {"trace"} if self.at_budget else {"trace", "at_budget"}
+        named = asdict(replace(self, trace=None))
+        named["trials"] = [asdict(trial) for trial in self.trials]
+        return {key: x for key, x in named.items() if key not in left_out}
+
+    def arrays(self) -> dict[str, Any]:
+        """What `as_dict` leaves out."""
+        return {} if self.trace is None else self.trace.parts()
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> TuningResult:
-        """Inverse of `as_dict`."""
+    def from_dict(
+        cls, data: dict[str, Any], arrays: Mapping[str, Any] | None = None
+    ) -> TuningResult:
+        """Inverse of `as_dict`, and of `arrays`."""
         trials = tuple(Trial(**trial) for trial in data["trials"])
-        return cls(**{**data, "trials": trials})
+        trace = AlarmTrace.from_parts(arrays, data["value"]) if arrays else None
+        return cls(**{**data, "trials": trials, "trace": trace})
 
 
 class _Search:
@@ -232,8 +266,10 @@ def tune_amplitude(
     )
 
 
-def search_work(settings: Tuning) -> float:
-    """Runs that a search takes, roughly."""
+def search_work(settings: Tuning, scored: int = 0) -> float:
+    """Runs that a search takes, roughly; `scored`: how many are scored, on which it is exact."""
+    if settings.rule == EXACT:
+        return settings.values * settings.sift_runs + EXACT_PLAYS * scored
     return settings.values * settings.sift_runs + (settings.refined + 2) * settings.runs
 
 

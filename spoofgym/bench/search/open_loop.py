@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,8 +38,11 @@ from ...spoofers.profile import MOST_KNOTS, sample_curve
 from ..runs.panel import Panel, play_searches
 from ..runs.play import Runs, WarmStart, induced_error, play
 from ..runs.players import PlayerSpec
+from ..runs.record import MEASURES
+from ..scores.at_budget import score_best
 from ..scores.statistics import aim
-from .amplitude import Tuning, TuningResult, search_work, tune_amplitude, with_rates
+from .alarm_amplitude import tune_at_budget
+from .amplitude import EXACT, Tuning, TuningResult, search_work, tune_amplitude, with_rates
 from .backends import Backend, EngineBackend, FloatArray, ReplayBackend, Rows, get_rate_limits
 from .bounds import DisplacementBounds
 
@@ -462,6 +466,9 @@ def fit(
 ) -> Iterator[TuningResult]:
     """Search for a spoofer's setting against detectors of a panel, in their order; of a blind
     optimum for its curve before that."""
+    if settings.rule == EXACT:
+        yield from _fit_exactly(panel, detectors, entry, settings, optima, tick)
+        return
     if not entry.needs_search:
         searches = [
             (k, tune_amplitude(panel, k, entry, d.label, settings)) for k, d in detectors.items()
@@ -478,8 +485,43 @@ def fit(
             for x in own.values()
         ]
         fits = dict(zip(own, play_searches(panel, searches, tick), strict=True))
-        best = max(fits, key=lambda name: fits[name].score)
-        found["fitted_m"] = {name: fit.score for name, fit in fits.items()}
-        found["played"] = {"curve": best, "rates_mps": curves[best]}
-        found["unbeaten_start"] = name_unbeaten_start(found)
-        yield replace(fits[best], found=found)
+        yield _choose_curve(found, curves, fits)
+
+
+def _choose_curve(
+    found: dict[str, Any], curves: Mapping[str, Any], fits: Mapping[str, TuningResult]
+) -> TuningResult:
+    """The fit that gets farthest, with how its curve was found."""
+    best = max(fits, key=lambda name: fits[name].score)
+    found["fitted_m"] = {name: fit.score for name, fit in fits.items()}
+    found["played"] = {"curve": best, "rates_mps": curves[best]}
+    found["unbeaten_start"] = name_unbeaten_start(found)
+    return replace(fits[best], found=found)
+
+
+def _fit_exactly(
+    panel: Panel,
+    detectors: Mapping[int, PlayerSpec],
+    entry: PlayerSpec,
+    settings: Tuning,
+    optima: Callable[[], Optima],
+    tick: Callable[[float], None],
+) -> Iterator[TuningResult]:
+    """As `fit`, to exactly the budget. Where the best of several curves is played, its displacement
+    is scored on runs that it was not chosen on."""
+    for number, detector in detectors.items():
+        tune = partial(tune_at_budget, panel, number, settings=settings, tick=tick)
+        if not entry.needs_search:
+            yield tune(entry=entry, detector=detector.label)
+            continue
+        found = optima().find(detector, entry, lambda _: None)
+        curves = optima().curves_to_fit(found)
+        fits = {
+            name: tune(entry=with_rates(entry, rates), detector=detector.label)
+            for name, rates in curves.items()
+        }
+        best = _choose_curve(found, curves, fits)
+        traces = [each.trace for each in fits.values() if each.trace is not None]
+        score = score_best(traces, settings.budget)
+        at_budget = {**(best.at_budget or {}), MEASURES[0]: score.as_json()}
+        yield replace(best, at_budget=at_budget)

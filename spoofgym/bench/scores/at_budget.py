@@ -1,0 +1,236 @@
+r"""Scores at exactly the alarm budget, with intervals that include the fit of the amplitude.
+
+A run's **alarm amplitude** is the smallest amplitude of an attack at which the detector alarms in
+the judged window.  With the alarm amplitudes a of the R runs that count, the amplitude at a budget
+p is their p-quantile, so that exactly a share p of the runs alarms,
+
+.. math:: A_p = a_{(k)} + (p R - k) (a_{(k+1)} - a_{(k)}), \qquad k = \lfloor p R \rfloor
+
+and the score is the mean undetected displacement there, :math:`D(A_p)`, where D is played at some
+amplitudes and interpolated between them.
+
+The bootstrap (`efron1979`) draws skies with all their runs, fits the amplitude to each draw, and
+takes the displacement there.  The threshold is itself an order statistic of clean runs: its factor
+c is drawn too (`Calibration.draw_factors`), and the displacement follows by its elasticity in the
+threshold, :math:`c^\eta`.
+
+An attack that is the best of several is chosen on one half of the runs and scored on the other,
+and the other way round, in every draw.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..runs.record import MEASURES
+from .scores import select_clusters
+from .statistics import (
+    NOTHING,
+    RESAMPLES,
+    Estimate,
+    FloatArray,
+    draw_resamples,
+    percentiles,
+    weighted_quantile,
+)
+
+AMPLITUDE = "amplitude"
+
+
+@dataclass(frozen=True)
+class AlarmCurve:
+    """What an attack does at J amplitudes around the budget, on the R runs that count.
+
+    - `amplitudes` (J,), increasing, at least one;
+    - `alarm_amplitude` (R,) of each run; the first or the last amplitude where it lies beyond them;
+    - `displacement` by measure (J, R), undetected [m]; `alarmed` (J, R) bool;
+    - `sky` (R,) under which each run flew;
+    - `chosen`: the one of the amplitudes that is at the budget, rounded down to four digits;
+    - `silent_share` of some runs that alarm at no amplitude within the range;
+    - `elasticity` of amplitude and measures in the threshold, at a constant share of alarms.
+    """
+
+    amplitudes: FloatArray
+    alarm_amplitude: FloatArray
+    displacement: Mapping[str, FloatArray]
+    alarmed: NDArray[np.bool_]
+    sky: NDArray[np.int64]
+    chosen: float
+    silent_share: float = math.nan
+    elasticity: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def runs(self) -> int:
+        """R."""
+        return len(self.alarm_amplitude)
+
+    def fit(self, budget: float, samples: FloatArray) -> FloatArray:
+        """(S,) amplitude at the budget in bootstrap samples (S, R)."""
+        return weighted_quantile(self.alarm_amplitude, budget, samples)
+
+    def compute_mean(self, values: FloatArray, at: FloatArray, samples: FloatArray) -> FloatArray:
+        """(S,) mean of `values` (J, R) at an amplitude (S,) of each sample; NaN of no run."""
+        with np.errstate(invalid="ignore"):
+            means = (samples @ values.T) / samples.sum(axis=1)[:, None]
+        if len(self.amplitudes) == 1:
+            return np.asarray(means[:, 0])
+        place = np.searchsorted(self.amplitudes, at) - 1
+        low = np.clip(place, 0, len(self.amplitudes) - 2)
+        part = (at - self.amplitudes[low]) / np.diff(self.amplitudes)[low]
+        each, part = np.arange(len(at)), np.clip(part, 0.0, 1.0)
+        return np.asarray((1.0 - part) * means[each, low] + part * means[each, low + 1])
+
+
+class AlarmTrace(NamedTuple):
+    """An attack around the budget, and the factors on the thresholds that are drawn (S,), or None
+    where the threshold is no estimate."""
+
+    curve: AlarmCurve
+    factors: FloatArray | None
+
+    def parts(self) -> dict[str, NDArray[Any]]:
+        """Arrays of what another attack is compared with."""
+        curve, name = self.curve, MEASURES[0]
+        found: dict[str, NDArray[Any]] = {
+            "amplitudes": curve.amplitudes,
+            "alarm_amplitude": curve.alarm_amplitude,
+            "alarmed": curve.alarmed,
+            "sky": curve.sky,
+            name: curve.displacement[name].astype(np.float32),
+            "elasticity": np.array(curve.elasticity.get(name, 0.0)),
+        }
+        return found if self.factors is None else {**found, "factors": self.factors}
+
+    @classmethod
+    def from_parts(cls, arrays: Mapping[str, NDArray[Any]], chosen: float) -> AlarmTrace:
+        """Inverse of `parts`, with `AlarmCurve.chosen`."""
+        name = MEASURES[0]
+        curve = AlarmCurve(
+            amplitudes=arrays["amplitudes"],
+            alarm_amplitude=arrays["alarm_amplitude"],
+            displacement={name: arrays[name].astype(np.float64)},
+            alarmed=arrays["alarmed"],
+            sky=arrays["sky"],
+            chosen=chosen,
+            elasticity={name: float(arrays["elasticity"])},
+        )
+        return cls(curve, arrays.get("factors"))
+
+
+class AtBudget(NamedTuple):
+    """An attack at exactly the alarm budget, with 95 % intervals.
+
+    - `budget`: share of the runs that alarm, by their alarm amplitudes;
+    - `amplitude`: at which they do; `alarm_rate` there, which is less where some runs are silent
+      again above their alarm amplitude;
+    - `displacement` by measure: mean undetected displacement [m];
+    - `within_range`: whether the range of amplitudes reaches down to the budget;
+    - `counted` runs; `silent_share` as of an `AlarmCurve`.
+    """
+
+    budget: float
+    amplitude: Estimate
+    alarm_rate: float
+    displacement: Mapping[str, Estimate]
+    within_range: bool
+    counted: int
+    silent_share: float
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "budget": self.budget,
+            AMPLITUDE: self.amplitude.as_json(),
+            "alarm_rate": None if math.isnan(self.alarm_rate) else round(self.alarm_rate, 6),
+            **{name: each.as_json() for name, each in self.displacement.items()},
+            "within_range": self.within_range,
+            "counted": self.counted,
+            "silent_share": None if math.isnan(self.silent_share) else round(self.silent_share, 6),
+        }
+
+
+def _draw(sky: NDArray[np.int64]) -> FloatArray:
+    """(1 + S, R) all runs once, and bootstrap samples of them."""
+    drawn = draw_resamples(select_clusters(sky), RESAMPLES)
+    return np.concatenate([np.ones((1, len(sky))), drawn])
+
+
+def _scores(
+    curve: AlarmCurve, budget: float, samples: FloatArray, factors: FloatArray | None
+) -> dict[str, FloatArray]:
+    """(1 + S,) amplitude and displacements in samples, the first of which is the estimate."""
+    at = curve.fit(budget, samples)
+    found = {AMPLITUDE: at} | {
+        name: curve.compute_mean(values, at, samples) for name, values in curve.displacement.items()
+    }
+    if factors is not None:
+        drawn = np.concatenate([[1.0], factors])
+        found = {name: x * drawn ** curve.elasticity.get(name, 0.0) for name, x in found.items()}
+    return found
+
+
+def _estimate(drawn: FloatArray) -> Estimate:
+    return percentiles(float(drawn[0]), drawn[1:])
+
+
+def score_at_budget(
+    curve: AlarmCurve, budget: float, factors: FloatArray | None = None
+) -> AtBudget:
+    """Score of an attack at exactly a budget. `factors` (S,) on the thresholds, as drawn from their
+    calibration, S being `RESAMPLES`; None where the threshold is no estimate."""
+    if not curve.runs:
+        nothing = dict.fromkeys(curve.displacement, NOTHING)
+        return AtBudget(budget, NOTHING, math.nan, nothing, False, 0, curve.silent_share)
+    samples = _draw(curve.sky)
+    drawn = _scores(curve, budget, samples, factors)
+    at = drawn.pop(AMPLITUDE)
+    rate = curve.compute_mean(curve.alarmed.astype(np.float64), at[:1], samples[:1])
+    return AtBudget(
+        budget=budget,
+        amplitude=_estimate(at),
+        alarm_rate=float(rate[0]),
+        displacement={name: _estimate(each) for name, each in drawn.items()},
+        within_range=bool(curve.alarmed[0].mean() <= budget),
+        counted=curve.runs,
+        silent_share=curve.silent_share,
+    )
+
+
+def compare_at_budget(
+    first: AlarmCurve, second: AlarmCurve, budget: float, factors: FloatArray | None = None
+) -> Estimate:
+    """Displacement of the first less that of the second, of runs that are not the same [m]. Their
+    skies are drawn together, and so is the threshold."""
+    if not first.runs or not second.runs:
+        return NOTHING
+    both = _draw(np.concatenate([first.sky, second.sky]))
+    parts = both[:, : first.runs], both[:, first.runs :]
+    x, y = (
+        _scores(curve, budget, samples, factors)[MEASURES[0]]
+        for curve, samples in zip((first, second), parts, strict=True)
+    )
+    return _estimate(x - y)
+
+
+def score_best(traces: Sequence[AlarmTrace], budget: float) -> Estimate:
+    """Displacement of the best of several attacks on the same runs [m], chosen on one half of the
+    runs and scored on the other, both ways round; choices are made again in every draw."""
+    curves, factors = [each.curve for each in traces], traces[0].factors
+    sky, runs = curves[0].sky, curves[0].runs
+    if runs < 2:
+        return NOTHING
+    half = np.empty(runs, dtype=np.int64)
+    half[np.argsort(sky, kind="stable")] = np.arange(runs) % 2  # every sky is halved
+    samples = _draw(sky)
+    halves = [
+        np.array([_scores(x, budget, samples * (half == h), factors)[MEASURES[0]] for x in curves])
+        for h in (0, 1)
+    ]
+    each = np.arange(len(samples))
+    scored = [y[x.argmax(axis=0), each] for x, y in (halves, halves[::-1])]
+    return _estimate(0.5 * (scored[0] + scored[1]))

@@ -1,0 +1,271 @@
+"""Alarm amplitudes of single runs, and an attack at exactly the alarm budget by them.
+
+1. A few runs sift log-spaced values of the whole range for the neighbourhood of the budget.
+2. All runs play values around it, in growing steps, until the share of alarms is well below the
+   budget at one end and well above it at the other.
+3. Runs that alarm first between two of these halve the ratio until their alarm amplitude is known
+   to `RESOLUTION`: all at once, each with its own value, from the same seeds.  The first crossing
+   counts, since a run may be silent again above it.
+4. All runs play the amplitude at the budget, too.
+5. Some runs are played at thresholds that are `FACTOR` times as high, too, for the elasticity of
+   the score.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...detectors import Calibrated
+from ...detectors.calibrated import resolve_thresholds
+from ...envs.spoofer_binding import get_tuning_range
+from ...spoofers import make_spoofer
+from ..runs.panel import Panel, PanelAttack
+from ..runs.players import PlayerSpec
+from ..runs.record import (
+    MEASURES,
+    measure_displacement,
+)
+from ..scores.at_budget import AMPLITUDE, AlarmCurve, AlarmTrace, score_at_budget
+from ..scores.scores import Stealth, select_clusters
+from ..scores.statistics import (
+    RESAMPLES,
+    FloatArray,
+    build_log_grid,
+    draw_resamples,
+    rounded_down,
+    weighted_quantile,
+)
+from .amplitude import Trial, Tuning, TuningResult
+
+RESOLUTION = 1.005
+"""Ratio of two values between which a run's alarm amplitude is known to lie."""
+STEP, GROWTH = 1.1, 1.25
+"""Ratio of the first two values that all runs play, and the power by which it grows."""
+ERRORS, LEAST = 4.0, 0.2
+"""Standard errors of a share of alarms by which these values go beyond the budget, and the part of
+the budget that is far enough below it."""
+FACTOR, FACTOR_RUNS = 1.1, 512
+"""On the thresholds, for the elasticity of a score, and how many runs it is taken from at most."""
+Mask = NDArray[np.bool_]
+Rows = NDArray[np.intp]
+Played = tuple[Mask, dict[str, FloatArray]]
+"""Which runs alarm (R,), and their undetected displacement by measure (R,) [m]."""
+
+
+class AttackedRuns(Protocol):
+    """Runs that count, and an attack on them at any value of its setting.
+
+    - `span`: smallest and largest value; `sky` (R,) of each run.
+    """
+
+    span: tuple[float, float]
+    sky: NDArray[np.int64]
+
+    def play(self, value: float) -> Played:
+        """All runs at one value."""
+
+    def sift(self, values: Sequence[float], count: int) -> Mask:
+        """(V, r) whether the first runs, about so many, alarm at some values."""
+
+    def alarms(self, values: FloatArray, rows: Rows) -> Mask:
+        """(r,) whether some runs alarm, each at its own value."""
+
+
+class EngineRuns:
+    """Runs of a panel on the engine, against one of its detectors; any spoofer."""
+
+    def __init__(
+        self,
+        panel: Panel,
+        number: int,
+        entry: PlayerSpec,
+        tick: Callable[[float], None] = lambda _: None,
+    ) -> None:
+        self.panel, self.number, self.player, self.tick = panel, number, entry, tick
+        low, high = get_tuning_range(make_spoofer(entry.with_value(1.0)), panel.setup)
+        self.span = low, high if entry.largest is None else entry.largest
+        self.rows = np.flatnonzero(panel.counts[:, number])
+        self.sky, self.twin = panel.sky[self.rows], panel.clean[number].take(self.rows)
+
+    def play(self, value: float) -> Played:
+        attack = PanelAttack(self.player.with_value(value), self.panel.runs)
+        (runs,) = self.panel.play([(attack, self.number)], tick=self.tick)
+        own = runs.take(self.rows)
+        return own.first_alarm > 0, measure_displacement(self.panel.setup, own, self.twin)
+
+    def sift(self, values: Sequence[float], count: int) -> Mask:
+        attacks = [PanelAttack(self.player.with_value(value), count) for value in values]
+        played = self.panel.play([(each, self.number) for each in attacks], tick=self.tick)
+        rows = self.rows[self.rows < count]
+        return np.array([runs.first_alarm[rows] > 0 for runs in played])
+
+    def alarms(self, values: FloatArray, rows: Rows) -> Mask:
+        different, which = np.unique(values, return_inverse=True)
+        specs = [self.player.with_value(value) for value in different.tolist()]
+        runs = self.panel.play_each(self.number, specs, which, self.rows[rows])
+        return np.asarray(runs.first_alarm > 0)
+
+
+def trace_alarms(runs: AttackedRuns, settings: Tuning, start: float | None = None) -> AlarmCurve:
+    """Play an attack around the budget, and find the alarm amplitudes there. `start`: a value near
+    it; sifted for by default."""
+    silent, low, high = math.nan, *runs.span
+    if start is None:
+        grid = build_log_grid(low, high, settings.values)
+        alarmed = np.logical_or.accumulate(runs.sift(grid, settings.sift_runs))
+        share = alarmed.mean(axis=1) if alarmed.size else np.zeros(len(grid))
+        silent, high = 1.0 - float(share[-1]), grid[-1]
+        start = float(np.exp(np.interp(settings.budget, share, np.log(grid))))
+    if not len(runs.sky):
+        none = np.zeros((1, 0))
+        return AlarmCurve(
+            np.array([low]), none[0], {MEASURES[0]: none}, none > 0.0, runs.sky, low, silent
+        )
+    played = _play_around(runs, settings.budget, start, (low, high))
+    values = np.array(sorted(played))
+    alarmed = np.array([played[value][0] for value in values.tolist()])
+    edges = _bisect(runs, values, alarmed)
+    at = rounded_down(float(weighted_quantile(edges, settings.budget, np.ones((1, len(edges))))[0]))
+    if at not in played:
+        played[at] = runs.play(at)
+    values = np.array(sorted(played))
+    moved = [played[value][1] for value in values.tolist()]
+    return AlarmCurve(
+        amplitudes=values,
+        alarm_amplitude=edges,
+        displacement={name: np.array([each[name] for each in moved]) for name in moved[0]},
+        alarmed=np.array([played[value][0] for value in values.tolist()]),
+        sky=runs.sky,
+        chosen=at,
+        silent_share=silent,
+    )
+
+
+def _play_around(
+    runs: AttackedRuns, budget: float, start: float, span: tuple[float, float]
+) -> dict[float, Played]:
+    """What is played on all runs, by value."""
+    start = min(max(start, span[0]), span[1])
+    played = {start: runs.play(start)}
+    error = ERRORS * _share_error(played[start][0], runs.sky, budget)
+    ends = (-1, max(budget - error, LEAST * budget)), (1, budget + error)
+    for sign, end in ends:
+        value, power = start, 1.0
+        while sign * (end - float(played[value][0].mean())) > 0.0 and value != span[sign > 0]:
+            value = min(max(value * STEP ** (sign * power), span[0]), span[1])
+            played[value], power = runs.play(value), power * GROWTH
+    return played
+
+
+def _share_error(alarmed: Mask, sky: NDArray[np.int64], budget: float) -> float:
+    """Standard error of a share of alarms at the budget, of runs that come in skies as the alarms
+    (R,) at a value near it do."""
+    independent, share = math.sqrt(budget * (1.0 - budget) / len(sky)), float(alarmed.mean())
+    if not 0.0 < share < 1.0:
+        return independent
+    samples = draw_resamples(select_clusters(sky))
+    spread = np.std(samples @ alarmed / samples.sum(axis=1))
+    return independent * max(float(spread) / math.sqrt(share * (1.0 - share) / len(sky)), 1.0)
+
+
+def _bisect(runs: AttackedRuns, values: FloatArray, alarmed: Mask) -> FloatArray:
+    """(R,) alarm amplitudes, by which runs alarm (V, R) at some values."""
+    crossed, first = alarmed.any(axis=0), alarmed.argmax(axis=0)
+    high = np.where(crossed, values[first], values[-1])
+    low = np.where(crossed & (first > 0), values[np.maximum(first - 1, 0)], high)
+    while len(rows := np.flatnonzero(high > RESOLUTION * low)):
+        middle = np.sqrt(low[rows] * high[rows])
+        above = runs.alarms(middle, rows)
+        high[rows[above]], low[rows[~above]] = middle[above], middle[~above]
+    return np.asarray(np.sqrt(low * high))
+
+
+def measure_elasticity(
+    panel: Panel, number: int, entry: PlayerSpec, settings: Tuning, start: float
+) -> dict[str, float]:
+    """Elasticity of amplitude and displacements in the thresholds, at the budget; empty where they
+    are not scaled."""
+    if not isinstance(panel.judges[number], Calibrated):
+        return {}
+    count, found = min(panel.runs, FACTOR_RUNS), []
+    for factor in (1.0, FACTOR):
+        runs = EngineRuns(panel.at_thresholds(number, factor, count), 0, entry)
+        score = score_at_budget(trace_alarms(runs, settings, start), settings.budget)
+        found.append({AMPLITUDE: score.amplitude, **score.displacement})
+    pairs = {name: (found[0][name].value, found[1][name].value) for name in found[0]}
+    return {
+        name: math.log(above / here) / math.log(FACTOR)
+        for name, (here, above) in pairs.items()
+        if min(here, above) > 0.0
+    }
+
+
+def draw_threshold_factors(panel: Panel, number: int) -> FloatArray | None:
+    """(S,) factors on the thresholds that other clean runs would have given; None where they do not
+    come from clean runs, or differ between the members of a pool."""
+    judge = panel.judges[number]
+    if not isinstance(judge, Calibrated):
+        return None
+    resolve_thresholds(judge, panel.world)
+    calibration = judge.find_calibration(panel.world)
+    if calibration is None or judge.point is None:
+        return None
+    rng = np.random.default_rng(judge.point.runs)
+    return calibration.draw_factors(judge.point, RESAMPLES, rng)
+
+
+def trace_attack(
+    panel: Panel,
+    number: int,
+    entry: PlayerSpec,
+    settings: Tuning,
+    tick: Callable[[float], None] = lambda _: None,
+) -> AlarmTrace:
+    """An attack around the budget, with its elasticity, and the factors that are drawn."""
+    curve = trace_alarms(EngineRuns(panel, number, entry, tick), settings)
+    factors = draw_threshold_factors(panel, number)
+    if factors is not None and curve.runs:
+        start = score_at_budget(curve, settings.budget).amplitude.value
+        elasticity = measure_elasticity(panel, number, entry, settings, start)
+        curve = replace(curve, elasticity=elasticity)
+    return AlarmTrace(curve, factors)
+
+
+def tune_at_budget(
+    panel: Panel,
+    number: int,
+    entry: PlayerSpec,
+    detector: str,
+    settings: Tuning,
+    tick: Callable[[float], None] = lambda _: None,
+) -> TuningResult:
+    """Find the value of a spoofer's setting at exactly the budget."""
+    trace = trace_attack(panel, number, entry, settings, tick)
+    curve, score = trace.curve, score_at_budget(trace.curve, settings.budget, trace.factors)
+    trials = []
+    for k, value in enumerate(curve.amplitudes.tolist()):
+        mean = float(curve.displacement[MEASURES[0]][k].mean()) if curve.runs else 0.0
+        found = Stealth(curve.runs, int(curve.alarmed[k].sum()), mean)
+        within = found.seems_to_keep(settings.budget)
+        trials.append(Trial.of(value, panel.runs, found, within))
+    return TuningResult(
+        detector=detector,
+        spoofer=entry.label,
+        setting=str(entry.tuned),
+        value=curve.chosen,
+        within_budget=score.within_range,
+        budget=settings.budget,
+        runs=panel.runs,
+        counted=curve.runs,
+        clean_alarm_rate=float((panel.twin_alarm[:, number] > 0).mean()),
+        warmup_alarms=int(panel.warmup_alarm[:, number].sum()),
+        trials=tuple(trials),
+        at_budget=score.as_json(),
+        trace=trace,
+    )
