@@ -42,12 +42,9 @@ START, END = "<!-- cards:begin -->", "<!-- cards:end -->"
 RATE = {"false_alarms_per_hour": STANDARD_RATE}
 TRIVIAL = {"name": "shewhart", "signals": "range_rate", **RATE}
 """A threshold on each satellite's range-rate innovation of one epoch."""
-NON_LEARNED: tuple[dict[str, Any], ...] = (
-    {"name": "cumulative-bank", "filter": "augmented", **RATE},
-    *(
-        {"name": name, "signals": "range_rate", **RATE}
-        for name in ("aime", "sequential-chi2", "cumulative-bank")
-    ),
+NON_LEARNED: tuple[dict[str, Any], ...] = tuple(
+    {"name": name, "signals": "range_rate", **RATE}
+    for name in ("aime", "sequential-chi2", "cumulative-bank")
 )
 """Together with a task's own detector, and the same on the victim's filter."""
 SPOOFERS = ("ramp", "accelerating-ramp", "blind-optimum", "feedback")
