@@ -25,7 +25,7 @@ from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report import tasks
 from spoofgym.bench.runs.players import add_tuned_setting, specify_detector
 from spoofgym.bench.scores.campaign import extract_name
-from spoofgym.bench.search.amplitude import Tuning
+from spoofgym.bench.search.amplitude import EXACT, Tuning
 from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.cli.app import progress
 from spoofgym.core.settings import describe
@@ -72,7 +72,7 @@ def build_suite(task: Task, sizes: dict[str, int]) -> Suite:
         **settings,
         spoofers=[add_tuned_setting({"name": name}) for name in SPOOFERS],
         runs=sizes["seeds"],
-        tuning=Tuning(runs=sizes["training"], sift_runs=max(sizes["training"] // 16, 1)),
+        tuning=Tuning(runs=sizes["training"], sift_runs=sizes["training"] // 4, rule=EXACT),
         selection=Selection(runs=sizes["selection"], sift_runs=max(sizes["selection"] // 4, 1)),
         notes=(f"task {task.key} of {task.suite}",),
     )
@@ -228,7 +228,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("tasks", nargs="*", help=f"of {', '.join(PLAYED)}; by default all")
     parser.add_argument("--out", type=Path, default=Path("results/tasks"))
     parser.add_argument("--seeds", type=int, default=500, help="evaluation runs of every cell")
-    parser.add_argument("--training-seeds", type=int, default=192)
+    parser.add_argument("--training-seeds", type=int, default=192, help="of which a quarter sifts")
     parser.add_argument("--selection-seeds", type=int, default=96)
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     given = parser.parse_args(arguments)

@@ -310,6 +310,8 @@ RATE = STANDARD_RATE
 """False alarms an hour of all detectors."""
 SPOOFERS = ("ramp", "accelerating-ramp", "blind-optimum", "feedback")
 """Each is fitted to the alarm budget."""
+RULE = EXACT
+"""How it is kept, where no other one is given."""
 SIZES = {"seeds": 400, "training_seeds": 128, "selection_seeds": 48}
 """Evaluation, training and selection runs, where no others are given."""
 
