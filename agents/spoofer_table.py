@@ -11,9 +11,9 @@ from .seeds import find_median_seed, mark_displacement, reached_by
 
 KNOWLEDGE = ("blind", "blind+reported", "oracle")
 """What a trained spoofer observes, in the order of the columns."""
-RIVALS = ("ramp", "accelerating-ramp", "blind-optimum")
+RIVALS = ("ramp", "accelerating-ramp", "open-loop")
 """Whom policies are compared with, each fitted to the budget on the same training runs."""
-FEEDBACK, BEST = "feedback", "blind-optimum"
+FEEDBACK, BEST = "feedback", "open-loop"
 
 
 def page(table: Mapping[str, Any]) -> str:

@@ -62,7 +62,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-SEARCHED = "blind-optimum"
+SEARCHED = "open-loop"
 FITTED = {
     "ramp": "rate_mps",
     "accelerating-ramp": "acceleration_mps2",
@@ -171,7 +171,7 @@ def main(
 
 
 def build_experiment(judge: Evaluator, heading: float, config: dict[str, Any]) -> Records:
-    """A cell for every spoofer that is fitted; the search is in that of the blind optimum."""
+    """A cell for every spoofer that is fitted; the search is in that of the open-loop attack."""
 
     def make_part(name: str, setting: str) -> Part:
         def make(_: Any, context: Context) -> dict[str, Any]:

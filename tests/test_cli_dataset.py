@@ -46,7 +46,7 @@ def test_the_world_of_a_task_has_its_detector_and_its_optima(monkeypatch):
     read("dataset", "data", "--task", "T3", *SMALL, *nominal)
     config = load_dataset("data").config
     assert (config["task"], config["length_m"]) == ("T3", TASKS["T3"].alert_limit_m)
-    assert {"feedback", "blind-optimum"} <= {*config["families"]}
+    assert {"feedback", "open-loop"} <= {*config["families"]}
     assert config["detector"]["name"] == "snapshot-chi2"
     assert "--imu can't be given" in refused("dataset", "new", "--task", "T3", "--imu", "tactical")
 

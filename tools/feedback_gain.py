@@ -1,14 +1,14 @@
-"""What feedback gains over the blind optimum, against every detector of the standard suite.
+"""What feedback gains over the open-loop attack, against every detector of the standard suite.
 
     python -m tools.feedback_gain                      # all of them, into results/feedback
     python -m tools.feedback_gain aime ewma --json     # those whose name has this in it
     python -m tools.feedback_gain --task T2            # the detector of a task, with a search
 
-The curve of the blind optimum is that of docs/headlines.json, or is searched for in a task.  On the
-same training runs the amplitude is fitted of that curve, played blind, and of `feedback-profile`
-and `threshold-rider` along it, each with a few settings.  The best of each kind plays the
-evaluation runs, fresh ones of another seed than those of the headlines; the gain is paired, run by
-run.  The zero-alarm bound says how much room there is above the blind optimum.
+The curve of the open-loop attack is that of docs/headlines.json, or is searched for in a task.  On
+the same training runs the amplitude is fitted of that curve, played blind, and of
+`feedback-profile` and `threshold-rider` along it, each with a few settings.  The best of each kind
+plays the evaluation runs, fresh ones of another seed than those of the headlines; the gain is paired, run by
+run.  The zero-alarm bound says how much room there is above the optimized open-loop attack.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from spoofgym.tasks import get_task
 from .headlines import DATA_FILE
 from .scored import get_sizes, make_parser
 
-OPEN_LOOP, WORLD = "blind-optimum", "trolley"
+OPEN_LOOP, WORLD = "open-loop", "trolley"
 FEEDBACK, RIDER = "feedback-profile", "threshold-rider"
 TRIED: dict[str, list[dict[str, float]]] = {
     OPEN_LOOP: [{}],
@@ -47,11 +47,19 @@ TRIED: dict[str, list[dict[str, float]]] = {
 OFF = {"full_ratio": 1.0, "zero_ratio": 1.01, "back": 0.0}
 """Nothing is held back: the curve as it is, up to the first alarm."""
 REACHED = 0.98  # part of the attack's farthest reach, beyond which there is no room
-HEAD = ("detector", "blind optimum [m]", "spoofer", "settings", "[m]", "times as far", "bound [m]")
+HEAD = (
+    "detector",
+    "optimized open-loop attack [m]",
+    "spoofer",
+    "settings",
+    "[m]",
+    "times as far",
+    "bound [m]",
+)
 
 
 def play_kinds(judge: Evaluator, rates_mps: list[float]) -> dict[str, Any]:
-    """Gain of each kind over the blind optimum; feedback may be switched off."""
+    """Gain of each kind over the optimized open-loop attack; feedback may be switched off."""
     found: dict[str, Any] = {"rates_mps": rates_mps}
     scores: dict[str, SpooferScore] = {}
     fits: dict[str, list[tuple[TuningResult, dict[str, float]]]] = {}
@@ -111,7 +119,7 @@ def play_case(label: str, case: dict[str, Any], given: argparse.Namespace) -> di
     rates = case.get("rates_mps")
     if rates is None:
         searched = judge.fit(OPEN_LOOP).found
-        assert searched is not None  # as of every blind optimum
+        assert searched is not None  # as of every optimized open-loop attack
         rates = searched["played"]["rates_mps"]
         bound = judge.optima.bounds.zero_alarm(judge.detector).as_json()
         case = {**case, "bound": select_bound(bound)}

@@ -31,7 +31,7 @@ START, END = marks("headlines")
 COMMAND = ["bench", "--suite", "standard"]
 WORLD, FIRST = "S1", "trolley"
 """Worlds that are kept: that of the table, and that of the first suite."""
-SPOOFERS = ("ramp", "accelerating-ramp", "blind-optimum", "feedback")
+SPOOFERS = ("ramp", "accelerating-ramp", "open-loop", "feedback")
 CURVES = ("p_hmi", "survival")
 """Of a cell, which are not kept; those of the protection are."""
 COLUMNS = {

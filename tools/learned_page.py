@@ -30,7 +30,7 @@ from .refits import table as table_of_refits
 PAGE, DATA_FILE = DOCS / "learned_spoofers.md", DOCS / "learned_spoofers.json"
 MANY = "spoofers.json"  # of `train.spoofers`
 TASK_HEAD = (
-    *("task", "detector", "ramp [m]", "accelerating ramp [m]", "blind optimum [m]"),
+    *("task", "detector", "ramp [m]", "accelerating ramp [m]", "optimized open-loop attack [m]"),
     *("PPO, median and range of the seeds [m]", "of the best of the three", "untrained [m]"),
 )
 CURVE_HEAD = ("task", "arguments", "thousands of steps: stealthy displacement")

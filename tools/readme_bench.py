@@ -31,7 +31,7 @@ START, END = "<!-- bench:start -->", "<!-- bench:end -->"
 SPOOFERS = {
     "ramp": "ramp",
     "accelerating-ramp": "accelerating ramp",
-    "blind-optimum": "open-loop",
+    "open-loop": "open-loop",
     "feedback": "feedback (sees statistics)",
 }
 """Whose stealthy displacements are shown, and their headings."""
@@ -93,7 +93,7 @@ def _format_displacement(cell: dict[str, Any]) -> str:
 
 
 def _format_bounds(found: dict[str, Any]) -> str:
-    floor, best = metres(found["floor_m"][STEALTHY]), metres(_value(found["blind_optimum"]))
+    floor, best = metres(found["floor_m"][STEALTHY]), metres(_value(found["open_loop"]))
     return f"[{floor}, {best}, {bound_text(found['zero_alarm'])}]"
 
 

@@ -47,7 +47,7 @@ NON_LEARNED: tuple[dict[str, Any], ...] = tuple(
     for name in ("aime", "sequential-chi2", "cumulative-bank")
 )
 """Together with a task's own detector, and the same on the victim's filter."""
-SPOOFERS = ("ramp", "accelerating-ramp", "blind-optimum", "feedback")
+SPOOFERS = ("ramp", "accelerating-ramp", "open-loop", "feedback")
 EXCEEDED = ("value", "low", "high", "letter", "spoofer")
 MEASURE = "undetected_displacement_m"
 HAZARDOUS, HAZARDOUS_THEN = (0.1, 0.9), (0.05, 0.95)
@@ -130,11 +130,11 @@ def make_card(task: Task, results: CampaignResults, age_s: FloatArray) -> dict[s
 
 
 def list_optima(summary: dict[str, Any]) -> dict[str, list[float]]:
-    """Rates of the blind optima at their knots, by the detectors that they were found against."""
+    """Rates of open-loop attacks at their knots, by the detectors that they were found against."""
     rates = {
         cell["detector"]: cell["spoofer_settings"]["rates_mps"]
         for cell in summary["cells"]
-        if extract_name(cell["spoofer"]) == "blind-optimum"
+        if extract_name(cell["spoofer"]) == "open-loop"
     }
     return {label: each for label, each in rates.items() if len(set(each)) > 1}  # no mere ramps
 
@@ -192,7 +192,7 @@ def admission(
         "alert_limit_m": limit,
         "skies_by_chance": dealt(moved, sky),
         "over_floor": half / floor["half"]["value"],
-        "optimum_over_accelerating": cells["blind-optimum"] / cells["accelerating-ramp"],
+        "optimum_over_accelerating": cells["open-loop"] / cells["accelerating-ramp"],
         "figures": {
             name: {"value": x, "passes": bool(low <= x <= high)}
             for name, (x, low, high) in figures.items()

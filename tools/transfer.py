@@ -1,6 +1,6 @@
 r"""Spoofers trained in one world and played in another: detectors, flights, skies, sensors.
 
-    python -m tools.transfer --task T3 --spoofer ramp --spoofer blind-optimum \
+    python -m tools.transfer --task T3 --spoofer ramp --spoofer open-loop \
         --world 'aime={"detector": {"name": "aime", "signals": "range_rate"}}' \
         --world 'consumer={"scenario": "trolley-consumer"}'
 

@@ -88,7 +88,7 @@ class Arguments:
     selection_runs: int = 96  # Runs that decide on best responses.
     sift_runs: int = 32  # How many of them play all candidates.
     values: int = 8  # Values of every family's setting that are tried.
-    search_runs: int = 64  # Runs of the search for blind optima; 0 for no search.
+    search_runs: int = 64  # Runs of the search for optimized open-loop attacks; 0 for no search.
     generations: int = 6  # Of that search.
     ppo_steps: int = 0  # Decisions of a PPO best response in every iteration; 0 for none.
     detector_response: str = "none"  # none, or learned by `detector_command`.

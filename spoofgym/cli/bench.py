@@ -61,7 +61,7 @@ def bench(
             "is `tuned`, as in step:size_m=tuned, the rate of a plain ramp, and else the amplitude "
             "of all that it commands, unless one is given, as in step:amplitude=1. A shipped "
             "spoofer by its name, a learned one by its .onnx file. Default: none, step, ramp, "
-            "accelerating-ramp, blind-optimum, and the shipped ones that fit."
+            "accelerating-ramp, open-loop, and the shipped ones that fit."
         ),
     ] = None,
     seeds: Annotated[

@@ -1,4 +1,4 @@
-"""How far an attack can go unseen, whoever looks: floor, blind optimum and zero-alarm bound.
+"""How far an attack can go unseen, whoever looks: floor, open-loop attack and zero-alarm bound.
 
 - `compute_frontier`: the floor, the displacement that even a perfect detector would allow;
 - `power`, `deflection_for`: what the best possible test can do;

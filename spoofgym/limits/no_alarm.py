@@ -44,7 +44,7 @@ from .linear import LinearRun
 from .zero_alarm import Bound, Sensitivity, ewma_bound, sequential_bound, snapshot_bound
 
 EXCLUDES = "it excludes satellites or fixes, and tests other values than the filter's innovations"
-OPEN_LOOP_NOTE = "the blind optimum on the engine is a lower bound"
+OPEN_LOOP_NOTE = "the optimized open-loop attack on the engine is a lower bound"
 REFUSED: dict[type[Detector], tuple[str, str]] = {
     detectors.Acna: (EXCLUDES, OPEN_LOOP_NOTE),
     detectors.Lottery: (

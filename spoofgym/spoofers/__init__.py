@@ -5,7 +5,7 @@ from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
 from .build import SPOOFERS, make_spoofer
 from .feedback import Feedback, FeedbackProfile, ThresholdRider
 from .learned import OnnxPolicy
-from .profile import BlindOptimum, Profile
+from .profile import OpenLoop, Profile
 from .ramps import AcceleratingRamp, Dash, Intermittent, NoSpoofer, Ramp, Step
 from .scaled import Scaled
 
@@ -14,13 +14,13 @@ __all__ = [
     "SPOOFERS",
     "SUFFIX",
     "AcceleratingRamp",
-    "BlindOptimum",
     "Dash",
     "Feedback",
     "FeedbackProfile",
     "Intermittent",
     "NoSpoofer",
     "OnnxPolicy",
+    "OpenLoop",
     "Profile",
     "Ramp",
     "Scaled",

@@ -12,13 +12,13 @@ from ..policies.zoo import list_shipped, load_card
 from .base import Spoofer
 from .feedback import Feedback, FeedbackProfile, ThresholdRider
 from .learned import OnnxPolicy
-from .profile import BlindOptimum, Profile
+from .profile import OpenLoop, Profile
 from .ramps import AcceleratingRamp, Dash, Intermittent, NoSpoofer, Ramp, Step
 from .scaled import AMPLITUDE, Scaled, split_amplitude
 
 SPOOFERS: dict[str, type[Spoofer]] = {
     "accelerating-ramp": AcceleratingRamp,
-    "blind-optimum": BlindOptimum,
+    "open-loop": OpenLoop,
     "feedback": Feedback,
     "feedback-profile": FeedbackProfile,
     "dash": Dash,

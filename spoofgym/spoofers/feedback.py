@@ -153,7 +153,7 @@ class Feedback(HeldBack):
 
 @settings_record(kw_only=True)
 class FeedbackProfile(HeldBack, AlongCurve):
-    """Pushes along a curve of the rate, as of a blind optimum, as far as the statistic leaves room.
+    """Pushes along a curve, as of an open-loop attack, as far as the statistic leaves room.
 
     With `full_ratio` 1 it plays the curve as it is up to the first alarm, which is all that counts:
     fitted, it is no worse than the curve.

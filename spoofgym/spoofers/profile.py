@@ -92,14 +92,14 @@ class Profile(ScriptedSpoofer):
 
 
 @settings_record(kw_only=True)
-class BlindOptimum(Profile):
+class OpenLoop(Profile):
     """The best open-loop curve of the rate that a search finds against one detector.
 
     Without rates it is what the benchmark looks for, against each of its detectors, by
     `spoofgym.bench.search.open_loop`; with rates it plays them.
     """
 
-    described_as = "BlindOptimum"
+    described_as = "OpenLoop"
     rates_mps: tuple[float, ...] = setting(
         default=(),
         empty=True,
@@ -107,7 +107,7 @@ class BlindOptimum(Profile):
         help="Rates (n,) at equally spaced knots, as in `Profile`; none where they are still to be "
         "found.",
     )
-    label: str | None = setting(default="blind-optimum", help="Short name in results.")
+    label: str | None = setting(default="open-loop", help="Short name in results.")
     designed_on: str = setting(
         default="detector, receiver and scenario, by a search",
         help="What the curve was optimised on.",
@@ -116,8 +116,8 @@ class BlindOptimum(Profile):
     def bind(self, context: SpooferContext) -> None:
         if not self.rates_mps:
             raise ValueError(
-                "the rates of a blind optimum are not known before it has been looked for: "
-                "`spoofgym bench --spoofer blind-optimum` does so against each detector"
+                "the rates of an open-loop attack are not known before it has been looked for: "
+                "`spoofgym bench --spoofer open-loop` does so against each detector"
             )
         super().bind(context)
 

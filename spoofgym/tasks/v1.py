@@ -6,9 +6,8 @@ that of a filter that does not model the world.
 
 A task is an environment with detectors of a stated rate of false alarms, and an alarm budget.
 What a spoofer scores is its stealthy displacement by the rules of the benchmark; it is read
-together with what ramps and the blind optimum get there, and with the task's floor and zero-alarm
-bound.  T1 and T2 are historical: the world of the papers.  T3 to T6 had to pass the admission test
-of `docs/tasks.md`.
+together with what ramps and the open-loop attack get there, and with the task's floor and
+zero-alarm bound.  T1 and T2 are historical: the world of the papers.
 
 v1/D1 to v1/D4 are for detectors, in the worlds of T3 to T6.  They may be trained and tuned on the
 public families of attacks, and are scored by the worst of all families, most of which they have

@@ -32,11 +32,11 @@ def cell(*values, over=(), optimum=None):
     rows = [
         {
             "score": None if value is None else score("blind", value, value not in over),
-            "ratios": {"blind-optimum": {"value": (value or 0.0) / 10.0, "low": 0.0, "high": 2.0}},
+            "ratios": {"open-loop": {"value": (value or 0.0) / 10.0, "low": 0.0, "high": 2.0}},
         }
         for value in values
     ]
-    rivals = {} if optimum is None else {"blind-optimum": score("blind", optimum)}
+    rivals = {} if optimum is None else {"open-loop": score("blind", optimum)}
     return {"seeds": rows, "rivals": rivals}
 
 
@@ -49,8 +49,8 @@ def test_a_line_of_the_page_has_what_is_there_and_a_dash_for_the_rest():
     (row,) = rows_of(page({"T3/ewma/blind": cell(9.0, 12.0, 8.0, optimum=10.0)}))
     assert row["world"] == "T3"
     assert row["PPO (blind)"] == "9.0 [8.0, 12.0]"
-    assert row["of the blind-optimum"] == "0.90 (0.00 to 2.00)"
-    assert row["blind-optimum (blind)"] == "10.0 (9.0 to 11.0)"
+    assert row["of the open-loop"] == "0.90 (0.00 to 2.00)"
+    assert row["open-loop (blind)"] == "10.0 (9.0 to 11.0)"
     assert row["PPO (oracle)"] == row["PPO (blind+reported)"] == row["feedback"] == "-"
     # seeds over the budget are counted, and one without a policy is nothing
     (row,) = rows_of(page({"T5/aime/oracle": cell(9.0, None, 8.0, over=(9.0,))}))

@@ -300,7 +300,7 @@ def test_the_best_curve_of_a_search_is_scored_where_it_was_not_chosen(monkeypatc
     few = OpenLoopSearch(runs=8, batch=4, knots=4, population=4, generations=1)
     monkeypatch.setattr(open_loop, "OpenLoopSearch", lambda: few)
     judge = Evaluator(**WORLD, runs=60, fit_runs=80, rule=EXACT)
-    found = judge.fit({"name": "blind-optimum", "amplitude": "tuned"})
+    found = judge.fit({"name": "open-loop", "amplitude": "tuned"})
     curves = found.found["fitted_m"]
     assert len(curves) > 2
     assert found.score == max(curves.values()) == curves[found.found["played"]["curve"]]

@@ -1,4 +1,4 @@
-"""The bracket of every detector: floors, the blind optimum, the zero-alarm bound, and marks."""
+"""The bracket of every detector: floors, the open-loop attack, the zero-alarm bound, and marks."""
 
 import json
 
@@ -79,11 +79,11 @@ def test_a_floor_is_of_the_detectors_own_rate(changes, floors):
 
 
 def test_a_mean_above_the_zero_alarm_bound_is_marked():
-    cells = [cell("ramp", 10.9, half=0.98), cell("blind-optimum", 11.1, half=0.98)]
+    cells = [cell("ramp", 10.9, half=0.98), cell("open-loop", 11.1, half=0.98)]
     found = bounds(*cells, free_m=30.0, restricted_m=10.0, kind="exact")
     zero_alarm = {"value": 10.0, "kind": "exact", "attacker": "restricted", "why": ""}
     assert found["zero_alarm"] == zero_alarm
-    assert [each["spoofer"] for each in found["above_zero_alarm"]] == ["blind-optimum"]
+    assert [each["spoofer"] for each in found["above_zero_alarm"]] == ["open-loop"]
     # as far as the attack's limits allow, to first order
     far = cell("ramp", 500.0, half=0.0)
     found = bounds(far, free_m="unbounded", restricted_m=499.8, kind="exact")
@@ -96,16 +96,16 @@ def test_a_mean_above_the_zero_alarm_bound_is_marked():
         assert (report.format_bound(each), each["above_zero_alarm"]) == (text, [])
 
 
-def test_the_blind_optimum_is_that_of_the_search():
+def test_the_open_loop_attack_is_that_of_the_search():
     search = {"by": "response replay", "unbeaten_start": "ramp"}
-    searches = [{"spoofer": "blind-optimum", "found": search}]
-    found = bounds(cell("blind-optimum", 9.0), searches=searches)["blind_optimum"]
+    searches = [{"spoofer": "open-loop", "found": search}]
+    found = bounds(cell("open-loop", 9.0), searches=searches)["open_loop"]
     assert (found["value"], found["by"], found["unbeaten_start"]) == (
         9.0,
         "response replay",
         "ramp",
     )
-    assert bounds(cell("ramp", 9.0))["blind_optimum"] is None
+    assert bounds(cell("ramp", 9.0))["open_loop"] is None
 
 
 def test_a_weak_attack_is_a_failed_search_and_one_too_strong_is_explained(tmp_path):

@@ -134,7 +134,7 @@ def test_feedback_sees_its_detector_and_a_spoofer_may_be_a_file(tmp_path):
         ({"runs": {"train": 0}}, "`runs\\['train'\\]` must be"),
         ({"runs": {"trial": 4}}, "unknown split of a data set 'trial'"),
         ({"families": ["feedback"]}, "needs a detector"),
-        ({"families": ["blind-optimum"]}, "needs curves"),
+        ({"families": ["open-loop"]}, "needs curves"),
         ({"spoofers": [{"name": "none"}]}, "transmits nothing"),
         ({"world": {"decision_interval_s": 5.0}}, "decision_interval_s"),
     ],

@@ -118,7 +118,7 @@ def test_a_score_is_json_and_the_same_again(judge):
 
 def test_whether_a_spoofer_fits_is_told_before_anything_is_played(judge, monkeypatch):
     monkeypatch.setattr("spoofgym.bench.experiments.evaluate.Panel", None)
-    for fits in ("ramp", {"name": "step"}, "blind-optimum"):
+    for fits in ("ramp", {"name": "step"}, "open-loop"):
         judge.check(fits)
     with pytest.raises(ValueError, match="does not fit this attack"):
         judge.check("hidden-pool-ppo")

@@ -11,7 +11,7 @@ from spoofgym.spoofers.build import card_behind
 
 from .support import RAMP, SHORT, small_suite, use_zoo, write_zoo
 
-USUAL = ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)", "blind-optimum"]
+USUAL = ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)", "open-loop"]
 
 
 @pytest.fixture(scope="module")

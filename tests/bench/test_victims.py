@@ -124,7 +124,7 @@ def test_a_heading_of_a_snapshot_leaves_down_and_clock_alone():
 def test_no_spoofer_of_another_environment_plays_unasked():
     suite = suite_of(ROBOT, spoofers=None)
     labels = [entry.label for entry in suite.spoofer_players]
-    assert labels == ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)", "blind-optimum"]
+    assert labels == ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)", "open-loop"]
     assert suite.left_out == ()
     asked = suite_of(ROBOT, spoofers=("ewma-profile",))
     judge = asked.detector_players[0]

@@ -19,13 +19,13 @@ ATTACKS = [
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: "-".join(map(str, attack.values())))
 @pytest.mark.parametrize("name", sorted(SPOOFERS.keys() - {"onnx-policy"}))  # which needs a file
 def test_every_spoofer_keeps_the_contract(name, attack):
-    found = {"rates_mps": (0.0, 0.1, 0.4)} if name == "blind-optimum" else {}
+    found = {"rates_mps": (0.0, 0.1, 0.4)} if name == "open-loop" else {}
     check_spoofer({"name": name, **found}, attack=attack)
 
 
-def test_a_blind_optimum_that_has_not_been_looked_for_says_so():
+def test_an_open_loop_attack_that_has_not_been_looked_for_says_so():
     with pytest.raises(ValueError, match=r"not known before it .* `spoofgym bench --spoofer"):
-        check_spoofer("blind-optimum")
+        check_spoofer("open-loop")
 
 
 @pytest.mark.parametrize("name", list_shipped("spoofer"))

@@ -39,18 +39,18 @@ def test_every_detector_has_the_same_rate_and_its_attacks(kept):
         assert {*met} == wanted
 
 
-def test_no_ramp_or_profile_gets_farther_than_the_blind_optimum(kept):
+def test_no_ramp_gets_farther_than_the_open_loop_attack(kept):
     """Within the budget, by the intervals of the stored run."""
     reached = {}
     for cell in kept["worlds"][WORLD]["cells"]:
         if cell["within_budget"] and cell["tuned_within_budget"]:
             name = cell["spoofer"].split("(")[0]
             reached.setdefault(cell["detector"], {})[name] = cell["stealthy_displacement_m"]
-    found = [each for each in reached.values() if "blind-optimum" in each]
+    found = [each for each in reached.values() if "open-loop" in each]
     assert len(found) > 20
     for each in found:
         for name in {"ramp", "accelerating-ramp"} & {*each}:
-            assert each["blind-optimum"]["high"] >= each[name]["low"], (name, each)
+            assert each["open-loop"]["high"] >= each[name]["low"], (name, each)
 
 
 def test_chance_is_worth_nothing(kept):

@@ -47,7 +47,7 @@ def answered(asked):
 
 def test_a_response_is_the_best_of_all_families_and_not_scored_on_the_runs_that_chose_it(answered):
     mix, found = answered
-    assert {"slow", "ramp", "accelerating-ramp", "feedback", "blind-optimum"} <= set(found.best)
+    assert {"slow", "ramp", "accelerating-ramp", "feedback", "open-loop"} <= set(found.best)
     assert set(found.best) == set(found.by_family)
     assert found.value > found.best["slow"]
     assert found.member.label.startswith("new: ")
@@ -74,9 +74,9 @@ def test_without_oracles_and_a_search_no_such_spoofer_answers():
     few = AttackBudget(runs=3, sift_runs=2, values=2, kept=1, blind=SEARCH, oracles=False)
     found = best_spoofer(game(), mix_of("detector", EWMA), few, entropy=5, given=[wins])
     assert {each.knowledge for each in found.by_family.values()} == {"blind"}
-    assert not {"feedback", "blind-optimum"} & {*found.best}
+    assert not {"feedback", "open-loop"} & {*found.best}
     (note,) = found.notes
-    assert note.startswith("the search for blind optima is without ewma")
+    assert note.startswith("the search for optimized open-loop attacks is without ewma")
     assert note.endswith(": it takes weight off measurements")
     # what was given was chosen on these runs, too
     assert found.by_family["mine"].decided_on == {(5, "selection"), (5, "search")}

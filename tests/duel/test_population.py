@@ -226,7 +226,7 @@ def test_an_oracle_is_marked_and_not_compared_unasked(played):
         ([{"ramp": -1.0}], [CHI2], "weights"),
         ([{}], [CHI2], "at least one member"),
         ([{"name": "ramp", "rate_mps": "tuned"}], [CHI2], "fit"),
-        (["blind-optimum"], [CHI2], "fit"),
+        (["open-loop"], [CHI2], "fit"),
         ([RAMP], ["oracle-ramp"], "oracle"),
         ([RAMP], ["no-such.onnx"], "no-such.onnx"),
         ([RAMP], [{"name": "pool", "members": [CHI2, "guard.zip"]}], "guard.zip is a pickled file"),

@@ -177,7 +177,7 @@ class Mine(SnapshotChi2):
 @pytest.mark.parametrize(
     ("detector", "why"),
     [
-        (Ewma(), "Ewma: its weights change the gains; the blind optimum"),
+        (Ewma(), "Ewma: its weights change the gains; the optimized open-loop attack"),
         (Shewhart(weight_scale=0.3), "Shewhart: its weights change the gains"),
         (SnapshotChi2(two_sided=True), "SnapshotChi2: it alarms at innovations that are too small"),
         (WindowedChi2(covariance="estimated"), "WindowedChi2: an estimated covariance lets"),

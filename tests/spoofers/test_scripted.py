@@ -44,7 +44,7 @@ def flown(spoofer, told):
 @pytest.mark.parametrize("name", sorted(SPOOFERS.keys() - {"onnx-policy"}))
 @pytest.mark.parametrize("control", ["rate", "acceleration"])
 def test_what_is_remembered_is_what_the_attack_does(name, control):
-    found = {"rates_mps": (0.0, 0.1, 0.4)} if name == "blind-optimum" else {}
+    found = {"rates_mps": (0.0, 0.1, 0.4)} if name == "open-loop" else {}
     spoofer = make_spoofer({"name": name, **found})
     displacement, rate = flown(spoofer, context(control))
     if name == "none":

@@ -1,4 +1,4 @@
-"""The gain of feedback: paired with the blind optimum, feedback may be switched off."""
+"""The gain of feedback: paired with the open-loop attack, feedback may be switched off."""
 
 import json
 

@@ -56,7 +56,7 @@ def test_every_training_has_its_seeds_and_a_picture(kept):
 
 
 def test_the_recipe_reaches_95_percent_where_the_page_says_so(kept):
-    """The median of five seeds, of the best of ramps and blind optimum, all within the budget."""
+    """The median of five seeds, of the best of ramps and open-loop attack, within the budget."""
     reached = []
     for task, found in kept["recipe"].items():
         bar = find_bar(found)

@@ -43,7 +43,7 @@ from .game import Game
 FloatArray = NDArray[np.float64]
 SELECTION = "selection"
 SHARES = (0.05, 0.5)
-"""Shares of alarms for which blind optima are searched for; amplitudes are tried afterwards."""
+"""Shares of alarms for which open-loop attacks are searched for; amplitudes are tried later."""
 SIGNIFICANT = 1e-3
 """Weight in a mix from which on a detector takes part in that search."""
 
@@ -58,7 +58,7 @@ class AttackBudget:
     kept: int = setting(default=6, least=1, help="Candidates that are tried on all of the runs.")
     blind: OpenLoopSearch | None = setting(
         default_factory=lambda: OpenLoopSearch(runs=64, batch=32, knots=12, generations=6),
-        help="Search for blind optima; None for none.",
+        help="Search for optimized open-loop attacks; None for none.",
     )
     oracles: bool = setting(
         default=True,
@@ -128,7 +128,7 @@ def best_spoofer(
     given : sequence of PlayerSpec
         Further spoofers, which are tried as they are, and keep their names.
     warm : sequence of PlayerSpec
-        Curves from which the search for blind optima may start, besides plain shapes.
+        Curves from which the search for open-loop attacks may start, besides plain shapes.
     label : str, optional
         Name of what is found, which its family follows.
 
@@ -148,7 +148,7 @@ def best_spoofer(
     curves, notes = ([], ()) if budget.blind is None else _curves(game, mix, budget, warm, entropy)
     for rates in curves:
         rounded = [float(f"{rate:.6g}") for rate in rates]
-        spec = {"name": "blind-optimum", "rates_mps": rounded, AMPLITUDE: TUNED}
+        spec = {"name": "open-loop", "rates_mps": rounded, AMPLITUDE: TUNED}
         attacks.append(SuiteAttack("c", specify_spoofer(spec), True))
     known = {each.label for each in given}
     tried = [
@@ -216,11 +216,11 @@ def _against(game: Game, spoofers: Sequence[PlayerSpec], mix: Mixture) -> FloatA
 def _curves(
     game: Game, mix: Mixture, budget: AttackBudget, warm: Sequence[PlayerSpec], entropy: int
 ) -> tuple[list[FloatArray], tuple[str, ...]]:
-    """Blind optima against a mix, by response replay; and the members that the search left out."""
+    """Open-loop attacks against a mix, by response replay; and the members that are left out."""
     assert budget.blind is not None  # as the caller has seen
     setup, notes = game.setup, []
     if not isinstance(setup, TightlyCoupledSetup):
-        return [], (f"no blind optimum: {setup.whose} has no linear response",)
+        return [], (f"no optimized open-loop attack: {setup.whose} has no linear response",)
     members, weights = [], []
     for member, weight in zip(mix.members, mix.weights, strict=True):
         why = "it takes weight off measurements"
@@ -230,7 +230,9 @@ def _curves(
         except NotReplayable as error:
             replayable, why = False, str(error)
         if not replayable:
-            notes.append(f"the search for blind optima is without {member.label}: {why}")
+            notes.append(
+                f"the search for optimized open-loop attacks is without {member.label}: {why}"
+            )
         elif weight >= SIGNIFICANT:
             members.append(game.detector(member))
             weights.append(weight)
@@ -242,7 +244,7 @@ def _curves(
     starts = {each.label: curve for each in warm if (curve := _get_curve_rates(each)) is not None}
     curves = []
     for share in SHARES:
-        game.progress.advance(0.0, f"blind optimum, {100 * share:g} % alarms")
+        game.progress.advance(0.0, f"optimized open-loop attack, {100 * share:g} % alarms")
         found = OpenLoopOptimizer(backend, share, budget.blind).search(starts)
         curves.append(found.rates_mps)
     return curves, tuple(notes)

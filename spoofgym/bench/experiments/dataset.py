@@ -152,7 +152,7 @@ class Plan(Experiment):
     optima: Sequence[Sequence[float]] = setting(
         default=(),
         unit="m/s",
-        help="Rates of blind optima at their knots; none leaves that family out.",
+        help="Rates of optimized open-loop attacks at their knots; none leaves that family out.",
     )
     spoofers: Sequence[Spec] = setting(
         default=(),
@@ -175,7 +175,7 @@ class Plan(Experiment):
                 "attacks of a data set decide at every epoch: leave out `decision_interval_s`"
             )
         check_not_held_out(self.setup.attack, self.task)
-        missing = {"feedback": self.detector is None, "blind-optimum": not self.optima}
+        missing = {"feedback": self.detector is None, "open-loop": not self.optima}
         for name in self.families or ():
             check_choice("family of attacks", name, FAMILIES)
             if missing.get(name):

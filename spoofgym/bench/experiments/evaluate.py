@@ -80,7 +80,7 @@ class Evaluator:
 
     @cached_property
     def optima(self) -> Optima:
-        """Searches for blind optima."""
+        """Searches for optimized open-loop attacks."""
         brackets = DisplacementBounds(self.world, [self.detector], self.entropy)
         return Optima(brackets, self.tuning, threads=self.threads)
 

@@ -178,7 +178,7 @@ class Worlds:
         """Best profiles that a search finds against a detector, for each of its aims."""
         bounds = DisplacementBounds(self.world, [detector.player], self.entropy, BUDGET)
         optima = Optima(bounds, Tuning(), threads=self.threads)
-        spoofer = specify_spoofer(add_tuned_setting({"name": "blind-optimum"}))
+        spoofer = specify_spoofer(add_tuned_setting({"name": "open-loop"}))
         found = optima.find(detector.player, spoofer, tick)["aims"]
         curves = {tuple(found[aim]["rates_mps"]) for aim in AIMS}
         return tuple(SuiteAttack("c", with_rates(spoofer, [*x]), False) for x in sorted(curves))

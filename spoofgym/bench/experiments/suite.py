@@ -205,7 +205,7 @@ class Suite:
         )
 
     def optima(self, threads: int | None = None) -> Optima:
-        """Searches for blind optima."""
+        """Searches for optimized open-loop attacks."""
         return Optima(self.build_bounds(), self.tuning, self.spoofer_players, threads)
 
     @cached_property
@@ -308,7 +308,7 @@ SUITES = (STANDARD,)
 TASK = "S1"
 RATE = STANDARD_RATE
 """False alarms an hour of all detectors."""
-SPOOFERS = ("ramp", "accelerating-ramp", "blind-optimum", "feedback")
+SPOOFERS = ("ramp", "accelerating-ramp", "open-loop", "feedback")
 """Each is fitted to the alarm budget."""
 RULE = EXACT
 """How it is kept, where no other one is given."""

@@ -41,7 +41,7 @@ FAMILIES = {
     "accelerating-ramp": "ramps that accelerate",
     "profile": "the attack suite's profiles, and powers of the time",
     "dash": "dashes",
-    "blind-optimum": "curves that a search has found against the detectors of this world",
+    "open-loop": "curves that a search has found against the detectors of this world",
     "feedback": "feedback from the statistic of the detector in the loop",
 }
 """Families by name."""
@@ -72,9 +72,9 @@ class TrainingAttacks:
     """Families of attacks in one world.
 
     `setup`: victim and attack, with the detector in the loop; `reach_m`: what `REACH` is in parts
-    of: an alert limit; `families`: some of `FAMILIES`; `optima`: rates of blind optima at their
-    knots, for the family of that name [m/s]; `spoofers`: names and settings of further spoofers,
-    each a family of its own, as `make_spoofer` takes them; an ONNX file, too.
+    of: an alert limit; `families`: some of `FAMILIES`; `optima`: rates of open-loop attacks at
+    their knots, for the family of that name [m/s]; `spoofers`: names and settings of further
+    spoofers, each a family of its own, as `make_spoofer` takes them; an ONNX file, too.
     """
 
     def __init__(
@@ -137,9 +137,9 @@ class TrainingAttacks:
         shape = shapes[which](time) if which < len(shapes) else time**power
         return self._curve("profile", shape, goal_m)
 
-    def _blind_optimum(self, rng: np.random.Generator, goal_m: float) -> Spec:
+    def _open_loop(self, rng: np.random.Generator, goal_m: float) -> Spec:
         rates = self._optima[int(rng.integers(len(self._optima)))]
-        return self._curve("blind-optimum", np.asarray(rates, dtype=np.float64), goal_m)
+        return self._curve("open-loop", np.asarray(rates, dtype=np.float64), goal_m)
 
     def _curve(self, name: str, shape: FloatArray, goal_m: float) -> Spec:
         length = float(np.trapezoid(shape, dx=1.0 / (len(shape) - 1))) * self._window_s

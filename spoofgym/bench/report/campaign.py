@@ -124,7 +124,7 @@ DETECTORS = Table(
         lambda row: f"{attack_of_suite(row)}, {row['setting']}={row['at']:g}",
     ),
     ("floor, stealthy [m]", lambda row: row["bracket"]["floor_m"][STEALTHY], format_number),
-    ("blind optimum [m]", lambda row: row["bracket"]["blind_optimum"], _optimum),
+    ("optimized open-loop attack [m]", lambda row: row["bracket"]["open_loop"], _optimum),
     ("zero-alarm bound [m]", "bracket", format_bound),
     ("mark", "mark"),
 )
@@ -356,10 +356,10 @@ def bound_notes(summary: Row) -> list[str]:
 
 
 def group_optima(summary: Row) -> dict[str, list[str]]:
-    """Detectors by what their blind optima were found by, and where a search found nothing."""
+    """Detectors by what their open-loop attacks were found by, and where a search found nothing."""
     labels: dict[str, list[str]] = {}
     for row in summary["detectors"]:
-        optimum = row["bracket"]["blind_optimum"]
+        optimum = row["bracket"]["open_loop"]
         if optimum is not None and optimum["by"] is not None:
             start = optimum["unbeaten_start"]
             text = f" (search found nothing better than the {start})" if start else ""

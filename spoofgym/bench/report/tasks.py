@@ -20,7 +20,7 @@ FILE = "task_cards.json"
 SCORES = {
     "ramp": "blind",
     "accelerating-ramp": "blind",
-    "blind-optimum": "blind",
+    "open-loop": "blind",
     "feedback": "oracle",
 }
 """Spoofers with known scores, each fitted to the alarm budget, and what they observe."""
@@ -42,7 +42,7 @@ def stored_cards(file: str = FILE) -> dict[str, Card]:
 
 
 def load_optima(key: str) -> list[list[float]]:
-    """Rates [m/s] of the blind optima found in the world of a task, as far as its card has them."""
+    """Rates [m/s] of open-loop attacks found in the world of a task, as far as its card has any."""
     return list(stored_cards().get(key, {}).get("optima_mps", {}).values())
 
 
@@ -52,8 +52,8 @@ def task_rows() -> list[Card]:
 
 
 def format_bounds(card: Card) -> str:
-    """Floor for an attack that keeps the budget, blind optimum, zero-alarm bound."""
-    floor, best = card["floor_m"]["stealthy"]["value"], card["bracket"]["blind_optimum"]
+    """Floor for an attack that keeps the budget, optimized open-loop attack, zero-alarm bound."""
+    floor, best = card["floor_m"]["stealthy"]["value"], card["bracket"]["open_loop"]
     reached = "-" if best is None else metres(best["value"], "unbounded")
     bound = bound_text(card["bracket"]["zero_alarm"])
     return f"[{metres(floor, 'unbounded')}, {reached}, {bound}]"
@@ -71,7 +71,7 @@ def _worst(card: Card) -> str:
 TASK_SCORES = Table(
     ("task", "task"),
     ("detector", "detector"),
-    ("floor, blind optimum, zero-alarm bound [m]", format_bounds),
+    ("floor, optimized open-loop attack, zero-alarm bound [m]", format_bounds),
     *(
         (
             f"{format_spoofer(name, known)} [m]",

@@ -41,7 +41,7 @@ DEFAULT_SPOOFERS: tuple[Spec, ...] = (
     {"name": "step", AMPLITUDE: TUNED},
     {"name": "ramp", "rate_mps": TUNED},
     {"name": "accelerating-ramp", "acceleration_mps2": TUNED},
-    {"name": "blind-optimum", AMPLITUDE: TUNED},
+    {"name": "open-loop", AMPLITUDE: TUNED},
 )
 """With them, a campaign plays the shipped spoofers that fit it."""
 FITTED = "fitted"
@@ -84,9 +84,9 @@ class PlayerSpec:
 
     @property
     def needs_search(self) -> bool:
-        """Whether the spoofer's curve is to be searched for, too: a blind optimum."""
+        """Whether the spoofer's curve is to be searched for, too: an optimized open-loop attack."""
         spec = self.spec or {"name": ""}
-        return bool(spec["name"] == "blind-optimum" and not spec["rates_mps"])
+        return bool(spec["name"] == "open-loop" and not spec["rates_mps"])
 
     @property
     def fixed_spec(self) -> Any:

@@ -164,8 +164,8 @@ class World:
             if entry.needs_search:
                 if not entry.tuned:
                     raise ValueError(
-                        f"{entry.label}: a blind optimum is looked for under the alarm budget, so "
-                        "that its amplitude must be tuned: give it amplitude=tuned, or rates_mps"
+                        f"{entry.label}: an open-loop attack is looked for under the alarm budget, "
+                        "so that its amplitude must be tuned: give it amplitude=tuned, or rates_mps"
                     )
                 entry = replace(entry, spec={**entry.spec, "rates_mps": [0.0, 1e-3]})
             if entry.tuned:

@@ -10,7 +10,7 @@ could ignore: against such a one `never` alone is a control.
 The bracket of a detector:
 
 1. The *floor* is what even a perfect detector would allow at the same rate of false alarms.
-2. The *blind optimum* is the best open-loop attack that was found within the alarm budget.
+2. The *open-loop attack* is the best open-loop attack that was found within the alarm budget.
 3. The *zero-alarm bound* is what no attack exceeds in the mean without an alarm of its own doing.
 
 The best attack below the floor says that the search has failed; its whole interval has to lie
@@ -260,7 +260,7 @@ def compute_bounds(
     protection, and what was tuned against it.
 
     Returns ``floor_m`` by score, None where it has none; ``best_attack`` within the budget and
-    ``blind_optimum``; ``zero_alarm``; ``search_failed``, scores below their floor; and
+    ``open_loop``; ``zero_alarm``; ``search_failed``, scores below their floor; and
     ``above_zero_alarm``, attacks whose mean is above the bound.
     """
     floors = select_lower_limits(point, limits["floor"])
@@ -275,7 +275,7 @@ def compute_bounds(
     return {
         "floor_m": floors,
         "best_attack": best,
-        "blind_optimum": _optimum(cells, searches),
+        "open_loop": _optimum(cells, searches),
         "zero_alarm": bound,
         "search_failed": [
             score for score, reached in achieved.items() if _below(reached, floors[score])
@@ -324,8 +324,8 @@ def _score_attack(cell: Row) -> Row:
 
 
 def _optimum(cells: Sequence[Row], searches: Sequence[Row]) -> Row | None:
-    """The blind optimum that gets farthest, one within the budget before others."""
-    curves = [cell for cell in cells if cell["spoofer_settings"]["name"] == "blind-optimum"]
+    """The optimized open-loop attack that gets farthest, one within the budget before others."""
+    curves = [cell for cell in cells if cell["spoofer_settings"]["name"] == "open-loop"]
     found = [each for each in map(_score_attack, curves) if each["value"] is not None]
     if not found:
         return None

@@ -274,5 +274,5 @@ def search_work(settings: Tuning, scored: int = 0) -> float:
 
 
 def with_rates(entry: PlayerSpec, rates_mps: list[float]) -> PlayerSpec:
-    """A blind optimum with the rates of a curve."""
+    """An optimized open-loop attack with the rates of a curve."""
     return replace(entry, spec={**entry.spec, "rates_mps": rates_mps})

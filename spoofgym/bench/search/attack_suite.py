@@ -2,7 +2,7 @@
 the search for the worst of them, or of a family, on runs of its own.
 
 What no member of the suite achieves, another attack may.  Every member has one setting that is
-searched for, the same as in a campaign.  The blind optima (letter c) that a campaign has found
+searched for, the same as in a campaign.  The open-loop attacks (letter c) that a campaign has found
 against the detector play with them, where that is among its spoofers.  A member whose spoofer is
 not registered is left out, which changes the digest.
 
@@ -51,7 +51,7 @@ NAME, VERSION = "spoofgym-scripted", 2
 FAMILIES = {
     "a": "ramps and accelerating ramps",
     "b": "profiles",
-    "c": "blind optima, found against each detector",
+    "c": "optimized open-loop attacks, found against each detector",
     "e": "feedback (oracle)",
     "h": "dashes",
 }
@@ -68,7 +68,7 @@ SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
 STEEPEST = 0.25
 """Largest rate of a profile with amplitude 1, of what the acceleration allows in a whole window."""
 AMPLITUDE_RANGE = (0.5, 2.0)
-"""Amplitudes of a blind optimum that are tried first, in parts of that at which it was found."""
+"""Amplitudes of an open-loop attack that are tried first, in parts of that of its search."""
 LAST_PARTS = (0.15, 0.4)
 """Parts of the attack window in which a dash takes place."""
 
@@ -127,8 +127,8 @@ def suite_digest(members: Sequence[SuiteAttack]) -> str:
 
 
 def build_grid(member: SuiteAttack, context: SpooferContext, values: int) -> list[float]:
-    """Log-spaced values of a member's setting over its whole range. Of a blind optimum around the
-    amplitude that it was found at."""
+    """Log-spaced values of a member's setting over its whole range. Of an open-loop attack around
+    the amplitude that it was found at."""
     if member.letter == "c":
         return build_log_grid(*AMPLITUDE_RANGE, values)
     kind = type(make_spoofer(member.player.with_value(1.0)))

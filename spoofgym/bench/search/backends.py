@@ -1,4 +1,4 @@
-"""What plays the candidates of a blind optimum: response replay, or the engine itself.
+"""What plays the candidates of an open-loop attack: response replay, or the engine itself.
 
 A backend plays sampled curves of `steps` values on `runs` that count, which are silent without an
 attack, within `limits`: the largest rate, and its largest change between two values, which may be

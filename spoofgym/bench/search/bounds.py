@@ -1,4 +1,4 @@
-"""The bracket of a campaign: floor, blind optimum and zero-alarm bound of every detector.
+"""The bracket of a campaign: floor, open-loop attack and zero-alarm bound of every detector.
 
 The floor is what even a perfect detector would allow at the same rate of false alarms, for what
 each figure requires: to miss an attack that keeps the alarm budget, to find half of the attacks,

@@ -1,4 +1,4 @@
-"""The blind optimum: the best open-loop attack found against a detector, by CMA-ES over curves.
+"""The optimized open-loop attack: the best found against a detector, by CMA-ES over curves.
 
 Candidates (`hansen2006`) are played on response replay, which adds an attack to recorded clean runs
 and calls the detector itself; on the engine where a detector de-weights, so that replay does not
@@ -73,7 +73,7 @@ SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
 
 @settings_record(frozen=True, kw_only=True)
 class OpenLoopSearch:
-    """How a blind optimum is looked for."""
+    """How an optimized open-loop attack is looked for."""
 
     runs: int = setting(
         default=512, least=8, help="Clean runs of the search, of a split of their own."
@@ -215,7 +215,7 @@ class OpenLoopOptimizer:
             from cmaes import CMA
         except ImportError as error:
             raise ImportError(
-                "the search for a blind optimum needs cmaes: pip install 'spoofgym[limits]'"
+                "the search for an open-loop attack needs cmaes: pip install 'spoofgym[limits]'"
             ) from error
         settings, size, limit = self.settings, self.settings.population, self.backend.limits[0]
         edges, _ = self._climb(np.eye(settings.knots), LADDER * limit)
@@ -328,7 +328,7 @@ class Optima:
 
     def find(self, detector: PlayerSpec, spoofer: PlayerSpec, tick: WorkCallback) -> dict[str, Any]:
         """Curves by `AIMS`, ``aims``, with their ``rates_mps``; ``by``, what played the candidates.
-        `spoofer`: a blind optimum without rates, for its heading."""
+        `spoofer`: an optimized open-loop attack without rates, for its heading."""
         heading_deg = spoofer.spec["heading_deg"]
         shape = self._zero_alarm(detector)
         replayed, why = self._replay_backend(detector, heading_deg)

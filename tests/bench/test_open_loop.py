@@ -1,4 +1,4 @@
-"""The search for a blind optimum: against a known one, its players, and in a campaign."""
+"""The search for an open-loop attack: against a known one, its players, and in a campaign."""
 
 import copy
 import math
@@ -25,7 +25,7 @@ from spoofgym.simulation.setup import make_generators, seed_sequences
 from ..nightly import heavy
 from .support import SHORT, small_suite
 
-BLIND = {"name": "blind-optimum", "amplitude": "tuned"}
+BLIND = {"name": "open-loop", "amplitude": "tuned"}
 
 
 class Quadratic:
@@ -201,7 +201,7 @@ def test_replay_engine_and_spoofer_agree(heading_deg, settings):
     clean, _ = engine.play(np.zeros((1, replay.steps)), rows)
     assert (expected > 1.2 * clean).all()  # so that the attack is seen
     if "decision_interval_s" not in settings:
-        spec = {"name": "blind-optimum", "rates_mps": [0.0, 0.2, 0.5], "heading_deg": heading_deg}
+        spec = {"name": "open-loop", "rates_mps": [0.0, 0.2, 0.5], "heading_deg": heading_deg}
         optimizer = OpenLoopOptimizer(engine, 0.5, OpenLoopSearch())
         peak, _ = engine.play(optimizer.curves(np.array([spec["rates_mps"]])), np.arange(8))
         np.testing.assert_allclose(peak[0], play(start, spec).peak, rtol=1e-6)
@@ -266,9 +266,9 @@ def campaign(tmp_path_factory):
 
 def test_what_was_found_is_played_and_a_candidate_of_the_protection(campaign):
     suite, folder = campaign
-    tuning = folder.search("shewhart", "blind-optimum")
+    tuning = folder.search("shewhart", "open-loop")
     assert tuning.found["by"] == open_loop.REPLAY
-    played = folder.runs("shewhart", "blind-optimum").head["spoofer_settings"]
+    played = folder.runs("shewhart", "open-loop").head["spoofer_settings"]
     assert played["rates_mps"] == tuning.found["played"]["rates_mps"]
     assert played["amplitude"] == tuning.value
     (detector,) = suite.detector_players
@@ -283,7 +283,7 @@ def test_what_was_found_is_played_and_a_candidate_of_the_protection(campaign):
         assert member.player.tuned == "amplitude"
         grid = build_grid(member, suite.world.context, 5)
         assert (grid[0], grid[-1]) == pytest.approx(AMPLITUDE_RANGE, rel=1e-3)
-    assert "blind-optimum" in markdown(folder, summarize(folder))
+    assert "open-loop" in markdown(folder, summarize(folder))
 
 
 def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(monkeypatch):
@@ -310,5 +310,7 @@ def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(monkeypatch
 
 
 def test_one_without_rates_must_be_tuned():
-    with pytest.raises(ValueError, match="a blind optimum is looked for under the alarm budget"):
-        blind_suite(spoofers=("blind-optimum",)).check_fit()
+    with pytest.raises(
+        ValueError, match="an optimized open-loop attack is looked for under the alarm budget"
+    ):
+        blind_suite(spoofers=("open-loop",)).check_fit()
