@@ -311,6 +311,6 @@ def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(monkeypatch
 
 def test_one_without_rates_must_be_tuned():
     with pytest.raises(
-        ValueError, match="an optimized open-loop attack is looked for under the alarm budget"
+        ValueError, match="an open-loop attack is looked for under the alarm budget"
     ):
         blind_suite(spoofers=("open-loop",)).check_fit()
