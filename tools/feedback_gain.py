@@ -4,11 +4,11 @@
     python -m tools.feedback_gain aime ewma --json     # those whose name has this in it
     python -m tools.feedback_gain --task T2            # the detector of a task, with a search
 
-The curve of the open-loop attack is that of docs/headlines.json, or is searched for in a task.  On
-the same training runs the amplitude is fitted of that curve, played blind, and of
-`feedback-profile` and `threshold-rider` along it, each with a few settings.  The best of each kind
-plays the evaluation runs, fresh ones of another seed than those of the headlines; the gain is
-paired, run by run.  The zero-alarm bound says how much room there is above the optimized open-loop attack.
+The curve of the open-loop attack is that of docs/headlines.json, or is searched for in a task. On
+the same training runs the amplitude is fitted of that curve, played blind, and of `feedback-
+profile` and `threshold-rider` along it, each with a few settings. The best of each kind plays the
+evaluation runs, fresh ones of another seed than those of the headlines; the gain is paired, run by
+run. The zero-alarm bound says how much room there is above the optimized open-loop attack.
 """
 
 from __future__ import annotations
