@@ -10,8 +10,9 @@ from spoofgym.bench.experiments.campaign import run_campaign, summarize
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.campaign import markdown
 from spoofgym.bench.runs.panel import Panel
-from spoofgym.bench.runs.players import specify_spoofer
+from spoofgym.bench.runs.players import specify_detector, specify_spoofer
 from spoofgym.bench.runs.record import undetected_displacement
+from spoofgym.bench.runs.world import World
 from spoofgym.bench.scores.at_budget import (
     AlarmCurve,
     AlarmTrace,
@@ -258,6 +259,19 @@ def test_a_threshold_moves_the_score_by_its_elasticity():
     assert panel.at_thresholds(0, FACTOR, 8).judges[0].scale == FACTOR
     assert judge.scale == 1.0
     assert draw_threshold_factors(panel, 0) is None  # nobody calibrated it
+
+
+def test_a_shipped_threshold_has_the_spread_of_its_clean_runs():
+    world = World.of("T1")
+    judge = world.judge(specify_detector({"name": "snapshot-chi2", "false_alarms_per_hour": 0.2}))
+    found = judge.find_calibration(world.setup)
+    assert found.point(judge.point.false_alarms_per_hour) == judge.point
+    factors = found.draw_factors(judge.point, RESAMPLES, np.random.default_rng(0))
+    low, middle, high = np.percentile(factors, [2.5, 50.0, 97.5])
+    assert 0.98 < low < middle < high < 1.02
+    assert middle == pytest.approx(1.0, abs=0.003)
+    known = np.array(found.interval(judge.point.per_run)) / judge.point.scale
+    np.testing.assert_allclose([low, high], known, atol=0.003)
 
 
 def test_a_score_is_fitted_exactly_on_the_runs_that_it_is_of():

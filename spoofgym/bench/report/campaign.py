@@ -16,6 +16,7 @@ from ...spoofers.base import sees_statistics
 from ..experiments.campaign import CampaignResults
 from ..runs.record import MEASURES
 from ..scores.campaign import ANY_RATE, CONTROLS, HALF, NOMINAL, STEALTHY, extract_name, headline
+from ..scores.statistics import Estimate
 from ..search.attack_suite import FAMILIES as FAMILIES
 from ..search.attack_suite import ORACLES
 from .table import (
@@ -240,10 +241,16 @@ ATTACKS = Table(
 )
 
 
+def _amplitude(found: Row) -> str:
+    """Amplitude with its interval; its unit, and so its size, is that of any setting."""
+    value, low, high = ("-" if found[k] is None else f"{found[k]:.4g}" for k in Estimate._fields)
+    return f"{value} ({low} to {high})"
+
+
 EXACTLY = Table(
     ("detector", "detector"),
     ("spoofer", lambda cell: format_spoofer(cell["spoofer"], cell["knowledge"]["run_time"])),
-    ("amplitude or setting", lambda cell: cell["at_budget"].get("amplitude"), interval),
+    ("amplitude or setting", lambda cell: cell["at_budget"].get("amplitude"), _amplitude),
     ("alarms there [%]", lambda cell: cell["at_budget"].get("alarm_rate"), share(1)),
     ("silent at any [%]", lambda cell: cell["at_budget"].get("silent_share"), share(1)),
     *(
