@@ -273,9 +273,9 @@ def zero_alarm_bounds(
     inner = detector.detector if isinstance(detector, Calibrated) else detector
     if isinstance(inner, SolutionSeparation):
         return _separation(setup, detector, inner, cases)
-    timing, last = Timing.of(setup), setup.steps - 1
     heading = get_heading(setup)
-    at: dict[str, Any] = {"epoch": last, "direction": (math.cos(heading), math.sin(heading))}
+    direction = math.cos(heading), math.sin(heading)
+    at: dict[str, Any] = {"epoch": setup.steps - 1, "direction": direction}
 
     def bound(run: LinearRun, attacker: Attacker | None = None) -> Bound | str:
         try:
@@ -285,6 +285,7 @@ def zero_alarm_bounds(
 
     found: dict[str, list[Bound | str]] = {"free": [], "restricted": []}
     try:
+        timing = Timing.of(setup)
         for run, attacker, _ in cases:
             found["free"].append(bound(run))
             if attacker is not None:
