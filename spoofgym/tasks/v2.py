@@ -56,10 +56,10 @@ TASKS: dict[str, Task] = {
     for task in (
         Task(
             "S1",
-            "airborne signals, tactical sensors, 150 s in a terminal area, alert limit 40 m",
+            "airborne signals, tactical sensors, 150 s in a terminal area, alert limit 30 m",
             _world({"name": "aviation-actual", "flight": "terminal"}, 150.0, 10.0),
             (_reference(150.0),),
-            40.0,
+            30.0,
         ),
         Task(
             "S2",
