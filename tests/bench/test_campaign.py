@@ -94,7 +94,7 @@ def test_processes_and_shards_write_what_one_process_does(jobs, tmp_path):
     assert contents(tmp_path / "two") == whole
 
 
-def test_scores_follow_from_the_records(finished, summary):
+def test_scores_follow_from_the_records_and_the_report_tells_what_came_out(finished, summary):
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
     assert summary["missing"] == []
     assert len(summary["cells"]) == 6
@@ -122,9 +122,6 @@ def test_scores_follow_from_the_records(finished, summary):
     assert row["false_alarm_per_run"]["value"] == clean.alarmed.mean()
     epochs = clean.records["alarm_epochs"].mean() / clean.window
     assert row["false_alarm_per_epoch"]["value"] == pytest.approx(epochs)
-
-
-def test_the_report_tells_what_was_run_and_what_came_out(finished, summary):
     text = markdown(finished, summary)
     for part in (
         "# Campaign: zhong2025",

@@ -29,7 +29,7 @@ def episode(suite):
     return play_episode(suite.world, suite.detector_players[0], suite.spoofer_players[1], run=3)
 
 
-def test_it_is_the_run_of_that_number(suite, episode):
+def test_it_is_the_run_of_that_number_with_the_intervals_of_its_alarms(suite, episode):
     setup = suite.setup(suite.detector_players[0])
     start = WarmStart(setup, suite.generators("evaluation", 5), threads=1)
     attacked, clean = play(start, SPOOFER), play(start, "none")
@@ -51,6 +51,9 @@ def test_it_is_the_run_of_that_number(suite, episode):
     assert json.dumps(again.summary()) == json.dumps(summary)
     with pytest.raises(ValueError, match="`run` must be a whole number of at least 0, got -1"):
         play_episode(suite.world, episode.detector, episode.spoofer, run=-1)
+    assert episode.intervals == alarm_intervals(episode.alarm[:, 0], episode.time)
+    told = episode.summary()["spoofing_intervals_s"]
+    assert [onset for onset, _ in told] == [onset for onset, _ in episode.intervals]
 
 
 def test_it_can_be_drawn(tmp_path):
@@ -76,12 +79,6 @@ def test_it_can_be_drawn(tmp_path):
 def test_an_interval_is_from_the_first_alarm_to_the_first_epoch_without(text, found):
     alarm = np.array([letter == "x" for letter in text])
     assert alarm_intervals(alarm, 0.5 * np.arange(len(text))) == found
-
-
-def test_its_spoofing_intervals_are_those_of_its_alarms(episode):
-    assert episode.intervals == alarm_intervals(episode.alarm[:, 0], episode.time)
-    told = episode.summary()["spoofing_intervals_s"]
-    assert [onset for onset, _ in told] == [onset for onset, _ in episode.intervals]
 
 
 def test_a_spoofer_of_a_campaign_sees_what_the_victim_reports(monkeypatch, episode):

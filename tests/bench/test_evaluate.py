@@ -72,14 +72,6 @@ def test_a_function_is_fitted_to_the_budget_and_commands_along_the_target(judge,
     assert judge.score(constant(1e-4)).value == 10.0  # the largest one that is tried
 
 
-def test_what_alarms_too_often_is_no_score(judge):
-    found = judge.score(constant(1.0), amplitude=None)
-    assert found.alarm_rate.value > 0.5
-    assert not found.keeps_budget
-    assert "over the budget of 5 %" in str(found)
-    assert found.fit_within_budget is None
-
-
 def test_ratios_are_paired_and_have_an_interval(judge, half):
     ratio = half.ratio_to(judge.score(constant(), amplitude=1.0))
     assert ratio.low <= ratio.value <= ratio.high
@@ -108,12 +100,17 @@ def test_an_oracle_is_compared_with_others_only_where_that_is_asked_for(judge, h
     assert both == pytest.approx(1.0)
 
 
-def test_a_score_is_json_and_the_same_again(judge):
+def test_a_score_is_json_and_the_same_again_and_says_where_it_alarms_too_often(judge):
     score = judge.score(make_spoofer("ramp"), amplitude=0.3)
     data = json.loads(json.dumps(score.as_dict(), allow_nan=False))
     assert (data["value"], data["runs"]) == (0.3, RUNS)
     assert evaluate(make_spoofer("ramp"), **WORLD, **SIZES, amplitude=0.3) == score
     assert spoofgym.evaluate is evaluate
+    found = judge.score(constant(1.0), amplitude=None)
+    assert found.alarm_rate.value > 0.5
+    assert not found.keeps_budget
+    assert "over the budget of 5 %" in str(found)
+    assert found.fit_within_budget is None
 
 
 def test_whether_a_spoofer_fits_is_told_before_anything_is_played(judge, monkeypatch):

@@ -72,7 +72,9 @@ def test_neither_cells_before_nor_threads_nor_other_runs_change_a_bit(start, fas
             np.testing.assert_array_equal(mine, theirs)
 
 
-def test_dropping_settled_runs_changes_no_score(start, clean, fast):
+def test_dropping_settled_runs_changes_no_score_and_a_cell_scores_as_a_search_does(
+    start, clean, fast
+):
     dropped = play(start, FAST, drop_alarmed=True)
     assert 0.3 < fast.alarm.any(axis=0).mean() < 1.0
     assert np.isnan(dropped.position).any()
@@ -81,9 +83,6 @@ def test_dropping_settled_runs_changes_no_score(start, clean, fast):
     np.testing.assert_array_equal(*scores)
     known = np.isfinite(dropped.position)
     np.testing.assert_array_equal(fast.position[known], dropped.position[known])
-
-
-def test_a_cell_has_the_course_of_alarms_and_scores_the_runs_as_a_search_does(start, clean, fast):
     cell = record_runs(start.setup, {}, start.warmup_alarm, fast, clean, 40.0)
     so_far = np.logical_or.accumulate(fast.alarm, axis=0)
     np.testing.assert_allclose(cell.series["alarmed"], so_far.mean(axis=1), atol=1e-6)

@@ -76,20 +76,12 @@ def test_the_digest_follows_everything_that_results_depend_on():
         (7, {"tuning": tuning}),
     ):
         assert compute_digest(small_suite(**changes).config) == digests[n]
-
-
-def test_the_rate_of_the_inertial_sensors_is_named_in_results():
     own, keyword = small_suite(), small_suite(settings={"imu_rate_hz": 20})
     mapping = small_suite(scenario={"name": "zhong2025", "imu_rate_hz": 20})
     assert "imu_rate_hz" not in own.config["scenario"]
     assert keyword.config["scenario"]["imu_rate_hz"] == 20
     assert keyword.config["scenario"]["name"] == "zhong2025@20Hz"
     assert keyword.digest == mapping.digest != own.digest
-
-
-def test_the_clean_twin_is_always_played_first():
-    suite = small_suite(spoofers=("step", "none"))
-    assert [entry.label for entry in suite.spoofer_players] == ["none", "step"]
 
 
 def test_oracles_are_refused_unless_they_are_asked_for():
@@ -105,7 +97,7 @@ def test_oracles_are_refused_unless_they_are_asked_for():
     assert plain[0] == plain[1]
 
 
-def test_a_campaign_has_its_world_and_its_runs():
+def test_a_campaign_has_its_world_and_its_runs_and_plays_the_clean_twin_first():
     assert World.of("T3") == World(settings=get_task("T3").world_kwargs)
     named = World.of(timeline=TIMES, between="hold", scenario=None)
     assert named == World.of(timeline=TIMES, settings={"between": "hold"})
@@ -115,6 +107,8 @@ def test_a_campaign_has_its_world_and_its_runs():
     assert {name: suite.config[name] for name in world.config} == world.config
     one, few = world.generators(3, "training", 3, first=2), suite.generators("training", 3)
     assert one[0].random() == few[2].random()
+    suite = small_suite(spoofers=("step", "none"))
+    assert [entry.label for entry in suite.spoofer_players] == ["none", "step"]
 
 
 @pytest.mark.parametrize(
