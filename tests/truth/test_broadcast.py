@@ -24,15 +24,12 @@ from .records import HOUR, ORBIT, SATURDAY_22, chain, joined, later, one_record
 PROPERTY = settings(deadline=None, max_examples=50)
 
 
-def test_gps_seconds_of_known_weeks():
+def test_gps_seconds_of_known_weeks_and_of_civil_time_with_leap_seconds():
     assert gps_seconds(datetime(1980, 1, 6)) == 0.0
     # header of igs15904.sp3: week 1590, second 345600
     assert gps_seconds(datetime(2010, 7, 1)) == 1590 * SECONDS_PER_WEEK + 345600.0
     # the 10-bit week number rolled over on this day
     assert gps_seconds(datetime(2019, 4, 7)) == 2048 * SECONDS_PER_WEEK
-
-
-def test_civil_time_gains_the_leap_seconds():
     kathmandu = timezone(timedelta(hours=5, minutes=45))
     for moment, leap_seconds in (
         (datetime(1980, 1, 6), 0),
@@ -119,16 +116,13 @@ def test_the_nearest_record_is_followed_whenever_the_run_starts(late):
     assert_allclose(states.velocity_e[:, 0], expected.velocity_e, rtol=0, atol=1e-9)
 
 
-def test_nothing_beyond_two_hours_of_a_record():
+def test_nothing_unhealthy_is_flown_nor_beyond_two_hours_of_a_record():
     constellation = BroadcastConstellation(chain(0.0, 0.0, interval=6 * HOUR), SATURDAY_22)
     times = np.array([-2.01, -2.0, 2.0, 2.01, 3.99, 4.0, 8.0, 8.01]) * HOUR
     known = [False, True, True, False, False, True, True, False]
     for array in constellation.states(times):
         assert_array_equal(np.isfinite(array).all(axis=(1, 2)), known)
         assert_array_equal(np.isnan(array).all(axis=(1, 2)), np.logical_not(known))
-
-
-def test_unhealthy_satellites_are_not_flown():
     first = one_record()
     others = one_record("G02", health=1.0), one_record("G11")
     records = joined(first, later(first, 2 * HOUR, health=63.0), *others)

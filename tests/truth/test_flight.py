@@ -35,7 +35,7 @@ def test_flying_east_follows_the_parallel_by_the_trapezoid_rule():
     np.testing.assert_allclose(height, HEIGHT, atol=1e-4)
 
 
-def test_views_return_what_the_flight_was_made_from():
+def test_views_return_what_the_flight_was_made_from_and_it_keeps_copies():
     time = np.arange(501) * 0.02
     rate = 1e-5 * np.array([2.0, -3.0])
     latitude = LATITUDE + rate[0] * time
@@ -59,9 +59,6 @@ def test_views_return_what_the_flight_was_made_from():
     np.testing.assert_allclose(flight.velocity_n, velocity_n, atol=1e-6)
     for got, want in zip(flight.euler, euler, strict=True):
         np.testing.assert_allclose(got, want, atol=1e-9)
-
-
-def test_a_flight_keeps_copies():
     flight = east_flight(duration=1.0)
     velocity = flight.velocity_e.copy()
     other = Flight("copy", flight.time, flight.position_e, velocity, flight.C_eb)

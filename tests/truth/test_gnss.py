@@ -18,7 +18,7 @@ from spoofgym.truth.sensors import IMU_GRADES, SensorBuffers
 N = 8
 
 
-def test_biases_in_the_zenith_and_at_the_horizon():
+def test_biases_in_the_zenith_and_at_the_horizon_and_errors_measured_on_the_trolley():
     errors = ERRORS["groves"]
     zenith, horizon = errors.bias_sd(np.array([math.pi / 2, 0.0]))
     assert zenith == pytest.approx(math.sqrt(1.0 + 2.0**2 + 0.2**2))
@@ -27,6 +27,12 @@ def test_biases_in_the_zenith_and_at_the_horizon():
     assert (np.diff(errors.bias_sd(elevation)) < 0.0).all()  # the lower, the longer the path
     np.testing.assert_array_equal(ERRORS["white"].bias_sd(elevation), 0.0)
     np.testing.assert_array_equal(ERRORS["zhong2025"].bias_sd(elevation), 1.0)
+    # autocorrelation of the code error: 0.73 at 1 s, 0.32 at 30 s, 0.02 at 120 s
+    errors = ERRORS["trolley"]
+    wandering, white = errors.correlated_sd_m**2, errors.code_sd_m**2
+    for lag, found in ((1.0, 0.73), (30.0, 0.32), (120.0, 0.02)):
+        model = wandering * math.exp(-lag / errors.correlation_s) / (wandering + white)
+        assert model == pytest.approx(found, abs=0.06)
 
 
 @njit
@@ -160,12 +166,3 @@ def test_errors_of_authentic_signals_can_be_taken_away_with_the_receivers_noise_
     np.testing.assert_allclose(ranges[0, 5], own[0, 5] - 0.75 * path[5], rtol=0, atol=2e-8)
     np.testing.assert_array_equal(ranges[0, 6:], own[0, 6:])
     np.testing.assert_array_equal(rates[0, 2:], own_rates[0, 2:])
-
-
-def test_the_errors_on_the_trolley_are_those_that_were_measured():
-    """Autocorrelation of the code error: 0.73 at 1 s, 0.32 at 30 s, 0.02 at 120 s."""
-    errors = ERRORS["trolley"]
-    wandering, white = errors.correlated_sd_m**2, errors.code_sd_m**2
-    for lag, found in ((1.0, 0.73), (30.0, 0.32), (120.0, 0.02)):
-        model = wandering * math.exp(-lag / errors.correlation_s) / (wandering + white)
-        assert model == pytest.approx(found, abs=0.06)

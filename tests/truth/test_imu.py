@@ -27,7 +27,6 @@ def rounded(samples, level, residual):
 
 
 def errors_of(rng, quantization):
-    """Errors of sensors, all other than nothing."""
     return {
         "accel_bias": rng.normal(0.0, 1.0, 3),
         "gyro_bias": rng.normal(0.0, 1.0, 3),

@@ -77,7 +77,6 @@ def test_a_pair_is_that_of_box_and_muller(word):
 
 @pytest.fixture(scope="module")
 def sample():
-    """256 epochs of 1024 deviates."""
     return np.array([draw((1, 2), epoch) for epoch in range(256)])
 
 
@@ -91,7 +90,6 @@ def test_deviates_have_the_normal_distribution(sample):
 
 
 def uncorrelated(a, b):
-    """Whether neither two samples nor their sizes are correlated."""
     bound = 4.5 / math.sqrt(a.size)
     return all(
         abs(np.corrcoef(f(a).ravel(), f(b).ravel())[0, 1]) < bound for f in (np.asarray, np.square)

@@ -17,7 +17,6 @@ def generators(count, first=0):
 
 
 def draw_keys(rngs):
-    """Keys and phases of the next episodes."""
     episodes = [episode_keys(rng.bit_generator.seed_seq.spawn(1)[0]) for rng in rngs]
     return tuple(np.array(each) for each in zip(*episodes, strict=True))
 
@@ -38,11 +37,17 @@ def dead_reckoning(odometer, epochs, receivers=1, loop=None):
     return np.array(found[1:]), track.position_ne[::SAMPLES]
 
 
-def test_without_errors_dead_reckoning_follows_the_truth_to_a_few_counts():
+def test_dead_reckoning_follows_the_truth_but_for_the_noise_of_the_heading():
     odometer = Odometer(hard_iron_deg=0.0, yaw_noise_deg=0.0)
     found, truth = dead_reckoning(odometer, 150)
     # a count of each wheel, and the turns that a sample of 5 cm cuts
     assert np.abs(found[:, 0] - truth).max() < 0.01
+    odometer = Odometer(hard_iron_deg=0.0, yaw_noise_deg=5.0, counts_per_turn=100_000)
+    loop = RobotLoop(heading_deg=0.0, length_m=100.0, width_m=100.0)
+    found, truth = dead_reckoning(odometer, 60, receivers=400, loop=loop)
+    # the mean of two ends: neighbours share one, so that the sum has n draws of the full size
+    expected = 0.05 * math.radians(5.0) * math.sqrt(600)
+    assert (found[-1, :, 1] - truth[-1, 1]).std() == pytest.approx(expected, rel=0.15)
 
 
 def test_hard_iron_drives_it_off_by_the_same_vector_every_lap():
@@ -62,15 +67,6 @@ def test_hard_iron_drives_it_off_by_the_same_vector_every_lap():
         np.testing.assert_allclose(now, laps * across, atol=0.03 * laps + 0.03)
 
 
-def test_the_noise_of_the_heading_adds_up_across_the_way():
-    odometer = Odometer(hard_iron_deg=0.0, yaw_noise_deg=5.0, counts_per_turn=100_000)
-    loop = RobotLoop(heading_deg=0.0, length_m=100.0, width_m=100.0)
-    found, truth = dead_reckoning(odometer, 60, receivers=400, loop=loop)
-    # the mean of two ends: neighbours share one, so that the sum has n draws of the full size
-    expected = 0.05 * math.radians(5.0) * math.sqrt(600)
-    assert (found[-1, :, 1] - truth[-1, 1]).std() == pytest.approx(expected, rel=0.15)
-
-
 def fixes(errors, epochs, receivers, offset=0.0, available=None):
     keys, _ = draw_keys(generators(receivers))
     correlated, noise = np.zeros((receivers, 2)), np.empty(BLOCK)
@@ -85,7 +81,7 @@ def fixes(errors, epochs, receivers, offset=0.0, available=None):
     return out
 
 
-def test_fixes_have_the_stated_errors():
+def test_fixes_have_the_stated_errors_and_a_spoofer_moves_them():
     found = fixes(FixErrors(), 120, 2000) - [1.0, -2.0]
     assert np.abs(found.mean(axis=(0, 1))).max() < 0.05
     np.testing.assert_allclose(found.std(axis=1), math.hypot(1.0, 0.2), rtol=0.08)
@@ -93,9 +89,6 @@ def test_fixes_have_the_stated_errors():
     assert lag == pytest.approx(math.exp(-1.0), abs=0.05)
     step = np.diff(found, axis=0).var()
     assert step == pytest.approx(2.0 * (1.0 - math.exp(-1.0 / 60.0)) + 2.0 * 0.2**2, rel=0.03)
-
-
-def test_a_spoofer_moves_the_fix_and_a_missing_one_changes_no_other():
     plain, moved = fixes(FixErrors(), 4, 3), fixes(FixErrors(), 4, 3, offset=7.0)
     np.testing.assert_allclose(moved - plain, 7.0, atol=1e-12)
     available = np.array([True, True, False, True])

@@ -18,7 +18,7 @@ def test_a_lap_ends_where_it_began(heading, radius):
         assert track.yaw[100 * k] - track.yaw[0] == pytest.approx(2.0 * math.pi * k)
 
 
-def test_position_is_the_integral_of_velocity_and_yaw_its_direction():
+def test_position_is_the_integral_of_velocity_and_the_course_has_the_stated_size():
     step = 1e-3
     track = RobotLoop().track(100_000, step)
     mean = 0.5 * (track.velocity_ne[1:] + track.velocity_ne[:-1])
@@ -29,9 +29,6 @@ def test_position_is_the_integral_of_velocity_and_yaw_its_direction():
     direction = np.stack([np.cos(track.yaw), np.sin(track.yaw)], axis=1)
     np.testing.assert_allclose(track.velocity_ne, 0.5 * direction, atol=1e-9)
     assert np.diff(track.yaw).max() <= 0.5 / 0.3 * step + 1e-9  # speed over the radius
-
-
-def test_the_course_has_the_stated_size_and_first_goes_where_the_heading_points():
     track = RobotLoop(heading_deg=0.0).track(8000, 0.01)
     assert np.ptp(track.position_ne[:, 0]) == pytest.approx(13.4, abs=1e-3)
     assert np.ptp(track.position_ne[:, 1]) == pytest.approx(6.1, abs=1e-3)

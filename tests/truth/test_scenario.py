@@ -35,13 +35,7 @@ def test_unknown_and_old_names_are_told_with_the_valid_ones(make, said):
         make()
 
 
-def test_the_world_of_a_named_flight_is_computed_once():
-    scenario = Scenario(flight="car", epoch_interval_s=1.0)
-    assert scenario.world() is Scenario(flight="car", epoch_interval_s=1.0, errors="white").world()
-    assert scenario.world() is not replace(scenario, epoch_interval_s=0.5).world()
-
-
-def test_settings_reach_the_world():
+def test_settings_reach_the_world_and_that_of_a_named_flight_is_computed_once():
     scenario = Scenario(
         flight=car(),
         epoch_interval_s=2.0,
@@ -56,6 +50,9 @@ def test_settings_reach_the_world():
     assert world.elevation[world.visible].min() > np.radians(20.0)
     np.testing.assert_array_equal(world.run, replace(scenario, flight="car").world().run)
     assert scenario.gnss_errors is scenario.errors
+    scenario = Scenario(flight="car", epoch_interval_s=1.0)
+    assert scenario.world() is Scenario(flight="car", epoch_interval_s=1.0, errors="white").world()
+    assert scenario.world() is not replace(scenario, epoch_interval_s=0.5).world()
 
 
 @pytest.mark.parametrize("flight", sorted(FLIGHTS.keys() - {"en-route", "terminal"}))

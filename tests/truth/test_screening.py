@@ -74,7 +74,7 @@ def test_what_neighbours_cannot_tell_is_kept_and_counted(records, counts):
     assert len(kept) == len(records) - report.rejected
 
 
-def test_unhealthy_neighbours_bear_witness():
+def test_unhealthy_neighbours_bear_witness_and_copies_and_other_satellites_none():
     # G01 in brdc1820.10n: the only record marked healthy is the wrong one
     records = chain(0, 0, 2e7, 0)
     records = replace(records, health=np.array([63.0, 63.0, 0.0, 63.0]))
@@ -82,9 +82,6 @@ def test_unhealthy_neighbours_bear_witness():
     assert rejected_records(records) == [2]
     assert report.unhealthy == 3
     assert not kept.healthy.any()
-
-
-def test_copies_and_records_of_other_satellites_bear_no_witness():
     records = chain(0, 5000, 0)
     rounded = replace(records, node=records.node * (1.0 + 1e-13))
     kept, report = screen(joined(records, rounded, records))

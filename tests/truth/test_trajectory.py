@@ -26,7 +26,6 @@ from ..receiver.reference import mechanize
 
 
 def strapdown(position, velocity, C, force, rate, step):
-    """States after each sample, by a plain receiver."""
     states = [(C, velocity, position)]
     for sample in zip(force, rate, strict=True):
         states.append(mechanize(*states[-1], *sample, step))
@@ -34,7 +33,6 @@ def strapdown(position, velocity, C, force, rate, step):
 
 
 def still(latitude_deg=45.0):
-    """Ten samples of 0.1 s."""
     zero = np.zeros(11)
     attitude = zero + 0.1, zero - 0.2, zero + 1.0
     start = math.radians(latitude_deg), 0.5, 100.0

@@ -15,7 +15,6 @@ MASK = math.radians(10.0)
 
 
 def trajectory(duration, step):
-    """East at 100 m/s."""
     count = round(duration / step) + 1
     zero = np.zeros(count)
     velocity = np.column_stack([zero, zero + 100.0, zero])
@@ -33,7 +32,7 @@ def world():
     return build_world(EAST, CircularConstellation(), epoch_interval_s=0.5)
 
 
-def test_epochs_follow_the_samples(world):
+def test_epochs_follow_the_samples_and_local_axes_stand_at_the_true_position(world):
     assert (world.epochs, world.most_samples) == (21, 5)
     np.testing.assert_allclose(world.epoch_time, np.arange(21) * 0.5, atol=1e-12)
     np.testing.assert_array_equal(world.epoch_end, np.arange(21) * 5)
@@ -45,6 +44,11 @@ def test_epochs_follow_the_samples(world):
     assert world.run.flags.c_contiguous
     for name in ("position_e", "velocity_e", "C_eb"):
         np.testing.assert_array_equal(getattr(world, name), getattr(EAST, name)[::5])
+    C_en = world.C_en[3]
+    latitude, longitude, height = ecef_to_geodetic(world.position_e[3])
+    higher = geodetic_to_ecef(latitude, longitude, height + 100.0) - world.position_e[3]
+    np.testing.assert_allclose(C_en.T @ higher, [0.0, 0.0, -100.0], atol=1e-7)
+    np.testing.assert_allclose(C_en.T @ world.velocity_e[3], [0.0, 100.0, 0.0], atol=1e-6)
 
 
 def test_slots_hold_satellites_in_the_order_of_their_ids_and_ranges_to_them(world):
@@ -168,11 +172,3 @@ def test_without_an_ephemeris_a_satellite_is_not_visible(world):
 def test_what_cannot_be_is_refused(satellites, settings, said):
     with pytest.raises(ValueError, match=said):
         build_world(EAST, CircularConstellation(satellites=satellites), **settings)
-
-
-def test_local_axes_stand_at_the_true_position(world):
-    C_en = world.C_en[3]
-    latitude, longitude, height = ecef_to_geodetic(world.position_e[3])
-    higher = geodetic_to_ecef(latitude, longitude, height + 100.0) - world.position_e[3]
-    np.testing.assert_allclose(C_en.T @ higher, [0.0, 0.0, -100.0], atol=1e-7)
-    np.testing.assert_allclose(C_en.T @ world.velocity_e[3], [0.0, 100.0, 0.0], atol=1e-6)
