@@ -19,7 +19,6 @@ SETTINGS = {**BRIEF, "runs": 60, "false_alarm": 0.1, "receivers": 30}
 
 
 def calibration(maxima):
-    """Calibration from the largest ratios of clean runs of a minute."""
     world = {"world": {}, "detector": {"name": "x"}, "entropy": 0, "seed_name": "x"}
     ranks = list_stored_ranks(len(maxima), 60.0)
     return Calibration.from_maxima(maxima, maxima, ranks=ranks, window_s=60.0, **world)

@@ -50,7 +50,7 @@ def test_a_clean_episode_is_the_clean_run_whatever_is_commanded_and_pays_nothing
     assert trace[-1][2]["spoofer_0"]["undetected_displacement_m"] == 0.0
 
 
-def test_the_detector_is_not_told_of_an_attack():
+def test_the_detector_is_not_told_of_an_attack_and_observes_no_truth():
     """Until the measurements differ, attacked and clean episodes look alike to the detector."""
     env, clean = parallel(attack_probability=1.0), parallel(attack_probability=0.0)
     ours, theirs = run(env, 5, push=np.zeros(2)), run(clean, 5, push=np.zeros(2))
@@ -67,10 +67,7 @@ def test_the_detector_is_not_told_of_an_attack():
         assert not info.get("attacked")
         *_, over, _, info = view.step(QUIET)
     assert info["attacked"]
-
-
-def test_the_detector_observes_no_truth():
-    """Its observation is the same when the sensors' true errors are deleted after a measurement."""
+    # its observation is the same when the sensors' true errors are deleted after a measurement
     env = aec(attack_probability=1.0)
     env.reset(seed=3)
     env.step(PUSH)

@@ -20,7 +20,6 @@ SETTINGS = {**BRIEF, "runs": 19}
 
 @pytest.fixture
 def file(tmp_path):
-    """Network of random weights, with a card that has its threshold."""
     view = duel_v0.DetectorView(**BRIEF)
     path = tmp_path / "guard.onnx"
     sizes = view.observation_space.shape[0], view.action_space.shape[0]

@@ -109,7 +109,7 @@ def test_a_mixture_is_worth_what_its_members_are_on_average(played):
         mixed.mixes(mixed.solve())
 
 
-def test_an_equilibrium_is_a_pool_for_both_sides(played):
+def test_an_equilibrium_is_a_pool_for_both_sides_and_an_oracle_is_marked(played):
     _, matrix = played
     spoofers, detectors = matrix.mixes(matrix.solve())
     pool = json.loads(json.dumps(detectors.pool()))
@@ -121,6 +121,12 @@ def test_an_equilibrium_is_a_pool_for_both_sides(played):
     assert json.dumps(matrix.as_json(), allow_nan=False)
     assert sum(spoofers.weights) == pytest.approx(1.0)
     assert matrix.seeds in detectors.decided_on
+    found, matrix = played
+    told = [each.get("knowledge") for each in matrix.as_json()["spoofers"]]
+    assert told == ["blind", "blind", "blind", "oracle"]
+    with pytest.raises(ValueError, match=r"feedback: an oracle.*`oracles=True` \(--oracles\)"):
+        found.matrix(SPOOFERS, [CHI2])
+    assert found.matrix(["none", "feedback"], [CHI2]).values.shape == (2, 1)
 
 
 def test_what_is_finished_is_not_played_again_and_is_the_same(tmp_path, monkeypatch, played):
@@ -208,15 +214,6 @@ def test_what_is_shipped_says_by_its_card_what_decided_on_it(played, monkeypatch
         make_player("ewma-profile", "spoofer")
 
 
-def test_an_oracle_is_marked_and_not_compared_unasked(played):
-    found, matrix = played
-    told = [each.get("knowledge") for each in matrix.as_json()["spoofers"]]
-    assert told == ["blind", "blind", "blind", "oracle"]
-    with pytest.raises(ValueError, match=r"feedback: an oracle.*`oracles=True` \(--oracles\)"):
-        found.matrix(SPOOFERS, [CHI2])
-    assert found.matrix(["none", "feedback"], [CHI2]).values.shape == (2, 1)
-
-
 @pytest.mark.parametrize(
     ("spoofers", "detectors", "words"),
     [
@@ -246,6 +243,8 @@ def test_bad_members_are_named(spoofers, detectors, words):
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
+        ({"task": "T1", "limit_m": None, "timeline": None}, "limit_m"),
+        ({"task": "T3", "limit_m": 0.0, "timeline": None}, r"limit_m.*got 0"),
         ({"limit_m": None}, "limit_m"),
         ({"limit_m": -1.0}, "limit_m"),
         ({"split": "calibration"}, "split"),
@@ -271,7 +270,3 @@ def test_a_task_brings_its_world_and_its_alert_limit():
     found = Game("T3")
     assert found.payoff.limit_m == 20.0
     assert found.setup.name == "trolley"
-    with pytest.raises(ValueError, match="limit_m"):
-        Game("T1")
-    with pytest.raises(ValueError, match=r"limit_m.*got 0"):
-        Game("T3", limit_m=0.0)

@@ -27,7 +27,6 @@ VECTOR = {
 
 
 def batch_of(env):
-    """Receivers of an environment of any kind."""
     inner = env.unwrapped
     duel = inner.duel if hasattr(inner, "duel") else getattr(inner.core, "duel", None)
     return (inner.core if duel is None else duel.core).engine.simulator
