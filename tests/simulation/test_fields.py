@@ -63,7 +63,7 @@ def test_all_fields_may_be_wanted_and_have_the_same_bits(kind):
         assert len(array) == 3
 
 
-def test_needs_of_loop_passive_detectors_and_monitors_add_up():
+def test_needs_of_loop_passive_detectors_monitors_and_agents_are_met():
     pool = make_detector({"name": "pool", "members": ["aime", "raim"]})
     passive = PassiveDetectors([Reader("imu_delta"), pool, make_detector("ewma")])
     assert passive.needs == {"imu_delta", "innovation_cov", "pseudorange", "satellite_position"}
@@ -78,9 +78,6 @@ def test_needs_of_loop_passive_detectors_and_monitors_add_up():
     np.testing.assert_array_equal(*variances)
     with pytest.raises(LookupError, match="no Forgotten looks at these epochs"):
         engine.simulator.monitor(type("Forgotten", (Monitor,), {}))
-
-
-def test_an_agent_of_the_duel_gets_what_its_terms_read():
     assert DetectorAgent().needs == {"innovation_cov", "imu_delta"}
     victim = warm(tight(DetectorAgent()), 2)
     assert given(victim.epoch) == victim.detector.needs

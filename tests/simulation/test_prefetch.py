@@ -35,7 +35,6 @@ def generators(receivers=9, seed=0):
 
 
 def course(core, rngs, steps=40, chance=None):
-    """Rewards, observations, warm-up alarms of some steps with autoresets."""
     seen, chance = [], chance or np.random.default_rng(1)
     for _ in range(steps):
         command = np.clip(chance.normal(0.3, 0.5, (core.receivers, 2)), -1, 1)
@@ -57,7 +56,6 @@ def begun(setup, **how):
 
 
 def second_episode(setup, receivers=9):
-    """What is observed first in it, without anything ahead of time."""
     core, rngs = begun(setup, prefetch=False, receivers=receivers)
     core.reset(rngs)
     return core.observe()
@@ -70,7 +68,6 @@ def assert_same(one, other):
 
 @pytest.fixture(scope="module")
 def plain(setup):
-    """What is to be played: without anything ahead of time."""
     found = course(*begun(setup, prefetch=False))
     assert found[2].any()  # some warm-ups alarm
     return found
@@ -152,7 +149,6 @@ class Held:
 
 
 def held(core, rngs, monkeypatch):
-    """Begin, and wait until a piece of the next warm-up has begun."""
     pieces = Held(core.engine._next._warm_up)
     with monkeypatch.context() as patch:
         patch.setattr(core.engine._next, "_warm_up", pieces)

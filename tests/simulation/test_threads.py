@@ -27,8 +27,6 @@ def _no_hanging():
 
 
 class Work:
-    """Work that says which of its slices run, and which have ended."""
-
     def __init__(self, lasting_s=0.0, failing=()):
         self.lasting_s, self.failing = lasting_s, failing
         self.running, self.ended, self.calls = set(), set(), []
