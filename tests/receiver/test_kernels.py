@@ -28,7 +28,6 @@ def check_all_same(mine, theirs):
 
 
 def seeing(counts):
-    """Receivers that see so many satellites each, all alike otherwise."""
     batch = Batch(range(len(counts)))
     seen = np.arange(N)[None, :] < counts[:, None]
     u = np.array([sky(np.random.default_rng(number), N) for number in range(len(counts))])
@@ -47,7 +46,6 @@ SINGULAR = (
 
 
 def hard_cases():
-    """Skies that are singular or nearly empty, and filters that are sure and unsure."""
     batch = seeing(np.array([6, 6, 6, 6, 0, 1, 2, 3, 4, 5, 6, 6]))
     batch.fields["line_of_sight"] = np.concatenate([SINGULAR, batch.fields["line_of_sight"][4:]])
     for row, scale in ((10, 1e-6), (11, 1e4)):

@@ -134,9 +134,6 @@ def test_what_is_refused():
         flown_world("shadmehri2025", 0.1001)
 
 
-# --- noise that tunes itself ---------------------------------------------------------------------
-
-
 @pytest.mark.nojit
 @pytest.mark.parametrize(
     ("rule", "ratio", "factor"),

@@ -47,7 +47,6 @@ def truth(flight):
 
 
 def recorded(flight, truth):
-    """Measurements with noise and biases, and satellites that come and go."""
     ends, position, velocity, ranges = truth
     rng, K, time = np.random.default_rng(0), len(ends), flight.time[ends]
     pseudorange = ranges[..., 0] + 5000.0 + 30.0 * time[:, None]
@@ -171,9 +170,6 @@ def test_a_matched_receiver_needs_something_to_match(flight, truth):
     with pytest.raises(ValueError, match="a replay knows no world to match"):
         replay(recording, TightlyCoupled(tuning="matched"), initial=start)
     replay(recording, TightlyCoupled(tuning="matched", noise=NoiseModel()), initial=start)
-
-
-# --- recordings ------------------------------------------------------------------------------
 
 
 def small(**changes):

@@ -112,8 +112,6 @@ def test_what_gives_no_fix_is_refused(arrays, guess, said):
         least_squares_fix(*map(np.asarray, arrays), **guess)
 
 
-# --- of many receivers ---------------------------------------------------------------------------
-
 SKY = make_sky(3, 1.0, 12, CircularConstellation(satellites=36), speed_mps=50.0)
 HERE = SKY.position_e[0]
 
