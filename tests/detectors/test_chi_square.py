@@ -22,7 +22,7 @@ def judge_positions(detector, z, S):
     return stacked([detector.judge(blank._replace(innovation=each)) for each in z])
 
 
-def test_the_windows_sum_of_positions_has_three_degrees_an_epoch():
+def test_the_windows_sum_of_positions_has_three_degrees_an_epoch_once_it_is_full():
     rng = np.random.default_rng(0)
     S = belief(rng, 3)[:3, :3].copy()
     z = rng.standard_normal((12, B, 3))
@@ -39,15 +39,12 @@ def test_the_windows_sum_of_positions_has_three_degrees_an_epoch():
     found = judge_drifts(WindowedChi2(window=3), drifts)
     np.testing.assert_allclose(found.statistic[-1, :, 0], [2.0, 1.0])
     np.testing.assert_allclose(found.threshold[-1, :, 0], scipy.stats.chi2.isf(1e-5, [4, 2]))
-
-
-def test_nothing_is_judged_before_the_windows_are_full():
     estimated = WindowedChi2(window=3, covariance="estimated", covariance_window=20)
     alarms = judge_positions(estimated, np.full((30, 2, 3), 1e3), np.eye(3)).alarm[:, 0, 0]
     assert alarms.tolist() == [False] * 22 + [True] * 8
 
 
-def test_thresholds_of_an_estimated_covariance_lie_between_hotellings_and_chi_square():
+def test_thresholds_of_an_estimated_covariance_are_hotellings_and_keep_the_false_alarms():
     for w, want in ((20, 61.5), (30, 44.5), (50, 35.3), (100, 30.1)):
         threshold = estimated_covariance_thresholds(1e-5, 1, w, np.array([3.0]))[0]
         exact = 3.0 * w / (w - 2.0) * scipy.stats.f.isf(1e-5, 3, w - 2)
@@ -56,9 +53,6 @@ def test_thresholds_of_an_estimated_covariance_lie_between_hotellings_and_chi_sq
     rows = np.array([3.0, 30.0])
     limit = estimated_covariance_thresholds(1e-5, 10, 10**8, rows)
     np.testing.assert_allclose(limit, scipy.stats.chi2.isf(1e-5, rows), rtol=1e-5)
-
-
-def test_the_estimated_threshold_keeps_the_false_alarms_of_a_sampled_covariance():
     rng, runs, alpha, n, w = np.random.default_rng(2), 20_000, 0.01, 5, 30
     x, z = rng.standard_normal((runs, w, 3)), rng.standard_normal((runs, n, 3))
     S = np.einsum("bwi,bwj->bij", x, x) / w
@@ -81,8 +75,6 @@ def test_what_the_receiver_cannot_give_is_refused(settings, channels, said):
     with pytest.raises(ValueError, match=said):
         WindowedChi2(**settings).bind(context(1, channels))
 
-
-# --- two sides -----------------------------------------------------------------------------------
 
 TWO_SIDED = {
     "snapshot": lambda **settings: SnapshotChi2(signals="both", **settings),

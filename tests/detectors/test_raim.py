@@ -38,7 +38,6 @@ def geometry(u):
 
 
 def case(seed, n=12, spoofed=3, clean=False):
-    """Lines of sight, offsets and who is spoofed."""
     rng = np.random.default_rng(seed)
     up, azimuth = rng.uniform(0.17, 1.0, n), rng.uniform(0.0, 2.0 * np.pi, n)
     level = np.sqrt(1.0 - up**2)
@@ -105,7 +104,7 @@ def test_traversal_is_the_plain_one(n, spoofed):
     assert searched(search_all_paths, u, y) == plain_traversal(u, y)
 
 
-def test_thresholds_are_those_of_the_notes_and_search_vectors_half_of_a_lattice():
+def test_thresholds_search_vectors_and_axes_are_as_printed_and_residuals_those_of_a_fit():
     table = [7.840, 6.923, 6.456, 6.160, 5.952, 5.795, 5.670, 5.569]
     np.testing.assert_allclose(np.sqrt(LIMIT[5:] / np.arange(1, 9)), table, atol=6e-4)
     assert (LIMIT[:5] == 0.0).all()
@@ -117,6 +116,12 @@ def test_thresholds_are_those_of_the_notes_and_search_vectors_half_of_a_lattice(
     # some columns of B and C as printed
     printed = [[0, 1, 0, 1], [1, -1, 1, 0], [1, 0, 1, -1]]
     np.testing.assert_array_equal(vectors[[20, 25, 34]], printed)
+    u, y, _ = case(10, clean=True)
+    table = np.empty((13, search_data(1, 12).table.shape[2]))
+    s2 = tabulate(12, -u, y.copy(), table)
+    assert s2 == pytest.approx(squared(geometry(u), y, range(12)), rel=1e-9)
+    axes = SrvRaim(frame="ned")._axes(np.array([[6_378_137.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(axes[0] @ [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize("search", [search_all, search_all_paths])
@@ -127,15 +132,6 @@ def test_one_wild_pseudorange_is_told(search, wild):
     found, group, _ = searched(search, u, 0.2 * (y - 1e5))
     assert found
     assert group == set(range(12)) - {4}
-
-
-def test_the_squared_residual_is_that_of_a_fit_and_axes_those_of_the_local_frame():
-    u, y, _ = case(10, clean=True)
-    table = np.empty((13, search_data(1, 12).table.shape[2]))
-    s2 = tabulate(12, -u, y.copy(), table)
-    assert s2 == pytest.approx(squared(geometry(u), y, range(12)), rel=1e-9)
-    axes = SrvRaim(frame="ned")._axes(np.array([[6_378_137.0, 0.0, 0.0]]))
-    np.testing.assert_allclose(axes[0] @ [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], atol=1e-12)
 
 
 # --- detectors, in a sky of twelve satellites -----------------------------------------------------
@@ -179,7 +175,6 @@ SLOTS = np.arange(SATELLITES)
 
 
 def judged(detector, offset, visible=None, **changes):
-    """Verdict on one epoch, and the groups of its satellites."""
     detector.bind(sky_context(len(offset))._replace(**changes))
     return detector.judge(sky_epoch(offset, visible)), detector.memory["group"]
 
