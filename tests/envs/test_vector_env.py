@@ -17,7 +17,6 @@ def make(name, mode="next_step", **kwargs):
 
 
 def types(info):
-    """Type of every array, by key, `final_info` looked into."""
     kinds = {key: value.dtype for key, value in info.items() if key != "final_info"}
     within = info.get("final_info", {})
     return {**kinds, **{f"final {key}": value.dtype for key, value in within.items()}}
