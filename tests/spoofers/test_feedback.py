@@ -34,15 +34,12 @@ def test_the_wanted_rate_is_the_rule():
 CURVE = (0.1, 0.3, 0.2)
 
 
-def test_along_a_curve_the_room_is_a_part_of_its_rate():
+def test_along_a_curve_the_room_is_a_part_of_its_rate_and_all_of_it_up_to_the_alarm():
     settings = {"rates_mps": CURVE, "full_ratio": 0.5, "zero_ratio": 1.0, "back": 0.0}
     spoofer, names = bound(kind=FeedbackProfile, **settings)
     spoofer.memory["step"][:] = 149.0  # the knot in the middle of 300 epochs
     rates = wanted(spoofer, names, [0.2, 0.75, 2.0])
     np.testing.assert_allclose(rates, [0.3, 0.15, 0.0], rtol=1e-5)
-
-
-def test_with_nothing_held_back_it_is_the_profile_up_to_the_alarm():
     curve, _ = bound(kind=Profile, receivers=2, rates_mps=CURVE)
     settings = {"rates_mps": CURVE, "full_ratio": 1.0, "zero_ratio": 1.01}
     spoofer, names = bound(kind=FeedbackProfile, receivers=2, **settings)
