@@ -28,7 +28,6 @@ def setup_of(attack="false-position", **settings):
 
 
 def at_onset(setup, world=0):
-    """A receiver at the onset of its attack."""
     simulator = setup.copy_with(detector=setup.detector).simulator(1, run_serially)
     simulator.start_episodes([np.random.default_rng(0)], {"world": world})
     simulator.run_filter_only(setup.onset)
@@ -150,8 +149,6 @@ def test_commands_in_hats_do_what_their_rates_do():
 
 @dataclass(kw_only=True)
 class Squared(FalsePosition):
-    """Adds the squares of what a false position does."""
-
     def command(self, action, epochs, d_range, d_rate, lo, hi):
         super().command(action, epochs, d_range, d_rate, lo, hi)
         d_range[lo:hi] **= 2

@@ -74,7 +74,7 @@ def worlds_of(attack):
     ]
 
 
-def test_a_meaconer_that_commands_its_delay_alone_moves_no_position():
+def test_a_meaconer_moves_no_position_and_an_attack_is_easier_to_see_than_is_believed():
     # a common delay is the clock's: what is left of it in the position is next to nothing
     meaconer, _ = worlds_of("meaconer")
     sizes = [np.linalg.eigvalsh(M)[-1] for M in (meaconer, short_frontier().per_deflection())]
@@ -82,8 +82,5 @@ def test_a_meaconer_that_commands_its_delay_alone_moves_no_position():
     # it delays what it repeats without a command, too, which no frontier of commands tells
     with pytest.raises(ValueError, match="when it is commanded nothing"):
         short_frontier("meaconer")
-
-
-def test_by_what_the_victim_believes_an_attack_seems_harder_to_see_than_it_is():
     real, believed = (np.sqrt(EAST @ each @ EAST) for each in worlds_of("false-position"))
     assert believed > 2.0 * real

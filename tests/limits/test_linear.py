@@ -49,7 +49,7 @@ def test_innovations_and_position_move_as_the_simulator_s(scenario, receiver):
         )
 
 
-def test_responses_add_up_and_follow_the_attack():
+def test_responses_add_up_and_a_tilt_becomes_a_position_within_one_epoch():
     run, rng = toy_run(epochs=12), np.random.default_rng(1)
     offsets, u = rng.standard_normal((12, 8, 5)), rng.standard_normal(5)
     offsets[:7] = 0.0
@@ -61,9 +61,6 @@ def test_responses_add_up_and_follow_the_attack():
     still = respond(run._replace(gain=0.0 * run.gain), offsets)  # only propagates
     np.testing.assert_array_equal(still.innovation, offsets)
     assert not still.position.any()
-
-
-def test_a_tilt_becomes_a_position_within_one_epoch():
     tau, g = 0.5, 9.8
     F = np.zeros((3, 3))  # tilt, velocity, position
     F[1, 0], F[2, 1] = g, 1.0
