@@ -36,7 +36,6 @@ SMALLER = [
 
 @pytest.fixture
 def saved(monkeypatch):
-    """The README's detector, saved as the module that it names."""
     module = types.ModuleType("my_detector")
     monkeypatch.setitem(sys.modules, module.__name__, module)  # pickle looks classes up
     assert f"Saved as `{module.__name__}.py`" in README
@@ -70,7 +69,7 @@ def test_what_it_says_of_times_holds():
     assert f"attacks last {line.attack_s:.0f} s" in README
 
 
-def test_the_rivals_of_the_training_are_those_of_the_table(full):
+def test_table_and_rivals_are_those_of_the_full_run(full):
     reached = {
         cell["spoofer"].partition("(")[0]: cell["stealthy_displacement_m"]
         for cell in full["cells"]
@@ -82,6 +81,12 @@ def test_the_rivals_of_the_training_are_those_of_the_table(full):
         ("accelerating-ramp", "{value:.1f} m of an accelerating ramp"),
     ):
         assert said.format_map(reached[name]) in README
+    picture = "\n![The campaign](docs/campaign.png)\n"
+    assert part_between(README, START, END) == f"\n{shown(full)}{picture}"
+    assert full["campaign"] in README
+    names = [label(row["detector"]) for row in select_rows(full)]
+    assert names[:3] == ["never", "lottery", "solution-separation"]
+    assert all("range_rate" in name for name in names[3 : 3 + len(RANGE_RATE_TESTS)])
 
 
 def test_the_first_output_is_typical_of_its_push():
@@ -110,17 +115,7 @@ def test_the_first_output_is_typical_of_its_push():
 
 @pytest.fixture(scope="module")
 def full():
-    """The stored full run."""
     return json.loads(FULL.read_text())["worlds"][WORLD]
-
-
-def test_the_table_is_that_of_the_full_run(full):
-    picture = "\n![The campaign](docs/campaign.png)\n"
-    assert part_between(README, START, END) == f"\n{shown(full)}{picture}"
-    assert full["campaign"] in README
-    names = [label(row["detector"]) for row in select_rows(full)]
-    assert names[:3] == ["never", "lottery", "solution-separation"]
-    assert all("range_rate" in name for name in names[3 : 3 + len(RANGE_RATE_TESTS)])
 
 
 def test_make_bench_plays_rows_of_the_full_run_and_agrees_by_interval(full):

@@ -52,7 +52,6 @@ def test_wrappers_of_observations_refuse_the_modes_that_the_page_says(mode, name
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
-    """What the blocks have left, apart from those that need what is not installed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("page"))
         with warnings.catch_warnings():
