@@ -132,7 +132,7 @@ def test_a_recorded_run_is_the_environment_bit_for_bit(word):
     np.testing.assert_allclose(engine.simulator.memory["displacement"], offsets[-1], atol=1e-9)
 
 
-def test_the_papers_sigma_is_about_the_mean():
+def test_the_papers_sigma_is_about_the_mean_and_runs_do_not_depend_on_how_many_there_are():
     error = np.zeros((300, 1, 2))
     error[150:] = 20.0
     found = measures.accuracy(error)
@@ -140,6 +140,12 @@ def test_the_papers_sigma_is_about_the_mean():
     assert found["sigma"][0] == pytest.approx(math.sqrt(2.0) * 10.0)
     assert found["max"][0] == pytest.approx(math.sqrt(2.0) * 20.0)
     assert found["rms"][0] == pytest.approx(20.0)
+    few, many = record("slow", SEED, 2), record("slow", SEED, 5)
+    np.testing.assert_array_equal(few.fix, many.fix[:, :2])
+    np.testing.assert_array_equal(few.increment, many.increment[:, :2])
+    ramp = runs.ramp_offsets(0.1, 150.0, range(1, 301), 3)
+    np.testing.assert_allclose(ramp[-1], 15.0)
+    assert not ramp[:150].any()
 
 
 def test_alarms_are_counted_by_their_proper_names():
@@ -157,15 +163,6 @@ def test_alarms_are_counted_by_their_proper_names():
     assert np.isnan(measures.recovery(alarm, window)[0])
     told = measures.retroactive(alarm, 2)[:, 0]
     assert told.tolist() == [True, True, False, False, True, True]
-
-
-def test_runs_do_not_depend_on_how_many_there_are():
-    few, many = record("slow", SEED, 2), record("slow", SEED, 5)
-    np.testing.assert_array_equal(few.fix, many.fix[:, :2])
-    np.testing.assert_array_equal(few.increment, many.increment[:, :2])
-    ramp = runs.ramp_offsets(0.1, 150.0, range(1, 301), 3)
-    np.testing.assert_allclose(ramp[-1], 15.0)
-    assert not ramp[:150].any()
 
 
 @pytest.mark.slow
