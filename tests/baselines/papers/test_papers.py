@@ -88,7 +88,7 @@ def stored_rows(key):
     return {(row.table, row.row, row.quantity): row for row in rows_from_record(read(key))}
 
 
-def test_ke2022_has_what_is_printed_and_says_where_the_paper_contradicts_itself():
+def test_ke2022_and_shadmehri2025_say_where_they_contradict_what_is_printed():
     rows = stored_rows("ke2022")
     twice = [
         rows[figure, "M2, ramp 0.05 m/s", "detection time [s]"] for figure in ("Fig. 8", "Fig. 10")
@@ -101,9 +101,6 @@ def test_ke2022_has_what_is_printed_and_says_where_the_paper_contradicts_itself(
         row = rows[f"Table {table}", f"M2, {told}, each satellite in turn", "missed [%]"]
         assert row.paper == paper
         assert "eight satellites" in row.band.origin.text
-
-
-def test_shadmehri2025_explains_the_alarms_of_its_smallest_r():
     rows = stored_rows("shadmehri2025")
     table = "Not in the paper: false alarms"
     row = rows[table, "R of 0.17 m, fixed", "alarms per epoch, 20-35 s"]
