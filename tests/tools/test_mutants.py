@@ -53,7 +53,6 @@ SUMS, ADD = "spoofgym/receiver/sums.py", "def add(a, b):\n    return a + b\n"
 
 @pytest.fixture
 def checkout(tmp_path, monkeypatch):
-    """A project of one function, with a test that notices some of its mutants."""
     root = tmp_path / "project"
     notices = "from spoofgym.receiver.sums import add\ndef test_it(): assert abs(add(1, 2)) == 3\n"
     files = {"spoofgym/__init__.py": "", "spoofgym/receiver/__init__.py": "", SUMS: ADD}
