@@ -180,7 +180,6 @@ def world(attack_s=10, **settings):
 
 
 def whole(task, **given):
-    """A world that takes a minute to make."""
     return {"detector": "never", "settings": "{}", "task": task, **given}
 
 
