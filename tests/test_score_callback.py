@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-# ruff: noqa: E402 - stable-baselines3 may be missing
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 

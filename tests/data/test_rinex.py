@@ -90,8 +90,7 @@ PLACES = [
 
 def test_every_field_is_in_its_place_and_years_have_two_digits(written):
     e = read_navigation(written(HEADER_2 + G05 + G12))
-    assert e.satellite_id.tolist() == ["G05", "G12"]
-    assert e.satellite_ids == ("G05", "G12")
+    assert (e.satellite_id.tolist(), e.satellite_ids) == (["G05", "G12"], ("G05", "G12"))
     numbers = [re.findall(r"-?\d\.\d{12}[DE][+-]\d\d", record) for record in (G05, G12)]
     columns = [
         [float(each.replace("D", "E")) for each in pair] for pair in zip(*numbers, strict=False)

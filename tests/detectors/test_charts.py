@@ -100,8 +100,7 @@ def test_the_joint_charts_alarm_begins_with_the_ewma_charts_and_ends_with_the_of
     assert ewma[100:105].all()
     np.testing.assert_array_equal(found.alarm, found.statistic > found.threshold)
     # chart and time index begin anew
-    assert found.statistic[100] == 0.0
-    assert found.weights[100, 0, 0] == 1.0
+    assert (found.statistic[100], found.weights[100, 0, 0]) == (0.0, 1.0)
     fresh = run(JointChart(), np.zeros(5))
     np.testing.assert_allclose(found.threshold[101:106], fresh.threshold)
 

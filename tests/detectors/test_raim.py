@@ -281,8 +281,7 @@ def test_a_pseudorange_that_is_no_number_is_left_out(kind, wild):
     offset, visible = noise(7, 1), SLOTS[None] != 5
     verdict, group = judged(kind(exclude=True), np.where(visible, offset, wild))
     without, _ = judged(kind(), np.where(visible, offset, 0.0), visible)
-    assert verdict.statistic == without.statistic
-    assert verdict.threshold == without.threshold
+    assert (verdict.statistic, verdict.threshold) == (without.statistic, without.threshold)
     assert group[0, 5] == 0
     np.testing.assert_array_equal(verdict.weights, np.tile(visible, 2))
 

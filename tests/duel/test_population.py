@@ -268,5 +268,4 @@ def test_a_detector_that_leaves_no_run_has_no_payoff():
 
 def test_a_task_brings_its_world_and_its_alert_limit():
     found = Game("T3")
-    assert found.payoff.limit_m == 20.0
-    assert found.setup.name == "trolley"
+    assert (found.payoff.limit_m, found.setup.name) == (20.0, "trolley")

@@ -74,8 +74,7 @@ def test_what_of_an_epoch_is_there_and_is_read():
     assert [name for name in OPTIONAL if getattr(some, name) is not None] == ["design"]
     assert all(getattr(some, name) is not None for name in always)
     traced = TracedEpoch(*epoch_view(ReceiverBuffers(2, 4, SEEN)))
-    assert traced.innovation.shape == (2, 8)
-    assert traced.read_fields == set()
+    assert (traced.innovation.shape, traced.read_fields) == ((2, 8), set())
     changed = traced._replace(innovation=traced.innovation + 1.0)
     assert changed.design is not None
     assert traced.cn0_dbhz is None

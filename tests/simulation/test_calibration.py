@@ -163,8 +163,7 @@ def test_a_hold_out_tells_the_worst_world_by_chance_and_the_hazard_by_age():
     found = calibrate_detectors(several, "snapshot-chi2", **asked)
     (held,) = hold_out(several, found, "snapshot-chi2", **asked)
     runs, alarms = np.array(held.worlds).T
-    assert len(runs) == 3
-    assert (runs.sum(), alarms.sum()) == (100, held.alarms)
+    assert (len(runs), runs.sum(), alarms.sum()) == (3, 100, held.alarms)
     largest, by_chance = held.worst_world
     assert largest == hourly_rate((alarms / runs).max(), held.window_s)
     assert largest >= held.per_hour

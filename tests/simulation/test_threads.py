@@ -68,8 +68,7 @@ def workers():
 def assert_whole(workers):
     work = Work(1e-3)
     workers.run(work, BOUNDS)
-    assert sorted(work.calls) == [(0, 1), (1, 2), (2, 3)]
-    assert work.ended == {0, 1, 2}
+    assert (sorted(work.calls), work.ended) == ([(0, 1), (1, 2), (2, 3)], {0, 1, 2})
 
 
 def test_every_slice_is_run_once(workers):
@@ -150,8 +149,7 @@ def test_what_a_slice_fails_with_is_raised_when_all_have_ended(workers):
         work = Work(5e-3, [failing])
         with pytest.raises(ArithmeticError, match=f"slice {failing}"):
             workers.run(work, BOUNDS)
-        assert sorted(work.calls) == [(0, 1), (1, 2), (2, 3)]
-        assert work.ended == {0, 1, 2}
+        assert (sorted(work.calls), work.ended) == ([(0, 1), (1, 2), (2, 3)], {0, 1, 2})
         assert_whole(workers)
 
 

@@ -74,8 +74,7 @@ def test_mutants_are_tried_and_a_run_goes_on(checkout, tmp_path):
     out = tmp_path / "mutants.csv"
     mutants.main(out, count=2, kernels=0)
     operator, returned = sorted(read_mutants(out), key=lambda each: each.kind)
-    assert operator.outcome == KILLED
-    assert operator.test == "tests/receiver/test_sums.py::test_it"
+    assert (operator.outcome, operator.test) == (KILLED, "tests/receiver/test_sums.py::test_it")
     assert (returned.outcome, returned.test) == (SURVIVED, "")
     content = out.read_text()
     mutants.main(out)  # nothing is left to do

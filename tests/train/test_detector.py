@@ -267,8 +267,7 @@ def test_a_score_is_displacement_before_an_alarm_and_the_smooth_loss_where_odds_
     assert found.threshold == 8.0
     assert found.counted == 8  # one twin is above it
     # alarms come an epoch of hold after what counts: 2 m
-    assert found.mean_m == pytest.approx(2.0)
-    assert found.loss == pytest.approx(2.0 / 3.0)
+    assert (found.mean_m, found.loss) == (pytest.approx(2.0), pytest.approx(2.0 / 3.0))
     clean[:, 0] = 30.0  # in the warm-up, where it decides nothing but which runs count
     attacked[:, 0] = 30.0
     nobody = score_statistic(*made_up(clean, attacked), rate)

@@ -45,8 +45,7 @@ def test_settings_reach_the_world_and_that_of_a_named_flight_is_computed_once():
         errors=replace(ERRORS["white"], code_sd_m=3.0),
     )
     world = scenario.world()
-    assert world.channels == 7
-    assert world.epoch_time[1] == 2.0
+    assert (world.channels, world.epoch_time[1]) == (7, 2.0)
     assert world.elevation[world.visible].min() > np.radians(20.0)
     np.testing.assert_array_equal(world.run, replace(scenario, flight="car").world().run)
     assert scenario.gnss_errors is scenario.errors

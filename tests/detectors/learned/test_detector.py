@@ -197,8 +197,7 @@ def test_a_campaign_names_it_by_content(guard, tmp_path):
     moved = shutil.copytree(tmp_path, tmp_path / "moved") / "guard.onnx"
     suite = {"spoofers": ["none"], "timeline": FAST, "runs": 4}
     one, other = (Suite(detectors=[str(each)], **suite) for each in (guard, moved))
-    assert one.config == other.config
-    assert one.digest == other.digest
+    assert (one.config, one.digest) == (other.config, other.digest)
     edit_card(moved, threshold=0.8)
     assert Suite(detectors=[str(moved)], **suite).digest != one.digest
 
