@@ -71,7 +71,7 @@ def test_a_function_is_fitted_to_the_budget_and_commands_along_the_target(judge,
     assert judge.score(constant(1e-4)).value == 10.0  # the largest one that is tried
 
 
-def test_ratios_are_paired_and_have_an_interval(judge, half):
+def test_ratios_are_paired_and_have_an_interval_of_oracles_only_where_asked_for(judge, half):
     ratio = half.ratio_to(judge.score(constant(), amplitude=1.0))
     assert ratio.low <= ratio.value <= ratio.high
     assert ratio.value == pytest.approx(0.5, abs=0.05)
@@ -87,9 +87,6 @@ def test_ratios_are_paired_and_have_an_interval(judge, half):
     for one in (half, *others):
         with pytest.raises(ValueError, match="world, their number and `entropy` must be the same"):
             one.ratio_to(score)
-
-
-def test_an_oracle_is_compared_with_others_only_where_that_is_asked_for(judge, half):
     oracle = judge.score("feedback", amplitude=0.5)
     assert (half.oracle, oracle.oracle) == (False, True)
     with pytest.raises(ValueError, match=r"\(oracle\).*`oracles=True`"):

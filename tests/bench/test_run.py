@@ -47,7 +47,7 @@ def fast(start):
     return play(start, FAST)
 
 
-def test_a_shared_warm_up_gives_the_bits_of_one_of_its_own(start, fast):
+def test_neither_shared_warm_ups_nor_other_cells_threads_or_runs_change_a_bit(start, fast):
     setup = start.setup
     _, suite = start_of()
     engine = Engine(RUNS, setup, threads=1)
@@ -58,9 +58,6 @@ def test_a_shared_warm_up_gives_the_bits_of_one_of_its_own(start, fast):
         verdict = engine.step(action)
         np.testing.assert_array_equal(fast.position[k], engine.simulator.position)
         np.testing.assert_array_equal(fast.alarm[k], verdict.alarm.any(axis=1))
-
-
-def test_neither_cells_before_nor_threads_nor_other_runs_change_a_bit(start, fast):
     fresh, _ = start_of(threads=2)
     np.testing.assert_array_equal(fresh._engine.simulator.weights, start.engine().simulator.weights)
     for one, other in (

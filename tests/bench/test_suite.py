@@ -43,11 +43,21 @@ def test_runs_share_no_noise_between_splits_scenarios_runs_and_campaigns():
     assert many[:4] == few
 
 
-def test_spoofers_that_ignore_a_target_that_is_drawn_are_warned_of():
+def test_spoofers_that_ignore_a_drawn_target_are_warned_of_and_oracles_refused():
     drawn = {"target_heading_deg": "random", "detectors": ("never",)}
     with pytest.warns(UserWarning, match=r"push Ramp \(heading_deg=90\), Step \(heading_deg=90\);"):
         small_suite(spoofers=("ramp", "step"), **drawn).check_fit()
     small_suite(spoofers=({"name": "step", "heading_deg": "target"},), **drawn).check_fit()
+    assert not any(DETECTORS[spec["name"]].oracle for spec in DEFAULT_DETECTORS)
+    oracles = ("ewma", {"name": "oracle-ramp", "rate_mps": 0.2})
+    with pytest.raises(ValueError, match=r"oracle-ramp\(rate_mps=0.2\): an oracle knows the"):
+        Suite(detectors=oracles)
+    suite = Suite(detectors=oracles, allow_oracles=True)
+    note = "oracle-ramp(rate_mps=0.2) is an oracle: it knows the attack"
+    assert suite._oracle_notes == (note,)
+    assert note in suite.config["notes"]
+    plain = [Suite(detectors=("ewma",), allow_oracles=allow).digest for allow in (True, False)]
+    assert plain[0] == plain[1]
 
 
 def test_the_digest_follows_everything_that_results_depend_on():
@@ -82,19 +92,6 @@ def test_the_digest_follows_everything_that_results_depend_on():
     assert keyword.config["scenario"]["imu_rate_hz"] == 20
     assert keyword.config["scenario"]["name"] == "zhong2025@20Hz"
     assert keyword.digest == mapping.digest != own.digest
-
-
-def test_oracles_are_refused_unless_they_are_asked_for():
-    assert not any(DETECTORS[spec["name"]].oracle for spec in DEFAULT_DETECTORS)
-    oracles = ("ewma", {"name": "oracle-ramp", "rate_mps": 0.2})
-    with pytest.raises(ValueError, match=r"oracle-ramp\(rate_mps=0.2\): an oracle knows the"):
-        Suite(detectors=oracles)
-    suite = Suite(detectors=oracles, allow_oracles=True)
-    note = "oracle-ramp(rate_mps=0.2) is an oracle: it knows the attack"
-    assert suite._oracle_notes == (note,)
-    assert note in suite.config["notes"]
-    plain = [Suite(detectors=("ewma",), allow_oracles=allow).digest for allow in (True, False)]
-    assert plain[0] == plain[1]
 
 
 def test_a_campaign_has_its_world_and_its_runs_and_plays_the_clean_twin_first():

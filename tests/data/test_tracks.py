@@ -184,16 +184,6 @@ def test_an_empty_or_unknown_file_is_refused_and_pandas_asked_for(tmp_path, monk
         read_track("any.csv")
 
 
-def test_courses_in_a_signed_byte_are_resolved(flight, table):
-    true = np.round(table["track"]).astype(int)
-    table["track"] = (true + 128) % 256 - 128
-    track, report = cleaned(table)
-    assert report.angles_rejected == 0
-    assert report.angles_unwrapped == int((table["track"] != true).sum()) > 0
-    turned = np.exp(1j * track.track_angle)
-    np.testing.assert_allclose(turned, np.exp(1j * np.radians(true)), atol=1e-9)
-
-
 def test_interpolated_runs_count_as_one_fix_at_each_end_or_are_kept_on_demand(table):
     line = {"longitude": 8.0, "track": 0.0, "groundspeed": 180.0}
     straight = table.iloc[:13].assign(latitude=np.linspace(46.0, 46.05, 13), **line)
@@ -274,13 +264,20 @@ def test_dirt_is_found_and_dropped(table, change, counts, dropped):
     assert report.fixes == len(kept)
 
 
-def test_speeds_and_courses_that_are_wrong_are_not_used(table):
+def test_wrong_speeds_and_courses_are_not_used_and_those_in_a_signed_byte_resolved(table, flight):
     course = (table["track"] + 60.0 * (table.index == 4) + 10.0 * (table.index == 9)) % 360.0
     track, report = cleaned(table.assign(groundspeed=400.0, track=course))
     assert report.speeds_rejected == len(table)
     assert np.isnan(track.groundspeed).all()
     assert report.angles_rejected == 1  # 20 deg are the limit
     assert np.flatnonzero(np.isnan(track.track_angle)).tolist() == [4]
+    true = np.round(table["track"]).astype(int)
+    table["track"] = (true + 128) % 256 - 128
+    track, report = cleaned(table)
+    assert report.angles_rejected == 0
+    assert report.angles_unwrapped == int((table["track"] != true).sum()) > 0
+    turned = np.exp(1j * track.track_angle)
+    np.testing.assert_allclose(turned, np.exp(1j * np.radians(true)), atol=1e-9)
 
 
 def test_repeated_positions_count_once(table):

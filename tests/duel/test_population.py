@@ -243,8 +243,6 @@ def test_bad_members_are_named(spoofers, detectors, words):
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"task": "T1", "limit_m": None, "timeline": None}, "limit_m"),
-        ({"task": "T3", "limit_m": 0.0, "timeline": None}, r"limit_m.*got 0"),
         ({"limit_m": None}, "limit_m"),
         ({"limit_m": -1.0}, "limit_m"),
         ({"split": "calibration"}, "split"),
@@ -269,3 +267,6 @@ def test_a_detector_that_leaves_no_run_has_no_payoff():
 def test_a_task_brings_its_world_and_its_alert_limit():
     found = Game("T3")
     assert (found.payoff.limit_m, found.setup.name) == (20.0, "trolley")
+    for task, limit_m, words in (("T1", None, "limit_m"), ("T3", 0.0, r"limit_m.*got 0")):
+        with pytest.raises(ValueError, match=words):
+            Game(task, limit_m=limit_m)

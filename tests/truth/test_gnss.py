@@ -74,7 +74,7 @@ SILENT = GnssErrors(
 )
 
 
-def test_without_noise_clock_and_attack_are_left():
+def test_sources_of_noise_have_streams_of_their_own_and_without_them_clock_and_attack_are_left():
     def attack(buffers):
         buffers.range_offset[0] = np.arange(N) * 3.0
         buffers.rate_offset[0] = np.arange(N) * -0.1
@@ -87,6 +87,15 @@ def test_without_noise_clock_and_attack_are_left():
     np.testing.assert_allclose(
         rates, np.tile(-20.0 - 0.1 * np.arange(N), (5, 1)), rtol=0, atol=1e-12
     )
+    white = replace(SILENT, code_sd_m=1.0, range_rate_sd_mps=0.1)
+    quiet, rates, quiet_clocks, _ = epochs_of(white, 30)
+    noisy, _, clocks, _ = epochs_of(replace(white, clock=ReceiverClock(phase_psd=1.0)), 30)
+    np.testing.assert_allclose(noisy - clocks[:, :1], quiet - quiet_clocks[:, :1], atol=2e-8)
+    both, same, _, fields = epochs_of(replace(white, correlated_sd_m=0.75), 30)
+    np.testing.assert_array_equal(rates, same)
+    np.testing.assert_allclose((both - quiet)[-1], fields["correlated"][0], rtol=0, atol=1e-8)
+    alone, _, _, _ = epochs_of(replace(SILENT, correlated_sd_m=0.75), 30)
+    np.testing.assert_allclose(both - quiet, alone - quiet_clocks[:, :1], rtol=0, atol=2e-8)
 
 
 def test_biases_stay_and_the_rest_is_white():
@@ -105,18 +114,6 @@ def test_biases_stay_and_the_rest_is_white():
         assert np.abs(channels).max() < 5.0 / math.sqrt(count)
     assert abs(np.corrcoef(white.ravel(), rates.ravel())[0, 1]) < 4.0 / math.sqrt(count * N)
     assert 0.5 < fields["satellite_bias"][0].std() < 6.0
-
-
-def test_sources_of_noise_have_streams_of_their_own():
-    white = replace(SILENT, code_sd_m=1.0, range_rate_sd_mps=0.1)
-    quiet, rates, quiet_clocks, _ = epochs_of(white, 30)
-    noisy, _, clocks, _ = epochs_of(replace(white, clock=ReceiverClock(phase_psd=1.0)), 30)
-    np.testing.assert_allclose(noisy - clocks[:, :1], quiet - quiet_clocks[:, :1], atol=2e-8)
-    both, same, _, fields = epochs_of(replace(white, correlated_sd_m=0.75), 30)
-    np.testing.assert_array_equal(rates, same)
-    np.testing.assert_allclose((both - quiet)[-1], fields["correlated"][0], rtol=0, atol=1e-8)
-    alone, _, _, _ = epochs_of(replace(SILENT, correlated_sd_m=0.75), 30)
-    np.testing.assert_allclose(both - quiet, alone - quiet_clocks[:, :1], rtol=0, atol=2e-8)
 
 
 WANDERING = replace(

@@ -51,7 +51,7 @@ def test_epochs_follow_the_samples_and_local_axes_stand_at_the_true_position(wor
     np.testing.assert_allclose(C_en.T @ world.velocity_e[3], [0.0, 100.0, 0.0], atol=1e-6)
 
 
-def test_slots_hold_satellites_in_the_order_of_their_ids_and_ranges_to_them(world):
+def test_slots_hold_satellites_in_order_and_with_ranges_visible_above_the_mask(world):
     constellation = CircularConstellation()
     states, ids = constellation.states(world.epoch_time), constellation.satellite_ids
     named = [name for name in world.satellite_ids if name]
@@ -68,9 +68,6 @@ def test_slots_hold_satellites_in_the_order_of_their_ids_and_ranges_to_them(worl
             if world.visible[k, s]:
                 want = range_and_rate(p[:3], p[3:6], world.position_e[k], world.velocity_e[k])[:2]
             np.testing.assert_allclose(p[6:], want, rtol=1e-14, atol=1e-9)
-
-
-def test_a_satellite_is_visible_above_the_mask(world):
     latitude, longitude, _ = ecef_to_geodetic(world.position_e)
     east, north = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude)
     up = np.column_stack([east, north, np.sin(latitude)])
@@ -106,7 +103,7 @@ def test_azimuth_goes_from_north_by_east():
     np.testing.assert_allclose(ring.elevation[0, :8], math.atan2(0.643, 0.766), atol=1e-9)
 
 
-def test_of_more_satellites_than_channels_those_that_stay_longest_are_taken():
+def test_the_satellites_that_stay_longest_are_taken_and_rise_at_the_mask():
     crowd = CircularConstellation(satellites=99)
     few = build_world(LONG, crowd, epoch_interval_s=60.0, channels=8)
     many = build_world(LONG, crowd, epoch_interval_s=60.0, channels=32)
@@ -119,9 +116,6 @@ def test_of_more_satellites_than_channels_those_that_stay_longest_are_taken():
     for s, name in enumerate(few.satellite_ids):
         other = many.satellite_ids.index(name)
         np.testing.assert_array_equal(few.satellites[:, s], many.satellites[:, other])
-
-
-def test_the_first_elevation_of_a_rising_satellite_is_at_the_mask():
     crowd = CircularConstellation(satellites=60)
     world = build_world(LONG, crowd, epoch_interval_s=10.0, channels=32)
     at_once, seen = world.visible[0], world.visible.any(axis=0)
