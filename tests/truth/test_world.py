@@ -1,4 +1,4 @@
-"""The truth of a run: slots, ranges, visibility, and what is refused."""
+"""The truth of a run: slots, ranges, visibility, a plain sky, and what is refused."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 
 from spoofgym.earth.wgs84 import dcm_e_from_n, ecef_to_geodetic, geodetic_to_ecef, range_and_rate
 from spoofgym.truth.flight import flight_from_velocity, inverse_kinematics
-from spoofgym.truth.run import build_world
+from spoofgym.truth.run import build_world, make_sky
 from spoofgym.truth.satellites import CircularConstellation, SatelliteStates
 
 STEP = 0.1
@@ -166,3 +166,25 @@ def test_without_an_ephemeris_a_satellite_is_not_visible(world):
 def test_what_cannot_be_is_refused(satellites, settings, said):
     with pytest.raises(ValueError, match=said):
         build_world(EAST, CircularConstellation(satellites=satellites), **settings)
+
+
+CONSTELLATION = CircularConstellation(satellites=36)
+
+
+def test_the_vehicle_moves_along_its_heading_under_the_highest_satellites():
+    sky = make_sky(11, 2.0, 8, CONSTELLATION, speed_mps=30.0, heading_deg=90.0)
+    moved = (sky.position_e[-1] - sky.position_e[0]) @ sky.C_en
+    np.testing.assert_allclose(moved, [0.0, 600.0, 0.0], atol=1e-6)
+    velocity = np.diff(sky.position_e, axis=0) / 2.0
+    np.testing.assert_allclose(velocity, np.tile(sky.velocity_e, (10, 1)), atol=1e-6)
+    with pytest.raises(ValueError, match=r"`satellites` must be at most \d+, .* got 30"):
+        make_sky(3, 1.0, 30, CONSTELLATION)
+    sky = make_sky(3, 1.0, 5, CONSTELLATION)
+    everyone = CONSTELLATION.states(sky.time).position_e[0] - sky.position_e[0]
+    up = -(everyone @ sky.C_en[:, 2]) / np.linalg.norm(everyone, axis=1)
+    best = sorted(CONSTELLATION.satellite_ids[j] for j in np.argsort(-up)[:5])
+    assert list(sky.satellite_ids) == best
+    np.testing.assert_array_equal(
+        sky.satellite_position_e[0] - sky.position_e[0],
+        everyone[[CONSTELLATION.satellite_ids.index(name) for name in best]],
+    )
