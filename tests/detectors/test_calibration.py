@@ -80,7 +80,7 @@ def test_neither_a_thinned_file_nor_written_scales_exceed_a_rate():
     assert json.loads(json.dumps(up.tolist())) == up.tolist()
 
 
-def test_a_tail_is_fitted_beyond_the_largest_alone_and_marked():
+def test_what_runs_can_just_say_and_a_tail_is_fitted_beyond_the_largest_alone_and_marked():
     found = calibration(np.random.default_rng(6).exponential(size=4000) + 2.0)
     inside, beyond = found.point(0.01), found.point(0.001)
     assert (inside.extrapolated, inside.rank) == (False, 1)
@@ -94,6 +94,13 @@ def test_a_tail_is_fitted_beyond_the_largest_alone_and_marked():
     assert found.point(least * 1.001).extrapolated
     with pytest.raises(ValueError, match=r"for which 4000 clean runs are too few: it takes at lea"):
         found.point(least * 0.999)
+    assert 1.0 <= calibration(RUNS_499).point(0.999999 * MOST_499).scale < 7.0  # ranks are thinned
+    assert calibration(np.r_[np.zeros(1990), np.arange(1.0, 11.0)]).point(0.05).scale > 0.0
+    state = calibration(np.arange(1.0, 2001.0), bisected=True)  # which has no tail
+    with pytest.raises(ValueError, match=r"too few: it takes at least 11250$"):
+        state.point(0.002)
+    found = calibration(np.linspace(1.0, 2.0, 500), before=1.5)
+    assert [found.point(rate).warmup_alarms for rate in (2.0, 100.0)] == [0.0, 1.0]
 
 
 RUNS_499 = np.arange(1.0, 500.0)
@@ -112,16 +119,6 @@ MOST_499 = hourly_rate(499.0 / 500.0, WINDOW_S)
 def test_what_runs_cannot_say_is_refused(maxima, rate, said):
     with pytest.raises(ValueError, match=said):
         calibration(maxima).point(rate)
-
-
-def test_what_runs_can_just_say():
-    assert 1.0 <= calibration(RUNS_499).point(0.999999 * MOST_499).scale < 7.0  # ranks are thinned
-    assert calibration(np.r_[np.zeros(1990), np.arange(1.0, 11.0)]).point(0.05).scale > 0.0
-    state = calibration(np.arange(1.0, 2001.0), bisected=True)  # which has no tail
-    with pytest.raises(ValueError, match=r"too few: it takes at least 11250$"):
-        state.point(0.002)
-    found = calibration(np.linspace(1.0, 2.0, 500), before=1.5)
-    assert [found.point(rate).warmup_alarms for rate in (2.0, 100.0)] == [0.0, 1.0]
 
 
 def test_files(tmp_path):

@@ -51,7 +51,7 @@ def test_every_block_of_code_runs_and_prints_what_stands_there(capsys, monkeypat
     assert re.findall(r"It prints `(.*?)`", README) == printed[:2]
 
 
-def test_detector_campaign_and_extras_are_those_that_it_names(saved, full):
+def test_detector_campaign_extras_and_times_are_those_that_it_names(saved, full):
     check_detector(saved.AverageRate())
     (command,) = re.findall(r"^spoofgym bench.*", README, flags=re.MULTILINE)
     assert command.startswith(f"{full['command']} --detector my_detector:AverageRate ")
@@ -60,9 +60,6 @@ def test_detector_campaign_and_extras_are_those_that_it_names(saved, full):
     named = {extra for line in more for extra in line.split(",")}
     assert first == ""
     assert {"report", "flights", "train"} <= named <= {*extras}
-
-
-def test_what_it_says_of_times_holds():
     settings = get_task("T3").world_kwargs
     assert (settings["scenario"], settings["receiver"]) == (WORLD, "matched")
     line = Timeline(**settings.get("timeline", {}))

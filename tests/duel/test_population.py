@@ -62,7 +62,7 @@ def test_a_shared_pass_equals_separate_ones_to_the_last_bit(played):
             assert np.array_equal(matrix.alarmed[i, j], runs.first_alarm > 0)
 
 
-def test_all_entries_have_the_same_runs(played):
+def test_all_entries_have_the_same_runs_and_a_mixture_is_worth_its_members_average(played):
     _, matrix = played
     never_alarm = [j for j in range(2) if not matrix.alarmed[1, j].any()]
     assert never_alarm == [0, 1]  # so that the next line is about two detectors
@@ -84,17 +84,6 @@ def test_all_entries_have_the_same_runs(played):
     np.testing.assert_allclose(part.values, matrix.values[1:2, 2:3])
     fewer = game(runs=RUNS - 2).matrix([SPOOFERS[1]], [DETECTORS[2]])
     np.testing.assert_array_equal(fewer.displacement[0, 0], matrix.displacement[1, 2, : RUNS - 2])
-
-
-def test_payoffs_need_no_budget():
-    moved = np.array([0.0, 2.0, 9.0, 9.0])
-    alarmed = np.array([False, False, False, True])
-    stealth, hmi = RunPayoff("stealth", 8.0), RunPayoff("hmi", 8.0)
-    np.testing.assert_array_equal(stealth.worth(moved, alarmed), [0.0, 0.25, 1.0, 0.0])
-    np.testing.assert_array_equal(hmi.worth(moved, alarmed), [0.0, 0.0, 1.0, 1.0])
-
-
-def test_a_mixture_is_worth_what_its_members_are_on_average(played):
     found, matrix = played
     who = mixture("half", [matrix.spoofers[1], matrix.spoofers[2]], [1.0, 1.0])
     whom = mixture("third", [matrix.detectors[0], matrix.detectors[2]], [1.0, 2.0])
@@ -107,6 +96,19 @@ def test_a_mixture_is_worth_what_its_members_are_on_average(played):
     assert named.rows.tolist() == [[0.25, 0.75]]
     with pytest.raises(ValueError, match="mix strategies that are mixes"):
         mixed.mixes(mixed.solve())
+
+
+def test_payoffs_need_no_budget_and_a_task_brings_its_world_and_its_alert_limit():
+    moved = np.array([0.0, 2.0, 9.0, 9.0])
+    alarmed = np.array([False, False, False, True])
+    stealth, hmi = RunPayoff("stealth", 8.0), RunPayoff("hmi", 8.0)
+    np.testing.assert_array_equal(stealth.worth(moved, alarmed), [0.0, 0.25, 1.0, 0.0])
+    np.testing.assert_array_equal(hmi.worth(moved, alarmed), [0.0, 0.0, 1.0, 1.0])
+    found = Game("T3")
+    assert (found.payoff.limit_m, found.setup.name) == (20.0, "trolley")
+    for task, limit_m, words in (("T1", None, "limit_m"), ("T3", 0.0, r"limit_m.*got 0")):
+        with pytest.raises(ValueError, match=words):
+            Game(task, limit_m=limit_m)
 
 
 def test_an_equilibrium_is_a_pool_for_both_sides_and_an_oracle_is_marked(played):
@@ -262,11 +264,3 @@ def test_a_detector_that_leaves_no_run_has_no_payoff():
     assert np.isnan(matrix.values).tolist() == [[False, True]]
     with pytest.raises(ValueError, match=r"ramp\(rate_mps=0.2\) against snapshot-chi2.*no payoff"):
         matrix.solve()
-
-
-def test_a_task_brings_its_world_and_its_alert_limit():
-    found = Game("T3")
-    assert (found.payoff.limit_m, found.setup.name) == (20.0, "trolley")
-    for task, limit_m, words in (("T1", None, "limit_m"), ("T3", 0.0, r"limit_m.*got 0")):
-        with pytest.raises(ValueError, match=words):
-            Game(task, limit_m=limit_m)

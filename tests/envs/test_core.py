@@ -53,16 +53,13 @@ def test_an_alarm_takes_back_the_time_to_alert(kind, at):
     assert infos[-1]["detected"] == infos[-1]["alarm"] == detected
 
 
-def test_without_end_at_alarm_the_rest_is_without_reward(kind):
+def test_an_alarm_ends_nothing_in_the_warmup_or_without_end_at_alarm(kind):
     _, reward, infos = play(kind, AlarmAt(LIVE + 15), end_at_alarm=False)
     assert len(reward) == STEPS
     assert not np.any(reward[15:])
     assert infos[14]["alarm"]
     assert not infos[15]["alarm"]
     assert all(info["detected"] for info in infos[14:])
-
-
-def test_an_alarm_in_the_warmup_is_latched_and_does_not_end_anything(kind):
     env = victim(kind, detector=AlarmAt(LIVE if kind in SMALL[:2] else 1)).unwrapped
     _, info = env.reset(seed=1)
     assert info["warmup_alarm"]

@@ -53,7 +53,7 @@ def calibrated(setup, tmp_path_factory):
     return found
 
 
-def test_passive_detectors_in_one_pass_see_what_each_sees_in_the_loop(setup):
+def test_passive_detectors_in_one_pass_see_the_same_as_in_the_loop_chunks_and_threads(setup):
     names = ("snapshot-chi2", "cusum", "clock-drift", "raim")
     detectors = [make_detector(name) for name in names]
     together = Player(setup, threads=1).play(detectors, range(12))
@@ -63,9 +63,6 @@ def test_passive_detectors_in_one_pass_see_what_each_sees_in_the_loop(setup):
         for one, other in zip(together.column(k), alone.column(0), strict=True):
             np.testing.assert_array_equal(one, other)
     assert (together.alarmed == (together.judged > 1.0)).all()
-
-
-def test_runs_do_not_depend_on_chunks_threads_or_what_was_played_before(setup):
     detectors = [Cusum(), Ewma(weight_scale=None)]
     whole = Player(setup, threads=1).play(detectors, range(20))
     again = Player(setup, threads=2, chunk=3).play(detectors, range(20))
@@ -75,7 +72,7 @@ def test_runs_do_not_depend_on_chunks_threads_or_what_was_played_before(setup):
     np.testing.assert_array_equal(some.judged, whole.judged[[17, 4]])
 
 
-def test_the_judged_window_is_the_attack_and_the_time_to_alert(setup):
+def test_the_judged_window_is_the_attack_and_the_time_to_alert_once_alarms_are_on(setup):
     cusum = Cusum()
     engine = Engine(3, setup.copy_with(detector=cusum), threads=1)
     player = Player(setup, threads=1)
@@ -87,6 +84,13 @@ def test_the_judged_window_is_the_attack_and_the_time_to_alert(setup):
     found = player.play([cusum], range(3))
     np.testing.assert_array_equal(found.judged[:, 0], largest)
     assert setup.window_s == 17.0
+    late = {"name": "innovation-rate", "weight_scale": None, "settled_s": 30.0}
+    detector, always = make_detector(late), make_detector({**late, "settled_s": 0.0})
+    found = Player(setup, threads=1).play([detector, always], range(10))
+    assert (found.before[:, 0] == 0.0).all()
+    assert (found.before[:, 1] > 0.0).all()
+    assert (found.judged[:, 0] <= found.judged[:, 1]).all()
+    assert (found.judged[:, 0] > 0.0).all()
 
 
 def test_a_calibration_keeps_its_rate_on_the_runs_that_it_is_made_of(setup, calibrated):
@@ -125,16 +129,6 @@ def test_an_alarm_that_is_a_state_is_bisected_to_its_rate(setup, calibrated):
     assert bisect(before, judged, 2, alarms) == pytest.approx(4.0)
     assert bisect(before, judged, 3, alarms) == pytest.approx(2.0)
     assert {tuple(rows) for rows in played} == {(2,)}
-
-
-def test_ratios_before_alarms_are_on_do_not_count(setup):
-    late = {"name": "innovation-rate", "weight_scale": None, "settled_s": 30.0}
-    detector, always = make_detector(late), make_detector({**late, "settled_s": 0.0})
-    found = Player(setup, threads=1).play([detector, always], range(10))
-    assert (found.before[:, 0] == 0.0).all()
-    assert (found.before[:, 1] > 0.0).all()
-    assert (found.judged[:, 0] <= found.judged[:, 1]).all()
-    assert (found.judged[:, 0] > 0.0).all()
 
 
 def test_hold_outs_are_other_runs_and_lie_in_the_predicted_interval(setup, calibrated):

@@ -153,7 +153,7 @@ def test_a_turned_flight_is_the_same_flight_in_another_direction():
 AGED = {"age_s": (30.0, 120.0), "turned_deg": (0.0, 360.0), "worlds": 2}
 
 
-def test_ages_are_log_uniform_and_an_episode_is_the_same_in_any_batch():
+def test_ages_are_log_uniform_and_those_of_a_longer_warm_up_in_any_batch():
     setup = TightlyCoupledSetup(timeline=SHORT, domain=AGED)
     keys = np.random.default_rng(1).integers(0, 2**63, (4000, 2), dtype=np.uint64)
     age = draw(setup.bounds, keys).age * setup.interval_s
@@ -180,9 +180,6 @@ def test_ages_are_log_uniform_and_an_episode_is_the_same_in_any_batch():
             assert np.array_equal(one[0], all_[k])
         assert alone.memory["warmup_alarm"][0] == whole.memory["warmup_alarm"][k]
     assert np.array_equal(whole.epochs, whole.onset)
-
-
-def test_an_age_is_that_of_a_longer_warm_up_and_may_be_given():
     aged = TightlyCoupledSetup(timeline=SHORT, domain={"age_s": (30.0, 120.0)})
     longer = TightlyCoupledSetup(timeline={**SHORT, "warmup_s": 45.0, "live_s": 35.0})
     found, wanted = aged.simulator(2, run_serially), longer.simulator(2, run_serially)

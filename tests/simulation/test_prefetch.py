@@ -91,7 +91,9 @@ def test_a_game_that_was_copied_or_closed_goes_on_with_the_same_bits(setup, plai
     assert_goes_on(plain, first, course(core, rngs, 25, chance))
 
 
-def test_other_generators_begin_anew_and_the_same_go_on(setup, plain):
+def test_other_generators_begin_anew_the_same_go_on_and_some_leave_the_others_as_they_are(
+    setup, plain
+):
     core, rngs = core_of(setup), generators()
     core.reset(generators(seed=5))
     core.reset(rngs)
@@ -99,9 +101,6 @@ def test_other_generators_begin_anew_and_the_same_go_on(setup, plain):
     core, rngs = begun(setup)
     core.reset(rngs)
     assert np.array_equal(core.observe(), second_episode(setup))
-
-
-def test_some_receivers_seeded_anew_leave_the_others_as_they_are():
     seen = []
     for prefetch in (False, True):
         settings = {"timeline": TIMELINE, "threads": 1, "prefetch": prefetch}
@@ -301,7 +300,7 @@ def test_a_thread_that_ends_late_leaves_its_receivers_to_the_owner(setup, plain,
     assert_same(plain, course(core, rngs))
 
 
-def test_a_thread_may_close_its_owner(setup):
+def test_threads_end_with_the_game_which_they_may_close(setup):
     core, before, closed = core_of(setup), running(), threading.Event()
 
     def closing(rngs):
@@ -314,9 +313,6 @@ def test_a_thread_may_close_its_owner(setup):
     assert closed.wait(PATIENCE_S)
     for thread in running() - before:
         assert_ends(thread)
-
-
-def test_threads_end_with_the_game(setup):
     gc.collect()
     before = running()
     core, rngs = begun(setup)
