@@ -300,7 +300,7 @@ def test_a_thread_that_ends_late_leaves_its_receivers_to_the_owner(setup, plain,
     assert_same(plain, course(core, rngs))
 
 
-def test_threads_end_with_the_game_which_they_may_close(setup):
+def test_a_thread_may_close_its_owner(setup):
     core, before, closed = core_of(setup), running(), threading.Event()
 
     def closing(rngs):
@@ -313,6 +313,9 @@ def test_threads_end_with_the_game_which_they_may_close(setup):
     assert closed.wait(PATIENCE_S)
     for thread in running() - before:
         assert_ends(thread)
+
+
+def test_threads_end_with_the_game(setup):
     gc.collect()
     before = running()
     core, rngs = begun(setup)
