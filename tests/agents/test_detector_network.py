@@ -36,7 +36,7 @@ def no_grad():
 
 
 @both
-def test_slots_may_be_exchanged_and_nothing_else(words):
+def test_slots_may_be_exchanged_alone_and_epoch_by_epoch_it_says_the_same_of_an_episode(words):
     judge, seen = made(words)
     order = np.random.default_rng(1).permutation(SLOTS)
     moved = np.arange(seen.shape[-1])
@@ -46,6 +46,14 @@ def test_slots_may_be_exchanged_and_nothing_else(words):
     alone = seen.clone()
     alone[:, :, :SLOTS] = seen[:, :, order]  # one kind of element alone
     assert (before - judge.log_odds(alone)).abs().max() > 1e-2
+    judge, seen = made(words)
+    state = [torch.zeros(len(seen), size) for size in judge.state.values()]
+    found = []
+    for t in range(seen.shape[1]):
+        action, *state = judge(seen[:, t], *state)
+        found.append(0.5 * (1.0 + action[:, 0].numpy()))
+    wanted = compute_statistic(judge.log_odds(seen).numpy())
+    np.testing.assert_allclose(np.array(found).T, wanted, atol=1e-5)
 
 
 def test_neither_the_future_nor_hidden_satellites_nor_the_clock_move_anything():
@@ -65,18 +73,6 @@ def test_neither_the_future_nor_hidden_satellites_nor_the_clock_move_anything():
     for part in (RANGES, RATES):
         other[..., part][seen[..., SHOWN] < 0.5] = 7.0
     torch.testing.assert_close(judge.log_odds(seen), judge.log_odds(other))
-
-
-@both
-def test_epoch_by_epoch_it_says_what_it_says_of_an_episode(words):
-    judge, seen = made(words)
-    state = [torch.zeros(len(seen), size) for size in judge.state.values()]
-    found = []
-    for t in range(seen.shape[1]):
-        action, *state = judge(seen[:, t], *state)
-        found.append(0.5 * (1.0 + action[:, 0].numpy()))
-    wanted = compute_statistic(judge.log_odds(seen).numpy())
-    np.testing.assert_allclose(np.array(found).T, wanted, atol=1e-5)
 
 
 def test_centre_and_scale_are_those_of_satellites_in_view_and_the_tail_keeps_its_resolution():

@@ -242,11 +242,18 @@ def test_who_notices_more_than_it_can_tell_blames_none(detector, slots):
 
 
 @KINDS
-def test_what_all_have_in_common_is_consistent(kind):
+def test_what_all_have_in_common_is_consistent_and_one_direction_gives_no_verdict(kind):
     verdict, group = judged(kind(exclude=True), spoofed(SLOTS) + 0.2 * noise(4, 1))
     assert not verdict.alarm.any()
     assert (group == 1).all()
     assert (verdict.weights == 1.0).all()
+    detector = kind()
+    detector.bind(sky_context(1))
+    seen = sky_epoch(noise(6, 1))
+    same = np.tile(seen.satellite_position[:, :1], (1, SATELLITES, 1))
+    verdict = detector.judge(seen._replace(satellite_position=same))
+    assert verdict.statistic[0, 0] == 0.0
+    assert not verdict.alarm.any()
 
 
 @KINDS
@@ -262,17 +269,6 @@ def test_fewer_than_five_satellites_give_no_verdict_and_five_cannot_be_told_apar
         assert (verdict.weights == 1.0).all()
     else:  # any four agree, so that nothing can be left out of five
         assert not group.any()
-
-
-@KINDS
-def test_satellites_in_one_direction_give_no_verdict(kind):
-    detector = kind()
-    detector.bind(sky_context(1))
-    seen = sky_epoch(noise(6, 1))
-    same = np.tile(seen.satellite_position[:, :1], (1, SATELLITES, 1))
-    verdict = detector.judge(seen._replace(satellite_position=same))
-    assert verdict.statistic[0, 0] == 0.0
-    assert not verdict.alarm.any()
 
 
 @KINDS

@@ -37,7 +37,7 @@ def test_the_tables_are_those_of_the_file_and_nothing_gets_farther_than_the_blin
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_every_detector_has_the_same_rate_and_its_attacks(kept, name):
+def test_every_detector_has_the_same_rate_and_its_attacks_and_chance_is_worth_nothing(kept, name):
     world = kept["worlds"][name]
     points = [point for each in world["calibrations"].values() for point in each]
     assert {point["false_alarms_per_hour"] for point in points} == {0.2}
@@ -53,11 +53,7 @@ def test_every_detector_has_the_same_rate_and_its_attacks(kept, name):
     for label in labels:
         met = [c["spoofer"].split("(")[0] for c in world["cells"] if c["detector"] == label]
         assert {*met} == wanted
-
-
-@pytest.mark.parametrize("name", WORLDS)
-def test_chance_is_worth_nothing(kept, name):
-    """The controls can't be told apart, but by one who obeys what a lottery says."""
+    # the controls can't be told apart, but by one who obeys what a lottery says
     world = kept["worlds"][name]
     rows = [
         row

@@ -34,11 +34,14 @@ def tight(detector="never"):
 
 
 @every_victim
-def test_an_epoch_has_what_the_detector_needs_and_nothing_else(kind):
+def test_an_epoch_has_what_the_detector_needs_and_one_that_forgets_fails_alike(kind):
     setup = setup_of(kind, detector=Reader("design", "predicted_cov"))
     assert setup.has > setup.detector.needs
     victim = warm(setup, 2)
     assert victim.fields == given(victim.epoch) == {"design", "predicted_cov"}
+    message = r"Forgetful reads `epoch.design`, .* `needs = frozenset\({'design'}\)` into the class"
+    with pytest.raises(TypeError, match=message):
+        warm(setup_of(kind, detector=Forgetful()), 2)
 
 
 @every_victim
@@ -87,13 +90,6 @@ def test_needs_of_loop_passive_detectors_monitors_and_agents_are_met():
 class Forgetful(Never):
     def judge(self, epoch):
         return super().judge(epoch._replace(innovation=epoch.design[:, :, 0]))
-
-
-@every_victim
-def test_a_detector_that_forgets_its_needs_fails_alike_in_every_victim(kind):
-    message = r"Forgetful reads `epoch.design`, .* `needs = frozenset\({'design'}\)` into the class"
-    with pytest.raises(TypeError, match=message):
-        warm(setup_of(kind, detector=Forgetful()), 2)
 
 
 class Late(Monitor):
