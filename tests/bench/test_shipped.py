@@ -44,7 +44,7 @@ def test_those_that_fit_play_by_default_and_others_are_named_with_the_reason(tmp
     # one that is asked for is refused
     asked = small_suite(attack={"name": "false-position", "rate_limit_mps": 2.0}, spoofers=["push"])
     with pytest.raises(ValueError, match=r"conditions.rate_limit_mps: 5.0 on the card, 2.0 here"):
-        run_campaign(asked, tmp_path, threads=1)
+        run_campaign(asked, tmp_path / "results", threads=1)
     suite = Suite(timeline=SHORT)
     assert (labels(suite), suite.left_out) == ([*USUAL, "curve", "push", "track"], ())
     use_zoo(tmp_path, monkeypatch)

@@ -181,35 +181,6 @@ def in_vectors(x, out):
     store(out, 9, 1.0 if any_lane(load_pair(x, 0) > 15.0) else 0.0)
 
 
-@each_way
-def test_rows_of_reals_and_words_pairs_and_lanes(called):
-    x, out = np.arange(3.0 * LANES).reshape(3, LANES), np.zeros((10, LANES))
-    called(in_vectors)(x, out)
-    expected = [x[0], x[0], x[1] + 1.0, x[2] + 1.0]
-    expected += [np.full(LANES, each) for each in (2.0, 2.0, 1.0, 0.0, 1.0, 0.0)]
-    np.testing.assert_array_equal(out, expected)
-    x, out = np.arange(3.0 * LANES).reshape(3, LANES), np.zeros((11, LANES))
-    called(rows_and_lanes)(x, out)
-    numbers = [np.full(LANES, each) for each in (7.0, LANES, 2.0, 3.0, 1.0)]
-    third = [*numbers[0][1:], x[1, 0]]
-    expected = [x[2], numbers[0], third, 2 * x[0], 2 * x[1], numbers[1], x[1] + x[2], numbers[2]]
-    np.testing.assert_array_equal(out, [*expected, numbers[3], numbers[3], numbers[4]])
-    for i in range(LANES):
-        out = np.zeros(11)
-        called(rows_and_lanes)(x[:, i].copy(), out)
-        a, b, c = x[:, i]
-        np.testing.assert_array_equal(out, [c, 7, b, 2 * a, 2 * b, 1, b + c, 2, 3, 3, i == 3])
-    for x in (WORDS, WORDS[:, 3].copy()):
-        out = np.zeros((4, *x.shape[1:]), dtype=np.uint64)
-        called(keep_words)(x, out)
-        expected = [x[0] ^ x[1], np.full_like(x[0], 2**64 - 1), x[0], x[0]]
-        np.testing.assert_array_equal(out, expected)
-    for rows in (LANES - 1, LANES):
-        out = np.zeros(2)
-        called(splat_of)(np.zeros(rows), out)
-        np.testing.assert_array_equal(out, [1.0, 2.0])
-
-
 @njit
 def rows_and_lanes(x, out):
     store(out, 0, load(x, 2))
@@ -241,6 +212,35 @@ def keep_words(x, out):
 def splat_of(x, out):
     out[0] = 1.0
     store(out, 1, splat(2.0, x))
+
+
+@each_way
+def test_rows_of_reals_and_words_pairs_and_lanes(called):
+    x, out = np.arange(3.0 * LANES).reshape(3, LANES), np.zeros((10, LANES))
+    called(in_vectors)(x, out)
+    expected = [x[0], x[0], x[1] + 1.0, x[2] + 1.0]
+    expected += [np.full(LANES, each) for each in (2.0, 2.0, 1.0, 0.0, 1.0, 0.0)]
+    np.testing.assert_array_equal(out, expected)
+    x, out = np.arange(3.0 * LANES).reshape(3, LANES), np.zeros((11, LANES))
+    called(rows_and_lanes)(x, out)
+    numbers = [np.full(LANES, each) for each in (7.0, LANES, 2.0, 3.0, 1.0)]
+    third = [*numbers[0][1:], x[1, 0]]
+    expected = [x[2], numbers[0], third, 2 * x[0], 2 * x[1], numbers[1], x[1] + x[2], numbers[2]]
+    np.testing.assert_array_equal(out, [*expected, numbers[3], numbers[3], numbers[4]])
+    for i in range(LANES):
+        out = np.zeros(11)
+        called(rows_and_lanes)(x[:, i].copy(), out)
+        a, b, c = x[:, i]
+        np.testing.assert_array_equal(out, [c, 7, b, 2 * a, 2 * b, 1, b + c, 2, 3, 3, i == 3])
+    for x in (WORDS, WORDS[:, 3].copy()):
+        out = np.zeros((4, *x.shape[1:]), dtype=np.uint64)
+        called(keep_words)(x, out)
+        expected = [x[0] ^ x[1], np.full_like(x[0], 2**64 - 1), x[0], x[0]]
+        np.testing.assert_array_equal(out, expected)
+    for rows in (LANES - 1, LANES):
+        out = np.zeros(2)
+        called(splat_of)(np.zeros(rows), out)
+        np.testing.assert_array_equal(out, [1.0, 2.0])
 
 
 def test_a_loaded_row_does_not_follow_the_array():
