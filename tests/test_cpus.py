@@ -86,7 +86,7 @@ def test_the_machine_code_is_for_the_processor_that_is_asked_for():
 def test_the_runs_hold_every_attack_with_all_equipment():
     attacks = [settings["attack"] for settings in digests.RUNS.values() if "attack" in settings]
     full = {attack["name"] for attack in attacks if isinstance(attack, dict)}
-    assert full == {*ATTACKS}
+    assert full == {*ATTACKS}, "`RUNS` in tests/digests.py has a run of every attack"
     setup = digests.setup_of("default")
     assert digests.run_digests(setup, 3) == digests.run_digests(setup, 3)
 

@@ -71,9 +71,15 @@ class Attack(ABC):
     ----------
     one_sided : bool
         Whether offsets cannot fall below zero.
+    limits_size : bool
+        Whether the limits apply to the size of the command as a vector, not to every element.
+    takes_tracking : bool
+        Whether it needs the target's position, which `tracking` makes uncertain.
     """
 
     one_sided: ClassVar[bool] = False
+    limits_size: ClassVar[bool] = False
+    takes_tracking: ClassVar[bool] = True
     control: str = setting(
         default="acceleration",
         one_of=CONTROLS,
@@ -124,6 +130,10 @@ class Attack(ABC):
     )
 
     def __post_init__(self) -> None:
+        require(
+            self.takes_tracking or self.tracking is None,
+            f"`tracking` must be None, since a {self.kind} needs no position; got {self.tracking}",
+        )
         if isinstance(self.channels, str):
             require(
                 self.channels == "all" or "*" in self.channels,
@@ -195,6 +205,11 @@ class Attack(ABC):
         """Whether an attack without commands leaves the measurements as they are, exactly."""
         imperfect = self.tracking is not None or self.spoofer_clock is not None
         return not (imperfect or self.replaces_errors)
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether ranges change over an epoch by the mean of their rates at its two ends."""
+        return True
 
     @property
     def unit_scale(self) -> float:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.declared import setting, settings_record
-from ..core.registry import require
 from ..truth.run import GroundTruth
 from ._kernels import Commanded, displaced_ranges, false_position, meaconer, per_channel
 from .base import Attack, AttackContext
@@ -33,6 +32,7 @@ class FalsePosition(Attack):
     """
 
     described_as = "FalsePosition"
+    limits_size: ClassVar[bool] = True
     axes: str = setting(
         default="ne",
         help='Letters of the commanded axes, from ``"n"``, ``"e"`` and ``"d"``, in the order of '
@@ -105,6 +105,7 @@ class Meaconer(Attack):
 
     described_as = "Meaconer"
     one_sided: ClassVar[bool] = True
+    takes_tracking: ClassVar[bool] = False
     antenna_m: tuple[float, float, float] = setting(
         default=(0.0, 0.0, 0.0),
         unit="m",
@@ -119,10 +120,6 @@ class Meaconer(Attack):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.antenna_m = checked_vector("antenna_m", self.antenna_m)
-        require(
-            self.tracking is None,
-            f"`tracking` must be None, since a meaconer needs no position; got {self.tracking}",
-        )
 
     @property
     def kind(self) -> str:
@@ -131,6 +128,10 @@ class Meaconer(Attack):
     @property
     def idle_is_clean(self) -> bool:
         return super().idle_is_clean and self.follows and self.antenna_m == (0.0, 0.0, 0.0)
+
+    @property
+    def is_smooth(self) -> bool:
+        return self.follows  # the way from an antenna that stays behind bends
 
     def action_names(self, world: GroundTruth) -> tuple[str, ...]:
         return (f"delay_{self.control}",)

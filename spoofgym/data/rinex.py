@@ -218,7 +218,7 @@ def _date(parts: list[str]) -> datetime:
         year += 1900 if year >= 80 else 2000
     require(
         year <= LAST_YEAR and 0 <= hour <= 24 and 0 <= minute <= 60 and 0.0 <= second <= 60.0,
-        f"the epoch must be a date to {LAST_YEAR} with hours to 24, minutes and seconds to 60, "
-        f"got {' '.join(parts)!r}",
+        f"the epoch must be a date up to the year {LAST_YEAR}, with at most 24 hours, 60 minutes "
+        f"and 60 seconds, got {' '.join(parts)!r}",
     )
     return datetime(year, month, day) + timedelta(hours=hour, minutes=minute, seconds=second)

@@ -1,135 +1,237 @@
-"""Kernels of a filter beside the victim's: its covariance cycle, and what the victim takes back."""
+"""Kernels of a filter beside the victim's: its covariance cycle, and what the victim takes back.
+
+A symmetric matrix is worked on in *wide* rows, whose columns are filled up with zeros to pairs of
+vectors. Of what is remembered of it the upper half counts. In the column behind its last one stands
+an error with this covariance, which so goes on, and is corrected, as the covariance is.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..core.compile import njit
-from ._solution_separation_kernels import append_rows, substitute_row, whitened_response
-from .base import BoolArray, FloatArray, cholesky_of_rows
+from ..core.simd import LANES, load_pair, splat, store
+from ..receiver.augmented import FIRST
+from ..receiver.states import STATES
+from ._solution_separation_kernels import append_rows
+from .base import BoolArray, FloatArray, IntArray, cholesky_of_rows
+
+BLOCK = 4  # rows that are corrected together
 
 
 @njit
-def propagate_augmented(
-    P: FloatArray, top: FloatArray, rest: FloatArray, half: FloatArray, driving: FloatArray
-) -> None:
-    r"""Go on by one interval in place, :math:`P \leftarrow \Phi (P + Q/2) \Phi^T + Q/2 + D`.
+def wide_shape(n: int) -> tuple[int, int]:
+    """Shape of a matrix (n, n) and an error behind it in wide rows, whole blocks of them."""
+    return -(-n // BLOCK) * BLOCK, -(-(n + 1) // (2 * LANES)) * 2 * LANES
 
-    `P` (B, N, N); `top` (B, s, c) rows of the transition of the first s states, 0 beyond c; `rest`
-    (N - s, N - s) those of the others; `half` (B, s) diagonal of Q/2; `driving` (N - s, N - s) D.
+
+@njit
+def as_vectors(matrix: FloatArray) -> FloatArray:
+    """Lane array of a matrix of wide rows."""
+    return matrix.reshape((matrix.size // LANES, LANES))
+
+
+@njit
+def append_part(part: FloatArray, first: int, size: int, at: IntArray, of: FloatArray) -> int:
+    """Append places and values of what is not 0 in a row from state `first` on; returns how many
+    there are with those before."""
+    for j in range(len(part)):
+        if part[j] != 0.0:
+            at[size], of[size] = first + j, part[j]
+            size += 1
+    return size
+
+
+@njit
+def combine_rows(
+    matrix: FloatArray,
+    wide: int,
+    at: IntArray,
+    of: FloatArray,
+    first: int,
+    last: int,
+    target: FloatArray,
+    row: int,
+) -> None:
+    """Write a row of `target`: rows `at` of a matrix times `of`, from `first` to `last`, summed.
+    Lane arrays of rows of `wide` vectors."""
+    for k in range(0, wide, 4):
+        l = min(k + 2, wide - 2)  # a second sum, so that one need not wait for the other
+        total = other = splat(0.0, load_pair(matrix, k))
+        for e in range(first, last):
+            total += of[e] * load_pair(matrix, at[e] * wide + k)
+            other += of[e] * load_pair(matrix, at[e] * wide + l)
+        store(target, row * wide + k, total)
+        store(target, row * wide + l, other)
+
+
+@njit
+def whiten_rows(factor: FloatArray, count: int, wide: int, rows: FloatArray) -> None:
+    """Solve with Cholesky's factor, whose diagonal is inverted, for rows of a lane array."""
+    for i in range(count):
+        for k in range(0, wide, 2):
+            total = load_pair(rows, i * wide + k)
+            for l in range(i):
+                total -= factor[i, l] * load_pair(rows, l * wide + k)
+            store(rows, i * wide + k, total * factor[i, i])
+
+
+@njit
+def subtract_squares(white: FloatArray, count: int, matrix: FloatArray) -> None:
+    """Subtract A' A of some rows A (count, W) from the upper half of a matrix (n, W), of which n is
+    a multiple of `BLOCK`."""
+    wide = matrix.shape[1] // LANES
+    M, A = as_vectors(matrix), as_vectors(white)
+    for j in range(0, len(matrix), BLOCK):
+        for k in range(j // (2 * LANES) * 2, wide, 2):
+            place = j * wide + k
+            first, second = load_pair(M, place), load_pair(M, place + wide)
+            third, fourth = load_pair(M, place + 2 * wide), load_pair(M, place + 3 * wide)
+            for i in range(count):
+                row, mine = load_pair(A, i * wide + k), white[i]
+                first -= mine[j] * row
+                second -= mine[j + 1] * row
+                third -= mine[j + 2] * row
+                fourth -= mine[j + 3] * row
+            store(M, place, first)
+            store(M, place + wide, second)
+            store(M, place + 2 * wide, third)
+            store(M, place + 3 * wide, fourth)
+
+
+@njit
+def mirror(matrix: FloatArray, n: int) -> None:
+    """Copy the upper half of a matrix (n, n) into its lower one."""
+    for i in range(n):
+        for k in range(i):
+            matrix[i, k] = matrix[k, i]
+
+
+@njit
+def propagate_wide(
+    matrix: FloatArray,
+    n: int,
+    count: int,
+    rows: IntArray,
+    ends: IntArray,
+    at: IntArray,
+    of: FloatArray,
+    moved: FloatArray,
+) -> None:
+    r"""Go on by one interval in place, :math:`P \leftarrow \Phi P \Phi^T`, and the column behind P.
+    `matrix` (n or more, W); `count`, `rows`, `ends`, `at`, `of` as of `append_rows`; `moved` (n, W)
+    scratch."""
+    wide = matrix.shape[1] // LANES
+    M, X = as_vectors(matrix), as_vectors(moved)
+    for side in range(2):  # P Phi', then its rows
+        first = 0
+        for c in range(count):
+            combine_rows(M, wide, at, of, first, ends[c], X, c)
+            first = ends[c]
+        for c in range(count):
+            r = rows[c]
+            if side == 0:
+                for k in range(n):
+                    matrix[k, r] = moved[c, k]
+            else:
+                for k in range(wide * LANES):
+                    matrix[r, k] = moved[c, k]
+
+
+@njit
+def advance_filters(
+    filters: FloatArray,
+    feedback: FloatArray,
+    weights: FloatArray,
+    top: FloatArray,
+    rest: FloatArray,
+    half: FloatArray,
+    driven: IntArray,
+    driving: FloatArray,
+    design: FloatArray,
+    signals: FloatArray,
+    visible: BoolArray,
+    innovation: FloatArray,
+    variance: FloatArray,
+    fewest: int,
+    z: FloatArray,
+    S: FloatArray,
+    white: FloatArray,
+    counts: IntArray,
+) -> None:
+    r"""Advance filters beside B victims by one epoch.
+
+    .. math:: P \leftarrow \Phi (P + Q/2) \Phi^T + Q/2 + D, \quad A = L^{-1} H P, \quad
+        S = H P H^T + R = L L^T, \quad P \leftarrow P - A^T A
+
+    Memory: `filters` (B, N, W), P and behind it the errors of all states. `feedback` (B, 17, m) of
+    the last epoch, and its `weights` (B, m); `top` (B, 17, c) first rows of the transition, 0
+    beyond; `rest` (N - 17, N - 17) of the others; `half` (B, 17) diagonal of Q/2; `driven` (k, 2)
+    places, `driving` (k,) values of D; `design` (B, m, 17), `signals` (B, m, q) of H; `innovation`
+    (B, m) of the victim; `variance` (m,) R. Written: `z` (B, m), `S` (B, m, m), 0 and the identity
+    where not visible; `white` (B, m, d + 1) first columns of A, and behind them :math:`-L^{-1} z`,
+    in `counts` (B,) rows, -1 where S is not positive definite: all errors
+    are then infinite.
     """
-    states, s = P.shape[1], top.shape[1]
+    receivers, width = len(filters), filters.shape[2]
+    states, m, n = STATES + len(rest), z.shape[1], visible.shape[1]
+    wide, kept, moved = width // LANES, white.shape[2] - 1, np.zeros((states, width))
+    A, factor = np.zeros((m, width)), np.empty((m, m))
     rows, ends = np.empty(states, dtype=np.int64), np.empty(states, dtype=np.int64)
     at, of = np.empty(states * states, dtype=np.int64), np.empty(states * states)
-    moved = np.empty((states, states))
-    others, taken = append_rows(rest, s, 0, 0, rows, ends, at, of)
-    for b in range(P.shape[0]):
-        mine = P[b]
+    seen, until = np.empty(m, dtype=np.int64), np.zeros(m + 1, dtype=np.int64)
+    places, values = np.empty(m * states, dtype=np.int64), np.empty(m * states)
+    AV = as_vectors(A)
+    others, taken = append_rows(rest, STATES, 0, 0, rows, ends, at, of)
+    for b in range(receivers):
+        M = filters[b]
+        mirror(M, states)
+        for i in range(STATES):
+            M[i, i] += half[b, i]
+            for r in range(m):
+                M[i, states] -= weights[b, r] * feedback[b, i, r]
         count, _ = append_rows(top[b], 0, others, taken, rows, ends, at, of)
-        for i in range(s):
-            mine[i, i] += half[b, i]
-        for side in range(2):
-            start = 0
-            for c in range(count):
-                row = moved[c]
-                row[:] = 0.0
-                for e in range(start, ends[c]):
-                    a, other = of[e], mine[at[e]]
-                    for k in range(states):
-                        row[k] += a * other[k]
-                start = ends[c]
-            for c in range(count):
-                mine[rows[c]] = moved[c]
-            if side == 0:
-                for i in range(states):
-                    for k in range(i):
-                        mine[i, k], mine[k, i] = mine[k, i], mine[i, k]
-        for i in range(s):
-            mine[i, i] += half[b, i]
-        for i in range(s, states):
-            row, more = mine[i], driving[i - s]
-            for k in range(s, states):
-                row[k] += more[k - s]
+        propagate_wide(M, states, count, rows, ends, at, of, moved)
+        for i in range(STATES):
+            M[i, i] += half[b, i]
+        for i in range(len(driving)):
+            M[FIRST + driven[i, 0], FIRST + driven[i, 1]] += driving[i]
 
-
-@njit
-def project_augmented(
-    P: FloatArray,
-    H: FloatArray,
-    variance: FloatArray,
-    visible: BoolArray,
-    A: FloatArray,
-    S: FloatArray,
-) -> None:
-    """Write A = H P (B, m, N) and S = H P H' + R (B, m, m), 0 and the identity where a row is not
-    visible. `H` (B, m, N); `variance` (B, m)."""
-    receivers, m, states = H.shape
-    n = visible.shape[1]
-    ends, at = np.empty(m, dtype=np.int64), np.empty(m * states, dtype=np.int64)
-    for b in range(receivers):
-        size = 0
+        size, count = 0, 0
         for r in range(m):
-            row, design = A[b, r], H[b, r]
-            row[:] = 0.0
-            for j in range(states if visible[b, r % n] else 0):
-                h = design[j]
-                if h != 0.0:
-                    at[size] = j
-                    size += 1
-                    other = P[b, j]
-                    for k in range(states):
-                        row[k] += h * other[k]
-            ends[r] = size
-        for r in range(m):
-            start = 0
+            z[b, r] = 0.0
             for c in range(m):
+                S[b, r, c] = 0.0
+            S[b, r, r] = 1.0
+            if not visible[b, r % n]:
+                continue
+            size = append_part(design[b, r], 0, size, places, values)
+            size = append_part(signals[b, r], FIRST, size, places, values)
+            seen[count], until[count + 1] = r, size
+            combine_rows(as_vectors(M), wide, places, values, until[count], size, AV, count)
+            A[count, states] -= innovation[b, r]
+            z[b, r] = -A[count, states]
+            for c in range(count + 1):
                 total = 0.0
-                for e in range(start, ends[c]):
-                    total += A[b, r, at[e]] * H[b, c, at[e]]
-                S[b, r, c] = total
-                start = ends[c]
-            S[b, r, r] += variance[b, r] if visible[b, r % n] else 1.0
+                for e in range(until[c], until[c + 1]):
+                    total += A[count, places[e]] * values[e]
+                S[b, r, seen[c]] = S[b, seen[c], r] = total
+            S[b, r, r] += variance[r]
+            count += 1
 
-
-@njit
-def correct_augmented(
-    P: FloatArray,
-    A: FloatArray,
-    S: FloatArray,
-    innovation: FloatArray,
-    visible: BoolArray,
-    enough: BoolArray,
-    change: FloatArray,
-) -> None:
-    r"""Update in place, :math:`P \leftarrow P - A^T S^{-1} A`, where there are enough satellites.
-    `change` (B, N) written: :math:`A^T S^{-1} z`, infinite where S is not positive definite."""
-    receivers, m, states = A.shape
-    rows, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
-    white, y = np.empty((m + 3, states)), np.empty(m)
-    for b in range(receivers):
-        change[b] = 0.0
         count = 0
-        if enough[b]:
-            count = cholesky_of_rows(S[b], visible[b], 0, m, rows, factor)
-            if count < 0:
-                change[b] = np.inf
+        if visible[b].sum() >= fewest:
+            count = cholesky_of_rows(S[b], visible[b], 0, m, seen, factor)
+        counts[b] = count
+        whiten_rows(factor, count, wide, AV)
+        subtract_squares(A, count, M)
         for i in range(count):
-            mine = white[i]
-            mine[:] = A[b, rows[i]]
-            y[i] = innovation[b, rows[i]]
-            substitute_row(factor, i, white, y)
-            for k in range(states):
-                change[b, k] += y[i] * mine[k]
-        white[count : count + 3] = 0.0  # four rows at a time
-        for j in range(states):
-            row = P[b, j]
-            for i in range(0, count, 4):
-                u, v, w, x = white[i], white[i + 1], white[i + 2], white[i + 3]
-                uj, vj, wj, xj = u[j], v[j], w[j], x[j]
-                for k in range(j, states):
-                    row[k] -= uj * u[k] + vj * v[k] + wj * w[k] + xj * x[k]
-            for k in range(j):
-                row[k] = P[b, k, j]
+            for k in range(kept):
+                white[b, i, k] = A[i, k]
+            white[b, i, kept] = A[i, states]
+        if count < 0:
+            for i in range(states):
+                M[i, states] = np.inf
 
 
 @njit
@@ -139,27 +241,34 @@ def compute_feedback(
     innovation: FloatArray,
     S: FloatArray,
     visible: BoolArray,
-    enough: BoolArray,
+    fewest: int,
     feedback: FloatArray,
 ) -> None:
-    r"""Write what each measurement moves the victim's states by, (B, s, m): the columns of its gain
-    :math:`P H^T S^{-1}` times the innovations, to be multiplied with their weights."""
+    r"""Write what each measurement moves the victim's states by, (B, s, m): the columns of
+    its gain :math:`P H^T S^{-1}` times the innovations, to be multiplied with their weights."""
     receivers, m, states = H.shape
+    width = wide_shape(states)[1]
+    wide, M, A = width // LANES, np.zeros((states, width)), np.zeros((m, width))
+    MV, AV = as_vectors(M), as_vectors(A)
     rows, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
-    response, white = np.empty((m, states)), np.empty(m)
+    at, of = np.empty(states, dtype=np.int64), np.empty(states)
     for b in range(receivers):
         feedback[b] = 0.0
-        if not enough[b]:
+        if visible[b].sum() < fewest:
             continue
-        z, seen = innovation[b], visible[b]
-        count = whitened_response(P[b], H[b], z, S[b], seen, rows, factor, response, white)
+        for i in range(states):
+            for k in range(states):
+                M[i, k] = P[b, i, k]
+        count = cholesky_of_rows(S[b], visible[b], 0, m, rows, factor)
+        for i in range(count):
+            size = append_part(H[b, rows[i]], 0, 0, at, of)
+            combine_rows(MV, wide, at, of, 0, size, AV, i)
+        whiten_rows(factor, count, wide, AV)
         for i in range(count - 1, -1, -1):
-            mine = response[i]
-            for l in range(i + 1, count):
-                f, other = factor[l, i], response[l]
-                for k in range(states):
-                    mine[k] -= f * other[k]
+            for k in range(0, wide, 2):
+                total = load_pair(AV, i * wide + k)
+                for l in range(i + 1, count):
+                    total -= factor[l, i] * load_pair(AV, l * wide + k)
+                store(AV, i * wide + k, total * factor[i, i])
             for k in range(states):
-                mine[k] *= factor[i, i]
-            for k in range(states):
-                feedback[b, k, rows[i]] = mine[k] * z[rows[i]]
+                feedback[b, k, rows[i]] = A[i, k] * innovation[b, rows[i]]

@@ -8,7 +8,6 @@ import numpy as np
 
 from ..core.compile import inline_njit, njit
 from ..earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS
-from ..receiver.states import POSITION
 from .base import BoolArray, FloatArray, IntArray, cholesky_of_rows
 
 SINGULAR = 1e-9
@@ -249,11 +248,11 @@ def horizontal_axes(position_e: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @njit
 def project_covariance(V: FloatArray, j: int, u: FloatArray, w: FloatArray) -> float:
-    """Element u' V w of the covariance of the position of solution j; `V` (d, d, J)."""
+    """Element u' V w of the covariance of the position of solution j; `V` (3, 3, J)."""
     total = 0.0
     for i in range(3):
         for k in range(3):
-            total += u[i] * V[POSITION + i, POSITION + k, j] * w[k]
+            total += u[i] * V[i, k, j] * w[k]
     return total
 
 
@@ -261,8 +260,8 @@ def project_covariance(V: FloatArray, j: int, u: FloatArray, w: FloatArray) -> f
 def horizontal_part(
     separation: FloatArray, V: FloatArray, j: int, north: FloatArray, east: FloatArray
 ) -> tuple[float, float, float, float, float]:
-    """North and east of the separation (d, J) of solution j, and their covariance: nn, ne, ee."""
-    s = separation[POSITION:, j]
+    """North and east of the separation (3, J) of solution j, and their covariance: nn, ne, ee."""
+    s = separation[:, j]
     nn, ee = project_covariance(V, j, north, north), project_covariance(V, j, east, east)
     ne = project_covariance(V, j, north, east)
     n = north[0] * s[0] + north[1] * s[1] + north[2] * s[2]
@@ -283,6 +282,7 @@ def judge_bank(
     statistic: FloatArray,
 ) -> None:
     """Compare the horizontal part of all solutions of some receivers with its covariance.
+    `separation` (B, 3, J), `covariance` (B, 3, 3, J) of the position.
     `largest_sd` (B, J) written: root of the largest eigenvalue of V_h [m], infinite where a
     solution is not judged; `statistic` (B,) written: largest q."""
     bank = separation.shape[2]

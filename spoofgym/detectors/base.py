@@ -152,7 +152,8 @@ class Detector(ABC):
     needs_model : bool
         Whether it takes a victim that has a `DetectorContext.model`.
     silent_epochs : int
-        Epochs after a reset in which it can't alarm, since a window is not full; set by `bind`.
+        Epochs after a reset in which it can't alarm, since a window is not full; set by `bind`, as
+        `check_detector` says.
     memory_epochs : int
         Epochs after which it no longer matters when it went live, as of its longest window; set by
         `bind`, 0 where there is no such time.

@@ -215,8 +215,8 @@ class WindowedChi2(InnovationTest):
         else:
             if self.covariance_window < most + 4:
                 raise ValueError(
-                    f"`covariance_window` must be at least {most + 4} for {most} rows, got "
-                    f"{self.covariance_window}"
+                    f"`covariance_window` must be at least {most + 4} for {most} innovations, "
+                    f"got {self.covariance_window}"
                 )
             hold += self.covariance_window
             self._thresholds = estimated_covariance_thresholds(

@@ -239,6 +239,17 @@ class Acna(Detector):
             missing=np.zeros(b),
             excluded=np.full(b, -1.0),
         )
+        windows, silent = [0], []
+        if self.jump_threshold_m is not None:
+            windows.append(self.jump_window)
+            silent.append(self.jump_window - 1)
+        if self.slow_threshold_m is not None:
+            windows.append(self.slow_window)
+            cap = np.inf if self.variant == "literal" else self.drift_cap_m
+            silent.append(int(self.slow_window * self.slow_threshold_m / cap))
+        self.silent_epochs = min(silent, default=0)
+        # an exclusion of `production` has no fixed end
+        self.memory_epochs = 0 if self.variant == "production" else max(windows)
 
     def judge(self, epoch: Epoch) -> Verdict:
         statistic = np.empty((len(epoch.time), 1))

@@ -287,7 +287,10 @@ class InnovationRate(Detector):
         default=0.0, least=0.0, unit="s", help="Time of the run at which the filter starts."
     )
     settled_s: float = setting(
-        default=0.0, least=0.0, unit="s", help="Time of the run from which on it alarms and weighs."
+        default=0.0,
+        least=0.0,
+        unit="s",
+        help="Time of the run before which it neither alarms nor weighs satellites down.",
     )
     max_exclusion_s: float | None = setting(
         default=120.0,
@@ -296,7 +299,7 @@ class InnovationRate(Detector):
         help="Longest time that a satellite has no weight; None for no limit.",
     )
     min_satellites: int = setting(
-        default=5, least=0, help="How many visible satellites have a weight at least."
+        default=5, least=0, help="Fewest visible satellites that are left with a weight."
     )
     alarm_scale: float = factor_on_alarm()
 

@@ -58,7 +58,7 @@ class DetectorAgent(Detector):
         one_of=("receiver", "channel"),
         help="One statistic, or one for every slot.",
     )
-    weighs: bool = setting(default=True, help="Whether the agent weighs satellites.")
+    weighs: bool = setting(default=True, help="Whether the agent gives satellites weights, too.")
     exclusion_s: float | None = setting(
         default=EXCLUSION_S,
         least=0.0,
@@ -147,7 +147,7 @@ class DetectorAgent(Detector):
 
 @settings_record
 class PolicyDetector(DetectorAgent):
-    """A frozen policy as a detector like any other, with its threshold."""
+    """A trained policy that learns no more, as a detector with a threshold."""
 
     described_as = "PolicyDetector"
     policy: DetectorPolicy = setting(default=None, help="What decides; copied.")
@@ -161,8 +161,7 @@ class PolicyDetector(DetectorAgent):
         default=0,
         least=0,
         most=1,
-        help="Whether an epoch is judged by a decision on itself, 0, or by one on the epoch "
-        "before.",
+        help="Which decision judges an epoch: 0, the one on this epoch; 1, that on the one before.",
     )
     quiet_epochs: int | None = setting(
         default=None,

@@ -30,21 +30,17 @@ import numpy as np
 from ..core.declared import setting
 from ..core.memory import Memory
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
-from ..receiver.augmented import FIRST, AugmentedFilter, Predicted
+from ..receiver.augmented import FIRST, IN_RUN, couple_errors, first_covariance
 from ..receiver.epoch import Epoch
 from ..receiver.states import POSITION, STATES
 from ..truth.signal_errors import MAPPINGS, causal_mappings
-from ._own_filter_kernels import (
-    compute_feedback,
-    correct_augmented,
-    project_augmented,
-    propagate_augmented,
-)
-from .base import HAVE_IT, BoolArray, Detector, DetectorContext, FloatArray
+from ._own_filter_kernels import advance_filters, compute_feedback, wide_shape
+from .base import HAVE_IT, Detector, DetectorContext, FloatArray
 
 VICTIM, AUGMENTED = "victim", "augmented"
 NEEDS = "transition", "predicted_cov", "design", "innovation_cov", "imu_delta", "weights"
-SHOWN = frozenset(NEEDS[:3])  # with all states
+FOUND = "innovation", "innovation_cov", "innovation_variance"  # of the filter beside
+SLOW = frozenset({IN_RUN, "constant", "correlated"})  # states that no obliquity multiplies
 
 
 def filter_to_test() -> Any:
@@ -57,76 +53,73 @@ def filter_to_test() -> Any:
     )
 
 
-class CompiledFilter(AugmentedFilter):
-    """The same filter with a compiled covariance cycle, whose last bits are others."""
-
-    def _propagate(self, P: FloatArray, top: FloatArray, half: FloatArray) -> None:
-        size = self.states - STATES
-        rest, driving = np.eye(size), np.zeros((size, size))
-        rest[FIRST - STATES :, FIRST - STATES :] = self.model.transition
-        driving[FIRST - STATES :, FIRST - STATES :] = self.model.driving
-        propagate_augmented(P, top, rest, half, driving)
-
-    def _project(
-        self, P: FloatArray, H: FloatArray, variance: FloatArray, visible: BoolArray
-    ) -> tuple[FloatArray, FloatArray]:
-        A, S = np.empty(H.shape), np.empty((*H.shape[:2], H.shape[1]))
-        project_augmented(P, H, variance, visible, A, S)
-        return A.transpose(0, 2, 1), S
-
-    def _correct(self, predicted: Predicted, used: FloatArray) -> FloatArray:
-        P, A = self.memory["augmented_covariance"], predicted.gain.transpose(0, 2, 1)
-        change = np.empty(P.shape[:2])
-        seen, enough = predicted.visible, predicted.enough
-        correct_augmented(P, A, predicted.S, used, seen, enough, change)
-        return change
-
-
 class OwnFilter:
-    """Augmented filters beside those of B receivers; all that they remember is in `memory`."""
+    """Augmented filters beside those of B receivers; all that they remember is in `memory`, of
+    symmetric matrices the upper half.
+
+    - `top` (B, 17, c) rows of the transition of the last epoch, 0 beyond; `rest` of the others;
+    - `white`, `counts`: responses of the inertial states, as of `advance_filters`.
+    """
 
     def __init__(self, memory: Memory, context: DetectorContext) -> None:
         model, b, n = context.model, context.receivers, context.channels
         if model is None:
             raise ValueError(f"a filter beside the victim's needs a model of its errors; {HAVE_IT}")
         self.model, self.memory, self.fewest = model, memory, context.min_satellites
-        filter_ = CompiledFilter(memory, model.signals, context.epoch_interval_s, n, SHOWN)
-        filter_.start_episodes(np.arange(b), model.covariance, model.grade)
-        for name in ("augmented_covariance", "augmented"):
-            memory.declare(name, memory[name])  # with which an episode starts
-        memory.declare("victim_error", np.zeros((b, STATES)))
+        self.interval_s = context.epoch_interval_s
+        P = first_covariance(model.signals, model.covariance, model.grade)
+        self.states, self.inertial = len(P), FIRST + model.signals.wandering
+        filters = np.zeros((b, *wide_shape(self.states)))
+        filters[:, : self.states, : self.states] = P
+        memory.declare("filters", filters)  # covariances, and behind them the errors of all states
         memory.declare("feedback", np.zeros((b, STATES, 2 * n)))  # of every weight
         memory.declare("mapping", np.zeros((b, n, MAPPINGS)))  # of the last epoch
-        self.filter = filter_
-        self.noise = np.tile(model.noise_psd, (b, 1)), np.tile(model.noise_variance, (b, 1))
+        self.rest, driving = np.eye(self.states - STATES), model.signals.driving
+        self.rest[FIRST - STATES :, FIRST - STATES :] = model.signals.transition
+        self.driven = np.argwhere(driving)
+        self.driving = driving[*self.driven.T]
+        self.white = np.zeros((b, 2 * n, self.inertial + 1))
+        self.counts = np.zeros(b, dtype=np.int64)
 
     def observe(self, epoch: Epoch) -> Epoch:
-        """Go on by an epoch of the victim; the same with this filter's innovations, covariances,
-        design and transition. Its error of the victim is in ``victim_error`` of the memory."""
-        memory, (psd, variance) = self.memory, self.noise
+        """Go on by an epoch of the victim; the same with this filter's innovations and their
+        covariances."""
+        memory, visible = self.memory, epoch.visible
         Phi, P, H, S, imu_delta, weights = (cast(FloatArray, getattr(epoch, n)) for n in NEEDS)
-        x = memory["victim_error"] - np.einsum("bij,bj->bi", memory["feedback"], weights)
-        x = (Phi @ x[:, :, None])[:, :, 0]
-        z = epoch.innovation - (H @ x[:, :, None])[:, :, 0]
-        inertial = Phi, imu_delta, psd, epoch.interval
-        signals = H, self._map_signals(epoch), epoch.visible
-        predicted = self.filter.predict(*inertial, *signals, z, variance, self.fewest)
-        memory["victim_error"] = x + self.filter.update(predicted, None)
-        measured = epoch.innovation, S, epoch.visible, predicted.enough
-        compute_feedback(P, H, *measured, memory["feedback"])
-        found = {
-            "innovation": predicted.innovation,
-            "innovation_cov": predicted.S,
-            "innovation_variance": np.einsum("bii->bi", predicted.S).copy(),
-            **self.filter.shown,
-        }
-        read_only: dict[str, Any] = {name: _protect(array) for name, array in found.items()}
-        return epoch._replace(**read_only)
+        moved = couple_errors(Phi, imu_delta, epoch.interval, self.inertial)
+        self.top = np.concatenate([Phi, moved], axis=2)
+        signals = self.model.signals.rows(self._map_signals(epoch), visible, self.interval_s)
+        z, own_S = np.empty(epoch.innovation.shape), np.empty(S.shape)
+        advance_filters(
+            memory["filters"],
+            memory["feedback"],
+            weights,
+            self.top,
+            self.rest,
+            0.5 * epoch.interval[:, None] * self.model.noise_psd,
+            self.driven,
+            self.driving,
+            H,
+            signals,
+            visible,
+            epoch.innovation,
+            self.model.noise_variance,
+            self.fewest,
+            z,
+            own_S,
+            self.white,
+            self.counts,
+        )
+        compute_feedback(P, H, epoch.innovation, S, visible, self.fewest, memory["feedback"])
+        found = z, own_S, np.einsum("bii->bi", own_S).copy()
+        for array in found:
+            array.flags.writeable = False
+        return epoch._replace(**dict(zip(FOUND, found, strict=True)))
 
     def _map_signals(self, epoch: Epoch) -> FloatArray:
         """(B, n, 6) as `compute_mappings` has it, with rates since the last epoch."""
         memory, n = self.memory, epoch.visible.shape[1]
-        if not {*self.model.signals.places} - {"constant", "correlated"}:
+        if SLOW.issuperset(self.model.signals.places):
             return memory["mapping"]
         up = -dcm_e_from_n(*ecef_to_geodetic(epoch.predicted_position)[:2])[:, :, 2]
         sight = cast(FloatArray, epoch.design)[:, :n, POSITION : POSITION + 3]
@@ -135,12 +128,6 @@ class OwnFilter:
         last = memory["mapping"]
         memory["mapping"] = causal_mappings(elevation, epoch.visible, epoch.interval, last)
         return memory["mapping"]
-
-
-def _protect(array: FloatArray) -> FloatArray:
-    view = array.view()
-    view.flags.writeable = False
-    return view
 
 
 class FilterTest(Detector):
@@ -162,7 +149,7 @@ class FilterTest(Detector):
         # all, and those that move a solution: without the errors of the signals
         self._states, self._inertial = context.states, context.inertial_states
         if self._own is not None:
-            self._states, self._inertial = self._own.filter.states, self._own.filter.inertial
+            self._states, self._inertial = self._own.states, self._own.inertial
 
     def _filtered(self, epoch: Epoch) -> Epoch:
         """Epoch of the filter to test; once per epoch."""

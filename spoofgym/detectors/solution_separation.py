@@ -58,17 +58,20 @@ import math
 from typing import ClassVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from ..core.declared import setting, settings_record
 from ..receiver.epoch import Epoch
-from ..receiver.states import POSITION
+from ..receiver.states import POSITION, STATES
+from ._anchored_bank_kernels import advance_anchored, anchored_shapes
 from ._solution_separation_kernels import advance_bank, judge_bank, whiten_bank
 from .base import DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import alarm_probability, count_epochs
 from .own_filter import FilterTest, filter_to_test
 
 MOST_SOLUTIONS = 100
+ANCHORED = "epochs", "separation", "covariance", "reach", "since", "place", "spread"  # memory
 
 
 Starts = tuple[IntArray, IntArray]  # (J,) first starts and periods of solutions [epochs]
@@ -161,16 +164,30 @@ class SolutionSeparation(FilterTest):
         # a solution starts again by the largest step between two starts of the oldest ones
         self._covers = self.memory_epochs - int(firsts[1] - firsts[0])
         self._threshold = float(special.chdtri(2.0, self.false_alarm / bank))
-        self._declare(
-            epochs=np.zeros(b, dtype=np.int64),
-            separation=np.zeros((b, tracked, bank)),
-            covariance=np.zeros((b, tracked, tracked, bank)),
-            largest_sd=np.full((b, bank), np.inf),
-        )
+        self._declare(epochs=np.zeros(b, dtype=np.int64), largest_sd=np.full((b, bank), np.inf))
+        if self._own is None:
+            shapes = {"separation": (tracked, bank), "covariance": (tracked, tracked, bank)}
+        else:
+            self._spacing, others = spacing, tracked - STATES
+            self._rest = np.ascontiguousarray(self._own.rest[:others, :others])
+            shapes = anchored_shapes(bank, tracked)
+        self._declare(**{name: np.zeros((b, *shape)) for name, shape in shapes.items()})
 
     def judge(self, epoch: Epoch) -> Verdict:
         memory, epoch = self.memory, self._filtered(epoch)
         rows = np.arange(len(epoch.time)) if self.judged_rows is None else self.judged_rows
+        self._advance(epoch, rows)
+        statistic = np.zeros((len(epoch.time), 1))
+        place, largest_sd = epoch.predicted_position, memory["largest_sd"]
+        judge_bank(rows, *self._bank, place, largest_sd, statistic[:, 0])
+        return compare(statistic, self._threshold)
+
+    def _advance(self, epoch: Epoch, rows: NDArray[np.intp]) -> None:
+        memory, own = self.memory, self._own
+        if own is not None:
+            mine = own.top, self._rest, own.white, own.counts, self._spacing, *self._starts
+            advance_anchored(rows, *mine, *(memory[name] for name in ANCHORED))
+            return
         advance_bank(
             rows,
             cast(FloatArray, epoch.transition),
@@ -185,16 +202,17 @@ class SolutionSeparation(FilterTest):
             memory["separation"],
             memory["covariance"],
         )
-        statistic = np.zeros((len(epoch.time), 1))
-        place, largest_sd = epoch.predicted_position, memory["largest_sd"]
-        judge_bank(rows, *self._bank, place, largest_sd, statistic[:, 0])
-        return compare(statistic, self._threshold)
 
     @property
     def _bank(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:
-        """Separations and covariances, epochs so far, and starts."""
-        memory = self.memory
-        return memory["separation"], memory["covariance"], memory["epochs"], *self._starts
+        """Separations and covariances of position, epochs so far, and starts."""
+        memory, place = self.memory, slice(POSITION, POSITION + 3)
+        if self._own is None:
+            s, V = memory["separation"][:, place], memory["covariance"][:, place, place]
+        else:
+            bank = len(self._starts[0])
+            s, V = memory["place"][..., :bank], memory["spread"][..., :bank]
+        return s, V, memory["epochs"], *self._starts
 
     def whiten(self, position_e: FloatArray) -> FloatArray:
         """(B, J, 2) separations of the last epoch, whitened to unit covariance, 0 where a solution

@@ -39,6 +39,8 @@ class Observer:
         (o,) name of every element.
     low, high : ndarray
         (o,) float32 bounds.
+    latent_names : tuple of str
+        Elements that may hold an error of the victim's estimate.
     knowledge : str
         The highest level that any term takes, and ``+reported`` where one takes that.
     table : ndarray
@@ -55,6 +57,7 @@ class Observer:
         self.setup = setup
         self._parts: list[tuple[DynamicTerm, slice]] = []
         names: list[str] = []
+        latent: list[str] = []
         low: list[float] = []
         high: list[float] = []
         tables: list[FloatArray] = []
@@ -65,6 +68,7 @@ class Observer:
             part = slice(len(names), len(names) + len(own))
             least, most = term.bounds(setup)
             names.extend(own)
+            latent.extend(own if getattr(term, "latent", True) else ())
             low.extend([least] * len(own))
             high.extend([most] * len(own))
             table = term.table(setup) if hasattr(term, "table") else None
@@ -77,9 +81,10 @@ class Observer:
                 self.command = (float(part.start), per_displacement, least, most, *axes)
             else:
                 self._parts.append((cast("DynamicTerm", term), part))
-        self.table = np.hstack(tables).astype(np.float32)
+        self.table = np.ascontiguousarray(np.hstack(tables), dtype=np.float32)
         self._rules = np.array([0.0] * COMMAND_COLUMN + list(self.command))
         self.names = tuple(names)
+        self.latent_names = tuple(latent)
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
             raise ValueError(f"two terms write the same observation: {', '.join(twice)}")

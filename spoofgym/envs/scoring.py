@@ -91,7 +91,7 @@ class StepResult:
 
     @property
     def marks(self) -> Mask:
-        """(8 + t, B) bool, those of `MARK_NAMES` first; the kernels name the others."""
+        """(8 + t, B) bool: a row for each of `MARK_NAMES`, then those that `_kernels` numbers."""
         return self.flags.reshape(-1, self._layout.receivers)
 
     @property

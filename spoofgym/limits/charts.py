@@ -225,7 +225,8 @@ def hold_scan(
 
 
 def split(n: float, m: FloatArray, ramp: bool) -> list[FloatArray]:
-    """Root of the evidence as a sum of P now, before the onset, before the baseline, A and A."""
+    """Factors of `hold_scan`'s sums now, before the onset and before the baseline, and of its area
+    now and before the onset: with them they add up to the root of the evidence."""
     nothing = np.zeros_like(m)
     if not ramp:
         scale = 1.0 / np.sqrt(n * m * (n + m))

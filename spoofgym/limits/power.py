@@ -106,30 +106,16 @@ def compute_kl_divergence(p_d: float, p_fa: float) -> float:
 
 MEASURED = ("blind", "tracking")
 """Knowledge that is of no error of the victim, whatever is observed."""
-HARMLESS = (
-    "own_",
-    "time_",
-    "target_",
-    "sight_",
-    "visible_",
-    "spoofed_",
-    "statistic_ratio",
-    "weight_",
-    "divergence_spent",
-)
-"""How the names of elements begin that are functions of measurements, commands and the truth."""
 
 
-def check_no_latent(knowledge: str, observation_names: Sequence[str] | None = None) -> None:
+def check_no_latent(knowledge: str, latent_names: Sequence[str] | None = None) -> None:
     """Raise where the bound by divergence does not hold for what a spoofer observes. An "oracle"
-    may see the error of the estimate; with the names of its observation it is refused where one is
-    no function of the measurements. The victim's reports always have that error."""
-    if knowledge in MEASURED:
+    may see the error of the estimate, and is refused unless it is known to observe none of it
+    (`Observer.latent_names`). The victim's reports always have that error."""
+    none_latent = latent_names is not None and not latent_names
+    if knowledge in MEASURED or (knowledge == "oracle" and none_latent):
         return
-    latent = [name for name in observation_names or () if not name.startswith(HARMLESS)]
-    if knowledge == "oracle" and observation_names is not None and not latent:
-        return
-    seen = f", which observes {', '.join(latent)}" if latent else ""
+    seen = f", which observes {', '.join(latent_names)}" if latent_names else ""
     raise ValueError(
         f"there is no bound by divergence for a spoofer with the knowledge {knowledge!r}{seen}: it "
         "may see an error that the measurements alone do not tell, so that its commands are no "

@@ -176,6 +176,14 @@ def matrix_variances(grade: str) -> FloatArray:
     return np.repeat([float(np.mean(part**2)) for part in parts], 9)
 
 
+def first_covariance(model: SignalModel, covariance: FloatArray, grade: str) -> FloatArray:
+    """(N, N) of all states at the start; `covariance` (17, 17) of those of `receiver.states`."""
+    more = np.concatenate([matrix_variances(grade), model.first])
+    P = np.diag(np.concatenate([np.zeros(STATES), more]))
+    P[:STATES, :STATES] = covariance
+    return P
+
+
 class FilterModel(NamedTuple):
     """What an augmented filter assumes of a world. `signals`: states of the signals; `noise_psd`
     (17,) of the states of `receiver.states`; `noise_variance` (2n,) R; `covariance` (17, 17) at the
@@ -186,6 +194,23 @@ class FilterModel(NamedTuple):
     noise_variance: FloatArray
     covariance: FloatArray
     grade: str
+
+
+def couple_errors(
+    transition: FloatArray, imu_delta: FloatArray, tau: FloatArray, inertial: int
+) -> FloatArray:
+    """(B, 17, c) columns of the transition behind those of `receiver.states`, up to the last of
+    the `inertial` ones."""
+    b = len(tau)
+    turned = np.ascontiguousarray(transition[:, :3, GYRO_BIAS : GYRO_BIAS + 3])  # C tau
+    f, w = imu_delta[:, :3] / tau[:, None], imu_delta[:, 3:] / tau[:, None]
+    moved = np.zeros((b, STATES, inertial - STATES))
+    by_force = (turned[:, :, :, None] * f[:, None, None, :]).reshape(b, 3, 9)
+    moved[:, 3:6, :9] = moved[:, :3, 18:MATRICES] = by_force
+    moved[:, :3, 9:18] = (turned[:, :, :, None] * w[:, None, None, :]).reshape(b, 3, 9)
+    if inertial > FIRST:  # wandering biases do what the constant ones do
+        moved[:, :ACCEL_BIAS, MATRICES:] = transition[:, :ACCEL_BIAS, ACCEL_BIAS:CLOCK_BIAS]
+    return moved
 
 
 class Predicted(NamedTuple):
@@ -241,10 +266,7 @@ class AugmentedFilter:
 
     def start_episodes(self, rows: NDArray[np.intp], covariance: FloatArray, grade: str) -> None:
         """Begin new episodes; `covariance` (17, 17) of the states of `receiver.states`."""
-        more = np.concatenate([matrix_variances(grade), self.model.first])
-        P = np.diag(np.concatenate([np.zeros(STATES), more]))
-        P[:STATES, :STATES] = covariance
-        self.memory["augmented_covariance"][rows] = P
+        self.memory["augmented_covariance"][rows] = first_covariance(self.model, covariance, grade)
         self.memory["augmented"][rows] = 0.0
 
     def predict(
@@ -262,15 +284,8 @@ class AugmentedFilter:
     ) -> Predicted:
         """Go on by one interval, and form the innovations, as arrays of `Epoch` and the filter."""
         P, a = self.memory["augmented_covariance"], self.memory["augmented"]
-        D, b, inertial = self.model.transition, len(tau), self.inertial
-        turned = np.ascontiguousarray(transition[:, :3, GYRO_BIAS : GYRO_BIAS + 3])  # C tau
-        f, w = imu_delta[:, :3] / tau[:, None], imu_delta[:, 3:] / tau[:, None]
-        moved = np.zeros((b, STATES, inertial - STATES))
-        by_force = (turned[:, :, :, None] * f[:, None, None, :]).reshape(b, 3, 9)
-        moved[:, 3:6, :9] = moved[:, :3, 18:MATRICES] = by_force
-        moved[:, :3, 9:18] = (turned[:, :, :, None] * w[:, None, None, :]).reshape(b, 3, 9)
-        if inertial > FIRST:  # wandering biases do what the constant ones do
-            moved[:, :ACCEL_BIAS, MATRICES:] = transition[:, :ACCEL_BIAS, ACCEL_BIAS:CLOCK_BIAS]
+        D, inertial = self.model.transition, self.inertial
+        moved = couple_errors(transition, imu_delta, tau, inertial)
         top = np.concatenate([transition, moved], axis=2)
         self._propagate(P, top, 0.5 * tau[:, None] * noise_psd)
         drift = (moved @ a[:, : inertial - STATES, None])[:, :, 0]

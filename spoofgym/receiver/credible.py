@@ -135,7 +135,9 @@ class CredibleFilter:
         help="K on which the filter settles. 0.16 a second lets a ramp of 0.7 m/s lead by the "
         "3.9 m by which the paper's EKF lags.",
     )
-    noise_sd_m: float = setting(default=1.02, above=0.0, unit="m", help="Root of R.")
+    noise_sd_m: float = setting(
+        default=1.02, above=0.0, unit="m", help="Root of R, the variance of a fix."
+    )
     drift_rate_mps: float = setting(
         default=0.04,
         least=0.0,

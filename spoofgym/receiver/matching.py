@@ -102,8 +102,8 @@ class Motion(NamedTuple):
 
 
 def compute_motion(world: GroundTruth, epochs: int) -> Motion:
-    """Largest manoeuvring of a run, over `WINDOW_S` or less where the run is shorter; the specific
-    force is averaged over a second."""
+    """How much a vehicle manoeuvres where it does so most: within `WINDOW_S`, or all of a shorter
+    run; the specific force is averaged over a second."""
     time = world.imu_time[: world.epoch_end[epochs] + 1]
     samples = world.run[:6, : len(time) - 1] * np.diff(time)
     sums = np.concatenate([np.zeros((6, 1)), np.cumsum(samples, axis=1)], axis=1)

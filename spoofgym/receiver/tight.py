@@ -143,8 +143,8 @@ class TightlyCoupled:
     )
     noise: NoiseModel | None = setting(
         default=None,
-        help="Overrides the assumed GNSS noise and clock, and the inertial sensors where it names "
-        "any.",
+        help="Replaces the GNSS noise and the clock that the receiver assumes, and the inertial "
+        "sensors, too, where `inertial` is given.",
     )
 
     def __post_init__(self) -> None:

@@ -248,7 +248,8 @@ class Setup(ABC):
 
     @cached_property
     def conditions(self) -> Conditions:
-        """What a calibration of a detector here belongs to; not how often a spoofer decides."""
+        """World and timeline, which a calibration of a detector belongs to. How often a spoofer
+        decides is no part of them."""
         settings = {
             "kind": self.kind,
             **describe_as_json(self.world_settings()),

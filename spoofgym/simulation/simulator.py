@@ -312,7 +312,7 @@ class Simulator(ABC):
         for monitor in self.monitors:
             if isinstance(monitor, kind):
                 return monitor
-        raise LookupError(f"no {kind.__name__} looks at these epochs")
+        raise LookupError(f"this simulator has no monitor {kind.__name__}")
 
     def start_episodes(self, rngs: Rngs, given: FixedChoices | None = None) -> None:
         """Start a new episode in every receiver; `given` are circumstances not to be drawn."""

@@ -46,7 +46,7 @@ def resolve_spec(spec: Any) -> Any:
         return spec
     if settings:
         raise ValueError(
-            f"the shipped spoofer {name!r} is as it is, and has no setting "
+            f"the settings of the shipped spoofer {name!r} are fixed, got "
             f"{', '.join(map(repr, settings))}"
         )
     card = load_card(name, SpooferCard)

@@ -116,10 +116,10 @@ class HeldBack(ByStatistic):
 
 @settings_record(kw_only=True)
 class Feedback(HeldBack):
-    r"""Pushes at a rate that grows with time, as far as the detector's statistic leaves room.
+    r"""Pushes at a rate that grows with time, the slower the nearer the alarm.
 
-    With t the time since the onset and T the length of the attack window, the rate of which
-    `HeldBack` leaves a part is
+    With t the time since the onset and T the length of the attack window, the rate that `HeldBack`
+    then reduces is
 
     .. math:: v = a \left(1 + (g - 1) \frac tT\right)
     """
@@ -204,7 +204,8 @@ class ThresholdRider(AlongCurve):
     band: float = setting(
         default=0.4,
         above=0.0,
-        help=r"Part :math:`\beta` of m below which the whole rate is commanded at the latest.",
+        help=r"Room that always suffices for the whole rate, unless b v is larger, as a part "
+        r":math:`\beta` of m.",
     )
 
     tunable: ClassVar[str | None] = "margin"

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..attacks import Attack, AttackContext, FalsePosition, Meaconer, make_attack
+from ..attacks import Attack, AttackContext, make_attack
 from ..truth.run import GroundTruth
 from ..truth.scenario import Scenario
 from .contract import (
     ContractTrial,
     Record,
+    check_described,
     first_difference,
     require_contract,
     run_trial,
@@ -39,7 +40,8 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
 
     It is bound to the default scenario and commanded, and has to show that
 
-    - its label says whether range rates follow, and its actions have names;
+    - its label says whether range rates follow, its actions have names, and its settings fit into
+      JSON;
     - before any command it changes nothing, exactly; it never touches a satellite that is not
       captured;
     - offsets are the commanded motion, within the limits of rate and acceleration, and without a
@@ -85,8 +87,7 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     _check_channels(unbound, world, steps)
     _check_slices(trial, steps)
     _check_limits(unbound, world, axes)
-    if perfect and not (isinstance(unbound, Meaconer) and not unbound.follows):
-        # the way from an antenna that stays behind bends within an epoch
+    if perfect and unbound.is_smooth:
         _check_rates(unbound, world, axes)
     require_contract(
         _fingerprint(world) == truth,
@@ -193,6 +194,7 @@ def _fingerprint(world: GroundTruth) -> tuple[bytes, ...]:
 
 
 def _check_declarations(attack: Attack, world: GroundTruth) -> int:
+    check_described(attack, "attack")
     require_contract(
         isinstance(attack.label, str) and bool(attack.label),
         f"`label` must name the threat, got {attack.label!r}",
@@ -280,8 +282,8 @@ def _check_motion(
 
 
 def _size(attack: Attack, vector: FloatArray) -> float:
-    """Largest size of a vector, or of an element where each has a limit of its own."""
-    if isinstance(attack, FalsePosition):
+    """Largest size of a vector, or of an element, whichever the limits apply to."""
+    if attack.limits_size:
         return float(np.linalg.norm(vector, axis=-1).max())
     return float(np.abs(vector).max())
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import pickle
 import random
 from abc import ABC, abstractmethod
@@ -14,11 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
+from ..core.settings import describe
 
 
 def require_contract(holds: bool | np.bool_, message: str) -> None:
     if not holds:
         raise AssertionError(message)
+
+
+def check_described(subject: Any, word: str) -> None:
+    """Settings of a dataclass can be written into results."""
+    if dataclasses.is_dataclass(subject):
+        try:
+            describe(subject)
+        except (TypeError, ValueError) as error:
+            raise AssertionError(
+                f"the settings of the {word} must fit into JSON, where results are found by them: "
+                f"{error}"
+            ) from error
 
 
 def same_bits(first: NDArray[Any] | None, second: NDArray[Any] | None) -> bool:

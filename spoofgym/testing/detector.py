@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,11 @@ from ..detectors import Detector, Verdict
 from ..detectors.base import UndeclaredFieldError, check_needs, check_verdict, describe_undeclared
 from ..detectors.build import bare_detector
 from ..policies.card import DetectorCard
-from ..receiver.epoch import TracedEpoch
+from ..receiver.epoch import Epoch, TracedEpoch
 from .contract import (
     ContractTrial,
     Record,
+    check_described,
     check_memory,
     explain_read_only,
     require_contract,
@@ -26,6 +28,14 @@ from .contract import (
     same_bits,
 )
 from .epochs import CHANNELS, COORDINATES, Script, engine_script, position_script, trying_script
+from .steady import SteadyEpochs
+
+WINDOW_EPOCHS = 120
+"""Longest window that is looked for; at 0.5 s an epoch."""
+SIZES = (1.0, 30.0)
+"""Of what is added to innovations, in standard deviations: small and large."""
+UNDECLARED_EPOCHS = 2
+"""Memory or silence that needs no word, such as that of a difference of neighbours."""
 
 
 def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
@@ -43,7 +53,9 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     - it neither writes to an epoch nor keeps it, nor hands out arrays that it goes on using;
     - a receiver's verdicts don't depend on the batch that it is in, bit for bit;
     - there is no chance, and all that it remembers is in its `memory`, so that some receivers can
-      be reset, moved, copied and pickled.
+      be reset, moved, copied and pickled;
+    - its settings fit into JSON, and `bind` sets `silent_epochs` and `memory_epochs` where it has a
+      window of up to 60 s.  An average that fades, and a longer window, are not found.
 
     Parameters
     ----------
@@ -70,6 +82,8 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
             _check_bound_again(trial)
             _check_verdicts(trial)
             run_trial(trial)
+        if unbound.card is None:
+            _check_windows(unbound)
 
 
 def list_scripts(measures: str, card: DetectorCard | None = None) -> list[Script]:
@@ -162,6 +176,7 @@ def judge_with_trace(detector: Detector, epoch: TracedEpoch) -> Verdict:
 
 
 def _check_declarations(detector: Detector) -> None:
+    check_described(detector, "detector")
     kind = type(detector).__name__
     paper = getattr(detector, "paper", None)
     require_contract(
@@ -254,3 +269,75 @@ def _check_invisible(detector: Detector, script: Script, number: int, verdict: V
             f"{where} the weights of a channel that isn't visible must be 1, of pseudorange and "
             f"range rate, got {weights.min(initial=1.0):g}",
         )
+
+
+def _check_windows(unbound: Detector) -> None:
+    """A window ends the influence of the past, or a silence, at the same epoch after a reset
+    whatever the innovations are. The memory of a cumulative sum depends on them: no window."""
+    forgets, firsts, steady = [], [], SteadyEpochs.of(unbound, 3)
+    for seed, size in enumerate(SIZES):
+        epochs = _shake(steady, size, np.random.default_rng(seed))
+        bound, young = _judge_all(unbound, steady, epochs[WINDOW_EPOCHS:])
+        _, old = _judge_all(unbound, steady, epochs)
+        firsts = [_first_alarm(verdicts) for verdicts in (young, old)]
+        forgets.append(_count_differing(young, old[WINDOW_EPOCHS:]))
+    kind, silent, (early, late) = type(unbound).__name__, bound.silent_epochs, firsts
+    require_contract(
+        silent <= min(firsts) or min(firsts) == WINDOW_EPOCHS,
+        f"`{kind}.silent_epochs` is {silent}, but there is an alarm after {min(firsts)} epochs",
+    )
+    require_contract(
+        early != late or early == WINDOW_EPOCHS or early <= silent + UNDECLARED_EPOCHS,
+        f"{kind} raises no alarm in the first {early} epochs after a reset, however large the "
+        f"innovations; set `self.silent_epochs = {early}` in `bind`, from its settings, so that a "
+        "timeline that is too short for it is refused",
+    )
+    least, most = sorted(forgets)
+    require_contract(
+        bound.memory_epochs > 0
+        or least <= UNDECLARED_EPOCHS
+        or most == WINDOW_EPOCHS
+        or most > least + 1,
+        f"{kind} has a window: what it saw before no longer matters after {most + 1} epochs; set "
+        f"`self.memory_epochs = {most + 1}` in `bind`, from its settings, so that there is a "
+        "warning where a timeline is too short to fill it",
+    )
+
+
+def _shake(steady: SteadyEpochs, size: float, rng: np.random.Generator) -> list[Epoch]:
+    """Steady epochs with innovations of either sign added; of a measured position, to it, too."""
+    shaken = []
+    for epoch in itertools.islice(steady, 2 * WINDOW_EPOCHS):
+        n, shape = epoch.visible.shape[1], epoch.innovation.shape
+        shift = size * rng.choice([-1.0, 1.0], shape) * rng.uniform(1.0, 2.0, shape)
+        shift *= np.sqrt(epoch.innovation_variance) * (epoch.innovation != 0.0)
+        moved = epoch._replace(innovation=epoch.innovation + shift)
+        if n:
+            ranges = np.array(epoch.pseudorange) + shift[:, :n]
+            rates = np.array(epoch.range_rate) + shift[:, n:]
+            moved = moved._replace(pseudorange=ranges, range_rate=rates)
+        else:
+            moved = moved._replace(gnss_position=np.array(epoch.gnss_position) + shift)
+        shaken.append(moved)
+    return shaken
+
+
+def _judge_all(
+    unbound: Detector, steady: SteadyEpochs, epochs: Sequence[Epoch]
+) -> tuple[Detector, list[Verdict]]:
+    bound = copy.deepcopy(unbound)
+    bound.bind(steady.context)
+    return bound, [bound.judge(epoch) for epoch in epochs]
+
+
+def _first_alarm(verdicts: Sequence[Verdict]) -> int:
+    """Epochs before the first alarm of any receiver, `WINDOW_EPOCHS` at most."""
+    alarms = (k for k, verdict in enumerate(verdicts) if verdict.alarm.any())
+    return min(next(alarms, WINDOW_EPOCHS), WINDOW_EPOCHS)
+
+
+def _count_differing(one: Sequence[Verdict], other: Sequence[Verdict]) -> int:
+    """Epochs after which two statistics are the same but for rounding."""
+    a, b = (np.array([verdict.statistic for verdict in each]) for each in (one, other))
+    differ = (np.abs(a - b) > 1e-6 * np.abs(b).max()).any(axis=(1, 2))
+    return int(np.flatnonzero(differ).max(initial=-1)) + 1

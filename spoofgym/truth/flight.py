@@ -283,7 +283,8 @@ def trajectory_at(
 
 
 def compute_decimation(step: float, rate_hz: float, epoch_interval_s: float) -> int:
-    """Samples of `step` [s] in one of `rate_hz`; a ValueError unless epochs fall on samples."""
+    """Number of the flight's samples, `step` [s] each, in one sample at `rate_hz`; a ValueError
+    unless every epoch ends with a sample."""
     per_epoch = max(round(epoch_interval_s / step), 1)
     valid = {count: 1.0 / (count * step) for count in range(1, per_epoch + 1)}
     valid = {count: rate for count, rate in valid.items() if per_epoch % count == 0}

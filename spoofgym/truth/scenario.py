@@ -174,7 +174,7 @@ class Scenario:
         return chain_worlds(self._worlds(skies), [turns.index(turn) for turn, _ in skies])
 
     def _worlds(self, skies: Sequence[tuple[float, Constellation]]) -> Iterator[GroundTruth]:
-        """Worlds of some skies, each made when it is asked for, from a flight that is made once."""
+        """Worlds of some skies, each made at its first use, from a flight that is made once."""
         flight = FLIGHTS[self.flight]() if isinstance(self.flight, str) else self.flight
 
         @lru_cache(maxsize=1)

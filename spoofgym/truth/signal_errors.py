@@ -70,10 +70,10 @@ class SignalErrors:
     orbit_clock_sd_m: float = standard_deviation("Orbit and clock of a satellite.")
     orbit_clock_s: float = correlation_time(7200.0, "Time in which their correlation falls to 1/e.")
     multipath_sd_m: tuple[float, float] = setting(
-        default=(0.0, 0.0), unit="m", help="Parts a and b of multipath."
+        default=(0.0, 0.0), unit="m", help="Multipath: a_m and b_m above."
     )
     noise_sd_m: tuple[float, float] = setting(
-        default=(0.0, 0.0), unit="m", help="Parts a and b of the code's noise."
+        default=(0.0, 0.0), unit="m", help="Noise of the code: a_n and b_n above."
     )
     smoothing_s: float = correlation_time(
         100.0, "Smoothing of the code, in which these two lose their correlation."

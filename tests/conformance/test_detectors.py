@@ -1,6 +1,8 @@
 """Every detector keeps the contract, and `check_detector` catches whoever breaks it."""
 
 import copy
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -132,9 +134,42 @@ class EveryCoordinate(FarFix):
         return Verdict(statistic, np.full_like(statistic, 9.0), statistic > 9.0)
 
 
+class Mean(Detector):
+    """Mean square of the last eight epochs, and an alarm only when there are eight."""
+
+    paper = "page1954"
+    sets: ClassVar[dict[str, int]] = {}
+
+    def bind(self, context):
+        super().bind(context)
+        self.memory.declare("ring", np.zeros((context.receivers, 8)))
+        self.memory.declare("seen", np.zeros(context.receivers))
+        vars(self).update(self.sets)
+
+    def judge(self, epoch):
+        square = (epoch.innovation**2 / epoch.innovation_variance).mean(axis=1)
+        ring = np.hstack([self.memory["ring"][:, 1:], square[:, None]])
+        self.memory["ring"], self.memory["seen"] = ring, self.memory["seen"] + 1.0
+        statistic = ring.mean(axis=1, keepdims=True)
+        alarm = (statistic > 5.0) & (self.memory["seen"][:, None] >= 8.0)
+        return Verdict(statistic, np.full_like(statistic, 5.0), alarm)
+
+
+class Declared(Mean):
+    sets: ClassVar = {"silent_epochs": 7, "memory_epochs": 8}
+
+
+class TooSilent(Mean):
+    sets: ClassVar = {"silent_epochs": 9}
+
+
+class WithoutMemory(Mean):
+    sets: ClassVar = {"silent_epochs": 7}
+
+
 @pytest.mark.parametrize(
     "detector",
-    [Sum(), AnyChannel(), Odometer(), FarFix(), EveryCoordinate()],
+    [Sum(), AnyChannel(), Odometer(), FarFix(), EveryCoordinate(), Declared()],
     ids=lambda detector: type(detector).__name__,
 )
 def test_a_new_detector_that_keeps_the_contract_passes(detector):
@@ -326,6 +361,13 @@ class Changed(Sum):
         return CHANGES[self.name][0](self, epoch, super().judge(epoch))
 
 
+@dataclass
+class OneSetting(Sum):
+    """Has a setting that JSON has not."""
+
+    things: set
+
+
 def stating(**stated):
     return type("Odd", (Sum,), stated)()
 
@@ -342,6 +384,16 @@ BROKEN = {
         stating(needs=frozenset({"true_position"})),
         r"optional fields .* got frozenset\({'true_position'}",
     ),
+    "silent": (Mean(), "no alarm in the first 7 epochs .* set `self.silent_epochs = 7` in `bind`"),
+    "not silent": (
+        TooSilent(),
+        "`TooSilent.silent_epochs` is 9, but there is an alarm after 7 epochs",
+    ),
+    "window": (
+        WithoutMemory(),
+        "no longer matters after 8 epochs; set `self.memory_epochs = 8` in `bind`",
+    ),
+    "settings": (OneSetting({1, 2}), "must fit into JSON, .* of type set can't be written down"),
     **{name: (Changed(name), said) for name, (_, said) in CHANGES.items()},
     "no base": (NoBaseButDeclares(), r"`bind` finds no memory .* call `super\(\).bind"),
     "bound once": (BoundOnce(), "must be of 1 receivers, got 5; make it again in every `bind`"),

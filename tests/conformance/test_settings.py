@@ -5,12 +5,19 @@ Bounds and annotations come from the classes, so that a new setting is tried wit
 
 import dataclasses
 import inspect
+import json
 import math
 
 import numpy as np
 import pytest
 
+from spoofgym.attacks import ATTACKS
 from spoofgym.core.declared import list_declarations, parse_list_kinds, split_union
+from spoofgym.core.settings import describe, get_kind
+from spoofgym.detectors import DETECTORS
+from spoofgym.detectors.observation import DETECTOR_TERMS
+from spoofgym.envs import TERMS
+from spoofgym.spoofers import SPOOFERS
 
 from . import sources
 from .examples import EXAMPLES
@@ -25,6 +32,17 @@ RECORDS = sorted(
     },
     key=lambda kind: f"{kind.__module__}.{kind.__qualname__}",
 )
+REGISTERED = {
+    f"{name}-{kind.__name__}": kind
+    for name, kinds in {
+        "attack": ATTACKS,
+        "detector": DETECTORS,
+        "spoofer": SPOOFERS,
+        "detector-term": DETECTOR_TERMS,
+        **TERMS,
+    }.items()
+    for kind in kinds.values()
+}
 every_record = pytest.mark.parametrize("kind", RECORDS, ids=lambda kind: kind.__name__)
 
 
@@ -101,3 +119,9 @@ def test_bounds_that_are_included_and_defaults_are_valid_and_documented(kind):
         assert f"\n{name} : " in text
         assert declared.help[0].isupper(), name
         assert declared.help.endswith("."), name
+
+
+@pytest.mark.parametrize("kind", REGISTERED.values(), ids=REGISTERED)
+def test_settings_of_what_is_registered_are_written_into_results(kind):
+    described = json.loads(json.dumps(describe(example_of(kind))))
+    assert described["kind"] == get_kind(kind) == vars(kind)["described_as"]

@@ -68,7 +68,11 @@ def test_thresholds_of_an_estimated_covariance_are_hotellings_and_keep_the_false
     [
         ({"covariance": "estimated", "two_sided": True}, N, "`two_sided` takes a known covariance"),
         ({"signals": "pseudorange"}, 0, "`signals` must be 'both' for a receiver that measures"),
-        ({"covariance": "estimated", "covariance_window": 11}, N, "at least 12 for 8 rows, got 11"),
+        (
+            {"covariance": "estimated", "covariance_window": 11},
+            N,
+            "at least 12 for 8 innovations, got 11",
+        ),
     ],
 )
 def test_what_the_receiver_cannot_give_is_refused(settings, channels, said):

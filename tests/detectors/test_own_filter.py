@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from spoofgym.core.memory import Memory
 from spoofgym.core.settings import describe
 from spoofgym.detectors import (
     Calibrated,
@@ -19,6 +20,7 @@ from spoofgym.detectors.calibrated import describe_identity
 from spoofgym.detectors.solution_separation import space_equally, space_geometrically
 from spoofgym.limits.bounds import WorldSample, zero_alarm_bounds
 from spoofgym.limits.no_alarm import check_convex
+from spoofgym.receiver.augmented import AugmentedFilter
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.loose import LooselyCoupledSetup
 from spoofgym.simulation.robot import WheeledRobotSetup
@@ -68,6 +70,48 @@ def test_its_innovations_are_those_of_an_augmented_receiver_on_the_same_noise(wo
     beside = white_innovations(started(setup_of(world), 3), 60)
     receiver = white_innovations(started(setup_of(world, receiver="augmented"), 3), 60)
     assert np.nanstd(beside - receiver) < (0.05 if world.startswith("aviation") else 0.01)
+
+
+def move_on(transition, x):
+    return (transition @ x[..., None])[..., 0]
+
+
+@pytest.mark.parametrize("world", ["trolley", "aviation-actual"])
+def test_its_kernels_and_those_of_its_bank_are_the_equations(world):
+    detector = {**OWN, "name": "solution-separation", "spacing_s": 1.0, "longest_s": 8.0}
+    simulator, close = started(setup_of(world, detector), 2), {"rtol": 1e-8, "atol": 1e-9}
+    bank, own = simulator.detector, simulator.detector._own
+    model, d, (firsts, periods) = own.model, own.inertial, bank._starts
+    plain = AugmentedFilter(Memory(2), model.signals, own.interval_s, own.white.shape[1] // 2)
+    plain.start_episodes(np.arange(2), model.covariance, model.grade)
+    psd, variance = (np.tile(each, (2, 1)) for each in (model.noise_psd, model.noise_variance))
+    x, s, V = np.zeros((2, 17)), np.zeros((len(firsts), 2, d)), np.zeros((len(firsts), 2, d, d))
+    for k in range(25):
+        epoch = simulator.advance()
+        found, Phi, H = bank._filtered(epoch), epoch.transition, epoch.design
+        x = move_on(Phi, x)
+        z = epoch.innovation - move_on(H, x)
+        inertial = Phi, epoch.imu_delta, psd, epoch.interval, H, own.memory["mapping"]
+        predicted = plain.predict(*inertial, epoch.visible, z, variance, own.fewest)
+        gain = predicted.gain[:, :d] @ np.linalg.inv(predicted.S)
+        step, spread = move_on(gain, predicted.innovation), gain @ predicted.gain[:, :d].mT
+        x = x + plain.update(predicted, None)
+        taken = epoch.predicted_cov @ H.mT @ np.linalg.inv(epoch.innovation_cov)
+        x = x - move_on(taken, epoch.innovation)
+        np.testing.assert_allclose(found.innovation, predicted.innovation, **close)
+        np.testing.assert_allclose(found.innovation_cov, predicted.S, **close)
+        bank._advance(found, np.arange(2))
+        place, belief = bank._bank[:2]
+        F = np.tile(np.eye(d), (2, 1, 1))
+        F[:, :17, : own.top.shape[2]], F[:, 17:, 17:] = own.top, own.rest[: d - 17, : d - 17]
+        for j in np.flatnonzero(k >= firsts):
+            if (k - firsts[j]) % periods[j] == 0:
+                s[j], V[j] = 0.0, 0.0
+            s[j], V[j] = move_on(F, s[j]) - step, F @ V[j] @ F.mT + spread
+            np.testing.assert_allclose(place[..., j], s[j][:, 6:9], **close)
+            rounding = 1e-8 * np.abs(V[j]).max()
+            np.testing.assert_allclose(belief[..., j], V[j][:, 6:9, 6:9], rtol=0.0, atol=rounding)
+        simulator.update(None)
 
 
 def test_beside_a_matched_victim_innovations_are_white_and_as_large_as_they_should_be():
@@ -126,7 +170,7 @@ def test_what_holds_it_is_shown_the_same(wrap):
     for each in (simulator, alone):
         each.run_filter_only(4)
     held = simulator.detector.judges[1] if simulator.detector.judges else simulator.detector
-    for name in ("victim_error", "augmented"):
+    for name in ("filters", "feedback"):
         assert held.memory[name].tobytes() == alone.detector.memory[name].tobytes()
 
 

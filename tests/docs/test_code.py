@@ -8,7 +8,7 @@ import pytest
 from spoofgym.attacks import THREATS
 from spoofgym.envs.terms import TERMS
 from spoofgym.policies import DetectorCard
-from spoofgym.testing import check_detector
+from spoofgym.testing import check_attack, check_detector
 
 from .pages import play, text_of
 
@@ -86,4 +86,6 @@ def test_detectors_of_the_catalogue_and_the_contributors_guide_keep_the_contract
     card = DetectorCard.load("guard.json")
     assert card == code.card
     assert [each.name for each in card.state] == ["hidden"]
-    check_detector(played("CONTRIBUTING.md")[0].CumulativeSum())
+    page = played("CONTRIBUTING.md")[0]
+    check_detector(page.CumulativeSum())
+    check_attack(page.ClockPush())

@@ -1,13 +1,20 @@
 """What the best possible test can do: published values, and what must hold of any of them."""
 
 import re
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from spoofgym.envs.factory import make_setup
-from spoofgym.envs.terms.observation import KNOWLEDGE, OBSERVATION_TERMS, default_terms
+from spoofgym.envs.observer import Observer
+from spoofgym.envs.terms.observation import (
+    KNOWLEDGE,
+    OBSERVATION_TERMS,
+    StatisticRatio,
+    default_terms,
+)
 from spoofgym.limits import deflection_for, power
 from spoofgym.limits.power import check_no_latent, compute_kl_divergence
 from spoofgym.simulation import TightlyCoupledSetup
@@ -74,25 +81,35 @@ def test_what_is_out_of_range_is_named(call, said):
 @pytest.mark.parametrize("knowledge", KNOWLEDGE)
 def test_no_bound_by_divergence_for_knowledge_of_a_latent_error(knowledge):
     setup = make_setup(TightlyCoupledSetup, {"detector": "never"})
-    names = [name for term in default_terms(setup, knowledge) for name in term.names(setup)]
+    latent = Observer(default_terms(setup, knowledge), setup).latent_names
     if knowledge in ("blind", "tracking"):
+        assert latent == ()
         check_no_latent(knowledge)
-        check_no_latent(knowledge, names)
+        check_no_latent(knowledge, latent)
         return
     said = re.escape(repr(knowledge))
-    for observed in (None, names):
+    for observed in (None, latent):
         with pytest.raises(ValueError, match=f"no bound by divergence .* {said}"):
             check_no_latent(knowledge, observed)
 
 
 def test_an_oracle_that_sees_statistics_alone_has_the_bound():
-    setup = make_setup(TightlyCoupledSetup, {"detector": "ewma"})
-    refused = set()
-    for name, kind in OBSERVATION_TERMS.items():
-        try:
-            check_no_latent("oracle", kind().names(setup))
-        except ValueError:
-            refused.add(name)
-    assert refused == {"estimate-error", "reported-position", "reported-deviation"}
+    check_no_latent("oracle", ())
     with pytest.raises(ValueError, match="observes error_east, my_own"):
-        check_no_latent("oracle", ["statistic_ratio", "error_east", "my_own"])
+        check_no_latent("oracle", ["error_east", "my_own"])
+
+
+def test_terms_that_may_hold_an_error_of_the_estimate_are_those_three():
+    latent = {name for name, kind in OBSERVATION_TERMS.items() if kind.latent}
+    assert latent == {"estimate-error", "reported-position", "reported-deviation"}, (
+        "a new term of measurements, commands and the truth alone has `latent = False`; "
+        "another is named here"
+    )
+
+
+def test_a_term_that_does_not_say_so_may_hold_one():
+    setup = make_setup(TightlyCoupledSetup, {"detector": "ewma"})
+    other = SimpleNamespace(
+        knowledge="oracle", names=lambda _: ("mine",), bounds=lambda _: (0.0, 1.0)
+    )
+    assert Observer([StatisticRatio(), other], setup).latent_names == ("mine",)

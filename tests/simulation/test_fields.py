@@ -79,7 +79,7 @@ def test_needs_of_loop_passive_detectors_monitors_and_agents_are_met():
     assert given(engine.twin.epoch) == {"innovation_cov"}  # nobody monitors a clean twin
     variances = (each.epoch.innovation_variance for each in (engine.simulator, engine.twin))
     np.testing.assert_array_equal(*variances)
-    with pytest.raises(LookupError, match="no Forgotten looks at these epochs"):
+    with pytest.raises(LookupError, match="has no monitor Forgotten"):
         engine.simulator.monitor(type("Forgotten", (Monitor,), {}))
     assert DetectorAgent().needs == {"innovation_cov", "imu_delta"}
     victim = warm(tight(DetectorAgent()), 2)

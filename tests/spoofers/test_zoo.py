@@ -53,7 +53,7 @@ def test_what_is_not_shipped_is_left_as_it_is():
 def test_wrong_names_are_told_the_right_ones(zoo):
     for spec, message in (
         ("ewma-tyni", r"valid: .*ewma-tiny.*did you mean 'ewma-tiny'"),
-        ({"name": "ewma-tiny", "rate_mps": 1.0}, "as it is, and has no setting 'rate_mps'"),
+        ({"name": "ewma-tiny", "rate_mps": 1.0}, "are fixed, got 'rate_mps'"),
         ({"name": "onnx-policy", "file": "other"}, r"the path .* \(ewma-tiny\), got 'other'"),
     ):
         with pytest.raises(ValueError, match=message):

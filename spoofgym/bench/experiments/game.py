@@ -291,7 +291,7 @@ class Game:
     def pairs(
         self, spoofers: Sequence[Any], detectors: Sequence[Any], *, oracles: bool = False
     ) -> Pairs:
-        """Experiment of a `matrix`."""
+        """The experiment that `matrix` runs: every spoofer against every detector."""
         rows = [specify_strategy(each, SPOOFER) for each in _check_strategies(spoofers, SPOOFER)]
         columns = [
             specify_strategy(each, DETECTOR) for each in _check_strategies(detectors, DETECTOR)

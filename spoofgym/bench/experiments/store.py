@@ -42,7 +42,7 @@ class Cell(NamedTuple):
 
     - `key`: its name in the experiment;
     - `identity`: what its result depends on besides the experiment's `config`, as JSON; None where
-      this can't be written down: then the result is kept in memory only;
+      this can't be written down: then the result is in memory only;
     - `work`: how long it takes, in a unit of the experiment; finished cells do not count;
     - `after`: keys of the cells that must be finished first; it may read their results;
     - `group`: cells of one group are computed in one call, such as detectors in one pass.

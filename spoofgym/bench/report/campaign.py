@@ -58,7 +58,8 @@ class FalseAlarmGroup(NamedTuple):
 
 
 def groups(summary: Row) -> list[FalseAlarmGroup]:
-    """Detectors that may share a table; one that never alarms is in all of them."""
+    """Detectors by table: one table for each rate of false alarms, and one for thresholds as
+    published. A detector that never alarms is in the table of every rate."""
     footing = {row["detector"]: row["footing"] for row in summary["detectors"]}
     rates = sorted(
         {rate for rate in footing.values() if rate not in (NOMINAL, ANY_RATE)}, key=float
@@ -84,7 +85,7 @@ def _select_headline(share: float, skies: bool = False) -> Any:
 
 
 def attack_of_suite(row: Row) -> str:
-    """Letter and spoofer of an attack of the suite, marked where it is an oracle."""
+    """Letter and spoofer of an attack of the suite, with a mark where the spoofer is an oracle."""
     return f"({row['letter']}) {row['spoofer']}{ORACLE if row['letter'] in ORACLES else ''}"
 
 

@@ -144,10 +144,10 @@ def divergence_record(
     each probability of detection: the divergence D below which no test reaches it, and the mean
     displacement that D allows."""
     spoofer = player.build()
-    names = Observer(default_terms(setup, spoofer.knowledge), setup).names
+    latent = Observer(default_terms(setup, spoofer.knowledge), setup).latent_names
     found: Record = {"spoofer": player.label, "knowledge": spoofer.knowledge}
     try:
-        check_no_latent(spoofer.knowledge, names)
+        check_no_latent(spoofer.knowledge, latent)
     except ValueError as error:
         return {**found, "holds": False, "why": str(error), "bounds": {}}
     sizes = _spread(frontier.sizes())

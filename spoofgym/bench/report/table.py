@@ -20,7 +20,8 @@ WIDTH = 180
 
 
 class Column(NamedTuple):
-    """Title, key of a row or function of it, and how the value is written; None is a dash."""
+    """A column: its title, the key of its value in a row or a function of the row, and the function
+    that formats the value; None is printed as a dash."""
 
     title: str
     value: str | Callable[[Any], Any]

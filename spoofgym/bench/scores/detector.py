@@ -59,7 +59,8 @@ class FamilyScore(NamedTuple):
         return bootstrap_quantile(winner.displacement[MEASURES[0]][counts], share, samples)
 
     def resample_hmi(self) -> FloatArray:
-        """(S,) P(HMI | attack) in bootstrap samples of all runs, the same ones for any detector."""
+        """(S,) probability of hazardously misleading information under attack, in each bootstrap
+        sample of the runs; every detector has the same samples."""
         samples, counts = (
             draw_resamples(select_clusters(self.protection.sky)),
             self.protection.counts,

@@ -74,9 +74,9 @@ class OpenLoopSearch:
     runs: int = setting(
         default=512, least=8, help="Clean runs of the search, of a split of their own."
     )
-    batch: int = setting(default=256, least=4, help="Runs that play a generation.")
+    batch: int = setting(default=256, least=4, help="Runs that a generation is played on.")
     knots: int = setting(default=12, least=2, most=MOST_KNOTS, help="Knots of the curve.")
-    population: int = setting(default=12, least=4, help="Population of CMA-ES.")
+    population: int = setting(default=12, least=4, help="Size of a generation of CMA-ES.")
     generations: int = setting(
         default=60, least=0, help="Generations of CMA-ES; 0 for the best of the first curves."
     )
@@ -300,8 +300,8 @@ def share_skies(setup: Setup, entropy: int, runs: int) -> dict[str, Any]:
 
 
 class Optima:
-    """Searches in the world of some brackets, against their detectors. `spoofers`: those that also
-    play there; profiles among them are candidates."""
+    """Searches for open-loop attacks against the detectors of `brackets`, in its world. `spoofers`
+    also play there; the profiles among them are candidates of a search."""
 
     def __init__(
         self,

@@ -50,7 +50,9 @@ class ObservationTerm(Protocol):
 
     ``table(setup)`` gives the (K, k) values at every epoch of the run, or None where they depend on
     more than the epoch.  `knowledge` is the least level of knowledge that it takes, and whether it
-    takes ``reported``: one of `KNOWLEDGE`, or ``"reported"`` at any level.
+    takes ``reported``: one of `KNOWLEDGE`, or ``"reported"`` at any level.  A term of measurements,
+    commands and the truth alone has ``latent = False``; one without it may hold an error of the
+    victim's estimate, for which there is no bound by divergence.
     """
 
     knowledge: ClassVar[str]
@@ -73,6 +75,7 @@ class DynamicTerm(ObservationTerm, Protocol):
 class _Term:
     """What the terms below share: fixed bounds."""
 
+    latent: ClassVar[bool] = True
     limits: ClassVar[tuple[float, float]] = (-10.0, 10.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
@@ -98,6 +101,7 @@ class OwnCommand(_Term):
         help="Whether their parts along the target direction are observed, instead of every axis; "
         "the attack must be a false position with commands north and east.",
     )
+    latent: ClassVar[bool] = False
     knowledge: ClassVar[str] = "blind"
     limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
 
@@ -131,6 +135,7 @@ class Time(_Term):
     """Parts of the command phase that are over, and left."""
 
     described_as = "Time"
+    latent: ClassVar[bool] = False
     knowledge: ClassVar[str] = "blind"
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
@@ -197,6 +202,7 @@ class TargetMotion(_Tabled):
         "windows of all episodes is uninformative, and left out, where these windows are fixed; "
         "0 for all.",
     )
+    latent: ClassVar[bool] = False
     knowledge: ClassVar[str] = "tracking"
 
     def _whole(self, setup: Setup) -> tuple[tuple[str, ...], NDArray[Any] | None]:
@@ -213,6 +219,7 @@ class TargetDirection(_Term):
     """Direction in which displacement counts: its north and its east component."""
 
     described_as = "TargetDirection"
+    latent: ClassVar[bool] = False
     knowledge: ClassVar[str] = "blind"
     limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
 
@@ -235,6 +242,7 @@ class SatelliteGeometry(_Tabled):
         help="As in `TargetMotion`: what changes by less is left out, such as all of it in a "
         "window of minutes in one world.",
     )
+    latent: ClassVar[bool] = False
     knowledge: ClassVar[str] = "tracking"
     limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
 
@@ -255,6 +263,7 @@ class StatisticRatio(_Term):
     largest: bool = setting(
         default=False, help="Whether only the largest of all channels is observed."
     )
+    latent: ClassVar[bool] = False
     knowledge: ClassVar[str] = "oracle"
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
 
@@ -280,6 +289,7 @@ class GainWeight(_Term):
     """The detector's weight on every pseudorange, or on the position; 1 from a monitor."""
 
     described_as = "GainWeight"
+    latent: ClassVar[bool] = False
     knowledge: ClassVar[str] = "oracle"
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
@@ -316,6 +326,7 @@ class DivergenceSpent(_Term):
         unit="nats",
         help="Divergence that is observed as 1; that of `AtStealthBudget` if there is one.",
     )
+    latent: ClassVar[bool] = False
     knowledge: ClassVar[str] = "oracle"
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
     needs: ClassVar[tuple[type[Divergence], ...]] = (Divergence,)

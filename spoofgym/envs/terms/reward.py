@@ -123,7 +123,7 @@ class EffortPenalty:
         default=0.1,
         least=0.0,
         unit="m",
-        help="Price of an epoch with all elements at their limits, as a displacement.",
+        help="Price of an epoch in which all elements of the action are at their limits.",
     )
     name: ClassVar[str] = "effort"
 

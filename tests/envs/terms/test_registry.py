@@ -12,11 +12,11 @@ import pytest
 
 from spoofgym.envs import make_terms
 from spoofgym.envs.terms import TERMS, describe_terms
-from spoofgym.envs.terms.observation import OwnCommand, Time
+from spoofgym.envs.terms.observation import OBSERVATION_TERMS, OwnCommand, Time
 from spoofgym.envs.terms.reward import AlarmPenalty, DisplacementGain
 from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement
 
-from ..support import LIVE, AlarmAt, single, vector
+from ..support import LIVE, VICTIMS, AlarmAt, single, vector, victim, victims
 
 NEEDED = {"channels": {"ids": ["S05"]}, "at-displacement": {"limit_m": 5.0}}
 NEEDED |= {"at-stealth-budget": {"budget_nats": 2.0}, "at-steps": {"steps": 4}}
@@ -32,6 +32,51 @@ def test_every_term_goes_through_json(kind):
         assert make_terms(kind, json.loads(json.dumps(said))) == (term,)
         with pytest.raises(AttributeError):  # frozen
             term.name_of_nothing = 1
+
+
+def offered(term):
+    """Environments, single and three at a time, of each victim that has what a term observes."""
+    settings = {"observation": term, "end_at_alarm": False}
+    for kind in VICTIMS:
+        try:
+            yield victim(kind, **settings).unwrapped, victims(kind, 3, **settings)
+        except (TypeError, ValueError):
+            continue
+
+
+def write(term, core):
+    """What a term says by itself, (B, k), with NaN where it writes nothing."""
+    snapshot, written = core.snapshot(), np.full((3, len(core.observation_names)), np.nan, "f4")
+    table = term.table(core.setup) if hasattr(term, "table") else None
+    if table is None:
+        term(snapshot, written)
+        return written
+    assert table.shape == (len(core.setup.epoch_time), written.shape[1])
+    return table[snapshot.simulator.epochs]
+
+
+def check_observed(term, env, envs):
+    least, most = term.bounds(envs.core.setup)
+    assert np.isfinite([least, most]).all()
+    assert envs.observation_names == env.observation_names == term.names(envs.core.setup)
+    command = np.full(envs.action_space.shape, 0.5)
+    first, one = envs.reset(seed=3)[0], env.reset(seed=3)[0]
+    for k in range(5):
+        many = envs.step(command)[0] if k else first
+        one = env.step(command[0])[0] if k else one
+        assert envs.observation_space.contains(many), (term, many)
+        written = write(term, envs.core)
+        assert np.isfinite(written).all(), (term, "must write finite numbers everywhere", written)
+        np.testing.assert_allclose(many, np.clip(written, least, most), rtol=1e-5, err_msg=term)
+        np.testing.assert_array_equal(one, many[0], err_msg=f"{term} in a batch, and alone")
+    np.testing.assert_array_equal(envs.reset(seed=3)[0], first, err_msg=f"{term} after a reset")
+
+
+@pytest.mark.parametrize("name", OBSERVATION_TERMS)
+def test_every_observation_term_is_observed_in_every_victim_that_offers_it(name):
+    (term,) = make_terms("observation", name)
+    played = [check_observed(term, *made) for made in offered(term)]
+    assert played, f"no victim offers what {term} observes"
 
 
 def test_names_settings_and_objects_may_stand_side_by_side():
